@@ -20,7 +20,7 @@ os.environ["SLIPFREE_CACHE"] = ""  # nothing that was compiled before
 @pytest.fixture(autouse=True)
 def _no_progress_lines(monkeypatch):
     """Keep slow runs from printing lines that fast ones do not print."""
-    monkeypatch.setattr("slipfree.cli.messages.FIRST_LINE", np.inf)
+    monkeypatch.setattr("slipfree.cli.common.FIRST_LINE", np.inf)
 
 
 @pytest.fixture
@@ -34,6 +34,13 @@ def direct_reads(request, monkeypatch):
     if request.node.get_closest_marker("bounded") is None:
         for place in ("system.processes", "files.urdf.meshes"):
             monkeypatch.setattr(f"slipfree.{place}.bounded_call", call)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Return an empty folder, which is the current one."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 @pytest.fixture

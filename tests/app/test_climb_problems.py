@@ -3,40 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.patches import Circle, Polygon
-from typer.testing import CliRunner
 
 from helpers.climb_cases import AMPLE, RAMP, SENSED, TABLE_I, climb, foot
+from helpers.commands import build_errors, invoke, sets
 from slipfree.catalog import step_climber
-from slipfree.cli import app
 from slipfree.climb.metrics import climb_metrics
 from slipfree.files.netcdf import read as read_result
-from slipfree.files.toml.source import ProblemError
 from slipfree.files.vehicle_draft import vehicle_text
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, motion_facts, run_problem
 from slipfree.show.plots import draw
 from slipfree.terrain.solids import section_of
 
+pytestmark = pytest.mark.usefixtures("folder")
 PROBLEMS = Path(__file__).parents[2] / "problems"
 RAMP_FILE, STEP_FILE, STAIRS_FILE, PLAN_FILE = (
     PROBLEMS / f"climb_{name}.toml" for name in ("ramp", "step", "stairs", "plan_step")
 )
 COARSE = ("time.step=0.01",)
-
-
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def _invoke(*words: str) -> Any:
-    return CliRunner().invoke(app, [str(word) for word in words])
 
 
 @pytest.mark.slow
@@ -54,17 +42,15 @@ def test_the_ramp_is_the_climb_of_the_library():
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("folder")
 def test_outcomes_of_climbs():
-    settings = [word for each in ("terrain.friction=0.4", *COARSE) for word in ("--set", each)]
-    result = _invoke("run", STEP_FILE, "-o", "r.nc", *settings)
+    settings = sets("terrain.friction=0.4", *COARSE)
+    result = invoke("run", STEP_FILE, "-o", "r.nc", *settings)
     assert result.exit_code == 0  # the motion is complete
     assert "stalls: by t = 3.6 s 0 of 3 wheels had reached the top, z = 0.09 m" in result.output
     assert "drew side, map" in result.output
     assert read_result("r.nc").wheels == ("rear", "middle", "front")
     settings = ["--set", "terrain.obstacles=[{step={height=0.3}}]", "--set", "terrain.friction=2"]
-    result = _invoke("run", STEP_FILE, "--no-draw", *settings)
-    assert result.exit_code == 1
+    result = invoke("run", STEP_FILE, "--no-draw", *settings, code=1)
     assert "tips over: at t = 1." in result.output
     assert "limit reached at t = 1." in result.stderr
 
@@ -107,7 +93,6 @@ def test_sensors_may_be_noisy():
     assert 1e-6 < np.abs(noisy["y"] - plain["y"]).max() < 0.05
 
 
-@pytest.mark.usefixtures("folder")
 def test_a_vehicle_file_climbs_as_the_catalogue():
     Path("climber.toml").write_text(vehicle_text(step_climber()))
     brief = ["time.duration=0.5", *COARSE]
@@ -116,7 +101,7 @@ def test_a_vehicle_file_climbs_as_the_catalogue():
     Path("p.toml").write_text(text)
     run = run_problem(load_problem(Path("p.toml"), brief)).trajectory
     np.testing.assert_allclose(run["center_z"], same["center_z"], atol=1e-9)
-    assert "states  11: y, z, pitch, fold" in _invoke("vehicle", "climber.toml").output
+    assert "states  11: y, z, pitch, fold" in invoke("vehicle", "climber.toml").output
 
 
 def test_the_side_view_shows_vehicle_and_solids():
@@ -158,19 +143,15 @@ def test_a_plan_climbs_where_references_do_not():
         assert stuck.facts["obstacles"].value == "stalls", law
 
 
-@pytest.mark.usefixtures("folder")
 def test_a_goal_that_is_not_reached_is_inaccurate():
     settings = ["--set", "goal.y=[3, 4]", "--set", "time.duration=0.2"]
-    result = _invoke("run", PLAN_FILE, "--no-draw", *settings)
-    assert result.exit_code == 1
+    result = invoke("run", PLAN_FILE, "--no-draw", *settings, code=1)
     assert "its simulation misses y at the goal by 3.3e+00 m" in result.output
 
 
-@pytest.mark.usefixtures("folder")
 def test_there_is_no_plan_without_enough_friction():
     settings = ["--set", "limits.utilisation=[0, 0.8]"]
-    result = _invoke("run", PLAN_FILE, "--no-draw", *settings)
-    assert result.exit_code == 1
+    result = invoke("run", PLAN_FILE, "--no-draw", *settings, code=1)
     assert (
         "plan, leg 3, on which the rear wheels climb: expected a coefficient of friction of "
         "at least 0.67"
@@ -198,6 +179,4 @@ def test_there_is_no_plan_without_enough_friction():
     ],
 )
 def test_problems_that_cannot_be_set_up(file, settings, words):
-    with pytest.raises(ProblemError) as caught:
-        build(load_problem(file, settings))
-    assert words in str(caught.value)
+    assert words in build_errors(file, settings)

@@ -7,9 +7,9 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from typer.testing import CliRunner
 
 from helpers.cases import hills
+from helpers.commands import invoke
 from slipfree import (
     Analytic,
     ModelError,
@@ -21,7 +21,6 @@ from slipfree import (
     straight,
 )
 from slipfree.catalog import three_wheeler
-from slipfree.cli import app
 from slipfree.models.samples import measured_slip
 from slipfree.problem.load import load_problem
 from slipfree.problem.verbs.compare import compare
@@ -138,8 +137,7 @@ def test_no_slip_conditions_of_a_rigid_axle():
 def test_command_prints_the_table():
     two = '[{name="a", catalog="three_wheeler"}, {name="b", catalog="three_wheeler", axle="fixed"}]'
     short = ["--set", f"vehicles={two}", "--set", "time.duration=0.4", "--set", "time.step=0.05"]
-    result = CliRunner().invoke(app, ["compare", str(FILE), *short])
-    assert result.exit_code == 0, result.output
+    result = invoke("compare", str(FILE), *short, code=0)
     ranks = dict(re.findall(r"^(a|b) +(\d/9)", result.stdout, re.MULTILINE))
     assert ranks == {"a": "9/9", "b": "7/9"}
 
@@ -148,7 +146,7 @@ def test_faults_of_a_vehicle_are_located(tmp_path):
     text = FILE.read_text().replace('axle = "fixed"', 'axle = "stiff"', 1)
     path = tmp_path / "c.toml"
     path.write_text(text)
-    result = CliRunner().invoke(app, ["compare", str(path)])
+    result = invoke("compare", str(path))
     line = text[: text.index('"stiff"')].count("\n") + 1
     assert result.exit_code == 2
     assert f"c.toml:{line}: vehicles[10].axle: expected" in result.stderr

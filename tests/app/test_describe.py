@@ -5,13 +5,12 @@ import re
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from typer.testing import CliRunner
 
 from helpers.cases import DATA
+from helpers.commands import invoke
 from helpers.problem_files import VALID
 from slipfree import Analytic, direct_kinematics, settle
 from slipfree.catalog import ackermann, differential_drive, rocky7, skid_steer
-from slipfree.cli import app
 from slipfree.core.errors import DataError
 from slipfree.problem.load import load_problem
 from slipfree.problem.report import conditioning, describe
@@ -85,8 +84,7 @@ wheels = [
 
 def test_what_can_be_said_of_what_is_no_vehicle(tmp_path):
     (tmp_path / "v.toml").write_text(BROKEN)
-    result = CliRunner().invoke(app, ["vehicle", str(tmp_path / "v.toml")])
-    assert result.exit_code == 2
+    result = invoke("vehicle", str(tmp_path / "v.toml"), code=2)
     assert "  p: turns about -x by a (suspension)" in result.stdout
     assert "not connected to the platform: q, on r" in result.stdout
     assert "not connected to the platform: wheel four, on hub" in result.stdout

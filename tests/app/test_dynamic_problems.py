@@ -4,10 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
+from helpers.commands import invoke, sets
 from slipfree import Bicubic, Solids, load_problem, open_result
-from slipfree.cli import app
 from slipfree.problem.build import build_solids
 from slipfree.problem.build_ground import build_ground
 from slipfree.problem.load import verb_of
@@ -17,16 +16,10 @@ PROBLEMS = Path(__file__).parents[2] / "problems"
 ROCKS = str(PROBLEMS / "dynamics_rocks.toml")
 
 
-def invoke(*words):
-    """Return the result of a command."""
-    return CliRunner().invoke(app, [str(word) for word in words])
-
-
 @pytest.mark.slow
 def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path, monkeypatch):
     file = tmp_path / "r.nc"
-    done = invoke("run", ROCKS, "-o", file, "--set", "time.duration=0.5", "--no-draw")
-    assert done.exit_code == 0, done.output
+    done = invoke("run", ROCKS, "-o", file, "--set", "time.duration=0.5", "--no-draw", code=0)
     for name in ("compliant contact", "vehicle in the air", "energy balance", "a prediction with"):
         assert name in done.output
     result = open_result(file)
@@ -38,18 +31,15 @@ def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path, monkeypatch):
     assert np.abs(gain).max() < 100 * 1e-6 * exchanged
     assert run["velocity_x"][0] == pytest.approx(1.0, abs=0.01)  # the initial speed
     monkeypatch.setattr("slipfree.problem.verbs.driving.DriveVerb.figures", lambda *_: ())
-    reported = invoke("report", file, "-o", tmp_path / "r.html")
-    assert reported.exit_code == 0, reported.output
-    page = invoke("show", file, "--html", tmp_path / "page.html")
-    assert page.exit_code == 0, page.output
+    invoke("report", file, "-o", tmp_path / "r.html", code=0)
+    invoke("show", file, "--html", tmp_path / "page.html", code=0)
 
 
 @pytest.mark.slow
 def test_a_car_jumps_from_a_ledge(tmp_path):
     file = tmp_path / "r.nc"
     name = PROBLEMS / "dynamics_ledge.toml"
-    done = invoke("run", name, "-o", file, "--set", "time.duration=0.8", "--no-draw")
-    assert done.exit_code == 0, done.output
+    done = invoke("run", name, "-o", file, "--set", "time.duration=0.8", "--no-draw", code=0)
     run = open_result(file).trajectory
     flying = (run["depth"] < 0).all(axis=1)
     t = run.t[flying]
@@ -71,10 +61,9 @@ def test_skid_steering_depends_on_the_model_and_with_inertia_on_the_speed(tmp_pa
         wheels = [f"{end}_{side}_rate" for end in ("front", "rear") for side in ("left", "right")]
         rates = [f"{name}={factor * (2 if 'left' in name else 4)}" for name in wheels]
         options = [f"model={model}", f"inputs={{{','.join(rates)}}}", f"time.duration={6 / factor}"]
-        settings = [word for each in options for word in ("--set", each)]
+        settings = sets(*options)
         name = PROBLEMS / "dynamics_skid_turn.toml"
-        done = invoke("run", name, "-o", file, "--no-draw", *settings)
-        assert done.exit_code == 0, done.output
+        invoke("run", name, "-o", file, "--no-draw", *settings, code=0)
         run = open_result(file).trajectory
         ends[model, factor] = np.array([run["x"][-1], run["y"][-1]])
     still = ends["quasi-static", 1]
@@ -87,8 +76,7 @@ def test_skid_steering_depends_on_the_model_and_with_inertia_on_the_speed(tmp_pa
 @pytest.mark.slow
 def test_a_motor_spins_its_wheel_on_ice(tmp_path):
     file = tmp_path / "r.nc"
-    done = invoke("run", PROBLEMS / "dynamics_ice.toml", "-o", file, "--no-draw")
-    assert done.exit_code == 0, done.output
+    done = invoke("run", PROBLEMS / "dynamics_ice.toml", "-o", file, "--no-draw", code=0)
     assert "diagnostics failed" not in done.output
     run = open_result(file).trajectory
     on_ice = run["contact_x", "rear_left"] < 0.2
@@ -101,14 +89,12 @@ def test_a_motor_spins_its_wheel_on_ice(tmp_path):
 @pytest.mark.slow
 def test_a_car_that_tips_over_stops_at_a_named_limit(tmp_path):
     file, problem = tmp_path / "r.nc", PROBLEMS / "dynamics_tip_over.toml"
-    done = invoke("run", problem, "-o", file, "--no-draw")
-    assert done.exit_code == 1, done.output
+    done = invoke("run", problem, "-o", file, "--no-draw", code=1)
     assert "(upright): the platform overturns" in done.output
     assert open_result(file).trajectory["tip_over_margin"][-1] < 0
     rates = [f"inputs.rear_{side}_rate=13.3" for side in ("left", "right")]
-    settings = [word for each in ("start.speed=2", *rates) for word in ("--set", each)]
-    slower = invoke("run", problem, "-o", file, "--no-draw", *settings)
-    assert slower.exit_code == 0, slower.output
+    settings = sets("start.speed=2", *rates)
+    invoke("run", problem, "-o", file, "--no-draw", *settings, code=0)
 
 
 @pytest.mark.slow
@@ -117,8 +103,7 @@ def test_a_sampled_driver_ends_near_the_continuous_one(tmp_path):
     for name, sampled in (("continuous", []), ("sampled", ["--set", "driver.period=0.01"])):
         file = tmp_path / f"{name}.nc"
         short = ["--set", "time.duration=1.5", "--set", "time.step=0.02"]
-        done = invoke("run", ROCKS, "-o", file, "--no-draw", *short, *sampled)
-        assert done.exit_code == 0, done.output
+        done = invoke("run", ROCKS, "-o", file, "--no-draw", *short, *sampled, code=0)
         assert ("driver straight, every 0.01 s" in done.output) == (name == "sampled")
         run = open_result(file).trajectory
         assert run.t == pytest.approx(0.02 * np.arange(76))
@@ -130,9 +115,8 @@ def test_a_sampled_driver_ends_near_the_continuous_one(tmp_path):
 def test_a_sampled_driver_stops_at_a_limit(tmp_path):
     file = tmp_path / "r.nc"
     settings = ("driver.period=0.005", "terrain.synthetic.x=[-3.0, 0.7]", "time.step=0.02")
-    options = [word for each in settings for word in ("--set", each)]
-    done = invoke("run", ROCKS, "-o", file, "--no-draw", *options)
-    assert done.exit_code == 1, done.output
+    options = sets(*settings)
+    invoke("run", ROCKS, "-o", file, "--no-draw", *options, code=1)
     run = open_result(file).trajectory
     assert run.t == pytest.approx(0.02 * np.arange(run.t.size))
     assert 0 <= run.stop.t - run.t[-1] < 0.02
@@ -151,8 +135,7 @@ def test_a_sampled_driver_stops_at_a_limit(tmp_path):
 )
 def test_mistakes_are_reported(problem, settings, words, tmp_path):
     options = [part for each in settings for part in ("--set", each)]
-    done = invoke("run", problem, "-o", tmp_path / "r.nc", *options)
-    assert done.exit_code == 2
+    done = invoke("run", problem, "-o", tmp_path / "r.nc", *options, code=2)
     assert words in " ".join((done.output + done.stderr).split())
 
 
@@ -162,8 +145,7 @@ STEP = PROBLEMS / "dynamics_step.toml"
 @pytest.mark.slow
 def test_a_rover_meets_a_step(tmp_path):
     file = tmp_path / "r.nc"
-    done = invoke("run", STEP, "-o", file, "--set", "time.duration=4", "--no-draw")
-    assert done.exit_code == 0, done.output
+    done = invoke("run", STEP, "-o", file, "--set", "time.duration=4", "--no-draw", code=0)
     assert "not converged" not in done.output
     assert "obstacles unfinished: by t = 4 s" in " ".join(done.output.split())
     result = open_result(file)
@@ -181,8 +163,7 @@ def test_a_rover_meets_a_step(tmp_path):
             assert corners[:, 1].min() == pytest.approx(0.6), name
             assert corners[:, 1].max() > ax.get_ylim()[1], name
     assert run["contact_z"].max() > 0.05
-    page = invoke("show", file, "--html", tmp_path / "page.html")
-    assert page.exit_code == 0, page.output
+    invoke("show", file, "--html", tmp_path / "page.html", code=0)
 
 
 def test_an_obstacle_stands_where_the_file_says():

@@ -24,16 +24,17 @@ PATIENCE = 60.0  # for one step, where many tests share few processors [s]
 PROBLEM = """\
 verb = "plan"
 title = "Short <way>"
+costs = { effort = 1.0 }
+plan = { intervals = 6 }
+driver = { name = "straight", speed = 0.5 }
+time = { duration = 6.0, step = 0.1 }
+vehicle = { catalog = "three_wheeler", axle = "fixed" }
 
 [terrain.synthetic]
 x = [-5, 5]
 y = [-5, 5]
 spacing = 0.5
 power_law = { rms = 0.02, hurst = 0.9, longest = 8.0, shortest = 4.0, seed = 1 }
-
-[vehicle]
-catalog = "three_wheeler"
-axle = "fixed"
 
 [start]
 x = 0.0     # east of the origin [m]
@@ -48,20 +49,6 @@ y = [1.0, 1.2]
 x = 3.0
 y = 0.0
 radius = 0.5
-
-[costs]
-effort = 1.0
-
-[plan]
-intervals = 6
-
-[driver]
-name = "straight"
-speed = 0.5
-
-[time]
-duration = 6.0
-step = 0.1
 """
 REGIONS = """
 # a tree

@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from typer.testing import CliRunner
 
+from helpers.commands import invoke, printed
 from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
-from slipfree.cli import app
 from slipfree.core.errors import DataError
 from slipfree.files.mcap import write_mcap
 from slipfree.files.netcdf import write
@@ -29,13 +28,8 @@ from slipfree.problem.verbs.fit import _read_windows
 from slipfree.vehicle.tree import Vehicle
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "fit_skid_steer.toml"
-TRUE = {
-    "radius_left": 0.155,
-    "radius_right": 0.155,
-    "track": 0.62,
-    "center_of_mass_ahead": 0.04,
-    "creep": 0.05,
-}
+TRUE = {"radius_left": 0.155, "radius_right": 0.155, "track": 0.62}
+TRUE |= {"center_of_mass_ahead": 0.04, "creep": 0.05}
 LOG = """
 verb = "fit"
 [vehicle]
@@ -61,15 +55,7 @@ rear_left_rate = 1.0
 """
 
 
-@pytest.fixture(autouse=True)
-def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-
-
-def _called(*words: str, code: int = 0) -> str:
-    done = CliRunner().invoke(app, list(words))
-    assert done.exit_code == code, done.output
-    return str(done.output)
+pytestmark = pytest.mark.usefixtures("folder")
 
 
 def _estimates(path: str) -> dict[str, dict[str, str]]:
@@ -79,7 +65,7 @@ def _estimates(path: str) -> dict[str, dict[str, str]]:
 
 @pytest.mark.slow
 def test_shipped_problem_finds_the_truth_and_a_vehicle_that_runs() -> None:
-    words = _called("fit", str(PROBLEM), "--write", "fitted.toml")
+    words = printed("fit", str(PROBLEM), "--write", "fitted.toml")
     assert "42 for training, 18 others" in words
     assert "weakly determined" in words
     found = _estimates("fit_skid_steer.csv")
@@ -94,7 +80,7 @@ def test_shipped_problem_finds_the_truth_and_a_vehicle_that_runs() -> None:
     assert_allclose(vehicle.body.at[1], float(found["center_of_mass_ahead"]["value"]), atol=1e-12)
     assert "# creep = 0.0" in Path("fitted.toml").read_text()
     Path("run.toml").write_text(RUN)
-    assert "complete" in _called("run", "run.toml", "--no-draw")
+    assert "complete" in printed("run", "run.toml", "--no-draw")
 
 
 def _motion() -> tuple[Vehicle, np.ndarray, np.ndarray]:
@@ -131,7 +117,7 @@ def test_a_log_with_headings_from_x() -> None:
     )
     text = LOG.replace("window = 1.0", f"window = 'n'\n[data.rates]\n{rates}")
     Path("fit.toml").write_text(f"frame = 'rep103'\n{text}")
-    shown = json.loads(_called("--json", "fit", "fit.toml", "--no-draw"))
+    shown = json.loads(printed("--json", "fit", "fit.toml", "--no-draw"))
     assert [each["name"] for each in shown["estimates"]] == ["radius", "track"]
     found = _estimates("fit.csv")
     assert_allclose(float(found["radius"]["value"]), 0.17, rtol=1e-4)
@@ -149,7 +135,7 @@ def test_results_of_slipfree_are_logs() -> None:
     write_mcap(Path("log.mcap"), run, vehicle)
     for name in ("log.nc", "log.mcap"):
         Path("fit.toml").write_text(LOG.replace("log.csv", name))
-        _called("fit", "fit.toml", "--no-draw")
+        printed("fit", "fit.toml", "--no-draw")
         found = _estimates("fit.csv")
         assert_allclose(float(found["radius"]["value"]), 0.17, rtol=1e-4)
         assert_allclose(float(found["track"]["value"]), 0.6, rtol=1e-3)
@@ -158,7 +144,7 @@ def test_results_of_slipfree_are_logs() -> None:
             "log.csv", "log.mcap"
         )
     )
-    assert "found no joint 'a' among front_right" in _called("fit", "fit.toml", code=2)
+    assert "found no joint 'a' among front_right" in printed("fit", "fit.toml", code=2)
 
 
 @pytest.mark.parametrize(
@@ -171,7 +157,7 @@ def test_results_of_slipfree_are_logs() -> None:
 def test_errors_name_the_line(change: tuple[str, str], words: str) -> None:
     Path("log.csv").write_text("t,x,y,heading\n0,0,0,0\n1,0,0,0\n")
     Path("fit.toml").write_text(LOG.replace(*change))
-    found = _called("fit", "fit.toml", code=2)
+    found = printed("fit", "fit.toml", code=2)
     assert re.search(words, found), found
 
 
@@ -186,7 +172,7 @@ def test_undetermined_unknowns_end_with_exit_code_1() -> None:
     rows = zip(times, 0 * times, y, 0 * times, 2 + np.sin(times), strict=True)
     write_rows(Path("log.csv"), ["t", "x", "y", "heading", "rate"], rows)
     Path("fit.toml").write_text(LOG.replace("[unk", f"[data.rates]\n{STRAIGHT}[unk", 1))
-    shown = _called("fit", "fit.toml", "--no-draw", "--write", "v.toml", code=1)
+    shown = printed("fit", "fit.toml", "--no-draw", "--write", "v.toml", code=1)
     assert re.search(r"track .* \(not determined by these data\)", shown)
     assert "no information on track; no vehicle was written" in shown
     assert not Path("v.toml").exists()
@@ -284,6 +270,5 @@ def test_units_of_a_log(kind: str) -> None:
 )
 def test_units_that_a_log_does_not_name(time: float, heading: float, words: str) -> None:
     _write_circle(time, heading, "t,left,right,x,y,heading", "")
-    done = CliRunner().invoke(app, ["fit", "fit.toml"])
-    assert done.exit_code == 2
+    done = invoke("fit", "fit.toml", code=2)
     assert words in done.output

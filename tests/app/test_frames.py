@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import invoke, printed
 from slipfree.core.facts import Fact
 from slipfree.files import netcdf
 from slipfree.plan.problem import costs_of
@@ -43,28 +42,22 @@ def problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return Path("p.toml")
 
 
-def _invoke(*words: str) -> str:
-    result = CliRunner().invoke(app, list(words))
-    assert result.exit_code == 0, result.output
-    return result.output
-
-
-def test_a_heading_comes_back_as_it_was_given(problem: Path) -> None:
-    assert "start                x 0.5, heading 0.3, z" in _invoke("check", str(problem))
-    assert "heading 0.3 rad" in _invoke("run", str(problem), "--no-draw", "--csv", "p.csv")
+def test_a_heading_comes_back_as_it_was_given(problem):
+    assert "start                x 0.5, heading 0.3, z" in printed("check", str(problem))
+    assert "heading 0.3 rad" in printed("run", str(problem), "--no-draw", "--csv", "p.csv")
     table = np.genfromtxt("p.csv", delimiter=",", names=True, deletechars="")
     assert_allclose(table["heading"], 0.3, atol=1e-9)
     assert_allclose(np.diff(table["y"]) / np.diff(table["x"]), np.tan(0.3), atol=1e-6)
-    assert "heading 0.3 rad" in _invoke("info", "p.nc")
-    found = json.loads(_invoke("info", "p.nc", "--json"))["result"]["quantities"]["heading"]
+    assert "heading 0.3 rad" in printed("info", "p.nc")
+    found = json.loads(printed("info", "p.nc", "--json"))["result"]["quantities"]["heading"]
     assert found["last"] == pytest.approx(0.3, abs=1e-9)
-    _invoke("export", "p.nc", "--path", "path.csv")
+    printed("export", "p.nc", "--path", "path.csv")
     table = np.genfromtxt("path.csv", delimiter=",", names=True, deletechars="")
     assert_allclose(table["heading"], 0.3, atol=1e-9)
 
 
-def test_results_hold_headings_in_the_frame_of_the_problem_and_say_so(problem: Path) -> None:
-    _invoke("run", str(problem), "--no-draw")
+def test_results_hold_headings_in_the_frame_of_the_problem_and_say_so(problem):
+    printed("run", str(problem), "--no-draw")
     run = netcdf.read("p.nc")
     assert run.attributes["frame"] == "rep103"
     assert_allclose(run["heading"], 0.3, atol=1e-9)
@@ -75,7 +68,7 @@ def test_results_hold_headings_in_the_frame_of_the_problem_and_say_so(problem: P
     assert_allclose(np.asarray(axes.lines[0].get_ydata()), 0.3, atol=1e-9)
 
 
-def test_a_start_without_heading_faces_along_the_x_axis(problem: Path) -> None:
+def test_a_start_without_heading_faces_along_the_x_axis(problem):
     setup = build(load_problem(problem, ["start.heading="]))
     assert setup.start["yaw"][0] == pytest.approx(0, abs=1e-12)
     setup = build(load_problem(problem, ["start.heading=", "frame=paper"]))
@@ -113,7 +106,7 @@ def _plan(frame: str, *commands: str, **headings: float) -> tuple[int, str]:
         frame=frame, mid=0.5 + offset, **{key: value + offset for key, value in values.items()}
     )
     Path("p.toml").write_text(text)
-    result = CliRunner().invoke(app, [commands[0], "p.toml", *commands[1:]])
+    result = invoke(commands[0], "p.toml", *commands[1:])
     return result.exit_code, result.output
 
 
@@ -137,10 +130,8 @@ def _headings(text: str) -> list[float]:
     return [float(each) for each in found]
 
 
-def test_a_plan_reports_all_headings_in_the_frame_of_the_problem(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("folder")
+def test_a_plan_reports_all_headings_in_the_frame_of_the_problem():
     found = []
     for frame in ("rep103", "paper"):
         code, output = _plan(frame, "run", "--no-draw", "--json", "--csv", "p.csv")
@@ -162,17 +153,15 @@ def test_a_plan_reports_all_headings_in_the_frame_of_the_problem(
                 assert one - two == pytest.approx(pi / 2, abs=1e-3), (key, value)
 
 
-def test_contradictory_headings_are_named_in_the_frame_of_the_problem(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("folder")
+def test_contradictory_headings_are_named_in_the_frame_of_the_problem():
     code, words = _plan("rep103", "check", goal=1.2, start=1.0)
     assert code == 2
     assert "heading at the goal must be 1.2 rad" in words
     assert "heading of the vehicle must be -0.5 to 0.9 rad, but the start has 1 rad" in words
 
 
-def test_a_weight_of_the_heading_is_one_of_that_of_the_problem(problem: Path) -> None:
+def test_a_weight_of_the_heading_is_one_of_that_of_the_problem(problem):
     for frame, offset in (("rep103", pi / 2), ("paper", 0.0)):
         dae = build(load_problem(problem, [f"frame={frame}"])).dae
         (cost,) = costs_of(dae, {"heading": 1.0})
@@ -180,10 +169,9 @@ def test_a_weight_of_the_heading_is_one_of_that_of_the_problem(problem: Path) ->
         assert float(squared(0.3)) == pytest.approx((0.3 + offset) ** 2)
 
 
-def test_facts_of_other_types_are_refused_by_name(problem: Path) -> None:
-    _invoke("run", str(problem), "--no-draw")
+def test_facts_of_other_types_are_refused_by_name(problem):
+    printed("run", str(problem), "--no-draw")
     run = netcdf.read("p.nc").with_facts({"slip_by_wheel": Fact([["front", 1.0]])})
     netcdf.write("p.nc", run)
-    done = CliRunner().invoke(app, ["info", "p.nc"])
-    assert done.exit_code == 2
+    done = invoke("info", "p.nc", code=2)
     assert done.stderr.startswith("p.nc: expected facts as slipfree run writes them, found others")

@@ -9,11 +9,10 @@ import numpy as np
 import pyproj
 import pytest
 from numpy.testing import assert_allclose
-from typer.testing import CliRunner
 
+from helpers.commands import invoke
 from helpers.problem_files import PROBLEM
 from helpers.rasters import from_origin, geotiff
-from slipfree.cli import app
 from slipfree.files.maps.elevation import read_map
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem.load import load_problem
@@ -67,8 +66,7 @@ def test_a_start_is_the_place_of_pyproj(tmp_path: Path) -> None:
     start = load_problem(path).spec.start
     assert [*start] == ["x", "y", "heading"]
     assert_allclose((start["x"], start["y"]), (WEST + 10, NORTH - 12), rtol=0, atol=1e-6)
-    found = CliRunner().invoke(app, ["check", str(path)])
-    assert found.exit_code == 0, found.output
+    invoke("check", str(path), code=0)
     scaled = load_problem(path, ["terrain.horizontal_scale=0.5"]).spec.start
     assert_allclose((2 * scaled["x"], 2 * scaled["y"]), (start["x"], start["y"]), rtol=1e-12)
 
@@ -113,8 +111,7 @@ def test_a_map_in_degrees_is_in_local_metres(tmp_path: Path, crs: str | None) ->
 )
 def test_wrong_places_are_refused(tmp_path: Path, start: str, words: str) -> None:
     write_map(tmp_path)
-    found = CliRunner().invoke(app, ["check", str(problem(tmp_path, start))])
-    assert found.exit_code == 2
+    found = invoke("check", str(problem(tmp_path, start)), code=2)
     assert "p.toml" in found.output
     assert re.search(words, " ".join(found.output.split()))
 

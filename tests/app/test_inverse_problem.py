@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import invoke, refused, sets
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import SolverError, Stop
 from slipfree.files import netcdf
@@ -36,70 +35,34 @@ heading = [0, 0, 0, 0, 0, 0]
 """
 PROBLEM = f"""\
 verb = "inverse"
-
-[terrain.synthetic]
-x = [-3, 3]
-y = [-3, 4]
-spacing = 0.25
-
-[vehicle]
-catalog = "three_wheeler"
-
-[start]
-heading = 0
-
-{GIVEN}
-[time]
-duration = 0.5
-step = 0.1
-"""
+terrain.synthetic = {{ x = [-3, 3], y = [-3, 4], spacing = 0.25 }}
+vehicle.catalog = "three_wheeler"
+start.heading = 0
+time = {{ duration = 0.5, step = 0.1 }}
+{GIVEN}"""
 RIDGES = "terrain.synthetic.power_law={rms=0.05, hurst=0.9, longest=8.0, shortest=2.0, seed=3}"
 LOOSE = "solver.tolerance=1e-5"
 CSV = "t,x,y,heading\n" + "".join(f"{k},0.0,{0.135 * k:.3f},0\n" for k in range(6))
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "p.toml").write_text(PROBLEM)
-    (tmp_path / "path.toml").write_text(PROBLEM.replace(GIVEN, PATH))
-    (tmp_path / "file.toml").write_text(PROBLEM.replace(GIVEN, '[path]\nfile = "way.csv"\n'))
-    (tmp_path / "way.csv").write_text(CSV)
-    return tmp_path
-
-
-def _invoke(*words: str) -> Any:
-    result = CliRunner().invoke(app, list(words))
-    assert result.exception is None or isinstance(result.exception, SystemExit)
-    return result
-
-
-def _set(*settings: str) -> list[str]:
-    return [word for setting in settings for word in ("--set", setting)]
-
-
-def _refused(*words: str) -> str:
-    """Return what a command that must fail for bad input says on stderr."""
-    result = _invoke(*words)
-    assert result.exit_code == 2, result.output
-    return result.stderr
+@pytest.fixture(autouse=True)
+def folder(folder):
+    (folder / "p.toml").write_text(PROBLEM)
+    (folder / "path.toml").write_text(PROBLEM.replace(GIVEN, PATH))
+    (folder / "file.toml").write_text(PROBLEM.replace(GIVEN, '[path]\nfile = "way.csv"\n'))
+    (folder / "way.csv").write_text(CSV)
+    return folder
 
 
 @pytest.mark.slow
 def test_given_rates(folder: Path) -> None:
-    result = _invoke("run", "p.toml", "--csv", "p.csv")
+    result = invoke("run", "p.toml", "--csv", "p.csv")
     assert (result.exit_code, result.stderr) == (0, ""), result.output
     for words in (
         "driven by  ",
         "velocity_x 0.01255 m/s, velocity_y 0.12865 m/s, heading_rate 0.0159 rad/s",
-        "the steering angle is unknown",
-        "rate of wheel right ",
-        "rad/s at the end",
-        "margin ",
-        "steering angle ",
-        "steering slip ",
-        "outcome ",
-        "drew ",
+        *("the steering angle is unknown", "rate of wheel right ", "rad/s at the end", "margin "),
+        *("steering angle ", "steering slip ", "outcome ", "drew "),
     ):
         assert words in result.stdout, words
     motion = netcdf.read("p.nc")
@@ -112,86 +75,75 @@ def test_given_rates(folder: Path) -> None:
     assert motion.facts["replay_x"].value < 1e-4
     assert motion.attributes["driven_by"].startswith("velocity_x 0.01255 m/s")
     assert "steering_slip" in (folder / "p.csv").read_text().splitlines()[0]
-    info = _invoke("info", "p.nc")
-    assert info.exit_code == 0
+    info = invoke("info", "p.nc", code=0)
     assert "driven by  " in info.stdout
     assert "rate of wheel left " in info.stdout
 
 
-@pytest.mark.usefixtures("folder")
 def test_given_rates_come_back_as_wheel_rates_and_omega_is_known_too() -> None:
     omega = ["--set", "given={velocity_y=-0.2, velocity_x=0.0, omega_z=0.01}"]
-    result = _invoke("run", "p.toml", "--no-draw", *omega)
-    assert result.exit_code == 0, result.output
+    invoke("run", "p.toml", "--no-draw", *omega, code=0)
     motion = netcdf.read("p.nc")  # backwards
     assert_allclose(motion["right_rate"][0], (-0.2 + 0.01) / 0.3, atol=1e-9)
     assert_allclose(motion["steer"][0], np.arctan(1.5 * 0.01 / -0.2) + 0.0, atol=0.05)
 
 
-@pytest.mark.usefixtures("folder")
 def test_check_and_vehicle() -> None:
     for file, words in (
         ("p.toml", "heading_rate 0.0159 rad/s; the steering angle is unknown"),
         ("path.toml", "path of 6 way-points in 5 s; the steering angle is unknown"),
     ):
-        result = _invoke("check", file)
-        assert result.exit_code == 0, result.output
+        result = invoke("check", file, code=0)
         assert words in result.stdout
         assert result.stdout.endswith("ok\n")
-    result = _invoke("vehicle", "p.toml")
-    assert result.exit_code == 0, result.output
+    result = invoke("vehicle", "p.toml", code=0)
     assert "it can roll without slip" in result.stdout
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("folder")
 def test_along_a_path() -> None:
-    result = _invoke("run", "file.toml", "--no-draw", *_set("time.duration=1", LOOSE, RIDGES))
+    result = invoke("run", "file.toml", "--no-draw", *sets("time.duration=1", LOOSE, RIDGES))
     assert (result.exit_code, result.stderr) == (0, ""), result.output
     for words in ("path of 6 way-points in 5 s", "collocation ", "differs by at most x "):
         assert words in result.stdout, words
     motion = netcdf.read("file.nc")
     assert_allclose(motion["y"], 0.135 * motion.t, atol=1e-6)
     assert 0 < motion.facts["replay_steer"].value < 1e-3
-    assert "replay by the direct model" in _invoke("info", "file.nc").stdout
+    assert "replay by the direct model" in invoke("info", "file.nc").stdout
 
 
-@pytest.mark.usefixtures("folder")
 def test_headings_of_a_path_are_in_the_frame_of_the_problem() -> None:
     quarter = f"path.heading=[{', '.join(['1.5707963267948966'] * 6)}]"
-    words = _set("frame=rep103", "start.heading=1.5707963267948966", quarter)
-    assert _invoke("check", "path.toml", *words).exit_code == 0
+    words = sets("frame=rep103", "start.heading=1.5707963267948966", quarter)
+    assert invoke("check", "path.toml", *words).exit_code == 0
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("folder")
 def test_a_tilt_stop_ends_the_motion() -> None:
-    for file, words in (("p.toml", []), ("path.toml", _set("time.duration=3", LOOSE))):
-        result = _invoke("run", file, "--no-draw", *words, *_set("vehicle.tilt_stop=0.004", RIDGES))
-        assert result.exit_code == 1, result.output
+    for file, words in (("p.toml", []), ("path.toml", sets("time.duration=3", LOOSE))):
+        result = invoke(
+            "run", file, "--no-draw", *words, *sets("vehicle.tilt_stop=0.004", RIDGES), code=1
+        )
         assert "limit reached at t = " in result.stderr
         assert "reaches its stop" in result.stdout
         assert netcdf.read(file.replace("toml", "nc")).stop is not None
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("folder")
 def test_steering_by_rate_warns_where_it_is_unstable() -> None:
-    settings = _set("steering=rate", "time.duration=0.03", "time.step=0.01")
-    result = _invoke("run", str(PROBLEMS / "paper_inverse.toml"), "--no-draw", *settings)
-    assert result.exit_code == 0, result.output
+    settings = sets("steering=rate", "time.duration=0.03", "time.step=0.01")
+    result = invoke("run", str(PROBLEMS / "paper_inverse.toml"), "--no-draw", *settings, code=0)
     assert result.stderr.startswith("warning: unstable steering from t = 0 s: errors of the")
     assert "warning  " in result.stdout
     assert "steering rate  " in result.stdout
-    assert "warning  " in _invoke("info", "paper_inverse.nc").stdout
-    assert "steering mode" not in _invoke("run", "p.toml", "--no-draw").output
+    assert "warning  " in invoke("info", "paper_inverse.nc").stdout
+    assert "steering mode" not in invoke("run", "p.toml", "--no-draw").output
 
 
-@pytest.mark.usefixtures("folder")
 def test_steering_by_rate_is_stable_where_its_contact_trails() -> None:
     down = "terrain.synthetic.placed_rocks=[[0.0, 0.4, 2.4, 0.15]]"
-    settings = _set("steering=rate", "time.duration=0.3", down)
-    result = _invoke("run", "p.toml", "--no-draw", *settings)
+    settings = sets("steering=rate", "time.duration=0.3", down)
+    result = invoke("run", "p.toml", "--no-draw", *settings)
     assert (result.exit_code, result.stderr) == (0, ""), result.output
     motion = netcdf.read("p.nc")
     assert motion["steering_growth"].max() < 0
@@ -202,7 +154,6 @@ def test_steering_by_rate_is_stable_where_its_contact_trails() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("folder")
 def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = load_problem(PROBLEMS / "paper_inverse.toml", ["steering=rate", "time.duration=0.1"])
     motion = run_problem(problem).trajectory
@@ -216,8 +167,7 @@ def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr("slipfree.problem.verbs.base.simulate", fail)
     file = str(PROBLEMS / "paper_inverse.toml")
-    result = _invoke("run", file, "--no-draw", "-o", "q.nc", *_set("steering=rate"))
-    assert result.exit_code == 1
+    result = invoke("run", file, "--no-draw", "-o", "q.nc", *sets("steering=rate"), code=1)
     assert len(result.stderr.splitlines()) == 1
     line = result.stdout.splitlines()[0]
     assert "gave up; unstable steering from t = 0 s: errors of the steering angle grow" in line
@@ -226,63 +176,59 @@ def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch)
     assert (stop.name, stop.t) == ("solver", motion.stop.t)
 
 
-@pytest.mark.usefixtures("folder")
 def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: Any, **__: Any) -> None:
         raise error
 
     error: BaseException = SolverError("it gave up")
     monkeypatch.setattr(inverse, "replay", fail)
-    result = _invoke("run", "path.toml", "--no-draw", *_set(LOOSE))
+    result = invoke("run", "path.toml", "--no-draw", *sets(LOOSE))
     assert (result.exit_code, result.stderr) == (0, "")
     assert re.search("replay stopped early +it gave up\n", result.stdout)
     assert_allclose(netcdf.read("path.nc")["y"][-1], 0.135 * 0.5, atol=1e-6)
     monkeypatch.setattr(inverse, "drive", fail)
-    result = _invoke("run", "path.toml", "--no-draw")
+    result = invoke("run", "path.toml", "--no-draw")
     assert (result.exit_code, result.stderr) == (1, "it gave up\n")
     error = KeyboardInterrupt()
-    result = _invoke("run", "path.toml", "--no-draw")
+    result = invoke("run", "path.toml", "--no-draw")
     assert (result.exit_code, result.stderr) == (130, "interrupted\n")
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (["given.heading_rate="], "p.toml:14: given: expected three rates of the platform, found"),
+        (["given.heading_rate="], "p.toml:6: given: expected three rates of the platform, found"),
         (
             ["given.velocity_x=0", "given.velocity_y=0", "given.heading_rate=0"],
             "given: the model is singular here: no equation determines steer (steering angle",
         ),
-        (["steering=rate"], "p.toml:14: given: the model is singular here: no equation determines"),
+        (["steering=rate"], "p.toml:6: given: the model is singular here: no equation determines"),
         (["vehicle.axle=fixed"], "axle' cannot roll without slip, as inverse"),
         (["verb=compare"], "found 'compare'; use slipfree compare p.toml"),
     ],
 )
 def test_what_is_wrong_with_given_rates(settings: list[str], words: str) -> None:
-    assert words in _refused("check", "p.toml", *_set(*settings))
+    assert words in refused("check", "p.toml", *sets(*settings))
 
 
-@pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
         (["path.y=[0, 1]"], "--set path.y: expected an array of 6 numbers, one for each time in '"),
-        (["path.t=", "path.file=way.csv"], "path.toml:16: path.x: expected no array beside 'file'"),
+        (["path.t=", "path.file=way.csv"], "path.toml:8: path.x: expected no array beside 'file'"),
         (["time.duration=6"], "--set time.duration: expected at most the time of the last way-poi"),
         (
             [f"path.{name}=[0, 0, 0, 0, 0]" for name in ("t", "x", "y", "heading")],
             "expected at least 6 way-points, found 5",
         ),
-        (["start.x=0.5"], "path.toml:14: path: expected a path that begins at the position and he"),
+        (["start.x=0.5"], "path.toml:6: path: expected a path that begins at the position and he"),
     ],
 )
 def test_what_is_wrong_with_a_path(settings: list[str], words: str) -> None:
-    assert words in _refused("check", "path.toml", *_set(*settings))
+    assert words in refused("check", "path.toml", *sets(*settings))
 
 
-@pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -298,18 +244,17 @@ def test_what_is_wrong_with_the_file_of_a_path(text: str | None, words: str) -> 
     Path("way.csv").unlink()
     if text is not None:
         Path("way.csv").write_text(text)
-    assert words in _refused("check", "file.toml")
+    assert words in refused("check", "file.toml")
 
 
-@pytest.mark.usefixtures("folder")
 def test_what_belongs_to_direct_kinematics_is_refused() -> None:
-    assert "p.toml:1: verb: expected 'direct' for --cross-check, found 'inverse'" in _refused(
+    assert "p.toml:1: verb: expected 'direct' for --cross-check, found 'inverse'" in refused(
         "run", "p.toml", "--no-draw", "--cross-check"
     )
     assert "expected 'compare' for this command, found 'inverse'; use slipfree run p.toml" in (
-        _refused("compare", "p.toml")
+        refused("compare", "p.toml")
     )
-    assert "way.csv: expected a separate file, found the input way.csv" in _refused(
+    assert "way.csv: expected a separate file, found the input way.csv" in refused(
         "run", "file.toml", "-o", "way.csv"
     )
 
@@ -331,19 +276,16 @@ def test_the_shipped_problems_run() -> None:
 def test_a_path_may_be_sampled_more_coarsely_than_it_is_solved(tmp_path):
     """Elements of the collocation without a sample are no trouble."""
     file = str(PROBLEMS / "path_inverse.toml")
-    coarse = _set("time.duration=6", "time.step=6")
-    result = _invoke("run", file, "--no-draw", "-o", str(tmp_path / "p.nc"), *coarse)
-    assert result.exit_code == 0, result.stderr
+    coarse = sets("time.duration=6", "time.step=6")
+    invoke("run", file, "--no-draw", "-o", str(tmp_path / "p.nc"), *coarse, code=0)
 
 
-@pytest.mark.usefixtures("folder")
 def test_a_path_of_another_program() -> None:
     """Separators, decimal commas, milliseconds and degrees are read; the summary says so."""
     rows = [line.split(",") for line in CSV.splitlines()[1:]]
     lines = [f"{int(t) * 1000};{x};{y};0;odom".replace(".", ",") for t, x, y, _ in rows]
     Path("way.csv").write_text("\n".join(["time [ms];X;Y;yaw_deg;frame", *lines]))
-    done = CliRunner().invoke(app, ["check", "file.toml"])
-    assert done.exit_code == 0, done.output
+    done = invoke("check", "file.toml", code=0)
     words = " ".join(done.output.split())
     assert "path of 6 way-points in 5 s; " in words
     assert "time [ms] converted from ms to s; yaw_deg converted from deg to rad" in words

@@ -14,8 +14,7 @@ import typer
 from typer.testing import CliRunner
 
 from slipfree import cli
-from slipfree.cli.common import print_facts, reported
-from slipfree.cli.messages import with_output_options
+from slipfree.cli.common import print_facts, reported, with_output_options
 
 
 def count(file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")]) -> None:
@@ -35,10 +34,8 @@ def app() -> typer.Typer:
     return made
 
 
-def test_it_behaves_as_the_others_do(
-    app: typer.Typer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("folder")
+def test_it_behaves_as_the_others_do(app):
     runner = CliRunner()
     runner.invoke(app, ["new", "direct", "p"])
     runner.invoke(app, ["run", "p.toml", "--no-draw", "--set", "time.duration=1"])

@@ -9,9 +9,8 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import invoke
 from slipfree.show import motion_figures
 from slipfree.show.motion_figures import FIGURES, history
 from slipfree.show.plots import Panel, Plot, PlottedDrive, stack
@@ -26,11 +25,8 @@ def pitch_plot(drive: PlottedDrive) -> Plot:
 
 
 @pytest.mark.slow
-def test_a_new_figure_is_drawn_with_the_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_new_figure_is_drawn_with_the_others(tmp_path, monkeypatch):
     monkeypatch.setattr(motion_figures, "FIGURES", (*FIGURES[:2], pitch_plot))
     words = ["run", str(PROBLEM), "-o", str(tmp_path / "r.nc"), "--set", "time.duration=0.2"]
-    result = CliRunner().invoke(app, [*words, "--figures-all"])
-    assert result.exit_code == 0, result.output
+    invoke(*words, "--figures-all", code=0)
     assert "attitude" in {file.stem for file in (tmp_path / "r_figures").iterdir()}

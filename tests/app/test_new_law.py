@@ -16,9 +16,8 @@ import numpy as np
 import pytest
 from annotated_types import Gt, Unit, doc
 from numpy.testing import assert_allclose
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import printed, sets
 from slipfree.core.records import Label, check_bounds
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import read
@@ -97,26 +96,12 @@ class Viscous:
 
 PROBLEM = """\
 verb = "direct"
+terrain.file = "plane.npz"
+vehicle = {{ catalog = "three_wheeler", axle = "fixed" }}
+start.x = 0.0
+inputs = {{ right_rate = {right}, left_rate = {left}, steer_rate = 0.0 }}
+time = {{ duration = 1.0, step = 0.25 }}
 {model}
-
-[terrain]
-file = "plane.npz"
-
-[vehicle]
-catalog = "three_wheeler"
-axle = "fixed"
-
-[start]
-x = 0.0
-
-[inputs]
-right_rate = {right}
-left_rate = {left}
-steer_rate = 0.0
-
-[time]
-duration = 1.0
-step = 0.25
 """
 SLOPE = 0.2  # of the ground, to the right [1]
 
@@ -128,19 +113,13 @@ def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(GROUND_LAWS, "viscous", Viscous)
 
 
-def called(*words: str, code: int = 0) -> str:
-    result = CliRunner().invoke(app, list(words))
-    assert result.exit_code == code, result.output
-    return result.stdout + result.stderr
-
-
 def driven(slope: float, model: str, right: float, left: float, *settings: str) -> Trajectory:
     """Return the motion on a plane that rises to the right, solved by ``slipfree run``."""
     nodes = np.linspace(-4, 4, 17)
     rise = np.repeat(slope * nodes[:, None], nodes.size, axis=1)
     np.savez("plane.npz", x=nodes, y=nodes, z=rise)
     Path("p.toml").write_text(PROBLEM.format(model=model, right=right, left=left))
-    called("run", "p.toml", "--no-draw", *(word for s in settings for word in ("--set", s)))
+    printed("run", "p.toml", "--no-draw", *sets(*settings))
     return read(Path("p.nc"))
 
 
@@ -181,7 +160,7 @@ def test_a_wheel_ground_law_decides_how_fast_a_vehicle_slides() -> None:
     assert_allclose(run["force_across"], SLOPE * run["force_normal"], rtol=1e-9)
     assert run["force_normal"].sum(axis=1) == pytest.approx(36 * 9.81 * cosine)
     assert run.attributes["law"] == "viscous"
-    assert "a quasi-static prediction by the wheel-ground law 'viscous'" in called("info", "p.nc")
-    facts = called("vehicle", "p.toml")
+    assert "a quasi-static prediction by the wheel-ground law 'viscous'" in printed("info", "p.nc")
+    facts = printed("vehicle", "p.toml")
     assert "force_normal[right]" in facts
     assert "9: the wheel-ground law determines them" in facts

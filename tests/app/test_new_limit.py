@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import invoke
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
 from slipfree.files.netcdf import read
@@ -46,13 +45,11 @@ ramp = { start = 0.0, end = 6.0, rise = 1.0 }
 
 @pytest.mark.slow
 @pytest.mark.parametrize("setting", ["model=quasi-static", "time.duration=2"])
-def test_a_limit_ends_the_motions_of_all_models(
-    setting: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("folder")
+def test_a_limit_ends_the_motions_of_all_models(setting, monkeypatch):
     monkeypatch.setattr(limits, "LIMITS", (*limits.LIMITS, nose_up))
-    monkeypatch.chdir(tmp_path)
     Path("p.toml").write_text(PROBLEM)
-    result = CliRunner().invoke(app, ["run", "p.toml", "--no-draw", "--set", setting])
+    result = invoke("run", "p.toml", "--no-draw", "--set", setting)
     run = read(Path("p.nc"))
     if setting == "time.duration=2":  # before the ramp is as steep
         assert (result.exit_code, run.stop) == (0, None)

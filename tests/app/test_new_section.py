@@ -14,9 +14,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import invoke, sets
 from slipfree.core.schema import Length
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import read
@@ -41,36 +40,18 @@ class Ellipsoid(Section):
 
 B, R = 0.1, 0.3  # half-axes [m]
 RATE = 0.8
-VEHICLE = """\
-name = "trike"
-frame = "paper"
+WHEEL = """\
 [[wheels]]
-name = "right"
+name = "{}"
 parent = "platform"
 section = "ellipsoid"
 half_width = 0.1
 equator = 0.3
-at = [0.5, 0, 0]
+at = {}
 axle = [{cos!r}, 0, {sin!r}]
-driven = true
-[[wheels]]
-name = "left"
-parent = "platform"
-section = "ellipsoid"
-half_width = 0.1
-equator = 0.3
-at = [-0.5, 0, 0]
-axle = [{cos!r}, 0, -{sin!r}]
-driven = true
-[[wheels]]
-name = "front"
-parent = "platform"
-section = "ellipsoid"
-half_width = 0.1
-equator = 0.3
-at = [0, 0.8, 0]
-axle = [{cos!r}, 0, {sin!r}]
+driven = {}
 """
+WHEELS = (("right", [0.5, 0, 0]), ("left", [-0.5, 0, 0]), ("front", [0, 0.8, 0]))
 PROBLEM = f"""\
 verb = "direct"
 terrain.file = "ground.npz"
@@ -90,21 +71,19 @@ def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None
     def write(height: Callable[[Any, Any], Any], camber: float) -> None:
         x = np.linspace(-3, 3, 61)
         np.savez("ground.npz", x=x, y=x, z=height(*np.meshgrid(x, x, indexing="ij")))
-        text = VEHICLE.format(cos=float(np.cos(camber)), sin=float(np.sin(camber)))
+        text = 'name = "trike"\nframe = "paper"\n'
+        for name, at in WHEELS:
+            sine = np.sin(camber) * (-1 if name == "left" else 1)
+            axle = {"cos": float(np.cos(camber)), "sin": float(sine)}
+            text += WHEEL.format(name, at, str(name != "front").lower(), **axle)
         Path("trike.toml").write_text(text, encoding="utf-8")
         Path("p.toml").write_text(PROBLEM, encoding="utf-8")
 
     return write
 
 
-def invoke(*words: str, exit_code: int = 0) -> Any:
-    result = CliRunner().invoke(app, list(words))
-    assert result.exit_code == exit_code, result.output
-    return result
-
-
 def run(*settings: str) -> Trajectory:
-    invoke("run", "p.toml", "--no-draw", *(word for each in settings for word in ("--set", each)))
+    invoke("run", "p.toml", "--no-draw", *sets(*settings))
     return read("p.nc")
 
 
@@ -114,9 +93,7 @@ def span(motion: Trajectory, name: str, wheel: str) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("camber", "slope"), [(0.0, 0.0), (0.3, 0.2)])
-def test_it_rolls_as_the_closed_form_says(
-    write: Callable[..., None], camber: float, slope: float
-) -> None:
+def test_it_rolls_as_the_closed_form_says(write, camber, slope):
     """On a plane, wheels with camber g stand h high and roll on a circle of radius R^2 cos g / h.
 
     ``h^2 = R^2 cos^2 g + B^2 sin^2 g`` is the support function; the contact point lies
@@ -139,14 +116,14 @@ def test_it_rolls_as_the_closed_form_says(
         assert_allclose(motion[name], 0, atol=1e-12)
 
 
-def test_both_formulations_agree_on_hills(write: Callable[..., None]) -> None:
+def test_both_formulations_agree_on_hills(write):
     write(lambda x, y: 0.08 * np.sin(1.3 * x) * np.cos(0.9 * y), 0.2)
     closure, montana = run(), run("formulation=montana")
     for name in ("x", "y", "z", "heading", "contact_x", "contact_y", "wheel_u", "wheel_v"):
         assert_allclose(montana[name], closure[name], atol=1e-7, err_msg=name)
 
 
-def test_it_is_drawn(write: Callable[..., None]) -> None:
+def test_it_is_drawn(write):
     write(lambda x, y: 0 * x * y, 0.0)
     run()
     drive = shown(Path("p.nc"), "ellipsoid")

@@ -12,9 +12,8 @@ from typing import Any, Literal
 import pytest
 from matplotlib.figure import Figure
 from pydantic import Field
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import printed
 from slipfree.core.facts import Fact
 from slipfree.core.records import leaves
 from slipfree.files.netcdf import NOTHING
@@ -92,26 +91,20 @@ def _added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(load, "VERBS", (*load.VERBS, StandVerb()))
 
 
-def _called(*words: str, code: int = 0) -> str:
-    done = CliRunner().invoke(app, list(words))
-    assert done.exit_code == code, done.output
-    return str(done.output)
-
-
 @pytest.mark.slow
 def test_commands_take_a_new_verb() -> None:
-    found = _called("run", "p.toml", "--draw")
+    found = printed("run", "p.toml", "--draw")
     assert "load on wheel front" in found
     assert Path("p_figures/loads.png").is_file(), found
-    assert "ok" in _called("check", "p.toml")
-    assert "wheel front" in _called("vehicle", "p.toml")
-    assert "load on wheel front" in _called("info", "p.nc")
-    assert "figures: " not in _called("report", "p.nc")
+    assert "ok" in printed("check", "p.toml")
+    assert "wheel front" in printed("vehicle", "p.toml")
+    assert "load on wheel front" in printed("info", "p.nc")
+    assert "figures: " not in printed("report", "p.nc")
     assert "load on wheel front" in Path("p.html").read_text()
 
 
 def test_its_results_are_of_its_kind() -> None:
-    _called("run", "p.toml", "--no-draw")
+    printed("run", "p.toml", "--no-draw")
     result = open_result("p.nc")
     assert (result.kind, result.verification) == ("stand", {})
     assert result.problem.spec.start == {"heading": 0.5}
@@ -142,6 +135,6 @@ class InProcess:
 @pytest.mark.slow
 def test_it_is_swept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slipfree.sweep.pools.ProcessPool", InProcess)
-    found = _called("sweep", "p.toml", "--vary", "vehicle.mass=20:40:3", "--no-draw")
+    found = printed("sweep", "p.toml", "--vary", "vehicle.mass=20:40:3", "--no-draw")
     assert "load_least" in found
     assert len(Path("p_sweep/table.csv").read_text().splitlines()) == 4

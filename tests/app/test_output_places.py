@@ -6,17 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
+from helpers.commands import invoke, refused
 from helpers.problem_files import PROBLEM
-from slipfree.cli import app
 from slipfree.files import netcdf
 
 LINE = PROBLEM.count("\n") + 2  # of the key in _problem
 OUTSIDE = "expected a path in the working folder or in the problem's folder, found "
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the working folder, with another folder of the user beside it."""
     work = tmp_path / "work"
@@ -32,7 +31,7 @@ def _problem(file: str, name: str = "p.toml") -> str:
 
 
 def _run(*words: str) -> Any:
-    return CliRunner().invoke(app, ["run", *words, "--set", "time.duration=0.1"])
+    return invoke("run", *words, "--set", "time.duration=0.1")
 
 
 def _refused(monkeypatch: pytest.MonkeyPatch, *words: str) -> str:
@@ -49,9 +48,7 @@ def _refused(monkeypatch: pytest.MonkeyPatch, *words: str) -> str:
 
 
 @pytest.mark.parametrize("name", ["{}/victim.nc", "in/../../victim.nc"])
-def test_a_problem_names_no_result_outside(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_a_problem_names_no_result_outside(folder, monkeypatch, name):
     name = name.format(folder.parent)
     told = _refused(monkeypatch, _problem(name), "--no-draw")
     assert told.startswith(f"p.toml:{LINE}: output.file: {OUTSIDE}{name}")
@@ -59,21 +56,8 @@ def test_a_problem_names_no_result_outside(
     assert {path.name for path in folder.parent.iterdir()} == {"work", "victim.txt"}
 
 
-def test_the_reproduction_of_the_audit(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    victim = folder.parent / "victim.txt"
-    told = _refused(monkeypatch, _problem(str(victim)))
-    assert told == (
-        f"p.toml:{LINE}: output.file: {OUTSIDE}{victim}; choose another name, or give it on the "
-        f"command line: -o {victim}\n"
-    )
-    assert victim.read_text() == "precious"
-    done = _run("p.toml", "--no-draw", "-o", str(victim))
-    assert done.exit_code == 0, done.output
-    assert netcdf.is_result(victim)
-
-
 @pytest.mark.parametrize("link", ["file", "folder", "figures", "figure"])
-def test_links_lead_nowhere_else(folder: Path, monkeypatch: pytest.MonkeyPatch, link: str) -> None:
+def test_links_lead_nowhere_else(folder, monkeypatch, link):
     other = folder.parent / "other"
     other.mkdir()
     name, where, target = {
@@ -91,13 +75,10 @@ def test_links_lead_nowhere_else(folder: Path, monkeypatch: pytest.MonkeyPatch, 
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize(
     ("named", "content"), [(True, "precious"), (True, ""), (False, "CDF\2 of something else")]
 )
-def test_what_is_no_result_is_kept(
-    monkeypatch: pytest.MonkeyPatch, named: bool, content: str
-) -> None:
+def test_what_is_no_result_is_kept(monkeypatch, named, content):
     words = [_problem("p.nc"), "--no-draw", *([] if named else ["--set", "output="])]
     Path("p.nc").write_text(content)
     told = _refused(monkeypatch, *words)
@@ -112,8 +93,7 @@ def test_what_is_no_result_is_kept(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("folder")
-def test_what_is_no_figure_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_no_figure_is_kept(monkeypatch):
     monkeypatch.setattr(  # drawn elsewhere
         "matplotlib.figure.Figure.savefig", lambda _, file, **__: Path(file).write_bytes(b"\x89PNG")
     )
@@ -130,15 +110,17 @@ def test_what_is_no_figure_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
         assert _run("p.toml").exit_code == 0
 
 
-@pytest.mark.parametrize("setting", ["output.file='{}'", "output={{file='{}'}}"])
-def test_the_command_line_names_a_result_anywhere(folder: Path, setting: str) -> None:
-    out = folder.parent / "r.nc"
-    done = _run(_problem("/nowhere/r.nc"), "--no-draw", "--set", setting.format(out))
+@pytest.mark.parametrize(
+    "option", ["--set output.file='{}'", "--set output={{file='{}'}}", "-o {}"]
+)
+def test_the_command_line_names_a_result_anywhere(folder, option):
+    out = folder.parent / ("victim.txt" if option[1] == "o" else "r.nc")
+    done = _run(_problem("/nowhere/r.nc"), "--no-draw", *option.format(out).split())
     assert done.exit_code == 0, done.output
     assert netcdf.is_result(out)
 
 
-def test_a_result_beside_the_problem(folder: Path) -> None:
+def test_a_result_beside_the_problem(folder):
     beside = folder.parent / "beside"
     beside.mkdir()
     Path("link").symlink_to(beside)
@@ -149,15 +131,13 @@ def test_a_result_beside_the_problem(folder: Path) -> None:
     assert {path.name for path in beside.iterdir()} == {"p.toml", "r.nc"}
 
 
-@pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("name", ['"a\\u0000.nc"', f'"{"a" * 5000}.nc"', f'"{"a" * 250}.nc"'])
-def test_names_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_names_that_cannot_be_used(monkeypatch, name):
     Path("p.toml").write_text(f"{PROBLEM}[output]\nfile = {name}\n", encoding="utf-8")
     assert "expected the name of a file or folder to write" in _refused(monkeypatch, "p.toml")
 
 
-@pytest.mark.usefixtures("folder")
-def test_a_problem_names_results_by_their_ending(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_problem_names_results_by_their_ending(monkeypatch):
     told = _refused(monkeypatch, _problem(".zshrc"), "--no-draw")
     assert f"p.toml:{LINE}: output.file: expected a name that ends in .nc, found .zshrc; " in told
 
@@ -185,33 +165,28 @@ URDF = """<robot name="r"><link name="a"><visual><geometry>
 <mesh filename="package://r/meshes/wheel.stl"/></geometry></visual></link></robot>"""
 
 
-@pytest.mark.usefixtures("folder")
-def test_a_table_does_not_replace_the_input_of_the_same_name() -> None:
+def test_a_table_does_not_replace_the_input_of_the_same_name():
     points = "slip,slip_angle,pull\n0.2,0,1\n"
     Path("x.csv").write_text(points)
     Path("x.toml").write_text(WHEEL)
-    done = CliRunner().invoke(app, ["wheel", "x.toml", "--no-draw"])
-    assert done.exit_code == 0, done.output
+    done = invoke("wheel", "x.toml", "--no-draw", code=0)
     assert "warning: x.csv is an input: the table is called x_wheel.csv" in done.stderr
     assert "wrote x_wheel.csv" in done.stdout
     Path("hard.csv").hardlink_to("x.csv")
     Path("soft.csv").symlink_to("x.csv")
     for name in ("x.csv", "hard.csv", "soft.csv", "x.toml"):
-        done = CliRunner().invoke(app, ["wheel", "x.toml", "-o", name])
-        assert done.exit_code == 2
+        done = invoke("wheel", "x.toml", "-o", name, code=2)
         assert f"{name}: expected a separate file, found the input x." in done.stderr
     assert Path("x.csv").read_text() == points
 
 
-@pytest.mark.usefixtures("folder")
-def test_an_export_does_not_replace_the_path_of_its_problem() -> None:
+def test_an_export_does_not_replace_the_path_of_its_problem():
     Path("way.csv").write_text("x,y\n0,0\n0,1\n0,2\n")
     path = 'driver={name="follow", speed=0.2, file="way.csv"}'
     Path("p.toml").write_text(PROBLEM)
     done = _run("p.toml", "-o", "p.nc", "--no-draw", "--set", path)
     assert done.exit_code == 0, done.output
-    done = CliRunner().invoke(app, ["export", "p.nc", "--path", "way.csv"])
-    assert done.exit_code == 2
+    done = invoke("export", "p.nc", "--path", "way.csv", code=2)
     assert "way.csv: expected a separate file, found the input" in done.stderr
 
 
@@ -219,6 +194,7 @@ def test_an_export_does_not_replace_the_path_of_its_problem() -> None:
     ("words", "file"),
     [
         (["fit", "x.toml", "-o", "x.csv"], "x.csv"),
+        (["run", "r.toml", "-o", "r.toml"], "r.toml"),
         (["fit", "x.toml", "-o", "a.csv", "--write", "x.csv", "--force"], "x.csv"),
         (["run", "r.toml", "-o", "map.asc"], "map.asc"),
         (["run", "r.toml", "--csv", "map.prj"], "map.prj"),
@@ -232,8 +208,7 @@ def test_an_export_does_not_replace_the_path_of_its_problem() -> None:
         (["show", "old.nc", "--animation", "old.nc"], "old.nc"),
     ],
 )
-@pytest.mark.usefixtures("folder")
-def test_no_command_replaces_a_file_that_it_reads(words: list[str], file: str) -> None:
+def test_no_command_replaces_a_file_that_it_reads(words, file):
     for name in ("meshes", "sw"):
         Path(name).mkdir()
     texts = {
@@ -246,7 +221,7 @@ def test_no_command_replaces_a_file_that_it_reads(words: list[str], file: str) -
         texts[name] = "precious"
     for name, text in texts.items():
         Path(name).write_text(text)
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 2, (done.output, done.exception)
-    assert f"{file}: expected a separate file, found the input {file}" in done.stderr
+    assert f"{file}: expected a separate file, found the input {file}" in refused(*words)
+    twice = refused("run", "r.toml", "-o", "a.nc", "--csv", "a.nc")
+    assert "a.nc: expected a separate file, found another output" in twice
     assert {name: Path(name).read_text() for name in texts} == texts

@@ -7,16 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import invoke
 
 HILLS = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
 SMALL = ("--set", "plan.intervals=8", "--set", "plan.accuracy=0.05", "--set", "costs.slip=1e4")
 
 
 def run(*words):
-    return CliRunner().invoke(app, ["pareto", *map(str, words)])
+    return invoke("pareto", *map(str, words))
 
 
 @pytest.mark.slow

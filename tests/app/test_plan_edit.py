@@ -12,9 +12,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import invoke
 from slipfree.cli.show import open_page
 from slipfree.core.errors import DataError
 from slipfree.files.toml.source import ProblemError
@@ -147,7 +146,7 @@ def shapes(regions: Any) -> list[Any]:
     return [each[1:] for each in regions]
 
 
-def test_ranges_of_a_goal_move_as_a_whole() -> None:
+def test_ranges_of_a_goal_move_as_a_whole():
     text = "[start]\n[goal]\nx = [1.0, 2.0]  # wide\ny = 0.0\n"
     old = Places((0.0, 0.0, 0.0), (1.5, 0.0), None, ())
     found = edited_text(text, old, old._replace(goal=(3.5, 0.0)))
@@ -170,9 +169,7 @@ def _text(form: str) -> str:
 @pytest.mark.parametrize(
     ("form", "newline", "start"), [("tables", "\n", ""), ("inline", "\r\n", "\ufeff")]
 )
-def test_a_saved_file_has_the_places_and_all_else_of_the_former(
-    tmp_path: Path, form: str, newline: str, start: str
-) -> None:
+def test_a_saved_file_has_the_places_and_all_else_of_the_former(tmp_path, form, newline, start):
     text, file = _text(form), tmp_path / "varied.toml"
     file.write_bytes((start + text.replace("\n", newline)).encode())
     old = read_document(file)
@@ -211,7 +208,7 @@ def test_a_saved_file_has_the_places_and_all_else_of_the_former(
     assert saved(again, again.places).raw == raw
 
 
-def test_a_region_in_degrees_becomes_one_in_metres() -> None:
+def test_a_region_in_degrees_becomes_one_in_metres():
     text = (
         "[start]\nlongitude = 7.0\nlatitude = 46.0\n[goal]\nx = 0.0\ny = 0.0\n"
         "[[keep_out]]\nlongitude = 7.1\nlatitude = 46.1\nradius = 0.5\n"
@@ -226,7 +223,7 @@ def test_a_region_in_degrees_becomes_one_in_metres() -> None:
     assert edited_text(text, old, wider) == text.replace("radius = 0.5", "radius = 0.75")
 
 
-def test_values_of_a_page_are_checked() -> None:
+def test_values_of_a_page_are_checked():
     good: dict[str, Any] = {"start": [0, 1, 2], "goal": None, "goal_heading": None, "regions": []}
     assert places_from(good) == Places((0.0, 1.0, 2.0), None, None, ())
     disc = {"identity": "a", "points": [[0, 0]], "radius": 1}
@@ -250,14 +247,14 @@ def test_values_of_a_page_are_checked() -> None:
         places_from(None)
 
 
-def test_an_invalid_problem_is_not_saved(document: Document) -> None:
+def test_an_invalid_problem_is_not_saved(document):
     turned = document.places._replace(goal_heading=1e300)
     with pytest.raises(ProblemError, match="heading"):
         saved(document, turned)
     assert document.path.read_bytes() == document.raw
 
 
-def test_commands_of_a_stale_page_are_refused_with_the_present_state(desk: Desk) -> None:
+def test_commands_of_a_stale_page_are_refused_with_the_present_state(desk):
     first = state_of(desk.session)
     regions = first["places"]["regions"]
     second = ask(desk, "save", first, regions=regions[1:])
@@ -271,7 +268,7 @@ def test_commands_of_a_stale_page_are_refused_with_the_present_state(desk: Desk)
     assert ask(desk, "plan", second)["phase"] == PLANNING
 
 
-def test_a_file_that_another_program_changes_is_read_again(desk: Desk) -> None:
+def test_a_file_that_another_program_changes_is_read_again(desk):
     path, first = desk.session.document.path, state_of(desk.session)
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("radius = 0.8", "radius = 0.9", 1), encoding="utf-8")
@@ -290,7 +287,7 @@ def test_a_file_that_another_program_changes_is_read_again(desk: Desk) -> None:
     assert tomllib.loads(path.read_text(encoding="utf-8"))["start"]["x"] == 1.0
 
 
-def test_links_and_permissions_remain_and_read_only_files_are_refused(document: Document) -> None:
+def test_links_and_permissions_remain_and_read_only_files_are_refused(document):
     target = document.path.rename(document.path.with_name("target.toml"))
     target.chmod(0o640)
     document.path.symlink_to(target)
@@ -304,9 +301,8 @@ def test_links_and_permissions_remain_and_read_only_files_are_refused(document: 
     assert target.read_bytes() == done.raw
 
 
-def test_only_planning_problems_are_edited() -> None:
-    done = CliRunner().invoke(app, ["edit", str(PROBLEMS / "paper_direct.toml"), "--no-browser"])
-    assert done.exit_code == 2
+def test_only_planning_problems_are_edited():
+    done = invoke("edit", str(PROBLEMS / "paper_direct.toml"), "--no-browser", code=2)
     assert "expected a problem with verb = 'plan', found verb = 'direct'" in done.stderr
 
 
@@ -351,7 +347,7 @@ def client() -> Iterator[Client]:
     thread.join()
 
 
-def test_a_server_answers_its_own_page_only(client: Client) -> None:
+def test_a_server_answers_its_own_page_only(client):
     kind = "application/json"
     assert client.ask("GET", "/") == (200, '"page"')
     assert client.ask("POST", "/echo", "[1]", Content_Type=kind) == (200, "[1]")
@@ -374,7 +370,7 @@ def test_a_server_answers_its_own_page_only(client: Client) -> None:
     assert "origin 'http://a.example', with the secret" in warning
 
 
-def test_only_who_knows_the_secret_is_answered_and_refusals_are_counted(client: Client) -> None:
+def test_only_who_knows_the_secret_is_answered_and_refusals_are_counted(client):
     kind, near = "application/json", client.secret[:-1]
     for path in ("/", "/echo", f"/{near}/echo", f"/x{near}/echo", f"/echo?{client.secret}", "*"):
         assert client.ask_plainly("POST", path, "[1]", Content_Type=kind)[0] == 403
@@ -388,7 +384,7 @@ def test_only_who_knows_the_secret_is_answered_and_refusals_are_counted(client: 
     assert gate.admit("/\udcff\xe9", ["127.0.0.1:1"], [], 1)[0] == ""
 
 
-def test_browsers_get_the_address_by_a_private_file(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_browsers_get_the_address_by_a_private_file(monkeypatch):
     opened: list[str] = []
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr("webbrowser.open", opened.append)
@@ -400,6 +396,6 @@ def test_browsers_get_the_address_by_a_private_file(monkeypatch: pytest.MonkeyPa
     assert file.stat().st_mode & 0o077 == 0
 
 
-def test_a_port_in_use_is_refused(client: Client) -> None:
+def test_a_port_in_use_is_refused(client):
     with pytest.raises(DataError, match=f"expected a free port, found {client.port} in use"):
         start_server(client.port, {}, {}, Gate("slipfree edit", print))

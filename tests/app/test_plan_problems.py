@@ -1,35 +1,33 @@
-"""Tests of plans over ground of real size: routes, keep-out regions, and errors."""
+"""Tests of plans in problem files: routes, keep-out regions, cusps, windows, and errors."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from helpers.commands import build_errors
 from slipfree.core.outcome import Outcome
 from slipfree.files.netcdf import write
-from slipfree.files.toml.source import ProblemError
 from slipfree.plan import search as searching
 from slipfree.plan.ipopt import IPOPT_TOLERANCE, convergence_from
+from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, motion_facts, open_result, run_problem
 from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan import PlanVerb, figure_options
 from slipfree.problem.verbs.plan_schema import regions
+from slipfree.problem.verbs.plan_search import guess_motion
 from slipfree.show.plan_figures import plan_plots
 from slipfree.show.plots import draw
 
 FIELD = Path(__file__).parents[2] / "problems" / "plan_crater_field.toml"
+HILLS = FIELD.with_name("plan_rigid_hills.toml")
 SHORT = (
-    "start.y=14.0",
-    "goal.y=24.0",
-    "plan.intervals=12",
-    "time.duration=40.0",
-    "costs.slip=",
-    "start.x=17.5",
-    "goal.x=17.5",
-    "solver.tolerance=1e-6",
+    *("start.y=14.0", "goal.y=24.0", "plan.intervals=12", "time.duration=40.0", "costs.slip="),
+    *("start.x=17.5", "goal.x=17.5", "solver.tolerance=1e-6"),
 )
 
 
@@ -39,45 +37,96 @@ def test_a_route_around_a_place_to_keep_out_of_is_planned_and_simulated():
     motion = run_problem(problem).trajectory
     assert motion.stop is None
     assert np.hypot(motion["x"][-1] - 17.5, motion["y"][-1] - 24.0) < 0.01
-    (disc,) = regions(problem, problem.spec)
+    (disc,) = regions(problem)
     reach = np.hypot(1.0, 0.5) + 0.3  # of the rear wheels; the front one reaches 1.3 m
     # between the points of 12 intervals
     assert disc.distance(motion["x"], motion["y"]).min() > reach - 0.02
 
 
-def refused(*settings):
-    with pytest.raises(ProblemError) as error:
-        build(load_problem(FIELD, settings))
-    return str(error.value)
-
-
-def test_what_keeps_a_route_from_being_found_is_told():
-    goal = "keep_out=[{ x = 20.0, y = 35.0, radius = 2.0 }]"
-    assert "the vehicle cannot be at the goal" in refused(goal)
-    words = "needs a friction coefficient of 0.0563, the ground offers"
-    assert words in refused("terrain.friction=0.01")
-
-
-BOTH = (
-    'driver={ name = "follow", speed = 0.5, path = [[17, 14], [17, 24]], '
-    "paths = [[[17, 14], [17, 24]]] }"
+ROBOT = FIELD.with_name("plan_rigid_robot.toml")
+PARKING = FIELD.with_name("plan_parking.toml")
+WINDOWS = (
+    "inputs=",
+    "driver={name='follow', speed=0.25, path=[[0.0, 0.0], [0.2, 1.5], [0.6, 2.6]]}",
+    *("plan.window=1.2", "plan.overlap=0.4", "plan.intervals=5"),
 )
-TWICE = "way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"
+PRESSED = (
+    "inputs=",
+    "driver={name='follow', speed=0.5, path=[[0.0, 0.0], [5.0, 0.5]]}",
+    *("plan.window=2.0", "time.duration=12.0"),
+)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("setting", "words"),
+    ("file", "settings", "words"),
     [
-        ("way_points=[{ x = 17.0, y = 19.0 }]", "way_points[0]: expected the key 'at'"),
-        ("plan.intervals=100000", "expected at most 2000 intervals, found 100000; reduce it, or"),
-        (BOTH, "expected one of 'path', 'paths' and 'file', found several"),
-        (TWICE, "two; put their values into one table"),
-        ("limits.x=[0.0, 10.0]", "x at the goal must be 20 m, but x of the vehicle must be 0"),
+        (
+            FIELD,
+            ["keep_out=[{ x = 20.0, y = 35.0, radius = 2.0 }]"],
+            "vehicle cannot be at the goal",
+        ),
+        (
+            FIELD,
+            ["terrain.friction=0.01"],
+            "friction coefficient of 0.0563, the ground offers",
+        ),
+        (FIELD, ["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points[0]: expected the key 'at'"),
+        (
+            FIELD,
+            ["plan.intervals=100000"],
+            "expected at most 2000 intervals, found 100000; redu",
+        ),
+        (
+            FIELD,
+            [
+                'driver={ name = "follow", speed = 0.5, path = [[17, 14], [17, 24]], '
+                "paths = [[[17, 14], [17, 24]]] }"
+            ],
+            "expected one of 'path', 'paths' and 'file', found several",
+        ),
+        (
+            FIELD,
+            ["way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"],
+            "two; put their values into one table",
+        ),
+        (
+            FIELD,
+            ["limits.x=[0.0, 10.0]"],
+            "x at the goal must be 20 m, but x of the vehicle",
+        ),
+        (PARKING, ("driver.speed=-0.4",), "expected a positive speed"),
+        (PARKING, ("goal={heading=0.5}",), "expected values for x and y, which the driver needs"),
+        (
+            PARKING,
+            ("goal={x=0.0, y=0.0, heading=0.0}", "keep_out="),
+            "a goal apart from the start",
+        ),
+        (
+            PARKING,
+            ("way_points=[{at=0.5, x=1.0, y=0.5}]", "keep_out="),
+            "way-points without x and",
+        ),
+        (HILLS, ("plan.robust.share=0.9",), "expected an uncertainty"),
+        (HILLS, ("plan.robust.friction=0.1",), "expected a ground with friction"),
+        (HILLS, ("plan.robust.inputs=0.1", "plan.window=2.0"), "plan.window"),
+        (HILLS, ("plan.robust.share=1.0",), "less than 1"),
+        (
+            HILLS,
+            (*WINDOWS, "plan.window="),
+            "plan.overlap: expected this key only with 'window'",
+        ),
+        (HILLS, (*WINDOWS, "time.duration=5.0"), "time.duration: expected at least 10.7"),
+        (
+            HILLS,
+            (*WINDOWS, "driver=", "inputs={right_rate=0.4, left_rate=0.4, steer_rate=0.0}"),
+            "expected a driver that follows",
+        ),
+        (ROBOT, PRESSED, "found rigid_skid_steer, whose wheels press"),
     ],
 )
-def test_what_is_wrong_with_places_and_ways_is_told(setting, words):
-    assert words in refused(setting)
+def test_plans_that_cannot_be_set_up(file, settings, words):
+    assert words in build_errors(file, settings)
 
 
 def test_several_routes_start_the_search():
@@ -90,14 +139,8 @@ def test_the_law_of_friction_plans_a_gentle_ground():
     """The motion is a prediction then, so that nothing is left to drive by friction again."""
     hills = FIELD.with_name("plan_rigid_hills.toml")
     settings = [
-        "model='quasi-static'",
-        "law.coulomb.creep=1e-2",
-        "terrain.friction=0.6",
-        "costs.slip=1e3",
-        "plan.intervals=8",
-        "time.duration=10.0",
-        "goal.x=0.1",
-        "goal.y=1.3",
+        *("model='quasi-static'", "law.coulomb.creep=1e-2", "terrain.friction=0.6"),
+        *("costs.slip=1e3", "plan.intervals=8", "time.duration=10.0", "goal.x=0.1", "goal.y=1.3"),
     ]
     motion = run_problem(load_problem(hills, settings)).trajectory
     assert motion.stop is None
@@ -115,13 +158,8 @@ def test_a_plan_of_tilting_wheels_keeps_to_their_limits():
     assert np.hypot(motion["slip_along"], motion["slip_across"]).max() < 1e-12
 
 
-HILLS = FIELD.with_name("plan_rigid_hills.toml")
 QUICK = (
-    "plan.intervals=8",
-    "time.duration=10.0",
-    "goal.x=0.1",
-    "goal.y=1.3",
-    "costs.slip=1e3",
+    *("plan.intervals=8", "time.duration=10.0", "goal.x=0.1", "goal.y=1.3", "costs.slip=1e3"),
     "solver.tolerance=1e-6",
 )
 
@@ -251,3 +289,45 @@ def test_a_caster_that_ends_a_turn_from_the_plan_is_in_the_same_position(tmp_pat
     assert motion.facts["plan_difference_caster_angle"].value < 1e-3
     (turned,) = motion.facts["plan_turns"].value
     assert (turned["angle"], abs(turned["turns"]), turned["than"]) == ("caster_angle", 1, "plan")
+
+
+@pytest.mark.slow
+def test_parking_has_cusps():
+    run = run_problem(load_problem(PARKING)).trajectory
+    assert run.outcome is Outcome.COMPLETE
+    end = [run[name][-1] for name in ("x", "y", "heading")]
+    assert end == pytest.approx([2.0, 0.0, 0.0], abs=1e-3)
+    forward = np.cos(run["heading"]) * np.gradient(run["y"]) - np.sin(run["heading"]) * np.gradient(
+        run["x"]
+    )
+    gears = np.sign(forward[np.abs(forward) > 1e-4])
+    assert (np.diff(gears) != 0).sum() >= 2  # cusps
+
+
+@pytest.mark.parametrize("goal", ["{x=-1.0, y=-3.0, heading=0.5}", "{x=-1.0, y=-3.0}"])
+def test_guess_with_cusps_ends_at_the_goal_on_even_ground(goal):
+    setup = build(load_problem(PARKING, ("terrain.synthetic.power_law=", f"goal={goal}")))
+    run = guess_motion(setup, setup.starts[0])
+    assert (run["x"][-1], run["y"][-1]) == pytest.approx((-1.0, -3.0), abs=1e-3)
+    assert setup.paths == ()
+
+
+@pytest.mark.slow
+def test_ctrl_c_keeps_the_windows_before_it_and_the_plan_goes_on_from_there():
+    problem = load_problem(HILLS, WINDOWS)
+
+    def interrupt(phase, _):
+        if not phase.startswith("0 to"):
+            raise KeyboardInterrupt
+
+    kept = run_problem(problem, tell=interrupt)
+    run = kept.trajectory
+    assert run.outcome is Outcome.INTERRUPTED
+    assert "m of the route" in run.stop.words
+    assert 0 < run.t[-1] < 10
+    rest = run_problem(problem, resume=from_arrays(kept.arrays, "kept")).trajectory
+    assert rest.outcome is Outcome.COMPLETE
+    assert np.hypot(rest["x"][-1] - 0.6, rest["y"][-1] - 2.6) < 2e-3
+    assert re.match(
+        r"\d windows up to 2\.68\d* m of the route", dict(motion_facts(rest))["windows"]
+    )

@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from slipfree.cli import app, messages
+from helpers.commands import invoke
+from slipfree.cli import common
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PLAN = ["run", str(PROBLEMS / "plan_rigid_hills.toml"), "-o", "p.nc", "--no-draw"]
@@ -22,13 +22,12 @@ ITERATE = r"iteration \d+, cost [\d.e+-]+, violation [\d.e+-]+"
 def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("FIRST_LINE", "NEW_PHASE"):
-        monkeypatch.setattr(messages, name, 0.0)
+        monkeypatch.setattr(common, name, 0.0)
 
 
 @pytest.mark.slow
 def test_a_line_when_a_phase_of_a_search_begins() -> None:
-    result = CliRunner().invoke(app, PLAN)
-    assert result.exit_code == 0
+    result = invoke(*PLAN, code=0)
     lines = result.stderr.splitlines()
     assert re.fullmatch(f"without slip cost: {ITERATE}", lines[0])
     assert re.fullmatch(f"with slip cost: {ITERATE}", lines[1])
@@ -37,8 +36,8 @@ def test_a_line_when_a_phase_of_a_search_begins() -> None:
 
 
 def test_more_lines_of_a_phase_that_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(messages, "SAME_PHASE", 0.0)
-    result = CliRunner().invoke(app, DIRECT)
+    monkeypatch.setattr(common, "SAME_PHASE", 0.0)
+    result = invoke(*DIRECT)
     lines = result.stderr.splitlines()
     times = [float(re.fullmatch(r"integrated to ([\d.e-]+) of 1.5 s", line)[1]) for line in lines]
     assert len(times) > 5
@@ -48,4 +47,4 @@ def test_more_lines_of_a_phase_that_lasts(monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize(("words", "option"), [(PLAN, "--quiet"), (DIRECT, "--json")])
 def test_no_lines_where_they_are_not_wanted(words: list[str], option: str) -> None:
-    assert CliRunner().invoke(app, [*words, option]).stderr == ""
+    assert invoke(*words, option).stderr == ""

@@ -32,15 +32,8 @@ NAMES = {
 DOCUMENTED = (
     *("direct_kinematics", "inverse_kinematics", "quasi_statics", "montana_kinematics"),
     *(
-        "dynamics",
-        "rigid_dynamics",
-        "settle",
-        "simulate",
-        "rollouts",
-        "follow",
-        "plan",
-        "replan",
-        "cross_check",
+        *("dynamics", "rigid_dynamics", "settle", "simulate", "rollouts", "follow", "plan"),
+        *("replan", "cross_check"),
     ),
     *("Cost", "Region", "Path", "Grid", "Bicubic", "Analytic", "Trajectory", "Dae"),
 )

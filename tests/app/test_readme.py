@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 import typer
-from typer.testing import CliRunner
 
+from helpers.commands import invoke
 from slipfree.cli import app
 
 ROOT = Path(__file__).parents[2]
@@ -25,12 +25,11 @@ def test_the_python_example_runs(capsys):
 
 
 @pytest.mark.slow
-def test_the_problem_file_runs(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("folder")
+def test_the_problem_file_runs():
     (text,) = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
     Path("drive.toml").write_text(text)
-    result = CliRunner().invoke(app, ["run", "drive.toml", "--no-draw"])
-    assert result.exit_code == 0, result.output
+    invoke("run", "drive.toml", "--no-draw", code=0)
     assert Path("drive.nc").is_file()
 
 

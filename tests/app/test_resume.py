@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from typer.testing import CliRunner
 
+from helpers.commands import invoke, sets
 from slipfree.cli import app
 from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
@@ -25,10 +26,8 @@ SMALL = ("plan.intervals=8", "costs.slip=1e3", "time.step=0.5")
 
 
 def command(out, *options, settings=SMALL):
-    words = [word for each in settings for word in ("--set", each)]
-    return CliRunner().invoke(
-        app, ["run", str(HILLS), "-o", str(out), "--no-draw", *options, *words]
-    )
+    words = sets(*settings)
+    return invoke("run", str(HILLS), "-o", str(out), "--no-draw", *options, *words)
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +71,7 @@ def interrupt_search(monkeypatch, calls):
         if next(left, None) is None:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("slipfree.cli.messages.check_interrupt", poll)
+    monkeypatch.setattr("slipfree.cli.common.check_interrupt", poll)
 
 
 @pytest.fixture
@@ -100,7 +99,7 @@ def test_an_interrupted_plan_says_so_first_and_names_the_command_that_goes_on(st
     settings = " ".join(f"--set {each}" for each in SMALL)
     end = f"-o '{file}' --no-draw --resume '{file}'"
     assert go_on == f"slipfree run {HILLS} {settings} {end}"
-    info = CliRunner().invoke(app, ["info", str(file)])
+    info = invoke("info", str(file))
     assert info.stdout.startswith("outcome ")
     assert f"to resume: slipfree run {HILLS} {settings} --resume '{file}'" in info.stdout
     assert begin in report(file).lead
@@ -139,6 +138,5 @@ def test_what_cannot_be_gone_on_from_is_told(solved, tmp_path, problem, words):
     other = tmp_path / "other.nc"
     netcdf.write(other, netcdf.read(solved))
     named = ["run", str(PROBLEMS / problem), "-o", str(tmp_path / "x.nc"), "--resume", str(other)]
-    result = CliRunner().invoke(app, named)
-    assert result.exit_code == 2
+    result = invoke(*named, code=2)
     assert words in result.stderr

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import invoke
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import PLAN, Stop
 from slipfree.files.netcdf import read
@@ -19,23 +18,9 @@ from slipfree.problem.verbs import plan_search as module
 
 DRIVE = """\
 verb = "direct"
-
-[terrain.synthetic]
-x = [-2, 2]
-y = [-2, 4]
-spacing = 0.1
-
-[terrain.synthetic.power_law]
-rms = 0.04
-hurst = 0.9
-longest = 3.0
-shortest = 1.0
-seed = 4
-
-[vehicle]
-catalog = "rigid_skid_steer"
-
-[start]
+vehicle = { catalog = "rigid_skid_steer" }
+start = {}
+time = { duration = 2.0, step = 0.05 }
 
 [inputs]
 front_right_rate = 4.0
@@ -43,22 +28,16 @@ front_left_rate = 4.0
 rear_right_rate = 4.0
 rear_left_rate = 4.0
 
-[time]
-duration = 2.0
-step = 0.05
+[terrain.synthetic]
+x = [-2, 2]
+y = [-2, 4]
+spacing = 0.1
+power_law = { rms = 0.04, hurst = 0.9, longest = 3.0, shortest = 1.0, seed = 4 }
 """
 GOAL = """
-[goal]
-y = 1.2
-
-[costs]
-slip = 100.0
-effort = 0.001
-
-[plan]
-intervals = 8
-smooth = 1e-4
-accuracy = 0.01
+goal = { y = 1.2 }
+costs = { slip = 100.0, effort = 0.001 }
+plan = { intervals = 8, smooth = 1e-4, accuracy = 0.01 }
 """
 
 
@@ -66,21 +45,19 @@ accuracy = 0.01
 def plan_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """Write the problem of a plan into an empty current folder."""
     monkeypatch.chdir(tmp_path)
-    Path("p.toml").write_text(DRIVE.replace('"direct"', '"plan"') + GOAL)
+    Path("p.toml").write_text(DRIVE.replace('"direct"', f'"plan"{GOAL}'))
     return "p.toml"
 
 
 def run(file: str, *words: str, code: int = 0) -> str:
-    result = CliRunner().invoke(app, ["run", file, "--no-draw", *words])
+    result = invoke("run", file, "--no-draw", *words)
     assert result.exit_code == code, result.output
     return result.stdout
 
 
 @pytest.mark.slow
-def test_a_summary_has_wheels_in_the_air_and_rocks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("folder")
+def test_a_summary_has_wheels_in_the_air_and_rocks():
     Path("d.toml").write_text(DRIVE)
     facts = run("d.toml")
     for name in ("pressed wheels", "wheels in the air", "least loaded wheel"):
@@ -89,9 +66,7 @@ def test_a_summary_has_wheels_in_the_air_and_rocks(
 
 
 @pytest.mark.slow
-def test_a_plan_is_made_with_three_widths_and_simulated_with_stiffer_wheels(
-    plan_file: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plan_is_made_with_three_widths_and_simulated_with_stiffer_wheels(plan_file, monkeypatch):
     models = observed(monkeypatch)
     assert "with wheels ten times stiffer" in run(plan_file)
     assert len(models) == 1 + len(module.SMOOTHINGS)
@@ -99,9 +74,7 @@ def test_a_plan_is_made_with_three_widths_and_simulated_with_stiffer_wheels(
 
 
 @pytest.mark.slow
-def test_a_plan_survives_the_failure_of_a_sharper_law(
-    plan_file: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plan_survives_the_failure_of_a_sharper_law(plan_file, monkeypatch):
     models = observed(monkeypatch, fails=Outcome.SOLVER_FAILURE)
     run(plan_file)
     assert len(models) == 2
@@ -109,9 +82,7 @@ def test_a_plan_survives_the_failure_of_a_sharper_law(
 
 
 @pytest.mark.slow
-def test_an_interrupted_sharper_law_is_reported(
-    plan_file: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_sharper_law_is_reported(plan_file, monkeypatch):
     observed(monkeypatch, fails=Outcome.INTERRUPTED)
     run(plan_file, code=130)
     assert read(Path("p.nc")).outcome is Outcome.INTERRUPTED
@@ -140,13 +111,12 @@ def observed(monkeypatch: pytest.MonkeyPatch, fails: Outcome | None = None) -> l
     return models
 
 
-def test_remedies_for_a_rigid_vehicle_are_values_of_the_file(tmp_path, monkeypatch):
+@pytest.mark.usefixtures("folder")
+def test_remedies_for_a_rigid_vehicle_are_values_of_the_file():
     """Quasi-statics cannot place a rigid vehicle; each model that its message names can."""
-    monkeypatch.chdir(tmp_path)
     text = DRIVE.replace('"direct"', '"direct"\nmodel = "quasi-static"\nterrain.friction = 0.8')
     Path("p.toml").write_text(text)
-    result = CliRunner().invoke(app, ["run", "p.toml", "--no-draw"])
-    assert result.exit_code == 2
+    result = invoke("run", "p.toml", "--no-draw", code=2)
     remedies = re.findall(r"'(\w+)'", result.stderr.split(";")[-1])
     assert remedies == ["dynamics", "kinematics"]
     for model in remedies:

@@ -7,16 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import norm
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import invoke, sets
 from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
-from slipfree.files.toml.source import ProblemError
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.load import load_problem
-from slipfree.problem.result import build, run_problem
-from slipfree.problem.verbs.plan_robust import ReplayTask, replay_draw
+from slipfree.problem.result import run_problem
+from slipfree.problem.verbs.plan_search import ReplayTask, replay_draw
 from slipfree.problem.verbs.plan_setup import source_of
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -45,16 +43,11 @@ def one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slipfree.system.processes.available_cores", lambda: 1)
 
 
-def with_settings(settings: tuple[str, ...]) -> list[str]:
-    return [word for setting in settings for word in ("--set", setting)]
-
-
 @pytest.mark.slow
 def test_gains_of_the_inputs_tighten_the_goal_by_their_quantile(tmp_path):
     file = tmp_path / "robust.nc"
-    command = ["run", str(HILLS), "-o", str(file), "--no-draw", *with_settings(FLAT)]
-    result = CliRunner().invoke(app, command)
-    assert result.exit_code == 0, result.output
+    command = ["run", str(HILLS), "-o", str(file), "--no-draw", *sets(*FLAT)]
+    result = invoke(*command, code=0)
     assert "robust plan  " in result.stdout
     assert "lower bound of y at the goal by 0.0" in result.stdout
     found = netcdf.read(file)
@@ -97,9 +90,7 @@ def test_a_share_out_of_reach_is_infeasible_and_the_plan_is_kept(tmp_path):
         "plan.robust={draws=4, final_draws=4, goal=0.001, map={rms=0.02, correlation=0.5}}",
     )
     file = tmp_path / "missed.nc"
-    result = CliRunner().invoke(
-        app, ["run", str(HILLS), "-o", str(file), "--no-draw", *with_settings(settings)]
-    )
+    result = invoke("run", str(HILLS), "-o", str(file), "--no-draw", *sets(*settings))
     assert result.exit_code == Outcome.INFEASIBLE.exit_code
     assert (
         "infeasible: the plan holds in 0 of 4 drawn worlds, expected at least 95 %" in result.stdout
@@ -119,17 +110,3 @@ def test_ctrl_c_during_the_drawn_worlds_keeps_the_plan():
     assert found.outcome is Outcome.INTERRUPTED
     assert "drawn worlds" in found.trajectory.stop.words
     assert found.trajectory["y"][-1] == pytest.approx(2.0, abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        (("plan.robust.share=0.9",), "expected an uncertainty"),
-        (("plan.robust.friction=0.1",), "expected a ground with friction"),
-        (("plan.robust.inputs=0.1", "plan.window=2.0"), "plan.window"),
-        (("plan.robust.share=1.0",), "less than 1"),
-    ],
-)
-def test_keys_that_do_not_suit_are_refused(settings, words):
-    with pytest.raises(ProblemError, match=words):
-        build(load_problem(HILLS, settings))

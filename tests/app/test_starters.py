@@ -49,8 +49,7 @@ def comments() -> list[tuple[str, str]]:
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
+def folder(folder):
     axis = np.linspace(-5.0, 8.0, 27)
     np.savez("map.npz", x=axis, y=axis, z=0.05 * np.sin(axis)[:, None] * np.cos(axis))
     Path("vehicle.toml").write_text((ROOT / "problems" / "vehicles" / "trailer.toml").read_text())
@@ -58,7 +57,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     Path("path.csv").write_text(f"t,x,y,heading\n{rows}")
     floor, step = "1,-5,-1\n1,5,-1\n1,5,0\n1,-5,0\n", "2,0,0\n2,4,0\n2,4,0.06\n2,0,0.06\n"
     Path("solids.csv").write_text(f"solid,x,z\n{floor}{step}")
-    return tmp_path
+    return folder
 
 
 def test_every_other_way_is_tried() -> None:

@@ -13,21 +13,19 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from typer.testing import CliRunner
 
+from helpers.commands import invoke
 from helpers.sweep_cases import (
     GRID,
     PROBLEM,
     ROUGH,
     RUNS,
     SPEED,
-    invoke_sweep,
     log_lines,
     sweep_in,
     table_rows,
     tasks_of,
 )
-from slipfree.cli import app
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.files import netcdf
 from slipfree.show import sweep_figures as show
@@ -70,7 +68,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
         ("a=[-0.1, 0.1],[-0.2, 0.2]", "a", ("[-0.1, 0.1]", "[-0.2, 0.2]")),
     ],
 )
-def test_values_of_a_key(text: str, key: str, values: tuple[str, ...]) -> None:
+def test_values_of_a_key(text, key, values):
     assert axis_of(text) == (key, values)
 
 
@@ -85,13 +83,13 @@ def test_values_of_a_key(text: str, key: str, values: tuple[str, ...]) -> None:
         ("a=x,,y", "found an empty value"),
     ],
 )
-def test_values_that_are_none(text: str, words: str) -> None:
+def test_values_that_are_none(text, words):
     with pytest.raises(DataError) as error:
         axis_of(text)
     assert words in str(error.value)
 
 
-def test_a_grid_with_seeds(file: Path) -> None:
+def test_a_grid_with_seeds(file):
     error = ["terrain.error={ rms = 0.01, correlation = 0.5, seed = 0 }"]
     sweep = sweep_of(file, [f"{SPEED}=1,2"], error, repeat=3, seed=10)
     runs = list(sweep.runs())
@@ -108,10 +106,9 @@ def test_a_grid_with_seeds(file: Path) -> None:
     )
 
 
-def test_a_dry_run_says_what_would_be_run(file: Path) -> None:
+def test_a_dry_run_says_what_would_be_run(file):
     words = ["--vary", "time.step=0.05:0.3:11", "--repeat", "2", "--processes", "1"]
-    result = sweep_in(file.parent, *words, "--dry-run")
-    assert result.exit_code == 0
+    result = sweep_in(file.parent, *words, "--dry-run", code=0)
     assert "22 = 11 x 2" in result.stdout
     assert "0.05, 0.075, 0.1, ..., 0.3 (11 values)" in result.stdout
     assert "1 to 2" in result.stdout
@@ -144,14 +141,13 @@ def test_a_dry_run_says_what_would_be_run(file: Path) -> None:
         (["-o", "p.toml"], "expected a folder, found a file"),
     ],
 )
-def test_bad_input_is_refused_before_anything_runs(file: Path, words: list[str], said: str) -> None:
-    result = invoke_sweep("p.toml", *words)
-    assert result.exit_code == 2, result.output
+def test_bad_input_is_refused_before_anything_runs(file, words, said):
+    result = invoke("sweep", "p.toml", *words, code=2)
     assert said in result.stderr
     assert {path.name for path in file.parent.iterdir()} == {"p.toml"}
 
 
-def test_a_sweep_tells_tabulates_and_draws(whole: tuple[Path, Any]) -> None:
+def test_a_sweep_tells_tabulates_and_draws(whole):
     folder, result = whole
     assert result.exit_code == 0, result.output
     for words in (
@@ -181,7 +177,7 @@ def test_a_sweep_tells_tabulates_and_draws(whole: tuple[Path, Any]) -> None:
     }
 
 
-def test_the_table_holds_what_the_results_hold(whole: tuple[Path, Any]) -> None:
+def test_the_table_holds_what_the_results_hold(whole):
     folder, _ = whole
     files = sorted((folder / "out").glob("run_*.nc"))
     assert [path.name for path in files] == [f"run_{k:04d}.nc" for k in range(1, RUNS + 1)]
@@ -197,12 +193,12 @@ def test_the_table_holds_what_the_results_hold(whole: tuple[Path, Any]) -> None:
         assert float(row["slip_rms"]) == pytest.approx(np.sqrt(mean), rel=1e-12)
 
 
-def test_the_same_run_by_itself_is_the_same(whole: tuple[Path, Any], tmp_path: Path) -> None:
+def test_the_same_run_by_itself_is_the_same(whole, tmp_path):
     folder, _ = whole
     line = json.loads(next(line for line in log_lines(folder) if b'{"run": 3,' in line))
     words = [word for setting in line["settings"] for word in ("--set", setting)]
     command = ["run", str(folder / "p.toml"), "--no-draw", "-o", str(tmp_path / "a.nc"), *words]
-    assert CliRunner().invoke(app, command).exit_code == 0
+    assert invoke(*command).exit_code == 0
     alone, swept = (netcdf.read(p) for p in (tmp_path / "a.nc", folder / "out/run_0003.nc"))
     assert list(alone) == list(swept)
     for name in ("x", "y", "heading", "tilt_right", "utilisation"):
@@ -210,11 +206,12 @@ def test_the_same_run_by_itself_is_the_same(whole: tuple[Path, Any], tmp_path: P
         np.testing.assert_allclose(alone[name], swept[name], rtol=1e-9, atol=1e-12)
 
 
-def test_a_finished_sweep_runs_nothing(whole: tuple[Path, Any]) -> None:
+def test_a_finished_sweep_runs_nothing(whole):
     folder, first = whole
     before, table = log_lines(folder), table_rows(folder)
-    result = sweep_in(folder, *GRID, "--scheduler", "tcp://127.0.0.1:1", "--figure", "end_y", "-v")
-    assert result.exit_code == 0, result.output
+    result = sweep_in(
+        folder, *GRID, "--scheduler", "tcp://127.0.0.1:1", "--figure", "end_y", "-v", code=0
+    )
     assert "12 of 12 runs" in result.stderr
     assert log_lines(folder) == before
     assert table_rows(folder) == table
@@ -223,9 +220,8 @@ def test_a_finished_sweep_runs_nothing(whole: tuple[Path, Any]) -> None:
     assert "slip_rms" not in result.stdout
 
 
-def test_an_unknown_figure_is_refused_with_those_there_are(whole: tuple[Path, Any]) -> None:
-    result = sweep_in(whole[0], *GRID, "--figure", "slip_mean")
-    assert result.exit_code == 2
+def test_an_unknown_figure_is_refused_with_those_there_are(whole):
+    result = sweep_in(whole[0], *GRID, "--figure", "slip_mean", code=2)
     assert "--figure slip_mean: expected one of the metrics of these runs (" in result.stderr
     assert "slip_rms" in result.stderr
 
@@ -237,12 +233,9 @@ def test_an_unknown_figure_is_refused_with_those_there_are(whole: tuple[Path, An
         (["--set", "time.step=0.05"], 'some with another --set: [], now ["time.step=0.05"]'),
     ],
 )
-def test_results_of_another_sweep_are_not_mixed(
-    whole: tuple[Path, Any], change: list[str], said: str
-) -> None:
+def test_results_of_another_sweep_are_not_mixed(whole, change, said):
     before = log_lines(whole[0])
-    result = sweep_in(whole[0], *GRID, *change)
-    assert result.exit_code == 2
+    result = sweep_in(whole[0], *GRID, *change, code=2)
     assert said in result.stderr
     assert "choose another folder with -o, or remove this file" in result.stderr
     assert log_lines(whole[0]) == before
@@ -257,9 +250,7 @@ def test_results_of_another_sweep_are_not_mixed(
         (["driver.file=way.csv", "driver.name=follow"], [], "way.csv"),
     ],
 )
-def test_results_of_other_input_files_are_not_mixed(
-    file: Path, settings: list[str], vary: list[str], name: str
-) -> None:
+def test_results_of_other_input_files_are_not_mixed(file, settings, vary, name):
     folder = file.parent
     (folder / "parts").mkdir()
     (folder / "parts/of.toml").write_text('urdf = "rover.urdf"')
@@ -289,7 +280,7 @@ HEAD: dict[str, Any] = {
 }
 
 
-def test_the_log_keeps_what_was_written(tmp_path: Path) -> None:
+def test_the_log_keeps_what_was_written(tmp_path):
     path = tmp_path / "new" / "runs.jsonl"
     with RunLog(path, HEAD) as log:
         assert list(log.rows) == []
@@ -306,7 +297,7 @@ def test_the_log_keeps_what_was_written(tmp_path: Path) -> None:
         assert list(log.rows) == []
 
 
-def test_runs_that_were_lost_are_done_again(tmp_path: Path) -> None:
+def test_runs_that_were_lost_are_done_again(tmp_path):
     path, rows = tmp_path / "runs.jsonl", []
     for number, outcome in enumerate(("complete", "lost", "failed"), 1):
         rows.append(ROW._replace(run=number, outcome=outcome))
@@ -325,22 +316,20 @@ def test_runs_that_were_lost_are_done_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_results_that_were_not_kept_are_told(file: Path) -> None:
+def test_results_that_were_not_kept_are_told(file):
     words = ["--set", "time.step=0.15", "--no-draw", "--processes", "1"]
     assert sweep_in(file.parent, *words).exit_code == 0
-    result = sweep_in(file.parent, *words, "--keep")
-    assert result.exit_code == 0
+    result = sweep_in(file.parent, *words, "--keep", code=0)
     assert "--keep: 1 finished run has no result file" in result.stderr
     command = result.stderr[result.stderr.index("slipfree run") :].split()
-    assert CliRunner().invoke(app, [*command[1:], "--no-draw"]).exit_code == 0
+    assert invoke(*command[1:], "--no-draw").exit_code == 0
     assert "no result file" not in sweep_in(file.parent, *words, "--keep").stderr
 
 
-def test_places_of_figures_are_checked_before_anything_runs(file: Path) -> None:
+def test_places_of_figures_are_checked_before_anything_runs(file):
     (file.parent / "out").mkdir()
     (file.parent / "out" / "figures").write_text("")
-    result = sweep_in(file.parent, "--repeat", "2")
-    assert result.exit_code == 2
+    result = sweep_in(file.parent, "--repeat", "2", code=2)
     assert "figures: expected a folder, found a file" in result.stderr
     assert [path.name for path in (file.parent / "out").iterdir()] == ["figures"]
 
@@ -355,7 +344,7 @@ def test_places_of_figures_are_checked_before_anything_runs(file: Path) -> None:
         b'"figures": {}, "seconds": 1.0}\n',
     ],
 )
-def test_a_damaged_log_is_refused_by_line(tmp_path: Path, line: bytes) -> None:
+def test_a_damaged_log_is_refused_by_line(tmp_path, line):
     path = tmp_path / "runs.jsonl"
     with RunLog(path, HEAD) as log:
         log.append(ROW)
@@ -367,14 +356,11 @@ def test_a_damaged_log_is_refused_by_line(tmp_path: Path, line: bytes) -> None:
 
 
 @pytest.mark.slow
-def test_runs_that_fail_are_rows_and_counted_in_the_bar(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_that_fail_are_rows_and_counted_in_the_bar(file, monkeypatch):
     monkeypatch.setattr("rich.console.Console.is_terminal", True)
     words = ["--vary", "start.x=0,40", "--vary", "terrain.file=gone.npz"]
     words += ["--set", "terrain.synthetic=", "--processes", "1"]
-    result = sweep_in(file.parent, *words)
-    assert result.exit_code == 1
+    result = sweep_in(file.parent, *words, code=1)
     assert "2 of 2: 2 failed" in result.stdout
     assert "run 2 failed" in result.stdout
     assert "(start.x=40, terrain.file=gone.npz)" in result.stdout
@@ -388,9 +374,7 @@ def test_runs_that_fail_are_rows_and_counted_in_the_bar(
         assert row["complete"] == "0.0"
 
 
-def test_processes_that_cannot_start_are_no_fault_of_the_runs(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_processes_that_cannot_start_are_no_fault_of_the_runs(file, monkeypatch):
     monkeypatch.setattr(processes, "prepare_process", sys.exit)  # ends at once
     pool = ProcessPool(1)
     words = r"could not start \(exit code 0\): see its output above; finished runs are kept"
@@ -398,7 +382,7 @@ def test_processes_that_cannot_start_are_no_fault_of_the_runs(
         list(finish_tasks(tasks_of(file, "time.step=0.1"), pool, lambda: None))
 
 
-def test_an_error_that_nobody_expects_is_a_row(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_that_nobody_expects_is_a_row(file, monkeypatch):
     def fail(_: object) -> None:
         raise ZeroDivisionError("by chance")
 
@@ -408,7 +392,7 @@ def test_an_error_that_nobody_expects_is_a_row(file: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(
-    ("first", "second", "is_shared"),
+    ("first", "second", "same"),
     [
         ("driver.speed=0.5", "driver.speed=0.6", True),
         ("start.heading=0.1", "start.heading=0.2", True),
@@ -416,25 +400,21 @@ def test_an_error_that_nobody_expects_is_a_row(file: Path, monkeypatch: pytest.M
         ("vehicle.axle='tilting'", "vehicle.axle='sliding'", False),
     ],
 )
-def test_runs_share_a_model_unless_it_depends_on_the_key(
-    file: Path, monkeypatch: pytest.MonkeyPatch, first: str, second: str, is_shared: bool
-) -> None:
+def test_runs_share_a_model_unless_it_depends_on_the_key(file, monkeypatch, first, second, same):
     shared = dict[str, Any]()
     monkeypatch.setattr("slipfree.sweep.worker.KEPT", shared)
     before, after = tasks_of(file, first, second)
     work(before)
     model = shared["world"][1].dae
     row = work(after).row
-    assert (shared["world"][1].dae is model) == is_shared
+    assert (shared["world"][1].dae is model) == same
     shared.clear()
     alone = work(after).row
     assert row.figures == alone.figures
     assert row.outcome == alone.outcome == "complete"
 
 
-def test_runs_with_other_input_files_share_nothing(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_with_other_input_files_share_nothing(file, monkeypatch):
     shared = dict[str, Any]()
     monkeypatch.setattr("slipfree.sweep.worker.KEPT", shared)
     (task,) = tasks_of(file, "time.step=0.1")
@@ -462,7 +442,7 @@ def test_runs_with_other_input_files_share_nothing(
         ),
     ],
 )
-def test_every_verb_has_figures(file: str, settings: tuple[str, ...], figures: set[str]) -> None:
+def test_every_verb_has_figures(file, settings, figures):
     path = PROBLEMS / file
     row = work(RunTask(1, str(path), path.read_text(), settings, 0, False, "")).row
     assert row.outcome == "complete", row.words
@@ -475,7 +455,7 @@ def test_every_verb_has_figures(file: str, settings: tuple[str, ...], figures: s
         assert row.figures["within_limits"][0] == float(max(violations) <= 1e-3)
 
 
-def test_a_run_that_stops_is_told_by_name(file: Path) -> None:
+def test_a_run_that_stops_is_told_by_name(file):
     sweep = sweep_of(file, [f"{SPEED}=1.0,6.0"])
     rows = [
         work(RunTask(run.number, str(file), PROBLEM, run.settings, 1, False, "")).row
@@ -493,10 +473,9 @@ def test_a_run_that_stops_is_told_by_name(file: Path) -> None:
     np.testing.assert_array_equal(share.values, [[1.0], [0.0]])
 
 
-def test_no_cluster_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_cluster_is_refused(file, monkeypatch):
     monkeypatch.setattr(pools, "CONNECT", 0.3)
-    result = sweep_in(file.parent, "--scheduler", "tcp://127.0.0.1:1")
-    assert result.exit_code == 2
+    result = sweep_in(file.parent, "--scheduler", "tcp://127.0.0.1:1", code=2)
     assert "expected the address of a running Dask scheduler" in result.stderr
     for address, found in {
         "nonsense": "ValueError: missing port",
@@ -507,8 +486,7 @@ def test_no_cluster_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> N
         assert f"--scheduler {address}: expected the address of a running" in result.stderr
         assert f"found none ({found}" in result.stderr
     monkeypatch.setitem(sys.modules, "distributed", None)
-    result = sweep_in(file.parent, "--scheduler", "tcp://127.0.0.1:1")
-    assert result.exit_code == 2
+    result = sweep_in(file.parent, "--scheduler", "tcp://127.0.0.1:1", code=2)
     assert "pip install '.[cluster]'" in result.stderr
 
 
@@ -520,7 +498,7 @@ def _swept(axes: Sequence[Varied], values: Any) -> Swept:
     return Swept("slip_rms", "m s-1", tuple(axes), np.array(values, dtype=float))
 
 
-def test_a_curve_with_its_spread() -> None:
+def test_a_curve_with_its_spread():
     ax = Figure().subplots()
     show.curve(_swept([SPEEDS], [[5.0, 7.0], [1.0, 3.0], [np.nan, 4.0]]), ax)
     mean = ax.lines[0]
@@ -532,7 +510,7 @@ def test_a_curve_with_its_spread() -> None:
     assert ax.get_legend_handles_labels()[1] == ["mean", "range", "runs"]
 
 
-def test_a_heat_map() -> None:
+def test_a_heat_map():
     ax = Figure().subplots()
     values = [[[1.0, 3.0], [5.0, 5.0]], [[0.0, 0.0], [np.nan, 1.0]], [[7.0, 7.0], [np.nan] * 2]]
     show.heat_map(_swept([SPEEDS, AXLES], values), ax)
@@ -543,7 +521,7 @@ def test_a_heat_map() -> None:
     assert ax.figure.axes[1].get_ylabel() == "slip_rms, mean [m/s]"
 
 
-def test_figures_that_cannot_be_drawn() -> None:
+def test_figures_that_cannot_be_drawn():
     with pytest.raises(ModelError, match="at most two varied keys"):
         show.figure(_swept([SPEEDS, AXLES, AXLES], np.ones((3, 2, 2, 1))))
     with pytest.raises(ModelError, match="a value in at least one run"):
@@ -552,7 +530,7 @@ def test_figures_that_cannot_be_drawn() -> None:
         show.curve(_swept([SPEEDS, AXLES], np.ones((3, 2, 1))), Figure().subplots())
 
 
-def test_a_scheduler_that_does_not_answer(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_that_does_not_answer(file, monkeypatch):
     monkeypatch.setattr(pools, "CONNECT", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as dead:
         address = f"tcp://127.0.0.1:{dead.getsockname()[1]}"

@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from helpers.fuzz_files import bases, document
-from slipfree.cli import app, messages
+from slipfree.cli import app, common
 from slipfree.files import netcdf
 
 NASTY = "\x1b]0;owned\x07\x9b31m\rback\b\x7f\u202eabc\u2066\u200f\x85\u2028"
@@ -27,10 +27,7 @@ RAW = re.compile(
 )
 
 
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+pytestmark = pytest.mark.usefixtures("folder")
 
 
 def _problem(name: str = "p.toml", **more: Any) -> str:
@@ -49,15 +46,15 @@ def _output(*words: str, code: int) -> str:
 
 
 def test_what_is_escaped_and_what_stays() -> None:
-    assert messages.visible(NASTY) == SHOWN
-    assert not RAW.search(messages.visible("".join(map(chr, range(0x3000)))).replace("\r\n", ""))
+    assert common.visible(NASTY) == SHOWN
+    assert not RAW.search(common.visible("".join(map(chr, range(0x3000)))).replace("\r\n", ""))
     for text in (
         "Überfahrt\n\tüber 3°, 10 µm\r\n",
         "\u4e2d\u6587 \U0001f600",
         "\u06cc\u200c\u062e \u0915\u094d\u200d",
     ):
-        assert messages.visible(text) == text
-    assert messages.visible("\ud800 n\udcff") == r"\ud800 n\udcff"
+        assert common.visible(text) == text
+    assert common.visible("\ud800 n\udcff") == r"\ud800 n\udcff"
 
 
 def test_keys_values_and_names_of_problems() -> None:
@@ -99,11 +96,11 @@ def test_warnings_and_details() -> None:
     words = CliRunner()
     with (
         words.isolation() as (_, stderr, _both),
-        messages._collecting("x", messages.OutputOptions(verbose=True)),
+        common._collecting("x", common.OutputOptions(verbose=True)),
     ):
-        messages.warn(NASTY)
-        messages.detail(NASTY)
-        messages.print_error(NASTY)
+        common.warn(NASTY)
+        common.detail(NASTY)
+        common.print_error(NASTY)
         shown = stderr.getvalue().decode()
     assert shown.count(SHOWN) == 3
     assert not RAW.search(shown)

@@ -4,9 +4,8 @@ import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import invoke, printed, sets
 from slipfree.files.netcdf import read
 
 pytestmark = pytest.mark.slow
@@ -24,15 +23,10 @@ y = [-3, 3]
 spacing = 0.5
 power_law = { rms = 0.05, hurst = 0.9, longest = 4.0, shortest = 2.0, seed = 1 }
 """
-PLAN = """
-[goal]
-y = 0.8
-[costs]
-slip = 1e3
-effort = 0.01
-[plan]
-intervals = 8
-smooth = 0.002
+PLAN = """\
+goal = { y = 0.8 }
+costs = { slip = 1e3, effort = 0.01 }
+plan = { intervals = 8, smooth = 0.002 }
 """
 CHANGES = [f"terrain.error.{key}" for key in ("rms=0.02", "correlation=1.0", "seed=1")]
 
@@ -41,24 +35,18 @@ CHANGES = [f"terrain.error.{key}" for key in ("rms=0.02", "correlation=1.0", "se
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with the result of a plan."""
     where = tmp_path_factory.mktemp("track")
-    (where / "p.toml").write_text(PROBLEM + PLAN)
+    (where / "p.toml").write_text(PLAN + PROBLEM)
     (where / "q.toml").write_text(PROBLEM.replace('"plan"', '"direct"'))
     for name in "pq":
-        called("run", where / f"{name}.toml", "-o", where / f"{name}.nc", "--no-draw")
+        printed("run", where / f"{name}.toml", "-o", where / f"{name}.nc", "--no-draw")
     return where
 
 
-def called(*words: object, code: int = 0) -> str:
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    assert result.exit_code == code, result.output
-    return result.stdout if code == 0 else result.stderr
-
-
 def test_three_ways_to_follow_a_plan_are_compared(folder: Path) -> None:
-    settings = [word for each in CHANGES for word in ("--set", each)]
+    settings = sets(*CHANGES)
     out = folder / "t.nc"
     found = json.loads(
-        called("track", folder / "p.nc", *settings, "--period", 0.5, "-o", out, "--json")
+        printed("track", folder / "p.nc", *settings, "--period", 0.5, "-o", out, "--json")
     )["facts"]
     assert list(found) == ["plan", "open loop", "quasi-static", "dynamics", "follow", "replanned"]
     without = {name: found.pop(name) for name in ("quasi-static", "dynamics")}
@@ -73,7 +61,7 @@ def test_three_ways_to_follow_a_plan_are_compared(folder: Path) -> None:
 
 def test_a_plan_is_driven_with_forces_and_with_inertia(folder: Path) -> None:
     settings = ["--set", "terrain.friction=0.8", "--period", "2", "--json"]
-    found = json.loads(called("track", folder / "p.nc", *settings))["facts"]
+    found = json.loads(printed("track", folder / "p.nc", *settings))["facts"]
     ends = {name: float(words.split()[1]) for name, words in found.items()}
     assert ends["open loop"] < 1e-5 < ends["quasi-static"] < 0.01
     assert ends["quasi-static"] != ends["dynamics"] < 0.05
@@ -83,8 +71,7 @@ def test_a_plan_is_driven_with_forces_and_with_inertia(folder: Path) -> None:
 def test_the_exit_code_reports_a_motion_that_ends_early(folder: Path) -> None:
     """The changed map ends before the front wheel reaches its place at the goal."""
     window = ["--set", "terrain.synthetic.y=[-2.5,1.5]", "--set", "terrain.synthetic.spacing=0.5"]
-    result = CliRunner().invoke(app, ["track", str(folder / "p.nc"), *window])
-    assert result.exit_code == 1, result.output
+    result = invoke("track", str(folder / "p.nc"), *window, code=1)
     assert "leaves the map" in result.stdout
 
 
@@ -98,4 +85,4 @@ def test_the_exit_code_reports_a_motion_that_ends_early(folder: Path) -> None:
 )
 def test_wrong_words_are_refused(folder: Path, words: list[str], message: str) -> None:
     file, *rest = words
-    assert message in called("track", folder / file, *rest, code=2)
+    assert message in printed("track", folder / file, *rest, code=2)

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
+from helpers.commands import invoke, refused
 from helpers.fuzz_files import bases, document
-from slipfree.cli import app
 from slipfree.core.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.maps.elevation import read_map
@@ -48,11 +47,10 @@ def limited():
     signal.signal(signal.SIGALRM, before)
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "p.toml").write_text(document(bases("direct")[0]))
-    return tmp_path
+@pytest.fixture(autouse=True)
+def folder(folder):
+    (folder / "p.toml").write_text(document(bases("direct")[0]))
+    return folder
 
 
 def _spoiled(kind, ending):
@@ -71,15 +69,6 @@ def _spoiled(kind, ending):
     return str(path)
 
 
-def _refused(*words):
-    """Return the message of a command that must refuse its input."""
-    found = CliRunner().invoke(app, list(words))
-    assert found.exit_code == 2, (found.output, found.exception)
-    assert isinstance(found.exception, SystemExit)
-    return found.stderr
-
-
-@pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     ("command", "ending"),
@@ -101,13 +90,12 @@ def test_a_file_on_the_command_line_that_is_none(command, ending, kind):
     name = _spoiled(kind, ending)
     if "--resume" in command:
         Path("p.toml").write_text(document(bases("plan")[0]))
-    told = _refused(*command.split(), name, *more.get(command, []))
+    told = refused(*command.split(), name, *more.get(command, []))
     assert KINDS[kind] in told
     assert name in told
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("kind", [*KINDS, "null"])
 @pytest.mark.parametrize(
     ("table", "key", "ending"),
@@ -133,24 +121,22 @@ def test_a_file_named_in_a_problem_that_is_none(table, key, ending, kind):
     else:
         problem[table] = {"file": name}
     Path("p.toml").write_text(document(problem))
-    told = _refused("check", "p.toml")
+    told = refused("check", "p.toml")
     assert KINDS.get(kind, "found that it cannot be read (embedded null") in told
     assert sweep_of(Path("p.toml"), ["time.duration=1,2"]).files == {name: "missing"}
 
 
-@pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_urdf_named_in_a_vehicle_file_that_is_none(kind):
     Path("v.toml").write_text(f'urdf = "{_spoiled(kind, ".urdf")}"\n')
-    told = _refused("vehicle", "v.toml")
+    told = refused("vehicle", "v.toml")
     assert "expected a URDF (urdf of v.toml), found" in told
     assert KINDS[kind] in told
 
 
 @pytest.mark.slow
 def test_an_output_whose_name_cannot_be_used(folder):
-    run = CliRunner().invoke(app, ["run", "p.toml", "-o", "x.nc", "--no-draw"])
-    assert run.exit_code == 0, run.output
+    invoke("run", "p.toml", "-o", "x.nc", "--no-draw", code=0)
     before = sorted(folder.iterdir())
     for words, ending in {
         "run p.toml --no-draw -o": ".nc",
@@ -167,16 +153,15 @@ def test_an_output_whose_name_cannot_be_used(folder):
     }.items():
         name = f"loop{ending}"
         Path(name).symlink_to(name)
-        told = _refused(*words.split(), name)
+        told = refused(*words.split(), name)
         assert "(Too many levels of symbolic links)" in told, words
         Path(name).unlink()
     assert sorted(folder.iterdir()) == before
 
 
-@pytest.mark.usefixtures("folder")
 def test_a_link_to_a_regular_file_is_followed():
     Path("link.toml").symlink_to("p.toml")
-    assert CliRunner().invoke(app, ["check", "link.toml"]).exit_code == 0
+    assert invoke("check", "link.toml").exit_code == 0
 
 
 def test_a_medium_that_fails_while_it_is_read(tmp_path, monkeypatch):
@@ -193,7 +178,6 @@ def test_a_medium_that_fails_while_it_is_read(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("folder")
 def test_names_that_are_not_utf_8_are_kept_as_text(monkeypatch):
     monkeypatch.setattr(DriveVerb, "figures", lambda *_: ())  # drawing takes long
     problem = {**bases("direct")[0], "terrain": {"file": "g.npz"}}
@@ -214,7 +198,7 @@ def test_names_that_are_not_utf_8_are_kept_as_text(monkeypatch):
         ("export", out, "--path", table),
         ("sweep", str(file), "--vary", "time.duration=0.1,0.2", "--processes", "1", "--no-draw"),
     ):
-        found = CliRunner().invoke(app, [*words, "--json"])
+        found = invoke(*words, "--json")
         assert found.exit_code == 0, (words, found.output, found.exception)
         json.loads(found.stdout)
     attributes = netcdf.read(out).attributes
@@ -223,10 +207,9 @@ def test_names_that_are_not_utf_8_are_kept_as_text(monkeypatch):
     assert regular_files.unescape_name(attributes["problem_folder"]) == str(place)
 
 
-@pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("command", ["run", "sweep"])
 def test_a_setting_that_is_not_utf_8_is_refused_before_anything_is_computed(command):
     setting = os.fsdecode(b"title=\xff")
     option = "--vary" if command == "sweep" else "--set"
-    told = _refused(command, "p.toml", option, setting)
+    told = refused(command, "p.toml", option, setting)
     assert f"{option} title: expected text in UTF-8, as in a problem file, found title=" in told

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from helpers.cases import hills
+from helpers.commands import invoke
 from slipfree import Analytic, direct_kinematics, settle, simulate
-from slipfree.cli import app
 from slipfree.files.toml.source import ProblemError
 from slipfree.files.vehicle_draft import Draft, from_rep103, rotation_of
 from slipfree.files.vehicle_toml import CoordinateTable, JointTable, VehicleTable, WheelTable
@@ -357,39 +356,37 @@ time = { duration = 1.0, step = 0.5 }
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "v.toml").write_text(SHORT)
-    (tmp_path / "p.toml").write_text(PROBLEM)
-    return tmp_path
-
-
-def command(*arguments):
-    return CliRunner().invoke(app, [str(each) for each in arguments])
+def folder(folder):
+    (folder / "v.toml").write_text(SHORT)
+    (folder / "p.toml").write_text(PROBLEM)
+    return folder
 
 
 @pytest.mark.slow
 def test_a_file_lies_beside_the_problem(folder, monkeypatch):
     (folder / "elsewhere").mkdir()
     monkeypatch.chdir(folder / "elsewhere")
-    assert command("check", "../p.toml").exit_code == 0
-    example = command("check", PROBLEMS / "your_vehicle.toml")
-    assert example.exit_code == 0, example.stderr
+    assert invoke("check", "../p.toml").exit_code == 0
+    example = invoke("check", PROBLEMS / "your_vehicle.toml", code=0)
     assert "tractor and trailer: left 0.2 m driven" in example.stdout
 
 
 @pytest.mark.usefixtures("folder")
 def test_a_problem_drives_a_vehicle_file():
-    result = command("run", "p.toml", "--no-draw")
-    assert result.exit_code == 0, result.stderr
+    result = invoke("run", "p.toml", "--no-draw", code=0)
     assert "cart: left 0.15 m driven, right 0.15 m driven, caster 0.1 m free" in result.stdout
-    held = command(
-        "check", "p.toml", "--set", 'vehicle.actuated=["swivel"]', "--set", "inputs.swivel_rate=0"
+    invoke(
+        "check",
+        "p.toml",
+        "--set",
+        'vehicle.actuated=["swivel"]',
+        "--set",
+        "inputs.swivel_rate=0",
+        code=0,
     )
-    assert held.exit_code == 0, held.stderr
     scaled = 'vehicle={catalog="differential_drive", caster_scale=0.5}'
-    assert "caster 0.075 m free" in command("check", "p.toml", "--set", scaled).stdout
-    lost = command("run", "p.toml", "-o", "v.toml")
+    assert "caster 0.075 m free" in invoke("check", "p.toml", "--set", scaled).stdout
+    lost = invoke("run", "p.toml", "-o", "v.toml")
     assert "found the input v.toml" in lost.stderr
 
 
@@ -403,8 +400,7 @@ def test_a_problem_drives_a_vehicle_file():
 )
 @pytest.mark.usefixtures("folder")
 def test_faults_of_the_table(setting, words):
-    result = command("check", "p.toml", "--set", setting)
-    assert result.exit_code == 2
+    result = invoke("check", "p.toml", "--set", setting, code=2)
     assert words in result.stderr
 
 
@@ -421,8 +417,7 @@ def test_keys_of_the_catalogue_are_those_of_its_function(keys, words, folder):
     head, _ = rest.split("start = {}\n")
     text = f"{head}[vehicle]\n{keys}\n[start]\n[inputs]\n"
     (folder / "p.toml").write_text(text + "[time]\nduration = 1.0\nstep = 0.5\n")
-    result = command("check", "p.toml")
-    assert result.exit_code == 2
+    result = invoke("check", "p.toml", code=2)
     assert words in result.stderr
 
 

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
+import pytest
 from typer.testing import CliRunner
 
 from slipfree.cli import app
+from slipfree.files.toml.source import ProblemError
+from slipfree.problem.load import load_problem
+from slipfree.problem.result import build
 
 
 def invoke(*words: object, code: int | None = None) -> Any:
@@ -30,3 +36,10 @@ def refused(*words: object) -> str:
 def sets(*settings: str) -> list[str]:
     """Return the words of the options ``--set``."""
     return [word for setting in settings for word in ("--set", setting)]
+
+
+def build_errors(file: Path, settings: Sequence[str] = ()) -> str:
+    """Return the errors of a problem that cannot be built."""
+    with pytest.raises(ProblemError) as error:
+        build(load_problem(file, settings))
+    return str(error.value)

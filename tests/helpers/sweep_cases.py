@@ -10,65 +10,36 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-from typer.testing import CliRunner
 
-from slipfree.cli import app
+from helpers.commands import invoke
 from slipfree.sweep.log import RunTask
 
 PROBLEM = """\
 verb = "direct"
+vehicle = { catalog = "three_wheeler" }
+start = { heading = 0 }
+driver = { name = "straight", speed = 1.0 }
+time = { duration = 0.3, step = 0.1 }
 
 [terrain.synthetic]
 x = [-3, 3]
 y = [-3, 2.25]
 spacing = 0.25
-
-[terrain.synthetic.power_law]
-rms = 0.02
-hurst = 0.9
-longest = 4.0
-shortest = 2.0
-seed = 1
-
-[vehicle]
-catalog = "three_wheeler"
-
-[start]
-heading = 0
-
-[driver]
-name = "straight"
-speed = 1.0
-
-[time]
-duration = 0.3
-step = 0.1
+power_law = { rms = 0.02, hurst = 0.9, longest = 4.0, shortest = 2.0, seed = 1 }
 """
 SPEED, ROUGH = "driver.speed", "terrain.synthetic.power_law.rms"
 GRID = ["--vary", f"{SPEED}=0.5,1.0", "--vary", f"{ROUGH}=0.01,0.02", "--repeat", "3"]
 RUNS = 12  # of the grid
 
 
-def invoke_sweep(*words: str) -> Any:
-    return CliRunner().invoke(app, ["sweep", *words])
-
-
-def sweep_in(folder: Path, *words: str) -> Any:
-    return invoke_sweep(str(folder / "p.toml"), "-o", str(folder / "out"), *words)
+def sweep_in(folder: Path, *words: str, code: int | None = None) -> Any:
+    return invoke("sweep", folder / "p.toml", "-o", folder / "out", *words, code=code)
 
 
 def begin_sweep(folder: Path, *words: str) -> subprocess.Popen[str]:
     """Begin a sweep in a process of its own, and return it when some runs are finished."""
-    command = [
-        sys.executable,
-        "-m",
-        "slipfree",
-        "sweep",
-        str(folder / "p.toml"),
-        "-o",
-        str(folder / "out"),
-        *words,
-    ]
+    command = [sys.executable, "-m", "slipfree", "sweep", str(folder / "p.toml")]
+    command += ["-o", str(folder / "out"), *words]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )

@@ -12,9 +12,9 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from typer.testing import CliRunner
 
 from helpers.cases import hills, rover_ground
+from helpers.commands import invoke, sets
 from helpers.vehicles import four_wheel_steered, skid_steered
 from slipfree import (
     Analytic,
@@ -34,7 +34,6 @@ from slipfree.catalog import (
     rocky7,
     skid_steer,
 )
-from slipfree.cli import app
 from slipfree.control.path_following import GAIN, track_path
 from slipfree.core.records import leaves
 from slipfree.files import netcdf
@@ -55,14 +54,7 @@ LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)
 VEHICLES = {
     make.__name__: make(**LIGHT)
-    for make in (
-        differential_drive,
-        ackermann,
-        skid_steer,
-        articulated,
-        rocky7,
-        open_source_rover,
-    )
+    for make in (differential_drive, ackermann, skid_steer, articulated, rocky7, open_source_rover)
 } | {"four_wheel_steered": four_wheel_steered()}
 GIVEN = {  # forward, right, yaw rate
     "four_wheel_steered": [(0.3, 0.1, 0.0), (0.0, 0.0, 0.4), (-0.2, 0.1, -0.3)],
@@ -299,58 +291,36 @@ wheels = [
 PROBLEM = """\
 verb = "inverse"
 frame = "rep103"
+vehicle = { file = "crab.toml" }
+start = { heading = 1.5707963267948966 }
+given = { v_x = 0.2, v_y = 0.1, omega_z = 0.0 }
+time = { duration = 1.0, step = 0.1 }
+solver = { tolerance = 1e-6 }
 
 [terrain.synthetic]
 x = [-2, 2]
 y = [-2, 2]
 spacing = 0.1
 power_law = { rms = 0.02, hurst = 0.9, longest = 3.0, shortest = 1.0, seed = 3 }
-
-[vehicle]
-file = "crab.toml"
-
-[start]
-heading = 1.5707963267948966
-
-[given]
-v_x = 0.2
-v_y = 0.1
-omega_z = 0.0
-
-[time]
-duration = 1.0
-step = 0.1
-
-[solver]
-tolerance = 1e-6
 """
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "crab.toml").write_text(FOUR_WHEELS)
-    (tmp_path / "p.toml").write_text(PROBLEM)
-    (tmp_path / "cmd.csv").write_text("t,omega_z,v_x,v_y\n0,0.0,0.2,0.1\n\n0.5,0.3,0.1,-0.1\n")
-    return tmp_path
-
-
-def _invoke(file: Path | str, *settings: str) -> Any:
-    words = [word for setting in settings for word in ("--set", setting)]
-    result = CliRunner().invoke(app, ["run", str(file), "-o", "p.nc", "--no-draw", *words])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
+def folder(folder):
+    (folder / "crab.toml").write_text(FOUR_WHEELS)
+    (folder / "p.toml").write_text(PROBLEM)
+    (folder / "cmd.csv").write_text("t,omega_z,v_x,v_y\n0,0.0,0.2,0.1\n\n0.5,0.3,0.1,-0.1\n")
+    return folder
 
 
 def _run(*settings: str, code: int = 0) -> Any:
-    result = _invoke("p.toml", *settings)
-    assert result.exit_code == code, result.output
+    result = invoke("run", "p.toml", "-o", "p.nc", "--no-draw", *sets(*settings), code=code)
     return result.stderr if code else (result.stdout, netcdf.read("p.nc"))
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("folder")
-def test_a_robots_command_counts_left_positive() -> None:
+def test_a_robots_command_counts_left_positive():
     words, run = _run()
     assert "v_x 0.2 m/s, v_y 0.1 m/s, omega_z 0 rad/s" in words
     for name in COMMANDS:
@@ -364,7 +334,7 @@ def test_a_robots_command_counts_left_positive() -> None:
     assert_allclose(formula["x"], run["x"], rtol=0, atol=1e-9)
 
 
-def test_the_summary_names_the_steering_that_is_held_at_its_stop(folder: Path) -> None:
+def test_the_summary_names_the_steering_that_is_held_at_its_stop(folder):
     (folder / "crab.toml").write_text(
         FOUR_WHEELS.replace("lower = -2, upper = 2", "lower = -0.3, upper = 0.3")
     )
@@ -374,7 +344,7 @@ def test_the_summary_names_the_steering_that_is_held_at_its_stop(folder: Path) -
 
 
 @pytest.mark.slow
-def test_commands_in_time_from_a_file(folder: Path) -> None:
+def test_commands_in_time_from_a_file(folder):
     words, run = _run("given={file='cmd.csv'}", "time.step=0.05")
     assert "omega_z, v_x, v_y of cmd.csv" in words
     assert "while the steering is at its target" in words
@@ -398,7 +368,7 @@ PATH = "path={t=[0,1,2,3,4,5], x=[0,-0.1,-0.2,-0.3,-0.4,-0.5], y=[0,0.1,0.2,0.3,
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("folder")
-def test_a_path_in_a_problem() -> None:
+def test_a_path_in_a_problem():
     east = "[1.5707963267948966, 1.57, 1.56, 1.55, 1.54, 1.53]}"
     words, run = _run("given=", PATH + east)
     assert "path of 6 way-points in 5 s" in words
@@ -435,7 +405,7 @@ def test_a_path_in_a_problem() -> None:
         ),
     ],
 )
-def test_what_is_wrong_is_refused(settings: list[str], words: str) -> None:
+def test_what_is_wrong_is_refused(settings, words):
     Path("late.csv").write_text("t,v_x\n1,0.2\n")
     Path("back.csv").write_text("t,v_x\n0,0.2\n2,0.1\n1,0.2\n")
     Path("names.csv").write_text("t,v_x\n")
@@ -626,23 +596,18 @@ SHORT = ("time.duration=0.5", "vehicle.mass=0", "vehicle.wheel_mass=0")
 
 def _run_rover(*settings: str) -> Any:
     file = Path(__file__).parents[2] / "problems" / "rover_inverse.toml"
-    return _invoke(file, *settings, *SHORT)
+    return invoke("run", file, "-o", "p.nc", "--no-draw", *sets(*settings, *SHORT))
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("folder")
-def test_problem_file() -> None:
+def test_problem_file():
     result = _run_rover("given.yaw_rate=0.1*cos(0.5*t)")
     assert (result.exit_code, result.stderr) == (0, ""), result.output
     for words in (
-        "forward 0.1 m/s, yaw_rate 0.1*cos(0.5*t) rad/s",
-        "rate of wheel front_right ",
-        "steering steer_front_left ",
-        " rad at most",
-        "round trip  ",
-        "wheel middle_left  ",
-        "replay by the direct model  differs by at most x ",
-        "outcome ",
+        *("forward 0.1 m/s, yaw_rate 0.1*cos(0.5*t) rad/s", "rate of wheel front_right "),
+        *("steering steer_front_left ", " rad at most", "round trip  ", "wheel middle_left  "),
+        *("replay by the direct model  differs by at most x ", "outcome "),
     ):
         assert words in result.stdout, words
     run = netcdf.read("p.nc")
@@ -656,9 +621,7 @@ def test_problem_file() -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("folder")
-def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(monkeypatch):
     def fail(*_: Any, **__: Any) -> None:
         raise SolverError("it gave up", None)
 
@@ -701,7 +664,7 @@ def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(
         ),
     ],
 )
-def test_rates_that_cannot_be_imposed_are_refused(settings: list[str], words: str) -> None:
+def test_rates_that_cannot_be_imposed_are_refused(settings, words):
     result = _run_rover(*settings)
     assert result.exit_code == 2, result.output
     assert words in result.stderr

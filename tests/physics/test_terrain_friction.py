@@ -15,12 +15,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.interpolate import NdBSpline
-from typer.testing import CliRunner
 
 from helpers.cases import function_of as looked_up
 from helpers.cases import hills
+from helpers.commands import invoke, sets
 from helpers.problem_files import VALID
-from slipfree.cli import app
 from slipfree.core.errors import DataError, ModelError
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem.build import build_terrain
@@ -242,9 +241,8 @@ def folder(tmp_path, monkeypatch):
 
 
 def _check(*settings):
-    words = [word for setting in settings for word in ("--set", setting)]
-    result = CliRunner().invoke(app, ["check", "p.toml", *words])
-    assert result.exit_code == 0, result.output
+    words = sets(*settings)
+    result = invoke("check", "p.toml", *words, code=0)
     return [" ".join(line.split()) for line in result.stdout.splitlines()]
 
 

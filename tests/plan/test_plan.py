@@ -7,20 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from typer.testing import CliRunner
 
 from helpers.cases import hills
+from helpers.commands import build_errors, invoke, sets
 from slipfree import Analytic, ModelError, SolverOptions, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
-from slipfree.cli import app
 from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
-from slipfree.files.toml.source import ProblemError
 from slipfree.models.samples import measured_slip
 from slipfree.plan.plan import plan
 from slipfree.plan.verification import inputs_along
-from slipfree.problem.load import load_problem
-from slipfree.problem.result import run_problem
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
@@ -152,15 +148,9 @@ def test_what_is_wrong_is_said(options, words):
         asked(**options)
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 def run_file(*settings):
-    words = [word for each in settings for word in ("--set", each)]
-    return CliRunner().invoke(app, ["run", str(PROBLEM), "-o", "p.nc", "--no-draw", *words])
+    words = sets(*settings)
+    return invoke("run", str(PROBLEM), "-o", "p.nc", "--no-draw", *words)
 
 
 @pytest.mark.slow
@@ -206,6 +196,4 @@ def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved()
     ],
 )
 def test_what_is_wrong_in_a_file_is_told_with_its_place(setting, words):
-    with pytest.raises(ProblemError) as error:
-        run_problem(load_problem(PROBLEM, [setting]))
-    assert words in str(error.value)
+    assert words in build_errors(PROBLEM, [setting])

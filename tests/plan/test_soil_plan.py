@@ -10,16 +10,9 @@ from slipfree.problem.load import verb_of
 
 SLOPE = Path(__file__).parents[2] / "problems" / "plan_sandy_slope.toml"
 SHORT = (
-    "law.soil.regions=",
-    "start={x=0.0, y=1.4, heading=1.1}",
-    "goal.y=1.8",
-    "driver.path=[[0.0, 1.4], [-1.5, 2.15]]",
-    "time.duration=5",
-    "time.step=0.5",
-    "limits.slip_ratio=[-0.2, 0.22]",
-    "plan.duration=5",
-    "plan.intervals=4",
-    "plan.degree=2",
+    *("law.soil.regions=", "start={x=0.0, y=1.4, heading=1.1}", "goal.y=1.8"),
+    *("driver.path=[[0.0, 1.4], [-1.5, 2.15]]", "time.duration=5", "time.step=0.5"),
+    *("limits.slip_ratio=[-0.2, 0.22]", "plan.duration=5", "plan.intervals=4", "plan.degree=2"),
     "plan.accuracy=0.03",
 )
 

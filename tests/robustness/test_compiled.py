@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from typer.testing import CliRunner
 
+from helpers.commands import invoke
 from slipfree import (
     Analytic,
     Bicubic,
@@ -25,7 +25,6 @@ from slipfree import (
     straight,
 )
 from slipfree.catalog import three_wheeler
-from slipfree.cli import app
 from slipfree.contact.touch import search_function
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import leaves
@@ -363,8 +362,8 @@ def test_problems_ask_for_it_and_a_warning_says_if_it_is_not_done(tmp_path, monk
     monkeypatch.setenv(codegen_cache.FOLDER, "")
     monkeypatch.chdir(tmp_path)
     words = ["--set", "solver.compiled=true", "--set", "time.duration=0.4"]
-    assert CliRunner().invoke(app, ["new", "inverse", "p"]).exit_code == 0
-    result = CliRunner().invoke(app, ["run", "p.toml", "--no-draw", *words])
+    assert invoke("new", "inverse", "p").exit_code == 0
+    result = invoke("run", "p.toml", "--no-draw", *words)
     assert result.exit_code in (0, 1), result.output
     words = "warning: equations are interpreted, not compiled: SLIPFREE_CACHE is empty"
     assert result.stderr.count(words) == 1
@@ -373,15 +372,14 @@ def test_problems_ask_for_it_and_a_warning_says_if_it_is_not_done(tmp_path, monk
 def test_a_sweep_says_it_once_whatever_its_processes_find(tmp_path, monkeypatch, capfd):
     monkeypatch.setenv(codegen_cache.FOLDER, "")
     monkeypatch.chdir(tmp_path)
-    assert CliRunner().invoke(app, ["new", "direct", "p"]).exit_code == 0
+    assert invoke("new", "direct", "p").exit_code == 0
     words = [
         word
         for setting in ("solver.compiled=true", "time.duration=0.2")
         for word in ("--set", setting)
     ]
     sweep = ["sweep", "p.toml", "--repeat", "2", "--processes", "2", "--no-draw", *words]
-    result = CliRunner().invoke(app, sweep)
-    assert result.exit_code == 0, result.output
+    result = invoke(*sweep, code=0)
     assert result.stderr.count("cannot be compiled: SLIPFREE_CACHE is empty") == 1
     assert "UserWarning" not in capfd.readouterr().err
 

@@ -17,14 +17,14 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from typer.testing import CliRunner
 
 import slipfree.__main__ as entry
 from helpers.cases import hills
+from helpers.commands import invoke, sets
+from helpers.problem_files import PROBLEM
 from helpers.toy_models import model
 from slipfree import Analytic, SolverOptions, direct_kinematics, settle
 from slipfree.catalog import three_wheeler
-from slipfree.cli import app
 from slipfree.core.nlp import Nlp
 from slipfree.core.trajectory import SolverError
 from slipfree.files import netcdf
@@ -52,11 +52,7 @@ from slipfree.system.interrupt import (
 pytestmark = pytest.mark.slow
 
 HILLS = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
-SMALL = [
-    word
-    for each in ("plan.intervals=8", "costs.slip=1e3", "time.step=0.5")
-    for word in ("--set", each)
-]
+SMALL = sets("plan.intervals=8", "costs.slip=1e3", "time.step=0.5")
 T = np.linspace(0, 2, 21)
 OLD = b"what was here before"
 
@@ -398,21 +394,14 @@ def test_a_held_interrupt_comes_once(calls):
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    words = (
-        'verb = "direct"\n[terrain.synthetic]\nx = [-3, 3]\ny = [-3, 3]\nspacing = 0.25\n'
-        "[start]\nheading = 0\n"
-        '[vehicle]\ncatalog = "three_wheeler"\n[driver]\nname = "straight"\nspeed = 1.0\n'
-        "[time]\nduration = 0.5\nstep = 0.1\n"
-    )
-    (tmp_path / "p.toml").write_text(words)
-    (tmp_path / "p.nc").write_bytes(OLD)
-    return tmp_path
+def folder(folder):
+    (folder / "p.toml").write_text(PROBLEM)
+    (folder / "p.nc").write_bytes(OLD)
+    return folder
 
 
 def run(*words):
-    return CliRunner().invoke(app, ["run", *words, "--no-draw"])
+    return invoke("run", *words, "--no-draw")
 
 
 def test_a_run_interrupted_in_its_diagnostics_is_kept(folder, monkeypatch):
@@ -468,7 +457,7 @@ def test_a_run_interrupted_in_its_integration_keeps_its_samples(
 ):
     pressed, _ = pressing(getattr(where, name), at)
     monkeypatch.setattr(where, name, pressed)
-    words = [word for each in ("terrain.friction=0.8", *settings) for word in ("--set", each)]
+    words = sets("terrain.friction=0.8", *settings)
     found = run("p.toml", "-o", "p.nc", *words)
     assert found.exit_code == 130, found.output
     assert re.match(r"interrupted at t = \S+ s.*; p.nc contains the result so far\n", found.stderr)
@@ -476,8 +465,7 @@ def test_a_run_interrupted_in_its_integration_keeps_its_samples(
     assert (kept.outcome.name, kept.stop.name) == ("INTERRUPTED", "interrupted")
     assert 0 < kept.t[-1] < 0.5
     for name, *options in (["info"], ["export", "--path", "p.csv"], ["export", "--mcap", "p.mcap"]):
-        used = CliRunner().invoke(app, [name, "p.nc", *options])
-        assert used.exit_code == 0, used.output
+        invoke(name, "p.nc", *options, code=0)
 
 
 def test_a_run_interrupted_twice_in_its_integration_writes_nothing(folder, monkeypatch):
@@ -599,32 +587,29 @@ unknowns.track = {}
 
 
 @pytest.mark.parametrize(("at", "rows"), [(1, 0), (4, 1)], ids=["start", "accepted step"])
-def test_a_fit_keeps_its_last_accepted_estimate(tmp_path, monkeypatch, at, rows):
-    monkeypatch.chdir(tmp_path)
+def test_a_fit_keeps_its_last_accepted_estimate(folder, monkeypatch, at, rows):
     t = np.linspace(0, 12, 13)
     turned = -0.2 * t
     names = ["front_right", "front_left", "rear_right", "rear_left"]
     columns = [t, 5 * np.cos(turned), 5 * np.sin(turned), turned]
     columns += [np.full(t.size, 6.0 if "left" in name else 3.0) for name in names]
     head = ["time", "x", "y", "heading", *(f"{name}_rate" for name in names)]
-    write_rows(tmp_path / "log.csv", head, np.column_stack(columns).tolist())
-    (tmp_path / "fit.toml").write_text(FIT)
+    write_rows(folder / "log.csv", head, np.column_stack(columns).tolist())
+    (folder / "fit.toml").write_text(FIT)
     pressed, _ = pressing(estimate.end_poses, at)
     monkeypatch.setattr(estimate, "end_poses", pressed)
-    found = CliRunner().invoke(app, ["fit", "fit.toml", "--no-draw"])
-    assert found.exit_code == 130, (found.output, found.exception)
+    found = invoke("fit", "fit.toml", "--no-draw", code=130)
     kept = "interrupted; fit.csv contains the estimates so far\n"
     assert found.stderr == (kept if rows else "interrupted\n")
-    assert (tmp_path / "fit.csv").exists() == bool(rows)
+    assert (folder / "fit.csv").exists() == bool(rows)
 
 
 def test_a_comparison_keeps_its_finished_vehicles(monkeypatch):
     problem = HILLS.with_name("compare_axles.toml")
-    pressed, _ = pressing(compare._row, at=2)
-    monkeypatch.setattr(compare, "_row", pressed)
+    pressed, _ = pressing(compare._compared, at=2)
+    monkeypatch.setattr(compare, "_compared", pressed)
     brief = ["--set", "time.duration=0.1", "--set", "time.step=0.02"]
-    found = CliRunner().invoke(app, ["compare", str(problem), *brief])
-    assert found.exit_code == 130, found.output
+    found = invoke("compare", str(problem), *brief, code=130)
     assert re.fullmatch(r"interrupted; the table contains 1 of \d+ vehicles\n", found.stderr)
 
 

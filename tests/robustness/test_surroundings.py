@@ -21,10 +21,9 @@ CHECK = "check disk, folder and permissions"
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "p.toml").write_text(document(bases("direct")[0]))
-    return tmp_path
+def folder(folder):
+    (folder / "p.toml").write_text(document(bases("direct")[0]))
+    return folder
 
 
 def _shell(line: str, **more: str) -> tuple[int, str, str]:

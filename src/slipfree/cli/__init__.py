@@ -2,7 +2,7 @@
 
 Exit codes: 0 done; 1 not complete or failed; 2 bad input, or a package that is not installed; 130
 interrupted. Every command has the options ``--quiet``, ``--verbose`` and ``--json``
-(`cli.messages`). Commands import their modules when they run, so that ``slipfree --help`` is fast.
+(`cli.common`). Commands import their modules when they run, so that ``slipfree --help`` is fast.
 """
 
 from __future__ import annotations
@@ -15,9 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 import slipfree
-from slipfree.cli.fit import fit, wheel
-from slipfree.cli.inspect import check, compare, export, info, vehicle
-from slipfree.cli.messages import (
+from slipfree.cli.common import (
     BAD_INPUT,
     DONE,
     INTERRUPTED,
@@ -32,15 +30,15 @@ from slipfree.cli.messages import (
     visible,
     with_output_options,
 )
+from slipfree.cli.inspect import check, export, info, vehicle
 from slipfree.cli.new import examples, new
-from slipfree.cli.plans import pareto, track
 from slipfree.cli.run import run
 from slipfree.cli.show import edit, report, show
+from slipfree.cli.studies import compare, fit, pareto, track, wheel
 from slipfree.cli.sweep import sweep
 
-UsageError: Any = typer.BadParameter.__bases__[
-    0
-]  # class of click, or of the copy of click in typer
+# class of click, or of the copy of click in typer
+UsageError: Any = typer.BadParameter.__bases__[0]
 
 
 class _CommandGroup(TyperGroup):
@@ -82,22 +80,8 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 COMMANDS = (
-    new,
-    examples,
-    run,
-    check,
-    vehicle,
-    compare,
-    info,
-    show,
-    edit,
-    report,
-    export,
-    sweep,
-    pareto,
-    track,
-    fit,
-    wheel,
+    *(new, examples, run, check, vehicle, compare, info, show, edit, report, export),
+    *(sweep, pareto, track, fit, wheel),
 )
 for command in COMMANDS:
     app.command()(with_output_options(command))
@@ -121,8 +105,7 @@ def _version(ctx: typer.Context, wanted: bool) -> None:
 @app.callback()
 def _common(
     _: Annotated[
-        bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
     quiet: Quiet = False,
     verbose: Verbose = False,

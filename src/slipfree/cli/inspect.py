@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -13,31 +13,24 @@ from slipfree.cli.common import (
     BAD_INPUT,
     File,
     InputFolder,
+    ResultFile,
     Settings,
     Trust,
     about,
-    print_facts,
-    read_problem,
-    reported,
-    show,
-)
-from slipfree.cli.messages import (
-    INTERRUPTED,
     add_json,
     add_json_file,
     detail,
-    has_bar,
     print_error,
+    print_facts,
     print_line,
+    read_problem,
+    reported,
+    show,
     visible,
 )
 from slipfree.cli.new import write_new_file
-from slipfree.cli.outputs import check_outputs, motion_json, quantities, resume_command, row_json
+from slipfree.cli.outputs import check_outputs, motion_json, quantities, resume_command
 from slipfree.core.errors import DataError
-from slipfree.system.interrupt import held_interrupt, interrupt_requested
-
-if TYPE_CHECKING:
-    from slipfree.problem.verbs.compare import ComparedMotion
 
 
 def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
@@ -87,66 +80,17 @@ def vehicle(
             check_outputs([write], [file, *files_named_in(file)])
             write_new_file(guessed_completion(file, write.parent, trust or []), write, force)
             print_line(f"wrote {write}\n")
-        found = describe(file, settings or [], trust or [])
-        print_line("\n".join([*found.tree, ""]))
-        add_json("tree", lambda: found.tree)
-        print_facts(found.facts)
-        if found.faults:
-            print_error("\n".join(found.faults))
+        tree, facts, faults = describe(file, settings or [], trust or [])
+        print_line("\n".join([*tree, ""]))
+        add_json("tree", lambda: tree)
+        print_facts(facts)
+        if faults:
+            print_error("\n".join(faults))
             raise typer.Exit(BAD_INPUT)
 
 
-def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
-    """Compare the slip of several vehicles on one ground.
-
-    Print whether each vehicle can roll without slip, and the slip that remains otherwise.
-    """
-    with reported():
-        from slipfree.problem.build_ground import ground_facts
-        from slipfree.problem.verbs.compare import compare as solve
-
-        def print_progress(name: str) -> None:
-            if sys.stderr.isatty() and has_bar():
-                print_line(f"  {name}", err=True)
-            detail(f"vehicle {name}")
-
-        problem = read_problem(file, settings, trust, "compare")
-        with held_interrupt():
-            ground, rows = solve(problem, print_progress)
-            is_interrupted = interrupt_requested()
-        print_facts(ground_facts(ground))
-        add_json("vehicles", lambda: [row_json(row) for row in rows])
-        width = max(len(row.name) for row in rows)
-        for words, drives in (
-            ("at the same rates", [row.same for row in rows]),
-            ("at the rates of the driving law", [row.fitting for row in rows]),
-        ):
-            print_line(f"\n{words}: largest slip of the wheels {', '.join(rows[0].wheels)} [mm/s]")
-            head = f"{'rank':6}{'along':18}{'across':18}{'from the poses':27}"
-            print_line(f"{'':{width}}  {head}{'friction*':10}{'tilt [rad]':12}axle [m]")
-            for row, drive in zip(rows, drives, strict=True):
-                rank = f"{row.rank}/{row.conditions}"
-                print_line(f"{row.name:{width}}  {rank:6}{_drive(drive)}")
-        print_line("\n* largest friction coefficient that a wheel requires; forces load-weighted")
-        if is_interrupted:
-            count = f"{len(rows)} of {len(problem.spec.vehicles)}"
-            print_error(f"interrupted; the table contains {count} vehicles")
-            raise typer.Exit(INTERRUPTED)
-
-
-def _drive(drive: ComparedMotion) -> str:
-    slips = "".join(
-        f"{' '.join(f'{1e3 * value:.2f}' for value in values):18}"
-        for values in (drive.along, drive.across)
-    )
-    measured = " ".join(f"{1e3 * value:.1e}" for value in drive.measured)
-    axle = " to ".join(f"{value:.3f}" for value in drive.width)
-    stop = f", stopped at {drive.stop.t:.3g} s by {drive.stop.name}" if drive.stop else ""
-    return f"{slips}{measured:27}{drive.friction:<10.3f}{drive.tilt:<12.3f}{axle}{stop}"
-
-
 def info(
-    file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")],
+    file: ResultFile,
     problem: Annotated[
         bool, typer.Option("--problem", help="Print the stored problem file instead.")
     ] = False,
@@ -172,8 +116,8 @@ def info(
             typer.echo(visible(text) if sys.stdout.isatty() else text, nl=False)
             return
         facts = motion_facts(motion)
-        words = [(name.replace("_", " "), value) for name, value in attributes.items()]
-        print_facts([outcome_fact(motion), *(each for each in words if each not in facts), *facts])
+        lines = [(name.replace("_", " "), value) for name, value in attributes.items()]
+        print_facts([outcome_fact(motion), *(each for each in lines if each not in facts), *facts])
         if go_on := resume_command(motion, file):
             print_line(f"to resume: {go_on}")
         print_line()
@@ -184,7 +128,7 @@ def info(
 
 
 def export(
-    file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")],
+    file: ResultFile,
     path: Annotated[
         Path | None,
         typer.Option(

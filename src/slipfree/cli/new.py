@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slipfree.cli.common import reported
-from slipfree.cli.messages import add_json, add_json_file, print_line
+from slipfree.cli.common import add_json, add_json_file, print_line, reported
 from slipfree.cli.outputs import check_outputs
 from slipfree.core.errors import DataError
 from slipfree.system.regular_files import check_name, replace_file
@@ -36,23 +35,20 @@ class Kind(StrEnum):
 
 def new(
     kind: Annotated[
-        Kind,
-        typer.Argument(metavar="KIND", help="Kind of the problem: direct, inverse or plan."),
+        Kind, typer.Argument(metavar="KIND", help="Kind of the problem: direct, inverse or plan.")
     ],
     name: Annotated[Path, typer.Argument(metavar="NAME", help="Name of the problem.")],
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Write NAME.toml, a commented and complete problem, as a template."""
     with reported():
-        from importlib.resources import files
-
         if not (name.name and str(name).isprintable()):
             raise DataError(
                 f"NAME: expected a file name of printable characters, found {str(name)!r}; choose "
                 "another name"
             )
         out = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
-        text = (files("slipfree") / STARTERS / f"{kind}.toml").read_text(encoding="utf-8")
+        text = (_folder(STARTERS) / f"{kind}.toml").read_text(encoding="utf-8")
         word = shlex.quote(str(out))
         write_new_file(text.replace(f" {HOLE}", f" {word}"), out, force)
         print_line(f"wrote {out}: slipfree check {word} && slipfree run {word}")
@@ -122,34 +118,27 @@ def _shipped() -> dict[str, Traversable]:
     return dict(below(_folder(), ""))
 
 
-def _folder() -> Traversable:
-    """Return the folder of the shipped problems."""
+def _folder(name: str = SHIPPED) -> Traversable:
     from importlib.resources import files
 
-    return files("slipfree") / SHIPPED
+    return files("slipfree") / name
 
 
 def _list(shipped: Mapping[str, Traversable]) -> None:
     """Print name, verb and title of each shipped problem and vehicle."""
-    rows = []
+    rows, width = [], max(map(len, shipped))
     for name, file in shipped.items():
         data = tomllib.loads(file.read_text(encoding="utf-8"))
-        rows.append((name, data.get("verb", "vehicle"), data.get("title") or data.get("name", "")))
-    add_json(
-        "examples", lambda: [dict(zip(("name", "verb", "title"), row, strict=True)) for row in rows]
-    )
-    width = max(len(name) for name, *_ in rows)
-    for name, verb, title in rows:
-        print_line(f"{name:{width}}  {verb:8} {title}")
+        verb, title = data.get("verb", "vehicle"), data.get("title") or data.get("name", "")
+        rows.append({"name": name, "verb": verb, "title": title})
+    add_json("examples", lambda: rows)
+    for row in rows:
+        print_line(f"{row['name']:{width}}  {row['verb']:8} {row['title']}")
     print_line("\ncopy one: slipfree examples NAME; all: slipfree examples --to DIR")
 
 
 def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force: bool) -> None:
-    """Copy shipped problems with their input files to a folder.
-
-    Raises DataError if files exist already and ``force`` is not set, or a file or folder cannot be
-    written.
-    """
+    """Copy shipped problems with their input files to a folder."""
     texts = {}
     while wanted:
         name = wanted.pop()

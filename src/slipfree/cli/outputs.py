@@ -9,8 +9,14 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slipfree.cli.common import begins_with
-from slipfree.cli.messages import add_json_file, is_quiet, note_failure, print_error, warn
+from slipfree.cli.common import (
+    add_json_file,
+    begins_with,
+    is_quiet,
+    note_failure,
+    print_error,
+    warn,
+)
 from slipfree.core.errors import DataError, WriteError
 from slipfree.core.outcome import Outcome
 from slipfree.system.interrupt import held_interrupt
@@ -20,7 +26,6 @@ if TYPE_CHECKING:
     from slipfree.core.facts import Facts
     from slipfree.core.trajectory import Stop, Trajectory
     from slipfree.problem.problem import Problem
-    from slipfree.problem.verbs.compare import ComparedMotion, ComparedVehicle
 
 OUTPUT = ("output", "file")  # key of a problem file with the name of its result
 FIGURE = b"\x89PNG"  # first bytes of a PNG file
@@ -64,39 +69,10 @@ def quantities(run: Trajectory) -> dict[str, Any]:
     }
 
 
-def row_json(row: ComparedVehicle) -> dict[str, Any]:
-    """Return the JSON object of one vehicle of ``slipfree compare``."""
-    return {
-        "name": row.name,
-        "wheels": row.wheels,
-        "rank": row.rank,
-        "conditions": row.conditions,
-        "same_rates": _drive(row.same),
-        "driving_law": _drive(row.fitting),
-    }
-
-
-def _drive(drive: ComparedMotion) -> dict[str, Any]:
-    """Return the JSON object of one motion of a vehicle: extremes over time, and its stop.
-
-    Values of slip are arrays with one entry per wheel.
-    """
-    return {
-        "slip_along": {"unit": "m s-1", "max": drive.along},
-        "slip_across": {"unit": "m s-1", "max": drive.across},
-        "slip_measured": {"unit": "m s-1", "max": drive.measured},
-        "friction_needed": {"unit": "1", "max": drive.friction},
-        "tilt": {"unit": "rad", "max": drive.tilt},
-        "axle": {"unit": "m", "min": drive.width[0], "max": drive.width[1]},
-        "stop": stop_json(drive.stop),
-    }
-
-
 def print_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
-    """Print the outcome of an incomplete motion, its file, and the command that resumes it.
+    """Print the outcome of an incomplete motion, its file, and the command that resumes it, if any.
 
-    With ``--quiet``, which omits the summary, print also the reason of the outcome. ``go_on`` is
-    the command, empty if there is none.
+    With ``--quiet``, which omits the summary, print also the reason of the outcome.
     """
     from slipfree.core.trajectory import outcome_title, outcome_words
 
@@ -111,12 +87,13 @@ def resume_command(run: Trajectory, out: Path, *options: str) -> str:
     from slipfree.problem.load import find_motion_verb
     from slipfree.problem.verbs.base import RESUME, VERB_ATTRIBUTE
 
-    found = run.attributes
-    verb = find_motion_verb(found.get(VERB_ATTRIBUTE))
+    attributes = run.attributes
+    verb = find_motion_verb(attributes.get(VERB_ATTRIBUTE))
     if run.outcome is not Outcome.INTERRUPTED or verb is None or RESUME not in verb.options:
         return ""
-    file = Path(found["problem_folder"]) / found["problem_file"]
-    settings = [part for each in found.get("settings", "").splitlines() for part in ("--set", each)]
+    file = Path(attributes["problem_folder"]) / attributes["problem_file"]
+    lines = attributes.get("settings", "").splitlines()
+    settings = [word for line in lines for word in ("--set", line)]
     return shlex.join(["slipfree", "run", str(file), *settings, *options, "--resume", str(out)])
 
 
@@ -129,32 +106,26 @@ def check_outputs(
 ) -> None:
     """Raise DataError for outputs that cannot be written, or that would replace another file.
 
-    Parameters
-    ----------
-    files : sequence of Path or None
-        Files to write; None for an output that is not requested.
-    inputs : iterable of Path
-        Files that the command reads, which must not be replaced.
-    folder : Path or None
-        Folder for further files, such as figures; created later if it does not exist.
-    names : sequence of str
-        Patterns of the names of these files.
+    ``inputs`` are files that the command reads. Further files, whose ``names`` are patterns, go
+    into the ``folder``, which is created later if it does not exist.
     """
     read, taken = list(inputs), list[Path]()
+
+    def check_separate(path: Path) -> None:
+        same = next((f"the input {each}" for each in read if _is_same(path, each)), "")
+        if found := same or "another output" * any(_is_same(path, each) for each in taken):
+            raise DataError(f"{path}: expected a separate file, found {found}; choose another name")
+
     for path in files:
-        if path is None:
-            continue
-        if same := next((each for each in read if _is_same(path, each)), None):
-            raise _overwrites(path, f"the input {same}")
-        if any(_is_same(path, each) for each in taken):
-            raise _overwrites(path, "another output")
-        taken.append(path)
-        _check_file(path)
+        if path is not None:
+            check_separate(path)
+            taken.append(path)
+            _check_file(path)
     if folder is not None:
         _check_folder(folder)
+        taken.clear()
         for path in (each for name in names for each in folder.glob(name)):
-            if same := next((each for each in read if _is_same(path, each)), None):
-                raise _overwrites(path, f"the input {same}")
+            check_separate(path)
 
 
 def default_table(file: Path, command: str, inputs: Sequence[Path]) -> Path:
@@ -168,10 +139,6 @@ def default_table(file: Path, command: str, inputs: Sequence[Path]) -> Path:
     other = Path(f"{file.stem}_{command}.csv")
     warn(f"{table} is an input: the table is called {other}; -o OUT.csv chooses another name")
     return other
-
-
-def _overwrites(path: Path, found: str) -> DataError:
-    return DataError(f"{path}: expected a separate file, found {found}; choose another name")
 
 
 def _is_same(path: Path, other: Path) -> bool:
@@ -194,21 +161,9 @@ def check_page(out: Path, inputs: Sequence[Path]) -> None:
 def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any]) -> None:
     """Raise DataError for default output paths that could overwrite other files of the user.
 
-    Parameters
-    ----------
-    out : Path
-        Result file: the ``[output] file`` of the problem, or the problem's name with ``.nc``.
-    folder : Path or None
-        Default folder for figures; None if no default folder is used.
-    problem : Problem
-        Problem whose results are written.
-
-    Raises
-    ------
-    DataError
-        If a path is not a valid file name or, with symbolic links resolved, is outside the working
-        folder and the problem's folder, if the result's name does not end in ``.nc``, or if a path
-        would replace a file that is not a result or a figure.
+    A path must be a valid file name and, with symbolic links resolved, in the working folder or the
+    problem's folder; the result's name ends in ``.nc``; an existing file must be a result or a
+    figure. ``folder`` is the default folder for figures, None if it is not used.
     """
     from slipfree.files.netcdf import is_result
 
@@ -285,24 +240,11 @@ def _check_writable(path: Path, folder: Path) -> None:
 def save(path: Path, write: Callable[[Path], object]) -> Path:
     """Write a file that took long to compute, add it to the JSON object, and return its path.
 
-    The first Ctrl-C is held back until the file is written. If the file cannot be written, for
-    example because its disk is full, it is written to a new temporary folder, and the command ends
-    with exit code 1.
-
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    write : callable
-        ``write(path)`` writes the file; an existing one is replaced only when the new one is
-        complete.
-
-    Raises
-    ------
-    WriteError
-        If the file cannot be written to the temporary folder either.
-    KeyboardInterrupt
-        After Ctrl-C. After a second one, its message says that the file is not written.
+    ``write(path)`` replaces an existing file only when the new one is complete. The first Ctrl-C is
+    held back until the file is written. If the file cannot be written, for example because its disk
+    is full, it is written to a new temporary folder, and the command ends with exit code 1.
+    WriteError is raised if that fails, too; KeyboardInterrupt after Ctrl-C: after a second one, its
+    message says that the file is not written.
     """
     is_written = False
     before = "the earlier file is unchanged" if path.exists() else "there is no file of this name"

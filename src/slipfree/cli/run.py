@@ -9,23 +9,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slipfree.cli.common import (
+    INTERRUPTED,
     File,
     Settings,
     Trust,
-    print_facts,
-    read_problem,
-    reported,
-    show,
-)
-from slipfree.cli.messages import (
-    INTERRUPTED,
     add_json,
     add_json_file,
     detail,
     note_failure,
     print_error,
+    print_facts,
     print_line,
+    read_problem,
+    reported,
     reporting,
+    show,
     warn,
 )
 from slipfree.cli.outputs import (
@@ -43,7 +41,7 @@ from slipfree.system.interrupt import held_interrupt, interrupt_requested
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from slipfree.cli.messages import Reports
+    from slipfree.cli.common import Reports
     from slipfree.plan.polynomial_motion import SavedPlan
     from slipfree.problem.problem import Problem
     from slipfree.problem.verbs.base import MotionVerb, Result
@@ -103,8 +101,11 @@ def run(
     Print a summary and draw figures.
     """
     with reported():
+        from slipfree.files.netcdf import read_arrays
+        from slipfree.plan.polynomial_motion import from_arrays
         from slipfree.problem.inputs import files_read
-        from slipfree.problem.load import verb_of
+        from slipfree.problem.load import check_option, verb_of
+        from slipfree.problem.verbs.base import CROSS_CHECK, RESUME
 
         problem = read_problem(file, settings, trust)
         verb = verb_of(problem)
@@ -115,15 +116,19 @@ def run(
         # the search may go on in the file from which it resumes
         check_outputs([csv], [*files_read(problem), *([resume] if resume else [])])
         check_outputs([out, csv], files_read(problem), folder=folder)
-        _check_options(problem, cross_check, resume)
-        former = _resumed_plan(resume)
+        for option, value in ((CROSS_CHECK, cross_check), (RESUME, resume)):
+            if value:
+                check_option(problem, option)
+        former = None if resume is None else from_arrays(read_arrays(resume), str(resume))
         with reporting(problem.spec.time.duration if verb.is_timed else None) as reports:
             result = _solve(problem, reports, former, out)
             files = _save(result, out, csv)
             is_interrupted = interrupt_requested() or result.outcome.exit_code == INTERRUPTED
         with _after(files[0], "summary"):
             _print_summary(result, verb)
-        _print_written(*files)
+        names = ", ".join(map(str, files))
+        print_line(f"wrote {names}")
+        detail(f"wrote {names}")
         if cross_check and not is_interrupted:
             with _after(files[0], "cross-check"):
                 _cross_check(result)
@@ -136,33 +141,14 @@ def run(
 def _output_paths(
     problem: Problem[Any], out: Path | None, figures: Path | None, *, draw: bool
 ) -> tuple[Path, Path | None]:
-    """Return the result file and the folder for figures, None without figures.
-
-    Raises DataError if a default path could overwrite other files; see `check_default_outputs`.
-    """
+    """Return the result file and the folder for figures, None without figures."""
     is_named = bool(out or (problem.spec.output and problem.source.is_set(OUTPUT)))
-    out = out or Path(output_of(problem))
+    output = problem.spec.output
+    out = out or Path(output.file if output else f"{problem.source.path.stem}.nc")
     folder = (figures or out.parent / f"{out.stem}_figures") if draw else None
     if not is_named:
         check_default_outputs(out, None if figures else folder, problem)
     return out, folder
-
-
-def _check_options(problem: Problem[Any], cross_check: bool, resume: Path | None) -> None:
-    """Raise DataError for options that the verb does not support."""
-    from slipfree.problem.load import check_option
-    from slipfree.problem.verbs.base import CROSS_CHECK, RESUME
-
-    given = {CROSS_CHECK: cross_check, RESUME: resume}
-    for option, value in given.items():
-        if value:
-            check_option(problem, option)
-
-
-def output_of(problem: Problem[Any]) -> str:
-    """Return the name of the result file: ``[output] file`` or the problem's name with ``.nc``."""
-    spec = problem.spec.output
-    return spec.file if spec else f"{problem.source.path.stem}.nc"
 
 
 @contextmanager
@@ -208,21 +194,6 @@ def _solve(problem: Problem[Any], reports: Reports, former: SavedPlan | None, ou
     return result
 
 
-def _resumed_plan(file: Path | None) -> SavedPlan | None:
-    """Return the plan in the file of ``--resume``; None without the option."""
-    from slipfree.files.netcdf import read_arrays
-    from slipfree.plan.polynomial_motion import from_arrays
-
-    return None if file is None else from_arrays(read_arrays(file), str(file))
-
-
-def _print_written(*files: Path) -> None:
-    """Print the names of written files."""
-    names = ", ".join(map(str, files))
-    print_line(f"wrote {names}")
-    detail(f"wrote {names}")
-
-
 def _save(result: Result, out: Path, csv: Path | None) -> list[Path]:
     """Write a result; return the written files."""
     from slipfree.files.netcdf import write, write_csv
@@ -253,29 +224,17 @@ def _cross_check(result: Result) -> None:
     """
     from slipfree.problem.result import cross_check
 
-    other, found = cross_check(result)
-    differences = sorted(found, key=lambda each: -each.size)
-    print_line(
-        f"largest differences from formulation = {other!r}, of {len(differences)} quantities:"
-    )
-    add_json(
-        "cross_check",
-        lambda: [
-            {
-                "name": each.label.full,
-                "unit": each.label.unit,
-                "difference": each.size,
-                "time": each.t,
-            }
-            for each in differences
-        ],
-    )
-    show(
-        [
-            (f"  {each.label.full}", f"{each.size:.2e} {each.label.unit} at {each.t:g} s")
-            for each in differences[:8]
-        ]
-    )
+    other, differences = cross_check(result)
+    differences = tuple(sorted(differences, key=lambda each: -each.size))
+    count = f"of {len(differences)} quantities"
+    print_line(f"largest differences from formulation = {other!r}, {count}:")
+    rows = [
+        {"name": label.full, "unit": label.unit, "difference": size, "time": t}
+        for label, size, t in differences
+    ]
+    add_json("cross_check", lambda: rows)
+    line = "{difference:.2e} {unit} at {time:g} s"
+    show([(f"  {row['name']}", line.format(**row)) for row in rows[:8]])
 
 
 def _print_summary(result: Result, verb: MotionVerb) -> None:

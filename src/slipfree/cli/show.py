@@ -15,17 +15,29 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from slipfree.cli.common import InputFolder, Trust, about, reported
-from slipfree.cli.messages import add_json_file, detail, print_line, warn
+from slipfree.cli.common import (
+    InputFolder,
+    ResultFile,
+    Trust,
+    about,
+    add_json_file,
+    detail,
+    print_line,
+    reported,
+    warn,
+)
 from slipfree.cli.outputs import check_outputs, check_page
 from slipfree.system.regular_files import escape_name, regular_file, replace_file
 
 if TYPE_CHECKING:
     from slipfree.problem.plan_edit import Document
     from slipfree.show.plan_page import PlanPage
-    from slipfree.show.scene import Scene
 
 Layer = Literal["height", "slope", "traversability"]
+Port = Annotated[
+    int, typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free port.")
+]
+Browser = Annotated[bool, typer.Option(help="Open a browser.")]
 STEP = 0.05  # longest time between steps of the session [s]
 
 
@@ -34,8 +46,7 @@ def show(
         list[Path], typer.Argument(metavar="OUT.nc", help="Result files on the same ground.")
     ],
     html: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.html", help="Save a self-contained page instead."),
+        Path | None, typer.Option(metavar="FILE.html", help="Save a self-contained page instead.")
     ] = None,
     animation: Annotated[
         Path | None, typer.Option(metavar="FILE.gif|.mp4", help="Save an animation instead.")
@@ -45,11 +56,8 @@ def show(
         typer.Option(metavar="LAYER", help="Initial colours: height, slope or traversability."),
     ] = "height",
     folder: InputFolder = None,
-    port: Annotated[
-        int,
-        typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free port."),
-    ] = 0,
-    browser: Annotated[bool, typer.Option(help="Open a browser.")] = True,
+    port: Port = 0,
+    browser: Browser = True,
 ) -> None:
     """Show motions in a web page, or save a page or an animation.
 
@@ -59,24 +67,27 @@ def show(
         _check_outputs(files, html, animation)
         from slipfree.show.drive_scene import drive_scene
 
-        found = _read(files, folder)
+        motions = _read(files, folder)
+        title = motions[0].run.attributes.get("title", motions[0].name)
         with about(files[0]):
-            scene = drive_scene(found)
+            scene = drive_scene(motions)
         for words in scene.warnings:
             warn(words)
         if animation is not None:
-            _film(scene, _title(found), animation)
+            from slipfree.show.film import animate
+
+            print_line(f"wrote {animation}, {animate(scene, animation, title)}")
             add_json_file(animation)
         if html is not None:
             from slipfree.show.viewer import page
 
-            text = page(scene, _title(found), color)
+            text = page(scene, title, color)
             _write_page(html, text)
             print_line(f"wrote {html}, {len(text) / 1e6:.1f} MB")
         if html is None and animation is None:
             from slipfree.show.viewer import serve
 
-            serve(scene, _title(found), color, port, warn, lambda url: open_page(url, browser))
+            serve(scene, title, color, port, warn, lambda url: open_page(url, browser))
 
 
 def _check_outputs(files: Sequence[Path], html: Path | None, animation: Path | None) -> None:
@@ -104,16 +115,18 @@ def _read(files: Sequence[Path], folder: Path | None) -> list[Any]:
     from slipfree.problem.load import verb_of
     from slipfree.problem.result import open_result
 
-    results, found = [], []
+    results, motions = [], []
     for file in files:
         with about(file):
             results.append(open_result(file, folder, samples=SCENE_SAMPLES))
     models = [str(each.trajectory.attributes.get("model", "")) for each in results]
-    names = _named_by_model(_names(files), models)
+    names = _names(files)
+    if len({*models}) > 1:
+        names = [f"{n} ({model})" if model else n for n, model in zip(names, models, strict=True)]
     for file, name, result in zip(files, names, results, strict=True):
         with about(file):
-            found.append(verb_of(result.problem).shown(result, name))
-    return found
+            motions.append(verb_of(result.problem).shown(result, name))
+    return motions
 
 
 def _names(files: Sequence[Path]) -> list[str]:
@@ -121,26 +134,6 @@ def _names(files: Sequence[Path]) -> list[str]:
     names = [file.stem for file in files]
     names = names if len({*names}) == len(names) else [str(file) for file in files]
     return [escape_name(name) for name in names]
-
-
-def _named_by_model(names: Sequence[str], models: Sequence[str]) -> list[str]:
-    """Return names with the models of the motions if these differ."""
-    if len({*models}) == 1:
-        return [*names]
-    return [
-        f"{name} ({model})" if model else name for name, model in zip(names, models, strict=True)
-    ]
-
-
-def _title(found: Sequence[Any]) -> str:
-    title: str = found[0].run.attributes.get("title", found[0].name)
-    return title
-
-
-def _film(scene: Scene, title: str, file: Path) -> None:
-    from slipfree.show.film import animate
-
-    print_line(f"wrote {file}, {animate(scene, file, title)}")
 
 
 def open_page(url: str, browser: bool, does: str = "shows the motions") -> None:
@@ -162,7 +155,7 @@ def open_page(url: str, browser: bool, does: str = "shows the motions") -> None:
 
 
 def report(
-    file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")],
+    file: ResultFile,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -193,11 +186,8 @@ def report(
 
 def edit(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Planning problem (TOML).")],
-    port: Annotated[
-        int,
-        typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free port."),
-    ] = 0,
-    browser: Annotated[bool, typer.Option(help="Open a browser.")] = True,
+    port: Port = 0,
+    browser: Browser = True,
     trust: Trust = None,
 ) -> None:
     """Plan by hand: drag start, goal and keep-out regions on a map in a web page.

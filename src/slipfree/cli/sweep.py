@@ -17,10 +17,14 @@ from slipfree.cli.common import (
     File,
     Settings,
     Trust,
+    add_json_file,
+    detail,
+    has_bar,
     print_facts,
+    print_line,
     reported,
+    warn,
 )
-from slipfree.cli.messages import add_json_file, detail, has_bar, print_line, warn
 from slipfree.cli.outputs import check_outputs
 from slipfree.core.errors import DataError
 from slipfree.system.interrupt import check_interrupt, held_interrupt

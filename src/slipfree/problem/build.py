@@ -20,6 +20,7 @@ from slipfree.core.trajectory import OFFSET, Column, Trajectory
 from slipfree.files.tables import read_columns
 from slipfree.files.toml.source import Fault, ProblemError, name_errors, problem_error
 from slipfree.files.toml.source import Place as KeyPath
+from slipfree.files.toml.types import Piecewise
 from slipfree.geometry.path import Path
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.models.dynamics import dynamics
@@ -28,24 +29,15 @@ from slipfree.models.quasi_statics import quasi_statics
 from slipfree.problem import schema
 from slipfree.problem.build_ground import GroundMap, at, build_ground, ground_facts
 from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
-from slipfree.problem.problem import A, Problem, S, shared
-from slipfree.problem.schema import DriverTable, LawKeys, Modelled, soil_of
-from slipfree.problem.schema_ground import KINDS, OBSTACLES
+from slipfree.problem.problem import Problem, S, shared
+from slipfree.problem.schema import KINDS, OBSTACLES, DriverTable, LawKeys, Modelled, soil_of
 from slipfree.problem.units import check_units
 from slipfree.problem.verbs.base import Lines
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.terrain.solids import (
-    Prism,
-    Profile,
-    Solid,
-    Solids,
-    flat,
-    placed,
-    section_of,
-)
+from slipfree.terrain.solids import Prism, Profile, Solid, Solids, flat, placed, section_of
 from slipfree.vehicle.tree import Vehicle
 
 DYNAMIC_TOLERANCE = 1e-6  # default tolerance of dynamics, whose motions are less smooth
@@ -59,48 +51,24 @@ LAWS: dict[str, Mapping[str, Callable[..., Any]]] = {
 MAKERS = {"soil": soil_of}  # functions that make a law from a table with further keys
 OF_THE_MOTION = {"title", "start", "inputs", "driver", "time", "solver", "output"}
 ORIGIN = ("x", "y")  # states at the start that the ground depends on
-L = TypeVar("L")
 M = TypeVar("M", bound=Modelled)
 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """Set-up of the integration of a problem.
+    """Set-up of the integration of a problem."""
 
-    Attributes
-    ----------
-    ground, terrain : GroundMap, Bicubic
-        Ground as heights on a grid, and as a smooth surface.
-    vehicle : Vehicle
-        Vehicle of the problem.
-    model, dae : Dae
-        Model that settles the vehicle at its start, and model to integrate.
-    start : Trajectory
-        One sample: the vehicle at its start, at rest or with the given rates of its platform.
-    inputs : record
-        Inputs of ``dae``: constant rates, rates per interval of ``t``, or a driving law.
-    t : ndarray, shape (n,)
-        Times of the samples, or of the evaluations of a sampled driving law. [s]
-    driven : str
-        Description of the inputs.
-    prisms : tuple of Prism
-        Solids on the ground.
-    every : int
-        Number of evaluations of a sampled driving law per sample of the result; zero for a
-        continuous one.
-    """
-
-    ground: GroundMap
-    terrain: Bicubic
+    ground: GroundMap  # heights on a grid
+    terrain: Bicubic  # smooth surface
     vehicle: Vehicle
-    model: Dae
-    dae: Dae
-    start: Trajectory
-    inputs: Any
-    t: Array
-    driven: str
+    model: Dae  # settles the vehicle at its start
+    dae: Dae  # to integrate
+    start: Trajectory  # one sample, at rest or with the given rates of the platform
+    inputs: Any  # constant rates, rates per interval of t, or a driving law
+    t: Array  # of the samples, or of the steps of a sampled driving law [s]
+    driven: str  # description of the inputs
     prisms: tuple[Prism, ...] = field(default=(), kw_only=True)
-    every: int = field(default=0, kw_only=True)
+    every: int = field(default=0, kw_only=True)  # steps per sample; 0: continuous
 
     @property
     def facts(self) -> Lines:
@@ -110,10 +78,7 @@ class Setup:
 
 
 def build_terrain(problem: Problem[S], ground: GroundMap) -> Bicubic:
-    """Return the ground as a surface, with its local origin at the start.
-
-    ProblemError is raised if the start lies off the ground.
-    """
+    """Return the ground as a surface, with its local origin at the start, which it must contain."""
     start, grid = problem.spec.start, ground.grid
     for axis, nodes in (("x", grid.x), ("y", grid.y)):
         place = start.get(axis, 0.0)
@@ -137,10 +102,7 @@ def in_frame(problem: Problem[S], dae: Dae) -> Dae:
 
 
 def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
-    """Return the vehicle settled on the ground at the start of a problem, as one sample.
-
-    ProblemError is raised if the vehicle cannot stand at the start.
-    """
+    """Return the vehicle settled on the ground at the start of a problem, as one sample."""
     values: dict[str, Any] = dict(problem.spec.start)
     if "heading" in _start_names(dae):
         values["heading"] = values.get("heading", 0.0) + heading_offset(problem)
@@ -159,23 +121,13 @@ def solver_options(problem: Problem[S]) -> SolverOptions:
 
 
 def samples(
-    time: schema.Time, inputs: Mapping[str, float | schema.Piecewise]
+    time: schema.Time, inputs: Mapping[str, float | Piecewise]
 ) -> tuple[Array, dict[str, float | Array]]:
     """Return the sample times, including jumps of the inputs, and the rates by interval.
 
-    Parameters
-    ----------
-    time : Time
-        Duration and time between samples. [s]
-    inputs : mapping of str to float or tuple of (time, rate)
-        Constant rates, or pairs of the time at which a rate begins and the rate. [s, rad/s or m/s]
-
-    Returns
-    -------
-    t : ndarray, shape (n,)
-        Times from zero to the duration. [s]
-    rates : dict of str to float or ndarray of shape (n - 1,)
-        Constant rates, or rates per interval of `t`. [rad/s, m/s]
+    The times are from zero to the duration, shape (n,) [s]. An input is a constant rate, or pairs
+    of the time at which a rate begins and the rate; its rates are constant, or have shape (n - 1,)
+    [rad/s, m/s].
     """
     near = TIME_TOLERANCE * time.duration
     regular = time.step * np.arange(int(time.duration / time.step) + 1)
@@ -186,7 +138,7 @@ def samples(
     t[-1] = time.duration
     middles = (t[1:] + t[:-1]) / 2
 
-    def by_interval(value: float | schema.Piecewise) -> float | Array:
+    def by_interval(value: float | Piecewise) -> float | Array:
         if not isinstance(value, tuple):
             return value
         times, rates = (np.array(column) for column in zip(*value, strict=True))
@@ -196,34 +148,17 @@ def samples(
 
 
 class SampledTimes(NamedTuple):
-    """Times of a motion that may have a sampled controller.
+    """Times of a motion that may have a sampled controller."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,)
-        Times of the samples of the result, or of the steps of a sampled controller. [s]
-    every : int
-        Number of controller steps per sample of the result; zero for continuous control.
-    """
-
-    t: Array
-    every: int
+    t: Array  # of the samples, or of the steps of a sampled controller [s]
+    every: int  # controller steps per sample; zero for continuous control
 
 
 def sampled_times(problem: Problem[Any], key: KeyPath, period: float) -> SampledTimes:
     """Return the times of the steps of a sampled controller, up to the last regular sample.
 
-    ProblemError is raised if the period does not divide the time between samples, or there are more
-    than a million steps.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    key : tuple of str
-        Key of the period, for messages.
-    period : float
-        Time between the steps of the controller. [s]
+    ``key`` is that of the ``period`` in s. ProblemError is raised if the period does not divide the
+    time between samples, or there are more than a million steps.
     """
     time = problem.spec.time
     if time.duration / period > schema.MAX_SAMPLES:
@@ -243,8 +178,8 @@ def check_names(
 ) -> None:
     """Raise ProblemError for unknown states, unknown or missing inputs, and wrong units.
 
-    Inputs are not checked if ``inputs``, the names of the given inputs, is None. They are inputs of
-    ``driven``, by default of ``dae``.
+    Inputs are those of ``driven``, by default of ``dae``; they are not checked if ``inputs``, the
+    names of the given inputs, is None.
     """
     faults = [*name_errors(("start",), problem.spec.start, _start_names(dae))]
     if inputs is not None:
@@ -293,52 +228,39 @@ def build_solids(problem: Problem[S], terrain: Bicubic) -> tuple[Prism, ...]:
     """Return the obstacles of a ground as prisms that stand on it.
 
     Height zero of an obstacle's profile is the height of the ground where the profile begins.
-
-    ProblemError is raised if an obstacle is not of exactly one kind, its numbers are invalid, or it
-    begins off the map.
     """
-    found = list[Prism]()
+    prisms = list[Prism]()
     for k, spec in enumerate(problem.spec.terrain.obstacles):
         place = ("terrain", "obstacles", k)
-        given = [name for name in KINDS if getattr(spec, name) is not None]
-        if len(given) != 1:
+        kinds = [name for name in KINDS if getattr(spec, name) is not None]
+        if len(kinds) != 1:
             expected = f"one of {', '.join(KINDS)}"
-            words = f"{', '.join(given) or 'none'}; give one of them"
-            raise problem_error(problem.source, [Fault(place, expected, words)])
-        with at(problem, (*place, given[0])):
-            profile = _profile(given[0], getattr(spec, given[0]))
+            found = f"{', '.join(kinds) or 'none'}; give one of them"
+            raise problem_error(problem.source, [Fault(place, expected, found)])
+        kind, shape = kinds[0], getattr(spec, kinds[0])
+        with at(problem, (*place, kind)):
+            profile = (
+                Profile((*flat().solids, Solid(shape)))
+                if kind == "points"
+                else OBSTACLES[kind][0](**dict(shape))
+            )
         west, east, south, north = terrain.domain
         if not (west <= spec.x <= east and south <= spec.y <= north):
             expected = f"x from {west:g} to {east:g} m and y from {south:g} to {north:g} m"
-            words = f"x = {spec.x:g} m, y = {spec.y:g} m, off the map; move the obstacle"
-            raise problem_error(problem.source, [Fault(place, expected, words)])
+            found = f"x = {spec.x:g} m, y = {spec.y:g} m, off the map; move the obstacle"
+            raise problem_error(problem.source, [Fault(place, expected, found)])
         heading = spec.heading + heading_offset(problem)
         z = float(terrain.elevation(np.array(spec.x), np.array(spec.y)))
         where: dict[str, Any] = {"x": spec.x, "y": spec.y, "z": z, "heading": heading}
-        found += placed(profile, **where, half_width=spec.half_width)
-    return tuple(found)
-
-
-def _profile(name: str, spec: Any) -> Profile:
-    """Return the profile of an obstacle of a given kind, with a floor as its first solid."""
-    if name == "points":
-        return Profile((*flat().solids, Solid(spec)))
-    return OBSTACLES[name][0](**dict(spec))
+        prisms += placed(profile, **where, half_width=spec.half_width)
+    return tuple(prisms)
 
 
 def build_model(
-    problem: Problem[S],
-    spec: schema.Modelled,
-    vehicle: Vehicle,
-    terrain: Terrain,
-    prisms: tuple[Prism, ...] = (),
+    problem: Problem[M], vehicle: Vehicle, terrain: Terrain, prisms: tuple[Prism, ...] = ()
 ) -> Dae:
-    """Return the model of a problem for a vehicle on a ground; ``prisms`` are for dynamics.
-
-    ProblemError is raised if the law does not belong to the model, a parameter is missing, or the
-    model does not support the vehicle or the ground.
-    """
-    law = model_law(problem, spec)
+    """Return the model of a problem for a vehicle on a ground; ``prisms`` are for dynamics."""
+    spec, law = problem.spec, model_law(problem)
     if spec.model == "kinematics":
         with at(problem, ("vehicle",)):
             check_driven(vehicle)
@@ -358,12 +280,13 @@ def law_name(spec: LawKeys) -> str:
     return next(iter(sorted(spec.law.model_fields_set)), next(iter(LAWS[spec.model])))
 
 
-def model_law(problem: Problem[A], spec: LawKeys) -> Any:
+def model_law(problem: Problem[Any]) -> Any:
     """Return the law of a problem's model: a slip law, a wheel-ground law or a contact law.
 
     ProblemError is raised if a given law or the key ``slip`` does not belong to the model, several
     laws are given, or a parameter is missing or invalid.
     """
+    spec: LawKeys = problem.spec
     name, known = law_name(spec), LAWS[spec.model]
     if spec.model != "kinematics" and "slip" in spec.model_fields_set:
         expected = f"no slip law with model = {spec.model!r}, where forces determine the slip"
@@ -372,7 +295,16 @@ def model_law(problem: Problem[A], spec: LawKeys) -> Any:
         )
     for other in spec.law.model_fields_set - ({name} & set(known)):
         raise problem_error(problem.source, [_wrong_law(spec, other)])
-    return _with_parameters(problem, spec, MAKERS.get(name, known[name]))
+    make: Any = MAKERS.get(name, known[name])
+    values = spec.law.parameters(name)
+    for key, parameter in signature(make).parameters.items():
+        optional = (
+            parameter.kind is parameter.VAR_KEYWORD or parameter.default is not parameter.empty
+        )
+        if not optional and key not in values:
+            raise problem_error(problem.source, [Fault(("law", name, key), "a value", "none")])
+    with at(problem, ("law", name)):
+        return make(**values)
 
 
 def _wrong_law(spec: LawKeys, name: str) -> Fault:
@@ -382,51 +314,18 @@ def _wrong_law(spec: LawKeys, name: str) -> Fault:
         if spec.model == "kinematics":
             found = f"slip = {spec.slip!r}; set slip = {name!r}, or remove the table"
             return Fault(("law", name), f"slip = {name!r}, where this law applies", found)
-        words = f"one law with model = {spec.model!r}, of {', '.join(LAWS[spec.model])}"
-        return Fault(("law", name), words, f"{tables}; keep one of these tables")
-    model = next(each for each, laws in LAWS.items() if name in laws)
-    expected = f"model = {model!r}, where this law applies"
-    return Fault(
-        ("law", name), expected, f"model = {spec.model!r}; set it to {model!r}, or remove the table"
-    )
-
-
-def _with_parameters(problem: Problem[A], spec: LawKeys, law: Callable[..., L]) -> L:
-    """Return a law with the parameters that a problem gives, and defaults of all others.
-
-    ProblemError is raised if a parameter without default is missing, or a value is invalid.
-    """
-    name = law_name(spec)
-    given = spec.law.parameters(name)
-    for key, parameter in signature(law).parameters.items():
-        needed = (
-            parameter.kind is not parameter.VAR_KEYWORD and parameter.default is parameter.empty
-        )
-        if needed and key not in given:
-            raise problem_error(problem.source, [Fault(("law", name, key), "a value", "none")])
-    with at(problem, ("law", name)):
-        return law(**given)
+        expected = f"one law with model = {spec.model!r}, of {', '.join(LAWS[spec.model])}"
+        return Fault(("law", name), expected, f"{tables}; keep one of these tables")
+    model = next(model for model, laws in LAWS.items() if name in laws)
+    found = f"model = {spec.model!r}; set it to {model!r}, or remove the table"
+    return Fault(("law", name), f"model = {model!r}, where this law applies", found)
 
 
 class World(NamedTuple):
-    """Ground and vehicle of a problem, and its model.
-
-    Attributes
-    ----------
-    ground : GroundMap
-        Heights on a grid, with their origin and facts.
-    terrain : Bicubic
-        The ground as a surface, with its local origin at the start.
-    vehicle : Vehicle
-        The vehicle.
-    prisms : tuple of Prism
-        Solids on the ground.
-    dae : Dae
-        Model of the vehicle on the ground.
-    """
+    """Ground and vehicle of a problem, and its model."""
 
     ground: GroundMap
-    terrain: Bicubic
+    terrain: Bicubic  # with its local origin at the start
     vehicle: Vehicle
     prisms: tuple[Prism, ...]
     dae: Dae
@@ -436,9 +335,6 @@ def build_world(problem: Problem[M]) -> World:
     """Return ground, vehicle and model of a problem.
 
     Consecutive runs of a sweep share them, unless a key changes on which they depend.
-
-    ProblemError is raised if ground, vehicle, law or solids are not valid, or the start lies off
-    the ground.
     """
     spec = problem.spec
     rest = spec.model_dump_json(exclude=OF_THE_MOTION, exclude_unset=True, serialize_as_any=True)
@@ -447,28 +343,19 @@ def build_world(problem: Problem[M]) -> World:
 
 
 def _built(problem: Problem[M]) -> World:
-    """Return ground, vehicle and model of a problem, built anew."""
     ground = build_ground(problem)
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(problem.spec.vehicle, problem)
     terrain = build_terrain(problem, ground)
     prisms = build_solids(problem, terrain)
-    dae = build_model(problem, problem.spec, vehicle, terrain, prisms)
+    dae = build_model(problem, vehicle, terrain, prisms)
     return World(ground, terrain, vehicle, prisms, dae)
 
 
 def build_law(
-    problem: Problem[S],
-    driver: DriverTable,
-    dae: Dae,
-    vehicle: Vehicle,
-    start: Trajectory,
+    problem: Problem[S], driver: DriverTable, dae: Dae, vehicle: Vehicle, start: Trajectory
 ) -> Any:
-    """Return the inputs that the driving law of a problem computes from state and time.
-
-    ProblemError is raised if ``path`` and ``file`` do not fit the name of the law, the file cannot
-    be read, or the law cannot drive the vehicle along the path.
-    """
+    """Return the inputs that the driving law of a problem computes from state and time."""
     with at(problem, ("driver",)):
         if driver.name == "straight":
             if driver.path is not None or driver.file is not None:
@@ -482,11 +369,7 @@ def build_law(
 
 
 def build_climbing(problem: Problem[Any], world: World) -> tuple[Dae, Any]:
-    """Return the model of a step climber with its controller, and the inputs of this model.
-
-    ProblemError is raised if the vehicle is not a step climber, or a number of the controller is
-    out of range.
-    """
+    """Return the model of a step climber with its controller, and the inputs of this model."""
     driver = problem.spec.driver
     with at(problem, ("driver", "control")):
         values = dict(driver.control)
@@ -512,11 +395,7 @@ def level_section(world: World) -> Profile | None:
 
 
 def path_points(problem: Problem[S], driver: DriverTable) -> Array:
-    """Return the points of the path that a driving law follows, shape (n, 2) [m].
-
-    ModelError is raised if neither or both of ``path`` and ``file`` are given; DataError if the
-    file cannot be read or has no columns x and y.
-    """
+    """Return the points of the path that a driving law follows, shape (n, 2) [m]."""
     if (driver.path is None) == (driver.file is None):
         raise ModelError(
             "driver: name = 'follow' requires either 'path' (an array of [x, y]) or 'file', found "

@@ -15,8 +15,8 @@ from slipfree.core.errors import DataError, ModelError
 from slipfree.files.cf import DEGREES, MapCoordinate
 from slipfree.files.maps.elevation import Frame, Map, jacksboro, read_map, takes_key
 from slipfree.files.maps.reference_systems import from_degrees
-from slipfree.files.toml.source import Place, ProblemError
 from slipfree.files.toml.source import Place as KeyPath
+from slipfree.files.toml.source import ProblemError
 from slipfree.files.toml.types import AngleWithUnit
 from slipfree.problem import schema
 from slipfree.problem.problem import A, Problem, S, shared
@@ -33,41 +33,20 @@ EARTH = -12000.0, 9000.0  # heights between the deepest ocean and the highest mo
 
 
 class GroundMap(NamedTuple):
-    """Ground of a problem with its friction, and facts about them.
+    """Ground of a problem with its friction, and facts about them."""
 
-    Attributes
-    ----------
-    grid : Grid
-        Heights of the ground under the wheels, after all changes. [m]
-    source : str
-        Description of the origin of the heights: file name, synthetic or sample.
-    rolled : Rolled or None
-        Ground changed by the key ``rolled``, and the change of heights; None without this key.
-    mu : float, Grid or None
-        Coefficient of friction, or a map of it. [1]
-    friction : str
-        Description of the friction; empty without friction.
-    facts : list of (str, str)
-        Facts about map file, changes and map coordinates: pairs of name and description.
-    coordinates : tuple of MapCoordinate
-        Coordinates of the map file as functions of those of motions; empty if they are equal.
-    """
-
-    grid: Grid
-    source: str
-    rolled: Rolled | None
-    mu: float | Grid | None
-    friction: str
-    facts: Lines
-    coordinates: tuple[MapCoordinate, ...]
+    grid: Grid  # heights under the wheels, after all changes [m]
+    source: str  # origin of the heights: file name, synthetic or sample
+    rolled: Rolled | None  # change by the key rolled
+    mu: float | Grid | None  # coefficient of friction, or a map of it [1]
+    friction: str  # its description; empty without friction
+    facts: Lines  # about map file, changes and map coordinates
+    coordinates: tuple[MapCoordinate, ...]  # of the file, if they differ from those of motions
 
 
 @contextmanager
-def at(problem: Problem[A], place: Place) -> Iterator[None]:
-    """Raise ModelError and DataError of the block as ProblemError, with file and line of a key.
-
-    ``place`` is the path of the key, such as ``("terrain", "file")``.
-    """
+def at(problem: Problem[A], place: KeyPath) -> Iterator[None]:
+    """Raise ModelError and DataError of the block as ProblemError, with file and line of a key."""
     try:
         yield
     except (ModelError, DataError) as error:
@@ -85,10 +64,6 @@ def build_ground(problem: Problem[S]) -> GroundMap:
     The order of operations is: read the file inside the window, fill holes, convert degrees to
     metres, scale, cut to the window (if there is no file), smooth, add the random elevation error
     (``error``), and fill the hollows that a wheel cannot touch (``rolled``).
-
-    ProblemError is raised if a file cannot be read, its heights cannot be metres and
-    ``vertical_scale`` is missing, the ground is too large, or a key of the table is not valid or
-    does not apply.
     """
     spec = problem.spec.terrain
     _check_keys(problem)
@@ -102,15 +77,15 @@ def build_ground(problem: Problem[S]) -> GroundMap:
     coordinates = _map_coordinates(ground_map, horizontal, vertical)
     facts = [*ground_map.facts, *changes, *_map_facts(ground_map.crs, coordinates)]
     mu, friction = _friction(problem, ground_map)
-    if spec.rolled is None:
-        return GroundMap(grid, source + _scale_words(spec), None, mu, friction, facts, coordinates)
-    with at(problem, ("terrain", "rolled")):
-        remedy = "cut the ground to a window, or increase the radius 'rolled'"
-        _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES, remedy)
-        changed = rolled(grid, spec.rolled)
-    return GroundMap(
-        changed.grid, source + _scale_words(spec), changed, mu, friction, facts, coordinates
-    )
+    changed = None
+    if spec.rolled is not None:
+        with at(problem, ("terrain", "rolled")):
+            remedy = "cut the ground to a window, or increase the radius 'rolled'"
+            _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES, remedy)
+            changed = rolled(grid, spec.rolled)
+            grid = changed.grid
+    source += _scale_words(spec)
+    return GroundMap(grid, source, changed, mu, friction, facts, coordinates)
 
 
 def _check_keys(problem: Problem[S]) -> None:
@@ -201,18 +176,7 @@ def _check_size(width: float, length: float, spacing: float, remedy: str) -> Non
 
 
 def read_source(problem: Problem[Any]) -> tuple[Map, tuple[MapCoordinate, ...]]:
-    """Return the map of a problem before scaling, and the coordinates of its file.
-
-    ProblemError is raised if the map cannot be read, or if its heights cannot be metres and
-    ``vertical_scale`` is missing.
-
-    Returns
-    -------
-    ground_map : Map
-        Ground before scaling.
-    coordinates : tuple of MapCoordinate
-        As in `GroundMap`.
-    """
+    """Return the map of a problem before scaling, and the coordinates of its file."""
     ground_map, _ = _source(problem)
     return ground_map, _map_coordinates(ground_map, *_scales(problem.spec.terrain))
 
@@ -325,10 +289,7 @@ def convert_places(problem: Problem[A]) -> Problem[A]:
     """Return a problem with x and y instead of longitude and latitude in all places.
 
     The reference system is that of the map file, which is read only if a place is in degrees.
-
-    ProblemError is raised if a place has only one of longitude and latitude, or also x or y; if a
-    longitude or latitude is a range or exceeds 360 or 90 degrees; if the place is outside the
-    domain of the map's projection; or if the map cannot be read or has no reference system.
+    ProblemError is raised for places that cannot be converted.
     """
     spec = problem.spec
     if not isinstance(spec, TerrainKeys):
@@ -367,15 +328,12 @@ def _replaced(spec: Any, keys: KeyPath, values: dict[str, Any]) -> Any:
 def _in_metres(
     values: Mapping[str, Any], ground: Map, coordinates: tuple[MapCoordinate, ...]
 ) -> dict[str, Any]:
-    """Return the values of a place with x and y instead of longitude and latitude.
-
-    ModelError is raised if the place cannot be converted; see `convert_places`.
-    """
+    """Return the values of a place with x and y instead of longitude and latitude."""
     if {"x", "y"} & {*values} or not {*DEGREES} <= {*values}:
-        given = [name for name in ("x", "y", *DEGREES) if name in values]
+        found = ", ".join(name for name in ("x", "y", *DEGREES) if name in values)
         raise ModelError(
-            f"expected either longitude and latitude, or x and y, found {', '.join(given)}; give "
-            "one of these pairs"
+            f"expected either longitude and latitude, or x and y, found {found}; give one of these "
+            "pairs"
         )
     is_range = isinstance(values["longitude"], tuple)
     place = [_degrees(values[name], name) for name in DEGREES]
@@ -397,15 +355,12 @@ def _in_metres(
     for each in coordinates:
         x = (x - each.offset) / each.factor if each.axis == "x" else x
         y = (y - each.offset) / each.factor if each.axis == "y" else y
-    found = {name: value for name, value in values.items() if name not in DEGREES}
-    return {"x": (x, x), "y": (y, y), **found} if is_range else {"x": x, "y": y, **found}
+    others = {name: value for name, value in values.items() if name not in DEGREES}
+    return {"x": (x, x), "y": (y, y), **others} if is_range else {"x": x, "y": y, **others}
 
 
 def _degrees(value: float | tuple[float, float], name: str) -> float:
-    """Return a longitude or latitude in degrees, from a number or a range with equal ends.
-
-    ModelError is raised if the ends of the range differ, or the value is out of range.
-    """
+    """Return a longitude or latitude in degrees, from a number or a range with equal ends."""
     low, high = value if isinstance(value, tuple) else (value, value)
     number, last = (degrees(v) if isinstance(v, AngleWithUnit) else v for v in (low, high))
     bound = 90 if name == "latitude" else 360

@@ -103,8 +103,8 @@ class LinkTable(Record):
     inertia: Inertia | None = None
 
 
-def _expanded_kind(value: Any) -> Any:
-    return {"kind": value} if isinstance(value, str) else value
+# a text is the kind of the joint
+EXPANDED = BeforeValidator(lambda value: {"kind": value} if isinstance(value, str) else value)
 
 
 class UrdfTable(Record):
@@ -116,9 +116,7 @@ class UrdfTable(Record):
     tube: NonNegative = 0.0
     radius: Length | None = None
     forward: Literal["x", "-x", "y", "-y"] | None = None
-    joints: dict[str, Annotated[UrdfJointTable, BeforeValidator(_expanded_kind)]] = Field(
-        default_factory=dict
-    )
+    joints: dict[str, Annotated[UrdfJointTable, EXPANDED]] = Field(default_factory=dict)
     wheels: dict[str, UrdfWheelTable] = Field(default_factory=dict)
     links: dict[str, LinkTable] = Field(default_factory=dict)
     couple: dict[str, float] = Field(default_factory=dict)
@@ -127,54 +125,31 @@ class UrdfTable(Record):
     def roles(self) -> Roles:
         """Roles of the joints, wheels and links."""
         own = {"kind", "axis", "motion", "carries", "at"}  # no keys of the coordinate
-        joints = {
-            name: JointRole(
-                each.kind,
-                {key: value for key, value in each if key not in own and value is not None},
-                None if each.axis is None else unit_vector(each.axis),
-                each.motion,
-                each.carries,
-                each.at,
-            )
-            for name, each in self.joints.items()
-        }
-        wheels = {name: WheelRole(**dict(each)) for name, each in self.wheels.items()}
-        links = {name: LinkRole(**dict(each)) for name, each in self.links.items()}
+        joints = dict[str, JointRole]()
+        for name, joint in self.joints.items():
+            keywords = {k: value for k, value in joint if k not in own and value is not None}
+            axis = None if joint.axis is None else unit_vector(joint.axis)
+            placed = joint.motion, joint.carries, joint.at
+            joints[name] = JointRole(joint.kind, keywords, axis, *placed)
+        wheels = {name: WheelRole(**dict(table)) for name, table in self.wheels.items()}
+        links = {name: LinkRole(**dict(table)) for name, table in self.links.items()}
         return Roles(joints, wheels, links, self.couple, self.tube, self.radius, self.forward)
 
 
 class VehicleFile(NamedTuple):
-    """Contents of a vehicle file.
-
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    robot : Robot or None
-        The URDF from which it was read, if any.
-    meshes : mapping of str to str, or None
-        In a result, the SHA-256 of the visible meshes of the URDF, by name; no others are read.
-    """
+    """Contents of a vehicle file: the vehicle, and the URDF from which it was read, if any."""
 
     vehicle: Vehicle
     robot: Robot | None
-    meshes: Mapping[str, str] | None = None
+    meshes: Mapping[str, str] | None = None  # in a result: SHA-256 of the visible ones
 
 
 def build_vehicle(spec: schema.VehicleSource, problem: Problem[Any]) -> Vehicle:
-    """Return the vehicle of a problem.
+    """Return the vehicle of a problem; files and trust in xacro are those of the problem.
 
     VehicleError is raised if its file does not contain a valid vehicle; DataError if its file
     cannot be read, is not a vehicle file, or is xacro that is not trusted; ModelError if a keyword
     of the catalogue is not allowed, or a joint has no free coordinate to actuate.
-
-    Parameters
-    ----------
-    spec : Vehicle
-        Table [vehicle] of the problem.
-    problem : Problem
-        The problem: the folder to which file names are relative, and the xacro files that the
-        command line trusts; of a result, its stored vehicle.
     """
     if spec.file is not None:
         return actuated(vehicle_file(spec.file, problem).vehicle, *spec.actuated)
@@ -182,23 +157,17 @@ def build_vehicle(spec: schema.VehicleSource, problem: Problem[Any]) -> Vehicle:
 
 
 def read_robot(spec: schema.VehicleSource, problem: Problem[Any]) -> Robot | None:
-    """Return the URDF of the vehicle of a problem; None if it has another source.
-
-    Parameters and errors are those of `build_vehicle`.
-    """
+    """Return the URDF of the vehicle of a problem; None if it has another source."""
     return None if spec.file is None else vehicle_file(spec.file, problem).robot
 
 
 def vehicle_file(name: str, problem: Problem[Any]) -> VehicleFile:
-    """Return the contents of a vehicle file of a problem, which is read once.
-
-    Errors are those of `build_vehicle`.
-    """
+    """Return the contents of a vehicle file of a problem, which is read once."""
     if name not in problem.vehicles:
         path, trusted = problem.folder / name, problem.trusted
         problem.vehicles[name] = shared("vehicle", (path, trusted), lambda: _read(path, trusted))
-    found: VehicleFile = problem.vehicles[name]
-    return found
+    contents: VehicleFile = problem.vehicles[name]
+    return contents
 
 
 def read_vehicle(
@@ -237,9 +206,8 @@ def _read(path: Path, trusted: frozenset[str]) -> VehicleFile:
 def guessed_completion(path: Path, folder: Path, trust: Sequence[Path] = ()) -> str:
     """Return the text of a vehicle file, to write in a folder, with all guesses about a URDF.
 
-    ``trust`` are xacro files that may be expanded.
-
-    DataError is raised if the file is not a URDF, or its vehicle is invalid.
+    ``trust`` are xacro files that may be expanded. DataError is raised if the file is not a URDF,
+    or its vehicle is invalid.
     """
     if not is_description(path):
         raise DataError(
@@ -255,13 +223,10 @@ def guessed_completion(path: Path, folder: Path, trust: Sequence[Path] = ()) -> 
         tables[guess.table][guess.name] = guess
     name = Path(os.path.relpath(path, folder)).as_posix()
     lines = [f"urdf = {json.dumps(name, ensure_ascii=False)}"]
-    for table, found in tables.items():
-        if found:
-            lines += [
-                "",
-                *([f"[{table}]"] if table else []),
-                *(f"{each.toml}  # {each.reason}" for each in found.values()),
-            ]
+    for table, guesses in tables.items():
+        if guesses:
+            head = ["", f"[{table}]"] if table else [""]
+            lines += [*head, *(f"{guess.toml}  # {guess.reason}" for guess in guesses.values())]
     return "\n".join(lines) + "\n"
 
 
@@ -292,19 +257,11 @@ def _draft(path: Path, trusted: frozenset[str]) -> _Read:
     )
 
 
-def _completion(file: File) -> UrdfTable:
-    """Return the table of a vehicle file that completes a URDF."""
-    table: UrdfTable = validated(UrdfTable, file)
-    return table
-
-
 def _completed(file: File, trusted: frozenset[str]) -> _Read:
     """Return the draft of the vehicle in a URDF that a vehicle file completes."""
-    table = _completion(file)
-    found = _urdf(file.source.path.parent / table.urdf, trusted, (table, file))
-    return (
-        found if table.name is None else found._replace(draft=replace(found.draft, name=table.name))
-    )
+    table: UrdfTable = validated(UrdfTable, file)
+    draft, robot = _urdf(file.source.path.parent / table.urdf, trusted, (table, file))
+    return _Read(draft if table.name is None else replace(draft, name=table.name), robot)
 
 
 def _tree(path: Path, trusted: frozenset[str], table: UrdfTable | None, file: File | None) -> Tree:
@@ -353,8 +310,7 @@ def _urdf(
 ) -> _Read:
     """Return the draft of the vehicle in a URDF, and the URDF.
 
-    ``completion`` is the vehicle file that completes it, if any, with its contents; errors in it
-    name this file.
+    ``completion`` is the vehicle file that completes it, if any; errors in it name this file.
     """
     table, file = completion or (None, None)
     try:

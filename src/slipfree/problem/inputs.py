@@ -68,13 +68,9 @@ def files_read(problem: Problem[Any]) -> list[Path]:
     """
     files = [problem.source.path]
     for path in input_files(problem).values():
-        files += [path, *_side_files(path), *files_named_in(path)]
+        sides = [name + ending for name in (path.stem, path.name) for ending in SIDES]
+        files += [path, *map(path.with_name, sides), *files_named_in(path)]
     return files
-
-
-def _side_files(path: Path) -> list[Path]:
-    """Return the names of side files of a map."""
-    return [path.with_name(name + ending) for name in (path.stem, path.name) for ending in SIDES]
 
 
 def files_named_in(urdf: Path) -> list[Path]:
@@ -103,10 +99,7 @@ def digest(file: Path) -> str:
 
 
 def _named_urdf(folder: Path, name: str) -> list[str]:
-    """Return the URDF named by a vehicle file, relative to the problem's folder.
-
-    The list is empty if the file names no URDF or cannot be read.
-    """
+    """Return the URDF that a vehicle file names, relative to the problem's folder, if any."""
     with suppress(DataError):  # build_vehicle reports errors in the file
         urdf = open_file(folder / name).data.get("urdf")
         if isinstance(urdf, str):
@@ -115,28 +108,14 @@ def _named_urdf(folder: Path, name: str) -> list[str]:
 
 
 class StoredVehicle(BaseModel):
-    """Vehicle of a result.
-
-    Attributes
-    ----------
-    file : str
-        Name of its file in the problem.
-    text : str
-        The vehicle as a vehicle file in TOML.
-    notes : tuple of str
-        Notes of the reader.
-    robot : Robot or None
-        URDF from which it was read; its file is relative to the folder of the problem.
-    meshes : dict of str to str
-        SHA-256 of the visible meshes of the URDF, by name.
-    """
+    """Vehicle of a result."""
 
     model_config = ConfigDict(ser_json_inf_nan="constants")
-    file: str
-    text: str
-    notes: tuple[str, ...]
-    robot: Robot | None
-    meshes: dict[str, str]
+    file: str  # its name in the problem
+    text: str  # the vehicle as a vehicle file in TOML
+    notes: tuple[str, ...]  # of the reader
+    robot: Robot | None  # URDF, its file relative to the problem's folder
+    meshes: dict[str, str]  # SHA-256 of the visible ones, by name
 
 
 class StoredInputs(BaseModel):
@@ -158,10 +137,12 @@ def stored_inputs(problem: Problem[Any]) -> str:
 def _stored(problem: Problem[Any], names: tuple[str, ...], file: str | None) -> str:
     vehicle = None
     if file is not None:
-        found = vehicle_file(file, problem)
-        text, notes = vehicle_text(found.vehicle), found.vehicle.notes
-        robot, meshes = _relative(found.robot, problem.folder), _meshes(found.robot)
-        vehicle = StoredVehicle(file=file, text=text, notes=notes, robot=robot, meshes=meshes)
+        built, robot, _ = vehicle_file(file, problem)
+        text, meshes = vehicle_text(built), _meshes(robot)
+        if robot is not None:
+            place = os.path.relpath(robot.tree.file, problem.folder)
+            robot = robot._replace(tree=replace(robot.tree, file=place))
+        vehicle = StoredVehicle(file=file, text=text, notes=built.notes, robot=robot, meshes=meshes)
     files = {name: digest(problem.folder / name) for name in names}
     return StoredInputs(vehicle=vehicle, files=files).model_dump_json()
 
@@ -170,13 +151,6 @@ def _file(problem: Problem[Any]) -> str | None:
     """Return the name of the vehicle file of a problem; None for a vehicle of the catalogue."""
     name: str | None = getattr(getattr(problem.spec, "vehicle", None), "file", None)
     return name
-
-
-def _relative(robot: Robot | None, folder: Path) -> Robot | None:
-    if robot is None:
-        return None
-    file = os.path.relpath(robot.tree.file, folder)
-    return robot._replace(tree=replace(robot.tree, file=file))
 
 
 def _meshes(robot: Robot | None) -> dict[str, str]:
@@ -209,10 +183,7 @@ def read_stored(file: Path, text: str | None, problem: Problem[Any]) -> StoredIn
 
 
 def restored_vehicle(file: Path, stored: StoredVehicle, folder: Path) -> VehicleFile:
-    """Return the vehicle that the result ``file`` contains.
-
-    ``folder`` is the folder in which the meshes of its URDF are searched.
-    """
+    """Return the vehicle that the result ``file`` contains; meshes are searched in a folder."""
     try:
         draft = read_toml(file_of(file, stored.text))
         vehicle = replace(draft.vehicle(), notes=stored.notes)

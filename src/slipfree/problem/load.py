@@ -26,13 +26,7 @@ from slipfree.problem.verbs.fit import FitVerb
 from slipfree.problem.verbs.inverse import InverseVerb
 from slipfree.problem.verbs.plan import PlanVerb
 
-VERBS: tuple[Verb, ...] = (
-    DirectVerb(),
-    InverseVerb(),
-    PlanVerb(),
-    CompareVerb(),
-    FitVerb(),
-)
+VERBS: tuple[Verb, ...] = (DirectVerb(), InverseVerb(), PlanVerb(), CompareVerb(), FitVerb())
 
 
 def verbs_of(command: str) -> tuple[Verb, ...]:
@@ -61,11 +55,7 @@ def verb_of(problem: Problem[Runnable]) -> MotionVerb:
 
 
 def check_option(problem: Problem[Any], option: str) -> None:
-    """Check that the verb of a problem supports an option of ``slipfree run``.
-
-    ProblemError is raised if the verb does not support the option; the message names the verbs that
-    do.
-    """
+    """Raise ProblemError, with the verbs that do, if a verb does not support an option of run."""
     if option in verb_of(problem).options:
         return
     able = [verb.name for verb in motion_verbs() if option in verb.options]
@@ -114,18 +104,10 @@ def load_problem(
 def load_variants(
     path: str | Path, settings: Sequence[str], variants: Iterable[Sequence[str]]
 ) -> Iterator[Problem[Any]]:
-    """Yield the variants of the problem in a TOML file, which is read once.
+    """Yield the variants of the problem in a TOML file, which is read once; see `load_problem`.
 
-    ProblemError is raised as in `load_problem`.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    settings : sequence of str
-        Settings of all variants; see `load_problem`.
-    variants : iterable of sequence of str
-        Further settings of each variant, from the option ``--vary``.
+    ``settings`` are those of all variants, ``variants`` the further settings of each one, from the
+    option ``--vary``.
     """
     text = read_text(Path(path))
     for varied in variants:
@@ -149,10 +131,7 @@ def _from_text(
     settings: Sequence[str],
     varied: Sequence[str] = (),
 ) -> Problem[Any]:
-    """Return the problem in the text of a TOML file, by the schema of its verb.
-
-    ``settings`` and ``varied`` are those of the options ``--set`` and ``--vary``.
-    """
+    """Return the problem in the text of a TOML file; ``varied`` are settings of ``--vary``."""
 
     def schema_of(data: Mapping[str, Any], source: Source) -> type[CommonKeys]:
         return _by_verb(verbs, data, source).schema
@@ -161,10 +140,7 @@ def _from_text(
 
 
 def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> Verb:
-    """Return the verb of a problem, by default the first of ``verbs``.
-
-    ProblemError is raised if the verb is unknown, or if another command solves it.
-    """
+    """Return the verb of a problem, by default the first of ``verbs``."""
     if "verb" not in data:
         return verbs[0]
     for verb in verbs:

@@ -42,27 +42,13 @@ MISSING = "-"  # number of a point that is not solved
 
 
 class FrontPlan(NamedTuple):
-    """Plan of a point of a front.
-
-    Attributes
-    ----------
-    result : Result
-        The plan, simulated and verified.
-    saved : SavedPlan
-        Plan for the warm start of other points.
-    slip : float
-        Slip per wheel and metre of path. [m/m]
-    squared_slip : float
-        Integral of the squared slip of all wheels. [m2/s]
-    duration : float
-        Duration of the plan. [s]
-    """
+    """Plan of a point of a front, simulated and verified, with the plan for other warm starts."""
 
     result: Result
     saved: SavedPlan
-    slip: float
-    squared_slip: float
-    duration: float
+    slip: float  # per wheel and metre of path [m/m]
+    squared_slip: float  # integral over all wheels [m2/s]
+    duration: float  # [s]
 
 
 class PlanFront(NamedTuple):
@@ -71,30 +57,17 @@ class PlanFront(NamedTuple):
     The first objective of the points is the integral of the squared slip of all wheels in m2/s,
     plus the smoothness of the inputs with its weight relative to that of the slip. The solution of
     each solved point is a `FrontPlan`.
-
-    Attributes
-    ----------
-    against, unit : str
-        Name and unit of the second objective.
-    given, least : FrontPoint
-        Plan of the problem with its own costs, and plan of least second objective.
-    points : tuple of FrontPoint
-        Points by increasing bound on the second objective.
     """
 
-    against: str
+    against: str  # second objective
     unit: str
-    given: FrontPoint
-    least: FrontPoint
-    points: tuple[FrontPoint, ...]
+    given: FrontPoint  # plan of the problem with its own costs
+    least: FrontPoint  # plan of least second objective
+    points: tuple[FrontPoint, ...]  # by increasing bound on the second objective
 
     @property
     def outcome(self) -> Outcome:
-        """Outcome of the front, derived from the outcomes of its points.
-
-        ``COMPLETE`` if all points are solved, ``INTERRUPTED`` if a point is interrupted, otherwise
-        the outcome of the first unsolved point.
-        """
+        """Outcome: interrupted if a point is, otherwise that of the first unsolved point."""
         unsolved = [point.outcome for point in self.points if not point.is_solved]
         if Outcome.INTERRUPTED in unsolved:
             return Outcome.INTERRUPTED
@@ -102,31 +75,15 @@ class PlanFront(NamedTuple):
 
 
 class _PointTask(NamedTuple):
-    """Search for the plan of a point, for a process.
-
-    Attributes
-    ----------
-    path, text, settings : Path, str, tuple of str
-        Problem file, its text, and the settings of the point.
-    against : str
-        Second objective.
-    number, order : int
-        Index of the point in the front, and of the task in its batch.
-    bound : float
-        Bound on the second objective; NaN without one.
-    resume : SavedPlan or None
-        Plan from which the search starts.
-    trusted : frozenset of str
-        Paths of xacro files that the command line trusts.
-    """
+    """Search for the plan of a point, for a process."""
 
     path: Path
     text: str
     settings: tuple[str, ...]
     against: str
-    number: int
-    order: int
-    bound: float
+    number: int  # of the point in the front
+    order: int  # of the task in its batch
+    bound: float  # on the second objective; NaN without one
     resume: SavedPlan | None
     trusted: frozenset[str]
 
@@ -144,37 +101,25 @@ def plan_front(
 
     The duration is fixed, or the integral of the term limited, at each point, and the slip is
     minimised. Other costs of the problem are omitted; its limits, bounds and weight of smoothness
-    remain. The longest duration is that of the problem.
+    remain. The longest duration is that of the problem. The result does not depend on the number of
+    processes.
+
+    ``report`` is called with the phase of the search and a line; it may raise KeyboardInterrupt,
+    after which unsolved points are ``INTERRUPTED``. ``keep`` is called with the number of a point
+    (from 0) and the point, for each solution that is better than earlier ones.
 
     ProblemError is raised if the problem cannot be built, is not a planning problem, or has no
     weight of the slip; DataError if the second objective is unknown; ModelError if fewer than two
     points are requested; SolverError if the plan of the problem, the plan of least slip or that of
     least second objective is not solved; KeyboardInterrupt if ``report`` raises it before the first
     point.
-
-    Parameters
-    ----------
-    problem : Problem
-        Planning problem whose costs include the slip.
-    against : str
-        Second objective: ``"duration"``, or a term of the cost such as ``"effort"``, ``"energy"``
-        or any quantity (squared).
-    count : int
-        Number of points, at least 2.
-    processes : int
-        Number of processes; the result does not depend on it.
-    report : callable, optional
-        Called for every iterate, and with several processes several times per second, with the
-        phase of the search and a line of text; may raise KeyboardInterrupt, after which unsolved
-        points are ``INTERRUPTED``.
-    keep : callable, optional
-        Called with the number of a point (from 0) and the point, for each solution of a point that
-        is better than earlier ones.
     """
     check_count(count)
     unit = _checked(problem, against)
     begin = partial(_solve_one, problem, against, report)
-    given = begin("plan of the problem", _measured(problem, against), None)
+    weight = f"{_key('costs', against)}={problem.spec.costs.get(against, 0.0)!r}"
+    measured = () if against == DURATION else (weight,)  # by which the plan reports the objective
+    given = begin("plan of the problem", measured, None)
     least = begin(f"least {against}", _least_settings(problem, against), given)
     slip = _slip_settings(problem, against)
     best = begin("least slip", slip, given)
@@ -191,11 +136,7 @@ def plan_front(
 
 
 def _checked(problem: Problem[Any], against: str) -> str:
-    """Return the unit of the second objective, after a check of problem and objective.
-
-    ProblemError is raised if the problem is not a planning problem or has no weight of the slip;
-    DataError if the second objective is unknown.
-    """
+    """Return the unit of the second objective, after a check of problem and objective."""
     spec = problem.spec
     if not isinstance(spec, PlanKeys):
         where = problem.source.where(("verb",))
@@ -239,16 +180,10 @@ def _without(problem: Problem[PlanKeys], *kept: str) -> SettingTexts:
     return tuple(f"{_key('costs', name)}=" for name in problem.spec.costs if name not in kept)
 
 
-def _measured(problem: Problem[PlanKeys], against: str) -> SettingTexts:
-    """Return the settings by which a plan reports its second objective."""
-    weight = problem.spec.costs.get(against, 0.0)
-    return () if against == DURATION else (f"{_key('costs', against)}={weight!r}",)
-
-
 def _longest(problem: Problem[PlanKeys]) -> tuple[float, float]:
     """Return the smallest and the largest duration of the plans of a front [s]."""
-    given = problem.spec.plan.duration or problem.spec.time.duration
-    low, high = given if isinstance(given, tuple) else (SHORTEST * given, given)
+    duration = problem.spec.plan.duration or problem.spec.time.duration
+    low, high = duration if isinstance(duration, tuple) else (SHORTEST * duration, duration)
     return (low, high) if low < high else (SHORTEST * high, high)
 
 
@@ -287,8 +222,7 @@ def _solve_one(
 ) -> FrontPoint:
     """Return one of the points that a front needs before its own points.
 
-    SolverError is raised if it is needed and not solved; KeyboardInterrupt if the search was
-    interrupted.
+    SolverError is raised if it is needed and not solved; KeyboardInterrupt after an interruption.
     """
     task = _task(problem, against, settings, FrontTask(0, np.nan, start or FrontPoint(np.nan)))
     _, point = _solve_point(task, _named(name, report))
@@ -316,18 +250,10 @@ def _task(
     task: FrontTask,
     index: int = 0,
 ) -> _PointTask:
-    source, found = problem.source, task.start.solution
-    return _PointTask(
-        source.path,
-        source.text,
-        (*dict.fromkeys(source.settings.values()), *settings),
-        against,
-        task.number,
-        index,
-        task.bound,
-        found and found.saved,
-        problem.trusted,
-    )
+    source, plan = problem.source, task.start.solution
+    settings = (*dict.fromkeys(source.settings.values()), *settings)
+    point = against, task.number, index, task.bound, plan and plan.saved
+    return _PointTask(source.path, source.text, settings, *point, problem.trusted)
 
 
 def _solve_point(task: _PointTask, report: LineCallback | None = None) -> tuple[int, FrontPoint]:
@@ -395,15 +321,15 @@ class _PointSolver:
 
     def solve(self, tasks: Sequence[FrontTask]) -> list[FrontPoint]:
         """Return the points of tasks in their order; ``INTERRUPTED`` points after Ctrl-C."""
-        found: dict[int, FrontPoint] = {}
+        points: dict[int, FrontPoint] = {}
         if not self._is_interrupted:
             try:
                 for index, point in self._points(tasks):
-                    found[index] = point
+                    points[index] = point
                     self._store(tasks[index].number, point)
             except KeyboardInterrupt:
                 self._is_interrupted = True
-        return [found.get(k, FrontPoint(task.bound)) for k, task in enumerate(tasks)]
+        return [points.get(k, FrontPoint(task.bound)) for k, task in enumerate(tasks)]
 
     def close(self) -> None:
         """End the processes of this solver."""
@@ -412,22 +338,16 @@ class _PointSolver:
 
     def _points(self, tasks: Sequence[FrontTask]) -> Iterator[tuple[int, FrontPoint]]:
         """Yield indices of tasks and their points in the order of completion."""
-        point_tasks = [
-            _task(
-                self._problem,
-                self._against,
-                _slip_settings(self._problem, self._against, task.bound),
-                task,
-                index,
-            )
-            for index, task in enumerate(tasks)
-        ]
+        front, point_tasks = (self._problem, self._against), list[_PointTask]()
+        for index, task in enumerate(tasks):
+            settings = _slip_settings(*front, task.bound)
+            point_tasks.append(_task(*front, settings, task, index))
         if self._pool is not None:
             yield from finish_tasks(point_tasks, self._pool, self._poll)
             return
-        for task in point_tasks:
-            name = f"point {task.number + 1} of {self._count}"
-            index, point = _solve_point(task, _named(name, self._report))
+        for each in point_tasks:
+            name = f"point {each.number + 1} of {self._count}"
+            index, point = _solve_point(each, _named(name, self._report))
             if point.outcome is Outcome.INTERRUPTED:
                 raise KeyboardInterrupt
             yield index, point
@@ -473,9 +393,9 @@ def table_lines(front: PlanFront) -> Iterator[str]:
         words = "dominated" if point.is_dominated else "solved"
         values = [point.second, point.bound, np.nan, np.nan, np.nan, np.nan]
         if point.is_solved:
-            found = point.solution
-            share = 100 * (1 - found.squared_slip / point.first)
-            values[2:] = 1e3 * found.slip, 1e6 * found.squared_slip, share, 1e6 * point.slope
+            plan = point.solution
+            share = 100 * (1 - plan.squared_slip / point.first)
+            values[2:] = 1e3 * plan.slip, 1e6 * plan.squared_slip, share, 1e6 * point.slope
         else:
             words = (point.words or point.outcome.title).splitlines()[0]
         cells = (f"{value:.4g}" if np.isfinite(value) else MISSING for value in values)
@@ -490,21 +410,15 @@ def _line(cells: Iterable[str], widths: Sequence[int]) -> str:
 def front_rows(front: PlanFront) -> tuple[list[str], list[list[object]]]:
     """Return column names and rows of the table of a front, with numbers in SI units."""
     names = ["point", "bound", front.against, "slip_per_path", "squared_slip", "smoothness_share"]
-    return [*dict.fromkeys([*names, "slope", "outcome", "dominated", "reason"])], [
-        [
-            number,
-            point.bound,
-            point.second,
-            point.solution.slip if point.is_solved else np.nan,
-            point.solution.squared_slip if point.is_solved else np.nan,
-            1 - point.solution.squared_slip / point.first if point.is_solved else np.nan,
-            point.slope,
-            point.outcome.name.lower(),
-            int(point.is_dominated),
-            point.words,
-        ]
-        for number, point in enumerate(front.points, 1)
-    ]
+    rows = list[list[object]]()
+    for number, point in enumerate(front.points, 1):
+        slip = squared = share = np.nan
+        if plan := point.solution if point.is_solved else None:
+            slip, squared = plan.slip, plan.squared_slip
+            share = 1 - squared / point.first
+        row = [number, point.bound, point.second, slip, squared, share, point.slope]
+        rows.append([*row, point.outcome.name.lower(), int(point.is_dominated), point.words])
+    return [*dict.fromkeys([*names, "slope", "outcome", "dominated", "reason"])], rows
 
 
 def front_plot(front: PlanFront) -> Plot:

@@ -29,7 +29,7 @@ from slipfree.files.toml.types import parse_unit
 from slipfree.problem.build_ground import at
 from slipfree.problem.load import load_again
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema_ground import region_of
+from slipfree.problem.schema import region_of
 from slipfree.problem.verbs.plan_schema import PlanKeys, way_points_of
 from slipfree.system.regular_files import replace_file
 
@@ -44,16 +44,9 @@ PLACES = ("start", "goal", "keep_out")  # keys that the page changes
 
 
 class EditedRegion(NamedTuple):
-    """A keep-out region: a disc, or a polygon without ``radius``.
+    """A keep-out region: a disc around its only point, or a polygon without ``radius`` [m].
 
-    Attributes
-    ----------
-    identity : str
-        Identity of the region, which remains when other regions are added or removed.
-    points : tuple of (x, y)
-        Corners of the polygon, or the centre of the disc. [m]
-    radius : float or None
-        Radius of the disc. [m]
+    Its identity remains when other regions are added or removed.
     """
 
     identity: str
@@ -62,31 +55,16 @@ class EditedRegion(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Start, goal and keep-out regions of a planning problem, in map coordinates.
+    """Start, goal and keep-out regions of a planning problem, in map coordinates."""
 
-    Attributes
-    ----------
-    start : tuple of float
-        x, y and heading in the frame of the problem. [m, m, rad]
-    goal : tuple of float or None
-        x and y, the middles of ranges; None if the goal has no x or no y. [m]
-    goal_heading : float or None
-        Heading at the goal; None if the goal gives no heading or a range. [rad]
-    regions : tuple of EditedRegion
-        Keep-out regions.
-    """
-
-    start: tuple[float, float, float]
-    goal: Point | None
-    goal_heading: float | None
+    start: tuple[float, float, float]  # x, y and heading in the problem's frame [m, m, rad]
+    goal: Point | None  # x and y, the middles of ranges; None without both [m]
+    goal_heading: float | None  # None without a heading, and for a range [rad]
     regions: tuple[EditedRegion, ...]
 
 
 def places_in(problem: Problem[PlanKeys]) -> Places:
-    """Return the places of a problem, whose regions get new identities.
-
-    ProblemError is raised if a keep-out region is neither a disc nor a polygon.
-    """
+    """Return the places of a problem, whose regions get new identities."""
     spec, goal = problem.spec, None
     start = (*(float(spec.start.get(name, 0.0)) for name in ("x", "y", "heading")),)
     bounds: Mapping[str, Any] = spec.goal
@@ -107,23 +85,16 @@ def places_in(problem: Problem[PlanKeys]) -> Places:
 
 
 def way_points_in(problem: Problem[PlanKeys]) -> tuple[tuple[str, float, float], ...]:
-    """Return name, x and y of the way-points that have both, the middles of ranges [m].
-
-    ProblemError is raised if a fraction of the duration is missing or not valid.
-    """
+    """Return name, x and y of the way-points that have both, the middles of ranges [m]."""
     return tuple(
         (f"way-point at {part:g}", sum(wanted["x"]) / 2, sum(wanted["y"]) / 2)
-        for part, wanted in way_points_of(problem, problem.spec).items()
+        for part, wanted in way_points_of(problem).items()
         if {"x", "y"} <= wanted.keys()
     )
 
 
 def places_from(data: object) -> Places:
-    """Return the places in a JSON object of the page.
-
-    DataError is raised if the object does not have the form of `Places` or contains numbers that
-    are not finite.
-    """
+    """Return the places in a JSON object of the page; raise DataError if it has another form."""
     try:
         if not isinstance(data, Mapping):
             raise TypeError
@@ -170,19 +141,8 @@ def edited_text(text: str, old: Places, new: Places) -> str:
     """Return the text of a problem file with changed places.
 
     Values that have not changed keep their text; others keep their unit. A range of the goal is
-    moved as a whole.
-
-    DataError is raised if the text has a form that cannot be edited.
-
-    Parameters
-    ----------
-    text : str
-        Text of the problem file.
-    old : Places
-        Places in the text, with the regions in the order of the file.
-    new : Places
-        Places in the result. Its new regions follow the others in the file; see
-        `in_order_of_file`.
+    moved as a whole. New regions follow the others in the file; see `in_order_of_file`. DataError
+    is raised if the text has a form that cannot be edited.
     """
     sections = _sections(text)
     if old.start != new.start:
@@ -350,16 +310,7 @@ def _assign(table: Any, key: str | int, value: float | Sequence[Any]) -> None:
 class Document(NamedTuple):
     """A problem file as it was read or saved.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    raw : bytes
-        Contents of the file.
-    problem : Problem
-        The problem in the file.
-    places : Places
-        Its places; the regions keep their identities when the page saves them.
+    The regions of its places keep their identities when the page saves them.
     """
 
     path: Path
@@ -401,10 +352,7 @@ def read_document(path: Path, trusted: frozenset[str] = frozenset()) -> Document
 
 
 def is_current(document: Document) -> bool:
-    """Return whether the file still has the contents of the document, or is missing.
-
-    DataError is raised if the file cannot be read.
-    """
+    """Return whether the file still has the contents of the document, or is missing."""
     return not os.path.lexists(document.path) or read_raw(document.path) == document.raw
 
 
@@ -412,13 +360,8 @@ def saved(document: Document, places: Places) -> Document:
     """Write other places to the file of a document, and return the document with them.
 
     Byte order mark, line endings and permissions of the file are kept. A missing file is written
-    again.
-
-    Raises
-    ------
-    DataError
-        If the file is read-only or cannot be written, or if the result is not a valid problem; the
-        file is then unchanged.
+    again. DataError is raised if the file is read-only or cannot be written, or if the result is
+    not a valid problem; the file is then unchanged.
     """
     path, text = document.path, document.text_with(places)
     problem = load_again(path, text, (), document.problem.trusted)
@@ -427,15 +370,10 @@ def saved(document: Document, places: Places) -> Document:
     _check_edit(document, text, found, wanted)
     pairs = zip(found.regions, wanted.regions, strict=True)
     regions = tuple(new._replace(identity=sent.identity) for new, sent in pairs)
-    raw = _encoded(text, document.raw)
+    lines = text.replace("\n", "\r\n") if _has_crlf(document.raw) else text
+    raw = BOM_UTF8 * document.raw.startswith(BOM_UTF8) + lines.encode()
     _write(path, raw)
     return Document(path, raw, problem, found._replace(regions=regions))
-
-
-def _encoded(text: str, like: bytes) -> bytes:
-    """Return a text with the byte order mark and the line endings of other bytes."""
-    text = text.replace("\n", "\r\n") if _has_crlf(like) else text
-    return BOM_UTF8 * like.startswith(BOM_UTF8) + text.encode()
 
 
 def _has_crlf(raw: bytes) -> bool:

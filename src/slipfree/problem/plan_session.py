@@ -34,26 +34,12 @@ IDLE, PLANNING = "idle", "planning"
 
 
 class PlanRequest(NamedTuple):
-    """Planning problem to solve.
+    """Planning problem to solve."""
 
-    Attributes
-    ----------
-    path : Path
-        Name of the problem file, for messages and input files.
-    text : str
-        Text of the problem.
-    settings : tuple of str
-        Settings ``KEY=VALUE``.
-    former : mapping of str to ndarray
-        Arrays of a plan for a warm start; empty without it.
-    trusted : frozenset of str
-        Paths of xacro files that the command line trusts.
-    """
-
-    path: Path
+    path: Path  # for messages and input files
     text: str
     settings: tuple[str, ...] = ()
-    former: Mapping[str, Array] = {}
+    former: Mapping[str, Array] = {}  # arrays of a plan for a warm start
     trusted: frozenset[str] = frozenset()
 
 
@@ -65,24 +51,12 @@ class FoundIterate(NamedTuple):
 
 
 class FoundPlan(NamedTuple):
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes
-    ----------
-    path : ndarray, shape (n, 2)
-        Path of the platform in the simulation of the plan. [m]
-    is_complete : bool
-        Whether the plan is solved and accurate.
-    facts : tuple of (str, str)
-        Names and values that describe the plan.
-    arrays : mapping of str to ndarray
-        Arrays of the plan, for a warm start.
-    """
-
-    path: Array
-    is_complete: bool
+    path: Array  # in the simulation of the plan, shape (n, 2) [m]
+    is_complete: bool  # solved and accurate
     facts: tuple[tuple[str, str], ...]
-    arrays: Mapping[str, Array]
+    arrays: Mapping[str, Array]  # for a warm start
 
 
 class FoundError(NamedTuple):
@@ -225,39 +199,17 @@ def _plan_of(result: Any, seconds: float) -> FoundPlan:
 
 
 class Session(NamedTuple):
-    """State of a session.
-
-    Attributes
-    ----------
-    document : Document
-        The problem file.
-    page : PlanPage
-        Page and map of the problem.
-    file_error : str
-        Message of the error by which the present file cannot be used; empty without one.
-    phase : {"idle", "planning"}
-        Whether a search runs.
-    line : str
-        Last report of the search, or a note on what happened.
-    error : str
-        Message of the error that ended the last search; empty without one.
-    iterates : tuple of ndarray, each of shape (n, 2)
-        Paths of the last iterates, the newest last. [m]
-    plans : tuple of FoundPlan
-        The last plans, the newest first.
-    version : int
-        Number of changes, by which a page detects that it is out of date.
-    """
+    """State of a session."""
 
     document: Document
     page: PlanPage
-    file_error: str = ""
+    file_error: str = ""  # by which the present file cannot be used
     phase: str = IDLE
-    line: str = ""
-    error: str = ""
-    iterates: tuple[Array, ...] = ()
-    plans: tuple[FoundPlan, ...] = ()
-    version: int = 0
+    line: str = ""  # last report of the search, or a note on what happened
+    error: str = ""  # that ended the last search
+    iterates: tuple[Array, ...] = ()  # paths, the newest last, shape (n, 2) [m]
+    plans: tuple[FoundPlan, ...] = ()  # the newest first
+    version: int = 0  # number of changes, by which a page detects that it is out of date
 
     def changed(self, **values: Any) -> Session:
         """Return the session with other values and the next version."""
@@ -265,24 +217,12 @@ class Session(NamedTuple):
 
 
 class Command(NamedTuple):
-    """Command of the page.
-
-    Attributes
-    ----------
-    name : {"plan", "cancel", "save"}
-        Name of the command.
-    revision : str
-        Revision of the document that the page was made from.
-    places : Places or None
-        Places on the page; None for ``"cancel"``.
-    is_warm : bool
-        Whether the search begins with the last plan.
-    """
+    """Command of the page: "plan", "cancel" or "save"."""
 
     name: str
-    revision: str = ""
-    places: Places | None = None
-    is_warm: bool = False
+    revision: str = ""  # of the document from which the page was made
+    places: Places | None = None  # None to cancel
+    is_warm: bool = False  # whether the search begins with the last plan
 
 
 def command_from(name: str, data: object) -> Command:
@@ -292,16 +232,6 @@ def command_from(name: str, data: object) -> Command:
     values = data if isinstance(data, dict) else {}
     places = places_from(values.get("places"))
     return Command(name, str(values.get("revision")), places, values.get("warm") is True)
-
-
-def begun(session: Session) -> Session:
-    """Return the session at the start of a search."""
-    return session.changed(phase=PLANNING, line="setting up the problem", error="", iterates=())
-
-
-def cancelled(session: Session) -> Session:
-    """Return the session after its search was cancelled; the iterates stay visible."""
-    return session.changed(phase=IDLE, line="cancelled")
 
 
 def reported(session: Session, message: Message) -> Session:
@@ -341,16 +271,9 @@ def _rounded(path: Array) -> list[list[float]]:
 
 
 class Desk:
-    """Session with its worker process.
+    """Session with its worker process; ``draw`` returns the page of a document.
 
     Any thread may give commands; `step` must run in the main thread.
-
-    Parameters
-    ----------
-    document : Document
-        The problem file.
-    draw : callable
-        Function that returns the page of a document.
     """
 
     def __init__(self, document: Document, draw: Callable[[Document], PlanPage]) -> None:
@@ -364,8 +287,7 @@ class Desk:
     def accept(self, name: str) -> Callable[[object], object]:
         """Return the function that executes a command of the page and returns the new state.
 
-        Its errors are those of `command_from` and `saved`, and `ConflictError` if the page was made
-        from another revision of the file.
+        ConflictError is raised if the page was made from another revision of the file.
         """
 
         def put(data: object) -> object:
@@ -406,7 +328,7 @@ class Desk:
             self.worker.cancel()
             self.worker.prepare()
             if self.session.phase == PLANNING:
-                self.session = cancelled(self.session)
+                self.session = self.session.changed(phase=IDLE, line="cancelled")
             return
         self._read_again()
         session, document = self.session, self.session.document
@@ -423,7 +345,8 @@ class Desk:
             self.worker.start(
                 PlanRequest(document.path, text, (), former, document.problem.trusted)
             )
-            self.session = begun(session)
+            line = "setting up the problem"
+            self.session = session.changed(phase=PLANNING, line=line, error="", iterates=())
 
     def _watch(self) -> None:
         """Read the file again if its size, time or inode has changed."""

@@ -22,7 +22,7 @@ from slipfree.files.toml.source import (
     validation_fault,
     value_errors,
 )
-from slipfree.problem.schema import CommonKeys, TerrainKeys
+from slipfree.problem.schema import CommonKeys, FileKeys, TerrainKeys
 
 T = TypeVar("T")
 Shared = dict[str, tuple[Hashable, Any]]
@@ -36,12 +36,8 @@ A = TypeVar("A", bound=CommonKeys)
 def sharing(kept: Shared, files: str) -> Iterator[None]:
     """Let the problems of the block share the objects that `shared` returns.
 
-    Parameters
-    ----------
-    kept : dict
-        The latest object of each kind; the same dictionary serves several blocks.
-    files : str
-        Identifier of the content of all input files, which must not change within the block.
+    ``kept`` has the latest object of each kind, also for later blocks. ``files`` identifies the
+    content of all input files, which must not change within the block.
     """
     token = _SHARED.set((kept, files))
     try:
@@ -53,14 +49,8 @@ def sharing(kept: Shared, files: str) -> Iterator[None]:
 def shared(kind: str, key: Hashable, make: Callable[[], T]) -> T:
     """Return an object, made now or, within `sharing`, kept from an earlier call.
 
-    Parameters
-    ----------
-    kind : str
-        Kind of the object; at most one of each kind is kept.
-    key : hashable
-        Values that the object depends on, except the content of input files.
-    make : callable
-        Function that returns the object.
+    At most one object of each ``kind`` is kept. ``key`` has all values on which it depends, except
+    the content of input files.
     """
     sharing_now = _SHARED.get()
     if sharing_now is None:
@@ -70,30 +60,18 @@ def shared(kind: str, key: Hashable, make: Callable[[], T]) -> T:
     if kind not in kept or kept[kind][0] != key:
         kept.pop(kind, None)  # so that at most one exists
         kept[kind] = key, make()
-    found: T = kept[kind][1]
-    return found
+    value: T = kept[kind][1]
+    return value
 
 
 @dataclass(frozen=True)
 class Problem(Generic[A]):
-    """A validated problem, and the origin of each value.
+    """A validated problem, and the origin of each value."""
 
-    Attributes
-    ----------
-    spec : CommonKeys
-        Values of the problem file, a record of the schema of its verb.
-    source : Source
-        File, lines and settings of the values.
-    trusted : frozenset of str
-        Paths of xacro files that the command line allows to be expanded; no file can do so.
-    vehicles : dict
-        Contents of the vehicle files that were read, by name. Those of a result are stored in it,
-        so that none is read.
-    """
-
-    spec: A
-    source: Source
-    trusted: frozenset[str] = frozenset()
+    spec: A  # values of the file, a record of the schema of its verb
+    source: Source  # file, lines and settings of the values
+    trusted: frozenset[str] = frozenset()  # xacro files; only the command line can trust them
+    # contents of the vehicle files that were read, by name; of a result those stored in it
     vehicles: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def __repr__(self) -> str:
@@ -106,25 +84,17 @@ class Problem(Generic[A]):
 
 
 def validated_problem(
-    schema_of: Callable[[Mapping[str, Any], Source], type[CommonKeys]],
+    schema_of: Callable[[Mapping[str, Any], Source], type[FileKeys]],
     path: Path,
     text: str,
     settings: Sequence[str],
     varied: Sequence[str] = (),
 ) -> Problem[Any]:
-    """Return the problem in the text of a TOML file.
+    """Return the problem in the text of a TOML file; ``varied`` are settings of ``--vary``.
 
-    ProblemError is raised if the text is not TOML, a setting has no valid form, or values do not
-    fit the schema; all errors of values, sorted by line.
-
-    Parameters
-    ----------
-    schema_of : callable
-        ``schema_of(data, source)`` returns the schema of a file with the given data.
-    path, text : Path and str
-        Path and text of the file.
-    settings, varied : sequence of str
-        Settings of the options ``--set`` and ``--vary``.
+    ``schema_of(data, source)`` returns the schema of a file with the given data. ProblemError is
+    raised if the text is not TOML, a setting has no valid form, or values do not fit the schema;
+    all errors of values, sorted by line.
     """
     data = _copy(_parsed(path, text))
     places = replace_values(data, settings)
@@ -145,20 +115,18 @@ def validated_problem(
     raise problem_error(source, faults)
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=1)  # all variants of a problem have this text
 def _parsed(path: Path, text: str) -> dict[str, Any]:
-    """Return the data in a TOML text, cached because all variants of a problem have this text."""
     return parse_toml(path, text)
 
 
 def _copy(value: Any) -> Any:
-    """Return a copy of parsed TOML."""
     if isinstance(value, dict):
         return {key: _copy(each) for key, each in value.items()}
     return [*map(_copy, value)] if isinstance(value, list) else value
 
 
-def _alternatives(schema: type[CommonKeys], data: dict[str, Any]) -> Iterator[Fault]:
+def _alternatives(schema: type[FileKeys], data: dict[str, Any]) -> Iterator[Fault]:
     """Yield an error for each table that does not have exactly one of its alternative keys."""
     for place, keys in schema.alternatives.items():
         table: Any = data
@@ -166,7 +134,7 @@ def _alternatives(schema: type[CommonKeys], data: dict[str, Any]) -> Iterator[Fa
             table = table.get(part)
         if not isinstance(table, Mapping):
             continue
-        given = [key for key in keys if key in table]
+        present = [key for key in keys if key in table]
         expected = f"exactly one of {', '.join(keys)}"
-        if len(given) != 1:
-            yield Fault((*place, *given[-1:]), expected, " and ".join(given) or "none")
+        if len(present) != 1:
+            yield Fault((*place, *present[-1:]), expected, " and ".join(present) or "none")

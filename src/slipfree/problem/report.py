@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,7 +29,7 @@ from slipfree.problem.build_vehicle import is_vehicle_file, read_vehicle
 from slipfree.problem.inputs import STORED, digest
 from slipfree.problem.load import find_motion_verb, load_problem, verb_of
 from slipfree.problem.result import build, motion_facts, open_result
-from slipfree.problem.verbs.base import Lines, MotionVerb, Result, outcome_fact, ranges
+from slipfree.problem.verbs.base import Lines, Result, outcome_fact, ranges
 from slipfree.show.html_page import Report
 from slipfree.show.plots import Plot
 from slipfree.solve.settle import settle
@@ -39,14 +39,8 @@ from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 
 VERSION = "_version"
 ELSEWHERE = (  # attributes reported in other sections
-    "problem",
-    "settings",
-    "history",
-    "title",
-    "date_created",
-    "problem_folder",
-    STORED,
-    MAP_TRANSFORM,
+    *("problem", "settings", "history", "title", "date_created", "problem_folder"),
+    *(STORED, MAP_TRANSFORM),
 )
 MIN_SHARE = 0.3  # smallest named entry of a singular vector, relative to the largest
 MAX_TREE_DEPTH = 40  # largest printed depth of the tree of parts
@@ -62,82 +56,53 @@ class _ReportFigures(NamedTuple):
 def report(file: Path, folder: Path | None = None) -> Report:
     """Return the report of a result file.
 
-    DataError is raised if the file cannot be read, or input files of its problem are missing.
-
-    Parameters
-    ----------
-    file : Path
-        A result file.
-    folder : Path, optional
-        Folder of the input files of its problem; see `open_result`.
+    DataError is raised if the file cannot be read, or input files of its problem are missing in
+    ``folder`` (see `open_result`).
     """
     result = open_result(file, folder, samples=FIGURE_SAMPLES)
     run, verb = read(file, lazy=True), find_motion_verb(result.kind)
     facts, names = [outcome_fact(run), *motion_facts(run)], verb.checks if verb else ()
-    found = run.attributes
-    rest = [(name, words) for name, words in facts if name not in names]
-    checks = [(name, words) for name, words in facts if name in names]
-    spans = [(name, words, run.columns[name].label.words) for name, words in ranges(run)]
+    attributes = run.attributes
     tables: dict[str, Sequence[tuple[str, ...]]] = {
-        "Result": rest,
-        "Checks": checks,
-        "Set-up": _set_up(found),
-        "Quantities": spans,
-        "Versions": _versions(file, found),
+        "Result": [fact for fact in facts if fact[0] not in names],
+        "Checks": [fact for fact in facts if fact[0] in names],
+        "Set-up": [
+            (name.replace("_", " "), text)
+            for name, text in attributes.items()
+            if name not in ELSEWHERE and not name.endswith(VERSION)
+        ],
+        "Quantities": [(name, span, run.columns[name].label.words) for name, span in ranges(run)],
+        "Versions": _versions(file, attributes),
     }
-    return Report(
-        found["title"],
-        _lead(run, verb),
-        run.stop is None,
-        tables,
-        *_drawn(result, run.t.size),
-        _texts(file, found),
-    )
-
-
-def _lead(run: Trajectory, verb: MotionVerb | None) -> str:
-    """Return a sentence on the outcome of a motion, as lead of its report."""
-    words = outcome_words(run)
+    lead = outcome_words(run)
     if run.stop is None and verb is not None:
-        words = verb.describe_end(run) or words
-    return f"{words[0].upper()}{words[1:]}."
+        lead = verb.describe_end(run) or lead
+    head = attributes["title"], f"{lead[0].upper()}{lead[1:]}.", run.stop is None
+    return Report(*head, tables, *_drawn(result, run.t.size), _texts(file, attributes))
 
 
-def _set_up(found: Mapping[str, str]) -> Lines:
-    """Return the facts of a result about ground, vehicle and inputs."""
-    return [
-        (name.replace("_", " "), words)
-        for name, words in found.items()
-        if name not in ELSEWHERE and not name.endswith(VERSION)
-    ]
-
-
-def _versions(file: Path, found: Mapping[str, str]) -> Lines:
+def _versions(file: Path, attributes: Mapping[str, str]) -> Lines:
     """Return the facts about versions, date and digest of a result file."""
-    parts = [
-        (name.removesuffix(VERSION), words)
-        for name, words in found.items()
-        if name.endswith(VERSION)
-    ]
+    versions = ((n.removesuffix(VERSION), v) for n, v in attributes.items() if n.endswith(VERSION))
     return [
-        ("computed", found.get("date_created", "date unknown")),
-        *parts,
+        ("computed", attributes.get("date_created", "date unknown")),
+        *versions,
         ("result file", file.name),
         ("SHA-256 of the file", digest(file)),
         ("this page", f"written by slipfree {__version__}"),
     ]
 
 
-def _texts(file: Path, found: Mapping[str, str]) -> dict[str, str]:
+def _texts(file: Path, attributes: Mapping[str, str]) -> dict[str, str]:
     """Return the texts of the problem file and of the commands to repeat the run, by title."""
-    if "problem" not in found:
+    if "problem" not in attributes:
         return {}
-    name = f"{Path(found.get('problem_file', 'problem.toml')).stem}_again.toml"
-    settings = found.get("settings", "").splitlines()
+    name = f"{Path(attributes.get('problem_file', 'problem.toml')).stem}_again.toml"
+    settings = attributes.get("settings", "").splitlines()
     words = ["slipfree", "run", name, *(part for each in settings for part in ("--set", each))]
     again = f"slipfree info {shlex.quote(file.name)} --problem > {shlex.quote(name)}\n"
-    again += f"{shlex.join(words)}   # with slipfree {found[ORIGIN]}\n"
-    return {"Problem": found["problem"], "To repeat the run": again}
+    again += f"{shlex.join(words)}   # with slipfree {attributes[ORIGIN]}\n"
+    return {"Problem": attributes["problem"], "To repeat the run": again}
 
 
 def _drawn(result: Result, count: int) -> _ReportFigures:
@@ -157,17 +122,7 @@ def _drawn(result: Result, count: int) -> _ReportFigures:
 
 
 class Description(NamedTuple):
-    """Description of a vehicle.
-
-    Attributes
-    ----------
-    tree : list of str
-        Lines of text: the name of the vehicle, and the tree of its parts.
-    facts : list of pairs of str
-        Facts about unknowns, equations and conditioning: pairs of name and text.
-    faults : tuple of str
-        Reasons why the vehicle cannot be built or cannot rest on its ground; empty if it can.
-    """
+    """Description of a vehicle: lines of the tree of its parts, facts, and errors if it has any."""
 
     tree: list[str]
     facts: Lines
@@ -178,19 +133,8 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
     """Return the description of the vehicle in a problem or in a vehicle file.
 
     The vehicle of a vehicle file stands on level ground. For an invalid vehicle the description has
-    the errors and the facts about its known parts.
-
-    DataError is raised if the problem is invalid, no part of the vehicle can be read, or settings
-    are given for a vehicle file.
-
-    Parameters
-    ----------
-    path : Path
-        Problem file or vehicle file.
-    settings : sequence of str
-        Values that replace those of a problem file, as ``key=value``.
-    trust : sequence of Path
-        Xacro files that may be expanded.
+    the errors and the facts about its known parts. DataError is raised if the problem is invalid,
+    no part of the vehicle can be read, or settings are given for a vehicle file.
     """
     try:
         if not is_vehicle_file(path):
@@ -205,7 +149,7 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
         if error.draft is None:
             raise
         return Description(_drawn_tree(error.draft), _shares(error.draft), error.faults)
-    level = Analytic(_level, mu=1.0)
+    level = Analytic(lambda x, _: 0 * x, mu=1.0)
     dae: Dae = dynamics(vehicle, level) if vehicle.planar else direct_kinematics(vehicle, level)
     try:
         check_driven(vehicle)
@@ -230,10 +174,6 @@ def _notes(vehicle: Vehicle | Draft) -> Lines:
     return [("vehicle file", note) for note in vehicle.notes]
 
 
-def _level(x: ca.SX, _: ca.SX) -> ca.SX:
-    return 0 * x
-
-
 def tree(vehicle: Vehicle | Draft) -> list[str]:
     """Return the lines of the tree of a vehicle's parts, indented below their parents.
 
@@ -249,7 +189,8 @@ def tree(vehicle: Vehicle | Draft) -> list[str]:
         for joint in vehicle.joints:
             if joint.parent == part:
                 connected.append(joint)
-                turned = rotation @ _rotation(joint)
+                pose = joint.pose(dict.fromkeys(joint.coordinates, ca.SX(0)))
+                turned = rotation @ np.array(ca.evalf(pose.rotation))
                 axis = turned @ unit_vector(joint.axis)
                 yield f"{indent}{joint.name}: {_joint(joint, axis, kinds)}"
                 yield from below(joint.name, indent + "  ", turned)
@@ -268,12 +209,6 @@ def tree(vehicle: Vehicle | Draft) -> list[str]:
     loose = [(j.name, j.parent) for j in vehicle.joints if j not in connected]
     loose += [(f"wheel {w.name}", w.parent) for w in vehicle.wheels if w.parent not in parts]
     return lines + [f"not connected to the platform: {name}, on {parent}" for name, parent in loose]
-
-
-def _rotation(joint: Joint) -> Array:
-    """Return the rotation matrix of a part in its parent's frame, with all coordinates at zero."""
-    pose = joint.pose(dict.fromkeys(joint.coordinates, ca.SX(0)))
-    return np.array(ca.evalf(pose.rotation))
 
 
 def _joint(joint: Joint, vector: Array, kinds: dict[str, Coordinate]) -> str:
@@ -320,12 +255,16 @@ def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
     yield "contact forces", f"{count}: {how}"
 
 
+def _listed(names: Iterable[str]) -> str:
+    names = list(names)
+    return f"{len(names)}: {', '.join(names) or 'none'}"
+
+
 def counts(vehicle: Vehicle, dae: Dae) -> Lines:
     """Return the facts about the numbers of unknowns and equations of a vehicle's motion."""
 
     def listed(record: Any) -> str:
-        names = [label.full for label in leaves(record)]
-        return f"{len(names)}: {', '.join(names) or 'none'}"
+        return _listed(label.full for label in leaves(record))
 
     inputs, states = ("inputs", listed(dae.labels.u)), ("states", listed(dae.labels.x))
     if not dae.labels.z:  # dynamics has no algebraic unknowns
@@ -340,14 +279,19 @@ def counts(vehicle: Vehicle, dae: Dae) -> Lines:
     else:
         more = "too few by" if given < needed else "too many by"
         rolls = f"{more} {abs(needed - given)}: it moves with least slip (slip = 'least')"
+    equations = (
+        "equilibrium and the wheel-ground law; they also determine the normal forces"
+        if _has_ground_law(dae)
+        else dae.labels.alg[1][0].name.replace("_", " ")
+    )
     return [
         inputs,
         states,
         *_contact_facts(vehicle, dae, listed(position)),
         ("rates", listed((rates.motion, rates.law))),
-        ("  equations", f"{len(dae.labels.alg[1])}: {_equations(dae)}"),
-        ("passive joints", f"{len(passive)}: {', '.join(passive) or 'none'}"),
-        ("free wheels", f"{len(free)}: {', '.join(free) or 'none'}"),
+        ("  equations", f"{len(dae.labels.alg[1])}: {equations}"),
+        ("passive joints", _listed(passive)),
+        ("free wheels", _listed(free)),
         (
             "no-slip conditions",
             f"{needed} besides the contacts; passive joints and free wheels: {rolls}",
@@ -376,27 +320,15 @@ def _has_ground_law(dae: Dae) -> bool:
     return bool(dae.labels.y.forces) and not follow and not dae.rest.numel()
 
 
-def _equations(dae: Dae) -> str:
-    """Return a description of the equations that determine the rates."""
-    if _has_ground_law(dae):
-        return "equilibrium and the wheel-ground law; they also determine the normal forces"
-    return dae.labels.alg[1][0].name.replace("_", " ")
-
-
 def _shares(draft: Draft) -> Lines:
     """Return the facts about wheels and joints of the draft of an invalid vehicle."""
-
-    def listed(names: list[str]) -> str:
-        return f"{len(names)}: {', '.join(names) or 'none'}"
-
-    needed = max(len(draft.wheels) - 3, 0)
-    suspension = [c.name for c in draft.of("suspension")]
+    suspension = _listed(c.name for c in draft.of("suspension"))
     return [
-        ("wheels", listed([wheel.name for wheel in draft.wheels])),
-        ("driven wheels", listed([wheel.name for wheel in draft.wheels if wheel.driven])),
-        ("commanded", listed([c.name for c in draft.of("commanded")])),
-        ("passive joints", listed([c.name for c in draft.of("passive")])),
-        ("suspension", f"{listed(suspension)}; at most {needed}"),
+        ("wheels", _listed(wheel.name for wheel in draft.wheels)),
+        ("driven wheels", _listed(wheel.name for wheel in draft.wheels if wheel.driven)),
+        ("commanded", _listed(c.name for c in draft.of("commanded"))),
+        ("passive joints", _listed(c.name for c in draft.of("passive"))),
+        ("suspension", f"{suspension}; at most {max(len(draft.wheels) - 3, 0)}"),
         *_notes(draft),
     ]
 
@@ -404,9 +336,9 @@ def _shares(draft: Draft) -> Lines:
 def conditioning(dae: Dae, start: Trajectory) -> Lines:
     """Return the condition numbers of the equations at a start, with the least determined unknowns.
 
-    The condition numbers are those of the Jacobians in metres and radians, separately for the
-    equations of position and of the rates. The least determined unknowns have large entries in the
-    right singular vector of the smallest singular value.
+    The Jacobians are in metres and radians, separately for the equations of position and of the
+    rates. The least determined unknowns have large entries in the right singular vector of the
+    smallest singular value.
     """
     rest = unpack(dae.u, [0.0] * len(list(leaves(dae.u))))
     system, (x, z) = with_inputs(dae, rest, 0), (dae.rows(record, start, 0) for record in "xz")

@@ -52,14 +52,7 @@ from slipfree.system.regular_files import escape_name, resolve_links, unescape_n
 
 @computing
 def build(problem: Problem[Runnable]) -> Any:
-    """Return the set-up of a problem: model, start and inputs.
-
-    Raises
-    ------
-    ProblemError
-        If the ground cannot be read or made, names are unknown, or the vehicle cannot stand at the
-        start or move from there as the problem specifies.
-    """
+    """Return the set-up of a problem; raise ProblemError if it cannot be built."""
     return verb_of(problem).build(problem)
 
 
@@ -109,16 +102,16 @@ def run_problem(
     """
     verb, kept = verb_of(problem), list[Result]()
 
-    def store(found: VerbSolution) -> None:
-        kept[:] = [_result(problem, verb, found, stored)]
+    def store(solution: VerbSolution) -> None:
+        kept[:] = [_result(problem, verb, solution, stored)]
         keep(kept[-1])
 
     setup = build(problem)
     stored = stored_inputs(problem)  # before a long search, in which files may change
     try:
         with at(problem, ("start",)):
-            found = verb.solve(problem, setup, Watch(progress, tell, path, store), resume)
-        return _result(problem, verb, found, stored)
+            solution = verb.solve(problem, setup, Watch(progress, tell, path, store), resume)
+        return _result(problem, verb, solution, stored)
     except KeyboardInterrupt:
         if not kept:
             raise
@@ -130,20 +123,15 @@ def run_problem(
 
 
 def _result(
-    problem: Problem[Runnable], verb: MotionVerb, found: VerbSolution, stored: str
+    problem: Problem[Runnable], verb: MotionVerb, solution: VerbSolution, stored: str
 ) -> Result:
     """Return the result of a solution, with the attributes of its problem."""
-    attributes = {
-        **found.trajectory.attributes,
-        **_attributes(problem, verb, found.setup),
-        STORED: stored,
-    }
-    run = replace(found.trajectory, attributes=attributes)
+    run, setup, arrays = solution
+    own = _attributes(problem, verb, setup)
+    run = replace(run, attributes={**run.attributes, **own, STORED: stored})
     if isinstance(problem.spec, MotionKeys):
         run = run.in_frame(problem.spec.frame)
-    return Result(
-        verb.name, run, verb.verification(run), found.setup, found.arrays, lambda: problem
-    )
+    return Result(verb.name, run, verb.verification(run), setup, arrays, lambda: problem)
 
 
 def _failed(result: Result, error: Exception) -> Result:
@@ -159,10 +147,7 @@ def _failed(result: Result, error: Exception) -> Result:
 def cross_check(result: Result) -> CrossCheck:
     """Solve the problem of a result in the other formulation of contact and compare the motions.
 
-    Raises
-    ------
-    ProblemError
-        If the verb of the problem does not offer a cross-check.
+    ProblemError is raised if the verb of the problem does not offer a cross-check.
     """
     problem = result.problem
     check_option(problem, CROSS_CHECK)
@@ -173,7 +158,7 @@ def _attributes(problem: Problem[Any], verb: MotionVerb, setup: VerbSetup) -> di
     """Return the attributes of a result file that describe its problem."""
     source = problem.source
     settings = {"settings": "\n".join(dict.fromkeys(source.settings.values()))}
-    found = {
+    attributes = {
         "title": problem.spec.title or source.path.stem,
         VERB_ATTRIBUTE: verb.name,
         "problem_file": source.path.name,
@@ -183,7 +168,7 @@ def _attributes(problem: Problem[Any], verb: MotionVerb, setup: VerbSetup) -> di
         **verb.attributes(problem, setup),
         **{name.replace(" ", "_"): words for name, words in setup.facts},
     }
-    return {name: escape_name(words) for name, words in found.items()}
+    return {name: escape_name(text) for name, text in attributes.items()}
 
 
 def open_result(
@@ -248,15 +233,8 @@ def _readable_facts() -> Iterator[None]:
 def shown(file: Path, name: str, folder: Path | None = None) -> Any:
     """Return the motion in a result file with ground and vehicle, as input of the viewer.
 
-    DataError is raised if the file cannot be read or contains no problem, or if input files of its
-    problem are missing or have changed.
-
-    Parameters
-    ----------
-    file, folder : Path
-        As for `open_result`.
-    name : str
-        Name of the motion in the viewer.
+    ``name`` is that of the motion in the viewer. DataError is raised if the file cannot be read or
+    contains no problem, or if input files of its problem are missing or have changed.
     """
     result = open_result(file, folder)
     return verb_of(result.problem).shown(result, name)
@@ -292,28 +270,19 @@ def export_mcap(file: Path, out: Path, folder: Path | None = None) -> None:
 
 def result_files(file: Path, folder: Path | None = None) -> list[Path]:
     """Return a result file and the files of its problem, if these are found; see `open_result`."""
-    found = [file]
+    files = [file]
     with suppress(SlipfreeError):  # the command reports it if it needs the problem
-        found += files_read(problem_of(file, read(file, lazy=True), folder))
-    return found
+        files += files_read(problem_of(file, read(file, lazy=True), folder))
+    return files
 
 
 def problem_of(
     file: Path, run: Trajectory, folder: Path | None = None, changes: Sequence[str] = ()
 ) -> Problem[Any]:
-    """Return the problem stored in a result.
+    """Return the problem stored in a result, with further settings ``changes``.
 
     DataError is raised if the result contains no problem, or input files of the problem are
     missing; ProblemError if the problem is not valid in this version.
-
-    Parameters
-    ----------
-    file, folder : Path
-        As for `open_result`.
-    run : Trajectory
-        The motion in the file.
-    changes : sequence of str
-        Further settings, such as ``"terrain.friction=0.4"``.
     """
     text = run.attributes.get("problem")
     if text is None:
@@ -353,8 +322,6 @@ def _folder(
 
     ``recorded`` is the folder in the result file; ``folder``, if given, is the only one tried.
     ``digests`` are the SHA-256 of the files with which the result was computed.
-
-    DataError is raised if no folder contains them all, or files have changed.
     """
     needed = input_names(spec, DRAWN)
     here, beside = Path.cwd(), file.absolute().parent

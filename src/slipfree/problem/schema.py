@@ -1,44 +1,50 @@
 """Tables that problem files of several verbs share: types, ranges, units and meanings.
 
-Tables of laws, soils and catalogue vehicles are made from annotated dataclasses and functions.
-Tables of the ground are in `slipfree.problem.schema_ground`, those of one verb in
-`slipfree.problem.verbs`.
+Tables of laws, soils, catalogue vehicles, obstacles and features of synthetic grounds are made from
+annotated dataclasses and functions; those of one verb are in `slipfree.problem.verbs`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
+from math import inf
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
 
-from pydantic import AfterValidator, Field, ValidationError, create_model
+from pydantic import AfterValidator, Field, PlainValidator, ValidationError, create_model
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from slipfree import catalog
 from slipfree.control import reference_speeds, step_climbing
+from slipfree.core.errors import ModelError
 from slipfree.core.trajectory import Frame
 from slipfree.files.toml.source import Fault
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import (
+    Angle,
+    Count,
     Pair,
     Positive,
     Quantity,
     Record,
+    Rock,
+    Window,
+    coefficient,
     given_values,
     not_zero,
     one_of,
     record_of,
 )
-from slipfree.files.toml.types import Piecewise as Piecewise
-from slipfree.files.toml.types import Place as Place
+from slipfree.geometry.regions import Region
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.laws.soil import Soil
 from slipfree.laws.soil_regions import OF_THE_LAW, SoilRegion
 from slipfree.laws.soils import SOILS, known_soil
-from slipfree.problem.schema_ground import RegionTable, region_of
-from slipfree.problem.schema_ground import Synthetic as Synthetic
-from slipfree.problem.schema_ground import TerrainTable as TerrainTable
 from slipfree.solve.options import MAX_TOLERANCE, MIN_TOLERANCE, SolverOptions
+from slipfree.terrain import solids
+from slipfree.terrain.base import Grid
+from slipfree.terrain.solids import Profile
+from slipfree.terrain.synthetic import FEATURES
 from slipfree.vehicle.tree import Vehicle
 
 CATALOG: dict[str, Callable[..., Vehicle]] = {
@@ -46,7 +52,6 @@ CATALOG: dict[str, Callable[..., Vehicle]] = {
 }
 OWN = ("catalog", "file", "actuated", "name")  # keys that are not keywords of the function
 DEFAULT_SOIL = next(iter(SOILS))
-OF_REGIONS = (*RegionTable.model_fields, "width")  # keys of a region that are not of its soil
 MAX_SAMPLES = 1_000_000  # largest number of samples of a motion
 VERB = "kind of the problem"
 SIZED = (
@@ -64,6 +69,171 @@ LAW = "parameters of the law of the model, in a table with the name of the law"
 FILE = "file"  # key of [inputs] and [given] that names a file
 INPUTS = "rates of driven wheels and commanded joints, by name [rad/s, m/s]"
 STEP_CLIMBING = "step-climbing"
+OBSTACLES: dict[str, tuple[Callable[..., Profile], str]] = {  # and their descriptions
+    "ramp": (solids.ramp, "a ramp up to a plateau, which begins at x = 0"),
+    "step": (solids.step, "a vertical step at x = 0 up to a plateau"),
+    "kerb": (solids.kerb, "a rectangular block, which begins at x = 0"),
+    "stairs": (solids.stairs, "stairs up to a plateau, which begin at x = 0"),
+}
+KINDS = (*OBSTACLES, "points")
+
+
+class RegionTable(Record):
+    """A region of the ground: a disc or a polygon."""
+
+    x: float | None = Field(default=None, description="coordinate of the centre of a disc [m]")
+    y: float | None = Field(default=None, description="coordinate of the centre of a disc [m]")
+    radius: Positive | None = Field(default=None, description="radius of a disc [m]")
+    points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
+        default=None, description="corners of a polygon [m]"
+    )
+
+
+def region_of(table: RegionTable) -> Region:
+    """Return the region of a table; raise ModelError if it is neither a disc nor a polygon."""
+    disc = (table.x, table.y, table.radius)
+    if table.points is not None and disc == (None, None, None):
+        return Region.polygon(table.points)
+    if table.points is None and None not in disc:
+        return Region.disc(*(float(value or 0.0) for value in disc))
+    keys = ("x", "y", "radius", "points")
+    found = ", ".join(repr(key) for key in keys if getattr(table, key) is not None)
+    raise ModelError(
+        "expected either 'x', 'y' and 'radius' (a disc), or 'points' (a polygon), found "
+        f"{found or 'none'}; add the missing keys or remove the others"
+    )
+
+
+def _optional(kind: Callable[..., Any], meaning: str) -> Any:
+    """Return the definition of an optional table with the parameters of a function."""
+    record = record_of(kind, omitted=("grid",), meaning=f"{meaning[:1].upper()}{meaning[1:]}.")
+    return record | None, Field(default=None, description=meaning)
+
+
+if TYPE_CHECKING:
+    Shapes = Record
+else:
+    Shapes = create_model(
+        "Shapes",
+        __base__=Record,
+        __doc__="Obstacles of which a problem gives one.",
+        **{name: _optional(*entry) for name, entry in OBSTACLES.items()},
+    )
+
+
+class Obstacle(Shapes):
+    """An obstacle on the ground: a profile with vertical sides, at a position and heading."""
+
+    points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
+        default=None,
+        description="corners of a convex polygon: distance along the heading, and height [m]",
+    )
+    x: float = Field(default=0.0, description="x of the point where the profile begins [m]")
+    y: float = Field(default=0.0, description="y of the point where the profile begins [m]")
+    heading: Angle = Field(
+        default=0.0,
+        description="direction of the profile, counter-clockwise from the axis of frame [rad]",
+    )
+    half_width: Positive = Field(
+        default=inf, description="half the width across the heading; infinite by default [m]"
+    )
+
+
+class MadeGround(Record):
+    """A synthetic ground: a level grid, to which features are added in the order of these keys."""
+
+    x: Pair = Field(description="x of the first and the last node [m]")
+    y: Pair = Field(description="y of the first and the last node [m]")
+    spacing: Positive = Field(description="distance between nodes [m]")
+    base: float = Field(default=0.0, description="height of the level grid [m]")
+    placed_rocks: Annotated[tuple[Rock, ...], Field(strict=False)] = Field(
+        default=(), description="rocks at given positions, added last [m]"
+    )
+
+    def with_features(self, grid: Grid) -> Grid:
+        """Return a grid with the features of the ground added, in order."""
+        for name, add in FEATURES.items():
+            table = getattr(self, name)
+            if table is not None:
+                grid = add(grid, **dict(table))
+        return grid
+
+
+def _description(feature: Callable[..., Grid]) -> str:
+    """Return the noun of "Return the grid with ... added", the docstring of a feature."""
+    summary = (feature.__doc__ or "").partition("\n")[0]
+    return summary.removeprefix("Return the grid with ").replace(" added", "").rstrip(".")
+
+
+if TYPE_CHECKING:
+    Synthetic = MadeGround
+else:
+    Synthetic = create_model(
+        "Synthetic",
+        __base__=MadeGround,
+        __doc__=MadeGround.__doc__,
+        **{name: _optional(feature, _description(feature)) for name, feature in FEATURES.items()},
+    )
+
+
+class HeightErrors(Record):
+    """Random errors of the heights of a map."""
+
+    rms: Positive = Field(description="standard deviation [m]")
+    correlation: Positive = Field(
+        description="distance at which the correlation has fallen to 1/e [m]"
+    )
+
+
+class ElevationError(HeightErrors):
+    """A random error of the heights of a map."""
+
+    seed: Count = Field(description="seed of the random numbers")
+
+
+class TerrainTable(Record):
+    """Ground of a problem, from a map file, a sample map or a description, and its friction."""
+
+    file: str | None = Field(default=None, description="map file, relative to the problem file")
+    sample: Literal["jacksboro"] | None = Field(
+        default=None, description="the sample map of matplotlib"
+    )
+    synthetic: Synthetic | None = Field(default=None, description="a synthetic ground")
+    cell: Positive | None = Field(
+        default=None, description="width of a cell, for pictures without coordinates [m]"
+    )
+    registration: Literal["area", "point"] | None = Field(
+        default=None,
+        description="'area': values of a picture are at cell centres; 'point': at nodes",
+    )
+    spacing: Positive | None = Field(
+        default=None, description="distance between nodes, for scattered points [m]"
+    )
+    geographic: Literal["local"] | None = Field(
+        default=None, description="conversion of degrees to metres; by default degrees are an error"
+    )
+    fill: Literal["linear"] | None = Field(
+        default=None,
+        description="interpolation of holes inside the map; wheels must not touch other holes",
+    )
+    scale: Positive = Field(default=1.0, description="factor of x, y and heights [1]")
+    horizontal_scale: Positive = Field(default=1.0, description="further factor of x and y [1]")
+    vertical_scale: Positive = Field(default=1.0, description="further factor of heights [1]")
+    window: Window | None = Field(default=None, description="part of the scaled ground to use [m]")
+    smooth: Positive | None = Field(
+        default=None, description="standard deviation of a Gaussian filter of the heights [m]"
+    )
+    error: ElevationError | None = Field(default=None, description="a random error of the heights")
+    rolled: Positive | None = Field(
+        default=None,
+        description="radius of the largest wheel; hollows that it cannot touch are filled [m]",
+    )
+    friction: Annotated[float | str | None, PlainValidator(coefficient)] = Field(
+        default=None, description="coefficient of friction, or the name of a friction map [1]"
+    )
+    obstacles: Annotated[tuple[Obstacle, ...], Field(strict=False)] = Field(
+        default=(), description="solids on the ground, for model = 'dynamics'"
+    )
 
 
 class SoilKeys(Record):
@@ -83,8 +253,6 @@ class SoilRegionKeys(SoilKeys, RegionTable):
 
 
 NamedSoil: Any = record_of(Soil, SoilKeys)
-
-
 REGION_MEANING = SoilRegionKeys.__doc__ or ""
 SoilRegions: Any = Annotated[
     tuple[record_of(Soil, SoilRegionKeys, omitted=OF_THE_LAW, meaning=REGION_MEANING), ...],  # type: ignore[misc]
@@ -100,42 +268,21 @@ class SoilTable(NamedSoil):  # type: ignore[misc]
     )
 
 
+OF_REGIONS = (*RegionTable.model_fields, "width")  # keys of a region that are not of its soil
+
+
 def soil_of(
     *, name: str = DEFAULT_SOIL, regions: tuple[RegionTable, ...] = (), **constants: float
 ) -> Soil:
-    """Return the soil of a table.
-
-    ModelError is raised if a constant is not valid, or a region is neither a disc nor a valid
-    polygon.
-
-    Parameters
-    ----------
-    name : str
-        Name in the catalogue.
-    regions : tuple of RegionTable
-        Records of the regions.
-    **constants : float
-        Constants that replace those of the catalogue.
-    """
+    """Return the soil of a table: one of the catalogue, with other constants and regions."""
     return replace(known_soil(name), regions=tuple(map(_region, regions)), **constants)
 
 
 def _region(table: Any) -> SoilRegion:
     """Return the region of a table with its soil."""
-    given = given_values(table)
-    soil = soil_of(**{key: value for key, value in given.items() if key not in OF_REGIONS})
+    values = given_values(table).items()
+    soil = soil_of(**{key: value for key, value in values if key not in OF_REGIONS})
     return SoilRegion(region_of(table), soil, table.width)
-
-
-def registered_laws() -> dict[str, Any]:
-    """Return the laws that have parameters, by name."""
-    laws: dict[str, Any] = {**SLIP_LAWS, **GROUND_LAWS, **CONTACT_LAWS}
-    return {name: law for name, law in laws.items() if fields(law)}
-
-
-def table_of(law: type) -> type[Record]:
-    """Return the record of the table of a law; that of soil also has names and regions."""
-    return SoilTable if law is Soil else record_of(law)
 
 
 class Law(Record):
@@ -153,14 +300,13 @@ class Law(Record):
 
 
 def law_tables() -> type[Law]:
-    """Return the record of the tables of all registered laws."""
-    keys: dict[str, Any] = {
-        name: (
-            table_of(law) | None,
-            Field(default=None, description=f"parameters of {name}"),
-        )
-        for name, law in registered_laws().items()
-    }
+    """Return the record of the tables of all registered laws that have parameters."""
+    laws: dict[str, Any] = {**SLIP_LAWS, **GROUND_LAWS, **CONTACT_LAWS}
+    keys: dict[str, Any] = {}
+    for name, law in laws.items():
+        if fields(law):
+            table: Any = SoilTable if law is Soil else record_of(law)
+            keys[name] = table | None, Field(default=None, description=f"parameters of {name}")
     return cast("type[Law]", create_model("Laws", __base__=Law, __doc__=Law.__doc__, **keys))
 
 
@@ -186,19 +332,14 @@ class VehicleSource(Record):
         if not isinstance(data, dict) or cls._keywords():
             return cls
         if ("catalog" in data) == ("file" in data):
-            context = {
-                "words": "exactly one of catalog, file",
-                "found": "catalog and file" if "file" in data else "none",
-            }
-            error = InitErrorDetails(
-                type=PydanticCustomError("expected", "{words}", context),
-                loc=("file",) if "file" in data else (),
-                input=data,
-            )
+            found, loc = ("catalog and file", ("file",)) if "file" in data else ("none", ())
+            context = {"words": "exactly one of catalog, file", "found": found}
+            kind = PydanticCustomError("expected", "{words}", context)
+            error = InitErrorDetails(type=kind, loc=loc, input=data)
             raise ValidationError.from_exception_data(cls.__name__, [error])
         name = data.get("catalog")
-        known: type[Record] = record_of(CATALOG[name], cls) if name in tuple(CATALOG) else cls
-        return known
+        schema: type[Record] = record_of(CATALOG[name], cls) if name in tuple(CATALOG) else cls
+        return schema
 
     @classmethod
     def known_keys(cls) -> list[str]:
@@ -260,23 +401,27 @@ class Output(Record):
     )
 
 
-class CommonKeys(Record):
+class FileKeys(Record):
+    """Keys of a file, with the errors of values that contradict each other."""
+
+    alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {}
+    """Keys of which exactly one is required, by table."""
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield an error for each value that contradicts another one."""
+        yield from ()
+
+
+class CommonKeys(FileKeys):
     """Common keys of all problems: verb and title."""
 
     verb: str = Field(description=VERB)
     title: str | None = Field(default=None, description="title of the result and its figures")
 
-    alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {}
-    """Keys of which exactly one is required, by table."""
-
     @property
     def named_files(self) -> tuple[str, ...]:
         """Names of input files other than those in the keys ``file`` and ``friction`` of tables."""
         return ()
-
-    def faults(self) -> Iterator[Fault]:
-        """Yield an error for each value that contradicts another one."""
-        yield from ()
 
 
 class Timed(CommonKeys):

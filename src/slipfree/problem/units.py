@@ -35,14 +35,14 @@ TABLES = (*BARE, "inputs", "bounds")
 def unit_of(spec: CommonKeys, key: str) -> str:
     """Return the unit of a dotted key of a problem, such as ``m/s``; empty without a unit."""
     table: Any = spec
-    words = ""
+    description = ""
     for part in key_path(key):
         if not isinstance(table, dict):
             field = getattr(type(table), "model_fields", {}).get(part)
-            words = (field.description or "") if field else ""
+            description = (field.description or "") if field else ""
         table = table.get(part) if isinstance(table, dict) else getattr(table, part, None)
-    found = UNIT.search(words)
-    return found[1] if found else ""
+    unit = UNIT.search(description)
+    return unit[1] if unit else ""
 
 
 def check_units(spec: schema.TerrainKeys, dae: Dae) -> Iterator[Fault]:
@@ -93,12 +93,8 @@ def check_time_unit(t: Array, duration: float) -> None:
 def check_travel(t: Array, x: Array, y: Array, speed: Array) -> None:
     """Raise DataError if the motion in a log is as far from the wheels' as other units are from SI.
 
-    Parameters
-    ----------
-    t, x, y : ndarray, shape (n,)
-        Times and positions. [s, m]
-    speed : ndarray, shape (n,)
-        Mean speed of the driven wheels' treads. [m/s]
+    Times and positions have shape (n,), as has the mean speed of the driven wheels' treads. [s, m,
+    m/s]
     """
     rolled = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(t))])
     step = max(1, t.size // CHORDS)
@@ -122,16 +118,8 @@ def check_heading_unit(x: Array, y: Array, heading: Array, *, zero: float = 0.0)
     """Raise DataError if the headings of a motion are probably in degrees.
 
     They are if they exceed a full turn and agree with the directions of motion, forward or
-    backward, as degrees but not as radians: headings that continue over turns are valid.
-
-    Parameters
-    ----------
-    x, y : ndarray, shape (n,)
-        Positions. [m]
-    heading : ndarray, shape (n,)
-        Headings, counter-clockwise. [rad]
-    zero : float
-        Direction of heading zero, from the y axis. [rad]
+    backward, as degrees but not as radians: headings that continue over turns are valid. Headings
+    count from ``zero``, an angle from the y axis. [rad]
     """
     if np.abs(heading).max(initial=0.0) <= FULL_TURN:
         return

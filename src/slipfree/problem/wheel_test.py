@@ -3,31 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from pydantic import Field, ValidationError, create_model
+from pydantic import Field
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.tables import read_columns, read_names
-from slipfree.files.toml.source import (
-    Fault,
-    Source,
-    key_lines,
-    parse_toml,
-    problem_error,
-    read_text,
-    replace_values,
-    validation_fault,
-    value_errors,
-)
+from slipfree.files.toml.source import Fault, read_text
 from slipfree.files.toml.types import Angle, Positive, Record, given_values
 from slipfree.laws.soil import Soil, WheelSize
 from slipfree.models.single_wheel import WheelCurves, single_wheel, steady_forces
-from slipfree.problem.schema import NamedSoil, soil_of
+from slipfree.problem.problem import validated_problem
+from slipfree.problem.schema import FileKeys, NamedSoil, soil_of
 from slipfree.problem.verbs.base import Lines
 
 COLUMNS = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
@@ -67,16 +57,24 @@ class TestTable(Record):
     )
 
 
-@cache
-def wheel_file() -> type[Record]:
-    """Return the schema of a wheel file; the table ``[soil]`` has the constants of `Soil`."""
-    tables: dict[str, Any] = {
-        "title": (str | None, Field(default=None, description="title of the summary")),
-        "wheel": (TestedWheelTable, Field(description="the wheel")),
-        "soil": (NamedSoil, Field(default=NamedSoil(), description="the soil")),
-        "test": (TestTable, Field(default=TestTable(), description="the test")),
-    }
-    return create_model("WheelFile", __base__=Record, **tables)
+class WheelFile(FileKeys):
+    """Wheel file; the table ``[soil]`` has the constants of `Soil`."""
+
+    title: str | None = Field(default=None, description="title of the summary")
+    wheel: TestedWheelTable = Field(description="the wheel")
+    soil: NamedSoil = Field(default=NamedSoil(), description="the soil")
+    test: TestTable = Field(default=TestTable(), description="the test")
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield an error for each value that contradicts another one."""
+        low, high = self.test.slip
+        if low >= high:
+            expected = "two slip ratios in ascending order"
+            yield Fault(("test", "slip"), expected, f"[{low:g}, {high:g}]; exchange them")
+        count = self.test.points * len(self.test.slip_angles)
+        if count > MAX_POINTS:
+            expected = f"at most {MAX_POINTS} slip ratios times slip angles"
+            yield Fault(("test", "points"), expected, f"{count}; reduce the number of points")
 
 
 class Measured(NamedTuple):
@@ -89,36 +87,16 @@ class Measured(NamedTuple):
 
 
 class WheelTest(NamedTuple):
-    """Result of a wheel file.
+    """Result of a wheel file."""
 
-    Attributes
-    ----------
-    title : str
-        Title in the file; by default the name of the file.
-    soil : Soil
-        The soil.
-    size : WheelSize
-        Radius and width of the wheel.
-    load : float
-        Vertical load. [N]
-    curves : WheelCurves
-        Computed curves.
-    measured : dict of str and Measured
-        Measured points, by quantity.
-    errors : dict of str and tuple of 2 floats
-        Root mean square, and mean, of computed minus measured values, by quantity.
-    files : list of Path
-        The wheel file, and the file of measured points if there is one.
-    """
-
-    title: str
+    title: str  # by default the name of the file
     soil: Soil
     size: WheelSize
-    load: float
+    load: float  # vertical [N]
     curves: WheelCurves
-    measured: dict[str, Measured]
-    errors: dict[str, tuple[float, float]]
-    files: list[Path]
+    measured: dict[str, Measured]  # by quantity
+    errors: dict[str, tuple[float, float]]  # computed minus measured: root mean square, mean
+    files: list[Path]  # those read
 
 
 def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
@@ -127,15 +105,9 @@ def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
     ProblemError is raised if the file cannot be read, or values do not fit its schema; DataError if
     the file of measured points cannot be read; ModelError if the wheel sinks to its axle, or the
     soil is not valid.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    settings : sequence of str
-        Values that replace those of the file, as ``key=value``.
     """
-    spec: Any = _read(path, settings)
+    text = read_text(path, "a wheel file")
+    spec: WheelFile = validated_problem(lambda *_: WheelFile, path, text, settings).spec
     soil = soil_of(**given_values(spec.soil))
     size = WheelSize(spec.wheel.radius, spec.wheel.width)
     low, high = spec.test.slip
@@ -150,69 +122,36 @@ def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
     return WheelTest(title, soil, size, spec.wheel.load, curves, measured, errors, files)
 
 
-def _read(path: Path, settings: Sequence[str]) -> Any:
-    """Return the validated values of a wheel file."""
-    text = read_text(path, "a wheel file")
-    data = parse_toml(path, text)
-    places = replace_values(data, settings)
-    source = Source(path, text, key_lines(text), places)
-    schema = wheel_file()
-    try:
-        spec: Any = schema.model_validate(data)
-    except ValidationError as error:
-        errors = error.errors(include_url=False)
-        faults = [validation_fault(schema, data, dict(each)) for each in errors]
-        raise problem_error(source, faults) from error
-    faults = [*value_errors(data), *_faults(spec)]
-    if faults:
-        raise problem_error(source, faults)
-    return spec
-
-
-def _faults(spec: Any) -> Iterator[Fault]:
-    """Yield an error for each value that contradicts another one."""
-    low, high = spec.test.slip
-    if low >= high:
-        expected = "two slip ratios in ascending order"
-        yield Fault(("test", "slip"), expected, f"[{low:g}, {high:g}]; exchange them")
-    count = spec.test.points * len(spec.test.slip_angles)
-    if count > MAX_POINTS:
-        expected = f"at most {MAX_POINTS} slip ratios times slip angles"
-        yield Fault(("test", "points"), expected, f"{count}; reduce the number of points")
-
-
 def _read_measured(path: Path, load: float) -> dict[str, Measured]:
     """Return the measured points in a CSV file, by quantity; ``load`` is that of the wheel file."""
     names = read_names(path, "measured points")
-    found = [name for name in QUANTITIES if name in names]
-    if not ("slip" in names and found):
+    quantities = [name for name in QUANTITIES if name in names]
+    if not ("slip" in names and quantities):
         raise DataError(
             f"{path}: expected a first line with 'slip' and one of {', '.join(QUANTITIES)}, found "
             f"{', '.join(names)}; add the names of the columns"
         )
-    given = ["slip", *(name for name in ("slip_angle", "load") if name in names)]
-    columns = read_columns(path, [*given, *found], "measured points").values
+    points = ["slip", *(name for name in ("slip_angle", "load") if name in names)]
+    columns = read_columns(path, [*points, *quantities], "measured points").values
     slip = columns["slip"]
     angle = columns.get("slip_angle", np.zeros_like(slip))
     loads = columns.get("load", np.full_like(slip, load))
-    return {name: Measured(slip, angle, loads, columns[name]) for name in found}
+    return {name: Measured(slip, angle, loads, columns[name]) for name in quantities}
 
 
 def _error(soil: Soil, size: WheelSize, name: str, points: Measured) -> tuple[float, float]:
     """Return root mean square and mean of computed minus measured values."""
-    found = steady_forces(soil, size, points.load, points.slip, points.angle)
-    misses = getattr(found, name) - points.value
+    forces = steady_forces(soil, size, points.load, points.slip, points.angle)
+    misses = getattr(forces, name) - points.value
     return float(np.sqrt(np.mean(misses**2))), float(np.mean(misses))
 
 
 def wheel_facts(test: WheelTest) -> Lines:
     """Return the facts about a wheel test: wheel, soil, curves, and difference from measurement."""
     curves, soil = test.curves, test.soil
+    size = f"radius {test.size.radius:g} m, width {test.size.width:g} m, load {test.load:g} N"
     facts = [
-        (
-            "wheel",
-            f"radius {test.size.radius:g} m, width {test.size.width:g} m, load {test.load:g} N",
-        ),
+        ("wheel", size),
         (
             "soil",
             f"cohesion {soil.cohesion:g} Pa, friction angle {np.rad2deg(soil.friction_angle):.4g} "
@@ -233,12 +172,9 @@ def wheel_facts(test: WheelTest) -> Lines:
             )
         )
     for name, (rms, mean) in test.errors.items():
-        unit = COLUMNS[name]
-        count = test.measured[name].slip.size
-        words = (
-            f"{count} points, computed minus measured rms {rms:.3g} {unit}, mean {mean:.3g} {unit}"
-        )
-        facts.append((f"measured {name}", words))
+        unit, count = COLUMNS[name], test.measured[name].slip.size
+        error = f"computed minus measured rms {rms:.3g} {unit}, mean {mean:.3g} {unit}"
+        facts.append((f"measured {name}", f"{count} points, {error}"))
     return facts
 
 

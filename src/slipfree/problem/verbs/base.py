@@ -52,19 +52,17 @@ def ranges(run: Trajectory) -> Lines:
             continue
         low, high = (float(end.reduce(column.values, axis=None)) for end in (np.fmin, np.fmax))
         unit = column.label.unit
-        span = _number(low) if low == high else f"{_number(low)} to {_number(high)}"
+        ends = ("infinite" if np.isinf(end) else f"{end:.6g}" for end in dict.fromkeys((low, high)))
+        span = " to ".join(ends)
         facts.append((name, span if unit == "1" or np.isinf(low) else f"{span} {unit}"))
     return facts
 
 
-def _number(value: float) -> str:
-    return "infinite" if np.isinf(value) else f"{value:.6g}"
-
-
 def has_friction(run: Trajectory) -> bool:
     """Return whether the ground of a motion has a friction coefficient, according to its result."""
-    given = "ground_friction" in run.attributes
-    return given or not np.array_equal(run["utilisation"], run["friction_needed"])
+    return "ground_friction" in run.attributes or not np.array_equal(
+        run["utilisation"], run["friction_needed"]
+    )
 
 
 def plain_facts(run: Trajectory) -> Lines:
@@ -95,7 +93,7 @@ def integrator_fact(run: Trajectory) -> tuple[str, str]:
 
 
 class VerbSetup(Protocol):
-    """Common attributes of the set-ups of all verbs: start, sample times and facts."""
+    """Common attributes of the set-ups of all verbs."""
 
     @property
     def start(self) -> Trajectory:
@@ -111,42 +109,19 @@ class VerbSetup(Protocol):
 
 
 class Watch(NamedTuple):
-    """Callbacks during the solution of a problem; the first three may raise KeyboardInterrupt.
+    """Callbacks during the solution of a problem; the first three may raise KeyboardInterrupt."""
 
-    Attributes
-    ----------
-    time : callable or None
-        Called with the time reached. [s]
-    line : callable or None
-        Called for every iterate of a plan with the phase of the search and a line of text.
-    path : callable or None
-        Called for every iterate of a plan with the path of the platform in map coordinates, an
-        ndarray of shape (n, 2). [m]
-    keep : callable
-        Called with a `VerbSolution` of what is computed so far, which is the result if the
-        computation is interrupted or fails afterwards. The last one counts.
-    """
-
-    time: Callable[[float], None] | None = None
-    line: Callable[[str, str], None] | None = None
-    path: Callable[[Array], None] | None = None
+    time: Callable[[float], None] | None = None  # called with the time reached [s]
+    line: Callable[[str, str], None] | None = None  # phase of the search, and a line, per iterate
+    path: Callable[[Array], None] | None = None  # path of an iterate on the map, shape (n, 2) [m]
+    # what is computed so far: the last one is the result if the computation ends early
     keep: Callable[[VerbSolution], None] = lambda _: None
 
 
 class VerbSolution(NamedTuple):
-    """Solution of a problem: a motion, its set-up and further arrays.
+    """Solution of a problem: a motion, its set-up, and further arrays for the result file."""
 
-    Attributes
-    ----------
-    trajectory : Trajectory
-        The motion, complete or up to its stop.
-    setup : VerbSetup
-        Model, start and inputs of the motion.
-    arrays : mapping of str to ndarray
-        Arrays for the result file besides the samples.
-    """
-
-    trajectory: Trajectory
+    trajectory: Trajectory  # complete or up to its stop
     setup: VerbSetup
     arrays: Mapping[str, Array] = NOTHING
 
@@ -154,12 +129,8 @@ class VerbSolution(NamedTuple):
 def integrate(setup: Any, options: SolverOptions, watch: Watch) -> Trajectory:
     """Return the motion of a set-up, or its part up to Ctrl-C or to a failure of the integrator.
 
-    The motion has all samples of a sampled driving law.
-
-    Raises
-    ------
-    SolverError
-        If the integrator fails before the first sample.
+    The motion has all samples of a sampled driving law. SolverError is raised if the integrator
+    fails before the first sample.
     """
 
     def progress(t: float) -> bool:
@@ -171,9 +142,9 @@ def integrate(setup: Any, options: SolverOptions, watch: Watch) -> Trajectory:
         return True
 
     solver = simulate_sampled if setup.every else simulate
-    posed = setup.dae, setup.start, setup.inputs, setup.t
+    problem = setup.dae, setup.start, setup.inputs, setup.t
     try:
-        return solver(*posed, options=options, progress=progress)
+        return solver(*problem, options=options, progress=progress)
     except SolverError as error:
         if error.trajectory is None:
             raise
@@ -183,20 +154,13 @@ def integrate(setup: Any, options: SolverOptions, watch: Watch) -> Trajectory:
 def with_diagnostics(
     run: Trajectory,
     diagnostics: Mapping[str, Callable[[Trajectory], Trajectory]],
-    keep: Callable[[Trajectory], None],
+    watch: Watch,
+    setup: Any,
+    arrays: Mapping[str, Array] = NOTHING,
 ) -> Trajectory:
-    """Return a motion with diagnostics; a fact names those that fail, with the error.
+    """Return a motion with diagnostics, by name; a fact names those that fail, with the error.
 
-    KeyboardInterrupt is raised after Ctrl-C.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    diagnostics : mapping of str to callable
-        Functions that return a motion with one more diagnostic, by name.
-    keep : callable
-        Called after Ctrl-C with the motion and the diagnostics so far.
+    After Ctrl-C the motion is kept with the diagnostics so far, and KeyboardInterrupt is raised.
     """
     for name, diagnose in diagnostics.items():
         try:
@@ -206,7 +170,7 @@ def with_diagnostics(
             t = float(run.t[-1])
             words = f"the motion is computed to its end, but not all diagnostics: without {name}"
             stop = run.stop or Stop("interrupted", t, words, Outcome.INTERRUPTED)
-            keep(replace(run, stop=stop))
+            watch.keep(VerbSolution(replace(run, stop=stop), setup, arrays))
             raise
         except Exception as error:  # a failed diagnostic must not lose the motion
             earlier = run.facts[FAILED_DIAGNOSTICS].value if FAILED_DIAGNOSTICS in run.facts else []
@@ -216,17 +180,9 @@ def with_diagnostics(
 
 
 class CrossCheck(NamedTuple):
-    """Differences between the motions of two formulations of contact.
+    """Largest differences of the quantities from the motion in another formulation of contact."""
 
-    Attributes
-    ----------
-    other : str
-        Name of the other formulation.
-    differences : tuple of Difference
-        Largest difference of each quantity over the motion.
-    """
-
-    other: str
+    other: str  # name of the other formulation
     differences: tuple[Difference, ...]
 
 
@@ -282,18 +238,10 @@ class Result(Generic[P, D]):
 
 
 class Verb(ABC):
-    """Interface of a verb: schema and commands.
-
-    Attributes
-    ----------
-    schema : type
-        Record type of the verb's problem files.
-    commands : tuple of str
-        Names of the commands that accept the verb; the first one solves its problems.
-    """
+    """Interface of a verb: the record of its problem files, and the commands that accept it."""
 
     schema: ClassVar[type[CommonKeys]]
-    commands: ClassVar[tuple[str, ...]] = ("run",)
+    commands: ClassVar[tuple[str, ...]] = ("run",)  # the first one solves the problems
 
     @property
     def name(self) -> str:
@@ -303,60 +251,26 @@ class Verb(ABC):
 
 
 class MotionVerb(Verb):
-    """Interface of a verb whose solution is the motion of one vehicle.
+    """Interface of a verb whose solution is the motion of one vehicle."""
 
-    Attributes
-    ----------
-    options : tuple of str
-        Supported options of ``slipfree run``: some of `CROSS_CHECK` and `RESUME`.
-    is_timed : bool
-        Whether the solver proceeds along the time of the motion, as integrators do.
-    checks : tuple of str
-        Names of the facts about accuracy and validity, which reports list separately.
-    metrics_shown : tuple of str
-        Names of the metrics that a sweep shows by default.
-    verified : tuple of str
-        Beginnings of the names of facts that verify a motion; see `verification`.
-    """
-
-    options: ClassVar[tuple[str, ...]] = ()
-    is_timed: ClassVar[bool] = True
-    checks: ClassVar[tuple[str, ...]] = ()
-    metrics_shown: ClassVar[tuple[str, ...]] = ()
-    verified: ClassVar[tuple[str, ...]] = ()
+    options: ClassVar[tuple[str, ...]] = ()  # of slipfree run: CROSS_CHECK, RESUME
+    is_timed: ClassVar[bool] = True  # whether the solver proceeds along the time, as integrators do
+    checks: ClassVar[tuple[str, ...]] = ()  # facts that reports list separately
+    metrics_shown: ClassVar[tuple[str, ...]] = ()  # those that a sweep shows by default
+    verified: ClassVar[tuple[str, ...]] = ()  # beginnings of the facts of `verification`
 
     @abstractmethod
     def build(self, problem: Problem[Any]) -> VerbSetup:
-        """Return model, start and inputs of a problem.
-
-        Raises
-        ------
-        ProblemError
-            If the problem cannot be set up.
-        """
+        """Return model, start and inputs of a problem; raise ProblemError for an invalid one."""
 
     @abstractmethod
     def solve(
         self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
     ) -> VerbSolution:
-        """Return the motion of a problem.
+        """Return the motion of a problem; ``setup`` is the result of `build`.
 
-        Parameters
-        ----------
-        problem : Problem
-            The problem.
-        setup : VerbSetup
-            Result of `build`.
-        watch : Watch
-            Callbacks that report the progress.
-        resume : SavedPlan or None
-            Plan for a warm start.
-
-        Raises
-        ------
-        SolverError
-            If the solver fails before the first sample; a later failure is the stop of the
-            trajectory.
+        ``watch`` reports the progress, ``resume`` is a plan for a warm start. SolverError is raised
+        if the solver fails before the first sample; a later failure is the stop of the trajectory.
         """
 
     @abstractmethod
@@ -399,37 +313,18 @@ class MotionVerb(Verb):
         return {name: fact for name, fact in run.facts.items() if name.startswith(self.verified)}
 
     def cross_check(self, result: Result) -> CrossCheck:
-        """Return the differences from the other formulation of contact.
-
-        Raises
-        ------
-        NotImplementedError
-            If the verb does not offer a cross-check.
-        """
+        """Return the differences from the other formulation of contact, if the verb offers them."""
         raise NotImplementedError(CROSS_CHECK)
 
 
 class Extremes(NamedTuple):
-    """Names of the quantities whose last values, extremes or changes are facts.
+    """Names of the quantities whose last values, extremes or changes are facts."""
 
-    Attributes
-    ----------
-    end : tuple of str
-        Quantities whose last value is a fact, such as ``end_x``.
-    largest : tuple of str
-        Quantities whose largest absolute value is a fact, such as ``pitch_largest``.
-    least, greatest : tuple of str
-        Quantities whose smallest or greatest value is a fact, such as ``clearance_least`` or
-        ``z_greatest``.
-    gained : tuple of str
-        Quantities whose change from start to end is a fact, such as ``work``.
-    """
-
-    end: tuple[str, ...] = ()
-    largest: tuple[str, ...] = ()
-    least: tuple[str, ...] = ()
-    greatest: tuple[str, ...] = ()
-    gained: tuple[str, ...] = ()
+    end: tuple[str, ...] = ()  # last values, such as end_x
+    largest: tuple[str, ...] = ()  # absolute values, such as pitch_largest
+    least: tuple[str, ...] = ()  # such as clearance_least
+    greatest: tuple[str, ...] = ()  # such as z_greatest
+    gained: tuple[str, ...] = ()  # changes from start to end, such as work
 
     def of(self, run: Trajectory) -> dict[str, Fact]:
         """Return the facts of a motion; those of quantities that it does not have are omitted."""

@@ -60,55 +60,26 @@ class CompareVerb(Verb):
 
 
 class ComparedMotion(NamedTuple):
-    """Results of one motion of a vehicle of a comparison.
+    """Largest values over one motion of a vehicle of a comparison; slip is per wheel."""
 
-    Attributes
-    ----------
-    along, across, measured : ndarray, shape (n_wheels,)
-        Largest slip velocity of every wheel: along and across the wheel in the model, and in total,
-        computed from the wheel poses alone. [m/s]
-    friction : float
-        Largest coefficient of friction that a wheel needs, load-weighted where forces are
-        indeterminate; NaN for a vehicle without mass. [1]
-    tilt : float
-        Largest absolute angle of the passive joints that turn; zero without such joints. [rad]
-    width : tuple of 2 floats
-        Smallest and largest distance between the centres of the first two wheels. [m]
-    stop : Stop or None
-        Stop of a motion that ended early; None for a complete motion.
-    """
-
-    along: Array
-    across: Array
-    measured: Array
-    friction: float
-    tilt: float
-    width: tuple[float, float]
+    along: Array  # slip along the wheel in the model [m/s]
+    across: Array  # slip across the wheel in the model [m/s]
+    measured: Array  # total slip, computed from the wheel poses alone [m/s]
+    friction: float  # coefficient needed, load-weighted; NaN without mass [1]
+    tilt: float  # of the passive joints that turn; zero without such joints [rad]
+    width: tuple[float, float]  # least and largest distance of the first two wheels [m]
     stop: Stop | None
 
 
 class ComparedVehicle(NamedTuple):
-    """One vehicle of a comparison.
-
-    Attributes
-    ----------
-    name : str
-        Name of the vehicle.
-    wheels : tuple of str
-        Names of its wheels, in the order of the arrays.
-    rank, conditions : int
-        Rank of the Jacobian of the slip in the unknown rates, and number of slip conditions; the
-        vehicle can roll without slip if they are equal.
-    same, fitting : ComparedMotion
-        Motions at the common rates, and at the rates of the driving law.
-    """
+    """One vehicle of a comparison; it can roll without slip if rank and conditions are equal."""
 
     name: str
-    wheels: tuple[str, ...]
-    rank: int
-    conditions: int
-    same: ComparedMotion
-    fitting: ComparedMotion
+    wheels: tuple[str, ...]  # in the order of the arrays
+    rank: int  # of the Jacobian of the slip in the unknown rates
+    conditions: int  # number of slip conditions
+    same: ComparedMotion  # motion at the common rates
+    fitting: ComparedMotion  # motion at the rates of the driving law
 
 
 def compare(
@@ -116,17 +87,9 @@ def compare(
 ) -> tuple[GroundMap, list[ComparedVehicle]]:
     """Compare vehicles on one ground; return the ground and the results of each vehicle.
 
-    After a Ctrl-C held back by `held_interrupt`, the results are those of the finished vehicles.
-
-    ProblemError is raised if the problem cannot be built; SolverError if a motion fails before its
-    first sample.
-
-    Parameters
-    ----------
-    problem : Problem
-        The comparison.
-    progress : callable
-        Called with the name of each vehicle before its computation.
+    ``progress`` is called with the name of each vehicle before its computation. After a Ctrl-C held
+    back by `held_interrupt`, the results are those of the finished vehicles. ProblemError is raised
+    if the problem cannot be built; SolverError if a motion fails before its first sample.
     """
     ground, rows = build_ground(problem), []
     terrain = build_terrain(problem, ground)
@@ -135,7 +98,7 @@ def compare(
         with at(problem, ("vehicles", index)):
             vehicle = build_vehicle(spec, problem)
         try:
-            rows.append(_row(problem, spec.name, vehicle, direct_kinematics(vehicle, terrain)))
+            rows.append(_compared(problem, spec.name, vehicle, direct_kinematics(vehicle, terrain)))
         except KeyboardInterrupt:
             if not (rows and interrupt_requested()):
                 raise
@@ -143,33 +106,23 @@ def compare(
     return ground, rows
 
 
-def _row(
-    problem: Problem[Compare],
-    name: str,
-    vehicle: Vehicle,
-    dae: Dae,
-) -> ComparedVehicle:
+def _compared(problem: Problem[Compare], name: str, vehicle: Vehicle, dae: Dae) -> ComparedVehicle:
     spec, start = problem.spec, build_start(problem, dae)
+    options = spec.solver.options
     known = [label.full for label in leaves(dae.labels.u)]
     free = {f"{wheel.name}_rate" for wheel in vehicle.wheels if not wheel.driven}
-    given = {key: rate for key, rate in spec.inputs.items() if key not in free}
-    check_names(problem, dae, {**dict.fromkeys(known, 0.0), **given})
+    rates = {key: rate for key, rate in spec.inputs.items() if key not in free}
+    check_names(problem, dae, {**dict.fromkeys(known, 0.0), **rates})
     t, _ = samples(spec.time, {})
-    same = dae.inputs(**{key: given.get(key, 0.0) for key in known})
+    same = dae.inputs(**{key: rates.get(key, 0.0) for key in known})
     law = build_law(problem, spec.driver, dae, vehicle, start)
-    drives = [_drive(vehicle, dae, start, inputs, t, spec.solver.options) for inputs in (same, law)]
-    return ComparedVehicle(
-        name, start.wheels, _rank(dae, start, spec.solver.options), 3 * len(vehicle.wheels), *drives
-    )
+    drives = [_drive(vehicle, dae, start, inputs, t, options) for inputs in (same, law)]
+    rank, conditions = _rank(dae, start, options), 3 * len(vehicle.wheels)
+    return ComparedVehicle(name, start.wheels, rank, conditions, *drives)
 
 
 def _drive(
-    vehicle: Vehicle,
-    dae: Dae,
-    start: Trajectory,
-    inputs: Any,
-    t: Array,
-    options: SolverOptions,
+    vehicle: Vehicle, dae: Dae, start: Trajectory, inputs: Any, t: Array, options: SolverOptions
 ) -> ComparedMotion:
     try:
         run = simulate(dae, start, inputs, t, options=options)
@@ -194,10 +147,8 @@ def _drive(
 
 
 def _rank(dae: Dae, start: Trajectory, options: SolverOptions) -> int:
-    """Return the rank of the Jacobian ``A`` of the slip in the unknown rates.
-
-    The Jacobian of the rates of the model contains ``A'A``, which has the same rank.
-    """
+    """Return the rank of ``A``, the Jacobian of the slip in the unknown rates."""
+    # the Jacobian of the rates contains A'A, which has the same rank
     rest = dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)})
     system = with_inputs(dae, rest, 0, options)
     x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)

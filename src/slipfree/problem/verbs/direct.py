@@ -59,31 +59,24 @@ START_TOLERANCE = 1e-6  # of the first commanded position [rad, m]
 
 
 class _Actuator(NamedTuple):
-    """Input that moves a joint: ``joint = offset + slope * q``, with rate ``q'`` of the input.
+    """Input that moves a joint: ``joint = offset + slope * q``, with rate ``q'`` of the input."""
 
-    ``q`` is a coordinate, or the angle of a wheel if ``is_wheel`` is set; ``name`` is that of the
-    input.
-    """
-
-    name: str
+    name: str  # of the input
     slope: float
     offset: float
-    is_wheel: bool
+    is_wheel: bool  # whether q is the angle of a wheel, not a coordinate
 
 
 def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dict[str, Piecewise]:
     """Return the inputs that an MCAP file commands, by name; joints without input are ignored.
 
     The rates are the commanded velocities. If some messages have no velocity, the rates between two
-    messages are constant, and each position is reached at the time of its message.
-
-    ProblemError is raised if the file is not an MCAP file or cannot be read, if it commands no
-    input, if some messages for a joint lack a velocity and some lack a position, or if the first
-    commanded position of a joint differs from its start.
+    messages are constant, and each position is reached at the time of its message. ProblemError is
+    raised if the file cannot be used, or its first positions are not those of the start.
     """
     spec: MotionKeys = problem.spec
     robot = read_robot(spec.vehicle, problem)
-    actuators, found = _actuators(vehicle, robot), dict[str, Piecewise]()
+    actuators, inputs = _actuators(vehicle, robot), dict[str, Piecewise]()
     with at(problem, ("inputs", FILE)):
         if not is_mcap(Path(file)):
             raise DataError(
@@ -92,10 +85,9 @@ def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dic
             )
         commands = read_joint_commands(problem.folder / file)
         for joint, actuator in actuators.items():
-            if joint in commands and actuator.name not in found:
-                rates = _rates(joint, commands[joint], actuator, problem)
-                found[actuator.name] = rates
-        if not found:
+            if joint in commands and actuator.name not in inputs:
+                inputs[actuator.name] = _rates(joint, commands[joint], actuator, problem)
+        if not inputs:
             raise DataError(
                 f"{file}: expected commands of one or more of the joints {', '.join(actuators)}, "
                 + (
@@ -104,7 +96,7 @@ def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dic
                     else "found no joint names; record the commands with names"
                 )
             )
-    return found
+    return inputs
 
 
 def _actuators(vehicle: Vehicle, robot: Robot | None) -> dict[str, _Actuator]:
@@ -117,7 +109,7 @@ def _actuators(vehicle: Vehicle, robot: Robot | None) -> dict[str, _Actuator]:
     driven = {c.name for c in vehicle.of("commanded")} | {
         w.name for w in vehicle.wheels if w.driven
     }
-    found = {
+    actuators = {
         c.name: _Actuator(f"{c.name}_rate", 1.0, 0.0, is_wheel=False)
         for c in vehicle.of("commanded")
     }
@@ -127,37 +119,31 @@ def _actuators(vehicle: Vehicle, robot: Robot | None) -> dict[str, _Actuator]:
             continue
         name = [*names, *wheels][slopes.sparsity().get_triplet()[1][0]]
         if name in driven:
-            slope, offset = float(ca.sum2(ca.DM(slopes))), float(_at_zero(value, q))
-            found[joint] = _Actuator(f"{name}_rate", slope, offset, name in wheels)
-    return found
-
-
-def _at_zero(value: ca.SX, q: ca.SX) -> ca.DM:
-    return ca.Function("value", [q], [value])(0)
+            slope, offset = ca.sum2(ca.DM(slopes)), ca.Function("value", [q], [value])(0)
+            actuators[joint] = _Actuator(
+                f"{name}_rate", float(slope), float(offset), name in wheels
+            )
+    return actuators
 
 
 def _rates(
-    joint: str, given: JointCommands, actuator: _Actuator, problem: Problem[Any]
+    joint: str, commands: JointCommands, actuator: _Actuator, problem: Problem[Any]
 ) -> Piecewise:
-    """Return the rate of an input over time, from the commands of its joint.
-
-    DataError is raised if some messages lack a velocity and some lack a position, or the first
-    position is not that of the start.
-    """
-    if np.isfinite(given.velocities).all():
-        rates = given.velocities / actuator.slope
-    elif np.isfinite(given.positions).all():
-        wanted = (given.positions - actuator.offset) / actuator.slope
+    """Return the rate of an input over time, from the commands of its joint."""
+    if np.isfinite(commands.velocities).all():
+        rates = commands.velocities / actuator.slope
+    elif np.isfinite(commands.positions).all():
+        wanted = (commands.positions - actuator.offset) / actuator.slope
         if not actuator.is_wheel:
             _check_start(joint, float(wanted[0]), actuator, problem)
-        rates = np.append(np.diff(wanted) / np.diff(given.t), 0.0)
+        rates = np.append(np.diff(wanted) / np.diff(commands.t), 0.0)
     else:
         raise DataError(
             f"expected a velocity, or a position, of joint {joint} in every message that names it, "
             "found messages without velocity and messages without position; record either in "
             "every message"
         )
-    later: Array = given.t if given.t[0] == 0 else np.append(0.0, given.t)
+    later: Array = commands.t if commands.t[0] == 0 else np.append(0.0, commands.t)
     padded = np.append(np.zeros(later.size - rates.size), rates)
     return tuple(zip(later.tolist(), padded.tolist(), strict=True))
 
@@ -236,25 +222,18 @@ class DirectVerb(DriveVerb):
     options = (CROSS_CHECK,)
 
     def build(self, problem: Problem[Direct]) -> Setup:
-        """Return the model, the settled start and the inputs of a problem.
-
-        Raises
-        ------
-        ProblemError
-            If ground, vehicle, law, start or inputs are not valid, or the model does not support
-            the formulation of contact.
-        """
+        """Return the model, the settled start and the inputs of a problem."""
         spec = problem.spec
         world = build_world(problem)
         ground, terrain, vehicle, prisms, model = world
         dae: Dae = model
-        given, source = _given(problem, vehicle)
-        check_names(problem, dae, given)
+        constants, source = _given(problem, vehicle)
+        check_names(problem, dae, constants)
         is_climbing = spec.driver is not None and spec.driver.name == STEP_CLIMBING
         if is_climbing:
             dae, climbing_inputs = build_climbing(problem, world)
         start = build_start(problem, dae)
-        (t, rates), every = samples(spec.time, given or {}), 0
+        (t, rates), every = samples(spec.time, constants or {}), 0
         if spec.formulation == "montana":
             with at(problem, ("formulation",)):
                 if spec.model != "kinematics":
@@ -262,7 +241,7 @@ class DirectVerb(DriveVerb):
                         "expected model = 'kinematics' with formulation = 'montana', found model = "
                         f"{spec.model!r}; set model = 'kinematics', or remove 'formulation'"
                     )
-                dae = montana_kinematics(vehicle, terrain, slip=model_law(problem, spec))
+                dae = montana_kinematics(vehicle, terrain, slip=model_law(problem))
         if spec.driver is None:
             driven = f"inputs {', '.join(rates)}{source}"
             with at(problem, ("inputs",)):
@@ -277,8 +256,8 @@ class DirectVerb(DriveVerb):
             if spec.driver.period is not None:
                 driven += f", every {spec.driver.period:g} s"
                 t, every = sampled_times(problem, ("driver", "period"), spec.driver.period)
-        parts = ground, terrain, vehicle, model, dae, start, inputs, t, driven
-        return Setup(*parts, prisms=prisms, every=every)
+        setup = ground, terrain, vehicle, model, dae, start, inputs, t, driven
+        return Setup(*setup, prisms=prisms, every=every)
 
     def drive(
         self, problem: Problem[Direct], setup: Setup, watch: Watch, resume: SavedPlan | None
@@ -290,8 +269,8 @@ class DirectVerb(DriveVerb):
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including model, law and formulation."""
         spec = problem.spec
-        found = super().attributes(problem, setup) | model_attributes(spec)
-        return found | {FORMULATION: spec.formulation}
+        attributes = super().attributes(problem, setup) | model_attributes(spec)
+        return attributes | {FORMULATION: spec.formulation}
 
     def cross_check(self, result: Result) -> CrossCheck:
         """Return the differences from the motion in the other formulation of contact."""
@@ -305,13 +284,13 @@ class DirectVerb(DriveVerb):
 
 
 def _given(problem: Problem[Direct], vehicle: Vehicle) -> tuple[dict[str, Any] | None, str]:
-    """Return the inputs of a problem, including those of its MCAP file, and a note on the file.
+    """Return the inputs of a problem, None under a driving law, and a note on their MCAP file.
 
-    Rates in the problem replace those in the file. The inputs are None under a driving law.
+    Rates in the problem replace those in the file.
     """
-    given = problem.spec.inputs
-    if given is None or FILE not in given:
-        return given, ""
-    file = given[FILE]
-    rates = {name: value for name, value in given.items() if name != FILE}
+    inputs = problem.spec.inputs
+    if inputs is None or FILE not in inputs:
+        return inputs, ""
+    rates = dict(inputs)
+    file = rates.pop(FILE)
     return read_joint_inputs(problem, file, vehicle) | rates, f" of {file}"

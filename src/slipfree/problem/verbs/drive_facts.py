@@ -103,7 +103,7 @@ def _placed(run: Trajectory, name: str) -> Fact:
 
 def _slip_rows(run: Trajectory, slip: Array) -> list[dict[str, Any]]:
     """Return largest and root mean square slip of each wheel [m/s]."""
-    along, across = (np.abs(run[f"slip_{way}"]).max(axis=0) for way in ("along", "across"))
+    along, across = (np.abs(run[f"slip_{axis}"]).max(axis=0) for axis in ("along", "across"))
     rms = np.sqrt(np.mean(slip**2, axis=0))
     names = ("wheel", "along_largest", "across_largest", "rms")
     rows = zip(run.wheels, along.tolist(), across.tolist(), rms.tolist(), strict=True)
@@ -167,13 +167,13 @@ def _filled_words(run: Trajectory, value: Mapping[str, Any]) -> str:
     """Return a text on the parts of wheel paths that lie on filled holes of the map."""
     if not value[FILLED]:
         return f"no wheel on interpolated heights at any of {run.t.size} samples"
-    parts = [
+    lengths = (
         f"{row['wheel']} {row['length']:.4g} of {row['path_length']:.4g} m"
         for row in value["filled_paths"]
-    ]
+    )
     return (
         f"{value[FILLED]} of {run.t.size} samples have a wheel on interpolated heights; along the "
-        f"contact points: {', '.join(parts)}"
+        f"contact points: {', '.join(lengths)}"
     )
 
 
@@ -196,12 +196,12 @@ def contact_lines(run: Trajectory, facts: Facts) -> Iterator[tuple[str, str]]:
             if value["time_in_air"]
             else "never",
         )
-    words = [
+    in_air = (
         f"{row['wheel']} at {row['share_of_samples']:.0%} of the samples, up to "
         f"{row['height']:.2g} m high"
         for row in value["wheels_in_air"]
-    ]
-    yield "wheels in the air", "; ".join(words) or "none"
+    )
+    yield "wheels in the air", "; ".join(in_air) or "none"
     if is_dynamic(run):
         yield "lift-offs", f"{value['lift_offs']}, counted per wheel"
         return
@@ -218,13 +218,7 @@ def contact_lines(run: Trajectory, facts: Facts) -> Iterator[tuple[str, str]]:
 
 
 def start_lines(poses: Sequence[Trajectory]) -> Iterator[tuple[str, str]]:
-    """Yield lines about a start with pressed wheels: its wheel of least load, other stable poses.
-
-    Parameters
-    ----------
-    poses : sequence of Trajectory
-        Stable poses at the start, that of the motion first.
-    """
+    """Yield lines about a start with pressed wheels, the first of its stable poses."""
     if not has_pressed_wheels(poses[0]):
         return
     name, share, depth = lightest_wheel(poses[0], 0)
@@ -300,10 +294,7 @@ def force_lines(run: Trajectory, facts: Facts) -> Iterator[tuple[str, str]]:
 
 
 def friction_words(run: Trajectory, facts: Facts) -> str:
-    """Return the description of the largest utilisation of friction, with wheel and time.
-
-    On a ground without coefficient of friction, describe the largest coefficient needed.
-    """
+    """Return the largest utilisation of friction, or without friction the coefficient needed."""
     used = facts["utilisation_largest"]
     where, value = f"at most ({used.words})", f"{used.value:.4g}"
     if "ground_friction" not in run.attributes:
@@ -321,19 +312,9 @@ def friction_words(run: Trajectory, facts: Facts) -> str:
 def trust_lines(
     run: Trajectory, facts: Facts, tolerance: float | None
 ) -> Iterator[tuple[str, str]]:
-    """Yield the lines about residuals, conditioning and the contact certificate.
+    """Yield the lines about residuals, conditioning and certificate, or about the energy balance.
 
-    For a dynamic motion, yield those about the energy balance instead. Diagnostics that did not
-    converge are listed for all motions.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    facts : mapping of str to Fact
-        Its facts.
-    tolerance : float or None
-        Tolerance of its integrator; None if it was not integrated.
+    ``tolerance`` is that of the integrator, None without one.
     """
     value = {name: fact.value for name, fact in facts.items()}
     if is_dynamic(run):
@@ -367,8 +348,7 @@ def trust_lines(
 def certificate(run: Trajectory) -> str:
     """Return the text of the contact certificate: whether each wheel has a single contact point.
 
-    The text begins with "clean" if this is certain at all samples, otherwise with "broken", and
-    contains the least margins.
+    It begins with "clean" if this is certain at all samples, otherwise with "broken".
     """
     if UNIQUE[0] not in run:
         return "clean: the ground is a plane"

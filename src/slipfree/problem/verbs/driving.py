@@ -92,22 +92,16 @@ class DriveVerb(MotionVerb):
     def drive(
         self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the motion without diagnostics, and further arrays for the result file by name.
-
-        Parameters and errors are those of `MotionVerb.solve`.
-        """
+        """Return the motion without diagnostics, and further arrays for the result file by name."""
 
     def solve(
         self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
     ) -> VerbSolution:
         """Return the motion of a problem with its diagnostics."""
         run, arrays = self.drive(problem, setup, watch, resume)
-        law = model_law(problem, problem.spec) if isinstance(problem.spec, Modelled) else None
+        law = model_law(problem) if isinstance(problem.spec, Modelled) else None
 
-        def keep(run: Trajectory) -> None:
-            watch.keep(VerbSolution(run, setup, arrays))
-
-        run = with_diagnostics(run, _diagnostics(setup, law, run), keep)
+        run = with_diagnostics(run, _diagnostics(setup, law, run), watch, setup, arrays)
         return VerbSolution(run, setup, arrays)
 
     def describe_start(
@@ -116,8 +110,8 @@ class DriveVerb(MotionVerb):
         """Return the start in the frame of the problem, and facts about start and samples."""
         spec = problem.spec
         start = setup.start.in_frame(spec.frame)
-        given = [name for name in spec.start if name in start.columns]
-        names = dict.fromkeys([*given, "z", "pitch", "roll"])
+        own = [name for name in spec.start if name in start.columns]
+        names = dict.fromkeys([*own, "z", "pitch", "roll"])
         pose = ", ".join(f"{name} {start[name][0]:.6g}" for name in names)
         return start, [
             ("start", f"{pose} (m, rad)"),
@@ -185,18 +179,11 @@ class DriveVerb(MotionVerb):
         run, problem = result.trajectory, result.problem
         terrain, vehicle = build_terrain(problem, ground_of(result)), vehicle_of(result)
         prisms = build_solids(problem, terrain)
-        _check_ground(run, terrain, prisms, vehicle, problem)
+        _check_ground(result, terrain, prisms, vehicle)
         name_of_file = problem.spec.vehicle.file
-        found = None if name_of_file is None else vehicle_file(name_of_file, problem)
-        return Driven(
-            name,
-            run,
-            terrain,
-            vehicle,
-            prisms=prisms,
-            robot=found and found.robot,
-            visuals=_visuals(found),
-        )
+        stored = None if name_of_file is None else vehicle_file(name_of_file, problem)
+        robot, visuals = stored and stored.robot, _visuals(stored)
+        return Driven(name, run, terrain, vehicle, prisms=prisms, robot=robot, visuals=visuals)
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return attributes of the result: input names, coordinates of the map file."""
@@ -208,15 +195,12 @@ class DriveVerb(MotionVerb):
 
 
 def _visuals(file: VehicleFile | None) -> dict[str, Mesh]:
-    """Return the meshes of the links of a URDF by name.
-
-    Unreadable meshes, and those that differ from those of the result, are omitted.
-    """
+    """Return the meshes of the links of a URDF by name, those that the result used and exist."""
     from slipfree.show.meshes import joined
 
-    found: dict[str, Mesh] = {}
+    visuals: dict[str, Mesh] = {}
     if file is None or file.robot is None:
-        return found
+        return visuals
     folder, known = Path(file.robot.tree.file).parent, []
     for link in file.robot.tree.links.values():
         with suppress(DataError):  # the vehicle is then drawn with simple bodies
@@ -225,8 +209,8 @@ def _visuals(file: VehicleFile | None) -> dict[str, Mesh]:
     files = MeshFiles((mesh for link in known for mesh in link.visuals), folder)
     for link in known:
         with suppress(DataError):
-            found[link.name] = joined(*map(files.triangles, link.visuals))
-    return found
+            visuals[link.name] = joined(*map(files.triangles, link.visuals))
+    return visuals
 
 
 def _is_known(mesh: str, folder: Path, file: VehicleFile) -> bool:
@@ -238,10 +222,7 @@ def _is_known(mesh: str, folder: Path, file: VehicleFile) -> bool:
 
 
 def _stable_poses(problem: Problem[MotionKeys], setup: Setup) -> tuple[Trajectory, ...]:
-    """Return the stable poses at the start of a motion, that of the motion first.
-
-    Headings are those of the problem's frame. With exact contact there is one pose.
-    """
+    """Return the stable poses at the start, the motion's own first, in the problem's frame."""
     model, spec = setup.model, problem.spec
     if model.standing is not None and model.standing.guess is None:
         model = model.standing.model
@@ -274,17 +255,17 @@ def vehicle_of(result: Result) -> Vehicle:
 
 def _diagnostics(setup: Setup, law: object, run: Trajectory) -> dict[str, Diagnostic]:
     """Return the diagnostics of a motion by name."""
-    found: dict[str, Diagnostic] = {
+    vehicle = setup.vehicle
+    diagnostics: dict[str, Diagnostic] = {
         "filled_ground": partial(_with_filled, setup.ground.grid),
         OBSTACLES: partial(_with_ending, setup),
     }
-    vehicle = setup.vehicle
     has_choice = vehicle.mass and has_exact_closure(vehicle) and not is_determinate(vehicle)
     if has_choice and "kinetic_energy" not in run:  # dynamics has one distribution of forces
-        found[BEST.name] = partial(best_utilisation, setup.vehicle, setup.terrain)
+        diagnostics[BEST.name] = partial(best_utilisation, vehicle, setup.terrain)
     if isinstance(law, Soil):
-        found[RESERVE.name] = partial(drawbar_reserve, vehicle, law)
-    return found
+        diagnostics[RESERVE.name] = partial(drawbar_reserve, vehicle, law)
+    return diagnostics
 
 
 def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
@@ -333,13 +314,10 @@ def _check_vehicle(run: Trajectory, vehicle: Vehicle) -> None:
 
 
 def _check_ground(
-    run: Trajectory,
-    terrain: Bicubic,
-    prisms: Sequence[Prism],
-    vehicle: Vehicle,
-    problem: Problem[MotionKeys],
+    result: Result, terrain: Bicubic, prisms: Sequence[Prism], vehicle: Vehicle
 ) -> None:
     """Raise DataError unless the ground or a solid is at the contact points of the motion."""
+    run = result.trajectory
     heights = terrain.elevation(run["contact_x"], run["contact_y"])
     # points on wheels that press into the ground, or are above it
     away = np.abs(heights - run["contact_z"]) - STEEPEST * np.abs(_depth(run))
@@ -349,7 +327,7 @@ def _check_ground(
     off = away.max()
     if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
         words = f"it is up to {off:.2g} m from the contact points"
-        raise _changed("ground", problem.spec.terrain.file, words)
+        raise _changed("ground", result.problem.spec.terrain.file, words)
 
 
 def _depth(run: Trajectory) -> Array:
@@ -358,7 +336,6 @@ def _depth(run: Trajectory) -> Array:
 
 
 def _changed(what: str, file: str | None, words: str) -> DataError:
-    """Return the error for a vehicle or ground that differs from that of the result."""
     remedy = "restore the file, give its folder with --folder DIR, or " if file else ""
     return DataError(
         f"expected the {what} with which the result was computed, found a different one"

@@ -21,13 +21,7 @@ from slipfree.files.tables import Columns, read_columns, split_unit
 from slipfree.files.toml.source import name_errors, problem_error
 from slipfree.files.toml.types import Positive, Quantity, Record
 from slipfree.fit.body_motion import body_motion
-from slipfree.fit.calibration import (
-    Calibration,
-    bootstrap,
-    calibrate,
-    heading_rms,
-    position_rms,
-)
+from slipfree.fit.calibration import Calibration, bootstrap, calibrate, heading_rms, position_rms
 from slipfree.fit.estimate import WEAK, Direction, Estimate
 from slipfree.fit.unknowns import (
     QUANTITIES,
@@ -156,26 +150,12 @@ class FitVerb(Verb):
 
 
 class Fitted(NamedTuple):
-    """Result of a fit.
-
-    Attributes
-    ----------
-    calibration : Calibration
-        Estimates, and errors of predictions.
-    vehicle : Vehicle
-        The vehicle with fitted values.
-    constants : dict of str and float
-        Fitted constants of the law.
-    sensor : dict of str and float
-        Fitted pose of the sensor. [m, rad]
-    notes : tuple of str
-        Conversions of units in the log.
-    """
+    """Result of a fit, with notes on conversions of units in the log."""
 
     calibration: Calibration
-    vehicle: Vehicle
-    constants: dict[str, float]
-    sensor: dict[str, float]
+    vehicle: Vehicle  # with fitted values
+    constants: dict[str, float]  # of the law
+    sensor: dict[str, float]  # pose of the sensor [m, rad]
     notes: tuple[str, ...]
 
 
@@ -188,9 +168,14 @@ def fit(problem: Problem[Fit]) -> Fitted:
     spec = problem.spec
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle, problem)
-    law: Any = model_law(problem, spec)
-    build = _builder(spec)
-    unknowns = []
+    law: Any = model_law(problem)
+    ground, unknowns = Analytic(lambda x, _: 0 * x, mu=spec.friction), []
+
+    def build(vehicle: Vehicle, law: Any) -> Dae:
+        if spec.model == "kinematics":
+            return direct_kinematics(vehicle, ground, slip=law)
+        return quasi_statics(vehicle, ground, law=law)
+
     for name, table in spec.unknowns.items():
         with at(problem, ("unknowns", name)):
             unknowns.append(table.unknown(name))
@@ -200,16 +185,8 @@ def fit(problem: Problem[Fit]) -> Fitted:
     names = body_motion(dae).names
     radii = {f"{wheel.name}_rate": wheel.radius for wheel in vehicle.wheels if wheel.driven}
     windows, notes = _read_windows(problem, names, [c.name for c in vehicle.of("passive")], radii)
-    calibration = calibrate(
-        build,
-        vehicle,
-        law,
-        unknowns,
-        windows,
-        train=spec.train,
-        seed=spec.seed,
-        loss=spec.loss,
-    )
+    choice: dict[str, Any] = {"train": spec.train, "seed": spec.seed, "loss": spec.loss}
+    calibration = calibrate(build, vehicle, law, unknowns, windows, **choice)
     values = calibration.estimate.values.tolist()
     new = law_with_unknowns(law, unknowns, values)
     pairs = list(zip(unknowns, values, strict=True))
@@ -222,27 +199,12 @@ def fit(problem: Problem[Fit]) -> Fitted:
     )
 
 
-def _builder(spec: Fit) -> Any:
-    """Return the function of vehicle and law to the model on level ground."""
-    ground = Analytic(lambda x, _: 0 * x, mu=spec.friction)
-
-    def build(vehicle: Vehicle, law: Any) -> Dae:
-        if spec.model == "kinematics":
-            return direct_kinematics(vehicle, ground, slip=law)
-        return quasi_statics(vehicle, ground, law=law)
-
-    return build
-
-
 def _read_windows(
     problem: Problem[Fit], names: tuple[str, ...], passive: list[str], radii: Mapping[str, float]
 ) -> tuple[Windows, tuple[str, ...]]:
     """Return the windows of the log, and notes on its units; passive joints are at zero.
 
     The ``radii`` of the driven wheels, by the names of their rates, are for a check of units [m].
-
-    ProblemError is raised if the log cannot be read, lacks a column, or has times or headings in
-    other units.
     """
     data = problem.spec.data
     measured = [name for name in names if name not in passive]
@@ -265,8 +227,8 @@ def _read_windows(
         wheels = [name for name in measured if name in radii]
         if wheels and not any(split_unit(columns[name])[1] for name in wheels):
             check_travel(t, x, y, np.mean([table[name] * radii[name] for name in wheels], axis=0))
-        given = [table[name] if name in table else np.zeros_like(t) for name in names]
-        log = Log(t, np.column_stack(given), np.column_stack([*place, heading]), table["window"])
+        inputs = [table[name] if name in table else np.zeros_like(t) for name in names]
+        log = Log(t, np.column_stack(inputs), np.column_stack([*place, heading]), table["window"])
         if isinstance(data.window, float):
             log = _divided(log, data.window)
         return cut(log), notes
@@ -284,22 +246,22 @@ def _read_table(path: Path, data: Data, columns: Mapping[str, str]) -> Columns:
 def _read_result(path: Path, columns: Mapping[str, str]) -> dict[str, Array]:
     """Return the columns of a result of slipfree, with rates and values by name."""
     run = read_result(path).in_frame("paper")
-    found = {"t": run.t, **{key: run[key] for key in ("x", "y", "heading")}}
-    found["window"] = np.zeros(run.t.size)
+    table = {"t": run.t, **{key: run[key] for key in ("x", "y", "heading")}}
+    table["window"] = np.zeros(run.t.size)
     for name, column in columns.items():
         wheel = column.removesuffix("_rate")
         if wheel in run.wheels:
-            found[name] = run["wheel_rate", wheel]
+            table[name] = run["wheel_rate", wheel]
         elif wheel in run.columns and column.endswith("_rate"):
-            found[name] = np.gradient(run[wheel], run.t)
+            table[name] = np.gradient(run[wheel], run.t)
         elif column in run.columns:
-            found[name] = run[column]
+            table[name] = run[column]
         else:
             raise DataError(
                 f"{path}: expected the rates of the wheels and joints of the vehicle, found none "
                 f"for {column!r}; name another quantity in [data.rates]"
             )
-    return found
+    return table
 
 
 def _read_mcap(path: Path, columns: Mapping[str, str]) -> dict[str, Array]:
@@ -309,7 +271,7 @@ def _read_mcap(path: Path, columns: Mapping[str, str]) -> dict[str, Array]:
     """
     pose, joints = read_motion_log(path)
     t = pose["t"]
-    found = {**pose, "window": np.zeros(t.size)}
+    table = {**pose, "window": np.zeros(t.size)}
     for name, column in columns.items():
         joint = column.removesuffix("_rate")
         if joint not in joints:
@@ -324,15 +286,12 @@ def _read_mcap(path: Path, columns: Mapping[str, str]) -> dict[str, Array]:
                 f"{path}: expected values of joint {joint!r} in each message, found messages "
                 "without them; record positions and velocities"
             )
-        found[name] = np.interp(t, states.t, values)
-    return found
+        table[name] = np.interp(t, states.t, values)
+    return table
 
 
 def _divided(log: Log, duration: float) -> Log:
-    """Return a log divided into windows, which share the samples at their ends.
-
-    An incomplete last window is left out.
-    """
+    """Return a log divided into complete windows, which share the samples at their ends."""
     t, slack = log.t - log.t[0], TIME_SLACK * duration
     if np.diff(t).min(initial=0.0) < 0:
         raise ModelError("expected times that do not decrease, found a decrease; sort the log")
@@ -406,12 +365,12 @@ def _directions(estimate: Estimate) -> Iterator[tuple[str, str]]:
 
 def _combination(direction: Direction, names: list[str]) -> str:
     """Return a combination of unknowns in words, with weights relative to their sizes."""
-    parts = [
+    terms = [
         f"{weight:+.2g} {name}"
         for weight, name in zip(direction.weights, names, strict=True)
         if abs(weight) > SHOWN_WEIGHT
     ]
-    return names[int(np.abs(direction.weights).argmax())] if len(parts) == 1 else " ".join(parts)
+    return names[int(np.abs(direction.weights).argmax())] if len(terms) == 1 else " ".join(terms)
 
 
 def _error_line(row: Mapping[str, Any]) -> tuple[str, str]:
@@ -471,9 +430,6 @@ def window_rows(fitted: Fitted) -> tuple[list[str], list[list[Any]]]:
 
 def vehicle_comments(fitted: Fitted) -> list[str]:
     """Return the fitted numbers that are not in a vehicle file, as lines of a comment."""
-    words = "fitted by slipfree fit"
     others = {**fitted.constants, **fitted.sensor}
-    return [
-        words,
-        *(f"{name} = {value!r} (not part of the vehicle)" for name, value in others.items()),
-    ]
+    lines = (f"{name} = {value!r} (not part of the vehicle)" for name, value in others.items())
+    return ["fitted by slipfree fit", *lines]

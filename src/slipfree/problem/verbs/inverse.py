@@ -51,13 +51,12 @@ from slipfree.problem.build import (
     samples,
 )
 from slipfree.problem.build_ground import at, build_ground
-from slipfree.problem.problem import Problem, S
+from slipfree.problem.problem import Problem
 from slipfree.problem.units import check_heading_unit, check_time_unit
 from slipfree.problem.verbs.base import (
     Extremes,
     Lines,
     Result,
-    VerbSolution,
     Watch,
     integrate,
     integrator_fact,
@@ -123,12 +122,12 @@ def inverse_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
         words = run.columns["inverse_margin"].label.words
         yield "margin", f"{margin[worst]:.4g} at least (t = {run.t[worst]:.4g} s): {words}"
     known = {*COMMANDS, "path", "heading"}
-    held = run.facts["held_at_stop"].value if "held_at_stop" in run.facts else ()
+    at_stops = run.facts["held_at_stop"].value if "held_at_stop" in run.facts else ()
     steered = [name for name in run if f"{name}_error" in run.columns and name not in known]
     for name in steered:
         low, high, off = run[name].min(), run[name].max(), np.abs(run[f"{name}_error"]).max()
         unit = run.columns[name].label.unit
-        at_stop = "; reaches its stop" if name in held else ""
+        at_stop = "; reaches its stop" if name in at_stops else ""
         words = f"{low:.6g} to {high:.6g} {unit}, off by {off:.1e} {unit} at most{at_stop}"
         yield f"steering {name}", words
     errors = [np.abs(run[f"{name}_error"]) for name in steered]
@@ -155,20 +154,10 @@ def inverse_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def _largest_error(run: Trajectory, name: str, is_turning: Mask | None = None) -> str:
-    """Return a text about the absolute error of a command or path.
+    """Return a text about the largest error of a command or path, and its time.
 
-    The text contains the largest error and its time. For a path, where errors accumulate, it adds
-    the error at the end. For a command, it adds the largest error while the steering is at its
-    target, if the steering is off its target at some samples.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    name : str
-        Name of the error in the motion.
-    is_turning : ndarray of bool, shape (n,), or None
-        Whether the steering is off its target, by sample; None for a path.
+    For a path, where errors accumulate, it adds the error at the end; for a command, whose samples
+    ``is_turning`` have the steering off its target, the largest error at the others.
     """
     error, unit = np.abs(run[name]), run.columns[name].label.unit.replace(" s-1", "/s")
     worst = int(error.argmax())
@@ -182,18 +171,17 @@ def _largest_error(run: Trajectory, name: str, is_turning: Mask | None = None) -
     return words
 
 
-def collocation_line(run: Trajectory) -> tuple[str, str]:
-    """Return the line about the cost of the collocation along a path."""
+def cost_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield lines about the computational cost, and differences of a replay by the direct model."""
     counts = run.statistics
-    return (
-        "collocation",
-        f"{counts['elements']:.0f} elements of degree {counts['degree']:.0f}, "
-        f"{counts['cpu_seconds']:.3g} s CPU, steering error {counts['sought_error']:.1e} rad",
-    )
-
-
-def replay_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the lines about the differences of the replay by the direct model, if computed."""
+    if is_collocated(run):
+        yield (
+            "collocation",
+            f"{counts['elements']:.0f} elements of degree {counts['degree']:.0f}, "
+            f"{counts['cpu_seconds']:.3g} s CPU, steering error {counts['sought_error']:.1e} rad",
+        )
+    else:
+        yield integrator_fact(run)
     gaps = starting_with(REPLAY, run.facts)
     listed = ", ".join(f"{name} {gap.value:.1e} {gap.unit}" for name, gap in gaps.items())
     if gaps:
@@ -216,20 +204,13 @@ class InverseVerb(DriveVerb):
         return tuple(sorted(plots, key=lambda plot: plot.name not in ("map", "rates")))
 
     def build(self, problem: Problem[Inverse]) -> Setup:
-        """Return the models, the start and the inputs of a problem.
-
-        Raises
-        ------
-        ProblemError
-            If given rates or path are not valid, the vehicle cannot be moved by them, or ground,
-            vehicle or start are not valid.
-        """
+        """Return the models, the start and the inputs of a problem."""
         spec = problem.spec
-        points, notes = _points(problem, spec)
+        points, notes = _points(problem)
         with at(problem, ("vehicle",)):
             vehicle = build_vehicle(spec.vehicle, problem)
-        given, words = _given_rates(problem, spec, vehicle, points)
-        words = "; ".join([words, *notes])
+        given, description = _given_rates(problem, vehicle, points)
+        description = "; ".join([description, *notes])
         place = ("given",) if points is None else ("path",)
         is_rolling_path = points is not None and not are_commands(given)
         options: dict[str, Any] = {
@@ -246,7 +227,7 @@ class InverseVerb(DriveVerb):
         least_margin = 0.0 if is_rolling_path and spec.steering == "angle" else LEAST_MARGIN
         dae = invert(vehicle, direct, **options, least_margin=least_margin)
         check_names(problem, direct, None)
-        _check_units(problem, spec)
+        _check_units(problem)
         stand = build_start(problem, direct)
         t, inputs, first = _inputs(spec, dae, given)
         with at(problem, place):
@@ -255,31 +236,27 @@ class InverseVerb(DriveVerb):
             elif points is not None:
                 dae, inputs = track_path(dae, *points)
                 first = inputs
-            setup = Setup(ground, terrain, vehicle, direct, dae, stand, inputs, t, words)
+            setup = Setup(ground, terrain, vehicle, direct, dae, stand, inputs, t, description)
             return replace(setup, start=_start(spec, setup, first, exact=options["exact"]))
 
     def drive(
         self, problem: Problem[Inverse], setup: Setup, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the motion with its differences from the direct model, and an empty mapping."""
+        """Return the motion with its differences from the direct model."""
         spec, options, inputs = problem.spec, problem.spec.solver.options, None
         if _is_collocated(spec, setup):
             run, inputs = _collocate(setup, options)
         else:
             run = integrate(setup, options, watch)
         replayed = partial(_with_replay, setup, inputs, options)
-        run = with_diagnostics(
-            _with_steering(setup.vehicle, run),
-            {"replay": replayed},
-            lambda run: watch.keep(VerbSolution(run, setup)),
-        )
-        return run, NOTHING
+        run = _with_steering(setup.vehicle, run)
+        return with_diagnostics(run, {"replay": replayed}, watch, setup), NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including its solution method."""
         is_collocated = _is_collocated(problem.spec, setup)
         method = COLLOCATION if is_collocated else "integration"
-        inputs = " ".join(label.full for label in leaves(setup.model.labels.u))
+        inputs = " ".join(_input_names(setup.model))
         return super().attributes(problem, setup) | {METHOD: method, "inputs": inputs}
 
     def facts(self, run: Trajectory) -> dict[str, Fact]:
@@ -297,8 +274,7 @@ class InverseVerb(DriveVerb):
 
     def cost_lines(self, run: Trajectory) -> Lines:
         """Return lines about the computational cost, and differences from a replay of the rates."""
-        line = collocation_line(run) if is_collocated(run) else integrator_fact(run)
-        return [line, *replay_lines(run)]
+        return [*cost_lines(run)]
 
     def warnings(self, run: Trajectory) -> Sequence[str]:
         """Return a warning if the steering is unstable, unless the message of the stop has it."""
@@ -307,16 +283,14 @@ class InverseVerb(DriveVerb):
 
 
 def _given_rates(
-    problem: Problem[S], spec: Inverse, vehicle: Vehicle, points: Array | None
+    problem: Problem[Inverse], vehicle: Vehicle, points: Array | None
 ) -> tuple[dict[str, Any], str]:
-    """Return the given rates by name, and their description.
+    """Return the given rates by name, zeros for a path, and their description.
 
-    For a path the rates are zeros. Their names are those of commands if the steering angle is
-    unknown and the vehicle cannot roll without slip, else those of the rates to impose.
-
-    ProblemError is raised if names, number or kinds of the rates are not valid, or the key
-    ``exact`` does not apply.
+    For a path their names are those of commands if the steering angle is unknown and the vehicle
+    cannot roll without slip, else those of the rates to impose.
     """
+    spec = problem.spec
     if points is None and are_commands(spec.given or ()):
         return read_commands(problem, spec)
     given = dict(spec.given) if spec.given is not None else dict.fromkeys(PLANAR, 0.0)
@@ -341,12 +315,12 @@ def _given_rates(
     return given, f"{words}; the steering {spec.steering} is unknown"
 
 
-def _check_units(problem: Problem[S], spec: Inverse) -> None:
+def _check_units(problem: Problem[Inverse]) -> None:
     """Raise ProblemError for given rates in wrong units."""
     units = dict.fromkeys(VELOCITY, "m s-1") | dict.fromkeys((*OMEGA, *EULER), "rad s-1")
     units |= {name: label.unit for name, label in COMMANDS.items()}
     units |= {name: units[ours] for name, ours in ROBOT.items()}
-    if faults := [*unit_faults(("given",), spec.given or {}, units)]:
+    if faults := [*unit_faults(("given",), problem.spec.given or {}, units)]:
         raise problem_error(problem.source, faults)
 
 
@@ -377,15 +351,12 @@ def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
         yield Fault(("given",), expected, f"{', '.join(angular)}; remove one kind")
 
 
-def _points(problem: Problem[S], spec: Inverse) -> tuple[Array | None, tuple[str, ...]]:
+def _points(problem: Problem[Inverse]) -> tuple[Array | None, tuple[str, ...]]:
     """Return the way-points, None without path, and notes on the units of their file.
 
     Way-points are t, x, y, heading [s, m, m, rad], shape (4, n), with headings from the y axis.
-
-    ProblemError is raised if the file cannot be read or has headings of another frame or in
-    degrees, or times or headings are not valid.
     """
-    path = spec.path
+    spec, path = problem.spec, problem.spec.path
     if path is None:
         return None, ()
     notes: tuple[str, ...] = ()
@@ -404,11 +375,8 @@ def _points(problem: Problem[S], spec: Inverse) -> tuple[Array | None, tuple[str
             check_time_unit(points[0], spec.time.duration)
             check_heading_unit(*points[1:], zero=heading_offset(problem))
     heading_key = ("path", "heading") if path.file is None else place
-    faults = [
-        *_time_errors(points[0], place, spec.time.duration),
-        *_heading_errors(points[3], heading_key),
-    ]
-    if faults:
+    faults = [*_time_errors(points[0], place, spec.time.duration)]
+    if faults := [*faults, *_heading_errors(points[3], heading_key)]:
         raise problem_error(problem.source, faults)
     points[3] += heading_offset(problem)
     return points, notes
@@ -459,14 +427,13 @@ def _start(spec: Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajector
     """Return the vehicle at its start, with the first given rates.
 
     Under commands, steering angles that are absent from ``[start]`` are those that the first
-    commands require. If collocation determines the steering, the vehicle is at rest, since the
-    steering angles are unknowns of the motion.
+    commands require. If collocation determines the steering, the vehicle is at rest.
     """
     vehicle, direct, dae, stand = setup.vehicle, setup.model, setup.dae, setup.start
     options = spec.solver.options
     if _is_collocated(spec, setup):
         return stand
-    if not _is_commanded(setup):
+    if not are_commands(_input_names(dae)):
         if spec.given is not None:
             ahead = _forward_inputs(direct, vehicle, stand, spec.given)
             stand = apply_inputs(direct, stand, ahead, options=options)
@@ -485,14 +452,10 @@ def _input_names(dae: Dae) -> list[str]:
     return [label.full for label in leaves(dae.labels.u)]
 
 
-def _is_commanded(setup: Setup) -> bool:
-    """Return whether the inputs are commands of the platform such as ``forward``."""
-    return are_commands(_input_names(setup.dae))
-
-
 def _is_collocated(spec: Inverse, setup: Setup) -> bool:
     """Return whether collocation determines the steering along the whole path."""
-    return spec.path is not None and spec.steering == "angle" and not _is_commanded(setup)
+    is_commanded = are_commands(_input_names(setup.dae))
+    return spec.path is not None and spec.steering == "angle" and not is_commanded
 
 
 def _forward_inputs(
@@ -510,12 +473,11 @@ def _forward_inputs(
 def _collocate(setup: Setup, options: SolverOptions) -> tuple[Trajectory, Any]:
     """Return the motion along a path, steering included, and its inputs as functions of time."""
     steering = [c.name for c in setup.vehicle.of("commanded")]
-    found = drive(
-        setup.dae, setup.start, setup.inputs, setup.t, free_states=steering, options=options
-    )
-    statistics = {**found.run.statistics, "tolerance": options.tolerance}
-    inputs = spline_inputs(setup.model, found.t, found.unknowns)
-    return replace(found.run, statistics=statistics), inputs
+    problem = setup.dae, setup.start, setup.inputs, setup.t
+    solution = drive(*problem, free_states=steering, options=options)
+    statistics = {**solution.run.statistics, "tolerance": options.tolerance}
+    inputs = spline_inputs(setup.model, solution.t, solution.unknowns)
+    return replace(solution.run, statistics=statistics), inputs
 
 
 def _with_steering(vehicle: Vehicle, run: Trajectory) -> Trajectory:
@@ -531,8 +493,8 @@ def _with_steering(vehicle: Vehicle, run: Trajectory) -> Trajectory:
 def _with_replay(setup: Setup, inputs: Any, options: SolverOptions, run: Trajectory) -> Trajectory:
     """Return a motion with facts about its differences from the direct model.
 
-    The direct model is integrated with ``inputs``, functions of time. If it is None, the inputs are
-    splines through the samples of the motion.
+    The direct model is integrated with ``inputs``, functions of time; if None, with splines through
+    the samples of the motion.
     """
     direct, facts = setup.model, dict[str, Fact]()
 

@@ -90,22 +90,14 @@ class Inverse(MotionKeys):
 
 
 def are_commands(given: Collection[str]) -> bool:
-    """Return whether names of given rates are those of commands.
-
-    Commands are rates of the platform in its heading frame, or the key of a file with such rates.
-    """
+    """Return whether given rates are commands in the heading frame, or a file of them."""
     names = set(given)
     return FILE in names or (bool(names) and (names <= set(COMMANDS) or names <= set(ROBOT)))
 
 
 def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], str]:
-    """Return the commands of a problem by the names of `COMMANDS`, and their description.
-
-    ProblemError is raised if the name of the file is not a text, the file cannot be read or is not
-    valid, a name is unknown, occurs twice or is of another frame, a formula is not a finite
-    function of t, or the key ``steering`` does not fit commands.
-    """
-    given, columns, words = dict(spec.given or {}), dict[str, Any](), []
+    """Return the commands of a problem by the names of `COMMANDS`, and their description."""
+    given, columns, descriptions = dict(spec.given or {}), dict[str, Any](), []
     if (file := given.pop(FILE, None)) is not None:
         with at(problem, ("given", FILE)):
             if not isinstance(file, str):
@@ -114,27 +106,24 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
                     f"{format_value(file)}; put the name in quotes"
                 )
             columns, notes = _read_file(problem.folder / file, spec.time.duration)
-        words = ["; ".join([f"{', '.join(columns)} of {file}", *notes])]
+        descriptions = ["; ".join([f"{', '.join(columns)} of {file}", *notes])]
     if faults := [*_faults(spec, given, columns)]:
         raise problem_error(problem.source, faults)
     for name, value in given.items():
         if isinstance(value, str):
             with at(problem, ("given", name)):
                 _check_formula(value, spec.time)
-    found = {
+    for name, value in given.items():
+        unit = COMMANDS[ROBOT.get(name, name)].unit.replace(" s-1", "/s")
+        descriptions.append(f"{name} {_rate_words(value)} {unit}")
+    return {
         ROBOT.get(name, name): _negative(value) if name == "v_y" else value
         for name, value in (columns | given).items()
-    }
-    words += [f"{name} {_rate_words(value)} {_unit(name)}" for name, value in given.items()]
-    return found, ", ".join(words)
+    }, ", ".join(descriptions)
 
 
 def _read_file(file: Path, duration: float) -> tuple[dict[str, Piecewise], tuple[str, ...]]:
-    """Return the commands of a table by name, constant until the next row, and notes on units.
-
-    DataError is raised if the file cannot be read, its first line is not valid, or times do not
-    increase from 0 or are probably not in seconds.
-    """
+    """Return the commands of a table by name, constant until the next row, and notes on units."""
     names = read_names(file, "commands")
     rates = [name for name in names if name != "t"]
     if len(set(names)) < len(names) or "t" not in names or not are_commands(rates) or FILE in rates:
@@ -207,7 +196,3 @@ def _rate_words(value: float | Piecewise | str) -> str:
     if isinstance(value, tuple):
         return " then ".join(f"{rate:g}" for _, rate in value)
     return value if isinstance(value, str) else f"{value:g}"
-
-
-def _unit(name: str) -> str:
-    return COMMANDS[ROBOT.get(name, name)].unit.replace(" s-1", "/s")

@@ -40,23 +40,11 @@ from slipfree.plan.polynomial_motion import ARRAY_PREFIX, SavedPlan, from_arrays
 from slipfree.plan.search import PlanProgress
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.windows import LongPlan
-from slipfree.problem.build import (
-    Setup,
-    build_terrain,
-    model_law,
-    wheel_angles_at,
-)
+from slipfree.problem.build import Setup, build_terrain, model_law, wheel_angles_at
 from slipfree.problem.build_ground import GroundMap, at
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs import plan_schema
-from slipfree.problem.verbs.base import (
-    RESUME,
-    Lines,
-    Result,
-    VerbSolution,
-    Watch,
-    with_diagnostics,
-)
+from slipfree.problem.verbs.base import RESUME, Lines, Result, VerbSolution, Watch, with_diagnostics
 from slipfree.problem.verbs.driving import (
     Diagnostic,
     DriveVerb,
@@ -72,14 +60,16 @@ from slipfree.problem.verbs.plan_facts import (
     optimality_facts,
     plan_lines,
 )
-from slipfree.problem.verbs.plan_over_solids import (
-    OverSolids,
-    build_over_solids,
-    drive_over_solids,
-)
-from slipfree.problem.verbs.plan_robust import UNTESTED, Tested, make_robust
+from slipfree.problem.verbs.plan_over_solids import OverSolids, build_over_solids, drive_over_solids
 from slipfree.problem.verbs.plan_schema import places_of, regions, way_points_of
-from slipfree.problem.verbs.plan_search import best_start, find_plan, guess_motion
+from slipfree.problem.verbs.plan_search import (
+    UNTESTED,
+    Tested,
+    best_start,
+    find_plan,
+    guess_motion,
+    make_robust,
+)
 from slipfree.problem.verbs.plan_setup import (
     Planning,
     build_planning,
@@ -119,10 +109,7 @@ class PlanVerb(DriveVerb):
     metrics_shown = ("within_limits", "plan_violation", "slip_rms")
 
     def build(self, problem: Problem[plan_schema.PlanKeys]) -> Setup:
-        """Return the model, the settled start and the inputs of the initial guess.
-
-        Over solids, return the plan and the set-up of its simulation.
-        """
+        """Return the set-up of the search; over solids, that of the simulation of a plan."""
         if problem.spec.terrain.obstacles:
             return build_over_solids(problem)
         return build_planning(problem)
@@ -176,10 +163,7 @@ class PlanVerb(DriveVerb):
             "in_soil": lambda run: run.with_facts(_in_soil(problem, setup, plan)),
             "momentum": lambda run: run.with_facts(_momentum(setup, plan)),
         }
-        run = with_diagnostics(
-            run, diagnostics, lambda run: watch.keep(VerbSolution(run, setup, arrays))
-        )
-        return run, arrays
+        return with_diagnostics(run, diagnostics, watch, setup, arrays), arrays
 
     def _drive_windows(
         self,
@@ -204,10 +188,7 @@ class PlanVerb(DriveVerb):
         plan = long_plan(problem, setup, setup.paths[0], arguments, resume, progress, keep)
         run, arrays = described(plan)
         diagnostics = {"by_friction": lambda run: run.with_facts(_by_friction(setup, plan))}
-        run = with_diagnostics(
-            run, diagnostics, lambda run: watch.keep(VerbSolution(run, setup, arrays))
-        )
-        return run, arrays
+        return with_diagnostics(run, diagnostics, watch, setup, arrays), arrays
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including model and law."""
@@ -249,18 +230,15 @@ class PlanVerb(DriveVerb):
 
     def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground, vehicle, keep-out regions and plan."""
-        found, problem = super().shown(result, name), result.problem
-        planned = poses_of_plan(result.trajectory, result.arrays, found.terrain)
-        return found._replace(keep_out=regions(problem, problem.spec), plan=planned)
+        driven, problem = super().shown(result, name), result.problem
+        planned = poses_of_plan(result.trajectory, result.arrays, driven.terrain)
+        return driven._replace(keep_out=regions(problem), plan=planned)
 
 
 def _described(
     setup: Planning, plan: Plan | LongPlan, run: Trajectory, facts: Facts
 ) -> tuple[Trajectory, Mapping[str, Array]]:
-    """Return the simulation of a plan with its facts, and the plan as arrays.
-
-    If the plan is not accurate, the motion gets a stop that says so.
-    """
+    """Return the simulation of a plan with facts and, if inaccurate, a stop; the plan as arrays."""
     if run.stop is None and not plan.accurate:
         run = replace(run, stop=_inaccurate(setup.spec, plan))
     arrays = convergence_arrays([stage.convergence for stage in plan.stages])
@@ -287,7 +265,7 @@ def layers_of(result: Result, ground: GroundMap) -> Traversability:
         layers: Traversability = result.setup.layers
         return layers
     problem, terrain = result.problem, build_terrain(result.problem, ground)
-    return traversability(terrain, vehicle_of(result), keep_out=regions(problem, problem.spec))
+    return traversability(terrain, vehicle_of(result), keep_out=regions(problem))
 
 
 def figure_options(result: Result) -> dict[str, Any]:
@@ -298,7 +276,7 @@ def figure_options(result: Result) -> dict[str, Any]:
     routes, grid = _line_points("route", arrays), ground_of(result).grid
     ends = np.flatnonzero(np.isnan(routes[:, 0]))
     return {
-        "places": places_of(problem, spec, way_points_of(problem, spec), grid.domain)[0],
+        "places": places_of(problem, way_points_of(problem), grid.domain)[0],
         "found": [line[~np.isnan(line[:, 0])] for line in np.split(routes, ends)[:-1]],
         "guess": _line_points("guess", arrays),
         "bounds": unbounded | spec.bounds,
@@ -309,17 +287,16 @@ def figure_options(result: Result) -> dict[str, Any]:
 def _inaccurate(spec: plan_schema.PlanKeys, plan: Plan | LongPlan) -> Stop:
     """Return the stop of a solved plan whose simulation misses the required accuracy."""
     sizes = plan.difference | plan.violation
-    parts = {name: size for name, size in sizes.items() if size > spec.plan.accuracy}
-    worst = missed_words(parts, plan.units) or "a narrow limit"
+    missed = {name: size for name, size in sizes.items() if size > spec.plan.accuracy}
+    worst = missed_words(missed, plan.units) or "a narrow limit"
     last = plan.stages[-1]
     advice = "raise plan.intervals or plan.accuracy"
     further = f"its mesh was not refined any further; {advice}"
     if last.words.endswith("intervals"):
         further = "refinements of its mesh did not suffice; raise plan.accuracy"
-    why = {
-        SOLVED_STATUS: further,
-        STOPPED_STATUS: "the refinement of its mesh was stopped",
-    }.get(last.status, f"with {last.words} {ipopt_words(last.status)}; {advice}")
+    why = {SOLVED_STATUS: further, STOPPED_STATUS: "the refinement of its mesh was stopped"}.get(
+        last.status, f"with {last.words} {ipopt_words(last.status)}; {advice}"
+    )
     words = (
         f"the plan is solved, but its simulation misses {worst}; plan.accuracy allows "
         f"{spec.plan.accuracy:g}: {why}"
@@ -329,10 +306,9 @@ def _inaccurate(spec: plan_schema.PlanKeys, plan: Plan | LongPlan) -> Stop:
 
 
 def _iterate_reporter(watch: Watch, setup: Planning) -> Callable[[str, Iterate], bool]:
-    """Return a callback that reports each iterate and stops the search after Ctrl-C.
+    """Return a callback that reports each iterate, and returns False after Ctrl-C to stop.
 
-    It returns False to stop. Ctrl-C before the first iterate raises KeyboardInterrupt, since there
-    is no plan to save.
+    Ctrl-C before the first iterate raises KeyboardInterrupt, since there is no plan to save.
     """
     begun = False
 
@@ -390,8 +366,7 @@ def _simulated(
 def _by_friction(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
     """Return the facts of the quasi-static motion under the plan's inputs.
 
-    There are none without mass, friction or exact contact, for plans with forces, and for plans
-    that are not solved.
+    There are none without mass, friction or exact contact, and for plans with forces.
     """
     able = has_exact_closure(setup.vehicle) and setup.vehicle.mass and setup.terrain.has_friction
     if not (plan.success and able and setup.spec.model == "kinematics"):
@@ -423,20 +398,16 @@ def _start_values(setup: Planning) -> dict[str, Any]:
 def _by_stiffness(
     problem: Problem[plan_schema.PlanKeys], setup: Planning, plan: Plan
 ) -> dict[str, Fact]:
-    """Return the facts of the motion with stiffer wheels under the plan's inputs.
-
-    There are none for a vehicle with exact contact, a plan with inertia, and a plan that is not
-    solved.
-    """
+    """Return the facts of the motion with stiffer wheels, if wheels press into the ground."""
     if has_exact_closure(setup.vehicle) or not plan.success or setup.spec.model == "dynamics":
         return {}
     wheels = tuple(replace(w, static_depth=w.depth / STIFFER) for w in setup.vehicle.wheels)
-    stiff, slip = replace(setup.vehicle, wheels=wheels), model_law(problem, problem.spec)
+    stiff, slip = replace(setup.vehicle, wheels=wheels), model_law(problem)
     model: Dae = direct_kinematics(stiff, setup.terrain, slip=slip)
     step, options = setup.spec.time.step, setup.spec.solver.options
 
     def drive() -> Trajectory:
-        start = settled_start(model, setup)
+        start = settled_start(model, setup.start, setup.spec)
         return simulate_plan(model, start, plan.motion, step=step, options=options)
 
     return _simulated("stiff", plan, drive)
@@ -447,10 +418,9 @@ def _in_soil(
 ) -> dict[str, Fact]:
     """Return the facts of the motion in soil with inertia under the plan's inputs.
 
-    Slip, sinkage and work are also those of the plan's own simulation. There are none for other
-    plans, and for plans that are not solved.
+    Slip, sinkage and work are also those of the plan's own simulation.
     """
-    law = model_law(problem, problem.spec)
+    law = model_law(problem)
     if not (plan.success and setup.spec.model == "quasi-static" and isinstance(law, Soil)):
         return {}
     step, options = setup.spec.time.step, setup.spec.solver.options
@@ -476,10 +446,7 @@ def _in_soil(
 
 
 def _momentum(setup: Planning, plan: Plan) -> dict[str, Fact]:
-    """Return the facts of a plan with inertia, and of slow driving along the same path.
-
-    There are none for other plans.
-    """
+    """Return the facts of a plan with inertia, and of slow driving along the same path."""
     if setup.spec.model != "dynamics":
         return {}
     facts = {"momentum_distance": Fact(max(plan.difference[name] for name in "xyz"), "m")}
@@ -495,7 +462,7 @@ def _slowly(setup: Planning, plan: Plan) -> dict[str, Fact]:
     run = plan.run
     try:
         model: Dae = quasi_statics(setup.vehicle, setup.terrain)
-        start = settled_start(model, setup)
+        start = settled_start(model, setup.start, setup.spec)
         wheels = [
             name for name, w in zip(run.wheels, setup.vehicle.wheels, strict=True) if w.driven
         ]
@@ -532,12 +499,12 @@ def with_offer(setup: Planning, plan: Plan, guesses: Sequence[Trajectory]) -> St
     slow = spec.model == "quasi-static" or FORCE_LIMITS & {*spec.limits}
     if stop is None or not slow or stop.outcome not in (Outcome.INFEASIBLE, Outcome.SOLVER_FAILURE):
         return stop
-    needs = [words for words in (_torque_need(setup, guess) for guess in guesses[:1]) if words]
-    return stop._replace(words="\n".join([stop.words, *needs, OFFER]))
+    need = _torque_need(setup, guesses[0]) if guesses else ""
+    return stop._replace(words="\n".join(filter(None, [stop.words, need, OFFER])))
 
 
 def _torque_need(setup: Planning, guess: Trajectory) -> str:
-    """Return a text on the torques of an initial guess that exceed their limit, or an empty one."""
+    """Return a message about drive torques of the guess that exceed the limit; empty if none."""
     bounds = setup.spec.limits.get("drive_torque")
     if bounds is None or "drive_torque" not in guess:
         return ""
@@ -558,9 +525,6 @@ def poses_of_plan(
     """Return the poses of the plan that a motion simulates; None if no plan is stored.
 
     The result is also None for a plan with inertia, which has other unknowns than its simulation.
-
-    The first quantities of the simulation, up to the contacts, are states and algebraic unknowns of
-    the plan in the same order. The wheel angles are those of the simulation.
     """
     if f"{ARRAY_PREFIX}unknowns" not in arrays or "kinetic_energy" in run:
         return None
@@ -570,6 +534,7 @@ def poses_of_plan(
     rows = np.concatenate([course.states(places), course.algebraic(places)])
     rows = rows + saved.shift[: len(rows), None]
     columns, t, first = {}, run.t[0] + places * course.duration, 0
+    # up to the contacts, the quantities of the simulation are the unknowns of the plan, in order
     for name, column in run.columns.items():
         if name == "contact_x":
             break

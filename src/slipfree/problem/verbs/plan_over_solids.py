@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -57,37 +57,19 @@ OF_PLANS = {*PlanKeys.model_fields} - {*Modelled.model_fields}
 
 
 class Planned(NamedTuple):
-    """Plan of a climb.
+    """Plan of a climb."""
 
-    Attributes
-    ----------
-    parts : tuple of (Climb, ndarray)
-        Program and solution of every leg.
-    run : Trajectory
-        Motion over all legs.
-    least : tuple of float
-        Smallest sufficient coefficient of friction of each leg. [1]
-    iterations, seconds, functions : float
-        Number of iterations, and computing times of the solver and of its functions. [s]
-    """
-
-    parts: tuple[tuple[Climb, Array], ...]
-    run: Trajectory
-    least: tuple[float, ...]
+    parts: tuple[tuple[Climb, Array], ...]  # program and solution of every leg
+    run: Trajectory  # motion over all legs
+    least: tuple[float, ...]  # smallest sufficient friction of each leg [1]
     iterations: float
-    seconds: float
-    functions: float
+    seconds: float  # computing time of the solver [s]
+    functions: float  # part of it in functions [s]
 
 
 @dataclass(frozen=True, eq=False)
 class OverSolids(Setup):
-    """Set-up of the simulation of a plan over solids; ``dae`` has the controller that tracks it.
-
-    Attributes
-    ----------
-    plan : Planned
-        The plan.
-    """
+    """Set-up of the simulation of a plan over solids; ``dae`` has the controller that tracks it."""
 
     plan: Planned
 
@@ -95,9 +77,7 @@ class OverSolids(Setup):
 def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
     """Return the plan of a problem over solids, and the set-up of its simulation.
 
-    ProblemError is raised if ground, vehicle or start are not valid, keys are not supported, or the
-    vehicle gets stuck on its path; SolverError if a leg needs more friction than is available, or
-    the solver finds no plan of a leg.
+    SolverError is raised if a leg needs more friction than is available, or has no plan.
     """
     spec = problem.spec
     faults = [*_faults(spec)]
@@ -115,14 +95,15 @@ def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
             )
     with at(problem, ("plan",)):
         plan = plan_climb(spec, driver, climber, section)
-        given = driver.control.model_dump(exclude_unset=True)
-        tracking = Tracking(tracked_plan(plan.parts), **given)
+        tracking = Tracking(
+            tracked_plan(plan.parts), **driver.control.model_dump(exclude_unset=True)
+        )
     dae = climbing(world.dae, world.vehicle, tracking)
     start, (t, _) = build_start(problem, dae), samples(spec.time, {})
     inputs = dae.inputs(reference_speed=driver.speed)
     driven = f"plan over solids, tracked at {driver.speed:g} m/s before and after it"
-    parts = world.ground, world.terrain, world.vehicle, world.dae, dae, start, inputs, t, driven
-    return OverSolids(*parts, plan, prisms=world.prisms)
+    setup = world.ground, world.terrain, world.vehicle, world.dae, dae, start, inputs, t, driven
+    return OverSolids(*setup, plan, prisms=world.prisms)
 
 
 def _faults(spec: PlanKeys) -> Iterator[Fault]:
@@ -147,11 +128,7 @@ def _faults(spec: PlanKeys) -> Iterator[Fault]:
 
 
 def plan_climb(spec: PlanKeys, driver: GuideTable, climber: Climber, section: Profile) -> Planned:
-    """Return the plan of a climb.
-
-    ModelError is raised if the vehicle gets stuck; SolverError if a leg needs more friction than is
-    available, or the solver finds no plan of a leg.
-    """
+    """Return the plan of a climb; errors are those of `build_over_solids`."""
     cost = next(name for name, weight in spec.costs.items() if weight > 0)
     if not isinstance(spec.terrain.friction, float):
         raise ModelError(
@@ -159,24 +136,17 @@ def plan_climb(spec: PlanKeys, driver: GuideTable, climber: Climber, section: Pr
             "give a number"
         )
     most = spec.limits.get("utilisation", (0.0, 1.0))[1] * spec.terrain.friction
-    found, torques = (
-        legs(climber, section),
-        [driver.control.torque * n for n in driver.control.motors],
-    )
+    parts = legs(climber, section)
+    options: dict[str, Any] = {
+        "speed": driver.speed,
+        "torques": [driver.control.torque * n for n in driver.control.motors],
+        "s": spec.plan.intervals + 1,
+    }
 
     def solved(cost: str, mu: float | None) -> Iterator[tuple[Climb, Array, Trajectory, Array]]:
-        for k, leg in enumerate(found):
-            plan = climb(
-                climber,
-                section,
-                leg,
-                cost,
-                mu=mu,
-                speed=driver.speed,
-                torques=torques,
-                s=spec.plan.intervals + 1,
-                halt=leg is not found[-1],
-            )
+        for k, leg in enumerate(parts):
+            halt = leg is not parts[-1]
+            plan = climb(climber, section, leg, cost, mu=mu, halt=halt, **options)
             try:
                 solution = solve_nlp(plan.nlp)
             except SolverError as error:
@@ -187,22 +157,18 @@ def plan_climb(spec: PlanKeys, driver: GuideTable, climber: Climber, section: Pr
     chosen = [*solved("friction", None)]
     least = tuple(run.statistics["mu"] for _, _, run, _ in chosen)
     if cost != "friction":
-        _check_friction(found, least, most)
+        worst = int(np.argmax(least))
+        if least[worst] > most:
+            raise SolverError(
+                f"plan, {_leg(worst, parts[worst])}: expected a coefficient of friction of at "
+                f"least {least[worst]:.3f}, found {most:g}; lower the obstacle, or increase "
+                "terrain.friction or limits.utilisation"
+            )
         chosen = [*solved(cost, most)]
     iterations, seconds, functions = np.sum([costs for *_, costs in chosen], axis=0)[:3]
-    parts = tuple((plan, unknowns) for plan, unknowns, *_ in chosen)
+    solutions = tuple((plan, unknowns) for plan, unknowns, *_ in chosen)
     run = in_sequence([run for _, _, run, _ in chosen])
-    return Planned(parts, run, least, iterations, seconds, functions)
-
-
-def _check_friction(found: Sequence[Leg], least: Sequence[float], mu: float) -> None:
-    worst = int(np.argmax(least))
-    if least[worst] > mu:
-        raise SolverError(
-            f"plan, {_leg(worst, found[worst])}: expected a coefficient of friction of at "
-            f"least {least[worst]:.3f}, found {mu:g}; lower the obstacle, or increase "
-            "terrain.friction or limits.utilisation"
-        )
+    return Planned(solutions, run, least, iterations, seconds, functions)
 
 
 def _leg(number: int, leg: Leg) -> str:
@@ -240,8 +206,8 @@ def drive_over_solids(
 def _tracking(setup: OverSolids, run: Trajectory) -> dict[str, Fact]:
     """Return the time of the motion for the distance of the plan, and its largest errors, by name.
 
-    Both are compared at equal progress, the mean of y + z over the axles. The errors are those of
-    the bodies, as far as the motion reaches; the time is missing if it does not reach the end.
+    Both are compared at equal progress, the mean of y + z over the axles, as far as the motion
+    reaches; the time is missing if it does not reach the end.
     """
     plan, ahead = setup.plan.run, [axle.ahead for axle in climber_of(setup.vehicle).axles]
     rear, front = plan["tilt_rear"], plan["tilt_front"]
@@ -251,16 +217,12 @@ def _tracking(setup: OverSolids, run: Trajectory) -> dict[str, Fact]:
     reached = np.maximum.accumulate((run["center_y"] + run["center_z"]).mean(axis=1))
     part = planned <= reached[-1]
     pose = {"z": plan["z"], "pitch": rear, setup.vehicle.coordinates[0].name: front - rear}
-    found = {
-        f"plan_difference_{name}": Fact(
-            float(
-                np.abs(np.interp(planned[part], reached, run[name]) - values[part]).max(initial=0.0)
-            ),
-            run.columns[name].label.unit,
-        )
-        for name, values in pose.items()
-    }
+    facts = dict[str, Fact]()
+    for name, values in pose.items():
+        errors = np.abs(np.interp(planned[part], reached, run[name]) - values[part])
+        unit = run.columns[name].label.unit
+        facts[f"plan_difference_{name}"] = Fact(float(errors.max(initial=0.0)), unit)
     if part.all():
         begin, end = np.searchsorted(reached, planned[[0, -1]])
-        found["plan_driven"] = Fact(float(run.t[end] - run.t[begin]), "s")
-    return found
+        facts["plan_driven"] = Fact(float(run.t[end] - run.t[begin]), "s")
+    return facts

@@ -17,16 +17,18 @@ from slipfree.files.toml.types import NonNegative, Pair, PiecewiseConstant, Posi
 from slipfree.geometry.regions import Region
 from slipfree.problem.build import heading_offset, path_points
 from slipfree.problem.build_ground import at
-from slipfree.problem.problem import Problem, S
+from slipfree.problem.problem import Problem
 from slipfree.problem.schema import (
     INPUTS,
     STEP_CLIMBING,
     VERB,
     ClimbingDriver,
+    HeightErrors,
     Modelled,
+    RegionTable,
     TerrainKeys,
+    region_of,
 )
-from slipfree.problem.schema_ground import HeightErrors, RegionTable, region_of
 from slipfree.routing.search import route, routes
 from slipfree.routing.traversability import Traversability
 
@@ -177,8 +179,7 @@ class PlanKeys(Modelled):
         description="ranges as in the goal, at the fraction 'at' of the duration [m, rad]",
     )
     inputs: dict[str, PiecewiseConstant] | None = Field(
-        default=None,
-        description=f"inputs of the initial guess, rates with any model: {INPUTS}",
+        default=None, description=f"inputs of the initial guess, rates with any model: {INPUTS}"
     )
     driver: GuideTable | None = Field(
         default=None, description="driving law of the initial guess, instead of inputs"
@@ -206,12 +207,12 @@ class PlanKeys(Modelled):
                 found = f"model = {self.model!r}; set model = 'dynamics', or remove the key"
                 yield Fault(("plan", "sliding"), "model = 'dynamics', where wheels slide", found)
             return
-        given = {
+        conflicts = {
             "window": search.window is not None,
             "robust": search.robust is not None,
             "starts": search.starts > 1,
         }
-        for name in (name for name, is_given in given.items() if is_given):
+        for name in (name for name, is_set in conflicts.items() if is_set):
             expected = f"no {name!r} with model = 'dynamics'"
             yield Fault(("plan", name), expected, "it; remove it, or plan without inertia")
 
@@ -222,15 +223,14 @@ Domain = tuple[float, float, float, float]
 
 
 def places_of(
-    problem: Problem[S], spec: PlanKeys, between: Mapping[float, Ranges], domain: Domain
+    problem: Problem[PlanKeys], between: Mapping[float, Ranges], domain: Domain
 ) -> tuple[tuple[Place, ...], set[str]]:
     """Return start, way-points and goal in map coordinates [m], and the names of exact points.
 
     An exact point has values for x and y, not ranges. A range is represented by the middle of its
     part on the map. Way-points and goals without x and y are omitted.
-
-    ProblemError is raised if x or y of a way-point or of the goal is off the map.
     """
+    spec = problem.spec
     places = [("start", spec.start.get("x", 0.0), spec.start.get("y", 0.0))]
     exact = {"start"}
     named = [(f"way-point at {part:g}", wanted) for part, wanted in between.items()]
@@ -260,15 +260,11 @@ def key_of(place: str) -> str:
     return place if place in ("start", "goal") else "way_points"
 
 
-def way_points_of(problem: Problem[S], spec: PlanKeys) -> dict[float, Ranges]:
-    """Return the ranges of quantities at the way-points, by fraction of the duration.
-
-    ProblemError is raised if the key ``at`` of a way-point is missing, a range, or not between 0
-    and 1 (exclusive), or if two way-points have the same fraction.
-    """
-    found: dict[float, Ranges] = {}
-    for index, each in enumerate(spec.way_points):
-        wanted = dict(each)
+def way_points_of(problem: Problem[PlanKeys]) -> dict[float, Ranges]:
+    """Return the ranges of quantities at the way-points, by fraction of the duration."""
+    between: dict[float, Ranges] = {}
+    for index, way_point in enumerate(problem.spec.way_points):
+        wanted = dict(way_point)
         with at(problem, ("way_points", index)):
             if "at" not in wanted:
                 raise ModelError(
@@ -281,24 +277,20 @@ def way_points_of(problem: Problem[S], spec: PlanKeys) -> dict[float, Ranges]:
                     "way_points: expected one number for 'at', greater than 0 and less than 1, "
                     f"found {spelled((low, high))}; correct this fraction of the duration"
                 )
-            if low in found:
+            if low in between:
                 raise ModelError(
                     f"way_points: expected at most one way-point at {low:g}, found two; put their "
                     "values into one table"
                 )
-            found[low] = wanted
-    return dict(sorted(found.items()))
+            between[low] = wanted
+    return dict(sorted(between.items()))
 
 
 def initial_paths(
-    problem: Problem[S], spec: PlanKeys, layers: Traversability, places: tuple[Place, ...]
+    problem: Problem[PlanKeys], layers: Traversability, places: tuple[Place, ...]
 ) -> tuple[Array, ...]:
-    """Return the paths of the initial guesses: given paths, or routes over the ground.
-
-    ProblemError is raised if the keys of the driver contradict each other, a file cannot be read,
-    the goal has no position, several routes are requested with way-points, or there is no route.
-    """
-    driver = spec.driver
+    """Return the paths of the initial guesses: given paths, or routes over the ground."""
+    driver = problem.spec.driver
     if driver is None or driver.name in ("straight", "reeds-shepp"):
         return ()
     if driver.name == "follow":
@@ -312,7 +304,20 @@ def initial_paths(
                 )
             return tuple(np.array(path) for path in driver.paths)
     _check_goal_place(problem, places)
-    return _routes(problem, spec, driver, layers, [np.array(place[1:]) for place in places])
+    ends = [np.array(place[1:]) for place in places]
+    radius = driver.turning_radius
+    with at(problem, ("driver",)):
+        if len(ends) == 2:
+            count = max(driver.count, problem.spec.plan.starts)
+            paths = routes(layers, ends[0], ends[1], count, turning_radius=radius)
+            return tuple(path.points for path in paths)
+        if driver.count > 1:
+            raise ModelError(
+                f"driver: expected count = 1 with way-points, found {driver.count}; set count = 1, "
+                "or remove the way-points"
+            )
+        legs = [route(layers, *pair, turning_radius=radius) for pair in pairwise(ends)]
+        return (np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])]),)
 
 
 def _check_goal_place(problem: Problem[Any], places: tuple[Place, ...]) -> None:
@@ -327,15 +332,9 @@ def _check_goal_place(problem: Problem[Any], places: tuple[Place, ...]) -> None:
 
 
 def cusp_goal(
-    problem: Problem[S], spec: PlanKeys, driver: GuideTable, places: tuple[Place, ...]
+    problem: Problem[PlanKeys], driver: GuideTable, places: tuple[Place, ...]
 ) -> tuple[float, float, float | None]:
-    """Return x, y [m] and heading of the goal, None without heading, for a path with cusps.
-
-    The heading is measured from the y axis. [rad]
-
-    ProblemError is raised if the goal has no position; ModelError if way-points have x and y, the
-    speed is negative, or keys of other drivers are given.
-    """
+    """Return x, y [m] and heading of the goal from the y axis [rad], None without heading."""
     _check_goal_place(problem, places)
     if len(places) > 2:
         raise ModelError(
@@ -355,50 +354,17 @@ def cusp_goal(
             f"also {', '.join(map(repr, others))}; remove {'it' if len(others) == 1 else 'them'}"
         )
     _, x, y = places[-1]
-    heading = spec.goal.get("heading")
+    heading = problem.spec.goal.get("heading")
     return x, y, None if heading is None else sum(heading) / 2 + heading_offset(problem)
 
 
-def _routes(
-    problem: Problem[S],
-    spec: PlanKeys,
-    driver: GuideTable,
-    layers: Traversability,
-    places: list[Array],
-) -> tuple[Array, ...]:
-    """Return the points of routes from start to goal; of one route if there are way-points.
-
-    ProblemError is raised if there is no route, or several routes are requested with way-points.
-    """
-    with at(problem, ("driver",)):
-        if len(places) == 2:
-            count = max(driver.count, spec.plan.starts)
-            found = routes(
-                layers, places[0], places[1], count, turning_radius=driver.turning_radius
-            )
-            return tuple(path.points for path in found)
-        if driver.count > 1:
-            raise ModelError(
-                f"driver: expected count = 1 with way-points, found {driver.count}; set count = 1, "
-                "or remove the way-points"
-            )
-        legs = [
-            route(layers, first, second, turning_radius=driver.turning_radius)
-            for first, second in pairwise(places)
-        ]
-        return (np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])]),)
-
-
-def regions(problem: Problem[S], spec: PlanKeys) -> tuple[Region, ...]:
-    """Return the keep-out regions of a problem.
-
-    ProblemError is raised if a region is neither a disc nor a valid polygon.
-    """
-    found: list[Region] = []
-    for index, each in enumerate(spec.keep_out):
+def regions(problem: Problem[PlanKeys]) -> tuple[Region, ...]:
+    """Return the keep-out regions of a problem."""
+    keep_out: list[Region] = []
+    for index, table in enumerate(problem.spec.keep_out):
         with at(problem, ("keep_out", index)):
-            found.append(region_of(each))
-    return tuple(found)
+            keep_out.append(region_of(table))
+    return tuple(keep_out)
 
 
 def spelled(bounds: tuple[float, float]) -> str:

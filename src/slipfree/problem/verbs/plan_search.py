@@ -1,10 +1,14 @@
-"""Search for a plan: continuation, meshes, and several starts."""
+"""Search for a plan: continuation, several starts, and limits that hold in drawn worlds.
+
+A drawn world has random errors of the map, of the friction and of the gains of the inputs. A plan
+holds in this world if its simulation satisfies all limits.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -14,28 +18,40 @@ import numpy as np
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError, SlipfreeError
-from slipfree.core.facts import Fact
+from slipfree.core.facts import Fact, Facts
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
-from slipfree.core.trajectory import PLAN, SolverError, Stop, Trajectory
+from slipfree.core.trajectory import PLAN, PLAN_SHARE, SolverError, Stop, Trajectory
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.rigid_dynamics import dynamic_guess
-from slipfree.plan.ipopt import Iterate
 from slipfree.plan.plan import Plan, plan
-from slipfree.plan.polynomial_motion import SavedPlan
+from slipfree.plan.polynomial_motion import PolynomialMotion, SavedPlan
 from slipfree.plan.problem import bounds_of
-from slipfree.plan.robust import Tightening, tightened_arguments
+from slipfree.plan.robust import (
+    CONFIDENCE,
+    Bound,
+    DisturbedRun,
+    Draw,
+    Replays,
+    RobustPlan,
+    Tightening,
+    replay_of,
+    robust_plan,
+    tightened_arguments,
+)
 from slipfree.plan.search import (
     NOT_SOLVED,
     LocalOptimum,
+    PlanProgress,
     count_distinct,
     distances,
     further_guesses,
 )
-from slipfree.problem.build import in_frame, model_law, solver_options
+from slipfree.plan.verification import VERIFICATION_TOLERANCE, simulate_plan
+from slipfree.problem.build import build_model, build_start, in_frame, model_law, solver_options
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
-from slipfree.problem.verbs.plan_schema import PlanKeys
+from slipfree.problem.verbs.plan_schema import PlanKeys, Robust
 from slipfree.problem.verbs.plan_setup import (
     Planning,
     PlanSource,
@@ -47,28 +63,30 @@ from slipfree.problem.verbs.plan_setup import (
     settled_start,
     source_of,
 )
+from slipfree.solve.options import MIN_TOLERANCE
 from slipfree.solve.simulate import simulate
 from slipfree.system.processes import local_tasks
+from slipfree.terrain.base import Grid
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.terrain.grid_ops import disturbed
 
 SMOOTHINGS = (1.0, 0.3)  # smoothing widths of the load law in the first plans, in static depths
 ROUGH = 1e-5  # tolerance of initial guesses [m, rad]
+Report = Callable[[str, str], None]
+UNTESTED = Stop(
+    PLAN_SHARE,
+    0.0,
+    "the plan is solved and accurate, but not all drawn worlds are simulated",
+    Outcome.INTERRUPTED,
+)
 
 
 def guess_motion(setup: Planning, start: tuple[Any, Array]) -> Trajectory:
     """Return the motion under the inputs of an initial guess, simulated with a loose tolerance.
 
     If the guess follows a path and the goal has x and y, the motion ends at its sample nearest to
-    the goal; ranges of x and y are represented by their middle. If the integrator fails after the
-    first sample, the motion ends where the integrator stopped.
-
-    SolverError is raised if the integrator fails before the first sample.
-
-    Parameters
-    ----------
-    setup : Planning
-        Set-up of the problem.
-    start : tuple of (record, ndarray)
-        Inputs of the guess, and times of its samples. [s]
+    the goal, the middle of its ranges. If the integrator fails after the first sample, the motion
+    ends there.
     """
     law, t = start
     try:
@@ -92,41 +110,25 @@ def find_plan(
     setup: Planning,
     guesses: list[Trajectory],
     resume: SavedPlan | None,
-    progress: Callable[[str, Iterate], bool],
+    progress: PlanProgress,
     length: float,
     tightening: Tightening = MappingProxyType({}),
     keep: Callable[[Plan], None] | None = None,
 ) -> Plan:
-    """Return the plan of a problem.
+    """Return the plan of a problem, from guesses or from the plan ``resume``.
 
     For wheels that press into the ground, plans with smoother load laws are computed first, for
-    wheels that slide, plans with larger creep speeds; each search starts from the previous plan.
-    If a search fails, the previous plan is returned.
+    wheels that slide, plans with larger creep speeds; each search starts from the previous plan. If
+    a search fails, the previous plan is returned. ``length`` is the duration if the problem gives
+    none [s]; ``progress`` and ``keep`` are as for `plan`.
 
     ProblemError is raised if start, goal and limits contradict each other, or ``resume`` is a plan
     of another model; SolverError if the plan cannot be simulated from the start.
-
-    Parameters
-    ----------
-    problem, setup : Problem, Planning
-        The problem and its set-up.
-    guesses : list of Trajectory
-        Initial guesses; empty with ``resume``.
-    resume : SavedPlan or None
-        Plan from which the search starts.
-    progress : callable
-        As for `plan`.
-    length : float
-        Duration of the plan if the problem gives none. [s]
-    tightening : mapping of Bound to float
-        Distance of each tightened bound from the given one, in the unit of the quantity.
-    keep : callable, optional
-        As for `plan`.
     """
     spec, found, saved = problem.spec, None, resume
     for dae in (*([] if resume else _smoothed_models(problem, setup)), setup.dae):
         is_same = dae is setup.dae or dae.replay is not None  # creep does not change the start
-        start = setup.start if is_same else settled_start(dae, setup)
+        start = setup.start if is_same else settled_start(dae, setup.start, spec)
         model = (dae, setup.vehicle, setup.terrain)
         arguments = plan_arguments(spec, setup.keep_out, model, setup.between)
         search = search_arguments(spec) | {"options": solver_options(problem)}
@@ -162,16 +164,12 @@ def _keep_smoothed(keep: Callable[[Plan], None], plan: Plan) -> None:
 
 
 def _smoothed_models(problem: Problem[PlanKeys], setup: Planning) -> list[Dae]:
-    """Return models for searches before that of the plan, the smoothest first.
-
-    They have smoothed load laws of wheels that press into the ground, or, with inertia, larger
-    creep speeds of wheels that slide. The list is empty for other vehicles.
-    """
+    """Return models with smoothed loads or larger creep speeds for the first searches, if any."""
     if problem.spec.model == "dynamics":
         return momentum_models(problem, setup.vehicle, setup.terrain)[:-1]
     if has_exact_closure(setup.vehicle):
         return []
-    slip = model_law(problem, problem.spec)
+    slip = model_law(problem)
     return [
         in_frame(
             problem, direct_kinematics(setup.vehicle, setup.terrain, slip=slip, smoothing=width)
@@ -180,20 +178,14 @@ def _smoothed_models(problem: Problem[PlanKeys], setup: Planning) -> list[Dae]:
     ]
 
 
-class StartResult(NamedTuple):
-    """Plan from one initial guess.
+@lru_cache(1)
+def _planning(source: PlanSource) -> tuple[Problem[PlanKeys], Planning]:
+    problem = problem_from(source)
+    return problem, build_planning(problem)
 
-    Attributes
-    ----------
-    number : int
-        Index of the initial guess.
-    optimum : LocalOptimum or None
-        Entry in the table of local optima; None if the guess does not exist or cannot be used.
-    saved : SavedPlan or None
-        The plan; None if there is no optimum.
-    words : str
-        Error message; empty without error.
-    """
+
+class StartResult(NamedTuple):
+    """Plan from one initial guess; without an optimum, the reason."""
 
     number: int
     optimum: LocalOptimum | None
@@ -202,22 +194,13 @@ class StartResult(NamedTuple):
 
 
 def best_start(
-    problem: Problem[PlanKeys], setup: Planning, report: Callable[[str, str], None] | None
+    problem: Problem[PlanKeys], setup: Planning, report: Report | None
 ) -> tuple[SavedPlan | None, dict[str, Fact], bool]:
     """Return the best plan of several starts, their facts, and whether Ctrl-C ended the search.
 
-    The plan is None if no start is solved.
-
-    SlipfreeError is raised if a process dies, or no start can be simulated; KeyboardInterrupt if
-    ``report`` raises it before a start is solved.
-
-    Parameters
-    ----------
-    problem, setup : Problem, Planning
-        The problem and its set-up.
-    report : callable or None
-        Called several times per second with the phase and a line; may raise KeyboardInterrupt,
-        after which the plans found so far are returned if there are any.
+    The plan is None if no start is solved. SlipfreeError is raised if a process dies, or no start
+    can be simulated; KeyboardInterrupt if ``report``, which is called several times per second with
+    the phase and a line, raises it before a start is solved.
     """
     count = max(problem.spec.plan.starts, len(setup.starts))
     with at(problem, ("plan",)):
@@ -227,12 +210,9 @@ def best_start(
 
 
 def _solve_starts(
-    source: PlanSource, count: int, report: Callable[[str, str], None] | None
+    source: PlanSource, count: int, report: Report | None
 ) -> tuple[list[StartResult], bool]:
-    """Return the plans of all starts, the best first, and whether Ctrl-C ended the search.
-
-    ModelError is raised if no start can be simulated.
-    """
+    """Return the plans of all starts, the best first, and whether Ctrl-C ended the search."""
     found: list[StartResult] = []
     is_interrupted = False
 
@@ -259,18 +239,16 @@ def _solve_starts(
 
 
 def solve_start(task: tuple[PlanSource, int]) -> StartResult:
-    """Return the plan from one of several initial guesses; errors are stored in the result.
-
-    ``task`` contains the source of the problem and the number of the guess.
-    """
+    """Return the plan from an initial guess, by its number; errors are stored in the result."""
     source, number = task
     try:
-        problem = problem_from(source)
-        setup = build_planning(problem)
+        problem, setup = _planning(source)
         first = guess_motion(setup, setup.starts[0])
         missing = problem.spec.plan.starts - len(setup.starts)
         if number < len(setup.starts):
-            name, guess = _start_name(setup, number), guess_motion(setup, setup.starts[number])
+            law = setup.spec.driver.name if setup.spec.driver else "inputs"
+            name = law if len(setup.starts) == 1 else f"{law} {number + 1}"
+            guess = guess_motion(setup, setup.starts[number])
         else:
             bounds = bounds_of(setup.dae, problem.spec.bounds)
             seed = problem.spec.plan.seed
@@ -278,19 +256,10 @@ def solve_start(task: tuple[PlanSource, int]) -> StartResult:
             if number - len(setup.starts) >= len(further):
                 return StartResult(number, None, None, "a perturbed guess cannot be simulated")
             name, guess = further[number - len(setup.starts)]
-        found = find_plan(problem, setup, [guess], None, lambda *_: True, float(first.t[-1]))
+        solved = find_plan(problem, setup, [guess], None, lambda *_: True, float(first.t[-1]))
     except SlipfreeError as error:
         return StartResult(number, None, None, str(error))
-    return StartResult(number, found.optima[0]._replace(start=name), found.saved)
-
-
-def _start_name(setup: Planning, number: int) -> str:
-    """Return the name of an initial guess: its driving law, or ``inputs``.
-
-    The names of several guesses are numbered.
-    """
-    name = setup.spec.driver.name if setup.spec.driver else "inputs"
-    return name if len(setup.starts) == 1 else f"{name} {number + 1}"
+    return StartResult(number, solved.optima[0]._replace(start=name), solved.saved)
 
 
 def starts_facts(results: Sequence[StartResult]) -> dict[str, Fact]:
@@ -314,3 +283,220 @@ def starts_facts(results: Sequence[StartResult]) -> dict[str, Fact]:
 def is_solved(result: StartResult) -> bool:
     """Return whether the search of a start found a plan."""
     return result.optimum is not None and result.optimum.outcome != NOT_SOLVED
+
+
+class Tested(NamedTuple):
+    """A plan, tightened if need be, and results of its simulations in drawn worlds.
+
+    The stop says that too few simulations satisfy the limits, or that Ctrl-C ended them.
+    """
+
+    plan: Plan
+    stop: Stop | None = None
+    facts: Facts = MappingProxyType({})
+
+
+class ReplayTask(NamedTuple):
+    """Simulations of plans in one drawn world, for a process."""
+
+    source: PlanSource
+    motions: tuple[PolynomialMotion, ...]
+    draw: Draw
+
+
+class DrawnWorld(NamedTuple):
+    """A drawn world: model of the plan, and model, start and arguments of `plan` in the world."""
+
+    problem: Problem[PlanKeys]  # its robust plan draws the world
+    planned: Dae  # model of the plan
+    dae: Dae
+    start: Trajectory
+    arguments: Mapping[str, Any]
+
+
+def make_robust(
+    problem: Problem[PlanKeys],
+    setup: Planning,
+    first: Plan,
+    robust: Robust,
+    progress: PlanProgress,
+    report: Report | None,
+) -> Tested:
+    """Tighten the limits of a plan until it holds in the required share of drawn worlds.
+
+    After Ctrl-C, the last accurate plan is returned, with an interruption as its stop. ``report``
+    is called several times per second with the phase and a line.
+    """
+    source, latest = source_of(problem), first
+
+    def solve(tightening: Tightening, before: Plan) -> Plan:
+        nonlocal latest
+        length = before.motion.duration
+        found = find_plan(problem, setup, [], before.saved, progress, length, tightening)
+        if found.run.outcome is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
+        if not found.accurate:
+            stop = found.run.stop
+            raise ModelError(
+                stop.words.splitlines()[0]
+                if stop
+                else "the simulation deviates from the plan by more than plan.accuracy"
+            )
+        latest = replace(found, stages=(*before.stages, *found.stages))
+        return latest
+
+    try:
+        with local_tasks(replay_draw, robust.draws) as finish:
+
+            def replay(plans: Sequence[Plan], draws: Sequence[Draw]) -> list[Replays]:
+                done: dict[Draw, tuple[DisturbedRun, ...]] = {}
+
+                def poll() -> None:
+                    if report is not None:
+                        words = f"{len(done)} of {len(draws)} drawn worlds are simulated"
+                        report("drawn worlds", f"robust plan: {words}")
+
+                motions = tuple(each.motion for each in plans)
+                tasks = [ReplayTask(source, motions, draw) for draw in draws]
+                for draw, each in finish(tasks, poll):
+                    done[draw] = each
+                return [Replays(each) for each in zip(*(done[draw] for draw in draws), strict=True)]
+
+            found = robust_plan(
+                first,
+                solve,
+                replay,
+                share=robust.share,
+                draws=robust.draws,
+                final_draws=robust.final_draws,
+                seed=robust.seed,
+            )
+    except KeyboardInterrupt:
+        return Tested(latest, UNTESTED)
+    return Tested(found.plan, _stop(found, robust), robust_facts(found, first))
+
+
+def replay_draw(task: ReplayTask) -> tuple[Draw, tuple[DisturbedRun, ...]]:
+    """Simulate plans in a drawn world; return the draw and comparisons with the bounds."""
+    robust = _planning(task.source)[0].spec.plan.robust or Robust()
+    is_drawn = robust.map is not None or robust.friction > 0
+    try:
+        world = _drawn_world(task.source, task.draw if is_drawn else None)
+    except SlipfreeError as error:
+        return task.draw, (_without_motion(error),) * len(task.motions)
+    return task.draw, tuple(_replay_in(world, robust, motion, task.draw) for motion in task.motions)
+
+
+@lru_cache(1)
+def _drawn_world(source: PlanSource, draw: Draw | None) -> DrawnWorld:
+    """Return a drawn world, or the world of the problem if there is no draw."""
+    problem, setup = _planning(source)
+    spec = problem.spec
+    terrain = setup.terrain
+    if draw is not None:
+        terrain = drawn_terrain(setup, draw, spec.plan.robust or Robust())
+    dae = build_model(problem, setup.vehicle, terrain)
+    model = (dae, setup.vehicle, terrain)
+    arguments = plan_arguments(spec, setup.keep_out, model, setup.between)
+    return DrawnWorld(problem, setup.dae, dae, build_start(problem, dae), arguments)
+
+
+def _replay_in(
+    world: DrawnWorld, robust: Robust, planned: PolynomialMotion, draw: Draw
+) -> DisturbedRun:
+    spec = world.problem.spec
+    tolerance = max(spec.plan.accuracy * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
+    options = replace(spec.solver.options, tolerance=tolerance)
+    motion = drawn_motion(planned, draw, robust.inputs)
+    try:
+        run = simulate_plan(world.dae, world.start, motion, step=spec.time.step, options=options)
+    except SlipfreeError as error:
+        return _without_motion(error)
+    return replay_of(
+        world.dae,
+        world.arguments,
+        (world.planned, planned),
+        run,
+        accuracy=spec.plan.accuracy,
+        goal=robust.goal,
+    )
+
+
+def _without_motion(error: SlipfreeError) -> DisturbedRun:
+    return DisturbedRun({Bound(f"no motion ({error})"): np.inf}, np.nan)
+
+
+def drawn_terrain(setup: Planning, draw: Draw, robust: Robust) -> Bicubic:
+    """Return the ground of a problem with drawn errors of heights and of friction."""
+    map_seed, friction_rng = _seed(draw, 0), np.random.default_rng(_seed(draw, 1))
+    grid, mu = setup.ground.grid, setup.ground.mu
+    if robust.map is not None:
+        grid = disturbed(grid, robust.map.rms, robust.map.correlation, map_seed)
+    factor = np.exp(robust.friction * friction_rng.standard_normal())  # always positive
+    if isinstance(mu, Grid):
+        mu = replace(mu, z=mu.z * factor)
+    elif mu is not None:
+        mu = mu * factor
+    return Bicubic(grid, setup.terrain.origin[:2], mu)
+
+
+def drawn_motion(motion: PolynomialMotion, draw: Draw, deviation: float) -> PolynomialMotion:
+    """Return a plan with each input multiplied by a random gain of mean 1, given its deviation."""
+    where = motion.layout.inputs
+    errors = np.random.default_rng(_seed(draw, 2)).standard_normal(where.shape[1])
+    unknowns = motion.unknowns.copy()
+    unknowns[where] *= 1 + deviation * errors
+    return motion._replace(unknowns=unknowns)
+
+
+def _seed(draw: Draw, part: int) -> int:
+    """Return the seed of a part of a draw: 0 heights, 1 friction, 2 inputs."""
+    return int(np.random.SeedSequence((*draw, part)).generate_state(1)[0])
+
+
+def robust_facts(result: RobustPlan[Plan], first: Plan) -> dict[str, Fact]:
+    """Return shares, tightening, violations and costs of a robust plan."""
+    after, (low, high) = result.after, result.after.interval
+    interval = f"{CONFIDENCE:.0%} confidence interval"
+    half, most = after.distances(0.5, 0.95)
+    facts = {
+        "": Fact(after.share, "1"),
+        "_first": Fact(result.before.share, "1"),
+        "_draws": Fact(after.draws, "1"),
+        "_rounds": Fact(result.rounds, "1"),
+        "_low": Fact(low, "1", interval),
+        "_high": Fact(high, "1", interval),
+        "_distance": Fact(half, "m"),
+        "_distance_95": Fact(most, "m"),
+    }
+    sizes = sorted(result.tightening.items(), key=lambda item: -item[1])
+    tightened = []
+    for bound, size in sizes:
+        unit = first.units.get(bound.name, "1")
+        words = "" if unit == "1" else f" {unit}"
+        tightened.append({"bound": str(bound), "size": size, "unit": words})
+    violated = [{"bound": str(bound), "draws": count} for bound, count in after.violated.items()]
+    return {
+        **{f"plan_share{name}": fact for name, fact in facts.items()},
+        "plan_tightened": Fact(tightened),
+        "plan_violated": Fact(violated),
+        "plan_total_cost": Fact(result.plan.solution.cost),
+        "plan_untightened_total": Fact(first.solution.cost),
+        **{f"plan_untightened_{name}": Fact(cost) for name, cost in first.costs.items()},
+        **({"plan_tightening_failure": Fact(result.failure)} if result.failure else {}),
+    }
+
+
+def _stop(result: RobustPlan[Plan], robust: Robust) -> Stop | None:
+    """Return the stop of a plan that holds in too few drawn worlds, otherwise None."""
+    after = result.after
+    if after.share >= robust.share:
+        return None
+    bound, count = next(iter(after.violated.items()))
+    tighter = f"; tighter limits are not solved: {result.failure}" if result.failure else ""
+    words = (
+        f"the plan holds in {after.held} of {after.draws} drawn worlds, expected at "
+        f"least {100 * robust.share:.3g} %; violated most often: {bound} in {count}{tighter}; "
+        "widen the limits, or reduce the share or the uncertainty in plan.robust"
+    )
+    return Stop(PLAN_SHARE, 0.0, words, Outcome.INFEASIBLE)

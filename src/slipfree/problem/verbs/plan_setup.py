@@ -70,11 +70,9 @@ HOLE_CLEARANCE = 2.0  # additional distance of plans from holes, in units of pla
 RUNS = count()
 
 
-def check_windows(
-    problem: Problem[PlanKeys], spec: PlanKeys, vehicle: Vehicle, paths: tuple[Array, ...]
-) -> None:
+def check_windows(problem: Problem[PlanKeys], vehicle: Vehicle, paths: tuple[Array, ...]) -> None:
     """Raise ProblemError if a problem with windows has keys or a vehicle that do not suit them."""
-    window = spec.plan.window
+    spec, window = problem.spec, problem.spec.plan.window
     if window is None:
         if spec.plan.overlap is not None:
             with at(problem, ("plan", "overlap")):
@@ -106,15 +104,9 @@ def _contradictions(
             f"expected less than the window, {window:g} m, found {_overlap(spec, window):g} m; "
             "reduce the overlap",
         )
-    for name, is_given in (
-        ("duration", spec.plan.duration is not None),
-        ("starts", spec.plan.starts > 1),
-    ):
-        if is_given:
-            yield (
-                ("plan", name),
-                f"expected no '{name}' with 'window', found both; remove one of them",
-            )
+    conflicts = {"duration": spec.plan.duration is not None, "starts": spec.plan.starts > 1}
+    for name in (name for name, is_set in conflicts.items() if is_set):
+        yield ("plan", name), f"expected no '{name}' with 'window', found both; remove one of them"
     for name, advice in (
         ("way_points", "remove the way-points, or lead the driver's path through them"),
         ("cost_limits", "remove 'cost_limits'"),
@@ -162,90 +154,43 @@ def long_plan(
     progress: PlanProgress,
     keep: Callable[[LongPlan], None],
 ) -> LongPlan:
-    """Return the plan of a problem along a route, planned in windows.
+    """Return the plan of a problem along a route on the map, shape (n, 2) [m], planned in windows.
 
+    ``arguments`` are those of `plan`; ``progress`` and ``keep`` are as for `plan_windows`.
     ProblemError is raised if speed, lengths or limits are not valid, or ``resume`` is a plan of
     another model; SolverError if no motion along the route can be simulated from the start.
-
-    Parameters
-    ----------
-    problem, setup : Problem, Setup
-        The problem and its set-up.
-    route : ndarray, shape (n, 2)
-        Points of the route in map coordinates. [m]
-    arguments : mapping
-        Arguments of `plan` for the problem.
-    resume : SavedPlan or None
-        Plan in windows from which the search continues.
-    progress, keep : callable
-        As for `plan_windows`.
     """
     spec = problem.spec
     window, speed = spec.plan.window or 0.0, spec.driver.speed if spec.driver else 0.0
-    options = {
-        name: value
-        for name, value in arguments.items()
-        if name not in ("way_points", "cost_limits")
-    }
+    options = {**arguments, **search_arguments(spec)}
+    options = {k: v for k, v in options.items() if k not in ("way_points", "cost_limits")}
+    options |= {"speed": abs(speed), "length": window, "overlap": _overlap(spec, window)}
+    options |= {"resume": resume, "progress": progress, "keep": keep}
+    law = partial(follow, setup.dae, setup.vehicle, speed=speed)
     with at(problem, ("plan",)):
-        return plan_windows(
-            setup.dae,
-            partial(follow, setup.dae, setup.vehicle, speed=speed),
-            setup.start,
-            Path(route),
-            speed=abs(speed),
-            length=window,
-            overlap=_overlap(spec, window),
-            resume=resume,
-            progress=progress,
-            keep=keep,
-            **search_arguments(spec),
-            **options,
-        )
+        return plan_windows(setup.dae, law, setup.start, Path(route), **options)
 
 
 @dataclass(frozen=True, eq=False)
 class Planning(Setup):
-    """Set-up of the search for a plan.
-
-    Attributes
-    ----------
-    layers : Traversability
-        Traversability of the map.
-    places : tuple of (str, float, float)
-        Names and map coordinates of start, way-points and goal. [m]
-    keep_out : tuple of Region
-        Keep-out regions.
-    paths : tuple of ndarray, shape (n, 2)
-        Paths of the initial guesses; empty if the guesses follow no path. [m]
-    starts : tuple of (record, ndarray)
-        Inputs and times of the samples of each initial guess. [rad/s or m/s, s]
-    spec : PlanKeys
-        Record of the problem file.
-    between : mapping of float to mapping
-        Ranges of quantities at the way-points, by fraction of the duration.
-    guide, guide_start : Dae, Trajectory
-        Model that moves along the initial guesses, and its start: a kinematic model for plans with
-        inertia, otherwise the planned model.
-    """
+    """Set-up of the search for a plan."""
 
     layers: Traversability
-    places: tuple[Place, ...]
+    places: tuple[Place, ...]  # start, way-points, goal on the map [m]
     keep_out: tuple[Region, ...]
-    paths: tuple[Array, ...]
-    starts: tuple[tuple[Any, Array], ...]
+    paths: tuple[Array, ...]  # of the initial guesses, shape (n, 2), if they follow paths [m]
+    starts: tuple[tuple[Any, Array], ...]  # inputs and sample times of each guess [s]
     spec: PlanKeys
-    between: Mapping[float, Ranges]
-    guide: Dae
+    between: Mapping[float, Ranges]  # ranges at the way-points, by fraction of the duration
+    guide: Dae  # moves along the guesses: a kinematic model for plans with inertia
     guide_start: Trajectory
 
 
 def build_planning(problem: Problem[PlanKeys]) -> Planning:
     """Return the set-up of a planning problem.
 
-    ProblemError is raised if ground, vehicle or start are not valid, names are unknown, the goal
-    cannot be reached, or limits, windows, drawn worlds or initial guess do not suit vehicle and
-    ground.
+    ProblemError is raised if its values are not valid, the goal cannot be reached, or limits,
+    windows, drawn worlds or initial guess do not suit vehicle and ground.
     """
     spec = problem.spec
     ground = build_ground(problem)
@@ -256,22 +201,22 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     dae: Dae = (
         momentum_models(problem, vehicle, terrain)[-1]
         if is_dynamic
-        else build_model(problem, spec, vehicle, terrain)
+        else build_model(problem, vehicle, terrain)
     )
     guide: Dae = direct_kinematics(vehicle, terrain) if is_dynamic else dae
     check_names(problem, dae, spec.inputs, guide)
-    keep_out, between = regions(problem, spec), way_points_of(problem, spec)
-    places, exact = places_of(problem, spec, between, terrain.domain)
+    keep_out, between = regions(problem), way_points_of(problem)
+    places, exact = places_of(problem, between, terrain.domain)
     layers = traversability(terrain, vehicle, keep_out=keep_out)
     wrong = [each for each in unreachable(layers, places) if each.sure and each.name in exact]
     if wrong:
         where = problem.source.where((key_of(wrong[0].name),))
         raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
     start = build_start(problem, dae)
-    guide_start = _same_start(guide, start, spec) if is_dynamic else start
-    paths = initial_paths(problem, spec, layers, places)
-    check_windows(problem, spec, vehicle, paths)
-    check_robust(problem, spec, terrain.has_friction)
+    guide_start = settled_start(guide, start, spec) if is_dynamic else start
+    paths = initial_paths(problem, layers, places)
+    check_windows(problem, vehicle, paths)
+    check_robust(problem, terrain.has_friction)
     starts = _starts(problem, guide, vehicle, guide_start, paths, places)
     _check_quantities(problem, dae)
     with at(problem, ("plan",)):
@@ -282,25 +227,9 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
             duration=spec.plan.duration or spec.time.duration,
         )
     goal = ", ".join(f"{name} {spelled(value)}" for name, value in spec.goal.items())
-    return Planning(
-        ground,
-        terrain,
-        vehicle,
-        dae,
-        dae,
-        start,
-        *starts[0],
-        f"plan to {goal}",
-        layers,
-        places,
-        keep_out,
-        paths,
-        starts,
-        spec,
-        between,
-        guide,
-        guide_start,
-    )
+    setup = ground, terrain, vehicle, dae, dae, start, *starts[0], f"plan to {goal}"
+    search = layers, places, keep_out, paths, starts, spec, between, guide, guide_start
+    return Planning(*setup, *search)
 
 
 def momentum_models(problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicubic) -> list[Dae]:
@@ -308,7 +237,7 @@ def momentum_models(problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicub
 
     For wheels that slide, searches with larger creep speeds come first.
     """
-    spec, contact = problem.spec, model_law(problem, problem.spec)
+    spec, contact = problem.spec, model_law(problem)
     with at(problem, ("model",)):
         laws: list[GroundLaw] = [LinearCreep(contact.creep)]
         if spec.plan.sliding:
@@ -317,13 +246,9 @@ def momentum_models(problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicub
         return [in_frame(problem, model) for model in models]
 
 
-def check_robust(problem: Problem[PlanKeys], spec: PlanKeys, has_friction: bool) -> None:
-    """Raise ProblemError for a table ``plan.robust`` that cannot be used.
-
-    The table needs at least one uncertainty, a ground with friction if the friction is uncertain,
-    and a plan without windows.
-    """
-    robust = spec.plan.robust
+def check_robust(problem: Problem[PlanKeys], has_friction: bool) -> None:
+    """Raise ProblemError for a table ``plan.robust`` that cannot be used."""
+    spec, robust = problem.spec, problem.spec.plan.robust
     if robust is None:
         return
     with at(problem, ("plan", "robust")):
@@ -378,10 +303,7 @@ def _starts(
 def _path_guess(
     dae: Dae, vehicle: Vehicle, points: Array, speed: float, t: Array
 ) -> tuple[Any, Array]:
-    """Return the inputs of a law that follows a path, and sample times up to the end of the path.
-
-    The times are those of ``t`` in s; ``speed`` is in m/s.
-    """
+    """Return the inputs of a law that follows a path [m/s], and sample times up to its end [s]."""
     path = Path(points)
     count = int((t <= path.length / abs(speed)).sum())
     return follow(dae, vehicle, path, speed=speed), t[: max(count, 2)]
@@ -395,13 +317,10 @@ def _cusp_guess(
     start: Trajectory,
     places: tuple[Place, ...],
 ) -> tuple[Any, Array]:
-    """Return the inputs along the shortest path with cusps to the goal, and times of samples [s].
-
-    ProblemError is raised if the driver, the goal or the duration do not suit such a path.
-    """
+    """Return the inputs along the shortest path with cusps to the goal, and sample times [s]."""
     spec = problem.spec
     with at(problem, ("driver",)):
-        goal = cusp_goal(problem, spec, driver, places)
+        goal = cusp_goal(problem, driver, places)
         first = (float(start["x"][-1]), float(start["y"][-1]), float(start["heading"][-1]))
         arcs = reeds_shepp(first, goal, driver.turning_radius, turning_axis_offset(vehicle))
         if not arcs:
@@ -427,21 +346,7 @@ def plan_arguments(
     model: tuple[Dae, Vehicle, Bicubic],
     between: Mapping[float, Ranges],
 ) -> dict[str, Any]:
-    """Return the arguments of `plan` for a problem: goal, costs, limits, way-points and bounds.
-
-    ModelError is raised if a limit has an unknown name.
-
-    Parameters
-    ----------
-    spec : PlanKeys
-        Record of the problem.
-    keep_out : tuple of Region
-        Keep-out regions.
-    model : tuple of Dae, Vehicle and Bicubic
-        Model, vehicle and ground.
-    between : mapping of float to mapping
-        Ranges of quantities at the way-points, by fraction of the duration.
-    """
+    """Return goal, costs, limits, way-points and bounds of a problem as arguments of `plan`."""
     limits = (
         *limits_of(model[0], spec.limits),
         *_kept_out(keep_out, *model),
@@ -479,27 +384,16 @@ def _kept_out(
 
 
 def _kept_off_holes(spec: PlanKeys, dae: Dae) -> Iterator[Limit]:
-    """Yield the limits that keep wheels off holes of the map, unless the problem has its own.
-
-    The search has these limits from its beginning: otherwise its first plan may cross a hole, and
-    the later searches, which start from it, do not find a way around.
-    """
+    """Yield the limits that keep wheels off holes of the map, unless the problem has its own."""
+    # from the beginning: a first plan that crosses a hole leads the later searches across it, too
     for limit in dae.limits:
         own = {limit.label.name, limit.label.full} & {*spec.limits}
         if limit.label.name == HOLE_MARGIN and not own:
             yield limit._replace(lower=limit.lower + HOLE_CLEARANCE * spec.plan.accuracy)
 
 
-def settled_start(dae: Dae, setup: Planning) -> Trajectory:
-    """Return the start of a plan, settled for another model ``dae`` of the vehicle.
-
-    ModelError is raised if the vehicle cannot stand there.
-    """
-    return _same_start(dae, setup.start, setup.spec)
-
-
-def _same_start(dae: Dae, start: Trajectory, spec: PlanKeys) -> Trajectory:
-    """Return a start, settled for another model ``dae`` of the vehicle."""
+def settled_start(dae: Dae, start: Trajectory, spec: PlanKeys) -> Trajectory:
+    """Return the start of a plan, settled for another model ``dae`` of the vehicle."""
     values: dict[str, Any] = {
         label.full: float(start.of(label)[-1]) for label in leaves(dae.labels.x)
     }
@@ -509,24 +403,14 @@ def _same_start(dae: Dae, start: Trajectory, spec: PlanKeys) -> Trajectory:
 class PlanSource(NamedTuple):
     """Source of a planning problem, for other processes.
 
-    Attributes
-    ----------
-    path, text : Path, str
-        Path and text of the problem file.
-    settings : tuple of str
-        Settings of the option ``--set``.
-    trusted : frozenset of str
-        Paths of xacro files that the command line trusts.
-    run : int
-        Number of the run in this process. It distinguishes sources of different runs in caches, so
-        that input files are read again.
+    ``run`` distinguishes sources of different runs in caches, so that input files are read again.
     """
 
     path: File
     text: str
-    settings: tuple[str, ...]
-    trusted: frozenset[str]
-    run: int
+    settings: tuple[str, ...]  # of the option --set
+    trusted: frozenset[str]  # paths of xacro files
+    run: int  # number of the run in this process
 
 
 def source_of(problem: Problem[PlanKeys]) -> PlanSource:
@@ -537,7 +421,7 @@ def source_of(problem: Problem[PlanKeys]) -> PlanSource:
 
 
 def problem_from(source: PlanSource) -> Problem[PlanKeys]:
-    """Return the problem of a source; errors are those of `slipfree.problem.load.load_problem`."""
+    """Return the problem of a source."""
     problem: Problem[PlanKeys] = validated_problem(
         lambda *_: PlanKeys, source.path, source.text, source.settings
     )

@@ -43,22 +43,11 @@ PATH_SPACING = 20  # samples of a plan between two points of its path
 
 
 class Followed(NamedTuple):
-    """Attempt of a controller to follow a plan in the changed world.
+    """Attempt of a controller to follow a plan in the changed world."""
 
-    Attributes
-    ----------
-    name : str
-        Description of the controller.
-    run : Trajectory or None
-        The motion, complete or up to its stop; None if the controller does not suit the vehicle, or
-        the simulation fails at the start.
-    words : str
-        Facts about the controller, or the error if the simulation failed.
-    """
-
-    name: str
-    run: Trajectory | None
-    words: str
+    name: str  # of the controller
+    run: Trajectory | None  # None if it does not suit the vehicle, or fails at the start
+    words: str  # facts about the controller, or the error
 
 
 class TrackingTest(NamedTuple):
@@ -90,34 +79,14 @@ def follow_plan(
 
     The plan's inputs are simulated as they are, also with quasi-statics and with dynamics; the
     driving law `slipfree.follow` follows its path at its mean speed; and a moving window replans
-    from the measured state at every period. The controllers know the plan's ground and vehicle, not
-    the changed ones.
+    from the measured state at every ``period``. The controllers know the plan's ground and vehicle,
+    not the changed ones, whose settings are ``changes``. By default a window lasts a fifth of the
+    plan, and a period a twentieth of the window. [s]
 
-    DataError is raised if the file does not contain a plan, input files are missing, or the changed
-    problem cannot be built, for example because the vehicle cannot stand at the start; ModelError
-    if period or window do not suit the plan, or the changed vehicle has other joints or wheels;
+    The replanned motion is the last one. After a Ctrl-C held back by `held_interrupt`, the motions
+    are those simulated until then. DataError is raised if the file contains no plan or the changed
+    problem cannot be built; ModelError if period, window, joints or wheels do not suit the plan;
     SolverError if the first window cannot be solved, or a motion fails before its first sample.
-
-    Parameters
-    ----------
-    file : Path
-        Result file of a plan.
-    changes : sequence of str
-        Settings of the world that differ from the plan's problem, such as
-        ``"terrain.error.rms=0.02"``.
-    period, window : float, optional
-        Time between two cycles, and length of the window; by default a fifth of the plan's duration
-        for the window, and a twentieth of that for the period. [s]
-    folder : Path, optional
-        Folder of the input files of the problem.
-    progress : callable, optional
-        Called with the time reached by the replanned motion. [s]
-
-    Returns
-    -------
-    TrackingTest
-        The motions, the replanned one last. After a Ctrl-C held back by `held_interrupt` those
-        simulated until then.
     """
     run = read(file)
     saved = from_arrays(read_arrays(file), str(file))
@@ -135,20 +104,14 @@ def follow_plan(
     setup = build_planning(planned)
     duration = saved.motion.duration
     plan = find_plan(planned, setup, [], saved, lambda *_: True, duration)
-    changed = build_world(real)
-    start = build_start(real, changed.dae)
-    world = ChangedWorld(changed.vehicle, changed.terrain, changed.dae, start)
+    _, terrain, vehicle, _, dae = build_world(real)
+    world = ChangedWorld(vehicle, terrain, dae, build_start(real, dae))
     window = duration / WINDOWS_PER_PLAN if window is None else window
     period = window / CYCLES_PER_WINDOW if period is None else period
     frame = horizon(plan, span=window)
     options = planned.spec.solver.options
     tracked = track_plan(
-        frame,
-        world.dae,
-        world.start,
-        period=period,
-        options=options,
-        progress=progress,
+        frame, world.dae, world.start, period=period, options=options, progress=progress
     )
     step = planned.spec.time.step
     cycles = f"{tracked.cycles} cycles, {tracked.failures} failed, window {window:.3g} s"
@@ -165,13 +128,10 @@ def follow_plan(
 
 
 def _with_forces(plan: Plan, problem: Problem[Any], world: ChangedWorld) -> Iterator[Followed]:
-    """Yield the motions under the plan's inputs with quasi-statics and with dynamics.
-
-    With dynamics the vehicle starts at the plan's speed along its forward axis.
-    """
+    """Yield the motions under the plan's inputs with quasi-statics and with dynamics."""
     if problem.spec.model != "quasi-static":
         yield _with_model("quasi-static", quasi_statics, plan, problem, world)
-    law, speed = model_law(problem, problem.spec), initial_speed(plan.replay)
+    law, speed = model_law(problem), initial_speed(plan.replay)
     model = partial(dynamics, law=law) if isinstance(law, Soil) else dynamics
     yield _with_model("dynamics", model, plan, problem, world, speed=speed)
 
@@ -215,12 +175,7 @@ def _check_inputs(dae: Dae, planned: Dae) -> None:
         )
 
 
-def _followed(
-    plan: Plan,
-    world: ChangedWorld,
-    step: float,
-    options: SolverOptions,
-) -> Followed:
+def _followed(plan: Plan, world: ChangedWorld, step: float, options: SolverOptions) -> Followed:
     """Return the motion of the driving law along the plan's path at its mean speed."""
     run, name = plan.replay, "follow"
     points = np.column_stack([run["x"], run["y"]])

@@ -1,0 +1,405 @@
+"""Studies: ``compare`` vehicles, ``fit`` a log, test a ``wheel``, ``pareto``, ``track`` a plan."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from slipfree.cli.common import (
+    INTERRUPTED,
+    MAX_PROCESSES,
+    STOPPED,
+    Draw,
+    File,
+    InputFolder,
+    Settings,
+    Trust,
+    about,
+    add_json,
+    add_json_file,
+    detail,
+    has_bar,
+    print_error,
+    print_facts,
+    print_line,
+    read_problem,
+    reported,
+    reporting,
+    written,
+)
+from slipfree.cli.new import write_new_file
+from slipfree.cli.outputs import check_outputs, default_table, save, stop_json
+from slipfree.system.interrupt import held_interrupt, interrupt_requested
+from slipfree.system.regular_files import regular_file
+
+if TYPE_CHECKING:
+    from slipfree.plan.pareto import FrontPoint
+    from slipfree.problem.verbs.compare import ComparedMotion, ComparedVehicle
+    from slipfree.show.plots import Plot
+
+TABLE, FIGURE = "pareto.csv", "pareto.png"  # of a Pareto front
+
+
+def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
+    """Compare the slip of several vehicles on one ground.
+
+    Print whether each vehicle can roll without slip, and the slip that remains otherwise.
+    """
+    with reported():
+        from slipfree.problem.build_ground import ground_facts
+        from slipfree.problem.verbs.compare import compare as solve
+
+        def print_progress(name: str) -> None:
+            if sys.stderr.isatty() and has_bar():
+                print_line(f"  {name}", err=True)
+            detail(f"vehicle {name}")
+
+        problem = read_problem(file, settings, trust, "compare")
+        with held_interrupt():
+            ground, rows = solve(problem, print_progress)
+            is_interrupted = interrupt_requested()
+        print_facts(ground_facts(ground))
+        add_json("vehicles", lambda: [row_json(row) for row in rows])
+        width = max(len(row.name) for row in rows)
+        for words, drives in (
+            ("at the same rates", [row.same for row in rows]),
+            ("at the rates of the driving law", [row.fitting for row in rows]),
+        ):
+            print_line(f"\n{words}: largest slip of the wheels {', '.join(rows[0].wheels)} [mm/s]")
+            head = f"{'rank':6}{'along':18}{'across':18}{'from the poses':27}"
+            print_line(f"{'':{width}}  {head}{'friction*':10}{'tilt [rad]':12}axle [m]")
+            for row, drive in zip(rows, drives, strict=True):
+                rank = f"{row.rank}/{row.conditions}"
+                print_line(f"{row.name:{width}}  {rank:6}{_drive_words(drive)}")
+        print_line("\n* largest friction coefficient that a wheel requires; forces load-weighted")
+        if is_interrupted:
+            count = f"{len(rows)} of {len(problem.spec.vehicles)}"
+            print_error(f"interrupted; the table contains {count} vehicles")
+            raise typer.Exit(INTERRUPTED)
+
+
+def _drive_words(drive: ComparedMotion) -> str:
+    slips = "".join(
+        f"{' '.join(f'{1e3 * value:.2f}' for value in values):18}"
+        for values in (drive.along, drive.across)
+    )
+    measured = " ".join(f"{1e3 * value:.1e}" for value in drive.measured)
+    axle = " to ".join(f"{value:.3f}" for value in drive.width)
+    stop = f", stopped at {drive.stop.t:.3g} s by {drive.stop.name}" if drive.stop else ""
+    return f"{slips}{measured:27}{drive.friction:<10.3f}{drive.tilt:<12.3f}{axle}{stop}"
+
+
+def row_json(row: ComparedVehicle) -> dict[str, Any]:
+    """Return the JSON object of one vehicle of ``slipfree compare``."""
+    return {
+        "name": row.name,
+        "wheels": row.wheels,
+        "rank": row.rank,
+        "conditions": row.conditions,
+        "same_rates": _drive_json(row.same),
+        "driving_law": _drive_json(row.fitting),
+    }
+
+
+def _drive_json(drive: ComparedMotion) -> dict[str, Any]:
+    """Return the JSON object of one motion of a vehicle: extremes over time, and its stop.
+
+    Values of slip are arrays with one entry per wheel.
+    """
+    return {
+        "slip_along": {"unit": "m s-1", "max": drive.along},
+        "slip_across": {"unit": "m s-1", "max": drive.across},
+        "slip_measured": {"unit": "m s-1", "max": drive.measured},
+        "friction_needed": {"unit": "1", "max": drive.friction},
+        "tilt": {"unit": "rad", "max": drive.tilt},
+        "axle": {"unit": "m", "min": drive.width[0], "max": drive.width[1]},
+        "stop": stop_json(drive.stop),
+    }
+
+
+def fit(
+    file: File,
+    settings: Settings = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="OUT.csv",
+            help="Table of the estimates; the table of the windows and the figure have the same "
+            "name with _windows.csv and .png. Default: the name of the file, in the current "
+            "folder; with _fit if that is an input.",
+        ),
+    ] = None,
+    write: Annotated[
+        Path | None,
+        typer.Option("--write", metavar="VEHICLE.toml", help="Write the fitted vehicle."),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace an existing vehicle file.")
+    ] = False,
+    draw: Draw = True,
+    trust: Trust = None,
+) -> None:
+    """Fit numbers of a vehicle and of a law to a log of wheel rates and poses.
+
+    Print the estimates with 95 % intervals, the combinations of unknowns that the log does not
+    determine, and the errors of predictions over windows that were not used for the fit. If the log
+    does not determine an unknown, the exit code is 1 and no vehicle is written.
+    """
+    with reported(), about(file):
+        from slipfree.files.tables import write_rows
+        from slipfree.files.vehicle_draft import vehicle_text
+        from slipfree.problem.inputs import files_read
+        from slipfree.problem.verbs.fit import (
+            error_rows,
+            estimate_rows,
+            facts,
+            vehicle_comments,
+            window_rows,
+        )
+        from slipfree.problem.verbs.fit import fit as solve
+
+        problem: Any = read_problem(file, settings, trust, "fit")
+        inputs = files_read(problem)
+        table = out or default_table(file, "fit", inputs)
+        others = table.with_name(f"{table.stem}_windows.csv")
+        picture = table.with_suffix(".png") if draw else None
+        check_outputs([table, others, picture, write], inputs)
+        with held_interrupt():
+            fitted = solve(problem)
+            rows, lost = estimate_rows(fitted), fitted.calibration.estimate.undetermined
+            files = [
+                save(table, lambda path: write_rows(path, *rows)),
+                save(others, lambda path: write_rows(path, *window_rows(fitted))),
+            ]
+            if write is not None and not lost:
+                write_new_file(vehicle_text(fitted.vehicle, vehicle_comments(fitted)), write, force)
+                files.append(write)
+            is_interrupted = interrupt_requested() or fitted.calibration.estimate.is_interrupted
+        print_facts(facts(fitted))
+        add_json("errors", lambda: error_rows(fitted))
+        add_json("estimates", lambda: [dict(zip(rows[0], row, strict=True)) for row in rows[1]])
+        if picture is not None and not is_interrupted:
+            from slipfree.show.fit_figures import fit_plot
+
+            files += _draw([fit_plot(picture.stem, fitted.calibration)], picture.parent)
+        print_line(f"wrote {' and '.join(map(str, files))}")
+        if is_interrupted:
+            print_error(f"interrupted; {files[0]} contains the estimates so far")
+            raise typer.Exit(INTERRUPTED)
+        if lost:
+            print_error(
+                f"{file}: expected a log that determines all unknowns, found no information on "
+                f"{', '.join(lost)}{'; no vehicle was written' if write else ''}; give priors, fit "
+                "fewer unknowns, or use a log with other manoeuvres"
+            )
+            raise typer.Exit(STOPPED)
+
+
+def wheel(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Wheel file (TOML): wheel, load, soil and test.")
+    ],
+    settings: Settings = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="OUT.csv",
+            help="Table of the curves; the figure has the same name with .png. "
+            "Default: the name of the file, in the current folder; with _wheel if that is an "
+            "input.",
+        ),
+    ] = None,
+    draw: Draw = True,
+) -> None:
+    """Compute the forces on a single wheel in soil over slip ratio and slip angle.
+
+    Print a summary, and write drawbar pull, side force, torque and sinkage as a table and a figure.
+    Measured points of a CSV file are drawn over the curves, and compared with them.
+    """
+    with reported(), about(file):
+        from slipfree.files.tables import write_rows
+        from slipfree.problem.wheel_test import QUANTITIES, run_wheel_file, wheel_facts, wheel_rows
+
+        test = run_wheel_file(file, settings or [])
+        table = out or default_table(file, "wheel", test.files)
+        picture = table.with_suffix(".png") if draw else None
+        check_outputs([table, picture], test.files)
+        names, rows = wheel_rows(test.curves)
+        files = [save(table, lambda path: write_rows(path, names, rows))]
+        print_facts(wheel_facts(test))
+        if picture is not None:
+            from slipfree.show.sweep_figures import DrawnWheel, wheel_plot
+
+            values = {name: getattr(test.curves, name) for name in QUANTITIES}
+            drawn = DrawnWheel(*test.curves[:2], test.load, values, test.measured)
+            files += _draw([wheel_plot(picture.stem, drawn)], picture.parent)
+        print_line(f"wrote {' and '.join(map(str, files))}")
+
+
+def _draw(plots: Sequence[Plot], folder: Path) -> list[Path]:
+    """Draw figures, add them to the JSON object, and return their files."""
+    from slipfree.show.plots import save as save_plots
+
+    files = save_plots(plots, folder)
+    for file in files:
+        add_json_file(file)
+    return files
+
+
+def pareto(
+    file: File,
+    against: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Second objective: duration, effort, energy, or the square of any quantity.",
+        ),
+    ] = "duration",
+    points: Annotated[
+        int, typer.Option(min=2, max=1000, metavar="N", help="Number of points of the front.")
+    ] = 7,
+    settings: Settings = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="DIR",
+            help="Folder of table, plans and figure; default: the problem's name with _pareto.",
+        ),
+    ] = None,
+    processes: Annotated[
+        int,
+        typer.Option(
+            "-j", "--processes", min=1, max=MAX_PROCESSES, metavar="P", help="Number of processes."
+        ),
+    ] = 1,
+    draw: Draw = True,
+    trust: Trust = None,
+) -> None:
+    """Plan motions of least slip for several durations, efforts or energies.
+
+    Print the Pareto front, and write its table, its figure and the plan of every point.
+    """
+    with reported():
+        from slipfree.files.netcdf import write
+        from slipfree.files.tables import write_rows
+        from slipfree.problem.inputs import files_read
+        from slipfree.problem.pareto import (
+            front_facts,
+            front_plot,
+            front_rows,
+            plan_front,
+            table_lines,
+        )
+
+        problem = read_problem(file, settings, trust)
+        folder = out or Path(f"{problem.source.path.stem}_pareto")
+        outputs = [TABLE, FIGURE, *(_plan_name(k) for k in range(points))]
+        check_outputs([], files_read(problem), folder=folder, names=outputs)
+
+        def keep(number: int, point: FrontPoint) -> None:
+            result, path = point.solution.result, folder / _plan_name(number)
+            folder.mkdir(parents=True, exist_ok=True)
+            save(path, lambda path: write(path, result.trajectory, result.arrays))
+            detail(f"wrote {path}")
+
+        with reporting(None) as reports:
+            report = reports.search
+            front = plan_front(
+                problem, against, points, processes=processes, report=report, keep=keep
+            )
+            names, rows = front_rows(front)
+            save(folder / TABLE, lambda path: write_rows(path, names, rows))
+            is_interrupted = interrupt_requested()
+        print_facts(front_facts(front))
+        print_line("\n".join(["", *table_lines(front)]))
+        add_json("points", lambda: [dict(zip(names, row, strict=True)) for row in rows])
+        draw = draw and not is_interrupted
+        if draw:
+            _draw([front_plot(front)], folder)
+        print_line(f"wrote table, plans{' and figure' if draw else ''} in {folder}")
+        if front.outcome.exit_code:
+            unsolved = sum(not each.is_solved for each in front.points)
+            verb, what = ("is", "the reason is") if unsolved == 1 else ("are", "the reasons are")
+            print_error(
+                f"{unsolved} of {len(front.points)} points {verb} not solved; {what} in the last "
+                f"column of {folder / TABLE}"
+            )
+            raise typer.Exit(INTERRUPTED if is_interrupted else front.outcome.exit_code)
+
+
+def _plan_name(number: int) -> str:
+    return f"point_{number + 1:02}.nc"
+
+
+def track(
+    file: Annotated[Path, typer.Argument(metavar="PLAN.nc", help="Result file of a plan.")],
+    settings: Settings = None,
+    period: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="Time between updates of the plan; default: a twentieth of the window.",
+        ),
+    ] = None,
+    window: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="Duration of the replanned window; default: a fifth of the plan's duration.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="OUT.nc", help="File for the replanned motion; default: none."
+        ),
+    ] = None,
+    folder: InputFolder = None,
+) -> None:
+    """Follow a plan in a changed world, by replanning.
+
+    Print the final error and the slip, and compare them with those of two other controllers: the
+    plan's inputs without feedback, and the driving law. The inputs are simulated with three models:
+    that of the plan, quasi-statics and dynamics. Changes of the world are given by --set, as
+    in terrain.error.rms=0.02.
+    """
+    with reported(), about(file):
+        from slipfree.files.netcdf import write
+        from slipfree.problem.result import result_files
+        from slipfree.problem.verbs.plan_tracking import follow_plan, tracking_lines, tracking_rows
+
+        with regular_file(file, "a result file of slipfree"):
+            check_outputs([out], result_files(file, folder))
+        with held_interrupt():
+            test = follow_plan(
+                file,
+                settings or [],
+                period=period,
+                window=window,
+                folder=folder,
+                progress=lambda t: detail(f"replanned at {t:.4g} s"),
+            )
+            run = test.motions[-1].run
+            if out is not None and run is not None:
+                out = save(out, lambda path: write(path, run))
+            is_interrupted = interrupt_requested()
+        rows = tracking_rows(test)
+        print_facts(list(tracking_lines(rows)))
+        add_json("motions", lambda: rows)
+        if out is not None and run is not None:
+            print_line(f"wrote {out}")
+        if is_interrupted:
+            print_error("; ".join(["interrupted", *written()]))
+            raise typer.Exit(INTERRUPTED)
+        if run is not None and run.outcome.exit_code:
+            raise typer.Exit(run.outcome.exit_code)
