@@ -225,7 +225,7 @@ def _moved(
 def _rates(dae: Dae, w: ca.SX, eliminate: Solve) -> tuple[ca.SX, ca.SX]:
     """Return the rates at given positions, and the sum of their errors.
 
-    Linear equations are solved; the error is their residual. For other equations the result is one
+    Linear equations are solved; the error is their relative residual. For others the result is one
     Newton step from ``w``, and the error the square of its length in typical sizes. Pairs of
     unknowns are then projected into the unit disc, as in the primal-dual Newton method for sums of
     norms (K. D. Andersen et al., SIAM J. Sci. Comput. 22 (2000)): without it the method fails where
@@ -236,7 +236,7 @@ def _rates(dae: Dae, w: ca.SX, eliminate: Solve) -> tuple[ca.SX, ca.SX]:
     if dae.linear is not None or not ca.depends_on(matrix, w):
         matrix, right = dae.linear or (matrix, -_with([law], w, ca.SX.zeros(w.shape))[0])
         rates = eliminate(matrix, right)
-        return rates, ca.norm_1(matrix @ rates - right)
+        return rates, ca.norm_1(matrix @ rates - right) / (1 + ca.norm_1(rates))
     rates = w - eliminate(matrix, law)
     index = {symbol.element_hash(): k for k, symbol in enumerate(ca.vertsplit(w))}
     for pair in dae.discs:

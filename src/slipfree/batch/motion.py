@@ -85,13 +85,13 @@ def integrate_lanes(
     step : float
         Largest length of a step along the path. [m]
     estimate : bool
-        Whether to estimate the error by a second motion with twice the step.
+        Whether to estimate the error by a second motion with half the step.
     """
     with np.errstate(all="ignore"):
         motions = _integrate(evaluate, states, inputs, t, step, estimate=estimate)
         for refinement in REFINEMENTS:
             again = motions.reason == UNSOLVED
-            if estimate:  # where twice the step fails, nothing is known of the error
+            if estimate:  # where half the step fails, nothing is known of the error
                 again |= np.isnan(motions.error) & (motions.reason != INVALID_START)
             if not again.any():
                 break
@@ -105,20 +105,19 @@ def integrate_lanes(
 def _integrate(
     evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float, *, estimate: bool
 ) -> Motions:
-    fine = _Run(evaluate, states, inputs, t, step)
-    fine.run(even=estimate)
+    run = _Run(evaluate, states, inputs, t, step)
+    run.run()
     error = np.full(states.shape[1], np.nan)
     if estimate:
         names = [label.full for label in leaves(evaluate.graphs.dae.labels.x)]
         place = [names.index("x"), names.index("y")]
-        coarse = _Run(evaluate, states, inputs, t, step, place)
-        coarse.run(counts=fine.counts // 2)
-        reached = np.maximum(np.isfinite(fine.samples[:, 0]).sum(axis=0) - 1, 0)
-        lanes = np.arange(reached.size)
-        apart = (fine.samples[:, place] - coarse.samples)[reached, :, lanes]
+        finer = _Run(evaluate, states, inputs, t, step, place)
+        finer.run(counts=2 * run.counts)
+        reached = np.maximum(np.isfinite(run.samples[:, 0]).sum(axis=0) - 1, 0)
+        apart = (run.samples[:, place] - finer.samples)[reached, :, np.arange(reached.size)]
         order = ORDER if evaluate.graphs.dae.lag is None else RELAXING_ORDER
-        error = np.hypot(*apart.T) / (2**order - 1)
-    return Motions(fine.samples, fine.end, fine.reason, fine.beyond, error, fine.distances)
+        error = np.hypot(*apart.T) / (1 - 0.5**order)
+    return Motions(run.samples, run.end, run.reason, run.beyond, error, run.distances)
 
 
 class _Step(NamedTuple):
@@ -167,7 +166,7 @@ class _Run:
         self.end, self.reason = np.full(count, t[-1]), np.full(count, COMPLETE)
         self.beyond = states.copy()
 
-    def run(self, *, counts: Array | None = None, even: bool = False) -> None:
+    def run(self, *, counts: Array | None = None) -> None:
         """Integrate; with given numbers of steps, limits are not evaluated."""
         lanes, states, limited = np.arange(self.end.size), self.first.copy(), counts is None
         if limited:
@@ -201,7 +200,6 @@ class _Run:
             span = self.t[k + 1] - now
             if counts is None:
                 number = np.clip(np.ceil(speed * span / self.step - 1e-9), 1, MAX_STEPS).astype(int)
-                number = 2 * ((number + 1) // 2) if even else number
                 self.counts[k, lanes] = number
             else:
                 number = counts[k, lanes]

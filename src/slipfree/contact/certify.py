@@ -91,10 +91,8 @@ class SecondContact:
         radius, (x_0, y_0, _) = self.wheel.radius, self.terrain.origin
         slope, curvature = bounds(center[0] + x_0, center[1] + y_0, radius)
         level, upright = np.hypot(rotation[0], rotation[1]), np.abs(rotation[2])
-        known = np.isfinite(slope)  # elsewhere the ground ends near the wheel
-        single = np.zeros(known.size, dtype=bool)
-        single[known] = (radius * curvature < level - np.where(known, slope, 0.0) * upright)[known]
-        return single
+        slope = np.nan_to_num(slope, posinf=0.0)  # near an edge, where the curvature is infinite
+        return np.asarray(radius * curvature < level - slope * upright)
 
     def describe(self, x: Array, z: Array) -> str:
         """Return a message that locates the second contact, in map coordinates."""
