@@ -22,7 +22,7 @@ NAMES = {
     *("dynamics", "rigid_dynamics", "planar", "Compliant", "Rate", "Torque", "Motor"),
     *("LeastSlip", "Rolling", "Coulomb", "LinearCreep", "Soil"),
     *("follow", "straight", "Path"),
-    *("settle", "simulate", "rollouts", "plan", "replan", "cross_check"),
+    *("settle", "settle_many", "simulate", "rollouts", "plan", "replan", "cross_check"),
     *("Cost", "Region", "Route"),
     *("Dae", "Trajectory", "Outcome", "SolverOptions"),
     *("load_problem", "run_problem", "open_result"),
@@ -32,8 +32,8 @@ NAMES = {
 DOCUMENTED = (
     *("direct_kinematics", "inverse_kinematics", "quasi_statics", "montana_kinematics"),
     *(
-        *("dynamics", "rigid_dynamics", "settle", "simulate", "rollouts", "follow", "plan"),
-        *("replan", "cross_check"),
+        *("dynamics", "rigid_dynamics", "settle", "settle_many", "simulate", "rollouts"),
+        *("follow", "plan", "replan", "cross_check"),
     ),
     *("Cost", "Region", "Path", "Grid", "Bicubic", "Analytic", "Trajectory", "Dae"),
 )
