@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import ctypes
 import subprocess
-from collections.abc import Sequence
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -21,7 +20,7 @@ from slipfree.batch.graph import Graph, Graphs, graphs_of
 from slipfree.core.dae import Dae
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import Cells
-from slipfree.core.records import Array
+from slipfree.core.records import Array, Mask
 from slipfree.system.codegen_cache import compiler, shared_library
 
 FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off", "-fno-math-errno")
@@ -90,6 +89,11 @@ class Evaluator(Protocol):
             Factor of all derivatives of the ground, for a start on a flattened ground. [1]
         """
 
+    def advance(
+        self, states: Array, rates: Array, h: Array, count: int, bounds: tuple[float, float]
+    ) -> tuple[Array, Mask] | None:
+        """Return the result of compiled steps; None without them."""
+
 
 @lru_cache(maxsize=8)
 def evaluator_of(dae: Dae, *, compiled: bool = True, lanes: int | None = None) -> Evaluator:
@@ -113,7 +117,7 @@ def evaluator_of(dae: Dae, *, compiled: bool = True, lanes: int | None = None) -
     graphs = graphs_of(dae)
     every = graphs.every
     if compiled and all(each.cells for graph in every for each in graph.lookups):
-        source = _Source(every)
+        source = _Source(graphs)
         if source.unknown is None and (loaded := _compiled(source, lanes)) is not None:
             return _Compiled(graphs, source, loaded)
     return _Interpreted(graphs)
@@ -137,6 +141,9 @@ class _Interpreted:
             row += len(values)
         return evaluate(graph.function, states, results)[0]
 
+    def advance(self, *_: Any) -> None:
+        """Return None: there are no compiled steps."""
+
 
 class _Compiled:
     """Evaluation by a compiled library."""
@@ -144,6 +151,7 @@ class _Compiled:
     def __init__(self, graphs: Graphs, source: _Source, loaded: ctypes.CDLL) -> None:
         self.graphs = graphs
         self._functions = {name: getattr(loaded, name) for name in source.names}
+        self._advance = loaded.advance if graphs.explicit else None
         self._constants = np.array([*source.constants, 0.0])
         self._tables = [np.ascontiguousarray(each.coefficients) for each in source.cells]
         self._cells = (_Cells * max(1, len(self._tables)))(
@@ -167,6 +175,33 @@ class _Compiled:
         )
         return results
 
+    def advance(
+        self, states: Array, rates: Array, h: Array, count: int, bounds: tuple[float, float]
+    ) -> tuple[Array, Mask] | None:
+        """Return the states after steps, and which lanes are solved, as `motion.advance`.
+
+        ``bounds`` are the largest correction and error. The result is None for a model whose rates
+        need iterations.
+        """
+        if self._advance is None:
+            return None
+        n = states.shape[1]
+        states, rates, h = (np.ascontiguousarray(each) for each in (states, rates, h))
+        results = np.empty((len(states) + 1, n))
+        self._advance(
+            ctypes.c_long(n),
+            ctypes.c_void_p(states.ctypes.data),
+            ctypes.c_long(states.strides[0] // 8),
+            ctypes.c_void_p(rates.ctypes.data),
+            ctypes.c_void_p(h.ctypes.data),
+            ctypes.c_long(count),
+            *(ctypes.c_double(each) for each in bounds),
+            ctypes.c_void_p(results.ctypes.data),
+            ctypes.c_void_p(self._constants.ctypes.data),
+            self._cells,
+        )
+        return results[:-1], results[-1] > 0
+
 
 class _Cells(ctypes.Structure):
     """The structure ``Cells`` of ``lanes.c``."""
@@ -182,12 +217,14 @@ class _Cells(ctypes.Structure):
 class _Source:
     """C code of graphs, and the constants and cells that are its arguments."""
 
-    def __init__(self, graphs: Sequence[Graph]) -> None:
-        self.names = tuple(graph.name for graph in graphs)
+    def __init__(self, graphs: Graphs) -> None:
+        self.names = tuple(graph.name for graph in graphs.every)
         self.unknown: int | None = None  # an operation without C code
         self._constants: dict[float, int] = {}
         self.cells: list[Cells] = []
-        self.code = "\n".join(self._graph(graph) for graph in graphs)
+        self.code = "\n".join(self._graph(graph) for graph in graphs.every)
+        if graphs.explicit:
+            self.code += _step_code(graphs)
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -209,17 +246,22 @@ class _Source:
             if_sloped = f"for (int k = 3; k < 18; k++) found[{row} + k] *= splat(slope);"
             lines.append(f"if (slope != 1.0) {if_sloped}")
             row += lookup.found.numel()
-        n_in, n_out = graph.function.numel_in(0), graph.function.numel_out(0)
-        body = "\n    ".join(lines)
+        n_in, n_out = graph.function.numel_in(0), max(1, graph.function.numel_out(0))
+        body = "\n  ".join(lines)
         return "\n".join(functions) + (
+            f"\nstatic void eval_{graph.name}(const vd *a, vd *r, const double *K, "
+            "const Cells *cells, double slope) {\n"
+            f"  vd found[{max(1, row)}], q[3];\n"
+            f"  {body}\n"
+            f"  f_{graph.name}(a, found, r, K);\n}}\n"
             f"\nvoid {graph.name}(long n, const double *in, long stride, double *out, "
             "const double *K, const Cells *cells, double slope) {\n"
-            f"  vd a[{n_in}], found[{max(1, row)}], q[3], r[{max(1, n_out)}];\n"
+            f"  vd a[{n_in}], r[{n_out}];\n"
             "  for (long g = 0; g < n; g += LANES) {\n"
             f"    for (int k = 0; k < {n_in}; k++) a[k] = load(in + k * stride + g, n - g);\n"
-            f"    {body}\n"
-            f"    f_{graph.name}(a, found, r, K);\n"
-            f"    for (int k = 0; k < {n_out}; k++) store(out + k * n + g, r[k], n - g);\n"
+            f"    eval_{graph.name}(a, r, K, cells, slope);\n"
+            f"    for (int k = 0; k < {graph.function.numel_out(0)}; k++) "
+            "store(out + k * n + g, r[k], n - g);\n"
             "  }\n}\n"
         )
 
@@ -262,6 +304,28 @@ class _Source:
             return w[0]
         self.unknown = operation
         return w[0]
+
+
+def _step_code(graphs: Graphs) -> str:
+    """Return the C code of steps of a model whose rates need no iteration."""
+    rows, function = graphs.rows, graphs.motion.function
+    _, p, w, change, error, _ = graphs.motion.parts
+    sizes = {
+        "ROWS": function.numel_in(0),
+        "RESULTS": function.numel_out(0),
+        "MOVING": rows.q.stop,
+        "POSITIONS": p.stop - p.start,
+        "FIRST_POSITION": rows.p.start,
+        "NEW_POSITIONS": p.start,
+        "UNKNOWNS": w.stop - w.start,
+        "FIRST_UNKNOWN": rows.w.start,
+        "NEW_UNKNOWNS": w.start,
+        "CHANGE": change.start,
+        "ERROR": error.start,
+        "TIME": rows.t.start,
+    }
+    lines = [f"#define {name} {value}" for name, value in sizes.items()]
+    return "\n".join([*lines, Path(__file__).with_name("step.c").read_text(encoding="utf-8")])
 
 
 def _compiled(source: _Source, lanes: int | None) -> ctypes.CDLL | None:

@@ -107,6 +107,8 @@ class Graphs(NamedTuple):
         Checks of samples.
     placing : Graph
         Expressions on which the checks of samples depend, one result for each check.
+    linear : bool
+        Whether the rates are the solution of linear equations.
     """
 
     dae: Dae
@@ -120,6 +122,12 @@ class Graphs(NamedTuple):
     outputs: Graph
     checks: tuple[PlacedCheck, ...]
     placing: Graph
+    linear: bool
+
+    @property
+    def explicit(self) -> bool:
+        """Whether rates follow from linear equations, and no states relax."""
+        return self.linear and self.dae.lag is None
 
     @property
     def every(self) -> tuple[Graph, ...]:
@@ -188,6 +196,7 @@ def graphs_of(dae: Dae) -> Graphs:
         graph("outputs", pack(dae.y)),
         tuple(checks),
         graph("placing", *(check.placing for check in checks)),
+        not ca.depends_on(ca.jacobian(dae.residuals[1], w), w),
     )
 
 

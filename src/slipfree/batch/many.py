@@ -127,7 +127,7 @@ def settle_many(
     >>> model = direct_kinematics(catalog.three_wheeler(), ground)
     >>> poses = settle_many(model, x=np.linspace(-3.0, 3.0, 1000), heading=0.3, compiled=False)
     >>> print(f"roll from {poses['roll'].values.min():.3f} to {poses['roll'].values.max():.3f} rad")
-    roll from -0.099 to 0.099 rad
+    roll from -0.070 to 0.069 rad
     """
     evaluate = evaluator_of(model, compiled=compiled)
     graphs = evaluate.graphs

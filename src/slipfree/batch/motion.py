@@ -218,20 +218,20 @@ class _Run:
         self, lanes: Indices, start: _Step, count: int, *, limited: bool
     ) -> tuple[Any, ...]:
         """Return the lanes that reach the end of an interval, their states and last steps."""
+        if not limited:  # a bad motion gives a large estimate of the error
+            return lanes, self.advance(self.evaluate, *start, count)[0], *start
         for k in range(count):
             states, solved = self.advance(self.evaluate, *start)
-            if limited and not solved.all():
+            if not solved.all():
                 self._end(lanes, states, start, solved, solved)
                 lanes, states, start = _of(solved, lanes), _of(solved, states), start.of(solved)
             if k == count - 1 or not lanes.size:
                 break
-            rates, good, _, margin = self._checked(states, limited=limited)
-            if limited:
-                kept = good & (margin >= 0)
-                self._end(lanes, states, start, good, kept)
-                good = kept
-            lanes, states = _of(good, lanes), _of(good, states)
-            start = _Step(states, _of(good, rates), _of(good, start.h))
+            rates, good, _, margin = self._checked(states, limited=True)
+            kept = good & (margin >= 0)
+            self._end(lanes, states, start, good, kept)
+            lanes, states = _of(kept, lanes), _of(kept, states)
+            start = _Step(states, _of(kept, rates), _of(kept, start.h))
         return lanes, states, *start
 
     def _checked(self, states: Array, *, limited: bool) -> tuple[Array, Mask, Array, Array]:
@@ -432,24 +432,36 @@ def _derivatives(
     return values[rates], good, values[speed][0]
 
 
-def advance(evaluate: Evaluator, states: Array, rates: Array, h: Array) -> tuple[Array, Mask]:
-    """Return the states after a step of Ralston's third-order method, and which are solved.
+def advance(
+    evaluate: Evaluator, states: Array, rates: Array, h: Array, count: int = 1
+) -> tuple[Array, Mask]:
+    """Return the states after steps of Ralston's third-order method, and which are solved.
 
     A. Ralston, Runge-Kutta methods with minimum error bounds, Math. Comp. 16 (1962), eq. (4.1). The
-    positions of the result are predicted, not yet corrected.
+    positions of the result are predicted, not yet corrected. The compiled code does the same.
     """
+    compiled = evaluate.advance(states, rates, h, count, (MAX_CHANGE, MAX_ERROR))
+    if compiled is not None:
+        return compiled
     rows = evaluate.graphs.rows
-    moving = slice(0, rows.q.stop)
-    start, stage = states[moving], states.copy()
-    stage[moving] = start + (0.5 * h) * rates
-    stage[rows.t] += 0.5 * h
-    second, good, _ = derivatives(evaluate, stage)
-    stage[moving] = start + (0.75 * h) * second
-    stage[rows.t] = states[rows.t] + 0.75 * h
-    third, also_good, _ = derivatives(evaluate, stage)
-    stage[moving] = start + (h / 9) * (2 * rates + 3 * second + 4 * third)
-    stage[rows.t] = states[rows.t] + h
-    return stage, good & also_good
+    moving, solved = slice(0, rows.q.stop), np.ones(h.size, dtype=bool)
+    for k in range(count):
+        if k:
+            rates, good, _ = derivatives(evaluate, states)
+            solved &= good
+        start, stage = states[moving], states.copy()
+        stage[moving] = start + (0.5 * h) * rates
+        stage[rows.t] += 0.5 * h
+        second, good, _ = derivatives(evaluate, stage)
+        solved &= good
+        stage[moving] = start + (0.75 * h) * second
+        stage[rows.t] = states[rows.t] + 0.75 * h
+        third, good, _ = derivatives(evaluate, stage)
+        solved &= good
+        stage[moving] = start + (h / 9) * (2 * rates + 3 * second + 4 * third)
+        stage[rows.t] = states[rows.t] + h
+        states = stage
+    return states, solved
 
 
 def advance_relaxing(
@@ -457,8 +469,9 @@ def advance_relaxing(
     states: Array,
     rates: Array,  # noqa: ARG001 - of another lag
     h: Array,
+    count: int = 1,
 ) -> tuple[Array, Mask]:
-    """Return the states after a step of a model whose last states relax, and which are solved.
+    """Return the states after steps of a model whose last states relax, and which are solved.
 
     The relaxing states take two linearly implicit half steps, whose damping is complete for
     infinitely stiff contacts; the others take a step of the midpoint rule.
@@ -466,19 +479,24 @@ def advance_relaxing(
     dae, rows = evaluate.graphs.dae, evaluate.graphs.rows
     moving = slice(0, rows.q.stop)
     relaxing = slice(rows.x.stop - dae.rest.numel(), rows.x.stop)
-    stage = states.copy()
-    stage[rows.lag] = half = 0.5 * h
-    first, good, _ = derivatives(evaluate, stage)
-    start = stage[moving].copy()
-    stage[moving] = start + half * first
-    stage[rows.t] += half
-    middle = stage[relaxing].copy()
-    second, also_good, _ = derivatives(evaluate, stage)
-    stage[moving] = start + h * second
-    stage[relaxing] = middle + half * second[relaxing]
-    stage[rows.lag] = 0.0
-    stage[rows.t] = states[rows.t] + h
-    return stage, good & also_good
+    half, solved = 0.5 * h, np.ones(h.size, dtype=bool)
+    for _ in range(count):
+        stage = states.copy()
+        stage[rows.lag] = half
+        first, good, _ = derivatives(evaluate, stage)
+        solved &= good
+        start = stage[moving].copy()
+        stage[moving] = start + half * first
+        stage[rows.t] += half
+        middle = stage[relaxing].copy()
+        second, good, _ = derivatives(evaluate, stage)
+        solved &= good
+        stage[moving] = start + h * second
+        stage[relaxing] = middle + half * second[relaxing]
+        stage[rows.lag] = 0.0
+        stage[rows.t] = states[rows.t] + h
+        states = stage
+    return states, solved
 
 
 def relax(evaluate: Evaluator, states: Array) -> Mask:
