@@ -325,3 +325,27 @@ def test_models_and_inputs_that_the_batch_does_not_take_are_named(model):
         settle_many(model, x=np.zeros(2), y=np.zeros(3))
     with pytest.raises(ModelError, match="unknown 'z'"):
         settle_many(model, z=np.zeros(2))
+
+
+def test_one_motion_is_refined_to_the_tolerance(model):
+    """The explicit method reaches its tolerance, with the quantities and ends of IDAS."""
+    inputs = {name: values[0] for name, values in rates(1).items()}
+    start = settle(model, heading=0.4)
+    exact = simulate(model, start, model.inputs(**inputs), T, options=EXACT)
+    for tolerance in (1e-4, 1e-8):
+        options = SolverOptions(tolerance=tolerance, method="explicit", compiled=True)
+        run = simulate(model, start, model.inputs(**inputs), T, options=options)
+        assert np.hypot(*(run[name][-1] - exact[name][-1] for name in "xy")) < tolerance
+        assert set(run.columns) == set(exact.columns)
+    for name in ("z", "slip_along", "force_normal", "wheel_angle", "velocity_x"):
+        assert_allclose(run[name], exact[name], atol=1e-6, err_msg=name)
+    assert_allclose(run["work"], exact["work"], rtol=0.02, atol=0.02)
+    edge = settle(model, y=near_the_edge(model, 2)["y"][-1])
+    ends = [
+        simulate(model, edge, model.inputs(**inputs), T, options=each) for each in (options, EXACT)
+    ]
+    assert ends[0].stop.name == ends[1].stop.name == "map_margin[front]"
+    assert_allclose(ends[0].t[-1], ends[1].t[-1], atol=1e-5)
+    law = model.inputs(**(inputs | {"steer_rate": 0.1 * model.t}))
+    with pytest.raises(ModelError, match="expected numbers for the method 'explicit'"):
+        simulate(model, start, law, T, options=options)

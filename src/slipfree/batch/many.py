@@ -317,7 +317,7 @@ def _run(
     n = states.shape[1]
     found = np.ones(n, dtype=bool) if placed else stand(evaluate, states)
     states[graphs.rows.p, ~found] = np.nan
-    motions = integrate_lanes(evaluate, states, inputs, t, step, estimate=True)
+    motions = integrate_lanes(evaluate, states, inputs, t, step)
     outcomes, reasons = ["complete"] * n, [""] * n
     disputed = found & (motions.reason == UNSOLVED)
     for k in np.flatnonzero(~found):

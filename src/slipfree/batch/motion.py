@@ -54,9 +54,11 @@ class Motions(NamedTuple):
     beyond : ndarray, shape (n_rows, n)
         States just beyond the limit; the states at the end for other lanes.
     error : ndarray, shape (n,)
-        Estimate of the error of x and y at the last sample of a lane; NaN without estimate. [m]
+        Estimate of the error of x and y at the last sample of a lane. [m]
     distances : ndarray, shape (n_bounds, n)
         Distances to the bounds of the limits at the first sample.
+    steps : ndarray of int, shape (n,)
+        Numbers of steps.
     """
 
     samples: Array
@@ -65,10 +67,17 @@ class Motions(NamedTuple):
     beyond: Array
     error: Array
     distances: Array
+    steps: Indices
 
 
 def integrate_lanes(
-    evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float, *, estimate: bool
+    evaluate: Evaluator,
+    states: Array,
+    inputs: Array,
+    t: Array,
+    step: float,
+    *,
+    certify: bool = True,
 ) -> Motions:
     """Return the motions of lanes from states with consistent positions.
 
@@ -84,40 +93,40 @@ def integrate_lanes(
         Times of the samples. [s]
     step : float
         Largest length of a step along the path. [m]
-    estimate : bool
-        Whether to estimate the error by a second motion with half the step.
+    certify : bool
+        Whether to evaluate the checks of samples.
     """
     with np.errstate(all="ignore"):
-        motions = _integrate(evaluate, states, inputs, t, step, estimate=estimate)
+        motions = _integrate(evaluate, states, inputs, t, step, certify=certify)
         for refinement in REFINEMENTS:
-            again = motions.reason == UNSOLVED
-            if estimate:  # where half the step fails, nothing is known of the error
-                again |= np.isnan(motions.error) & (motions.reason != INVALID_START)
+            # where half the step fails, nothing is known of the error
+            again = np.isnan(motions.error) & (motions.reason != INVALID_START)
+            again |= motions.reason == UNSOLVED
             if not again.any():
                 break
             chosen = states[:, again], inputs[..., again]
-            finer = _integrate(evaluate, *chosen, t, step / refinement, estimate=estimate)
+            finer = _integrate(evaluate, *chosen, t, step / refinement, certify=certify)
             for values, new in zip(motions, finer, strict=True):
                 values[..., again] = new
     return motions
 
 
 def _integrate(
-    evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float, *, estimate: bool
+    evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float, *, certify: bool
 ) -> Motions:
-    run = _Run(evaluate, states, inputs, t, step)
+    """Return the motions of lanes, with errors estimated from half the step."""
+    names = [label.full for label in leaves(evaluate.graphs.dae.labels.x)]
+    place = [names.index("x"), names.index("y")]
+    run = _Run(evaluate, states, inputs, t, step, certify=certify)
     run.run()
-    error = np.full(states.shape[1], np.nan)
-    if estimate:
-        names = [label.full for label in leaves(evaluate.graphs.dae.labels.x)]
-        place = [names.index("x"), names.index("y")]
-        finer = _Run(evaluate, states, inputs, t, step, place)
-        finer.run(counts=2 * run.counts)
-        reached = np.maximum(np.isfinite(run.samples[:, 0]).sum(axis=0) - 1, 0)
-        apart = (run.samples[:, place] - finer.samples)[reached, :, np.arange(reached.size)]
-        order = ORDER if evaluate.graphs.dae.lag is None else RELAXING_ORDER
-        error = np.hypot(*apart.T) / (1 - 0.5**order)
-    return Motions(run.samples, run.end, run.reason, run.beyond, error, run.distances)
+    finer = _Run(evaluate, states, inputs, t, step, place)
+    finer.run(counts=2 * run.counts)
+    reached = np.maximum(np.isfinite(run.samples[:, 0]).sum(axis=0) - 1, 0)
+    apart = (run.samples[:, place] - finer.samples)[reached, :, np.arange(reached.size)]
+    order = ORDER if evaluate.graphs.dae.lag is None else RELAXING_ORDER
+    error = np.hypot(*apart.T) / (1 - 0.5**order)
+    steps = run.counts.sum(axis=0)
+    return Motions(run.samples, run.end, run.reason, run.beyond, error, run.distances, steps)
 
 
 class _Step(NamedTuple):
@@ -154,6 +163,8 @@ class _Run:
         t: Array,
         step: float,
         kept: list[int] | None = None,
+        *,
+        certify: bool = True,
     ) -> None:
         count = states.shape[1]
         self.evaluate, self.rows, self.step = evaluate, evaluate.graphs.rows, step
@@ -161,6 +172,7 @@ class _Run:
         self.began: _Began | None = None
         self.advance = advance if evaluate.graphs.dae.lag is None else advance_relaxing
         self.counts = np.zeros((t.size - 1, count), dtype=int)
+        self.certify = certify
         self.kept = slice(None) if kept is None else kept
         self.samples = np.full((t.size, *states[self.kept].shape), np.nan)
         self.end, self.reason = np.full(count, t[-1]), np.full(count, COMPLETE)
@@ -184,7 +196,8 @@ class _Run:
             lanes, states, rates, speed = (
                 _of(kept, each) for each in (lanes, states, rates, speed)
             )
-            if limited and (bad := ~(clearances(self.evaluate, states).min(axis=0) >= 0)).any():
+            if limited and self.certify:
+                bad = ~(clearances(self.evaluate, states).min(axis=0) >= 0)
                 self._end_at_checks(_of(bad, lanes), _of(bad, states))
                 lanes, states, rates, speed = (
                     _of(~bad, each) for each in (lanes, states, rates, speed)
@@ -278,13 +291,15 @@ class _Run:
             distances = self.evaluate(graph, high)[graph.parts[DISTANCES]]
             self.reason[which] = bounds[_smallest(distances)]
             self._close(which, low, high)
-            touching = ~(clearances(self.evaluate, low).min(axis=0) >= 0)
-            if touching.any():  # earlier than the limit
+            if self.certify:  # a contact may be earlier than the limit
+                touching = ~(clearances(self.evaluate, low).min(axis=0) >= 0)
                 self._end_at_checks(_of(touching, which), _of(touching, low))
 
     def _end_at_checks(self, lanes: Indices, states: Array) -> None:
         """End lanes that fail a check, which is located between the last sample and the states."""
         began = self.began
+        if not lanes.size:
+            return
         if began is None:
             self.reason[lanes] = INVALID_START
             self._close(lanes, states, states)
@@ -305,9 +320,8 @@ class _Run:
             )
             self.reason[which] = len(self.evaluate.graphs.dae.limits) + check
             self._close(which, low, high)
-            earlier = ~(clearances(self.evaluate, low).min(axis=0) >= 0)
-            if earlier.any():  # of another wheel
-                self._end_at_checks(_of(earlier, which), _of(earlier, low))
+            earlier = ~(clearances(self.evaluate, low).min(axis=0) >= 0)  # of another wheel
+            self._end_at_checks(_of(earlier, which), _of(earlier, low))
 
     def _close(self, lanes: Indices, last: Array, beyond: Array) -> None:
         self.end[lanes] = last[self.rows.t]

@@ -9,7 +9,7 @@ from slipfree.core.errors import ModelError
 
 MIN_TOLERANCE = 1e-14  # rounding dominates below it
 MAX_TOLERANCE = 1e-2  # errors do not grow with the tolerance beyond it: steps are uncontrolled
-Method = Literal["idas", "cvodes"]
+Method = Literal["idas", "cvodes", "explicit"]
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,13 @@ class SolverOptions:
     tolerance : float
         Relative and absolute tolerance of the integrator. The absolute tolerance of a length is
         multiplied by the size of the vehicle, ``dae.size``. [size, rad]
-    method : {"idas", "cvodes"} or None
+    method : {"idas", "cvodes", "explicit"} or None
         Name of the integrator. By default CVODES for motions without algebraic unknowns, and IDAS
         for motions with them, which CVODES cannot solve. The error test of CVODES includes the
-        quadratures.
+        quadratures. ``"explicit"`` are the fixed steps of the batch (`slipfree.rollouts`), refined
+        until the estimated error of ``x`` and ``y`` at the end is below the tolerance; for
+        kinematics, and quasi-statics with Coulomb friction, with inputs that are numbers. It is
+        fast if compiled, for tolerances from about 1e-6.
     compiled : bool
         Whether to compile the equations with the system's C compiler; the libraries are cached.
         Without a compiler the equations are interpreted, and a warning gives the reason.

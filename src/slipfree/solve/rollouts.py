@@ -58,7 +58,7 @@ def rollouts(
 
     With the method ``"simulate"``, each run equals one call of `simulate`. With ``"batch"``, runs
     are computed side by side in fixed steps, some hundred times as fast, with an estimate of the
-    error of each; see :doc:`/theory/batch`. It is worth its compilation, up to half a minute once
+    error of each; see :doc:`/theory`. It is worth its compilation, up to half a minute once
     for each structure of a vehicle, from about a thousand runs.
 
     Parameters

@@ -14,6 +14,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Record
 from slipfree.core.trajectory import Column, SolverError, Stop, Trajectory, joined
+from slipfree.solve.explicit import integrate_explicitly
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.integrator import (
     EarlyEnd,
@@ -131,7 +132,7 @@ def simulate(
         first = _initial_sample(system, start, t[0])
         clock = time.process_time()
         observer = StepObserver(guard, progress, guarded=True, polled=True)
-        samples, counts, end = integrate(solver, observer, first, t, system.u)
+        samples, counts, end = _integrated(solver, observer, first, t, inputs, options)
         whole, samples, found = _check_samples(solver, samples, stops)
         left = t > samples.t[-1]
         if isinstance(end, LimitError) and found is None and left.any():
@@ -148,6 +149,28 @@ def simulate(
         cost = {"tolerance": options.tolerance, "cpu_seconds": time.process_time() - clock}
         run = replace(run, statistics=counts | cost, events=times)
         return _finish_motion(system, run, samples, found, end)
+
+
+def _integrated(
+    solver: MotionSolver,
+    observer: StepObserver,
+    first: Samples,
+    t: Array,
+    inputs: Record,
+    options: SolverOptions,
+) -> tuple[Samples, dict[str, float], EarlyEnd | None]:
+    """Return samples, counts and early end of the integration by the method of the options."""
+    system = solver.system
+    if options.method != "explicit":
+        return integrate(solver, observer, first, t, system.u)
+    samples, counts = integrate_explicitly(system, inputs, first, t, options)
+    done = samples.t.size - 1
+    if done == t.size - 1:
+        return samples, counts, None
+    # the interval of an end is integrated by IDAS, which locates it
+    at, u = samples.at([-1]), system.u[:, done:]
+    rest, cost, end = integrate(solver, observer, at, t[done:], u)
+    return join_samples([samples, rest]), add_counts(counts, cost), end
 
 
 def check_times(t: Array) -> Array:
@@ -173,6 +196,8 @@ def _method(system: System, method: Method | None) -> Method:
     """Return the integration method; raise ModelError if the model does not allow it."""
     if method is None:
         return "idas" if system.motion_size else "cvodes"
+    if method == "explicit":  # for the location of ends
+        return "idas"
     if method == "cvodes" and system.motion_size:
         raise ModelError(
             f"method: 'cvodes' cannot solve for the {system.motion_size} algebraic unknowns of "

@@ -79,9 +79,10 @@ def simulate_sampled(
             f"{dae.guess.numel()} of them; use simulate with one value of the inputs for each "
             "interval"
         )
-    if options.method == "idas":
+    if options.method in ("idas", "explicit"):
         raise ModelError(
-            "method: expected 'cvodes' for a sampled controller, found 'idas'; omit the method"
+            "method: expected 'cvodes' for a sampled controller, found "
+            f"{options.method!r}; omit the method"
         )
     system, law = _split_inputs(dae, inputs, t.size - 1, options)
     clock = time.process_time()
