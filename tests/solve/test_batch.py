@@ -23,8 +23,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.batch.evaluator import evaluator_of
-from slipfree.batch.many import run_lanes, start_states, states_of
-from slipfree.batch.poses import solve_positions
+from slipfree.batch.many import run_lanes, solve_positions, start_states, states_of
 from slipfree.core.records import leaves
 from slipfree.system import codegen_cache
 from slipfree.terrain.synthetic import blank, power_law

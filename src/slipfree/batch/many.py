@@ -18,7 +18,6 @@ from slipfree.batch.motion import (
     relax,
     solve_forces,
 )
-from slipfree.batch.poses import solve_positions
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
@@ -31,6 +30,12 @@ if TYPE_CHECKING:
 CHUNK = 512  # lanes computed together: their states stay in the processor's cache
 LARGEST = 2**22  # numbers in the samples of lanes computed together
 STEP, RELAXING_STEP = 0.5, 0.05  # default length of a step [size of the vehicle]
+PLAIN_STEPS = 8  # steps of Newton's method without bound
+BOUNDED_STEPS = 40  # steps of bounded length
+MAX_LENGTH = 4.0  # length of a bounded step, as the largest change of a position [typical size]
+RAMP_STEPS = 8  # steps in which the slopes of the ground grow to their values
+CONVERGED = 1e-7  # last step of Newton's method, whose error is about its square [typical size]
+GATHER = 0.75  # the remaining lanes are gathered if their share falls below this
 FAILED = "failed"  # outcome without a pose
 NO_POSE = (
     "no pose was found at which all wheels touch the ground; choose another place, or a ground "
@@ -158,6 +163,53 @@ def stand(evaluate: Evaluator, states: Array) -> Mask:
         first = evaluate(graphs.guess, states)[graphs.guess.parts[3]]
         states[graphs.rows.x.stop - count : graphs.rows.x.stop] = first
         return solve_positions(evaluate, states) & relax(evaluate, states)
+
+
+def solve_positions(evaluate: Evaluator, states: Array) -> Mask:
+    """Solve the positions of states for the other rows; return which were found, shape (n,).
+
+    Newton's method starts from the guess of the model. Where plain steps do not converge, steps of
+    bounded length follow, and then steps on a ground whose slopes grow from zero: either finds
+    poses on rough ground that the other misses.
+    """
+    graphs = evaluate.graphs
+    with np.errstate(all="ignore"):
+        guess = evaluate(graphs.guess, states)
+        for rows, part in zip(graphs.rows.z, graphs.guess.parts[:3], strict=True):
+            states[rows] = guess[part]
+        first = guess[graphs.guess.parts[0]]
+        solved = _newton(evaluate, states, PLAIN_STEPS, np.inf, 0)
+        for ramp in (0, RAMP_STEPS):
+            left = ~solved
+            if not left.any():
+                break
+            some = states[:, left]
+            some[graphs.rows.p] = first[:, left]
+            solved[left] = _newton(evaluate, some, BOUNDED_STEPS, MAX_LENGTH, ramp)
+            states[:, left] = some
+    return solved
+
+
+def _newton(evaluate: Evaluator, states: Array, count: int, longest: float, ramp: int) -> Mask:
+    """Correct the positions by at most ``count`` steps; return which steps converged."""
+    place, p = evaluate.graphs.place, evaluate.graphs.rows.p
+    solved, lanes = np.zeros(states.shape[1], dtype=bool), np.arange(states.shape[1])
+    part, done = states, solved.copy()
+    for k in range(count):
+        slope = min(1.0, (k + 1) / ramp) if ramp else 1.0
+        values = evaluate(place, part, slope)
+        new, change = values[place.parts[0]], values[place.parts[1]][0]
+        if np.isfinite(longest):
+            new = part[p] + (new - part[p]) * np.minimum(1.0, longest / change)
+        # a lane that is done keeps its result, whatever the others need
+        part[p] = np.where(done, part[p], new)
+        done |= (change < CONVERGED) & (slope == 1.0)
+        if done.mean() > 1 - GATHER or k == count - 1:
+            states[:, lanes], solved[lanes] = part, done
+            lanes, part, done = lanes[~done], part[:, ~done], done[~done]
+            if not lanes.size:
+                break
+    return solved
 
 
 def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, _Source]) -> _Poses:

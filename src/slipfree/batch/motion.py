@@ -23,9 +23,7 @@ from slipfree.core.records import Array, Indices, Mask, leaves
 
 ORDER, RELAXING_ORDER = 3, 1
 MAX_CHANGE = 0.3  # largest correction of the positions by a Newton step [typical sizes]
-MAX_ERROR = (
-    1e-7  # error of the rates: residual of linear equations, or square of the last Newton step
-)
+MAX_ERROR = 1e-6  # of the rates: residual of linear equations, or square of the last Newton step
 MAX_RATE_STEPS = 40  # further Newton steps of the rates, after jumps of the inputs
 REFINEMENTS = (8, 64)  # factors of smaller steps for lanes whose corrections are too large
 CROSSING_TOLERANCE = 1e-6  # width of the final bracket of a crossing [s]
