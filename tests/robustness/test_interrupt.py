@@ -622,3 +622,28 @@ def test_a_tracking_keeps_its_cycles(monkeypatch):
         found = mpc.track_plan(frame, dae, settle(dae), period=0.25)
     assert found.run.stop.name == "interrupted"
     assert_allclose(found.run.t[-1], 0.5)
+
+
+LOST = """
+import signal, time, weakref
+from slipfree.system.interrupt import interrupt_at_signals
+
+class Thing:
+    pass
+
+interrupt_at_signals()
+thing = Thing()
+callback = weakref.ref(thing, lambda _: signal.raise_signal(signal.SIGTERM))
+try:
+    del thing
+    time.sleep(5)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_an_interruption_in_a_callback_of_the_collector_is_not_lost():
+    """Python drops exceptions of such callbacks, with a traceback."""
+    done = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, timeout=30)
+    assert done.stdout == "interrupted\n"
+    assert done.stderr == ""

@@ -105,7 +105,7 @@ def shared_library(
             return loaded
         if (command := compiler()) is None:
             raise _UnavailableError(NO_COMPILER)
-        _compile(cache, key, make(), [*command, *flags])
+        _compile(cache, key, make(), command, flags)
         if (loaded := _load_cached(cache, key, load)) is not None:
             return loaded
         raise _UnavailableError(
@@ -270,10 +270,10 @@ def digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:DIGEST_LENGTH]
 
 
-def _compile(cache: Path, key: str, code: str, command: Sequence[str]) -> None:
+def _compile(
+    cache: Path, key: str, code: str, command: Sequence[str], flags: Sequence[str]
+) -> None:
     """Compile C code and store the library in the cache; its key and digest name the file.
-
-    ``command`` is the compiler with its flags.
 
     Raises _UnavailableError if the cache cannot be written, or the compiler cannot be started,
     fails, takes more than 300 s or writes no library.
@@ -283,7 +283,7 @@ def _compile(cache: Path, key: str, code: str, command: Sequence[str]) -> None:
             text, file = Path(scratch) / "functions.c", Path(scratch) / "functions.so"
             text.write_text(code, encoding="utf-8")
             try:
-                _run([*command, "-o", str(file), str(text), "-lm"])
+                _run([*command, *flags, "-o", str(file), str(text), "-lm"])
             except OSError as error:
                 raise _UnavailableError(
                     f"{shlex.join(command)}: the C compiler cannot be started ({error.strerror}); "

@@ -6,7 +6,9 @@ code. Instead it raises another error, retries the step, ends the search, or ign
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,6 +16,7 @@ from functools import wraps
 from types import FrameType, TracebackType
 from typing import Any, ParamSpec, Self, TypeVar
 
+REPEAT = 0.02  # time after which a lost interruption is repeated [s]
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -172,6 +175,18 @@ def interrupt_at_signals() -> None:
         handler = signal.getsignal(signal.SIGINT)  # perhaps that of a guard
         (handler if callable(handler) else interrupt)(number, frame)
 
+    former = sys.unraisablehook
+
+    def again(lost: sys.UnraisableHookArgs) -> None:
+        if lost.exc_type is not KeyboardInterrupt or not _received:
+            former(lost)
+            return
+        # raised in a callback of the garbage collector, which drops it; not from here, as well
+        repeat = threading.Timer(REPEAT, os.kill, (os.getpid(), _received[-1]))
+        repeat.daemon = True
+        repeat.start()
+
+    sys.unraisablehook = again
     signal.signal(signal.SIGINT, interrupt)
     for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
         number = getattr(signal, name, None)
