@@ -234,7 +234,7 @@ def poses() -> None:
                 )
 
             took, found = cpu(stood)
-            whole, many = cpu(lambda m=model, p=place: settle_many(m, **p), 1)
+            whole, many = cpu(lambda m=model, p=place: settle_many(m, **p), 2)
             apart, settled = [], 0
             for k in np.flatnonzero(many["outcome"].values == "complete")[:40]:
                 try:
