@@ -42,7 +42,7 @@ class Graph(NamedTuple):
     arguments : tuple of casadi Function
         Arguments of each lookup, as functions of the same two columns.
     parts : tuple of slice
-        Rows of each result in the column.
+        StateRows of each result in the column.
     """
 
     name: str
@@ -52,8 +52,8 @@ class Graph(NamedTuple):
     parts: tuple[slice, ...]
 
 
-class Rows(NamedTuple):
-    """Rows of a state: an array with a row for each variable and a column for each lane.
+class StateRows(NamedTuple):
+    """StateRows of a state: an array with a row for each variable and a column for each lane.
 
     ``x``, ``p`` and ``q`` are integrated: the states, the positions (first block of the unknowns),
     and the quadratures that do not depend on forces. ``w`` are the other unknowns of the motion,
@@ -73,7 +73,7 @@ class Rows(NamedTuple):
 
     @property
     def z(self) -> tuple[slice, slice, slice]:
-        """Rows of all algebraic unknowns, in their order in the model."""
+        """StateRows of all algebraic unknowns, in their order in the model."""
         return self.p, self.w, self.f
 
 
@@ -84,8 +84,8 @@ class Graphs(NamedTuple):
     ----------
     dae : Dae
         The model.
-    rows : Rows
-        Rows of its states.
+    rows : StateRows
+        StateRows of its states.
     quadratures : tuple of int
         Indices of the quadratures that are integrated.
     guess : Graph
@@ -112,7 +112,7 @@ class Graphs(NamedTuple):
     """
 
     dae: Dae
-    rows: Rows
+    rows: StateRows
     quadratures: tuple[int, ...]
     guess: Graph
     place: Graph
@@ -162,7 +162,7 @@ def graphs_of(dae: Dae) -> Graphs:
     lag = ca.SX(0, 1) if dae.lag is None else dae.lag
     columns = dae.columns()[0], p, ca.SX.sym("q", len(kept)), w, f, u, c, lag, dae.t
     edges = np.cumsum([0, *(each.numel() for each in columns)]).tolist()
-    rows = Rows(*(slice(a, b) for a, b in pairwise(edges)))
+    rows = StateRows(*(slice(a, b) for a, b in pairwise(edges)))
     state = ca.vertcat(*columns)
     eliminate = _elimination(dae, state, rows)
     quad = [dae.quad[k] for k in kept]
@@ -305,7 +305,7 @@ def _graph(dae: Dae, state: ca.SX, name: str, results: Sequence[ca.SX]) -> Graph
     )
 
 
-def _elimination(dae: Dae, state: ca.SX, rows: Rows) -> Solve:
+def _elimination(dae: Dae, state: ca.SX, rows: StateRows) -> Solve:
     """Return a function that solves linear systems of expressions by elimination."""
     rng = np.random.default_rng(0)
     samples = rng.normal(0.0, JOINT_SPREAD, (state.numel(), SAMPLES))

@@ -74,7 +74,7 @@ class LaneResults(NamedTuple):
     disputed: Mask
 
 
-class _Source(NamedTuple):
+class _Quantity(NamedTuple):
     """Label of a quantity and its rows: of the states, or of the outputs if ``is_output``."""
 
     label: Label
@@ -212,7 +212,7 @@ def _newton(evaluate: Evaluator, states: Array, count: int, longest: float, ramp
     return solved
 
 
-def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, _Source]) -> _Poses:
+def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, _Quantity]) -> _Poses:
     """Return the poses of states."""
     graphs = evaluate.graphs
     solved = stand(evaluate, states)
@@ -233,7 +233,7 @@ def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, _Source]) -
     return _Poses({n: v[:, 0] for n, v in values.items()}, list(outcomes), list(reasons))
 
 
-def _pose_dataset(sources: Mapping[str, _Source], parts: Sequence[_Poses]) -> xarray.Dataset:
+def _pose_dataset(sources: Mapping[str, _Quantity], parts: Sequence[_Poses]) -> xarray.Dataset:
     variables: dict[str, Any] = {}
     wheels = tuple[str, ...]()
     for name, source in sources.items():
@@ -361,7 +361,7 @@ def _run(
     inputs: Array,
     t: Array,
     step: float,
-    sources: Mapping[str, _Source],
+    sources: Mapping[str, _Quantity],
     *,
     placed: bool,
 ) -> LaneResults:
@@ -425,7 +425,7 @@ def _columns(graphs: Graphs, states: Array) -> tuple[Array, Array, Array]:
     return states[rows.x], z, states[rows.u]
 
 
-def _sources(graphs: Graphs, names: Sequence[str] | None) -> dict[str, _Source]:
+def _sources(graphs: Graphs, names: Sequence[str] | None) -> dict[str, _Quantity]:
     """Return the sources of quantities; by default of all that a lane has.
 
     Raises ModelError if a name is unknown.
@@ -440,14 +440,14 @@ def _sources(graphs: Graphs, names: Sequence[str] | None) -> dict[str, _Source]:
         (leaves(dae.labels.u), range(rows.u.start, rows.u.stop), None, False),
         (leaves(dae.labels.y), range(len(list(leaves(dae.labels.y)))), None, True),
     )
-    known: dict[str, _Source] = {}
+    known: dict[str, _Quantity] = {}
     for labels, indices, shift, is_output in groups:
         for k, (label, row) in enumerate(zip(labels, indices, strict=True)):
             moved = 0.0 if shift is None else float(shift[k])
             old = known.get(label.name)
             if old is None:
                 text = label.words.replace(f"wheel {label.wheel}", "the wheel")
-                old = _Source(Label(label.name, label.unit, text), [], is_output, np.zeros(0), ())
+                old = _Quantity(Label(label.name, label.unit, text), [], is_output, np.zeros(0), ())
             wheels = (*old.wheels, label.wheel) if label.wheel is not None else ()
             known[label.name] = old._replace(
                 rows=[*old.rows, row], shift=np.append(old.shift, moved), wheels=wheels
@@ -464,7 +464,7 @@ def _sources(graphs: Graphs, names: Sequence[str] | None) -> dict[str, _Source]:
 
 
 def _values(
-    evaluate: Evaluator, sources: Mapping[str, _Source], samples: Array
+    evaluate: Evaluator, sources: Mapping[str, _Quantity], samples: Array
 ) -> dict[str, Array]:
     """Return quantities at samples (m, n_rows, n), shape (n, m) or (n, m, n_wheels)."""
     outputs = samples
