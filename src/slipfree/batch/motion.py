@@ -27,7 +27,8 @@ MAX_ERROR = 1e-6  # of the rates: residual of linear equations, or square of the
 MAX_RATE_STEPS = 40  # further Newton steps of the rates, after jumps of the inputs
 REFINEMENTS = (8, 64)  # factors of smaller steps for lanes whose corrections are too large
 CROSSING_TOLERANCE = 1e-6  # width of the final bracket of a crossing [s]
-FIRST_STEP, STEP_GROWTH, MAX_RELAXATIONS = 0.005, 1.3, 120  # of the relaxation to rest [s]
+FIRST_STEP, STEP_GROWTH, MAX_RELAXATIONS = 0.005, 1.15, 160  # of the relaxation to rest [s]
+MAX_RELAXATION = 0.1  # longest step of the relaxation [size]
 AT_REST = 1e-11  # last step of the relaxation, of more than a second [size]
 MAX_STEPS = 1_000_000  # in an interval
 MAX_BISECTIONS = 90
@@ -519,16 +520,17 @@ def relax(evaluate: Evaluator, states: Array) -> Mask:
     dae, rows = evaluate.graphs.dae, evaluate.graphs.rows
     relaxing = slice(rows.x.stop - dae.rest.numel(), rows.x.stop)
     size = dae.sizes.x[relaxing, None]
-    at_rest, good = np.zeros(states.shape[1], dtype=bool), np.ones(states.shape[1], dtype=bool)
+    at_rest = np.zeros(states.shape[1], dtype=bool)
     states[rows.u] = 0.0
     for h in FIRST_STEP * STEP_GROWTH ** np.arange(MAX_RELAXATIONS):
         states[rows.lag] = h
-        rates, placed, _ = derivatives(evaluate, states)
+        rates, good, _ = derivatives(evaluate, states)
         step = np.where(at_rest, 0.0, h * rates[relaxing])
-        good &= at_rest | placed
+        # a wheel far from its contact takes steps of bounded length
+        step *= np.minimum(1.0, MAX_RELAXATION / np.abs(step / size).max(axis=0, initial=1e-300))
         states[relaxing] += step
-        at_rest |= (np.abs(step / size).max(axis=0) < AT_REST) & (h > 1.0)
-        if (at_rest | ~good).all():
+        at_rest |= (np.abs(step / size).max(axis=0) < AT_REST) & (h > 1.0) & good
+        if at_rest.all():
             break
     states[rows.lag] = 0.0
-    return at_rest & good
+    return at_rest
