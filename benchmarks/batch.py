@@ -269,7 +269,8 @@ def ends() -> None:
             exact = rollouts(model, start, inputs, T, options=options, quantities=KEPT)
             batch = rollouts(model, start, inputs, T, method="batch", step=0.1, quantities=KEPT)
             same = [
-                a == b and first.split(":")[0] == second.split(":")[0]
+                a == b
+                and first.split(" at (")[0].split(":")[0] == second.split(" at (")[0].split(":")[0]
                 for a, b, first, second in zip(
                     *(run["outcome"].values for run in (batch, exact)),
                     *(run["reason"].values for run in (batch, exact)),

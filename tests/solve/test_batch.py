@@ -348,3 +348,17 @@ def test_one_motion_is_refined_to_the_tolerance(model):
     law = model.inputs(**(inputs | {"steer_rate": 0.1 * model.t}))
     with pytest.raises(ModelError, match="expected numbers for the method 'explicit'"):
         simulate(model, start, law, T, options=options)
+
+
+@pytest.mark.slow
+def test_ends_on_rough_ground_are_those_of_simulate(rng):
+    """Ground nearly as curved as the wheels: near second contacts, folds and stops."""
+    dae = direct_kinematics(catalog.three_wheeler(), hills(rms=0.1, shortest=0.5))
+    count = 10
+    starts = {"x": rng.uniform(-3, 3, count), "y": rng.uniform(-3, 3, count)}
+    inputs = {name: 3 * values for name, values in rates(count, spread=0.1).items()}
+    exact = rollouts(dae, starts, inputs, T, options=SolverOptions(tolerance=1e-8))
+    lanes = rollouts(dae, starts, inputs, T, method="batch", step=0.1)
+    assert_array_equal(lanes["outcome"], exact["outcome"])
+    assert_allclose(lanes["end"], exact["end"], atol=0.01)
+    assert {"complete", "limit"} <= set(exact["outcome"].values)

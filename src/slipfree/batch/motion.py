@@ -32,9 +32,13 @@ MAX_RELAXATION = 0.1  # longest step of the relaxation [size]
 AT_REST = 1e-11  # last step of the relaxation, of more than a second [size]
 MAX_STEPS = 1_000_000  # in an interval
 MAX_BISECTIONS = 90
+NEAR = 0.05  # clearance at a limit below which another contact may be earlier [size]
 MIN_SHARE = 0.02  # of a bracket on either side of a secant
+SETTLED = 1e-3  # correction of the positions beyond a limit [typical sizes]
+POSITION_STEPS = 12  # most Newton steps of the positions at samples
+POSITION_CHANGE = 1e-6  # change that needs another step: the error is its square [typical sizes]
 FORCE_STEPS = 4  # Newton steps of the forces at a start, and repeated ones of a sample
-RATES, ERROR, FORCES, DOUBT, DISTANCES = 2, 4, 6, 7, 8  # parts of the graph "checked"
+RATES, CHANGE, ERROR, FORCES, DOUBT, DISTANCES = 2, 3, 4, 6, 7, 8  # parts of the graph "checked"
 COMPLETE, UNSOLVED, INVALID_START = -1, -2, -3  # ends without a limit
 
 
@@ -284,15 +288,20 @@ class _Run:
         if limited.any():
             which = _of(limited, lanes)
             graph, bounds = self.evaluate.graphs.checked, np.array(self.evaluate.graphs.bounds)
-            low, high = self._locate(
+            low, high, lost = self._locate(
                 before.of(limited), 1, _of(limited, states), lambda _, margin: margin
             )
-            distances = self.evaluate(graph, high)[graph.parts[DISTANCES]]
-            self.reason[which] = bounds[_smallest(distances)]
+            values = self.evaluate(graph, high)
+            distances, change = values[graph.parts[DISTANCES]], values[graph.parts[CHANGE]][0]
+            # a contact that jumps has no limit to name
+            lost |= ~(change < SETTLED) | ~(margins(distances) < 0)
+            self.reason[which] = np.where(lost, UNSOLVED, bounds[_smallest(distances)])
             self._close(which, low, high)
-            if self.certify:  # a contact may be earlier than the limit
-                touching = ~(clearances(self.evaluate, low).min(axis=0) >= 0)
-                self._end_at_checks(_of(touching, which), _of(touching, low))
+            if self.certify:
+                # a second contact may have come and gone before the limit: `simulate` decides
+                near = NEAR * self.evaluate.graphs.dae.size
+                close = clearances(self.evaluate, low).min(axis=0) < near
+                self.reason[which[close]] = UNSOLVED
 
     def _end_at_checks(self, lanes: Indices, states: Array) -> None:
         """End lanes that fail a check, which is located between the last sample and the states."""
@@ -311,16 +320,17 @@ class _Run:
             which = lanes[chosen]
             first, rates, _ = (each[..., place[which]] for each in began.step)
             h = (states[self.rows.t][0][chosen] - first[self.rows.t][0]) / count
-            low, high = self._locate(
+            low, high, lost = self._locate(
                 _Step(first, rates, h),
                 int(count),
                 _of(chosen, states),
                 partial(_clearance, self.evaluate, int(check)),
             )
-            self.reason[which] = len(self.evaluate.graphs.dae.limits) + check
+            check += len(self.evaluate.graphs.dae.limits)
+            self.reason[which] = np.where(lost, UNSOLVED, check)
             self._close(which, low, high)
             earlier = ~(clearances(self.evaluate, low).min(axis=0) >= 0)  # of another wheel
-            self._end_at_checks(_of(earlier, which), _of(earlier, low))
+            self.reason[which[earlier]] = UNSOLVED
 
     def _close(self, lanes: Indices, last: Array, beyond: Array) -> None:
         self.end[lanes] = last[self.rows.t]
@@ -328,8 +338,10 @@ class _Run:
 
     def _locate(
         self, step: _Step, count: int, at: Array, margin: Callable[[Array, Array], Array]
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, Array, Mask]:
         """Return states just before and beyond the zero of a margin within some steps.
+
+        The third result is true for lanes that are not solved beyond it.
 
         ``margin(states, distance)`` is negative beyond it; ``at`` are the states at the end. There
         the inputs of the next interval may apply: if the margin is positive with those of the
@@ -365,7 +377,7 @@ class _Run:
             high, at_high = np.where(bad, shares, high), np.where(bad, values, at_high)
             inside[:, good] = states[:, fine]
             beyond[:, bad] = states[:, ~fine] if k else beyond[:, bad]
-        return inside, beyond
+        return inside, beyond, np.isnan(at_high) & (low < 1)
 
 
 def _smallest(values: Array) -> Indices:
@@ -398,10 +410,22 @@ def margins(distances: Array) -> Array:
 
 
 def clearances(evaluate: Evaluator, states: Array, only: int | None = None) -> Array:
-    """Return the margins of the checks, or of one, (n_checks, n); infinite without checks."""
+    """Return the margins of the checks, or of one, (n_checks, n); infinite without checks.
+
+    The positions in the states are corrected to rounding first: a wheel that is a micrometre in the
+    ground would touch it all around its contact.
+    """
     checks, graph = evaluate.graphs.checks, evaluate.graphs.placing
     if not checks or not states.shape[1]:
         return np.full((1, states.shape[1]), np.inf)
+    place, p = evaluate.graphs.place, evaluate.graphs.rows.p
+    moving = np.ones(states.shape[1], dtype=bool)
+    for _ in range(POSITION_STEPS):
+        values = evaluate(place, _of(moving, states))
+        states[p, moving] = values[place.parts[0]]
+        moving[moving] = values[place.parts[1]][0] > POSITION_CHANGE
+        if not moving.any():
+            break
     placed, chosen = evaluate(graph, states), range(len(checks)) if only is None else [only]
     return np.stack([checks[k].margin_at(placed[graph.parts[k]]) for k in chosen])
 
