@@ -62,7 +62,7 @@ class LaneResults(NamedTuple):
         Estimates of the errors of x and y at the last sample. [m]
     disputed : ndarray of bool, shape (n,)
         Motions that `slipfree.simulate` must decide, since Newton's method did not follow the
-        contacts, or a limit was reached where a wheel nearly touches a second time.
+        contacts.
     """
 
     columns: dict[str, Column]

@@ -32,7 +32,8 @@ MAX_RELAXATION = 0.1  # longest step of the relaxation [size]
 AT_REST = 1e-11  # last step of the relaxation, of more than a second [size]
 MAX_STEPS = 1_000_000  # in an interval
 MAX_BISECTIONS = 90
-NEAR = 0.05  # clearance at a limit below which another contact may be earlier [size]
+NEAR = 0.05  # clearance at a limit below which a second contact may be earlier [size]
+PARTS = 16  # of the time before such a limit, at whose ends clearances are computed
 MIN_SHARE = 0.02  # of a bracket on either side of a secant
 SETTLED = 1e-3  # correction of the positions beyond a limit [typical sizes]
 POSITION_STEPS = 12  # most Newton steps of the positions at samples
@@ -298,39 +299,59 @@ class _Run:
             self.reason[which] = np.where(lost, UNSOLVED, bounds[_smallest(distances)])
             self._close(which, low, high)
             if self.certify:
-                # a second contact may have come and gone before the limit: `simulate` decides
                 near = NEAR * self.evaluate.graphs.dae.size
                 close = clearances(self.evaluate, low).min(axis=0) < near
-                self.reason[which[close]] = UNSOLVED
+                self._search_contacts(_of(close, which), _of(close, low))
+
+    def _search_contacts(self, lanes: Indices, states: Array) -> None:
+        """End lanes at a second contact that came and went between the last sample and a limit."""
+        left = np.ones(lanes.size, dtype=bool)
+        for part in range(1, PARTS + 1):
+            if not left.any() or self.began is None:
+                break
+            some, there = _of(left, lanes), _of(left, states)
+            for count, chosen, step in self._since_sample(self.began, some, there):
+                h = step.h * part / PARTS
+                at, _ = self.advance(self.evaluate, step.states, step.rates, h, count)
+                bad = ~(clearances(self.evaluate, at).min(axis=0) >= 0)
+                self._end_at_checks(_of(bad, _of(chosen, some)), _of(bad, at))
+                left[np.isin(lanes, _of(bad, _of(chosen, some)))] = False
+
+    def _since_sample(
+        self, began: _Began, lanes: Indices, states: Array
+    ) -> list[tuple[int, Mask, _Step]]:
+        """Return steps from the last sample to states: their number, the lanes, and the first."""
+        place = np.zeros(self.end.size, dtype=int)
+        place[began.lanes] = np.arange(began.lanes.size)
+        number = began.number[place[lanes]]
+        steps = list[tuple[int, Mask, _Step]]()
+        for count in np.unique(number):
+            chosen = number == count
+            first, rates, _ = (each[..., place[lanes[chosen]]] for each in began.step)
+            h = (states[self.rows.t][0][chosen] - first[self.rows.t][0]) / count
+            steps.append((int(count), chosen, _Step(first, rates, h)))
+        return steps
 
     def _end_at_checks(self, lanes: Indices, states: Array) -> None:
         """End lanes that fail a check, which is located between the last sample and the states."""
-        began = self.began
         if not lanes.size:
             return
-        if began is None:
+        if self.began is None:
             self.reason[lanes] = INVALID_START
             self._close(lanes, states, states)
             return
-        place = np.zeros(self.end.size, dtype=int)
-        place[began.lanes] = np.arange(began.lanes.size)
-        number, failed = began.number[place[lanes]], _smallest(clearances(self.evaluate, states))
-        for count, check in np.unique(np.stack([number, failed]), axis=1).T:
-            chosen = (number == count) & (failed == check)
-            which = lanes[chosen]
-            first, rates, _ = (each[..., place[which]] for each in began.step)
-            h = (states[self.rows.t][0][chosen] - first[self.rows.t][0]) / count
-            low, high, lost = self._locate(
-                _Step(first, rates, h),
-                int(count),
-                _of(chosen, states),
-                partial(_clearance, self.evaluate, int(check)),
-            )
-            check += len(self.evaluate.graphs.dae.limits)
-            self.reason[which] = np.where(lost, UNSOLVED, check)
-            self._close(which, low, high)
-            earlier = ~(clearances(self.evaluate, low).min(axis=0) >= 0)  # of another wheel
-            self.reason[which[earlier]] = UNSOLVED
+        failed = _smallest(clearances(self.evaluate, states))
+        for count, chosen, step in self._since_sample(self.began, lanes, states):
+            for check in np.unique(failed[chosen]):
+                of_check = failed[chosen] == check
+                which, at = lanes[chosen][of_check], _of(of_check, _of(chosen, states))
+                margin = partial(_clearance, self.evaluate, int(check))
+                low, high, lost = self._locate(step.of(of_check), count, at, margin)
+                reason = check + len(self.evaluate.graphs.dae.limits)
+                self.reason[which] = np.where(lost, UNSOLVED, reason)
+                self._close(which, low, high)
+                earlier = ~(clearances(self.evaluate, low).min(axis=0) >= 0)  # of another wheel
+                self.reason[which[earlier]] = UNSOLVED
 
     def _close(self, lanes: Indices, last: Array, beyond: Array) -> None:
         self.end[lanes] = last[self.rows.t]

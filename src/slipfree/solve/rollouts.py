@@ -102,8 +102,7 @@ def rollouts(
         in lower case or ``"failed"`` if it has no start, the message of its stop or error, and the
         time that it reached, which may lie between two samples. [s] ``error``, of the batch only,
         estimates the error of ``x`` and ``y`` at the last sample of a run. [m] Runs in which
-        Newton's method does not follow the contacts, or that reach a limit where a wheel nearly
-        touches a second time, are simulated and have no estimate.
+        Newton's method does not follow the contacts are simulated, and have no estimate.
 
     Raises
     ------
