@@ -208,16 +208,16 @@ def _side(run: Trajectory, section: Profile) -> Figure:
     return figure
 
 
-def side_view(run: Trajectory, section: Profile, ax: Axes) -> Axes:
-    """Draw solids, paths of the wheels, and a planar vehicle at equal intervals of time."""
+def side_view(run: Trajectory, section: Profile, ax: Axes, count: int = POSES) -> Axes:
+    """Draw solids, paths of the wheels, and a planar vehicle at ``count`` equal intervals of time."""
     for solid in section.solids:
         ax.add_patch(Polygon(solid.points, fc="0.85", ec="0.85", lw=0.3, zorder=0))
     y, z = run["center_y"], run["center_z"]
     away = np.hypot(run["contact_y"] - y, run["contact_z"] - z)
     order = np.argsort(y[0])
     ax.plot(y, z, color="0.5", lw=0.6, zorder=2)
-    for number, k in enumerate(np.linspace(0, run.t.size - 1, POSES).astype(int)):
-        color = colormaps["viridis"](LATEST * number / (POSES - 1))
+    for number, k in enumerate(np.linspace(0, run.t.size - 1, count).astype(int)):
+        color = colormaps["viridis"](LATEST * number / max(1, count - 1))
         ax.plot(y[k, order], z[k, order], "o-", color=color, lw=1.3, ms=2.6, mfc="white", zorder=3)
         for place in zip(y[k], z[k], np.nanmedian(away, axis=0), strict=True):
             ax.add_patch(Circle(place[:2], place[2], fc="none", ec=color, lw=0.9, zorder=3))
