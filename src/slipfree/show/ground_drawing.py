@@ -209,7 +209,7 @@ def _side(run: Trajectory, section: Profile) -> Figure:
 
 
 def side_view(run: Trajectory, section: Profile, ax: Axes, count: int = POSES) -> Axes:
-    """Draw solids, paths of the wheels, and a planar vehicle at ``count`` equal intervals of time."""
+    """Draw solids, paths of the wheels, and a planar vehicle at ``count`` times."""
     for solid in section.solids:
         ax.add_patch(Polygon(solid.points, fc="0.85", ec="0.85", lw=0.3, zorder=0))
     y, z = run["center_y"], run["center_z"]
