@@ -149,15 +149,20 @@ ENDS = {  # radius of the tubes, steering: x, y, z after 10 s, found with anothe
 }
 
 
-def rocky_run(ground, r1=0.02, steer=0.0, tolerance=1e-8, duration=10.0):
+def rocky_case(ground, r1=0.02, steer=0.0):
+    """Rocky 7 on a ground: the model, its start and its inputs."""
     vehicle = rocky7(r1=r1, **LIGHT)
     dae = closure_model(vehicle, Bicubic(ground))
     steering = {f"steer_front_{side}": steer for side in ("right", "left")}
     rates = {f"{wheel.name}_rate": 0.5 / 0.065 for wheel in vehicle.wheels}
     inputs = dae.inputs(**rates, **{f"{name}_rate": 0.0 for name in steering})
-    start = settle(dae, x=1.1, y=0.0, heading=-np.pi / 2, **steering)
+    return dae, settle(dae, x=1.1, y=0.0, heading=-np.pi / 2, **steering), inputs
+
+
+def rocky_run(ground, r1=0.02, steer=0.0, tolerance=1e-8, duration=10.0):
     t = np.linspace(0, duration, 101)
-    return simulate(dae, start, inputs, t, options=SolverOptions(tolerance=tolerance))
+    options = SolverOptions(tolerance=tolerance)
+    return simulate(*rocky_case(ground, r1, steer), t, options=options)
 
 
 @pytest.mark.slow
