@@ -184,8 +184,7 @@ def test_estimates_have_the_size_of_the_errors(model):
     )
     error = np.hypot(*((coarse[name] - fine[name]).values[:, -1] for name in "xy"))
     ratio = coarse["error"].values / error
-    assert 0.3 < np.median(ratio) < 3
-    assert np.mean(ratio > 0.1) > 0.8
+    assert np.mean((ratio > 0.3) & (ratio < 3)) > 0.95
 
 
 def test_results_do_not_depend_on_lanes_order_or_company(model):

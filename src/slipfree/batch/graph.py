@@ -144,23 +144,12 @@ def graphs_of(dae: Dae) -> Graphs:
     ModelError
         If the model is of another kind than kinematics with least slip or quasi-statics.
     """
-    _, z, u = dae.columns()
+    checks = _checks_of(dae)
     ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
-    checks = [check for check in dae.checks if isinstance(check, PlacedCheck)]
-    other = dae.standing is not None or len(ends) < 4 or len(checks) < len(dae.checks)
-    relaxes = dae.rest.numel() and dae.linear is None
-    continued = dae.continuation is not None and not dae.discs
-    if other or relaxes or continued:
-        raise ModelError(
-            "batch: expected a model of kinematics, or of quasi-statics with Coulomb friction, "
-            "found another one; use method='simulate'"
-        )
-    p, w, f = (z[a:b] for a, b in pairwise(ends))
+    p, w, f = (dae.columns()[1][a:b] for a, b in pairwise(ends))
     late = [ca.depends_on(rate, f) for rate in ca.vertsplit(dae.quad)] if dae.quad.numel() else []
     kept = tuple(k for k, is_late in enumerate(late) if not is_late)
-    c = ca.vertcat(ca.SX(0, 1), *(each.symbol for each in dae.p))
-    lag = ca.SX(0, 1) if dae.lag is None else dae.lag
-    columns = dae.columns()[0], p, ca.SX.sym("q", len(kept)), w, f, u, c, lag, dae.t
+    columns = _state_columns(dae, (p, w, f), len(kept))
     edges = np.cumsum([0, *(each.numel() for each in columns)]).tolist()
     rows = StateRows(*(slice(a, b) for a, b in pairwise(edges)))
     state = ca.vertcat(*columns)
@@ -194,10 +183,32 @@ def graphs_of(dae: Dae) -> Graphs:
         graph("checked", *motion, watched[:n_f], watched[n_f], watched[n_f + 1 :]),
         bounds,
         graph("outputs", pack(dae.y)),
-        tuple(checks),
+        checks,
         graph("placing", *(check.placing for check in checks)),
         not ca.depends_on(ca.jacobian(dae.residuals[1], w), w),
     )
+
+
+def _checks_of(dae: Dae) -> tuple[PlacedCheck, ...]:
+    """Return the checks of a model; raise ModelError if it is of another kind."""
+    checks = tuple(check for check in dae.checks if isinstance(check, PlacedCheck))
+    other = dae.standing is not None or len(dae.alg) < 3 or len(checks) < len(dae.checks)
+    relaxes = dae.rest.numel() and dae.linear is None
+    continued = dae.continuation is not None and not dae.discs
+    if other or relaxes or continued:
+        raise ModelError(
+            "batch: expected a model of kinematics, or of quasi-statics with Coulomb friction, "
+            "found another one; use method='simulate'"
+        )
+    return checks
+
+
+def _state_columns(dae: Dae, unknowns: tuple[ca.SX, ca.SX, ca.SX], quadratures: int) -> list[ca.SX]:
+    """Return the symbols of a state in the order of `StateRows`."""
+    (x, _, u), (p, w, f) = dae.columns(), unknowns
+    parameters = ca.vertcat(ca.SX(0, 1), *(each.symbol for each in dae.p))
+    lag = ca.SX(0, 1) if dae.lag is None else dae.lag
+    return [x, p, ca.SX.sym("q", quadratures), w, f, u, parameters, lag, dae.t]
 
 
 def _moved(

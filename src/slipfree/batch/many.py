@@ -272,23 +272,25 @@ def start_states(graphs: Graphs, start: Mapping[str, Array]) -> Array:
                 f"{values[~np.isfinite(values)][0]}; correct them"
             )
         states[k] = values - dae.shift[0][k]
-    for k, parameter in enumerate(dae.p):
-        states[rows.c.start + k] = parameter.value
+    states[rows.c] = np.reshape([parameter.value for parameter in dae.p], (-1, 1))
     return states
 
 
 def states_of(graphs: Graphs, run: Trajectory) -> Array:
     """Return the state at the last sample of a motion of the model, shape (n_rows,)."""
-    dae, rows = graphs.dae, graphs.rows
+    x, z, q = (graphs.dae.rows(record, run, -1) for record in "xzq")
+    return assemble_state(graphs, x, z, q)
+
+
+def assemble_state(graphs: Graphs, x: Array, z: Array, q: Array) -> Array:
+    """Return a state, shape (n_rows,), from local states, unknowns and all quadratures."""
+    rows = graphs.rows
     state = np.zeros(rows.t.stop)
-    state[rows.x] = dae.rows("x", run, -1)
-    z = dae.rows("z", run, -1)
-    state[rows.p], state[rows.w], state[rows.f] = np.split(
-        z, [rows.p.stop - rows.p.start, z.size - (rows.f.stop - rows.f.start)]
-    )
-    state[rows.q] = dae.rows("q", run, -1)[list(graphs.quadratures)]
-    for k, parameter in enumerate(dae.p):
-        state[rows.c.start + k] = parameter.value
+    state[rows.x], state[rows.q] = x, q[list(graphs.quadratures)]
+    edges = np.cumsum([part.stop - part.start for part in rows.z[:2]])
+    for part, values in zip(rows.z, np.split(z, edges), strict=True):
+        state[part] = values
+    state[rows.c] = [parameter.value for parameter in graphs.dae.p]
     return state
 
 

@@ -221,15 +221,17 @@ class _Run:
             else:
                 number = counts[k, lanes]
             self.began = _Began(lanes, _Step(states, rates, span / number), number)
-            parts = []
-            for count in np.unique(number):
-                chosen = number == count
-                start = _Step(states, rates, np.full(lanes.size, span / count)).of(chosen)
-                parts.append(self._interval(_of(chosen, lanes), start, int(count), limited=limited))
-            lanes, states, *last = (
-                np.concatenate(rows, axis=-1) for rows in zip(*parts, strict=True)
-            )
-            before = _Step(*last)
+            lanes, states, before = self._advance_to_sample(self.began, limited=limited)
+
+    def _advance_to_sample(self, began: _Began, *, limited: bool) -> tuple[Indices, Array, _Step]:
+        """Return the lanes that reach the next sample, their states and last steps."""
+        parts = []
+        for count in np.unique(began.number):
+            chosen = began.number == count
+            lanes, start = _of(chosen, began.lanes), began.step.of(chosen)
+            parts.append(self._interval(lanes, start, int(count), limited=limited))
+        lanes, states, *last = (np.concatenate(rows, axis=-1) for rows in zip(*parts, strict=True))
+        return lanes, states, _Step(*last)
 
     def _interval(
         self, lanes: Indices, start: _Step, count: int, *, limited: bool

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.batch.evaluator import Evaluator, evaluator_of
+from slipfree.batch.many import assemble_state
 from slipfree.batch.motion import ORDER, RELAXING_ORDER, integrate_lanes
 from slipfree.core.dae import Dae, PiecewiseLinear
 from slipfree.core.errors import ModelError
@@ -37,17 +38,12 @@ def integrate_explicitly(
     dae = system.dae
     _check_numbers(dae, inputs)
     evaluator = evaluator_of(dae, compiled=options.compiled)
-    rows, kept = evaluator.graphs.rows, list(evaluator.graphs.quadratures)
-    states = np.zeros((rows.t.stop, 1))
-    states[rows.x], states[rows.q] = first.x, first.q[kept]
-    edges = np.cumsum([part.stop - part.start for part in rows.z[:2]])
-    for part, values in zip(rows.z, np.split(first.z, edges), strict=True):
-        states[part] = values
+    state = assemble_state(evaluator.graphs, first.x[:, 0], first.z[:, 0], first.q[:, 0])
     order = ORDER if dae.lag is None else RELAXING_ORDER
     step, wanted = FIRST_STEP * dae.size, options.tolerance * dae.size
     total, inputs_of_lane = 0, system.u[..., None]
     for _ in range(MAX_TRIES):
-        run = integrate_lanes(evaluator, states, inputs_of_lane, t, step, certify=False)
+        run = integrate_lanes(evaluator, state[:, None], inputs_of_lane, t, step, certify=False)
         total += int(run.steps[0])
         error = float(run.error[0])
         if error <= wanted or np.isnan(error):  # NaN: the first interval is not solved
