@@ -20,7 +20,7 @@ from slipfree.batch.graph import Graph, Graphs, graphs_of
 from slipfree.core.dae import Dae
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import Cells
-from slipfree.core.records import Array, Mask
+from slipfree.core.records import Array, Indices, Mask
 from slipfree.system.codegen_cache import compiler, shared_library
 
 FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off", "-fno-math-errno")
@@ -90,7 +90,12 @@ class Evaluator(Protocol):
         """
 
     def advance(
-        self, states: Array, rates: Array, h: Array, count: int, bounds: tuple[float, float]
+        self,
+        states: Array,
+        rates: Array,
+        h: Array,
+        count: Indices | None,
+        bounds: tuple[float, float],
     ) -> tuple[Array, Mask] | None:
         """Return the result of compiled steps; None without them."""
 
@@ -176,7 +181,12 @@ class _Compiled:
         return results
 
     def advance(
-        self, states: Array, rates: Array, h: Array, count: int, bounds: tuple[float, float]
+        self,
+        states: Array,
+        rates: Array,
+        h: Array,
+        count: Indices | None,
+        bounds: tuple[float, float],
     ) -> tuple[Array, Mask] | None:
         """Return the states after steps, and which lanes are solved, as `motion.advance`.
 
@@ -186,7 +196,10 @@ class _Compiled:
         if self._advance is None:
             return None
         n = states.shape[1]
-        states, rates, h = (np.ascontiguousarray(each) for each in (states, rates, h))
+        count = np.ones(n) if count is None else count
+        states, rates, h, count = (
+            np.ascontiguousarray(each, dtype=float) for each in (states, rates, h, count)
+        )
         results = np.empty((len(states) + 1, n))
         self._advance(
             ctypes.c_long(n),
@@ -194,7 +207,7 @@ class _Compiled:
             ctypes.c_long(states.strides[0] // 8),
             ctypes.c_void_p(rates.ctypes.data),
             ctypes.c_void_p(h.ctypes.data),
-            ctypes.c_long(count),
+            ctypes.c_void_p(count.ctypes.data),
             *(ctypes.c_double(each) for each in bounds),
             ctypes.c_void_p(results.ctypes.data),
             ctypes.c_void_p(self._constants.ctypes.data),

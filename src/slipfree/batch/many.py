@@ -27,7 +27,7 @@ from slipfree.core.trajectory import WHEELS, Column, Trajectory, require
 if TYPE_CHECKING:
     import xarray
 
-CHUNK = 512  # lanes computed together: their states stay in the processor's cache
+CHUNK = 1024  # lanes computed together: their states stay in the processor's cache
 LARGEST = 2**22  # numbers in the samples of lanes computed together
 STEP, RELAXING_STEP = 0.5, 0.05  # default length of a step [size of the vehicle]
 PLAIN_STEPS = 8  # steps of Newton's method without bound

@@ -145,12 +145,20 @@ class _Step(NamedTuple):
         return _Step(*(_of(lanes, each) for each in self))
 
 
-class _Began(NamedTuple):
-    """Lanes at the beginning of an interval, their first steps, and numbers of steps."""
+class _Interval(NamedTuple):
+    """States and rates of lanes at the last sample, and numbers of steps to the next one.
 
-    lanes: Indices
-    step: _Step
+    The columns are those of all lanes; columns of lanes that ended before are not defined.
+    """
+
+    states: Array
+    rates: Array
     number: Indices
+
+    def until(self, lanes: Indices, time: Array, row: slice) -> tuple[_Step, Indices]:
+        """Return the first steps of lanes on their way to a time, and their numbers."""
+        states, rates, number = (each[..., lanes] for each in self)
+        return _Step(states, rates, (time - states[row][0]) / number), number
 
 
 class _Run:
@@ -173,7 +181,8 @@ class _Run:
         count = states.shape[1]
         self.evaluate, self.rows, self.step = evaluate, evaluate.graphs.rows, step
         self.first, self.inputs, self.t = states, inputs, t
-        self.began: _Began | None = None
+        self.interval: _Interval | None = None
+        self.near = list[tuple[Indices, Array, _Step, Indices]]()  # lanes of `_search_contacts`
         self.advance = advance if evaluate.graphs.dae.lag is None else advance_relaxing
         self.counts = np.zeros((t.size - 1, count), dtype=int)
         self.certify = certify
@@ -216,42 +225,61 @@ class _Run:
                 break
             span = self.t[k + 1] - now
             if counts is None:
-                number = np.clip(np.ceil(speed * span / self.step - 1e-9), 1, MAX_STEPS).astype(int)
-                self.counts[k, lanes] = number
+                self.counts[k, lanes] = _numbers(speed * span / self.step)
+                number = self.counts[k, lanes]
             else:
                 number = counts[k, lanes]
-            self.began = _Began(lanes, _Step(states, rates, span / number), number)
-            lanes, states, before = self._advance_to_sample(self.began, limited=limited)
+            if np.ptp(number):  # lanes of a vector take as many steps as the slowest one
+                order = np.argsort(number, kind="stable")
+                lanes, number, states, rates = (
+                    each[..., order] for each in (lanes, number, states, rates)
+                )
+            step = _Step(states, rates, span / number)
+            if limited:
+                self._begin(lanes, step, number)
+                lanes, states, before = self._advance_to_sample(lanes, step, number)
+            else:
+                states, _ = self.advance(self.evaluate, *step, number)
+        self._search_contacts()
 
-    def _advance_to_sample(self, began: _Began, *, limited: bool) -> tuple[Indices, Array, _Step]:
+    def _begin(self, lanes: Indices, step: _Step, number: Indices) -> None:
+        if self.interval is None:
+            shapes = ((*each.shape[:-1], self.end.size) for each in (step.states, step.rates))
+            self.interval = _Interval(*(np.empty(n) for n in shapes), np.ones(self.end.size, int))
+        for values, new in zip(self.interval, (step.states, step.rates, number), strict=True):
+            values[..., lanes] = new
+
+    def _advance_to_sample(
+        self, lanes: Indices, step: _Step, number: Indices
+    ) -> tuple[Indices, Array, _Step]:
         """Return the lanes that reach the next sample, their states and last steps."""
-        parts = []
-        for count in np.unique(began.number):
-            chosen = began.number == count
-            lanes, start = _of(chosen, began.lanes), began.step.of(chosen)
-            parts.append(self._interval(lanes, start, int(count), limited=limited))
-        lanes, states, *last = (np.concatenate(rows, axis=-1) for rows in zip(*parts, strict=True))
-        return lanes, states, _Step(*last)
-
-    def _interval(
-        self, lanes: Indices, start: _Step, count: int, *, limited: bool
-    ) -> tuple[Any, ...]:
-        """Return the lanes that reach the end of an interval, their states and last steps."""
-        if not limited:  # a bad motion gives a large estimate of the error
-            return lanes, self.advance(self.evaluate, *start, count)[0], *start
-        for k in range(count):
-            states, solved = self.advance(self.evaluate, *start)
-            if not solved.all():
-                self._end(lanes, states, start, solved, solved)
-                lanes, states, start = _of(solved, lanes), _of(solved, states), start.of(solved)
-            if k == count - 1 or not lanes.size:
+        arrived = list[tuple[Any, ...]]()
+        k = 0
+        while True:
+            k += 1
+            states, solved = self.advance(self.evaluate, *step)
+            self._end(lanes, states, step, solved, solved)
+            here = solved & (number == k)
+            arrived.append((_of(here, lanes), _of(here, states), *step.of(here)))
+            on_way = solved & (number > k)
+            if not on_way.any():
                 break
+            lanes, states, step, number = (
+                _of(on_way, lanes),
+                _of(on_way, states),
+                step.of(on_way),
+                _of(on_way, number),
+            )
             rates, good, _, margin = self._checked(states, limited=True)
             kept = good & (margin >= 0)
-            self._end(lanes, states, start, good, kept)
-            lanes, states = _of(kept, lanes), _of(kept, states)
-            start = _Step(states, _of(kept, rates), _of(kept, start.h))
-        return lanes, states, *start
+            self._end(lanes, states, step, good, kept)
+            lanes, states, number = (_of(kept, each) for each in (lanes, states, number))
+            step = _Step(states, _of(kept, rates), _of(kept, step.h))
+        lanes, states, *last = (
+            rows[0] if len(rows) == 1 else np.concatenate(rows, axis=-1)
+            for rows in zip(*arrived, strict=True)
+        )
+        return lanes, states, _Step(*last)
 
     def _checked(self, states: Array, *, limited: bool) -> tuple[Array, Mask, Array, Array]:
         """Return the results of `derivatives`, and the least distances to the limits."""
@@ -291,8 +319,9 @@ class _Run:
         if limited.any():
             which = _of(limited, lanes)
             graph, bounds = self.evaluate.graphs.checked, np.array(self.evaluate.graphs.bounds)
+            one = np.ones(which.size, dtype=int)
             low, high, lost = self._locate(
-                before.of(limited), 1, _of(limited, states), lambda _, margin: margin
+                before.of(limited), one, _of(limited, states), lambda _, margin: margin
             )
             values = self.evaluate(graph, high)
             distances, change = values[graph.parts[DISTANCES]], values[graph.parts[CHANGE]][0]
@@ -300,69 +329,61 @@ class _Run:
             lost |= ~(change < SETTLED) | ~(margins(distances) < 0)
             self.reason[which] = np.where(lost, UNSOLVED, bounds[_smallest(distances)])
             self._close(which, low, high)
-            if self.certify:
+            if self.certify and self.interval is not None:
                 near = NEAR * self.evaluate.graphs.dae.size
                 close = clearances(self.evaluate, low).min(axis=0) < near
-                self._search_contacts(_of(close, which), _of(close, low))
+                which, low = _of(close, which), _of(close, low)
+                first = self.interval.until(which, low[self.rows.t][0], self.rows.t)
+                self.near.append((which, low, *first))
 
-    def _search_contacts(self, lanes: Indices, states: Array) -> None:
+    def _search_contacts(self) -> None:
         """End lanes at a second contact that came and went between the last sample and a limit."""
-        left = np.ones(lanes.size, dtype=bool)
+        if not self.near:
+            return
+        lanes, _, steps, number = zip(*self.near, strict=True)
+        lanes, number = np.concatenate(lanes), np.concatenate(number)
+        step = _Step(*(np.concatenate(rows, axis=-1) for rows in zip(*steps, strict=True)))
         for part in range(1, PARTS + 1):
-            if not left.any() or self.began is None:
+            at, _ = self.advance(self.evaluate, *step._replace(h=step.h * part / PARTS), number)
+            bad = ~(clearances(self.evaluate, at).min(axis=0) >= 0)
+            self._end_at_checks(_of(bad, lanes), _of(bad, at), step.of(bad), _of(bad, number))
+            lanes, number, step = _of(~bad, lanes), _of(~bad, number), step.of(~bad)
+            if not lanes.size:
                 break
-            some, there = _of(left, lanes), _of(left, states)
-            for count, chosen, step in self._since_sample(self.began, some, there):
-                h = step.h * part / PARTS
-                at, _ = self.advance(self.evaluate, step.states, step.rates, h, count)
-                bad = ~(clearances(self.evaluate, at).min(axis=0) >= 0)
-                self._end_at_checks(_of(bad, _of(chosen, some)), _of(bad, at))
-                left[np.isin(lanes, _of(bad, _of(chosen, some)))] = False
 
-    def _since_sample(
-        self, began: _Began, lanes: Indices, states: Array
-    ) -> list[tuple[int, Mask, _Step]]:
-        """Return steps from the last sample to states: their number, the lanes, and the first."""
-        place = np.zeros(self.end.size, dtype=int)
-        place[began.lanes] = np.arange(began.lanes.size)
-        number = began.number[place[lanes]]
-        steps = list[tuple[int, Mask, _Step]]()
-        for count in np.unique(number):
-            chosen = number == count
-            first, rates, _ = (each[..., place[lanes[chosen]]] for each in began.step)
-            h = (states[self.rows.t][0][chosen] - first[self.rows.t][0]) / count
-            steps.append((int(count), chosen, _Step(first, rates, h)))
-        return steps
-
-    def _end_at_checks(self, lanes: Indices, states: Array) -> None:
+    def _end_at_checks(
+        self, lanes: Indices, states: Array, step: _Step | None = None, number: Any = None
+    ) -> None:
         """End lanes that fail a check, which is located between the last sample and the states."""
         if not lanes.size:
             return
-        if self.began is None:
+        if self.interval is None:
             self.reason[lanes] = INVALID_START
             self._close(lanes, states, states)
             return
+        if step is None:
+            step, number = self.interval.until(lanes, states[self.rows.t][0], self.rows.t)
         failed = _smallest(clearances(self.evaluate, states))
-        for count, chosen, step in self._since_sample(self.began, lanes, states):
-            for check in np.unique(failed[chosen]):
-                of_check = failed[chosen] == check
-                which, at = lanes[chosen][of_check], _of(of_check, _of(chosen, states))
-                margin = partial(_clearance, self.evaluate, int(check))
-                low, high, lost = self._locate(step.of(of_check), count, at, margin)
-                reason = check + len(self.evaluate.graphs.dae.limits)
-                self.reason[which] = np.where(lost, UNSOLVED, reason)
-                self._close(which, low, high)
-                earlier = ~(clearances(self.evaluate, low).min(axis=0) >= 0)  # of another wheel
-                self.reason[which[earlier]] = UNSOLVED
+        for check in np.unique(failed):
+            chosen = failed == check
+            margin = partial(_clearance, self.evaluate, int(check))
+            low, high, lost = self._locate(
+                step.of(chosen), number[chosen], _of(chosen, states), margin
+            )
+            which, reason = lanes[chosen], check + len(self.evaluate.graphs.dae.limits)
+            self.reason[which] = np.where(lost, UNSOLVED, reason)
+            self._close(which, low, high)
+            earlier = ~(clearances(self.evaluate, low).min(axis=0) >= 0)  # of another wheel
+            self.reason[which[earlier]] = UNSOLVED
 
     def _close(self, lanes: Indices, last: Array, beyond: Array) -> None:
         self.end[lanes] = last[self.rows.t]
         self.beyond[:, lanes] = beyond
 
     def _locate(
-        self, step: _Step, count: int, at: Array, margin: Callable[[Array, Array], Array]
+        self, step: _Step, count: Indices, at: Array, margin: Callable[[Array, Array], Array]
     ) -> tuple[Array, Array, Mask]:
-        """Return states just before and beyond the zero of a margin within some steps.
+        """Return states just before and beyond the zero of a margin within ``count`` steps.
 
         The third result is true for lanes that are not solved beyond it.
 
@@ -381,13 +402,10 @@ class _Run:
             share = np.where(np.isnan(secant) | (k % 3 == 0), 0.5, secant)
             share = (low + (high - low) * (share if k else 1.0))[wide]
             part = step.of(wide)
-            states, rates, h = part.states, part.rates, part.h * share
-            solved = np.ones(h.size, dtype=bool)
-            for _ in range(count):
-                states, good = self.advance(self.evaluate, states, rates, h)
-                rates, also_good, _, distance = self._checked(states, limited=True)
-                solved &= good & also_good
-            value = np.where(solved, margin(states, distance), np.nan)
+            part = part._replace(h=part.h * share)
+            states, solved = self.advance(self.evaluate, *part, count[wide])
+            _, good, _, distance = self._checked(states, limited=True)
+            value = np.where(solved & good, margin(states, distance), np.nan)
             fine = value >= 0  # not for NaN
             shares = np.full(high.shape, 0.0)
             shares[wide] = share
@@ -401,6 +419,15 @@ class _Run:
             inside[:, good] = states[:, fine]
             beyond[:, bad] = states[:, ~fine] if k else beyond[:, bad]
         return inside, beyond, np.isnan(at_high) & (low < 1)
+
+
+def _numbers(least: Array) -> Indices:
+    """Return numbers of steps, rounded up to 1, 2, 3, 4, 6, 8, 12, ...
+
+    Few different numbers occur then, and lanes with the same one are computed together.
+    """
+    power = 2.0 ** np.ceil(np.log2(np.clip(np.ceil(least - 1e-9), 1, MAX_STEPS)))
+    return np.where((least <= 0.75 * power) & (power > 2), 0.75 * power, power).astype(int)
 
 
 def _smallest(values: Array) -> Indices:
@@ -493,70 +520,87 @@ def _derivatives(
 
 
 def advance(
-    evaluate: Evaluator, states: Array, rates: Array, h: Array, count: int = 1
+    evaluate: Evaluator, states: Array, rates: Array, h: Array, count: Indices | None = None
 ) -> tuple[Array, Mask]:
     """Return the states after steps of Ralston's third-order method, and which are solved.
 
     A. Ralston, Runge-Kutta methods with minimum error bounds, Math. Comp. 16 (1962), eq. (4.1). The
     positions of the result are predicted, not yet corrected. The compiled code does the same.
+    ``count`` are the numbers of steps of the lanes, one by default.
     """
     compiled = evaluate.advance(states, rates, h, count, (MAX_CHANGE, MAX_ERROR))
     if compiled is not None:
         return compiled
-    rows = evaluate.graphs.rows
-    moving, solved = slice(0, rows.q.stop), np.ones(h.size, dtype=bool)
-    for k in range(count):
-        if k:
-            rates, good, _ = derivatives(evaluate, states)
-            solved &= good
-        start, stage = states[moving], states.copy()
-        stage[moving] = start + (0.5 * h) * rates
-        stage[rows.t] += 0.5 * h
-        second, good, _ = derivatives(evaluate, stage)
-        solved &= good
-        stage[moving] = start + (0.75 * h) * second
-        stage[rows.t] = states[rows.t] + 0.75 * h
-        third, good, _ = derivatives(evaluate, stage)
-        solved &= good
-        stage[moving] = start + (h / 9) * (2 * rates + 3 * second + 4 * third)
-        stage[rows.t] = states[rows.t] + h
-        states = stage
-    return states, solved
+    return _repeated(partial(_ralston_step, evaluate), evaluate, states, rates, h, count)
 
 
 def advance_relaxing(
-    evaluate: Evaluator,
-    states: Array,
-    rates: Array,  # noqa: ARG001 - of another lag
-    h: Array,
-    count: int = 1,
+    evaluate: Evaluator, states: Array, rates: Array, h: Array, count: Indices | None = None
 ) -> tuple[Array, Mask]:
     """Return the states after steps of a model whose last states relax, and which are solved.
 
     The relaxing states take two linearly implicit half steps, whose damping is complete for
     infinitely stiff contacts; the others take a step of the midpoint rule.
     """
+    return _repeated(partial(_relaxing_step, evaluate), evaluate, states, rates, h, count)
+
+
+def _repeated(
+    step: Callable[[Array, Array, Array], tuple[Array, Mask]],
+    evaluate: Evaluator,
+    states: Array,
+    rates: Array,
+    h: Array,
+    count: Indices | None,
+) -> tuple[Array, Mask]:
+    """Return the states after one step, or as many as each lane needs, and which are solved."""
+    states, solved = step(states, rates, h)
+    for k in range(1, 1 if count is None else count.max(initial=1)):
+        on_way = count > k
+        some = states[:, on_way]
+        rates, good, _ = derivatives(evaluate, some)
+        states[:, on_way], also_good = step(some, rates, h[on_way])
+        solved[on_way] &= good & also_good
+    return states, solved
+
+
+def _ralston_step(evaluate: Evaluator, states: Array, rates: Array, h: Array) -> tuple[Array, Mask]:
+    rows = evaluate.graphs.rows
+    moving = slice(0, rows.q.stop)
+    start, stage = states[moving], states.copy()
+    stage[moving] = start + (0.5 * h) * rates
+    stage[rows.t] += 0.5 * h
+    second, solved, _ = derivatives(evaluate, stage)
+    stage[moving] = start + (0.75 * h) * second
+    stage[rows.t] = states[rows.t] + 0.75 * h
+    third, good, _ = derivatives(evaluate, stage)
+    stage[moving] = start + (h / 9) * (2 * rates + 3 * second + 4 * third)
+    stage[rows.t] = states[rows.t] + h
+    return stage, solved & good
+
+
+def _relaxing_step(
+    evaluate: Evaluator,
+    states: Array,
+    rates: Array,  # noqa: ARG001 - of another lag
+    h: Array,
+) -> tuple[Array, Mask]:
     dae, rows = evaluate.graphs.dae, evaluate.graphs.rows
     moving = slice(0, rows.q.stop)
     relaxing = slice(rows.x.stop - dae.rest.numel(), rows.x.stop)
-    half, solved = 0.5 * h, np.ones(h.size, dtype=bool)
-    for _ in range(count):
-        stage = states.copy()
-        stage[rows.lag] = half
-        first, good, _ = derivatives(evaluate, stage)
-        solved &= good
-        start = stage[moving].copy()
-        stage[moving] = start + half * first
-        stage[rows.t] += half
-        middle = stage[relaxing].copy()
-        second, good, _ = derivatives(evaluate, stage)
-        solved &= good
-        stage[moving] = start + h * second
-        stage[relaxing] = middle + half * second[relaxing]
-        stage[rows.lag] = 0.0
-        stage[rows.t] = states[rows.t] + h
-        states = stage
-    return states, solved
+    half, stage = 0.5 * h, states.copy()
+    stage[rows.lag] = half
+    first, solved, _ = derivatives(evaluate, stage)
+    start = stage[moving].copy()
+    stage[moving] = start + half * first
+    stage[rows.t] += half
+    middle = stage[relaxing].copy()
+    second, good, _ = derivatives(evaluate, stage)
+    stage[moving] = start + h * second
+    stage[relaxing] = middle + half * second[relaxing]
+    stage[rows.lag] = 0.0
+    stage[rows.t] = states[rows.t] + h
+    return stage, solved & good
 
 
 def relax(evaluate: Evaluator, states: Array) -> Mask:

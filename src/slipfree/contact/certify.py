@@ -91,7 +91,7 @@ class SecondContact:
         radius, (x_0, y_0, _) = self.wheel.radius, self.terrain.origin
         slope, curvature = bounds(center[0] + x_0, center[1] + y_0, radius)
         level, upright = np.hypot(rotation[0], rotation[1]), np.abs(rotation[2])
-        slope = np.nan_to_num(slope, posinf=0.0)  # near an edge, where the curvature is infinite
+        slope[np.isinf(slope)] = 0.0  # near an edge, where the curvature is infinite
         return np.asarray(radius * curvature < level - slope * upright)
 
     def describe(self, x: Array, z: Array) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -211,41 +212,35 @@ class Bicubic:
         largest of those that belong to a cell. Points in the same square of `TILE` cells share
         their bounds, which are computed once.
         """
-        slope, curvature = np.full((2, x.size), np.inf)
         inside = np.ones(x.size, dtype=bool)
         squares = list[Array]()
         for axis, h, at in zip((self.grid.x, self.grid.y), self._spacing, (x, y), strict=True):
             inside &= (axis[0] <= at - reach) & (at + reach <= axis[-1])
-            squares.append(np.floor((at - axis[0]) / (TILE * h)))
-        width = self._table.shape[1]
-        keys, which = np.unique(
-            squares[0][inside] * width + squares[1][inside], return_inverse=True
-        )
-        places = (divmod(int(key), width) for key in keys)
-        bounds = [self._square_bounds(i, j, reach) for i, j in places]
-        if bounds:
-            slope[inside], curvature[inside] = np.array(bounds)[which].T
+            squares.append((at - axis[0]) / (TILE * h))
+        i, j = (np.where(inside, at, 0.0).astype(int) for at in squares)
+        known = self._known_bounds[reach]
+        missing = inside & np.isnan(known[0, i, j])
+        for square in {*zip(i[missing].tolist(), j[missing].tolist(), strict=True)}:
+            known[:, *square] = self._square_bounds(*square, reach)
+        slope, curvature = np.where(inside, known[:, i, j], np.inf)
         return slope, curvature
 
     def _square_bounds(self, i: int, j: int, reach: float) -> tuple[float, float]:
         """Return the bounds of `derivative_bounds` for a square of cells."""
-        known = self._known_bounds
-        if (i, j, reach) not in known:
-            ranges = list[range]()
-            for k, h, count in zip((i, j), self._spacing, self._table.shape, strict=True):
-                more = math.ceil(reach / h) / TILE
-                last = (count - 3) // TILE
-                ranges.append(
-                    range(max(0, math.floor(k - more)), min(last, math.floor(k + 1 + more)) + 1)
-                )
-            tiles = [self._tile_bounds(m, n) for m in ranges[0] for n in ranges[1]]
-            known[i, j, reach] = max(tile[0] for tile in tiles), max(tile[1] for tile in tiles)
-        return known[i, j, reach]
+        ranges = list[range]()
+        for k, h, count in zip((i, j), self._spacing, self._table.shape, strict=True):
+            more = math.ceil(reach / h) / TILE
+            last = (count - 3) // TILE
+            ranges.append(
+                range(max(0, math.floor(k - more)), min(last, math.floor(k + 1 + more)) + 1)
+            )
+        tiles = [self._tile_bounds(m, n) for m in ranges[0] for n in ranges[1]]
+        return max(tile[0] for tile in tiles), max(tile[1] for tile in tiles)
 
     def _tile_bounds(self, i: int, j: int) -> tuple[float, float]:
         """Return the bounds of `derivative_bounds` for a square of cells; computed once."""
-        known = self._known_bounds
-        if (i, j, 0.0) not in known:
+        known = self._known_bounds[0.0]
+        if np.isnan(known[0, i, j]):
             h_x, h_y = self._spacing
             rows, columns = (slice(TILE * k, TILE * (k + 1) + 3) for k in (i, j))
             part = 36 * self._table[rows, columns]
@@ -257,12 +252,14 @@ class Bicubic:
             )
             slopes = (np.abs(each).max(initial=0.0) for each in (along_x, along_y))
             xx, yy, xy = (float(np.abs(each).max(initial=0.0)) for each in second)
-            known[i, j, 0.0] = float(np.hypot(*slopes)), max(xx, yy) + xy
-        return known[i, j, 0.0]
+            known[:, i, j] = float(np.hypot(*slopes)), max(xx, yy) + xy
+        return known[0, i, j], known[1, i, j]
 
     @cached_property
-    def _known_bounds(self) -> dict[tuple[int, int, float], tuple[float, float]]:
-        return {}
+    def _known_bounds(self) -> defaultdict[float, Array]:
+        """Bounds by reach, zero for squares without surroundings; NaN before they are needed."""
+        shape = 2, *(n // TILE + 1 for n in self._table.shape)
+        return defaultdict(lambda: np.full(shape, np.nan))
 
     @cached_property
     def _spacing(self) -> tuple[float, float]:
