@@ -38,6 +38,7 @@ from slipfree import (
     Bicubic,
     Coulomb,
     ModelError,
+    Soil,
     SolverOptions,
     catalog,
     direct_kinematics,
@@ -77,6 +78,7 @@ CASES = {
     "rigid four-wheeler": Case(catalog.rigid_skid_steer(), steps=PRESSED),
     "rigid six-wheeler": Case(catalog.rigid_skid_steer(axles=3), steps=PRESSED),
     "Rocky 7, creep 1e-3 m/s": Case(ROCKY, partial(quasi_statics, law=Coulomb(creep=1e-3))),
+    "Rocky 7 on soil": Case(ROCKY, partial(quasi_statics, law=Soil())),
 }
 ROUGH = {  # rms and shortest wave [m], cell [m], Hurst exponent: for poses and ends
     "3 cm, 0.8 m": (0.03, 0.8, 0.1, 0.9),

@@ -316,13 +316,33 @@ def test_models_and_inputs_that_the_batch_does_not_take_are_named(model):
     with pytest.raises(ModelError, match="expected numbers for the method 'batch', found SX"):
         rollouts(model, {}, rates(1) | {"steer_rate": 0.1 * t}, T, method="batch")
     vehicle = catalog.three_wheeler(axle="fixed")
-    for other in (dynamics(vehicle, hills()), quasi_statics(vehicle, hills(), law=Soil())):
-        with pytest.raises(ModelError, match="expected a model of kinematics, or of quasi-statics"):
-            settle_many(other, x=0.0)
+    with pytest.raises(ModelError, match="expected a model of kinematics or quasi-statics"):
+        settle_many(dynamics(vehicle, hills()), x=0.0)
     with pytest.raises(ModelError, match="expected numbers or arrays of one shape"):
         settle_many(model, x=np.zeros(2), y=np.zeros(3))
     with pytest.raises(ModelError, match="unknown 'z'"):
         settle_many(model, z=np.zeros(2))
+
+
+def test_motions_on_soil_follow_jumps_from_rest():
+    """From rest, and at jumps of the rates, forces of soil are found as by `simulate`."""
+    model = quasi_statics(catalog.three_wheeler(axle="fixed"), hills(), law=Soil())
+    wheels = np.array([[[1.0, 0.8], [1.0, 1.2]], [[0.2, 1.5], [0.3, 1.4]]])  # [rad/s]
+    inputs = {"right_rate": wheels[:, 0], "left_rate": wheels[:, 1], "steer_rate": 0.1}
+    t, names = np.array([0.0, 0.3, 0.6]), ["x", "y", "sinkage", "slip_along", "force_across"]
+    options = SolverOptions(tolerance=1e-8)
+    exact = rollouts(model, {}, inputs, t, quantities=names, options=options)
+    evaluate = evaluator_of(model, compiled=False)
+    order = [label.full for label in leaves(model.labels.u)]
+    assert order == ["right_rate", "left_rate", "steer_rate"]
+    columns = np.array([wheels[:, 0], wheels[:, 1], np.full((2, 2), 0.1)]).transpose(0, 2, 1)
+    states = start_states(evaluate.graphs, {"x": np.zeros(2)})
+    lanes = run_lanes(evaluate, states, columns, t, step=0.05, quantities=names)
+    assert lanes.outcomes == ["complete"] * 2
+    for name in names:
+        size = model.size_of(lanes.columns[name].label)
+        assert_allclose(lanes.columns[name].values, exact[name], atol=1e-6 * size, err_msg=name)
+    assert (lanes.error < 1e-6).all()
 
 
 def test_one_motion_is_refined_to_the_tolerance(model):

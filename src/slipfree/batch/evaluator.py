@@ -94,7 +94,7 @@ class Evaluator(Protocol):
         states: Array,
         rates: Array,
         h: Array,
-        count: Indices | None,
+        count: Indices,
         bounds: tuple[float, float],
     ) -> tuple[Array, Mask] | None:
         """Return the result of compiled steps; None without them."""
@@ -185,7 +185,7 @@ class _Compiled:
         states: Array,
         rates: Array,
         h: Array,
-        count: Indices | None,
+        count: Indices,
         bounds: tuple[float, float],
     ) -> tuple[Array, Mask] | None:
         """Return the states after steps, and which lanes are solved, as `motion.advance`.
@@ -196,8 +196,7 @@ class _Compiled:
         if self._advance is None:
             return None
         n = states.shape[1]
-        count = np.ones(n) if count is None else count
-        states, rates, h, count = (
+        states, rates, h, counts = (
             np.ascontiguousarray(each, dtype=float) for each in (states, rates, h, count)
         )
         results = np.empty((len(states) + 1, n))
@@ -207,7 +206,7 @@ class _Compiled:
             ctypes.c_long(states.strides[0] // 8),
             ctypes.c_void_p(rates.ctypes.data),
             ctypes.c_void_p(h.ctypes.data),
-            ctypes.c_void_p(count.ctypes.data),
+            ctypes.c_void_p(counts.ctypes.data),
             *(ctypes.c_double(each) for each in bounds),
             ctypes.c_void_p(results.ctypes.data),
             ctypes.c_void_p(self._constants.ctypes.data),

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.core.dae import Dae, PlacedCheck
+from slipfree.core.dae import Continuation, Dae, PlacedCheck
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import Lookup, found_column, needed_lookups
@@ -24,6 +24,7 @@ from slipfree.core.records import Array, leaves, pack
 SAMPLES = 12  # random states at which pivots are chosen
 MIN_PIVOT = 0.02  # smallest pivot, relative to the largest entry of its row
 GUESS_SPREAD = 0.1  # of unknowns other than rates [typical size]
+MAX_STEP = 0.25  # largest Newton step of a rate without projection [typical size]
 JOINT_SPREAD = 0.5  # standard deviation of the random joint angles [rad]
 Solve = Callable[[ca.SX, ca.SX], ca.SX]
 
@@ -58,7 +59,8 @@ class StateRows(NamedTuple):
     ``x``, ``p`` and ``q`` are integrated: the states, the positions (first block of the unknowns),
     and the quadratures that do not depend on forces. ``w`` are the other unknowns of the motion,
     ``f`` the unknowns that follow from it, ``u`` the inputs, ``c`` the parameters of the model,
-    ``lag`` the lag of a model whose last states relax, and ``t`` is the time.
+    ``stage`` the continuation parameter of a law without projection, ``lag`` the lag of a model
+    whose last states relax, and ``t`` is the time.
     """
 
     x: slice
@@ -68,6 +70,7 @@ class StateRows(NamedTuple):
     f: slice
     u: slice
     c: slice
+    stage: slice
     lag: slice
     t: slice
 
@@ -128,6 +131,12 @@ class Graphs(NamedTuple):
     def explicit(self) -> bool:
         """Whether rates follow from linear equations, and no states relax."""
         return self.linear and self.dae.lag is None
+
+    @property
+    def stages(self) -> tuple[float, ...]:
+        """Values of the continuation parameter; none if it is not a row of the states."""
+        continuation = _continuation(self.dae)
+        return () if continuation is None else continuation.values
 
     @property
     def every(self) -> tuple[Graph, ...]:
@@ -194,11 +203,10 @@ def _checks_of(dae: Dae) -> tuple[PlacedCheck, ...]:
     checks = tuple(check for check in dae.checks if isinstance(check, PlacedCheck))
     other = dae.standing is not None or len(dae.alg) < 3 or len(checks) < len(dae.checks)
     relaxes = dae.rest.numel() and dae.linear is None
-    continued = dae.continuation is not None and not dae.discs
-    if other or relaxes or continued:
+    if other or relaxes:
         raise ModelError(
-            "batch: expected a model of kinematics, or of quasi-statics with Coulomb friction, "
-            "found another one; use method='simulate'"
+            "batch: expected a model of kinematics or quasi-statics, found another one; use "
+            "method='simulate'"
         )
     return checks
 
@@ -208,7 +216,14 @@ def _state_columns(dae: Dae, unknowns: tuple[ca.SX, ca.SX, ca.SX], quadratures: 
     (x, _, u), (p, w, f) = dae.columns(), unknowns
     parameters = ca.vertcat(ca.SX(0, 1), *(each.symbol for each in dae.p))
     lag = ca.SX(0, 1) if dae.lag is None else dae.lag
-    return [x, p, ca.SX.sym("q", quadratures), w, f, u, parameters, lag, dae.t]
+    continuation = _continuation(dae)
+    stage = ca.SX(0, 1) if continuation is None else continuation.symbol
+    return [x, p, ca.SX.sym("q", quadratures), w, f, u, parameters, stage, lag, dae.t]
+
+
+def _continuation(dae: Dae) -> Continuation | None:
+    """Return the continuation that jumps may need: that of laws without projection into discs."""
+    return None if dae.discs else dae.continuation
 
 
 def _moved(
@@ -268,6 +283,8 @@ def _rates(dae: Dae, w: ca.SX, eliminate: Solve) -> tuple[ca.SX, ca.SX]:
         rates[j] /= size
     count = dae.alg[0].numel()
     step = (rates - w) / ca.DM(dae.scale)[count : count + w.numel()]
+    if _continuation(dae) is not None:
+        rates = w + (rates - w) * ca.fmin(1, MAX_STEP / ca.norm_inf(step))
     return rates, ca.norm_1(step) ** 2
 
 
@@ -300,7 +317,9 @@ def _with(expressions: list[ca.SX], symbols: ca.SX, values: ca.SX) -> list[ca.SX
 
 
 def _graph(dae: Dae, state: ca.SX, name: str, results: Sequence[ca.SX]) -> Graph:
-    column = ca.densify(ca.vertcat(*dae.without_continuation(list(results))))
+    if _continuation(dae) is None:
+        results = dae.without_continuation(results)
+    column = ca.densify(ca.vertcat(*results))
     lookups = needed_lookups(dae.lookups, [column])
     inputs = [state, found_column(lookups)]
     ends = np.cumsum([0, *(each.numel() for each in results)]).tolist()
@@ -330,6 +349,9 @@ def _elimination(dae: Dae, state: ca.SX, rows: StateRows) -> Solve:
     )
     for k, each in enumerate(dae.p):
         samples[rows.c.start + k] = each.value
+    continuation = _continuation(dae)
+    if continuation is not None:
+        samples[rows.stage] = continuation.values[0]
     (guessed,) = evaluate(guess, samples[rows.x], samples[rows.c])
     unknowns = np.split(guessed, np.cumsum([r.stop - r.start for r in rows.z[:2]]))
     samples[rows.p], samples[rows.f] = unknowns[0], unknowns[2]

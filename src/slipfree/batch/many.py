@@ -99,7 +99,7 @@ def settle_many(
     Parameters
     ----------
     model : Dae
-        Model of kinematics, or of quasi-statics with Coulomb friction.
+        Model of kinematics or quasi-statics.
     quantities : sequence of str, optional
         Names of the quantities to keep; by default the states and the other coordinates of the
         pose.
@@ -273,6 +273,7 @@ def start_states(graphs: Graphs, start: Mapping[str, Array]) -> Array:
             )
         states[k] = values - dae.shift[0][k]
     states[rows.c] = np.reshape([parameter.value for parameter in dae.p], (-1, 1))
+    states[rows.stage] = np.reshape(graphs.stages[-1:], (-1, 1))
     return states
 
 
@@ -291,6 +292,7 @@ def assemble_state(graphs: Graphs, x: Array, z: Array, q: Array) -> Array:
     for part, values in zip(rows.z, np.split(z, edges), strict=True):
         state[part] = values
     state[rows.c] = [parameter.value for parameter in graphs.dae.p]
+    state[rows.stage] = graphs.stages[-1:]
     return state
 
 

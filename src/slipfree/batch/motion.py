@@ -25,7 +25,7 @@ ORDER, RELAXING_ORDER = 3, 1
 MAX_CHANGE = 0.3  # largest correction of the positions by a Newton step [typical sizes]
 MAX_ERROR = 1e-6  # of the rates: residual of linear equations, or square of the last Newton step
 MAX_RATE_STEPS = 40  # further Newton steps of the rates, after jumps of the inputs
-REFINEMENTS = (8, 64)  # factors of smaller steps for lanes whose corrections are too large
+REFINEMENT, MAX_TRIES = 8, 3  # shorter steps where corrections are too large
 CROSSING_TOLERANCE = 1e-6  # width of the final bracket of a crossing [s]
 FIRST_STEP, STEP_GROWTH, MAX_RELAXATIONS = 0.005, 1.15, 160  # of the relaxation to rest [s]
 MAX_RELAXATION = 0.1  # longest step of the relaxation [size]
@@ -102,14 +102,13 @@ def integrate_lanes(
     """
     with np.errstate(all="ignore"):
         motions = _integrate(evaluate, states, inputs, t, step, certify=certify)
-        for refinement in REFINEMENTS:
+        for k in range(1, MAX_TRIES):
             # where half the step fails, nothing is known of the error
             again = np.isnan(motions.error) & (motions.reason != INVALID_START)
-            again |= motions.reason == UNSOLVED
             if not again.any():
                 break
             chosen = states[:, again], inputs[..., again]
-            finer = _integrate(evaluate, *chosen, t, step / refinement, certify=certify)
+            finer = _integrate(evaluate, *chosen, t, step / REFINEMENT**k, certify=certify)
             for values, new in zip(motions, finer, strict=True):
                 values[..., again] = new
     return motions
@@ -157,8 +156,8 @@ class _Interval(NamedTuple):
 
     def until(self, lanes: Indices, time: Array, row: slice) -> tuple[_Step, Indices]:
         """Return the first steps of lanes on their way to a time, and their numbers."""
-        states, rates, number = (each[..., lanes] for each in self)
-        return _Step(states, rates, (time - states[row][0]) / number), number
+        states, number = self.states[:, lanes], self.number[lanes]
+        return _Step(states, self.rates[:, lanes], (time - states[row][0]) / number), number
 
 
 class _Run:
@@ -182,9 +181,10 @@ class _Run:
         self.evaluate, self.rows, self.step = evaluate, evaluate.graphs.rows, step
         self.first, self.inputs, self.t = states, inputs, t
         self.interval: _Interval | None = None
-        self.near = list[tuple[Indices, Array, _Step, Indices]]()  # lanes of `_search_contacts`
+        self.near = list[tuple[Indices, _Step, Indices]]()  # lanes of `_search_contacts`
         self.advance = advance if evaluate.graphs.dae.lag is None else advance_relaxing
         self.counts = np.zeros((t.size - 1, count), dtype=int)
+        self.tries = np.ones(count, dtype=int)  # to reach the next sample
         self.certify = certify
         self.kept = slice(None) if kept is None else kept
         self.samples = np.full((t.size, *states[self.kept].shape), np.nan)
@@ -194,27 +194,16 @@ class _Run:
     def run(self, *, counts: Array | None = None) -> None:
         """Integrate; with given numbers of steps, limits are not evaluated."""
         lanes, states, limited = np.arange(self.end.size), self.first.copy(), counts is None
+        before: _Step | None = None
         if limited:
             states[self.rows.u], states[self.rows.t] = self.inputs[:, 0], self.t[0]
             self.distances = solve_forces(self.evaluate, states)
-        before: _Step | None = None
         for k, now in enumerate(self.t):
-            if k < self.t.size - 1:
-                states[self.rows.u] = self.inputs[:, k, lanes]
-            states[self.rows.t] = now
-            rates, good, speed, margin = self._checked(states, limited=limited)
-            kept = good & (margin >= 0)
             if limited:
-                self._end(lanes, states, before, good, kept)
-            lanes, states, rates, speed = (
-                _of(kept, each) for each in (lanes, states, rates, speed)
-            )
-            if limited and self.certify:
-                bad = ~(clearances(self.evaluate, states).min(axis=0) >= 0)
-                self._end_at_checks(_of(bad, lanes), _of(bad, states))
-                lanes, states, rates, speed = (
-                    _of(~bad, each) for each in (lanes, states, rates, speed)
-                )
+                lanes, states, rates, speed = self._arrive(lanes, states, before, k)
+            else:
+                self._enter(states, lanes, k)
+                rates, _, speed = derivatives(self.evaluate, states)
             self.samples[k][:, lanes] = states[self.kept]
             if k == self.t.size - 1:
                 break
@@ -224,68 +213,112 @@ class _Run:
             if not lanes.size:
                 break
             span = self.t[k + 1] - now
-            if counts is None:
-                self.counts[k, lanes] = _numbers(speed * span / self.step)
-                number = self.counts[k, lanes]
-            else:
-                number = counts[k, lanes]
+            number = _numbers(speed * span / self.step) if counts is None else counts[k, lanes]
             if np.ptp(number):  # lanes of a vector take as many steps as the slowest one
                 order = np.argsort(number, kind="stable")
                 lanes, number, states, rates = (
-                    each[..., order] for each in (lanes, number, states, rates)
+                    lanes[order],
+                    number[order],
+                    states[:, order],
+                    rates[:, order],
                 )
             step = _Step(states, rates, span / number)
             if limited:
-                self._begin(lanes, step, number)
-                lanes, states, before = self._advance_to_sample(lanes, step, number)
+                self.tries[lanes] = 1
+                lanes, states, before = self._advance_to_sample(lanes, step, number, k)
             else:
                 states, _ = self.advance(self.evaluate, *step, number)
         self._search_contacts()
 
+    def _enter(self, states: Array, lanes: Indices, k: int) -> None:
+        """Set the time of a sample, and the inputs of the interval that follows."""
+        states[self.rows.t] = self.t[k]
+        if k < self.t.size - 1:
+            states[self.rows.u] = self.inputs[:, k, lanes]
+
+    def _arrive(
+        self, lanes: Indices, states: Array, before: _Step | None, k: int
+    ) -> tuple[Indices, Array, Array, Array]:
+        """End lanes at a sample; return the others, their states, rates and speeds.
+
+        Lanes without rates there come once more from the sample before, in shorter steps.
+        """
+        self._enter(states, lanes, k)
+        rates, good, speed, margin = self._checked(states)
+        again = ~good & (self.tries[lanes] < MAX_TRIES)
+        if before is not None and self.interval is not None and again.any():
+            some = _of(again, lanes)
+            step, number = self.interval.until(some, np.full(some.size, self.t[k]), self.rows.t)
+            self.tries[some] += 1
+            step, number = step._replace(h=step.h / REFINEMENT), number * REFINEMENT
+            there, came, last = self._advance_to_sample(some, step, number, k - 1)
+            rest = ~again
+            lanes = np.concatenate([_of(rest, lanes), there])
+            states = np.concatenate([_of(rest, states), came], axis=1)
+            pairs = zip(before.of(rest), last, strict=True)
+            before = _Step(*(np.concatenate(pair, axis=-1) for pair in pairs))
+            return self._arrive(lanes, states, before, k)
+        kept = good & (margin >= 0)
+        self._end(lanes, states, before, good, kept)
+        lanes, states, rates, speed = (_of(kept, each) for each in (lanes, states, rates, speed))
+        if not self.certify:
+            return lanes, states, rates, speed
+        clear = clearances(self.evaluate, states).min(axis=0) >= 0
+        self._end_at_checks(_of(~clear, lanes), _of(~clear, states))
+        return _of(clear, lanes), _of(clear, states), _of(clear, rates), _of(clear, speed)
+
     def _begin(self, lanes: Indices, step: _Step, number: Indices) -> None:
         if self.interval is None:
             shapes = ((*each.shape[:-1], self.end.size) for each in (step.states, step.rates))
-            self.interval = _Interval(*(np.empty(n) for n in shapes), np.ones(self.end.size, int))
+            first, rates = (np.empty(shape) for shape in shapes)
+            self.interval = _Interval(first, rates, np.ones(self.end.size, dtype=int))
         for values, new in zip(self.interval, (step.states, step.rates, number), strict=True):
             values[..., lanes] = new
 
     def _advance_to_sample(
-        self, lanes: Indices, step: _Step, number: Indices
+        self, lanes: Indices, step: _Step, number: Indices, interval: int
     ) -> tuple[Indices, Array, _Step]:
-        """Return the lanes that reach the next sample, their states and last steps."""
+        """Return the lanes that reach the next sample, their states and last steps.
+
+        Lanes whose corrections are too large start again from the last sample in shorter steps.
+        """
         arrived = list[tuple[Any, ...]]()
-        k = 0
-        while True:
-            k += 1
-            states, solved = self.advance(self.evaluate, *step)
-            self._end(lanes, states, step, solved, solved)
-            here = solved & (number == k)
-            arrived.append((_of(here, lanes), _of(here, states), *step.of(here)))
-            on_way = solved & (number > k)
-            if not on_way.any():
-                break
-            lanes, states, step, number = (
-                _of(on_way, lanes),
-                _of(on_way, states),
-                step.of(on_way),
-                _of(on_way, number),
-            )
-            rates, good, _, margin = self._checked(states, limited=True)
-            kept = good & (margin >= 0)
-            self._end(lanes, states, step, good, kept)
-            lanes, states, number = (_of(kept, each) for each in (lanes, states, number))
-            step = _Step(states, _of(kept, rates), _of(kept, step.h))
+        while lanes.size:
+            self.counts[interval, lanes] = number
+            self._begin(lanes, step, number)
+            again = self._attempt(lanes, step, number, arrived)
+            lanes, number, step = _of(again, lanes), _of(again, number), step.of(again)
+            self.tries[lanes] += 1
+            step, number = step._replace(h=step.h / REFINEMENT), number * REFINEMENT
         lanes, states, *last = (
             rows[0] if len(rows) == 1 else np.concatenate(rows, axis=-1)
             for rows in zip(*arrived, strict=True)
         )
         return lanes, states, _Step(*last)
 
-    def _checked(self, states: Array, *, limited: bool) -> tuple[Array, Mask, Array, Array]:
+    def _attempt(
+        self, lanes: Indices, step: _Step, number: Indices, arrived: list[tuple[Any, ...]]
+    ) -> Mask:
+        """Append lanes that reach the sample to ``arrived``; return which should start again."""
+        every, failed = lanes, list[Indices]()
+        for k in range(1, number.max() + 1):
+            states, solved = self.advance(self.evaluate, *step, np.ones(lanes.size, dtype=int))
+            failed.append(self._end(lanes, states, step, solved, solved))
+            here, on_way = solved & (number == k), solved & (number > k)
+            arrived.append((_of(here, lanes), _of(here, states), *step.of(here)))
+            if not on_way.any():
+                break
+            lanes, states, number = (_of(on_way, each) for each in (lanes, states, number))
+            step = step.of(on_way)
+            rates, good, _, margin = self._checked(states)
+            kept = good & (margin >= 0)
+            failed.append(self._end(lanes, states, step, good, kept))
+            lanes, states, number = (_of(kept, each) for each in (lanes, states, number))
+            step = _Step(states, _of(kept, rates), _of(kept, step.h))
+        return np.isin(every, np.concatenate(failed))
+
+    def _checked(self, states: Array) -> tuple[Array, Mask, Array, Array]:
         """Return the results of `derivatives`, and the least distances to the limits."""
-        if not limited:  # a bad motion gives a large estimate of the error
-            rates, good, speed = derivatives(self.evaluate, states)
-            return rates, np.ones_like(good), speed, np.ones_like(speed)
         graph = self.evaluate.graphs.checked
         values = _iterated(self.evaluate, graph, states)
         result = _derivatives(self.evaluate, graph, values, states)
@@ -303,15 +336,17 @@ class _Run:
 
     def _end(
         self, lanes: Indices, states: Array, before: _Step | None, good: Mask, kept: Mask
-    ) -> None:
-        """End lanes that are not solved or beyond a limit, which is located in the last step."""
-        if kept.all():
-            return
-        unsolved, limited = ~good, good & ~kept
+    ) -> Indices:
+        """End lanes beyond a limit, located in the last step, and lanes that are not solved.
+
+        Of the latter, those are returned instead that may start again in shorter steps.
+        """
+        again = ~good & (self.tries[lanes] < MAX_TRIES)
+        unsolved, limited = ~good & ~again, good & ~kept
         if before is None:
-            self.reason[lanes[unsolved]], self.reason[lanes[limited]] = UNSOLVED, INVALID_START
+            self.reason[lanes[~good]], self.reason[lanes[limited]] = UNSOLVED, INVALID_START
             self._close(_of(~kept, lanes), _of(~kept, states), _of(~kept, states))
-            return
+            return lanes[:0]
         if unsolved.any():
             which, step = _of(unsolved, lanes), before.of(unsolved)
             self.reason[which] = UNSOLVED
@@ -334,14 +369,15 @@ class _Run:
                 close = clearances(self.evaluate, low).min(axis=0) < near
                 which, low = _of(close, which), _of(close, low)
                 first = self.interval.until(which, low[self.rows.t][0], self.rows.t)
-                self.near.append((which, low, *first))
+                self.near.append((which, *first))
+        return lanes[again]
 
     def _search_contacts(self) -> None:
         """End lanes at a second contact that came and went between the last sample and a limit."""
         if not self.near:
             return
-        lanes, _, steps, number = zip(*self.near, strict=True)
-        lanes, number = np.concatenate(lanes), np.concatenate(number)
+        ended, steps, numbers = zip(*self.near, strict=True)
+        lanes, number = np.concatenate(ended), np.concatenate(numbers)
         step = _Step(*(np.concatenate(rows, axis=-1) for rows in zip(*steps, strict=True)))
         for part in range(1, PARTS + 1):
             at, _ = self.advance(self.evaluate, *step._replace(h=step.h * part / PARTS), number)
@@ -404,7 +440,7 @@ class _Run:
             part = step.of(wide)
             part = part._replace(h=part.h * share)
             states, solved = self.advance(self.evaluate, *part, count[wide])
-            _, good, _, distance = self._checked(states, limited=True)
+            _, good, _, distance = self._checked(states)
             value = np.where(solved & good, margin(states, distance), np.nan)
             fine = value >= 0  # not for NaN
             shares = np.full(high.shape, 0.0)
@@ -427,7 +463,8 @@ def _numbers(least: Array) -> Indices:
     Few different numbers occur then, and lanes with the same one are computed together.
     """
     power = 2.0 ** np.ceil(np.log2(np.clip(np.ceil(least - 1e-9), 1, MAX_STEPS)))
-    return np.where((least <= 0.75 * power) & (power > 2), 0.75 * power, power).astype(int)
+    power *= np.where((least <= 0.75 * power) & (power > 2), 0.75, 1.0)
+    return np.asarray(power, dtype=int)
 
 
 def _smallest(values: Array) -> Indices:
@@ -495,18 +532,37 @@ def derivatives(evaluate: Evaluator, states: Array) -> tuple[Array, Mask, Array]
 
 
 def _iterated(evaluate: Evaluator, graph: Graph, states: Array) -> Array:
-    """Return the results of a graph after as many Newton steps of the rates as a lane needs."""
+    """Return the results of a graph after as many Newton steps of the rates as a lane needs.
+
+    A law with a continuation parameter is solved at all its values where the steps do not converge.
+    """
     values = evaluate(graph, states)
-    rows, w, error = evaluate.graphs.rows, graph.parts[RATES], graph.parts[ERROR]
+    rows, stages = evaluate.graphs.rows.stage, evaluate.graphs.stages
+    rough = _repeat(evaluate, graph, states, values)
+    if not stages or not rough.any():
+        return values
+    some = states[:, rough]
+    for stage in stages:
+        some[rows] = stage
+        more = evaluate(graph, some)
+        _repeat(evaluate, graph, some, more)
+        some[evaluate.graphs.rows.w] = more[graph.parts[RATES]]
+    values[:, rough] = more
+    return values
+
+
+def _repeat(evaluate: Evaluator, graph: Graph, states: Array, values: Array) -> Mask:
+    """Repeat Newton steps of the rates in ``values``; return which lanes are not solved."""
+    w, error = graph.parts[RATES], graph.parts[ERROR]
     for _ in range(MAX_RATE_STEPS):
-        rough = values[error][0] > MAX_ERROR
+        rough = np.asarray(values[error][0] > MAX_ERROR)
         if not rough.any():
             break
         some = _of(rough, states)
         some = some.copy() if some is states else some
-        some[rows.w] = values[w][:, rough]
+        some[evaluate.graphs.rows.w] = values[w][:, rough]
         values[:, rough] = evaluate(graph, some)
-    return values
+    return np.asarray(~(values[error][0] <= MAX_ERROR))
 
 
 def _derivatives(
@@ -516,17 +572,19 @@ def _derivatives(
     rates, p, w, change, error, speed = graph.parts[:6]
     states[rows.p], states[rows.w] = values[p], values[w]
     good = (values[change][0] < MAX_CHANGE) & (values[error][0] <= MAX_ERROR)
+    if not good.all():
+        values[rates, ~good] = np.nan  # such a lane needs no more Newton steps
     return values[rates], good, values[speed][0]
 
 
 def advance(
-    evaluate: Evaluator, states: Array, rates: Array, h: Array, count: Indices | None = None
+    evaluate: Evaluator, states: Array, rates: Array, h: Array, count: Indices
 ) -> tuple[Array, Mask]:
     """Return the states after steps of Ralston's third-order method, and which are solved.
 
     A. Ralston, Runge-Kutta methods with minimum error bounds, Math. Comp. 16 (1962), eq. (4.1). The
     positions of the result are predicted, not yet corrected. The compiled code does the same.
-    ``count`` are the numbers of steps of the lanes, one by default.
+    ``count`` are the numbers of steps of the lanes.
     """
     compiled = evaluate.advance(states, rates, h, count, (MAX_CHANGE, MAX_ERROR))
     if compiled is not None:
@@ -535,7 +593,7 @@ def advance(
 
 
 def advance_relaxing(
-    evaluate: Evaluator, states: Array, rates: Array, h: Array, count: Indices | None = None
+    evaluate: Evaluator, states: Array, rates: Array, h: Array, count: Indices
 ) -> tuple[Array, Mask]:
     """Return the states after steps of a model whose last states relax, and which are solved.
 
@@ -551,11 +609,11 @@ def _repeated(
     states: Array,
     rates: Array,
     h: Array,
-    count: Indices | None,
+    count: Indices,
 ) -> tuple[Array, Mask]:
     """Return the states after one step, or as many as each lane needs, and which are solved."""
     states, solved = step(states, rates, h)
-    for k in range(1, 1 if count is None else count.max(initial=1)):
+    for k in range(1, count.max(initial=1)):
         on_way = count > k
         some = states[:, on_way]
         rates, good, _ = derivatives(evaluate, some)

@@ -29,8 +29,8 @@ class SolverOptions:
         for motions with them, which CVODES cannot solve. The error test of CVODES includes the
         quadratures. ``"explicit"`` are the fixed steps of the batch (`slipfree.rollouts`), refined
         until the estimated error of ``x`` and ``y`` at the end is below the tolerance; for
-        kinematics, and quasi-statics with Coulomb friction, with inputs that are numbers. It is
-        fast if compiled, for tolerances from about 1e-6.
+        kinematics and quasi-statics with inputs that are numbers. It is fast if compiled, for
+        tolerances from about 1e-6.
     compiled : bool
         Whether to compile the equations with the system's C compiler; the libraries are cached.
         Without a compiler the equations are interpreted, and a warning gives the reason.

@@ -87,9 +87,8 @@ def rollouts(
         Number of processes, at most the number of available cores. Other processes import the main
         module: protect a script by ``if __name__ == "__main__":``.
     method : {"simulate", "batch"}
-        Method of the simulations. The batch requires a model of kinematics, or of quasi-statics
-        with Coulomb friction, and inputs that are numbers. It computes work and the rows of
-        the solver's report for no run.
+        Method of the simulations. The batch requires a model of kinematics or quasi-statics, and
+        inputs that are numbers. It computes work and the rows of the solver's report for no run.
     step : float, optional
         Largest length of a step of the batch along the path; by default half the size of the
         vehicle. [m]
