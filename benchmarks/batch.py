@@ -19,12 +19,16 @@
     One motion by ``SolverOptions(method="explicit")`` and by IDAS: times and errors by tolerance.
 ``machines``
     Lanes, processes and interpreted graphs: rates and differences.
+``soak``
+    Rates and memory while a million motions are written to a file.
 
 Rates are the best of three repetitions.
 """
 
 from __future__ import annotations
 
+import resource
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -57,7 +61,7 @@ from slipfree.vehicle.tree import Vehicle
 
 T = np.linspace(0.0, 4.0, 11)
 SPEED, SPREAD, STEERING = 0.5, 0.1, 0.15  # [m/s], of the speed, [rad/s]
-RUNS, COMPARED = 512, 24
+RUNS, COMPARED, MANY = 512, 24, 1_000_000
 KEPT = ["x", "y"]
 
 
@@ -262,7 +266,7 @@ def poses() -> None:
 
 def ends() -> None:
     """Print outcomes and times of ends on rough maps, beside those of `simulate`."""
-    count = 40
+    count = 200
     for name, case in (("Rocky 7", CASES["Rocky 7"]), ("three-wheeler", CASES["three-wheeler"])):
         for rough_name, rough in ROUGH.items():
             model = direct_kinematics(case.vehicle, ground(*rough))
@@ -375,6 +379,26 @@ def machines() -> None:
     print("equal bits:", all(np.array_equal(results[1][key], results[2][key]) for key in KEPT))
 
 
+def soak() -> None:
+    """Print rates and the largest memory while a million motions of Rocky 7 are written to a file.
+
+    A row of the file has the samples of ``x`` and ``y`` of a motion.
+    """
+    model, size = model_of("Rocky 7"), 2**14
+    start = settle(model, y=-1.5)
+    with tempfile.TemporaryFile() as file:
+        begin = time.perf_counter()
+        for k in range(MANY // size + 1):
+            inputs = inputs_of(model, ROCKY, size, seed=k)
+            found = rollouts(model, start, inputs, T, method="batch", step=0.25, quantities=KEPT)
+            file.write(np.stack([found[name] for name in KEPT], axis=1).tobytes())
+            if k % 10 == 0:
+                peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+                rate = (k + 1) * size / (time.perf_counter() - begin)
+                text = f"{(k + 1) * size:8d} motions, {rate:6.0f}/s of wall time"
+                print(f"{text}, {file.tell() / 1e6:6.1f} MB, memory {peak:.0f} MiB", flush=True)
+
+
 def main() -> None:
     """Print the parts that the command line names."""
     run_parts(
@@ -386,6 +410,7 @@ def main() -> None:
             "ends": ends,
             "explicit": explicit,
             "machines": machines,
+            "soak": soak,
         }
     )
 

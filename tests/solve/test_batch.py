@@ -133,6 +133,24 @@ def test_compiled_and_interpreted_graphs_agree(model, rng):
         )
 
 
+def test_a_damaged_library_is_compiled_again(model, tmp_path, monkeypatch, rng):
+    """The compiled graphs are in the cache of all equations, private and with a checksum."""
+    monkeypatch.setenv(codegen_cache.FOLDER, str(tmp_path / "own"))
+    evaluator_of.cache_clear()
+    evaluate = evaluator_of(model)
+    states = start_states(evaluate.graphs, {"x": rng.normal(size=5)})
+    before = evaluate(evaluate.graphs.place, states)
+    (library,) = (tmp_path / "own").glob("*.so")
+    assert library.stat().st_mode & 0o077 == 0
+    content = library.read_bytes()
+    library.unlink()  # what is loaded from it stays
+    library.write_bytes(content[: len(content) // 2])
+    evaluator_of.cache_clear()
+    again = evaluator_of(model)
+    assert_array_equal(again(again.graphs.place, states), before)
+    assert library.read_bytes()[:100] == content[:100] and library.stat().st_size == len(content)
+
+
 def test_poses_equal_those_of_settle(model, rng):
     places = dict(zip("xy", rng.uniform(-3, 3, (2, 12)), strict=True))
     places["heading"] = rng.uniform(-3, 3, 12)
