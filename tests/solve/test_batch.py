@@ -148,7 +148,7 @@ def test_a_damaged_library_is_compiled_again(model, tmp_path, monkeypatch, rng):
     evaluator_of.cache_clear()
     again = evaluator_of(model)
     assert_array_equal(again(again.graphs.place, states), before)
-    assert library.read_bytes()[:100] == content[:100] and library.stat().st_size == len(content)
+    assert library.stat().st_size == len(content)
 
 
 def test_poses_equal_those_of_settle(model, rng):
