@@ -11,7 +11,7 @@ import ctypes
 import subprocess
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -71,10 +71,21 @@ CALLS = {
 }
 
 
-class Evaluator(Protocol):
-    """Evaluation of the graphs of a model at the columns of an array of states."""
+class GraphSet(Protocol):
+    """Graphs that are compiled together."""
 
-    graphs: Graphs
+    @property
+    def every(self) -> tuple[Graph, ...]:
+        """All graphs."""
+
+
+G = TypeVar("G", bound=GraphSet)
+
+
+class EvaluatorOf(Protocol[G]):
+    """Evaluation of graphs at the columns of an array of states."""
+
+    graphs: G
 
     def __call__(self, graph: Graph, states: Array, slope: float = 1.0) -> Array:
         """Return the results of a graph, shape (n_results, n).
@@ -100,6 +111,9 @@ class Evaluator(Protocol):
         """Return the result of compiled steps; None without them."""
 
 
+Evaluator = EvaluatorOf[Graphs]
+
+
 @lru_cache(maxsize=8)
 def evaluator_of(dae: Dae, *, compiled: bool = True, lanes: int | None = None) -> Evaluator:
     """Return the evaluator of a model: compiled, or interpreted if it cannot be compiled.
@@ -120,18 +134,25 @@ def evaluator_of(dae: Dae, *, compiled: bool = True, lanes: int | None = None) -
         If the model has no graphs; see `slipfree.batch.graph.graphs_of`.
     """
     graphs = graphs_of(dae)
-    every = graphs.every
-    if compiled and all(each.cells for graph in every for each in graph.lookups):
-        source = _Source(graphs)
+    steps = _step_code(graphs) if graphs.explicit else ""
+    return evaluator_of_graphs(graphs, steps, compiled=compiled, lanes=lanes)
+
+
+def evaluator_of_graphs(
+    graphs: G, steps: str = "", *, compiled: bool = True, lanes: int | None = None
+) -> EvaluatorOf[G]:
+    """Return the evaluator of graphs, with C code of steps that call them."""
+    if compiled and all(each.cells for graph in graphs.every for each in graph.lookups):
+        source = _Source(graphs.every, steps)
         if source.unknown is None and (loaded := _compiled(source, lanes)) is not None:
             return _Compiled(graphs, source, loaded)
     return _Interpreted(graphs)
 
 
-class _Interpreted:
+class _Interpreted(Generic[G]):
     """Evaluation by CasADi."""
 
-    def __init__(self, graphs: Graphs) -> None:
+    def __init__(self, graphs: G) -> None:
         self.graphs = graphs
 
     def __call__(self, graph: Graph, states: Array, slope: float = 1.0) -> Array:
@@ -150,13 +171,13 @@ class _Interpreted:
         """Return None: there are no compiled steps."""
 
 
-class _Compiled:
+class _Compiled(Generic[G]):
     """Evaluation by a compiled library."""
 
-    def __init__(self, graphs: Graphs, source: _Source, loaded: ctypes.CDLL) -> None:
+    def __init__(self, graphs: G, source: _Source, loaded: ctypes.CDLL) -> None:
         self.graphs = graphs
         self._functions = {name: getattr(loaded, name) for name in source.names}
-        self._advance = loaded.advance if graphs.explicit else None
+        self._advance = loaded.advance if source.has_steps else None
         self._constants = np.array([*source.constants, 0.0])
         self._tables = [np.ascontiguousarray(each.coefficients) for each in source.cells]
         self._cells = (_Cells * max(1, len(self._tables)))(
@@ -229,14 +250,12 @@ class _Cells(ctypes.Structure):
 class _Source:
     """C code of graphs, and the constants and cells that are its arguments."""
 
-    def __init__(self, graphs: Graphs) -> None:
-        self.names = tuple(graph.name for graph in graphs.every)
+    def __init__(self, graphs: tuple[Graph, ...], steps: str) -> None:
+        self.names, self.has_steps = tuple(graph.name for graph in graphs), bool(steps)
         self.unknown: int | None = None  # an operation without C code
         self._constants: dict[float, int] = {}
         self.cells: list[Cells] = []
-        self.code = "\n".join(self._graph(graph) for graph in graphs.every)
-        if graphs.explicit:
-            self.code += _step_code(graphs)
+        self.code = "\n".join((*(self._graph(graph) for graph in graphs), steps))
 
     @property
     def constants(self) -> tuple[float, ...]:

@@ -89,6 +89,8 @@ class Graphs(NamedTuple):
         The model.
     rows : StateRows
         StateRows of its states.
+    state : SX, shape (n_rows, 1)
+        Symbols of a state.
     quadratures : tuple of int
         Indices of the quadratures that are integrated.
     guess : Graph
@@ -116,6 +118,7 @@ class Graphs(NamedTuple):
 
     dae: Dae
     rows: StateRows
+    state: ca.SX
     quadratures: tuple[int, ...]
     guess: Graph
     place: Graph
@@ -162,7 +165,7 @@ def graphs_of(dae: Dae) -> Graphs:
     edges = np.cumsum([0, *(each.numel() for each in columns)]).tolist()
     rows = StateRows(*(slice(a, b) for a, b in pairwise(edges)))
     state = ca.vertcat(*columns)
-    eliminate = _elimination(dae, state, rows)
+    eliminate = elimination(dae, state, rows)
     quad = [dae.quad[k] for k in kept]
     distances, bounds = _distances(dae)
     scale = ca.DM(dae.scale)
@@ -180,11 +183,12 @@ def graphs_of(dae: Dae) -> Graphs:
     n_f = f.numel()
 
     def graph(name: str, *results: ca.SX) -> Graph:
-        return _graph(dae, state, name, results)
+        return graph_of(dae, state, name, results)
 
     return Graphs(
         dae,
         rows,
+        state,
         kept,
         graph("guess", *(dae.guess[a:b] for a, b in pairwise(ends)), dae.rest),
         graph("place", new_p, change),
@@ -316,7 +320,8 @@ def _with(expressions: list[ca.SX], symbols: ca.SX, values: ca.SX) -> list[ca.SX
     return list(ca.substitute(expressions, [symbols], [values])) if symbols.numel() else expressions
 
 
-def _graph(dae: Dae, state: ca.SX, name: str, results: Sequence[ca.SX]) -> Graph:
+def graph_of(dae: Dae, state: ca.SX, name: str, results: Sequence[ca.SX]) -> Graph:
+    """Return the graph of expressions of a model; ``state`` is the column of all its symbols."""
     if _continuation(dae) is None:
         results = dae.without_continuation(results)
     column = ca.densify(ca.vertcat(*results))
@@ -335,7 +340,7 @@ def _graph(dae: Dae, state: ca.SX, name: str, results: Sequence[ca.SX]) -> Graph
     )
 
 
-def _elimination(dae: Dae, state: ca.SX, rows: StateRows) -> Solve:
+def elimination(dae: Dae, state: ca.SX, rows: StateRows) -> Solve:
     """Return a function that solves linear systems of expressions by elimination."""
     rng = np.random.default_rng(0)
     samples = rng.normal(0.0, JOINT_SPREAD, (state.numel(), SAMPLES))

@@ -10,18 +10,20 @@ import numpy as np
 from slipfree.batch.evaluator import Evaluator, evaluator_of
 from slipfree.batch.graph import Graphs
 from slipfree.batch.motion import (
+    COMPLETE,
     INVALID_START,
     UNSOLVED,
     clearances,
     integrate_lanes,
     margins,
     relax,
+    smallest,
     solve_forces,
 )
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import Array, Label, Mask, leaves
+from slipfree.core.records import Array, Indices, Label, Mask, leaves
 from slipfree.core.trajectory import WHEELS, Column, Trajectory, require
 
 if TYPE_CHECKING:
@@ -212,25 +214,39 @@ def _newton(evaluate: Evaluator, states: Array, count: int, longest: float, ramp
     return solved
 
 
-def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, _Quantity]) -> _Poses:
-    """Return the poses of states."""
+def stand_checked(evaluate: Evaluator, states: Array) -> Indices:
+    """Let the vehicle stand at given states; return why each pose is none or not valid.
+
+    Codes are `COMPLETE`, `UNSOLVED` without a pose, the index of a violated limit, or, after the
+    limits, that of a failed check. The states get positions, rates and forces.
+    """
     graphs = evaluate.graphs
     solved = stand(evaluate, states)
     distances = solve_forces(evaluate, states)
-    inside = margins(distances) >= 0
-    outcomes = np.where(solved, "complete", FAILED).astype(object)
-    reasons = np.where(solved, "", NO_POSE).astype(object)
-    for k in np.flatnonzero(solved & ~inside):
-        limit = _worst(graphs, distances[:, k])
-        outcomes[k], reasons[k] = _limit_end(graphs, limit, states[:, k])
-    standing = solved & inside
-    clear = np.full((max(1, len(graphs.checks)), solved.size), np.inf)
-    clear[:, standing] = clearances(evaluate, states[:, standing])
-    for k in np.flatnonzero(~(clear.min(axis=0) >= 0)):
-        outcomes[k], reasons[k] = _check_end(graphs, int(clear[:, k].argmin()), states[:, k])
-    states[:, ~solved] = np.nan
+    codes = np.where(solved, COMPLETE, UNSOLVED)
+    beyond = solved & ~(margins(distances) >= 0)
+    if beyond.any():
+        worst = smallest(distances[:, beyond])
+        codes[beyond] = np.array(graphs.bounds)[worst]
+    inside = codes == COMPLETE
+    clear = clearances(evaluate, states[:, inside])
+    failed = np.where(clear.min(axis=0) >= 0, COMPLETE, smallest(clear) + len(graphs.dae.limits))
+    codes[inside] = failed
+    return codes
+
+
+def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, _Quantity]) -> _Poses:
+    """Return the poses of states."""
+    graphs = evaluate.graphs
+    codes = stand_checked(evaluate, states)
+    outcomes, reasons = ["complete"] * codes.size, [""] * codes.size
+    for k in np.flatnonzero(codes != COMPLETE):
+        outcomes[k], reasons[k] = FAILED, NO_POSE
+        if codes[k] != UNSOLVED:
+            outcomes[k], reasons[k] = _end(graphs, int(codes[k]), states[:, k])
+    states[:, codes == UNSOLVED] = np.nan
     values = _values(evaluate, sources, states[None])
-    return _Poses({n: v[:, 0] for n, v in values.items()}, list(outcomes), list(reasons))
+    return _Poses({n: v[:, 0] for n, v in values.items()}, outcomes, reasons)
 
 
 def _pose_dataset(sources: Mapping[str, _Quantity], parts: Sequence[_Poses]) -> xarray.Dataset:
@@ -390,11 +406,8 @@ def _run(
             "start: expected a sample within the limits of the model, found a violation: "
             f"{words}; choose another start or other inputs"
         )
-    count = len(graphs.dae.limits)
     for k in np.flatnonzero(motions.reason >= 0):
-        index, state = int(motions.reason[k]), motions.beyond[:, k]
-        message = _limit_end if index < count else _check_end
-        outcomes[k], reasons[k] = message(graphs, index % count, state)
+        outcomes[k], reasons[k] = _end(graphs, int(motions.reason[k]), motions.beyond[:, k])
     values = _values(evaluate, sources, motions.samples)
     columns = {name: Column(sources[name].label, each) for name, each in values.items()}
     end = np.where(found & (motions.reason != INVALID_START), motions.end, np.nan)
@@ -404,6 +417,14 @@ def _run(
 def _worst(graphs: Graphs, distances: Array) -> int:
     """Return the index of the limit that is violated most."""
     return graphs.bounds[int(np.where(np.isnan(distances), -np.inf, distances).argmin())]
+
+
+def _end(graphs: Graphs, code: int, state: Array) -> tuple[str, str]:
+    """Return outcome and message of a violated limit or, after the limits, of a failed check."""
+    count = len(graphs.dae.limits)
+    if code < count:
+        return _limit_end(graphs, code, state)
+    return _check_end(graphs, code - count, state)
 
 
 def _limit_end(graphs: Graphs, index: int, state: Array) -> tuple[str, str]:

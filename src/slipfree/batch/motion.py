@@ -39,6 +39,7 @@ SETTLED = 1e-3  # correction of the positions beyond a limit [typical sizes]
 POSITION_STEPS = 12  # most Newton steps of the positions at samples
 POSITION_CHANGE = 1e-6  # change that needs another step: the error is its square [typical sizes]
 FORCE_STEPS = 4  # Newton steps of the forces at a start, and repeated ones of a sample
+FORCE_CHANGE = 1e-12  # last one at a start [sum of the forces]
 RATES, CHANGE, ERROR, FORCES, DOUBT, DISTANCES = 2, 3, 4, 6, 7, 8  # parts of the graph "checked"
 COMPLETE, UNSOLVED, INVALID_START = -1, -2, -3  # ends without a limit
 
@@ -362,7 +363,7 @@ class _Run:
             distances, change = values[graph.parts[DISTANCES]], values[graph.parts[CHANGE]][0]
             # a contact that jumps has no limit to name
             lost |= ~(change < SETTLED) | ~(margins(distances) < 0)
-            self.reason[which] = np.where(lost, UNSOLVED, bounds[_smallest(distances)])
+            self.reason[which] = np.where(lost, UNSOLVED, bounds[smallest(distances)])
             self._close(which, low, high)
             if self.certify and self.interval is not None:
                 near = NEAR * self.evaluate.graphs.dae.size
@@ -399,7 +400,7 @@ class _Run:
             return
         if step is None:
             step, number = self.interval.until(lanes, states[self.rows.t][0], self.rows.t)
-        failed = _smallest(clearances(self.evaluate, states))
+        failed = smallest(clearances(self.evaluate, states))
         for check in np.unique(failed):
             chosen = failed == check
             margin = partial(_clearance, self.evaluate, int(check))
@@ -467,7 +468,7 @@ def _numbers(least: Array) -> Indices:
     return np.asarray(power, dtype=int)
 
 
-def _smallest(values: Array) -> Indices:
+def smallest(values: Array) -> Indices:
     """Return the row of the smallest value of each column, or of one that is not a number."""
     return np.asarray(np.where(np.isnan(values), -np.inf, values).argmin(axis=0))
 
@@ -483,11 +484,22 @@ def solve_forces(evaluate: Evaluator, states: Array) -> Array:
     The forces of a lane that is solved do not change, whatever the others need.
     """
     graph, rows = evaluate.graphs.checked, evaluate.graphs.rows
-    for _ in range(FORCE_STEPS):
-        values = _iterated(evaluate, graph, states)
-        _derivatives(evaluate, graph, values, states)
-        states[rows.f] = values[graph.parts[FORCES]]
-    distances: Array = values[graph.parts[DISTANCES]]
+    distances = np.empty((graph.parts[DISTANCES].stop - graph.parts[DISTANCES].start, 0))
+    lanes, part = np.arange(states.shape[1]), states
+    for k in range(FORCE_STEPS):
+        values = _iterated(evaluate, graph, part)
+        _derivatives(evaluate, graph, values, part)
+        change = np.abs(values[graph.parts[FORCES]] - part[rows.f]).sum(axis=0)
+        part[rows.f] = values[graph.parts[FORCES]]
+        found = values[graph.parts[DISTANCES]]
+        if k:
+            states[:, lanes], distances[:, lanes] = part, found
+        else:
+            distances = found.copy()
+        moving = ~(change <= FORCE_CHANGE * np.abs(part[rows.f]).sum(axis=0))
+        if not moving.any():
+            break
+        lanes, part = lanes[moving], part[:, moving]
     return distances
 
 

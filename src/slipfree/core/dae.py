@@ -267,6 +267,24 @@ class Parameter(NamedTuple):
     value: float
 
 
+class Holding(NamedTuple):
+    """Equilibrium of contact forces at rest: ``matrix.T @ forces + load = 0``.
+
+    Attributes
+    ----------
+    matrix : SX, shape (3 n_wheels, n_rates)
+        Derivatives of the slips along, across and normal to every wheel by the free rates. [1, m]
+    load : SX, shape (n_rates, 1)
+        Generalised forces of gravity, springs and dampers over the weight. [1, m]
+    friction : SX, shape (n_wheels, 1)
+        Coefficients of friction under the wheels. [1]
+    """
+
+    matrix: ca.SX
+    load: ca.SX
+    friction: ca.SX
+
+
 @dataclass(frozen=True, eq=False)
 class Dae(Generic[X, Z, U, Y]):
     """Semi-explicit DAE of index 1: ``x' = ode(t, x, z, u)``, ``0 = alg(t, x, z, u)``.
@@ -344,6 +362,9 @@ class Dae(Generic[X, Z, U, Y]):
         friction along and across a wheel. Newton's method without continuation needs them.
     leading_rates : SX, shape (k, 1)
         Rates of the first k unknowns of ``z``, if other unknowns determine them; empty otherwise.
+    holding : Holding or None
+        Equilibrium of the contact forces of rigid wheels at rest; None for other contacts, and for
+        vehicles without mass.
     p : tuple of Parameter
         Numbers that are symbols of the model. Solvers take models without parameters:
         `slipfree.core.rearrange.with_values` replaces the symbols by numbers.
@@ -404,6 +425,7 @@ class Dae(Generic[X, Z, U, Y]):
     lag: ca.SX | None = None
     discs: tuple[tuple[ca.SX, ca.SX], ...] = ()
     leading_rates: ca.SX = ca.SX(0, 1)  # noqa: RUF009 - never changed
+    holding: Holding | None = None
     p: tuple[Parameter, ...] = ()
     reported: Mapping[str, float] = field(default_factory=dict)
 

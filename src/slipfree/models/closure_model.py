@@ -11,7 +11,7 @@ import casadi as ca
 
 from slipfree.contact.certify import second_contacts
 from slipfree.contact.closure import closure, contact_frame
-from slipfree.core.dae import Continuation, Dae, Labels, Limit
+from slipfree.core.dae import Continuation, Dae, Holding, Labels, Limit
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import symbols
 from slipfree.geometry.frame import Pose
@@ -112,8 +112,14 @@ def closure_dae(
         lookups=q.lookups.lookups,
         linear=law.linear,
         discs=discs,
+        holding=_holding(q) if vehicle.mass else None,
         leading_rates=ca.vertcat(q.rates.z, q.rates.roll, q.rates.pitch, *q.rates.suspension),
     )
+
+
+def _holding(q: Quantities) -> Holding:
+    parts = q.mechanics
+    return Holding(parts.free, parts.load / parts.weight, ca.vertcat(*parts.friction))
 
 
 def _closures(q: Quantities) -> ca.SX:

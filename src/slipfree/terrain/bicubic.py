@@ -349,7 +349,7 @@ class Bicubic:
         i = ca.fmin(ca.fmax(ca.floor(a + KNOT_TOLERANCE), -i_0), i_last - i_0)
         j = ca.fmin(ca.fmax(ca.floor(b + KNOT_TOLERANCE), -j_0), j_last - j_0)
         c = ca.reshape(_gather_function(self._table)(ca.vertcat(i + i_0, j + j_0)), 4, 4)
-        left, right = (ca.DM(_middle_basis() / h ** np.arange(4)[:, None]) for h in (h_x, h_y))
+        left, right = (ca.DM(middle_basis() / h ** np.arange(4)[:, None]) for h in (h_x, h_y))
         center = [
             self.grid.x[i_0] - x_0 + (i + 0.5) * h_x,
             self.grid.y[j_0] - y_0 + (j + 0.5) * h_y,
@@ -410,7 +410,7 @@ def _solve_not_a_knot(values: Array) -> Array:
     return solution
 
 
-def _middle_basis() -> Array:
+def middle_basis() -> Array:
     """Return the four B-splines times six and their derivatives in the middle of a cell.
 
     The shape is (4, 4), with one row per order; derivatives are with respect to cell coordinates.

@@ -1,0 +1,367 @@
+"""Mobility maps: where and how a vehicle stands, for every node and heading of a map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slipfree.atlas.friction import (
+    FrictionGraphs,
+    Terms,
+    friction_graphs,
+    least_friction,
+)
+from slipfree.atlas.sensitivity import SensitivityGraph, height_errors, sensitivity_graph
+from slipfree.batch.evaluator import Evaluator, EvaluatorOf, evaluator_of, evaluator_of_graphs
+from slipfree.batch.graph import Graph, Graphs, graph_of
+from slipfree.batch.many import CHUNK, stand_checked, start_states
+from slipfree.batch.motion import COMPLETE
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Indices, Label, Mask, leaves
+from slipfree.terrain.base import Terrain
+
+TOLERANCE = 1e-3  # largest width of the bounds of the least friction coefficient
+STANDS = "the vehicle stands"
+NO_POSE = "no pose was found at which all wheels touch the ground"
+HEADINGS = 16
+TILE = 64  # nodes of the side of a tile
+LOW = Label("least_friction_low", "1", "coefficient of friction below which nothing holds")
+HIGH = Label("least_friction_high", "1", "coefficient of friction that surely holds the vehicle")
+REASON = Label("reason", "1", "why the vehicle does not stand; 0 if it stands")
+DEVIATION, WORST = "{}_deviation", "{}_worst"
+
+
+class Band(NamedTuple):
+    """A quantity of the poses: its label, and values of shape (n_headings, n_x, n_y)."""
+
+    label: Label
+    values: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Atlas:
+    """Poses of a vehicle at the nodes of a map, for several headings.
+
+    Attributes
+    ----------
+    x, y : ndarray, shapes (n_x,) and (n_y,)
+        Ascending map coordinates of the platform's centre. [m]
+    heading : ndarray, shape (n_headings,)
+        Headings. [rad]
+    bands : mapping of str to Band
+        Quantities by name; NaN where the vehicle does not stand.
+    reasons : tuple of str
+        Meanings of the values of the band ``reason``.
+    """
+
+    x: Array
+    y: Array
+    heading: Array
+    bands: Mapping[str, Band]
+    reasons: tuple[str, ...]
+
+    def __getitem__(self, name: str) -> Array:
+        """Return the values of a band, shape (n_headings, n_x, n_y)."""
+        if name not in self.bands:
+            raise ModelError(f"expected one of the bands {', '.join(self.bands)}, found {name!r}")
+        return self.bands[name].values
+
+    @property
+    def stands(self) -> Mask:
+        """Whether the vehicle stands, shape (n_headings, n_x, n_y)."""
+        return np.asarray(self["reason"] == 0)
+
+    def held(self, friction: float | Array) -> tuple[Mask, Mask]:
+        """Return where friction surely holds the vehicle, and where it surely does not.
+
+        Parameters
+        ----------
+        friction : float or ndarray, shape (n_x, n_y)
+            Coefficient of friction of the ground. [1]
+
+        Returns
+        -------
+        held, not_held : ndarray of bool, shape (n_headings, n_x, n_y)
+            Elsewhere the bounds do not decide. A vehicle that does not stand is not held.
+        """
+        high, low = self[HIGH.name], self[LOW.name]
+        return self.stands & (high <= friction), ~self.stands | (low > friction)
+
+    def share(self, **bounds: tuple[float, float]) -> Array:
+        """Return the share of headings at which the vehicle stands within bounds, (n_x, n_y).
+
+        Parameters
+        ----------
+        **bounds : tuple of 2 floats
+            Smallest and largest value of bands by name, in their units.
+        """
+        valid = self.stands.copy()
+        for name, (low, high) in bounds.items():
+            values = self[name]
+            valid &= (values >= low) & (values <= high)
+        return np.asarray(valid.mean(axis=0))
+
+    def extreme(self, name: str, *, largest: bool = True) -> tuple[Array, Array]:
+        """Return the largest or smallest value of a band over the headings, and that heading.
+
+        Both have the shape (n_x, n_y), and are NaN where the vehicle stands at no heading.
+        """
+        values = self[name]
+        empty = np.isnan(values).all(axis=0)
+        filled = np.where(np.isnan(values), -np.inf if largest else np.inf, values)
+        index = filled.argmax(axis=0) if largest else filled.argmin(axis=0)
+        chosen = np.take_along_axis(values, index[None], axis=0)[0]
+        return chosen, np.where(empty, np.nan, self.heading[index])
+
+
+class AtlasGraphs(NamedTuple):
+    """Graphs of the quantities of poses: equilibrium, least friction and errors of heights."""
+
+    hold: Graph | None
+    friction: FrictionGraphs | None
+    sensitivity: SensitivityGraph | None
+
+    @property
+    def every(self) -> tuple[Graph, ...]:
+        """All graphs."""
+        found = list[Graph]()
+        if self.hold is not None and self.friction is not None:
+            found += [self.hold, self.friction.start, self.friction.step]
+        if self.sensitivity is not None:
+            found.append(self.sensitivity.graph)
+        return tuple(found)
+
+
+class Poses(NamedTuple):
+    """What computes the poses of a model: evaluators, labels of the bands, and reasons."""
+
+    evaluate: Evaluator
+    more: EvaluatorOf[AtlasGraphs]
+    rows: Mapping[str, tuple[Label, Callable[[Array, Array], Array]]]
+    codes: Indices
+    reasons: tuple[str, ...]
+
+
+def atlas(
+    model: Dae,
+    terrain: Terrain,
+    *,
+    headings: int | Sequence[float] = HEADINGS,
+    x: Array | None = None,
+    y: Array | None = None,
+    error: float | None = None,
+    inputs: Mapping[str, float] | None = None,
+    tolerance: float = TOLERANCE,
+    compiled: bool = True,
+    progress: Callable[[float], object] | None = None,
+) -> Atlas:
+    """Return where and how a vehicle stands on a map, at many places and headings.
+
+    Poses, loads and limits are exact, those of `settle`: nothing is fitted to the ground under the
+    vehicle. The least coefficient of friction is enclosed by bounds: no distribution of forces
+    holds the vehicle below the lower one, and forces were found for the upper one.
+
+    Parameters
+    ----------
+    model : Dae
+        Model of kinematics or quasi-statics of the vehicle on the ground.
+    terrain : Terrain
+        The ground; a map gives the places by default.
+    headings : int or sequence of float
+        Number of equally spaced headings from zero, or headings. [rad]
+    x, y : ndarray, optional
+        Ascending map coordinates of the places; by default the nodes of the map. [m]
+    error : float, optional
+        Standard deviation and largest magnitude of the errors of the heights, for bands of the
+        resulting errors of roll, pitch and tip-over margin. [m]
+    inputs : mapping of str to float, optional
+        Inputs of the model at the poses, zero by default. On soil they set the slip. [rad/s, m/s]
+    tolerance : float
+        Width of the bounds of the least coefficient of friction that is aimed at. [1]
+    compiled : bool
+        Whether to compile the equations.
+    progress : callable, optional
+        Called with the finished share after each tile.
+
+    Raises
+    ------
+    ModelError
+        If the model is of another kind, a name is unknown, or places are missing.
+    """
+    axis = getattr(terrain, "grid", None)
+    x, y = (
+        getattr(axis, name, None) if given is None else np.asarray(given, dtype=float)
+        for name, given in (("x", x), ("y", y))
+    )
+    if x is None or y is None:
+        raise ModelError("atlas: expected a map, or the places 'x' and 'y', found none; give them")
+    turns = 2 * np.pi * np.arange(headings) / headings if isinstance(headings, int) else headings
+    heading = np.asarray(turns, dtype=float)
+    poses = poses_of(model, with_errors=error is not None, compiled=compiled)
+    shape = heading.size, x.size, y.size
+    labels = bands_of(poses, error=error)
+    values = {name: np.full(shape, np.nan, dtype=np.float32) for name in labels}
+    tiles = list(tiles_of(x.size, y.size))
+    for k, (i, j) in enumerate(tiles):
+        tile = tile_of(poses, x[i], y[j], heading, inputs or {}, error, tolerance)
+        for name, found in tile.items():
+            values[name][:, i, j] = found
+        if progress is not None:
+            progress((k + 1) / len(tiles))
+    bands = {name: Band(label, values[name]) for name, label in labels.items()}
+    return Atlas(x, y, heading, bands, poses.reasons)
+
+
+def tiles_of(n_x: int, n_y: int) -> Iterator[tuple[slice, slice]]:
+    """Yield the tiles of a map as slices of its two axes."""
+    for i in range(0, n_x, TILE):
+        for j in range(0, n_y, TILE):
+            yield slice(i, min(i + TILE, n_x)), slice(j, min(j + TILE, n_y))
+
+
+@lru_cache(maxsize=4)
+def poses_of(model: Dae, *, with_errors: bool, compiled: bool = True) -> Poses:
+    """Return what computes the poses of a model."""
+    evaluate = evaluator_of(model, compiled=compiled)
+    graphs, holding = evaluate.graphs, model.holding
+    hold = friction = None
+    if holding is not None:
+        entries = (holding.matrix.nz[:], holding.load, holding.friction)
+        hold = graph_of(model, graphs.state, "hold", entries)
+        friction = friction_graphs(holding.matrix.sparsity())
+    sensitivity = sensitivity_graph(graphs) if with_errors else None
+    more = evaluator_of_graphs(AtlasGraphs(hold, friction, sensitivity), compiled=compiled)
+    reasons, codes = _reasons(model)
+    return Poses(evaluate, more, _rows(graphs), codes, reasons)
+
+
+def bands_of(poses: Poses, *, error: float | None) -> dict[str, Label]:
+    """Return the labels of the bands."""
+    labels = {REASON.name: REASON} | {name: label for name, (label, _) in poses.rows.items()}
+    graphs = poses.more.graphs
+    if graphs.friction is not None:
+        labels |= {LOW.name: LOW, HIGH.name: HIGH}
+    if graphs.sensitivity is not None:
+        for name in graphs.sensitivity.names:
+            old = poses.rows[name][0]
+            for template, words in (
+                (DEVIATION, f"standard deviation for independent errors of heights of {error:g} m"),
+                (WORST, f"largest error, to first order, for errors of heights of {error:g} m"),
+            ):
+                new = template.format(name)
+                labels[new] = Label(new, old.unit, f"{old.words}: {words}")
+    return labels
+
+
+def tile_of(
+    poses: Poses,
+    x: Array,
+    y: Array,
+    heading: Array,
+    inputs: Mapping[str, float],
+    error: float | None,
+    tolerance: float,
+) -> dict[str, Array]:
+    """Return the bands of a tile, shape (n_headings, n_x, n_y)."""
+    places = np.stack([each.ravel() for each in np.meshgrid(heading, x, y, indexing="ij")])
+    parts = [
+        _bands(poses, places[:, k : k + CHUNK], inputs, error, tolerance)
+        for k in range(0, places.shape[1], CHUNK)
+    ]
+    shape = heading.size, x.size, y.size
+    return {name: np.concatenate([p[name] for p in parts]).reshape(shape) for name in parts[0]}
+
+
+def _bands(
+    poses: Poses,
+    places: Array,
+    inputs: Mapping[str, float],
+    error: float | None,
+    tolerance: float,
+) -> dict[str, Array]:
+    """Return the bands of some poses, shape (n,); ``places`` are heading, x and y."""
+    evaluate, rows = poses.evaluate, poses.evaluate.graphs.rows
+    states = start_states(evaluate.graphs, dict(zip(("heading", "x", "y"), places, strict=True)))
+    for k, label in enumerate(leaves(evaluate.graphs.dae.labels.u)):
+        states[rows.u.start + k] = inputs.get(label.full, 0.0)
+    with np.errstate(all="ignore"):
+        found = stand_checked(evaluate, states)
+        outputs = evaluate(evaluate.graphs.outputs, states)
+        stands = found == COMPLETE
+        bands = {REASON.name: poses.codes[found + 2].astype(float)}
+        for name, (_, value) in poses.rows.items():
+            bands[name] = np.where(stands, value(states, outputs), np.nan)
+        graphs = poses.more.graphs
+        if graphs.hold is not None and graphs.friction is not None:
+            values = poses.more(graphs.hold, states)
+            terms = Terms(*(values[part] for part in graphs.hold.parts))
+            interval = least_friction(poses.more, graphs.friction, terms, tolerance)
+            bands[LOW.name] = np.where(stands, interval.low, np.nan)
+            bands[HIGH.name] = np.where(stands, interval.high, np.nan)
+        if graphs.sensitivity is not None and error is not None:
+            values = poses.more(graphs.sensitivity.graph, states)
+            errors = height_errors(graphs.sensitivity, values)
+            for k, name in enumerate(graphs.sensitivity.names):
+                for template, each in zip((DEVIATION, WORST), errors, strict=True):
+                    bands[template.format(name)] = np.where(stands, error * each[k], np.nan)
+    return bands
+
+
+def _reasons(dae: Dae) -> tuple[tuple[str, ...], Indices]:
+    """Return the reasons, and the reason of each code of `stand_checked`, plus two.
+
+    Limits and checks that differ only in the wheel share a reason.
+    """
+    names, reasons, codes = list[str](), [STANDS, NO_POSE], [1, 0]
+    for label in (each.label for part in (dae.limits, dae.checks) for each in part):
+        if label.name not in names:
+            names.append(label.name)
+            words = label.words.replace(f"wheel {label.wheel}", "a wheel").split(" (")[0]
+            reasons.append(words)
+        codes.append(2 + names.index(label.name))
+    return tuple(reasons), np.array(codes)
+
+
+def _rows(graphs: Graphs) -> dict[str, tuple[Label, Callable[[Array, Array], Array]]]:
+    """Return the bands that are rows of states and outputs: labels, and functions of both."""
+    dae, rows = graphs.dae, graphs.rows
+    found: dict[str, tuple[Label, Callable[[Array, Array], Array]]] = {}
+    labels = list(leaves((dae.labels.x, dae.labels.z[0])))
+    first = rows.x.stop - dae.rest.numel()  # the states before are given
+    places = [*range(rows.x.stop), *range(rows.p.start, rows.p.stop)]
+    for label, row in zip(labels, places, strict=True):
+        if row >= first and label.name not in ("z", "contact_x", "contact_y"):
+            found[label.name] = label, _row(row)
+    outputs: dict[str, list[int]] = {}
+    words: dict[str, Label] = {}
+    for k, label in enumerate(leaves(dae.labels.y)):
+        outputs.setdefault(label.name, []).append(k)
+        words.setdefault(label.name, label)
+    for name, reduce, text in SUMMARIES:
+        if name in outputs:
+            label = words[name]
+            text = text or label.words
+            found[name] = Label(name, label.unit, text), _reduced(outputs[name], reduce)
+    return found
+
+
+SUMMARIES = (
+    ("tip_over_margin", np.min, ""),
+    ("utilisation", np.max, "largest utilisation of the wheels, for the load-weighted forces"),
+    ("drive_torque", lambda v, axis: np.abs(v).max(axis=axis), "largest torque of a wheel's drive"),
+    ("slip_ratio", np.max, "largest slip ratio of the wheels"),
+    ("sinkage", np.max, "largest sinkage of the wheels"),
+)
+
+
+def _row(row: int) -> Callable[[Array, Array], Array]:
+    return lambda states, _: states[row]
+
+
+def _reduced(rows: list[int], reduce: Any) -> Callable[[Array, Array], Array]:
+    return lambda _, outputs: np.asarray(reduce(outputs[rows], axis=0))

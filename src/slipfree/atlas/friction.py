@@ -1,0 +1,318 @@
+"""Least coefficient of friction that holds a vehicle, enclosed by certified bounds.
+
+At rest, contact forces ``f_i`` balance the load ``q`` of gravity and springs, ``A' f + q = 0``,
+with the derivatives ``A`` of the slip velocities by the free rates. Wanted is the smallest
+``sigma`` with ``|tangential f_i| <= sigma m_i normal f_i`` for all wheels, whose relative
+coefficients are ``m_i``. For a given ``sigma``, the analytic centre of such forces is dual to the
+minimum over virtual rates ``y`` of the convex function
+
+    ``psi(y) = -q.y - 1/2 sum log D_i``, with ``s = A y`` and
+    ``D_i = (normal s_i)^2 - sigma^2 |tangential s_i|^2``.
+
+Its Hessian is positive definite, of the number of the rates, and needs no pivots. A level of
+``sigma`` is followed by lower ones, with a predictor along the path of centres.
+
+- The forces of a Newton step are in equilibrium exactly, centred or not: their largest ratio of
+  tangential to normal force is an upper bound.
+- Rates with ``q.y = 0`` and all normal slips positive give the lower bound
+  ``min (normal s_i) / |tangential s_i|``, by the kinematic theorem of limit analysis. Rates inside
+  the cone of a level on which the load does work prove that no forces exist at that level.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.batch.evaluator import EvaluatorOf
+from slipfree.batch.graph import Graph
+from slipfree.core.records import Array
+from slipfree.models.force_distribution import least_utilisation
+
+STEPS, MORE_STEPS = 8, 16
+FIRST_LEVEL = 1.5  # largest coefficient at which the search starts
+START_SHARE = 0.7  # of the coefficient at which the first rates leave their cone
+LEVEL_SHARE = 0.1  # next level, from a bound towards the last level
+SMALLEST_LEVEL = 1e-3
+RELATIVE_GAP, GAP_OFFSET = 1e-4, 0.05  # least distance of a level from the lower bound
+PATH_STEP = 10.0  # largest ratio of distances of levels from the lower bound in a prediction
+CONE_STEP = 0.7  # of the way to the boundary of the cone
+WORKING = 1e-9  # power of the load below which it does not hold the rates back, relative
+DECREMENT_OF_BOUND, DECREMENT = 1e3, 1e6  # largest squares of Newton decrements
+UNKNOWN = 1e9  # upper bound before forces are found
+FALLS = (0.0, 0.5, 1.0)  # shares of the way to the lower bound at which forces are tried
+TINY = 1e-300
+
+
+class FrictionGraphs(NamedTuple):
+    """Graphs of the search: functions of a column of `Rows`, to its rows from ``rates`` on."""
+
+    pattern: ca.Sparsity
+    start: Graph
+    step: Graph
+
+
+class Terms(NamedTuple):
+    """Entries of ``A``, loads, and coefficients of the wheels, with a column for each pose."""
+
+    slopes: Array
+    load: Array
+    friction: Array
+
+
+class Rows(NamedTuple):
+    """Rows of a search: entries of ``A``, load, virtual rates, level and bounds, best forces."""
+
+    slopes: slice
+    load: slice
+    rates: slice
+    level: slice
+    low: slice
+    high: slice
+    decrement: slice
+    forces: slice
+
+
+def rows_of(pattern: ca.Sparsity) -> Rows:
+    """Return the rows for a matrix ``A`` of a given pattern, shape (3 n_wheels, n_rates)."""
+    m, n = pattern.shape
+    ends = np.cumsum([0, pattern.nnz(), n, n, 1, 1, 1, 1, m]).tolist()
+    return Rows(*(slice(a, b) for a, b in pairwise(ends)))
+
+
+def friction_graphs(pattern: ca.Sparsity) -> FrictionGraphs:
+    """Return the graphs of the search for a matrix ``A`` of a given pattern."""
+    rows = rows_of(pattern)
+    column = ca.SX.sym("column", rows.forces.stop)
+    start, step = _start(column, rows, pattern), _step(column, rows, pattern)
+    graphs = [
+        Graph(name, ca.Function(name, [column, ca.SX(0, 1)], [result], {"cse": True}), (), (), ())
+        for name, result in (("start", start), ("step", step))
+    ]
+    return FrictionGraphs(pattern, *graphs)
+
+
+class _Wheels:
+    """Slips of the wheels as functions of the virtual rates."""
+
+    def __init__(self, column: ca.SX, rows: Rows, pattern: ca.Sparsity) -> None:
+        matrix = ca.SX(pattern, column[rows.slopes])
+        self.count = pattern.shape[0] // 3
+        self.blocks = [matrix[3 * i : 3 * i + 3, :] for i in range(self.count)]
+
+    def slips(self, y: ca.SX) -> list[ca.SX]:
+        """Return the slip of each wheel along, across and normal."""
+        return [ca.densify(block @ y) for block in self.blocks]
+
+    def power(self, forces: list[ca.SX]) -> ca.SX:
+        """Return the generalised forces ``A' f``."""
+        terms = (block.T @ force for block, force in zip(self.blocks, forces, strict=True))
+        return ca.densify(reduce(ca.plus, terms))
+
+
+def _start(column: ca.SX, rows: Rows, pattern: ca.Sparsity) -> ca.SX:
+    """Return the column at the start: a translation along the mean normal of the wheels."""
+    wheels, load = _Wheels(column, rows, pattern), column[rows.load]
+    normal = reduce(ca.plus, (block[2, :3].T for block in wheels.blocks))
+    y = ca.vertcat(normal / ca.norm_2(normal), ca.SX.zeros(load.numel() - 3))
+    y = ca.densify(y * (wheels.count / -ca.dot(load, y)))
+    steepest = reduce(ca.fmax, (_tangential(s) / s[2] ** 2 for s in wheels.slips(y)))
+    level = ca.fmin(FIRST_LEVEL, START_SHARE / ca.sqrt(steepest + 1e-12))
+    bounds = ca.vertcat(level, 0, UNKNOWN, 0)
+    return ca.vertcat(y, bounds, ca.SX.zeros(3 * wheels.count))
+
+
+def _step(column: ca.SX, rows: Rows, pattern: ca.Sparsity) -> ca.SX:
+    """Return the column after a Newton step at a level, and at the next level."""
+    wheels, load = _Wheels(column, rows, pattern), column[rows.load]
+    level, low, high = (column[each] for each in (rows.level, rows.low, rows.high))
+    y = column[rows.rates]
+    y *= wheels.count / ca.fmax(-ca.dot(load, y), 1e-12)  # the minimum along the ray
+    slips = wheels.slips(y)
+    cones = [_Cone(s, level) for s in slips]
+    forces, tangents = [cone.force for cone in cones], [cone.tangent for cone in cones]
+    gradient = load + wheels.power(forces)
+    hessian = reduce(
+        ca.plus, (b.T @ cone.matrix @ b for b, cone in zip(wheels.blocks, cones, strict=True))
+    )
+    newton, path = _solve(ca.densify(hessian), (gradient, wheels.power(tangents)))
+    decrement = ca.dot(gradient, newton)
+    low = ca.fmax(low, _kinematic_bound(wheels, load, y, path, decrement))
+    height = level - low
+    high, best = _static_bound(wheels, cones, newton, path, height, high, column[rows.forces])
+    following = _next_level(level, low, high)
+    ratio = ca.fmin(ca.fmax(height / ca.fmax(following - low, 1e-12), 1), PATH_STEP)
+    move = newton - path * (height * (ratio - 1))
+    moved = y + _length_inside(wheels, slips, move, following) * move
+    alive = ca.logic_and(low < level, decrement < DECREMENT)
+    holds = -ca.dot(load, moved) > WORKING * ca.fabs(ca.dot(load, y))
+    goes = ca.logic_and(alive, holds)
+    fails = ca.logic_and(alive, ca.logic_not(holds))  # no forces exist at the following level
+    return ca.vertcat(
+        ca.if_else(goes, moved, y),
+        ca.if_else(goes, following, level),
+        ca.if_else(fails, ca.fmax(low, following), low),
+        high,
+        decrement,
+        best,
+    )
+
+
+class _Cone:
+    """Force of a wheel at slips inside its cone, and its derivatives."""
+
+    def __init__(self, slip: ca.SX, level: ca.SX) -> None:
+        square = level**2
+        self.inverse = 1 / (slip[2] ** 2 - square * _tangential(slip))
+        self.signs = ca.vertcat(-square, -square, 1)
+        self.force = self.signs * slip * self.inverse
+        growth = 2 * level * _tangential(slip) * self.inverse
+        by_level = ca.vertcat(-2 * level * slip[:2], 0) * self.inverse
+        self.tangent = by_level + self.force * growth  # derivative by the level
+        outer = 2 * self.force @ self.force.T
+        self.matrix = outer - ca.diag(self.signs * self.inverse)
+
+    def along(self, move: ca.SX) -> ca.SX:
+        """Return ``matrix @ move``."""
+        return 2 * self.force * ca.dot(self.force, move) - self.signs * self.inverse * move
+
+
+def _tangential(slip: ca.SX) -> ca.SX:
+    return slip[0] ** 2 + slip[1] ** 2
+
+
+def _kinematic_bound(
+    wheels: _Wheels, load: ca.SX, y: ca.SX, path: ca.SX, decrement: ca.SX
+) -> ca.SX:
+    rates = -path
+    rates += (ca.dot(load, rates) / wheels.count) * y  # without power of the load
+    ratio, least = ca.SX(UNKNOWN), ca.SX(UNKNOWN)
+    for s in wheels.slips(rates):
+        ratio = ca.fmin(ratio, s[2] ** 2 / (_tangential(s) + TINY))
+        least = ca.fmin(least, s[2])
+    valid = ca.logic_and(least > 0, decrement < DECREMENT_OF_BOUND)
+    return ca.if_else(valid, ca.sqrt(ratio), 0)
+
+
+def _static_bound(
+    wheels: _Wheels,
+    cones: list[_Cone],
+    newton: ca.SX,
+    path: ca.SX,
+    height: ca.SX,
+    high: ca.SX,
+    best: ca.SX,
+) -> tuple[ca.SX, ca.SX]:
+    """Return the smaller of an upper bound and those of new forces, and the forces."""
+    to_newton, to_path = wheels.slips(newton), wheels.slips(path)
+    at, by_level = list[ca.SX](), list[ca.SX]()
+    for cone, first, second in zip(cones, to_newton, to_path, strict=True):
+        at.append(cone.force - cone.along(first))
+        by_level.append(cone.tangent - cone.along(second))
+    for fall in FALLS:
+        forces = [f - fall * height * d for f, d in zip(at, by_level, strict=True)]
+        used, least = ca.SX(0), ca.SX(UNKNOWN)
+        for f in forces:
+            used, least = ca.fmax(used, _tangential(f) / f[2] ** 2), ca.fmin(least, f[2])
+        bound = ca.if_else(least > 0, ca.sqrt(used), UNKNOWN)
+        best = ca.if_else(bound < high, ca.vertcat(*forces), best)
+        high = ca.fmin(high, bound)
+    return high, best
+
+
+def _next_level(level: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
+    """Return the next level: above a known upper bound, at which forces surely exist."""
+    above = high + LEVEL_SHARE * ca.fmin(high - low, ca.fmax(level - high, 0))
+    least = ca.fmax(SMALLEST_LEVEL, low + RELATIVE_GAP * (low + GAP_OFFSET))
+    following = ca.fmax(ca.fmax(above, low + LEVEL_SHARE * (level - low)), least)
+    return ca.fmin(level, following)
+
+
+def _length_inside(wheels: _Wheels, slips: list[ca.SX], move: ca.SX, level: ca.SX) -> ca.SX:
+    """Return the length of a step at most `CONE_STEP` of the way out of the cones of a level."""
+    length, square = ca.SX(1), level**2
+    for s, d in zip(slips, wheels.slips(move), strict=True):
+        a = d[2] ** 2 - square * _tangential(d)
+        b = s[2] * d[2] - square * (s[0] * d[0] + s[1] * d[1])
+        c = s[2] ** 2 - square * _tangential(s)
+        discriminant = b * b - a * c
+        below = ca.sqrt(ca.fmax(discriminant, 0)) - b
+        leaves = ca.logic_and(discriminant > 0, below > 0)
+        length = ca.fmin(length, ca.if_else(leaves, CONE_STEP * c / ca.fmax(below, TINY), 1))
+    return length
+
+
+def _solve(matrix: ca.SX, right: tuple[ca.SX, ...]) -> list[ca.SX]:
+    """Return solutions of a system with a positive definite matrix, without pivots."""
+    n = matrix.shape[0]
+    a = [[matrix[i, j] for j in range(n)] for i in range(n)]
+    b = [ca.vertsplit(column) for column in right]
+    for j in range(n):
+        inverse = 1 / a[j][j]
+        for i in range(j + 1, n):
+            factor = a[i][j] * inverse
+            for k in range(j + 1, i + 1):
+                a[i][k] = a[i][k] - factor * a[k][j]
+            for column in b:
+                column[i] = column[i] - factor * column[j]
+    solutions = list[ca.SX]()
+    for column in b:
+        y = list(column)
+        for i in reversed(range(n)):
+            for k in range(i + 1, n):
+                y[i] = y[i] - a[k][i] * y[k]
+            y[i] = y[i] / a[i][i]
+        solutions.append(ca.vertcat(*y))
+    return solutions
+
+
+class Interval(NamedTuple):
+    """Bounds of the least coefficient of friction, shape (n,).
+
+    It is proved that coefficients below ``low`` do not hold the vehicle, and that ``high`` does;
+    ``high`` is infinite if no forces were found. [1]
+    """
+
+    low: Array
+    high: Array
+
+
+def least_friction(
+    evaluate: EvaluatorOf[Any], graphs: FrictionGraphs, terms: Terms, tolerance: float
+) -> Interval:
+    """Return bounds of the least coefficient of friction, scaled by the wheels' relative ones.
+
+    Intervals wider than a tolerance after `STEPS` steps take `MORE_STEPS` further ones; what is
+    still wider is computed by `least_utilisation`.
+    """
+    rows, pattern = rows_of(graphs.pattern), graphs.pattern
+    relative = terms.friction / terms.friction.max(axis=0)
+    tangential = np.array(pattern.row()) % 3 < 2
+    wheel = np.array(pattern.row()) // 3
+    column = np.zeros((rows.forces.stop, terms.load.shape[1]))
+    column[rows.slopes] = terms.slopes * np.where(tangential[:, None], relative[wheel], 1.0)
+    column[rows.load] = terms.load
+    column[rows.rates.start :] = evaluate(graphs.start, column)
+    wide = np.arange(column.shape[1])
+    for count in (STEPS, MORE_STEPS):
+        part = column[:, wide]
+        for _ in range(count):
+            part[rows.rates.start :] = evaluate(graphs.step, part)
+        column[:, wide] = part
+        low, high = column[rows.low][0], column[rows.high][0]
+        wide = np.flatnonzero(~(high - low <= tolerance))
+    high[high >= UNKNOWN] = np.inf
+    low, high = np.nan_to_num(low, nan=0.0), np.nan_to_num(high, nan=np.inf)
+    wide = wide[np.isfinite(column[rows.slopes][:, wide]).all(axis=0) & (low[wide] < FIRST_LEVEL)]
+    if wide.size:
+        matrix = np.zeros((wide.size, *pattern.shape))
+        matrix[:, pattern.row(), pattern.get_col()] = terms.slopes[:, wide].T
+        load, friction = terms.load[:, wide].T, relative[:, wide].T
+        exact = least_utilisation(matrix.swapaxes(1, 2), load, friction).utilisation
+        known = ~np.isnan(exact)
+        low[wide[known]] = high[wide[known]] = exact[known]
+    return Interval(low, high)

@@ -1,0 +1,105 @@
+"""Errors of a pose that follow from errors of the heights of a map, to first order.
+
+The adjoint of the closure equations ``r(p, c) = 0`` gives the derivatives of a quantity ``q`` by
+the coefficients ``c`` of the spline under the wheels: with ``(dr/dp)' y = dq/dp``, they are
+``dq/dc - (dr/dc)' y``. Coefficients follow from all heights by the inverse of the filter
+(1, 4, 1)/6 along both axes; its kernel ``sqrt(3) z^|k|``, ``z = sqrt(3) - 2``, is cut off where it
+is below a thousandth. The sum of the absolute derivatives by the heights times an error of each is
+the worst case; their root sum of squares times a standard deviation is that of the quantity, for
+independent errors of the nodes.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.batch.graph import Graph, Graphs, elimination, graph_of
+from slipfree.core.lookups import Cells, needed_lookups
+from slipfree.core.records import Array, leaves
+from slipfree.terrain.bicubic import middle_basis
+
+POLE = np.sqrt(3.0) - 2.0
+MARGIN = 6  # nodes around those under the wheels: the kernel has fallen to 4e-4
+FOUND = 18  # rows of a lookup: two coordinates of the centre, 16 derivatives
+FOLLOWED = "roll", "pitch", "tip_over_margin"
+
+
+class Errors(NamedTuple):
+    """Errors of quantities for a unit error of the heights, shape (n_quantities, n).
+
+    Standard deviation for independent errors of unit standard deviation, and worst case for errors
+    of magnitude one. [unit of the quantity per metre]
+    """
+
+    deviation: Array
+    worst: Array
+
+
+class SensitivityGraph(NamedTuple):
+    """Centres of the cells under the wheels, and derivatives of quantities by their coefficients.
+
+    ``names`` are those of the quantities.
+    """
+
+    graph: Graph
+    names: tuple[str, ...]
+    cells: Cells
+
+
+def sensitivity_graph(graphs: Graphs) -> SensitivityGraph | None:
+    """Return the graph of the sensitivities of a model; None if its ground is not a map."""
+    dae, rows = graphs.dae, graphs.rows
+    closure = dae.residuals[0]
+    lookups = [each for each in needed_lookups(dae.lookups, [closure]) if each.cells is not None]
+    if not lookups or len({id(each.cells) for each in lookups}) > 1:
+        return None
+    p = graphs.state[rows.p]
+    labels = [label.name for label in leaves((dae.labels.x, dae.labels.z, dae.labels.y))]
+    values = list(leaves((dae.x, dae.z, dae.y)))
+    names = tuple(name for name in FOLLOWED if name in labels)
+    followed = [values[labels.index(name)] for name in names]
+    solve = elimination(dae, graphs.state, rows)
+    jacobian = ca.jacobian(closure, p)
+    found = ca.vertcat(*(each.found[2:] for each in lookups))
+    slopes = ca.jacobian(closure, found)
+    results = [ca.vertcat(*(each.found[:2] for each in lookups))]
+    for quantity in followed:
+        adjoint = solve(jacobian.T, ca.densify(ca.gradient(quantity, p)))
+        results.append(ca.densify(ca.gradient(quantity, found) - slopes.T @ adjoint))
+    cells: Any = lookups[0].cells
+    graph = graph_of(dae, graphs.state, "sensitivity", results)
+    return SensitivityGraph(graph, names, cells)
+
+
+def height_errors(graph: SensitivityGraph, values: Array, *, through: bool = True) -> Errors:
+    """Return the errors of quantities from values of the graph, shape (n_results, n).
+
+    ``through`` tells whether the ground interpolates the heights; otherwise they are the
+    coefficients.
+    """
+    parts = graph.graph.parts
+    count, n = (parts[0].stop - parts[0].start) // 2, values.shape[1]
+    spacing = graph.cells.spacing
+    centers = values[parts[0]].reshape(count, 2, n)
+    bases, kernels = [], []
+    for axis, (place, h) in enumerate(zip(graph.cells.place, spacing, strict=True)):
+        at = np.rint((centers[:, axis] - place) / h - 0.5)
+        offset = np.nan_to_num(at - at.min(axis=0)).T  # (n, count)
+        nodes = np.arange(int(offset.max(initial=0)) + 4 + 2 * MARGIN)
+        coefficients = offset[..., None] + MARGIN + np.arange(4)
+        away = np.abs(nodes - coefficients[..., None])  # (n, count, 4, nodes)
+        kernels.append(np.sqrt(3.0) * POLE**away if through else (away == 0).astype(float))
+        bases.append(middle_basis() / 6 / h ** np.arange(4)[:, None])
+    deviation, worst = np.empty((2, len(graph.names), n))
+    for k, part in enumerate(parts[1:]):
+        derivatives = values[part].reshape(count, 4, 4, n)  # wheel, order in y, order in x
+        blocks = np.einsum("wyxn,xa,yb->nwab", derivatives, *bases, optimize=True)
+        left = np.matmul(blocks.swapaxes(2, 3), kernels[0])  # (n, count, 4, nodes in x)
+        shape = n, 4 * count, -1
+        by_height = np.matmul(left.reshape(shape).swapaxes(1, 2), kernels[1].reshape(shape))
+        deviation[k] = np.sqrt((by_height**2).sum(axis=(1, 2)))
+        worst[k] = np.abs(by_height).sum(axis=(1, 2))
+    return Errors(deviation, worst)
