@@ -234,7 +234,7 @@ def test_a_syntax_error_has_its_line(tmp_path):
 
 
 def test_a_wheels_axle_may_point_anywhere(tmp_path):
-    text = LONG.replace("radius = 0.1\n", "radius = 0.1\naxle = [1, -1, 0]\nrollers = true\n")
+    text = LONG.replace("radius = 0.1\n", "radius = 0.1\naxle = [1, -1, 0]\nrollers = '90 deg'\n")
     wheel = read(tmp_path, text).wheels[2]
     assert_allclose(unit_vector(wheel.axle), np.array([1, 1, 0]) / np.sqrt(2))
     assert wheel.rollers
@@ -248,9 +248,9 @@ def test_a_wheels_axle_may_point_anywhere(tmp_path):
     [
         ('section = "torus"\nr1 = 0.02\nr2 = 0.08', Torus(0.02, 0.08)),
         ('section = "disc"\nradius = 0.1', Disc(0.1)),
-        ('section = "sphere"\nradius = 0.1\nrollers = true', Omni(Sphere(0.1))),
+        ('section = "sphere"\nradius = 0.1\nrollers = "90 deg"', Omni(Sphere(0.1))),
         ("radius = 0.1\ntube = 0.1", Sphere(0.1)),
-        ("radius = 0.1\nrollers = true", Omni(Disc(0.1))),
+        ("radius = 0.1\nrollers = '90 deg'", Omni(Disc(0.1))),
     ],
 )
 def test_sections_by_name_or_by_radius_and_tube(tmp_path, keys, section):
@@ -262,7 +262,8 @@ def test_a_ball_with_rollers_is_a_frictionless_caster(tmp_path):
     wheels = LONG[: LONG.index("[[coordinates]]")] + LONG[LONG.index("[[wheels]]") :]
     text = wheels.replace(
         'parent = "fork"\nat = [-0.08, 0, -0.05]\nradius = 0.1\n',
-        'parent = "platform"\nat = [0.3, 0, -0.1]\nradius = 0.05\ntube = 0.05\nrollers = true\n',
+        'parent = "platform"\nat = [0.3, 0, -0.1]\nradius = 0.05\ntube = 0.05\n'
+        'rollers = "90 deg"\n',
     )
     vehicle = read(tmp_path, text)
     dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x))
