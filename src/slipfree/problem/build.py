@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from inspect import signature
+from math import degrees
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -210,6 +211,9 @@ def vehicle_facts(vehicle: Vehicle) -> Lines:
         f"{w.name} {w.radius:g} m {'driven' if w.driven else 'free'}" for w in vehicle.wheels
     )
     facts = [("vehicle", f"{vehicle.name}: {wheels}")]
+    if rollers := [f"{w.name} {degrees(w.rollers):.4g}" for w in vehicle.wheels if w.rollers]:
+        words = "degrees from the wheel's axle; the change from roller to roller is neglected"
+        facts.append(("rollers", f"{', '.join(rollers)} {words}"))
     if vehicle.mass:
         facts.append(("mass", f"{vehicle.mass:g} kg, weight {vehicle.weight:.1f} N"))
     if vehicle.notes:

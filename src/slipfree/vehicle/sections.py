@@ -339,8 +339,8 @@ class Omni(Section):
             raise ModelError(
                 "rollers: expected an angle between -90 and 90 degrees from the wheel's axle to "
                 "the axles of the rollers, other than zero, at which no drive could act on the "
-                f"ground, found {degrees(self.angle):.6g} degrees; give 90 degrees for an omni "
-                "wheel, or 45 or -45 degrees for a mecanum wheel"
+                f"ground, found {degrees(self.angle) + 0.0:.6g} degrees; give 90 degrees for an "
+                "omni wheel, or 45 or -45 degrees for a mecanum wheel"
             )
 
     def __str__(self) -> str:
