@@ -324,6 +324,14 @@ class Omni(Section):
 
     Notes
     -----
+    On the ground, seen from above, for the angle pi/4::
+
+                   forward
+                      |     / axle of the roller
+                      |   /
+                      | /
+           left ------o------> axle of the wheel
+
     In the usual arrangement of four mecanum wheels, the rollers on top form an X, seen from above,
     and those on the ground an O: the angle is positive in front on the left and in the rear on the
     right, negative at the other two wheels. If the signs are reversed, all four rollers' axles on

@@ -69,7 +69,7 @@ def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, WheelGuess]]:
             shape = Shape("cylinder", radius, ORIGIN, angles_to(axis))
             links[joint.child] = links[joint.child]._replace(shapes=(shape,))
         angle = _roller_angle(rollers, axis)
-        reason = "on rollers, at the angle of their axes"
+        reason = "with rollers, at the angle of their axes"
         if not angle:
             reason = "its rollers have axes along its own, or at different angles to it"
         guesses[joint.name] = WheelGuess(WheelRole(rollers=angle), reason)
@@ -109,7 +109,7 @@ def mecanum_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[st
     for joint, (ahead, left) in zip(named, places - places.mean(axis=0), strict=True):
         if min(abs(ahead), abs(left)) > SMALL:
             angle = float(np.copysign(np.pi / 4, ahead * left))
-            reason = "on rollers: its name; on top of the wheels, their axes form an X"
+            reason = "with oblique rollers: its name; on top of the wheels, their axes form an X"
             yield joint.name, WheelGuess(WheelRole(rollers=angle), reason)
 
 
