@@ -200,6 +200,23 @@ def test_rollers_that_permit_a_motion_are_refused():
     direct_kinematics(platform(-pi / 4), FLAT)
 
 
+def test_a_rigid_platform_moves_on_level_ground_as_one_with_a_rocking_axle():
+    """Its wheels are pressed into the ground, by the rolling radius over 50."""
+    wheels = (
+        replace(each, parent="platform", at=(*PLACES[each.name], 0.0)) for each in VEHICLE.wheels
+    )
+    rigid = replace(VEHICLE, coordinates=(), joints=(), wheels=tuple(wheels))
+    v_x, v_y, omega = DIRECTIONS["all"]
+    found = rates_at(direct_kinematics(rigid, FLAT), textbook(v_x, v_y, omega))
+    assert_allclose([found["velocity_y"], -found["velocity_x"]], [v_x, v_y], rtol=0, atol=1e-9)
+    assert_allclose(found["heading_rate"], omega, rtol=0, atol=1e-9)
+    dae = direct_kinematics(rigid, hills_ground())
+    run = simulate(dae, settle(dae), dae.inputs(**textbook(0.1, 0.1, 0.2)), np.linspace(0, 3, 16))
+    assert run.stop is None
+    along = run["slip_along"] * [X_SIGNS[name] for name in NAMES]
+    assert_allclose(along, run["slip_across"], rtol=0, atol=1e-5)  # along the rollers
+
+
 # Commands
 
 

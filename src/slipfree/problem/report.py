@@ -240,19 +240,22 @@ def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
     """Yield the fact about the number of contact forces; nothing for a vehicle without mass."""
     if not vehicle.mass:
         return
-    count = 3 * len(vehicle.wheels)
+    count = len(vehicle.wheels) + _tangential(vehicle)
+    loose = count - len(list(leaves(dae.labels.z.rates.motion)))
     if not has_exact_closure(vehicle):
         how = "the depths of the wheels determine the loads, on which friction depends"
     elif _has_ground_law(dae):
         how = "the wheel-ground law determines them, together with the rates"
-    elif is_determinate(vehicle):
+    elif is_determinate(vehicle) or not loose:
         how = "equilibrium determines them"
     else:
-        how = (
-            f"{count - len(list(leaves(dae.labels.z.rates.motion)))} of them are not "
-            "determined by equilibrium: they are load-weighted"
-        )
+        how = f"{loose} of them are not determined by equilibrium: they are load-weighted"
     yield "contact forces", f"{count}: {how}"
+
+
+def _tangential(vehicle: Vehicle) -> int:
+    """Return the number of no-slip conditions and friction forces: one for a wheel on rollers."""
+    return sum(1 if wheel.rollers else 2 for wheel in vehicle.wheels)
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -269,13 +272,13 @@ def counts(vehicle: Vehicle, dae: Dae) -> Lines:
     inputs, states = ("inputs", listed(dae.labels.u)), ("states", listed(dae.labels.x))
     if not dae.labels.z:  # dynamics has no algebraic unknowns
         return [inputs, states]
-    wheels = len(vehicle.wheels)
     position, rates, _ = dae.labels.z
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
     passive = [c.name for c in vehicle.of("passive")]
-    given, needed = len(passive) + len(free), 2 * wheels - 3
+    given, needed = len(passive) + len(free), _tangential(vehicle) - 3
     if given == needed:
-        rolls = "as many as needed: it can roll without slip (slip = 'rolling')"
+        law = "least" if any(wheel.rollers for wheel in vehicle.wheels) else "rolling"
+        rolls = f"as many as needed: it can roll without slip (slip = '{law}')"
     else:
         more = "too few by" if given < needed else "too many by"
         rolls = f"{more} {abs(needed - given)}: it moves with least slip (slip = 'least')"
