@@ -15,6 +15,7 @@ from helpers.dynamics import FLAT, moved, states
 from slipfree import (
     Analytic,
     Coulomb,
+    LeastSlip,
     ModelError,
     Path,
     SolverOptions,
@@ -29,6 +30,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.contact.closure import ContactFrame, without_rolling
+from slipfree.fit.unknowns import Unknown, parametric_model
 from slipfree.laws.soils import SOILS, known_soil
 from slipfree.models.determinacy import wheel_rates
 from slipfree.models.friction_feasibility import best_utilisation
@@ -452,7 +454,17 @@ def test_the_energy_ledger_of_driven_wheels_on_hills():
     assert np.abs(run["wheel_rate"]).max() > 5
 
 
-# Batch
+# Batches and fits
+
+
+def test_dimensions_may_be_parameters_of_a_fit():
+    unknowns = [Unknown("track", "track"), Unknown("radius", "radius")]
+
+    def build(vehicle, law):
+        return direct_kinematics(vehicle, FLAT, slip=law)
+
+    model = parametric_model(build, VEHICLE, LeastSlip(), unknowns)
+    assert [each.value for each in model.p] == pytest.approx([2 * HALF_TRACK, RADIUS])
 
 
 def test_batch_repeats_single_motions(tmp_path, monkeypatch):

@@ -465,6 +465,7 @@ def check_rollers(vehicle: Vehicle) -> None:
     coordinates = vehicle.of("commanded") + vehicle.of("passive")
     if coordinates or not all(wheel.rollers for wheel in vehicle.wheels):
         return
+    vehicle = vehicle.numeric
     size, still = extent(vehicle), {c.name: ca.SX(0) for c in vehicle.coordinates}
     poses = vehicle.carriers(Pose(ca.SX.eye(3), ca.SX.zeros(3)), still)
     rows = np.zeros((len(poses), 3))
