@@ -243,6 +243,9 @@ def test_wheels_with_the_name_of_mecanum_wheels_have_the_usual_rollers(tmp_path)
     assert lines[0] == "wheels.front_left_mecanum_joint = { rollers = false }"
     plain = read_vehicle(written(tmp_path, parts, lines[0]))
     assert roller_angles(plain) == X_ON_TOP | {"front_left": None}
+    mesh = '<visual><geometry><mesh filename="package://a/mecanum.stl"/></geometry></visual>'
+    parts = corners(lambda name, at: wheel(name, at, WHEEL + mesh))
+    assert roller_angles(read_vehicle(written(tmp_path, parts))) == X_ON_TOP
 
 
 PATTERNS = ("{end}_{side}_wheel", "wheel_{e}{s}", "{s}{e}_joint", "{side}_drive_{end}")

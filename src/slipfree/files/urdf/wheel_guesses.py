@@ -98,11 +98,13 @@ def _roller_angle(rollers: Sequence[UrdfJoint], axis: Array) -> float | bool:
 
 
 def mecanum_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, WheelGuess]]:
-    """Yield the wheels with the name of mecanum wheels, with the usual angles of their rollers.
+    """Yield the wheels called mecanum wheels, also by meshes, with the usual angles of rollers.
 
     The URDF faces forward along x. The rollers on top of the wheels form an X.
     """
-    named = [joint for joint in wheels if MECANUM.search(joint.names)]
+    links = {joint.name: tree.links[joint.child] for joint in wheels}
+    meshes = {name: [m.name for m in (*link.meshes, *link.visuals)] for name, link in links.items()}
+    named = [j for j in wheels if MECANUM.search(" ".join([j.names, *meshes[j.name]]))]
     if not named:
         return
     places = np.array([tree.frames[joint.child][1][:2] for joint in named])
