@@ -467,9 +467,10 @@ def test_dimensions_may_be_parameters_of_a_fit():
     assert [each.value for each in model.p] == pytest.approx([2 * HALF_TRACK, RADIUS])
 
 
-def test_batch_repeats_single_motions(tmp_path, monkeypatch):
+@pytest.mark.parametrize("model", [direct_kinematics, quasi_statics])
+def test_batch_repeats_single_motions(model, tmp_path, monkeypatch):
     monkeypatch.setenv(codegen_cache.FOLDER, str(tmp_path))
-    dae = direct_kinematics(VEHICLE, hills_ground())
+    dae = model(VEHICLE, hills_ground())
     t, headings = np.linspace(0, 2, 11), np.array([0.0, 1.0])
     rates = textbook(0.1, 0.1, 0.3)
     lanes = rollouts(dae, {"heading": headings}, rates, t, method="batch", step=0.02)
