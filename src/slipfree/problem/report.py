@@ -149,13 +149,13 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
         if error.draft is None:
             raise
         return Description(_drawn_tree(error.draft), _shares(error.draft), error.faults)
-    level = Analytic(lambda x, _: 0 * x, mu=1.0)
-    dae: Dae = dynamics(vehicle, level) if vehicle.planar else direct_kinematics(vehicle, level)
+    level, facts = Analytic(lambda x, _: 0 * x, mu=1.0), _shares(vehicle)
     try:
+        dae: Dae = dynamics(vehicle, level) if vehicle.planar else direct_kinematics(vehicle, level)
+        facts = [*counts(vehicle, dae), *_notes(vehicle)]
         check_driven(vehicle)
         return _description(vehicle, dae, settle(dae))
     except ModelError as error:
-        facts = [*counts(vehicle, dae), *_notes(vehicle)]
         faults = (f"{path}: on level ground: {error}",)
         return Description(_drawn_tree(vehicle), facts, faults)
 
@@ -323,8 +323,8 @@ def _has_ground_law(dae: Dae) -> bool:
     return bool(dae.labels.y.forces) and not follow and not dae.rest.numel()
 
 
-def _shares(draft: Draft) -> Lines:
-    """Return the facts about wheels and joints of the draft of an invalid vehicle."""
+def _shares(draft: Vehicle | Draft) -> Lines:
+    """Return the facts about wheels and joints of an invalid vehicle or its draft."""
     suspension = _listed(c.name for c in draft.of("suspension"))
     return [
         ("wheels", _listed(wheel.name for wheel in draft.wheels)),
