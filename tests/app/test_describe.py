@@ -148,14 +148,16 @@ frame = "rep103"
 mass = 20.0
 coordinates = [{ name = "rock", kind = "suspension" }]
 joints = [{ name = "axle", parent = "platform", axis = "x", value = "rock", at = [0.15, 0, 0] }]
-wheels = [
-  { name = "a", parent = "axle", at = [0, 0.15, 0], radius = 0.05, driven = true, rollers = "A" },
-  { name = "b", parent = "axle", at = [0, -0.15, 0], radius = 0.05, driven = true, rollers = "B" },
-  { name = "c", parent = "platform", at = [-0.15, 0.15, 0],
-    radius = 0.05, driven = true, rollers = "B" },
-  { name = "d", parent = "platform", at = [-0.15, -0.15, 0],
-    radius = 0.05, driven = true, rollers = "A" }]
-"""
+""" + "".join(
+    f'[[wheels]]\nname = "{name}"\nparent = "{part}"\nat = [{x}, {y}, 0]\nradius = 0.05\n'
+    f'driven = true\nrollers = "{angle}"\n'
+    for name, part, x, y, angle in (
+        ("a", "axle", 0, 0.15, "A"),
+        ("b", "axle", 0, -0.15, "B"),
+        ("c", "platform", -0.15, 0.15, "B"),
+        ("d", "platform", -0.15, -0.15, "A"),
+    )
+)
 
 
 def test_the_mobility_on_rollers_is_counted_and_a_free_motion_named(tmp_path):
