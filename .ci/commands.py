@@ -29,6 +29,7 @@ STOPS_EARLY = (
 # Problems whose kinds of figures another one draws.
 UNDRAWN = (
     "real_dem_rough paper_direct rover_rocks_direct your_vehicle path_inverse crab_inverse "
+    "mecanum_inverse mecanum_direct "
     "dynamics_ledge dynamics_skid_turn dynamics_ice dynamics_step climb_step climb_stairs "
     "plan_rigid_hills plan_rigid_robot plan_tilt_limits plan_climb_ramp plan_real_dem"
 )

@@ -140,3 +140,38 @@ def test_a_vehicle_that_nothing_drives_is_refused(tmp_path):
     (tmp_path / "p.toml").write_text(re.sub(r"\w+_rate = .*\n", "", problem))
     with pytest.raises(DataError, match=words):
         build(load_problem(tmp_path / "p.toml"))
+
+
+MECANUM = """\
+name = "platform_with_rollers"
+frame = "rep103"
+mass = 20.0
+coordinates = [{ name = "rock", kind = "suspension" }]
+joints = [{ name = "axle", parent = "platform", axis = "x", value = "rock", at = [0.15, 0, 0] }]
+""" + "".join(
+    f'[[wheels]]\nname = "{name}"\nparent = "{part}"\nat = [{x}, {y}, 0]\nradius = 0.05\n'
+    f'driven = true\nrollers = "{angle}"\n'
+    for name, part, x, y, angle in (
+        ("a", "axle", 0, 0.15, "A"),
+        ("b", "axle", 0, -0.15, "B"),
+        ("c", "platform", -0.15, 0.15, "B"),
+        ("d", "platform", -0.15, -0.15, "A"),
+    )
+)
+
+
+def test_the_mobility_on_rollers_is_counted_and_a_free_motion_named(tmp_path):
+    """Each wheel on rollers has one no-slip condition and one friction force."""
+    file = tmp_path / "v.toml"
+    file.write_text(MECANUM.replace('"A"', '"45 deg"').replace('"B"', '"-45 deg"'))
+    found = describe(file)
+    assert not found.faults
+    assert found.tree[3].endswith("wheel a: driven, disc radius 0.05 m on rollers at 45 degrees")
+    assert facts(found)["no-slip conditions"].startswith("1 besides the contacts")
+    forces = "8: 1 of them are not determined by equilibrium: they are load-weighted"
+    assert facts(found)["contact forces"] == forces
+    file.write_text(MECANUM.replace('"A"', '"-45 deg"').replace('"B"', '"45 deg"'))
+    found = describe(file)
+    assert "resists its motion about a point 0 m to the right" in found.faults[0]
+    assert facts(found)["driven wheels"] == "4: a, b, c, d"
+    assert "resists its motion" in invoke("vehicle", str(file), code=2).stderr

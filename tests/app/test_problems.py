@@ -48,6 +48,36 @@ def test_rocks_stop_a_rigid_wheel_and_are_crossed_as_it_feels_them():
     assert "wheel right touches a second time at (1.0" in bare.stop.words
 
 
+def test_a_mecanum_platform_carries_out_commands_without_slip():
+    trajectory = motion("mecanum_inverse")
+    assert trajectory.stop is None
+    assert np.hypot(trajectory["slip_along"], trajectory["slip_across"]).max() < 1e-12
+    for name in ("forward", "right", "yaw_rate"):
+        assert np.abs(trajectory[f"{name}_error"]).max() < 1e-12
+    assert max(trajectory.facts[f"replay_{name}"].value for name in ("x", "y")) < 1e-4
+    assert trajectory["utilisation"].max() < 0.3
+
+
+def test_three_models_of_a_mecanum_platform_agree():
+    """Friction, least slip, and inertia with compliant contacts, sideways over uneven ground."""
+    friction = motion("mecanum_direct")
+    least = motion("mecanum_direct", "model=kinematics", "law=")
+    inertia = motion("mecanum_direct", "model=dynamics", "law=", "solver.tolerance=1e-6")
+    for run in (friction, least, inertia):
+        assert run.stop is None
+        assert 1.59 < np.hypot(run["x"], run["y"])[-1] < 1.61  # 0.2 m/s in 8 s
+        assert np.abs(run["heading"] - run["heading"][0]).max() < 5e-3
+    slips = (
+        np.sqrt(np.mean(run["slip_along"] ** 2 + run["slip_across"] ** 2, axis=0))
+        for run in (friction, inertia)
+    )
+    np.testing.assert_allclose(*slips, rtol=0.03)
+    start = inertia.t > 0.5  # started at rest
+    np.testing.assert_allclose(
+        inertia["utilisation"][start], friction["utilisation"][start], rtol=0, atol=0.02
+    )
+
+
 @pytest.mark.slow
 def test_a_rover_with_four_steered_wheels_carries_out_commands():
     trajectory = motion("crab_inverse")

@@ -29,7 +29,7 @@ from slipfree.show import motion_figures
 from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
 from slipfree.show.film import film_writer
 from slipfree.show.html_page import with_legend
-from slipfree.show.meshes import MOST, clipped, extruded, plate, rod, spokes
+from slipfree.show.meshes import MOST, clipped, extruded, plate, rod, roller_axles, spokes
 from slipfree.show.scene import BLOCKED, scale_words
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
@@ -111,6 +111,13 @@ def test_shapes_are_closed_and_look_outwards() -> None:
     square = np.array([(0.0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
     assert_allclose(volume(extruded(square, (0, 0, 2))), 2)
     assert volume(spokes(0.3)) > 0
+    points = roller_axles(0.3, np.pi / 4).vertices.reshape(9, -1, 3)
+    centers = points.mean(axis=1)
+    np.testing.assert_allclose(np.hypot(*centers[:, 1:].T), 0.3)
+    for rod_points, center in zip(points, centers, strict=True):
+        along = np.linalg.svd(rod_points - center)[2][0]
+        forward = np.cross([1, 0, 0], center / 0.3)
+        assert np.arctan(along @ forward / along[0]) == pytest.approx(np.pi / 4, abs=1e-9)
     assert_allclose(clipped([(0, 0), (4, 0), (0, 4)], (1, 1), (9, 9)), [(1, 1), (3, 1), (1, 3)])
     assert clipped([(0, 0), (1, 0), (0, 1)], (2, 2), (3, 3)).shape == (0, 2)
 

@@ -207,7 +207,7 @@ def test_roles_complete_and_override(tmp_path):
 name = "my cart"
 joints.caster = { kind = "passive", words = "swivel", upper = 0.5, stiffness = 2, max_rate = 3 }
 [wheels]
-caster_axle = { driven = false, radius = 0.12, tube = 0.03, grip = 0.5, rollers = true }
+caster_axle = { driven = false, radius = 0.12, tube = 0.03, grip = 0.5, rollers = "90 deg" }
 left_drive = { driven = false }
 """
     vehicle = read_vehicle(changed(tmp_path, "cart", roles=roles))
@@ -338,7 +338,7 @@ def test_a_ball_on_a_fixed_joint_is_a_caster(tmp_path):
     """A ball that slides freely: it turns with the ground, and costs no slip across."""
     ball = '<geometry><sphere radius="0.1"/></geometry>'
     roles = (
-        'urdf = "cart.urdf"\nwheels.lidar_mount = { driven = false, rollers = true }\n'
+        'urdf = "cart.urdf"\nwheels.lidar_mount = { driven = false, rollers = "90 deg" }\n'
         'joints.caster = "fixed"\nwheels.caster_axle = { driven = false }'
     )
     file = changed(

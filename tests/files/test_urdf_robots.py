@@ -166,7 +166,8 @@ ROBOTS = {
     "springs": (SPRUNG, 4, 4, 0, {}),
     "gears": (geared("left", 0.2) + geared("right", -0.2), 4, 4, 0, {}),
     "omni wheels": (corners(lambda n, at: rollers(n, at, 0)), 4, 4, 4, {}),
-    "mecanum wheels": (corners(lambda n, at: rollers(n, at, pi / 4)), 4, 4, 0, {}),
+    "mecanum wheels": (corners(lambda n, at: rollers(n, at, pi / 4)), 4, 4, 4, {}),
+    "rollers along axles": (corners(lambda n, at: rollers(n, at, pi / 2)), 4, 4, 0, {}),
     "kiwi drive": (KIWI, 3, 3, 3, {}),
     "arm": (FOUR + ARM, 4, 4, 0, {}),
     "low arm": (FOUR + LOW_ARM, 4, 4, 0, {}),
@@ -203,6 +204,48 @@ def draft(path):
         return read_vehicle(path)
     except VehicleError as error:
         return error.draft
+
+
+X_ON_TOP = {"front_left": 45, "front_right": -45, "rear_left": -45, "rear_right": 45}
+
+
+def roller_angles(vehicle):
+    angles = {"_".join(each.name.split("_")[:2]): each.rollers for each in vehicle.wheels}
+    return {name: angle and np.degrees(angle) for name, angle in angles.items()}
+
+
+@pytest.mark.parametrize("angle", [45, 30, 89.5])
+@pytest.mark.parametrize("flipped", [False, True])
+def test_angles_of_rollers_are_those_of_their_axes(flipped, angle, tmp_path):
+    """On the ground, the roller's axis in front on the left points forward and to the right."""
+    expected = {name: np.sign(sign) * angle for name, sign in X_ON_TOP.items()}
+
+    def mecanum(name, at):
+        leftward = np.radians(expected[name.removesuffix("_wheel")] - 90)
+        return rollers(name, at, leftward)
+
+    parts = corners(mecanum)
+    if flipped:  # the axis of a joint has no sense
+        parts = parts.replace('xyz="0 1 0"', 'xyz="0 -1 0"')
+    vehicle = read_vehicle(written(tmp_path, parts))
+    assert roller_angles(vehicle) == pytest.approx(expected, abs=1e-12)
+    if angle == 45:
+        assert any("with rollers, at the angle of their axes" in note for note in vehicle.notes)
+        assert settle(direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x)))["z"][0] > 0
+
+
+def test_wheels_with_the_name_of_mecanum_wheels_have_the_usual_rollers(tmp_path):
+    parts = "".join(wheel(f"{e}_{s}_mecanum", f"{x} {y} 0") for e, x, s, y in CORNERS)
+    vehicle = read_vehicle(written(tmp_path, parts))
+    assert roller_angles(vehicle) == X_ON_TOP
+    assert any("on top of the wheels, their axes form an X" in note for note in vehicle.notes)
+    lines = [note.split("otherwise write ")[1] for note in vehicle.notes if "an X" in note]
+    assert lines[0] == "wheels.front_left_mecanum_joint = { rollers = false }"
+    plain = read_vehicle(written(tmp_path, parts, lines[0]))
+    assert roller_angles(plain) == X_ON_TOP | {"front_left": None}
+    mesh = '<visual><geometry><mesh filename="package://a/mecanum.stl"/></geometry></visual>'
+    parts = corners(lambda name, at: wheel(name, at, WHEEL + mesh))
+    assert roller_angles(read_vehicle(written(tmp_path, parts))) == X_ON_TOP
 
 
 PATTERNS = ("{end}_{side}_wheel", "wheel_{e}{s}", "{s}{e}_joint", "{side}_drive_{end}")

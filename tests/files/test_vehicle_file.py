@@ -1,6 +1,7 @@
 """Tests of vehicle files: the described vehicle, and errors with their lines."""
 
 import json
+import math
 import re
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from helpers.cases import hills
 from helpers.commands import invoke
 from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.files.toml.source import ProblemError
-from slipfree.files.vehicle_draft import Draft, from_rep103, rotation_of
+from slipfree.files.vehicle_draft import Draft, from_rep103, rotation_of, vehicle_text
 from slipfree.files.vehicle_toml import CoordinateTable, JointTable, VehicleTable, WheelTable
 from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
@@ -59,8 +60,9 @@ def as_toml(vehicle, frame):
         lines += vectors(axis=unit_vector(j.axis), at=j.at, center_of_mass=j.body.at)
         lines.append(f"mass = {j.body.mass}")
     for w in vehicle.wheels:
-        keys = ("name", "parent", "radius", "driven", "rollers", "grip", "mass")
+        keys = ("name", "parent", "radius", "driven", "grip", "mass")
         lines += ["[[wheels]]", *plain(w, *keys), f"tube = {w.half_width!r}"]
+        lines.append(f"rollers = {json.dumps(w.rollers or False)}")
         lines += vectors(at=w.at, axle=unit_vector(w.axle))
     return "\n".join(lines)
 
@@ -234,7 +236,7 @@ def test_a_syntax_error_has_its_line(tmp_path):
 
 
 def test_a_wheels_axle_may_point_anywhere(tmp_path):
-    text = LONG.replace("radius = 0.1\n", "radius = 0.1\naxle = [1, -1, 0]\nrollers = true\n")
+    text = LONG.replace("radius = 0.1\n", "radius = 0.1\naxle = [1, -1, 0]\nrollers = '90 deg'\n")
     wheel = read(tmp_path, text).wheels[2]
     assert_allclose(unit_vector(wheel.axle), np.array([1, 1, 0]) / np.sqrt(2))
     assert wheel.rollers
@@ -248,13 +250,41 @@ def test_a_wheels_axle_may_point_anywhere(tmp_path):
     [
         ('section = "torus"\nr1 = 0.02\nr2 = 0.08', Torus(0.02, 0.08)),
         ('section = "disc"\nradius = 0.1', Disc(0.1)),
-        ('section = "sphere"\nradius = 0.1\nrollers = true', Omni(Sphere(0.1))),
+        ('section = "sphere"\nradius = 0.1\nrollers = "90 deg"', Omni(Sphere(0.1))),
         ("radius = 0.1\ntube = 0.1", Sphere(0.1)),
-        ("radius = 0.1\nrollers = true", Omni(Disc(0.1))),
+        ("radius = 0.1\nrollers = '90 deg'", Omni(Disc(0.1))),
+        ("radius = 0.1\nrollers = '-45 deg'", Omni(Disc(0.1), -np.pi / 4)),
+        ("radius = 0.1\nrollers = 0.5", Omni(Disc(0.1), 0.5)),
+        ("radius = 0.1\nrollers = 1", Omni(Disc(0.1), 1.0)),
+        ("radius = 0.1\nrollers = false", Disc(0.1)),
     ],
 )
 def test_sections_by_name_or_by_radius_and_tube(tmp_path, keys, section):
     assert read(tmp_path, LONG.replace("radius = 0.1\n", f"{keys}\n")).wheels[2].section == section
+
+
+@pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 4, 0.5, math.radians(30)])
+def test_rollers_are_written_as_they_are_read(tmp_path, angle):
+    text = LONG.replace("radius = 0.1\n", f"radius = 0.1\nrollers = {angle!r}\n")
+    vehicle = read(tmp_path, text)
+    again = vehicle_text(vehicle)
+    assert read(tmp_path, again).wheels == vehicle.wheels
+    if angle == -np.pi / 4:
+        assert 'rollers = "-45 deg"' in again
+
+
+@pytest.mark.parametrize("value", ["true", '"45 deg/s"', '"135 deg"', "0", "[1.0]"])
+def test_wrong_angles_of_rollers_are_refused(tmp_path, value):
+    text = LONG.replace("radius = 0.1\n", f"radius = 0.1\nrollers = {value}\n")
+    words = r"rollers.*: expected the angle from the wheel's axle to the axles of its rollers"
+    with pytest.raises(VehicleError, match=words):
+        read(tmp_path, text)
+
+
+def test_bare_degrees_of_rollers_are_recognised(tmp_path):
+    text = LONG.replace("radius = 0.1\n", "radius = 0.1\nrollers = 45\n")
+    with pytest.raises(VehicleError, match="did you mean 45 degrees"):
+        read(tmp_path, text)
 
 
 def test_a_ball_with_rollers_is_a_frictionless_caster(tmp_path):
@@ -262,7 +292,8 @@ def test_a_ball_with_rollers_is_a_frictionless_caster(tmp_path):
     wheels = LONG[: LONG.index("[[coordinates]]")] + LONG[LONG.index("[[wheels]]") :]
     text = wheels.replace(
         'parent = "fork"\nat = [-0.08, 0, -0.05]\nradius = 0.1\n',
-        'parent = "platform"\nat = [0.3, 0, -0.1]\nradius = 0.05\ntube = 0.05\nrollers = true\n',
+        'parent = "platform"\nat = [0.3, 0, -0.1]\nradius = 0.05\ntube = 0.05\n'
+        'rollers = "90 deg"\n',
     )
     vehicle = read(tmp_path, text)
     dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x))
@@ -334,7 +365,7 @@ def test_the_page_holds_what_it_says(tmp_path):
     page = (PROBLEMS.parent / "docs" / "vehicles.md").read_text()
     blocks = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
     vehicles = [block for block in blocks if "wheels = [" in block]
-    assert len(vehicles) == 2
+    assert len(vehicles) == 3
     for block in vehicles:
         assert len(block.splitlines()) <= 10
         assert driven(read(tmp_path, block)).stop is None

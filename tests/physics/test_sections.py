@@ -139,10 +139,10 @@ def test_radii_name_the_torus_or_its_limits():
     assert section_of_radii(0.05, 0.25) == Torus(0.05, 0.25)
     assert section_of_radii(0.0, 0.3) == Disc(0.3)
     assert section_of_radii(0.3, 0.0) == Sphere(0.3)
-    assert section_of_radii(0.0, 0.3, rollers=True) == Omni(Disc(0.3))
+    assert section_of_radii(0.0, 0.3, rollers=np.pi / 2) == Omni(Disc(0.3))
     assert [str(section) for section in (Torus(0.05, 0.25), Omni(Disc(0.3)))] == [
         "torus r1 0.05, r2 0.25 m",
-        "disc radius 0.3 m on rollers",
+        "disc radius 0.3 m on rollers at 90 degrees",
     ]
 
 

@@ -4,6 +4,7 @@ from slipfree.catalog.carts import (
     ackermann,
     articulated,
     differential_drive,
+    mecanum,
     rigid_skid_steer,
     skid_steer,
 )
@@ -15,6 +16,7 @@ __all__ = [
     "ackermann",
     "articulated",
     "differential_drive",
+    "mecanum",
     "open_source_rover",
     "rigid_skid_steer",
     "rocky7",

@@ -6,7 +6,10 @@ The platform's axes are x right, y forward, z up. Masses are rounded values; wit
 
 from __future__ import annotations
 
-from math import inf
+from math import inf, pi
+from typing import Annotated
+
+from annotated_types import Unit
 
 from slipfree.core.errors import ModelError
 from slipfree.core.schema import Angle, Factor, Length, Mass, Position, Radius
@@ -271,6 +274,77 @@ def rigid_skid_steer(
         )
     ]
     return Vehicle("rigid_skid_steer", (), (), tuple(wheels), Body(mass, center_of_mass))
+
+
+def mecanum(
+    *,
+    half_track: Length = 0.15,
+    wheelbase: Length = 0.47,
+    r1: Radius = 0.0125,
+    r2: Radius = 0.035,
+    roller_angle: Annotated[float, Unit("rad")] = pi / 4,
+    mass: Mass = 22.0,
+    center_of_mass: Vector = ORIGIN,
+    wheel_mass: Mass = 1.4,
+    grip: Factor = 1.0,
+) -> Vehicle:
+    """Return an omnidirectional platform with four driven mecanum wheels and a rocking front axle.
+
+    Track, wheelbase and radius of the wheels are those of the KUKA youBot [1]_, masses those of its
+    description [2]_. The rocking axle, with which all wheels touch uneven ground, and the round
+    tread are assumptions. The platform's centre is in the middle of the wheels, at their height.
+
+    Parameters
+    ----------
+    half_track, wheelbase : float
+        Distance from the vehicle's centre line to a wheel, and distance between front and rear
+        wheels. [m]
+    r1, r2 : float
+        Radius of the wheels' tube, and radius of the circle of tube centres. [m]
+    roller_angle : float
+        Angle of the rollers (`Omni`) of the front left and the rear right wheel; that of the other
+        wheels is its negative. The rollers on top of the wheels form an X, or an O if it is
+        negative. [rad]
+    mass, center_of_mass : float, tuple of 3 floats
+        Mass of the platform, and its centre of mass in the platform's frame. [kg, m]
+    wheel_mass, grip : float
+        Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
+        each wheel [1].
+
+    Raises
+    ------
+    ModelError
+        If ``half_track`` or ``wheelbase`` is not positive, or another number is out of range.
+
+    References
+    ----------
+    .. [1] Configuration of the youBot's driver, youbot/youbot_driver, ``config/youbot-base.cfg``.
+    .. [2] a2s-institute/youbot_description, ``urdf/youbot_base/base.urdf.xacro``.
+    """
+    _positive("mecanum", half_track=half_track, wheelbase=wheelbase)
+    wheels = tuple(
+        Wheel(
+            f"{end}_{side}",
+            part,
+            (right * half_track, y, 0.0),
+            section_of_radii(r1, r2, rollers=-ahead * right * roller_angle),
+            driven=True,
+            mass=wheel_mass,
+            grip=grip,
+        )
+        for end, part, ahead, y in (
+            ("front", "axle", 1, 0.0),
+            ("rear", "platform", -1, -wheelbase / 2),
+        )
+        for side, right in SIDES.items()
+    )
+    return Vehicle(
+        "mecanum",
+        (Coordinate("rock", "suspension", "rocking of the front axle, right side down positive"),),
+        (Joint("axle", "platform", "y", (0.0, wheelbase / 2, 0.0), "rock"),),
+        wheels,
+        Body(mass, center_of_mass),
+    )
 
 
 def articulated(

@@ -8,6 +8,7 @@ it is ``G + r1 n + r2 e = C`` with ``e`` the unit vector of ``n - (n.a) a``.
 
 from __future__ import annotations
 
+from math import pi, sin
 from typing import NamedTuple
 
 import casadi as ca
@@ -127,6 +128,22 @@ def closure(wheel: Wheel, carrier: Pose, contact: ContactFrame) -> ca.SX:
     normal relative to its centre ``C``, and ``a`` the axle. The residual is zero in contact.
     """
     return contact.point - wheel.section.support(-contact.normal, contact.axle) - carrier.origin
+
+
+def without_rolling(wheel: Wheel, contact: ContactFrame, velocity: ca.SX) -> ca.SX:
+    """Return a velocity at the contact without the component in which rollers turn freely [m/s].
+
+    Rollers with an axle at the angle ``phi`` from the wheel's axle ``a`` turn in the direction
+    ``sin(phi) l - cos(phi) |n x a| t`` of the ground, for the unit tangents ``t`` along and ``l``
+    across the wheel: it is perpendicular to the roller's axle ``cos(phi) a + sin(phi) t``, since
+    the component of ``a`` along ``l`` is ``|n x a|``.
+    """
+    if wheel.rollers is None:
+        return velocity
+    sine, cosine = sin(wheel.rollers), sin(pi / 2 - wheel.rollers)  # exactly 0 for omni wheels
+    shortened = cosine * contact.uprightness
+    free = sine * contact.across - shortened * contact.along
+    return velocity - free * (ca.dot(free, velocity) / (sine**2 + shortened**2))
 
 
 def wheel_coordinates(carrier: Pose, contact: ContactFrame) -> tuple[ca.SX, ca.SX, ca.SX]:

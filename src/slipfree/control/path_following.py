@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from math import pi, tan
 from typing import NamedTuple
 
 import casadi as ca
@@ -207,6 +208,9 @@ def wheel_rate(each: _PlanarWheel, v: ca.SX, turning: ca.SX, moving: dict[ca.SX,
         shift += ca.jacobian(position, coordinate) * rate
     v_forward, v_left = v + each.right * turning + shift[1], each.forward * turning - shift[0]
     along = ca.cos(each.angle) * v_forward + ca.sin(each.angle) * v_left
+    if each.wheel.rollers:  # no velocity along the axle of the roller on the ground
+        left = ca.cos(each.angle) * v_left - ca.sin(each.angle) * v_forward
+        along -= tan(pi / 2 - each.wheel.rollers) * left  # zero for omni wheels
     return along / each.wheel.radius
 
 

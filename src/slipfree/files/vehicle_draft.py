@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from math import isfinite
+from math import degrees, isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ import tomlkit
 
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.records import Array
-from slipfree.files.toml.types import FULL_TURN, WithUnit
+from slipfree.files.toml.types import FULL_TURN, WithUnit, parse_unit
 from slipfree.geometry.frame import Vector, in_axes, unit_vector
 from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS
@@ -288,9 +288,15 @@ def _drive(drive: Drive) -> dict[str, Any]:
     return {"drive": {"kind": kind, **_given(drive)}}
 
 
+def angle_text(angle: float) -> str:
+    """Return an angle [rad] as text in degrees, or in radians if degrees would not be exact."""
+    text = f"{degrees(angle):g} deg"
+    return text if parse_unit(text) == angle else f"{float(angle)!r} rad"
+
+
 def _wheel(wheel: Wheel) -> dict[str, Any]:
     section = wheel.section
-    rollers = {"rollers": True} if isinstance(section, Omni) else {}
+    rollers = {"rollers": angle_text(section.angle)} if isinstance(section, Omni) else {}
     section = section.rim if isinstance(section, Omni) else section
     tube, outer = section.torus_radii or (0.0, 0.0)
     if outer and (tube + outer) - tube == outer:  # exact in the reader

@@ -31,14 +31,17 @@ from slipfree.files.toml.source import (
 from slipfree.files.toml.types import (
     WITH_UNIT,
     Angle,
+    AngleWithUnit,
     NonNegative,
     Positive,
     Quantity,
     Record,
+    WithUnit,
     bare_words,
     expected_error,
     given_values,
     in_radians,
+    parse_unit,
     record_of,
     unit_faults,
 )
@@ -106,6 +109,22 @@ def _axis(value: Any) -> str | Vector:
     )
 
 
+def _rollers(value: Any) -> float | bool:
+    """Return the angle of rollers; False for a wheel without rollers."""
+    if value is False:
+        return False
+    angle = parse_unit(value)
+    is_bare = isinstance(angle, int | float) and not isinstance(angle, bool | WithUnit)
+    is_angle = is_bare or isinstance(angle, AngleWithUnit)
+    if is_angle and 0 < abs(in_radians(angle)) <= math.pi / 2:
+        return float(angle)
+    raise expected_error(
+        "the angle from the wheel's axle to the axles of its rollers, not zero and at most 90 "
+        'degrees, such as "90 deg" for an omni wheel, "45 deg" or "-45 deg" for a mecanum wheel; '
+        "or false for a wheel without rollers"
+    )
+
+
 def _known_section(_: Any) -> None:
     raise expected_error(f"one of {', '.join(map(repr, SECTIONS))}")
 
@@ -134,6 +153,7 @@ def _drive(data: Any) -> Drive:
 
 
 Axis = Annotated[Any, PlainValidator(_axis)]
+Rollers = Annotated[Any, PlainValidator(_rollers)]
 At = Annotated[Place3, _all(_meters)]
 Turned = Annotated[tuple[Angle, Angle, Angle], Field(strict=False), _all(in_radians)]
 Name = Annotated[str, Field(min_length=1)]
@@ -182,7 +202,7 @@ class AnyWheelTable(Record):
     section: str | None = None
     at: At = ORIGIN
     driven: bool = False
-    rollers: bool = False
+    rollers: Rollers = False
     axle: Axis | None = None
     grip: Positive = 1.0
     mass: NonNegative = 0.0
@@ -530,8 +550,8 @@ def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:
 
 def _section_of(table: AnyWheelTable) -> Section:
     if isinstance(table, WheelTable):
-        tube, rollers = table.tube, table.rollers
+        tube, rollers = table.tube, table.rollers or None
         return section_of_radii(tube, table.radius - tube, rollers=rollers)
     kind = SECTIONS[str(table.section)]
     section = kind(**{each.name: getattr(table, each.name) for each in fields(kind)})
-    return Omni(section) if table.rollers else section
+    return Omni(section, table.rollers) if table.rollers else section

@@ -27,8 +27,8 @@ class Rolling:
         if any(wheel.rollers for wheel in vehicle.wheels):
             raise ModelError(
                 f"{vehicle.name!r}: expected wheels without rollers, found wheels with rollers, "
-                "which slip sideways; use least slip: LeastSlip(), or slip = 'least' in a "
-                "problem file"
+                "whose contact points move freely across the rollers' axles; use least slip: "
+                "LeastSlip(), or slip = 'least' in a problem file"
             )
         check_exact_closure(vehicle, "rolling without slip")
         found, needed = rolling_counts(vehicle)

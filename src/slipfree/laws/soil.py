@@ -239,7 +239,7 @@ class Soil:
             )
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
-        """Raise ModelError if a wheel has no width."""
+        """Raise ModelError if a wheel has no width, or oblique rollers."""
         for wheel in vehicle.wheels:
             wheel_size(wheel)
 
@@ -348,8 +348,14 @@ def wheel_size(wheel: Wheel) -> WheelSize:
     Raises
     ------
     ModelError
-        If the section of the wheel is not a torus with a width.
+        If the section of the wheel is not a torus with a width, or if its rollers are oblique.
     """
+    if wheel.rollers and abs(wheel.rollers) < pi / 2:
+        raise ModelError(
+            f"wheel {wheel.name!r}: expected a wheel on soil without oblique rollers, whose forces "
+            f"in soil are not known, found {wheel.section}; use a ground with a coefficient of "
+            "friction, or other wheels"
+        )
     tube, circle = wheel.section.torus_radii or (0.0, 0.0)
     if not (tube and circle):
         raise ModelError(

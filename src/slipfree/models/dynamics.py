@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.certify import SecondContact, second_contacts
-from slipfree.contact.closure import has_exact_closure, support_fault
+from slipfree.contact.closure import has_exact_closure, support_fault, without_rolling
 from slipfree.contact.touch import Touch, plane_of, search_function, solid_touch, touch
 from slipfree.core.dae import Dae, HeldTerms, Labels, Standing
 from slipfree.core.errors import ModelError
@@ -295,11 +295,13 @@ def _contacts(
 
 
 def slip_velocity(wheel: WheelMotion, at: Touch) -> ca.SX:
-    """Return the velocity of the wheel's material point at its contact, shape (3, 1) [m/s]."""
+    """Return the velocity of the wheel's material point at its contact, shape (3, 1) [m/s].
+
+    On rollers, it has no component across their axles.
+    """
     omega = wheel.motion.omega - wheel.rate * wheel.axle
     slip = wheel.motion.velocity + ca.cross(omega, at.frame.point - wheel.motion.pose.origin)
-    across = at.frame.across
-    return slip - across * ca.dot(across, slip) if wheel.wheel.rollers else slip
+    return without_rolling(wheel.wheel, at.frame, slip)
 
 
 class _Wheel(NamedTuple):

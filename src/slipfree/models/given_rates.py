@@ -245,7 +245,7 @@ def steering_effects(
 def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[ModelVariable]) -> GuidingMotion:
     """Return the guiding motion: least sideways slip of unsteered wheels under given rates.
 
-    ``inputs`` are the given rates.
+    Wheels on rollers do not count. ``inputs`` are the given rates.
     """
     kinds: tuple[Kind, ...] = ("commanded", "passive")
     turned = {
@@ -265,6 +265,8 @@ def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[ModelVariable
         Label(f"guide_multiplier_{name}", slip_unit(COMMANDS[name].unit), COMMANDS[name].words)
         for name in given
     ]
+    # at its proper rate, a wheel on rollers meets every motion: its slip at rest does not count
+    turned |= {k for k, wheel in enumerate(vehicle.wheels) if wheel.rollers}
     across = [slip for k, slip in enumerate(direct.y.slip_across) if k not in turned]
     sizes = {"yaw_rate": direct.size}
     loose = [
@@ -312,6 +314,9 @@ def steering_errors(
     values = {c.name: direct.named(c.name)[0] for c in vehicle.coordinates}
     coordinates = {c.name: c for c in vehicle.coordinates}
     for name, effects in steering_effects(vehicle, direct).items():
+        effects = {k: e for k, e in effects.items() if not vehicle.wheels[k].rollers}
+        if not effects:
+            continue
         wheels = [(direct.y.slip_along[k], direct.y.slip_across[k]) for k in effects]
         moving = iter(guided(direct, motion, [part for wheel in wheels for part in wheel]))
         sine, cosine = ca.SX(0), ca.SX((MIN_WHEEL_SPEED * direct.size) ** 2)

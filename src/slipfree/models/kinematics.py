@@ -28,6 +28,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from slipfree.contact.certify import second_contacts
 from slipfree.contact.closure import (
@@ -84,6 +85,7 @@ from slipfree.vehicle.tree import GRAVITY, Body, Vehicle
 CONTACT_SPEED = 1.0  # speed of a wheel on the ground under an unbalanced force W / n [m/s]
 AIR_SPEED = 3.0  # speed of a wheel in the air under an unbalanced force W / n [m/s]
 SMOOTHING = 0.1  # width of the load law [static depths]
+MIN_RESISTANCE = 0.01  # least singular value of the slip along rollers' axles [1]
 AIR_WEIGHT = 1e-6  # weight of the slip of a wheel in the air, so that its rate is determined [1]
 
 
@@ -412,8 +414,8 @@ def direct_kinematics(
     ------
     ModelError
         If ``slip`` is not a slip law or cannot be used with the vehicle, if ``smoothing`` is not
-        positive, if the vehicle has fewer than three wheels, or if contacts and springs do not
-        determine its pose.
+        positive, if the vehicle has fewer than three wheels, if contacts and springs do not
+        determine its pose, or if its rollers resist one of its motions less than `MIN_RESISTANCE`.
 
     See Also
     --------
@@ -436,6 +438,7 @@ def direct_kinematics(
       outputs: wheel_angle, work, contact_z, center_x, center_y, center_z, slip_along, ...
     """
     check_slip_law(vehicle, slip)
+    check_rollers(vehicle)
     if not smoothing > 0:
         raise ModelError(
             f"direct_kinematics: smoothing: expected a positive number, found {smoothing}; "
@@ -443,9 +446,52 @@ def direct_kinematics(
         )
     if not has_exact_closure(vehicle):
         return pressed_dae(vehicle, terrain, slip, smoothing)
+    return exact_dae(vehicle, terrain, slip)
+
+
+def exact_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw) -> KinematicDae:
+    """Return the kinematic model of a vehicle in exact contact; see `direct_kinematics`."""
     labels = labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle)))
     z, q = closure_quantities(vehicle, terrain, labels)
     return closure_dae(labels, z, q, slip_equations(slip, labels, q), contact_force_residuals(q))
+
+
+def check_rollers(vehicle: Vehicle) -> None:
+    """Raise ModelError if all wheels have rollers, and these resist a motion hardly or not at all.
+
+    The motion is one on level ground, with all coordinates at zero. Vehicles that steer are not
+    checked.
+    """
+    coordinates = vehicle.of("commanded") + vehicle.of("passive")
+    if coordinates or not all(wheel.rollers for wheel in vehicle.wheels):
+        return
+    vehicle = vehicle.numeric
+    size, still = extent(vehicle), {c.name: ca.SX(0) for c in vehicle.coordinates}
+    poses = vehicle.carriers(Pose(ca.SX.eye(3), ca.SX.zeros(3)), still)
+    rows = np.zeros((len(poses), 3))
+    for row, wheel, pose in zip(rows, vehicle.wheels, poses, strict=True):
+        (x, y), (right, forward) = (
+            np.array(ca.evalf(each[:2])).ravel() for each in (pose.origin, pose.rotation[:, 0])
+        )
+        angle = np.arctan2(forward, right) + (wheel.rollers or 0.0)  # of the roller's axle
+        if wheel.driven:  # a free wheel resists nothing
+            row[:] = np.cos(angle), np.sin(angle), (x * np.sin(angle) - y * np.cos(angle)) / size
+    _, values, motions = np.linalg.svd(rows)
+    if values[-1] > MIN_RESISTANCE:
+        return
+    right, forward, turning = motions[-1] * np.copysign(1, motions[-1, 1])
+    motion = f"{np.degrees(np.arctan2(abs(right), forward)):.0f} degrees to the "
+    motion += f"{'right' if right > 0 else 'left'} of forward, across the axles of all rollers"
+    if abs(turning) > MIN_RESISTANCE:
+        x, y = size * np.round([-forward / turning, right / turning], 6) + 0.0
+        motion = f"about a point {x:.3g} m to the right of its centre and {y:.3g} m ahead, to "
+        motion += "which the axles of all rollers point"
+    raise ModelError(
+        f"{vehicle.name!r}: expected rollers that, on the ground, resist every motion of the "
+        f"platform, found none that resists its motion {motion}; change the angles of the rollers: "
+        "of four mecanum wheels, positive in front on the left and in the rear on the right, "
+        "negative at the other two"
+    )
 
 
 def check_driven(vehicle: Vehicle) -> None:

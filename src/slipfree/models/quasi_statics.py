@@ -16,6 +16,7 @@ from slipfree.laws.protocols import Equations, GroundLaw, SlidingContacts, check
 from slipfree.models.base import Mechanics, Quantities
 from slipfree.models.closure_model import closure_dae, closure_quantities
 from slipfree.models.friction_feasibility import diagnosis, equilibrium
+from slipfree.models.kinematics import check_rollers
 from slipfree.models.records import (
     Algebraic,
     Forces,
@@ -58,7 +59,8 @@ def quasi_statics(
     ------
     ModelError
         If ``law`` is not a wheel-ground law, the vehicle has no mass, not all of its wheels can
-        touch a rigid ground, or the law cannot be used with the vehicle or the ground.
+        touch a rigid ground, the law cannot be used with the vehicle or the ground, or its rollers
+        resist one of its motions hardly or not at all.
 
     Examples
     --------
@@ -80,6 +82,7 @@ def quasi_statics(
             "its platform or its wheels a mass"
         )
     check_exact_closure(vehicle, "quasi-static model")
+    check_rollers(vehicle)
     law.check(vehicle, terrain)
     labels = labels_of(vehicle, law.unknowns(vehicle), follow=False)
     labels = labels._replace(y=labels.y._replace(slip_ratio=slip_ratio_labels(vehicle)))

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.closure import ContactFrame
+from slipfree.contact.closure import ContactFrame, without_rolling
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask, pack
 from slipfree.core.trajectory import Trajectory
@@ -113,13 +113,13 @@ def slip_velocity(
     ``carrier`` is the pose of the part that carries the wheel, at the wheel's centre, as a function
     of the vehicle's coordinates ``q`` with the rates ``q_dot``; ``wheel_rate`` is positive for
     forward motion. The normal component vanishes if the wheel keeps contact; a wheel with rollers
-    has no velocity across.
+    has no velocity across their axles.
     """
     twist = carrier.twist(q, q_dot)
     # a positive rate drives forward, hence the minus: the axle points to the right
     omega = twist.omega - wheel_rate * carrier.rotation[:, 0]  # wheel frame R Rx(-theta)
     slip = twist.v + ca.cross(omega, contact.point - carrier.origin)
-    return slip - contact.across * ca.dot(contact.across, slip) if wheel.rollers else slip
+    return without_rolling(wheel, contact, slip)
 
 
 def slip_velocities(

@@ -18,7 +18,7 @@ from slipfree.geometry.frame import Pose, platform, quaternion, turn
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.models.base import extent, level_heights, sizes
 from slipfree.models.dynamic_outputs import Contact, DynamicState
-from slipfree.models.kinematics import direct_kinematics, pressed_dae
+from slipfree.models.kinematics import exact_dae, pressed_dae
 from slipfree.models.multibody import Load, Multibody, bias_forces, generalised_forces
 from slipfree.models.records import Configuration
 from slipfree.terrain.base import Terrain
@@ -153,7 +153,8 @@ def standing_start(
     rolling = [speed / wheel.radius for wheel in vehicle.wheels]
     motors = ca.SX.zeros(len(labels.x.drives) + len(labels.x.joint_drives))
     exact = has_exact_closure(vehicle)
-    guess = replace(direct_kinematics(vehicle, terrain), limits=(), checks=()) if exact else None
+    law = LeastSlip()
+    guess = replace(exact_dae(vehicle, terrain, law), limits=(), checks=()) if exact else None
     return Standing(
         model,
         guess,

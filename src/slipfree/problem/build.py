@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from inspect import signature
+from math import degrees
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -24,7 +25,7 @@ from slipfree.files.toml.types import Piecewise
 from slipfree.geometry.path import Path
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.models.dynamics import dynamics
-from slipfree.models.kinematics import check_driven, direct_kinematics
+from slipfree.models.kinematics import check_driven, check_rollers, direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.problem import schema
 from slipfree.problem.build_ground import GroundMap, at, build_ground, ground_facts
@@ -210,6 +211,9 @@ def vehicle_facts(vehicle: Vehicle) -> Lines:
         f"{w.name} {w.radius:g} m {'driven' if w.driven else 'free'}" for w in vehicle.wheels
     )
     facts = [("vehicle", f"{vehicle.name}: {wheels}")]
+    if rollers := [f"{w.name} {degrees(w.rollers):.4g}" for w in vehicle.wheels if w.rollers]:
+        words = "degrees from the wheel's axle; the change from roller to roller is neglected"
+        facts.append(("rollers", f"{', '.join(rollers)} {words}"))
     if vehicle.mass:
         facts.append(("mass", f"{vehicle.mass:g} kg, weight {vehicle.weight:.1f} N"))
     if vehicle.notes:
@@ -261,9 +265,11 @@ def build_model(
 ) -> Dae:
     """Return the model of a problem for a vehicle on a ground; ``prisms`` are for dynamics."""
     spec, law = problem.spec, model_law(problem)
-    if spec.model == "kinematics":
-        with at(problem, ("vehicle",)):
+    with at(problem, ("vehicle",)):
+        if spec.model == "kinematics":
             check_driven(vehicle)
+        if spec.model != "dynamics":
+            check_rollers(vehicle)
     with at(problem, ("slip",) if spec.model == "kinematics" else ("model",)):
         if spec.model == "kinematics":
             return in_frame(problem, direct_kinematics(vehicle, terrain, slip=law))

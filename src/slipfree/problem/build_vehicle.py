@@ -39,6 +39,7 @@ from slipfree.files.vehicle_toml import (
     File,
     Inertia,
     Length,
+    Rollers,
     VehicleError,
     WheelInertia,
     couple_errors,
@@ -88,7 +89,7 @@ class UrdfWheelTable(Record):
     radius: Length | None = None
     tube: NonNegative | None = None
     grip: Positive = 1.0
-    rollers: bool | None = None
+    rollers: Rollers | None = None
     mass: NonNegative | None = None
     inertia: WheelInertia | None = None
     static_depth: Length | None = None

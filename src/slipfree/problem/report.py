@@ -149,13 +149,13 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
         if error.draft is None:
             raise
         return Description(_drawn_tree(error.draft), _shares(error.draft), error.faults)
-    level = Analytic(lambda x, _: 0 * x, mu=1.0)
-    dae: Dae = dynamics(vehicle, level) if vehicle.planar else direct_kinematics(vehicle, level)
+    level, facts = Analytic(lambda x, _: 0 * x, mu=1.0), _shares(vehicle)
     try:
+        dae: Dae = dynamics(vehicle, level) if vehicle.planar else direct_kinematics(vehicle, level)
+        facts = [*counts(vehicle, dae), *_notes(vehicle)]
         check_driven(vehicle)
         return _description(vehicle, dae, settle(dae))
     except ModelError as error:
-        facts = [*counts(vehicle, dae), *_notes(vehicle)]
         faults = (f"{path}: on level ground: {error}",)
         return Description(_drawn_tree(vehicle), facts, faults)
 
@@ -240,19 +240,22 @@ def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
     """Yield the fact about the number of contact forces; nothing for a vehicle without mass."""
     if not vehicle.mass:
         return
-    count = 3 * len(vehicle.wheels)
+    count = len(vehicle.wheels) + _tangential(vehicle)
+    loose = count - len(list(leaves(dae.labels.z.rates.motion)))
     if not has_exact_closure(vehicle):
         how = "the depths of the wheels determine the loads, on which friction depends"
     elif _has_ground_law(dae):
         how = "the wheel-ground law determines them, together with the rates"
-    elif is_determinate(vehicle):
+    elif is_determinate(vehicle) or not loose:
         how = "equilibrium determines them"
     else:
-        how = (
-            f"{count - len(list(leaves(dae.labels.z.rates.motion)))} of them are not "
-            "determined by equilibrium: they are load-weighted"
-        )
+        how = f"{loose} of them are not determined by equilibrium: they are load-weighted"
     yield "contact forces", f"{count}: {how}"
+
+
+def _tangential(vehicle: Vehicle) -> int:
+    """Return the number of no-slip conditions and friction forces: one for a wheel on rollers."""
+    return sum(1 if wheel.rollers else 2 for wheel in vehicle.wheels)
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -269,13 +272,13 @@ def counts(vehicle: Vehicle, dae: Dae) -> Lines:
     inputs, states = ("inputs", listed(dae.labels.u)), ("states", listed(dae.labels.x))
     if not dae.labels.z:  # dynamics has no algebraic unknowns
         return [inputs, states]
-    wheels = len(vehicle.wheels)
     position, rates, _ = dae.labels.z
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
     passive = [c.name for c in vehicle.of("passive")]
-    given, needed = len(passive) + len(free), 2 * wheels - 3
+    given, needed = len(passive) + len(free), _tangential(vehicle) - 3
     if given == needed:
-        rolls = "as many as needed: it can roll without slip (slip = 'rolling')"
+        law = "least" if any(wheel.rollers for wheel in vehicle.wheels) else "rolling"
+        rolls = f"as many as needed: it can roll without slip (slip = '{law}')"
     else:
         more = "too few by" if given < needed else "too many by"
         rolls = f"{more} {abs(needed - given)}: it moves with least slip (slip = 'least')"
@@ -320,8 +323,8 @@ def _has_ground_law(dae: Dae) -> bool:
     return bool(dae.labels.y.forces) and not follow and not dae.rest.numel()
 
 
-def _shares(draft: Draft) -> Lines:
-    """Return the facts about wheels and joints of the draft of an invalid vehicle."""
+def _shares(draft: Vehicle | Draft) -> Lines:
+    """Return the facts about wheels and joints of an invalid vehicle or its draft."""
     suspension = _listed(c.name for c in draft.of("suspension"))
     return [
         ("wheels", _listed(wheel.name for wheel in draft.wheels)),

@@ -19,7 +19,16 @@ from slipfree.models.samples import FramePoses, part_poses, wheel_poses
 from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing
 from slipfree.show.ground_drawing import Window
-from slipfree.show.meshes import Refined, clipped, extruded, joined, refined, rod, spokes
+from slipfree.show.meshes import (
+    Refined,
+    clipped,
+    extruded,
+    joined,
+    refined,
+    rod,
+    roller_axles,
+    spokes,
+)
 from slipfree.show.scene import (
     BLOCKED,
     ROD,
@@ -319,8 +328,10 @@ def _is_carried(part: str, by: str, parents: Mapping[str, str]) -> bool:
 
 def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[SceneBody]:
     for k, wheel in enumerate(vehicle.wheels):
-        looks = ((wheel.section.mesh(), TYRE), (spokes(wheel.radius * 0.97), color))
-        yield SceneBody(wheel.name, looks, wheels.origins[:, k], wheels.rotations[:, k])
+        looks = [(wheel.section.mesh(), TYRE), (spokes(wheel.radius * 0.97), color)]
+        if wheel.rollers:
+            looks.append((roller_axles(wheel.radius, wheel.rollers), color))
+        yield SceneBody(wheel.name, tuple(looks), wheels.origins[:, k], wheels.rotations[:, k])
 
 
 def _hidden(bodies: Iterable[SceneBody], drive: Driven) -> Iterable[SceneBody]:

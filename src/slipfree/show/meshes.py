@@ -16,6 +16,7 @@ from slipfree.terrain.base import Grid, Terrain
 
 ROD = 8  # faces around a rod
 SPOKES, SPOKE = 4, 0.06  # number of spokes of a wheel, and their radius [wheel radius]
+ROLLERS, ROLLER = 9, 0.25  # number of rollers of a wheel, and half their length [wheel radius]
 NEAR = 1e-9  # smaller lengths count as zero [m]
 MOST = 60_000  # maximum number of added nodes
 
@@ -35,6 +36,20 @@ def spokes(radius: float) -> Mesh:
     return joined(
         *(rod((0.0, 0.0, 0.0), end, size * radius) for end, size in zip(ends, sizes, strict=True))
     )
+
+
+def roller_axles(radius: float, angle: float) -> Mesh:
+    """Return the mesh of the axles of rollers around the x axis, on the tread of a wheel.
+
+    The angle from the wheel's axle is that of `slipfree.vehicle.sections.Omni` [rad].
+    """
+    rods = []
+    for around in 2 * np.pi * np.arange(ROLLERS) / ROLLERS:
+        out = np.array([0.0, np.cos(around), np.sin(around)])
+        half = np.cos(angle) * np.eye(3)[0] + np.sin(angle) * np.cross(np.eye(3)[0], out)
+        start, end = (radius * (out + sign * ROLLER * half) for sign in (-1, 1))
+        rods.append(rod(start, end, SPOKE * radius))
+    return joined(*rods)
 
 
 def rod(start: Sequence[float] | Array, end: Sequence[float] | Array, radius: float) -> Mesh:

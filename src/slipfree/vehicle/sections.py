@@ -10,8 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from math import inf
-from typing import ClassVar
+from math import degrees, inf, pi
 
 import casadi as ca
 import numpy as np
@@ -36,19 +35,16 @@ class Section(ABC):
     `slipfree.core.schema.Length`. The other methods follow from it; a subclass overrides one where
     a closed form has fewer operations.
 
-    Attributes
-    ----------
-    rollers : bool
-        Whether free rollers let the wheel move along its axle. Slip across the wheel then has no
-        cost, and no force acts across it.
-
     Raises
     ------
     ModelError
         If a dimension is not positive and finite.
     """
 
-    rollers: ClassVar[bool] = False
+    @property
+    def rollers(self) -> float | None:
+        """Angle from the wheel's axle to the axles of free rollers; None without rollers [rad]."""
+        return None
 
     @property
     def torus_radii(self) -> tuple[float, float] | None:
@@ -303,20 +299,66 @@ class Torus(Section):
 
 @dataclass(frozen=True)
 class Omni(Section):
-    """Omni wheel: free rollers whose common envelope has the shape of a wheel.
+    """Omni or mecanum wheel: free rollers whose common envelope has the shape of a wheel.
+
+    The rollers turn freely about their axles. The contact point therefore moves freely across the
+    axle of the roller that touches the ground; slip has a cost, and friction acts, only along this
+    axle. The wheel is one body of revolution: the change from roller to roller is neglected.
 
     Attributes
     ----------
     rim : Section
         Cross-section of the envelope of all rollers.
+    angle : float
+        Angle from the wheel's axle to the axle of the roller at the contact, seen from above, on a
+        wheel upright on level ground: counter-clockwise positive, other than zero, between -pi/2
+        and pi/2. The wheel's axle points to the right of its forward direction. An omni wheel has
+        the angle pi/2: its rollers' axles are along its forward direction. A mecanum wheel has
+        pi/4 if the axle of the roller on the ground points forward on its right side, and -pi/4 if
+        it points forward on its left side; on top of the wheel, the axles are mirror images. [rad]
+
+    Raises
+    ------
+    ModelError
+        If the angle is zero, since no drive could act on the ground, or not between -pi/2 and pi/2.
+
+    Notes
+    -----
+    On the ground, seen from above, for the angle pi/4::
+
+                   forward
+                      |     / axle of the roller
+                      |   /
+                      | /
+           left ------o------> axle of the wheel
+
+    In the usual arrangement of four mecanum wheels, the rollers on top form an X, seen from above,
+    and those on the ground an O: the angle is positive in front on the left and in the rear on the
+    right, negative at the other two wheels. If the signs are reversed, all four rollers' axles on
+    the ground point approximately to the middle of the vehicle, about which the wheels can then
+    hardly turn it.
     """
 
-    rollers: ClassVar[bool] = True
     rim: Section
+    angle: float = pi / 2
+
+    def __post_init__(self) -> None:
+        if not 0 < abs(self.angle) <= pi / 2:
+            raise ModelError(
+                "rollers: expected an angle between -90 and 90 degrees from the wheel's axle to "
+                "the axles of the rollers, other than zero, at which no drive could act on the "
+                f"ground, found {degrees(self.angle) + 0.0:.6g} degrees; give 90 degrees for an "
+                "omni wheel, or 45 or -45 degrees for a mecanum wheel"
+            )
 
     def __str__(self) -> str:
-        """Return the kind and dimensions of the rim, followed by "on rollers"."""
-        return f"{self.rim} on rollers"
+        """Return the kind and dimensions of the rim, followed by the angle of the rollers."""
+        return f"{self.rim} on rollers at {degrees(self.angle):.6g} degrees"
+
+    @property
+    def rollers(self) -> float:
+        """Angle from the wheel's axle to the rollers' axles [rad]."""
+        return self.angle
 
     @property
     def torus_radii(self) -> tuple[float, float] | None:
@@ -343,20 +385,20 @@ SECTIONS: dict[str, type[Section]] = {
 }
 
 
-def section_of_radii(r1: float, r2: float, *, rollers: bool = False) -> Section:
+def section_of_radii(r1: float, r2: float, *, rollers: float | None = None) -> Section:
     """Return the torus of two radii; a disc for ``r1 = 0``, a sphere for ``r2 = 0``.
 
     Parameters
     ----------
     r1, r2 : float
         Radius of the tube, and radius of the circle of tube centres. [m]
-    rollers : bool
-        Whether the wheel has free rollers.
+    rollers : float or None
+        Angle of free rollers, as in `Omni`; None for a wheel without rollers. [rad]
 
     Raises
     ------
     ModelError
-        If a radius is negative or not finite, or both are zero.
+        If a radius is negative or not finite, if both are zero, or if the angle is invalid.
     """
     for key, radius in (("r1", r1), ("r2", r2)):
         if not 0 <= radius < inf:
@@ -366,4 +408,4 @@ def section_of_radii(r1: float, r2: float, *, rollers: bool = False) -> Section:
     if r1 + r2 <= 0:
         raise ModelError("r1, r2: expected a positive radius, found two zeros; increase r1 or r2")
     section = Disc(r2) if r1 == 0 else Sphere(r1) if r2 == 0 else Torus(r1, r2)
-    return Omni(section) if rollers else section
+    return section if rollers is None else Omni(section, rollers)

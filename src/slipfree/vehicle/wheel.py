@@ -33,7 +33,7 @@ class Wheel:
     at : tuple of 3 floats
         Centre of the wheel in the parent's frame. [m]
     section : Section
-        Cross-section, such as ``Torus(0.05, 0.25)``; ``Omni(...)`` for a wheel with free rollers.
+        Cross-section, such as ``Torus(0.05, 0.25)``; ``Omni(...)`` for an omni or mecanum wheel.
     driven : bool
         Whether the wheel's rate is an input; the rate of a free wheel follows from the motion.
     grip : float
@@ -147,8 +147,8 @@ class Wheel:
         return float(np.abs(self.section.outline(np.array([0, np.pi]))[0]).max())
 
     @property
-    def rollers(self) -> bool:
-        """Whether free rollers let the wheel move along its axle."""
+    def rollers(self) -> float | None:
+        """Angle from the wheel's axle to the axles of free rollers; None without rollers [rad]."""
         return self.section.rollers
 
 

@@ -35,7 +35,7 @@ class WheelRole:
     radius: float | None = None  # rolling radius; None for that of the shape, or `Roles` [m]
     tube: float | None = None  # tube radius; None for that of the shape, or of `Roles` [m]
     grip: float = 1.0  # factor that multiplies the ground's coefficient of friction [1]
-    rollers: bool | None = None  # whether it is an omnidirectional wheel; None for a guess
+    rollers: float | bool | None = None  # their angle [rad]; False without; None for a guess
     mass: float | None = None
     inertia: tuple[float, float] | None = None  # moments about the axle and across it [kg m^2]
     static_depth: float | None = None  # under an equal share of the weight; None: default [m]

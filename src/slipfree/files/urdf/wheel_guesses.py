@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import atan2, degrees, radians
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,9 @@ from slipfree.vehicle.wheel import ORIGIN
 FOOTPRINT = re.compile("footprint", re.IGNORECASE)  # link on the ground, by REP 120
 FULL_TURN = 6.2  # least range of joints whose limits are those of a careless export [rad]
 MIN_ROLLERS = 3  # wheels with rollers have more of them
+MIN_ROLLER_ANGLE = 10.0  # least angle of rollers [degrees]
+SAME_ANGLE = 0.95  # least length of the mean of unit vectors at twice the angles of rollers
+MECANUM = re.compile("mecanum|swedish", re.IGNORECASE)
 DIRECTIONS = {"x": (1.0, 0.0), "y": (0.0, 1.0), "-x": (-1.0, 0.0), "-y": (0.0, -1.0)}
 OPPOSITE = {"x": "-x", "-x": "x", "y": "-y", "-y": "y"}
 CLEAR = 0.5  # a piece of evidence for a direction has at least this component along it
@@ -47,8 +51,7 @@ class WheelGuess(NamedTuple):
 def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, WheelGuess]]:
     """Return a URDF in which the rollers of wheels are fixed, and these wheels by joint.
 
-    Rollers turn about axes around that of the wheel. If these axes are across the axle, the wheel
-    slides freely along it.
+    Rollers turn about axes around that of the wheel, at the same angle to it.
     """
     joints, links, guesses = dict(tree.joints), dict(tree.links), {}
     for joint in tree.joints.values():
@@ -61,16 +64,55 @@ def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, WheelGuess]]:
         if not all(r.parent == joint.child for r in rollers) or np.ptp(far) > far[0] / 10:
             continue
         joints |= {each.name: each._replace(type="fixed") for each in below}
-        along = [abs(rotation_of(r.turned) @ unit_vector(r.axis) @ axis) for r in rollers]
         if not links[joint.child].shapes:
             radius = float(far[0]) + replace(tree, links=links).radius_of(rollers[0])
             shape = Shape("cylinder", radius, ORIGIN, angles_to(axis))
             links[joint.child] = links[joint.child]._replace(shapes=(shape,))
-        reason = "it does not slide along its rollers, which are oblique"
-        if slides := max(along) < 0.5:
-            reason = "it slides along its axle on rollers"
-        guesses[joint.name] = WheelGuess(WheelRole(rollers=slides), reason)
+        angle = _roller_angle(rollers, axis)
+        reason = "with rollers, at the angle of their axes"
+        if not angle:
+            reason = "its rollers have axes along its own, or at different angles to it"
+        guesses[joint.name] = WheelGuess(WheelRole(rollers=angle), reason)
     return replace(tree, joints=joints, links=links), guesses
+
+
+def _roller_angle(rollers: Sequence[UrdfJoint], axis: Array) -> float | bool:
+    """Return the angle of rollers, as in `Omni`; False if it is nearly zero or not the same [rad].
+
+    It does not depend on the sign of any axis. Angles are rounded to hundredths of a degree.
+    """
+    doubled = np.zeros(2)  # of doubled angles, since axes have no direction
+    for roller in rollers:
+        at = np.asarray(roller.at)
+        outward = at - (at @ axis) * axis
+        # forward at the ground, where the wheel's axis points to the right, and outward is down
+        forward = np.cross(axis, outward) / np.linalg.norm(outward)
+        along = rotation_of(roller.turned) @ unit_vector(roller.axis)
+        angle = 2 * np.arctan2(along @ forward, along @ axis)
+        doubled += np.array([np.cos(angle), np.sin(angle)]) / len(rollers)
+    cosine, sine = map(float, doubled)
+    mean = float(np.round(degrees(atan2(sine, cosine)) / 2, 2))
+    if np.linalg.norm(doubled) < SAME_ANGLE or abs(mean) < MIN_ROLLER_ANGLE:
+        return False
+    return radians(90.0 if mean == -90.0 else mean)
+
+
+def mecanum_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, WheelGuess]]:
+    """Yield the wheels called mecanum wheels, also by meshes, with the usual angles of rollers.
+
+    The URDF faces forward along x. The rollers on top of the wheels form an X.
+    """
+    links = {joint.name: tree.links[joint.child] for joint in wheels}
+    meshes = {name: [m.name for m in (*link.meshes, *link.visuals)] for name, link in links.items()}
+    named = [j for j in wheels if MECANUM.search(" ".join([j.names, *meshes[j.name]]))]
+    if not named:
+        return
+    places = np.array([tree.frames[joint.child][1][:2] for joint in named])
+    for joint, (ahead, left) in zip(named, places - places.mean(axis=0), strict=True):
+        if min(abs(ahead), abs(left)) > SMALL:
+            angle = float(np.copysign(np.pi / 4, ahead * left))
+            reason = "with oblique rollers: its name; on top of the wheels, their axes form an X"
+            yield joint.name, WheelGuess(WheelRole(rollers=angle), reason)
 
 
 def wheel_guesses(
@@ -83,7 +125,7 @@ def wheel_guesses(
         guesses = {name: guess for name, guess in guesses.items() if name not in caster.parts}
         role, reason = WheelRole(radius=caster.radius), "it trails the axis of a caster"
         if caster.is_ball:
-            role = WheelRole(False, caster.radius, caster.radius, rollers=True)
+            role = WheelRole(False, caster.radius, caster.radius, rollers=np.pi / 2)
             reason = f"a caster slides freely as a ball; {caster.reason}"
         guesses[caster.joint] = WheelGuess(role, reason)
     yield from guesses.items()
@@ -168,12 +210,12 @@ def sliding_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[st
     for wheel in rolling:
         if wheel.name in casters_:
             reason = "a caster without a swivel slides freely along its axle"
-            yield wheel.name, WheelGuess(WheelRole(False, rollers=True), reason)
+            yield wheel.name, WheelGuess(WheelRole(False, rollers=np.pi / 2), reason)
     axles = [axle_of(tree, wheel) for wheel in rest]
     if any(abs(axle @ axles[0]) < PARALLEL for axle in axles):
         for wheel in rest:
             reason = "with rollers, since the axles are not parallel"
-            yield wheel.name, WheelGuess(WheelRole(rollers=True), reason)
+            yield wheel.name, WheelGuess(WheelRole(rollers=np.pi / 2), reason)
 
 
 def unused_wheel_names(

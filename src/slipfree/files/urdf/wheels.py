@@ -33,6 +33,7 @@ from slipfree.files.urdf.tree import (
 )
 from slipfree.files.urdf.wheel_guesses import (
     WheelGuess,
+    mecanum_wheels,
     sliding_wheels,
     unused_wheel_names,
     wheel_guesses,
@@ -40,6 +41,7 @@ from slipfree.files.urdf.wheel_guesses import (
 )
 from slipfree.files.vehicle_draft import (
     Value,
+    angle_text,
     angles_of,
     rotation_of,
     toml_key,
@@ -52,6 +54,7 @@ from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 PASSIVE = re.compile("passive|idle|free.?wheel|undriven|odom|encoder", re.IGNORECASE)
 OMNI = re.compile("omni|mecanum|swedish", re.IGNORECASE)
+OMNI_ANGLE = "90 deg"  # angle of the rollers of omni wheels
 MIN_AXLE_LEFT = 1e-6  # a wheel with a smaller leftward component of its axle rolls sideways
 MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass from its centre are reported [m]
 RIGHT = (0.0, -1.0, 0.0)
@@ -98,6 +101,9 @@ class Wheels:
         self._add_mesh_findings()
         for name, guess in sliding_wheels(self.tree, self.joints):
             self._add_guess(self.tree.joints[name], guess)
+        bare = [joint for joint in self.joints if self._role(joint).rollers is None]
+        for name, guess in mecanum_wheels(self.tree, bare):
+            self._add_guess(self.tree.joints[name], guess)
         self.balls = {
             name for name, role in self._given.items() if role.rollers and role.driven is False
         }
@@ -139,7 +145,7 @@ class Wheels:
             name,
             part_of[joint.parent],
             vector_of(np.asarray(joint.at) + rotation_of(joint.turned) @ at),
-            section_of_radii(tube, radius - tube, rollers=bool(role.rollers)),
+            section_of_radii(tube, radius - tube, rollers=role.rollers or None),
             self._is_driven(joint) if role.driven is None else role.driven,
             role.grip,
             mass if role.mass is None else role.mass,
@@ -164,7 +170,7 @@ class Wheels:
         if bare:
             notes.append(
                 f"without rollers, in spite of their names: {', '.join(bare)}; otherwise write "
-                f"{toml_line('wheels', bare[0], rollers=True)}"
+                f"{toml_line('wheels', bare[0], rollers=OMNI_ANGLE)}"
             )
         radii = [shape.radius for shape in map(self._shape, self.joints) if shape is not None]
         known = {*self._roles.joints, *self.gears}
@@ -234,7 +240,9 @@ class Wheels:
             values = {"tube": shape.tube, **values}
         other = toml_line("joints", name, kind="fixed")
         if role.rollers is not None:
-            other = toml_line("wheels", name, rollers=not role.rollers)
+            other = toml_line("wheels", name, rollers=False if role.rollers else OMNI_ANGLE)
+        if values.get("rollers"):
+            values["rollers"] = angle_text(values["rollers"])
         if values:
             self._findings.guess("wheels", name, values, f"a wheel: {guess.reason}", other)
 
