@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from slipfree.atlas.friction import (
@@ -18,7 +19,7 @@ from slipfree.atlas.friction import (
 from slipfree.atlas.sensitivity import SensitivityGraph, height_errors, sensitivity_graph
 from slipfree.batch.evaluator import Evaluator, EvaluatorOf, evaluator_of, evaluator_of_graphs
 from slipfree.batch.graph import Graph, Graphs, graph_of
-from slipfree.batch.many import CHUNK, stand_checked, start_states
+from slipfree.batch.many import CHUNK, Source, sources_of, stand_checked, start_states
 from slipfree.batch.motion import COMPLETE
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
@@ -30,8 +31,14 @@ STANDS = "the vehicle stands"
 NO_POSE = "no pose was found at which all wheels touch the ground"
 HEADINGS = 16
 TILE = 64  # nodes of the side of a tile
-LOW = Label("least_friction_low", "1", "coefficient of friction below which nothing holds")
-HIGH = Label("least_friction_high", "1", "coefficient of friction that surely holds the vehicle")
+LEAST_FRICTION = (
+    Label("least_friction_low", "1", "coefficient of friction below which no forces hold it"),
+    Label("least_friction_high", "1", "coefficient of friction that surely holds the vehicle"),
+)
+LEAST_UTILISATION = (  # where friction differs from place to place
+    Label("least_utilisation_low", "1", "share of the friction below which no forces hold it"),
+    Label("least_utilisation_high", "1", "share of the friction that surely holds the vehicle"),
+)
 REASON = Label("reason", "1", "why the vehicle does not stand; 0 if it stands")
 DEVIATION, WORST = "{}_deviation", "{}_worst"
 
@@ -76,20 +83,21 @@ class Atlas:
         """Whether the vehicle stands, shape (n_headings, n_x, n_y)."""
         return np.asarray(self["reason"] == 0)
 
-    def held(self, friction: float | Array) -> tuple[Mask, Mask]:
+    def held(self, friction: float) -> tuple[Mask, Mask]:
         """Return where friction surely holds the vehicle, and where it surely does not.
 
         Parameters
         ----------
-        friction : float or ndarray, shape (n_x, n_y)
-            Coefficient of friction of the ground. [1]
+        friction : float
+            Coefficient of friction of the ground; 1 on a ground with a map of friction. [1]
 
         Returns
         -------
         held, not_held : ndarray of bool, shape (n_headings, n_x, n_y)
             Elsewhere the bounds do not decide. A vehicle that does not stand is not held.
         """
-        high, low = self[HIGH.name], self[LOW.name]
+        labels = LEAST_FRICTION if LEAST_FRICTION[0].name in self.bands else LEAST_UTILISATION
+        low, high = (self[label.name] for label in labels)
         return self.stands & (high <= friction), ~self.stands | (low > friction)
 
     def share(self, **bounds: tuple[float, float]) -> Array:
@@ -137,12 +145,21 @@ class AtlasGraphs(NamedTuple):
         return tuple(found)
 
 
+class Summary(NamedTuple):
+    """A band: the rows of a quantity, its label, and the reduction over the rows."""
+
+    source: Source
+    label: Label
+    reduce: Callable[..., Array]
+
+
 class Poses(NamedTuple):
     """What computes the poses of a model: evaluators, labels of the bands, and reasons."""
 
     evaluate: Evaluator
     more: EvaluatorOf[AtlasGraphs]
-    rows: Mapping[str, tuple[Label, Callable[[Array, Array], Array]]]
+    summaries: Mapping[str, Summary]
+    least: tuple[Label, Label] | None
     codes: Indices
     reasons: tuple[str, ...]
 
@@ -229,26 +246,31 @@ def poses_of(model: Dae, *, with_errors: bool, compiled: bool = True) -> Poses:
     """Return what computes the poses of a model."""
     evaluate = evaluator_of(model, compiled=compiled)
     graphs, holding = evaluate.graphs, model.holding
-    hold = friction = None
+    hold = friction = least = None
     if holding is not None:
         entries = (holding.matrix.nz[:], holding.load, holding.friction)
+        least = LEAST_UTILISATION
+        if all(each.is_constant() for each in ca.vertsplit(holding.friction)):
+            least, entries = (
+                LEAST_FRICTION,
+                (*entries[:2], holding.friction / ca.mmax(holding.friction)),
+            )
         hold = graph_of(model, graphs.state, "hold", entries)
         friction = friction_graphs(holding.matrix.sparsity())
     sensitivity = sensitivity_graph(graphs) if with_errors else None
     more = evaluator_of_graphs(AtlasGraphs(hold, friction, sensitivity), compiled=compiled)
     reasons, codes = _reasons(model)
-    return Poses(evaluate, more, _rows(graphs), codes, reasons)
+    return Poses(evaluate, more, _summaries(graphs), least, codes, reasons)
 
 
 def bands_of(poses: Poses, *, error: float | None) -> dict[str, Label]:
     """Return the labels of the bands."""
-    labels = {REASON.name: REASON} | {name: label for name, (label, _) in poses.rows.items()}
+    labels = {REASON.name: REASON} | {name: each.label for name, each in poses.summaries.items()}
     graphs = poses.more.graphs
-    if graphs.friction is not None:
-        labels |= {LOW.name: LOW, HIGH.name: HIGH}
+    labels |= {label.name: label for label in poses.least or ()}
     if graphs.sensitivity is not None:
         for name in graphs.sensitivity.names:
-            old = poses.rows[name][0]
+            old = poses.summaries[name].label
             for template, words in (
                 (DEVIATION, f"standard deviation for independent errors of heights of {error:g} m"),
                 (WORST, f"largest error, to first order, for errors of heights of {error:g} m"),
@@ -294,15 +316,16 @@ def _bands(
         outputs = evaluate(evaluate.graphs.outputs, states)
         stands = found == COMPLETE
         bands = {REASON.name: poses.codes[found + 2].astype(float)}
-        for name, (_, value) in poses.rows.items():
-            bands[name] = np.where(stands, value(states, outputs), np.nan)
+        for name, (source, _, reduce) in poses.summaries.items():
+            values = (outputs if source.is_output else states)[source.rows]
+            bands[name] = np.where(stands, reduce(values, axis=0), np.nan)
         graphs = poses.more.graphs
         if graphs.hold is not None and graphs.friction is not None:
             values = poses.more(graphs.hold, states)
             terms = Terms(*(values[part] for part in graphs.hold.parts))
             interval = least_friction(poses.more, graphs.friction, terms, tolerance)
-            bands[LOW.name] = np.where(stands, interval.low, np.nan)
-            bands[HIGH.name] = np.where(stands, interval.high, np.nan)
+            for label, bound in zip(poses.least or (), interval, strict=True):
+                bands[label.name] = np.where(stands, bound, np.nan)
         if graphs.sensitivity is not None and error is not None:
             values = poses.more(graphs.sensitivity.graph, states)
             errors = height_errors(graphs.sensitivity, values)
@@ -327,41 +350,26 @@ def _reasons(dae: Dae) -> tuple[tuple[str, ...], Indices]:
     return tuple(reasons), np.array(codes)
 
 
-def _rows(graphs: Graphs) -> dict[str, tuple[Label, Callable[[Array, Array], Array]]]:
-    """Return the bands that are rows of states and outputs: labels, and functions of both."""
+SUMMARIES: dict[str, tuple[Any, str]] = {  # of several wheels
+    "tip_over_margin": (np.min, ""),
+    "utilisation": (np.max, "largest utilisation of the wheels, for the load-weighted forces"),
+    "drive_torque": (lambda values, axis: np.abs(values).max(axis), "largest torque of a drive"),
+    "slip_ratio": (np.max, "largest slip ratio of the wheels"),
+    "sinkage": (np.max, "largest sinkage of the wheels"),
+}
+
+
+def _summaries(graphs: Graphs) -> dict[str, Summary]:
+    """Return the bands that are rows of states and outputs, or summaries of several."""
     dae, rows = graphs.dae, graphs.rows
-    found: dict[str, tuple[Label, Callable[[Array, Array], Array]]] = {}
-    labels = list(leaves((dae.labels.x, dae.labels.z[0])))
     first = rows.x.stop - dae.rest.numel()  # the states before are given
-    places = [*range(rows.x.stop), *range(rows.p.start, rows.p.stop)]
-    for label, row in zip(labels, places, strict=True):
-        if row >= first and label.name not in ("z", "contact_x", "contact_y"):
-            found[label.name] = label, _row(row)
-    outputs: dict[str, list[int]] = {}
-    words: dict[str, Label] = {}
-    for k, label in enumerate(leaves(dae.labels.y)):
-        outputs.setdefault(label.name, []).append(k)
-        words.setdefault(label.name, label)
-    for name, reduce, text in SUMMARIES:
-        if name in outputs:
-            label = words[name]
-            text = text or label.words
-            found[name] = Label(name, label.unit, text), _reduced(outputs[name], reduce)
+    found = dict[str, Summary]()
+    for name, source in sources_of(graphs, None).items():
+        is_pose = first <= source.rows[0] < rows.p.stop and not source.is_output
+        if is_pose and name != "z" and not source.wheels:
+            found[name] = Summary(source, source.label, np.min)
+        elif name in SUMMARIES:
+            reduce, words = SUMMARIES[name]
+            label = replace(source.label, words=words or source.label.words)
+            found[name] = Summary(source, label, reduce)
     return found
-
-
-SUMMARIES = (
-    ("tip_over_margin", np.min, ""),
-    ("utilisation", np.max, "largest utilisation of the wheels, for the load-weighted forces"),
-    ("drive_torque", lambda v, axis: np.abs(v).max(axis=axis), "largest torque of a wheel's drive"),
-    ("slip_ratio", np.max, "largest slip ratio of the wheels"),
-    ("sinkage", np.max, "largest sinkage of the wheels"),
-)
-
-
-def _row(row: int) -> Callable[[Array, Array], Array]:
-    return lambda states, _: states[row]
-
-
-def _reduced(rows: list[int], reduce: Any) -> Callable[[Array, Array], Array]:
-    return lambda _, outputs: np.asarray(reduce(outputs[rows], axis=0))

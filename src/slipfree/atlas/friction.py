@@ -57,7 +57,7 @@ class FrictionGraphs(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """Entries of ``A``, loads, and coefficients of the wheels, with a column for each pose."""
+    """Entries of ``A``, loads, and friction of the wheels, with a column for each pose."""
 
     slopes: Array
     load: Array
@@ -271,10 +271,10 @@ def _solve(matrix: ca.SX, right: tuple[ca.SX, ...]) -> list[ca.SX]:
 
 
 class Interval(NamedTuple):
-    """Bounds of the least coefficient of friction, shape (n,).
+    """Bounds of the least friction, shape (n,).
 
-    It is proved that coefficients below ``low`` do not hold the vehicle, and that ``high`` does;
-    ``high`` is infinite if no forces were found. [1]
+    It is proved that less than ``low`` does not hold the vehicle, and that ``high`` does; ``high``
+    is infinite if no forces were found. [1]
     """
 
     low: Array
@@ -284,21 +284,22 @@ class Interval(NamedTuple):
 def least_friction(
     evaluate: EvaluatorOf[Any], graphs: FrictionGraphs, terms: Terms, tolerance: float
 ) -> Interval:
-    """Return bounds of the least coefficient of friction, scaled by the wheels' relative ones.
+    """Return bounds of the least factor of the wheels' friction that holds the vehicle.
 
     Intervals wider than a tolerance after `STEPS` steps take `MORE_STEPS` further ones; what is
     still wider is computed by `least_utilisation`.
     """
     rows, pattern = rows_of(graphs.pattern), graphs.pattern
-    relative = terms.friction / terms.friction.max(axis=0)
     tangential = np.array(pattern.row()) % 3 < 2
     wheel = np.array(pattern.row()) // 3
     column = np.zeros((rows.forces.stop, terms.load.shape[1]))
-    column[rows.slopes] = terms.slopes * np.where(tangential[:, None], relative[wheel], 1.0)
+    column[rows.slopes] = terms.slopes * np.where(tangential[:, None], terms.friction[wheel], 1.0)
     column[rows.load] = terms.load
     column[rows.rates.start :] = evaluate(graphs.start, column)
     wide = np.arange(column.shape[1])
     for count in (STEPS, MORE_STEPS):
+        if not wide.size:
+            break
         part = column[:, wide]
         for _ in range(count):
             part[rows.rates.start :] = evaluate(graphs.step, part)
@@ -311,7 +312,7 @@ def least_friction(
     if wide.size:
         matrix = np.zeros((wide.size, *pattern.shape))
         matrix[:, pattern.row(), pattern.get_col()] = terms.slopes[:, wide].T
-        load, friction = terms.load[:, wide].T, relative[:, wide].T
+        load, friction = terms.load[:, wide].T, terms.friction[:, wide].T
         exact = least_utilisation(matrix.swapaxes(1, 2), load, friction).utilisation
         known = ~np.isnan(exact)
         low[wide[known]] = high[wide[known]] = exact[known]

@@ -76,7 +76,7 @@ class LaneResults(NamedTuple):
     disputed: Mask
 
 
-class _Quantity(NamedTuple):
+class Source(NamedTuple):
     """Label of a quantity and its rows: of the states, or of the outputs if ``is_output``."""
 
     label: Label
@@ -139,7 +139,7 @@ def settle_many(
     evaluate = evaluator_of(model, compiled=compiled)
     graphs = evaluate.graphs
     names = [label.full for label in leaves((model.labels.x, model.labels.z[0]))]
-    sources = _sources(graphs, names if quantities is None else quantities)
+    sources = sources_of(graphs, names if quantities is None else quantities)
     columns = {name: np.asarray(values, dtype=float) for name, values in start.items()}
     count = max((values.size for values in columns.values()), default=1)
     parts = list[_Poses]()
@@ -235,7 +235,7 @@ def stand_checked(evaluate: Evaluator, states: Array) -> Indices:
     return codes
 
 
-def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, _Quantity]) -> _Poses:
+def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, Source]) -> _Poses:
     """Return the poses of states."""
     graphs = evaluate.graphs
     codes = stand_checked(evaluate, states)
@@ -249,7 +249,7 @@ def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, _Quantity])
     return _Poses({n: v[:, 0] for n, v in values.items()}, outcomes, reasons)
 
 
-def _pose_dataset(sources: Mapping[str, _Quantity], parts: Sequence[_Poses]) -> xarray.Dataset:
+def _pose_dataset(sources: Mapping[str, Source], parts: Sequence[_Poses]) -> xarray.Dataset:
     variables: dict[str, Any] = {}
     wheels = tuple[str, ...]()
     for name, source in sources.items():
@@ -346,7 +346,7 @@ def run_lanes(
     ModelError
         If the step is not positive, or a quantity is unknown.
     """
-    sources = _sources(evaluate.graphs, quantities)
+    sources = sources_of(evaluate.graphs, quantities)
     dae = evaluate.graphs.dae
     if step is None:
         step = dae.size * (STEP if dae.lag is None else RELAXING_STEP)
@@ -381,7 +381,7 @@ def _run(
     inputs: Array,
     t: Array,
     step: float,
-    sources: Mapping[str, _Quantity],
+    sources: Mapping[str, Source],
     *,
     placed: bool,
 ) -> LaneResults:
@@ -450,7 +450,7 @@ def _columns(graphs: Graphs, states: Array) -> tuple[Array, Array, Array]:
     return states[rows.x], z, states[rows.u]
 
 
-def _sources(graphs: Graphs, names: Sequence[str] | None) -> dict[str, _Quantity]:
+def sources_of(graphs: Graphs, names: Sequence[str] | None) -> dict[str, Source]:
     """Return the sources of quantities; by default of all that a lane has.
 
     Raises ModelError if a name is unknown.
@@ -465,14 +465,14 @@ def _sources(graphs: Graphs, names: Sequence[str] | None) -> dict[str, _Quantity
         (leaves(dae.labels.u), range(rows.u.start, rows.u.stop), None, False),
         (leaves(dae.labels.y), range(len(list(leaves(dae.labels.y)))), None, True),
     )
-    known: dict[str, _Quantity] = {}
+    known: dict[str, Source] = {}
     for labels, indices, shift, is_output in groups:
         for k, (label, row) in enumerate(zip(labels, indices, strict=True)):
             moved = 0.0 if shift is None else float(shift[k])
             old = known.get(label.name)
             if old is None:
                 text = label.words.replace(f"wheel {label.wheel}", "the wheel")
-                old = _Quantity(Label(label.name, label.unit, text), [], is_output, np.zeros(0), ())
+                old = Source(Label(label.name, label.unit, text), [], is_output, np.zeros(0), ())
             wheels = (*old.wheels, label.wheel) if label.wheel is not None else ()
             known[label.name] = old._replace(
                 rows=[*old.rows, row], shift=np.append(old.shift, moved), wheels=wheels
@@ -488,9 +488,7 @@ def _sources(graphs: Graphs, names: Sequence[str] | None) -> dict[str, _Quantity
     return {name: known[name] for name in names}
 
 
-def _values(
-    evaluate: Evaluator, sources: Mapping[str, _Quantity], samples: Array
-) -> dict[str, Array]:
+def _values(evaluate: Evaluator, sources: Mapping[str, Source], samples: Array) -> dict[str, Array]:
     """Return quantities at samples (m, n_rows, n), shape (n, m) or (n, m, n_wheels)."""
     outputs = samples
     if any(source.is_output for source in sources.values()):

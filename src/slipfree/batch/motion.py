@@ -41,7 +41,7 @@ POSITION_CHANGE = 1e-6  # change that needs another step: the error is its squar
 FORCE_STEPS = 4  # Newton steps of the forces at a start, and repeated ones of a sample
 FORCE_CHANGE = 1e-12  # last one at a start [sum of the forces]
 RATES, CHANGE, ERROR, FORCES, DOUBT, DISTANCES = 2, 3, 4, 6, 7, 8  # parts of the graph "checked"
-COMPLETE, UNSOLVED, INVALID_START = -1, -2, -3  # ends without a limit
+COMPLETE, UNSOLVED, INVALID_START, LOST = -1, -2, -3, -4  # ends without a limit
 
 
 class Motions(NamedTuple):
@@ -106,12 +106,14 @@ def integrate_lanes(
         for k in range(1, MAX_TRIES):
             # where half the step fails, nothing is known of the error
             again = np.isnan(motions.error) & (motions.reason != INVALID_START)
+            again |= motions.reason == LOST
             if not again.any():
                 break
             chosen = states[:, again], inputs[..., again]
             finer = _integrate(evaluate, *chosen, t, step / REFINEMENT**k, certify=certify)
             for values, new in zip(motions, finer, strict=True):
                 values[..., again] = new
+    motions.reason[motions.reason == LOST] = UNSOLVED
     return motions
 
 
@@ -363,7 +365,7 @@ class _Run:
             distances, change = values[graph.parts[DISTANCES]], values[graph.parts[CHANGE]][0]
             # a contact that jumps has no limit to name
             lost |= ~(change < SETTLED) | ~(margins(distances) < 0)
-            self.reason[which] = np.where(lost, UNSOLVED, bounds[smallest(distances)])
+            self.reason[which] = np.where(lost, LOST, bounds[smallest(distances)])
             self._close(which, low, high)
             if self.certify and self.interval is not None:
                 near = NEAR * self.evaluate.graphs.dae.size
@@ -408,10 +410,10 @@ class _Run:
                 step.of(chosen), number[chosen], _of(chosen, states), margin
             )
             which, reason = lanes[chosen], check + len(self.evaluate.graphs.dae.limits)
-            self.reason[which] = np.where(lost, UNSOLVED, reason)
+            self.reason[which] = np.where(lost, LOST, reason)
             self._close(which, low, high)
             earlier = ~(clearances(self.evaluate, low).min(axis=0) >= 0)  # of another wheel
-            self.reason[which[earlier]] = UNSOLVED
+            self.reason[which[earlier]] = LOST
 
     def _close(self, lanes: Indices, last: Array, beyond: Array) -> None:
         self.end[lanes] = last[self.rows.t]

@@ -1,0 +1,149 @@
+"""Mobility maps: poses of settle, bounds of friction, errors of heights, and reasons."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from slipfree import (
+    Bicubic,
+    Grid,
+    ModelError,
+    Soil,
+    catalog,
+    direct_kinematics,
+    quasi_statics,
+    settle,
+    simulate,
+)
+from slipfree.atlas.atlas import atlas
+from slipfree.models.friction_feasibility import best_utilisation
+from slipfree.terrain.synthetic import blank, power_law
+
+PLACES = np.array([-1.5, 0.0, 0.7, 1.6])
+HEADINGS = (0.0, 0.8, 2.5)
+
+
+def hills(mu=0.5, rms=0.25):
+    grid = blank((-4.0, 4.0), (-4.0, 4.0), 0.2)
+    return Bicubic(power_law(grid, rms=rms, hurst=0.8, shortest=1.5, longest=6.0, seed=4), mu=mu)
+
+
+def picked(found, at):
+    """Return the values of an atlas at the pose ``at``, by name of the band."""
+    return {name: float(band.values[at]) for name, band in found.bands.items()}
+
+
+@pytest.mark.parametrize(
+    "vehicle", [catalog.three_wheeler(), catalog.ackermann()], ids=("three-wheeler", "car")
+)
+def test_poses_and_bounds_equal_those_of_single_poses(vehicle):
+    """Each pose is that of settle, and its least friction that of the exact optimum."""
+    ground = hills()
+    model = direct_kinematics(vehicle, ground)
+    found = atlas(model, ground, headings=HEADINGS, x=PLACES, y=PLACES, compiled=False)
+    assert found.stands.mean() > 0.7
+    compared = np.argwhere(found.stands)[::5]
+    for k, i, j in compared:
+        at = {"x": PLACES[i], "y": PLACES[j], "heading": HEADINGS[k]}
+        pose = settle(model, **at)
+        values = picked(found, (k, i, j))
+        for name in ("roll", "pitch", "tip_over_margin"):
+            assert values[name] == pytest.approx(pose[name][0], abs=2e-7)  # single precision
+        least = 0.5 * best_utilisation(vehicle, ground, pose)["utilisation_best"][0]
+        assert values["least_friction_low"] <= least + 1e-6
+        assert values["least_friction_high"] >= least - 1e-6
+        assert values["least_friction_high"] - values["least_friction_low"] < 1e-3
+    assert len(compared) > 6
+
+
+def test_friction_that_differs_between_wheels_scales_the_bounds():
+    """On a map of friction, the bounds are coefficients of the wheel with the largest one."""
+    vehicle = catalog.ackermann()
+    grid = hills().grid
+    rows = 0.3 + 0.5 * (grid.x > 0.5)[:, None] * np.ones(grid.y.size)
+    ground = Bicubic(grid, mu=Grid(grid.x, grid.y, rows))
+    model = direct_kinematics(vehicle, ground)
+    found = atlas(model, ground, headings=[0.3], x=[0.4], y=PLACES, compiled=False)
+    for j in np.flatnonzero(found.stands[0, 0]):
+        pose = settle(model, x=0.4, y=PLACES[j], heading=0.3)
+        least = best_utilisation(vehicle, ground, pose)["utilisation_best"][0]
+        values = picked(found, (0, 0, j))
+        assert values["least_utilisation_low"] - 1e-6 <= least
+        assert values["least_utilisation_high"] + 1e-6 >= least
+        assert values["least_utilisation_high"] - values["least_utilisation_low"] < 2e-3
+
+
+def test_errors_of_heights_on_level_ground_are_those_of_the_contact_heights():
+    """Roll and pitch of a level three-wheeler follow from the heights at its contacts alone."""
+    axis = np.linspace(-3.0, 3.0, 25)
+    flat = np.zeros((axis.size, axis.size))
+    ground = Bicubic(Grid(axis, axis, flat), mu=0.5)
+    vehicle = catalog.three_wheeler()
+    model = direct_kinematics(vehicle, ground)
+    found = atlas(model, ground, headings=[0.4], x=[0.1], y=[-0.05], error=0.02, compiled=False)
+    pose = settle(model, x=0.1, y=-0.05, heading=0.4)
+    weights = np.empty((3, axis.size, axis.size))
+    for i in range(axis.size):
+        for j in range(axis.size):
+            flat[i, j] = 1.0
+            unit = Bicubic(Grid(axis, axis, flat.copy()))
+            weights[:, i, j] = unit.elevation(pose["contact_x"][0], pose["contact_y"][0])
+            flat[i, j] = 0.0
+    right, left, front = weights
+    track = np.hypot(*(np.diff(pose[f"contact_{c}"][0][:2])[0] for c in "xy"))
+    middle = [pose[f"contact_{c}"][0][:2].mean() for c in "xy"]
+    base = np.hypot(*(pose[f"contact_{c}"][0][2] - m for c, m in zip("xy", middle, strict=True)))
+    by_height = {"roll": (right - left) / track, "pitch": (front - (right + left) / 2) / base}
+    for name, derivative in by_height.items():
+        values = picked(found, (0, 0, 0))
+        deviation = 0.02 * np.sqrt((derivative**2).sum())
+        assert values[f"{name}_deviation"] == pytest.approx(deviation, rel=2e-3)
+        assert values[f"{name}_worst"] == pytest.approx(0.02 * abs(derivative).sum(), rel=5e-3)
+
+
+def test_reasons_name_the_border_steep_ground_and_the_share_of_headings():
+    """A pose without a valid rest has a reason, and NaN in all other bands."""
+    axis = np.linspace(-3.0, 3.0, 31)
+    steep = np.where(axis > 1.0, 1.6 * (axis - 1.0), 0.0)[:, None] + np.zeros(axis.size)
+    ground = Bicubic(Grid(axis, axis, steep), mu=0.5)
+    model = direct_kinematics(catalog.three_wheeler(), ground)
+    found = atlas(model, ground, headings=4, y=[0.0], compiled=False)
+    reasons = [found.reasons[int(k)] for k in found["reason"][:, :, 0].ravel()]
+    assert any("leaves the map" in words for words in reasons)
+    assert "the vehicle stands" in reasons
+    assert np.isnan(found["roll"][~found.stands]).all()
+    held, not_held = found.held(0.5)
+    assert held[:, 12, 0].all()  # level ground
+    assert not_held[:, 26, 0].all()  # 58 degrees
+    assert found.share(tip_over_margin=(0.1, np.inf))[12, 0] == 1.0
+    value, heading = found.extreme("tip_over_margin", largest=False)
+    assert value[12, 0] == found["tip_over_margin"][:, 12, 0].min()
+    assert heading[12, 0] in found.heading
+    with pytest.raises(ModelError, match="expected one of the bands"):
+        found["slope"]
+
+
+def test_a_rigid_vehicle_is_held_by_its_own_loads():
+    """Loads of a rigid vehicle with four wheels are given by its contacts."""
+    ground = hills(rms=0.1)
+    model = direct_kinematics(catalog.rigid_skid_steer(), ground)
+    found = atlas(model, ground, headings=[0.4], x=PLACES, y=PLACES, compiled=False)
+    at = tuple(np.argwhere(found.stands)[0])
+    pose = settle(model, x=PLACES[at[1]], y=PLACES[at[2]], heading=0.4)
+    for name in ("roll", "pitch"):
+        assert found[name][at] == pytest.approx(pose[name][0], abs=1e-6)
+
+
+def test_on_soil_slip_and_sinkage_are_those_of_the_motion():
+    """At given rates the bands are those of simulate at its first sample."""
+    ground = hills(rms=0.05)
+    model = quasi_statics(catalog.three_wheeler(axle="fixed"), ground, law=Soil())
+    inputs = {"right_rate": 1.0, "left_rate": 1.0, "steer_rate": 0.0}
+    found = atlas(
+        model, ground, headings=[0.0], x=[0.0], y=[0.0, 0.6], inputs=inputs, compiled=False
+    )
+    pose = settle(model, x=0.0, y=0.6)
+    run = simulate(model, pose, model.inputs(**inputs), [0.0, 0.01])
+    values = picked(found, (0, 0, 1))
+    assert values["sinkage"] == pytest.approx(run["sinkage"][0].max(), rel=1e-6)
+    assert_allclose(values["slip_ratio"], run["slip_ratio"][0].max(), rtol=1e-5)
