@@ -1,8 +1,10 @@
 """Mobility maps: poses of settle, bounds of friction, errors of heights, and reasons."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.optimize import linprog
 
 from slipfree import (
     Bicubic,
@@ -124,14 +126,52 @@ def test_reasons_name_the_border_steep_ground_and_the_share_of_headings():
 
 
 def test_a_rigid_vehicle_is_held_by_its_own_loads():
-    """Loads of a rigid vehicle with four wheels are given by its contacts."""
-    ground = hills(rms=0.1)
-    model = direct_kinematics(catalog.rigid_skid_steer(), ground)
+    """Bounds for given loads enclose a linear programme; poses are those of settle."""
+    ground, vehicle = hills(rms=0.1), catalog.rigid_skid_steer()
+    model = direct_kinematics(vehicle, ground)
     found = atlas(model, ground, headings=[0.4], x=PLACES, y=PLACES, compiled=False)
-    at = tuple(np.argwhere(found.stands)[0])
-    pose = settle(model, x=PLACES[at[1]], y=PLACES[at[2]], heading=0.4)
-    for name in ("roll", "pitch"):
-        assert found[name][at] == pytest.approx(pose[name][0], abs=1e-6)
+    assert found.stands.any()
+    for at in np.argwhere(found.stands & (found["rests"] == 1))[::6]:
+        pose = settle(model, x=PLACES[at[1]], y=PLACES[at[2]], heading=0.4)
+        values = picked(found, tuple(at))
+        for name in ("roll", "pitch"):
+            assert values[name] == pytest.approx(pose[name][0], abs=1e-6)
+        terms = model.function(
+            "terms",
+            [*model.columns()],
+            [ca.densify(model.holding.matrix), model.holding.load, model.holding.normal],
+        )
+        x, z, u = (model.rows(record, pose, 0) for record in "xzu")
+        matrix, load, normal = (np.array(each) for each in terms(x, z, u))
+        least = least_by_polygons(matrix, load[:, 0], normal[:, 0])
+        assert values["least_friction_low"] <= least * 1.0004
+        assert values["least_friction_high"] >= least
+        assert values["least_friction_high"] - values["least_friction_low"] < 1e-3
+
+
+def least_by_polygons(matrix, load, normal, sides=128):
+    """Return the least coefficient with circles replaced by polygons around them."""
+    turns = 2 * np.pi * np.arange(sides) / sides
+    rows = np.zeros((normal.size, sides, 2 * normal.size + 1))
+    for i, each in enumerate(normal):
+        rows[i, :, 2 * i : 2 * i + 2] = np.column_stack([np.cos(turns), np.sin(turns)])
+        rows[i, :, -1] = -each
+    equal = np.column_stack([matrix.T, np.zeros(load.size)])
+    cost = np.append(np.zeros(2 * normal.size), 1.0)
+    bounds = [(None, None)] * (2 * normal.size) + [(0, None)]
+    rows = rows.reshape(-1, cost.size)
+    return linprog(cost, rows, np.zeros(len(rows)), equal, -load, bounds).fun
+
+
+@pytest.mark.parametrize(("twist", "rests"), [(0.0, 1), (0.2, 2)])
+def test_a_rigid_vehicle_rocks_on_twisted_ground(twist, rests):
+    """On a saddle, a symmetric rigid vehicle rests in two ways; on level ground in one."""
+    axis = np.linspace(-3.0, 3.0, 31)
+    ground = Bicubic(Grid(axis, axis, twist * axis[:, None] * axis), mu=0.5)
+    model = direct_kinematics(catalog.rigid_skid_steer(), ground)
+    found = atlas(model, ground, headings=[0.0, np.pi / 2], x=[0.0], y=[0.0], compiled=False)
+    assert (found["rests"] == rests).all()
+    assert (np.hypot(found["roll"], found["pitch"]) > 0.03).all() == (rests == 2)
 
 
 def test_on_soil_slip_and_sinkage_are_those_of_the_motion():

@@ -15,12 +15,21 @@ from slipfree.atlas.friction import (
     Terms,
     friction_graphs,
     least_friction,
+    least_friction_of_loads,
 )
 from slipfree.atlas.sensitivity import SensitivityGraph, height_errors, sensitivity_graph
 from slipfree.batch.evaluator import Evaluator, EvaluatorOf, evaluator_of, evaluator_of_graphs
 from slipfree.batch.graph import Graph, Graphs, graph_of
-from slipfree.batch.many import CHUNK, Source, sources_of, stand_checked, start_states
-from slipfree.batch.motion import COMPLETE
+from slipfree.batch.many import (
+    CHUNK,
+    Source,
+    solve_positions,
+    sources_of,
+    stand,
+    stand_checked,
+    start_states,
+)
+from slipfree.batch.motion import COMPLETE, relax
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, Mask, leaves
@@ -40,6 +49,9 @@ LEAST_UTILISATION = (  # where friction differs from place to place
     Label("least_utilisation_high", "1", "share of the friction that surely holds the vehicle"),
 )
 REASON = Label("reason", "1", "why the vehicle does not stand; 0 if it stands")
+RESTS = Label("rests", "1", "number of rests found; the other bands are those of the steepest")
+TILT = 0.06  # of the starts from which other rests are sought [rad]
+SAME_REST = 2e-3  # difference of inclinations up to which rests are the same [rad]
 DEVIATION, WORST = "{}_deviation", "{}_worst"
 
 
@@ -138,8 +150,10 @@ class AtlasGraphs(NamedTuple):
     def every(self) -> tuple[Graph, ...]:
         """All graphs."""
         found = list[Graph]()
-        if self.hold is not None and self.friction is not None:
-            found += [self.hold, self.friction.start, self.friction.step]
+        if self.hold is not None:
+            found.append(self.hold)
+        if self.friction is not None:
+            found += [self.friction.start, self.friction.step]
         if self.sensitivity is not None:
             found.append(self.sensitivity.graph)
         return tuple(found)
@@ -162,6 +176,11 @@ class Poses(NamedTuple):
     least: tuple[Label, Label] | None
     codes: Indices
     reasons: tuple[str, ...]
+
+    @property
+    def has_rests(self) -> bool:
+        """Whether the vehicle has pressed wheels, which may rest in several ways."""
+        return bool(self.evaluate.graphs.dae.rest.numel())
 
 
 def atlas(
@@ -255,8 +274,11 @@ def poses_of(model: Dae, *, with_errors: bool, compiled: bool = True) -> Poses:
                 LEAST_FRICTION,
                 (*entries[:2], holding.friction / ca.mmax(holding.friction)),
             )
+        if holding.normal is None:
+            friction = friction_graphs(holding.matrix.sparsity())
+        else:
+            entries = ca.densify(ca.vec(holding.matrix)), entries[1], entries[2] * holding.normal
         hold = graph_of(model, graphs.state, "hold", entries)
-        friction = friction_graphs(holding.matrix.sparsity())
     sensitivity = sensitivity_graph(graphs) if with_errors else None
     more = evaluator_of_graphs(AtlasGraphs(hold, friction, sensitivity), compiled=compiled)
     reasons, codes = _reasons(model)
@@ -268,6 +290,7 @@ def bands_of(poses: Poses, *, error: float | None) -> dict[str, Label]:
     labels = {REASON.name: REASON} | {name: each.label for name, each in poses.summaries.items()}
     graphs = poses.more.graphs
     labels |= {label.name: label for label in poses.least or ()}
+    labels |= {RESTS.name: RESTS} if poses.has_rests else {}
     if graphs.sensitivity is not None:
         for name in graphs.sensitivity.names:
             old = poses.summaries[name].label
@@ -312,18 +335,25 @@ def _bands(
     for k, label in enumerate(leaves(evaluate.graphs.dae.labels.u)):
         states[rows.u.start + k] = inputs.get(label.full, 0.0)
     with np.errstate(all="ignore"):
-        found = stand_checked(evaluate, states)
+        solved = stand(evaluate, states)
+        rests = other_rests(evaluate, states, solved)
+        found = stand_checked(evaluate, states, solved)
         outputs = evaluate(evaluate.graphs.outputs, states)
         stands = found == COMPLETE
         bands = {REASON.name: poses.codes[found + 2].astype(float)}
         for name, (source, _, reduce) in poses.summaries.items():
             values = (outputs if source.is_output else states)[source.rows]
             bands[name] = np.where(stands, reduce(values, axis=0), np.nan)
+        if poses.has_rests:
+            bands[RESTS.name] = np.where(stands, rests, np.nan)
         graphs = poses.more.graphs
-        if graphs.hold is not None and graphs.friction is not None:
+        if graphs.hold is not None:
             values = poses.more(graphs.hold, states)
             terms = Terms(*(values[part] for part in graphs.hold.parts))
-            interval = least_friction(poses.more, graphs.friction, terms, tolerance)
+            if graphs.friction is None:
+                interval = least_friction_of_loads(terms, tolerance)
+            else:
+                interval = least_friction(poses.more, graphs.friction, terms, tolerance)
             for label, bound in zip(poses.least or (), interval, strict=True):
                 bands[label.name] = np.where(stands, bound, np.nan)
         if graphs.sensitivity is not None and error is not None:
@@ -333,6 +363,36 @@ def _bands(
                 for template, each in zip((DEVIATION, WORST), errors, strict=True):
                     bands[template.format(name)] = np.where(stands, error * each[k], np.nan)
     return bands
+
+
+def other_rests(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
+    """Return how many rests of pressed wheels were found; the states become the steepest one.
+
+    A rigid vehicle with four wheels may rock: it relaxes from the rest that was found, tilted
+    towards each of its four corners.
+    """
+    dae = evaluate.graphs.dae
+    count = solved.astype(int)
+    if not dae.rest.numel():
+        return count
+    names = [label.name for label in leaves(dae.labels.x)]
+    tilt = [names.index(name) for name in ("roll", "pitch")]
+    known = [states[tilt].copy()]
+    first = states.copy()
+    for turn in np.pi / 4 + np.pi / 2 * np.arange(4):
+        other = first[:, solved].copy()
+        other[tilt] += TILT * np.array([[np.cos(turn)], [np.sin(turn)]])
+        found = solve_positions(evaluate, other) & relax(evaluate, other)
+        inclination = np.full_like(known[0], np.nan)
+        inclination[:, solved] = np.where(found, other[tilt], np.nan)
+        apart = [np.hypot(*(inclination - each)) > SAME_REST for each in known]
+        new = np.logical_and.reduce([a | np.isnan(k[0]) for a, k in zip(apart, known, strict=True)])
+        new &= np.isfinite(inclination[0])
+        count += new
+        known.append(np.where(new, inclination, np.nan))
+        steeper = new & (np.hypot(*inclination) > np.hypot(*states[tilt]))
+        states[:, steeper] = other[:, steeper[solved]]
+    return count
 
 
 def _reasons(dae: Dae) -> tuple[tuple[str, ...], Indices]:

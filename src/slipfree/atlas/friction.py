@@ -34,6 +34,7 @@ from slipfree.core.records import Array
 from slipfree.models.force_distribution import least_utilisation
 
 STEPS, MORE_STEPS = 8, 16
+FIRST_FACTOR, LOAD_STEPS = 1.5, 16  # for given normal forces
 FIRST_LEVEL = 1.5  # largest coefficient at which the search starts
 START_SHARE = 0.7  # of the coefficient at which the first rates leave their cone
 LEVEL_SHARE = 0.1  # next level, from a bound towards the last level
@@ -317,3 +318,83 @@ def least_friction(
         known = ~np.isnan(exact)
         low[wide[known]] = high[wide[known]] = exact[known]
     return Interval(low, high)
+
+
+def least_friction_of_loads(terms: Terms, tolerance: float) -> Interval:
+    """Return bounds of the least factor of the friction limits for given normal forces.
+
+    Tangential forces ``f_i = limit_i v_i`` balance the load, ``C' v + load = 0``; wanted is the
+    smallest largest ``|v_i|``. For a factor ``sigma``, the centre ``v(y)`` maximises the sum of
+    ``log(sigma^2 - |v_i|^2)``; it is a function of ``s = C y`` alone. Forces of a Newton step for
+    ``y`` balance the load exactly and give an upper bound; ``load.y / sum |s_i|`` is a lower bound
+    for every ``y``.
+
+    Parameters
+    ----------
+    terms : Terms
+        All entries of the matrix of the slips along and across, column by column; loads; and
+        friction limits over the weight.
+    tolerance : float
+        Width of an interval that needs no further steps. [1]
+    """
+    load, limit = terms.load.T, terms.friction.T
+    n, k = load.shape
+    columns = terms.slopes.reshape(k, limit.shape[1], 2, n)
+    c = columns.transpose(3, 1, 2, 0) * limit[:, :, None, None]
+    square = np.einsum("nikw,nikv->nwv", c, c) + TINY * np.eye(k)
+    first = -np.einsum("nikw,nw->nik", c, _solved(square, load))  # of least norm
+    interval = Interval(np.zeros(n), _largest(first))
+    y, level = np.zeros((n, k)), FIRST_FACTOR * interval.high + SMALLEST_LEVEL
+    wide = np.flatnonzero(np.isfinite(interval.high))
+    for _ in range(LOAD_STEPS):
+        low, high = (bound[wide] for bound in interval)
+        y[wide], level[wide], *bounds = _load_step(
+            c[wide], load[wide], y[wide], level[wide], low, high
+        )
+        for bound, new in zip(interval, bounds, strict=True):
+            bound[wide] = new
+        wide = wide[~(interval.high[wide] - interval.low[wide] <= tolerance)]
+        if not wide.size:
+            break
+    interval.high[np.isnan(interval.high)] = np.inf
+    return interval
+
+
+def _load_step(
+    c: Array, load: Array, y: Array, level: Array, low: Array, high: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return virtual rates, level and bounds after a Newton step and one along the path."""
+    s = np.einsum("nikw,nw->nik", c, y)
+    size, sigma = (s**2).sum(axis=-1), level[:, None]
+    root = np.sqrt(1 + 4 * sigma**2 * size)
+    gain = 2 * sigma**2 / (1 + root)  # v = -gain s
+    bend = -4 * sigma**4 / (root * (1 + root) ** 2)  # derivative of the gain by the size
+    slope = gain[..., None, None] * np.eye(2)
+    slope = slope + 2 * bend[..., None, None] * s[..., :, None] * s[..., None, :]
+    reach = np.matmul(slope, c)
+    hessian = np.einsum("nikw,nikv->nwv", c, reach) + TINY * np.eye(y.shape[1])
+    residual = load - np.einsum("nikw,nik->nw", c, gain[..., None] * s)
+    by_level = (gain * (2 / sigma - 4 * sigma * size / (root * (1 + root))))[..., None] * s
+    newton = _solved(hessian, residual)
+    path = -_solved(hessian, np.einsum("nikw,nik->nw", c, by_level))
+    for rates in (y, y + newton, -path):
+        slips = np.linalg.norm(np.einsum("nikw,nw->nik", c, rates), axis=-1)
+        low = np.fmax(low, (load * rates).sum(axis=-1) / (slips.sum(axis=-1) + TINY))
+    centre = -gain[..., None] * s - np.einsum("nikw,nw->nik", reach, newton)
+    drift = by_level + np.einsum("nikw,nw->nik", reach, path)
+    for fall in FALLS:
+        high = np.fmin(high, _largest(centre + (fall * (level - low))[:, None, None] * drift))
+    following = np.fmax(high + LEVEL_SHARE * (high - low), low + LEVEL_SHARE * (level - low))
+    following = np.fmin(level, following)
+    ratio = np.clip((level - low) / np.fmax(following - low, 1e-12), 1, PATH_STEP)
+    damping = 1 + np.sqrt(np.fmax((residual * newton).sum(axis=-1), 0))
+    move = newton / damping[:, None] - path * ((level - low) * (ratio - 1))[:, None]
+    return y + move, following, low, high
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    return np.asarray(np.linalg.solve(matrix, right[..., None])[..., 0])
+
+
+def _largest(forces: Array) -> Array:
+    return np.asarray(np.linalg.norm(forces, axis=-1).max(axis=-1))

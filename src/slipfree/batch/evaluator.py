@@ -156,6 +156,8 @@ class _Interpreted(Generic[G]):
         self.graphs = graphs
 
     def __call__(self, graph: Graph, states: Array, slope: float = 1.0) -> Array:
+        if not states.shape[1]:
+            return np.empty((graph.function.numel_out(0), 0))
         results = np.zeros((graph.function.size1_in(1), states.shape[1]))
         row = 0
         for lookup, argument in zip(graph.lookups, graph.arguments, strict=True):

@@ -23,8 +23,10 @@ from slipfree.core.records import Array, leaves, pack
 
 SAMPLES = 12  # random states at which pivots are chosen
 MIN_PIVOT = 0.02  # smallest pivot, relative to the largest entry of its row
+MIN_PIVOT_ON_DIAGONAL = 1e-4  # smaller ones are sought elsewhere
 GUESS_SPREAD = 0.1  # of unknowns other than rates [typical size]
 MAX_STEP = 0.25  # largest Newton step of a rate without projection [typical size]
+TILT_SPREAD = 0.02  # of states that relax [m, rad]
 JOINT_SPREAD = 0.5  # standard deviation of the random joint angles [rad]
 Solve = Callable[[ca.SX, ca.SX], ca.SX]
 
@@ -349,15 +351,22 @@ def elimination(dae: Dae, state: ca.SX, rows: StateRows) -> Solve:
     for k, label in enumerate(labels):
         if label.name == "heading":
             samples[k] = rng.uniform(-np.pi, np.pi, SAMPLES)
+        elif label.name not in ("x", "y"):
+            samples[k, ::2] = 0.0  # level, where entries may vanish
     guess = dae.function(
-        "guess", [x, ca.vertcat(*(each.symbol for each in dae.p))], [ca.densify(dae.guess)]
+        "guess",
+        [x, ca.vertcat(*(each.symbol for each in dae.p))],
+        [ca.densify(dae.guess), ca.densify(dae.rest)],
     )
     for k, each in enumerate(dae.p):
         samples[rows.c.start + k] = each.value
+    _, rest = evaluate(guess, samples[rows.x], samples[rows.c])
+    relaxing = slice(rows.x.stop - dae.rest.numel(), rows.x.stop)
+    samples[relaxing] = rest + TILT_SPREAD * samples[relaxing]  # most wheels bear load
     continuation = _continuation(dae)
     if continuation is not None:
         samples[rows.stage] = continuation.values[0]
-    (guessed,) = evaluate(guess, samples[rows.x], samples[rows.c])
+    guessed, _ = evaluate(guess, samples[rows.x], samples[rows.c])
     unknowns = np.split(guessed, np.cumsum([r.stop - r.start for r in rows.z[:2]]))
     samples[rows.p], samples[rows.f] = unknowns[0], unknowns[2]
     # moving, under load: other unknowns than rates, such as depths, stay near their guess
@@ -388,15 +397,27 @@ def _eliminate(matrix: ca.SX, right: ca.SX, numbers: Array) -> ca.SX:
     A symmetric matrix is eliminated with pivots on its diagonal, which needs half the operations;
     those of the least-slip condition can be chosen there, since rates precede multipliers.
     """
-    (m, n), numbers = matrix.shape, numbers.copy()
+    (m, n), symmetric_numbers = matrix.shape, numbers.transpose(0, 2, 1)
+    symmetric = m == n and bool(np.allclose(numbers, symmetric_numbers, rtol=1e-12, atol=0))
+    if symmetric:
+        solution, smallest = _eliminated(matrix, right, numbers.copy(), symmetric=True)
+        if smallest >= MIN_PIVOT_ON_DIAGONAL:
+            return solution
+    return _eliminated(matrix, right, numbers.copy(), symmetric=False)[0]
+
+
+def _eliminated(
+    matrix: ca.SX, right: ca.SX, numbers: Array, *, symmetric: bool
+) -> tuple[ca.SX, float]:
+    """Return the solution, and the smallest pivot relative to its row in all samples."""
+    (m, n), smallest = matrix.shape, np.inf
     entries = [matrix[i, j] for i, j in zip(*matrix.sparsity().get_triplet(), strict=True)]
     a = dict(zip(zip(*matrix.sparsity().get_triplet(), strict=True), entries, strict=True))
-    turned = numbers.transpose(0, 2, 1)
-    symmetric = m == n and bool(np.allclose(numbers, turned, rtol=1e-12, atol=0))
     b = ca.vertsplit(ca.densify(right))
     rows, columns, order = set(range(m)), set(range(n)), list[tuple[int, int]]()
     for _ in range(n):
-        i, j = _pivot(a, numbers, rows, columns, symmetric=symmetric)
+        i, j, pivot = _pivot(a, numbers, rows, columns, symmetric=symmetric)
+        smallest = min(smallest, pivot)
         rows.remove(i)
         columns.remove(j)
         order.append((i, j))
@@ -420,7 +441,7 @@ def _eliminate(matrix: ca.SX, right: ca.SX, numbers: Array) -> ca.SX:
             if (i, c) in a:
                 total = total - a[i, c] * value
         solution[j] = total / a[i, j]
-    return ca.vertcat(*(solution[j] for j in range(n)))
+    return ca.vertcat(*(solution[j] for j in range(n))), smallest
 
 
 def _pivot(
@@ -430,8 +451,11 @@ def _pivot(
     columns: set[int],
     *,
     symmetric: bool,
-) -> tuple[int, int]:
-    """Return the entry with the fewest new entries among those that are large in every sample."""
+) -> tuple[int, int, float]:
+    """Return the entry with the fewest new entries among those that are large in every sample.
+
+    The last result is its smallest value relative to its row.
+    """
     r, c = sorted(rows), sorted(columns)
     left = np.abs(numbers[:, r][:, :, c])
     relative = (left / np.maximum(left.max(axis=2, keepdims=True), 1e-300)).min(axis=0)
@@ -443,4 +467,4 @@ def _pivot(
     allowed = relative >= min(MIN_PIVOT, relative.max())
     cost = np.where(allowed, cost - 0.5 * relative, np.inf)  # of equal ones, the largest
     i, j = np.unravel_index(int(cost.argmin()), cost.shape)
-    return r[int(i)], c[int(j)]
+    return r[int(i)], c[int(j)], float(relative[i, j])

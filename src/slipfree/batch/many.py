@@ -214,14 +214,13 @@ def _newton(evaluate: Evaluator, states: Array, count: int, longest: float, ramp
     return solved
 
 
-def stand_checked(evaluate: Evaluator, states: Array) -> Indices:
-    """Let the vehicle stand at given states; return why each pose is none or not valid.
+def stand_checked(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
+    """Return why each pose is none or not valid; ``solved`` are those that `stand` found.
 
     Codes are `COMPLETE`, `UNSOLVED` without a pose, the index of a violated limit, or, after the
     limits, that of a failed check. The states get positions, rates and forces.
     """
     graphs = evaluate.graphs
-    solved = stand(evaluate, states)
     distances = solve_forces(evaluate, states)
     codes = np.where(solved, COMPLETE, UNSOLVED)
     beyond = solved & ~(margins(distances) >= 0)
@@ -238,7 +237,7 @@ def stand_checked(evaluate: Evaluator, states: Array) -> Indices:
 def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, Source]) -> _Poses:
     """Return the poses of states."""
     graphs = evaluate.graphs
-    codes = stand_checked(evaluate, states)
+    codes = stand_checked(evaluate, states, stand(evaluate, states))
     outcomes, reasons = ["complete"] * codes.size, [""] * codes.size
     for k in np.flatnonzero(codes != COMPLETE):
         outcomes[k], reasons[k] = FAILED, NO_POSE

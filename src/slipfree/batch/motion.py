@@ -685,15 +685,20 @@ def relax(evaluate: Evaluator, states: Array) -> Mask:
     size = dae.sizes.x[relaxing, None]
     at_rest = np.zeros(states.shape[1], dtype=bool)
     states[rows.u] = 0.0
+    lanes, part = np.arange(at_rest.size), states.copy()
     for h in FIRST_STEP * STEP_GROWTH ** np.arange(MAX_RELAXATIONS):
-        states[rows.lag] = h
-        rates, good, _ = derivatives(evaluate, states)
-        step = np.where(at_rest, 0.0, h * rates[relaxing])
+        part[rows.lag] = h
+        rates, good, _ = derivatives(evaluate, part)
+        step = h * rates[relaxing]
         # a wheel far from its contact takes steps of bounded length
         step *= np.minimum(1.0, MAX_RELAXATION / np.abs(step / size).max(axis=0, initial=1e-300))
-        states[relaxing] += step
-        at_rest |= (np.abs(step / size).max(axis=0) < AT_REST) & (h > 1.0) & good
-        if at_rest.all():
-            break
+        part[relaxing] += step
+        done = (np.abs(step / size).max(axis=0) < AT_REST) & (h > 1.0) & good
+        if done.any():
+            states[:, lanes[done]], at_rest[lanes[done]] = part[:, done], True
+            lanes, part = lanes[~done], _of(~done, part)
+            if not lanes.size:
+                break
+    states[:, lanes] = part
     states[rows.lag] = 0.0
     return at_rest

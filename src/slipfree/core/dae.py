@@ -272,17 +272,22 @@ class Holding(NamedTuple):
 
     Attributes
     ----------
-    matrix : SX, shape (3 n_wheels, n_rates)
-        Derivatives of the slips along, across and normal to every wheel by the free rates. [1, m]
+    matrix : SX, shape (3 n_wheels, n_rates) or (2 n_wheels, n_rates)
+        Derivatives of the slips along and across every wheel, and normal to it if the normal
+        forces are not given, by the free rates. [1, m]
     load : SX, shape (n_rates, 1)
-        Generalised forces of gravity, springs and dampers over the weight. [1, m]
+        Generalised forces of gravity, springs, dampers, and given normal forces over the weight.
+        [1, m]
     friction : SX, shape (n_wheels, 1)
         Coefficients of friction under the wheels. [1]
+    normal : SX or None, shape (n_wheels, 1)
+        Given normal forces over the weight; None for those that equilibrium determines. [1]
     """
 
     matrix: ca.SX
     load: ca.SX
     friction: ca.SX
+    normal: ca.SX | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,8 +368,7 @@ class Dae(Generic[X, Z, U, Y]):
     leading_rates : SX, shape (k, 1)
         Rates of the first k unknowns of ``z``, if other unknowns determine them; empty otherwise.
     holding : Holding or None
-        Equilibrium of the contact forces of rigid wheels at rest; None for other contacts, and for
-        vehicles without mass.
+        Equilibrium of the contact forces at rest; None for vehicles without mass.
     p : tuple of Parameter
         Numbers that are symbols of the model. Solvers take models without parameters:
         `slipfree.core.rearrange.with_values` replaces the symbols by numbers.

@@ -38,7 +38,7 @@ from slipfree.contact.closure import (
     has_exact_closure,
     support_fault,
 )
-from slipfree.core.dae import Dae, Labels
+from slipfree.core.dae import Dae, Holding, Labels
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Label, leaves, pack, symbols
@@ -268,10 +268,11 @@ def _groups(labels: Labels) -> tuple[list[int], list[int]]:
 def _alignment(contacts: tuple[ContactFrame, ...], misses: list[ca.SX]) -> ca.SX:
     """Return the tangential offsets between ground points and wheel points, zero at contacts [m].
 
-    The shape is (2 n_wheels, 1): along and across, wheel by wheel.
+    The shape is (2 n_wheels, 1): components along the fixed x and y axes, wheel by wheel. With the
+    axes of the contacts, an elimination in a fixed order would fail at headings of right angles.
     """
     pairs = zip(contacts, misses, strict=True)
-    return ca.vertcat(*(ca.dot(axis, miss) for c, miss in pairs for axis in (c.along, c.across)))
+    return ca.vertcat(*((miss - c.normal * ca.dot(c.normal, miss))[:2] for c, miss in pairs))
 
 
 def _slip_equations(
@@ -336,7 +337,18 @@ def _dae(
         rest=_first_pose(q),
         lookups=q.lookups.lookups,
         linear=law.linear,
+        holding=_holding(q, pressed, _groups(labels)[0]) if vehicle.mass else None,
     )
+
+
+def _holding(q: Quantities, pressed: Press, sliding: list[int]) -> Holding:
+    """Return the equilibrium of the sliding rates, whose normal forces are given."""
+    parts = q.mechanics
+    along, across, normal = (parts.free[k::3, sliding] for k in range(3))
+    pairs = zip(ca.vertsplit(along), ca.vertsplit(across), strict=True)
+    matrix = ca.vertcat(*(row for pair in pairs for row in pair))
+    load = normal.T @ pressed.load + parts.load[sliding] / parts.weight
+    return Holding(matrix, load, ca.vertcat(*parts.friction), pressed.load)
 
 
 def _first_pose(q: Quantities) -> ca.SX:
