@@ -39,6 +39,7 @@ from slipfree.solve.settle import SPEED, settle
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism, Profile, Solid, Solids, flat, placed, section_of
+from slipfree.vehicle.gravity import gravity_words
 from slipfree.vehicle.tree import Vehicle
 
 DYNAMIC_TOLERANCE = 1e-6  # default tolerance of dynamics, whose motions are less smooth
@@ -206,7 +207,7 @@ def _names(labels: Iterable[Any]) -> list[str]:
 
 
 def vehicle_facts(vehicle: Vehicle) -> Lines:
-    """Return facts about a vehicle, pairs of name and text: wheels, mass and notes of its file."""
+    """Return facts about a vehicle, pairs of name and text: wheels, mass, gravity and notes."""
     wheels = ", ".join(
         f"{w.name} {w.radius:g} m {'driven' if w.driven else 'free'}" for w in vehicle.wheels
     )
@@ -216,6 +217,7 @@ def vehicle_facts(vehicle: Vehicle) -> Lines:
         facts.append(("rollers", f"{', '.join(rollers)} {words}"))
     if vehicle.mass:
         facts.append(("mass", f"{vehicle.mass:g} kg, weight {vehicle.weight:.1f} N"))
+        facts.append(("gravity", gravity_words(vehicle.gravity)))
     if vehicle.notes:
         facts.append(("vehicle file", "; ".join(vehicle.notes)))
     return facts
