@@ -93,6 +93,7 @@ def in_gravity(vehicle: Vehicle, gravity: float | str) -> Vehicle:
     >>> from slipfree import catalog, in_gravity
     >>> rover = in_gravity(catalog.rocky7(), "moon")
     >>> print(f"{rover.mass:g} kg, {rover.weight:.1f} N")
+    13 kg, 21.1 N
     """
     value = gravity_of(gravity)
     ratio = value / vehicle.gravity
