@@ -6,6 +6,7 @@ from math import inf, nan, pi, sqrt
 import casadi as ca
 import numpy as np
 import pytest
+import rasterio
 
 from helpers.dynamics import FLAT, four_wheels, moved, states
 from slipfree import (
@@ -22,12 +23,14 @@ from slipfree import (
 from slipfree.catalog.step_climber import climber_of
 from slipfree.climb.contact_path import least_friction
 from slipfree.models.rigid_dynamics import rigid_dynamics
+from slipfree.problem.load import load_problem
+from slipfree.problem.result import build
 from slipfree.terrain.solids import step
-from slipfree.vehicle.gravity import BODIES, gravity_of, gravity_words
+from slipfree.vehicle.gravity import BODIES, foreign_map_words, gravity_of, gravity_words
 from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Coordinate, Joint
 
 HILLS = Analytic(lambda x, y: 0.05 * ca.sin(x) + 0.03 * x * y + 0.04 * y, mu=0.6)
-MOON = BODIES["moon"]
+MOON = BODIES["moon"].gravity
 ATTRACTION = {  # G M [km^3/s^2] and radius [km], equatorial of planets, mean of others
     "moon": (4902.800, 1737.4),
     "mars": (42828.37, 3396.19),
@@ -48,11 +51,36 @@ ATTRACTION = {  # G M [km^3/s^2] and radius [km], equatorial of planets, mean of
 
 def test_bodies_attract_by_their_mass_and_radius():
     for name, (attraction, radius) in ATTRACTION.items():
-        assert BODIES[name] == pytest.approx(1e3 * attraction / radius**2, rel=4e-3)
+        assert BODIES[name].gravity == pytest.approx(1e3 * attraction / radius**2, rel=4e-3)
+        assert BODIES[name].radius == pytest.approx(1e3 * radius)
     assert set(BODIES) == {"earth", *ATTRACTION}
     assert gravity_of("Moon") == gravity_of(1.62) == in_gravity(cart(), "moon").gravity
     assert gravity_words(1.62) == "1.62 m/s^2 (moon)"
     assert gravity_words(1.7) == "1.7 m/s^2"
+
+
+def test_a_map_of_another_body_with_the_gravity_of_the_earth_is_noted(tmp_path):
+    words = '; but the map is of a body with a radius of 1737.4 km: set gravity = "moon"'
+    assert foreign_map_words(EARTH_GRAVITY, 1737400.0) == words
+    assert foreign_map_words(EARTH_GRAVITY, 1e6).endswith("1000 km: set 'gravity' [m/s^2]")
+    for gravity, radius in ((1.62, 1737400.0), (EARTH_GRAVITY, 6378388.0), (EARTH_GRAVITY, nan)):
+        assert not foreign_map_words(gravity, radius)
+    map_file = {"driver": "GTiff", "width": 40, "height": 40, "count": 1, "dtype": "float32"}
+    crs = "+proj=stere +lat_0=-90 +a=1737400 +b=1737400 +units=m"
+    transform = rasterio.Affine(1, 0, -20, 0, -1, 20)
+    with rasterio.open(tmp_path / "m.tif", "w", **map_file, crs=crs, transform=transform) as file:
+        file.write(np.zeros((1, 40, 40), "f4"))
+    (tmp_path / "p.toml").write_text(
+        'verb = "direct"\nterrain = { file = "m.tif" }\n'
+        'vehicle = { catalog = "skid_steer", mass = 20.0 }\nstart = { x = 0.0, y = 0.0 }\n'
+        'driver = { name = "straight", speed = 0.5 }\ntime = { duration = 1, step = 0.5 }\n'
+    )
+    for settings, expected in (
+        ([], f"9.81 m/s^2 (earth){words}"),
+        (["gravity=moon"], "1.62 m/s^2 (moon)"),
+    ):
+        facts = dict(build(load_problem(tmp_path / "p.toml", settings)).facts)
+        assert facts["gravity"] == expected
 
 
 @pytest.mark.parametrize(
@@ -169,7 +197,7 @@ def hanging(gravity):
 
 @pytest.mark.parametrize("body", ["moon", "mars", "earth"])
 def test_a_pendulum_swings_and_a_vehicle_falls_as_the_closed_forms_say(body):
-    gravity, t = BODIES[body], np.linspace(0, 1, 11)
+    gravity, t = BODIES[body].gravity, np.linspace(0, 1, 11)
     model = replace(dynamics(in_gravity(four_wheels(), body), FLAT), limits=(), checks=())
     run = moved(model, states(model, z=30.0, velocity_y=0.5), t)
     assert run["z"] == pytest.approx(30 - gravity * t**2 / 2, abs=1e-6)

@@ -5,31 +5,40 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, NamedTuple
 
 from slipfree.core.errors import ModelError
 from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle
 
-# G M / R^2 to three digits, except for the earth: gravitational parameters and equatorial radii of
-# planets, mean radii of other bodies, by NASA/JPL Solar System Dynamics (planetary physical
-# parameters; planetary satellite physical parameters; small-body database), as of 2024.
-BODIES = {  # [m/s^2]
-    "earth": EARTH_GRAVITY,
-    "moon": 1.62,
-    "mars": 3.71,
-    "mercury": 3.70,
-    "venus": 8.87,
-    "ceres": 0.284,
-    "vesta": 0.253,
-    "io": 1.80,
-    "europa": 1.31,
-    "ganymede": 1.43,
-    "callisto": 1.24,
-    "titan": 1.35,
-    "enceladus": 0.113,
-    "triton": 0.781,
-    "pluto": 0.616,
+
+class CelestialBody(NamedTuple):
+    """A planet, moon or asteroid: gravity at its surface [m/s^2], and radius [m]."""
+
+    gravity: float
+    radius: float
+
+
+# Equatorial radii of planets, mean radii of other bodies, and G M / R^2 to three digits, except for
+# the earth: NASA/JPL Solar System Dynamics (planetary physical parameters; planetary satellite
+# physical parameters; small-body database), as of 2024.
+BODIES = {
+    "earth": CelestialBody(EARTH_GRAVITY, 6.378137e6),
+    "moon": CelestialBody(1.62, 1.7374e6),
+    "mars": CelestialBody(3.71, 3.39619e6),
+    "mercury": CelestialBody(3.70, 2.44053e6),
+    "venus": CelestialBody(8.87, 6.0518e6),
+    "ceres": CelestialBody(0.284, 4.697e5),
+    "vesta": CelestialBody(0.253, 2.61385e5),
+    "io": CelestialBody(1.80, 1.82149e6),
+    "europa": CelestialBody(1.31, 1.5608e6),
+    "ganymede": CelestialBody(1.43, 2.6312e6),
+    "callisto": CelestialBody(1.24, 2.4103e6),
+    "titan": CelestialBody(1.35, 2.57476e6),
+    "enceladus": CelestialBody(0.113, 2.521e5),
+    "triton": CelestialBody(0.781, 1.3526e6),
+    "pluto": CelestialBody(0.616, 1.1883e6),
 }
+SAME_RADIUS = 0.005  # relative difference of the radii of one body in various reference systems
 
 
 def gravity_of(value: Any) -> float:
@@ -47,7 +56,7 @@ def gravity_of(value: Any) -> float:
     """
     if isinstance(value, str):
         if value.lower() in BODIES:
-            return BODIES[value.lower()]
+            return BODIES[value.lower()].gravity
         nearest = get_close_matches(value.lower(), BODIES, n=1)
         hint = f"did you mean {nearest[0]!r}? else " if nearest else ""
         raise ModelError(
@@ -65,8 +74,22 @@ def gravity_of(value: Any) -> float:
 
 def gravity_words(gravity: float) -> str:
     """Return a gravity in words, with the name of its body, as in ``1.62 m/s^2 (moon)``."""
-    name = next((name for name, value in BODIES.items() if value == gravity), None)
+    name = next((name for name, body in BODIES.items() if body.gravity == gravity), None)
     return f"{gravity:g} m/s^2" + (f" ({name})" if name else "")
+
+
+def foreign_map_words(gravity: float, radius: float) -> str:
+    """Return a hint on a map of another body than the earth with the earth's gravity; else "".
+
+    ``radius`` is the semi-major axis of the map's reference system, NaN if unknown [m].
+    """
+    earth = BODIES["earth"]
+    if gravity != earth.gravity or not abs(radius / earth.radius - 1) > SAME_RADIUS:
+        return ""
+    alike = (n for n, body in BODIES.items() if abs(body.radius / radius - 1) < SAME_RADIUS)
+    name = next(alike, None)
+    key = f'set gravity = "{name}"' if name else "set 'gravity' [m/s^2]"
+    return f"; but the map is of a body with a radius of {radius / 1e3:.6g} km: {key}"
 
 
 def in_gravity(vehicle: Vehicle, gravity: float | str) -> Vehicle:
