@@ -19,6 +19,7 @@ LISTED = r"<!-- {kind}: ([\w.,\s]+?) -->"
 TAKES = {
     "SlipName": ", ".join(f'`"{name}"`' for name in SLIP_LAWS),
     "Positive": "a positive number",
+    "Gravity": "a positive number, or a name",
     "NonNegative": "a number, at least 0",
     "NonNegativeAngle": "a number, at least 0",
     "NonNegativeRate": "a number, at least 0",

@@ -9,7 +9,8 @@ Ground
 Vehicle
     `catalog`, vehicles ready for use. `read_vehicle`, a vehicle from a TOML or URDF file.
     `Vehicle`, a tree of `Coordinate`, `Joint`, `Body` and `Wheel` with the drives `Rate`, `Torque`
-    or `Motor`. `planar`, a vehicle that moves only in a vertical plane.
+    or `Motor`. `planar`, a vehicle that moves only in a vertical plane; `in_gravity`, one on the
+    moon or elsewhere.
 Model, a `Dae`
     `direct_kinematics`, the motion at given wheel rates, with a slip law: `LeastSlip`, `Rolling`.
     `inverse_kinematics`, the wheel rates of a given motion. `quasi_statics`, the slow motion under

@@ -39,6 +39,7 @@ from .terrain.base import Grid
 from .terrain.bicubic import Bicubic
 from .terrain.solids import Solids
 from .vehicle.drives import Motor, Rate, Torque
+from .vehicle.gravity import in_gravity
 from .vehicle.tree import Body, Coordinate, Joint, Vehicle, planar
 from .vehicle.wheel import Wheel
 
@@ -79,6 +80,7 @@ __all__ = [
     "direct_kinematics",
     "dynamics",
     "follow",
+    "in_gravity",
     "inverse_kinematics",
     "load_problem",
     "montana_kinematics",

@@ -63,6 +63,7 @@ def facts(verb, *settings, code=0):
 def test_run_tells_what_the_motion_takes():
     told = {name: words.strip() for name, words in facts("run").items()}
     assert told["mass"] == "36 kg, weight 353.2 N"
+    assert told["gravity"] == "9.81 m/s^2 (earth)"
     assert told["ground friction"] == "0.6"
     assert told["slip"] == "a quasi-static prediction by the wheel-ground law 'coulomb'"
     assert told["friction"].startswith("utilisation 0.")
@@ -77,6 +78,31 @@ def test_run_tells_what_the_motion_takes():
         atol=1e-12,
     )
     assert written.attributes["ground_friction"] == "0.6"
+
+
+def test_gravity_is_a_number_of_the_problem(file):
+    def loads(*settings):
+        called("run", *settings)
+        return netcdf.read(Path("p.nc"))
+
+    earth, moon = loads(), loads("gravity=moon")
+    assert facts("check", "gravity=moon")["gravity"].strip() == "1.62 m/s^2 (moon)"
+    assert moon.attributes["gravity"] == "1.62 m/s^2 (moon)"
+    assert moon.attributes["mass"] == "36 kg, weight 58.3 N"
+    assert moon.facts["gravity"].value == 1.62
+    assert earth.facts["gravity"].value == 9.81
+    assert_allclose(moon["force_normal"], earth["force_normal"] * 1.62 / 9.81, rtol=1e-6)
+    assert_allclose(moon["utilisation"], earth["utilisation"], rtol=1e-6, atol=1e-9)
+    file.write_text("gravity = 'mon'\n" + PROBLEM)
+    told = called("check", code=2).output
+    assert "p.toml:1: gravity: expected one of the bodies earth, moon" in told
+    assert "found 'mon'; did you mean 'moon'?" in told
+    file.write_text("gravity = -1.0\n" + PROBLEM)
+    assert "p.toml:1: gravity: expected a positive, finite number" in called("check", code=2).output
+    file.write_text(PROBLEM)
+    swept = invoke("sweep", "p.toml", "--vary", "gravity=1.62,3.71", "--processes", "1")
+    assert swept.exit_code == 0, swept.output
+    assert "3.71" in swept.output
 
 
 def test_samples_that_do_not_converge_are_counted(monkeypatch):

@@ -19,7 +19,7 @@ NAMES = {
     *("Grid", "Bicubic", "Analytic", "Solids", "read_map"),
     *("Vehicle", "Coordinate", "Joint", "Body", "Wheel", "catalog", "read_vehicle"),
     *("direct_kinematics", "inverse_kinematics", "montana_kinematics", "quasi_statics"),
-    *("dynamics", "rigid_dynamics", "planar", "Compliant", "Rate", "Torque", "Motor"),
+    *("dynamics", "rigid_dynamics", "planar", "in_gravity", "Compliant", "Rate", "Torque", "Motor"),
     *("LeastSlip", "Rolling", "Coulomb", "LinearCreep", "Soil"),
     *("follow", "straight", "Path"),
     *("settle", "settle_many", "simulate", "rollouts", "plan", "replan", "cross_check"),

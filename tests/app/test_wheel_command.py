@@ -75,6 +75,22 @@ def test_table_and_figure(file, tmp_path):
         assert found[name] == pytest.approx(getattr(curves, name).ravel(), rel=1e-9, abs=1e-12)
 
 
+def test_gravity_weighs_the_soil_that_a_wheel_pushes_aside(file, tmp_path):
+    tables = []
+    for gravity in ("earth", "moon"):
+        out = tmp_path / f"{gravity}.csv"
+        done = run(file, "-o", out, "--set", f"gravity={gravity}")
+        assert done.exit_code == 0, done.output
+        tables.append(columns(out))
+    earth, moon = tables
+    assert moon["pull"] == pytest.approx(earth["pull"], rel=1e-12)
+    aside = moon["slip_angle"] > 0
+    assert (moon["side"][aside] < 0.99 * earth["side"][aside]).all()
+    assert "gravity" in done.output
+    assert "1.62 m/s^2 (moon)" in done.output
+    assert "found 'mon'; did you mean 'moon'?" in run(file, "--set", "gravity=mon").output
+
+
 def test_measured_points_have_their_own_loads(file, tmp_path):
     """Loads and slip angles are columns; without them they are wheel.load and zero."""
     soil = replace(known_soil("lunar"), friction_angle=radians(34))

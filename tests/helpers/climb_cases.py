@@ -20,7 +20,7 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.laws.compliant import Compliant
 from slipfree.plan.ipopt import solve_nlp
 from slipfree.terrain.solids import Profile, placed, ramp, step
-from slipfree.vehicle.tree import GRAVITY, Vehicle
+from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle
 
 AMPLE = 8.0  # torque of the lab's motors that "never" limits; on the step it does, 1 % of the time
 SPEED, HEIGHT, EVERY, AHEAD = 0.25, 0.09, 2e-3, 0.05
@@ -91,9 +91,9 @@ def foot(profile):
 
 def stiff(vehicle, grip):
     """The vehicle with the stiffness of its contacts, and their law."""
-    depth = vehicle.mass * GRAVITY / 3 / grip.stiffness
+    depth = vehicle.mass * EARTH_GRAVITY / 3 / grip.stiffness
     wheels = tuple(replace(wheel, static_depth=depth) for wheel in vehicle.wheels)
-    ratio = grip.damping * np.sqrt(GRAVITY * depth) / 2
+    ratio = grip.damping * np.sqrt(EARTH_GRAVITY * depth) / 2
     law = Compliant(ratio, grip.creep, grip.dynamic / grip.static, grip.stribeck)
     return replace(vehicle, wheels=wheels), law
 

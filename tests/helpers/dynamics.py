@@ -6,7 +6,7 @@ import numpy as np
 
 from slipfree import Analytic, SolverOptions, settle, simulate
 from slipfree.vehicle.sections import Torus
-from slipfree.vehicle.tree import GRAVITY, Body, Coordinate, Joint, Vehicle
+from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 FLAT = Analytic(lambda x, y: 0 * (x + y), mu=0.8)
@@ -42,7 +42,7 @@ def four_wheels(*, spring=0.0, driven=True, mass=40.0, height=0.25, turn=None, *
     for k, (y, x) in enumerate(corners):
         name, parent, at = f"w{k}", "platform", (x, y, 0.0)
         if spring:
-            rest = -mass / 4 * GRAVITY / spring
+            rest = -mass / 4 * EARTH_GRAVITY / spring
             words = f"stroke {k}"
             coordinates.append(
                 Coordinate(f"s{k}", "suspension", words, stiffness=spring, rest=rest, damping=150.0)

@@ -20,7 +20,7 @@ from pydantic import BaseModel, PlainValidator
 
 from helpers.fuzz_damage import NUMBERS, ODD, WORDS, Case, damaged, grown, shuffled
 from helpers.fuzz_libraries import LIBRARY_KINDS
-from helpers.fuzz_maps import archive, ascii_grid, beside, picture, points
+from helpers.fuzz_maps import archive, ascii_grid, beside, cloud, picture, points
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Stop, Trajectory
@@ -470,6 +470,8 @@ KINDS: dict[str, Callable[[str, Random], Case]] = {
     "asc": ascii_grid,
     "npz": archive,
     "points": points,
+    "ply": cloud,
+    "pcd": cloud,
     "tiff": picture,
     "png": picture,
     "img": picture,

@@ -64,6 +64,117 @@ def points(kind: str, rng: Random) -> Case:
     return Case(kind, {name: damaged(raw, rng) if rng.random() < 0.4 else raw}, name)
 
 
+def ply(
+    points: Any,
+    kind: str,
+    *,
+    real: str = "float",
+    newline: str = "\n",
+    faces: int = 0,
+    before: int = 0,
+    classes: Any = None,
+) -> bytes:
+    """Return a PLY file of points, of a kind such as ``"binary_big_endian"``."""
+    order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[kind]
+    types = [(name, order + {"float": "f4", "double": "f8"}[real]) for name in "xyz"]
+    head = ["ply", f"format {kind} 1.0", "comment made for tests"]
+    head += [f"element camera {before}", "property double at"] * bool(before)
+    head += [f"element vertex {len(points)}", *(f"property {real} {name}" for name in "xyz")]
+    table = [*np.asarray(points).T]
+    if classes is not None:
+        head.append("property uchar scalar_Classification")
+        types.append(("c", order + "u1"))
+        table.append(classes)
+    head += [f"element face {faces}", "property list uchar int vertex_indices"] * bool(faces)
+    raw = newline.join([*head, "end_header", ""]).encode()
+    rows = np.array([*zip(*table, strict=True)], types)
+    if order:
+        first = np.arange(before, dtype=f"{order}f8").tobytes()
+        last = struct.pack(f"{order}Biii", 3, 0, 1, 2) * faces
+        return raw + first + rows.tobytes() + last
+    lines = [*map(str, range(before)), *(" ".join(map(str, row)) for row in rows.tolist())]
+    return raw + newline.join([*lines, *["3 0 1 2"] * faces, ""]).encode()
+
+
+def pcd(points: Any, kind: str, *, real: str = "F 4") -> bytes:
+    """Return a PCD file of points, of a kind such as ``"binary_compressed"``."""
+    letter, size = real.split()
+    head = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        "FIELDS x y z",
+        f"SIZE {size} {size} {size}",
+        f"TYPE {letter} {letter} {letter}",
+        "COUNT 1 1 1",
+        f"WIDTH {len(points)}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {len(points)}",
+        f"DATA {kind}",
+    ]
+    raw, rows = "\n".join([*head, ""]).encode(), np.asarray(points, f"<f{size}")
+    if kind == "ascii":
+        return raw + "".join(" ".join(map(str, row)) + "\n" for row in rows.tolist()).encode()
+    if kind == "binary":
+        return raw + rows.tobytes()
+    plain = rows.T.tobytes()
+    packed = compress_lzf(plain)
+    return raw + struct.pack("<II", len(packed), len(plain)) + packed
+
+
+def compress_lzf(plain: bytes) -> bytes:
+    """Return LZF: a copy of what was written before wherever three bytes are the same."""
+    out, seen, kept, i = bytearray(), dict[bytes, int](), bytearray(), 0
+
+    def flush() -> None:
+        for k in range(0, len(kept), 32):
+            part = kept[k : k + 32]
+            out.extend([len(part) - 1, *part])
+        kept.clear()
+
+    while i < len(plain):
+        key = plain[i : i + 3]
+        start = seen.get(key, -1)
+        seen[key] = i
+        if len(key) < 3 or start < 0 or i - start > 2**13:
+            kept.append(plain[i])
+            i += 1
+            continue
+        length = 3
+        while length < 264 and i + length < len(plain):
+            if plain[start + length] != plain[i + length]:
+                break
+            length += 1
+        flush()
+        back, code = i - start - 1, length - 2
+        out.append(min(code, 7) << 5 | back >> 8)
+        out.extend([code - 7] * (code >= 7))
+        out.append(back & 255)
+        i += length
+    flush()
+    return bytes(out)
+
+
+def cloud(kind: str, rng: Random) -> Case:
+    """Return a PLY or PCD file, valid, with another number in its header, or damaged."""
+    points = np.random.default_rng(rng.randrange(99)).uniform(0, 5, (rng.choice([2, 40, 200]), 3))
+    if rng.random() < 0.3:
+        points[rng.randrange(len(points)), rng.randrange(3)] = rng.choice([np.nan, np.inf, 1e30])
+    if kind == "ply":
+        encoding = rng.choice(["ascii", "binary_little_endian", "binary_big_endian"])
+        raw = ply(points, encoding, faces=rng.choice([0, 2]), before=rng.choice([0, 0, 3]))
+    else:
+        raw = pcd(points, rng.choice(["ascii", "binary", "binary_compressed"]))
+    if rng.random() < 0.4:
+        old = rng.choice(
+            [b"float", b"vertex", b"F F F", b"4 4 4", b"1 1 1", str(len(points)).encode()]
+        )
+        raw = raw.replace(old, str(rng.choice([*NUMBERS, 10**9, "1e9", "x", "double"])).encode(), 1)
+    return Case(
+        kind, {f"ground.{kind}": damaged(raw, rng) if rng.random() < 0.4 else raw}, f"ground.{kind}"
+    )
+
+
 def archive(kind: str, rng: Random) -> Case:
     """Return a numpy archive of odd arrays, of lying headers, or a damaged one."""
     how, stream = rng.random(), io.BytesIO()

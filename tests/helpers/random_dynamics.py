@@ -17,7 +17,7 @@ from slipfree.models.dynamics import dynamics
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.synthetic import power_law
 from slipfree.vehicle.drives import Drive, Motor, Rate, Torque
-from slipfree.vehicle.tree import GRAVITY, Body, Vehicle
+from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Vehicle
 
 VEHICLES = (
     "three_wheeler",
@@ -58,7 +58,7 @@ def draw(index: int) -> Case:
     drives = str(rng.choice(["rate", "torque", "motor", "mixed"]))
     radius = max(wheel.radius for wheel in vehicle.wheels)
     terrain = drawn_ground(ground, radius, rng)
-    share = vehicle.mass * GRAVITY / len(vehicle.wheels)
+    share = vehicle.mass * EARTH_GRAVITY / len(vehicle.wheels)
     wheels, inputs = [], {}
     turn = rng.uniform(-0.3, 0.3)
     for wheel in vehicle.wheels:

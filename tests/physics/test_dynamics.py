@@ -26,7 +26,7 @@ from slipfree.models.multibody import Speeds, mass_matrix, multibody
 from slipfree.solve.settle import stable_poses
 from slipfree.vehicle.drives import Motor, Torque
 from slipfree.vehicle.sections import Disc, Sphere, Torus
-from slipfree.vehicle.tree import GRAVITY, Body, Coordinate, Joint, Vehicle
+from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 LIGHT = Body(1e-9, inertia=(1e-9, 1e-9, 1e-9, 0, 0, 0))
@@ -84,9 +84,9 @@ def test_a_tumbling_vehicle_keeps_its_energy_and_falls_freely():
     norm = sum(run[f"attitude_{axis}"] ** 2 for axis in "wxyz")
     assert np.abs(norm - 1).max() < 2e-9  # 20 tolerances
     # the centre of mass is in free fall: potential energy is that of a parabola
-    height = run["potential_energy"] / (3.5 * GRAVITY)
+    height = run["potential_energy"] / (3.5 * EARTH_GRAVITY)
     fall = np.polyfit(t, height, 2)
-    assert fall[0] == pytest.approx(-GRAVITY / 2, rel=2e-9)  # 20 tolerances
+    assert fall[0] == pytest.approx(-EARTH_GRAVITY / 2, rel=2e-9)  # 20 tolerances
     assert np.abs(height - np.polyval(fall, t)).max() < 1e-8
 
 
@@ -98,7 +98,7 @@ def test_a_tumbling_vehicle_keeps_its_energy_and_falls_freely():
 def test_a_wheel_rolls_down_with_the_acceleration_of_the_closed_form(section, inertia):
     vehicle, angle = lone_wheel(section, inertia=inertia), np.deg2rad(15)
     radius, axial = vehicle.wheels[0].radius, inertia[0] if inertia else 0.5 * 2 * 0.15**2
-    expected = GRAVITY * np.sin(angle) / (1 + axial / (2 * radius**2))
+    expected = EARTH_GRAVITY * np.sin(angle) / (1 + axial / (2 * radius**2))
     errors = []
     for creep in (1e-2, 1e-3):
         model = dynamics(vehicle, slope(15), law=Compliant(creep=creep))
@@ -124,7 +124,7 @@ def test_a_leaning_wheel_rolls_on_a_circle(lean, rho, section):
     spin = (rho + r2 * np.sin(b)) / (r1 * np.cos(b) + r2) - np.sin(b)
     swing = (r1 + r2 * np.cos(b)) * mass * rho
     swing += np.cos(b) * (axial * spin + across * np.sin(b))
-    omega = np.sqrt(mass * GRAVITY * r2 * np.sin(b) / swing)
+    omega = np.sqrt(mass * EARTH_GRAVITY * r2 * np.sin(b) / swing)
     depth = 1e-5
     vehicle = lone_wheel(section, mass, (axial, across), static_depth=depth)
     model = dynamics(vehicle, replace(FLAT, mu=1.0), law=Compliant(creep=1e-4))
@@ -150,7 +150,7 @@ def test_locked_wheels_stop_a_car_in_the_distance_of_coulomb_friction():
         four_wheels(static_depth=1e-4), replace(FLAT, mu=0.5), law=Compliant(creep=1e-4)
     )
     run = moved(model, settle(model, speed=4.0), np.linspace(0, 2, 5))
-    expected = 4.0**2 / (2 * 0.5 * GRAVITY)
+    expected = 4.0**2 / (2 * 0.5 * EARTH_GRAVITY)
     # 1 ms until the wheels are locked, and pitch: 5e-5 in the lab for wheels locked at once
     assert run["y"][-1] == pytest.approx(expected, rel=1e-3)
     assert run["velocity_y"][-1] == pytest.approx(0, abs=1e-6)
@@ -162,10 +162,10 @@ def test_a_braking_car_pitches_as_its_springs_yield():
     model = dynamics(vehicle, replace(FLAT, mu=0.5))
     run = moved(model, settle(model, speed=12.0), np.array([0, 2.0, 2.2, 2.3]), 1e-8)
     loads, slowing = run["force_normal"][-1], np.diff(run["velocity_y"])[-1] / 0.1
-    assert slowing == pytest.approx(-0.5 * GRAVITY, rel=1e-4)
+    assert slowing == pytest.approx(-0.5 * EARTH_GRAVITY, rel=1e-4)
     # the centre of mass moves ahead over the contacts as the car pitches
     lever = center_height(vehicle, 0.25)
-    transfer = vehicle.mass * 0.5 * GRAVITY * lever / 0.7
+    transfer = vehicle.mass * 0.5 * EARTH_GRAVITY * lever / 0.7
     assert loads[:2].sum() - loads[2:].sum() == pytest.approx(2 * transfer, rel=0.03)
     assert run["pitch"][-1] == pytest.approx(-transfer / (spring * 0.7), rel=0.01)
 

@@ -11,7 +11,7 @@ from slipfree import Analytic, catalog, dynamics, quasi_statics, settle
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.coulomb import Coulomb
 from slipfree.vehicle.drives import Torque
-from slipfree.vehicle.tree import GRAVITY
+from slipfree.vehicle.tree import EARTH_GRAVITY
 
 
 @pytest.mark.slow
@@ -21,7 +21,7 @@ def test_inside_wheels_lift_at_the_speed_of_the_closed_form():
     vehicle = four_wheels(mass=40.0, height=0.4, turn=radius, static_depth=1e-4)
     model = dynamics(vehicle, replace(FLAT, mu=3.0))
     height = center_height(vehicle, 0.4)
-    limit = np.sqrt(GRAVITY * radius * half_track / height)
+    limit = np.sqrt(EARTH_GRAVITY * radius * half_track / height)
     speed = limit * (0.55 + 0.07 * model.t) * ca.tanh(3 * model.t)
     ways = [
         np.hypot(radius + side, ahead) for ahead in (0.7, 0.0) for side in (half_track, -half_track)
@@ -36,7 +36,7 @@ def test_inside_wheels_lift_at_the_speed_of_the_closed_form():
     at = int(np.argmax(share < 0.1))
     assert at > 20
     lateral = (run["omega_z"] * np.hypot(run["velocity_x"], run["velocity_y"]))[at]
-    needed = GRAVITY * half_track * (1 - 2 * share[at])
+    needed = EARTH_GRAVITY * half_track * (1 - 2 * share[at])
     spinning = 4 * axial / (48 * wheel)
     # contacts yield: 0.990 in the lab, and 0.956 without the gyroscopic moment
     assert lateral * (height + spinning) / needed == pytest.approx(1, abs=0.01)
@@ -88,10 +88,10 @@ def test_a_car_off_a_ledge_flies_and_lands():
     flying = np.flatnonzero(run["force_normal"].max(1) == 0)
     span = slice(flying[0], flying[0] + int(np.argmin([*(np.diff(flying) == 1), False])) + 1)
     assert t[span][-1] - t[span][0] > 0.08
-    rest = 40 / 4 * GRAVITY / 4000
+    rest = 40 / 4 * EARTH_GRAVITY / 4000
     springs = sum(4000 / 2 * (run[f"s{k}"] + rest) ** 2 for k in range(4))
-    height = (run["potential_energy"] - springs) / (vehicle.mass * GRAVITY)
-    assert 2 * np.polyfit(t[span], height[span], 2)[0] == pytest.approx(-GRAVITY, rel=1e-6)
+    height = (run["potential_energy"] - springs) / (vehicle.mass * EARTH_GRAVITY)
+    assert 2 * np.polyfit(t[span], height[span], 2)[0] == pytest.approx(-EARTH_GRAVITY, rel=1e-6)
     assert run["force_normal"][-1].min() > 0
     assert run["z"][-1] == pytest.approx(run["z"][0] - 0.3, abs=0.02)
 

@@ -38,7 +38,7 @@ from slipfree.solve.replay import replay, round_trip
 from slipfree.system import codegen_cache
 from slipfree.vehicle.drives import Torque
 from slipfree.vehicle.sections import Disc, Omni, Torus
-from slipfree.vehicle.tree import GRAVITY
+from slipfree.vehicle.tree import EARTH_GRAVITY
 from slipfree.vehicle.wheel import Wheel
 
 VEHICLE = catalog.mecanum()
@@ -277,7 +277,7 @@ def slope(degrees, across, mu=0.6):
 
 def own_balance(found, rates, angle, mu, eps):
     """Slip and forces along the rollers' axles, from an own balance in the platform's axes."""
-    down = attitude(found).T @ [0, 0, -GRAVITY]
+    down = attitude(found).T @ [0, 0, -EARTH_GRAVITY]
     places = np.array([[*PLACES[name], -RADIUS] for name in NAMES])
     angles = angle * np.array([X_SIGNS[name] for name in NAMES])
     axles = np.stack([np.cos(angles), np.sin(angles), 0 * angles], -1)  # of rollers
@@ -298,7 +298,7 @@ def own_balance(found, rates, angle, mu, eps):
         axle = np.cross(places[:2] - pivot, force[:2]).sum(axis=0)[1]
         return [*total, *moments, axle]
 
-    start = [0.0, 0.0, 0.0, *[27.6 * GRAVITY / 4] * 4]
+    start = [0.0, 0.0, 0.0, *[27.6 * EARTH_GRAVITY / 4] * 4]
     solved, _, flag, message = fsolve(balance, start, xtol=1e-13, full_output=True)
     assert flag == 1, message
     return (*forces(solved), np.array(solved[3:]), angles)
@@ -338,7 +338,7 @@ def test_the_least_utilisation_against_a_linear_programme(heading):
     dae = direct_kinematics(VEHICLE, ground)
     found = best_utilisation(VEHICLE, ground, settle(dae, heading=heading))
     down = attitude({name: found[name][0] for name in ("heading", "roll", "pitch")}).T
-    down = down @ [0, 0, -GRAVITY * 27.6]
+    down = down @ [0, 0, -EARTH_GRAVITY * 27.6]
     places = np.array([[*PLACES[name], -RADIUS] for name in NAMES])
     angles = pi / 4 * np.array([X_SIGNS[name] for name in NAMES])
     axles = np.stack([np.cos(angles), np.sin(angles), 0 * angles], -1)

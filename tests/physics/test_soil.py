@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from slipfree import Analytic, ModelError, SolverOptions, catalog, quasi_statics, settle, simulate
+from slipfree import (
+    Analytic,
+    ModelError,
+    SolverOptions,
+    catalog,
+    in_gravity,
+    quasi_statics,
+    settle,
+    simulate,
+)
 from slipfree.laws import soil as law
 from slipfree.laws.soil import Soil, WheelSize, forces_at_slip, forces_at_speeds, static_sinkage
 from slipfree.laws.soils import SOILS, known_soil
@@ -17,7 +26,7 @@ from slipfree.models.dynamics import dynamics
 from slipfree.models.rigid_dynamics import rigid_dynamics
 from slipfree.models.single_wheel import single_wheel
 from slipfree.vehicle.sections import Disc
-from slipfree.vehicle.tree import GRAVITY
+from slipfree.vehicle.tree import EARTH_GRAVITY
 
 SAND, SIZE, LOAD = Soil(), WheelSize(0.092, 0.107), 64.7
 SMALL = 1e-9  # peak of the stress at the lowest point, almost
@@ -43,7 +52,7 @@ def numbers(forces):
     return np.array([float(each) for each in forces])
 
 
-def by_quadrature(soil, size, depth, s, beta):
+def by_quadrature(soil, size, depth, s, beta, gravity=EARTH_GRAVITY):
     """Return the forces by adaptive quadrature of the published integrands."""
     r, b = size
     entry, leaving = acos(1 - depth / r), -acos(1 - soil.exit_depth * depth / r)
@@ -65,7 +74,7 @@ def by_quadrature(soil, size, depth, s, beta):
         size_x, size_y = (1 - exp(-abs(j) / k) for j, k in ((j_x, k_x), (j_y, k_y)))
         along, across = strength * np.copysign(size_x, j_x), strength * np.copysign(size_y, j_y)
         height = r * (cos(theta) - cos(entry))
-        weight = soil.density * GRAVITY
+        weight = soil.density * gravity
         pushed = d_1 * (soil.cohesion * height + d_2 * weight * height**2 / 2)
         return sigma, along, across, pushed * (r - height * cos(theta)) * np.sign(beta)
 
@@ -136,6 +145,9 @@ def test_the_forces_are_those_of_the_published_integrals(name, slip, monkeypatch
             patch.setattr(law, "WEIGHTS", weights)
             found = numbers(forces_at_slip(soil, SIZE, depth, slip, beta))
         converged.append(np.abs(found - expected) / scale)
+    moon = by_quadrature(soil, SIZE, 0.03, slip, radians(30), 1.62)
+    found = numbers(forces_at_slip(soil, SIZE, 0.03, slip, radians(30), 1.62))
+    errors.append(np.abs(found - moon) / scale)
     smooth = soil.exponent == 1  # otherwise the stress has a branch point at both edges
     assert np.max(errors) < (1e-4 if slip < 0 else 1e-10 if smooth else 2e-9)
     if smooth and slip >= 0:
@@ -211,6 +223,35 @@ def test_a_cart_climbs_sand_with_the_slip_of_its_balance():
     assert slow["power"] - slow["dissipation"] == pytest.approx(rise, rel=1e-6)
     assert slow["sinkage"][-1] == pytest.approx(run["depth"][-1], rel=0.01)
     assert slow["drive_torque"][-1] == pytest.approx(run["drive_torque"][-1], rel=0.01)
+
+
+@pytest.mark.parametrize("gravity", [1.62, 3.71])
+def test_wheels_in_little_gravity_have_the_forces_and_the_balance_of_their_weight(gravity):
+    """Slip and sinkage on a slope, across and along, satisfy the published integrals."""
+    slopes = tan(radians(6)), tan(radians(15))
+    ground = Analytic(lambda x, y: slopes[0] * y + slopes[1] * x)
+    vehicle = in_gravity(cart(), gravity)
+    model = quasi_statics(vehicle, ground, law=SAND)
+    inputs = model.inputs(**{label.full: 0.2 / 0.15 for label in model.labels.u.wheels})
+    run = simulate(model, settle(model), inputs, np.linspace(0, 0.2, 3))
+    size = WheelSize(0.15, 0.107)
+    forces = np.stack([run[f"force_{name}"][-1] for name in ("normal", "along", "across")], axis=1)
+    rim = 0.15 * run["wheel_rate"][-1]
+    forward, sideways = run["slip_along"][-1] + rim, run["slip_across"][-1]
+    for k, force in enumerate(forces):
+        beta, slip = np.arctan2(sideways[k], forward[k]), 1 - forward[k] / rim[k]
+        assert 0.05 < slip < 0.3
+        assert abs(beta) > 0.03  # three times the angle of smoothing
+        expected = by_quadrature(SAND, size, run["sinkage"][-1, k], slip, beta, gravity)
+        # creep of 1 mm/s at 0.2 m/s
+        assert force == pytest.approx(expected[:3], abs=1e-4 * forces.sum())
+        earthly = by_quadrature(SAND, size, run["sinkage"][-1, k], slip, beta)
+        assert abs(earthly[2] - expected[2]) > 1e-3 * abs(expected[2])  # bulldozed soil
+    normal = np.array([-slopes[1], -slopes[0], 1]) / np.hypot(1, np.hypot(*slopes))
+    weight = 24 * gravity
+    assert forces[:, 0].sum() == pytest.approx(weight * normal[2], rel=1e-6)
+    tangential = np.hypot(*forces[:, 1:].sum(axis=0))
+    assert tangential == pytest.approx(weight * np.hypot(*normal[:2]), rel=1e-6)
 
 
 def test_a_single_wheel_carries_its_load():

@@ -16,7 +16,7 @@ from slipfree.core.schema import Factor, Force, JointConstant, Length, Mass, Pos
 from slipfree.geometry.frame import Axis, Vector
 from slipfree.vehicle.drives import Torque
 from slipfree.vehicle.sections import Disc, Omni
-from slipfree.vehicle.tree import GRAVITY, Body, Coordinate, Joint, Vehicle, planar
+from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Coordinate, Joint, Vehicle, planar
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 AXLES = ("rear", "middle", "front")
@@ -47,7 +47,7 @@ class Axle(NamedTuple):
 
 
 class Climber(NamedTuple):
-    """Dimensions of an articulated step climber: radius of all wheels [m], bodies and axles."""
+    """An articulated step climber: radius of all wheels [m], bodies, axles, and gravity [m/s2]."""
 
     radius: float
     rear_body: ClimberLink
@@ -55,6 +55,7 @@ class Climber(NamedTuple):
     rear: Axle
     middle: Axle
     front: Axle
+    gravity: float
 
     @property
     def axles(self) -> tuple[Axle, Axle, Axle]:
@@ -65,6 +66,11 @@ class Climber(NamedTuple):
     def mass(self) -> float:
         """Mass of the vehicle [kg]."""
         return self.rear_body.mass + self.front_body.mass
+
+    @property
+    def weight(self) -> float:
+        """Weight of the vehicle [N]."""
+        return self.gravity * self.mass
 
 
 def climber_of(vehicle: Vehicle) -> Climber:
@@ -87,7 +93,8 @@ def climber_of(vehicle: Vehicle) -> Climber:
         ClimberLink(body.mass, body.at[1], body.at[2], (body.inertia or ORIGIN)[0])
         for body in (vehicle.body, vehicle.joints[0].body)
     )
-    return Climber(vehicle.wheels[0].radius, rear_body, front_body, rear, middle, front)
+    bodies, axles = (rear_body, front_body), (rear, middle, front)
+    return Climber(vehicle.wheels[0].radius, *bodies, *axles, vehicle.gravity)
 
 
 def _misfit(vehicle: Vehicle) -> str:
@@ -264,7 +271,7 @@ def step_climber(*, joint: Position = 0.0, stiffness: JointConstant = 1.5e5) -> 
         )
         for each, origin, length in zip((whole.body, front), (joint, 0.0), lengths, strict=True)
     ]
-    depth = (FRONT_MASS + REAR_MASS) * GRAVITY / 3 / stiffness
+    depth = (FRONT_MASS + REAR_MASS) * EARTH_GRAVITY / 3 / stiffness
     axles = (
         ("rear", "platform", wheels["rear_left"].at[1] - joint, 0.010),
         ("middle", "platform", 0.0 - joint, 0.005),

@@ -30,7 +30,6 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 from slipfree.core.trajectory import SolverError
 from slipfree.terrain.solids import Profile
-from slipfree.vehicle.tree import GRAVITY
 
 Solids = tuple[int, ...]  # index of the solid below each axle
 FLOOR: Solids = (0, 0, 0)
@@ -372,7 +371,7 @@ def equilibrium(climber: Climber, path: PathSamples) -> tuple[Array, Array]:
     bodies = (climber.rear_body, climber.front_body)
     levers = [body.mass * center(body, path.q[:, 2 + k])[:, 0] for k, body in enumerate(bodies)]
     weight = np.full(len(path.q), climber.mass)
-    return matrix, GRAVITY * np.stack([0 * weight, weight, *levers], axis=1)
+    return matrix, climber.gravity * np.stack([0 * weight, weight, *levers], axis=1)
 
 
 def center(body: ClimberLink, tilt: Array) -> Array:

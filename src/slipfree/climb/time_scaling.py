@@ -55,7 +55,6 @@ from slipfree.core.nlp import Nlp
 from slipfree.core.records import Array, Label, check_bounds
 from slipfree.core.trajectory import Column, Trajectory, joined
 from slipfree.terrain.solids import Profile
-from slipfree.vehicle.tree import GRAVITY
 
 COSTS = ("time", "friction", "slip")
 TIME_WEIGHT = 1e-4  # weight of the time in costs that do not determine the speed [1/s]
@@ -191,7 +190,7 @@ def _program(
     *,
     halt: bool,
 ) -> Nlp:
-    steps, fastest, weight = np.diff(nodes.s), speed**2, GRAVITY * climber.mass
+    steps, fastest, weight = np.diff(nodes.s), speed**2, climber.weight
     count = steps.size
     ends = np.cumsum([0, count + 1, 3 * count, 3 * count, 1]).tolist()
     b_at, n_at, t_at, mu_at = (np.arange(i, j) for i, j in pairwise(ends))
@@ -239,7 +238,7 @@ def _slow_climb(
     They are the initial guess of a plan, forces wheel by wheel at each sample, shape (3 n,): the
     minimisation of friction is quasi-convex, and from a poor guess IPOPT may stop elsewhere.
     """
-    hold, weight = least_friction_forces(*equilibrium(climber, middles)), GRAVITY * climber.mass
+    hold, weight = least_friction_forces(*equilibrium(climber, middles)), climber.weight
     held = np.isfinite(hold.mu)
     normal = np.where(held[:, None], np.clip(hold.normal, 0, MAX_GUESS_LOAD * weight), weight / 3)
     tangential = np.where(held[:, None], hold.tangential, 0.0)
@@ -268,7 +267,7 @@ def _constraint_rows(
 ) -> tuple[list[ca.MX], list[Array], list[Array]]:
     """Return equations of motion, cones and torque limits, and their lower and upper bounds."""
     b, normal, tangential, mu = unknowns
-    count, weight = steps.size, GRAVITY * climber.mass
+    count, weight = steps.size, climber.weight
     matrix, load = equilibrium(climber, middles)
     to_a, to_b = _from_nodes(steps)
     inert = [_diagonal(each[:, :, None]) for each in inertia(climber, middles)]

@@ -86,8 +86,14 @@ FORMATS = (
         "write it with numpy.savez('out.npz', x=x, y=y, z=z)",
         f"{TO_CSV} (numpy.savetxt)",
     ),
-    Format("a mesh or a point cloud", ".ply .obj .stl .dae .glb", (b"ply\n", b"ply\r"), TO_XYZ),
-    Format("a point cloud of PCL", ".pcd", (b"# .PCD", b"VERSION .7", b"VERSION 0.7"), TO_XYZ),
+    Format("a mesh", ".obj .stl .dae .glb", (), TO_XYZ),
+    Format("a mesh or a point cloud", ".ply", (b"ply\n", b"ply\r"), "rename it to end in .ply"),
+    Format(
+        "a point cloud of PCL",
+        ".pcd",
+        (b"# .PCD", b"VERSION .7", b"VERSION 0.7"),
+        "rename it to end in .pcd",
+    ),
     Format("a point cloud", ".las .laz", (b"LASF",), "rename it to end in .las or .laz"),
     Format("a point cloud", ".e57", (b"ASTM-E57",), "convert it: pdal translate {} out.laz"),
     Format(

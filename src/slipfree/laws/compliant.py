@@ -19,7 +19,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import check_bounds
 from slipfree.laws.protocols import GroundForce, WheelContact
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.tree import GRAVITY, Vehicle
+from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 SMALLEST_SPEED = 1e-12  # added to speeds under a root, whose derivative is then finite [m/s]
@@ -91,7 +91,8 @@ class Compliant:
             Contact and motion of the wheel.
         """
         touch, slip, depth = contact.touch, contact.slip, contact.wheel.depth
-        stiffness, damping = contact.share / depth, 2 * self.damping_ratio / sqrt(GRAVITY * depth)
+        stiffness = contact.share / depth
+        damping = 2 * self.damping_ratio / sqrt(contact.gravity * depth)
         normal = touch.frame.normal
         separating = ca.dot(normal, slip)
         elastic = stiffness * ca.fmax(-touch.gap, 0)

@@ -197,6 +197,8 @@ class WheelContact(NamedTuple):
         Contact point, x and y in map coordinates. [m]
     share : float
         Share of the vehicle's weight. [N]
+    gravity : float
+        Gravitational acceleration. [m/s^2]
     """
 
     wheel: Wheel
@@ -206,6 +208,7 @@ class WheelContact(NamedTuple):
     center: ca.SX
     place: ca.SX
     share: float
+    gravity: float
 
 
 class GroundForce(NamedTuple):

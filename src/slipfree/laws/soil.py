@@ -63,7 +63,7 @@ from slipfree.laws.protocols import (
 )
 from slipfree.laws.soil_regions import SoilRegion, soil_at
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.tree import GRAVITY, Vehicle
+from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 POINTS, WEIGHTS = np.polynomial.legendre.leggauss(12)  # Gauss points on each side of the peak
@@ -255,7 +255,8 @@ class Soil:
             size, own = wheel_size(wheel), SoilUnknowns(*(each[k] for each in unknowns))
             spin, speeds = contacts.spins[k], (own.rim, own.forward, own.sideways)
             here = soil_at(self, *ca.vertsplit(contacts.places[k]))
-            found = forces_at_speeds(here, size, own.sinkage, *speeds, continuation.symbol)
+            motion = own.sinkage, *speeds, continuation.symbol
+            found = forces_at_speeds(here, size, *motion, contacts.vehicle.gravity)
             rows.append(
                 [
                     contacts.normal[k],
@@ -319,8 +320,9 @@ class Soil:
         sideways = ca.dot(frame.across, contact.slip)
         rim = (size.radius + self.grouser_height) * contact.spin
         here = soil_at(self, *ca.vertsplit(contact.place))
-        found = forces_at_speeds(here, size, -touch.gap, rim, forward, sideways, self.creep)
-        damping = 2 * self.damping_ratio / sqrt(GRAVITY * wheel.depth)
+        motion = -touch.gap, rim, forward, sideways, self.creep
+        found = forces_at_speeds(here, size, *motion, contact.gravity)
+        damping = 2 * self.damping_ratio / sqrt(contact.gravity * wheel.depth)
         pressing = ca.if_else(touch.gap < 0, ca.fmax(0, 1 - damping * away), 0)
         normal, pull, side, torque = (pressing * each for each in found)
         tangential = pull * frame.along + side * frame.across
@@ -366,7 +368,14 @@ def wheel_size(wheel: Wheel) -> WheelSize:
     return WheelSize(wheel.radius, 2 * tube)
 
 
-def forces_at_slip(soil: Soil, size: WheelSize, depth: Any, slip: Any, angle: Any) -> SoilForces:
+def forces_at_slip(
+    soil: Soil,
+    size: WheelSize,
+    depth: Any,
+    slip: Any,
+    angle: Any,
+    gravity: float = EARTH_GRAVITY,
+) -> SoilForces:
     """Return the forces on a wheel in steady motion for a depth, slip ratio and slip angle.
 
     The depth [m] is that of the lowest point. The slip ratio, -1 to 1, is the rim speed ``u`` minus
@@ -374,18 +383,27 @@ def forces_at_slip(soil: Soil, size: WheelSize, depth: Any, slip: Any, angle: An
     pi/2, the wheel also moves to the right with ``v_x tan(angle)``.
     """
     forward, rim = 1 - ca.fmax(slip, 0), 1 + ca.fmin(slip, 0)
-    return forces_at_speeds(soil, size, depth, rim, forward, forward * ca.tan(angle), STEADY_CREEP)
+    speeds = rim, forward, forward * ca.tan(angle)
+    return forces_at_speeds(soil, size, depth, *speeds, STEADY_CREEP, gravity)
 
 
 def forces_at_speeds(
-    soil: Soil, size: WheelSize, depth: Any, rim: Any, forward: Any, sideways: Any, creep: Any
+    soil: Soil,
+    size: WheelSize,
+    depth: Any,
+    rim: Any,
+    forward: Any,
+    sideways: Any,
+    creep: Any,
+    gravity: float = EARTH_GRAVITY,
 ) -> SoilForces:
     """Return the forces on a wheel for a depth and speeds (8).
 
     A depth of the lowest point beyond the radius counts as the radius [m]. ``rim`` is the speed of
     the rim at the shear radius relative to the wheel's centre, positive forward; ``forward`` and
     ``sideways`` are the speeds of the centre along the wheel, and across it to the right; below the
-    rim speed ``creep`` the shear displacement is reduced [m/s].
+    rim speed ``creep`` the shear displacement is reduced [m/s]. ``gravity`` determines the weight
+    of the soil that is pushed aside [m/s^2].
     """
     contact = _contact_arc(soil, size, depth, rim, forward, creep)
     motion = _shear_motion(soil, rim, forward, sideways, creep)
@@ -395,7 +413,7 @@ def forces_at_speeds(
         stress = _normal_stress(soil, size, contact, point)
         for edge in (contact.front, contact.rear):
             theta = edge + point * (contact.peak - edge)
-            parts = _integrand(soil, size, contact, motion, theta, stress)
+            parts = _integrand(soil, size, contact, motion, theta, stress, gravity)
             share = weight * ca.fabs(contact.peak - edge)
             totals = [total + share * part for total, part in zip(totals, parts, strict=True)]
     return SoilForces(*totals)
@@ -512,6 +530,7 @@ def _integrand(
     motion: _ShearMotion,
     theta: Any,
     stress: Any,
+    gravity: float,
 ) -> tuple[Any, Any, Any, Any]:
     """Return normal force, pull, side force and torque per angle (4, 5, 7, 8) [N/rad, N m/rad]."""
     radius, width = size
@@ -527,7 +546,7 @@ def _integrand(
     across = strength * _mobilised(path_across / motion.across)
     area = radius * width
     height = ca.fmax(radius * (cosine - ca.cos(contact.entry)), 0)
-    pushed = _bulldozing(soil, height) * (radius - height * cosine)
+    pushed = _bulldozing(soil, height, gravity) * (radius - height * cosine)
     return (
         area * (stress * cosine + along * sine),
         area * (along * cosine - stress * sine),
@@ -542,11 +561,11 @@ def _mobilised(path: Any) -> Any:
     return ca.expm1(ca.fmin(path, 0)) - ca.expm1(-ca.fmax(path, 0))
 
 
-def _bulldozing(soil: Soil, height: Any) -> Any:
+def _bulldozing(soil: Soil, height: Any, gravity: float) -> Any:
     """Return the force per length of soil pushed aside at a given height (7) [N/m]."""
     phi = soil.friction_angle
     failure = pi / 4 - phi / 2
     cot = 1 / ca.tan(failure)
-    weight = soil.density * GRAVITY
+    weight = soil.density * gravity
     width, surcharge = cot + ca.tan(failure + phi), cot + cot**2 * ca.tan(phi)
     return width * (soil.cohesion * height + surcharge * weight * height**2 / 2)

@@ -31,7 +31,7 @@ from slipfree.models.records import (
     slip_ratio_labels,
 )
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.tree import GRAVITY, Coordinate, Vehicle
+from slipfree.vehicle.tree import Coordinate, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 
@@ -337,7 +337,7 @@ def _mechanics(
     springs = sum(c.potential(value) for c, value, _ in loaded)
     damped = sum(c.damping * rate**2 for c, _, rate in loaded)
     none, friction = ca.SX(0, 0), tuple(each.touch.friction for each in contacts)
-    energy = ca.SX(GRAVITY * height + springs)
+    energy = ca.SX(vehicle.gravity * height + springs)
     return Mechanics(none, none, none, none, friction, vehicle.weight, energy, ca.SX(damped))
 
 

@@ -288,7 +288,8 @@ def _contacts(
         for at in touches:
             slip = slip_velocity(each, at)
             place = at.frame.point[:2] + origin
-            state = WheelContact(wheel, at, slip, each.spin, pose.origin, place, share)
+            moving = slip, each.spin, pose.origin, place
+            state = WheelContact(wheel, at, *moving, share, vehicle.gravity)
             on_wheel.append(Contact(at, slip, each.spin, law.force(state)))
         found.append(tuple(on_wheel))
     return found

@@ -36,7 +36,7 @@ from slipfree.models.records import (
 )
 from slipfree.models.samples import slip_velocities
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.tree import GRAVITY, Vehicle
+from slipfree.vehicle.tree import Vehicle
 
 MAX_LEVEL_SLOPE = 0.005  # smaller slopes count as level ground [rad]
 MAX_HELD_UTILISATION = 0.99  # below it, friction is not the reason for a failure
@@ -93,7 +93,7 @@ def _potential(vehicle: Vehicle, x: Configuration, position: Dependent) -> ca.SX
     values = values_of(vehicle, x, position)
     height = sum(mass * center[2] for _, mass, center in vehicle.masses(base, values))
     springs = sum(c.potential(values[c.name]) for c in vehicle.coordinates if c.is_loaded)
-    return ca.SX(GRAVITY * height + springs)
+    return ca.SX(vehicle.gravity * height + springs)
 
 
 def _damping(vehicle: Vehicle, rates: Rates, u: Inputs) -> ca.SX:

@@ -80,7 +80,7 @@ from slipfree.models.records import (
 from slipfree.models.samples import slip_velocities
 from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.tree import GRAVITY, Body, Vehicle
+from slipfree.vehicle.tree import Body, Vehicle
 
 CONTACT_SPEED = 1.0  # speed of a wheel on the ground under an unbalanced force W / n [m/s]
 AIR_SPEED = 3.0  # speed of a wheel in the air under an unbalanced force W / n [m/s]
@@ -225,7 +225,7 @@ def loaded(vehicle: Vehicle) -> Vehicle:
     poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
     x, y, z = (float(each) for each in ca.vertsplit(sum(pose.origin for pose in poses)))
     count = len(poses)
-    return replace(vehicle, body=Body(1 / GRAVITY, (x / count, y / count, z / count)))
+    return replace(vehicle, body=Body(1 / vehicle.gravity, (x / count, y / count, z / count)))
 
 
 def _place(x: RelaxedState, contacts: tuple[Any, ...]) -> tuple[Configuration, Dependent]:

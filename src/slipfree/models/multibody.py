@@ -19,7 +19,7 @@ import casadi as ca
 
 from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.vehicle.formula import evaluate
-from slipfree.vehicle.tree import GRAVITY, Vehicle, body_inertia, body_of
+from slipfree.vehicle.tree import Vehicle, body_inertia, body_of
 from slipfree.vehicle.wheel import Wheel, wheel_inertia
 
 UP = ca.SX(ca.DM([0, 0, 1]))
@@ -122,7 +122,7 @@ class Multibody(NamedTuple):
     its point at the platform's origin, for unit rate of the joint. ``gears`` (n_joints,
     n_coordinates) are the derivatives of the joint values with respect to the coordinates,
     ``rotors`` the inertias of their drives [kg m^2, kg]. ``bodies`` are parts with mass, and
-    wheels.
+    wheels; ``gravity`` acts on them [m/s^2].
     """
 
     parts: dict[str, PartMotion]
@@ -133,6 +133,7 @@ class Multibody(NamedTuple):
     rotors: ca.DM
     bodies: tuple[RigidBody, ...]
     wheels: tuple[WheelMotion, ...]
+    gravity: float
 
     @property
     def origin(self) -> ca.SX:
@@ -198,8 +199,8 @@ def multibody(
             WheelMotion(wheel, motion, axial, drive.added_inertia, speed, drive.prescribed)
         )
     rotors = ca.DM([c.acting_drive.added_inertia for c in vehicle.coordinates])
-    moving = speeds.rates, rotors
-    return Multibody(parts, parents, screws, gears, *moving, tuple(bodies), tuple(wheels))
+    moving, masses = (speeds.rates, rotors), (tuple(bodies), tuple(wheels))
+    return Multibody(parts, parents, screws, gears, *moving, *masses, vehicle.gravity)
 
 
 def _entries(column: ca.SX) -> list[ca.SX]:
@@ -235,7 +236,7 @@ def bias_forces(system: Multibody) -> ca.SX:
     loads = list[Load]()
     for body in system.bodies:
         motion = body.motion
-        force = body.mass * (motion.acceleration + GRAVITY * UP)
+        force = body.mass * (motion.acceleration + system.gravity * UP)
         moment = body.inertia @ motion.alpha
         moment += ca.cross(motion.omega, body.inertia @ motion.omega)
         arm = motion.pose.origin - system.origin

@@ -72,7 +72,7 @@ from slipfree.models.records import ContactPoint, Inputs
 from slipfree.models.standing import standing_start
 from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.tree import GRAVITY, Vehicle
+from slipfree.vehicle.tree import Vehicle
 
 RELAXATION_RATE = 10.0  # rate at which depths follow the loads [1/s]
 EASE_IN = 1.3  # exponent of the time in the progress of a motion that begins at rest
@@ -418,7 +418,7 @@ def _inputs(model: Dae, vehicle: Vehicle, run: Trajectory, pace: Array) -> dict[
     path = np.cumsum(np.append(0.0, np.linalg.norm(np.diff(place), axis=0)))
     speed = np.gradient(path, run.t)
     climb = np.gradient(run["z"], run.t) / np.maximum(speed, np.finfo(float).eps)
-    force = vehicle.mass * (np.gradient(speed, run.t) + GRAVITY * climb)
+    force = vehicle.mass * (np.gradient(speed, run.t) + vehicle.gravity * climb)
     driven = [wheel for wheel in vehicle.wheels if wheel.driven]
     found = dict[str, Array]()
     for label, wheel in zip(model.labels.u.wheels, driven, strict=True):

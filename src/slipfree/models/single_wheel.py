@@ -14,7 +14,7 @@ from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.soil import Soil, WheelSize, forces_at_slip, wheel_size
 from slipfree.laws.soil_regions import soil_at
-from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle
 
 STEPS = 60  # number of bisection steps for the sinkage
 SLIP_LIMIT = 0.3  # slip ratio at which the largest pull counts [1]
@@ -56,6 +56,8 @@ def single_wheel(
     load: float,
     slips: Sequence[float] | Array,
     angles: Sequence[float] | Array = (0.0,),
+    *,
+    gravity: float = EARTH_GRAVITY,
 ) -> WheelCurves:
     """Return sinkage, drawbar pull, side force and torque of a wheel in steady motion.
 
@@ -71,6 +73,8 @@ def single_wheel(
         Slip ratios, -1 to 1. [1]
     angles : sequence of float
         Slip angles, each of magnitude less than pi/2. [rad]
+    gravity : float
+        Gravitational acceleration, for the soil that the wheel pushes aside. [m/s^2]
 
     Raises
     ------
@@ -90,17 +94,22 @@ def single_wheel(
     """
     slip, angle = np.asarray(slips, dtype=float), np.asarray(angles, dtype=float)
     s, beta = (each.ravel() for each in np.meshgrid(slip, angle))
-    steady = steady_forces(soil, size, np.full_like(s, load), s, beta)
+    steady = steady_forces(soil, size, np.full_like(s, load), s, beta, gravity)
     return WheelCurves(angle, slip, *(each.reshape(angle.size, slip.size) for each in steady))
 
 
 def steady_forces(
-    soil: Soil, size: WheelSize, load: Array, slip: Array, angle: Array
+    soil: Soil,
+    size: WheelSize,
+    load: Array,
+    slip: Array,
+    angle: Array,
+    gravity: float = EARTH_GRAVITY,
 ) -> SteadyForces:
     """Return sinkage and forces of a wheel in n steady motions; errors as `single_wheel`."""
     _check(load, slip, angle)
     s, beta = slip[None], angle[None]
-    forces = _forces(soil, size)
+    forces = _forces(soil, size, gravity)
     borne = forces(np.full_like(s, size.radius), s, beta)[0].full()[0]
     if (borne < load).any():
         k = (borne - load).argmin()
@@ -144,10 +153,11 @@ def _check(load: Array, slip: Array, angle: Array) -> None:
             raise ModelError(f"{expected}, found {found}")
 
 
-def _forces(soil: Soil, size: WheelSize) -> ca.Function:
+def _forces(soil: Soil, size: WheelSize, gravity: float) -> ca.Function:
     """Return the forces on a wheel as a function of depth, slip ratio and slip angle."""
-    arguments = [ca.SX.sym(name) for name in ("depth", "slip", "angle")]
-    return ca.Function("forces", arguments, [*forces_at_slip(soil, size, *arguments)])
+    arguments = depth, slip, angle = [ca.SX.sym(name) for name in ("depth", "slip", "angle")]
+    forces = forces_at_slip(soil, size, depth, slip, angle, gravity)
+    return ca.Function("forces", arguments, [*forces])
 
 
 def drawbar_reserve(vehicle: Vehicle, soil: Soil, run: Trajectory) -> Trajectory:

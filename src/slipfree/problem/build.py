@@ -18,6 +18,7 @@ from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import OFFSET, Column, Trajectory
+from slipfree.files.maps.reference_systems import semi_major_axis
 from slipfree.files.tables import read_columns
 from slipfree.files.toml.source import Fault, ProblemError, name_errors, problem_error
 from slipfree.files.toml.source import Place as KeyPath
@@ -39,6 +40,7 @@ from slipfree.solve.settle import SPEED, settle
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism, Profile, Solid, Solids, flat, placed, section_of
+from slipfree.vehicle.gravity import foreign_map_words, gravity_words
 from slipfree.vehicle.tree import Vehicle
 
 DYNAMIC_TOLERANCE = 1e-6  # default tolerance of dynamics, whose motions are less smooth
@@ -75,7 +77,7 @@ class Setup:
     def facts(self) -> Lines:
         """Facts about ground, vehicle and inputs: pairs of name and description."""
         drive = ("driven by", self.driven)
-        return [*ground_facts(self.ground), *vehicle_facts(self.vehicle), drive]
+        return [*ground_facts(self.ground), *vehicle_facts(self.vehicle, self.ground.crs), drive]
 
 
 def build_terrain(problem: Problem[S], ground: GroundMap) -> Bicubic:
@@ -205,8 +207,11 @@ def _names(labels: Iterable[Any]) -> list[str]:
     return [label.full for label in leaves(labels)]
 
 
-def vehicle_facts(vehicle: Vehicle) -> Lines:
-    """Return facts about a vehicle, pairs of name and text: wheels, mass and notes of its file."""
+def vehicle_facts(vehicle: Vehicle, crs: str) -> Lines:
+    """Return facts about a vehicle, pairs of name and text: wheels, mass, gravity and notes.
+
+    ``crs`` is the reference system of the map; empty if unknown.
+    """
     wheels = ", ".join(
         f"{w.name} {w.radius:g} m {'driven' if w.driven else 'free'}" for w in vehicle.wheels
     )
@@ -216,6 +221,8 @@ def vehicle_facts(vehicle: Vehicle) -> Lines:
         facts.append(("rollers", f"{', '.join(rollers)} {words}"))
     if vehicle.mass:
         facts.append(("mass", f"{vehicle.mass:g} kg, weight {vehicle.weight:.1f} N"))
+        hint = foreign_map_words(vehicle.gravity, semi_major_axis(crs))
+        facts.append(("gravity", gravity_words(vehicle.gravity) + hint))
     if vehicle.notes:
         facts.append(("vehicle file", "; ".join(vehicle.notes)))
     return facts

@@ -42,6 +42,7 @@ class GroundMap(NamedTuple):
     friction: str  # its description; empty without friction
     facts: Lines  # about map file, changes and map coordinates
     coordinates: tuple[MapCoordinate, ...]  # of the file, if they differ from those of motions
+    crs: str = ""  # reference system of the map file; empty if unknown
 
 
 @contextmanager
@@ -85,7 +86,7 @@ def build_ground(problem: Problem[S]) -> GroundMap:
             changed = rolled(grid, spec.rolled)
             grid = changed.grid
     source += _scale_words(spec)
-    return GroundMap(grid, source, changed, mu, friction, facts, coordinates)
+    return GroundMap(grid, source, changed, mu, friction, facts, coordinates, ground_map.crs)
 
 
 def _check_keys(problem: Problem[S]) -> None:

@@ -49,10 +49,12 @@ from slipfree.files.vehicle_toml import (
 )
 from slipfree.geometry.frame import unit_vector
 from slipfree.problem import schema
+from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, shared
 from slipfree.problem.schema import CATALOG
 from slipfree.system.regular_files import read_bytes, regular_file
 from slipfree.vehicle.drives import RATE
+from slipfree.vehicle.gravity import in_gravity
 from slipfree.vehicle.tree import Vehicle, actuated
 from slipfree.vehicle.wheel import ORIGIN
 
@@ -146,15 +148,20 @@ class VehicleFile(NamedTuple):
 
 
 def build_vehicle(spec: schema.VehicleSource, problem: Problem[Any]) -> Vehicle:
-    """Return the vehicle of a problem; files and trust in xacro are those of the problem.
+    """Return the vehicle of a problem in its gravity; files and trust in xacro are the problem's.
 
     VehicleError is raised if its file does not contain a valid vehicle; DataError if its file
     cannot be read, is not a vehicle file, or is xacro that is not trusted; ModelError if a keyword
-    of the catalogue is not allowed, or a joint has no free coordinate to actuate.
+    of the catalogue is not allowed, or a joint has no free coordinate to actuate; ProblemError if
+    the gravity is not valid.
     """
     if spec.file is not None:
-        return actuated(vehicle_file(spec.file, problem).vehicle, *spec.actuated)
-    return actuated(CATALOG[str(spec.catalog)](**spec.keywords), *spec.actuated)
+        vehicle = vehicle_file(spec.file, problem).vehicle
+    else:
+        vehicle = CATALOG[str(spec.catalog)](**spec.keywords)
+    vehicle = actuated(vehicle, *spec.actuated)
+    with at(problem, ("gravity",)):
+        return in_gravity(vehicle, problem.spec.gravity)
 
 
 def read_robot(spec: schema.VehicleSource, problem: Problem[Any]) -> Robot | None:

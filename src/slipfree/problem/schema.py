@@ -45,6 +45,7 @@ from slipfree.terrain import solids
 from slipfree.terrain.base import Grid
 from slipfree.terrain.solids import Profile
 from slipfree.terrain.synthetic import FEATURES
+from slipfree.vehicle.gravity import BODIES
 from slipfree.vehicle.tree import Vehicle
 
 CATALOG: dict[str, Callable[..., Vehicle]] = {
@@ -66,6 +67,8 @@ MODEL = (
 )
 SLIP = "slip law, for model = 'kinematics': 'least' (least slip) or 'rolling' (without slip)"
 LAW = "parameters of the law of the model, in a table with the name of the law"
+Gravity = Any  # checked by `gravity_of`
+GRAVITY = f"gravity, or the body with that gravity: {', '.join(BODIES)} [m/s^2]"
 FILE = "file"  # key of [inputs] and [given] that names a file
 INPUTS = "rates of driven wheels and commanded joints, by name [rad/s, m/s]"
 STEP_CLIMBING = "step-climbing"
@@ -413,10 +416,11 @@ class FileKeys(Record):
 
 
 class CommonKeys(FileKeys):
-    """Common keys of all problems: verb and title."""
+    """Common keys of all problems: verb, title and gravity."""
 
     verb: str = Field(description=VERB)
     title: str | None = Field(default=None, description="title of the result and its figures")
+    gravity: Gravity = Field(default="earth", description=GRAVITY)
 
     @property
     def named_files(self) -> tuple[str, ...]:

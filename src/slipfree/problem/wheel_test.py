@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -16,9 +16,11 @@ from slipfree.files.toml.source import Fault, read_text
 from slipfree.files.toml.types import Angle, Positive, Record, given_values
 from slipfree.laws.soil import Soil, WheelSize
 from slipfree.models.single_wheel import WheelCurves, single_wheel, steady_forces
-from slipfree.problem.problem import validated_problem
-from slipfree.problem.schema import FileKeys, NamedSoil, soil_of
+from slipfree.problem.build_ground import at
+from slipfree.problem.problem import Problem, validated_problem
+from slipfree.problem.schema import GRAVITY, FileKeys, Gravity, NamedSoil, soil_of
 from slipfree.problem.verbs.base import Lines
+from slipfree.vehicle.gravity import gravity_of, gravity_words
 
 COLUMNS = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
 QUANTITIES = tuple(COLUMNS)
@@ -61,6 +63,7 @@ class WheelFile(FileKeys):
     """Wheel file; the table ``[soil]`` has the constants of `Soil`."""
 
     title: str | None = Field(default=None, description="title of the summary")
+    gravity: Gravity = Field(default="earth", description=GRAVITY)
     wheel: TestedWheelTable = Field(description="the wheel")
     soil: NamedSoil = Field(default=NamedSoil(), description="the soil")
     test: TestTable = Field(default=TestTable(), description="the test")
@@ -93,6 +96,7 @@ class WheelTest(NamedTuple):
     soil: Soil
     size: WheelSize
     load: float  # vertical [N]
+    gravity: float  # [m/s^2]
     curves: WheelCurves
     measured: dict[str, Measured]  # by quantity
     errors: dict[str, tuple[float, float]]  # computed minus measured: root mean square, mean
@@ -107,19 +111,24 @@ def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
     soil is not valid.
     """
     text = read_text(path, "a wheel file")
-    spec: WheelFile = validated_problem(lambda *_: WheelFile, path, text, settings).spec
+    problem: Problem[Any] = validated_problem(lambda *_: WheelFile, path, text, settings)
+    spec: WheelFile = problem.spec
+    with at(problem, ("gravity",)):
+        gravity = gravity_of(spec.gravity)
     soil = soil_of(**given_values(spec.soil))
     size = WheelSize(spec.wheel.radius, spec.wheel.width)
     low, high = spec.test.slip
     slips = np.linspace(low, high, spec.test.points)
-    curves = single_wheel(soil, size, spec.wheel.load, slips, spec.test.slip_angles)
+    angles = spec.test.slip_angles
+    curves = single_wheel(soil, size, spec.wheel.load, slips, angles, gravity=gravity)
     measured, files = {}, [path]
     if spec.test.measured is not None:
         files.append(path.parent / spec.test.measured)
         measured = _read_measured(files[-1], spec.wheel.load)
-    errors = {name: _error(soil, size, name, points) for name, points in measured.items()}
+    errors = {name: _error(soil, size, name, points, gravity) for name, points in measured.items()}
     title = spec.title or path.stem
-    return WheelTest(title, soil, size, spec.wheel.load, curves, measured, errors, files)
+    load = spec.wheel.load
+    return WheelTest(title, soil, size, load, gravity, curves, measured, errors, files)
 
 
 def _read_measured(path: Path, load: float) -> dict[str, Measured]:
@@ -139,9 +148,11 @@ def _read_measured(path: Path, load: float) -> dict[str, Measured]:
     return {name: Measured(slip, angle, loads, columns[name]) for name in quantities}
 
 
-def _error(soil: Soil, size: WheelSize, name: str, points: Measured) -> tuple[float, float]:
+def _error(
+    soil: Soil, size: WheelSize, name: str, points: Measured, gravity: float
+) -> tuple[float, float]:
     """Return root mean square and mean of computed minus measured values."""
-    forces = steady_forces(soil, size, points.load, points.slip, points.angle)
+    forces = steady_forces(soil, size, points.load, points.slip, points.angle, gravity)
     misses = getattr(forces, name) - points.value
     return float(np.sqrt(np.mean(misses**2))), float(np.mean(misses))
 
@@ -152,6 +163,7 @@ def wheel_facts(test: WheelTest) -> Lines:
     size = f"radius {test.size.radius:g} m, width {test.size.width:g} m, load {test.load:g} N"
     facts = [
         ("wheel", size),
+        ("gravity", gravity_words(test.gravity)),
         (
             "soil",
             f"cohesion {soil.cohesion:g} Pa, friction angle {np.rad2deg(soil.friction_angle):.4g} "

@@ -28,7 +28,7 @@ from slipfree.vehicle.formula import evaluate, names_in
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 Kind = Literal["commanded", "passive", "suspension"]
-GRAVITY = 9.81  # [m/s^2]
+EARTH_GRAVITY = 9.81  # [m/s^2]
 MAX_WHEELS = 100  # with more, preparing the models takes minutes
 
 
@@ -286,12 +286,16 @@ class Vehicle:
     nominal : Vehicle or None
         The same vehicle with numbers, if lengths or grips of this one are expressions in parameters
         of a model (`slipfree.fit.unknowns`); models take scales and initial guesses from it.
+    gravity : float
+        Gravitational acceleration, downward, that acts on the vehicle and on the soil under it;
+        `slipfree.in_gravity` changes it. [m/s^2]
 
     Raises
     ------
     ModelError
         If a name is used twice or is unknown, if a coordinate moves no joint, or both turning and
-        sliding joints, or if the number of wheels is out of range.
+        sliding joints, if the number of wheels is out of range, or if the gravity is not positive
+        and finite.
     """
 
     name: str
@@ -302,6 +306,7 @@ class Vehicle:
     notes: tuple[str, ...] = ()
     planar: bool = False
     nominal: Vehicle | None = field(default=None, compare=False)
+    gravity: float = EARTH_GRAVITY
 
     def __repr__(self) -> str:
         driven = sum(wheel.driven for wheel in self.wheels)
@@ -343,6 +348,11 @@ class Vehicle:
                 f"vehicle {self.name!r}: expected 1 to {MAX_WHEELS} wheels, found "
                 f"{len(self.wheels)}; {'remove' if self.wheels else 'add'} wheels"
             )
+        if not 0 < self.gravity < math.inf:
+            raise ModelError(
+                f"vehicle {self.name!r}: gravity: expected a positive, finite number in m/s^2, "
+                f"found {self.gravity}; change it"
+            )
 
     @property
     def numeric(self) -> Vehicle:
@@ -367,7 +377,7 @@ class Vehicle:
     @property
     def weight(self) -> float:
         """Total weight, wheels included [N]."""
-        return self.mass * GRAVITY
+        return self.mass * self.gravity
 
     def carriers(self, platform: Pose, values: Mapping[str, ca.SX]) -> tuple[Pose, ...]:
         """Return the pose of each wheel's carrier: origin at the centre, x axis along the axle.

@@ -96,8 +96,8 @@ def read_map(
     path : str or Path
         ``.npz``: numpy arrays ``x`` of shape (n_x,), ``y`` of shape (n_y,) and ``z`` of shape
         (n_x, n_y), all in metres, NaN in holes. ``.xyz``, ``.txt``, ``.csv``: see `read_points`.
-        ``.las``, ``.laz``: see `read_point_cloud`. Files with other endings are rasters that GDAL
-        reads from one file: see `read_raster`.
+        ``.las``, ``.laz``, ``.ply``, ``.pcd``: see `read_point_cloud`. Files with other endings are
+        rasters that GDAL reads from one file: see `read_raster`.
     window : tuple of 4 floats, optional
         Part to read, x_min, x_max, y_min, y_max in the coordinates of the file; by default the
         whole map. Only this part of a raster is kept in memory. [m] or [deg]
@@ -347,7 +347,7 @@ READERS: tuple[MapReader, ...] = (
     MapReader((".npz",), _read_npz),
     RASTERS,
     MapReader((".xyz", ".txt", ".csv"), read_points, ("spacing",)),
-    MapReader((".las", ".laz"), read_point_cloud, ("spacing",)),
+    MapReader((".las", ".laz", ".ply", ".pcd"), read_point_cloud, ("spacing",)),
 )
 KEYS = ("cell", "registration", "spacing")  # arguments of some formats only
 

@@ -1,10 +1,11 @@
-"""Maps from scattered points in text files, and from point clouds (LAS, LAZ)."""
+"""Maps from scattered points in text files, and from point clouds (LAS, LAZ, PLY, PCD)."""
 
 from __future__ import annotations
 
 import math
 import os
 import struct
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -13,6 +14,7 @@ import numpy as np
 
 from slipfree.core.errors import DataError, missing_package
 from slipfree.core.records import Array, Mask
+from slipfree.files.maps.clouds import CHUNK, MAX_RECORD, Points, pcd_points, ply_points
 from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.raster import Reading
 from slipfree.files.maps.reference_systems import (
@@ -36,13 +38,12 @@ from slipfree.terrain.grid_ops import (
 
 NAMES = ("x", "y", "z")
 BLOCK = 2**20  # number of nodes interpolated at once; limits the memory
+OWN_READERS = {".ply": ply_points, ".pcd": pcd_points}
 GROUND, NOISE = 2, (7, 18)  # classes of points in LAS files
 POINTS_PER_CELL = 4.0  # default mean number; with random points, one cell in 55 is empty
 COARSE = 64.0  # mean number of points in the cells that measure the covered area
 MARGIN = 4.0  # width of the border around a window that is also read, in cells
-CHUNK = 200_000  # number of points read at once
 MAX_POINTS = 1e8  # largest number of points in memory, 25 bytes each
-MAX_RECORD = 4096  # largest size of a point; points of the standard have up to 67 [bytes]
 VERTICAL_UNIT, VERTICAL_SYSTEM, LINEAR_UNIT = 4099, 4096, 3076  # keys of GeoTIFF
 UNITS = {9001: "metre", 9002: "foot", 9003: "US survey foot"}  # codes of EPSG
 TO_METRES = "pdal translate in.laz out.laz reprojection --filters.reprojection.out_srs={}"
@@ -157,20 +158,20 @@ def interpolate_points(
 class _Cloud(NamedTuple):
     points: Array  # shape (n, 3), heights in the unit of the file [m]
     ground: Mask  # whether a point is classified as ground
-    version: str  # of the format, such as "1.2"
-    crs: Any  # horizontal reference system, rasterio.crs.CRS or None
-    unit: str  # of the heights; empty if unknown
+    omitted: int  # number of points without finite coordinates
+    file: Points
 
 
 def read_point_cloud(path: Path, ask: Reading) -> Heights:
-    """Return the height map of a point cloud, with holes where cells have no points.
+    """Return the height map of a point cloud (LAS, LAZ, PLY, PCD), with holes in empty cells.
 
     Points classified as ground are used if there are any. Those of a cell are averaged in x, y and
     z, and heights are interpolated linearly between these averages: a plane is exact.
     """
-    for name in ("laspy", "lazrs", "pyproj"):
-        if find_spec(name) is None:
-            raise DataError(missing_package(name, "points"))
+    if path.suffix.lower() not in OWN_READERS:
+        for name in ("laspy", "lazrs", "pyproj"):
+            if find_spec(name) is None:
+                raise DataError(missing_package(name, "points"))
     # lazrs aborts the process for some damaged files; gridding there keeps the points there
     return bounded_read(_heights, path, ask.spacing, ask.window, rate=1e5, growth=50.0)
 
@@ -183,9 +184,9 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
         near = window[0] - margin, window[1] + margin, window[2] - margin, window[3] + margin
     cloud = _read(path, near)
     middle = np.mean(cloud.points[:, :2], axis=0) if len(cloud.points) else (math.nan, math.nan)
-    name, geographic = system_name(cloud.crs, TO_METRES, *middle)
+    name, geographic = system_name(cloud.file.crs, TO_METRES, *middle)
     if geographic:
-        remedy = reprojection(cloud.crs, TO_METRES, *middle)
+        remedy = reprojection(cloud.file.crs, TO_METRES, *middle)
         refuse("a point cloud in metres", f"degrees ({name})", remedy)
     points = cloud.points[cloud.ground] if cloud.ground.any() else cloud.points
     if len(points) < 3:
@@ -195,7 +196,7 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
         points[:, 2],
         lambda k: f"x = {points[k][0]:.9g}, y = {points[k][1]:.9g}",
         lambda marker, _: (
-            f"remove these points: pdal translate in.laz out.laz range "
+            f"remove these points: pdal translate in{path.suffix} out{path.suffix} range "
             f"--filters.range.limits='Z[{marker.low:.9g}:{marker.high:.9g}]'"
         ),
     )
@@ -216,54 +217,71 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
         f"{used} {len(cloud.points)} points, {density:.3g} per m2; cells of {cell:g} m{chosen}; "
         f"{occupied} of {z.size} cells have points"
     )
-    unit = LENGTHS[cloud.unit.lower()]
-    heights = "in metres" if cloud.unit else "unit not stated: taken as metres"
+    if cloud.omitted:
+        words += f"; {cloud.omitted} without coordinates left out"
+    unit = LENGTHS[cloud.file.unit.lower()]
+    heights = "in metres" if cloud.file.unit else "unit not stated: taken as metres"
     if unit != 1:
-        heights = f"converted from {cloud.unit} ({unit:.9g} m)"
+        heights = f"converted from {cloud.file.unit} ({unit:.9g} m)"
     nodes = x.nodes(i), y.nodes(j)
     facts = (
-        ("ground map", f"LAS {cloud.version} point cloud, {name or 'CRS not given'}"),
+        ("ground map", f"{cloud.file.format} point cloud, {name or 'CRS not given'}"),
         ("ground points", words),
         ("ground map heights", heights),
-        *scale_facts(cloud.crs, nodes[0].mean(), nodes[1].mean(), TO_METRES),
+        *scale_facts(cloud.file.crs, nodes[0].mean(), nodes[1].mean(), TO_METRES),
     )
     return Heights(*nodes, unit * z, facts, name)
 
 
 def _read(path: Path, near: Window | None) -> _Cloud:
     """Return the points of a file in ``near`` (default all), except noise and withheld points."""
-    import laspy
-
-    points, ground = [np.empty((0, 3))], [np.empty(0, bool)]
+    points, ground, omitted = [np.empty((0, 3))], [np.empty(0, bool)], 0
+    ending = path.suffix.lower()
     try:
         with path.open("rb") as stream:
-            _check_header(stream)
-            file = laspy.open(stream, laz_backend=laspy.LazBackend.Lazrs, closefd=False)
-            count = file.header.point_count
-            for chunk in file.chunk_iterator(CHUNK):
-                kind = np.asarray(chunk.classification)
-                good = ~np.isin(kind, NOISE) & ~np.asarray(chunk.withheld, bool)
-                x, y = np.asarray(chunk.x), np.asarray(chunk.y)
+            file = OWN_READERS.get(ending, _las_points)(stream)
+            for places, kind in file.chunks:
+                known = np.isfinite(places).all(axis=1)
+                good = known & ~np.isin(kind, NOISE)
+                omitted += int(np.count_nonzero(~known))
+                x, y, _ = places.T
                 if near is not None:
                     good &= (x >= near[0]) & (x <= near[1]) & (y >= near[2]) & (y <= near[3])
-                points.append(np.column_stack([x, y, np.asarray(chunk.z)])[good])
+                points.append(places[good])
                 ground.append(kind[good] == GROUND)
                 if sum(map(len, ground)) > MAX_POINTS:
                     remedy = "set spacing and window, or thin the points"
-                    found_words = f"more, of {count} in the file"
-                    refuse(f"at most {MAX_POINTS:g} points", found_words, remedy)
+                    refuse(f"at most {MAX_POINTS:g} points", "more in the file", remedy)
             cloud = np.concatenate(points)
-            if not (np.abs(cloud) <= MAX_COORDINATE).all():
-                raise ValueError(f"coordinates that are not finite or exceed {MAX_COORDINATE:g}")
-            version = str(file.header.version)
-            return _Cloud(cloud, np.concatenate(ground), version, *_system(file.header))
+            if (np.abs(cloud) > MAX_COORDINATE).any():
+                raise ValueError(f"coordinates that exceed {MAX_COORDINATE:g}")
+            return _Cloud(cloud, np.concatenate(ground), omitted, file)
     except (DataError, OSError):
         raise
     except Exception as error:  # laspy, lazrs and pyproj raise many kinds for damaged files
+        name = ending[1:].upper() if ending in OWN_READERS else "LAS or LAZ"
         raise DataError(
-            f"expected a readable LAS or LAZ file, found {str(error).rstrip('.')}; copy or "
+            f"expected a readable {name} file, found {str(error).rstrip('.')}; copy, export or "
             "download it again: it may be truncated or damaged"
         ) from error
+
+
+def _las_points(stream: BinaryIO) -> Points:
+    """Return the points of a LAS or LAZ file; withheld points have the class of noise."""
+    import laspy
+
+    _check_header(stream)
+    file = laspy.open(stream, laz_backend=laspy.LazBackend.Lazrs, closefd=False)
+
+    def chunks() -> Iterator[tuple[Array, Array]]:
+        for chunk in file.chunk_iterator(CHUNK):
+            places = np.column_stack([np.asarray(each) for each in (chunk.x, chunk.y, chunk.z)])
+            if not np.isfinite(places).all():
+                raise ValueError("coordinates that are not finite")
+            kind = np.asarray(chunk.classification)
+            yield places, np.where(np.asarray(chunk.withheld, bool), NOISE[0], kind)
+
+    return Points(f"LAS {file.header.version}", chunks(), *_system(file.header))
 
 
 def _check_header(stream: BinaryIO) -> None:

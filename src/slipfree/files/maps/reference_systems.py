@@ -88,6 +88,13 @@ def reprojection(crs: Any, command: str, x: float, y: float) -> str:
     return f"reproject it to metres: {command.format(system)}"
 
 
+def semi_major_axis(name: str) -> float:
+    """Return the semi-major axis of the body of a reference system, NaN if unknown [m]."""
+    from rasterio.crs import CRS
+
+    return _ellipsoid(CRS.from_string(name))[0] if name else math.nan
+
+
 def _ellipsoid(crs: Any) -> tuple[float, float]:
     """Return the semi-axes of the ellipsoid of a reference system, NaN without one [m]."""
     sizes = SPHEROID.search(crs.to_wkt())

@@ -99,6 +99,8 @@ class DriveVerb(MotionVerb):
     ) -> VerbSolution:
         """Return the motion of a problem with its diagnostics."""
         run, arrays = self.drive(problem, setup, watch, resume)
+        if setup.vehicle.mass:
+            run = run.with_facts({"gravity": Fact(setup.vehicle.gravity, "m s-2")})
         law = model_law(problem) if isinstance(problem.spec, Modelled) else None
 
         run = with_diagnostics(run, _diagnostics(setup, law, run), watch, setup, arrays)

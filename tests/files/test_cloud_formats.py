@@ -1,0 +1,228 @@
+"""Tests of point clouds in PLY and PCD: encodings, orders, omitted points, damaged files."""
+
+from __future__ import annotations
+
+import struct
+from random import Random
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from helpers.fuzz_maps import pcd, ply
+from slipfree.core.errors import DataError
+from slipfree.files.maps.clouds import decompress_lzf
+from slipfree.files.maps.elevation import read_map
+
+pytestmark = pytest.mark.usefixtures("direct_reads")
+PLACES = np.random.default_rng(1).uniform(0, 20, (4000, 2))
+PLANE = np.column_stack([PLACES, 3 + 0.2 * PLACES[:, 0] - 0.1 * PLACES[:, 1]])
+PLY_KINDS = ("ascii", "binary_little_endian", "binary_big_endian")
+PCD_KINDS = ("ascii", "binary", "binary_compressed")
+
+
+def heights(path, **options):
+    """Return the map of a cloud on the plane, after a check of its heights."""
+    found = read_map(path, spacing=1.0, **options)
+    x, y = np.meshgrid(found.grid.x, found.grid.y, indexing="ij")
+    whole = ~found.grid.holes if found.grid.holes is not None else np.ones(x.shape, bool)
+    assert_allclose(found.grid.z[whole], (3 + 0.2 * x - 0.1 * y)[whole], rtol=0, atol=2e-5)
+    assert whole.sum() > 300
+    return found
+
+
+@pytest.mark.parametrize("kind", PLY_KINDS)
+@pytest.mark.parametrize("real", ["float", "double"])
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_vertices_of_a_ply_are_points(tmp_path, kind, real, newline):
+    path = tmp_path / "a.PLY"
+    path.write_bytes(ply(PLANE, kind, real=real, newline=newline, faces=3))
+    facts = dict(heights(path).facts)
+    assert facts["ground map"] == f"PLY ({kind}) point cloud, CRS not given"
+    assert facts["ground points"].startswith("all 4000 points, ")
+    assert facts["ground map heights"] == "unit not stated: taken as metres"
+
+
+@pytest.mark.parametrize("kind", PCD_KINDS)
+@pytest.mark.parametrize("real", ["F 4", "F 8"])
+def test_points_of_a_pcd(tmp_path, kind, real):
+    path = tmp_path / "a.pcd"
+    path.write_bytes(pcd(PLANE, kind, real=real))
+    facts = dict(heights(path).facts)
+    assert facts["ground map"] == f"PCD 0.7 ({kind}) point cloud, CRS not given"
+
+
+def test_points_without_coordinates_are_left_out(tmp_path):
+    points = PLANE.copy()
+    points[::7] = np.nan
+    points[3] = np.inf
+    for name, data in (
+        ("a.pcd", pcd(points, "ascii")),
+        ("b.pcd", pcd(points, "binary")),
+        ("a.ply", ply(points, "binary_big_endian")),
+        ("b.ply", ply(points, "ascii")),
+    ):
+        (tmp_path / name).write_bytes(data)
+        facts = dict(heights(tmp_path / name).facts)
+        assert facts["ground points"].endswith("; 573 without coordinates left out")
+
+
+def test_classes_of_a_ply_are_those_of_las(tmp_path):
+    """Ground points are preferred, noise is left out."""
+    kinds = np.random.default_rng(2).choice([2, 5, 7], len(PLANE))
+    points = PLANE + np.where(kinds == 2, 0, 15.0)[:, None] * [0, 0, 1]
+    for kind in PLY_KINDS:
+        path = tmp_path / f"{kind}.ply"
+        path.write_bytes(ply(points, kind, classes=kinds))
+        found = read_map(path, spacing=2.0)
+        words = dict(found.facts)["ground points"]
+        assert words.startswith(f"{np.count_nonzero(kinds == 2)} classified as ground, of ")
+        x, y = np.meshgrid(found.grid.x, found.grid.y, indexing="ij")
+        assert np.abs(found.grid.z - (3 + 0.2 * x - 0.1 * y))[1:-1, 1:-1].max() < 1e-4
+
+
+def test_elements_before_the_vertices_are_skipped(tmp_path):
+    for kind in PLY_KINDS:
+        (tmp_path / "a.ply").write_bytes(ply(PLANE, kind, before=5))
+        heights(tmp_path / "a.ply")
+
+
+@pytest.mark.bounded
+def test_a_window_reads_the_same_heights(tmp_path):
+    path = tmp_path / "a.pcd"
+    path.write_bytes(pcd(PLANE, "binary_compressed"))
+    whole, part = (read_map(path, spacing=1.0, window=w).grid for w in (None, (3, 9, 4, 12)))
+    assert_allclose(part.z, whole.z[3:10, 4:13], rtol=0, atol=1e-9)
+
+
+def test_lzf_by_hand():
+    """Literals, a copy, a copy that overlaps with itself, a long copy, and what is damaged."""
+    assert decompress_lzf(b"\x02abc", 3) == b"abc"
+    assert decompress_lzf(b"\x02abc\x20\x02", 6) == b"abcabc"
+    assert decompress_lzf(b"\x00a\xe0\x05\x00", 15) == b"a" * 15
+    assert decompress_lzf(b"\x03abcd\xe0\x00\x01", 13) == b"abcd" + b"cdcdcdcdc"
+    for data, size in (
+        (b"\x05abc", 6),  # fewer literals than announced
+        (b"\x02abc\x20", 6),  # half of a copy
+        (b"\x02abc\x20\x09", 6),  # of what comes before the data
+        (b"\x02abc", 4),
+        (b"\x02abc\xe0\xff\x00", 10),  # a bomb
+        (b"\x02abc", 2),
+    ):
+        with pytest.raises(ValueError, match="compressed data that end after"):
+            decompress_lzf(data, size)
+
+
+def cut(data, old, new):
+    assert old in data
+    return data.replace(old, new, 1)
+
+
+PLY, PCD = ply(PLANE[:50], "binary_little_endian"), pcd(PLANE[:50], "binary")
+PACKED, TEXT = pcd(PLANE[:50], "binary_compressed"), ply(PLANE[:50], "ascii")
+SIZES = PACKED.index(b"binary_compressed\n") + 18
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "words"),
+    [
+        ("a.ply", b"", "no header from 'ply' to 'end_header'"),
+        ("a.ply", b"ply\nformat ascii 1.0\n" + bytes(10**6), "no header from 'ply'"),
+        (
+            "a.ply",
+            cut(PLY, b"format binary_little_endian", b"format middle_endian"),
+            "the line 'fo",
+        ),
+        ("a.ply", cut(PLY, b"property float y", b"property half y"), "the line 'property half y'"),
+        (
+            "a.ply",
+            cut(PLY, b"property float y", b"property list uchar int y"),
+            "vertices with list",
+        ),
+        ("a.ply", cut(PLY, b"property float y", b"property float why"), "without 'y'"),
+        (
+            "a.ply",
+            cut(PLY, b"element vertex", b"element vortex"),
+            "the elements vortex without 've",
+        ),
+        ("a.ply", cut(PLY, b"element vertex 50", b"element vertex -1"), "'-1' as number"),
+        ("a.ply", cut(PLY, b"vertex 50", b"vertex 99999999999999"), "where 99999999999999 points"),
+        ("a.ply", PLY[:-1], "599 bytes where 50 points of 12 bytes were announced"),
+        ("a.ply", cut(TEXT, b"vertex 50", b"vertex 51"), "50 points where 51 were announced"),
+        ("a.ply", TEXT[: TEXT.index(b"end_header") + 40], "points where 50 were announced|invalid"),
+        ("a.ply", cut(TEXT, b"end_header\n", b"end_header\nx "), "could not convert string"),
+        ("a.pcd", b"", "no header that ends with 'DATA'"),
+        ("a.pcd", cut(PCD, b"DATA binary", b"DATA packed"), "DATA packed, which is none of"),
+        ("a.pcd", cut(PCD, b"FIELDS x y z", b"FIELDS x y w"), "points with x, y, w, without 'z'"),
+        ("a.pcd", cut(PCD, b"SIZE 4 4 4", b"SIZE 4 4"), "3 and 2 and 3 and 3 FIELDS, SIZE, TYPE"),
+        ("a.pcd", cut(PCD, b"SIZE 4 4 4", b"SIZE 4 4 3"), "the field 'z' of TYPE F and SIZE 3"),
+        ("a.pcd", cut(PCD, b"TYPE F F F", b"TYPE F F Q"), "the field 'z' of TYPE Q and SIZE 4"),
+        ("a.pcd", cut(PCD, b"COUNT 1 1 1", b"COUNT 1 1 9"), "points with x, y, z, without 'z'"),
+        ("a.pcd", cut(PCD, b"COUNT 1 1 1", b"COUNT 1 1 999999999"), "without 'z'"),
+        ("a.pcd", cut(PCD, b"POINTS 50", b"POINTS 51"), "POINTS 51, but 50 times 1 in a grid"),
+        ("a.pcd", cut(PCD, b"POINTS 50\n", b"").replace(b"WIDTH 50\n", b""), "without POINTS"),
+        ("a.pcd", PCD[:-1], "599 bytes where 50 points of 12 bytes were announced"),
+        ("a.pcd", pcd(PLANE[:50], "ascii") + b"1 2 3\n", "more than the announced 50 points"),
+        ("a.pcd", PACKED[:SIZES], "0 bytes where 0 and 8 were announced"),
+        ("a.pcd", PACKED[:-1], "were announced"),
+        (
+            "a.pcd",
+            PACKED[:SIZES] + struct.pack("<II", 9, 700) + bytes(9),
+            "700 bytes for 50 points of 12 bytes",
+        ),
+        (
+            "a.pcd",
+            PACKED[:SIZES] + struct.pack("<II", 9, 2**32 - 1) + bytes(9),
+            "were announced",
+        ),
+        ("a.pcd", PACKED[: SIZES + 8] + b"\xff" * (len(PACKED) - SIZES - 8), "that end after 0 of"),
+    ],
+)
+def test_damaged_files_are_refused_by_name(tmp_path, name, data, words):
+    path = tmp_path / name
+    path.write_bytes(data)
+    kind = name[2:].upper()
+    with pytest.raises(
+        DataError, match=rf"{name}: expected a readable {kind} file, found.*({words})"
+    ):
+        read_map(path)
+
+
+def test_large_coordinates_and_large_points_are_refused(tmp_path):
+    (tmp_path / "a.ply").write_bytes(ply(PLANE * 1e30, "ascii", real="double"))
+    with pytest.raises(DataError, match="found coordinates that exceed"):
+        read_map(tmp_path / "a.ply")
+    header = PCD.replace(b"FIELDS x y z", b"FIELDS x y z a").replace(b"SIZE 4 4 4", b"SIZE 4 4 4 8")
+    header = header.replace(b"TYPE F F F", b"TYPE F F F F")
+    header = header.replace(b"COUNT 1 1 1", b"COUNT 1 1 1 99999999")
+    (tmp_path / "a.pcd").write_bytes(header)
+    with pytest.raises(DataError, match="found 800000004 bytes for each point"):
+        read_map(tmp_path / "a.pcd")
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.pcd"])
+def test_randomly_damaged_files_are_read_or_refused(tmp_path, name):
+    rng, refused, make, kinds = (
+        Random(4),
+        [],
+        *((ply, PLY_KINDS) if "ply" in name else (pcd, PCD_KINDS)),
+    )
+    path = tmp_path / name
+    for k in range(60):
+        data = bytearray(make(PLANE[:60], kinds[k % 3]))
+        for _ in range(rng.choice([1, 2, 5])):
+            data[rng.randrange(200 if rng.random() < 0.7 else len(data))] = rng.randrange(256)
+        path.write_bytes(data if rng.random() < 0.8 else data[: rng.randrange(len(data))])
+        try:
+            read_map(path)
+        except DataError as error:
+            refused.append(str(error))
+    assert len(refused) > 20
+    assert all(words.startswith(f"{path}: expected") for words in refused)
+
+
+def test_a_cloud_with_another_ending_is_named(tmp_path):
+    for name, data in (("ply", PLY), ("pcd", PCD)):
+        (tmp_path / f"{name}.dat").write_bytes(data)
+        with pytest.raises(DataError, match=rf"rename it to end in \.{name}"):
+            read_map(tmp_path / f"{name}.dat")

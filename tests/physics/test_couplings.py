@@ -1,0 +1,187 @@
+"""Tests of coupled joints: differentials, coupled steering and chains of mimics."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from helpers.urdf import joint, link, wheel, written
+from slipfree import (
+    Analytic,
+    direct_kinematics,
+    dynamics,
+    inverse_kinematics,
+    quasi_statics,
+    read_vehicle,
+    settle,
+    simulate,
+)
+from slipfree.core.records import leaves
+from slipfree.models.given_rates import COMMANDS
+from slipfree.solve.replay import replay, round_trip, trim_states
+
+FLAT = Analytic(lambda x, _: 0 * x, mu=0.8)
+ROVER = """\
+name = "two rockers"
+frame = "paper"
+mass = 20.0
+center_of_mass = [{x}, {y}, 0.1]
+couple = {{ left = {left}, right = {right} }}
+coordinates = [{{ name = "a", kind = "suspension" }}, {{ name = "b", kind = "suspension" }}]
+joints = [{{ name = "left", parent = "platform", axis = "x", at = [-0.3, 0, 0], value = "a" }},
+    {{ name = "right", parent = "platform", axis = "x", at = [0.3, 0, 0], value = "b" }}]
+wheels = [{wheels}]
+"""
+WHEEL = (
+    '{{ name = "{}{}", parent = "{}", at = [0, {}, -0.1], radius = 0.1, driven = true, '
+    "mass = 1, static_depth = 1e-5 }}"
+)
+WHEELS = ",\n    ".join(
+    WHEEL.format(side[0], end, side, y)
+    for side in ("left", "right")
+    for end, y in (("f", 0.3), ("r", -0.2))
+)
+ALIKE = ("y", "z", "pitch", "velocity_y", "velocity_z", "tip_over_margin")
+OPPOSITE = ("x", "heading", "roll", "velocity_x", "heading_rate")
+SWAPPED = ("force_normal", "force_along", "slip_along", "contact_z", "drive_torque")
+
+
+def rover(tmp, left=1.0, right=1.0, x=0.0, y=0.05):
+    path = tmp / "rover.toml"
+    path.write_text(ROVER.format(left=left, right=right, x=x, y=y, wheels=WHEELS))
+    return read_vehicle(path)
+
+
+def bump(side):
+    """Return a ground with a bump under the wheels of a side, and another between the wheels."""
+
+    def height(x, y):
+        across, along = (side * x - 0.3) / 0.2, (y - 0.8) / 0.35
+        hollow = 0.03 * ca.exp(-(((side * x + 0.4) / 0.3) ** 2) - ((y - 0.2) / 0.4) ** 2)
+        return 0.08 * ca.exp(-(across**2) - along**2) - hollow
+
+    return Analytic(height, mu=0.8)
+
+
+def over(model, side, rate=4.0):
+    fast, slow = (rate, 0.9 * rate)[::side]
+    inputs = model.inputs(lf_rate=fast, lr_rate=fast, rf_rate=slow, rr_rate=slow)
+    return simulate(model, settle(model), inputs, np.linspace(0, 3, 16))
+
+
+@pytest.mark.parametrize("make", [direct_kinematics, quasi_statics])
+def test_mirrored_bumps_move_coupled_rockers_in_mirrored_ways(make, tmp_path):
+    vehicle = rover(tmp_path)
+    assert [each.name for each in vehicle.coordinates] == ["a"]
+    run, other = (over(make(vehicle, bump(side)), side) for side in (1, -1))
+    assert run.stop is None
+    assert np.ptp(run["pitch"]) > 0.02
+    assert np.ptp(run["a"]) > 0.05
+    for name in ALIKE:
+        assert_allclose(other[name], run[name], rtol=1e-6, atol=1e-6)
+    for name in OPPOSITE:
+        assert_allclose(other[name], -run[name], rtol=1e-6, atol=1e-6)
+    assert_allclose(other["a"], -run["a"], rtol=1e-6, atol=1e-6)  # the right rocker moves as -a
+    for name in SWAPPED:
+        assert_allclose(other[name][:, [2, 3, 0, 1]], run[name], rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.0, -0.5])
+@pytest.mark.parametrize("make", [direct_kinematics, quasi_statics, dynamics])
+def test_a_differential_shares_loads_as_in_the_closed_form(make, ratio, tmp_path):
+    """Virtual work: ``M_left = M_right / ratio`` for left + ratio * right = 0."""
+    x, y, weight = 0.06, 0.04, 20 * 9.81
+    run = settle(make(rover(tmp_path, right=ratio, x=x, y=y), FLAT))
+    sides = {"l": weight * (0.5 - x / 0.6), "r": weight * (0.5 + x / 0.6)}
+    moments = {"l": weight * y / (1 + ratio), "r": weight * y * ratio / (1 + ratio)}
+    for k, name in enumerate(run.wheels):
+        lever = 0.2 if name[1] == "f" else 0.3
+        sign = 1 if name[1] == "f" else -1
+        expected = (sides[name[0]] * lever + sign * moments[name[0]]) / 0.5 + 9.81
+        assert run["force_normal"][0, k] == pytest.approx(expected, abs=1e-4 * weight)
+
+
+STEERED = """\
+name = "coupled steering"
+frame = "paper"
+couple = { front = 1, rear = 2 }
+coordinates = [{ name = "rock", kind = "suspension" }, { name = "s", kind = "commanded" },
+    { name = "t", kind = "commanded" }]
+joints = [{ name = "axle", parent = "platform", axis = "y", at = [0, 0.4, 0], value = "rock" },
+    { name = "front", parent = "axle", axis = "z", value = "s" },
+    { name = "rear", parent = "platform", axis = "z", at = [0, -0.4, 0], value = "t" }]
+wheels = [{ name = "fl", parent = "front", at = [-0.3, 0, 0], radius = 0.1, driven = true },
+    { name = "fr", parent = "front", at = [0.3, 0, 0], radius = 0.1, driven = true },
+    { name = "rl", parent = "rear", at = [-0.3, 0, 0], radius = 0.1, driven = true },
+    { name = "rr", parent = "rear", at = [0.3, 0, 0], radius = 0.1, driven = true }]
+"""
+
+
+def test_commands_are_met_with_coupled_steering(tmp_path):
+    """The axles meet in the centre of the turn: tan s / (tan s + tan(s/2)) is that of the front."""
+    path = tmp_path / "steered.toml"
+    path.write_text(STEERED)
+    vehicle = read_vehicle(path)
+    direct = direct_kinematics(vehicle, FLAT)
+    dae = inverse_kinematics(vehicle, FLAT, given=tuple(COMMANDS), exact=False)
+    assert [label.full for label in leaves(direct.labels.u)][-1] == "s_rate"
+    steer, forward = 0.3, 0.2
+    # both axles at right angles to the radius; the centre is ahead of the platform's by `ahead`
+    radius = 0.8 / (np.tan(steer) + np.tan(steer / 2))
+    ahead = 0.4 - radius * np.tan(steer)
+    yaw_rate = forward / radius
+    command = (forward, ahead * yaw_rate, yaw_rate)
+    inputs = dae.inputs(**dict(zip(COMMANDS, command, strict=True)))
+    start = trim_states(dae, settle(direct), inputs, states=["s"], least=["s_error"])
+    assert start["s"][0] == pytest.approx(steer, abs=1e-9)
+    run = simulate(dae, start, inputs, np.linspace(0, 1, 6))
+    assert run.stop is None
+    names = ("velocity_x", "velocity_y", "heading_rate")
+    assert max(round_trip(direct, run, names).values()) < 1e-9
+    assert_allclose(replay(direct, run)[0]["heading_rate"], yaw_rate, rtol=0, atol=1e-8)
+    assert np.abs(run["slip_across"]).max() < 1e-9
+
+
+def test_a_chain_of_mimics_is_a_formula(tmp_path):
+    """``first`` follows ``second``, which follows ``third``; in a vehicle file it is a value."""
+    more = {
+        "first": '<mimic joint="second" multiplier="-2" offset="0.1"/>',
+        "second": '<mimic joint="third" multiplier="0.5" offset="0.2"/>',
+        "third": "",
+    }
+    limit = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+    parts, at = "", {"first": 0.4, "second": 0.0, "third": -0.4}
+    for name, x in at.items():
+        parts += link(f"{name}_arm")
+        parts += joint(
+            name, "revolute", "base", f"{name}_arm", f"{x} 0 0", "0 0 1", more=limit + more[name]
+        )
+        parts += wheel(f"{name}_left", "0 0.3 0", parent=f"{name}_arm")
+        parts += wheel(f"{name}_right", "0 -0.3 0", parent=f"{name}_arm")
+    urdf = read_vehicle(
+        written(tmp_path, parts, 'forward = "x"\njoints = { third = "commanded" }\n')
+    )
+    path = tmp_path / "same.toml"
+    head = (
+        'name = "same"\nframe = "rep103"\ncoordinates = [{ name = "third", kind = "commanded" }]\n'
+    )
+    values = {"first": "-2*(0.5*third + 0.2) + 0.1", "second": "0.5*third + 0.2", "third": "third"}
+    joints = ", ".join(
+        f'{{ name = "{name}", parent = "platform", axis = "z", at = [{x}, 0, 0], '
+        f'value = "{values[name]}" }}'
+        for name, x in at.items()
+    )
+    wheels = ", ".join(
+        f'{{ name = "{name}_{side}", parent = "{name}", at = [0, {y}, 0], radius = 0.1 }}'
+        for name in at
+        for side, y in (("left", 0.3), ("right", -0.3))
+    )
+    path.write_text(f"{head}joints = [{joints}]\nwheels = [{wheels}]\n")
+    angle = ca.SX.sym("third")
+    for vehicle in (urdf, read_vehicle(path)):
+        assert [c.name for c in vehicle.coordinates] == ["third"]
+        poses = {each.name: each.pose({"third": angle}) for each in vehicle.joints}
+        for name, expected in (("third", 0.3), ("second", 0.35), ("first", -0.6)):
+            turned = ca.Function("turned", [angle], [poses[name].rotation])(0.3)
+            found = np.arctan2(float(turned[1, 0]), float(turned[0, 0]))
+            assert found == pytest.approx(expected, abs=1e-12)
