@@ -140,6 +140,27 @@ def test_bounds_of_derivatives_hold_and_are_not_wasteful(rng):
     assert_array_equal(ground.derivative_bounds(at, np.zeros(2), 0.1), np.hstack(each))
 
 
+def test_compiled_gaps_are_those_of_the_points(rng, monkeypatch):
+    """The evaluator of spline grounds finds the same gaps and points as numpy."""
+    model = direct_kinematics(three_wheeler(), rough_map(0.01))
+    check = model.checks[0]
+    centers = rng.uniform(-4, 4, (2, 40))
+    centers = np.vstack([centers, check.terrain.elevation(*centers)])
+    lift = rng.uniform(0.24, 0.31, 40)  # near the ground, and in it
+    turns = rng.uniform(-0.4, 0.4, 40)
+    axes = np.array(
+        [[np.cos(turns), 0 * turns, np.sin(turns)], [0 * turns, 1 + 0 * turns, 0 * turns]]
+    )
+    up = np.cross(axes[0], axes[1], axis=0)
+    center = centers - np.array([check.terrain.origin]).T + lift * np.array([[0.0], [0.0], [1.0]])
+    placed = np.vstack([center, *axes, up, np.array([[0.0], [0.0], [1.0]]) + 0 * up])
+    compiled = check.margin_at(placed)
+    monkeypatch.setattr(Bicubic, "smallest_gaps", lambda *_: None)
+    assert_allclose(check.margin_at(placed), compiled, atol=1e-13)
+    assert (compiled < 0).any()
+    assert np.isfinite(compiled[compiled > 0]).any()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("rms", [0.0003, 0.002])
 def test_certificate_by_curvature_agrees_with_that_by_points(rms, monkeypatch):

@@ -25,7 +25,7 @@ import numpy as np
 
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import lookup_function
-from slipfree.core.records import Array, Label, Mask, pack
+from slipfree.core.records import Array, Indices, Label, Mask, pack
 from slipfree.geometry.frame import Pose
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.sections import arc_lengths
@@ -105,34 +105,30 @@ class SecondContact:
         )
 
     def _nearest(self, center: Array, rotation: Array, normal: Array) -> tuple[Array, Array]:
-        points = self._surface(center, rotation, normal)
-        height = self.terrain.elevation(points[..., 0], points[..., 1])
-        gap = points[..., 2] - height
-        low = _second_minima(gap)
-        # points inside the ground count everywhere, also next to the contact point
-        touching = TOLERANCE * self.size
-        values = np.where(low | (gap < -touching), gap, np.inf)
-        for k, i, j in zip(*np.nonzero(low & (gap < self.wheel.radius / 10)), strict=True):
-            values[k, i, j] = _vertex(gap[k], i, j)
-        flat = values.reshape(len(values), -1)
-        best = flat.argmin(axis=1)
-        rows = np.arange(len(values))
-        return flat[rows, best] + touching, points.reshape(len(values), -1, 3)[rows, best]
+        middles, radii, spokes = self._tread(center, rotation, normal)
+        touching, near = TOLERANCE * self.size, self.wheel.radius / 10
+        compiled = getattr(self.terrain, "smallest_gaps", None)
+        found = None if compiled is None else compiled(middles, radii, spokes, touching, near)
+        gaps, index = found or _smallest_gaps(self.terrain, middles, radii, spokes, touching, near)
+        rim, across = np.divmod(index, radii.shape[1])
+        rows = np.arange(index.size)
+        points = middles[rows, across] + radii[rows, across, None] * spokes[rows, rim]
+        return gaps + touching, points + self.terrain.origin
 
-    def _surface(self, center: Array, rotation: Array, normal: Array) -> Array:
-        """Return points on the tread in map coordinates, shape (n, rim, section, 3) [m].
+    def _tread(self, center: Array, rotation: Array, normal: Array) -> tuple[Array, Array, Array]:
+        """Return points on the axles (n, section, 3) in local coordinates, radii, and spokes.
 
-        They form a grid around the rim and across the section.
+        Points of the tread are ``middles + radii * spokes``; radii have the shape (n, section), the
+        directions of spokes (n, rim, 3).
         """
         axes = rotation.T.reshape(-1, 3, 3)  # axle, forward, up; column by column
         down = -(axes @ normal.T[..., None])[..., 0]
         v = np.arctan2(down[:, 2], down[:, 1])[:, None] + RIM_ANGLES
         u_0 = np.arctan2(np.hypot(down[:, 1], down[:, 2]), down[:, 0])
-        along, rho = self.wheel.section.outline(self._angles(u_0))
+        along, radii = self.wheel.section.outline(self._angles(u_0))
         axle, forward, up = np.moveaxis(axes[:, None], 2, 0)
-        middles = center.T[:, None] + self.terrain.origin + along[..., None] * axle
         spokes = np.cos(v)[..., None] * forward + np.sin(v)[..., None] * up
-        return np.asarray(middles[:, None] + rho[:, None, :, None] * spokes[:, :, None])
+        return center.T[:, None] + along[..., None] * axle, radii, spokes
 
     def _angles(self, u_0: Array) -> Array:
         """Return points of the tread's section around ``u_0``, as angles of their normals [rad].
@@ -162,6 +158,22 @@ def second_contacts(
         function = lookup_function(q.lookups.lookups, "wheel", [pack(x), pack(z)], [placing])
         checks.append(SecondContact(q.terrain, wheel, function, placing, size))
     return tuple(checks)
+
+
+def _smallest_gaps(
+    terrain: Terrain, middles: Array, radii: Array, spokes: Array, touching: float, near: float
+) -> tuple[Array, Indices]:
+    """Return the smallest gaps of wheels, and the indices of their points (rim, section)."""
+    points = middles[:, None] + radii[:, None, :, None] * spokes[:, :, None] + terrain.origin
+    gap = points[..., 2] - terrain.elevation(points[..., 0], points[..., 1])
+    low = _second_minima(gap)
+    # points inside the ground count everywhere, also next to the contact point
+    values = np.where(low | (gap < -touching), gap, np.inf)
+    for k, i, j in zip(*np.nonzero(low & (gap < near)), strict=True):
+        values[k, i, j] = _vertex(gap[k], i, j)
+    flat = values.reshape(len(values), -1)
+    best = flat.argmin(axis=1)
+    return flat[np.arange(len(values)), best], best
 
 
 def _second_minima(gap: Array) -> Mask:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from slipfree.core.lookups import Cells, LookupTable
-from slipfree.core.records import Array
+from slipfree.core.records import Array, Indices
 from slipfree.terrain.base import (
     Friction,
     Grid,
@@ -28,7 +28,7 @@ from slipfree.terrain.kernel import Opened, register_ground
 
 KNOT_TOLERANCE = 1e-10  # points closer to a knot count as on it, in cells
 HOLE_CLEARANCE = 1 / 3  # smoothing shifts the zero of the distance by less, in cells
-TILE = 4  # side of a square with common bounds of the derivatives, in cells
+BLOCK = 128  # side of a block of cells whose bounds are computed together
 CHUNK = 8192  # points evaluated at once, so that temporary arrays stay in the cache
 CUBIC = tuple((m, n) for n in range(4) for m in range(4))  # orders of a cell's derivatives
 MAX_FOURFOLD_SIZE = 2**21  # larger tables of coefficients are stored once, not four times
@@ -189,6 +189,14 @@ class Bicubic:
             heights[part] = local_heights(flat_x[part] - x_0, flat_y[part] - y_0)
         return heights.reshape(x.shape) + z_0
 
+    def smallest_gaps(
+        self, middles: Array, radii: Array, spokes: Array, touching: float, near: float
+    ) -> tuple[Array, Indices] | None:
+        """Return `slipfree.terrain.kernel.Opened.smallest_gaps`; None without kernel."""
+        if self._kernel is None:
+            return None
+        return self._kernel.smallest_gaps(middles, radii, spokes, touching, near)
+
     def derivative_bounds(self, x: Array, y: Array, reach: float) -> tuple[Array, Array]:
         """Return upper bounds of the slope and of the curvature around points.
 
@@ -209,57 +217,52 @@ class Bicubic:
         -----
         A derivative of a B-spline is a B-spline of a lower degree. Its coefficients are difference
         quotients of the coefficients of the spline, and it lies between the smallest and the
-        largest of those that belong to a cell. Points in the same square of `TILE` cells share
-        their bounds, which are computed once.
+        largest of those that belong to a cell. Points of a cell share their bounds; those of a
+        block of cells are computed together, when the first of them is asked for.
         """
         inside = np.ones(x.size, dtype=bool)
-        squares = list[Array]()
+        cells = list[Array]()
         for axis, h, at in zip((self.grid.x, self.grid.y), self._spacing, (x, y), strict=True):
             inside &= (axis[0] <= at - reach) & (at + reach <= axis[-1])
-            squares.append((at - axis[0]) / (TILE * h))
-        i, j = (np.where(inside, at, 0.0).astype(int) for at in squares)
-        known = self._known_bounds[reach]
-        missing = inside & np.isnan(known[0, i, j])
-        for square in {*zip(i[missing].tolist(), j[missing].tolist(), strict=True)}:
-            known[:, *square] = self._square_bounds(*square, reach)
-        slope, curvature = np.where(inside, known[:, i, j], np.inf)
+            cells.append(np.clip(np.nan_to_num((at - axis[0]) / h), 0, axis.size - 2).astype(int))
+        (i, j), (slope, curvature) = cells, np.full((2, x.size), np.inf)
+        blocks = np.array([i // BLOCK, j // BLOCK])
+        for block in {*map(tuple, blocks[:, inside].T.tolist())}:
+            here = inside & (blocks == np.array([block]).T).all(axis=0)
+            key = *block, reach
+            if key not in self._known_bounds:
+                self._known_bounds[key] = self._block_bounds(*key)
+            place = i[here] - BLOCK * block[0], j[here] - BLOCK * block[1]
+            slope[here], curvature[here] = self._known_bounds[key][:, *place]
         return slope, curvature
 
-    def _square_bounds(self, i: int, j: int, reach: float) -> tuple[float, float]:
-        """Return the bounds of `derivative_bounds` for a square of cells."""
-        ranges = list[range]()
-        for k, h, count in zip((i, j), self._spacing, self._table.shape, strict=True):
-            more = math.ceil(reach / h) / TILE
-            last = (count - 3) // TILE
-            ranges.append(
-                range(max(0, math.floor(k - more)), min(last, math.floor(k + 1 + more)) + 1)
-            )
-        tiles = [self._tile_bounds(m, n) for m in ranges[0] for n in ranges[1]]
-        return max(tile[0] for tile in tiles), max(tile[1] for tile in tiles)
+    def _block_bounds(self, i: int, j: int, reach: float) -> Array:
+        """Return the bounds of `derivative_bounds` for the cells of a block."""
+        h_x, h_y = self._spacing
+        around = [math.ceil(reach / h) for h in (h_x, h_y)]
+        parts = list[Array]()
+        for k, n, count in zip((i, j), around, self._table.shape, strict=True):
+            cells = np.arange(BLOCK * k - n, min(BLOCK * (k + 1), count - 3) + n + 3)
+            parts.append(np.clip(cells, 0, count - 1))
+        table = 36 * self._table[np.ix_(*parts)]
+        along_x, along_y = np.diff(table, axis=0) / h_x, np.diff(table, axis=1) / h_y
 
-    def _tile_bounds(self, i: int, j: int) -> tuple[float, float]:
-        """Return the bounds of `derivative_bounds` for a square of cells; computed once."""
-        known = self._known_bounds[0.0]
-        if np.isnan(known[0, i, j]):
-            h_x, h_y = self._spacing
-            rows, columns = (slice(TILE * k, TILE * (k + 1) + 3) for k in (i, j))
-            part = 36 * self._table[rows, columns]
-            along_x, along_y = np.diff(part, axis=0) / h_x, np.diff(part, axis=1) / h_y
-            second = (
-                np.diff(along_x, axis=0) / h_x,
-                np.diff(along_y, axis=1) / h_y,
-                np.diff(along_x, axis=1) / h_y,
-            )
-            slopes = (np.abs(each).max(initial=0.0) for each in (along_x, along_y))
-            xx, yy, xy = (float(np.abs(each).max(initial=0.0)) for each in second)
-            known[:, i, j] = float(np.hypot(*slopes)), max(xx, yy) + xy
-        return known[0, i, j], known[1, i, j]
+        def largest(derivative: Array, orders: tuple[int, int]) -> Array:
+            """Return the largest magnitude in the cells around each cell."""
+            for axis, (n, order) in enumerate(zip(around, orders, strict=True)):
+                size = 2 * n + 4 - order
+                derivative = sliding_window_view(np.abs(derivative), size, axis).max(axis=-1)
+            return derivative
+
+        slope = np.hypot(largest(along_x, (1, 0)), largest(along_y, (0, 1)))
+        xx = largest(np.diff(along_x, axis=0) / h_x, (2, 0))
+        yy = largest(np.diff(along_y, axis=1) / h_y, (0, 2))
+        xy = largest(np.diff(along_x, axis=1) / h_y, (1, 1))
+        return np.array([slope, (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)])
 
     @cached_property
-    def _known_bounds(self) -> defaultdict[float, Array]:
-        """Bounds by reach, zero for squares without surroundings; NaN before they are needed."""
-        shape = 2, *(n // TILE + 1 for n in self._table.shape)
-        return defaultdict(lambda: np.full(shape, np.nan))
+    def _known_bounds(self) -> dict[tuple[int, int, float], Array]:
+        return {}
 
     @cached_property
     def _spacing(self) -> tuple[float, float]:

@@ -20,7 +20,7 @@
 #endif
 
 #define SLOTS 64
-#define LAYOUT 3 /* of the numbers below; kernel.py expects it */
+#define LAYOUT 4 /* of the numbers below; kernel.py expects it */
 #define ON_KNOT 1e-10 /* a point nearer to a knot than this, in cells, lies on it */
 
 typedef long long int casadi_int;
@@ -59,9 +59,14 @@ static void basis(double u, int order, double b[4][4]) {
   b[3][3] = 6;
 }
 
-/* fmin and fmax put NaN into a valid cell, whose polynomial then returns NaN. */
+/* NaN is in the first cell, whose polynomial then returns NaN. A cast is faster than floor. */
 static double cell(double a, double first, double last) {
-  return fmin(fmax(floor(a + ON_KNOT), -first), last - first);
+  double below;
+  a += ON_KNOT;
+  if (!(a > -first)) return -first;
+  if (a >= last - first) return last - first;
+  below = (double)(casadi_int)a;
+  return below > a ? below - 1 : below;
 }
 
 /* The first of the 16 coefficients of a cell, and its place in it. */
@@ -333,6 +338,59 @@ API void kernel_open(int slot, const double *table, casadi_int width, const doub
 API void kernel_heights(int slot, casadi_int n, const double *x, const double *y, double *heights) {
   casadi_int k;
   for (k = 0; k < n; k++) heights[k] = height(&grounds[slot], x[k], y[k]);
+}
+
+/* Drop of the vertex of a parabola through a gap and its two neighbours below the gap. */
+static double drop(double before, double at, double after) {
+  double slope = (after - before) / 2, bend = after - 2 * at + before;
+  return bend > 0 ? slope * slope / (2 * bend) : 0;
+}
+
+/* The smallest of the gaps (rim, across) of a wheel that are second minima, refined by parabolas, or
+ * inside the ground; `_nearest` of contact/certify.py does the same. */
+static double smallest_gap(const double *gap, casadi_int rim, casadi_int across, double touching,
+                           double near, casadi_int *index) {
+  double best = INFINITY;
+  casadi_int i, j, k, l, middle_i = rim / 2, middle_j = across / 2;
+  *index = 0;
+  for (i = 0; i < rim; i++)
+    for (j = 0; j < across; j++) {
+      const double *at = gap + i * across + j;
+      double value = *at;
+      int low = i < middle_i - 1 || i > middle_i + 1 || j < middle_j - 1 || j > middle_j + 1;
+      for (k = i ? -1 : 0; low && k <= (i < rim - 1); k++)
+        for (l = j ? -1 : 0; low && l <= (j < across - 1); l++) low = *at <= at[k * across + l];
+      if (!low && !(value < -touching)) continue;
+      if (low && value < near) {
+        if (i > 0 && i < rim - 1) value -= drop(at[-across], *at, at[across]);
+        if (j > 0 && j < across - 1) value -= drop(at[-1], *at, at[1]);
+      }
+      if (value < best) {
+        best = value;
+        *index = i * across + j;
+      }
+    }
+  return best;
+}
+
+/* For n wheels: the gap between points of their treads and the ground, and the smallest one of
+ * `smallest_gap`. Points are middles (n, across, 3) + radii (n, across) * spokes (n, rim, 3). */
+API void kernel_gaps(int slot, casadi_int n, casadi_int rim, casadi_int across, const double *middles,
+                     const double *radii, const double *spokes, double touching, double near,
+                     double *gap, double *best, casadi_int *index) {
+  casadi_int w, i, j;
+  for (w = 0; w < n; w++) {
+    for (i = 0; i < rim; i++) {
+      const double *spoke = spokes + 3 * (w * rim + i);
+      for (j = 0; j < across; j++) {
+        const double *middle = middles + 3 * (w * across + j);
+        double r = radii[w * across + j];
+        gap[i * across + j] = middle[2] + r * spoke[2]
+                              - height(&grounds[slot], middle[0] + r * spoke[0], middle[1] + r * spoke[1]);
+      }
+    }
+    best[w] = smallest_gap(gap, rim, across, touching, near, index + w);
+  }
 }
 
 #ifdef _WIN32

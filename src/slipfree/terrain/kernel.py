@@ -19,10 +19,10 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.lookups import Cells
-from slipfree.core.records import Array
+from slipfree.core.records import Array, Indices
 
 KEY_BITS = 52  # bits of integers that a double represents exactly
-LAYOUT = 3  # version of the arguments of `kernel.c`; libraries of other versions are not used
+LAYOUT = 4  # version of the arguments of `kernel.c`; libraries of other versions are not used
 
 
 class Opened(NamedTuple):
@@ -49,6 +49,34 @@ class Opened(NamedTuple):
         held = (_pointer(array) for array in (x, y, heights))
         self.library.kernel_heights(self.slot, ctypes.c_longlong(x.size), *held)
         return heights
+
+    def smallest_gaps(
+        self, middles: Array, radii: Array, spokes: Array, touching: float, near: float
+    ) -> tuple[Array, Indices]:
+        """Return the smallest gaps of n wheels and the indices of their points on the tread.
+
+        Parameters
+        ----------
+        middles : ndarray, shape (n, n_across, 3)
+            Points on the axles, in local coordinates. [m]
+        radii : ndarray, shape (n, n_across)
+            Distances of the points of the tread from the axle. [m]
+        spokes : ndarray, shape (n, n_rim, 3)
+            Unit vectors from the axle to points around the rim. [1]
+        touching, near : float
+            Penetration that counts as contact, and gap below which minima are refined. [m]
+        """
+        (n, across), rim = radii.shape, spokes.shape[1]
+        best, index = np.empty(n), np.empty(n, dtype=np.int64)
+        arrays = [np.ascontiguousarray(each) for each in (middles, radii, spokes)]
+        self.library.kernel_gaps(
+            self.slot,
+            *(ctypes.c_longlong(each) for each in (n, rim, across)),
+            *(_pointer(each) for each in arrays),
+            *(ctypes.c_double(each) for each in (touching, near)),
+            *(_pointer(each) for each in (np.empty(rim * across), best, index)),
+        )
+        return best, index
 
 
 def register_ground(cells: Cells) -> Opened | None:
@@ -96,5 +124,5 @@ def library() -> ctypes.CDLL | None:
     return None
 
 
-def _pointer(array: Array) -> ctypes.c_void_p:
+def _pointer(array: Array | Indices) -> ctypes.c_void_p:
     return array.ctypes.data_as(ctypes.c_void_p)
