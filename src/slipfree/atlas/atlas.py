@@ -377,21 +377,25 @@ def other_rests(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
         return count
     names = [label.name for label in leaves(dae.labels.x)]
     tilt = [names.index(name) for name in ("roll", "pitch")]
-    known = [states[tilt].copy()]
-    first = states.copy()
+    rests, is_stable = [states.copy()], np.zeros_like(solved)
     for turn in np.pi / 4 + np.pi / 2 * np.arange(4):
-        other = first[:, solved].copy()
+        other = rests[0].copy()
         other[tilt] += TILT * np.array([[np.cos(turn)], [np.sin(turn)]])
-        found = solve_positions(evaluate, other) & relax(evaluate, other)
-        inclination = np.full_like(known[0], np.nan)
-        inclination[:, solved] = np.where(found, other[tilt], np.nan)
-        apart = [np.hypot(*(inclination - each)) > SAME_REST for each in known]
-        new = np.logical_and.reduce([a | np.isnan(k[0]) for a, k in zip(apart, known, strict=True)])
-        new &= np.isfinite(inclination[0])
+        part = other[:, solved]
+        found = solve_positions(evaluate, part) & relax(evaluate, part)
+        other[:, solved] = np.where(found, part, np.nan)
+        apart = np.array([np.hypot(*(other[tilt] - each[tilt])) for each in rests])
+        is_stable |= apart[0] <= SAME_REST
+        new = ~(apart <= SAME_REST).any(axis=0) & np.isfinite(other[tilt[0]])
         count += new
-        known.append(np.where(new, inclination, np.nan))
-        steeper = new & (np.hypot(*inclination) > np.hypot(*states[tilt]))
-        states[:, steeper] = other[:, steeper[solved]]
+        rests.append(np.where(new, other, np.nan))
+    steepness = np.array([np.hypot(*each[tilt]) for each in rests])
+    balanced = ~is_stable & (count > 1)  # on an edge: the vehicle returns from no tilt
+    count -= balanced
+    steepness[0, balanced] = np.nan
+    worst = np.where(np.isnan(steepness), -1.0, steepness).argmax(axis=0)
+    for k, each in enumerate(rests[1:], start=1):
+        states[:, worst == k] = each[:, worst == k]
     return count
 
 

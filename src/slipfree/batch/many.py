@@ -206,7 +206,7 @@ def _newton(evaluate: Evaluator, states: Array, count: int, longest: float, ramp
         # a lane that is done keeps its result, whatever the others need
         part[p] = np.where(done, part[p], new)
         done |= (change < CONVERGED) & (slope == 1.0)
-        if done.mean() > 1 - GATHER or k == count - 1:
+        if done.sum() > (1 - GATHER) * done.size or k == count - 1:
             states[:, lanes], solved[lanes] = part, done
             lanes, part, done = lanes[~done], part[:, ~done], done[~done]
             if not lanes.size:
