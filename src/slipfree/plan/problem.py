@@ -140,7 +140,7 @@ def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
                 own = replace(label, name=f"{label.name}_limit", words=meaning)
                 yield _smooth_limit(Limit(own, expression, low - away, high - away))
                 is_known = True
-    for limit in dae.limits:
+    for limit in dae.all_limits:
         if name in (limit.label.name, limit.label.full):
             yield limit._replace(lower=max(low, limit.lower), upper=min(high, limit.upper))
             is_known = True

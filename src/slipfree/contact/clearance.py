@@ -1,0 +1,482 @@
+"""Clearance of the body: least distance of the shapes of a vehicle's bodies from the ground.
+
+The distance is that of the nearest pair of a point ``P`` of a shape and a point ``F`` of the
+ground. It is measured along the ground's unit normal ``n`` at ``F``, as ``(P - F) . n``, and is
+negative if the shape penetrates the ground. On a plane it follows from the support point of the
+shape. On other grounds the search has two stages.
+
+1. A grid of ground points under the shape and around it is compared by the distance from the
+   shape, which has a closed form. The grid finds ground that rises between the corners of a box.
+   Its spacing is that of the map, with at most `MAX_POINTS` points a side.
+2. From each local minimum of the grid that may become the least, Newton's method improves the point
+   of the shape and the foot of its perpendicular together. The point of a box moves in the
+   directions in which it is not at a bound; at the solution the ground's normal is perpendicular to
+   the edge or face on which the point lies.
+
+Between points with a spacing ``s``, the distance is lower than at the points by at most
+``k s^2 / 4``, with the largest curvature ``k`` of the ground. Minima within `SLACK` of the least
+are improved, which covers curvatures up to ``1 / s``.
+
+For planners the clearance is also an expression, with a coarse grid on the lowest face of each box
+and a single search by Newton's method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.contact.touch import Plane, jet_function, plane_of
+from slipfree.core.dae import Limit
+from slipfree.core.evaluation import evaluate
+from slipfree.core.lookups import LookupTable, lookup_function
+from slipfree.core.records import Array, Indices, Label
+from slipfree.geometry.frame import Pose, translation
+from slipfree.terrain.base import Jet, Terrain
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
+from slipfree.vehicle.tree import Vehicle
+
+STEPS = 8  # largest number of Newton steps of a sample
+MAX_POINTS = 25  # largest number of grid points a side
+USUAL_SPACING = 1 / 12  # spacing of the grid on a ground without nodes [longest edge]
+MAX_REACH = 0.3  # largest distance of the grid's border from the sides of a shape [m]
+SLACK = 0.25  # local minima of the grid may be lower by this [spacing]
+MAX_STARTS = 4  # number of points of a hull that are improved, those with the least vertical gaps
+CONVERGED = 1e-10  # largest change of a converged search [m]
+PLANNED_STEPS = 3  # number of Newton steps of the expression for planners
+PLANNED_POINTS = 5  # largest number of grid points a side, of the expression for planners
+MIN_CURVATURE = 1e-9  # smaller convexity along a face counts as none [1/m]
+MIN_DETERMINANT = 1e-2  # of the equations of a foot; a smaller one means several feet [1]
+CHUNK = 256  # number of samples evaluated together, which limits the memory
+CLEARANCE = Label("clearance_body", "m", "least distance of the vehicle's bodies from the ground")
+TOUCHES = "the body of the vehicle touches the ground (clearance)"
+
+
+class Nearest(NamedTuple):
+    """Nearest points of n samples: clearance (n,) [m], foot on the ground (n, 3) [m], and shape.
+
+    Feet are in map coordinates; ``shape`` is the index of the nearest shape, (n,).
+    """
+
+    gap: Array
+    foot: Array
+    shape: Indices
+
+
+@dataclass(frozen=True, eq=False)
+class BodyClearance:
+    """Clearance of the bodies of a vehicle, a check of samples.
+
+    ``shapes`` are the shapes with the names of their parts. ``pose`` maps ``x`` and ``z`` to
+    ``placing``: origin and rotation matrix (by columns) of the frame of each shape, 12 rows each,
+    in local coordinates. ``limit`` is the same condition as an expression.
+    """
+
+    terrain: Terrain
+    shapes: tuple[tuple[str, BodyShape], ...]
+    pose: ca.Function
+    placing: ca.SX
+    limit: Limit
+
+    @property
+    def label(self) -> Label:
+        """Name, unit and description of the clearance."""
+        return CLEARANCE
+
+    def margin(self, x: Array, z: Array) -> Array:
+        """Return the clearances for n columns of states ``x`` and unknowns ``z``, (n,) [m]."""
+        return self.nearest(x, z).gap
+
+    def margin_at(self, placed: Array) -> Array:
+        """Return the clearances at n values of ``placing``, (12 n_shapes, n), as `margin`."""
+        return self._search(placed).gap
+
+    def nearest(self, x: Array, z: Array) -> Nearest:
+        """Return the nearest points for n columns of states ``x`` and unknowns ``z``."""
+        return self._search(evaluate(self.pose, x, z)[0])
+
+    def describe(self, x: Array, z: Array) -> str:
+        """Return a message with the body that touches the ground, and the place on the map."""
+        at = self.nearest(x[:, None], z[:, None])
+        return (
+            f"{self.body_of(int(at.shape[0]))} touches the ground at ({at.foot[0, 0]:.3f}, "
+            f"{at.foot[0, 1]:.3f}) m; choose another path"
+        )
+
+    def body_of(self, shape: int) -> str:
+        """Return the name of the body of a shape, as the subject of a sentence."""
+        part = self.shapes[shape][0]
+        return f"the {part}" if part == "platform" else f"the body of joint {part!r}"
+
+    def _search(self, placed: Array) -> Nearest:
+        """Return the nearest points at n values of ``placing``."""
+        n, count = placed.shape[1], len(self.shapes)
+        blocks = placed.reshape(count, 12, n)
+        gaps, feet = np.empty((count, n)), np.empty((count, n, 3))
+        for k, (_, shape) in enumerate(self.shapes):
+            for start in range(0, n, CHUNK):
+                part = slice(start, start + CHUNK)
+                center, columns = blocks[k, :3, part], blocks[k, 3:, part]
+                if self._plane is not None:
+                    found = evaluate(_plane_function(shape, self._plane), center, columns)
+                    gaps[k, part], feet[k, part] = found[0][0], found[1].T
+                else:
+                    axes = columns.T.reshape(-1, 3, 3).transpose(0, 2, 1)
+                    gaps[k, part], feet[k, part] = self._nearest(shape, center.T, axes)
+        shape_of, samples = gaps.argmin(axis=0), np.arange(n)
+        foot = feet[shape_of, samples] + np.array(self.terrain.origin)
+        return Nearest(gaps[shape_of, samples], foot, shape_of)
+
+    @cached_property
+    def _plane(self) -> Plane | None:
+        return plane_of(self.terrain)
+
+    @cached_property
+    def _jet(self) -> ca.Function:
+        return jet_function(self.terrain)
+
+    def _nearest(self, shape: BodyShape, center: Array, axes: Array) -> tuple[Array, Array]:
+        """Return clearances (n,) and feet (n, 3) of a shape at local positions and axes (n, 3, 3).
+
+        The columns of the axes are unit vectors.
+        """
+        if isinstance(shape, Hull):
+            starts = self._hull_starts(shape, center, axes)
+        else:
+            axes, half = _upright(shape, axes)
+            starts = self._grid_starts(center, axes, half)
+        gap, foot = starts.gap.copy(), starts.foot.copy()
+        gaps, feet = self._improved(starts, center, axes)
+        for row in np.argsort(-gaps):  # the least is written last
+            sample = starts.sample[row]
+            if gaps[row] <= gap[sample]:
+                gap[sample], foot[sample] = gaps[row], feet[row]
+        return gap - (shape.radius if isinstance(shape, Ball) else 0.0), foot
+
+    def _heights(self, x: Array, y: Array) -> Array:
+        """Return the local heights at local points [m]."""
+        x_0, y_0, z_0 = self.terrain.origin
+        return self.terrain.elevation(x + x_0, y + y_0) - z_0
+
+    def _grid_starts(self, center: Array, axes: Array, half: Array) -> _Starts:
+        """Return the local minima of the distance between a box and a grid of ground points.
+
+        ``half`` (n, 3) is half the edges, zero for a ball.
+        """
+        n = len(center)
+        below = -np.sign(axes[:, 2, 2]) * half[:, 2]
+        lowest = center[:, 2] - (np.abs(axes[:, 2]) * half).sum(axis=1)
+        height = lowest - self._heights(center[:, 0], center[:, 1])
+        spacing = (
+            max(self.terrain.grid.spacing)
+            if isinstance(self.terrain, Bicubic)
+            else USUAL_SPACING * 2 * max(half.max(), MAX_REACH)
+        )
+        reach = half[:, :2] + (spacing + np.clip(height, 0.0, MAX_REACH))[:, None]
+        counts = [min(MAX_POINTS, 2 + int(2 * reach[:, k].max() / spacing)) for k in (0, 1)]
+        u, v = (np.linspace(-1, 1, count) for count in counts)
+        local = np.empty((n, u.size, v.size, 3))
+        local[..., 0] = reach[:, 0, None, None] * u[:, None]
+        local[..., 1] = reach[:, 1, None, None] * v
+        local[..., 2] = below[:, None, None]
+        ground = np.einsum("nij,nuvj->nuvi", axes, local) + center[:, None, None]
+        ground[..., 2] = self._heights(ground[..., 0], ground[..., 1])
+        seen = np.einsum("nji,nuvj->nuvi", axes, ground - center[:, None, None])
+        edges = half[:, None, None]
+        beyond = np.abs(seen) - edges
+        distance = np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(-1), 0)
+        flat = distance.reshape(n, -1)
+        best, samples = flat.argmin(axis=1), np.arange(n)
+        gap = flat[samples, best]
+        near = distance <= (gap + SLACK * (2 * reach[:, 0] / u.size + spacing) / 2)[:, None, None]
+        sample, i, j = np.nonzero(_minima(distance) & near)
+        at = seen[sample, i, j]
+        start = np.clip(at, -half[sample], half[sample])
+        under = (np.abs(at[:, :2]) < half[sample, :2]).all(axis=1)
+        start[under, 2] = below[sample[under]]
+        steps = np.column_stack([2 * reach / (np.array(counts) - 1), half[:, 2]])
+        foot = ground.reshape(n, -1, 3)[samples, best]
+        return _Starts(gap, foot, sample, start, ground[sample, i, j, :2], half, steps)
+
+    def _hull_starts(self, shape: Hull, center: Array, axes: Array) -> _Starts:
+        """Return the points of a hull with the least vertical gaps."""
+        points = np.array(shape.points)
+        places = np.einsum("nij,pj->npi", axes, points) + center[:, None]
+        gaps = places[..., 2] - self._heights(places[..., 0], places[..., 1])
+        chosen = np.argsort(gaps, axis=1)[:, :MAX_STARTS]
+        sample = np.repeat(np.arange(len(center)), chosen.shape[1])
+        which = chosen.reshape(-1)
+        none = np.full(len(center), np.inf)
+        zero = np.zeros_like(center)
+        return _Starts(none, zero, sample, points[which], places[sample, which, :2], zero, zero)
+
+    def _improved(self, starts: _Starts, center: Array, axes: Array) -> tuple[Array, Array]:
+        """Return distances (m,) and feet (m, 3) of the starts after steps of Newton's method."""
+        k = starts.sample
+        frame = np.column_stack([center[k], axes[k].transpose(0, 2, 1).reshape(-1, 9)]).T
+        bounds = np.column_stack([starts.half[k], starts.most[k]]).T
+        at, foot = starts.start.T.copy(), starts.spot.T.copy()
+        for _ in range(STEPS):
+            (jet,) = evaluate(self._jet, foot)
+            new_at, new_foot = evaluate(_STEP, jet, at, foot, frame, bounds)
+            change = max(np.abs(new_at - at).max(initial=0), np.abs(new_foot - foot).max(initial=0))
+            at, foot = new_at, new_foot
+            if change < CONVERGED:
+                break
+        (jet,) = evaluate(self._jet, foot)
+        ground = np.vstack([foot, jet[:1]]).T
+        away = center[k] + np.einsum("nij,nj->ni", axes[k], at.T) - ground
+        above = away[:, 2] - away[:, 0] * jet[1] - away[:, 1] * jet[2]
+        return np.copysign(np.linalg.norm(away, axis=1), above), ground
+
+
+class _Starts(NamedTuple):
+    """Starts of the search for the nearest points of one shape in n poses.
+
+    Least distance (n,) and ground point (n, 3) of the grid; of m starts the index of the pose, the
+    point of the shape in its axes (m, 3), and the ground point (m, 2); half the edges of the shape,
+    and the longest step along each (n, 3). [m]
+    """
+
+    gap: Array
+    foot: Array
+    sample: Indices
+    start: Array
+    spot: Array
+    half: Array
+    most: Array
+
+
+def _upright(shape: Box | Ball, axes: Array) -> tuple[Array, Array]:
+    """Return axes with the steepest one last, and half the edges along them, (n, 3)."""
+    if isinstance(shape, Ball):
+        return axes, np.zeros((len(axes), 3))
+    order = (np.abs(axes[:, 2]).argmax(axis=1)[:, None] + (1, 2, 3)) % 3
+    return np.take_along_axis(axes, order[:, None], axis=2), (np.array(shape.size) / 2)[order]
+
+
+def _minima(values: Array) -> Array:
+    """Return the mask of the local minima of each grid, (n, i, j); also at its border."""
+    padded = np.pad(values, ((0, 0), (1, 1), (1, 1)), constant_values=np.inf)
+    rows, columns = values.shape[1:]
+    low = np.ones(values.shape, dtype=bool)
+    for i in (0, 1, 2):
+        for j in (0, 1, 2):
+            low &= values <= padded[:, i : i + rows, j : j + columns]
+    return low
+
+
+def _newton_step(
+    jet: Jet, at: ca.SX, foot: ca.SX, frame: Pose, bounds: tuple[ca.SX, ca.SX] | None
+) -> tuple[ca.SX, ca.SX]:
+    """Return the next point of a shape, in its axes, and the next foot of its perpendicular.
+
+    ``jet`` is that of the ground at the foot; ``bounds`` are those of the coordinates of the point
+    and of their steps, None for a point that does not move.
+
+    With the tangents ``T`` and the normal ``N = (-h_x, -h_y, 1)``, the equations are
+    ``T' (P - F) = 0`` and, for each edge ``e`` along which the point is free, ``e . N = 0``.
+    """
+    height, gradient, hessian = jet
+    axes = frame.rotation
+    away = frame.origin + axes @ at - ca.vertcat(foot, height)
+    residual = away[:2] + away[2] * gradient
+    metric = ca.SX.eye(2) + gradient @ gradient.T
+    matrix = metric - away[2] * hessian
+    # in a hollow whose radius is smaller than the distance, the foot is a maximum of the distance
+    is_least = ca.logic_and(ca.det(matrix) > MIN_DETERMINANT, ca.trace(matrix) > 0)
+    inverse = _inverse(ca.if_else(is_least, matrix, metric))
+    if bounds is None:
+        return at, foot + inverse @ residual
+    half, most = bounds
+    along = axes[:2, :] + gradient @ axes[2, :]
+    slope = axes.T @ ca.vertcat(-gradient, 1)
+    turning = axes[:2, :].T @ hessian @ inverse
+    bend, wanted = -turning @ along, turning @ residual - slope
+    held = ca.logic_or(ca.logic_and(at <= -half, slope >= 0), ca.logic_and(at >= half, slope <= 0))
+    # along a concave direction the least distance is at a bound
+    free = ca.logic_and(ca.logic_not(held), ca.diag(bend) > MIN_CURVATURE)
+    solved = _free_solution(bend, wanted, free)
+    change = ca.if_else(free, solved, ca.if_else(held, 0, -ca.sign(slope) * most))
+    change = ca.fmin(ca.fmax(change, -most), most)
+    change = ca.fmin(ca.fmax(at + change, -half), half) - at
+    return at + change, foot + inverse @ (residual + along @ change)
+
+
+def _inverse(matrix: ca.SX) -> ca.SX:
+    """Return the inverse of a symmetric matrix, shape (2, 2)."""
+    a, b, c = matrix[0, 0], matrix[0, 1], matrix[1, 1]
+    return ca.blockcat([[c, -b], [-b, a]]) / (a * c - b**2)
+
+
+def _free_solution(matrix: ca.SX, right: ca.SX, free: ca.SX) -> ca.SX:
+    """Return the solution of a symmetric system (3, 3) in the rows and columns that are free.
+
+    It minimises a quadratic function; coupling is left out where the function is not convex.
+    """
+    rows = [ca.if_else(free[k], matrix[k, k], 1) for k in range(3)]
+    pairs = {
+        (i, j): ca.logic_and(free[i], free[j]) * matrix[i, j] for i, j in ((0, 1), (0, 2), (1, 2))
+    }
+    b, c, f = pairs[0, 1], pairs[0, 2], pairs[1, 2]
+    product = rows[0] * rows[1] * rows[2]
+    determinant = product + 2 * b * c * f - rows[0] * f**2 - rows[1] * c**2 - rows[2] * b**2
+    coupled = ca.logic_and(determinant > 1e-3 * product, rows[0] * rows[1] > b**2)
+    b, c, f = coupled * b, coupled * c, coupled * f
+    determinant = ca.if_else(coupled, determinant, product)
+    (a, d, e), (x, y, z) = rows, ca.vertsplit(ca.if_else(free, right, 0))
+    return (
+        ca.vertcat(
+            (d * e - f**2) * x + (c * f - b * e) * y + (b * f - c * d) * z,
+            (c * f - b * e) * x + (a * e - c**2) * y + (b * c - a * f) * z,
+            (b * f - c * d) * x + (b * c - a * f) * y + (a * d - b**2) * z,
+        )
+        / determinant
+    )
+
+
+def _step_function() -> ca.Function:
+    """Return `_newton_step` as a function of columns, as `BodyClearance` evaluates it."""
+    jet, at, foot, frame, bounds = (
+        ca.SX.sym(name, size)
+        for name, size in (("jet", 7), ("at", 3), ("foot", 2), ("frame", 12), ("bounds", 6))
+    )
+    step = _newton_step(
+        Jet(jet[0], jet[1:3], ca.reshape(jet[3:], 2, 2)),
+        at,
+        foot,
+        Pose(ca.reshape(frame[3:], 3, 3), frame[:3]),
+        (bounds[:3], bounds[3:]),
+    )
+    return ca.Function("step", [jet, at, foot, frame, bounds], [*step], {"cse": True})
+
+
+_STEP = _step_function()
+
+
+@cache
+def _plane_function(shape: BodyShape, plane: Plane) -> ca.Function:
+    """Return clearance and foot of a shape over a plane, as a function of origin and axes."""
+    center, columns = ca.SX.sym("center", 3), ca.SX.sym("columns", 9)
+    gap, foot = _plane_gap(shape, Pose(ca.reshape(columns, 3, 3), center), plane)
+    return ca.Function("plane", [center, columns], [gap, foot])
+
+
+def _plane_gap(shape: BodyShape, frame: Pose, plane: Plane) -> tuple[ca.SX, ca.SX]:
+    """Return the clearance of a shape from a plane, and the foot of its perpendicular."""
+    gradient = ca.SX(plane.gradient)
+    up, radius = ca.vertcat(-gradient, 1) / ca.sqrt(1 + ca.sumsqr(gradient)), 0.0
+    if isinstance(shape, Box):
+        side = ca.if_else(frame.rotation.T @ up > 0, -0.5, 0.5) * ca.DM(shape.size)
+        places = [frame.origin + frame.rotation @ side]
+    elif isinstance(shape, Ball):
+        places, radius = [frame.origin], shape.radius
+    else:
+        places = [frame.origin + frame.rotation @ ca.DM(point) for point in shape.points]
+    heights = [ca.dot(up, at) - up[2] * plane.height for at in places]
+    return _least([(h - radius, at - h * up) for h, at in zip(heights, places, strict=True)])
+
+
+def _least(gaps: Sequence[tuple[ca.SX, ca.SX]]) -> tuple[ca.SX, ca.SX]:
+    """Return the least of several clearances, and its foot."""
+    least, foot = gaps[0]
+    for gap, at in gaps[1:]:
+        foot = ca.if_else(gap < least, at, foot)
+        least = ca.fmin(gap, least)
+    return least, foot
+
+
+def _frame_of(shape: BodyShape, part: Pose) -> Pose:
+    """Return the frame of a shape: its axes and centre, or the part's frame for a hull."""
+    if isinstance(shape, Box):
+        return part @ shape.pose
+    return part @ translation(*shape.at) if isinstance(shape, Ball) else part
+
+
+def planned_gap(
+    shape: BodyShape, frame: Pose, terrain: Terrain, plane: Plane | None, lookups: LookupTable
+) -> ca.SX:
+    """Return the clearance of a shape as an expression, for planners [m].
+
+    Candidates are the centre of a ball, the points of a hull and a grid on the face of a box that
+    is lowest with the platform level. The one with the least vertical gap, times ``n_z`` of the
+    ground below, is improved by Newton's method.
+    """
+    if plane is not None:
+        return _plane_gap(shape, frame, plane)[0]
+    axes, points, bounds = frame.rotation, np.zeros((1, 3)), None
+    if isinstance(shape, Hull):
+        points = np.array(shape.points)
+    elif isinstance(shape, Box):
+        axes, points, bounds = _lowest_face(shape, frame, terrain)
+    start, least = ca.SX(ca.DM(points[0])), ca.SX(np.inf)
+    for point in points if len(points) > 1 else ():
+        place = frame.origin + axes @ ca.DM(point)
+        height, gradient, _ = terrain.jet(place[0], place[1], lookups)
+        gap = (place[2] - height) / ca.sqrt(1 + ca.sumsqr(gradient))
+        start = ca.if_else(gap < least, ca.DM(point), start)
+        least = ca.fmin(gap, least)
+    at, foot = start, (frame.origin + axes @ start)[:2]
+    for _ in range(PLANNED_STEPS):
+        jet = terrain.jet(foot[0], foot[1], lookups)
+        at, foot = _newton_step(jet, at, foot, Pose(axes, frame.origin), bounds)
+    height, gradient, _ = terrain.jet(foot[0], foot[1], lookups)
+    normal = ca.vertcat(-gradient, 1) / ca.sqrt(1 + ca.sumsqr(gradient))
+    away = frame.origin + axes @ at - ca.vertcat(foot, height)
+    return ca.dot(away, normal) - (shape.radius if isinstance(shape, Ball) else 0.0)
+
+
+def _lowest_face(
+    shape: Box, frame: Pose, terrain: Terrain
+) -> tuple[ca.SX, Array, tuple[ca.SX, ca.SX]]:
+    """Return the axes of a box, the steepest last, a grid on its lowest face, and its bounds."""
+    rest = np.array(ca.evalf(shape.pose.rotation))
+    order = (np.abs(rest[2]).argmax() + np.arange(1, 4)) % 3
+    half = np.array(shape.size)[order] / 2
+    spacing = max(terrain.grid.spacing) if isinstance(terrain, Bicubic) else 0.0
+    counts = [
+        int(min(PLANNED_POINTS, 1 + np.ceil(2 * half[k] / spacing))) if spacing else PLANNED_POINTS
+        for k in (0, 1)
+    ]
+    u, v = (np.linspace(-half[k], half[k], counts[k]) for k in (0, 1))
+    below = -np.sign(rest[2, order[2]]) * half[2]
+    points = np.array([(a, b, below) for a in u for b in v])
+    steps = [2 * half[k] / (counts[k] - 1) for k in (0, 1)]
+    bounds = ca.SX(ca.DM(half)), ca.SX(ca.DM([*steps, half[2]]))
+    return frame.rotation[:, order.tolist()], points, bounds
+
+
+def body_clearance(
+    vehicle: Vehicle,
+    parts: Mapping[str, Pose],
+    terrain: Terrain,
+    lookups: LookupTable,
+    symbols: tuple[ca.SX, ca.SX],
+) -> tuple[BodyClearance, ...]:
+    """Return the clearance of a vehicle's bodies as a check; none without shapes.
+
+    ``parts`` are the poses of the parts by name, ``symbols`` the states and unknowns of the model.
+    A vehicle with parameters has no checks.
+    """
+    shapes = tuple((name, shape) for name, body in vehicle.bodies for shape in body.shapes)
+    if not shapes or vehicle.nominal:
+        return ()
+    frames = [_frame_of(shape, parts[name]) for name, shape in shapes]
+    plane, table = plane_of(terrain), lookups.lookups
+    placing = ca.densify(
+        ca.vertcat(*(ca.vertcat(each.origin, ca.vec(each.rotation)) for each in frames))
+    )
+    gaps = (
+        planned_gap(shape, frame, terrain, plane, lookups)
+        for (_, shape), frame in zip(shapes, frames, strict=True)
+    )
+    least = ca.mmin(ca.vertcat(*gaps))
+    limit = Limit(replace(CLEARANCE, words=TOUCHES), least, 0.0, np.inf)
+    pose = lookup_function(table, "shapes", [*symbols], [placing])
+    return (BodyClearance(terrain, shapes, pose, placing, limit),)
