@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 from typing import NamedTuple
 
 import casadi as ca
@@ -123,8 +123,8 @@ class BodyClearance:
             for start in range(0, n, CHUNK):
                 part = slice(start, start + CHUNK)
                 center, columns = blocks[k, :3, part], blocks[k, 3:, part]
-                if self._plane is not None:
-                    found = evaluate(_plane_function(shape, self._plane), center, columns)
+                if self._over_plane:
+                    found = evaluate(self._over_plane[k], center, columns)
                     gaps[k, part], feet[k, part] = found[0][0], found[1].T
                 else:
                     axes = columns.T.reshape(-1, 3, 3).transpose(0, 2, 1)
@@ -134,8 +134,11 @@ class BodyClearance:
         return Nearest(gaps[shape_of, samples], foot, shape_of)
 
     @cached_property
-    def _plane(self) -> Plane | None:
-        return plane_of(self.terrain)
+    def _over_plane(self) -> tuple[ca.Function, ...]:
+        """Clearance and foot of each shape as functions of origin and axes; none if not a plane."""
+        plane = plane_of(self.terrain)
+        shapes = (shape for _, shape in self.shapes)
+        return () if plane is None else tuple(_plane_function(shape, plane) for shape in shapes)
 
     @cached_property
     def _jet(self) -> ca.Function:
@@ -360,7 +363,6 @@ def _step_function() -> ca.Function:
 _STEP = _step_function()
 
 
-@cache
 def _plane_function(shape: BodyShape, plane: Plane) -> ca.Function:
     """Return clearance and foot of a shape over a plane, as a function of origin and axes."""
     center, columns = ca.SX.sym("center", 3), ca.SX.sym("columns", 9)

@@ -121,3 +121,4 @@ class Hull:
 
 
 BodyShape = Box | Ball | Hull
+SHAPES: dict[str, type[BodyShape]] = {"box": Box, "ball": Ball, "hull": Hull}
