@@ -48,11 +48,13 @@ USUAL_SPACING = 1 / 12  # spacing of the grid on a ground without nodes [longest
 MAX_REACH = 0.3  # largest distance of the grid's border from the sides of a shape [m]
 SLACK = 0.25  # local minima of the grid may be lower by this [spacing]
 MAX_STARTS = 4  # number of points of a hull that are improved, those with the least vertical gaps
+COARSE_POINTS = 16  # number of points a side of the grid under the vehicle
 CONVERGED = 1e-10  # largest change of a converged search [m]
 PLANNED_STEPS = 3  # number of Newton steps of the expression for planners
 PLANNED_POINTS = 5  # largest number of grid points a side, of the expression for planners
 MIN_CURVATURE = 1e-9  # smaller convexity along a face counts as none [1/m]
 MIN_DETERMINANT = 1e-2  # of the equations of a foot; a smaller one means several feet [1]
+ROOT_OFFSET = 1e-24  # keeps the derivatives of square roots finite [m2]
 CHUNK = 256  # number of samples evaluated together, which limits the memory
 CLEARANCE = Label("clearance_body", "m", "least distance of the vehicle's bodies from the ground")
 TOUCHES = "the body of the vehicle touches the ground (clearance)"
@@ -116,22 +118,42 @@ class BodyClearance:
 
     def _search(self, placed: Array) -> Nearest:
         """Return the nearest points at n values of ``placing``."""
-        n, count = placed.shape[1], len(self.shapes)
-        blocks = placed.reshape(count, 12, n)
-        gaps, feet = np.empty((count, n)), np.empty((count, n, 3))
-        for k, (_, shape) in enumerate(self.shapes):
-            for start in range(0, n, CHUNK):
-                part = slice(start, start + CHUNK)
-                center, columns = blocks[k, :3, part], blocks[k, 3:, part]
-                if self._over_plane:
-                    found = evaluate(self._over_plane[k], center, columns)
-                    gaps[k, part], feet[k, part] = found[0][0], found[1].T
-                else:
-                    axes = columns.T.reshape(-1, 3, 3).transpose(0, 2, 1)
-                    gaps[k, part], feet[k, part] = self._nearest(shape, center.T, axes)
-        shape_of, samples = gaps.argmin(axis=0), np.arange(n)
-        foot = feet[shape_of, samples] + np.array(self.terrain.origin)
-        return Nearest(gaps[shape_of, samples], foot, shape_of)
+        parts = (placed[:, k : k + CHUNK] for k in range(0, placed.shape[1], CHUNK))
+        found = [self._nearest(part.reshape(len(self.shapes), 12, -1)) for part in parts]
+        return Nearest(*(np.concatenate(each) for each in zip(*found, strict=True)))
+
+    def _nearest(self, placed: Array) -> Nearest:
+        """Return the nearest points for origins and axes of the shapes, (n_shapes, 12, n)."""
+        n = placed.shape[2]
+        gap, foot, nearest = np.full(n, np.inf), np.zeros((n, 3)), np.zeros(n, dtype=np.intp)
+        lowest = np.array([_lowest(s, at) for (_, s), at in zip(self.shapes, placed, strict=True)])
+        above = lowest if self._over_plane or len(lowest) == 1 else lowest - self._highest(placed)
+        for k in np.argsort(lowest.mean(axis=1)):
+            # a shape cannot be nearer than the height of its lowest point above all ground below
+            open_ = np.arange(n) if self._over_plane else np.flatnonzero(above[k] < gap)
+            if not open_.size:
+                continue
+            columns = placed[k][:, open_]
+            if self._over_plane:
+                gaps, feet = evaluate(self._over_plane[k], columns[:3], columns[3:])
+                gaps, feet = gaps[0], feet.T
+            else:
+                axes = columns[3:].T.reshape(-1, 3, 3).transpose(0, 2, 1)
+                gaps, feet = self._shape_gaps(self.shapes[k][1], columns[:3].T, axes)
+            closer = gaps < gap[open_]
+            chosen = open_[closer]
+            gap[chosen], foot[chosen], nearest[chosen] = gaps[closer], feet[closer], k
+        return Nearest(gap, foot + np.array(self.terrain.origin), nearest)
+
+    def _highest(self, placed: Array) -> Array:
+        """Return an upper bound of the height of the ground below and around the vehicle, (n,)."""
+        sizes = np.array([_radius(shape) for _, shape in self.shapes])[:, None, None] + MAX_REACH
+        low = (placed[:, :2] - sizes).min(axis=0)
+        side = (placed[:, :2] + sizes).max(axis=0) - low
+        steps = np.linspace(0, 1, COARSE_POINTS)[:, None]
+        x, y = (low[k] + side[k] * steps for k in (0, 1))
+        heights = self._heights(*np.broadcast_arrays(x[:, None], y))
+        return np.asarray(heights.max(axis=(0, 1)) + SLACK * side.max(axis=0) / (COARSE_POINTS - 1))
 
     @cached_property
     def _over_plane(self) -> tuple[ca.Function, ...]:
@@ -144,7 +166,7 @@ class BodyClearance:
     def _jet(self) -> ca.Function:
         return jet_function(self.terrain)
 
-    def _nearest(self, shape: BodyShape, center: Array, axes: Array) -> tuple[Array, Array]:
+    def _shape_gaps(self, shape: BodyShape, center: Array, axes: Array) -> tuple[Array, Array]:
         """Return clearances (n,) and feet (n, 3) of a shape at local positions and axes (n, 3, 3).
 
         The columns of the axes are unit vectors.
@@ -155,7 +177,7 @@ class BodyClearance:
             axes, half = _upright(shape, axes)
             starts = self._grid_starts(center, axes, half)
         gap, foot = starts.gap.copy(), starts.foot.copy()
-        gaps, feet = self._improved(starts, center, axes)
+        gaps, feet = self._improved(starts, axes)
         for row in np.argsort(-gaps):  # the least is written last
             sample = starts.sample[row]
             if gaps[row] <= gap[sample]:
@@ -175,37 +197,45 @@ class BodyClearance:
         n = len(center)
         below = -np.sign(axes[:, 2, 2]) * half[:, 2]
         lowest = center[:, 2] - (np.abs(axes[:, 2]) * half).sum(axis=1)
-        height = lowest - self._heights(center[:, 0], center[:, 1])
+        above = lowest - self._heights(center[:, 0], center[:, 1])
         spacing = (
             max(self.terrain.grid.spacing)
             if isinstance(self.terrain, Bicubic)
             else USUAL_SPACING * 2 * max(half.max(), MAX_REACH)
         )
-        reach = half[:, :2] + (spacing + np.clip(height, 0.0, MAX_REACH))[:, None]
+        reach = half[:, :2] + (spacing + np.clip(above, 0.0, MAX_REACH))[:, None]
         counts = [min(MAX_POINTS, 2 + int(2 * reach[:, k].max() / spacing)) for k in (0, 1)]
-        u, v = (np.linspace(-1, 1, count) for count in counts)
-        local = np.empty((n, u.size, v.size, 3))
-        local[..., 0] = reach[:, 0, None, None] * u[:, None]
-        local[..., 1] = reach[:, 1, None, None] * v
-        local[..., 2] = below[:, None, None]
-        ground = np.einsum("nij,nuvj->nuvi", axes, local) + center[:, None, None]
-        ground[..., 2] = self._heights(ground[..., 0], ground[..., 1])
-        seen = np.einsum("nji,nuvj->nuvi", axes, ground - center[:, None, None])
-        edges = half[:, None, None]
-        beyond = np.abs(seen) - edges
-        distance = np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(-1), 0)
+        u = reach[:, 0, None, None] * np.linspace(-1, 1, counts[0])[:, None]
+        v = reach[:, 1, None, None] * np.linspace(-1, 1, counts[1])
+        x, y, z = (
+            (center[:, k] + below * axes[:, k, 2])[:, None, None]
+            + axes[:, k, 0, None, None] * u
+            + axes[:, k, 1, None, None] * v
+            for k in (0, 1, 2)
+        )
+        height = self._heights(x, y)
+        # ground points in the box's axes: those of the grid, moved vertically
+        seen = [
+            each + (height - z) * axes[:, 2, k, None, None]
+            for k, each in enumerate((u, v, below[:, None, None]))
+        ]
+        beyond = [np.abs(each) - half[:, k, None, None] for k, each in enumerate(seen)]
+        inside = np.maximum(np.maximum(beyond[0], beyond[1]), beyond[2])
+        distance = sum(np.maximum(each, 0) ** 2 for each in beyond)
+        distance = np.sqrt(distance) + np.minimum(inside, 0)
         flat = distance.reshape(n, -1)
         best, samples = flat.argmin(axis=1), np.arange(n)
         gap = flat[samples, best]
         near = distance <= (gap + SLACK * (2 * reach[:, 0] / u.size + spacing) / 2)[:, None, None]
         sample, i, j = np.nonzero(_minima(distance) & near)
-        at = seen[sample, i, j]
+        at = np.stack([each[sample, i, j] for each in seen], axis=1)
         start = np.clip(at, -half[sample], half[sample])
         under = (np.abs(at[:, :2]) < half[sample, :2]).all(axis=1)
         start[under, 2] = below[sample[under]]
         steps = np.column_stack([2 * reach / (np.array(counts) - 1), half[:, 2]])
-        foot = ground.reshape(n, -1, 3)[samples, best]
-        return _Starts(gap, foot, sample, start, ground[sample, i, j, :2], half, steps)
+        ground = np.stack([x, y, height], axis=-1).reshape(n, -1, 3)
+        spot = ground[sample, i * counts[1] + j, :2]
+        return _Starts(gap, ground[samples, best], sample, center[sample], start, spot, half, steps)
 
     def _hull_starts(self, shape: Hull, center: Array, axes: Array) -> _Starts:
         """Return the points of a hull with the least vertical gaps."""
@@ -214,42 +244,64 @@ class BodyClearance:
         gaps = places[..., 2] - self._heights(places[..., 0], places[..., 1])
         chosen = np.argsort(gaps, axis=1)[:, :MAX_STARTS]
         sample = np.repeat(np.arange(len(center)), chosen.shape[1])
-        which = chosen.reshape(-1)
-        none = np.full(len(center), np.inf)
-        zero = np.zeros_like(center)
-        return _Starts(none, zero, sample, points[which], places[sample, which, :2], zero, zero)
+        place = places[sample, chosen.reshape(-1)]
+        none, zero = np.full(len(center), np.inf), np.zeros_like(center)
+        start = np.zeros_like(place)
+        return _Starts(none, zero, sample, place, start, place[:, :2], zero, zero)
 
-    def _improved(self, starts: _Starts, center: Array, axes: Array) -> tuple[Array, Array]:
+    def _improved(self, starts: _Starts, axes: Array) -> tuple[Array, Array]:
         """Return distances (m,) and feet (m, 3) of the starts after steps of Newton's method."""
         k = starts.sample
-        frame = np.column_stack([center[k], axes[k].transpose(0, 2, 1).reshape(-1, 9)]).T
+        frame = np.column_stack([starts.center, axes[k].transpose(0, 2, 1).reshape(-1, 9)]).T
         bounds = np.column_stack([starts.half[k], starts.most[k]]).T
-        at, foot = starts.start.T.copy(), starts.spot.T.copy()
+        at, foot, left = starts.start.T.copy(), starts.spot.T.copy(), np.arange(k.size)
         for _ in range(STEPS):
-            (jet,) = evaluate(self._jet, foot)
-            new_at, new_foot = evaluate(_STEP, jet, at, foot, frame, bounds)
-            change = max(np.abs(new_at - at).max(initial=0), np.abs(new_foot - foot).max(initial=0))
-            at, foot = new_at, new_foot
-            if change < CONVERGED:
+            (jet,) = evaluate(self._jet, foot[:, left])
+            here = at[:, left], foot[:, left]
+            at[:, left], foot[:, left] = evaluate(
+                _STEP, jet, *here, frame[:, left], bounds[:, left]
+            )
+            change = np.abs(np.vstack([at[:, left] - here[0], foot[:, left] - here[1]]))
+            left = left[change.max(axis=0) > CONVERGED]
+            if not left.size:
                 break
         (jet,) = evaluate(self._jet, foot)
         ground = np.vstack([foot, jet[:1]]).T
-        away = center[k] + np.einsum("nij,nj->ni", axes[k], at.T) - ground
+        away = starts.center + np.einsum("nij,nj->ni", axes[k], at.T) - ground
         above = away[:, 2] - away[:, 0] * jet[1] - away[:, 1] * jet[2]
         return np.copysign(np.linalg.norm(away, axis=1), above), ground
+
+
+def _lowest(shape: BodyShape, placed: Array) -> Array:
+    """Return the height of the lowest point of a shape at origins and axes (12, n), (n,) [m]."""
+    up = placed[[5, 8, 11]]
+    if isinstance(shape, Hull):
+        return np.asarray(placed[2] + (np.array(shape.points) @ up).min(axis=0))
+    depth = shape.radius if isinstance(shape, Ball) else np.abs(up.T) @ shape.size / 2
+    return np.asarray(placed[2] - depth)
+
+
+def _radius(shape: BodyShape) -> float:
+    """Return the largest distance of a point of a shape from the origin of its frame [m]."""
+    if isinstance(shape, Ball):
+        return shape.radius
+    if isinstance(shape, Box):
+        return float(np.linalg.norm(shape.size)) / 2
+    return float(np.linalg.norm(shape.points, axis=1).max())
 
 
 class _Starts(NamedTuple):
     """Starts of the search for the nearest points of one shape in n poses.
 
     Least distance (n,) and ground point (n, 3) of the grid; of m starts the index of the pose, the
-    point of the shape in its axes (m, 3), and the ground point (m, 2); half the edges of the shape,
-    and the longest step along each (n, 3). [m]
+    centre of the box (m, 3), the point in its axes (m, 3), and the ground point (m, 2); half the
+    edges, and the longest step along each (n, 3). [m]
     """
 
     gap: Array
     foot: Array
     sample: Indices
+    center: Array
     start: Array
     spot: Array
     half: Array
@@ -295,8 +347,9 @@ def _newton_step(
     # in a hollow whose radius is smaller than the distance, the foot is a maximum of the distance
     is_least = ca.logic_and(ca.det(matrix) > MIN_DETERMINANT, ca.trace(matrix) > 0)
     inverse = _inverse(ca.if_else(is_least, matrix, metric))
+    farthest = ca.sqrt(ca.sumsqr(away) + ROOT_OFFSET)
     if bounds is None:
-        return at, foot + inverse @ residual
+        return at, foot + _limited(inverse @ residual, farthest)
     half, most = bounds
     along = axes[:2, :] + gradient @ axes[2, :]
     slope = axes.T @ ca.vertcat(-gradient, 1)
@@ -309,7 +362,13 @@ def _newton_step(
     change = ca.if_else(free, solved, ca.if_else(held, 0, -ca.sign(slope) * most))
     change = ca.fmin(ca.fmax(change, -most), most)
     change = ca.fmin(ca.fmax(at + change, -half), half) - at
-    return at + change, foot + inverse @ (residual + along @ change)
+    farthest += ca.sqrt(ca.sumsqr(change) + ROOT_OFFSET)
+    return at + change, foot + _limited(inverse @ (residual + along @ change), farthest)
+
+
+def _limited(step: ca.SX, most: ca.SX) -> ca.SX:
+    """Return a step, shortened to a length of at most ``most``."""
+    return step * ca.fmin(1, most / ca.sqrt(ca.sumsqr(step) + ROOT_OFFSET))
 
 
 def _inverse(matrix: ca.SX) -> ca.SX:
