@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from slipfree.files.urdf.collisions import BodyShapes
 from slipfree.files.urdf.joint_guesses import NO_WHEEL, Joints, KindGuess
 from slipfree.files.urdf.roles import NO_ROLES, JointRole, Roles, completed, coupled
 from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint, facing_forward
@@ -87,6 +88,7 @@ def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
     kept = _used_joints(wheels, findings)
     part_of = {tree.root: "platform"} | {joint.child: joint.name for joint in kept}
     kinds = Joints(tree, wheels.joints, wheels.balls, roles).kinds()
+    shapes = BodyShapes(tree, part_of, wheels.joints, wheels.ground)
     coordinates = _Coordinates(tree, roles, wheels.joints, kinds, findings)
     joints = tuple(
         Joint(
@@ -96,7 +98,7 @@ def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
             joint.at,
             coordinates.value(joint),
             "slide" if joint.type == "prismatic" else "turn",
-            _body(tree, joint.child),
+            _body(tree, joint.child, shapes),
             joint.turned,
         )
         for joint in kept
@@ -108,8 +110,8 @@ def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
         tuple(coordinates.known.values()),
         joints,
         tuple(wheel for wheel in built if wheel is not None),
-        _body(tree, tree.root),
-        tuple(findings.notes),
+        _body(tree, tree.root, shapes),
+        (*findings.notes, *shapes.notes),
         tuple(findings.guesses),
     )
 
@@ -207,9 +209,9 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
     wheels.add_notes()
 
 
-def _body(tree: Tree, name: str) -> Body:
+def _body(tree: Tree, name: str, shapes: BodyShapes) -> Body:
     link = tree.links[name]
-    return Body(link.mass or 0.0, link.center, link.inertia)
+    return Body(link.mass or 0.0, link.center, link.inertia, shapes.of.get(name, ()))
 
 
 class _Coordinates:
