@@ -75,13 +75,11 @@ class Nearest(NamedTuple):
 class BodyClearance:
     """Clearance of the bodies of a vehicle, a check of samples.
 
-    ``shapes`` are the shapes with the names of their parts. ``pose`` maps ``x`` and ``z`` to
-    ``placing``: origin and rotation matrix (by columns) of the frame of each shape, 12 rows each,
-    in local coordinates. ``limit`` is the same condition as an expression.
+    ``pose`` maps ``x`` and ``z`` to ``placing``, the argument of ``search``. ``limit`` is the same
+    condition as an expression.
     """
 
-    terrain: Terrain
-    shapes: tuple[tuple[str, BodyShape], ...]
+    search: NearestPoints
     pose: ca.Function
     placing: ca.SX
     limit: Limit
@@ -93,31 +91,38 @@ class BodyClearance:
 
     def margin(self, x: Array, z: Array) -> Array:
         """Return the clearances for n columns of states ``x`` and unknowns ``z``, (n,) [m]."""
-        return self.nearest(x, z).gap
+        return self.search(evaluate(self.pose, x, z)[0]).gap
 
     def margin_at(self, placed: Array) -> Array:
         """Return the clearances at n values of ``placing``, (12 n_shapes, n), as `margin`."""
-        return self._search(placed).gap
-
-    def nearest(self, x: Array, z: Array) -> Nearest:
-        """Return the nearest points for n columns of states ``x`` and unknowns ``z``."""
-        return self._search(evaluate(self.pose, x, z)[0])
+        return self.search(placed).gap
 
     def describe(self, x: Array, z: Array) -> str:
         """Return a message with the body that touches the ground, and the place on the map."""
-        at = self.nearest(x[:, None], z[:, None])
-        return (
-            f"{self.body_of(int(at.shape[0]))} touches the ground at ({at.foot[0, 0]:.3f}, "
-            f"{at.foot[0, 1]:.3f}) m; choose another path"
-        )
+        at = self.search(evaluate(self.pose, x[:, None], z[:, None])[0])
+        x_0, y_0, _ = at.foot[0]
+        body = self.search.body_of(int(at.shape[0]))
+        return f"{body} touches the ground at ({x_0:.3f}, {y_0:.3f}) m; choose another path"
+
+
+@dataclass(frozen=True, eq=False)
+class NearestPoints:
+    """Search for the nearest points of shapes and ground; ``shapes`` have names of their parts."""
+
+    terrain: Terrain
+    shapes: tuple[tuple[str, BodyShape], ...]
 
     def body_of(self, shape: int) -> str:
         """Return the name of the body of a shape, as the subject of a sentence."""
         part = self.shapes[shape][0]
         return f"the {part}" if part == "platform" else f"the body of joint {part!r}"
 
-    def _search(self, placed: Array) -> Nearest:
-        """Return the nearest points at n values of ``placing``."""
+    def __call__(self, placed: Array) -> Nearest:
+        """Return the nearest points in n poses.
+
+        Each column of ``placed`` (12 n_shapes, n) has origin and rotation matrix (by columns) of
+        the frame of each shape, in local coordinates.
+        """
         parts = (placed[:, k : k + CHUNK] for k in range(0, placed.shape[1], CHUNK))
         found = [self._nearest(part.reshape(len(self.shapes), 12, -1)) for part in parts]
         return Nearest(*(np.concatenate(each) for each in zip(*found, strict=True)))
@@ -453,7 +458,7 @@ def _least(gaps: Sequence[tuple[ca.SX, ca.SX]]) -> tuple[ca.SX, ca.SX]:
     return least, foot
 
 
-def _frame_of(shape: BodyShape, part: Pose) -> Pose:
+def frame_of(shape: BodyShape, part: Pose) -> Pose:
     """Return the frame of a shape: its axes and centre, or the part's frame for a hull."""
     if isinstance(shape, Box):
         return part @ shape.pose
@@ -525,10 +530,10 @@ def body_clearance(
     ``parts`` are the poses of the parts by name, ``symbols`` the states and unknowns of the model.
     A vehicle with parameters has no checks.
     """
-    shapes = tuple((name, shape) for name, body in vehicle.bodies for shape in body.shapes)
+    shapes = vehicle.shapes
     if not shapes or vehicle.nominal:
         return ()
-    frames = [_frame_of(shape, parts[name]) for name, shape in shapes]
+    frames = [frame_of(shape, parts[name]) for name, shape in shapes]
     plane, table = plane_of(terrain), lookups.lookups
     placing = ca.densify(
         ca.vertcat(*(ca.vertcat(each.origin, ca.vec(each.rotation)) for each in frames))
@@ -540,4 +545,4 @@ def body_clearance(
     least = ca.mmin(ca.vertcat(*gaps))
     limit = Limit(replace(CLEARANCE, words=TOUCHES), least, 0.0, np.inf)
     pose = lookup_function(table, "shapes", [*symbols], [placing])
-    return (BodyClearance(terrain, shapes, pose, placing, limit),)
+    return (BodyClearance(NearestPoints(terrain, shapes), pose, placing, limit),)

@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.contact.clearance import Nearest, NearestPoints, frame_of
 from slipfree.contact.closure import ContactFrame, without_rolling
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask, pack
@@ -16,6 +17,7 @@ from slipfree.geometry.frame import Pose, platform
 from slipfree.models.base import carriers, joint_rates, spins
 from slipfree.models.limits import UPRIGHT
 from slipfree.models.records import Configuration, Dependent, Inputs, Rates
+from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import HEIGHT_TOLERANCE, Prism
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -58,6 +60,24 @@ def part_poses(vehicle: Vehicle, run: Trajectory) -> FramePoses:
         return tuple(vehicle.parts(place, values).values())
 
     return _frame_poses(vehicle, run, parts)
+
+
+def nearest_points(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Nearest | None:
+    """Return the nearest points of bodies and ground at the samples; None without shapes.
+
+    Parameters and errors are those of `part_poses`, and the ground.
+    """
+    if not vehicle.shapes:
+        return None
+
+    def frames(place: Pose, values: Mapping[str, ca.SX]) -> Sequence[Pose]:
+        parts = vehicle.parts(place, values)
+        return tuple(frame_of(shape, parts[name]) for name, shape in vehicle.shapes)
+
+    origins, rotations = _frame_poses(vehicle, run, frames)
+    columns = rotations.transpose(0, 1, 3, 2).reshape(*origins.shape[:2], 9)
+    placed = np.concatenate([origins - np.array(terrain.origin), columns], axis=-1)
+    return NearestPoints(terrain, vehicle.shapes)(placed.reshape(run.t.size, -1).T)
 
 
 def wheel_poses(vehicle: Vehicle, run: Trajectory) -> FramePoses:

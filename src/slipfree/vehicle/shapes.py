@@ -47,6 +47,12 @@ class Box:
                 f"box: size: expected three positive edges, found {self.size} m; increase them"
             )
 
+    def __str__(self) -> str:
+        """Return edges, centre and orientation, for lists of parts."""
+        edges = " x ".join(f"{edge:.4g}" for edge in self.size)
+        turned = "" if self.turned == ORIGIN else f", turned {_listed(self.turned)} rad"
+        return f"box {edges} m at {_listed(self.at)} m{turned}"
+
     @property
     def pose(self) -> Pose:
         """Pose of the box's axes in the part's frame, with the origin at its centre."""
@@ -91,6 +97,10 @@ class Ball:
                 "correct it"
             )
 
+    def __str__(self) -> str:
+        """Return radius and centre, for lists of parts."""
+        return f"ball of radius {self.radius:.4g} m at {_listed(self.at)} m"
+
 
 @dataclass(frozen=True)
 class Hull:
@@ -118,6 +128,17 @@ class Hull:
             raise ModelError("hull: points: expected at least one point, found none; add points")
         for point in self.points:
             check_vector("hull: points", point)
+
+    def __str__(self) -> str:
+        """Return the number of points and their extent, for lists of parts."""
+        sides = ", ".join(
+            f"{min(side):.4g} to {max(side):.4g}" for side in zip(*self.points, strict=True)
+        )
+        return f"hull of {len(self.points)} points, ({sides}) m"
+
+
+def _listed(vector: Vector) -> str:
+    return f"({', '.join(f'{each:.4g}' for each in vector)})"
 
 
 BodyShape = Box | Ball | Hull

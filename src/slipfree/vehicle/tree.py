@@ -379,6 +379,11 @@ class Vehicle:
         return ("platform", self.body), *((joint.name, joint.body) for joint in self.joints)
 
     @property
+    def shapes(self) -> tuple[tuple[str, BodyShape], ...]:
+        """Shapes of all bodies, with the names of their parts."""
+        return tuple((name, shape) for name, body in self.bodies for shape in body.shapes)
+
+    @property
     def mass(self) -> float:
         """Total mass, wheels included [kg]."""
         return sum(body.mass for _, body in self.bodies) + sum(wheel.mass for wheel in self.wheels)
