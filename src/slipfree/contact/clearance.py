@@ -50,6 +50,7 @@ SLACK = 0.25  # local minima of the grid may be lower by this [spacing]
 MAX_STARTS = 4  # number of points of a hull that are improved, those with the least vertical gaps
 COARSE_POINTS = 16  # number of points a side of the grid under the vehicle
 CONVERGED = 1e-10  # largest change of a converged search [m]
+PLANNED_MARGIN = 1e-3  # clearance that planners keep, for the motion between their points [m]
 PLANNED_STEPS = 3  # number of Newton steps of the expression for planners
 PLANNED_POINTS = 5  # largest number of grid points a side, of the expression for planners
 MIN_CURVATURE = 1e-9  # smaller convexity along a face counts as none [1/m]
@@ -543,6 +544,6 @@ def body_clearance(
         for (_, shape), frame in zip(shapes, frames, strict=True)
     )
     least = ca.mmin(ca.vertcat(*gaps))
-    limit = Limit(replace(CLEARANCE, words=TOUCHES), least, 0.0, np.inf)
+    limit = Limit(replace(CLEARANCE, words=TOUCHES), least, PLANNED_MARGIN, np.inf)
     pose = lookup_function(table, "shapes", [*symbols], [placing])
     return (BodyClearance(NearestPoints(terrain, shapes), pose, placing, limit),)
