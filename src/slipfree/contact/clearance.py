@@ -42,7 +42,7 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
 from slipfree.vehicle.tree import Vehicle
 
-STEPS = 8  # largest number of Newton steps of a sample
+STEPS = 20  # largest number of Newton steps of a sample
 MAX_POINTS = 25  # largest number of grid points a side
 USUAL_SPACING = 1 / 12  # spacing of the grid on a ground without nodes [longest edge]
 MAX_REACH = 0.3  # largest distance of the grid's border from the sides of a shape [m]
@@ -54,6 +54,7 @@ PLANNED_MARGIN = 1e-3  # clearance that planners keep, for the motion between th
 PLANNED_STEPS = 3  # number of Newton steps of the expression for planners
 PLANNED_POINTS = 5  # largest number of grid points a side, of the expression for planners
 MIN_CURVATURE = 1e-9  # smaller convexity along a face counts as none [1/m]
+MIN_CONVEXITY = 1e-3  # determinant of a convex function [product of the diagonal]
 MIN_DETERMINANT = 1e-2  # of the equations of a foot; a smaller one means several feet [1]
 ROOT_OFFSET = 1e-24  # keeps the derivatives of square roots finite [m2]
 CHUNK = 256  # number of samples evaluated together, which limits the memory
@@ -402,7 +403,7 @@ def _inverse(matrix: ca.SX) -> ca.SX:
 def _free_solution(matrix: ca.SX, right: ca.SX, free: ca.SX) -> ca.SX:
     """Return the solution of a symmetric system (3, 3) in the rows and columns that are free.
 
-    It minimises a quadratic function; coupling is left out where the function is not convex.
+    It minimises a quadratic function, which is made convex if it is not.
     """
     rows = [ca.if_else(free[k], matrix[k, k], 1) for k in range(3)]
     pairs = {
@@ -411,9 +412,12 @@ def _free_solution(matrix: ca.SX, right: ca.SX, free: ca.SX) -> ca.SX:
     b, c, f = pairs[0, 1], pairs[0, 2], pairs[1, 2]
     product = rows[0] * rows[1] * rows[2]
     determinant = product + 2 * b * c * f - rows[0] * f**2 - rows[1] * c**2 - rows[2] * b**2
-    coupled = ca.logic_and(determinant > 1e-3 * product, rows[0] * rows[1] > b**2)
-    b, c, f = coupled * b, coupled * c, coupled * f
-    determinant = ca.if_else(coupled, determinant, product)
+    is_convex = ca.logic_and(determinant > MIN_CONVEXITY * product, rows[0] * rows[1] > b**2)
+    # a dominant diagonal makes the step descend: plain steps would converge to a saddle
+    sums = ca.fabs(b) + ca.fabs(c), ca.fabs(b) + ca.fabs(f), ca.fabs(c) + ca.fabs(f)
+    rows = [row + ca.if_else(is_convex, 0, add) for row, add in zip(rows, sums, strict=True)]
+    product = rows[0] * rows[1] * rows[2]
+    determinant = product + 2 * b * c * f - rows[0] * f**2 - rows[1] * c**2 - rows[2] * b**2
     (a, d, e), (x, y, z) = rows, ca.vertsplit(ca.if_else(free, right, 0))
     return (
         ca.vertcat(
