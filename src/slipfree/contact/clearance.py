@@ -23,9 +23,10 @@ and a single search by Newton's method.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import itemgetter
 from typing import NamedTuple
 
 import casadi as ca
@@ -351,12 +352,12 @@ def _minima(values: Array) -> Array:
 
 
 def _newton_step(
-    jet: Jet, at: ca.SX, foot: ca.SX, frame: Pose, bounds: tuple[ca.SX, ca.SX] | None
+    jet: Jet, at: ca.SX, foot: ca.SX, frame: Pose, bounds: tuple[ca.SX, ca.SX]
 ) -> tuple[ca.SX, ca.SX]:
-    """Return the next point of a shape, in its axes, and the next foot of its perpendicular.
+    """Return the next point of a box, in its axes, and the next foot of its perpendicular.
 
     ``jet`` is that of the ground at the foot; ``bounds`` are those of the coordinates of the point
-    and of their steps, None for a point that does not move.
+    and of their steps.
 
     With the tangents ``T`` and the normal ``N = (-h_x, -h_y, 1)``, the equations are
     ``T' (P - F) = 0`` and, for each edge ``e`` along which the point is free, ``e . N = 0``.
@@ -371,8 +372,6 @@ def _newton_step(
     is_least = ca.logic_and(ca.det(matrix) > MIN_DETERMINANT, ca.trace(matrix) > 0)
     inverse = _inverse(ca.if_else(is_least, matrix, metric))
     farthest = ca.sqrt(ca.sumsqr(away) + ROOT_OFFSET)
-    if bounds is None:
-        return at, foot + _limited(inverse @ residual, farthest)
     half, most = bounds
     along = axes[:2, :] + gradient @ axes[2, :]
     slope = axes.T @ ca.vertcat(-gradient, 1)
@@ -497,31 +496,44 @@ def planned_gap(
     """
     if plane is not None:
         return _plane_gap(shape, frame, plane)[0]
-    axes, points, bounds = frame.rotation, np.zeros((1, 3)), None
+    jet_at = _jet_of_expressions(terrain, lookups)
+    axes, points = frame.rotation, np.zeros((1, 3))
     if isinstance(shape, Hull):
-        points = np.array(shape.points)
+        points = np.array(sorted(shape.points, key=itemgetter(2))[: PLANNED_POINTS**2])
     elif isinstance(shape, Box):
         axes, points, bounds = _lowest_face(shape, frame, terrain)
     start, least = ca.SX(ca.DM(points[0])), ca.SX(np.inf)
     for point in points if len(points) > 1 else ():
         place = frame.origin + axes @ ca.DM(point)
-        height, gradient, _ = terrain.jet(place[0], place[1], lookups)
+        height, gradient, _ = jet_at(place[0], place[1])
         gap = (place[2] - height) / ca.sqrt(1 + ca.sumsqr(gradient))
         start = ca.if_else(gap < least, ca.DM(point), start)
         least = ca.fmin(gap, least)
-    at, foot = start, (frame.origin + axes @ start)[:2]
+    center, at = frame.origin, start
+    if not isinstance(shape, Box):  # the point does not move
+        center, at, bounds = center + axes @ start, ca.SX.zeros(3), np.zeros(6)
+    foot = (center + axes @ at)[:2]
     for _ in range(PLANNED_STEPS):
-        jet = terrain.jet(foot[0], foot[1], lookups)
-        at, foot = _newton_step(jet, at, foot, Pose(axes, frame.origin), bounds)
-    height, gradient, _ = terrain.jet(foot[0], foot[1], lookups)
+        height, gradient, hessian = jet_at(foot[0], foot[1])
+        jet = ca.vertcat(height, gradient, ca.vec(hessian))
+        at, foot = _STEP(jet, at, foot, ca.vertcat(center, ca.vec(axes)), bounds)
+    height, gradient, _ = jet_at(foot[0], foot[1])
     normal = ca.vertcat(-gradient, 1) / ca.sqrt(1 + ca.sumsqr(gradient))
-    away = frame.origin + axes @ at - ca.vertcat(foot, height)
+    away = center + axes @ at - ca.vertcat(foot, height)
     return ca.dot(away, normal) - (shape.radius if isinstance(shape, Ball) else 0.0)
 
 
-def _lowest_face(
-    shape: Box, frame: Pose, terrain: Terrain
-) -> tuple[ca.SX, Array, tuple[ca.SX, ca.SX]]:
+def _jet_of_expressions(terrain: Terrain, lookups: LookupTable) -> Callable[[ca.SX, ca.SX], Jet]:
+    """Return the jet of a ground as a function of expressions; `Terrain.jet` takes symbols."""
+    x, y, table = ca.SX.sym("x"), ca.SX.sym("y"), LookupTable()
+    jet = terrain.jet(x, y, table)
+    if table.lookups:  # polynomials, which take expressions
+        return lambda u, v: terrain.jet(u, v, lookups)
+    function = ca.Function("jet", [x, y], [ca.densify(each) for each in jet])
+    return lambda u, v: Jet(*function(u, v))
+
+
+def _lowest_face(shape: Box, frame: Pose, terrain: Terrain) -> tuple[ca.SX, Array, Array]:
     """Return the axes of a box, the steepest last, a grid on its lowest face, and its bounds."""
     rest = np.array(ca.evalf(shape.pose.rotation))
     order = (np.abs(rest[2]).argmax() + np.arange(1, 4)) % 3
@@ -535,7 +547,7 @@ def _lowest_face(
     below = -np.sign(rest[2, order[2]]) * half[2]
     points = np.array([(a, b, below) for a in u for b in v])
     steps = [2 * half[k] / (counts[k] - 1) for k in (0, 1)]
-    bounds = ca.SX(ca.DM(half)), ca.SX(ca.DM([*steps, half[2]]))
+    bounds = np.array([*half, *steps, half[2]])
     return frame.rotation[:, order.tolist()], points, bounds
 
 
