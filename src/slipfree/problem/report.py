@@ -25,12 +25,13 @@ from slipfree.geometry.frame import AXES, unit_vector
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.records import is_determinate
+from slipfree.models.samples import closest_fact
 from slipfree.problem.build_vehicle import is_vehicle_file, read_vehicle
 from slipfree.problem.inputs import STORED, digest
 from slipfree.problem.load import find_motion_verb, load_problem, verb_of
 from slipfree.problem.result import build, motion_facts, open_result
 from slipfree.problem.verbs.base import Lines, Result, outcome_fact, ranges
-from slipfree.problem.verbs.drive_facts import clearance_lines, closest_fact
+from slipfree.problem.verbs.drive_facts import clearance_lines
 from slipfree.show.html_page import Report
 from slipfree.show.plots import Plot
 from slipfree.solve.settle import settle

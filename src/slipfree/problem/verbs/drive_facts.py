@@ -7,19 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from slipfree.contact.clearance import NearestPoints
 from slipfree.core.facts import Fact, Facts
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory, path_length
-from slipfree.models.samples import has_pressed_wheels, lightest_wheel, nearest_points, rocks
+from slipfree.models.samples import CLOSEST, has_pressed_wheels, lightest_wheel, rocks
 from slipfree.models.single_wheel import RESERVE
 from slipfree.problem.verbs.base import FAILED_DIAGNOSTICS, Extremes, duration_fact
-from slipfree.terrain.base import Terrain
-from slipfree.vehicle.tree import Vehicle
 
 FORMULATION = "formulation"  # attribute of results of direct problems
 OBSTACLES = "obstacles"  # fact of motions over solids: their ending
-CLOSEST = "clearance_body_place"  # fact of vehicles with shapes: the body and place of the least
 FILLED = "filled_samples"  # fact of motions on a map with filled holes
 UNIQUE = ("clearance", "relative_curvature")  # not negative if every wheel has one contact point
 MAX_ROCKS = 5  # changes of the least loaded wheel that a summary lists
@@ -235,24 +231,6 @@ def start_lines(poses: Sequence[Trajectory]) -> Iterator[tuple[str, str]]:
             for pose in poses[1:]
         ]
         yield "other stable poses", "; ".join(others)
-
-
-def closest_fact(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> dict[str, Fact]:
-    """Return the body that comes closest to the ground in a motion, the place and the time."""
-    near = nearest_points(vehicle, terrain, run)
-    if near is None:
-        return {}
-    k = int(near.gap.argmin())
-    body = NearestPoints(terrain, vehicle.shapes).body_of(int(near.shape[k]))
-    x, y, z = near.foot[k].tolist()
-    when = f", t = {run.t[k]:.4g} s" if run.t.size > 1 else ""
-    words = f"{body} above ({x:.3f}, {y:.3f}) m{when}"
-    part = vehicle.shapes[int(near.shape[k])][0]
-    value = {"body": part, "x": x, "y": y, "z": z, "t": float(run.t[k])}
-    return {
-        "clearance_body_least": Fact(float(near.gap[k]), "m"),
-        CLOSEST: Fact(value, words=words),
-    }
 
 
 def clearance_lines(facts: Facts) -> Iterator[tuple[str, str]]:

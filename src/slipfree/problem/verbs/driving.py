@@ -22,7 +22,13 @@ from slipfree.geometry.mesh import Mesh
 from slipfree.laws.soil import Soil
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.records import is_determinate
-from slipfree.models.samples import has_pressed_wheels, obstacle_ending, wheel_poses
+from slipfree.models.samples import (
+    CLOSEST,
+    closest_fact,
+    has_pressed_wheels,
+    obstacle_ending,
+    wheel_poses,
+)
 from slipfree.models.single_wheel import RESERVE, drawbar_reserve
 from slipfree.problem.build import (
     Setup,
@@ -48,13 +54,11 @@ from slipfree.problem.verbs.base import (
 )
 from slipfree.problem.verbs.drive_facts import (
     CHECKS,
-    CLOSEST,
     FILLED,
     OBSTACLES,
     angle_lines,
     certificate,
     clearance_lines,
-    closest_fact,
     contact_lines,
     drive_facts,
     force_lines,
