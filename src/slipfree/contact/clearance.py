@@ -27,7 +27,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import itemgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -48,9 +48,10 @@ MAX_POINTS = 25  # largest number of grid points a side
 USUAL_SPACING = 1 / 12  # spacing of the grid on a ground without nodes [longest edge]
 MAX_REACH = 0.3  # largest distance of the grid's border from the sides of a shape [m]
 SLACK = 0.25  # local minima of the grid may be lower by this [spacing]
+STEEPEST = 0.3  # least ratio of the distance of a point to its vertical gap, on steep ground
 MAX_STARTS = 4  # number of points of a hull that are improved, those with the least vertical gaps
 COARSE_POINTS = 16  # number of points a side of the grid under the vehicle
-CONVERGED = 1e-10  # largest change of a converged search [m]
+CONVERGED = 1e-7  # largest change of a converged search, whose distance is far more exact [m]
 PLANNED_MARGIN = 1e-3  # clearance that planners keep, for the motion between their points [m]
 PLANNED_STEPS = 3  # number of Newton steps of the expression for planners
 PLANNED_POINTS = 5  # largest number of grid points a side, of the expression for planners
@@ -132,36 +133,60 @@ class NearestPoints:
 
     def _nearest(self, placed: Array) -> Nearest:
         """Return the nearest points for origins and axes of the shapes, (n_shapes, 12, n)."""
-        n = placed.shape[2]
-        gap, foot, nearest = np.full(n, np.inf), np.zeros((n, 3)), np.zeros(n, dtype=np.intp)
-        lowest = np.array([_lowest(s, at) for (_, s), at in zip(self.shapes, placed, strict=True)])
-        above = lowest if self._over_plane or len(lowest) == 1 else lowest - self._highest(placed)
-        for k in np.argsort(lowest.mean(axis=1)):
-            # a shape cannot be nearer than the height of its lowest point above all ground below
-            open_ = np.arange(n) if self._over_plane else np.flatnonzero(above[k] < gap)
-            if not open_.size:
-                continue
-            columns = placed[k][:, open_]
-            if self._over_plane:
-                gaps, feet = evaluate(self._over_plane[k], columns[:3], columns[3:])
-                gaps, feet = gaps[0], feet.T
-            else:
-                axes = columns[3:].T.reshape(-1, 3, 3).transpose(0, 2, 1)
-                gaps, feet = self._shape_gaps(self.shapes[k][1], columns[:3].T, axes)
-            closer = gaps < gap[open_]
-            chosen = open_[closer]
-            gap[chosen], foot[chosen], nearest[chosen] = gaps[closer], feet[closer], k
-        return Nearest(gap, foot + np.array(self.terrain.origin), nearest)
+        if self._over_plane:
+            pairs = [
+                evaluate(function, at[:3], at[3:])
+                for function, at in zip(self._over_plane, placed, strict=True)
+            ]
+            gaps, feet = (np.stack(each) for each in zip(*pairs, strict=True))
+            shape, pose = gaps[:, 0].argmin(axis=0), np.arange(placed.shape[2])
+            gap, foot = gaps[shape, 0, pose], feet[shape, :, pose]
+        else:
+            starts = self._starts(placed)
+            gaps, feet = self._improved(starts)
+            order = np.lexsort((gaps, starts.pose))  # the least of each pose first
+            _, first = np.unique(starts.pose[order], return_index=True)
+            rows = order[first]
+            gap, foot, shape = gaps[rows], feet[rows], starts.shape[rows]
+        return Nearest(gap, foot + np.array(self.terrain.origin), shape)
 
-    def _highest(self, placed: Array) -> Array:
-        """Return an upper bound of the height of the ground below and around the vehicle, (n,)."""
+    def _starts(self, placed: Array) -> _Starts:
+        """Return the starts of the search from which the least distance of a pose may come."""
+        n = placed.shape[2]
+        upper, rows = np.full(n, np.inf), list[_Starts]()
+        lowest = np.array([_lowest(s, at) for (_, s), at in zip(self.shapes, placed, strict=True)])
+        ground = self._coarse_ground(placed) if len(lowest) > 1 else None
+        for k in np.argsort(lowest.mean(axis=1)):
+            shape, open_ = self.shapes[k][1], np.arange(n)
+            if ground is not None:
+                # not nearer than the height of the lowest point above all ground within ``upper``
+                reach = _radius(shape) + upper
+                open_ = np.flatnonzero(lowest[k] - _highest(ground, placed[k, :2], reach) < upper)
+            if open_.size:
+                find = self._hull_starts if isinstance(shape, Hull) else self._grid_starts
+                least, starts = find(shape, placed[k][:, open_])
+                # depths in the axes of a box and vertical ones exceed those along the normal
+                upper[open_] = np.minimum(upper[open_], np.maximum(least, 0))
+                pose, own = open_[starts.pose], np.full(starts.pose.size, k)
+                rows.append(starts._replace(pose=pose, shape=own))
+        columns: list[Any] = [np.concatenate(each) for each in zip(*rows, strict=True)]
+        joined = _Starts(*columns)
+        needed = joined.low <= upper[joined.pose]
+        columns = [each[needed] for each in joined]
+        return _Starts(*columns)
+
+    def _coarse_ground(self, placed: Array) -> tuple[Array, Array, Array]:
+        """Return a coarse grid below and around the vehicle, with upper bounds of its heights.
+
+        Coordinates are of shape (m, n), heights of shape (m, m, n).
+        """
         sizes = np.array([_radius(shape) for _, shape in self.shapes])[:, None, None] + MAX_REACH
         low = (placed[:, :2] - sizes).min(axis=0)
         side = (placed[:, :2] + sizes).max(axis=0) - low
         steps = np.linspace(0, 1, COARSE_POINTS)[:, None]
         x, y = (low[k] + side[k] * steps for k in (0, 1))
         heights = self._heights(*np.broadcast_arrays(x[:, None], y))
-        return np.asarray(heights.max(axis=(0, 1)) + SLACK * side.max(axis=0) / (COARSE_POINTS - 1))
+        return x, y, heights + SLACK * side.max(axis=0) / (COARSE_POINTS - 1)
 
     @cached_property
     def _over_plane(self) -> tuple[ca.Function, ...]:
@@ -174,34 +199,19 @@ class NearestPoints:
     def _jet(self) -> ca.Function:
         return jet_function(self.terrain)
 
-    def _shape_gaps(self, shape: BodyShape, center: Array, axes: Array) -> tuple[Array, Array]:
-        """Return clearances (n,) and feet (n, 3) of a shape at local positions and axes (n, 3, 3).
-
-        The columns of the axes are unit vectors.
-        """
-        if isinstance(shape, Hull):
-            starts = self._hull_starts(shape, center, axes)
-        else:
-            axes, half = _upright(shape, axes)
-            starts = self._grid_starts(center, axes, half)
-        gap, foot = starts.gap.copy(), starts.foot.copy()
-        gaps, feet = self._improved(starts, axes)
-        for row in np.argsort(-gaps):  # the least is written last
-            sample = starts.sample[row]
-            if gaps[row] <= gap[sample]:
-                gap[sample], foot[sample] = gaps[row], feet[row]
-        return gap - (shape.radius if isinstance(shape, Ball) else 0.0), foot
-
     def _heights(self, x: Array, y: Array) -> Array:
         """Return the local heights at local points [m]."""
         x_0, y_0, z_0 = self.terrain.origin
         return self.terrain.elevation(x + x_0, y + y_0) - z_0
 
-    def _grid_starts(self, center: Array, axes: Array, half: Array) -> _Starts:
-        """Return the local minima of the distance between a box and a grid of ground points.
+    def _grid_starts(self, shape: Box | Ball, placed: Array) -> tuple[Array, _Starts]:
+        """Return the least distance of a shape from a grid of ground points, and local minima.
 
-        ``half`` (n, 3) is half the edges, zero for a ball.
+        ``placed`` are its origins and axes (12, n).
         """
+        center, axes = placed[:3].T, placed[3:].T.reshape(-1, 3, 3).transpose(0, 2, 1)
+        axes, half = _upright(shape, axes)
+        radius = shape.radius if isinstance(shape, Ball) else 0.0
         n = len(center)
         below = -np.sign(axes[:, 2, 2]) * half[:, 2]
         lowest = center[:, 2] - (np.abs(axes[:, 2]) * half).sum(axis=1)
@@ -231,38 +241,54 @@ class NearestPoints:
         inside = np.maximum(np.maximum(beyond[0], beyond[1]), beyond[2])
         distance = sum(np.maximum(each, 0) ** 2 for each in beyond)
         distance = np.sqrt(distance) + np.minimum(inside, 0)
-        flat = distance.reshape(n, -1)
-        best, samples = flat.argmin(axis=1), np.arange(n)
-        gap = flat[samples, best]
-        near = distance <= (gap + SLACK * (2 * reach[:, 0] / u.size + spacing) / 2)[:, None, None]
-        sample, i, j = np.nonzero(_minima(distance) & near)
-        at = np.stack([each[sample, i, j] for each in seen], axis=1)
-        start = np.clip(at, -half[sample], half[sample])
-        under = (np.abs(at[:, :2]) < half[sample, :2]).all(axis=1)
-        start[under, 2] = below[sample[under]]
+        slack = SLACK * (2 * reach[:, 0] / u.size + spacing) / 2
+        least = distance.reshape(n, -1).min(axis=1)
+        near = distance <= (least + slack)[:, None, None]
+        pose, i, j = np.nonzero(_minima(distance) & near)
+        at = np.stack([each[pose, i, j] for each in seen], axis=1)
+        start = np.clip(at, -half[pose], half[pose])
+        under = (np.abs(at[:, :2]) < half[pose, :2]).all(axis=1)
+        start[under, 2] = below[pose[under]]
         steps = np.column_stack([2 * reach / (np.array(counts) - 1), half[:, 2]])
-        ground = np.stack([x, y, height], axis=-1).reshape(n, -1, 3)
-        spot = ground[sample, i * counts[1] + j, :2]
-        return _Starts(gap, ground[samples, best], sample, center[sample], start, spot, half, steps)
+        starts = _Starts(
+            pose,
+            pose,
+            distance[pose, i, j] - slack[pose] - radius,
+            np.full(pose.size, radius),
+            start,
+            np.column_stack([x[pose, i, j], y[pose, i, j]]),
+            np.column_stack([center, axes.transpose(0, 2, 1).reshape(-1, 9)])[pose],
+            np.column_stack([half, steps])[pose],
+        )
+        return least - radius, starts
 
-    def _hull_starts(self, shape: Hull, center: Array, axes: Array) -> _Starts:
-        """Return the points of a hull with the least vertical gaps."""
-        points = np.array(shape.points)
-        places = np.einsum("nij,pj->npi", axes, points) + center[:, None]
+    def _hull_starts(self, shape: Hull, placed: Array) -> tuple[Array, _Starts]:
+        """Return the least vertical gap of a hull's points, and the points with the least gaps.
+
+        ``placed`` are its origins and axes (12, n).
+        """
+        axes, points = placed[3:].T.reshape(-1, 3, 3).transpose(0, 2, 1), np.array(shape.points)
+        places = np.einsum("nij,pj->npi", axes, points) + placed[:3].T[:, None]
         gaps = places[..., 2] - self._heights(places[..., 0], places[..., 1])
         chosen = np.argsort(gaps, axis=1)[:, :MAX_STARTS]
-        sample = np.repeat(np.arange(len(center)), chosen.shape[1])
-        place = places[sample, chosen.reshape(-1)]
-        none, zero = np.full(len(center), np.inf), np.zeros_like(center)
-        start = np.zeros_like(place)
-        return _Starts(none, zero, sample, place, start, place[:, :2], zero, zero)
+        pose, k = np.repeat(np.arange(len(gaps)), chosen.shape[1]), chosen.reshape(-1)
+        place, gap = places[pose, k], gaps[pose, k]
+        starts = _Starts(
+            pose,
+            pose,
+            np.where(gap > 0, STEEPEST * gap, gap),
+            np.zeros(pose.size),
+            np.zeros_like(place),
+            place[:, :2],
+            np.column_stack([place, placed[3:].T[pose]]),
+            np.zeros((pose.size, 6)),
+        )
+        return gaps.min(axis=1), starts
 
-    def _improved(self, starts: _Starts, axes: Array) -> tuple[Array, Array]:
-        """Return distances (m,) and feet (m, 3) of the starts after steps of Newton's method."""
-        k = starts.sample
-        frame = np.column_stack([starts.center, axes[k].transpose(0, 2, 1).reshape(-1, 9)]).T
-        bounds = np.column_stack([starts.half[k], starts.most[k]]).T
-        at, foot, left = starts.start.T.copy(), starts.spot.T.copy(), np.arange(k.size)
+    def _improved(self, starts: _Starts) -> tuple[Array, Array]:
+        """Return clearances (m,) and feet (m, 3) of the starts after steps of Newton's method."""
+        frame, bounds = starts.frame.T, starts.bounds.T
+        at, foot, left = starts.start.T.copy(), starts.spot.T.copy(), np.arange(starts.pose.size)
         for _ in range(STEPS):
             (jet,) = evaluate(self._jet, foot[:, left])
             here = at[:, left], foot[:, left]
@@ -274,10 +300,20 @@ class NearestPoints:
             if not left.size:
                 break
         (jet,) = evaluate(self._jet, foot)
-        ground = np.vstack([foot, jet[:1]]).T
-        away = starts.center + np.einsum("nij,nj->ni", axes[k], at.T) - ground
-        above = away[:, 2] - away[:, 0] * jet[1] - away[:, 1] * jet[2]
-        return np.copysign(np.linalg.norm(away, axis=1), above), ground
+        ground = np.vstack([foot, jet[:1]])
+        away = frame[:3] + (frame[3:].reshape(3, 3, -1) * at[:, None]).sum(axis=0) - ground
+        above = away[2] - away[0] * jet[1] - away[1] * jet[2]
+        return np.copysign(np.linalg.norm(away, axis=0), above) - starts.radius, ground.T
+
+
+def _highest(ground: tuple[Array, Array, Array], center: Array, reach: Array) -> Array:
+    """Return upper bounds of the heights of a coarse ground within a distance of a point, (n,)."""
+    x, y, heights = ground
+    near = [
+        np.abs(axis - at) <= reach + (axis[1] - axis[0])
+        for axis, at in zip((x, y), center, strict=True)
+    ]
+    return np.asarray(np.where(near[0][:, None] & near[1], heights, -np.inf).max(axis=(0, 1)))
 
 
 def _lowest(shape: BodyShape, placed: Array) -> Array:
@@ -315,21 +351,21 @@ def _radius(shape: BodyShape) -> float:
 
 
 class _Starts(NamedTuple):
-    """Starts of the search for the nearest points of one shape in n poses.
+    """Starts of m searches for the nearest points.
 
-    Least distance (n,) and ground point (n, 3) of the grid; of m starts the index of the pose, the
-    centre of the box (m, 3), the point in its axes (m, 3), and the ground point (m, 2); half the
-    edges, and the longest step along each (n, 3). [m]
+    Indices of pose and shape, a lower bound of the distance and the radius of a ball (m,), the
+    point of the box in its axes (m, 3), the ground point (m, 2), centre and axes by columns of the
+    box (m, 12), and half its edges with the longest steps along them (m, 6). [m]
     """
 
-    gap: Array
-    foot: Array
-    sample: Indices
-    center: Array
+    pose: Indices
+    shape: Indices
+    low: Array
+    radius: Array
     start: Array
     spot: Array
-    half: Array
-    most: Array
+    frame: Array
+    bounds: Array
 
 
 def _upright(shape: Box | Ball, axes: Array) -> tuple[Array, Array]:
