@@ -36,19 +36,25 @@ from slipfree.contact.touch import Plane, jet_function, plane_of
 from slipfree.core.dae import Limit
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import LookupTable, lookup_function
-from slipfree.core.records import Array, Indices, Label
+from slipfree.core.records import Array, Indices, Label, Mask
 from slipfree.geometry.frame import Pose, Vector, translation
 from slipfree.terrain.base import Jet, Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
 from slipfree.vehicle.tree import Vehicle
 
-STEPS = 20  # largest number of Newton steps of a sample
+STEPS = 4  # Newton steps between tests of convergence
+ROUNDS = 6  # largest number of such tests
 MAX_POINTS = 25  # largest number of grid points a side
 USUAL_SPACING = 1 / 12  # spacing of the grid on a ground without nodes [longest edge]
 MAX_REACH = 0.3  # largest distance of the grid's border from the sides of a shape [m]
 SLACK = 0.25  # local minima of the grid may be lower by this [spacing]
 STEEPEST = 0.3  # least ratio of the distance of a point to its vertical gap, on steep ground
+OUTSIDE = 3  # the same beside a shape, where the distance rises like a cone [slacks]
+SIMILAR = (
+    0.02  # corners whose gaps are larger than the least by at most this also start [least gap]
+)
+CORNERS = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])  # of the lowest face [half edges]
 MAX_STARTS = 4  # number of points of a hull that are improved, those with the least vertical gaps
 COARSE_POINTS = 16  # number of points a side of the grid under the vehicle
 CONVERGED = 1e-7  # largest change of a converged search, whose distance is far more exact [m]
@@ -171,7 +177,9 @@ class NearestPoints:
                 rows.append(starts._replace(pose=pose, shape=own))
         columns: list[Any] = [np.concatenate(each) for each in zip(*rows, strict=True)]
         joined = _Starts(*columns)
-        needed = joined.low <= upper[joined.pose]
+        lows = np.full(n, np.inf)
+        np.minimum.at(lows, joined.pose, joined.low)
+        needed = joined.low <= np.maximum(upper, lows)[joined.pose]
         columns = [each[needed] for each in joined]
         return _Starts(*columns)
 
@@ -196,8 +204,26 @@ class NearestPoints:
         return () if plane is None else tuple(_plane_function(shape, plane) for shape in shapes)
 
     @cached_property
-    def _jet(self) -> ca.Function:
-        return jet_function(self.terrain)
+    def _steps(self) -> ca.Function:
+        """Some steps of Newton's method, and the signed distance after them.
+
+        It maps the point, the foot, the frame and the bounds of `_STEP` to point, foot, the largest
+        change by the last step, the signed distance, and the ground point at the foot.
+        """
+        jet, sizes = jet_function(self.terrain), (3, 2, 12, 6)
+        inputs = [ca.MX.sym("given", size) for size in sizes]
+        at, foot, frame, bounds = inputs
+        before = ca.vertcat(at, foot)
+        for _ in range(STEPS):
+            before = ca.vertcat(at, foot)
+            at, foot = _STEP(jet(foot), at, foot, frame, bounds)
+        end = jet(foot)
+        ground = ca.vertcat(foot, end[0])
+        away = frame[:3] + ca.reshape(frame[3:], 3, 3) @ at - ground
+        above = away[2] - ca.dot(away[:2], end[1:3])
+        gap = ca.if_else(above < 0, -1, 1) * ca.norm_2(away)
+        change = ca.norm_inf(ca.vertcat(at, foot) - before)
+        return ca.Function("steps", inputs, [at, foot, change, gap, ground])
 
     def _heights(self, x: Array, y: Array) -> Array:
         """Return the local heights at local points [m]."""
@@ -241,26 +267,54 @@ class NearestPoints:
         inside = np.maximum(np.maximum(beyond[0], beyond[1]), beyond[2])
         distance = sum(np.maximum(each, 0) ** 2 for each in beyond)
         distance = np.sqrt(distance) + np.minimum(inside, 0)
-        slack = SLACK * (2 * reach[:, 0] / u.size + spacing) / 2
+        steps = 2 * reach / (np.array(counts) - 1)
+        slack = SLACK * steps.max(axis=1)
         least = distance.reshape(n, -1).min(axis=1)
-        near = distance <= (least + slack)[:, None, None]
-        pose, i, j = np.nonzero(_minima(distance) & near)
+        chosen = _minima(distance) & (distance <= (least + slack)[:, None, None])
+        slopes = (
+            np.abs(np.diff(height, axis=k + 1)).max(axis=(1, 2)) / steps[:, k] for k in (0, 1)
+        )
+        upright = 1 / np.sqrt(1 + sum(slope**2 for slope in slopes))  # least component n_z
+        own, corner, place, gap = self._low_corners(center, axes, half, below)
+        lowest_gap = np.full(n, np.inf)
+        np.minimum.at(lowest_gap, own, gap)
+        lone = ~_is_near(chosen, own, (corner[:, :2] + reach[own]) / steps[own])
+        own, corner, place, gap = own[lone], corner[lone], place[lone], gap[lone]
+        pose, i, j = np.nonzero(chosen)
         at = np.stack([each[pose, i, j] for each in seen], axis=1)
         start = np.clip(at, -half[pose], half[pose])
         under = (np.abs(at[:, :2]) < half[pose, :2]).all(axis=1)
         start[under, 2] = below[pose[under]]
-        steps = np.column_stack([2 * reach / (np.array(counts) - 1), half[:, 2]])
+        # beside the face the distance rises like a cone from its edge, faster than by curvature
+        low = distance[pose, i, j] - np.where(under, 1, OUTSIDE) * slack[pose]
+        spot = np.column_stack([x[pose, i, j], y[pose, i, j]])
+        pose = np.concatenate([pose, own])
         starts = _Starts(
             pose,
             pose,
-            distance[pose, i, j] - slack[pose] - radius,
+            np.concatenate([low, np.minimum(gap, upright[own] * gap)]) - radius,
             np.full(pose.size, radius),
-            start,
-            np.column_stack([x[pose, i, j], y[pose, i, j]]),
+            np.concatenate([start, corner]),
+            np.concatenate([spot, place]),
             np.column_stack([center, axes.transpose(0, 2, 1).reshape(-1, 9)])[pose],
-            np.column_stack([half, steps])[pose],
+            np.column_stack([half, steps, half[:, 2]])[pose],
         )
-        return least - radius, starts
+        return np.minimum(least, lowest_gap) - radius, starts
+
+    def _low_corners(
+        self, center: Array, axes: Array, half: Array, below: Array
+    ) -> tuple[Indices, Array, Array, Array]:
+        """Return the corners of the lowest face with almost the least vertical gaps.
+
+        Poses (m,), corners in the axes of the box (m, 3), horizontal positions (m, 2), gaps (m,).
+        """
+        signs = CORNERS[: 4 if half.any() else 1]
+        corners = np.stack([np.column_stack([a * half[:, :2], below]) for a in signs], axis=1)
+        places = np.einsum("nij,nkj->nki", axes, corners) + center[:, None]
+        gaps = places[..., 2] - self._heights(places[..., 0], places[..., 1])
+        least = gaps.min(axis=1, keepdims=True)
+        pose, k = np.nonzero(gaps <= least + SIMILAR * np.abs(least))
+        return pose, corners[pose, k], places[pose, k, :2], gaps[pose, k]
 
     def _hull_starts(self, shape: Hull, placed: Array) -> tuple[Array, _Starts]:
         """Return the least vertical gap of a hull's points, and the points with the least gaps.
@@ -287,23 +341,31 @@ class NearestPoints:
 
     def _improved(self, starts: _Starts) -> tuple[Array, Array]:
         """Return clearances (m,) and feet (m, 3) of the starts after steps of Newton's method."""
-        frame, bounds = starts.frame.T, starts.bounds.T
-        at, foot, left = starts.start.T.copy(), starts.spot.T.copy(), np.arange(starts.pose.size)
-        for _ in range(STEPS):
-            (jet,) = evaluate(self._jet, foot[:, left])
-            here = at[:, left], foot[:, left]
-            at[:, left], foot[:, left] = evaluate(
-                _STEP, jet, *here, frame[:, left], bounds[:, left]
+        fixed, left = (starts.frame.T, starts.bounds.T), np.arange(starts.pose.size)
+        at, foot = starts.start.T.copy(), starts.spot.T.copy()
+        gap, ground = np.empty(left.size), np.empty((3, left.size))
+        for _ in range(ROUNDS):
+            here = (each[:, left] for each in (at, foot, *fixed))
+            at[:, left], foot[:, left], change, gap[left], ground[:, left] = evaluate(
+                self._steps, *here
             )
-            change = np.abs(np.vstack([at[:, left] - here[0], foot[:, left] - here[1]]))
-            left = left[change.max(axis=0) > CONVERGED]
+            left = left[change[0] > CONVERGED]
             if not left.size:
                 break
-        (jet,) = evaluate(self._jet, foot)
-        ground = np.vstack([foot, jet[:1]])
-        away = frame[:3] + (frame[3:].reshape(3, 3, -1) * at[:, None]).sum(axis=0) - ground
-        above = away[2] - away[0] * jet[1] - away[1] * jet[2]
-        return np.copysign(np.linalg.norm(away, axis=0), above) - starts.radius, ground.T
+        return gap - starts.radius, ground.T
+
+
+def _is_near(chosen: Mask, pose: Indices, cell: Array) -> Mask:
+    """Return whether a chosen node of the grid of a pose is next to a point, in cells (m, 2)."""
+    found = np.zeros(pose.size, dtype=bool)
+    i, j = (
+        np.clip(np.rint(each).astype(np.intp), 1, count - 2)
+        for each, count in zip(cell.T, chosen.shape[1:], strict=True)
+    )
+    for a in (-1, 0, 1):
+        for b in (-1, 0, 1):
+            found |= chosen[pose, i + a, j + b]
+    return found
 
 
 def _highest(ground: tuple[Array, Array, Array], center: Array, reach: Array) -> Array:
