@@ -25,7 +25,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.catalog import rigid_skid_steer, rocky7, skid_steer, three_wheeler
-from slipfree.contact.clearance import NearestPoints
+from slipfree.contact.nearest_points import NearestPoints
 from slipfree.core.evaluation import evaluate
 from slipfree.core.records import leaves
 from slipfree.plan.plan import plan

@@ -8,8 +8,8 @@ from typing import Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.clearance import Nearest, NearestPoints, frame_of
 from slipfree.contact.closure import ContactFrame, without_rolling
+from slipfree.contact.nearest_points import Nearest, NearestPoints, frame_of
 from slipfree.core.errors import ModelError
 from slipfree.core.facts import Fact
 from slipfree.core.records import Array, Mask, pack

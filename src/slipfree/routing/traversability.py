@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slipfree.contact.clearance import lowest_point
+from slipfree.contact.nearest_points import lowest_point
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask
 from slipfree.geometry.frame import Pose
