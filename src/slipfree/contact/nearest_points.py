@@ -37,8 +37,9 @@ from slipfree.terrain.base import Jet, Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
 
-STEPS = 4  # Newton steps between tests of convergence
-ROUNDS = 6  # largest number of such tests
+STEPS = 2  # Newton steps between tests of convergence
+ROUNDS = 12  # largest number of such tests
+STILL_LOWER = 1.0  # a search may still reduce the distance by this [last change]
 MAX_POINTS = 25  # largest number of grid points a side
 USUAL_SPACING = 1 / 12  # spacing of the grid on a ground without nodes [longest edge]
 MAX_REACH = 0.3  # largest distance of the grid's border from the sides of a shape [m]
@@ -299,13 +300,17 @@ class NearestPoints:
         gap, ground = np.empty(left.size), np.empty((3, left.size))
         for _ in range(ROUNDS):
             here = (each[:, left] for each in (at, foot, *fixed))
-            at[:, left], foot[:, left], change, gap[left], ground[:, left] = evaluate(
+            at[:, left], foot[:, left], change, distance, ground[:, left] = evaluate(
                 self._steps, *here
             )
-            left = left[change[0] > CONVERGED]
+            gap[left] = distance[0] - starts.radius[left]
+            least = np.full(starts.pose.max() + 1, np.inf)
+            np.minimum.at(least, starts.pose, gap)
+            is_open = change[0] > CONVERGED
+            left = left[is_open & (gap[left] < least[starts.pose[left]] + STILL_LOWER * change[0])]
             if not left.size:
                 break
-        return gap - starts.radius, ground.T
+        return gap, ground.T
 
 
 def _is_near(chosen: Mask, pose: Indices, cell: Array) -> Mask:
