@@ -29,6 +29,7 @@ from slipfree.contact.nearest_points import NearestPoints
 from slipfree.core.evaluation import evaluate
 from slipfree.core.records import leaves
 from slipfree.plan.plan import plan
+from slipfree.plan.problem import costs_of
 from slipfree.routing.traversability import blocking_reasons, traversability
 from slipfree.vehicle.shapes import Ball, Box, Hull
 
@@ -298,6 +299,19 @@ def test_the_expression_for_planners_agrees_near_the_ground():
     moved = [at[0] + 1e-5 * np.eye(at[0].size)[1], at[0] - 1e-5 * np.eye(at[0].size)[1]]
     numeric = (float(f(moved[0], at[1])[0]) - float(f(moved[1], at[1])[0])) / 2e-5
     assert_allclose(float(f(*at)[1]), numeric, rtol=1e-5)
+
+
+def test_the_lack_of_clearance_has_a_cost():
+    """The cost by name is the inverse square, which has no pole."""
+    model = direct_kinematics(LOW, RIDGE)
+    (cost,) = costs_of(model, {"clearance_body": 2.0})
+    (distance,) = model.named("clearance_body")
+    x, z, _ = model.columns()
+    f = model.function("f", [x, z], [cost.expression, distance])
+    run = settle(model, y=-0.8)
+    value, clear = (float(each) for each in f(model.rows("x", run, 0), model.rows("z", run, 0)))
+    assert_allclose(value, 1 / (clear**2 + 1e-6))
+    assert_allclose(clear, run["clearance_body"][0], atol=1e-6)
 
 
 @pytest.mark.filterwarnings("ignore:equations are interpreted")
