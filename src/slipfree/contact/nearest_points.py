@@ -9,10 +9,10 @@ shape. On other grounds the search has two stages.
    shape, which has a closed form. The grid finds ground that rises between the corners of a box.
    Its spacing is that of the map, with at most `MAX_POINTS` points a side.
 2. From each local minimum of the grid that may become the least, and from the lowest corners of a
-   box or the lowest points of a hull, Newton's method improves the point
-   of the shape and the foot of its perpendicular together. The point of a box moves in the
-   directions in which it is not at a bound; at the solution the ground's normal is perpendicular to
-   the edge or face on which the point lies.
+   box or the lowest points of a hull, Newton's method improves the point of the shape and the foot
+   of its perpendicular together. The point of a box moves in the directions in which it is not at a
+   bound; at the solution the ground's normal is perpendicular to the edge or face on which the
+   point lies.
 
 Between points with a spacing ``s``, the distance is lower than at the points by at most
 ``k s^2 / 4``, with the largest curvature ``k`` of the ground. Minima within `SLACK` of the least
@@ -88,8 +88,8 @@ class NearestPoints:
         the frame of each shape, in local coordinates.
         """
         parts = (placed[:, k : k + CHUNK] for k in range(0, placed.shape[1], CHUNK))
-        found = [self._nearest(part.reshape(len(self.shapes), 12, -1)) for part in parts]
-        return Nearest(*(np.concatenate(each) for each in zip(*found, strict=True)))
+        nearest = [self._nearest(part.reshape(len(self.shapes), 12, -1)) for part in parts]
+        return Nearest(*(np.concatenate(each) for each in zip(*nearest, strict=True)))
 
     def _nearest(self, placed: Array) -> Nearest:
         """Return the nearest points for origins and axes of the shapes, (n_shapes, 12, n)."""
@@ -315,15 +315,15 @@ class NearestPoints:
 
 def _is_near(chosen: Mask, pose: Indices, cell: Array) -> Mask:
     """Return whether a chosen node of the grid of a pose is next to a point, in cells (m, 2)."""
-    found = np.zeros(pose.size, dtype=bool)
+    is_near = np.zeros(pose.size, dtype=bool)
     i, j = (
         np.clip(np.rint(each).astype(np.intp), 1, count - 2)
         for each, count in zip(cell.T, chosen.shape[1:], strict=True)
     )
     for a in (-1, 0, 1):
         for b in (-1, 0, 1):
-            found |= chosen[pose, i + a, j + b]
-    return found
+            is_near |= chosen[pose, i + a, j + b]
+    return is_near
 
 
 def _highest(ground: tuple[Array, Array, Array], center: Array, reach: Array) -> Array:

@@ -7,7 +7,7 @@ lower faces, so that a clearance finds ground that rises between the corners.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Mapping
 from itertools import product
 from pathlib import Path
 
@@ -30,73 +30,66 @@ CLEAR = 1e-3  # shapes closer to the level ground of the wheels are left out [m]
 SAME = 1e-6  # positions that coincide [m]
 
 
-class BodyShapes:
-    """Shapes of the bodies of a URDF that faces forward along x.
+def body_shapes(
+    tree: Tree, parts: Collection[str], wheels: Collection[UrdfJoint], ground: float
+) -> tuple[dict[str, tuple[BodyShape, ...]], list[str]]:
+    """Return the shapes of the bodies of a URDF that faces forward along x, and notes on them.
 
-    Attributes
-    ----------
-    of : dict of str to tuple of shapes
-        Shapes by the link whose part they belong to, in its frame.
-    notes : list of str
-        Notes on meshes that were reduced or not read, and on shapes that were left out.
+    The shapes are in the frame of the link, one of ``parts``, that they move with. ``wheels`` are
+    the joints of wheels, ``ground`` the height of level ground below them, with all joints at zero,
+    in the frame of the root [m].
     """
+    on_wheels = {j.child for wheel in wheels for j in [wheel, *tree.below(wheel.child)]}
+    links = [link for link in tree.links.values() if link.name not in on_wheels]
+    meshes = [each.mesh for link in links for each in link.collisions if each.mesh]
+    files, centers = MeshFiles(meshes, Path(tree.file).parent), _centers(tree, wheels)
+    parent = {joint.child: joint.parent for joint in tree.joints.values()}
+    shapes: dict[str, list[BodyShape]] = defaultdict(list)
+    touching, unread, reduced = list[str](), dict[str, str](), list[str]()
+    for link in links:
+        owner = link.name
+        while owner not in parts:
+            owner = parent[owner]
+        for collision in link.collisions:
+            try:
+                shape, reduction = _shape(collision, tree.frames[link.name][0], files)
+            except DataError as error:
+                unread[str(error)] = link.name
+                continue
+            placed = _placed(shape, *tree.frames[link.name])
+            if isinstance(placed, Ball) and np.abs(centers - placed.at).max(axis=1).min() < SAME:
+                continue  # the ball of a caster, which is a wheel
+            if _lowest(placed) < ground + CLEAR:
+                touching.append(link.name)
+                continue
+            reduced += [f"{link.name} {reduction}"] if reduction else []
+            rotation, origin = tree.frames[owner]
+            shapes[owner].append(_placed(placed, rotation.T, -rotation.T @ origin))
+    by_link = {owner: tuple(of_link) for owner, of_link in shapes.items()}
+    return by_link, [*_notes(touching, reduced, unread)]
 
-    def __init__(
-        self,
-        tree: Tree,
-        parts: Collection[str],
-        wheels: Collection[UrdfJoint],
-        ground: float,
-    ) -> None:
-        """Collect the shapes of the links of ``parts``.
 
-        ``wheels`` are the joints of wheels, ``ground`` the height of level ground below them, with
-        all joints at zero, in the frame of the root [m].
-        """
-        self.notes: list[str] = []
-        excluded = {j.child for wheel in wheels for j in [wheel, *tree.below(wheel.child)]}
-        centers = [tree.frames[wheel.child][1] for wheel in wheels]
-        links = [link for link in tree.links.values() if link.name not in excluded]
-        meshes = [each.mesh for link in links for each in link.collisions if each.mesh]
-        files = MeshFiles(meshes, Path(tree.file).parent)
-        parent = {joint.child: joint.parent for joint in tree.joints.values()}
-        of: dict[str, list[BodyShape]] = defaultdict(list)
-        touching, unread, reduced = list[str](), dict[str, str](), list[str]()
-        for link in links:
-            owner = link.name
-            while owner not in parts:
-                owner = parent[owner]
-            for collision in link.collisions:
-                try:
-                    shape, words = _shape(collision, tree.frames[link.name][0], files)
-                except DataError as error:
-                    unread[str(error)] = link.name
-                    continue
-                placed = _placed(shape, *tree.frames[link.name])
-                if isinstance(placed, Ball) and any(
-                    np.linalg.norm(np.subtract(placed.at, center)) < SAME for center in centers
-                ):
-                    continue  # the ball of a caster, which is a wheel
-                if _lowest(placed) < ground + CLEAR:
-                    touching.append(link.name)
-                    continue
-                if words:
-                    reduced.append(f"{link.name} {words}")
-                rotation, origin = tree.frames[owner]
-                of[owner].append(_placed(placed, rotation.T, -rotation.T @ origin))
-        self.of = {owner: tuple(shapes) for owner, shapes in of.items()}
-        if touching:
-            names = ", ".join(dict.fromkeys(touching))
-            self.notes.append(
-                f"collision shapes left out of the clearance, since they reach down to the ground "
-                f"of the wheels: {names}"
-            )
-        if reduced:
-            self.notes.append(f"collision shapes as points of hulls: {', '.join(reduced)}")
-        if unread:
-            (why, *more), names = unread, ", ".join(dict.fromkeys(unread.values()))
-            others = f" (and {len(more)} others)" if more else ""
-            self.notes.append(f"clearance without {names}: {why}{others}")
+def _centers(tree: Tree, wheels: Collection[UrdfJoint]) -> Array:
+    """Return the centres of wheels in the root's frame, (m, 3) [m]; a far point without any."""
+    centers = [tree.frames[wheel.child][1] for wheel in wheels]
+    return np.array(centers or [np.full(3, np.inf)])
+
+
+def _notes(
+    touching: Collection[str], reduced: Collection[str], unread: Mapping[str, str]
+) -> Iterator[str]:
+    """Yield the notes; ``unread`` are the links of meshes that are not read, by the reason."""
+    if touching:
+        yield (
+            "collision shapes left out of the clearance, since they reach down to the ground of "
+            f"the wheels: {', '.join(dict.fromkeys(touching))}"
+        )
+    if reduced:
+        yield f"collision shapes as points of hulls: {', '.join(reduced)}"
+    if unread:
+        why, *more = unread
+        others = f" (and {len(more)} others)" if more else ""
+        yield f"clearance without {', '.join(dict.fromkeys(unread.values()))}: {why}{others}"
 
 
 def _shape(collision: Collision, rotation: Array, files: MeshFiles) -> tuple[BodyShape, str]:
