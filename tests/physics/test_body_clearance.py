@@ -160,8 +160,8 @@ def test_clearance_is_that_of_dense_sampling(name, count):
     assert np.abs(values - exact).max() < TOLERANCE
 
 
-def level(*shapes, height=0.0, rotation=(0.0, 0.0, 0.0), ground=None):
-    """Clearance of shapes whose common frame has a height and a rotation."""
+def placing(*shapes, height, rotation, ground):
+    """Origins and axes of shapes whose common frame has a height and a rotation."""
     axes = Rotation.from_euler("xyz", rotation).as_matrix()
     frames = [
         (axes @ shape.at, axes @ Rotation.from_euler("xyz", shape.turned).as_matrix())
@@ -170,10 +170,15 @@ def level(*shapes, height=0.0, rotation=(0.0, 0.0, 0.0), ground=None):
         for shape in shapes
     ]
     columns = [[*(origin + np.array([0, 0, height])), *own.T.ravel()] for origin, own in frames]
-    placed = (
+    return (
         np.concatenate(columns)[:, None]
         - np.tile([*ground.origin, *np.zeros(9)], len(shapes))[:, None]
     )
+
+
+def level(*shapes, height=0.0, rotation=(0.0, 0.0, 0.0), ground=None):
+    """Nearest points of shapes whose common frame has a height and a rotation."""
+    placed = placing(*shapes, height=height, rotation=rotation, ground=ground)
     return NearestPoints(ground, tuple(("platform", shape) for shape in shapes))(placed)
 
 
@@ -224,6 +229,20 @@ def test_the_nearest_of_several_shapes_is_named():
     alone = level(Box((0.3, 0.3, 0.1)), height=0.4, ground=ground)
     assert both.shape.tolist() == [1]
     assert_allclose(both.gap, alone.gap, atol=1e-12)
+
+
+def test_quick_bounds_are_below_the_clearance():
+    """Where only contacts matter, bounds replace larger clearances, and never exceed them."""
+    shapes = Box((0.5, 0.7, 0.1)), Ball(0.1, (0.0, 0.5, 0.2))
+    (ground, _), rng, skipped = rough(), np.random.default_rng(1), 0
+    search = NearestPoints(ground, tuple(("platform", shape) for shape in shapes))
+    for _ in range(40):
+        rotation, height = rng.uniform(-0.2, 0.2, 3), rng.uniform(0.1, 0.6)
+        placed = placing(*shapes, height=height, rotation=rotation, ground=ground)
+        bound, gap = search.lower_bounds(placed, 0.05)[0], search(placed).gap[0]
+        assert bound <= min(gap, 0.05)
+        skipped += bound == 0.05
+    assert skipped > 10
 
 
 RIDGE = Bicubic(

@@ -28,6 +28,7 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
 from slipfree.vehicle.tree import Vehicle
 
+FAR = 0.06  # larger clearances need only a lower bound where only contacts matter [size]
 PLANNED_MARGIN = 1e-3  # clearance that planners keep, for the motion between their points [m]
 PLANNED_STEPS = 3  # number of Newton steps of the expression for planners
 PLANNED_POINTS = 5  # largest number of grid points a side, of the expression for planners
@@ -40,13 +41,14 @@ class BodyClearance:
     """Clearance of the bodies of a vehicle, a check of samples.
 
     ``pose`` maps ``x`` and ``z`` to ``placing``, the argument of ``search``. ``limit`` is the same
-    condition as an expression.
+    condition as an expression, ``size`` the typical length of the vehicle [m].
     """
 
     search: NearestPoints
     pose: ca.Function
     placing: ca.SX
     limit: Limit
+    size: float
 
     @property
     def label(self) -> Label:
@@ -58,8 +60,16 @@ class BodyClearance:
         return self.search(evaluate(self.pose, x, z)[0]).gap
 
     def margin_at(self, placed: Array) -> Array:
-        """Return the clearances at n values of ``placing``, (12 n_shapes, n), as `margin`."""
-        return self.search(placed).gap
+        """Return the clearances at n values of ``placing``, (12 n_shapes, n), or lower bounds.
+
+        Where quick lower bounds exceed `FAR`, they are returned: only contacts matter here.
+        """
+        far = FAR * self.size
+        margins = self.search.lower_bounds(placed, far)
+        near = np.flatnonzero(~(margins >= far))
+        if near.size:
+            margins[near] = self.search(placed[:, near]).gap
+        return margins
 
     def describe(self, x: Array, z: Array) -> str:
         """Return a message with the body that touches the ground, and the place on the map."""
@@ -141,10 +151,12 @@ def body_clearance(
     terrain: Terrain,
     lookups: LookupTable,
     symbols: tuple[ca.SX, ca.SX],
+    size: float,
 ) -> tuple[BodyClearance, ...]:
     """Return the clearance of a vehicle's bodies as a check; none without shapes.
 
-    ``parts`` are the poses of the parts by name, ``symbols`` the states and unknowns of the model.
+    ``parts`` are the poses of the parts by name, ``symbols`` the states and unknowns of the model,
+    ``size`` is its typical length [m].
     A vehicle with parameters has no checks.
     """
     shapes = vehicle.shapes
@@ -162,4 +174,4 @@ def body_clearance(
     least = ca.mmin(ca.vertcat(*gaps))
     limit = Limit(replace(CLEARANCE, words=TOUCHES), least, PLANNED_MARGIN, np.inf)
     pose = lookup_function(table, "shapes", [*symbols], [placing])
-    return (BodyClearance(NearestPoints(terrain, shapes), pose, placing, limit),)
+    return (BodyClearance(NearestPoints(terrain, shapes), pose, placing, limit, size),)

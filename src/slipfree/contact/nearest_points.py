@@ -21,6 +21,7 @@ are improved, which covers curvatures up to ``1 / s``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -50,6 +51,7 @@ SIMILAR = 0.02  # corners with gaps within this of the least also start [least g
 CORNERS = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])  # of the lowest face [half edges]
 MAX_STARTS = 4  # number of points of a hull that are improved, those with the least vertical gaps
 COARSE_POINTS = 16  # number of points a side of the grid under the vehicle
+BOUND_POINTS = 5  # the same for quick lower bounds
 CONVERGED = 1e-7  # largest change of a converged search, whose distance is far more exact [m]
 MIN_CURVATURE = 1e-9  # smaller convexity along a face counts as none [1/m]
 MIN_CONVEXITY = 1e-3  # determinant of a convex function [product of the diagonal]
@@ -91,6 +93,28 @@ class NearestPoints:
         nearest = [self._nearest(part.reshape(len(self.shapes), 12, -1)) for part in parts]
         return Nearest(*(np.concatenate(each) for each in zip(*nearest, strict=True)))
 
+    def lower_bounds(self, placed: Array, far: float) -> Array:
+        """Return quick lower bounds of clearances up to ``far``, (n,), minus infinity if unknown.
+
+        The heights of a coarse grid and the bound of the slope limit the height of the ground.
+        """
+        bounds = getattr(self.terrain, "derivative_bounds", None)
+        if bounds is None:
+            return np.full(placed.shape[1], -np.inf)
+        shapes = placed.reshape(len(self.shapes), 12, -1)
+        lowest = np.min(
+            [_lowest(shape, at) for (_, shape), at in zip(self.shapes, shapes, strict=True)], axis=0
+        )
+        x, y, heights = self._coarse_ground(shapes, BOUND_POINTS, far)
+        steps = [axis[1] - axis[0] for axis in (x, y)]
+        sides = [axis[-1] - axis[0] for axis in (x, y)]
+        reach = math.ceil(5 * max(side.max() for side in sides)) / 10  # few values, to be cached
+        x_0, y_0, _ = self.terrain.origin
+        middle = [axis.mean(axis=0) for axis in (x, y)]
+        slope, _ = bounds(middle[0] + x_0, middle[1] + y_0, reach)
+        highest = heights.max(axis=(0, 1)) + slope * np.hypot(*steps) / 2
+        return np.asarray(np.minimum(lowest - highest, far))
+
     def _nearest(self, placed: Array) -> Nearest:
         """Return the nearest points for origins and axes of the shapes, (n_shapes, 12, n)."""
         if self._over_plane:
@@ -115,7 +139,11 @@ class NearestPoints:
         n = placed.shape[2]
         upper, rows = np.full(n, np.inf), list[_Starts]()
         lowest = np.array([_lowest(s, at) for (_, s), at in zip(self.shapes, placed, strict=True)])
-        ground = self._coarse_ground(placed) if len(lowest) > 1 else None
+        ground = None
+        if len(lowest) > 1:
+            x, y, heights = self._coarse_ground(placed, COARSE_POINTS, MAX_REACH)
+            spacing = np.maximum(x[1] - x[0], y[1] - y[0])
+            ground = x, y, heights + SLACK * spacing
         for k in np.argsort(lowest.mean(axis=1)):
             shape, open_ = self.shapes[k][1], np.arange(n)
             if ground is not None:
@@ -137,18 +165,19 @@ class NearestPoints:
         columns = [each[needed] for each in joined]
         return _Starts(*columns)
 
-    def _coarse_ground(self, placed: Array) -> tuple[Array, Array, Array]:
-        """Return a coarse grid below and around the vehicle, with upper bounds of its heights.
+    def _coarse_ground(
+        self, placed: Array, count: int, margin: float
+    ) -> tuple[Array, Array, Array]:
+        """Return a grid below the vehicle and a margin around it, and the heights of its points.
 
-        Coordinates are of shape (m, n), heights of shape (m, m, n).
+        Coordinates are of shape (count, n), heights of shape (count, count, n).
         """
-        sizes = np.array([_radius(shape) for _, shape in self.shapes])[:, None, None] + MAX_REACH
+        sizes = np.array([_radius(shape) for _, shape in self.shapes])[:, None, None] + margin
         low = (placed[:, :2] - sizes).min(axis=0)
         side = (placed[:, :2] + sizes).max(axis=0) - low
-        steps = np.linspace(0, 1, COARSE_POINTS)[:, None]
+        steps = np.linspace(0, 1, count)[:, None]
         x, y = (low[k] + side[k] * steps for k in (0, 1))
-        heights = self._heights(*np.broadcast_arrays(x[:, None], y))
-        return x, y, heights + SLACK * side.max(axis=0) / (COARSE_POINTS - 1)
+        return x, y, self._heights(*np.broadcast_arrays(x[:, None], y))
 
     @cached_property
     def _over_plane(self) -> tuple[ca.Function, ...]:

@@ -99,7 +99,9 @@ def body_checks(q: Quantities, x: Any, z: Any) -> tuple[BodyClearance, ...]:
     place, position = q.x, q.position
     base = platform(place.x, place.y, position.z, place.heading, position.roll, position.pitch)
     parts = q.vehicle.parts(base, values_of(q.vehicle, place, position))
-    return body_clearance(q.vehicle, parts, q.terrain, q.lookups, (pack(x), pack(z)))
+    return body_clearance(
+        q.vehicle, parts, q.terrain, q.lookups, (pack(x), pack(z)), extent(q.vehicle)
+    )
 
 
 def level_heights(
