@@ -495,3 +495,60 @@ WHEELS, SWIVEL = "radius = 0.1\n", 'kind = "passive"'
 def test_wrong_inertia_and_drives_are_reported(old, line, words, tmp_path):
     found, _ = faults(tmp_path, LONG.replace(old, f"{old.rstrip()}\n{line}\n"))
     assert any(words in each for each in found), found
+
+
+SHAPED = """
+name = "cart"
+frame = "{frame}"
+shapes = [
+    {{ kind = "box", size = [{size}], at = [{at}], turned = [0, 0, "90 deg"] }},
+    {{ kind = "ball", radius = 0.05, at = [{ball}] }},
+    {{ kind = "hull", points = [[{at}], [{ball}]] }}]
+wheels = [
+    {{ name = "right", parent = "platform", at = [{right}], radius = 0.2, driven = true }},
+    {{ name = "left", parent = "platform", at = [{left}], radius = 0.2, driven = true }},
+    {{ name = "front", parent = "platform", at = [{front}], radius = 0.2 }}]
+"""
+
+
+def test_shapes_are_read_in_the_frame_of_the_file_and_written_back(tmp_path):
+    """A file in either frame has the same shapes; the box keeps its own axes."""
+    places = {
+        "at": (0.1, 0.3, 0.1),
+        "ball": (0.0, 0.1, 0.4),
+        "right": (0.4, 0, 0),
+        "left": (-0.4, 0, 0),
+        "front": (0, 0.7, 0),
+    }
+    ground, clear = Analytic(lambda x, y: 0.05 * x * y), []
+    for frame, turned in (("paper", tuple), ("rep103", rep103)):
+        texts = {name: ", ".join(map(str, turned(place))) for name, place in places.items()}
+        text = SHAPED.format(frame=frame, size="0.6, 0.2, 0.1", **texts)
+        vehicle = read(tmp_path, text)
+        run = settle(direct_kinematics(vehicle, ground), x=0.3, y=0.2, heading=0.4)
+        clear.append(run["clearance_body"][0])
+        again = read(tmp_path, vehicle_text(vehicle))
+        assert again.body.shapes == vehicle.body.shapes
+        box, ball, _ = vehicle.body.shapes
+        assert_allclose(box.at, places["at"], atol=1e-12)
+        assert_allclose(ball.at, places["ball"], atol=1e-12)
+    # the box's x axis is the y axis of either frame: forward, or to the left
+    assert len({round(value, 6) for value in clear}) == 2
+    text = SHAPED.format(frame="rep103", size="0.2, 0.6, 0.1", **texts)
+    run = settle(direct_kinematics(read(tmp_path, text), ground), x=0.3, y=0.2, heading=0.4)
+    assert_allclose(run["clearance_body"][0], clear[0], atol=1e-12)
+
+
+def test_errors_in_shapes_name_the_key_and_what_is_expected(tmp_path):
+    numbers = dict.fromkeys(("at", "ball", "right", "left", "front"), "0.1, 0.2, 0.3")
+    text = SHAPED.format(frame="paper", size="0.6, 0, 0.1", **numbers)
+    text = text.replace('"ball"', '"cube"').replace("points = [", "points = [], point = [")
+    with pytest.raises(VehicleError) as error:
+        read(tmp_path, text)
+    for words in (
+        "shapes[0].size[1]: expected a number greater than 0, found 0",
+        "shapes[1]: expected a table whose 'kind' is one of 'box', 'ball', 'hull'",
+        "shapes[2].points: expected",
+        "shapes[2].point: did you mean 'points'?",
+    ):
+        assert words in str(error.value)

@@ -25,11 +25,12 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Stop, Trajectory
 from slipfree.files import netcdf
-from slipfree.files.vehicle_toml import AnyWheelTable, VehicleTable
+from slipfree.files.vehicle_toml import AnyShapeTable, AnyWheelTable, VehicleTable
 from slipfree.problem.build_vehicle import UrdfTable
 from slipfree.problem.load import VERBS
 from slipfree.problem.schema import CommonKeys
 from slipfree.vehicle.sections import SECTIONS
+from slipfree.vehicle.shapes import SHAPES
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "tests" / "data"
@@ -150,6 +151,9 @@ def _made(hint: Any, facts: list[Any], rng: Random) -> Any:
     if hint is AnyWheelTable:
         named = rng.choice([{}, *({"section": name} for name in SECTIONS)])
         return made(AnyWheelTable.schema_for(named), rng) | named
+    if hint is AnyShapeTable:
+        named = {"kind": rng.choice([*SHAPES])}
+        return made(AnyShapeTable.schema_for(named), rng) | named
     if origin is Annotated:
         return _made(args[0], [*args[1:]], rng)
     if origin in (Union, types.UnionType):

@@ -170,7 +170,7 @@ def plane_of(terrain: Terrain) -> Plane | None:
 
 def _search_graph(terrain: Terrain, section: Section, radius: float) -> ca.Function:
     """Return the search as a CasADi graph, equivalent to `nearest` of `kernel.c` for maps."""
-    jet, newton = _jet_function(terrain), _newton_function(section)
+    jet, newton = jet_function(terrain), _newton_function(section)
     symbol: Any = ca.SX if jet.is_a("SXFunction") else ca.MX
     asked, begin, gap = symbol.sym("asked", 6), symbol.sym("begin", 2), symbol.sym("gap")
     place, above = _lowest_point(section, jet, asked)
@@ -263,7 +263,7 @@ def _damped_steps(
     return best
 
 
-def _jet_function(terrain: Terrain) -> ca.Function:
+def jet_function(terrain: Terrain) -> ca.Function:
     """Return height, gradient and Hessian of a ground as a function of a point, shape (7, 1)."""
     spot, lookups = ca.SX.sym("spot", 2), LookupTable()
     jet = (ca.vec(each) for each in terrain.jet(spot[0], spot[1], lookups))

@@ -149,7 +149,11 @@ class SampledCheck(Protocol):
 
 @runtime_checkable
 class PlacedCheck(SampledCheck, Protocol):
-    """A check whose margin is a function of some expressions of the model."""
+    """A check whose margin is a function of some expressions of the model.
+
+    An attribute ``limit`` of type `Limit` gives the same condition as an expression, which planners
+    use: a user may name it in limits and costs.
+    """
 
     @property
     def placing(self) -> ca.SX:
@@ -476,6 +480,12 @@ class Dae(Generic[X, Z, U, Y]):
         )
 
     @cached_property
+    def all_limits(self) -> tuple[Limit, ...]:
+        """Limits of the model, and those of checks that are also expressions, for planners."""
+        of_checks = (getattr(check, "limit", None) for check in self.checks)
+        return *self.limits, *(limit for limit in of_checks if limit is not None)
+
+    @cached_property
     def sizes(self) -> Sizes:
         """Scales of the states, the unknowns and the residuals."""
         labels = self.labels
@@ -568,6 +578,8 @@ class Dae(Generic[X, Z, U, Y]):
     def named(self, name: str) -> list[ca.SX]:
         """Return the expressions of a quantity: one, or one per wheel.
 
+        Quantities are states, unknowns, inputs, outputs, and checks with a limit.
+
         Positions are local, except those among the outputs.
 
         Raises
@@ -584,6 +596,10 @@ class Dae(Generic[X, Z, U, Y]):
                 known.add(label.name)
                 if name in (label.name, label.full):
                     found.append(expression)
+        for limit in self.all_limits[len(self.limits) :]:  # of checks
+            known.add(limit.label.name)
+            if name == limit.label.name:
+                found.append(limit.expression)
         if not found:
             near = get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]!r}? " if near else ""

@@ -21,6 +21,7 @@ from slipfree.geometry.frame import Vector, in_axes, unit_vector
 from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS
 from slipfree.vehicle.sections import SECTIONS, Omni
+from slipfree.vehicle.shapes import SHAPES, Ball, BodyShape, Box, Hull
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind, Vehicle
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
@@ -208,7 +209,18 @@ def turned_right(vector: Vector) -> Vector:
 
 def _body(body: Body) -> Body:
     inertia = None if body.inertia is None else in_axes(FORWARD_UP, body.inertia)
-    return Body(body.mass, turned_right(body.at), inertia)
+    return Body(body.mass, turned_right(body.at), inertia, tuple(map(_shape, body.shapes)))
+
+
+def _shape(shape: BodyShape) -> BodyShape:
+    """Return a shape converted from axes x forward, y left to axes x right, y forward."""
+    if isinstance(shape, Hull):
+        return Hull(tuple(map(turned_right, shape.points)))
+    if isinstance(shape, Ball):
+        return Ball(shape.radius, turned_right(shape.at))
+    # the box keeps its own axes: x forward, y left
+    turned = angles_of(FORWARD_UP @ rotation_of(shape.turned))
+    return Box(shape.size, turned_right(shape.at), turned)
 
 
 def angles_of(rotation: Array) -> Vector:
@@ -255,9 +267,12 @@ def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
 
 
 def _mass_keys(body: Body) -> dict[str, Any]:
-    """Return the keys of mass, centre of mass and inertia that differ from their defaults."""
+    """Return the keys of mass, centre of mass, inertia and shapes that differ from defaults."""
+    kinds = {kind: name for name, kind in SHAPES.items()}
+    shapes = [{"kind": kinds[type(shape)], **_given(shape)} for shape in body.shapes]
     values = {"mass": body.mass, "center_of_mass": body.at, "inertia": body.inertia}
-    return {key: value for key, value in values.items() if value not in (0.0, ORIGIN, None)}
+    keys = {key: value for key, value in values.items() if value not in (0.0, ORIGIN, None)}
+    return keys | ({"shapes": shapes} if shapes else {})
 
 
 def _given(record: Any, *left_out: str) -> dict[str, Any]:

@@ -60,6 +60,7 @@ from slipfree.geometry.frame import Vector
 from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import names_in
 from slipfree.vehicle.sections import SECTIONS, Omni, Section, section_of_radii
+from slipfree.vehicle.shapes import SHAPES
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
@@ -163,6 +164,51 @@ Length = Annotated[Positive, AfterValidator(_meters)]
 DriveTable = Annotated[DriveKind | Any, PlainValidator(_drive)]
 
 
+class AnyShapeTable(Record):
+    """Table of a shape of a body: the key that all kinds have."""
+
+    kind: str
+
+    @classmethod
+    def schema_for(cls, data: Any) -> type[Record]:
+        """Return the record with the dimensions of the kind."""
+        if cls is not AnyShapeTable:
+            return cls
+        kind = data.get("kind") if isinstance(data, dict) else None
+        if not isinstance(kind, str) or kind not in SHAPE_TABLES:
+            raise expected_error(f"a table whose 'kind' is one of {', '.join(map(repr, SHAPES))}")
+        return SHAPE_TABLES[kind]
+
+
+class BoxTable(AnyShapeTable):
+    """Table of a box: edges, centre, and orientation in the part's frame."""
+
+    size: Annotated[tuple[Length, Length, Length], Field(strict=False)]
+    at: At = ORIGIN
+    turned: Turned = ORIGIN
+
+
+class BallTable(AnyShapeTable):
+    """Table of a ball: radius, and centre in the part's frame."""
+
+    radius: Length
+    at: At = ORIGIN
+
+
+class HullTable(AnyShapeTable):
+    """Table of a convex hull: its points in the part's frame."""
+
+    points: Annotated[tuple[At, ...], Field(strict=False, min_length=1)]
+
+
+SHAPE_TABLES: dict[str, type[AnyShapeTable]] = {
+    "box": BoxTable,
+    "ball": BallTable,
+    "hull": HullTable,
+}
+Shapes = Annotated[tuple[AnyShapeTable, ...], Field(strict=False)]
+
+
 class CoordinateTable(Record):
     """Table of a coordinate: an angle or length that determines the motion of joints."""
 
@@ -192,6 +238,7 @@ class JointTable(Record):
     mass: NonNegative = 0.0
     center_of_mass: At = ORIGIN
     inertia: Inertia | None = None
+    shapes: Shapes = ()
 
 
 class AnyWheelTable(Record):
@@ -245,6 +292,7 @@ class VehicleTable(Record):
     mass: NonNegative = 0.0
     center_of_mass: At = ORIGIN
     inertia: Inertia | None = None
+    shapes: Shapes = ()
     couple: dict[str, float] = Field(default_factory=dict)
     planar: bool = False
     coordinates: Annotated[tuple[CoordinateTable, ...], Field(strict=False)] = ()
@@ -517,7 +565,7 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
         return Coordinate(**{"words": table.name.replace("_", " "), **keys})
 
     def joint(table: JointTable) -> Joint:
-        keys = table.model_dump(exclude={"mass", "center_of_mass", "inertia"})
+        keys = table.model_dump(exclude={"mass", "center_of_mass", "inertia", "shapes"})
         return Joint(**keys, body=next(bodies))
 
     coordinates = build("coordinates", coordinate)
@@ -534,11 +582,12 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
 
 def _body(table: JointTable | VehicleTable, faults: list[Fault], place: Place) -> Body:
     """Return the body of a part; add an error to ``faults`` if its inertia is invalid."""
+    shapes = tuple(SHAPES[s.kind](**s.model_dump(exclude={"kind"})) for s in table.shapes)
     try:
-        return Body(table.mass, table.center_of_mass, table.inertia)
+        return Body(table.mass, table.center_of_mass, table.inertia, shapes)
     except ModelError as error:
         faults.append(Fault((*place, "inertia"), "a valid inertia", str(error)))
-        return Body(table.mass, table.center_of_mass)
+        return Body(table.mass, table.center_of_mass, shapes=shapes)
 
 
 def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.contact.clearance import BodyClearance, body_clearance
 from slipfree.contact.closure import ContactFrame, wheel_coordinates
 from slipfree.core.dae import Labels
 from slipfree.core.lookups import LookupTable
-from slipfree.core.records import Array, leaves
+from slipfree.core.records import Array, leaves, pack
 from slipfree.geometry.frame import Pose, platform, quaternion
 from slipfree.models.records import (
     Configuration,
@@ -88,6 +89,19 @@ def values_of(vehicle: Vehicle, x: Configuration, position: Dependent) -> dict[s
     """Return the values of all coordinates of a vehicle, by name [rad, m]."""
     names = (*state_coordinates(vehicle), *(c.name for c in vehicle.of("suspension")))
     return dict(zip(names, (*x.joints, *position.suspension), strict=True))
+
+
+def body_checks(q: Quantities, x: Any, z: Any) -> tuple[BodyClearance, ...]:
+    """Return the check of the clearance of a vehicle's bodies; none without shapes.
+
+    ``x`` and ``z`` are the records of states and unknowns of the model.
+    """
+    place, position = q.x, q.position
+    base = platform(place.x, place.y, position.z, place.heading, position.roll, position.pitch)
+    parts = q.vehicle.parts(base, values_of(q.vehicle, place, position))
+    return body_clearance(
+        q.vehicle, parts, q.terrain, q.lookups, (pack(x), pack(z)), extent(q.vehicle)
+    )
 
 
 def level_heights(

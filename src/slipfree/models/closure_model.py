@@ -19,6 +19,7 @@ from slipfree.laws.protocols import Equations
 from slipfree.models.base import (
     Quantities,
     at_rest,
+    body_checks,
     carriers,
     extent,
     joint_rates,
@@ -102,7 +103,7 @@ def closure_dae(
         y=y._replace(slip_ratio=slip_ratios(q)) if labels.y.slip_ratio else y,
         labels=labels._replace(alg=(labels.alg[0], law.labels, labels.alg[2])),
         limits=(*limits_of(q), *limits),
-        checks=second_contacts(q, q.x, z, q.poses, size),
+        checks=(*second_contacts(q, q.x, z, q.poses, size), *body_checks(q, q.x, z)),
         guess=_guess(q, labels),
         scale=scale,
         shift=shift,

@@ -30,7 +30,7 @@ from slipfree.core.records import leaves, pack, symbols
 from slipfree.geometry.frame import Pose, rotation_of, turn
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.protocols import ContactLaw, WheelContact, check_law
-from slipfree.models.base import extent, raised_poses, sizes
+from slipfree.models.base import body_checks, extent, raised_poses, sizes
 from slipfree.models.dynamic_outputs import (
     Contact,
     DynamicDae,
@@ -167,7 +167,7 @@ def dynamics(
             *solid_limits(vehicle, contacts),
             *depth_limits(vehicle, law, contacts),
         ),
-        checks=checks,
+        checks=(*checks, *body_checks(q, x, ())),
         guess=ca.SX(0, 1),
         scale=scale,
         shift=shift,

@@ -48,6 +48,7 @@ from slipfree.laws.protocols import Equations, Motion, SlipLaw, check_law, wheel
 from slipfree.models.base import (
     Mechanics,
     Quantities,
+    body_checks,
     carriers,
     extent,
     joint_rates,
@@ -328,7 +329,7 @@ def _dae(
         ),
         labels=labels._replace(alg=(labels.alg[0], law.labels, ())),
         limits=limits_of(q),
-        checks=second_contacts(q, x, z, touching, size),
+        checks=(*second_contacts(q, x, z, touching, size), *body_checks(q, x, z)),
         guess=_guess(q, labels),
         scale=scale,
         shift=shift,

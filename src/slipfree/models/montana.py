@@ -35,6 +35,7 @@ from slipfree.laws.protocols import SlipLaw, wheel_labels
 from slipfree.models.base import (
     Quantities,
     at_rest,
+    body_checks,
     carriers,
     extent,
     joint_rates,
@@ -207,7 +208,7 @@ def montana_kinematics(
             *_drift_limits(vehicle, rolls),  # first, since other limits assume wheels without drift
             *limits_of(q),
         ),
-        checks=second_contacts(q, x, z, q.poses, size),
+        checks=(*second_contacts(q, x, z, q.poses, size), *body_checks(q, x, z)),
         guess=at_rest(vehicle, labels.z),
         scale=scale,
         shift=shift,

@@ -47,7 +47,7 @@ from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import GroundForce, GroundLaw, Reaction, SlidingContacts, check_law
-from slipfree.models.base import at_rest, extent, raised_poses, sizes
+from slipfree.models.base import at_rest, body_checks, extent, raised_poses, sizes
 from slipfree.models.dynamic_outputs import (
     Contact,
     DynamicOutputs,
@@ -183,7 +183,10 @@ def rigid_dynamics(
         y=_without_unknowns(y),
         labels=labels._replace(alg=(_nearest_labels(vehicle), reaction.equations.labels)),
         limits=(*limits_of(q, static=False), *own),
-        checks=second_contacts(q._replace(contacts=frames), x, z, raised, size),
+        checks=(
+            *second_contacts(q._replace(contacts=frames), x, z, raised, size),
+            *body_checks(q, x, z),
+        ),
         guess=_guess(vehicle, body, labels),
         scale=scale,
         shift=shift,

@@ -9,17 +9,21 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.closure import ContactFrame, without_rolling
+from slipfree.contact.nearest_points import Nearest, NearestPoints, frame_of
 from slipfree.core.errors import ModelError
+from slipfree.core.facts import Fact
 from slipfree.core.records import Array, Mask, pack
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose, platform
 from slipfree.models.base import carriers, joint_rates, spins
 from slipfree.models.limits import UPRIGHT
 from slipfree.models.records import Configuration, Dependent, Inputs, Rates
+from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import HEIGHT_TOLERANCE, Prism
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
+CLOSEST = "clearance_body_place"  # fact: the body that comes closest to the ground, and the place
 POSITION = ("x", "y", "z", "heading", "roll", "pitch")
 Ending = Literal["climbs", "passes", "moves along", "stalls", "tips over", "unfinished"]
 TOP_SHARE = 0.8  # height of a wheel's centre above the top of a solid that it has climbed [radii]
@@ -58,6 +62,42 @@ def part_poses(vehicle: Vehicle, run: Trajectory) -> FramePoses:
         return tuple(vehicle.parts(place, values).values())
 
     return _frame_poses(vehicle, run, parts)
+
+
+def nearest_points(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Nearest | None:
+    """Return the nearest points of bodies and ground at the samples; None without shapes.
+
+    Parameters and errors are those of `part_poses`, and the ground.
+    """
+    if not vehicle.shapes:
+        return None
+
+    def frames(place: Pose, values: Mapping[str, ca.SX]) -> Sequence[Pose]:
+        parts = vehicle.parts(place, values)
+        return tuple(frame_of(shape, parts[name]) for name, shape in vehicle.shapes)
+
+    origins, rotations = _frame_poses(vehicle, run, frames)
+    columns = rotations.transpose(0, 1, 3, 2).reshape(*origins.shape[:2], 9)
+    placed = np.concatenate([origins - np.array(terrain.origin), columns], axis=-1)
+    return NearestPoints(terrain, vehicle.shapes)(placed.reshape(run.t.size, -1).T)
+
+
+def closest_fact(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> dict[str, Fact]:
+    """Return the body that comes closest to the ground in a motion, the place and the time."""
+    near = nearest_points(vehicle, terrain, run)
+    if near is None:
+        return {}
+    k = int(near.gap.argmin())
+    body = NearestPoints(terrain, vehicle.shapes).body_of(int(near.shape[k]))
+    x, y, z = near.foot[k].tolist()
+    when = f", t = {run.t[k]:.4g} s" if run.t.size > 1 else ""
+    words = f"{body} above ({x:.3f}, {y:.3f}) m{when}"
+    part = vehicle.shapes[int(near.shape[k])][0]
+    value = {"body": part, "x": x, "y": y, "z": z, "t": float(run.t[k])}
+    return {
+        "clearance_body_least": Fact(float(near.gap[k]), "m"),
+        CLOSEST: Fact(value, words=words),
+    }
 
 
 def wheel_poses(vehicle: Vehicle, run: Trajectory) -> FramePoses:

@@ -333,7 +333,7 @@ def _all_bounds(task: PlanTask) -> Iterator[_Bounds]:
             yield _to_bounds(task, limit, role_of(condition.fraction), condition.fraction)
     for limit in task.limits:
         yield _to_bounds(task, limit, LIMIT)
-    for limit in task.dae.limits:
+    for limit in task.dae.all_limits:
         if not any(
             ca.is_equal(limit.expression, own.expression) and limit.label == own.label
             for own in task.limits

@@ -144,7 +144,9 @@ def _check_task(task: PlanTask, numbers: dict[str, int]) -> None:
         if number < 1:
             raise ModelError(f"horizon: {name}: expected 1 or more, found {number}; increase it")
     dae = task.dae
-    asked = (limit.expression for limit in (*task.limits, *dae.limits, *task.conditions[-1].limits))
+    asked = (
+        limit.expression for limit in (*task.limits, *dae.all_limits, *task.conditions[-1].limits)
+    )
     costs = (cost.expression for cost in task.costs)
     everything = ca.vertcat(dae.ode, *dae.alg, *asked, *costs)
     if ca.depends_on(everything, dae.t):

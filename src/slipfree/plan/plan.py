@@ -188,9 +188,10 @@ def plan(
         is replaced by the one nearest to the start. [m, rad]
     costs : mapping of str to float, or sequence of Cost
         Weights by name: ``"slip"``, ``"effort"`` (squared inputs), ``"time"``, ``"energy"`` (work
-        of the wheels' drives; braking recovers no energy), or any quantity of the model, whose
-        square is integrated over time and summed over the wheels (positions in local coordinates,
-        see `Dae`). Alternatively, terms with other expressions: `Cost`.
+        of the wheels' drives; braking recovers no energy), ``"clearance_body"`` (its inverse
+        square), or any quantity of the model, whose square is integrated over time and summed over
+        the wheels (positions in local coordinates, see `Dae`). Alternatively, terms with other
+        expressions: `Cost`.
     duration : float or (shortest, longest)
         Duration of the plan. [s]
     smooth : float

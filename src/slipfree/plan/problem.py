@@ -19,6 +19,7 @@ from slipfree.solve.sampling import TURN, periodic_states
 
 HALF_TURN = np.pi + 1e-3  # such as a goal of 3.1416: both ways are short [rad]
 Range = tuple[float, float]
+MIN_CLEARANCE = 1e-3  # clearances below this all have about the same cost [m]
 BLENDED_POWER = 0.1  # width of the smooth transition between work and braking [W]
 ROUNDED_FRACTION = 0.01  # rounding of a square root at zero, relative to its bound
 
@@ -79,6 +80,10 @@ def _cost_term(dae: Dae, name: str) -> Cost:
     if name == "slip":
         slip = ca.sumsqr(ca.vertcat(*dae.named("slip_along"), *dae.named("slip_across")))
         return Cost(name, slip, "m2 s-1", "squared slip of all wheels")
+    if name == "clearance_body":  # a square would price clearance instead of its lack
+        (distance,) = dae.named(name)
+        inverse = 1 / (distance**2 + MIN_CLEARANCE**2)
+        return Cost(name, inverse, "s m-2", "inverse square of the clearance of the body")
     if name == "energy":
         return Cost(name, _driving_power(dae), "J", "work of the drives, without braking")
     away = dae.reported.get(name, 0.0)
@@ -140,7 +145,7 @@ def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
                 own = replace(label, name=f"{label.name}_limit", words=meaning)
                 yield _smooth_limit(Limit(own, expression, low - away, high - away))
                 is_known = True
-    for limit in dae.limits:
+    for limit in dae.all_limits:
         if name in (limit.label.name, limit.label.full):
             yield limit._replace(lower=max(low, limit.lower), upper=min(high, limit.upper))
             is_known = True

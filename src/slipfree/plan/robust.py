@@ -276,7 +276,7 @@ def replay_of(
 def _model_limits(dae: Dae, own: Sequence[Limit]) -> Iterator[Limit]:
     """Yield the limits of a model, which end simulations, except the given ones."""
     names = {limit_name(limit) for limit in own}
-    yield from (limit for limit in dae.limits if limit_name(limit) not in names)
+    yield from (limit for limit in dae.all_limits if limit_name(limit) not in names)
 
 
 def _excess_at_stop(dae: Dae, plan: PolynomialMotion, run: Trajectory) -> tuple[Bound, float]:
@@ -286,7 +286,7 @@ def _excess_at_stop(dae: Dae, plan: PolynomialMotion, run: Trajectory) -> tuple[
     distance of the plan from the bound at this time: tightening by it excludes the plan. It is
     infinite if the motion does not end at a limit of the model or the plan itself violates it.
     """
-    for limit in dae.limits:
+    for limit in dae.all_limits:
         if run.stop is not None and limit.label.full == run.stop.name:
             part = np.minimum(run.t[-1:] / plan.duration, 1.0)
             sample = run.t[-1:], plan.states(part), plan.algebraic(part), plan.inputs(part)

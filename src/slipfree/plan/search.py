@@ -410,7 +410,7 @@ def _violated_limits(task: PlanTask, run: Trajectory, beyond: float) -> list[Lim
     """
     have = {limit.label.full for limit in task.limits}
     missed = []
-    for limit in task.dae.limits:
+    for limit in task.dae.all_limits:
         values = run.of(limit.label)
         over = np.maximum(limit.lower - values, values - limit.upper).max()
         if over > beyond and limit.label.full not in have:

@@ -25,16 +25,19 @@ from slipfree.geometry.frame import AXES, unit_vector
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.records import is_determinate
+from slipfree.models.samples import closest_fact
 from slipfree.problem.build_vehicle import is_vehicle_file, read_vehicle
 from slipfree.problem.inputs import STORED, digest
 from slipfree.problem.load import find_motion_verb, load_problem, verb_of
 from slipfree.problem.result import build, motion_facts, open_result
 from slipfree.problem.verbs.base import Lines, Result, outcome_fact, ranges
+from slipfree.problem.verbs.drive_facts import clearance_lines
 from slipfree.show.html_page import Report
 from slipfree.show.plots import Plot
 from slipfree.solve.settle import settle
 from slipfree.solve.system import with_inputs
 from slipfree.terrain.analytic import Analytic
+from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 
 VERSION = "_version"
@@ -139,7 +142,7 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
     try:
         if not is_vehicle_file(path):
             setup = build(load_problem(path, settings, command="vehicle", trust=trust))
-            return _description(setup.vehicle, setup.model, setup.start)
+            return _description(setup.vehicle, setup.model, setup.terrain, setup.start)
         if settings:
             raise DataError(
                 f"--set: expected a problem file, found the vehicle file {path}; omit --set"
@@ -154,15 +157,16 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
         dae: Dae = dynamics(vehicle, level) if vehicle.planar else direct_kinematics(vehicle, level)
         facts = [*counts(vehicle, dae), *_notes(vehicle)]
         check_driven(vehicle)
-        return _description(vehicle, dae, settle(dae))
+        return _description(vehicle, dae, level, settle(dae))
     except ModelError as error:
         faults = (f"{path}: on level ground: {error}",)
         return Description(_drawn_tree(vehicle), facts, faults)
 
 
-def _description(vehicle: Vehicle, dae: Dae, start: Trajectory) -> Description:
+def _description(vehicle: Vehicle, dae: Dae, terrain: Terrain, start: Trajectory) -> Description:
     solved = conditioning(dae, start) if dae.labels.z else []
-    facts = [*counts(vehicle, dae), *solved, *_notes(vehicle)]
+    clear = clearance_lines(closest_fact(vehicle, terrain, start))
+    facts = [*counts(vehicle, dae), *solved, *clear, *_notes(vehicle)]
     return Description(_drawn_tree(vehicle), facts, ())
 
 
@@ -193,6 +197,7 @@ def tree(vehicle: Vehicle | Draft) -> list[str]:
                 turned = rotation @ np.array(ca.evalf(pose.rotation))
                 axis = turned @ unit_vector(joint.axis)
                 yield f"{indent}{joint.name}: {_joint(joint, axis, kinds)}"
+                yield from (f"{indent}  {shape}" for shape in joint.body.shapes)
                 yield from below(joint.name, indent + "  ", turned)
         for wheel in vehicle.wheels:
             if wheel.parent == part:
@@ -204,7 +209,8 @@ def tree(vehicle: Vehicle | Draft) -> list[str]:
     body = vehicle.body
     at = ", ".join(f"{each:g}" for each in body.at)
     mass = f": {body.mass:g} kg, centre of mass at ({at}) m" if body.mass else ""
-    lines = [f"platform{mass}", *below("platform", "  ", np.eye(3))]
+    shapes = (f"  {shape}" for shape in body.shapes)
+    lines = [f"platform{mass}", *shapes, *below("platform", "  ", np.eye(3))]
     parts = {"platform", *(joint.name for joint in connected)}
     loose = [(j.name, j.parent) for j in vehicle.joints if j not in connected]
     loose += [(f"wheel {w.name}", w.parent) for w in vehicle.wheels if w.parent not in parts]

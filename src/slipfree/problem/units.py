@@ -59,7 +59,7 @@ def check_units(spec: schema.TerrainKeys, dae: Dae) -> Iterator[Fault]:
 def _units(dae: Dae) -> dict[str, str]:
     """Return the units of all quantities of a model, by name and by name with wheel."""
     labels = [label for record in dae.labels[:5] for label in leaves(record)]
-    labels += [limit.label for limit in dae.limits]
+    labels += [limit.label for limit in dae.all_limits]
     labels += leaves(dae.standing.model.labels.x) if dae.standing else ()
     return {name: label.unit for label in labels for name in (label.name, label.full)}
 

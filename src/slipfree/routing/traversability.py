@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from slipfree.contact.nearest_points import lowest_point
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask
 from slipfree.geometry.frame import Pose
@@ -25,14 +26,16 @@ from slipfree.terrain.grid_ops import hole_distance
 from slipfree.vehicle.tree import Vehicle
 
 Point = tuple[float, float] | Array
-# Costs per metre, added to the cost 1 of level ground. The steepest slope that can be climbed, and
-# full use of the friction, leave no margin: each adds 4. Roughness as large as the wheel radius is
-# an obstacle and adds 10; so does a footprint that is too concave everywhere, which the wheels can
-# straddle only by chance.
+# Costs per metre, added to the cost 1 of level ground. The steepest slope that can be climbed, full
+# use of the friction, and ground as high as the body leave no margin: each adds 4. Roughness as
+# large as the wheel radius is an obstacle and adds 10; so does a footprint that is too concave
+# everywhere, which the wheels can straddle only by chance.
 SLOPE = 4.0
 FRICTION = 4.0
 ROUGHNESS = 10.0
 HOLLOW = 10.0
+CLEARANCE = 4.0
+ROUNDING = 1e-9  # smallest clearance [m]
 MAX_SLOPE = math.radians(30)  # on ground without friction coefficient; loose soil slides at 30-35
 
 
@@ -179,6 +182,9 @@ class Limits(NamedTuple):
         ``x_min, x_max, y_min, y_max`` of the map. [m]
     keep_out : tuple of Region
         Keep-out regions.
+    clearance : float
+        Clearance of the lowest body on level ground, with all joints at zero; infinite without
+        shapes. [m]
     """
 
     steepest: float
@@ -187,6 +193,7 @@ class Limits(NamedTuple):
     half: float
     domain: tuple[float, float, float, float]
     keep_out: tuple[Region, ...]
+    clearance: float = math.inf
 
 
 class Traversability(NamedTuple):
@@ -203,6 +210,9 @@ class Traversability(NamedTuple):
     friction: Array | None
     to_hole: Array  # shape (n_x, n_y): distance to a missing height, negative inside [m]
     limits: Limits
+    # shape (n_x, n_y): how far the ground under the lowest body rises above the mean height under
+    # the footprint; None for a vehicle without shapes [m]
+    rise: Array | None = None
 
     @property
     def spacing(self) -> tuple[float, float]:
@@ -240,8 +250,9 @@ def traversability(
     Traversability
         The cost and its layers. A node is blocked if the slope is steeper than ``steepest`` or
         than friction can hold, if the roughness reaches the radius of the largest wheel, if the
-        ground is concave with a radius of curvature of at most that radius, or if in any heading a
-        wheel could reach over the edge of the map, into a hole or into a keep-out region.
+        ground is concave with a radius of curvature of at most that radius, if it rises in every
+        heading up to the lowest body of the vehicle, or if in any heading a wheel could reach over
+        the edge of the map, into a hole or into a keep-out region.
 
     Raises
     ------
@@ -252,7 +263,8 @@ def traversability(
     Notes
     -----
     The cost per metre is ``1 + 4 (slope / steepest)**2 + 4 friction**2 + 10 (roughness /
-    radius)**2`` plus ten times the fraction of the ground under the footprint that is too concave.
+    radius)**2`` plus ten times the fraction of the ground under the footprint that is too concave,
+    and, for a vehicle with shapes, ``4 (rise / clearance)**2``.
     Concave ground blocks only the vehicle's centre: whether a wheel enters it depends on the
     heading, which a plan determines and a route does not. The friction coefficient is that of
     the wheel with the largest ``grip``.
@@ -274,15 +286,20 @@ def traversability(
             f"{steepest}; give it in radians, or omit it for the default"
         )
     used = None if held is None else np.tan(slope) / held
-    limits = Limits(steepest, radius, reach, half, terrain.domain, tuple(keep_out))
+    clear, inner = level_clearance(vehicle)
+    limits = Limits(steepest, radius, reach, half, terrain.domain, tuple(keep_out), clear)
     cost = 1 + SLOPE * (slope / steepest) ** 2 + ROUGHNESS * (roughness / radius) ** 2
     cost += HOLLOW * share
     if used is not None:
         cost += FRICTION * used**2
+    rise = None
+    if clear < math.inf:
+        rise = _rise(terrain.grid, x, y, half, inner)
+        cost += CLEARANCE * (np.maximum(rise, 0) / max(clear, ROUNDING)) ** 2
     to_hole = np.full(slope.shape, math.inf)
     if terrain.grid.holes is not None:
         to_hole = interpolate_layer(hole_distance(terrain.grid), terrain.grid, x, y)
-    layers = Traversability(x, y, cost, slope, roughness, hollow, used, to_hole, limits)
+    layers = Traversability(x, y, cost, slope, roughness, hollow, used, to_hole, limits, rise)
     cost[np.logical_or.reduce([*blocked_by(layers).values()])] = math.inf
     return layers
 
@@ -295,6 +312,43 @@ def blocking_reasons(layers: Traversability, x: float, y: float) -> str:
         return ""
     at = (x, y) if off else (float(layers.x[i]), float(layers.y[j]))
     return "; ".join(reasons_by_kind(layers, *at).values())
+
+
+def level_clearance(vehicle: Vehicle) -> tuple[float, float]:
+    """Return the clearance of the lowest body on level ground, and half its least width [m].
+
+    All joints are at zero. The clearance is infinite for a vehicle without shapes.
+    """
+    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
+    values = {c.name: ca.SX(0) for c in vehicle.coordinates}
+    poses, parts = vehicle.carriers(rest, values), vehicle.parts(rest, values)
+    bottoms = [
+        float(pose.origin[2]) - wheel.radius
+        for wheel, pose in zip(vehicle.wheels, poses, strict=True)
+    ]
+    lows = [
+        (float(low) - min(bottoms), width)
+        for name, shape in vehicle.shapes
+        for low, width in [lowest_point(shape, parts[name])]
+    ]
+    return min(lows, default=(math.inf, 0.0))
+
+
+def _rise(grid: Grid, x: Array, y: Array, half: float, inner: float) -> Array:
+    """Return how far the ground rises above its mean under the footprint, at every node [m].
+
+    It is the largest rise within the distance ``inner`` of the node, where the body is above the
+    ground in every heading.
+    """
+    relief = grid.z - footprint_mean(grid.z, grid.spacing, half)
+    # a node of the coarse grid stands for its cell
+    sides = [
+        max(2 * _nodes_within(inner, h) + 1, 2 * math.ceil(axis_step(new) / h / 2) + 1)
+        for new, h in zip((x, y), grid.spacing, strict=True)
+    ]
+    highest = scipy.ndimage.maximum_filter(relief, sides)
+    nearest = [nearest_nodes(old, new) for old, new in ((grid.x, x), (grid.y, y))]
+    return np.asarray(highest[np.ix_(*nearest)])
 
 
 def extents(vehicle: Vehicle) -> tuple[float, float, float]:
@@ -344,8 +398,8 @@ def blocked_by(layers: Traversability) -> dict[str, Mask]:
 
     A wheel could reach over the ``"edge"`` of the map, into a ``"hole"`` or into a ``"keep_out"``
     region. The ground has a ``"slope"`` that is too steep or that ``"friction"`` cannot hold, a
-    ``"roughness"`` of at least the wheel radius, or a ``"hollow"`` whose radius is at most the
-    wheel radius.
+    ``"roughness"`` of at least the wheel radius, a ``"hollow"`` whose radius is at most the wheel
+    radius, or a rise up to the body of the vehicle, whose ``"clearance"`` it exceeds.
     """
     x, y, limits = layers.x[:, None], layers.y[None, :], layers.limits
     keep_out = np.zeros(layers.cost.shape, dtype=bool)
@@ -360,6 +414,9 @@ def blocked_by(layers: Traversability) -> dict[str, Mask]:
         "friction": np.zeros_like(keep_out) if layers.friction is None else layers.friction >= 1,
         "roughness": layers.roughness >= limits.radius,
         "hollow": layers.hollow * limits.radius >= 1,
+        "clearance": np.zeros_like(keep_out)
+        if layers.rise is None
+        else layers.rise >= limits.clearance,
         "keep_out": keep_out,
     }
 
@@ -434,6 +491,11 @@ def _ground_reasons(layers: Traversability, i: int, j: int) -> dict[str, str]:
         words["hollow"] = (
             f"hollow of {1 / layers.hollow[i, j]:.3g} m radius, too narrow for the wheel radius of "
             f"{limits.radius:.3g} m"
+        )
+    if layers.rise is not None and layers.rise[i, j] >= limits.clearance:
+        words["clearance"] = (
+            f"rise of {layers.rise[i, j]:.3g} m above the mean height under the vehicle, whose "
+            f"body clears {limits.clearance:.3g} m on level ground"
         )
     return words
 

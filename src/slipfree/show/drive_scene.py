@@ -27,6 +27,7 @@ from slipfree.show.meshes import (
     refined,
     rod,
     roller_axles,
+    shape_mesh,
     spokes,
 )
 from slipfree.show.scene import (
@@ -284,7 +285,9 @@ def _part_bodies(
             for end in ends
             if np.linalg.norm(end) > ROD * radius
         ]
-        if name in spans:
+        shapes = [shape for part, shape in vehicle.shapes if part == name]
+        meshes += map(shape_mesh, shapes)
+        if name in spans and not shapes:
             away = wheels.origins[0] - origins[0]
             meshes.append(chassis(away @ rotations[0], spans[name], radius))
         if meshes:

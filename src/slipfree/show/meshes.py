@@ -7,12 +7,16 @@ from itertools import product
 from math import ceil
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
+import scipy  # scipy.spatial is imported when it is used
 
 from slipfree.core.records import Array
 from slipfree.geometry.mesh import Mesh, sheet
 from slipfree.terrain.base import Grid, Terrain
+from slipfree.vehicle.sections import Sphere
+from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
 
 ROD = 8  # faces around a rod
 SPOKES, SPOKE = 4, 0.06  # number of spokes of a wheel, and their radius [wheel radius]
@@ -77,6 +81,28 @@ def extruded(outline: Array, along: Sequence[float] | Array) -> Mesh:
         Mesh(outline + np.asarray(along), fan.astype(np.uint32)),
     ]
     return joined(side, *caps)
+
+
+def shape_mesh(shape: BodyShape) -> Mesh:
+    """Return the mesh of a shape of a body, in the frame of its part."""
+    if isinstance(shape, Ball):
+        ball = Sphere(shape.radius).mesh()
+        return ball._replace(vertices=ball.vertices + shape.at)
+    points = np.array(shape.points if isinstance(shape, Hull) else shape.support_points)
+    if isinstance(shape, Box):
+        rotation, origin = (np.array(ca.evalf(each)) for each in shape.pose)
+        points = points @ rotation.T + origin.T
+    if np.linalg.matrix_rank(points - points[0], tol=NEAR) < 3:  # no surface
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.uint32))
+    hull = scipy.spatial.ConvexHull(points)
+    corners = points[hull.simplices]
+    sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = (sides * hull.equations[:, :3]).sum(axis=1) < 0
+    corners[inward] = corners[inward, ::-1]
+    # faces have vertices of their own, so that edges stay sharp when normals are averaged
+    return Mesh(
+        corners.reshape(-1, 3), np.arange(corners.size // 3, dtype=np.uint32).reshape(-1, 3)
+    )
 
 
 def plate(half_width: float, rear: float, front: float, thickness: float) -> Mesh:

@@ -22,6 +22,7 @@ from matplotlib.transforms import Bbox
 
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
+from slipfree.models.samples import CLOSEST
 from slipfree.show import ground_drawing, style
 from slipfree.show.force_figures import (
     contact_plot,
@@ -265,6 +266,27 @@ def tilts_plot(drive: PlottedDrive) -> Plot | None:
     return Plot("tilts", caption, lambda: stack(drive.run, panels, width=COLUMN))
 
 
+def clearance(run: Trajectory, ax: Axes) -> Axes:
+    """Draw the clearance of the body over time, and mark its least value with body and place."""
+    values = run["clearance_body"]
+    ax.plot(run.t, values, color=PLATFORM, label="clearance of the body")
+    k = int(np.nanargmin(values))
+    words = run.facts[CLOSEST].words.partition(", t =")[0] if CLOSEST in run.facts else "least"
+    ax.plot(run.t[k], values[k], "o", color=PLATFORM, ms=4, label=f"least: {words}")
+    ax.axhline(0, color="0.6", lw=0.6)
+    ax.set_ylabel(f"clearance of the body [{style.unit('m')}]")
+    return style.time_axis(run, ax)
+
+
+def clearance_plot(drive: PlottedDrive) -> Plot | None:
+    """Return the figure of the clearance of the body; None for a vehicle without shapes."""
+    run = drive.run
+    if "clearance_body" not in run:
+        return None
+    caption = "Least distance of the vehicle's bodies from the ground over time."
+    return Plot("clearance", caption, lambda: stack(run, [Panel(partial(clearance, run), 50)]))
+
+
 def checks_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of residuals and margins."""
     caption = "Accuracy and validity: residuals and margins over time."
@@ -302,6 +324,7 @@ FIGURES: tuple[Callable[[PlottedDrive], Plot | None], ...] = (
     slip_plot,
     contact_plot,
     utilisation_plot,
+    clearance_plot,
     tilts_plot,
     checks_plot,
     rates_plot,

@@ -43,6 +43,7 @@ BLOCKED = {  # colour and description of blocked nodes by reason, in order of pr
     "slope": ("#CC79A7", "too steep"),
     "roughness": ("#F0E442", "too rough"),
     "hollow": ("#E69F00", "too concave for wheels"),
+    "clearance": ("#8C510A", "rises to the vehicle's body"),
 }
 FAR = 0.6  # for a motion with a smaller extent only a part of the map is drawn [map]
 WRAP = 20  # characters of a line of labels and legends beside axes

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple, Protocol
 
 import casadi as ca
@@ -55,6 +56,13 @@ def polynomial_jet(found: ca.SX, orders: Sequence[tuple[int, int]], x: ca.SX, y:
     ``found`` are the coordinates of the centre of the polynomial [m], then its derivatives at the
     centre, of the ``orders`` with respect to x and y.
     """
+    return Jet(*_polynomial_function(tuple(orders))(found, x, y))
+
+
+@cache
+def _polynomial_function(orders: tuple[tuple[int, int], ...]) -> ca.Function:
+    """Return `polynomial_jet` as a function; to call it takes a hundredth of the time."""
+    found, x, y = ca.SX.sym("found", 2 + len(orders)), ca.SX.sym("x"), ca.SX.sym("y")
     values = dict(zip(orders, ca.vertsplit(found[2:]), strict=True))
     most = max(n for _, n in orders)
     # along x in every row of derivatives, then along y: Horner's scheme with factorials
@@ -65,7 +73,8 @@ def polynomial_jet(found: ca.SX, orders: Sequence[tuple[int, int]], x: ca.SX, y:
     h, h_y, h_yy = _sums([row[0] for row in rows], y - found[1])
     h_x, h_xy, _ = _sums([row[1] for row in rows], y - found[1])
     h_xx = _sums([row[2] for row in rows], y - found[1])[0]
-    return Jet(h, ca.vertcat(h_x, h_y), ca.blockcat([[h_xx, h_xy], [h_xy, h_yy]]))
+    jet = h, ca.vertcat(h_x, h_y), ca.blockcat([[h_xx, h_xy], [h_xy, h_yy]])
+    return ca.Function("jet", [found, x, y], [*jet])
 
 
 def _sums(derivatives: Sequence[ca.SX], away: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:

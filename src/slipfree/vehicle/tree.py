@@ -25,6 +25,7 @@ from slipfree.geometry.frame import (
 )
 from slipfree.vehicle.drives import NO_DRIVE, RATE, Drive
 from slipfree.vehicle.formula import evaluate, names_in
+from slipfree.vehicle.shapes import BodyShape
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 Kind = Literal["commanded", "passive", "suspension"]
@@ -34,7 +35,7 @@ MAX_WHEELS = 100  # with more, preparing the models takes minutes
 
 @dataclass(frozen=True)
 class Body:
-    """Mass, centre of mass and inertia of a part of a vehicle, without its wheels.
+    """Mass, centre of mass, inertia and shapes of a part of a vehicle, without its wheels.
 
     Attributes
     ----------
@@ -46,6 +47,9 @@ class Body:
         ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz``: elements of the inertia tensor about the centre of mass,
         in the part's axes; None for those of a homogeneous box
         (`body_inertia`). [kg m^2]
+    shapes : tuple of Box, Ball or Hull
+        Shapes of the part (`slipfree.vehicle.shapes`), whose distance from the ground is its
+        clearance. They have no effect on masses.
 
     Raises
     ------
@@ -57,6 +61,7 @@ class Body:
     mass: float = 0.0
     at: tuple[float, float, float] = (0.0, 0.0, 0.0)
     inertia: Elements | None = None
+    shapes: tuple[BodyShape, ...] = ()
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -369,10 +374,19 @@ class Vehicle:
         return "m" if slides else "rad"
 
     @property
+    def bodies(self) -> tuple[tuple[str, Body], ...]:
+        """Names of the platform and of the joints, and their bodies."""
+        return ("platform", self.body), *((joint.name, joint.body) for joint in self.joints)
+
+    @property
+    def shapes(self) -> tuple[tuple[str, BodyShape], ...]:
+        """Shapes of all bodies, with the names of their parts."""
+        return tuple((name, shape) for name, body in self.bodies for shape in body.shapes)
+
+    @property
     def mass(self) -> float:
         """Total mass, wheels included [kg]."""
-        bodies = [self.body, *(joint.body for joint in self.joints)]
-        return sum(body.mass for body in bodies) + sum(wheel.mass for wheel in self.wheels)
+        return sum(body.mass for _, body in self.bodies) + sum(wheel.mass for wheel in self.wheels)
 
     @property
     def weight(self) -> float:
@@ -402,7 +416,7 @@ class Vehicle:
         Parameters are those of `carriers`.
         """
         parts = self.parts(platform, values)
-        bodies = [("platform", self.body), *((joint.name, joint.body) for joint in self.joints)]
+        bodies = [*self.bodies]
         bodies += [(wheel.parent, Body(wheel.mass, wheel.at)) for wheel in self.wheels]
         for part, body in bodies:
             if body.mass:

@@ -10,7 +10,16 @@ from typing import TypeVar
 import numpy as np
 
 from slipfree.files.urdf.joint_guesses import with_separate_balls
-from slipfree.files.urdf.tree import Box, Findings, Link, MeshFile, Mimic, Shape, Tree, UrdfJoint
+from slipfree.files.urdf.tree import (
+    Collision,
+    Findings,
+    Link,
+    MeshFile,
+    Mimic,
+    Shape,
+    Tree,
+    UrdfJoint,
+)
 from slipfree.files.urdf.xacro import (
     check_macro_calls,
     link_at,
@@ -127,7 +136,18 @@ def _link(element: Element, findings: Findings) -> Link:
         shapes_of(_mesh, *tags),
         shapes_of(_box, *tags),
     )
-    return Link(name, mass, center, shapes, meshes, boxes, inertia, shapes_of(_mesh, "visual"))
+    collisions = (_collision(each, findings.file) for each in element.all("collision"))
+    return Link(
+        name,
+        mass,
+        center,
+        shapes,
+        meshes,
+        boxes,
+        inertia,
+        shapes_of(_mesh, "visual"),
+        tuple(each for each in collisions if each is not None),
+    )
 
 
 def _inertia(inertial: Element, turned: Vector, findings: Findings, who: str) -> Elements | None:
@@ -166,12 +186,33 @@ def _mesh(element: Element, findings: Findings, who: str) -> MeshFile | None:
     return MeshFile(mesh.attributes.get("filename", ""), scale, at, turned)
 
 
-def _box(element: Element, findings: Findings, who: str) -> Box | None:
+def _box(element: Element, findings: Findings, who: str) -> Collision | None:
     box = _solid(element, "box")
     if box is None:
         return None
     at, turned = _origin(element, findings, f"{who}: {element.tag}")
-    return Box(_vector(box, "size", ORIGIN, findings, f"{who}: box"), at, turned)
+    size = _vector(box, "size", ORIGIN, findings, f"{who}: box")
+    return Collision("box", at, turned, size)
+
+
+def _collision(element: Element, file: str) -> Collision | None:
+    """Return the shape of a collision element; None without a valid shape.
+
+    Errors in the numbers of shapes are found by the other readers.
+    """
+    unused = Findings(file)
+    if (box := _box(element, unused, "")) is not None:
+        return box if min(box.size) > 0 else None
+    if (mesh := _mesh(element, unused, "")) is not None:
+        return Collision("mesh", mesh.at, mesh.turned, mesh=mesh)
+    shape = _shape(element, unused, "")
+    if shape is None or not shape.radius > 0:
+        return None
+    cylinder = _solid(element, "cylinder")
+    if cylinder is None:
+        return Collision("sphere", shape.at, shape.turned, (shape.radius, 0.0, 0.0))
+    length = _number(cylinder, "length", 0.0, unused, "")
+    return Collision("cylinder", shape.at, shape.turned, (shape.radius, length, 0.0))
 
 
 def _shape(element: Element, findings: Findings, who: str) -> Shape | None:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from slipfree.files.urdf.collisions import body_shapes
 from slipfree.files.urdf.joint_guesses import NO_WHEEL, Joints, KindGuess
 from slipfree.files.urdf.roles import NO_ROLES, JointRole, Roles, completed, coupled
 from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint, facing_forward
@@ -27,6 +28,7 @@ from slipfree.files.vehicle_draft import (
     toml_value,
 )
 from slipfree.geometry.frame import unit_vector
+from slipfree.vehicle.shapes import BodyShape
 from slipfree.vehicle.tree import Body, Coordinate, Joint
 
 MIN_WHEELS = 3
@@ -87,6 +89,7 @@ def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
     kept = _used_joints(wheels, findings)
     part_of = {tree.root: "platform"} | {joint.child: joint.name for joint in kept}
     kinds = Joints(tree, wheels.joints, wheels.balls, roles).kinds()
+    shapes, shape_notes = body_shapes(tree, part_of, wheels.joints, wheels.ground)
     coordinates = _Coordinates(tree, roles, wheels.joints, kinds, findings)
     joints = tuple(
         Joint(
@@ -96,7 +99,7 @@ def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
             joint.at,
             coordinates.value(joint),
             "slide" if joint.type == "prismatic" else "turn",
-            _body(tree, joint.child),
+            _body(tree, joint.child, shapes),
             joint.turned,
         )
         for joint in kept
@@ -108,8 +111,8 @@ def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
         tuple(coordinates.known.values()),
         joints,
         tuple(wheel for wheel in built if wheel is not None),
-        _body(tree, tree.root),
-        tuple(findings.notes),
+        _body(tree, tree.root, shapes),
+        (*findings.notes, *shape_notes),
         tuple(findings.guesses),
     )
 
@@ -207,9 +210,9 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
     wheels.add_notes()
 
 
-def _body(tree: Tree, name: str) -> Body:
+def _body(tree: Tree, name: str, shapes: Mapping[str, tuple[BodyShape, ...]]) -> Body:
     link = tree.links[name]
-    return Body(link.mass or 0.0, link.center, link.inertia)
+    return Body(link.mass or 0.0, link.center, link.inertia, shapes.get(name, ()))
 
 
 class _Coordinates:

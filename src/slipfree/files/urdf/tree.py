@@ -13,7 +13,14 @@ from typing import Literal, NamedTuple, NoReturn
 import numpy as np
 
 from slipfree.core.records import Array
-from slipfree.files.vehicle_draft import Guess, UnfitError, Value, rotation_of, vector_of
+from slipfree.files.vehicle_draft import (
+    Guess,
+    UnfitError,
+    Value,
+    angles_of,
+    rotation_of,
+    vector_of,
+)
 from slipfree.geometry.frame import Elements, Vector, in_axes, unit_vector
 from slipfree.vehicle.wheel import ORIGIN
 
@@ -38,14 +45,6 @@ class Shape(NamedTuple):
     tube: float = 0.0
 
 
-class Box(NamedTuple):
-    """A box in the frame of its link: edges [m], position [m] and roll, pitch, yaw [rad]."""
-
-    size: Vector
-    at: Vector
-    turned: Vector
-
-
 class MeshFile(NamedTuple):
     """A mesh in the frame of its link: name and scale as in the URDF, and the pose [m, rad]."""
 
@@ -53,6 +52,20 @@ class MeshFile(NamedTuple):
     scale: Vector
     at: Vector
     turned: Vector
+
+
+class Collision(NamedTuple):
+    """A collision shape in the frame of its link.
+
+    ``size`` are the edges of a box, or the radius of a sphere, or radius and length of a cylinder,
+    followed by zeros. Position [m], roll, pitch, yaw [rad] and sizes [m].
+    """
+
+    kind: Literal["box", "cylinder", "sphere", "mesh"]
+    at: Vector
+    turned: Vector
+    size: Vector = ORIGIN
+    mesh: MeshFile | None = None
 
 
 class Link(NamedTuple):
@@ -63,9 +76,10 @@ class Link(NamedTuple):
     center: Vector = ORIGIN  # centre of mass in the frame of the link [m]
     shapes: tuple[Shape, ...] = ()  # collision shapes; visual ones if there are none
     meshes: tuple[MeshFile, ...] = ()
-    boxes: tuple[Box, ...] = ()
+    boxes: tuple[Collision, ...] = ()
     inertia: Elements | None = None  # ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz`` about the centre [kg m^2]
     visuals: tuple[MeshFile, ...] = ()  # meshes among the visual shapes
+    collisions: tuple[Collision, ...] = ()
 
 
 class Mimic(NamedTuple):
@@ -270,5 +284,18 @@ def facing_forward(tree: Tree, forward: str) -> Tree:
             joints[name] = joint._replace(at=vector_of(back @ joint.at), turned=turned)
     root = tree.links[tree.root]
     inertia = None if root.inertia is None else in_axes(back, root.inertia)
-    root = root._replace(center=vector_of(back @ root.center), inertia=inertia)
+    root = root._replace(
+        center=vector_of(back @ root.center),
+        inertia=inertia,
+        collisions=tuple(_rotated(each, back) for each in root.collisions),
+    )
     return replace(tree, links=tree.links | {tree.root: root}, joints=joints)
+
+
+def _rotated(collision: Collision, back: Array) -> Collision:
+    """Return a collision shape in rotated axes."""
+    mesh = collision.mesh
+    turned = angles_of(back @ rotation_of(collision.turned))
+    at = vector_of(back @ collision.at)
+    moved = None if mesh is None else mesh._replace(at=at, turned=turned)
+    return collision._replace(at=at, turned=turned, mesh=moved)

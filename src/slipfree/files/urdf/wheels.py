@@ -312,6 +312,15 @@ class Wheels:
             and is_about(shape, unit_vector(joint.axis))
         )
 
+    @property
+    def ground(self) -> float:
+        """Height of level ground below the wheels, in the frame of the root [m]."""
+        bottoms = [
+            float(self.tree.frames[joint.child][1][2]) - (self._rolling_radius(joint) or 0.0)
+            for joint in self.joints
+        ]
+        return min(bottoms, default=-np.inf)
+
     def _high(self, joints: Sequence[UrdfJoint]) -> list[str]:
         """Return the joints whose round shapes end far above the lowest one."""
         lows: dict[str, float] = {}

@@ -10,7 +10,7 @@ import numpy as np
 from slipfree.core.facts import Fact, Facts
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory, path_length
-from slipfree.models.samples import has_pressed_wheels, lightest_wheel, rocks
+from slipfree.models.samples import CLOSEST, has_pressed_wheels, lightest_wheel, rocks
 from slipfree.models.single_wheel import RESERVE
 from slipfree.problem.verbs.base import FAILED_DIAGNOSTICS, Extremes, duration_fact
 
@@ -42,7 +42,7 @@ EXTREMES = Extremes(
     greatest=("z", "force_normal", "slip_ratio", "power"),
     least=(
         *("tip_over_margin", "force_normal", "clearance", "relative_curvature", "singular_value"),
-        *("drawbar_reserve", "z", "slip_ratio"),
+        *("clearance_body", "drawbar_reserve", "z", "slip_ratio"),
     ),
     gained=("work", "potential_energy", "lost_energy"),
 )
@@ -231,6 +231,13 @@ def start_lines(poses: Sequence[Trajectory]) -> Iterator[tuple[str, str]]:
             for pose in poses[1:]
         ]
         yield "other stable poses", "; ".join(others)
+
+
+def clearance_lines(facts: Facts) -> Iterator[tuple[str, str]]:
+    """Yield the line about the clearance of the vehicle's bodies, if they have shapes."""
+    if CLOSEST in facts:
+        least = facts["clearance_body_least"].value
+        yield "clearance of the body", f"{least:.4g} m, {facts[CLOSEST].words}"
 
 
 def soil_lines(run: Trajectory, facts: Facts) -> Iterator[tuple[str, str]]:

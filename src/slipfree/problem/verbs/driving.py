@@ -22,7 +22,13 @@ from slipfree.geometry.mesh import Mesh
 from slipfree.laws.soil import Soil
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.records import is_determinate
-from slipfree.models.samples import has_pressed_wheels, obstacle_ending, wheel_poses
+from slipfree.models.samples import (
+    CLOSEST,
+    closest_fact,
+    has_pressed_wheels,
+    obstacle_ending,
+    wheel_poses,
+)
 from slipfree.models.single_wheel import RESERVE, drawbar_reserve
 from slipfree.problem.build import (
     Setup,
@@ -52,6 +58,7 @@ from slipfree.problem.verbs.drive_facts import (
     OBSTACLES,
     angle_lines,
     certificate,
+    clearance_lines,
     contact_lines,
     drive_facts,
     force_lines,
@@ -119,6 +126,7 @@ class DriveVerb(MotionVerb):
             ("start", f"{pose} (m, rad)"),
             *start_lines(_stable_poses(problem, setup)),
             ("contact certificate", certificate(start)),
+            *clearance_lines(closest_fact(setup.vehicle, setup.terrain, setup.start)),
             ("samples", self.describe_samples(problem, setup)),
         ]
 
@@ -145,6 +153,7 @@ class DriveVerb(MotionVerb):
             *soil_lines(run, facts),
             *slip_lines(run, facts),
             *angle_lines(run, facts),
+            *clearance_lines(facts),
             *force_lines(run, facts),
             *trust_lines(run, facts, self.tolerance(run)),
             *self.cost_lines(run),
@@ -261,6 +270,7 @@ def _diagnostics(setup: Setup, law: object, run: Trajectory) -> dict[str, Diagno
     diagnostics: dict[str, Diagnostic] = {
         "filled_ground": partial(_with_filled, setup.ground.grid),
         OBSTACLES: partial(_with_ending, setup),
+        CLOSEST: partial(_with_closest, setup),
     }
     has_choice = vehicle.mass and has_exact_closure(vehicle) and not is_determinate(vehicle)
     if has_choice and "kinetic_energy" not in run:  # dynamics has one distribution of forces
@@ -285,6 +295,12 @@ def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
     ]
     samples = int(np.count_nonzero(on.any(axis=1)))
     return run.with_facts({FILLED: Fact(samples, "1"), "filled_paths": Fact(rows)})
+
+
+def _with_closest(setup: Setup, run: Trajectory) -> Trajectory:
+    """Return a motion with facts about the closest body and place, if bodies have shapes."""
+    facts = closest_fact(setup.vehicle, setup.terrain, run)
+    return run.with_facts(facts) if facts else run
 
 
 def _with_ending(setup: Setup, run: Trajectory) -> Trajectory:

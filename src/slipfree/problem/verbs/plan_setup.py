@@ -271,7 +271,7 @@ def check_robust(problem: Problem[PlanKeys], has_friction: bool) -> None:
 def _check_quantities(problem: Problem[PlanKeys], dae: Dae) -> None:
     """Raise ProblemError for goals and limits of unknown quantities."""
     spec = problem.spec
-    own = {name for limit in dae.limits for name in (limit.label.name, limit.label.full)}
+    own = {name for limit in dae.all_limits for name in (limit.label.name, limit.label.full)}
     for table, values in (("goal", spec.goal), ("limits", spec.limits)):
         for name in values.keys() - own:
             with at(problem, (table, name)):

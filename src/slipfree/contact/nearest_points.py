@@ -1,0 +1,570 @@
+"""Nearest points of the shapes of bodies and the ground.
+
+The distance is that of the nearest pair of a point ``P`` of a shape and a point ``F`` of the
+ground. It is measured along the ground's unit normal ``n`` at ``F``, as ``(P - F) . n``, and is
+negative if the shape penetrates the ground. On a plane it follows from the support point of the
+shape. On other grounds the search has two stages.
+
+1. A grid of ground points under the shape and around it is compared by the distance from the
+   shape, which has a closed form. The grid finds ground that rises between the corners of a box.
+   Its spacing is that of the map, with at most `MAX_POINTS` points a side.
+2. From each local minimum of the grid that may become the least, and from the lowest corners of a
+   box or the lowest points of a hull, Newton's method improves the point of the shape and the foot
+   of its perpendicular together. The point of a box moves in the directions in which it is not at a
+   bound; at the solution the ground's normal is perpendicular to the edge or face on which the
+   point lies.
+
+Between points with a spacing ``s``, the distance is lower than at the points by at most
+``k s^2 / 4``, with the largest curvature ``k`` of the ground. Minima within `SLACK` of the least
+are improved, which covers curvatures up to ``1 / s``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.contact.touch import Plane, jet_function, plane_of
+from slipfree.core.evaluation import evaluate
+from slipfree.core.records import Array, Indices, Mask
+from slipfree.geometry.frame import Pose, Vector, translation
+from slipfree.terrain.base import Jet, Terrain
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
+
+STEPS = 2  # Newton steps between tests of convergence
+ROUNDS = 12  # largest number of such tests
+STILL_LOWER = 1.0  # a search may still reduce the distance by this [last change]
+MAX_POINTS = 25  # largest number of grid points a side
+USUAL_SPACING = 1 / 12  # spacing of the grid on a ground without nodes [longest edge]
+MAX_REACH = 0.3  # largest distance of the grid's border from the sides of a shape [m]
+SLACK = 0.25  # local minima of the grid may be lower by this [spacing]
+STEEPEST = 0.3  # least ratio of the distance of a point to its vertical gap, on steep ground
+OUTSIDE = 3  # the same beside a shape, where the distance rises like a cone [slacks]
+SIMILAR = 0.02  # corners with gaps within this of the least also start [least gap]
+CORNERS = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])  # of the lowest face [half edges]
+MAX_STARTS = 4  # number of points of a hull that are improved, those with the least vertical gaps
+COARSE_POINTS = 16  # number of points a side of the grid under the vehicle
+BOUND_POINTS = 5  # the same for quick lower bounds
+CONVERGED = 1e-7  # largest change of a converged search, whose distance is far more exact [m]
+MIN_CURVATURE = 1e-9  # smaller convexity along a face counts as none [1/m]
+MIN_CONVEXITY = 1e-3  # determinant of a convex function [product of the diagonal]
+MIN_DETERMINANT = 1e-2  # of the equations of a foot; a smaller one means several feet [1]
+ROOT_OFFSET = 1e-24  # keeps the derivatives of square roots finite [m2]
+CHUNK = 256  # number of samples evaluated together, which limits the memory
+
+
+class Nearest(NamedTuple):
+    """Nearest points of n samples: clearance (n,) [m], foot on the ground (n, 3) [m], and shape.
+
+    Feet are in map coordinates; ``shape`` is the index of the nearest shape, (n,).
+    """
+
+    gap: Array
+    foot: Array
+    shape: Indices
+
+
+@dataclass(frozen=True, eq=False)
+class NearestPoints:
+    """Search for the nearest points of shapes and ground; ``shapes`` have names of their parts."""
+
+    terrain: Terrain
+    shapes: tuple[tuple[str, BodyShape], ...]
+
+    def body_of(self, shape: int) -> str:
+        """Return the name of the body of a shape, as the subject of a sentence."""
+        part = self.shapes[shape][0]
+        return f"the {part}" if part == "platform" else f"the body of joint {part!r}"
+
+    def __call__(self, placed: Array) -> Nearest:
+        """Return the nearest points in n poses.
+
+        Each column of ``placed`` (12 n_shapes, n) has origin and rotation matrix (by columns) of
+        the frame of each shape, in local coordinates.
+        """
+        parts = (placed[:, k : k + CHUNK] for k in range(0, placed.shape[1], CHUNK))
+        nearest = [self._nearest(part.reshape(len(self.shapes), 12, -1)) for part in parts]
+        return Nearest(*(np.concatenate(each) for each in zip(*nearest, strict=True)))
+
+    def lower_bounds(self, placed: Array, far: float) -> Array:
+        """Return quick lower bounds of clearances up to ``far``, (n,), minus infinity if unknown.
+
+        The heights of a coarse grid and the bound of the slope limit the height of the ground.
+        """
+        bounds = getattr(self.terrain, "derivative_bounds", None)
+        if bounds is None:
+            return np.full(placed.shape[1], -np.inf)
+        shapes = placed.reshape(len(self.shapes), 12, -1)
+        lowest = np.min(
+            [_lowest(shape, at) for (_, shape), at in zip(self.shapes, shapes, strict=True)], axis=0
+        )
+        x, y, heights = self._coarse_ground(shapes, BOUND_POINTS, far)
+        steps = [axis[1] - axis[0] for axis in (x, y)]
+        sides = [axis[-1] - axis[0] for axis in (x, y)]
+        reach = math.ceil(5 * max(side.max() for side in sides)) / 10  # few values, to be cached
+        x_0, y_0, _ = self.terrain.origin
+        middle = [axis.mean(axis=0) for axis in (x, y)]
+        slope, _ = bounds(middle[0] + x_0, middle[1] + y_0, reach)
+        highest = heights.max(axis=(0, 1)) + slope * np.hypot(*steps) / 2
+        return np.asarray(np.minimum(lowest - highest, far))
+
+    def _nearest(self, placed: Array) -> Nearest:
+        """Return the nearest points for origins and axes of the shapes, (n_shapes, 12, n)."""
+        if self._over_plane:
+            pairs = [
+                evaluate(function, at[:3], at[3:])
+                for function, at in zip(self._over_plane, placed, strict=True)
+            ]
+            gaps, feet = (np.stack(each) for each in zip(*pairs, strict=True))
+            shape, pose = gaps[:, 0].argmin(axis=0), np.arange(placed.shape[2])
+            gap, foot = gaps[shape, 0, pose], feet[shape, :, pose]
+        else:
+            starts = self._starts(placed)
+            gaps, feet = self._improved(starts)
+            order = np.lexsort((gaps, starts.pose))  # the least of each pose first
+            _, first = np.unique(starts.pose[order], return_index=True)
+            rows = order[first]
+            gap, foot, shape = gaps[rows], feet[rows], starts.shape[rows]
+        return Nearest(gap, foot + np.array(self.terrain.origin), shape)
+
+    def _starts(self, placed: Array) -> _Starts:
+        """Return the starts of the search from which the least distance of a pose may come."""
+        n = placed.shape[2]
+        upper, rows = np.full(n, np.inf), list[_Starts]()
+        lowest = np.array([_lowest(s, at) for (_, s), at in zip(self.shapes, placed, strict=True)])
+        ground = None
+        if len(lowest) > 1:
+            x, y, heights = self._coarse_ground(placed, COARSE_POINTS, MAX_REACH)
+            spacing = np.maximum(x[1] - x[0], y[1] - y[0])
+            ground = x, y, heights + SLACK * spacing
+        for k in np.argsort(lowest.mean(axis=1)):
+            shape, open_ = self.shapes[k][1], np.arange(n)
+            if ground is not None:
+                # not nearer than the height of the lowest point above all ground within ``upper``
+                reach = _radius(shape) + upper
+                open_ = np.flatnonzero(lowest[k] - _highest(ground, placed[k, :2], reach) < upper)
+            if open_.size:
+                find = self._hull_starts if isinstance(shape, Hull) else self._grid_starts
+                least, starts = find(shape, placed[k][:, open_])
+                # depths in the axes of a box and vertical ones exceed those along the normal
+                upper[open_] = np.minimum(upper[open_], np.maximum(least, 0))
+                pose, own = open_[starts.pose], np.full(starts.pose.size, k)
+                rows.append(starts._replace(pose=pose, shape=own))
+        columns: list[Any] = [np.concatenate(each) for each in zip(*rows, strict=True)]
+        joined = _Starts(*columns)
+        lows = np.full(n, np.inf)
+        np.minimum.at(lows, joined.pose, joined.low)
+        needed = joined.low <= np.maximum(upper, lows)[joined.pose]
+        columns = [each[needed] for each in joined]
+        return _Starts(*columns)
+
+    def _coarse_ground(
+        self, placed: Array, count: int, margin: float
+    ) -> tuple[Array, Array, Array]:
+        """Return a grid below the vehicle and a margin around it, and the heights of its points.
+
+        Coordinates are of shape (count, n), heights of shape (count, count, n).
+        """
+        sizes = np.array([_radius(shape) for _, shape in self.shapes])[:, None, None] + margin
+        low = (placed[:, :2] - sizes).min(axis=0)
+        side = (placed[:, :2] + sizes).max(axis=0) - low
+        steps = np.linspace(0, 1, count)[:, None]
+        x, y = (low[k] + side[k] * steps for k in (0, 1))
+        return x, y, self._heights(*np.broadcast_arrays(x[:, None], y))
+
+    @cached_property
+    def _over_plane(self) -> tuple[ca.Function, ...]:
+        """Clearance and foot of each shape as functions of origin and axes; none if not a plane."""
+        plane = plane_of(self.terrain)
+        shapes = (shape for _, shape in self.shapes)
+        return () if plane is None else tuple(_plane_function(shape, plane) for shape in shapes)
+
+    @cached_property
+    def _steps(self) -> ca.Function:
+        """Some steps of Newton's method, and the signed distance after them.
+
+        It maps the point, the foot, the frame and the bounds of `NEWTON_STEP` to point, foot, the
+        largest change by the last step, the signed distance, and the ground point at the foot.
+        """
+        jet, sizes = jet_function(self.terrain), (3, 2, 12, 6)
+        inputs = [ca.MX.sym("given", size) for size in sizes]
+        at, foot, frame, bounds = inputs
+        before = ca.vertcat(at, foot)
+        for _ in range(STEPS):
+            before = ca.vertcat(at, foot)
+            at, foot = NEWTON_STEP(jet(foot), at, foot, frame, bounds)
+        end = jet(foot)
+        ground = ca.vertcat(foot, end[0])
+        away = frame[:3] + ca.reshape(frame[3:], 3, 3) @ at - ground
+        above = away[2] - ca.dot(away[:2], end[1:3])
+        gap = ca.if_else(above < 0, -1, 1) * ca.norm_2(away)
+        change = ca.norm_inf(ca.vertcat(at, foot) - before)
+        return ca.Function("steps", inputs, [at, foot, change, gap, ground])
+
+    def _heights(self, x: Array, y: Array) -> Array:
+        """Return the local heights at local points [m]."""
+        x_0, y_0, z_0 = self.terrain.origin
+        return self.terrain.elevation(x + x_0, y + y_0) - z_0
+
+    def _grid_starts(self, shape: Box | Ball, placed: Array) -> tuple[Array, _Starts]:
+        """Return the least distance of a shape from a grid of ground points, and local minima.
+
+        ``placed`` are its origins and axes (12, n).
+        """
+        center, axes = placed[:3].T, placed[3:].T.reshape(-1, 3, 3).transpose(0, 2, 1)
+        axes, half = _upright(shape, axes)
+        radius = shape.radius if isinstance(shape, Ball) else 0.0
+        n = len(center)
+        below = -np.sign(axes[:, 2, 2]) * half[:, 2]
+        lowest = center[:, 2] - (np.abs(axes[:, 2]) * half).sum(axis=1)
+        above = lowest - self._heights(center[:, 0], center[:, 1])
+        spacing = (
+            max(self.terrain.grid.spacing)
+            if isinstance(self.terrain, Bicubic)
+            else USUAL_SPACING * 2 * max(half.max(), MAX_REACH)
+        )
+        reach = half[:, :2] + (spacing + np.clip(above, 0.0, MAX_REACH))[:, None]
+        counts = [min(MAX_POINTS, 2 + int(2 * reach[:, k].max() / spacing)) for k in (0, 1)]
+        u = reach[:, 0, None, None] * np.linspace(-1, 1, counts[0])[:, None]
+        v = reach[:, 1, None, None] * np.linspace(-1, 1, counts[1])
+        x, y, z = (
+            (center[:, k] + below * axes[:, k, 2])[:, None, None]
+            + axes[:, k, 0, None, None] * u
+            + axes[:, k, 1, None, None] * v
+            for k in (0, 1, 2)
+        )
+        height = self._heights(x, y)
+        # ground points in the box's axes: those of the grid, moved vertically
+        seen = [
+            each + (height - z) * axes[:, 2, k, None, None]
+            for k, each in enumerate((u, v, below[:, None, None]))
+        ]
+        beyond = [np.abs(each) - half[:, k, None, None] for k, each in enumerate(seen)]
+        inside = np.maximum(np.maximum(beyond[0], beyond[1]), beyond[2])
+        distance = sum(np.maximum(each, 0) ** 2 for each in beyond)
+        distance = np.sqrt(distance) + np.minimum(inside, 0)
+        steps = 2 * reach / (np.array(counts) - 1)
+        slack = SLACK * steps.max(axis=1)
+        least = distance.reshape(n, -1).min(axis=1)
+        chosen = _minima(distance) & (distance <= (least + slack)[:, None, None])
+        slopes = (
+            np.abs(np.diff(height, axis=k + 1)).max(axis=(1, 2)) / steps[:, k] for k in (0, 1)
+        )
+        upright = 1 / np.sqrt(1 + sum(slope**2 for slope in slopes))  # least component n_z
+        own, corner, place, gap = self._low_corners(center, axes, half, below)
+        lowest_gap = np.full(n, np.inf)
+        np.minimum.at(lowest_gap, own, gap)
+        lone = ~_is_near(chosen, own, (corner[:, :2] + reach[own]) / steps[own])
+        own, corner, place, gap = own[lone], corner[lone], place[lone], gap[lone]
+        pose, i, j = np.nonzero(chosen)
+        at = np.stack([each[pose, i, j] for each in seen], axis=1)
+        start = np.clip(at, -half[pose], half[pose])
+        under = (np.abs(at[:, :2]) < half[pose, :2]).all(axis=1)
+        start[under, 2] = below[pose[under]]
+        # beside the face the distance rises like a cone from its edge, faster than by curvature
+        low = distance[pose, i, j] - np.where(under, 1, OUTSIDE) * slack[pose]
+        spot = np.column_stack([x[pose, i, j], y[pose, i, j]])
+        pose = np.concatenate([pose, own])
+        starts = _Starts(
+            pose,
+            pose,
+            np.concatenate([low, np.minimum(gap, upright[own] * gap)]) - radius,
+            np.full(pose.size, radius),
+            np.concatenate([start, corner]),
+            np.concatenate([spot, place]),
+            np.column_stack([center, axes.transpose(0, 2, 1).reshape(-1, 9)])[pose],
+            np.column_stack([half, steps, half[:, 2]])[pose],
+        )
+        return np.minimum(least, lowest_gap) - radius, starts
+
+    def _low_corners(
+        self, center: Array, axes: Array, half: Array, below: Array
+    ) -> tuple[Indices, Array, Array, Array]:
+        """Return the corners of the lowest face with almost the least vertical gaps.
+
+        Poses (m,), corners in the axes of the box (m, 3), horizontal positions (m, 2), gaps (m,).
+        """
+        signs = CORNERS[: 4 if half.any() else 1]
+        corners = np.stack([np.column_stack([a * half[:, :2], below]) for a in signs], axis=1)
+        places = np.einsum("nij,nkj->nki", axes, corners) + center[:, None]
+        gaps = places[..., 2] - self._heights(places[..., 0], places[..., 1])
+        least = gaps.min(axis=1, keepdims=True)
+        pose, k = np.nonzero(gaps <= least + SIMILAR * np.abs(least))
+        return pose, corners[pose, k], places[pose, k, :2], gaps[pose, k]
+
+    def _hull_starts(self, shape: Hull, placed: Array) -> tuple[Array, _Starts]:
+        """Return the least vertical gap of a hull's points, and the points with the least gaps.
+
+        ``placed`` are its origins and axes (12, n).
+        """
+        axes, points = placed[3:].T.reshape(-1, 3, 3).transpose(0, 2, 1), np.array(shape.points)
+        places = np.einsum("nij,pj->npi", axes, points) + placed[:3].T[:, None]
+        gaps = places[..., 2] - self._heights(places[..., 0], places[..., 1])
+        chosen = np.argsort(gaps, axis=1)[:, :MAX_STARTS]
+        pose, k = np.repeat(np.arange(len(gaps)), chosen.shape[1]), chosen.reshape(-1)
+        place, gap = places[pose, k], gaps[pose, k]
+        starts = _Starts(
+            pose,
+            pose,
+            np.where(gap > 0, STEEPEST * gap, gap),
+            np.zeros(pose.size),
+            np.zeros_like(place),
+            place[:, :2],
+            np.column_stack([place, placed[3:].T[pose]]),
+            np.zeros((pose.size, 6)),
+        )
+        return gaps.min(axis=1), starts
+
+    def _improved(self, starts: _Starts) -> tuple[Array, Array]:
+        """Return clearances (m,) and feet (m, 3) of the starts after steps of Newton's method."""
+        fixed, left = (starts.frame.T, starts.bounds.T), np.arange(starts.pose.size)
+        at, foot = starts.start.T.copy(), starts.spot.T.copy()
+        gap, ground = np.empty(left.size), np.empty((3, left.size))
+        for _ in range(ROUNDS):
+            here = (each[:, left] for each in (at, foot, *fixed))
+            at[:, left], foot[:, left], change, distance, ground[:, left] = evaluate(
+                self._steps, *here
+            )
+            gap[left] = distance[0] - starts.radius[left]
+            least = np.full(starts.pose.max() + 1, np.inf)
+            np.minimum.at(least, starts.pose, gap)
+            is_open = change[0] > CONVERGED
+            left = left[is_open & (gap[left] < least[starts.pose[left]] + STILL_LOWER * change[0])]
+            if not left.size:
+                break
+        return gap, ground.T
+
+
+def _is_near(chosen: Mask, pose: Indices, cell: Array) -> Mask:
+    """Return whether a chosen node of the grid of a pose is next to a point, in cells (m, 2)."""
+    is_near = np.zeros(pose.size, dtype=bool)
+    i, j = (
+        np.clip(np.rint(each).astype(np.intp), 1, count - 2)
+        for each, count in zip(cell.T, chosen.shape[1:], strict=True)
+    )
+    for a in (-1, 0, 1):
+        for b in (-1, 0, 1):
+            is_near |= chosen[pose, i + a, j + b]
+    return is_near
+
+
+def _highest(ground: tuple[Array, Array, Array], center: Array, reach: Array) -> Array:
+    """Return upper bounds of the heights of a coarse ground within a distance of a point, (n,)."""
+    x, y, heights = ground
+    near = [
+        np.abs(axis - at) <= reach + (axis[1] - axis[0])
+        for axis, at in zip((x, y), center, strict=True)
+    ]
+    return np.asarray(np.where(near[0][:, None] & near[1], heights, -np.inf).max(axis=(0, 1)))
+
+
+def _lowest(shape: BodyShape, placed: Array) -> Array:
+    """Return the height of the lowest point of a shape at origins and axes (12, n), (n,) [m]."""
+    up = placed[[5, 8, 11]]
+    if isinstance(shape, Hull):
+        return np.asarray(placed[2] + (np.array(shape.points) @ up).min(axis=0))
+    depth = shape.radius if isinstance(shape, Ball) else np.abs(up.T) @ shape.size / 2
+    return np.asarray(placed[2] - depth)
+
+
+def lowest_point(shape: BodyShape, part: Pose) -> tuple[float, float]:
+    """Return the height of a shape's lowest point, and half its least width in plan view [m].
+
+    ``part`` is a numeric pose of the shape's part.
+    """
+    frame = frame_of(shape, part)
+    rotation, origin = (np.array(ca.evalf(each)) for each in (frame.rotation, frame.origin))
+    placed = np.concatenate([origin, rotation.T.reshape(9, 1)])
+    points: tuple[Vector, ...] = shape.points if isinstance(shape, Hull) else ()
+    points = shape.support_points if isinstance(shape, Box) else points
+    width = _radius(shape)
+    if points:
+        width = np.ptp(np.array(points) @ rotation.T, axis=0)[:2].min() / 2
+    return float(_lowest(shape, placed)[0]), float(width)
+
+
+def _radius(shape: BodyShape) -> float:
+    """Return the largest distance of a point of a shape from the origin of its frame [m]."""
+    if isinstance(shape, Ball):
+        return shape.radius
+    if isinstance(shape, Box):
+        return float(np.linalg.norm(shape.size)) / 2
+    return float(np.linalg.norm(shape.points, axis=1).max())
+
+
+class _Starts(NamedTuple):
+    """Starts of m searches for the nearest points.
+
+    Indices of pose and shape, a lower bound of the distance and the radius of a ball (m,), the
+    point of the box in its axes (m, 3), the ground point (m, 2), centre and axes by columns of the
+    box (m, 12), and half its edges with the longest steps along them (m, 6). [m]
+    """
+
+    pose: Indices
+    shape: Indices
+    low: Array
+    radius: Array
+    start: Array
+    spot: Array
+    frame: Array
+    bounds: Array
+
+
+def _upright(shape: Box | Ball, axes: Array) -> tuple[Array, Array]:
+    """Return axes with the steepest one last, and half the edges along them, (n, 3)."""
+    if isinstance(shape, Ball):
+        return axes, np.zeros((len(axes), 3))
+    order = (np.abs(axes[:, 2]).argmax(axis=1)[:, None] + (1, 2, 3)) % 3
+    return np.take_along_axis(axes, order[:, None], axis=2), (np.array(shape.size) / 2)[order]
+
+
+def _minima(values: Array) -> Array:
+    """Return the mask of the local minima of each grid, (n, i, j); also at its border."""
+    padded = np.pad(values, ((0, 0), (1, 1), (1, 1)), constant_values=np.inf)
+    rows, columns = values.shape[1:]
+    low = np.ones(values.shape, dtype=bool)
+    for i in (0, 1, 2):
+        for j in (0, 1, 2):
+            low &= values <= padded[:, i : i + rows, j : j + columns]
+    return low
+
+
+def _newton_step(
+    jet: Jet, at: ca.SX, foot: ca.SX, frame: Pose, bounds: tuple[ca.SX, ca.SX]
+) -> tuple[ca.SX, ca.SX]:
+    """Return the next point of a box, in its axes, and the next foot of its perpendicular.
+
+    ``jet`` is that of the ground at the foot; ``bounds`` are those of the coordinates of the point
+    and of their steps.
+
+    With the tangents ``T`` and the normal ``N = (-h_x, -h_y, 1)``, the equations are
+    ``T' (P - F) = 0`` and, for each edge ``e`` along which the point is free, ``e . N = 0``.
+    """
+    height, gradient, hessian = jet
+    axes = frame.rotation
+    away = frame.origin + axes @ at - ca.vertcat(foot, height)
+    residual = away[:2] + away[2] * gradient
+    metric = ca.SX.eye(2) + gradient @ gradient.T
+    matrix = metric - away[2] * hessian
+    # in a hollow whose radius is smaller than the distance, the foot is a maximum of the distance
+    is_least = ca.logic_and(ca.det(matrix) > MIN_DETERMINANT, ca.trace(matrix) > 0)
+    inverse = _inverse(ca.if_else(is_least, matrix, metric))
+    farthest = ca.sqrt(ca.sumsqr(away) + ROOT_OFFSET)
+    half, most = bounds
+    along = axes[:2, :] + gradient @ axes[2, :]
+    slope = axes.T @ ca.vertcat(-gradient, 1)
+    turning = axes[:2, :].T @ hessian @ inverse
+    bend, wanted = -turning @ along, turning @ residual - slope
+    held = ca.logic_or(ca.logic_and(at <= -half, slope >= 0), ca.logic_and(at >= half, slope <= 0))
+    # along a concave direction the least distance is at a bound
+    free = ca.logic_and(ca.logic_not(held), ca.diag(bend) > MIN_CURVATURE)
+    solved = _free_solution(bend, wanted, free)
+    change = ca.if_else(free, solved, ca.if_else(held, 0, -ca.sign(slope) * most))
+    change = ca.fmin(ca.fmax(change, -most), most)
+    change = ca.fmin(ca.fmax(at + change, -half), half) - at
+    farthest += ca.sqrt(ca.sumsqr(change) + ROOT_OFFSET)
+    return at + change, foot + _limited(inverse @ (residual + along @ change), farthest)
+
+
+def _limited(step: ca.SX, most: ca.SX) -> ca.SX:
+    """Return a step, shortened to a length of at most ``most``."""
+    return step * ca.fmin(1, most / ca.sqrt(ca.sumsqr(step) + ROOT_OFFSET))
+
+
+def _inverse(matrix: ca.SX) -> ca.SX:
+    """Return the inverse of a symmetric matrix, shape (2, 2)."""
+    a, b, c = matrix[0, 0], matrix[0, 1], matrix[1, 1]
+    return ca.blockcat([[c, -b], [-b, a]]) / (a * c - b**2)
+
+
+def _free_solution(matrix: ca.SX, right: ca.SX, free: ca.SX) -> ca.SX:
+    """Return the solution of a symmetric system (3, 3) in the rows and columns that are free.
+
+    It minimises a quadratic function, which is made convex if it is not.
+    """
+    rows = [ca.if_else(free[k], matrix[k, k], 1) for k in range(3)]
+    pairs = {
+        (i, j): ca.logic_and(free[i], free[j]) * matrix[i, j] for i, j in ((0, 1), (0, 2), (1, 2))
+    }
+    b, c, f = pairs[0, 1], pairs[0, 2], pairs[1, 2]
+    product = rows[0] * rows[1] * rows[2]
+    determinant = product + 2 * b * c * f - rows[0] * f**2 - rows[1] * c**2 - rows[2] * b**2
+    is_convex = ca.logic_and(determinant > MIN_CONVEXITY * product, rows[0] * rows[1] > b**2)
+    # a dominant diagonal makes the step descend: plain steps would converge to a saddle
+    sums = ca.fabs(b) + ca.fabs(c), ca.fabs(b) + ca.fabs(f), ca.fabs(c) + ca.fabs(f)
+    rows = [row + ca.if_else(is_convex, 0, add) for row, add in zip(rows, sums, strict=True)]
+    product = rows[0] * rows[1] * rows[2]
+    determinant = product + 2 * b * c * f - rows[0] * f**2 - rows[1] * c**2 - rows[2] * b**2
+    (a, d, e), (x, y, z) = rows, ca.vertsplit(ca.if_else(free, right, 0))
+    return (
+        ca.vertcat(
+            (d * e - f**2) * x + (c * f - b * e) * y + (b * f - c * d) * z,
+            (c * f - b * e) * x + (a * e - c**2) * y + (b * c - a * f) * z,
+            (b * f - c * d) * x + (b * c - a * f) * y + (a * d - b**2) * z,
+        )
+        / determinant
+    )
+
+
+def _step_function() -> ca.Function:
+    """Return `_newton_step` as a function of columns, as `BodyClearance` evaluates it."""
+    jet, at, foot, frame, bounds = (
+        ca.SX.sym(name, size)
+        for name, size in (("jet", 7), ("at", 3), ("foot", 2), ("frame", 12), ("bounds", 6))
+    )
+    step = _newton_step(
+        Jet(jet[0], jet[1:3], ca.reshape(jet[3:], 2, 2)),
+        at,
+        foot,
+        Pose(ca.reshape(frame[3:], 3, 3), frame[:3]),
+        (bounds[:3], bounds[3:]),
+    )
+    return ca.Function("step", [jet, at, foot, frame, bounds], [*step], {"cse": True})
+
+
+NEWTON_STEP = _step_function()
+
+
+def _plane_function(shape: BodyShape, plane: Plane) -> ca.Function:
+    """Return clearance and foot of a shape over a plane, as a function of origin and axes."""
+    center, columns = ca.SX.sym("center", 3), ca.SX.sym("columns", 9)
+    gap, foot = plane_gap(shape, Pose(ca.reshape(columns, 3, 3), center), plane)
+    return ca.Function("plane", [center, columns], [gap, foot])
+
+
+def plane_gap(shape: BodyShape, frame: Pose, plane: Plane) -> tuple[ca.SX, ca.SX]:
+    """Return the clearance of a shape from a plane, and the foot of its perpendicular."""
+    gradient = ca.SX(plane.gradient)
+    up, radius = ca.vertcat(-gradient, 1) / ca.sqrt(1 + ca.sumsqr(gradient)), 0.0
+    if isinstance(shape, Box):
+        side = ca.if_else(frame.rotation.T @ up > 0, -0.5, 0.5) * ca.DM(shape.size)
+        places = [frame.origin + frame.rotation @ side]
+    elif isinstance(shape, Ball):
+        places, radius = [frame.origin], shape.radius
+    else:
+        places = [frame.origin + frame.rotation @ ca.DM(point) for point in shape.points]
+    heights = [ca.dot(up, at) - up[2] * plane.height for at in places]
+    return _least([(h - radius, at - h * up) for h, at in zip(heights, places, strict=True)])
+
+
+def _least(gaps: Sequence[tuple[ca.SX, ca.SX]]) -> tuple[ca.SX, ca.SX]:
+    """Return the least of several clearances, and its foot."""
+    least, foot = gaps[0]
+    for gap, at in gaps[1:]:
+        foot = ca.if_else(gap < least, at, foot)
+        least = ca.fmin(gap, least)
+    return least, foot
+
+
+def frame_of(shape: BodyShape, part: Pose) -> Pose:
+    """Return the frame of a shape: its axes and centre, or the part's frame for a hull."""
+    if isinstance(shape, Box):
+        return part @ shape.pose
+    return part @ translation(*shape.at) if isinstance(shape, Ball) else part

@@ -1,0 +1,196 @@
+"""Shapes of bodies from the collision geometry of a URDF, without that of wheels.
+
+A mesh and a cylinder become the points of a convex hull: some of its corners, and points on its
+lower faces, so that a clearance finds ground that rises between the corners.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import scipy  # scipy.optimize and scipy.spatial are imported when they are used
+
+from slipfree.core.errors import DataError
+from slipfree.core.records import Array
+from slipfree.files.urdf.meshes import MeshFiles
+from slipfree.files.urdf.tree import Collision, Tree, UrdfJoint
+from slipfree.files.vehicle_draft import angles_of, rotation_of, vector_of
+from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
+
+MAX_CORNERS = 32  # largest number of corners that represent a hull
+SHRINK = 1e-3  # a hull that shrinks by less needs no further corner [m]
+DIRECTIONS = np.array([d for d in product((-1, 0, 1), repeat=3) if any(d)])  # of first corners
+RIM_POINTS = 16  # number of points on a rim of a cylinder
+FACE_POINTS = 8  # number of intervals along each side of the grid on the lower faces of a hull
+CLEAR = 1e-3  # shapes closer to the level ground of the wheels are left out [m]
+SAME = 1e-6  # positions that coincide [m]
+
+
+def body_shapes(
+    tree: Tree, parts: Collection[str], wheels: Collection[UrdfJoint], ground: float
+) -> tuple[dict[str, tuple[BodyShape, ...]], list[str]]:
+    """Return the shapes of the bodies of a URDF that faces forward along x, and notes on them.
+
+    The shapes are in the frame of the link, one of ``parts``, that they move with. ``wheels`` are
+    the joints of wheels, ``ground`` the height of level ground below them, with all joints at zero,
+    in the frame of the root [m].
+    """
+    on_wheels = {j.child for wheel in wheels for j in [wheel, *tree.below(wheel.child)]}
+    links = [link for link in tree.links.values() if link.name not in on_wheels]
+    meshes = [each.mesh for link in links for each in link.collisions if each.mesh]
+    files, centers = MeshFiles(meshes, Path(tree.file).parent), _centers(tree, wheels)
+    parent = {joint.child: joint.parent for joint in tree.joints.values()}
+    shapes: dict[str, list[BodyShape]] = defaultdict(list)
+    touching, unread, reduced = list[str](), dict[str, str](), list[str]()
+    for link in links:
+        owner = link.name
+        while owner not in parts:
+            owner = parent[owner]
+        for collision in link.collisions:
+            try:
+                shape, reduction = _shape(collision, tree.frames[link.name][0], files)
+            except DataError as error:
+                unread[str(error)] = link.name
+                continue
+            placed = _placed(shape, *tree.frames[link.name])
+            if isinstance(placed, Ball) and np.abs(centers - placed.at).max(axis=1).min() < SAME:
+                continue  # the ball of a caster, which is a wheel
+            if _lowest(placed) < ground + CLEAR:
+                touching.append(link.name)
+                continue
+            reduced += [f"{link.name} {reduction}"] if reduction else []
+            rotation, origin = tree.frames[owner]
+            shapes[owner].append(_placed(placed, rotation.T, -rotation.T @ origin))
+    by_link = {owner: tuple(of_link) for owner, of_link in shapes.items()}
+    return by_link, [*_notes(touching, reduced, unread)]
+
+
+def _centers(tree: Tree, wheels: Collection[UrdfJoint]) -> Array:
+    """Return the centres of wheels in the root's frame, (m, 3) [m]; a far point without any."""
+    centers = [tree.frames[wheel.child][1] for wheel in wheels]
+    return np.array(centers or [np.full(3, np.inf)])
+
+
+def _notes(
+    touching: Collection[str], reduced: Collection[str], unread: Mapping[str, str]
+) -> Iterator[str]:
+    """Yield the notes; ``unread`` are the links of meshes that are not read, by the reason."""
+    if touching:
+        yield (
+            "collision shapes left out of the clearance, since they reach down to the ground of "
+            f"the wheels: {', '.join(dict.fromkeys(touching))}"
+        )
+    if reduced:
+        yield f"collision shapes as points of hulls: {', '.join(reduced)}"
+    if unread:
+        why, *more = unread
+        others = f" (and {len(more)} others)" if more else ""
+        yield f"clearance without {', '.join(dict.fromkeys(unread.values()))}: {why}{others}"
+
+
+def _shape(collision: Collision, rotation: Array, files: MeshFiles) -> tuple[BodyShape, str]:
+    """Return the shape of a collision element in its link, and how a hull was reduced.
+
+    ``rotation`` is that of the link in the root's frame. A DataError says why a mesh is not read.
+    """
+    at, size = collision.at, collision.size
+    if collision.kind == "sphere":
+        return Ball(size[0], at), ""
+    if collision.kind == "box":
+        return Box(size, at, collision.turned), ""
+    if collision.mesh is not None:
+        corners, shrink = reduced_hull(files.triangles(collision.mesh).vertices)
+    else:
+        radius, length, _ = size
+        angles = 2 * np.pi * np.arange(2 * RIM_POINTS) / RIM_POINTS
+        ends = np.repeat((-length / 2, length / 2), RIM_POINTS)
+        rims = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), ends])
+        corners = rims @ rotation_of(collision.turned).T + at
+        shrink = radius * (1 - np.cos(np.pi / RIM_POINTS))
+    points = np.vstack([corners, _on_lower_faces(corners, rotation[2])])
+    return Hull(tuple(map(vector_of, points))), f"({len(points)} points, {1e3 * shrink:.2g} mm)"
+
+
+def reduced_hull(vertices: Array) -> tuple[Array, float]:
+    """Return some corners of the convex hull of vertices, and by how much it shrinks.
+
+    Parameters
+    ----------
+    vertices : ndarray, shape (n, 3)
+        The vertices. [m]
+
+    Returns
+    -------
+    corners : ndarray, shape (m, 3)
+        At most 32 corners of the hull. [m]
+    shrink : float
+        Largest distance of a vertex from the hull of the corners. [m]
+    """
+    corners = _corners(vertices)
+    chosen = np.unique((corners @ DIRECTIONS.T).argmax(axis=0)).tolist()
+    while True:
+        distance = _distances(corners, corners[chosen])
+        shrink = float(distance.max())
+        if shrink <= SHRINK or len(chosen) >= MAX_CORNERS:
+            return corners[chosen], shrink
+        chosen.append(int(distance.argmax()))
+
+
+def _corners(vertices: Array) -> Array:
+    """Return the corners of the convex hull of vertices; all vertices if they lie in a plane."""
+    vertices = np.unique(vertices, axis=0)
+    if np.linalg.matrix_rank(vertices - vertices[0], tol=SAME) < 3:
+        return vertices
+    return np.asarray(vertices[scipy.spatial.ConvexHull(vertices).vertices])
+
+
+def _distances(points: Array, corners: Array) -> Array:
+    """Return the distances of points from the convex hull of corners [m]."""
+    # the nearest convex combination: the heavy last row makes the weights sum to one
+    heavy = 1e4 * float(np.ptp(points, axis=0).max())
+    matrix = np.vstack([corners.T, np.full(len(corners), heavy)])
+    return np.array([scipy.optimize.nnls(matrix, [*point, heavy])[1] for point in points])
+
+
+def _on_lower_faces(corners: Array, up: Array) -> Array:
+    """Return a grid of points on the lower faces of the convex hull of corners, shape (m, 3)."""
+    frame = np.linalg.svd(up[None])[2][1:]
+    plan = corners @ frame.T
+    if len(corners) < 4 or np.linalg.matrix_rank(corners - corners[0], tol=SAME) < 3:
+        return np.empty((0, 3))
+    planes = scipy.spatial.ConvexHull(corners).equations
+    lower = planes[planes[:, :3] @ up < -SAME]
+    edge = scipy.spatial.ConvexHull(plan).equations
+    lines = [np.linspace(side.min(), side.max(), FACE_POINTS + 1) for side in plan.T]
+    grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
+    grid = grid[(grid @ edge[:, :2].T + edge[:, 2] < -SAME).all(axis=1)] @ frame
+    # height at which a vertical line enters the hull: that of the highest lower face
+    heights = -(grid @ lower[:, :3].T + lower[:, 3]) / (lower[:, :3] @ up)
+    return np.asarray(grid + heights.max(axis=1)[:, None] * up)
+
+
+def _placed(shape: BodyShape, rotation: Array, origin: Array) -> BodyShape:
+    """Return a shape in another frame, in which its frame has a rotation and an origin."""
+
+    def moved(point: tuple[float, float, float]) -> tuple[float, float, float]:
+        return vector_of(rotation @ np.asarray(point) + origin)
+
+    if isinstance(shape, Hull):
+        return Hull(tuple(map(moved, shape.points)))
+    if isinstance(shape, Ball):
+        return Ball(shape.radius, moved(shape.at))
+    return Box(shape.size, moved(shape.at), angles_of(rotation @ rotation_of(shape.turned)))
+
+
+def _lowest(shape: BodyShape) -> float:
+    """Return the height of the lowest point of a shape in its frame [m]."""
+    if isinstance(shape, Hull):
+        return min(point[2] for point in shape.points)
+    if isinstance(shape, Ball):
+        return shape.at[2] - shape.radius
+    half = np.abs(rotation_of(shape.turned)[2]) @ shape.size / 2
+    return float(shape.at[2] - half)

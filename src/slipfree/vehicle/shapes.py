@@ -1,0 +1,145 @@
+"""Shapes of the bodies of a vehicle: boxes, balls, and convex hulls given by their points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from math import inf
+
+from slipfree.core.errors import ModelError
+from slipfree.core.records import field_overview
+from slipfree.geometry.frame import Pose, Vector, check_vector, translation, turn
+from slipfree.vehicle.wheel import ORIGIN
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box.
+
+    Attributes
+    ----------
+    size : tuple of 3 floats
+        Edges along the box's x, y and z axes, positive. [m]
+    at : tuple of 3 floats
+        Centre in the part's frame. [m]
+    turned : tuple of 3 floats
+        Orientation in the part's frame: angles about the part's x, then y, then z axis (roll,
+        pitch, yaw). [rad]
+
+    Raises
+    ------
+    ModelError
+        If an edge is not positive, or a number is not finite.
+    """
+
+    size: Vector
+    at: Vector = ORIGIN
+    turned: Vector = ORIGIN
+
+    def __repr__(self) -> str:
+        return field_overview(self)
+
+    def __post_init__(self) -> None:
+        for key in ("size", "at", "turned"):
+            check_vector(f"box: {key}", getattr(self, key))
+        if not min(self.size) > 0:
+            raise ModelError(
+                f"box: size: expected three positive edges, found {self.size} m; increase them"
+            )
+
+    def __str__(self) -> str:
+        """Return edges, centre and orientation, for lists of parts."""
+        edges = " x ".join(f"{edge:.4g}" for edge in self.size)
+        turned = "" if self.turned == ORIGIN else f", turned {_listed(self.turned)} rad"
+        return f"box {edges} m at {_listed(self.at)} m{turned}"
+
+    @property
+    def pose(self) -> Pose:
+        """Pose of the box's axes in the part's frame, with the origin at its centre."""
+        x, y, z = self.turned
+        return translation(*self.at) @ turn("z", z) @ turn("y", y) @ turn("x", x)
+
+    @property
+    def support_points(self) -> tuple[Vector, ...]:
+        """Corners in the box's axes, relative to its centre [m]."""
+        a, b, c = (edge / 2 for edge in self.size)
+        return tuple((i * a, j * b, k * c) for i, j, k in product((-1, 1), repeat=3))
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A ball.
+
+    Attributes
+    ----------
+    radius : float
+        Radius, positive. [m]
+    at : tuple of 3 floats
+        Centre in the part's frame. [m]
+
+    Raises
+    ------
+    ModelError
+        If the radius is not positive and finite, or the centre not finite.
+    """
+
+    radius: float
+    at: Vector = ORIGIN
+
+    def __repr__(self) -> str:
+        return field_overview(self)
+
+    def __post_init__(self) -> None:
+        check_vector("ball: at", self.at)
+        if not 0 < self.radius < inf:
+            raise ModelError(
+                f"ball: radius: expected a positive, finite number, found {self.radius} m; "
+                "correct it"
+            )
+
+    def __str__(self) -> str:
+        """Return radius and centre, for lists of parts."""
+        return f"ball of radius {self.radius:.4g} m at {_listed(self.at)} m"
+
+
+@dataclass(frozen=True)
+class Hull:
+    """The convex hull of points; its clearance is that of the points.
+
+    Attributes
+    ----------
+    points : tuple of tuples of 3 floats
+        Points in the part's frame. Further points on faces and edges let the clearance find ground
+        that rises between the corners. [m]
+
+    Raises
+    ------
+    ModelError
+        If there is no point, or a number is not finite.
+    """
+
+    points: tuple[Vector, ...]
+
+    def __repr__(self) -> str:
+        return field_overview(self)
+
+    def __post_init__(self) -> None:
+        if not self.points:
+            raise ModelError("hull: points: expected at least one point, found none; add points")
+        for point in self.points:
+            check_vector("hull: points", point)
+
+    def __str__(self) -> str:
+        """Return the number of points and their extent, for lists of parts."""
+        sides = ", ".join(
+            f"{min(side):.4g} to {max(side):.4g}" for side in zip(*self.points, strict=True)
+        )
+        return f"hull of {len(self.points)} points, ({sides}) m"
+
+
+def _listed(vector: Vector) -> str:
+    return f"({', '.join(f'{each:.4g}' for each in vector)})"
+
+
+BodyShape = Box | Ball | Hull
+SHAPES: dict[str, type[BodyShape]] = {"box": Box, "ball": Ball, "hull": Hull}
