@@ -13,11 +13,11 @@ from math import inf, sqrt
 from typing import Annotated
 
 import casadi as ca
-from annotated_types import Ge, Gt, Le, Unit, doc
+from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import check_bounds
-from slipfree.laws.protocols import GroundForce, WheelContact
+from slipfree.laws.protocols import BodyTouch, GroundForce, WheelContact
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -43,6 +43,9 @@ class Compliant:
         Ratio of the friction at fast slip to the friction at slow slip (Stribeck effect). [1]
     stribeck_speed : float
         Slip velocity at which friction has made 63 % of the change from slow to fast slip. [m/s]
+    body_depth : float
+        Depth of a point of a body, such as a corner of a box, in the ground under the weight of the
+        vehicle; zero to end the motion where a body touches the ground. [m]
 
     Raises
     ------
@@ -62,6 +65,13 @@ class Compliant:
     stribeck_speed: Annotated[
         float, Gt(0), Unit("m/s"), doc("slip at 63 % of the change from slow to fast friction")
     ] = 0.01
+    body_depth: Annotated[
+        float,
+        Ge(0),
+        Lt(inf),
+        Unit("m"),
+        doc("depth of a point of a body under the vehicle's weight; 0: a touch ends the motion"),
+    ] = 0.0
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -91,13 +101,34 @@ class Compliant:
             Contact and motion of the wheel.
         """
         touch, slip, depth = contact.touch, contact.slip, contact.wheel.depth
-        stiffness = contact.share / depth
-        damping = 2 * self.damping_ratio / sqrt(contact.gravity * depth)
-        normal = touch.frame.normal
-        separating = ca.dot(normal, slip)
+        at = BodyTouch(
+            touch.gap, touch.frame.normal, slip, touch.friction, contact.share, contact.gravity
+        )
+        return self._force(at, depth)
+
+    @property
+    def bears_bodies(self) -> bool:
+        """Whether bodies bear load."""
+        return self.body_depth > 0
+
+    def body_force(self, touch: BodyTouch) -> GroundForce:
+        """Return the force of the ground on a point of a body.
+
+        Parameters
+        ----------
+        touch : BodyTouch
+            Contact and motion of the point.
+        """
+        return self._force(touch, self.body_depth)
+
+    def _force(self, touch: BodyTouch, depth: float) -> GroundForce:
+        """Return the force on a point that is at a depth under the weight of its contact."""
+        stiffness = touch.weight / depth
+        damping = 2 * self.damping_ratio / sqrt(touch.gravity * depth)
+        separating = ca.dot(touch.normal, touch.slip)
         elastic = stiffness * ca.fmax(-touch.gap, 0)
         load = elastic * ca.fmax(0, 1 - damping * separating)
-        tangential = slip - separating * normal
+        tangential = touch.slip - separating * touch.normal
         squared_slip = ca.sumsqr(tangential)
         friction = touch.friction
         if self.sliding < 1:

@@ -233,6 +233,44 @@ class GroundForce(NamedTuple):
     moment: ca.SX
 
 
+class BodyTouch(NamedTuple):
+    """Contact of a point of a vehicle's body with the ground, in dynamics.
+
+    Attributes
+    ----------
+    gap : SX, shape (1, 1)
+        Distance from the ground, negative below it. [m]
+    normal, slip : SX, shape (3, 1)
+        Unit normal of the ground, upward; velocity of the point, in fixed axes. [1, m/s]
+    friction : SX, shape (1, 1)
+        Coefficient of friction of the ground. [1]
+    weight, gravity : float
+        Weight of the vehicle [N], and gravitational acceleration [m/s^2].
+    """
+
+    gap: ca.SX
+    normal: ca.SX
+    slip: ca.SX
+    friction: ca.SX
+    weight: float
+    gravity: float
+
+
+@runtime_checkable
+class BodyLaw(Protocol):
+    """Part of a contact law with which bodies of a vehicle may bear load.
+
+    With other laws, a motion ends where a body touches the ground.
+    """
+
+    @property
+    def bears_bodies(self) -> bool:
+        """Whether bodies bear load; otherwise a motion ends where one touches the ground."""
+
+    def body_force(self, touch: BodyTouch) -> GroundForce:
+        """Return the force of the ground on a point of a body, without moment."""
+
+
 @runtime_checkable
 class ContactLaw(Protocol):
     """Forces of the ground on the wheels of a dynamic model, as functions of depth and motion."""

@@ -15,6 +15,7 @@ from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Label, T, leaves, unpack
 from slipfree.laws.protocols import ContactLaw, GroundForce, wheel_labels
 from slipfree.models.base import Mechanics, Quantities, outputs, slip_ratios
+from slipfree.models.body_contact import BodyContact
 from slipfree.models.limits import tip_over_margin
 from slipfree.models.multibody import Multibody, kinetic_energy
 from slipfree.models.records import (
@@ -88,6 +89,7 @@ class DynamicOutputs(NamedTuple, Generic[T]):
     """Outputs of a dynamic model; positions are map coordinates.
 
     ``x`` is empty if it is a state, and ``pitch`` if it is a state, that is, for planar vehicles.
+    ``body_load`` is empty if bodies do not bear load.
     """
 
     x: T
@@ -102,14 +104,18 @@ class DynamicOutputs(NamedTuple, Generic[T]):
     common: Outputs[T]
     kinetic_energy: T
     contact_energy: T
+    body_load: tuple[T, ...]
     solids: tuple[OnSolid[T], ...]
 
 
 DynamicDae = Dae[DynamicState[ca.SX], tuple[()], Inputs[ca.SX], DynamicOutputs[ca.SX]]
 
 
-def dynamic_labels(vehicle: Vehicle, solids: int = 0) -> Labels:
-    """Return the labels of the dynamic model of a vehicle with mass, for a number of solids."""
+def dynamic_labels(vehicle: Vehicle, solids: int = 0, *, bears: bool = False) -> Labels:
+    """Return the labels of the dynamic model of a vehicle with mass, for a number of solids.
+
+    ``bears`` is whether bodies bear load.
+    """
     still = labels_of(vehicle, follow=False)
     words = "energy lost in contacts and dampers"
     q = DynamicTotals(still.q.wheels, still.q.work[0], Label("lost_energy", "J", words))
@@ -118,9 +124,8 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0) -> Labels:
         tuple(_wheel_input(wheel) for wheel in vehicle.wheels if wheel.driven),
         tuple(effort_label(vehicle, c) if c.drive.takes_effort else rate for c, rate in joints),
     )
-    return Labels(
-        _state_labels(vehicle, still), (), q, u, _output_labels(vehicle, still, solids), ()
-    )
+    y = _output_labels(vehicle, still, solids, bears=bears)
+    return Labels(_state_labels(vehicle, still), (), q, u, y, ())
 
 
 def _wheel_input(wheel: Wheel) -> Label:
@@ -169,7 +174,7 @@ def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
     )
 
 
-def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutputs:
+def _output_labels(vehicle: Vehicle, still: Labels, solids: int, *, bears: bool) -> DynamicOutputs:
     """Return the labels of the outputs, from those of a model without inertia."""
     position, rates = still.z.position, still.z.rates
     forces: Any = still.y.forces
@@ -189,6 +194,7 @@ def _output_labels(vehicle: Vehicle, still: Labels, solids: int) -> DynamicOutpu
         ),
         Label("kinetic_energy", "J", "kinetic energy"),
         Label("contact_energy", "J", "elastic energy of the contacts"),
+        (Label("body_load", "N", "sum of the normal forces on the bodies"),) if bears else (),
         tuple(_solid_labels(vehicle, k) for k in range(solids + 1 if solids else 0)),
     )
 
@@ -377,11 +383,13 @@ def dynamic_outputs(
     body: Multibody,
     shown: Sequence[Contact],
     contacts: Sequence[tuple[Contact, ...]],
+    bodies: Sequence[BodyContact],
     forces: ForceOutputs,
 ) -> DynamicOutputs:
     """Return the outputs of the model; the slip of a wheel in the air is zero.
 
-    ``shown`` is the contact of each wheel with the least gap, ``contacts`` are all contacts.
+    ``shown`` is the contact of each wheel with the least gap, ``contacts`` are all contacts of
+    wheels, ``bodies`` those of bodies.
     """
     o_x, o_y, _ = q.terrain.origin
     normal = q.forces.normal
@@ -405,9 +413,19 @@ def dynamic_outputs(
             slip_ratio=slip_ratios(q),
         ),
         kinetic_energy(body),
-        sum((each.energy for touching in contacts for each in touching), ca.SX(0)),
+        sum((each.energy for each in _all_of(contacts, bodies)), ca.SX(0)),
+        (sum(each.force.normal for each in bodies),) if bodies else (),
         tuple(map(_on_solid, zip(*contacts, strict=True))) if len(contacts[0]) > 1 else (),
     )
+
+
+def _all_of(
+    contacts: Sequence[tuple[Contact, ...]], bodies: Sequence[BodyContact]
+) -> Iterator[Contact | BodyContact]:
+    """Yield the contacts of all wheels, then those of bodies."""
+    for touching in contacts:
+        yield from touching
+    yield from bodies
 
 
 def _on_solid(contacts: Sequence[Contact]) -> OnSolid:
@@ -449,6 +467,7 @@ def depth_limits(
 def dynamic_forces(
     q: Quantities,
     contacts: Sequence[tuple[Contact, ...]],
+    bodies: Sequence[BodyContact],
     x: DynamicState,
     effort: Effort,
 ) -> ForceOutputs:
@@ -473,7 +492,7 @@ def dynamic_forces(
         effort.torques,
         output_efforts(q.vehicle, effort.actuators),
         ca.dot(efforts, ca.vertcat(*rates)),
-        q.mechanics.damped + sum(each.dissipation for touching in contacts for each in touching),
+        q.mechanics.damped + sum(each.dissipation for each in _all_of(contacts, bodies)),
         q.mechanics.potential,
         q.tip_over_margin,
     )

@@ -29,8 +29,9 @@ from slipfree.core.lookups import LookupTable
 from slipfree.core.records import leaves, pack, symbols
 from slipfree.geometry.frame import Pose, rotation_of, turn
 from slipfree.laws.compliant import Compliant
-from slipfree.laws.protocols import ContactLaw, WheelContact, check_law
+from slipfree.laws.protocols import BodyLaw, ContactLaw, WheelContact, check_law
 from slipfree.models.base import body_checks, extent, raised_poses, sizes
+from slipfree.models.body_contact import BodyContact, body_contacts
 from slipfree.models.dynamic_outputs import (
     Contact,
     DynamicDae,
@@ -133,17 +134,20 @@ def dynamics(
     check_dynamic(vehicle)
     law.check(vehicle, terrain)
     vehicle = _with_depths_of(law, with_depths(vehicle))
-    labels = dynamic_labels(vehicle, len(prisms))
+    bears = isinstance(law, BodyLaw) and law.bears_bodies and bool(vehicle.shapes)
+    labels = dynamic_labels(vehicle, len(prisms), bears=bears)
     x, u, lookups = symbols(labels.x), symbols(labels.u), LookupTable()
     body = moving_bodies(vehicle, x)
     contacts = _contacts(vehicle, terrain, prisms, law, body, lookups)
+    bodies = body_contacts(vehicle, terrain, law, body, lookups)
     matrix, bias = mass_matrix(body), bias_forces(body)
     check_inertia(vehicle, labels, x, matrix)
-    ode, effort = equations_of_motion(vehicle, x, u, body, matrix, bias, contacts)
+    touching = contacts, bodies
+    ode, effort = equations_of_motion(vehicle, x, u, body, matrix, bias, *touching)
     shown = [deepest(each) for each in contacts]
     q = quantities(vehicle, terrain, _in_space(vehicle, x), u, body, shown, lookups)
-    forces = dynamic_forces(q, contacts, x, effort)
-    y = dynamic_outputs(q, body, shown, contacts, forces)
+    forces = dynamic_forces(q, *touching, x, effort)
+    y = dynamic_outputs(q, body, shown, *touching, forces)
     on_base = [each[0] for each in contacts]
     (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
     frames = tuple(each.touch.frame for each in on_base)
@@ -163,11 +167,11 @@ def dynamics(
         y=y,
         labels=labels,
         limits=(
-            *limits_of(limit_quantities(q, on_base), static=False),
+            *limits_of(limit_quantities(q, on_base), static=False, overturns=bears),
             *solid_limits(vehicle, contacts),
             *depth_limits(vehicle, law, contacts),
         ),
-        checks=(*checks, *body_checks(q, x, ())),
+        checks=checks if bears else (*checks, *body_checks(q, x, ())),
         guess=ca.SX(0, 1),
         scale=scale,
         shift=shift,
@@ -175,7 +179,7 @@ def dynamics(
         pace=ca.SX(0) if plane_of(terrain) and not prisms else _pace(body, u),
         standing=_start(vehicle, terrain, prisms, law, labels),
         lookups=lookups.lookups,
-        held=_held_inertia(vehicle, x, u, body, (matrix, bias), contacts),
+        held=_held_inertia(vehicle, x, u, body, (matrix, bias), *touching),
     )
 
 
@@ -328,13 +332,15 @@ def equations_of_motion(
     matrix: ca.SX,
     bias: ca.SX,
     contacts: Sequence[tuple[Contact, ...]],
+    bodies: Sequence[BodyContact] = (),
 ) -> tuple[ca.SX, Effort]:
     """Return the rates of the states, and the efforts of drives and actuators.
 
     ``matrix`` is the mass matrix, ``bias`` are the inertial forces at constant speeds less gravity.
     """
     wheels = _wheels(x, u, body, contacts)
-    forces = generalised_forces(body, (each.load for each in wheels)) - bias
+    loads = [each.load for each in wheels] + [each.load for each in bodies]
+    forces = generalised_forces(body, loads) - bias
     accelerations, actuators, joint_integrals = _accelerations(vehicle, x, u, matrix, forces)
     spins, torques, integrals = list[ca.SX](), list[ca.SX](), list[ca.SX]()
     for wheel, on in zip(body.wheels, wheels, strict=True):
@@ -361,10 +367,11 @@ def _held_inertia(
     body: Multibody,
     terms: tuple[ca.SX, ca.SX],
     contacts: Sequence[tuple[Contact, ...]],
+    bodies: Sequence[BodyContact],
 ) -> HeldTerms:
     """Return the rates of the states with symbols for ``terms``: mass matrix and bias forces."""
     matrix, bias = (ca.SX.sym("held", each.sparsity()) for each in terms)
-    ode, _ = equations_of_motion(vehicle, x, u, body, matrix, bias, contacts)
+    ode, _ = equations_of_motion(vehicle, x, u, body, matrix, bias, contacts, bodies)
     pairs = (matrix, bias), terms
     symbols, values = (ca.vertcat(*(each.nz[:] for each in pair)) for pair in pairs)
     return HeldTerms(ode, symbols, values)

@@ -220,13 +220,15 @@ LIMITS: tuple[Callable[[Quantities], Iterator[Limit]], ...] = (
 STATIC_LIMITS = (tip_over, lift_off)  # of models without inertia
 
 
-def limits_of(q: Quantities, *, static: bool = True) -> tuple[Limit, ...]:
+def limits_of(q: Quantities, *, static: bool = True, overturns: bool = False) -> tuple[Limit, ...]:
     """Return all limits of a model with the given quantities.
 
-    ``static`` is whether the model neglects inertia.
+    ``static`` is whether the model neglects inertia, ``overturns`` whether the motion continues if
+    the vehicle does, since its bodies bear load.
     """
     functions = (*LIMITS, *STATIC_LIMITS) if static else LIMITS
-    return tuple(limit for limits in functions for limit in limits(q))
+    kept = (each for each in functions if each is not upright or not overturns)
+    return tuple(limit for limits in kept for limit in limits(q))
 
 
 def _margin(terrain: Terrain, domain: Domain, contact: ContactFrame) -> ca.SX:

@@ -159,8 +159,8 @@ def rigid_dynamics(
     alone = [(each,) for each in contacts]
     ode, effort = equations_of_motion(vehicle, x, u, body, matrix, bias_forces(body), alone)
     q = quantities(vehicle, terrain, x, u, body, contacts, lookups)
-    forces = dynamic_forces(q, alone, x, effort)
-    y = dynamic_outputs(q, body, contacts, alone, forces)
+    forces = dynamic_forces(q, alone, (), x, effort)
+    y = dynamic_outputs(q, body, contacts, alone, (), forces)
     frames = tuple(each.frame for each in touches)
     raised = raised_poses(q.poses, frames, tuple(-each.gap for each in touches))
     size = extent(vehicle)

@@ -114,9 +114,14 @@ class Analytic:
         )
 
     def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> Jet:
-        """Return height, gradient and Hessian at a point given by two symbols."""
+        """Return height, gradient and Hessian at a point."""
         if self._taylor is None:
-            return jet_of(ca.SX(self.function(x, y)), x, y)
+            if x.is_symbolic() and y.is_symbolic():
+                return jet_of(ca.SX(self.function(x, y)), x, y)
+            # derivatives are taken with respect to symbols only
+            u, v = ca.SX.sym("u"), ca.SX.sym("v")
+            jet = jet_of(ca.SX(self.function(u, v)), u, v)
+            return Jet(*ca.substitute([*jet], [u, v], [x, y]))
         return polynomial_jet(lookups.find(self._taylor, ca.vertcat(x, y), order=4), TAYLOR, x, y)
 
     def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:

@@ -149,7 +149,7 @@ class Terrain(Protocol):
         """Return the local height at a local point [m]."""
 
     def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> Jet:
-        """Return height, gradient and Hessian at a local point given by two symbols."""
+        """Return height, gradient and Hessian at a local point."""
 
     def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
         """Return the coefficient of friction at a local point [1]."""

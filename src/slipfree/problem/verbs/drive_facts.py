@@ -37,7 +37,7 @@ EXTREMES = Extremes(
     largest=(
         *("pitch", "roll", "utilisation", "utilisation_best", "friction_needed", "drive_torque"),
         *("power", "drift_position", "drift_rotation", "closure_residual", "newton_step"),
-        *("sinkage", "slip_ratio", "depth", "load_share", "kinetic_energy"),
+        *("sinkage", "slip_ratio", "depth", "load_share", "kinetic_energy", "body_load"),
     ),
     greatest=("z", "force_normal", "slip_ratio", "power"),
     least=(
@@ -202,6 +202,14 @@ def contact_lines(run: Trajectory, facts: Facts) -> Iterator[tuple[str, str]]:
         for row in value["wheels_in_air"]
     )
     yield "wheels in the air", "; ".join(in_air) or "none"
+    if "body_load" in run:
+        share = float((run["body_load"] > 0).mean())
+        yield (
+            "body on the ground",
+            f"at {share:.0%} of the samples, with up to {value['body_load_largest']:.4g} N"
+            if share
+            else "never",
+        )
     if is_dynamic(run):
         yield "lift-offs", f"{value['lift_offs']}, counted per wheel"
         return
