@@ -136,6 +136,12 @@ def test_without_a_depth_the_motion_ends_at_a_touch():
     assert "upright" not in [limit.label.name for limit in model.limits]
 
 
+def test_a_start_that_touches_is_refused():
+    model = sunk(Box((0.4, 0.5, 0.2), at=(0, 0.35, -0.1)))
+    with pytest.raises(ModelError, match="the platform touches the ground"):
+        settle(model)
+
+
 def test_too_many_points_are_refused():
     points = tuple((0.0, 0.0, 0.001 * k) for k in range(201))
     with pytest.raises(ModelError, match="at most 200 points, 26 of each box, found 201 in 'car'"):
