@@ -18,7 +18,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.clearance import frame_of
+from slipfree.contact.nearest_points import frame_of
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.geometry.frame import Pose, translation
