@@ -1,5 +1,7 @@
 """Mobility maps: poses of settle, bounds of friction, errors of heights, and reasons."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -20,6 +22,8 @@ from slipfree import (
 from slipfree.atlas.atlas import atlas
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.terrain.synthetic import blank, power_law
+from slipfree.vehicle.shapes import Box
+from slipfree.vehicle.tree import Body
 
 PLACES = np.array([-1.5, 0.0, 0.7, 1.6])
 HEADINGS = (0.0, 0.8, 2.5)
@@ -185,5 +189,22 @@ def test_on_soil_slip_and_sinkage_are_those_of_the_motion():
     pose = settle(model, x=0.0, y=0.6)
     run = simulate(model, pose, model.inputs(**inputs), [0.0, 0.01])
     values = picked(found, (0, 0, 1))
+    speed = np.hypot(run["velocity_x"][0], run["velocity_y"][0])
+    assert values["energy_per_metre"] == pytest.approx(run["power"][0] / speed, rel=1e-6)
     assert values["sinkage"] == pytest.approx(run["sinkage"][0].max(), rel=1e-6)
     assert_allclose(values["slip_ratio"], run["slip_ratio"][0].max(), rtol=1e-5)
+
+
+def test_the_clearance_of_bodies_is_that_of_single_poses():
+    """A box below the platform keeps the distance that settle reports; a ridge ends poses."""
+    box = Body(10.0, shapes=(Box((0.5, 0.8, 0.1), (0.0, 0.0, -0.1)),))
+    vehicle = replace(catalog.rigid_skid_steer(), body=box)
+    ground = hills(rms=0.05)
+    model = direct_kinematics(vehicle, ground)
+    found = atlas(model, ground, headings=[0.2], x=PLACES, y=[0.3], compiled=False)
+    for i in np.flatnonzero(found.stands[0, :, 0]):
+        pose = settle(model, x=PLACES[i], y=0.3, heading=0.2)
+        assert found["clearance_body"][0, i, 0] == pytest.approx(
+            pose["clearance_body"][0], abs=1e-6
+        )
+    assert found.stands.any()

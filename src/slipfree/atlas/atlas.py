@@ -50,6 +50,8 @@ LEAST_UTILISATION = (  # where friction differs from place to place
 )
 REASON = Label("reason", "1", "why the vehicle does not stand; 0 if it stands")
 RESTS = Label("rests", "1", "number of rests found; the other bands are those of the steepest")
+ENERGY = Label("energy_per_metre", "J m-1", "work of the drives per metre at the given inputs")
+CLEARANCE = "clearance_body"
 TILT = 0.06  # of the starts from which other rests are sought [rad]
 SAME_REST = 2e-3  # difference of inclinations up to which rests are the same [rad]
 DEVIATION, WORST = "{}_deviation", "{}_worst"
@@ -240,7 +242,7 @@ def atlas(
     heading = np.asarray(turns, dtype=float)
     poses = poses_of(model, with_errors=error is not None, compiled=compiled)
     shape = heading.size, x.size, y.size
-    labels = bands_of(poses, error=error)
+    labels = bands_of(poses, error=error, is_moving=bool(inputs))
     values = {name: np.full(shape, np.nan, dtype=np.float32) for name in labels}
     tiles = list(tiles_of(x.size, y.size))
     for k, (i, j) in enumerate(tiles):
@@ -285,12 +287,15 @@ def poses_of(model: Dae, *, with_errors: bool, compiled: bool = True) -> Poses:
     return Poses(evaluate, more, _summaries(graphs), least, codes, reasons)
 
 
-def bands_of(poses: Poses, *, error: float | None) -> dict[str, Label]:
-    """Return the labels of the bands."""
+def bands_of(poses: Poses, *, error: float | None, is_moving: bool = False) -> dict[str, Label]:
+    """Return the labels of the bands; there is one of energy if the vehicle moves."""
     labels = {REASON.name: REASON} | {name: each.label for name, each in poses.summaries.items()}
     graphs = poses.more.graphs
     labels |= {label.name: label for label in poses.least or ()}
     labels |= {RESTS.name: RESTS} if poses.has_rests else {}
+    checks = (check.label for check in poses.evaluate.graphs.dae.checks)
+    labels |= {label.name: label for label in checks if label.name == CLEARANCE}
+    labels |= {ENERGY.name: ENERGY} if is_moving else {}
     if graphs.sensitivity is not None:
         for name in graphs.sensitivity.names:
             old = poses.summaries[name].label
@@ -337,7 +342,7 @@ def _bands(
     with np.errstate(all="ignore"):
         solved = stand(evaluate, states)
         rests = other_rests(evaluate, states, solved)
-        found = stand_checked(evaluate, states, solved)
+        found, margins = stand_checked(evaluate, states, solved)
         outputs = evaluate(evaluate.graphs.outputs, states)
         stands = found == COMPLETE
         bands = {REASON.name: poses.codes[found + 2].astype(float)}
@@ -346,6 +351,12 @@ def _bands(
             bands[name] = np.where(stands, reduce(values, axis=0), np.nan)
         if poses.has_rests:
             bands[RESTS.name] = np.where(stands, rests, np.nan)
+        for check, margin in zip(evaluate.graphs.dae.checks, margins, strict=False):
+            if check.label.name == CLEARANCE:
+                bands[CLEARANCE] = np.where(stands, margin, np.nan)
+        if inputs:
+            power = outputs[sources_of(evaluate.graphs, ["power"])["power"].rows[0]]
+            bands[ENERGY.name] = np.where(stands, power / _speed(evaluate, states), np.nan)
         graphs = poses.more.graphs
         if graphs.hold is not None:
             values = poses.more(graphs.hold, states)
@@ -363,6 +374,14 @@ def _bands(
                 for template, each in zip((DEVIATION, WORST), errors, strict=True):
                     bands[template.format(name)] = np.where(stands, error * each[k], np.nan)
     return bands
+
+
+def _speed(evaluate: Evaluator, states: Array) -> Array:
+    """Return the speed of the platform over the ground [m/s]."""
+    graphs = evaluate.graphs
+    rates = evaluate(graphs.motion, states)[graphs.motion.parts[0]]
+    names = [label.name for label in leaves(graphs.dae.labels.x)]
+    return np.asarray(np.hypot(*(rates[names.index(name)] for name in ("x", "y"))))
 
 
 def other_rests(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:

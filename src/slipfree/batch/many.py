@@ -214,8 +214,10 @@ def _newton(evaluate: Evaluator, states: Array, count: int, longest: float, ramp
     return solved
 
 
-def stand_checked(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
-    """Return why each pose is none or not valid; ``solved`` are those that `stand` found.
+def stand_checked(evaluate: Evaluator, states: Array, solved: Mask) -> tuple[Indices, Array]:
+    """Return why each pose is none or not valid, and the margins of the checks of the others.
+
+    ``solved`` are the poses that `stand` found; margins have the shape (n_checks, n).
 
     Codes are `COMPLETE`, `UNSOLVED` without a pose, the index of a violated limit, or, after the
     limits, that of a failed check. The states get positions, rates and forces.
@@ -231,13 +233,15 @@ def stand_checked(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
     clear = clearances(evaluate, states[:, inside])
     failed = np.where(clear.min(axis=0) >= 0, COMPLETE, smallest(clear) + len(graphs.dae.limits))
     codes[inside] = failed
-    return codes
+    margin = np.full((len(clear), inside.size), np.nan)
+    margin[:, inside] = clear
+    return codes, margin
 
 
 def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, Source]) -> _Poses:
     """Return the poses of states."""
     graphs = evaluate.graphs
-    codes = stand_checked(evaluate, states, stand(evaluate, states))
+    codes, _ = stand_checked(evaluate, states, stand(evaluate, states))
     outcomes, reasons = ["complete"] * codes.size, [""] * codes.size
     for k in np.flatnonzero(codes != COMPLETE):
         outcomes[k], reasons[k] = FAILED, NO_POSE
