@@ -83,9 +83,13 @@ G = TypeVar("G", bound=GraphSet)
 
 
 class EvaluatorOf(Protocol[G]):
-    """Evaluation of graphs at the columns of an array of states."""
+    """Evaluation of graphs at the columns of an array of states.
+
+    Only compiled graphs (``is_compiled``) may be evaluated by several threads at the same time.
+    """
 
     graphs: G
+    is_compiled: bool
 
     def __call__(self, graph: Graph, states: Array, slope: float = 1.0) -> Array:
         """Return the results of a graph, shape (n_results, n).
@@ -152,6 +156,8 @@ def evaluator_of_graphs(
 class _Interpreted(Generic[G]):
     """Evaluation by CasADi."""
 
+    is_compiled = False
+
     def __init__(self, graphs: G) -> None:
         self.graphs = graphs
 
@@ -175,6 +181,8 @@ class _Interpreted(Generic[G]):
 
 class _Compiled(Generic[G]):
     """Evaluation by a compiled library."""
+
+    is_compiled = True
 
     def __init__(self, graphs: G, source: _Source, loaded: ctypes.CDLL) -> None:
         self.graphs = graphs

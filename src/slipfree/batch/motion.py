@@ -118,6 +118,22 @@ def integrate_lanes(
     return motions
 
 
+def candidate_lanes(
+    evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float
+) -> Motions:
+    """Return motions as `integrate_lanes`, without errors, in a third of the time.
+
+    Lanes that are not solved are not repeated.
+    """
+    with np.errstate(all="ignore"):
+        run = _Run(evaluate, states, inputs, t, step)
+        run.run()
+    run.reason[run.reason == LOST] = UNSOLVED
+    unknown = np.full(run.end.size, np.nan)
+    steps = run.counts.sum(axis=0)
+    return Motions(run.samples, run.end, run.reason, run.beyond, unknown, run.distances, steps)
+
+
 def _integrate(
     evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float, *, certify: bool
 ) -> Motions:

@@ -1,0 +1,118 @@
+"""Planning by sampling: costs, limits, ranges and seeds of the candidates."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from slipfree import (
+    Bicubic,
+    Grid,
+    ModelError,
+    catalog,
+    direct_kinematics,
+    settle,
+    simulate,
+)
+from slipfree.plan.sampling import SamplingTask, sample_plan
+from slipfree.system import codegen_cache
+
+RANGES = {"right_rate": (-1.0, 3.0), "left_rate": (-1.0, 3.0), "steer_rate": (-0.5, 0.5)}
+
+
+def hills(height=0.1):
+    axis = np.linspace(-4.0, 4.0, 41)
+    z = height * np.sin(1.2 * axis)[:, None] * np.cos(axis)
+    return Bicubic(Grid(axis, axis, z), mu=0.6)
+
+
+@pytest.fixture(scope="module")
+def task():
+    model = direct_kinematics(catalog.three_wheeler(axle="fixed"), hills())
+    return SamplingTask(
+        model,
+        {"slip": 1.0},
+        {"x": 0.3, "y": 1.0},
+        2.0,
+        RANGES,
+        goal_weight=5.0,
+        intervals=5,
+        candidates=48,
+        compiled=False,
+    )
+
+
+def state(task, run):
+    """Return the last state of a motion, in map coordinates."""
+    return task.model.rows("x", run, -1) + task.model.shift[0]
+
+
+def inputs_of(task, inputs):
+    names = ("right_rate", "left_rate", "steer_rate")
+    return task.model.inputs(**dict(zip(names, inputs, strict=True)))
+
+
+def test_the_cost_is_that_of_a_simulation(task):
+    """Motion and cost of the result are those of simulate, up to the rule of integration."""
+    start = settle(task.model, y=-1.0)
+    found = sample_plan(task, state(task, start))
+    times = np.linspace(0.0, 2.0, 101)
+    inputs = inputs_of(task, np.repeat(found.inputs, 20, axis=1))
+    run = simulate(task.model, start, inputs, times)
+    assert_allclose(found.x[:2, -1], [run["x"][-1], run["y"][-1]], atol=2e-3)
+    slip = (run["slip_along"] ** 2 + run["slip_across"] ** 2).sum(axis=1)
+    paid = ((slip[1:] + slip[:-1]) / 2 * np.diff(times)).sum()
+    away = ((run["x"][-1] - 0.3) ** 2 + (run["y"][-1] - 1.0) ** 2) / task.model.size**2
+    assert found.cost == pytest.approx(paid + 5.0 * away, rel=0.1, abs=0.02)
+
+
+def test_cycles_lower_the_cost_and_reach_the_goal(task):
+    """In closed loop, with other hills than planned, the vehicle comes to its goal."""
+    world = direct_kinematics(catalog.three_wheeler(axle="fixed"), hills(0.13))
+    here, found, costs = settle(world, y=-1.0), None, []
+    for _ in range(12):
+        found = sample_plan(task, state(task, here), found)
+        costs.append(found.cost)
+        for name, row in zip(RANGES, found.inputs, strict=True):
+            assert RANGES[name][0] <= row.min() <= row.max() <= RANGES[name][1]
+        inputs = world.inputs(**dict(zip(RANGES, found.inputs[:, :1], strict=True)))
+        here = simulate(world, here, inputs, [0.0, 0.4]).part(slice(-1, None))
+    assert costs[-1] < 0.1 * costs[0]
+    assert np.hypot(here["x"][-1] - 0.3, here["y"][-1] - 1.0) < 0.25
+
+
+def test_the_seed_decides_and_threads_do_not(task, tmp_path_factory, monkeypatch):
+    shared = tmp_path_factory.getbasetemp().parent / "compiled"
+    monkeypatch.setenv(codegen_cache.FOLDER, str(shared))
+    x = state(task, settle(task.model, y=-1.0))
+    one = sample_plan(replace(task, compiled=True), x)
+    two = sample_plan(replace(task, compiled=True, threads=2), x)
+    assert_array_equal(two.inputs, one.inputs)
+    assert_allclose(sample_plan(task, x).inputs, one.inputs, atol=1e-9)
+    assert (sample_plan(replace(task, seed=1), x).inputs != one.inputs).any()
+
+
+def test_candidates_that_leave_the_map_have_no_weight(task):
+    """Near the edge, towards a goal beyond it, the result stays on the map."""
+    far = replace(task, goal={"x": 0.0, "y": 6.0}, candidates=64)
+    found = sample_plan(far, state(task, settle(task.model, y=2.0)))
+    assert found.complete < 1.0
+    assert any("leaves the map" in words for words in found.ends)
+    assert np.isfinite(found.cost)
+    assert np.isfinite(found.x).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"span": 0.0}, "span: expected a positive number"),
+        ({"candidates": 0}, "candidates: expected a number of at least 1"),
+        ({"ranges": {"right_rate": (0, 1)}}, "ranges: expected one for each input"),
+        ({"ranges": RANGES | {"left_rate": (1, 0)}}, "left_rate: expected an ascending range"),
+        ({"goal": {"speed": 1.0}}, "unknown 'speed'"),
+    ],
+)
+def test_wrong_tasks_are_named(task, changes, message):
+    with pytest.raises(ModelError, match=message):
+        replace(task, **changes)
