@@ -28,7 +28,8 @@ Motion, a `Trajectory`
     `cross_check`, the difference between two formulations.
 Plan
     `plan`, the inputs that reach a goal with the least `Cost`. `replan`, a plan from the current
-    state while driving. `Region`, a keep-out region. `Route`, a path over a map.
+    state while driving; `sample_plan`, by sampling (`SamplingTask`). `Region`, a keep-out region.
+    `Route`, a path over a map.
 Problem file
     `load_problem` and `run_problem`, as in ``slipfree run``. `open_result`, the result in a file.
 Errors

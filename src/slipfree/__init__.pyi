@@ -25,6 +25,7 @@ from .models.quasi_statics import quasi_statics
 from .models.rigid_dynamics import rigid_dynamics
 from .plan.mpc import replan
 from .plan.plan import plan
+from .plan.sampling import SamplingTask, sample_plan
 from .plan.stage import Cost
 from .problem.build_vehicle import read_vehicle
 from .problem.load import load_problem
@@ -65,6 +66,7 @@ __all__ = [
     "Region",
     "Rolling",
     "Route",
+    "SamplingTask",
     "SlipfreeError",
     "Soil",
     "Solids",
@@ -94,6 +96,7 @@ __all__ = [
     "rigid_dynamics",
     "rollouts",
     "run_problem",
+    "sample_plan",
     "settle",
     "settle_many",
     "simulate",

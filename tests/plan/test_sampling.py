@@ -10,12 +10,13 @@ from slipfree import (
     Bicubic,
     Grid,
     ModelError,
+    SamplingTask,
     catalog,
     direct_kinematics,
+    sample_plan,
     settle,
     simulate,
 )
-from slipfree.plan.sampling import SamplingTask, sample_plan
 from slipfree.system import codegen_cache
 
 RANGES = {"right_rate": (-1.0, 3.0), "left_rate": (-1.0, 3.0), "steer_rate": (-0.5, 0.5)}
