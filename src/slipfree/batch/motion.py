@@ -266,19 +266,22 @@ class _Run:
         """
         self._enter(states, lanes, k)
         rates, good, speed, margin = self._checked(states)
-        again = ~good & (self.tries[lanes] < MAX_TRIES)
-        if before is not None and self.interval is not None and again.any():
+        while before is not None and self.interval is not None:
+            again = ~good & (self.tries[lanes] < MAX_TRIES)
+            if not again.any():
+                break
             some = _of(again, lanes)
             step, number = self.interval.until(some, np.full(some.size, self.t[k]), self.rows.t)
             self.tries[some] += 1
             step, number = step._replace(h=step.h / REFINEMENT), number * REFINEMENT
             there, came, last = self._advance_to_sample(some, step, number, k - 1)
-            rest = ~again
-            lanes = np.concatenate([_of(rest, lanes), there])
-            states = np.concatenate([_of(rest, states), came], axis=1)
-            pairs = zip(before.of(rest), last, strict=True)
-            before = _Step(*(np.concatenate(pair, axis=-1) for pair in pairs))
-            return self._arrive(lanes, states, before, k)
+            self._enter(came, there, k)
+            new = there, came, *last, *self._checked(came)
+            old = (_of(~again, v) for v in (lanes, states, *before, rates, good, speed, margin))
+            lanes, states, *steps, rates, good, speed, margin = (
+                np.concatenate(pair, axis=-1) for pair in zip(old, new, strict=True)
+            )
+            before = _Step(*steps)
         kept = good & (margin >= 0)
         self._end(lanes, states, before, good, kept)
         lanes, states, rates, speed = (_of(kept, each) for each in (lanes, states, rates, speed))
