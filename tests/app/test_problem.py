@@ -120,7 +120,7 @@ def test_settings_that_do_not_fit(tmp_path: Path) -> None:
         "--set time: time.stp: did you mean 'step'? expected one of duration, step, found the "
         "unknown key 'stp'",
         "--set vehicle.r1: expected a number of at least 0, found -1",
-        "--set foo: expected one of verb, title, time, solver, output, terrain, start, frame, "
+        "--set foo: expected one of verb, title, gravity, time, solver, output, terrain, start, "
         "vehicle, model, slip, law, inputs, driver, formulation, found the unknown key 'foo'",
     ]
 
