@@ -256,10 +256,13 @@ def atlas(
 
 
 def tiles_of(n_x: int, n_y: int) -> Iterator[tuple[slice, slice]]:
-    """Yield the tiles of a map as slices of its two axes."""
-    for i in range(0, n_x, TILE):
-        for j in range(0, n_y, TILE):
-            yield slice(i, min(i + TILE, n_x)), slice(j, min(j + TILE, n_y))
+    """Yield the tiles of a map as slices of its two axes, in rows from the north-western corner.
+
+    They are blocks of a raster, whose first row is the northernmost one.
+    """
+    for j in range(n_y, 0, -TILE):
+        for i in range(0, n_x, TILE):
+            yield slice(i, min(i + TILE, n_x)), slice(max(j - TILE, 0), j)
 
 
 @lru_cache(maxsize=4)
