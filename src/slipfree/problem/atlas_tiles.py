@@ -34,7 +34,7 @@ from slipfree.files.atlas_files import (
 from slipfree.problem.inputs import digest, files_read
 from slipfree.problem.load import load_again
 from slipfree.problem.problem import Problem
-from slipfree.problem.verbs.atlas import AtlasSetup, build
+from slipfree.problem.verbs.atlas import AtlasSetup, build_atlas
 from slipfree.problem.verbs.base import Lines
 from slipfree.show.atlas_figures import AtlasView, friction_maps
 from slipfree.system.processes import local_tasks
@@ -70,7 +70,7 @@ def compute_tile(task: TileTask) -> Tile:
 
 @lru_cache(maxsize=1)  # a process computes many tiles
 def _setup(file: str, text: str, settings: tuple[str, ...], trusted: frozenset[str]) -> AtlasSetup:
-    return build(load_again(Path(file), text, settings, trusted, command="atlas"))
+    return build_atlas(load_again(Path(file), text, settings, trusted, command="atlas"))
 
 
 def _tile(setup: AtlasSetup, number: int) -> Tile:

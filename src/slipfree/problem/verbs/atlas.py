@@ -29,6 +29,7 @@ from slipfree.problem.schema import (
     VehicleSource,
 )
 from slipfree.problem.verbs.base import Lines, Verb
+from slipfree.routing.traversability import extents
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
@@ -100,7 +101,7 @@ class AtlasVerb(Verb):
     """Where and how a vehicle stands on a map."""
 
     schema = AtlasKeys
-    commands = ("atlas",)
+    commands = ("atlas", "check")
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +164,27 @@ class AtlasSetup:
         size = f"{n_x} x {n_y} nodes, {count} headings: {n_x * n_y * count} poses"
         return [*ground_facts(self.ground), *vehicle_facts(self.vehicle), ("atlas", size)]
 
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings about what the map cannot have."""
+        words = list[str]()
+        if not self.vehicle.mass:
+            words.append("the vehicle has no mass: the map has no bands of friction; give its mass")
+        elif self.ground.mu is None:
+            words.append(
+                "the ground has no coefficient of friction: the map has the least coefficient, but "
+                "headings that slide are allowed; give one: friction in [terrain], or --friction"
+            )
+        size = extents(self.vehicle)[2]
+        grid = self.ground.grid
+        width = min(float(np.ptp(grid.x)), float(np.ptp(grid.y)))
+        if width < 2 * size:
+            words.append(
+                f"the map is {width:.3g} m wide, and the vehicle reaches {size:.3g} m from its "
+                "centre: wheels leave the map"
+            )
+        return words
+
     def poses(self, *, compiled: bool = True) -> Poses:
         """Return what computes the poses."""
         table = self.problem.spec.atlas
@@ -170,7 +192,7 @@ class AtlasSetup:
         return poses_of(self.model, with_errors=with_errors, compiled=compiled)
 
 
-def build(problem: Problem[AtlasKeys]) -> AtlasSetup:
+def build_atlas(problem: Problem[AtlasKeys]) -> AtlasSetup:
     """Return model, places and inputs of a mobility map; raise ProblemError if it is invalid."""
     spec, table = problem.spec, problem.spec.atlas
     generic: Problem[Any] = problem
