@@ -57,7 +57,7 @@ FIRST_LINE = 2.0  # time before the first line of a computation [s]
 NEW_PHASE = 1.0  # shortest time between lines of different phases [s]
 SAME_PHASE = 10.0  # shortest time between lines of the same phase [s]
 REFRESH = 0.1  # shortest time between updates of the progress bar [s]
-FIRST_COUNT, LINES_APART = 1.0, 60.0  # between lines that count, without a terminal [s]
+LINES_APART = 60.0  # longest time between lines that count [s]
 INTEGRATION = "integrated"
 RESULT = b"CDF"  # first bytes of a netCDF file
 NO_MEMORY = (
@@ -548,14 +548,15 @@ def counted(words: str) -> Iterator[Callable[..., None]]:
 
     console = Console(stderr=True)
     if not (console.is_terminal and has_bar()):
-        begun, due = time.monotonic(), FIRST_COUNT
+        begun, due = time.monotonic(), FIRST_LINE
 
         def line(done: int, count: int, words: str = words) -> None:
             nonlocal due
             if has_bar() and (elapsed := time.monotonic() - begun) > due:
                 due = elapsed + min(elapsed / 2, LINES_APART)
-                left = f", about {duration(elapsed * (count - done) / done)} left" if done else ""
-                print_line(f"{words}: {done} of {count}{left}", err=True)
+                left = elapsed * (count - done) / done if done else 0.0
+                left_words = f", about {duration(left)} left" if left else ""
+                print_line(f"{words}: {done} of {count}{left_words}", err=True)
 
         yield line
         return

@@ -102,11 +102,17 @@ def info(
 ) -> None:
     """Print outcome, attributes and ranges of the quantities of a result file."""
     with reported(), about(file):
+        from slipfree.files.atlas_files import is_atlas
         from slipfree.files.netcdf import read
         from slipfree.problem.inputs import STORED
+        from slipfree.problem.report import atlas_lines
         from slipfree.problem.result import facts_of, motion_facts
         from slipfree.problem.verbs.base import outcome_fact, ranges
 
+        if is_atlas(file):
+            summary, set_up, _ = atlas_lines(file)
+            print_facts([*summary, *set_up])
+            return
         motion = read(file, lazy=True)
         attributes = dict(motion.attributes)
         text = attributes.pop("problem", None)

@@ -35,7 +35,7 @@ from slipfree.files.netcdf import (
 )
 from slipfree.system.regular_files import replace_file
 
-ATLAS = "atlas"  # attribute of a netCDF file with the conditions of an atlas, as JSON
+ATLAS = "atlas_conditions"  # attribute of a netCDF file with the conditions of an atlas, as JSON
 MAX_BYTES = 2**32 - 4  # of a variable of netCDF-3
 CACHE = 64  # GDAL's cache of blocks [MB]; fixed, so that files do not depend on the machine
 ELEVATION = Label("elevation", "m", "height of the ground")
@@ -133,7 +133,7 @@ def geotiff_writer(path: Path, x: Array, y: Array, site: Site) -> Iterator[Write
     equal files.
     """
     import rasterio
-    from rasterio.transform import from_origin
+    from rasterio import Affine
 
     east, north = site.on_map("x", x), site.on_map("y", y)
     d_x, d_y = ((axis[-1] - axis[0]) / (axis.size - 1) for axis in (east, north))
@@ -144,7 +144,7 @@ def geotiff_writer(path: Path, x: Array, y: Array, site: Site) -> Iterator[Write
         "dtype": "float32",
         "nodata": np.nan,
         "crs": _system(site.crs),
-        "transform": from_origin(east[0] - d_x / 2, north[-1] + d_y / 2, d_x, d_y),
+        "transform": Affine(d_x, 0, east[0] - d_x / 2, 0, -d_y, north[-1] + d_y / 2),
         "tiled": True,
         "blockxsize": TILE,
         "blockysize": TILE,
@@ -224,7 +224,7 @@ def _define(file: Any, poses: Atlas, site: Site) -> None:
     conditions = {name: getattr(site, name) for name in CONDITIONS}
     own = {"Conventions": CONVENTIONS, ORIGIN: __version__}
     own[ATLAS] = json.dumps({**conditions, "bands": [*poses.bands]})
-    annotate(file, {**own, **site.attributes})
+    annotate(file, {**site.attributes, **own})
 
     def add(label: Label, dimensions: Sequence[str], values: Array, kind: str) -> Any:
         variable = file.createVariable(label.name, kind, tuple(dimensions))

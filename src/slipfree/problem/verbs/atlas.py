@@ -161,8 +161,8 @@ class AtlasSetup:
     def facts(self) -> Lines:
         """Facts about ground, vehicle and size of the map: pairs of name and text."""
         n_x, n_y, count = self.x.size, self.y.size, self.heading.size
-        size = f"{n_x} x {n_y} nodes, {count} headings: {n_x * n_y * count} poses"
-        return [*ground_facts(self.ground), *vehicle_facts(self.vehicle), ("atlas", size)]
+        size = f"{n_x * n_y * count}: {n_x} x {n_y} nodes, {count} headings"
+        return [*ground_facts(self.ground), *vehicle_facts(self.vehicle), ("poses", size)]
 
     @property
     def warnings(self) -> list[str]:
