@@ -96,7 +96,8 @@ def atlas(
             "--output",
             metavar="OUT.tif|OUT.nc",
             help="GeoTIFF of the maps over the headings, or netCDF file of all poses; repeatable. "
-            "Default: the name of the file with _atlas.tif, in the current folder.",
+            "Default: the name of the problem with .tif, or of the map with _atlas.tif, in the current "
+            "folder.",
         ),
     ] = None,
     processes: Annotated[
@@ -133,7 +134,7 @@ def atlas(
         own = _own_settings(headings, every, friction, error, within or [])
         with _as_arguments():
             problem = _read(file, vehicle, [*own, *(settings or [])], trust)
-        outs = out or [Path(f"{file.stem}_atlas.tif")]
+        outs = out or [Path(f"{file.stem}.tif" if vehicle is None else f"{file.stem}_atlas.tif")]
         _check_endings(outs)
         tiles = outs[0].with_name(f"{outs[0].stem}_tiles")
         figures = outs[0].with_name(f"{outs[0].stem}_figures")
