@@ -96,8 +96,8 @@ def atlas(
             "--output",
             metavar="OUT.tif|OUT.nc",
             help="GeoTIFF of the maps over the headings, or netCDF file of all poses; repeatable. "
-            "Default: the name of the problem with .tif, or of the map with _atlas.tif, in the current "
-            "folder.",
+            "Default: the name of the problem with .tif, or of the map with _atlas.tif, in the "
+            "current folder.",
         ),
     ] = None,
     processes: Annotated[

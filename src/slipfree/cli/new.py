@@ -36,7 +36,8 @@ class Kind(StrEnum):
 
 def new(
     kind: Annotated[
-        Kind, typer.Argument(metavar="KIND", help="Kind of the problem: direct, inverse, plan or atlas.")
+        Kind,
+        typer.Argument(metavar="KIND", help="Kind of the problem: direct, inverse, plan or atlas."),
     ],
     name: Annotated[Path, typer.Argument(metavar="NAME", help="Name of the problem.")],
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,

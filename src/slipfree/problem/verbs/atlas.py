@@ -145,7 +145,7 @@ class AtlasSetup:
             spec.atlas.within,
             spec.frame,
             self.ground.coordinates,
-            facts.get("map crs", ""),
+            self.ground.crs,
             words,
         )
 
@@ -162,7 +162,11 @@ class AtlasSetup:
         """Facts about ground, vehicle and size of the map: pairs of name and text."""
         n_x, n_y, count = self.x.size, self.y.size, self.heading.size
         size = f"{n_x * n_y * count}: {n_x} x {n_y} nodes, {count} headings"
-        return [*ground_facts(self.ground), *vehicle_facts(self.vehicle), ("poses", size)]
+        return [
+            *ground_facts(self.ground),
+            *vehicle_facts(self.vehicle, self.ground.crs),
+            ("poses", size),
+        ]
 
     @property
     def warnings(self) -> list[str]:
