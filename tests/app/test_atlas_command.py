@@ -9,6 +9,7 @@ import pytest
 import rasterio
 
 from helpers.commands import invoke, printed, refused, sets
+from slipfree import Bicubic, catalog, direct_kinematics, read_map
 from slipfree.atlas import atlas as core
 from slipfree.files.atlas_files import open_atlas
 from slipfree.problem import atlas_tiles
@@ -82,6 +83,21 @@ def test_a_problem_gives_the_same_and_figures():
     printed("report", "p.nc")
     assert "least friction" in Path("p.html").read_text()
     assert "280: 14 x 10 nodes" in printed("info", "p.nc")
+
+
+def test_poses_of_a_rigid_vehicle_are_those_of_the_function():
+    words = "atlas", "site.tif", "rigid_skid_steer", *QUICK, "--every", "4", "--error", "0.01"
+    printed(*words, "--friction", "0.4", "-o", "rigid.nc")
+    found, site = open_atlas("rigid.nc")
+    terrain = Bicubic(read_map("site.tif").grid, (5e5 + 7, 5e6 - 5), 0.4)
+    np.testing.assert_allclose(site.elevation, terrain.grid.z[::4, ::4])
+    model = direct_kinematics(catalog.rigid_skid_steer(), terrain)
+    more = {"x": found.x, "y": found.y, "error": 0.01, "compiled": False}
+    expected = core.atlas(model, terrain, headings=2, **more)
+    assert "rests" in found.bands
+    assert list(found.bands) == list(expected.bands)
+    for name in expected.bands:
+        np.testing.assert_allclose(found[name], expected[name], rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.usefixtures("small_tiles")

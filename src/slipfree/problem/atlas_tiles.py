@@ -77,8 +77,10 @@ def _tile(setup: AtlasSetup, number: int) -> Tile:
     i, j = setup.tiles[number]
     table = setup.problem.spec.atlas
     args = setup.heading, setup.inputs, table.error, table.tolerance
-    bands = tile_of(setup.poses(), setup.x[i], setup.y[j], *args)
-    return Tile(number, np.stack(list(bands.values())).astype(np.float32))
+    poses = setup.poses()
+    bands = tile_of(poses, setup.x[i], setup.y[j], *args)
+    names = bands_of(poses, error=table.error)  # in their order
+    return Tile(number, np.stack([bands[name] for name in names]).astype(np.float32))
 
 
 class TileFolder:

@@ -104,8 +104,8 @@ def _share_words(drawn: AtlasView) -> str:
     site = drawn.site
     words = ["the vehicle stands"]
     words += ["friction holds it"] if site.friction and ALLOWED in drawn.maps else []
-    words += [f"{name} is within its bounds" for name in site.within]
-    return " and ".join(words)
+    words += [f"{style.words(name)} is within its bounds" for name in site.within]
+    return " and ".join([", ".join(words[:-1]), words[-1]] if words[1:] else words)
 
 
 def shaded(colors: Array, drawn: AtlasView) -> Array:
@@ -134,7 +134,8 @@ def _extent(x: Array, y: Array) -> tuple[float, float, float, float]:
 
 
 def _axes(x: Array, y: Array, ax: Axes) -> None:
-    ax.set_aspect("equal")
+    west, east, south, north = _extent(x, y)
+    ax.set(xlim=(west, east), ylim=(south, north), aspect="equal", autoscale_on=False)
     style.position_axis(ax.xaxis, "x", x[0])
     style.position_axis(ax.yaxis, "y", y[0])
 

@@ -17,7 +17,7 @@ from slipfree.files.atlas_files import Site
 from slipfree.files.toml.source import Fault, name_errors, problem_error
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import Positive, Range, Record
-from slipfree.problem.build import build_model, build_vehicle, vehicle_facts
+from slipfree.problem.build import build_model, build_vehicle, law_name, vehicle_facts
 from slipfree.problem.build_ground import GroundMap, at, build_ground, ground_facts
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import (
@@ -174,7 +174,7 @@ class AtlasSetup:
         words = list[str]()
         if not self.vehicle.mass:
             words.append("the vehicle has no mass: the map has no bands of friction; give its mass")
-        elif self.ground.mu is None:
+        elif self.ground.mu is None and law_name(self.problem.spec) != "soil":
             words.append(
                 "the ground has no coefficient of friction: the map has the least coefficient, but "
                 "headings that slide are allowed; give one: friction in [terrain], or --friction"
