@@ -79,7 +79,8 @@ def test_a_problem_gives_the_same_and_figures():
     poses, ground = open_atlas("p.nc")
     assert poses["roll"].shape == (2, 14, 10)
     assert ground.friction == 0.5
-    assert "p.toml" in refused("run", "p.toml")
+    assert "use slipfree atlas p.toml" in refused("run", "p.toml")
+    assert "a mobility map, which has no motion" in refused("export", "p.nc", "--path", "p.csv")
     printed("report", "p.nc")
     assert "least friction" in Path("p.html").read_text()
     assert "280: 14 x 10 nodes" in printed("info", "p.nc")

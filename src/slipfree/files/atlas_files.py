@@ -26,6 +26,7 @@ from slipfree.core.trajectory import HEADING, OFFSET
 from slipfree.core.version import __version__
 from slipfree.files.cf import CRS, DEGREES, STANDARD_NAMES, MapCoordinate, grid_mapping
 from slipfree.files.netcdf import (
+    ATLAS,
     CONVENTIONS,
     ORIGIN,
     NetcdfFile,
@@ -35,7 +36,6 @@ from slipfree.files.netcdf import (
 )
 from slipfree.system.regular_files import replace_file
 
-ATLAS = "atlas_conditions"  # attribute of a netCDF file with the conditions of an atlas, as JSON
 MAX_BYTES = 2**32 - 4  # of a variable of netCDF-3
 CACHE = 64  # GDAL's cache of blocks [MB]; fixed, so that files do not depend on the machine
 ELEVATION = Label("elevation", "m", "height of the ground")

@@ -58,6 +58,7 @@ from slipfree.system.regular_files import escape_name, regular_file, replace_fil
 
 CONVENTIONS = "CF-1.11"
 ORIGIN = "slipfree_version"  # attribute that identifies a result file
+ATLAS = "atlas_conditions"  # attribute with the conditions of a mobility map, as JSON
 ORDER = "quantities"  # attribute with the names of the quantities in their order
 RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, FACTS, *STOP, *FEATURE, CRS, TRAJECTORY}
 REMEDY = "run the problem again to write a complete file"
@@ -360,6 +361,9 @@ def _trajectory(file: NetcdfFile) -> Trajectory:
     stored, variables = file.attributes, file.variables
     order = str(stored.get(ORDER, "")).split()
     missing = {"time", *order} - set(variables)
+    if ATLAS in stored:
+        remedy = "use slipfree info or slipfree report"
+        raise result_fault(file.path, "a mobility map, which has no motion", remedy)
     if missing:
         raise result_fault(file.path, f"no variable {min(missing)!r}")
     t = file.values("time").astype(np.float64)

@@ -214,7 +214,7 @@ def _friction_scale() -> tuple[Colormap, Normalize]:
 
 
 def _friction(drawn: AtlasView) -> Figure:
-    figure = _sized(drawn, 2)
+    figure = _sized(drawn, 2, below=6)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     scale, norm = _friction_scale()
     for name, band, ax in zip(("best", "worst"), friction_maps(drawn.maps), axes, strict=True):
