@@ -142,13 +142,28 @@ def test_tiles_of_another_problem_are_not_used(monkeypatch):
     assert tile.stat().st_mtime_ns != before
 
 
-def test_two_processes_give_the_same_file_as_one():
+@pytest.fixture
+def two_tiles():
+    """Return the words of a command for a map of two tiles."""
     x = np.linspace(0.0, 32.0, 66)
     np.savez("map.npz", x=x, y=x[:5], z=0.1 * np.sin(x)[:, None] * np.cos(x[:5]))
+    return "atlas", "map.npz", "three_wheeler", *QUICK, "--headings", "1"
+
+
+def test_two_processes_give_the_same_file_as_one(two_tiles):
     for count in ("1", "2"):
-        words = *QUICK, "--headings", "1", "-j", count, "-o", f"{count}.tif"
-        printed("atlas", "map.npz", "three_wheeler", *words)
+        printed(*two_tiles, "-j", count, "-o", f"{count}.tif")
     assert Path("1.tif").read_bytes() == Path("2.tif").read_bytes()
+
+
+@pytest.mark.slow
+def test_workers_of_dask_give_the_same_file(two_tiles):
+    distributed = pytest.importorskip("distributed")
+    printed(*two_tiles, "-o", "here.tif")
+    more = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}
+    with distributed.LocalCluster(n_workers=1, **more) as local:
+        printed(*two_tiles, "-o", "there.tif", "--scheduler", local.scheduler_address)
+    assert Path("here.tif").read_bytes() == Path("there.tif").read_bytes()
 
 
 def test_a_vehicle_without_mass_has_no_bands_of_friction():
@@ -225,6 +240,11 @@ def test_hostile_maps_are_refused(z, more, expected):
         (("three_wheeler", "--within", "roll"), "expected NAME=LOW..HIGH"),
         (("three_wheeler", "--within", "roll=2..1"), "in ascending order"),
         (("three_wheeler", "--friction", "0"), "--friction: expected a number greater than 0"),
+        (("three_wheeler", "--scheduler", "x", "-j", "2"), "found both"),
+        (
+            ("three_wheeler", *INTERPRETED, "--scheduler", "tcp://127.0.0.1:1"),
+            "a running Dask scheduler",
+        ),
         (("three_wheeler", "-o", "out.png"), "expected a name that ends in .tif"),
         (("three_wheeler", "-o", "site.tif"), "found the input"),
         (("three_wheeler", *sets("model=dynamics")), "'kinematics' or 'quasi-static'"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -111,6 +111,10 @@ def atlas(
             help="Number of processes; default: one per core.",
         ),
     ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Compute on the workers of this Dask scheduler."),
+    ] = None,
     settings: Settings = None,
     draw: Draw = True,
     trust: Trust = None,
@@ -131,6 +135,11 @@ def atlas(
         from slipfree.problem.inputs import files_read
         from slipfree.problem.verbs.atlas import build_atlas
 
+        if scheduler is not None and processes is not None:
+            raise DataError(
+                "--scheduler: expected --scheduler or --processes, found both; remove --processes: "
+                "a cluster has as many processes as workers"
+            )
         own = _own_settings(headings, every, friction, error, within or [])
         with _as_arguments():
             problem = _read(file, vehicle, [*own, *(settings or [])], trust)
@@ -148,7 +157,7 @@ def atlas(
             warn(words)
         folder = TileFolder(tiles, setup)
         with held_interrupt():
-            _compute(setup, folder, processes)
+            _compute(setup, folder, processes, scheduler)
             files = [save(each, lambda path: write_file(path, setup, folder)) for each in outs]
             overview = overview_of_tiles(setup, folder)
         folder.remove()
@@ -264,19 +273,26 @@ def _check_endings(outs: Sequence[Path]) -> None:
             )
 
 
-def _compute(setup: AtlasSetup, folder: TileFolder, processes: int | None) -> None:
+def _compute(
+    setup: AtlasSetup, folder: TileFolder, processes: int | None, scheduler: str | None
+) -> None:
     """Compute the missing tiles, and show the progress."""
-    from slipfree.problem.atlas_tiles import run_tiles
+    from slipfree.problem.atlas_tiles import compute_tile, run_tiles
+    from slipfree.sweep.pools import DaskPool
     from slipfree.system.processes import available_cores
 
-    with counted("tiles") as show:
+    with ExitStack() as stack:
+        show = stack.enter_context(counted("tiles"))
 
         def progress(done: int, count: int) -> None:
             show(done, count)
             detail(f"{done} of {count} tiles")
 
+        workers: Any = processes or available_cores()
+        if scheduler is not None:
+            workers = stack.enter_context(closing(DaskPool(compute_tile, scheduler, warn)))
         try:
-            run_tiles(setup, folder, processes or available_cores(), check_interrupt, progress)
+            run_tiles(setup, folder, workers, check_interrupt, progress)
         except KeyboardInterrupt as error:
             done, count = len(setup.tiles) - len(folder.missing), len(setup.tiles)
             raise KeyboardInterrupt(

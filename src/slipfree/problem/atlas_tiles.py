@@ -10,7 +10,7 @@ import hashlib
 import io
 import json
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -37,7 +37,7 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.atlas import AtlasSetup, build_atlas
 from slipfree.problem.verbs.base import Lines
 from slipfree.show.atlas_figures import AtlasView, friction_maps
-from slipfree.system.processes import local_tasks
+from slipfree.system.processes import Poll, Pool, finish_tasks, local_tasks
 from slipfree.system.regular_files import replace_file
 
 KEY = "atlas.json"  # file in the folder of the tiles that identifies their problem
@@ -53,6 +53,7 @@ class TileTask(NamedTuple):
     text: str
     settings: tuple[str, ...]
     trusted: frozenset[str]
+    key: str  # of the contents of all input files
     number: int
 
 
@@ -69,7 +70,9 @@ def compute_tile(task: TileTask) -> Tile:
 
 
 @lru_cache(maxsize=1)  # a process computes many tiles
-def _setup(file: str, text: str, settings: tuple[str, ...], trusted: frozenset[str]) -> AtlasSetup:
+def _setup(
+    file: str, text: str, settings: tuple[str, ...], trusted: frozenset[str], _: str
+) -> AtlasSetup:
     return build_atlas(load_again(Path(file), text, settings, trusted, command="atlas"))
 
 
@@ -162,7 +165,7 @@ def _overlap(tile: slice, window: slice) -> tuple[slice, slice] | None:
     return tuple(slice(start - each.start, stop - each.start) for each in (tile, window))  # type: ignore[return-value]
 
 
-def _key(problem: Problem[Any]) -> dict[str, Any]:
+def _key(problem: Problem[Any]) -> dict[str, str]:
     """Return what the tiles of a problem depend on: values, input files and version."""
     values = problem.spec.model_dump_json(exclude={"title"}, serialize_as_any=True)
     files = [file for file in files_read(problem)[1:] if file.is_file()]
@@ -173,14 +176,24 @@ def _key(problem: Problem[Any]) -> dict[str, Any]:
 def run_tiles(
     setup: AtlasSetup,
     folder: TileFolder,
-    processes: int,
-    poll: Callable[[], None],
+    workers: int | Pool[TileTask, Tile],
+    poll: Poll,
     progress: Callable[[int, int], None],
 ) -> None:
-    """Compute the missing tiles of a map in processes, and store each as soon as it is finished.
+    """Compute the missing tiles of a map, and store each as soon as it is finished.
 
-    ``poll`` may raise an exception, which ends the computation; ``progress`` is called with the
-    number of finished tiles and that of all.
+    Parameters
+    ----------
+    setup : AtlasSetup
+        Set-up of the map.
+    folder : TileFolder
+        Where the tiles are stored.
+    workers : int or Pool
+        Number of processes, or the pool that computes the tiles.
+    poll : callable
+        Called several times per second; an exception that it raises ends the computation.
+    progress : callable
+        Called with the number of finished tiles and that of all.
     """
     problem, count = setup.problem, len(setup.tiles)
     source = problem.source
@@ -191,13 +204,19 @@ def run_tiles(
         poll()
         folder.add(_tile(setup, missing.pop(0)))
         progress(count - len(missing), count)
-    head = str(source.path), source.text, settings, problem.trusted
+    key = _key(problem)["problem"]
+    head = str(source.path.absolute()), source.text, settings, problem.trusted, key
     tasks = [TileTask(*head, number) for number in missing]
     left = len(tasks)
     if not tasks:
         return
-    with local_tasks(compute_tile, min(processes, left)) as execute:
-        for tile in execute(tasks, poll):
+    with ExitStack() as stack:
+        if isinstance(workers, int):
+            execute = stack.enter_context(local_tasks(compute_tile, min(workers, left)))
+            tiles = execute(tasks, poll)
+        else:
+            tiles = finish_tasks(tasks, workers, poll)
+        for tile in tiles:
             folder.add(tile)
             left -= 1
             progress(count - left, count)

@@ -161,7 +161,8 @@ class AtlasSetup:
     def facts(self) -> Lines:
         """Facts about ground, vehicle and size of the map: pairs of name and text."""
         n_x, n_y, count = self.x.size, self.y.size, self.heading.size
-        size = f"{n_x * n_y * count}: {n_x} x {n_y} nodes, {count} headings"
+        headings = f"{count} heading{'s' * (count > 1)}"
+        size = f"{n_x * n_y * count}: {n_x} x {n_y} nodes, {headings}"
         return [
             *ground_facts(self.ground),
             *vehicle_facts(self.vehicle, self.ground.crs),
