@@ -49,7 +49,10 @@ LEAST_UTILISATION = (  # where friction differs from place to place
     Label("least_utilisation_low", "1", "share of the friction below which no forces hold it"),
     Label("least_utilisation_high", "1", "share of the friction that surely holds the vehicle"),
 )
-CHECKED = {"clearance": "a wheel touches the ground a second time"}  # words of failed checks
+CHECKED = {  # words of failed checks
+    "clearance": "a wheel touches the ground a second time",
+    "clearance_body": "a body touches the ground",
+}
 REASON = Label("reason", "1", "why the vehicle does not stand; 0 if it stands")
 RESTS = Label("rests", "1", "number of rests found; the other bands are those of the steepest")
 ENERGY = Label("energy_per_metre", "J m-1", "work of the drives per metre at the given inputs")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,10 +10,12 @@ import numpy as np
 from slipfree.atlas.atlas import LEAST_FRICTION, LEAST_UTILISATION, REASON, Atlas, Band
 from slipfree.core.records import Array, Indices, Label
 
+ELEVATION = Label("elevation", "m", "height of the ground")
 SLIDES = "friction does not hold the vehicle"
 UNDECIDED = "the bounds of the least friction do not decide"
 OUT_OF_BOUNDS = "{} is not within its bounds"
 SMALLEST = "tip_over_margin", "clearance"  # beginnings of bands whose smallest values matter
+SIGNED = "energy_per_metre"  # negative where the vehicle brakes
 STANDING, ALLOWED, LIMIT = "share_standing", "share_allowed", "limit"
 Bounds = Mapping[str, tuple[float, float]]
 
@@ -93,12 +95,11 @@ def summary(
     degrees_from : float
         Angle that is added to headings in degrees, those of another frame. [rad]
     """
-    maps = [
-        Band(Label(STANDING, "1", "share of headings at which the vehicle stands"), _share(poses))
-    ]
+    words = "share of headings at which the vehicle stands"
+    maps = [Band(Label(STANDING, "1", words), np.asarray(poses.stands.mean(axis=0)))]
     if len(found.reasons) > len(poses.reasons):
-        words = "share of headings at which the vehicle stands and none of the reasons of the band "
-        maps.append(Band(Label(ALLOWED, "1", f"{words}'{LIMIT}' applies"), found.allowed))
+        words += f" and none of the reasons of the band '{LIMIT}' applies"
+        maps.append(Band(Label(ALLOWED, "1", words), found.allowed))
     maps.append(
         Band(Label(LIMIT, "1", "most frequent reason that excludes headings; 0: none"), found.limit)
     )
@@ -107,13 +108,9 @@ def summary(
         maps += _friction_maps(poses, least, degrees_from)
     for label, values in poses.bands.values():
         if label not in (REASON, *(least or ())):
-            maps.append(_extreme(label, values))
-    maps.append(Band(Label("elevation", "m", "height of the ground"), elevation))
+            maps += _extremes(label, values)
+    maps.append(Band(ELEVATION, elevation))
     return {band.label.name: band for band in maps}
-
-
-def _share(poses: Atlas) -> Array:
-    return np.asarray(poses.stands.mean(axis=0))
 
 
 def _friction_maps(poses: Atlas, least: tuple[Label, Label], degrees_from: float) -> Sequence[Band]:
@@ -135,12 +132,22 @@ def _friction_maps(poses: Atlas, least: tuple[Label, Label], degrees_from: float
     return maps
 
 
-def _extreme(label: Label, values: Array) -> Band:
-    """Return the smallest value of margins, and the largest magnitude of other quantities."""
-    smallest = label.name.startswith(SMALLEST) and not label.name.endswith(("_deviation", "_worst"))
+def _extremes(label: Label, values: Array) -> Iterator[Band]:
+    """Yield the smallest value of margins, both of signed quantities, or the largest magnitude."""
+    is_error = label.name.endswith(("_deviation", "_worst"))
+    kinds = ["magnitude"]
+    if label.name.startswith(SMALLEST) and not is_error:
+        kinds = ["smallest"]
+    elif label.name == SIGNED:
+        kinds = ["smallest", "largest"]
     empty = np.isnan(values).all(axis=0)
-    filled = np.where(np.isnan(values), np.inf, values) if smallest else np.nan_to_num(abs(values))
-    extreme = filled.min(axis=0) if smallest else filled.max(axis=0)
-    kind, words = ("smallest", "smallest") if smallest else ("largest", "largest magnitude")
-    new = Label(f"{label.name}_{kind}", label.unit, f"{words} over the headings: {label.words}")
-    return Band(new, np.where(empty, np.nan, extreme))
+    for kind in kinds:
+        if kind == "smallest":
+            extreme = np.where(np.isnan(values), np.inf, values).min(axis=0)
+        else:
+            size = np.abs(values) if kind == "magnitude" else values
+            extreme = np.where(np.isnan(size), -np.inf, size).max(axis=0)
+        words = "largest magnitude" if kind == "magnitude" else f"{kind} value"
+        name = f"{label.name}_{'smallest' if kind == 'smallest' else 'largest'}"
+        new = Label(name, label.unit, f"{words} over the headings: {label.words}")
+        yield Band(new, np.where(empty, np.nan, extreme))

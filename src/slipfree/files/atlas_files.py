@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from slipfree.atlas.atlas import REASON, TILE, Atlas, Band, tiles_of
-from slipfree.atlas.summary import LIMIT, Bounds, Verdicts, summary, verdicts
+from slipfree.atlas.summary import ELEVATION, LIMIT, Bounds, Verdicts, summary, verdicts
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import HEADING, OFFSET
@@ -38,7 +38,6 @@ from slipfree.system.regular_files import replace_file
 
 MAX_BYTES = 2**32 - 4  # of a variable of netCDF-3
 CACHE = 64  # GDAL's cache of blocks [MB]; fixed, so that files do not depend on the machine
-ELEVATION = Label("elevation", "m", "height of the ground")
 AXES = (
     Label("heading", "rad", HEADING.format("y")),
     Label("y", "m", "y of the platform's centre"),

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from slipfree.atlas.atlas import Atlas, Band, bands_of, tile_of, tiles_of
+from slipfree.atlas.atlas import Atlas, Band, tile_of, tiles_of
 from slipfree.atlas.summary import ALLOWED, STANDING, least_bounds
 from slipfree.core.facts import Fact
 from slipfree.core.records import Array
@@ -80,10 +80,8 @@ def _tile(setup: AtlasSetup, number: int) -> Tile:
     i, j = setup.tiles[number]
     table = setup.problem.spec.atlas
     args = setup.heading, setup.inputs, table.error, table.tolerance
-    poses = setup.poses()
-    bands = tile_of(poses, setup.x[i], setup.y[j], *args)
-    names = bands_of(poses, error=table.error)  # in their order
-    return Tile(number, np.stack([bands[name] for name in names]).astype(np.float32))
+    bands = tile_of(setup.poses(), setup.x[i], setup.y[j], *args)
+    return Tile(number, np.stack([bands[name] for name in setup.labels()]).astype(np.float32))
 
 
 class TileFolder:
@@ -99,7 +97,7 @@ class TileFolder:
 
     def __init__(self, path: Path, setup: AtlasSetup) -> None:
         self.path, self._setup = path, setup
-        self._labels = bands_of(setup.poses(), error=setup.problem.spec.atlas.error)
+        self._labels = setup.labels()
         self._reasons = setup.poses().reasons
         key = _key(setup.problem)
         with suppress(OSError, ValueError):

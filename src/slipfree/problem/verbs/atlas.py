@@ -11,7 +11,7 @@ from pydantic import Field
 
 from slipfree.atlas.atlas import Poses, bands_of, poses_of, tiles_of
 from slipfree.core.dae import Dae
-from slipfree.core.records import Array, leaves
+from slipfree.core.records import Array, Label, leaves
 from slipfree.core.trajectory import OFFSET, Frame
 from slipfree.files.atlas_files import Site
 from slipfree.files.toml.source import Fault, name_errors, problem_error
@@ -58,8 +58,8 @@ class AtlasTable(Record):
     )
     speed: float = Field(
         default=0.0,
-        description="speed that the driven wheels would have without slip; on soil, the poses are "
-        "those at this speed [m/s]",
+        description="speed that the driven wheels would have without slip, for the work of the "
+        "drives per metre; on soil, the poses are those at this speed [m/s]",
     )
     tolerance: Annotated[float, Field(gt=0, le=0.1)] = Field(
         default=1e-3, description="width of the bounds of the least coefficient of friction [1]"
@@ -190,6 +190,11 @@ class AtlasSetup:
             )
         return words
 
+    def labels(self, *, compiled: bool = True) -> dict[str, Label]:
+        """Return the labels of the bands, in their order."""
+        error, is_moving = self.problem.spec.atlas.error, bool(self.inputs)
+        return bands_of(self.poses(compiled=compiled), error=error, is_moving=is_moving)
+
     def poses(self, *, compiled: bool = True) -> Poses:
         """Return what computes the poses."""
         table = self.problem.spec.atlas
@@ -214,13 +219,15 @@ def build_atlas(problem: Problem[AtlasKeys]) -> AtlasSetup:
     model = build_model(generic, vehicle, Bicubic(grid, origin, ground.mu))
     known = [label.full for label in leaves(model.labels.u)]
     rates = {f"{w.name}_rate": table.speed / w.radius for w in vehicle.wheels if w.driven}
-    inputs = {name: rates[name] for name in known if name in rates}
+    # without speed nothing moves, and without mass poses do not depend on the rates
+    is_moving = bool(table.speed and vehicle.mass)
+    inputs = {name: rates[name] for name in known if is_moving and name in rates}
     x, y = grid.x[:: table.every], grid.y[:: table.every]
     count = table.headings
     heading = 2 * np.pi * np.arange(count) / count - OFFSET[spec.frame]
     setup = AtlasSetup(problem, ground, vehicle, model, x, y, heading, inputs)
     if table.within:
-        bands = bands_of(setup.poses(compiled=False), error=table.error)
+        bands = setup.labels(compiled=False)
         if faults := [*name_errors(("atlas", "within"), table.within, list(bands))]:
             raise problem_error(problem.source, faults)
     return setup
