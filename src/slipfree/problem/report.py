@@ -111,7 +111,7 @@ def _atlas_report(file: Path) -> Report:
         "Maps": [(name, unit(label.unit), label.words) for name, (label, _) in view.maps.items()],
         "Versions": _versions(file, attributes),
     }
-    texts = {"Problem": attributes["problem"]} if attributes.get("problem") else {}
+    texts = {"Problem": attributes["problem"]} if "problem" in attributes else {}
     head = attributes.get("title", file.stem), "Where and how the vehicle can stand.", True
     return Report(*head, tables, atlas_plots(view), "", texts)
 

@@ -31,10 +31,11 @@ from slipfree.terrain.base import Grid
 
 SHARE = "RdYlBu"  # colours of the share of headings
 FRICTION = "viridis"
-LEVELS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.25)  # of the coefficient of friction
+LEVELS, SHOWN = 9, 98.0  # number of colours of the friction, percentile of the last one
 REASONS = ("#0072B2", "#E69F00", "#CC79A7", "#56B4E9", "#F0E442", "#7F4F24", "#000000")
 ALLOWED_COLOR = "#FFFFFF"
 UNKNOWN = (0.75, 0.75, 0.75)  # where the vehicle stands at no heading
+SMALLEST = 0.02  # of the last colour of the friction [1]
 SPOKES = 12  # nodes with spokes along each axis of the detail
 SPOKE = 0.42  # length of a spoke [distance of the nodes with spokes]
 LINES = 10  # height lines of the detail
@@ -177,7 +178,7 @@ def _detail(drawn: AtlasView) -> Figure:
     part = AtlasView(poses.x, poses.y, maps, found.reasons, poses, site)
     friction = friction_maps(maps)
     if friction:
-        scale, norm, label = *_friction_scale(), "least friction at the best heading [1]"
+        scale, norm, label = *_friction_scale(friction[0]), "least friction at the best heading [1]"
         values = friction[0].values
     else:
         scale, norm = colormaps[SHARE], Normalize(0, 1)
@@ -185,8 +186,8 @@ def _detail(drawn: AtlasView) -> Figure:
     _image(part, values, scale, norm, ax)
     z = site.elevation
     if np.ptp(z) > 0 and min(z.shape) > 1:
-        lines = ax.contour(poses.x, poses.y, z.T, levels=LINES, colors="white", linewidths=0.8)
-        ax.clabel(lines, fontsize=6, fmt="%g m")
+        heights = ax.contour(poses.x, poses.y, z.T, levels=LINES, colors="white", linewidths=0.6)
+        ax.clabel(heights, fontsize=6, fmt="%g m")
     spoke_step = [max(1, round(axis.size / SPOKES)) for axis in (poses.x, poses.y)]
     i, j = (
         np.arange(step // 2, axis.size, step)
@@ -201,22 +202,29 @@ def _detail(drawn: AtlasView) -> Figure:
     # headings count from the y axis, counter-clockwise
     d_x, d_y = (-SPOKE * apart * np.sin(poses.heading), SPOKE * apart * np.cos(poses.heading))
     spokes = np.stack([[x, x + d_x[k]], [y, y + d_y[k]]]).transpose(2, 1, 0)
-    ax.add_collection(LineCollection(list(spokes), colors="black", linewidths=0.9, zorder=3))
+    lines = LineCollection(list(spokes), colors="black", linewidths=0.9, zorder=3)
+    lines.set_path_effects(style.halo(1.9))
+    ax.add_collection(lines)
     ax.plot(*(g.ravel() for g in np.meshgrid(poses.x[i], poses.y[j])), "k.", ms=1.5, zorder=3)
     _bar(figure, ax, scale, norm, label, extend="max" if friction else "neither")
     ax.set_title(textwrap.fill(f"Spokes: headings at which {_share_words(drawn)}", WRAP))
     return figure
 
 
-def _friction_scale() -> tuple[Colormap, Normalize]:
+def _friction_scale(*bands: Band) -> tuple[Colormap, Normalize]:
+    """Return colours of the friction in maps, in round steps from zero."""
+    values = np.concatenate([band.values.ravel() for band in bands])
+    values = values[np.isfinite(values)]
+    largest = float(np.percentile(values, SHOWN)) if values.size else 1.0
+    levels = style.ticks(LEVELS).tick_values(0.0, max(largest, SMALLEST))
     scale = colormaps[FRICTION]
-    return scale, BoundaryNorm(LEVELS, scale.N, extend="max")
+    return scale, BoundaryNorm(levels, scale.N, extend="max")
 
 
 def _friction(drawn: AtlasView) -> Figure:
     figure = _sized(drawn, 2, below=6)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
-    scale, norm = _friction_scale()
+    scale, norm = _friction_scale(*friction_maps(drawn.maps))
     for name, band, ax in zip(("best", "worst"), friction_maps(drawn.maps), axes, strict=True):
         _image(drawn, band.values, scale, norm, ax)
         ax.set_title(f"Least friction, {name} heading")

@@ -135,7 +135,7 @@ class AtlasSetup:
         settings = "\n".join(dict.fromkeys(source.settings.values()))
         words = {
             "title": spec.title or f"Mobility of {self.vehicle.name}",
-            "problem": source.text,
+            **({"problem": source.text} if source.text else {}),
             **({"settings": settings} if settings else {}),
             **{name.replace(" ", "_"): text for name, text in facts.items()},
         }
