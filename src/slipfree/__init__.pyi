@@ -1,6 +1,7 @@
 """Public names of `slipfree` and the modules that define them, for lazy_loader and mypy."""
 
 from . import catalog
+from .atlas.atlas import atlas
 from .batch.many import settle_many
 from .control.path_following import follow, straight
 from .core.dae import Dae
@@ -77,6 +78,7 @@ __all__ = [
     "Vehicle",
     "Wheel",
     "__version__",
+    "atlas",
     "catalog",
     "cross_check",
     "direct_kinematics",

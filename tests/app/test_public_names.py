@@ -31,6 +31,7 @@ NAMES = {
         "replan",
         "sample_plan",
         "cross_check",
+        "atlas",
     ),
     *("Cost", "Region", "Route", "SamplingTask"),
     *("Dae", "Trajectory", "Outcome", "SolverOptions"),
@@ -42,7 +43,7 @@ DOCUMENTED = (
     *("direct_kinematics", "inverse_kinematics", "quasi_statics", "montana_kinematics"),
     *(
         *("dynamics", "rigid_dynamics", "settle", "settle_many", "simulate", "rollouts"),
-        *("follow", "plan", "replan", "cross_check"),
+        *("follow", "plan", "replan", "cross_check", "atlas"),
     ),
     *("Cost", "Region", "Path", "Grid", "Bicubic", "Analytic", "Trajectory", "Dae"),
 )

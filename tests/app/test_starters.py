@@ -18,6 +18,11 @@ TIMES = "[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]"
 RATES = "left_rate=0.4, steer_rate=0.1"
 WAYS = {  # kind and beginning of a comment: settings of each alternative that it describes
     ("direct", "of both tables"): [MAP],
+    ("atlas", "of both tables"): [MAP],
+    ("atlas", "another vehicle of the catalogue"): [
+        ('vehicle={catalog="rocky7"}',),
+        ('vehicle={file="vehicle.toml"}',),
+    ],
     ("direct", "another vehicle of the catalogue"): [
         ('vehicle={catalog="rocky7"}',),
         ('vehicle={file="vehicle.toml"}',),

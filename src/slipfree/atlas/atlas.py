@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -48,6 +49,10 @@ LEAST_UTILISATION = (  # where friction differs from place to place
     Label("least_utilisation_low", "1", "share of the friction below which no forces hold it"),
     Label("least_utilisation_high", "1", "share of the friction that surely holds the vehicle"),
 )
+CHECKED = {  # words of failed checks
+    "clearance": "a wheel touches the ground a second time",
+    "clearance_body": "a body touches the ground",
+}
 REASON = Label("reason", "1", "why the vehicle does not stand; 0 if it stands")
 RESTS = Label("rests", "1", "number of rests found; the other bands are those of the steepest")
 ENERGY = Label("energy_per_metre", "J m-1", "work of the drives per metre at the given inputs")
@@ -226,10 +231,26 @@ def atlas(
     progress : callable, optional
         Called with the finished share after each tile.
 
+    Returns
+    -------
+    Atlas
+        Quantities of the poses, and the reasons for which the vehicle does not stand.
+
     Raises
     ------
     ModelError
         If the model is of another kind, a name is unknown, or places are missing.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slipfree import Bicubic, Grid, atlas, catalog, direct_kinematics
+    >>> x = np.linspace(0.0, 12.0, 13)
+    >>> ground = Bicubic(Grid(x, x, np.tan(0.2) * np.tile(x, (13, 1))))  # slopes up to the north
+    >>> model = direct_kinematics(catalog.three_wheeler(), ground)
+    >>> found = atlas(model, ground, headings=4, compiled=False)
+    >>> found["pitch"][:, 6, 6].round(3).tolist()  # north, west, south, east
+    [0.2, 0.0, -0.2, 0.0]
     """
     axis = getattr(terrain, "grid", None)
     x, y = (
@@ -256,10 +277,13 @@ def atlas(
 
 
 def tiles_of(n_x: int, n_y: int) -> Iterator[tuple[slice, slice]]:
-    """Yield the tiles of a map as slices of its two axes."""
-    for i in range(0, n_x, TILE):
-        for j in range(0, n_y, TILE):
-            yield slice(i, min(i + TILE, n_x)), slice(j, min(j + TILE, n_y))
+    """Yield the tiles of a map as slices of its two axes, in rows from the north-western corner.
+
+    They are blocks of a raster, whose first row is the northernmost one.
+    """
+    for j in range(n_y, 0, -TILE):
+        for i in range(0, n_x, TILE):
+            yield slice(i, min(i + TILE, n_x)), slice(max(j - TILE, 0), j)
 
 
 @lru_cache(maxsize=4)
@@ -427,8 +451,9 @@ def _reasons(dae: Dae) -> tuple[tuple[str, ...], Indices]:
     for label in (each.label for part in (dae.limits, dae.checks) for each in part):
         if label.name not in names:
             names.append(label.name)
-            words = label.words.replace(f"wheel {label.wheel}", "a wheel").split(" (")[0]
-            reasons.append(words)
+            words = CHECKED.get(label.name, label.words).replace(f"wheel {label.wheel}", "a wheel")
+            words = re.sub(r" \([^()]*\)", "", words)
+            reasons.append(re.split(r"; |, which ", words)[0])  # without remedies and numbers
         codes.append(2 + names.index(label.name))
     return tuple(reasons), np.array(codes)
 

@@ -216,10 +216,12 @@ def _static_bound(
         by_level.append(cone.tangent - cone.along(second))
     for fall in FALLS:
         forces = [f - fall * height * d for f, d in zip(at, by_level, strict=True)]
-        used, least = ca.SX(0), ca.SX(UNKNOWN)
-        for f in forces:
-            used, least = ca.fmax(used, _tangential(f) / f[2] ** 2), ca.fmin(least, f[2])
-        bound = ca.if_else(least > 0, ca.sqrt(used), UNKNOWN)
+        used, valid = ca.SX(0), ca.SX(1)
+        for f in forces:  # fmax drops NaN; comparisons with it are false
+            squared = _tangential(f) / f[2] ** 2
+            valid = ca.logic_and(valid, ca.logic_and(f[2] > 0, squared < UNKNOWN**2))
+            used = ca.fmax(used, squared)
+        bound = ca.if_else(valid, ca.sqrt(used), UNKNOWN)
         best = ca.if_else(bound < high, ca.vertcat(*forces), best)
         high = ca.fmin(high, bound)
     return high, best

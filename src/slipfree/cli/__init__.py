@@ -15,6 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 import slipfree
+from slipfree.cli.atlas import atlas
 from slipfree.cli.common import (
     BAD_INPUT,
     DONE,
@@ -81,7 +82,7 @@ app = typer.Typer(
 )
 COMMANDS = (
     *(new, examples, run, check, vehicle, compare, info, show, edit, report, export),
-    *(sweep, pareto, track, fit, wheel),
+    *(sweep, pareto, track, fit, wheel, atlas),
 )
 for command in COMMANDS:
     app.command()(with_output_options(command))

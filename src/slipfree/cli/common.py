@@ -57,6 +57,7 @@ FIRST_LINE = 2.0  # time before the first line of a computation [s]
 NEW_PHASE = 1.0  # shortest time between lines of different phases [s]
 SAME_PHASE = 10.0  # shortest time between lines of the same phase [s]
 REFRESH = 0.1  # shortest time between updates of the progress bar [s]
+LINES_APART = 60.0  # longest time between lines that count [s]
 INTEGRATION = "integrated"
 RESULT = b"CDF"  # first bytes of a netCDF file
 NO_MEMORY = (
@@ -525,3 +526,43 @@ def show(facts: list[tuple[str, str]]) -> None:
     for name, value in facts:
         table.add_row(Text(visible(name)), Text(visible(value)))
     Console().print(table)
+
+
+def duration(seconds: float) -> str:
+    """Return a duration as text, in the largest unit in which its value is at least 2."""
+    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} s"
+
+
+@contextmanager
+def counted(words: str) -> Iterator[Callable[..., None]]:
+    """Yield a function that shows progress: a bar on a terminal, otherwise lines on stderr.
+
+    The function takes the number of completed items, their total number, and a text. The first
+    line is printed after a second; the time between lines increases up to a minute.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    if not (console.is_terminal and has_bar()):
+        begun, due = time.monotonic(), FIRST_LINE
+
+        def line(done: int, count: int, words: str = words) -> None:
+            nonlocal due
+            if has_bar() and (elapsed := time.monotonic() - begun) > due:
+                due = elapsed + min(elapsed / 2, LINES_APART)
+                left = elapsed * (count - done) / done if done else 0.0
+                left_words = f", about {duration(left)} left" if left else ""
+                print_line(f"{words}: {done} of {count}{left_words}", err=True)
+
+        yield line
+        return
+    columns = "{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(words, total=None)
+        yield lambda done, count, words=words: bar.update(
+            task, completed=done, total=count, description=words
+        )

@@ -36,13 +36,18 @@ from slipfree.core.errors import DataError
 def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
     """Check a problem, and settle the vehicle on the ground at the start of the motion.
 
-    Print facts about ground, vehicle and start; the motion is not computed.
+    Print facts about ground, vehicle and start; the motion, or the mobility map, is not computed.
     """
     with reported():
         from slipfree.problem.load import verb_of
         from slipfree.problem.result import build
+        from slipfree.problem.verbs.atlas import AtlasKeys, build_atlas
 
-        problem = read_problem(file, settings, trust)
+        problem = read_problem(file, settings, trust, "check")
+        if isinstance(problem.spec, AtlasKeys):
+            print_facts(build_atlas(problem).facts)
+            print_line("ok")
+            return
         setup = build(problem)
         detail("settled the vehicle at the start")
         start, facts = verb_of(problem).describe_start(problem, setup)
@@ -97,11 +102,17 @@ def info(
 ) -> None:
     """Print outcome, attributes and ranges of the quantities of a result file."""
     with reported(), about(file):
+        from slipfree.files.atlas_files import is_atlas
         from slipfree.files.netcdf import read
         from slipfree.problem.inputs import STORED
+        from slipfree.problem.report import atlas_lines
         from slipfree.problem.result import facts_of, motion_facts
         from slipfree.problem.verbs.base import outcome_fact, ranges
 
+        if is_atlas(file):
+            summary, set_up, _ = atlas_lines(file)
+            print_facts([*summary, *set_up])
+            return
         motion = read(file, lazy=True)
         attributes = dict(motion.attributes)
         text = attributes.pop("problem", None)

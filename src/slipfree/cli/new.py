@@ -31,11 +31,13 @@ class Kind(StrEnum):
     direct = "direct"
     inverse = "inverse"
     plan = "plan"
+    atlas = "atlas"
 
 
 def new(
     kind: Annotated[
-        Kind, typer.Argument(metavar="KIND", help="Kind of the problem: direct, inverse or plan.")
+        Kind,
+        typer.Argument(metavar="KIND", help="Kind of the problem: direct, inverse, plan or atlas."),
     ],
     name: Annotated[Path, typer.Argument(metavar="NAME", help="Name of the problem.")],
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
@@ -51,7 +53,8 @@ def new(
         text = (_folder(STARTERS) / f"{kind}.toml").read_text(encoding="utf-8")
         word = shlex.quote(str(out))
         write_new_file(text.replace(f" {HOLE}", f" {word}"), out, force)
-        print_line(f"wrote {out}: slipfree check {word} && slipfree run {word}")
+        solve = "atlas" if kind is Kind.atlas else "run"
+        print_line(f"wrote {out}: slipfree check {word} && slipfree {solve} {word}")
 
 
 def write_new_file(text: str, out: Path, force: bool) -> None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import shlex
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,8 +16,9 @@ from slipfree.cli.common import (
     Settings,
     Trust,
     add_json_file,
+    counted,
     detail,
-    has_bar,
+    duration,
     print_facts,
     print_line,
     reported,
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
 
 MAX_KEYS = 2  # largest number of varied keys in figures
 FIGURES = "figures"
-FIRST_LINE, LINES_APART = 1.0, 60.0  # times between lines of progress without a terminal [s]
 
 
 def sweep(
@@ -116,7 +114,7 @@ def sweep(
         from slipfree.system.codegen_cache import obstacle
         from slipfree.system.processes import available_cores
 
-        with _progress("checking values") as checked:
+        with counted("checking values") as checked:
             plan = sweep_of(file, vary or [], settings or [], repeat, seed, checked, trust or [])
         folder = out or Path(f"{plan.problem.source.path.stem}_sweep")
         if dry_run:
@@ -165,14 +163,6 @@ def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
     print_facts([*facts, ("time", words if left else "all runs are finished")])
 
 
-def duration(seconds: float) -> str:
-    """Return a duration as text, in the largest unit in which its value is at least 2."""
-    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.2g} {unit}"
-    return f"{seconds:.2g} s"
-
-
 def _warn_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
     """Warn about finished runs without a result file, such as those run without ``--keep``."""
     from slipfree.sweep.run import missing_results, result_path
@@ -209,7 +199,7 @@ def _run_all(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, ag
     from slipfree.sweep.log import FAILED, LOST
     from slipfree.sweep.run import run_sweep
 
-    with held_interrupt(), _progress("runs") as show:
+    with held_interrupt(), counted("runs") as show:
 
         def progress(rows: Rows) -> None:
             wrong = rows.outcomes[FAILED] + rows.outcomes[LOST]
@@ -219,36 +209,6 @@ def _run_all(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, ag
 
         return run_sweep(
             plan, folder, pool, keep=keep, again=again, poll=check_interrupt, progress=progress
-        )
-
-
-@contextmanager
-def _progress(words: str) -> Iterator[Callable[..., None]]:
-    """Yield a function that shows progress: a bar on a terminal, otherwise lines on stderr.
-
-    The function takes the number of completed items, their total number, and a text. The first
-    line is printed after a second; the time between lines increases up to a minute.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    if not (console.is_terminal and has_bar()):
-        begun, due = time.monotonic(), FIRST_LINE
-
-        def line(done: int, count: int, words: str = words) -> None:
-            nonlocal due
-            if has_bar() and (elapsed := time.monotonic() - begun) > due:
-                due = elapsed + min(elapsed / 2, LINES_APART)
-                print_line(f"{words}: {done} of {count}", err=True)
-
-        yield line
-        return
-    columns = "{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(words, total=None)
-        yield lambda done, count, words=words: bar.update(
-            task, completed=done, total=count, description=words
         )
 
 

@@ -58,6 +58,7 @@ from slipfree.system.regular_files import escape_name, regular_file, replace_fil
 
 CONVENTIONS = "CF-1.11"
 ORIGIN = "slipfree_version"  # attribute that identifies a result file
+ATLAS = "atlas_conditions"  # attribute with the conditions of a mobility map, as JSON
 ORDER = "quantities"  # attribute with the names of the quantities in their order
 RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, FACTS, *STOP, *FEATURE, CRS, TRAJECTORY}
 REMEDY = "run the problem again to write a complete file"
@@ -154,7 +155,7 @@ def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
         If the file is missing, is not netCDF-3, is incomplete or damaged, or was not written by
         ``write``.
     """
-    file = _open(Path(path))
+    file = open_netcdf(Path(path))
     with ExitStack() as stack:
         stack.enter_context(file.stream)
         run = _trajectory(file)
@@ -166,7 +167,7 @@ def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float64]]:
     """Return the arrays that `write` stored in addition to the trajectory, by name."""
-    file = _open(Path(path))
+    file = open_netcdf(Path(path))
     names = [k for k, each in file.variables.items() if each.dimensions == (f"{k}{SIZE}",)]
     with file.stream:
         return {name: file.values(name).astype(np.float64) for name in names}
@@ -175,7 +176,7 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float6
 def is_result(path: str | os.PathLike[str]) -> bool:
     """Return whether a file is a readable result file of slipfree."""
     try:
-        _open(Path(path)).stream.close()
+        open_netcdf(Path(path)).stream.close()
     except DataError:
         return False
     return True
@@ -199,11 +200,11 @@ def _check(run: Trajectory) -> None:
 
 def _define(file: Any, run: Trajectory, on_map: Mapping[str, Column]) -> None:
     """Write a trajectory to an open netCDF file, without the values of its quantities."""
-    _annotate(file, _attributes(run))
+    annotate(file, _attributes(run))
     file.createDimension("time", run.t.size)
     time = file.createVariable("time", "f8", ("time",))
     time[:] = run.t
-    _annotate(time, TIME_ATTRIBUTES)
+    annotate(time, TIME_ATTRIBUTES)
     if run.wheels:
         names = [name.encode() for name in run.wheels]
         length = -(-max(map(len, names)) // 4) * 4  # a multiple of 4: the file needs no padding
@@ -211,16 +212,16 @@ def _define(file: Any, run: Trajectory, on_map: Mapping[str, Column]) -> None:
         file.createDimension("strlen", length)
         wheel = file.createVariable("wheel", "c", ("wheel", "strlen"))
         wheel[:] = np.array(names, f"S{length}").view("S1").reshape(len(names), length)
-        _annotate(wheel, {**WHEELS, "_Encoding": "utf-8"})
+        annotate(wheel, {**WHEELS, "_Encoding": "utf-8"})
     if is_trajectory(run):
         number = file.createVariable(TRAJECTORY, "i4", ())
         number[...] = 1
-        _annotate(number, TRAJECTORY_ATTRIBUTES)
+        annotate(number, TRAJECTORY_ATTRIBUTES)
     if on_map:
-        _annotate(file.createVariable(CRS, "i4", ()), grid_mapping(run.attributes[MAP_CRS]))
+        annotate(file.createVariable(CRS, "i4", ()), grid_mapping(run.attributes[MAP_CRS]))
     for name, column in {**on_map, **run.columns}.items():
         variable = file.createVariable(name, "f8", column.dimensions[::-1])
-        _annotate(variable, column.metadata | coordinate_attributes(run, [*on_map], name))
+        annotate(variable, column.metadata | coordinate_attributes(run, [*on_map], name))
 
 
 def _write_values(path: Path, columns: Mapping[str, Column]) -> None:
@@ -228,7 +229,7 @@ def _write_values(path: Path, columns: Mapping[str, Column]) -> None:
 
     Values are converted in blocks: scipy's writer would hold a copy of all quantities in memory.
     """
-    file = _open(path)
+    file = open_netcdf(path)
     file.stream.close()
     with path.open("rb+") as stream:
         for name, column in columns.items():
@@ -238,7 +239,7 @@ def _write_values(path: Path, columns: Mapping[str, Column]) -> None:
                     stream.write(row[k : k + BLOCK].astype(">f8").data)
 
 
-def _annotate(node: Any, attributes: Mapping[str, Any]) -> None:
+def annotate(node: Any, attributes: Mapping[str, Any]) -> None:
     """Set attributes of a netCDF file or variable; raise ModelError for a name that scipy uses."""
     for name, value in attributes.items():
         if hasattr(node, name):
@@ -277,7 +278,7 @@ class _Variable(NamedTuple):
     attributes: dict[str, Attribute]
 
 
-class _File(NamedTuple):
+class NetcdfFile(NamedTuple):
     """An open netCDF file: path, stream, global attributes and headers of variables by name."""
 
     path: Path
@@ -296,27 +297,29 @@ class _File(NamedTuple):
         """Return the value of a numeric global attribute; raise DataError if it is text."""
         value = self.attributes[attribute]
         if isinstance(value, str):
-            raise _fault(
+            raise result_fault(
                 self.path, f"the text {value!r} instead of a number in the attribute {attribute!r}"
             )
         return value
 
 
-def _fault(path: Path, found: str, remedy: str = REMEDY) -> DataError:
+def result_fault(path: Path, found: str, remedy: str = REMEDY) -> DataError:
     """Return the error for a file that is not a usable result file."""
     return DataError(f"{path}: expected a result file of slipfree, found {found}; {remedy}")
 
 
-def _open(path: Path) -> _File:
+def open_netcdf(path: Path) -> NetcdfFile:
     """Return a result file opened for reading; raise DataError for any other or a damaged file."""
     with regular_file(path, "a result file of slipfree"):
         with path.open("rb") as stream:
             head = stream.read(4)
         if head in (b"\x89HDF", b"CDF\5"):
             found = "a netCDF file in a format other than netCDF-3"
-            raise _fault(path, found, "convert it: nccopy -k cdf2 IN.nc OUT.nc")
+            raise result_fault(path, found, "convert it: nccopy -k cdf2 IN.nc OUT.nc")
         if not b"CDF".startswith(head[:3]):
-            raise _fault(path, "a file that is not netCDF", "give a file that slipfree run wrote")
+            raise result_fault(
+                path, "a file that is not netCDF", "give a file that slipfree run wrote"
+            )
         try:
             with scipy.io.netcdf_file(path.open("rb"), mmap=True) as file:
                 attributes, dimensions = _attributes_of(file), dict(file.dimensions)
@@ -324,14 +327,14 @@ def _open(path: Path) -> _File:
         except DAMAGED as error:
             # The traceback refers to arrays that would keep the file open.
             found = "a netCDF file that is truncated or damaged"
-            raise _fault(path, found) from error.with_traceback(None)
+            raise result_fault(path, found) from error.with_traceback(None)
     if ORIGIN not in attributes:
         remedy = "give a file that slipfree run wrote"
-        raise _fault(path, "a netCDF file of another program", remedy)
+        raise result_fault(path, "a netCDF file of another program", remedy)
     if not all(dimensions.values()):
         name = next(name for name, size in dimensions.items() if not size)
-        raise _fault(path, f"the empty or unlimited dimension {name!r}")
-    return _File(path, path.open("rb"), attributes, variables)
+        raise result_fault(path, f"the empty or unlimited dimension {name!r}")
+    return NetcdfFile(path, path.open("rb"), attributes, variables)
 
 
 def _variable(variable: Any) -> _Variable:
@@ -353,23 +356,26 @@ def _attributes_of(node: Any) -> dict[str, Attribute]:
     }
 
 
-def _trajectory(file: _File) -> Trajectory:
+def _trajectory(file: NetcdfFile) -> Trajectory:
     """Return the trajectory in an open result file; its quantities are read on access."""
     stored, variables = file.attributes, file.variables
     order = str(stored.get(ORDER, "")).split()
     missing = {"time", *order} - set(variables)
+    if ATLAS in stored:
+        remedy = "use slipfree info or slipfree report"
+        raise result_fault(file.path, "a mobility map, which has no motion", remedy)
     if missing:
-        raise _fault(file.path, f"no variable {min(missing)!r}")
+        raise result_fault(file.path, f"no variable {min(missing)!r}")
     t = file.values("time").astype(np.float64)
     wheels = file.values("wheel") if "wheel" in variables else np.empty((0, 4), "S1")
     if t.ndim != 1:
-        raise _fault(file.path, "a variable 'time' that does not have one dimension")
+        raise result_fault(file.path, "a variable 'time' that does not have one dimension")
     if not np.isfinite(t).all():
-        raise _fault(file.path, "times that are not finite")
+        raise result_fault(file.path, "times that are not finite")
     if (np.diff(t) < 0).any():
-        raise _fault(file.path, "times that decrease")
+        raise result_fault(file.path, "times that decrease")
     if wheels.ndim != 2 or wheels.dtype != "S1":
-        raise _fault(file.path, "a variable 'wheel' that does not contain names")
+        raise result_fault(file.path, "a variable 'wheel' that does not contain names")
     names = tuple(row.tobytes().rstrip(b"\0").decode(errors="replace") for row in wheels)
     n, k = t.size, len(names)
     # the last order is that of version 0.1
@@ -394,44 +400,44 @@ def _trajectory(file: _File) -> Trajectory:
     )
 
 
-def _facts(file: _File) -> dict[str, Fact]:
+def _facts(file: NetcdfFile) -> dict[str, Fact]:
     """Return the facts stored in a result file."""
     try:
         return decode(str(file.attributes.get(FACTS, "{}")))
     except ValueError as error:
-        raise _fault(file.path, f"an unreadable attribute {FACTS!r}") from error
+        raise result_fault(file.path, f"an unreadable attribute {FACTS!r}") from error
 
 
-def _outcome(file: _File) -> Outcome:
+def _outcome(file: NetcdfFile) -> Outcome:
     """Return the outcome stored in a result file."""
     name = str(file.attributes.get(OUTCOME, "")).upper()
     if not name:
-        raise _fault(file.path, f"no attribute {OUTCOME!r}")
+        raise result_fault(file.path, f"no attribute {OUTCOME!r}")
     if name not in Outcome.__members__:
-        raise _fault(file.path, f"the unknown outcome {name.lower()!r}")
+        raise result_fault(file.path, f"the unknown outcome {name.lower()!r}")
     return Outcome[name]
 
 
-def _label(file: _File, name: str, sizes: Mapping[tuple[str, ...], tuple[int, ...]]) -> Label:
+def _label(file: NetcdfFile, name: str, sizes: Mapping[tuple[str, ...], tuple[int, ...]]) -> Label:
     """Return the label of a quantity; raise DataError if it is invalid."""
     dimensions, shape, dtype, _, words = file.variables[name]
     if sizes.get(dimensions) != shape:
-        raise _fault(
+        raise result_fault(
             file.path,
             f"the variable {name!r} with dimensions ({', '.join(dimensions)}) and shape {shape}",
         )
     if dtype == "S1":
-        raise _fault(file.path, f"text in the variable {name!r}")
+        raise result_fault(file.path, f"text in the variable {name!r}")
     for key in ("units", "long_name"):
         if key not in words:
-            raise _fault(file.path, f"the variable {name!r} without the attribute {key!r}")
+            raise result_fault(file.path, f"the variable {name!r} without the attribute {key!r}")
     return Label(name, str(words["units"]), str(words["long_name"]))
 
 
 class _Columns(Mapping[str, Column]):
     """Mapping of the quantities in a result file; each access reads the values from the file."""
 
-    def __init__(self, file: _File, labels: Mapping[str, Label]) -> None:
+    def __init__(self, file: NetcdfFile, labels: Mapping[str, Label]) -> None:
         self._file, self._labels = file, labels
 
     def __getitem__(self, name: str) -> Column:
@@ -442,7 +448,7 @@ class _Columns(Mapping[str, Column]):
         for k in range(0, len(stored), BLOCK):
             values[k : k + BLOCK] = block = stored[k : k + BLOCK]
             if (np.abs(block[np.isfinite(block)]) > MAX_VALUE).any():
-                raise _fault(
+                raise result_fault(
                     self._file.path, f"absolute values above {MAX_VALUE:g} in the variable {name!r}"
                 )
         return Column(label, values)

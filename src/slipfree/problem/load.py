@@ -19,6 +19,7 @@ from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.problem.build_ground import convert_places
 from slipfree.problem.problem import Problem, validated_problem
 from slipfree.problem.schema import CommonKeys, Runnable
+from slipfree.problem.verbs.atlas import AtlasVerb
 from slipfree.problem.verbs.base import MotionVerb, Verb
 from slipfree.problem.verbs.compare import CompareVerb
 from slipfree.problem.verbs.direct import DirectVerb
@@ -26,7 +27,14 @@ from slipfree.problem.verbs.fit import FitVerb
 from slipfree.problem.verbs.inverse import InverseVerb
 from slipfree.problem.verbs.plan import PlanVerb
 
-VERBS: tuple[Verb, ...] = (DirectVerb(), InverseVerb(), PlanVerb(), CompareVerb(), FitVerb())
+VERBS: tuple[Verb, ...] = (
+    DirectVerb(),
+    InverseVerb(),
+    PlanVerb(),
+    CompareVerb(),
+    FitVerb(),
+    AtlasVerb(),
+)
 
 
 def verbs_of(command: str) -> tuple[Verb, ...]:
@@ -115,13 +123,18 @@ def load_variants(
 
 
 def load_again(
-    path: Path, text: str, settings: Sequence[str], trusted: frozenset[str] = frozenset()
+    path: Path,
+    text: str,
+    settings: Sequence[str],
+    trusted: frozenset[str] = frozenset(),
+    *,
+    command: str = "run",
 ) -> Problem[Any]:
     """Return the problem in a text, with ``path`` as its file; errors as in `load_problem`.
 
     ``trusted`` are the paths of xacro files that the command line trusts (`Problem.trusted`).
     """
-    return replace(_from_text(verbs_of("run"), path, text, settings), trusted=trusted)
+    return replace(_from_text(verbs_of(command), path, text, settings), trusted=trusted)
 
 
 def _from_text(

@@ -16,6 +16,7 @@ from slipfree.core.errors import DataError, ModelError
 from slipfree.core.records import Array, leaves, unpack
 from slipfree.core.trajectory import FIGURE_SAMPLES, Trajectory, outcome_words
 from slipfree.core.version import __version__
+from slipfree.files.atlas_files import is_atlas, open_atlas
 from slipfree.files.cf import MAP_TRANSFORM
 from slipfree.files.netcdf import ORIGIN, read
 from slipfree.files.toml.source import ProblemError
@@ -26,14 +27,17 @@ from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.records import is_determinate
 from slipfree.models.samples import closest_fact
+from slipfree.problem.atlas_tiles import AtlasOverview, overview_of_file, summary_lines
 from slipfree.problem.build_vehicle import is_vehicle_file, read_vehicle
 from slipfree.problem.inputs import STORED, digest
 from slipfree.problem.load import find_motion_verb, load_problem, verb_of
 from slipfree.problem.result import build, motion_facts, open_result
 from slipfree.problem.verbs.base import Lines, Result, outcome_fact, ranges
 from slipfree.problem.verbs.drive_facts import clearance_lines
+from slipfree.show.atlas_figures import atlas_plots
 from slipfree.show.html_page import Report
 from slipfree.show.plots import Plot
+from slipfree.show.style import unit
 from slipfree.solve.settle import settle
 from slipfree.solve.system import with_inputs
 from slipfree.terrain.analytic import Analytic
@@ -62,6 +66,8 @@ def report(file: Path, folder: Path | None = None) -> Report:
     DataError is raised if the file cannot be read, or input files of its problem are missing in
     ``folder`` (see `open_result`).
     """
+    if is_atlas(file):
+        return _atlas_report(file)
     result = open_result(file, folder, samples=FIGURE_SAMPLES)
     run, verb = read(file, lazy=True), find_motion_verb(result.kind)
     facts, names = [outcome_fact(run), *motion_facts(run)], verb.checks if verb else ()
@@ -82,6 +88,32 @@ def report(file: Path, folder: Path | None = None) -> Report:
         lead = verb.describe_end(run) or lead
     head = attributes["title"], f"{lead[0].upper()}{lead[1:]}.", run.stop is None
     return Report(*head, tables, *_drawn(result, run.t.size), _texts(file, attributes))
+
+
+def atlas_lines(file: Path) -> tuple[Lines, Lines, AtlasOverview]:
+    """Return summary, set-up, and what the figures of a mobility map show."""
+    overview = overview_of_file(open_atlas(file))
+    attributes = overview.view.site.attributes
+    set_up = [
+        (name.replace("_", " "), text) for name, text in attributes.items() if name not in ELSEWHERE
+    ]
+    return summary_lines(overview.facts), set_up, overview
+
+
+def _atlas_report(file: Path) -> Report:
+    """Return the report of a mobility map."""
+    summary, set_up, overview = atlas_lines(file)
+    view = overview.view
+    attributes = view.site.attributes
+    tables: dict[str, Sequence[tuple[str, ...]]] = {
+        "Result": summary,
+        "Set-up": set_up,
+        "Maps": [(name, unit(label.unit), label.words) for name, (label, _) in view.maps.items()],
+        "Versions": _versions(file, attributes),
+    }
+    texts = {"Problem": attributes["problem"]} if "problem" in attributes else {}
+    head = attributes.get("title", file.stem), "Where and how the vehicle can stand.", True
+    return Report(*head, tables, atlas_plots(view), "", texts)
 
 
 def _versions(file: Path, attributes: Mapping[str, str]) -> Lines:

@@ -1,4 +1,4 @@
-"""Tasks of a sweep, and the pools that execute them: local processes, or the workers of Dask."""
+"""Pools of processes or of the workers of Dask, and those that execute the tasks of a sweep."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from slipfree.core.errors import DataError, SlipfreeError, missing_package
 from slipfree.core.version import __version__
@@ -18,8 +18,8 @@ from slipfree.system.processes import ProcessDiedError, Processes
 
 CONNECT = 10.0  # timeout for the connection to a scheduler [s]
 PATIENCE = 1.0  # time between checks of the number of workers [s]
-NONE_LEFT = "no workers are left; waiting for workers (Ctrl-C ends the sweep)"
-BACK = "workers are available again; the sweep continues"
+NONE_LEFT = "no workers are left; waiting for workers (Ctrl-C ends the {})"
+BACK = "workers are available again; the {} continues"
 AHEAD = 2  # tasks per worker, so that it need not wait for the next one
 
 
@@ -31,6 +31,8 @@ def run_task(task: RunTask) -> Done:
 
 
 Pool = AnyPool[RunTask, Done]
+T = TypeVar("T")
+D = TypeVar("D")
 
 
 class ProcessPool(Processes[RunTask, Done]):
@@ -63,14 +65,16 @@ class ProcessPool(Processes[RunTask, Done]):
             ) from error
 
 
-class Cluster:
+class DaskPool(Generic[T, D]):
     """A pool of the workers of a Dask scheduler.
 
     Workers need the same version of slipfree, and the input files of the problem at the same paths.
-    A worker executes one run at a time, regardless of its number of threads.
+    A worker executes one task at a time, regardless of its number of threads.
 
     Parameters
     ----------
+    function : callable
+        Function at module level; a worker calls it with a task.
     address : str
         Address of the scheduler, such as ``tcp://10.0.0.1:8786``.
     warn : callable
@@ -83,8 +87,12 @@ class Cluster:
         they do not have the same version of slipfree.
     """
 
-    def __init__(self, address: str, warn: Callable[[str], None]) -> None:
-        self._address, self._warn = address, warn
+    computation, results = "computation", "results"  # their names in messages
+
+    def __init__(
+        self, function: Callable[[T], D], address: str, warn: Callable[[str], None]
+    ) -> None:
+        self._function, self._address, self._warn = function, address, warn
         self._client = _connect(address)
         self._workers, self._asked = 1, 0.0
         self._open: dict[str, Any] = {}
@@ -101,29 +109,32 @@ class Cluster:
             with suppress(OSError):  # if the scheduler stops, the status changes
                 self._workers = len(self._client.nthreads())
             if bool(before) != bool(self._workers):
-                self._warn(f"--scheduler {self._address}: {BACK if self._workers else NONE_LEFT}")
+                words = (BACK if self._workers else NONE_LEFT).format(self.computation)
+                self._warn(f"--scheduler {self._address}: {words}")
         return max(1, AHEAD * self._workers)
 
-    def submit(self, task: RunTask) -> Any:
+    def submit(self, task: T) -> Any:
         """Return the future of a task."""
         key = f"slipfree-{os.urandom(8).hex()}"
-        self._open[key] = self._client.submit(run_task, task, key=key)
+        self._open[key] = self._client.submit(self._function, task, key=key)
         return self._open[key]
 
-    def result(self, future: Any, task: RunTask) -> Done:
-        """Return the result of a future, with outcome ``lost`` if its worker failed.
+    def result(self, future: Any, task: T) -> D:  # noqa: ARG002 - interface of pools
+        """Return the result of a future.
 
         Raises
         ------
+        ProcessDiedError
+            If the worker of the task failed.
         SlipfreeError
             If the connection to the scheduler is lost.
         """
         del self._open[future.key]
         if future.status == "finished":
-            done: Done = future.result()
+            done: D = future.result()
             return done
         if future.status == "error":
-            return without_motion(task, LOST, f"its worker failed ({future.exception()})")
+            raise ProcessDiedError(f"its worker failed ({future.exception()})")
         raise self._gone()
 
     def close(self) -> None:
@@ -135,8 +146,24 @@ class Cluster:
     def _gone(self) -> SlipfreeError:
         return SlipfreeError(
             f"--scheduler {self._address}: the connection to the scheduler is lost; finished "
-            "runs are kept; start a scheduler and repeat the command to continue"
+            f"{self.results} are kept; start a scheduler and repeat the command to continue"
         )
+
+
+class Cluster(DaskPool[RunTask, Done]):
+    """A pool of the workers of a Dask scheduler for the runs of a sweep; see `DaskPool`."""
+
+    computation, results = "sweep", "runs"
+
+    def __init__(self, address: str, warn: Callable[[str], None]) -> None:
+        super().__init__(run_task, address, warn)
+
+    def result(self, future: Any, task: RunTask) -> Done:
+        """Return the result of a future, with outcome ``lost`` if its worker failed."""
+        try:
+            return super().result(future, task)
+        except ProcessDiedError as error:
+            return without_motion(task, LOST, str(error))
 
 
 def _connect(address: str) -> Any:

@@ -241,7 +241,7 @@ class Verb(ABC):
     """Interface of a verb: the record of its problem files, and the commands that accept it."""
 
     schema: ClassVar[type[CommonKeys]]
-    commands: ClassVar[tuple[str, ...]] = ("run",)  # the first one solves the problems
+    commands: ClassVar[tuple[str, ...]] = ("run", "check")  # the first one solves the problems
 
     @property
     def name(self) -> str:

@@ -87,7 +87,7 @@ SAME = 1e-3  # largest distance of wheels from stored positions and from the gro
 class DriveVerb(MotionVerb):
     """Base class of the verbs for the motion of one vehicle over terrain."""
 
-    commands = ("run", "vehicle")
+    commands = ("run", "check", "vehicle")
     checks: ClassVar[tuple[str, ...]] = CHECKS
     metrics_shown = ("slip_rms", "tilt_largest", "utilisation_largest")
 

@@ -1,0 +1,153 @@
+"""Maps of a single value for each node, from the poses of all headings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.atlas.atlas import LEAST_FRICTION, LEAST_UTILISATION, REASON, Atlas, Band
+from slipfree.core.records import Array, Indices, Label
+
+ELEVATION = Label("elevation", "m", "height of the ground")
+SLIDES = "friction does not hold the vehicle"
+UNDECIDED = "the bounds of the least friction do not decide"
+OUT_OF_BOUNDS = "{} is not within its bounds"
+SMALLEST = "tip_over_margin", "clearance"  # beginnings of bands whose smallest values matter
+SIGNED = "energy_per_metre"  # negative where the vehicle brakes
+STANDING, ALLOWED, LIMIT = "share_standing", "share_allowed", "limit"
+Bounds = Mapping[str, tuple[float, float]]
+
+
+class Verdicts(NamedTuple):
+    """Why the vehicle may not stay at each pose.
+
+    ``codes``, shape (n_headings, n_x, n_y), are indices of ``reasons``; 0 where it may stay.
+    """
+
+    codes: Indices
+    reasons: tuple[str, ...]
+
+    @property
+    def allowed(self) -> Array:
+        """Share of headings at which the vehicle may stay, shape (n_x, n_y)."""
+        return np.asarray((self.codes == 0).mean(axis=0))
+
+    @property
+    def limit(self) -> Array:
+        """Most frequent reason at each node, shape (n_x, n_y); 0 if every heading is allowed."""
+        codes = range(1, len(self.reasons))
+        counts = np.stack([(self.codes == code).sum(axis=0) for code in codes])
+        return np.where(counts.any(axis=0), 1 + counts.argmax(axis=0), 0)
+
+
+def least_bounds(poses: Atlas) -> tuple[Label, Label] | None:
+    """Return the labels of both bounds of the least friction; None if there are none."""
+    known = LEAST_FRICTION, LEAST_UTILISATION
+    return next((labels for labels in known if labels[0].name in poses.bands), None)
+
+
+def verdicts(poses: Atlas, *, friction: float | None, within: Bounds) -> Verdicts:
+    """Return the reasons for which a vehicle may not stay at the poses of an atlas.
+
+    Parameters
+    ----------
+    poses : Atlas
+        The poses.
+    friction : float, optional
+        Coefficient of friction of the ground, which must hold the vehicle; 1 on a ground with a
+        map of friction, None on a ground without friction. [1]
+    within : mapping of str to tuple of 2 floats
+        Smallest and largest value of bands by name, in their units.
+
+    Raises
+    ------
+    ModelError
+        If there is no band of a name of ``within``.
+    """
+    reasons, codes = list(poses.reasons), poses[REASON.name].astype(int)
+    least = least_bounds(poses)
+    if friction is not None and least is not None:
+        reasons += [SLIDES, UNDECIDED]
+        for bound, reason in zip(least, (SLIDES, UNDECIDED), strict=True):
+            codes[(codes == 0) & (poses[bound.name] > friction)] = reasons.index(reason)
+    for name, (low, high) in within.items():
+        values = poses[name]
+        reasons.append(OUT_OF_BOUNDS.format(name))
+        codes[(codes == 0) & ~((values >= low) & (values <= high))] = len(reasons) - 1
+    return Verdicts(codes, tuple(reasons))
+
+
+def summary(
+    poses: Atlas, found: Verdicts, elevation: Array, *, degrees_from: float = 0.0
+) -> dict[str, Band]:
+    """Return maps over the headings, by name: bands of shape (n_x, n_y).
+
+    Parameters
+    ----------
+    poses : Atlas
+        The poses.
+    found : Verdicts
+        Their verdicts.
+    elevation : ndarray, shape (n_x, n_y)
+        Heights of the nodes. [m]
+    degrees_from : float
+        Angle that is added to headings in degrees, those of another frame. [rad]
+    """
+    words = "share of headings at which the vehicle stands"
+    maps = [Band(Label(STANDING, "1", words), np.asarray(poses.stands.mean(axis=0)))]
+    if len(found.reasons) > len(poses.reasons):
+        words += f" and none of the reasons of the band '{LIMIT}' applies"
+        maps.append(Band(Label(ALLOWED, "1", words), found.allowed))
+    maps.append(
+        Band(Label(LIMIT, "1", "most frequent reason that excludes headings; 0: none"), found.limit)
+    )
+    least = least_bounds(poses)
+    if least is not None:
+        maps += _friction_maps(poses, least, degrees_from)
+    for label, values in poses.bands.values():
+        if label not in (REASON, *(least or ())):
+            maps += _extremes(label, values)
+    maps.append(Band(ELEVATION, elevation))
+    return {band.label.name: band for band in maps}
+
+
+def _friction_maps(poses: Atlas, least: tuple[Label, Label], degrees_from: float) -> Sequence[Band]:
+    """Return both bounds of the least friction at the best and the worst heading, and these.
+
+    Coefficients without a bound are NaN: then no forces were found that hold the vehicle.
+    """
+    maps = list[Band]()
+    for name, largest in (("best", False), ("worst", True)):
+        for label in least:
+            values = poses.extreme(label.name, largest=largest)[0]
+            base, _, end = label.name.rpartition("_")
+            words = f"{name} of the headings at which the vehicle stands: {label.words}"
+            bound = Label(f"{base}_{name}_{end}", label.unit, words)
+            maps.append(Band(bound, np.where(np.isfinite(values), values, np.nan)))
+        turned = np.rad2deg(poses.extreme(least[1].name, largest=largest)[1] + degrees_from)
+        words = f"heading with the {'largest' if largest else 'smallest'} {least[1].name}"
+        maps.append(Band(Label(f"heading_{name}", "degree", words), np.mod(turned, 360.0)))
+    return maps
+
+
+def _extremes(label: Label, values: Array) -> Iterator[Band]:
+    """Yield the smallest value of margins, both of signed quantities, or the largest magnitude."""
+    is_error = label.name.endswith(("_deviation", "_worst"))
+    kinds = ["magnitude"]
+    if label.name.startswith(SMALLEST) and not is_error:
+        kinds = ["smallest"]
+    elif label.name == SIGNED:
+        kinds = ["smallest", "largest"]
+    empty = np.isnan(values).all(axis=0)
+    for kind in kinds:
+        if kind == "smallest":
+            extreme = np.where(np.isnan(values), np.inf, values).min(axis=0)
+        else:
+            size = np.abs(values) if kind == "magnitude" else values
+            extreme = np.where(np.isnan(size), -np.inf, size).max(axis=0)
+        words = "largest magnitude" if kind == "magnitude" else f"{kind} value"
+        name = f"{label.name}_{'smallest' if kind == 'smallest' else 'largest'}"
+        new = Label(name, label.unit, f"{words} over the headings: {label.words}")
+        yield Band(new, np.where(empty, np.nan, extreme))

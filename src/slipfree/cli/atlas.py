@@ -1,0 +1,300 @@
+"""``slipfree atlas``: mobility map of a vehicle, from a map and a vehicle, or from a problem."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from slipfree.cli.common import (
+    MAX_PROCESSES,
+    Draw,
+    Settings,
+    Trust,
+    add_json,
+    add_json_file,
+    counted,
+    detail,
+    print_facts,
+    print_line,
+    read_problem,
+    reported,
+    warn,
+)
+from slipfree.cli.outputs import check_outputs, save
+from slipfree.core.errors import DataError
+from slipfree.system.interrupt import check_interrupt, held_interrupt
+
+if TYPE_CHECKING:
+    from slipfree.problem.atlas_tiles import TileFolder
+    from slipfree.problem.problem import Problem
+    from slipfree.problem.verbs.atlas import AtlasSetup
+
+UNBOUNDED = "1e99"  # bound that no quantity reaches
+ENDINGS = (".tif", ".tiff", ".nc")
+ARGUMENTS = {  # of the command, by the settings that they stand for
+    "--set terrain.file": "MAP",
+    "--set vehicle.file": "VEHICLE",
+    "--set vehicle.catalog": "VEHICLE",
+    "--set terrain.friction": "--friction",
+    **{f"--set atlas.{name}": f"--{name}" for name in ("headings", "every", "error", "within")},
+}
+
+
+def atlas(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MAP|FILE", help="Map of the heights, or problem file with verb = 'atlas'."
+        ),
+    ],
+    vehicle: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="VEHICLE",
+            help="With a map: vehicle file (TOML, URDF or xacro), or name of the catalogue.",
+        ),
+    ] = None,
+    headings: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Number of equally spaced headings; default: 16."),
+    ] = None,
+    every: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Use every N-th node of the map along both axes."),
+    ] = None,
+    friction: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MU", help="Coefficient of friction of the ground, or a map file of it."
+        ),
+    ] = None,
+    error: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            help="Error of the heights, for the errors of roll, pitch and tip-over margin.",
+        ),
+    ] = None,
+    within: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=LOW..HIGH",
+            help="Bounds of a quantity, as in roll=-0.2..0.2: other headings are not allowed; "
+            "repeatable.",
+        ),
+    ] = None,
+    out: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="OUT.tif|OUT.nc",
+            help="GeoTIFF of the maps over the headings, or netCDF file of all poses; repeatable. "
+            "Default: the name of the problem with .tif, or of the map with _atlas.tif, in the "
+            "current folder.",
+        ),
+    ] = None,
+    processes: Annotated[
+        int | None,
+        typer.Option(
+            "-j",
+            "--processes",
+            min=1,
+            max=MAX_PROCESSES,
+            metavar="P",
+            help="Number of processes; default: one per core.",
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Compute on the workers of this Dask scheduler."),
+    ] = None,
+    settings: Settings = None,
+    draw: Draw = True,
+    trust: Trust = None,
+) -> None:
+    """Map where and how a vehicle can stand on a ground, for several headings.
+
+    Print a summary, write maps of pose, tip-over margin and least friction, and draw figures. Tiles
+    that are finished are kept in a folder beside the output until all files are written: repeat the
+    command to continue.
+    """
+    with reported():
+        from slipfree.problem.atlas_tiles import (
+            TileFolder,
+            overview_of_tiles,
+            summary_lines,
+            write_file,
+        )
+        from slipfree.problem.inputs import files_read
+        from slipfree.problem.verbs.atlas import build_atlas
+
+        if scheduler is not None and processes is not None:
+            raise DataError(
+                "--scheduler: expected --scheduler or --processes, found both; remove --processes: "
+                "a cluster has as many processes as workers"
+            )
+        own = _own_settings(headings, every, friction, error, within or [])
+        with _as_arguments():
+            problem = _read(file, vehicle, [*own, *(settings or [])], trust)
+        outs = out or [Path(f"{file.stem}.tif" if vehicle is None else f"{file.stem}_atlas.tif")]
+        _check_endings(outs)
+        tiles = outs[0].with_name(f"{outs[0].stem}_tiles")
+        figures = outs[0].with_name(f"{outs[0].stem}_figures")
+        inputs = files_read(problem)
+        check_outputs(outs, inputs, folder=figures if draw else None)
+        check_outputs([], inputs, folder=tiles, names=("*",))
+        with _as_arguments():
+            setup = build_atlas(problem)
+        print_facts(setup.facts)
+        for words in setup.warnings:
+            warn(words)
+        folder = TileFolder(tiles, setup)
+        with held_interrupt():
+            _compute(setup, folder, processes, scheduler)
+            files = [save(each, lambda path: write_file(path, setup, folder)) for each in outs]
+            overview = overview_of_tiles(setup, folder)
+        folder.remove()
+        print_facts(summary_lines(overview.facts))
+        facts = overview.facts
+        add_json("atlas", lambda: {name: fact._asdict() for name, fact in facts.items()})
+        if not facts["allowed_share"].value:
+            warn("no pose is allowed; the summary lists the reasons")
+        print_line(f"wrote {', '.join(map(str, files))}")
+        if draw:
+            from slipfree.show.atlas_figures import atlas_plots
+            from slipfree.show.plots import save as save_plots
+
+            plots = save_plots(atlas_plots(overview.view), figures)
+            for each in plots:
+                add_json_file(each)
+            print_line(f"drew {', '.join(each.stem for each in plots)} in {figures}")
+
+
+def _own_settings(
+    headings: int | None,
+    every: int | None,
+    friction: str | None,
+    error: float | None,
+    within: Sequence[str],
+) -> list[str]:
+    """Return the settings ``key=value`` that options of the command stand for."""
+    values = {
+        "atlas.headings": headings,
+        "atlas.every": every,
+        "atlas.error": error,
+        "terrain.friction": None if friction is None else _toml(friction),
+    }
+    settings = [f"{key}={value}" for key, value in values.items() if value is not None]
+    for words in within:
+        name, equals, bounds = words.partition("=")
+        low, dots, high = bounds.partition("..")
+        if not (name and equals and dots):
+            raise DataError(
+                f"--within: expected NAME=LOW..HIGH, as in roll=-0.2..0.2, found {words!r}; "
+                "correct it"
+            )
+        ends = _toml(low, f"-{UNBOUNDED}"), _toml(high, UNBOUNDED)
+        settings.append(f"atlas.within.{name}=[{', '.join(ends)}]")
+    return settings
+
+
+def _toml(text: str, default: str = "") -> str:
+    """Return a number as it is, and another text in quotes; ``default`` for an empty one."""
+    try:
+        float(text)
+    except ValueError:
+        return json.dumps(text) if text.strip() else default
+    return text
+
+
+def _read(
+    file: Path, vehicle: str | None, settings: Sequence[str], trust: list[Path] | None
+) -> Problem[Any]:
+    """Return the problem in a file, or that of a map and a vehicle."""
+    from slipfree.files.urdf.xacro import trusted_paths
+    from slipfree.problem.load import load_again
+    from slipfree.problem.schema import CATALOG
+
+    if vehicle is None:
+        if file.suffix.lower() != ".toml":
+            raise DataError(
+                f"{file}: expected a problem file (.toml), or a map and a vehicle, found no "
+                f"vehicle; name one: slipfree atlas {shlex.quote(str(file))} VEHICLE"
+            )
+        return read_problem(file, [*settings], trust, "atlas")
+    if file.suffix.lower() == ".toml":
+        raise DataError(
+            f"{file}: expected a map before the vehicle {vehicle!r}, found a TOML file; omit "
+            "VEHICLE for a problem file"
+        )
+    is_known = vehicle in CATALOG and not Path(vehicle).exists()
+    if not is_known and not Path(vehicle).suffix:
+        raise DataError(
+            f"VEHICLE: expected a vehicle file, or one of {', '.join(CATALOG)}, found {vehicle!r}; "
+            "correct the name"
+        )
+    key = "catalog" if is_known else "file"
+    own = ["verb=atlas", f"terrain.file={json.dumps(str(file))}"]
+    own.append(f"vehicle.{key}={json.dumps(vehicle)}")
+    # names of files are relative to the current folder
+    head = Path("atlas"), "", [*own, *settings], trusted_paths(trust or [])
+    return load_again(*head, command="atlas")
+
+
+@contextmanager
+def _as_arguments() -> Iterator[None]:
+    """Name the options and arguments of this command in messages, not their settings."""
+    from slipfree.files.toml.source import ProblemError
+
+    try:
+        yield
+    except ProblemError as error:
+        faults = []
+        for fault in error.faults:
+            for setting, option in ARGUMENTS.items():
+                if fault.startswith(setting):
+                    fault = option + fault.removeprefix(setting)
+            faults.append(fault)
+        raise ProblemError(*faults) from error
+
+
+def _check_endings(outs: Sequence[Path]) -> None:
+    for out in outs:
+        if out.suffix.lower() not in ENDINGS:
+            raise DataError(
+                f"{out}: expected a name that ends in {', '.join(ENDINGS)}; choose another name"
+            )
+
+
+def _compute(
+    setup: AtlasSetup, folder: TileFolder, processes: int | None, scheduler: str | None
+) -> None:
+    """Compute the missing tiles, and show the progress."""
+    from slipfree.problem.atlas_tiles import compute_tile, run_tiles
+    from slipfree.sweep.pools import DaskPool
+    from slipfree.system.processes import available_cores
+
+    with ExitStack() as stack:
+        show = stack.enter_context(counted("tiles"))
+
+        def progress(done: int, count: int) -> None:
+            show(done, count)
+            detail(f"{done} of {count} tiles")
+
+        workers: Any = processes or available_cores()
+        if scheduler is not None:
+            workers = stack.enter_context(closing(DaskPool(compute_tile, scheduler, warn)))
+        try:
+            run_tiles(setup, folder, workers, check_interrupt, progress)
+        except KeyboardInterrupt as error:
+            done, count = len(setup.tiles) - len(folder.missing), len(setup.tiles)
+            raise KeyboardInterrupt(
+                f"{folder.path} contains {done} of {count} tiles; repeat the command to continue"
+            ) from error

@@ -1,0 +1,329 @@
+"""Mobility maps in files: GeoTIFF of maps over the headings, and netCDF of all poses.
+
+The pixels of a GeoTIFF are centred at the nodes of the atlas, in the coordinates and the reference
+system of the map file; rows run from north to south. It is written tile by tile, so that its size
+is not limited by the memory. A netCDF file has all bands at all headings.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+
+from slipfree.atlas.atlas import REASON, TILE, Atlas, Band, tiles_of
+from slipfree.atlas.summary import ELEVATION, LIMIT, Bounds, Verdicts, summary, verdicts
+from slipfree.core.errors import DataError
+from slipfree.core.records import Array, Label
+from slipfree.core.trajectory import HEADING, OFFSET
+from slipfree.core.version import __version__
+from slipfree.files.cf import CRS, DEGREES, STANDARD_NAMES, MapCoordinate, grid_mapping
+from slipfree.files.netcdf import (
+    ATLAS,
+    CONVENTIONS,
+    ORIGIN,
+    NetcdfFile,
+    annotate,
+    open_netcdf,
+    result_fault,
+)
+from slipfree.system.regular_files import replace_file
+
+MAX_BYTES = 2**32 - 4  # of a variable of netCDF-3
+CACHE = 64  # GDAL's cache of blocks [MB]; fixed, so that files do not depend on the machine
+AXES = (
+    Label("heading", "rad", HEADING.format("y")),
+    Label("y", "m", "y of the platform's centre"),
+    Label("x", "m", "x of the platform's centre"),
+)
+DIMENSIONS = tuple(label.name for label in AXES)
+CONDITIONS = "friction", "within", "frame", "coordinates", "crs"  # of a site, in the attribute
+EMPTY: Mapping[str, Any] = {}
+REASONS = "reasons"  # attribute of the band of reasons
+NO_ATLAS = "repeat slipfree atlas with -o OUT.nc"
+
+
+class Site(NamedTuple):
+    """The ground of an atlas, and the conditions for its summary.
+
+    Attributes
+    ----------
+    elevation : ndarray, shape (n_x, n_y)
+        Heights of the nodes. [m]
+    friction : float, optional
+        Coefficient of friction that must hold the vehicle, as for `verdicts`. [1]
+    within : mapping of str to tuple of 2 floats
+        Smallest and largest value of bands by name, as for `verdicts`.
+    frame : {"paper", "rep103"}
+        Headings in degrees count from the y axis, or from the x axis.
+    coordinates : tuple of MapCoordinate
+        Coordinates of the map file, if they differ from those of the atlas.
+    crs : str
+        Reference system of the map file; empty if unknown.
+    attributes : mapping of str to str
+        Description: title, ground, vehicle and problem.
+    """
+
+    elevation: Array
+    friction: float | None = None
+    within: Bounds = EMPTY
+    frame: str = "paper"
+    coordinates: tuple[MapCoordinate, ...] = ()
+    crs: str = ""
+    attributes: Mapping[str, str] = EMPTY
+
+    def summary_of(self, poses: Atlas, i: slice, j: slice) -> tuple[dict[str, Band], Verdicts]:
+        """Return maps and verdicts of a part of the atlas."""
+        found = verdicts(poses, friction=self.friction, within=self.within)
+        turn = OFFSET[self.frame]
+        return summary(poses, found, self.elevation[i, j], degrees_from=turn), found
+
+    def on_map(self, axis: str, values: Array) -> Array:
+        """Return x or y in the coordinates of the map file [m] or [deg]."""
+        for each in self.coordinates:
+            if each.axis == axis:
+                values = each.offset + each.factor * values
+        return values
+
+
+Writer = Callable[[slice, slice, Mapping[str, Band]], None]
+
+
+def write_geotiff(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:
+    """Write the maps over the headings of an atlas as a GeoTIFF; see `geotiff_writer`.
+
+    DataError is raised if the file cannot be written, or the reference system is unknown.
+    """
+
+    def fill(part: Path) -> None:
+        with geotiff_writer(part, poses.x, poses.y, site) as write:
+            for i, j in tiles_of(poses.x.size, poses.y.size):
+                maps, found = site.summary_of(part_of(poses, i, j), i, j)
+                write(i, j, with_reasons(maps, found))
+
+    replace_file(Path(path), fill)
+
+
+def with_reasons(maps: Mapping[str, Band], found: Verdicts) -> dict[str, Band]:
+    """Return maps whose band of reasons lists their meanings in its label."""
+    label, values = maps[LIMIT]
+    meanings = "; ".join(f"{code}: {words}" for code, words in enumerate(found.reasons) if code)
+    return {**maps, LIMIT: Band(Label(LIMIT, label.unit, f"{label.words}; {meanings}"), values)}
+
+
+def part_of(poses: Atlas, i: slice, j: slice) -> Atlas:
+    """Return a part of an atlas."""
+    bands = {name: Band(each.label, each.values[:, i, j]) for name, each in poses.bands.items()}
+    return Atlas(poses.x[i], poses.y[j], poses.heading, bands, poses.reasons)
+
+
+@contextmanager
+def geotiff_writer(path: Path, x: Array, y: Array, site: Site) -> Iterator[Writer]:
+    """Yield a function that writes tiles of `tiles_of` to a new GeoTIFF.
+
+    Tiles are blocks of the file, each written once, in the order of `tiles_of`: equal maps give
+    equal files.
+    """
+    import rasterio
+    from rasterio import Affine
+
+    east, north = site.on_map("x", x), site.on_map("y", y)
+    d_x, d_y = ((axis[-1] - axis[0]) / (axis.size - 1) for axis in (east, north))
+    profile = {
+        "driver": "GTiff",
+        "width": x.size,
+        "height": y.size,
+        "dtype": "float32",
+        "nodata": np.nan,
+        "crs": _system(site.crs),
+        "transform": Affine(d_x, 0, east[0] - d_x / 2, 0, -d_y, north[-1] + d_y / 2),
+        "tiled": True,
+        "blockxsize": TILE,
+        "blockysize": TILE,
+        "compress": "deflate",
+        "predictor": 3,
+        "interleave": "band",
+        "BIGTIFF": "IF_SAFER",
+    }
+    with ExitStack() as stack:
+        stack.enter_context(rasterio.Env(GDAL_CACHEMAX=CACHE))
+        file: Any = None
+
+        def write(i: slice, j: slice, maps: Mapping[str, Band]) -> None:
+            nonlocal file
+            if file is None:  # the first tile has the bands
+                file = stack.enter_context(rasterio.open(path, "w", count=len(maps), **profile))
+                _describe(file, [band.label for band in maps.values()], site)
+            window = (y.size - j.stop, y.size - j.start), (i.start, i.stop)
+            for k, band in enumerate(maps.values(), 1):
+                image = np.ascontiguousarray(band.values.T[::-1], dtype=np.float32)
+                file.write(image, k, window=window)
+
+        yield write
+
+
+def _system(crs: str) -> Any:
+    """Return a reference system of rasterio; None for an empty name."""
+    from rasterio.crs import CRS as SYSTEM
+    from rasterio.errors import CRSError
+
+    try:
+        return SYSTEM.from_user_input(crs) if crs else None
+    except CRSError as error:
+        raise DataError(
+            f"atlas: expected a known reference system, found {crs!r}; correct that of the map"
+        ) from error
+
+
+def _describe(file: Any, labels: Sequence[Label], site: Site) -> None:
+    """Write names, units and meanings of the bands, and the description of the atlas."""
+    convention = HEADING.format("y" if site.frame == "paper" else "x")
+    file.descriptions = tuple(f"{label.name} [{label.unit}]" for label in labels)
+    file.units = tuple(label.unit for label in labels)
+    for k, label in enumerate(labels, 1):
+        words = label.words + (f"; {convention}" if label.name.startswith("heading") else "")
+        file.update_tags(k, long_name=words)
+    own = {"TIFFTAG_SOFTWARE": f"slipfree {__version__}", "heading_convention": convention}
+    file.update_tags(AREA_OR_POINT="Point", **own, **site.attributes)
+
+
+def write_atlas(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:
+    """Write all bands of an atlas as a netCDF file, which `open_atlas` reads.
+
+    Variables have the dimensions ``heading``, ``y`` and ``x``, with metadata of the CF conventions.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be written, or a band exceeds 4 GB.
+    """
+    largest = 4 * poses.heading.size * poses.x.size * poses.y.size
+    if largest > MAX_BYTES:
+        raise DataError(
+            f"{path}: expected bands of at most {MAX_BYTES / 1e9:.3g} GB, found "
+            f"{largest / 1e9:.3g} GB; write a GeoTIFF instead, or use fewer headings or nodes"
+        )
+
+    def fill(part: Path) -> None:
+        with scipy.io.netcdf_file(str(part), "w", version=2) as file:
+            _define(file, poses, site)
+
+    replace_file(Path(path), fill)
+
+
+def _define(file: Any, poses: Atlas, site: Site) -> None:
+    """Write an atlas to an open netCDF file."""
+    conditions = {name: getattr(site, name) for name in CONDITIONS}
+    own = {"Conventions": CONVENTIONS, ORIGIN: __version__}
+    own[ATLAS] = json.dumps({**conditions, "bands": [*poses.bands]})
+    annotate(file, {**site.attributes, **own})
+
+    def add(label: Label, dimensions: Sequence[str], values: Array, kind: str) -> Any:
+        variable = file.createVariable(label.name, kind, tuple(dimensions))
+        variable[:] = values
+        annotate(variable, {"units": label.unit, "long_name": label.words})
+        return variable
+
+    for label, values in zip(AXES, (poses.heading, poses.y, poses.x), strict=True):
+        file.createDimension(label.name, values.size)
+        variable = add(label, [label.name], values, "f8")
+        if label.unit == "m":
+            variable.axis = label.name.upper()
+    mapped = {}
+    if site.crs:
+        annotate(file.createVariable(CRS, "i4", ()), grid_mapping(site.crs))
+        mapped = {"coordinates": " ".join(_add_map_axes(add, poses, site)), "grid_mapping": CRS}
+    annotate(add(ELEVATION, DIMENSIONS[1:], site.elevation.T, "f8"), mapped)
+    for name, (label, values) in poses.bands.items():
+        kind = "i2" if name == REASON.name else "f4"
+        variable = add(label, DIMENSIONS, values.swapaxes(1, 2), kind)
+        standard = {"standard_name": STANDARD_NAMES[name]} if name in STANDARD_NAMES else {}
+        annotate(variable, {**standard, **mapped})
+    reason, codes = file.variables[REASON.name], np.arange(len(poses.reasons), dtype="i2")
+    slugs = (re.sub(r"[^\w.+@-]+", "_", words).strip("_") for words in poses.reasons)
+    meanings = {"flag_meanings": " ".join(slugs), REASONS: json.dumps(poses.reasons)}
+    annotate(reason, meanings)
+    reason.flag_values = codes
+
+
+def _add_map_axes(add: Callable[..., Any], poses: Atlas, site: Site) -> Iterator[str]:
+    """Write the axes in the reference system of the map file, and yield their names."""
+    named = {each.axis: each.name for each in site.coordinates}
+    for axis, values in (("x", poses.x), ("y", poses.y)):
+        name = named.get(axis, axis)
+        known = name if name in DEGREES else f"map_{axis}"
+        unit = {"longitude": "degrees_east", "latitude": "degrees_north"}.get(name, "m")
+        label = Label(known, unit, f"{name} of the platform's centre in {site.crs}")
+        annotate(
+            add(label, [axis], site.on_map(axis, values), "f8"),
+            {"standard_name": STANDARD_NAMES[known]},
+        )
+        yield known
+
+
+class StoredAtlas(NamedTuple):
+    """Contents of a netCDF file of `write_atlas`."""
+
+    poses: Atlas
+    site: Site
+
+
+def open_atlas(path: str | os.PathLike[str]) -> StoredAtlas:
+    """Return the atlas in a netCDF file, and the ground on which it was computed.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, or has no atlas.
+    """
+    file = open_netcdf(Path(path))
+    with file.stream:
+        if ATLAS not in file.attributes:
+            raise result_fault(file.path, "a result without an atlas", NO_ATLAS)
+        try:
+            return _stored(file)
+        except (ValueError, LookupError, TypeError) as error:
+            raise result_fault(file.path, f"a damaged atlas ({error})", NO_ATLAS) from error
+
+
+def is_atlas(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file is a netCDF file of an atlas."""
+    try:
+        file = open_netcdf(Path(path))
+    except DataError:
+        return False
+    file.stream.close()
+    return ATLAS in file.attributes
+
+
+def _stored(file: NetcdfFile) -> StoredAtlas:
+    """Return the atlas in an open file; raise ValueError, LookupError or TypeError without one."""
+    conditions = json.loads(str(file.attributes[ATLAS]))
+    bands = {}
+    for name in conditions["bands"]:
+        words = file.variables[name].attributes
+        label = Label(name, str(words["units"]), str(words["long_name"]))
+        bands[name] = Band(label, file.values(name).swapaxes(1, 2).astype(np.float32))
+    heading, y, x = (file.values(name).astype(float) for name in DIMENSIONS)
+    reasons = json.loads(str(file.variables[REASON.name].attributes[REASONS]))
+    site = Site(
+        file.values(ELEVATION.name).T.astype(float),
+        None if conditions["friction"] is None else float(conditions["friction"]),
+        {name: (float(low), float(high)) for name, (low, high) in conditions["within"].items()},
+        str(conditions["frame"]),
+        tuple(MapCoordinate(*each) for each in conditions["coordinates"]),
+        str(conditions["crs"]),
+        {
+            name: str(value)
+            for name, value in file.attributes.items()
+            if name not in ("Conventions", ORIGIN, ATLAS)
+        },
+    )
+    return StoredAtlas(Atlas(x, y, heading, bands, tuple(map(str, reasons))), site)

@@ -1,0 +1,262 @@
+"""Figures of a mobility map: colours over a hillshade, which darkens them, and spokes of headings.
+
+Colours are multiplied by the brightness of the ground, so that those of level ground are those of
+the scale.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
+
+from slipfree.atlas.atlas import Atlas, Band
+from slipfree.atlas.summary import ALLOWED, LIMIT, STANDING
+from slipfree.core.records import Array
+from slipfree.files.atlas_files import Site
+from slipfree.show import style
+from slipfree.show.ground_drawing import LEVEL, brightness
+from slipfree.show.plots import Plot, draw
+from slipfree.show.style import MM, PAGE
+from slipfree.terrain.base import Grid
+
+SHARE = "RdYlBu"  # colours of the share of headings
+FRICTION = "viridis"
+LEVELS, SHOWN = 9, 98.0  # number of colours of the friction, percentile of the last one
+REASONS = ("#0072B2", "#E69F00", "#CC79A7", "#56B4E9", "#F0E442", "#7F4F24", "#000000")
+ALLOWED_COLOR = "#FFFFFF"
+UNKNOWN = (0.75, 0.75, 0.75)  # where the vehicle stands at no heading
+SMALLEST = 0.02  # of the last colour of the friction [1]
+SPOKES = 12  # nodes with spokes along each axis of the detail
+SPOKE = 0.42  # length of a spoke [distance of the nodes with spokes]
+LINES = 10  # height lines of the detail
+SHADE = 0.7  # of the brightness of the hillshade, so that colours are recognised
+WRAP = 95  # characters of a line of a legend
+
+
+class AtlasView(NamedTuple):
+    """What the figures of a mobility map show.
+
+    Attributes
+    ----------
+    x, y : ndarray, shapes (n_x,) and (n_y,)
+        Coordinates of the nodes of ``maps``, which may be fewer than those of the atlas. [m]
+    maps : mapping of str to Band
+        Maps over the headings, by name.
+    reasons : tuple of str
+        Meanings of the map ``limit``.
+    detail : Atlas
+        Poses in a small window in which some headings are allowed and others are not.
+    site : Site
+        Ground of the detail, and conditions.
+    """
+
+    x: Array
+    y: Array
+    maps: Mapping[str, Band]
+    reasons: tuple[str, ...]
+    detail: Atlas
+    site: Site
+
+
+def atlas_plots(drawn: AtlasView) -> tuple[Plot, ...]:
+    """Return the figures of a mobility map, the most important first."""
+    allowed = _share_words(drawn)
+    plots = [
+        Plot("headings", f"Share of headings at which {allowed}.", lambda: _headings(drawn)),
+        Plot(
+            "detail",
+            f"Headings at which {allowed} (spokes), and height lines, in the window that the first "
+            "figure marks.",
+            lambda: _detail(drawn),
+        ),
+    ]
+    if friction_maps(drawn.maps):
+        words = "Least coefficient of friction that holds the vehicle, at the best and the worst "
+        plots.append(Plot("friction", f"{words}heading.", lambda: _friction(drawn)))
+    plots.append(
+        Plot("limit", "Most frequent reason that excludes headings.", lambda: _limit(drawn))
+    )
+    return tuple(plots)
+
+
+def friction_maps(maps: Mapping[str, Band]) -> list[Band]:
+    """Return the maps of the least friction at the best and the worst heading, if there are any."""
+    bases = "least_friction", "least_utilisation"
+    names = [f"{base}_{which}_high" for base in bases for which in ("best", "worst")]
+    return [maps[name] for name in names if name in maps]
+
+
+def plot_atlas(drawn: AtlasView) -> dict[str, Figure]:
+    """Draw the figures of a mobility map and return them by name."""
+    return draw(atlas_plots(drawn))
+
+
+def _share_words(drawn: AtlasView) -> str:
+    site = drawn.site
+    words = ["the vehicle stands"]
+    words += ["friction holds it"] if site.friction and ALLOWED in drawn.maps else []
+    words += [f"{style.words(name)} is within its bounds" for name in site.within]
+    return " and ".join([", ".join(words[:-1]), words[-1]] if words[1:] else words)
+
+
+def shaded(colors: Array, drawn: AtlasView) -> Array:
+    """Return colours, shape (n_x, n_y, 3), in the light of a hillshade."""
+    z = drawn.maps["elevation"].values.astype(float)
+    if min(z.shape) < 4:  # smaller than a grid
+        return colors
+    light = brightness(Grid(drawn.x, drawn.y, z)).reshape(*z.shape, 1) / LEVEL
+    light = 1.0 + SHADE * (light - 1.0)
+    darker, lighter = np.minimum(light, 1.0), np.maximum(light - 1.0, 0.0)
+    return np.asarray(darker * colors + lighter * (1.0 - colors))
+
+
+def _image(drawn: AtlasView, values: Array, scale: Colormap, norm: Normalize, ax: Axes) -> None:
+    """Draw a map over the hillshade, grey where it has no value."""
+    colors = scale(norm(np.nan_to_num(values)))[..., :3]
+    colors[np.isnan(values)] = UNKNOWN
+    image = np.clip(shaded(colors, drawn), 0, 1).swapaxes(0, 1)
+    ax.imshow(image, extent=_extent(drawn.x, drawn.y), origin="lower", interpolation="nearest")
+    _axes(drawn.x, drawn.y, ax)
+
+
+def _extent(x: Array, y: Array) -> tuple[float, float, float, float]:
+    d_x, d_y = ((axis[-1] - axis[0]) / (axis.size - 1) / 2 for axis in (x, y))
+    return float(x[0] - d_x), float(x[-1] + d_x), float(y[0] - d_y), float(y[-1] + d_y)
+
+
+def _axes(x: Array, y: Array, ax: Axes) -> None:
+    west, east, south, north = _extent(x, y)
+    ax.set(xlim=(west, east), ylim=(south, north), aspect="equal", autoscale_on=False)
+    style.position_axis(ax.xaxis, "x", x[0])
+    style.position_axis(ax.yaxis, "y", y[0])
+
+
+def _sized(drawn: AtlasView, columns: int = 1, below: float = 0.0) -> Figure:
+    """Return a figure for maps side by side, with room below in millimetres."""
+    width = PAGE / columns - 25 * MM
+    height = width * np.ptp(drawn.y) / np.ptp(drawn.x)
+    return style.figure(PAGE, float(np.clip(height, 40 * MM, PAGE)) + (18 + below) * MM)
+
+
+def _bar(figure: Figure, ax: Any, scale: Colormap, norm: Normalize, label: str, **how: Any) -> None:
+    """Draw a colour bar beside axes."""
+    figure.colorbar(ScalarMappable(norm, scale), ax=ax, label=label, shrink=0.85, **how)
+
+
+def _headings(drawn: AtlasView) -> Figure:
+    band = drawn.maps[ALLOWED if ALLOWED in drawn.maps else STANDING]
+    figure = _sized(drawn)
+    ax = figure.subplots()
+    count = drawn.detail.heading.size
+    scale = colormaps[SHARE].resampled(min(count, 24) + 1)
+    norm = Normalize(-0.5 / count, 1 + 0.5 / count)  # each number of headings has one colour
+    _image(drawn, band.values, scale, norm, ax)
+    west, east, south, north = _extent(drawn.detail.x, drawn.detail.y)
+    frame = Rectangle((west, south), east - west, north - south, fc="none", ec="black", lw=0.9)
+    frame.set_path_effects(style.halo(2.2))
+    ax.add_patch(frame)
+    _bar(figure, ax, scale, norm, f"share of {count} headings [1]", ticks=np.linspace(0, 1, 5))
+    ax.set_title(textwrap.fill(f"Share of headings at which {_share_words(drawn)}", WRAP))
+    return figure
+
+
+def _detail(drawn: AtlasView) -> Figure:
+    poses, site = drawn.detail, drawn.site
+    maps, found = site.summary_of(poses, slice(None), slice(None))
+    figure = style.figure(PAGE, 0.85 * PAGE)
+    ax = figure.subplots()
+    part = AtlasView(poses.x, poses.y, maps, found.reasons, poses, site)
+    friction = friction_maps(maps)
+    if friction:
+        scale, norm, label = *_friction_scale(friction[0]), "least friction at the best heading [1]"
+        values = friction[0].values
+    else:
+        scale, norm = colormaps[SHARE], Normalize(0, 1)
+        values, label = found.allowed, "share of headings [1]"
+    _image(part, values, scale, norm, ax)
+    z = site.elevation
+    if np.ptp(z) > 0 and min(z.shape) > 1:
+        heights = ax.contour(poses.x, poses.y, z.T, levels=LINES, colors="white", linewidths=0.6)
+        ax.clabel(heights, fontsize=6, fmt="%g m")
+    spoke_step = [max(1, round(axis.size / SPOKES)) for axis in (poses.x, poses.y)]
+    i, j = (
+        np.arange(step // 2, axis.size, step)
+        for step, axis in zip(spoke_step, (poses.x, poses.y), strict=True)
+    )
+    apart = min(
+        step * (axis[-1] - axis[0]) / (axis.size - 1)
+        for step, axis in zip(spoke_step, (poses.x, poses.y), strict=True)
+    )
+    k, a, b = np.nonzero(found.codes[:, i][:, :, j] == 0)
+    x, y = poses.x[i][a], poses.y[j][b]
+    # headings count from the y axis, counter-clockwise
+    d_x, d_y = (-SPOKE * apart * np.sin(poses.heading), SPOKE * apart * np.cos(poses.heading))
+    spokes = np.stack([[x, x + d_x[k]], [y, y + d_y[k]]]).transpose(2, 1, 0)
+    lines = LineCollection(list(spokes), colors="black", linewidths=0.9, zorder=3)
+    lines.set_path_effects(style.halo(1.9))
+    ax.add_collection(lines)
+    ax.plot(*(g.ravel() for g in np.meshgrid(poses.x[i], poses.y[j])), "k.", ms=1.5, zorder=3)
+    _bar(figure, ax, scale, norm, label, extend="max" if friction else "neither")
+    ax.set_title(textwrap.fill(f"Spokes: headings at which {_share_words(drawn)}", WRAP))
+    return figure
+
+
+def _friction_scale(*bands: Band) -> tuple[Colormap, Normalize]:
+    """Return colours of the friction in maps, in round steps from zero."""
+    values = np.concatenate([band.values.ravel() for band in bands])
+    values = values[np.isfinite(values)]
+    largest = float(np.percentile(values, SHOWN)) if values.size else 1.0
+    levels = style.ticks(LEVELS).tick_values(0.0, max(largest, SMALLEST))
+    scale = colormaps[FRICTION]
+    return scale, BoundaryNorm(levels, scale.N, extend="max")
+
+
+def _friction(drawn: AtlasView) -> Figure:
+    figure = _sized(drawn, 2, below=6)
+    axes = figure.subplots(1, 2, sharex=True, sharey=True)
+    scale, norm = _friction_scale(*friction_maps(drawn.maps))
+    for name, band, ax in zip(("best", "worst"), friction_maps(drawn.maps), axes, strict=True):
+        _image(drawn, band.values, scale, norm, ax)
+        ax.set_title(f"Least friction, {name} heading")
+    axes[1].set_ylabel("")
+    _bar(figure, axes, scale, norm, "least coefficient of friction [1]", extend="max")
+    return figure
+
+
+def _limit(drawn: AtlasView) -> Figure:
+    codes = drawn.maps[LIMIT].values
+    present, counts = np.unique(codes[np.isfinite(codes)].astype(int), return_counts=True)
+    order = [int(code) for code in present[np.argsort(-counts)] if code]
+    colors: Sequence[Any] = [ALLOWED_COLOR, *(REASONS[k % len(REASONS)] for k in range(len(order)))]
+    numbers = {0: 0} | {code: k for k, code in enumerate(order, 1)}
+    shown = np.vectorize(lambda code: numbers.get(int(code), 0), otypes=[float])(
+        np.nan_to_num(codes)
+    )
+    words = {0: "all headings are allowed"} | {code: drawn.reasons[code] for code in order}
+    shares = dict(zip(present.tolist(), counts / counts.sum(), strict=True))
+    labels = [
+        textwrap.fill(f"{words[code]} ({100 * shares.get(code, 0):.3g} %)", WRAP)
+        for code in (0, *order)
+    ]
+    room = 4.2 * sum(label.count("\n") + 1 for label in labels)
+    figure = _sized(drawn, below=room)
+    ax = figure.subplots()
+    scale = ListedColormap(colors)
+    _image(drawn, shown, scale, Normalize(-0.5, len(colors) - 0.5), ax)
+    handles = [
+        Patch(fc=color, ec="0.4", lw=0.4, label=label)
+        for color, label in zip(colors, labels, strict=True)
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=1)
+    ax.set_title("Most frequent reason that excludes headings (share of the nodes)")
+    return figure

@@ -1,0 +1,263 @@
+"""Tests of ``slipfree atlas``: two files, a problem, tiles that continue, and refused input."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from helpers.commands import invoke, printed, refused, sets
+from slipfree import Bicubic, catalog, direct_kinematics, read_map
+from slipfree.atlas import atlas as core
+from slipfree.files.atlas_files import open_atlas
+from slipfree.problem import atlas_tiles
+
+INTERPRETED = sets("atlas.compiled=false")
+QUICK = *INTERPRETED, "--no-draw", "--headings", "2"
+
+
+pytestmark = pytest.mark.usefixtures("site")
+
+
+@pytest.fixture
+def site(folder):
+    """Return a hilly map of 14 x 10 nodes with a reference system, and tiles of 8 x 8 nodes."""
+    rows, columns = np.mgrid[:10, :14]
+    z = (0.2 * np.sin(columns / 2) * np.cos(rows / 2)).astype("f4")
+    write_map(z)
+    return folder
+
+
+@pytest.fixture
+def small_tiles(monkeypatch):
+    for module in (core, sys.modules["slipfree.files.atlas_files"]):
+        monkeypatch.setattr(module, "TILE", 16)
+
+
+def write_map(z, name="site.tif", **more):
+    height, width = z.shape
+    place = rasterio.Affine(1.0, 0, 5e5, 0, -1.0, 5e6)
+    profile = {"width": width, "height": height, "count": 1, "dtype": z.dtype, "crs": "EPSG:32633"}
+    with rasterio.open(name, "w", "GTiff", transform=place, **profile, **more) as file:
+        file.write(z, 1)
+
+
+def bands(name):
+    with rasterio.open(name) as file:
+        return {t.split(" [")[0]: file.read(k) for k, t in enumerate(file.descriptions, 1)}
+
+
+def test_a_map_and_a_vehicle_are_enough():
+    out = printed("atlas", "site.tif", "three_wheeler", "--friction", "0.5", *QUICK)
+    assert "280: 14 x 10 nodes, 2 headings" in out
+    assert "wrote site_atlas.tif" in out
+    found = bands("site_atlas.tif")
+    assert {"share_standing", "share_allowed", "limit", "least_friction_worst_high"} <= {*found}
+    with rasterio.open("site.tif") as first, rasterio.open("site_atlas.tif") as second:
+        assert first.transform == second.transform
+        assert first.crs == second.crs
+    assert not Path("site_atlas_tiles").exists()
+
+
+def test_a_problem_gives_the_same_and_figures():
+    Path("p.toml").write_text(
+        'verb = "atlas"\n[terrain]\nfile = "site.tif"\nfriction = 0.5\n'
+        '[vehicle]\ncatalog = "three_wheeler"\n[atlas]\nheadings = 2\ncompiled = false\n'
+    )
+    assert "280: 14 x 10 nodes" in printed("check", "p.toml")
+    out = json.loads(printed("atlas", "p.toml", "--json", "-o", "p.tif", "-o", "p.nc"))
+    printed("atlas", "site.tif", "three_wheeler", "--friction", "0.5", *QUICK)
+    mine, other = bands("p.tif"), bands("site_atlas.tif")
+    assert mine.keys() == other.keys()
+    for name, values in mine.items():
+        np.testing.assert_array_equal(values, other[name])
+    pictures = [f"p_figures/{name}.png" for name in ("headings", "detail", "friction", "limit")]
+    assert out["files"] == ["p.tif", "p.nc", *pictures]
+    assert 0 < out["atlas"]["allowed_share"]["value"] < 1
+    poses, ground = open_atlas("p.nc")
+    assert poses["roll"].shape == (2, 14, 10)
+    assert ground.friction == 0.5
+    assert "use slipfree atlas p.toml" in refused("run", "p.toml")
+    assert "a mobility map, which has no motion" in refused("export", "p.nc", "--path", "p.csv")
+    printed("report", "p.nc")
+    assert "least friction" in Path("p.html").read_text()
+    assert "280: 14 x 10 nodes" in printed("info", "p.nc")
+
+
+def test_poses_of_a_rigid_vehicle_are_those_of_the_function():
+    words = "atlas", "site.tif", "rigid_skid_steer", *QUICK, "--every", "4", "--error", "0.01"
+    printed(*words, "--friction", "0.4", "-o", "rigid.nc")
+    found, site = open_atlas("rigid.nc")
+    terrain = Bicubic(read_map("site.tif").grid, (5e5 + 7, 5e6 - 5), 0.4)
+    np.testing.assert_allclose(site.elevation, terrain.grid.z[::4, ::4])
+    model = direct_kinematics(catalog.rigid_skid_steer(), terrain)
+    more = {"x": found.x, "y": found.y, "error": 0.01, "compiled": False}
+    expected = core.atlas(model, terrain, headings=2, **more)
+    assert "rests" in found.bands
+    assert list(found.bands) == list(expected.bands)
+    for name in expected.bands:
+        np.testing.assert_allclose(found[name], expected[name], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.usefixtures("small_tiles")
+def test_a_killed_map_continues_and_gives_equal_files(monkeypatch):
+    write_map((0.1 * np.sin(np.arange(40 * 20) / 3)).reshape(40, 20).astype("f4"))
+    words = "atlas", "site.tif", "three_wheeler", *QUICK, "--headings", "1", "-j", "1"
+    printed(*words, "-o", "whole.tif")
+    computed, compute = [], atlas_tiles.compute_tile
+
+    def dies(task):
+        if len(computed) == 2:
+            raise KeyboardInterrupt
+        computed.append(task.number)
+        return compute(task)
+
+    monkeypatch.setattr(atlas_tiles, "compute_tile", dies)
+    result = invoke(*words, "-o", "part.tif", code=130)
+    assert "part_tiles contains 3 of 6 tiles; repeat the command to continue" in result.stderr
+    computed.clear()
+    monkeypatch.setattr(
+        atlas_tiles, "compute_tile", lambda task: computed.append(1) or compute(task)
+    )
+    printed(*words, "-o", "part.tif")
+    assert len(computed) == 2  # one more is computed before the pool starts
+    first, second = (bands(f"{name}.tif") for name in ("whole", "part"))
+    for name, values in first.items():
+        np.testing.assert_array_equal(values, second[name])
+    assert Path("whole.tif").read_bytes() == Path("part.tif").read_bytes()
+
+
+@pytest.mark.usefixtures("small_tiles")
+def test_tiles_of_another_problem_are_not_used(monkeypatch):
+    words = "atlas", "site.tif", "three_wheeler", *QUICK, "-o", "a.tif"
+    monkeypatch.setattr(atlas_tiles.TileFolder, "remove", lambda _: None)
+    printed(*words)
+    (tile,) = Path("a_tiles").glob("*.npy")
+    before = tile.stat().st_mtime_ns
+    printed(*words)
+    assert tile.stat().st_mtime_ns == before
+    printed(*words, "--headings", "1")
+    assert tile.stat().st_mtime_ns != before
+
+
+@pytest.fixture
+def two_tiles():
+    """Return the words of a command for a map of two tiles."""
+    x = np.linspace(0.0, 32.0, 66)
+    np.savez("map.npz", x=x, y=x[:5], z=0.1 * np.sin(x)[:, None] * np.cos(x[:5]))
+    return "atlas", "map.npz", "three_wheeler", *QUICK, "--headings", "1"
+
+
+def test_two_processes_give_the_same_file_as_one(two_tiles):
+    for count in ("1", "2"):
+        printed(*two_tiles, "-j", count, "-o", f"{count}.tif")
+    assert Path("1.tif").read_bytes() == Path("2.tif").read_bytes()
+
+
+@pytest.mark.slow
+def test_workers_of_dask_give_the_same_file(two_tiles):
+    distributed = pytest.importorskip("distributed")
+    printed(*two_tiles, "-o", "here.tif")
+    more = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}
+    with distributed.LocalCluster(n_workers=1, **more) as local:
+        printed(*two_tiles, "-o", "there.tif", "--scheduler", local.scheduler_address)
+    assert Path("here.tif").read_bytes() == Path("there.tif").read_bytes()
+
+
+def test_a_vehicle_without_mass_has_no_bands_of_friction():
+    Path("light.toml").write_text(LIGHT)
+    out = printed("atlas", "site.tif", "light.toml", "--friction", "0.5", *QUICK)
+    assert "the vehicle has no mass" in out
+    found = bands("site_atlas.tif")
+    assert "share_standing" in found
+    assert not any("friction" in name for name in found)
+
+
+def test_without_friction_the_coefficient_is_mapped():
+    out = printed("atlas", "site.tif", "three_wheeler", *QUICK)
+    assert "the ground has no coefficient of friction" in out
+    found = bands("site_atlas.tif")
+    assert "share_allowed" not in found
+    assert np.nanmax(found["least_friction_worst_high"]) > 0
+
+
+def test_bounds_of_quantities_exclude_headings():
+    printed("atlas", "site.tif", "three_wheeler", *QUICK, "--within", "roll=-0.05..0.05")
+    found = bands("site_atlas.tif")
+    assert (found["share_allowed"] <= found["share_standing"]).all()
+    alone = found["roll_largest"] <= 0.05
+    np.testing.assert_array_equal(found["share_allowed"][alone], found["share_standing"][alone])
+    assert (found["share_allowed"] < found["share_standing"]).any()
+
+
+def test_a_map_smaller_than_the_vehicle_says_so():
+    write_map(np.zeros((4, 4), "f4"))
+    out = printed("atlas", "site.tif", "three_wheeler", *QUICK, *sets("terrain.scale=0.2"))
+    assert "wheels leave the map" in out
+    assert "no pose is allowed" in out
+
+
+def test_holes_exclude_headings_by_name():
+    z = np.zeros((14, 14), "f4")
+    z[7, 7] = -9999
+    write_map(z, nodata=-9999)
+    out = printed("atlas", "site.tif", "three_wheeler", *QUICK)
+    assert "hole" in out
+    found = bands("site_atlas.tif")
+    assert found["share_standing"][7, 7] == 0
+    assert found["share_standing"][2, 2] == 1
+
+
+@pytest.mark.parametrize(
+    ("z", "more", "expected"),
+    [
+        (np.full((9, 9), np.nan, "f4"), {}, "height"),
+        (np.full((9, 9), -9999, "f4"), {"nodata": -9999}, "height"),
+        (np.zeros((1, 30), "f4"), {}, "at least 4 nodes"),
+        (np.zeros((1, 1), "f4"), {}, "at least"),
+        (np.where(np.eye(9), 2e9, 0).astype("f4"), {}, "MAP"),
+    ],
+    ids=["nan", "holes", "row", "cell", "spikes"],
+)
+def test_hostile_maps_are_refused(z, more, expected):
+    write_map(z, **more)
+    words = refused("atlas", "site.tif", "three_wheeler", *QUICK)
+    assert words.startswith("MAP: site.tif:")
+    assert expected in words
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("three_whealer",), "VEHICLE: expected a vehicle file, or one of"),
+        (("none.toml",), "none.toml: expected a vehicle file"),
+        ((), "found no vehicle"),
+        (("three_wheeler", "--headings", "361"), "--headings: expected a number of at most 360"),
+        (("three_wheeler", "--every", "10"), "--every: expected at most 9"),
+        (("three_wheeler", "--within", "rol=-1..1"), "--within.rol: did you mean 'roll'?"),
+        (("three_wheeler", "--within", "roll"), "expected NAME=LOW..HIGH"),
+        (("three_wheeler", "--within", "roll=2..1"), "in ascending order"),
+        (("three_wheeler", "--friction", "0"), "--friction: expected a number greater than 0"),
+        (("three_wheeler", "--scheduler", "x", "-j", "2"), "found both"),
+        (
+            ("three_wheeler", *INTERPRETED, "--scheduler", "tcp://127.0.0.1:1"),
+            "a running Dask scheduler",
+        ),
+        (("three_wheeler", "-o", "out.png"), "expected a name that ends in .tif"),
+        (("three_wheeler", "-o", "site.tif"), "found the input"),
+        (("three_wheeler", *sets("model=dynamics")), "'kinematics' or 'quasi-static'"),
+    ],
+)
+def test_wrong_arguments_are_named(words, expected):
+    assert expected in refused("atlas", "site.tif", *words)
+
+
+LIGHT = """\
+name = "light"
+frame = "rep103"
+wheels = [{ name = "left", parent = "platform", at = [0, 0.3, 0], radius = 0.1, driven = true },
+    { name = "right", parent = "platform", at = [0, -0.3, 0], radius = 0.1, driven = true },
+    { name = "front", parent = "platform", at = [0.5, 0, 0], radius = 0.1 }]
+"""
