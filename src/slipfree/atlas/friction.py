@@ -44,6 +44,7 @@ PATH_STEP = 10.0  # largest ratio of distances of levels from the lower bound in
 CONE_STEP = 0.7  # of the way to the boundary of the cone
 WORKING = 1e-9  # power of the load below which it does not hold the rates back, relative
 DECREMENT_OF_BOUND, DECREMENT = 1e3, 1e6  # largest squares of Newton decrements
+CROSSING = 1e-9  # of the bounds by rounding
 UNKNOWN = 1e9  # upper bound before forces are found
 FALLS = (0.0, 0.5, 1.0)  # shares of the way to the lower bound at which forces are tried
 TINY = 1e-300
@@ -308,7 +309,8 @@ def least_friction(
             part[rows.rates.start :] = evaluate(graphs.step, part)
         column[:, wide] = part
         low, high = column[rows.low][0], column[rows.high][0]
-        wide = np.flatnonzero(~(high - low <= tolerance))
+        # bounds that cross have lost digits, where the forces are near the borders of their cones
+        wide = np.flatnonzero(~((high - low <= tolerance) & (low - high <= CROSSING)))
     high[high >= UNKNOWN] = np.inf
     low, high = np.nan_to_num(low, nan=0.0), np.nan_to_num(high, nan=np.inf)
     wide = wide[np.isfinite(column[rows.slopes][:, wide]).all(axis=0) & (low[wide] < FIRST_LEVEL)]
