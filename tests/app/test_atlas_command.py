@@ -1,6 +1,7 @@
 """Tests of ``slipfree atlas``: two files, a problem, tiles that continue, and refused input."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -252,6 +253,13 @@ def test_hostile_maps_are_refused(z, more, expected):
 )
 def test_wrong_arguments_are_named(words, expected):
     assert expected in refused("atlas", "site.tif", *words)
+
+
+def test_the_example_of_the_page_runs(capsys):
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "atlas.md").read_text()
+    code = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[-1]
+    exec(compile(code, "atlas.md", "exec"), {})
+    assert re.match(r"held at \d\d% of the poses, slides at \d+%", capsys.readouterr().out)
 
 
 LIGHT = """\
