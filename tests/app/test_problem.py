@@ -121,7 +121,8 @@ def test_settings_that_do_not_fit(tmp_path: Path) -> None:
         "unknown key 'stp'",
         "--set vehicle.r1: expected a number of at least 0, found -1",
         "--set foo: expected one of verb, title, gravity, time, solver, output, terrain, start, "
-        "frame, vehicle, model, slip, law, inputs, driver, formulation, found the unknown key 'foo'",
+        "frame, vehicle, model, slip, law, inputs, driver, formulation, found the unknown key "
+        "'foo'",
     ]
 
 

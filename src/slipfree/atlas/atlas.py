@@ -183,6 +183,7 @@ class Poses(NamedTuple):
     least: tuple[Label, Label] | None
     codes: Indices
     reasons: tuple[str, ...]
+    power: int | None  # row of the drives' power in the outputs, of vehicles with mass
 
     @property
     def has_rests(self) -> bool:
@@ -290,7 +291,8 @@ def tiles_of(n_x: int, n_y: int) -> Iterator[tuple[slice, slice]]:
 def poses_of(model: Dae, *, with_errors: bool, compiled: bool = True) -> Poses:
     """Return what computes the poses of a model."""
     evaluate = evaluator_of(model, compiled=compiled)
-    graphs, holding = evaluate.graphs, model.holding
+    graphs = evaluate.graphs
+    holding = None if graphs.stages else model.holding  # soil holds wheels, not friction
     hold = friction = least = None
     if holding is not None:
         entries = (holding.matrix.nz[:], holding.load, holding.friction)
@@ -308,7 +310,9 @@ def poses_of(model: Dae, *, with_errors: bool, compiled: bool = True) -> Poses:
     sensitivity = sensitivity_graph(graphs) if with_errors else None
     more = evaluator_of_graphs(AtlasGraphs(hold, friction, sensitivity), compiled=compiled)
     reasons, codes = _reasons(model)
-    return Poses(evaluate, more, _summaries(graphs), least, codes, reasons)
+    names = [label.name for label in leaves(model.labels.y)]
+    power = names.index("power") if "power" in names else None
+    return Poses(evaluate, more, _summaries(graphs), least, codes, reasons, power)
 
 
 def bands_of(poses: Poses, *, error: float | None, is_moving: bool = False) -> dict[str, Label]:
@@ -319,7 +323,7 @@ def bands_of(poses: Poses, *, error: float | None, is_moving: bool = False) -> d
     labels |= {RESTS.name: RESTS} if poses.has_rests else {}
     checks = (check.label for check in poses.evaluate.graphs.dae.checks)
     labels |= {label.name: label for label in checks if label.name == CLEARANCE}
-    labels |= {ENERGY.name: ENERGY} if is_moving else {}
+    labels |= {ENERGY.name: ENERGY} if is_moving and poses.power is not None else {}
     if graphs.sensitivity is not None:
         for name in graphs.sensitivity.names:
             old = poses.summaries[name].label
@@ -378,9 +382,9 @@ def _bands(
         for check, margin in zip(evaluate.graphs.dae.checks, margins, strict=False):
             if check.label.name == CLEARANCE:
                 bands[CLEARANCE] = np.where(stands, margin, np.nan)
-        if inputs:
-            power = outputs[sources_of(evaluate.graphs, ["power"])["power"].rows[0]]
-            bands[ENERGY.name] = np.where(stands, power / _speed(evaluate, states), np.nan)
+        if inputs and poses.power is not None:
+            energy = outputs[poses.power] / _speed(evaluate, states)
+            bands[ENERGY.name] = np.where(stands, energy, np.nan)
         graphs = poses.more.graphs
         if graphs.hold is not None:
             values = poses.more(graphs.hold, states)
