@@ -4,7 +4,7 @@
 x 344 nodes; the vehicles are scaled to its cells, about 0.4 m here):
 
 ``rates``
-    CPU time of 16 headings at every fourth row, the time that all rows would take at that rate, and
+    CPU time of 16 headings at every sixteenth row, the time that all rows would take, and
     the reasons of poses that do not stand.
 ``accuracy``
     Random poses beside `settle` and `best_utilisation`: largest difference of inclinations and
@@ -54,7 +54,7 @@ def rates() -> None:
         for error in (None, 0.05):
             took, found = cpu(
                 lambda m=model, e=error: atlas(
-                    m, terrain, headings=HEADINGS, y=grid.y[::4], error=e
+                    m, terrain, headings=HEADINGS, y=grid.y[2::16], error=e
                 ),
                 1,
             )
