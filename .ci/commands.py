@@ -168,7 +168,7 @@ def problem(file: Path) -> list[Command]:
     """Return the commands of a shipped problem."""
     name = file.stem
     verb = tomllib.loads(file.read_text("utf-8"))["verb"]
-    if verb in ("compare", "fit"):
+    if verb in ("compare", "fit", "atlas"):
         return [slipfree(f"{verb} problems/{file.name}")]
     words = [f"run problems/{file.name}"]
     words += ["--no-draw"] if name in UNDRAWN.split() else []
