@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import tomllib
 from dataclasses import replace
 from math import radians
 from pathlib import Path
@@ -179,3 +180,87 @@ def test_errors_of_regions_name_the_key(tmp_path, old, new, words):
     path.write_text(SAND + PATCH.replace(old, new))
     done = invoke("check", str(path), code=2)
     assert words in " ".join(done.output.split())
+
+
+FIT = """
+wheel = { radius = 0.09, width = 0.11, load = 50.0 }
+soil = { shear_along_rate = 0.0, shear_across_rate = 0.0 }
+test = { measured = "points.csv" }
+folds = 3
+resamples = 0
+[unknowns.friction_angle]
+lower = "20 deg"
+[unknowns.shear_along]
+prior = [0.03, 0.02]
+"""
+
+
+@pytest.fixture
+def tested(tmp_path):
+    """Return a wheel file with runs in a soil of 30 degrees; speeds instead of slip ratios."""
+    path = tmp_path / "sand.toml"
+    path.write_text(FIT)
+    true = Soil(
+        friction_angle=radians(30),
+        shear_along=0.02,
+        shear_along_rate=0.0,
+        shear_across_rate=0.0,
+    )
+    lines = ["run,rim_speed [mm/s],speed [mm/s],slip_angle [deg],pull,sinkage [mm]"]
+    for run, rim in enumerate((5, 8, 12, 16, 20, 30)):
+        forward = 10 * np.cos(radians(20))
+        slip = (rim - forward) / max(rim, forward)
+        found = single_wheel(true, WheelSize(0.09, 0.11), 50.0, [slip], [radians(20)])
+        for error in (-0.01, 0.01):
+            pull, sinkage = found.pull[0, 0] + error, 1e3 * found.sinkage[0, 0] + error
+            lines.append(f"{run},{rim},10,20,{pull},{sinkage}")
+    (tmp_path / "points.csv").write_text("\n".join(lines))
+    return path
+
+
+def test_fit_of_a_soil(tested, tmp_path):
+    """The same file serves `slipfree fit` and `slipfree wheel`; the fitted soil is a TOML table."""
+    table, written = tmp_path / "fit.csv", tmp_path / "soil.toml"
+    done = invoke("fit", str(tested), "-o", str(table), "--write", str(written))
+    assert done.exit_code == 0, done.output
+    assert "12 points of 6 runs" in " ".join(done.output.split())
+    assert (tmp_path / "fit.png").is_file()
+    soil = tomllib.loads(written.read_text())["law"]["soil"]
+    assert soil["friction_angle"] == pytest.approx(radians(30), rel=1e-3)
+    assert soil["shear_along"] == pytest.approx(0.02, rel=1e-2)
+    assert soil["shear_along_rate"] == 0
+    with table.open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["name"] for row in rows] == ["friction_angle", "shear_along"]
+    points = columns(tmp_path / "fit_points.csv")
+    assert points["pull_left_out"] == pytest.approx(points["pull_measured"], abs=0.03)
+    done = run(tested, "-o", tmp_path / "x.csv", "--no-draw")
+    assert "measured pull" in done.output
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[unknowns.shear_along]", "[unknowns.creep]", "expected one of the constants of soil"),
+        ('lower = "20 deg"', 'lower = "20 mm"', 'expected a number, or text as in "30 deg"'),
+        ('lower = "20 deg"', "lower = 0.7", "nominal value within the bounds, 0.7 to 1.5708"),
+        ('measured = "points.csv"', "", "test.measured: expected a CSV file of measured points"),
+        ("folds = 3", "folds = 12", "expected at least 12 runs, for 2 unknowns and 12 folds"),
+    ],
+)
+def test_errors_of_fits_of_soil(tested, tmp_path, old, new, words):
+    tested.write_text(FIT.replace(old, new))
+    done = invoke("fit", str(tested), "-o", str(tmp_path / "fit.csv"))
+    assert done.exit_code == 2
+    assert words in " ".join(done.output.split())
+
+
+def test_undetermined_soil_is_not_written(tested, tmp_path):
+    tested.write_text(FIT.replace("[unknowns.shear_along]", "[unknowns.shear_across]"))
+    settings = sets("unknowns.shear_across=")  # without its prior
+    written = tmp_path / "soil.toml"
+    words = [str(tested), "-o", str(tmp_path / "fit.csv"), "--write", str(written)]
+    done = invoke("fit", *words, *settings, "--set", "unknowns.shear_across.lower=0.001")
+    assert done.exit_code == 1
+    assert "found no information on shear_across" in " ".join(done.output.split())
+    assert not written.exists()

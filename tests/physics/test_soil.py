@@ -24,11 +24,12 @@ from slipfree.laws.soil import Soil, WheelSize, forces_at_slip, forces_at_speeds
 from slipfree.laws.soils import SOILS, known_soil
 from slipfree.models.dynamics import dynamics
 from slipfree.models.rigid_dynamics import rigid_dynamics
-from slipfree.models.single_wheel import single_wheel
+from slipfree.models.single_wheel import motion_at_slip, single_wheel, steady_forces
 from slipfree.vehicle.sections import Disc
 from slipfree.vehicle.tree import EARTH_GRAVITY
 
 SAND, SIZE, LOAD = Soil(), WheelSize(0.092, 0.107), 64.7
+DIGGING = replace(SAND, exponent_slip=0.4, exponent_skid=0.8, coupled_shear=True)
 SMALL = 1e-9  # peak of the stress at the lowest point, almost
 SHEARLESS = Soil(shear_along=1e9, shear_across=1e9, peak=SMALL, peak_rate=0.0)
 STATES = [  # depth, rim speed, forward and sideways speed: driven, braked, locked, sideways, ...
@@ -61,18 +62,25 @@ def by_quadrature(soil, size, depth, s, beta, gravity=EARTH_GRAVITY):
     k_y = soil.shear_across + soil.shear_across_rate * abs(beta)
     phi, r_s = soil.friction_angle, r + soil.grouser_height
     ratio = 1 - s if s >= 0 else 1 / (1 + s)  # of the speed of the centre to that of the rim
+    held_back = max(ratio - 1, 0)  # speeds over that of the rim
+    skid = np.hypot(held_back, ratio * tan(beta)) / np.hypot(ratio, ratio * tan(beta))
+    driven, skid = (np.hypot(each, 0.02) - 0.02 for each in (max(s, 0), skid))
+    exponent = soil.exponent + soil.exponent_slip * driven + soil.exponent_skid * skid
     x_c = pi / 4 - phi / 2
     d_1, d_2 = 1 / tan(x_c) + tan(x_c + phi), 1 / tan(x_c) + tan(phi) / tan(x_c) ** 2
 
     def stresses(theta):
         ahead = theta >= peak
         ref = theta if ahead else entry - (theta - leaving) / (peak - leaving) * (entry - peak)
-        sigma = stiffness(soil, size) * max(r * (cos(ref) - cos(entry)), 0) ** soil.exponent
+        sigma = stiffness(soil, size) * max(r * (cos(ref) - cos(entry)), 0) ** exponent
         strength = soil.cohesion + sigma * tan(phi)
         j_x = r_s * (entry - theta - ratio * (sin(entry) - sin(theta)))
         j_y = r_s * ratio * (entry - theta) * tan(beta)
         size_x, size_y = (1 - exp(-abs(j) / k) for j, k in ((j_x, k_x), (j_y, k_y)))
         along, across = strength * np.copysign(size_x, j_x), strength * np.copysign(size_y, j_y)
+        if soil.coupled_shear:
+            shear = strength * (1 - exp(-np.hypot(j_x / k_x, j_y / k_y))) / np.hypot(j_x, j_y)
+            along, across = shear * j_x, shear * j_y
         height = r * (cos(theta) - cos(entry))
         weight = soil.density * gravity
         pushed = d_1 * (soil.cohesion * height + d_2 * weight * height**2 / 2)
@@ -154,11 +162,52 @@ def test_the_forces_are_those_of_the_published_integrals(name, slip, monkeypatch
         assert np.max(converged) < 1e-12
 
 
-def test_forces_are_symmetric():
+@pytest.mark.parametrize("slip", [-0.9, -0.15, 0.3, 0.95])
+def test_coupled_shear_and_slip_sinkage_are_those_of_their_integrals(slip):
+    for depth, beta in ((0.015, radians(10)), (0.03, radians(30))):
+        expected = by_quadrature(DIGGING, SIZE, depth, slip, beta)
+        scale = np.array([1, 1, 1, SIZE.radius]) * expected[0]
+        found = numbers(forces_at_slip(DIGGING, SIZE, depth, slip, beta))
+        assert np.abs((found - expected) / scale).max() < 1e-4
+
+
+def test_shear_is_coupled_only_with_a_slip_angle():
+    coupled = replace(SAND, coupled_shear=True)
+    for slip in (-0.5, 0.0, 0.4):
+        straight = [numbers(forces_at_slip(s, SIZE, 0.015, slip, 0.0)) for s in (SAND, coupled)]
+        assert straight[1] == pytest.approx(straight[0], rel=1e-6, abs=1e-6)
+    # where both stresses saturate their resultant is the strength, and their ratio that of paths
+    sliding = replace(SHEARLESS, shear_along=1e-6, shear_across=1e-6, density=0.0, cohesion=0.0)
+    motion = 1e-4, 0.0, 0.2, 0.1, 1e-8  # so shallow that arc and chord are equal
+    single = numbers(forces_at_speeds(replace(sliding, coupled_shear=True), SIZE, *motion))
+    assert single[3] / SIZE.radius == pytest.approx(2 * single[2], rel=1e-2)
+    both = numbers(forces_at_speeds(sliding, SIZE, *motion))
+    assert both[3] / SIZE.radius == pytest.approx(both[2], rel=1e-2)
+
+
+def test_sinkage_grows_with_slip_and_skid():
+    def depths(soil, motion):
+        load = np.full(motion.shape[1], LOAD)
+        return steady_forces(soil, SIZE, motion, load).sinkage
+
+    slips = motion_at_slip(np.array([0.0, 0.3, 0.6]), np.zeros(3))
+    published, digging = (depths(soil, slips) for soil in (SAND, DIGGING))
+    assert (np.diff(digging) > 2 * np.abs(np.diff(published))).all()
+    assert digging[0] == pytest.approx(published[0], rel=1e-9)
+    free = replace(SHEARLESS, shear_along=1e15, exponent_skid=0.8, exit_depth=1.0)
+    angle = np.linspace(0, pi / 2, 5)
+    locked = depths(free, np.vstack([0 * angle, np.cos(angle), np.sin(angle)]))
+    assert locked == pytest.approx(np.full(5, locked[0]), rel=1e-6)  # skid ratio one
+    more = replace(free, exponent=free.exponent + 0.8 * (np.hypot(1, 0.02) - 0.02), exponent_skid=0)
+    assert locked[0] == pytest.approx(depths(more, slips)[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("soil", [SAND, DIGGING])
+def test_forces_are_symmetric(soil):
     for depth, rim, forward, sideways in STATES:
-        there = numbers(forces_at_speeds(SAND, SIZE, depth, rim, forward, sideways, 1e-3))
-        back = numbers(forces_at_speeds(SAND, SIZE, depth, -rim, -forward, sideways, 1e-3))
-        other = numbers(forces_at_speeds(SAND, SIZE, depth, rim, forward, -sideways, 1e-3))
+        there = numbers(forces_at_speeds(soil, SIZE, depth, rim, forward, sideways, 1e-3))
+        back = numbers(forces_at_speeds(soil, SIZE, depth, -rim, -forward, sideways, 1e-3))
+        other = numbers(forces_at_speeds(soil, SIZE, depth, rim, forward, -sideways, 1e-3))
         assert back == pytest.approx(there * [1, -1, 1, -1], rel=1e-12, abs=1e-12)
         assert other == pytest.approx(there * [1, 1, -1, 1], rel=1e-12, abs=1e-12)
 
@@ -172,22 +221,24 @@ def test_slip_ratio_and_slip_angle_are_speeds():
         assert found == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_ground_resists_every_motion():
+@pytest.mark.parametrize("soil", [SAND, DIGGING])
+def test_the_ground_resists_every_motion(soil):
     """A braked, locked, spinning or sideways wheel loses power to the soil."""
     for depth, rim, forward, sideways in STATES:
         _, pull, side, torque = numbers(
-            forces_at_speeds(SAND, SIZE, depth, rim, forward, sideways, 1e-3)
+            forces_at_speeds(soil, SIZE, depth, rim, forward, sideways, 1e-3)
         )
         assert torque * rim / SIZE.radius - pull * forward - side * sideways > 0
-    locked = numbers(forces_at_slip(SAND, SIZE, 0.015, -1.0, 0.0))
-    spinning = numbers(forces_at_slip(SAND, SIZE, 0.015, 1.0, 0.0))
+    locked = numbers(forces_at_slip(soil, SIZE, 0.015, -1.0, 0.0))
+    spinning = numbers(forces_at_slip(soil, SIZE, 0.015, 1.0, 0.0))
     assert locked[1] < 0 < spinning[1]
     assert locked[3] < 0 < spinning[3]
 
 
-def test_values_and_derivatives_are_finite_at_standstill_and_in_the_air():
+@pytest.mark.parametrize("soil", [SAND, DIGGING])
+def test_values_and_derivatives_are_finite_at_standstill_and_in_the_air(soil):
     x = [ca.SX.sym(f"x{k}") for k in range(4)]
-    forces = ca.vertcat(*forces_at_speeds(SAND, SIZE, *x, 1e-3))
+    forces = ca.vertcat(*forces_at_speeds(soil, SIZE, *x, 1e-3))
     both = ca.Function("both", x, [forces, ca.jacobian(forces, ca.vertcat(*x))])
     for depth in (-0.1, 0.0, 1e-12, 0.01, 0.2):
         for each in both(depth, 0, 0, 0):

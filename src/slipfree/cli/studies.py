@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -37,7 +37,9 @@ from slipfree.system.interrupt import held_interrupt, interrupt_requested
 from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
+    from slipfree.fit.estimate import Estimate
     from slipfree.plan.pareto import FrontPoint
+    from slipfree.problem.verbs.base import Lines
     from slipfree.problem.verbs.compare import ComparedMotion, ComparedVehicle
     from slipfree.show.plots import Plot
 
@@ -145,60 +147,120 @@ def fit(
     draw: Draw = True,
     trust: Trust = None,
 ) -> None:
-    """Fit numbers of a vehicle and of a law to a log of wheel rates and poses.
+    """Fit a vehicle and a law to a log of wheel rates and poses, or a soil to single-wheel tests.
 
-    Print the estimates with 95 % intervals, the combinations of unknowns that the log does not
-    determine, and the errors of predictions over windows that were not used for the fit. If the log
-    does not determine an unknown, the exit code is 1 and no vehicle is written.
+    Print the estimates with 95 % intervals, the combinations of unknowns that the data do not
+    determine, and the errors of predictions that were not used for the fit. If the data do not
+    determine an unknown, the exit code is 1 and no vehicle or soil is written. A wheel file, with
+    the table [wheel], is fitted to the measured points that it names.
     """
     with reported(), about(file):
         from slipfree.files.tables import write_rows
-        from slipfree.files.vehicle_draft import vehicle_text
-        from slipfree.problem.inputs import files_read
-        from slipfree.problem.verbs.fit import (
-            error_rows,
-            estimate_rows,
-            facts,
-            vehicle_comments,
-            window_rows,
-        )
-        from slipfree.problem.verbs.fit import fit as solve
+        from slipfree.problem.wheel_test import is_wheel_file
 
-        problem: Any = read_problem(file, settings, trust, "fit")
-        inputs = files_read(problem)
-        table = out or default_table(file, "fit", inputs)
-        others = table.with_name(f"{table.stem}_windows.csv")
+        work = _soil_fit if is_wheel_file(file) else _log_fit
+        fitted = work(file, settings, trust)
+        table = out or default_table(file, "fit", fitted.inputs)
+        others = table.with_name(f"{table.stem}_{fitted.rows_name}.csv")
         picture = table.with_suffix(".png") if draw else None
-        check_outputs([table, others, picture, write], inputs)
+        check_outputs([table, others, picture, write], fitted.inputs)
         with held_interrupt():
-            fitted = solve(problem)
-            rows, lost = estimate_rows(fitted), fitted.calibration.estimate.undetermined
+            result = fitted.solve()
+            estimate, lost = result.estimate, result.estimate.undetermined
             files = [
-                save(table, lambda path: write_rows(path, *rows)),
-                save(others, lambda path: write_rows(path, *window_rows(fitted))),
+                save(table, lambda path: write_rows(path, *result.estimates)),
+                save(others, lambda path: write_rows(path, *result.rows)),
             ]
             if write is not None and not lost:
-                write_new_file(vehicle_text(fitted.vehicle, vehicle_comments(fitted)), write, force)
+                write_new_file(result.text(), write, force)
                 files.append(write)
-            is_interrupted = interrupt_requested() or fitted.calibration.estimate.is_interrupted
-        print_facts(facts(fitted))
-        add_json("errors", lambda: error_rows(fitted))
-        add_json("estimates", lambda: [dict(zip(rows[0], row, strict=True)) for row in rows[1]])
+            is_interrupted = interrupt_requested() or estimate.is_interrupted
+        print_facts(result.facts)
+        names, rows = result.estimates
+        add_json("errors", lambda: result.errors)
+        add_json("estimates", lambda: [dict(zip(names, row, strict=True)) for row in rows])
         if picture is not None and not is_interrupted:
-            from slipfree.show.fit_figures import fit_plot
-
-            files += _draw([fit_plot(picture.stem, fitted.calibration)], picture.parent)
+            files += _draw([result.plot(picture.stem)], picture.parent)
         print_line(f"wrote {' and '.join(map(str, files))}")
         if is_interrupted:
             print_error(f"interrupted; {files[0]} contains the estimates so far")
             raise typer.Exit(INTERRUPTED)
         if lost:
+            unwritten = f"; {write} was not written" if write else ""
             print_error(
-                f"{file}: expected a log that determines all unknowns, found no information on "
-                f"{', '.join(lost)}{'; no vehicle was written' if write else ''}; give priors, fit "
-                "fewer unknowns, or use a log with other manoeuvres"
+                f"{file}: expected data that determine all unknowns, found no information on "
+                f"{', '.join(lost)}{unwritten}; give priors, fit fewer unknowns, or use "
+                f"{fitted.remedy}"
             )
             raise typer.Exit(STOPPED)
+
+
+class _FitResult(NamedTuple):
+    """Result of a fit, for the output of the command."""
+
+    estimate: Estimate
+    facts: Lines
+    estimates: tuple[list[str], list[list[Any]]]
+    rows: tuple[list[str], list[list[Any]]]
+    errors: list[dict[str, Any]]
+    text: Callable[[], str]
+    plot: Callable[[str], Plot]
+
+
+class _FitWork(NamedTuple):
+    """A fit to be solved, with the files that it reads."""
+
+    inputs: list[Path]
+    rows_name: str  # end of the name of the table of windows or points
+    remedy: str
+    solve: Callable[[], _FitResult]
+
+
+def _log_fit(file: Path, settings: Settings, trust: Trust) -> _FitWork:
+    """Return the fit of a vehicle to a log."""
+    from slipfree.files.vehicle_draft import vehicle_text
+    from slipfree.problem.inputs import files_read
+    from slipfree.problem.verbs import fit as verb
+    from slipfree.show.fit_figures import fit_plot
+
+    problem: Any = read_problem(file, settings, trust, "fit")
+
+    def solve() -> _FitResult:
+        fitted = verb.fit(problem)
+        estimate = fitted.calibration.estimate
+        return _FitResult(
+            estimate,
+            verb.facts(fitted),
+            verb.estimate_rows(estimate),
+            verb.window_rows(fitted),
+            verb.error_rows(fitted),
+            lambda: vehicle_text(fitted.vehicle, verb.vehicle_comments(fitted)),
+            lambda name: fit_plot(name, fitted.calibration),
+        )
+
+    return _FitWork(files_read(problem), "windows", "a log with other manoeuvres", solve)
+
+
+def _soil_fit(file: Path, settings: Settings, trust: Trust) -> _FitWork:  # noqa: ARG001 - of logs
+    """Return the fit of a soil to the measured points of a wheel file."""
+    from slipfree.problem import wheel_test
+    from slipfree.show.fit_figures import soil_plot
+
+    contents = wheel_test.read_wheel_file(file, settings or [])
+
+    def solve() -> _FitResult:
+        fitted = wheel_test.fit_wheel_file(contents)
+        return _FitResult(
+            fitted.fit.estimate,
+            wheel_test.fit_facts(fitted),
+            wheel_test.constant_rows(fitted.fit),
+            wheel_test.point_rows(fitted),
+            wheel_test.error_rows(fitted.fit),
+            lambda: wheel_test.soil_text(fitted),
+            lambda name: soil_plot(name, fitted.runs.values, fitted.fit),
+        )
+
+    return _FitWork(contents.files, "points", "runs at other slip ratios, angles or loads", solve)
 
 
 def wheel(
@@ -226,7 +288,13 @@ def wheel(
     """
     with reported(), about(file):
         from slipfree.files.tables import write_rows
-        from slipfree.problem.wheel_test import QUANTITIES, run_wheel_file, wheel_facts, wheel_rows
+        from slipfree.fit.wheel_soil import QUANTITIES
+        from slipfree.problem.wheel_test import (
+            measured_points,
+            run_wheel_file,
+            wheel_facts,
+            wheel_rows,
+        )
 
         test = run_wheel_file(file, settings or [])
         table = out or default_table(file, "wheel", test.files)
@@ -239,7 +307,7 @@ def wheel(
             from slipfree.show.sweep_figures import DrawnWheel, wheel_plot
 
             values = {name: getattr(test.curves, name) for name in QUANTITIES}
-            drawn = DrawnWheel(*test.curves[:2], test.load, values, test.measured)
+            drawn = DrawnWheel(*test.curves[:2], test.load, values, measured_points(test.measured))
             files += _draw([wheel_plot(picture.stem, drawn)], picture.parent)
         print_line(f"wrote {' and '.join(map(str, files))}")
 

@@ -365,13 +365,25 @@ def _covariance(
     """Return the covariance of the estimates, and the principal directions of the free ones."""
     missed = (prediction.end - windows.end) / deviations
     slopes = prediction.slopes[..., free] / deviations[:, None] * scales[free]
+    known = np.zeros(scales.size)
+    known[priors.rows] = 1 / priors.deviation
+    return sandwich(missed, slopes, known, scales, free, loss)
+
+
+def sandwich(
+    missed: Array, slopes: Array, known: Array, scales: Array, free: Mask, loss: Loss
+) -> tuple[Array, tuple[Direction, ...]]:
+    """Return the covariance of estimates, and the principal directions of the free ones.
+
+    ``missed``, shape (n, m), are residuals of n independent windows without unit, ``slopes`` their
+    derivatives by the p free unknowns in units of their scales; ``known`` is one over the deviation
+    of the priors of all unknowns, or zero.
+    """
     size = 1 + missed**2 if loss == "soft_l1" else np.ones_like(missed)
     scores = np.einsum("ni,nip->np", missed / np.sqrt(size), slopes)
     bread = np.einsum("nip,ni,niq->pq", slopes, size**-1.5, slopes)
     n, p = len(missed), int(free.sum())
     meat = scores.T @ scores * n / (n - p)
-    known = np.zeros(scales.size)
-    known[priors.rows] = 1 / priors.deviation
     prior = np.diag((known * scales)[free] ** 2)
     bread, meat = bread + prior, meat + prior
     values, vectors = np.linalg.eigh(bread)

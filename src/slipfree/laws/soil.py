@@ -22,6 +22,17 @@ Hanamoto). Shear deformation moduli grow with the slip angle (Ishigami):
 - Normal force ``r b int(sigma cos + tau_x sin)``, drawbar pull ``r b int(tau_x cos - sigma sin)``,
   side force ``int(r b tau_y + R_b (r - h' cos))`` and resistance torque ``r r_s b int(tau_x)`` (8).
 
+Two additions, which wheel tests support (`docs/measured.md`), are off by default:
+
+- Slip sinkage: ``n`` grows by ``n_s s+ + n_k q`` (9), where ``s+`` is the slip ratio of a driven
+  wheel (Ding et al., J. Field Robotics 32(6), 2015: ``n_0 + n_1 s``), and the skid ratio
+  ``q = sqrt(max(v_x - u, 0)^2 + v_y^2) / sqrt(v_x^2 + v_y^2)`` is the share of the motion in
+  which the wheel pushes soil ahead or aside: one for a locked wheel in any direction. The use of
+  ``q`` is our own.
+- Coupled shear: ``tau = (c + sigma tan phi) (1 - exp(-J))`` (10) has the direction of
+  ``(j_x, j_y)``, with ``J^2 = (j_x / k_x)^2 + (j_y / k_y)^2``, as in isotropic soil (Jia, Smith,
+  Peng, Robotica 30(3), 2012). Without a slip angle it equals (5).
+
 Each integral is computed with twelve Gauss points ahead of the peak and twelve behind it, in the
 square root of the angle from the edge: there the stress has a branch point if ``n`` is not an
 integer, and the shear stress of a braked wheel saturates within a small angle.
@@ -68,8 +79,10 @@ from slipfree.vehicle.wheel import Wheel
 
 POINTS, WEIGHTS = np.polynomial.legendre.leggauss(12)  # Gauss points on each side of the peak
 SMALLEST_DEPTH = 1e-9  # of a wheel; angles have no derivative at zero depth [wheel radii]
+SMALLEST_PATH = 1e-9  # shear displacement below which its direction is smoothed [m]
 STEADY_CREEP = 1e-8  # creep speed in steady motion [larger of rim and forward speed]
 ANGLE_SMOOTHING = 0.01  # slip angle whose smoothed sign in (6) and (7) is 0.76 [rad]
+RATIO_SMOOTHING = 0.02  # slip and skid ratio below which the exponent hardly changes [1]
 STATIC_STEPS = 60  # number of bisection steps for the static sinkage
 UNKNOWNS = (
     NORMAL,
@@ -157,6 +170,8 @@ class Soil:
     shear_across, shear_across_rate : float
         Shear deformation modulus across the wheel, ``k_y0`` [m], and its increase per slip angle,
         ``k_y1`` [m/rad].
+    exponent_slip, exponent_skid : float
+        Increase of ``n`` with the slip ratio of a driven wheel, and with the skid ratio (9). [1]
     peak, peak_rate : float
         Ratio of the angle of largest stress to the entry angle at slip zero, ``a_0``, and its
         increase per slip ratio, ``a_1``. [1]
@@ -170,6 +185,8 @@ class Soil:
         Damping ratio of the wheel's vertical oscillation about its static sinkage. [1]
     creep : float
         Rim speed below which the shear stress of a rolling wheel is reduced. [m/s]
+    coupled_shear : bool
+        Whether the resultant of the shear stresses saturates (10), not each of them (5).
     regions : tuple of SoilRegion
         Regions of the ground with other constants; a wheel's soil is that at its contact point.
 
@@ -203,6 +220,12 @@ class Soil:
     shear_across_rate: Annotated[
         float, Ge(0), Lt(inf), Unit("m/rad"), doc("increase of 'shear_across' with the slip angle")
     ] = 0.020
+    exponent_slip: Annotated[
+        float, Ge(0), Le(3), Unit("1"), doc("increase of 'exponent' with the slip ratio, driven")
+    ] = 0.0
+    exponent_skid: Annotated[
+        float, Ge(0), Le(3), Unit("1"), doc("increase of 'exponent' with the skid ratio (9)")
+    ] = 0.0
     peak: Annotated[
         float, Gt(0), Lt(1), Unit("1"), doc("ratio of the angle of largest stress to that of entry")
     ] = 0.4
@@ -224,6 +247,9 @@ class Soil:
     creep: Annotated[
         float, Gt(0), Le(1), Unit("m/s"), doc("rim speed below which shear stress is reduced")
     ] = 1e-3
+    coupled_shear: Annotated[
+        bool, doc("whether the resultant of the shear stresses is limited, not each of them")
+    ] = False
     regions: tuple[SoilRegion, ...] = ()
 
     def __post_init__(self) -> None:
@@ -405,7 +431,7 @@ def forces_at_speeds(
     rim speed ``creep`` the shear displacement is reduced [m/s]. ``gravity`` determines the weight
     of the soil that is pushed aside [m/s^2].
     """
-    contact = _contact_arc(soil, size, depth, rim, forward, creep)
+    contact = _contact_arc(soil, size, depth, rim, forward, sideways, creep)
     motion = _shear_motion(soil, rim, forward, sideways, creep)
     totals = [0, 0, 0, 0]
     for root, factor in zip((POINTS + 1) / 2, WEIGHTS / 2, strict=True):
@@ -454,6 +480,7 @@ class _ContactArc(NamedTuple):
     rear: Any
     peak: Any
     share: Any
+    exponent: Any
     ahead: Any
     behind: Any
 
@@ -474,12 +501,10 @@ class _ShearMotion(NamedTuple):
 
 
 def _contact_arc(
-    soil: Soil, size: WheelSize, depth: Any, rim: Any, forward: Any, creep: Any
+    soil: Soil, size: WheelSize, depth: Any, rim: Any, forward: Any, sideways: Any, creep: Any
 ) -> _ContactArc:
-    """Return the part of the rim that touches the soil, equations (1) and (2)."""
+    """Return the part of the rim that touches the soil, equations (1), (2) and (9)."""
     relative = ca.fmin(ca.fmax(depth / size.radius, SMALLEST_DEPTH), 1)
-    # acos(1 - k depth / r), written without its loss of digits at small depths
-    entry, leaving = (2 * ca.asin(ca.sqrt(k * relative / 2)) for k in (1, soil.exit_depth))
     speeds = rim + forward
     # smooth sign: a wheel that reverses exchanges its entry and exit edges
     direction = speeds / ca.sqrt(speeds**2 + creep**2)
@@ -487,15 +512,26 @@ def _contact_arc(
     fastest = ca.fmax(ca.fabs(rim), ca.fabs(forward))
     slip = direction * (rim - forward) / ca.sqrt(fastest**2 + creep**2)
     share = soil.peak + soil.peak_rate * ca.fmax(-1, ca.fmin(slip, 1))
+    driven = _smooth_size(ca.fmax(0, ca.fmin(slip, 1)) ** 2)
+    held_back = ca.fmax(0, direction * (forward - rim))
+    skid = _smooth_size((held_back**2 + sideways**2) / (forward**2 + sideways**2 + creep**2))
+    # acos(1 - k depth / r), written without its loss of digits at small depths
+    entry, leaving = (2 * ca.asin(ca.sqrt(k * relative / 2)) for k in (1, soil.exit_depth))
     return _ContactArc(
         entry=entry,
         front=ahead * entry + behind * leaving,
         rear=-(behind * entry + ahead * leaving),
         peak=direction * share * entry,
         share=share,
+        exponent=soil.exponent + soil.exponent_slip * driven + soil.exponent_skid * skid,
         ahead=ahead,
         behind=behind,
     )
+
+
+def _smooth_size(square: Any) -> Any:
+    """Return the size of a ratio from its square, with a derivative at zero [1]."""
+    return ca.sqrt(square + RATIO_SMOOTHING**2) - RATIO_SMOOTHING
 
 
 def _shear_motion(soil: Soil, rim: Any, forward: Any, sideways: Any, creep: Any) -> _ShearMotion:
@@ -520,7 +556,7 @@ def _normal_stress(soil: Soil, size: WheelSize, contact: _ContactArc, point: flo
     drop = point * (1 - contact.share) * contact.entry  # entry angle minus theta_e
     # r (cos theta_e - cos theta_f) as a product: no digits are lost near the edge
     height = 2 * size.radius * ca.sin(contact.entry - drop / 2) * ca.sin(drop / 2)
-    return (soil.cohesive_modulus / size.width + soil.frictional_modulus) * height**soil.exponent
+    return (soil.cohesive_modulus / size.width + soil.frictional_modulus) * height**contact.exponent
 
 
 def _integrand(
@@ -542,8 +578,15 @@ def _integrand(
     path_along = shear_radius * (arc * motion.rolling - chord * motion.forward)
     path_across = shear_radius * arc * motion.sideways
     strength = soil.cohesion + stress * ca.tan(soil.friction_angle)
-    along = strength * _mobilised(path_along / motion.along)
-    across = strength * _mobilised(path_across / motion.across)
+    along, across = path_along / motion.along, path_across / motion.across
+    if soil.coupled_shear:
+        # the stress has the direction of the displacement, and at most the strength
+        path = ca.sqrt(path_along**2 + path_across**2 + SMALLEST_PATH**2)
+        share = -ca.expm1(-ca.sqrt(along**2 + across**2 + SMALLEST_PATH**2)) / path
+        along, across = share * path_along, share * path_across
+    else:
+        along, across = _mobilised(along), _mobilised(across)
+    along, across = strength * along, strength * across
     area = radius * width
     height = ca.fmax(radius * (cosine - ca.cos(contact.entry)), 0)
     pushed = _bulldozing(soil, height, gravity) * (radius - height * cosine)

@@ -12,7 +12,13 @@ import casadi as ca
 from slipfree.core.errors import ModelError
 from slipfree.geometry.regions import Region
 
-OF_THE_LAW = ("grouser_height", "damping_ratio", "creep", "regions")  # not constants of the ground
+OF_THE_LAW = (
+    "grouser_height",
+    "damping_ratio",
+    "creep",
+    "coupled_shear",
+    "regions",
+)  # not constants of the ground
 
 
 class RegionalSoil(Protocol):

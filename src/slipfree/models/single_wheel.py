@@ -12,7 +12,14 @@ import numpy as np
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import Column, Trajectory
-from slipfree.laws.soil import Soil, WheelSize, forces_at_slip, wheel_size
+from slipfree.laws.soil import (
+    STEADY_CREEP,
+    Soil,
+    WheelSize,
+    forces_at_slip,
+    forces_at_speeds,
+    wheel_size,
+)
 from slipfree.laws.soil_regions import soil_at
 from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle
 
@@ -39,6 +46,19 @@ class WheelCurves(NamedTuple):
     pull: Array
     side: Array
     torque: Array
+
+
+class WheelRuns(NamedTuple):
+    """Measured runs of a wheel: n points, of which those with one number belong to one run."""
+
+    motion: Array  # shape (3, n): rim speed, speed along and across, over the largest [1]
+    load: Array  # shape (n,) [N]
+    values: Array  # shape (n, 4): pull, side force, torque and sinkage; nan if not measured
+    run: Array  # shape (n,): number of the run
+
+    def take(self, rows: Array) -> WheelRuns:
+        """Return some of the points, by index or mask."""
+        return WheelRuns(self.motion[:, rows], self.load[rows], self.values[rows], self.run[rows])
 
 
 class SteadyForces(NamedTuple):
@@ -94,36 +114,60 @@ def single_wheel(
     """
     slip, angle = np.asarray(slips, dtype=float), np.asarray(angles, dtype=float)
     s, beta = (each.ravel() for each in np.meshgrid(slip, angle))
-    steady = steady_forces(soil, size, np.full_like(s, load), s, beta, gravity)
+    check_slip(s, beta)
+    steady = steady_forces(soil, size, motion_at_slip(s, beta), np.full_like(s, load), gravity)
     return WheelCurves(angle, slip, *(each.reshape(angle.size, slip.size) for each in steady))
 
 
+def motion_at_slip(slip: Array, angle: Array) -> Array:
+    """Return rim speed and speeds along and across for slip ratios and slip angles, shape (3, n).
+
+    The larger of the rim speed and the speed along is one.
+    """
+    forward, rim = 1 - np.maximum(slip, 0), 1 + np.minimum(slip, 0)
+    return np.vstack([rim, forward, forward * np.tan(angle)])
+
+
+def slip_of_motion(motion: Array) -> tuple[Array, Array]:
+    """Return slip ratios and slip angles [rad] of motions, shape (3, n); zero at rest."""
+    rim, along, across = motion
+    fastest = np.maximum(np.abs(rim), np.abs(along))
+    slip = np.divide(rim - along, fastest, out=np.zeros_like(fastest), where=fastest > 0)
+    return slip, np.arctan2(across, along)
+
+
 def steady_forces(
-    soil: Soil,
-    size: WheelSize,
-    load: Array,
-    slip: Array,
-    angle: Array,
-    gravity: float = EARTH_GRAVITY,
+    soil: Soil, size: WheelSize, motion: Array, load: Array, gravity: float = EARTH_GRAVITY
 ) -> SteadyForces:
-    """Return sinkage and forces of a wheel in n steady motions; errors as `single_wheel`."""
-    _check(load, slip, angle)
-    s, beta = slip[None], angle[None]
-    forces = _forces(soil, size, gravity)
-    borne = forces(np.full_like(s, size.radius), s, beta)[0].full()[0]
+    """Return sinkage and forces in n steady motions, shape (3, n), under loads [N].
+
+    A motion is the rim speed and the speeds along and across, over any speed. Errors are those of
+    `single_wheel`.
+    """
+    if not ((load > 0) & (load < np.inf)).all():
+        found = load[~((load > 0) & (load < np.inf))][0]
+        raise ModelError(
+            f"load: expected a finite positive force in N, found {found:g}; correct it"
+        )
+    depth, speeds = ca.SX.sym("depth"), ca.SX.sym("speeds", 3)
+    parts = speeds[0], speeds[1], speeds[2]
+    found = forces_at_speeds(soil, size, depth, *parts, STEADY_CREEP, gravity)
+    forces = ca.Function("forces", [depth, speeds], [*found])
+    borne = forces(np.full((1, load.size), size.radius), motion)[0].full()[0]
     if (borne < load).any():
         k = (borne - load).argmin()
+        slip, angle = slip_of_motion(motion[:, k])
         raise ModelError(
             "expected a sinkage smaller than the wheel's radius, "
             f"{size.radius:g} m, found that the soil bears only {borne[k]:.4g} N of "
-            f"{load[k]:.4g} N at that depth, at slip {slip[k]:g} and slip angle {angle[k]:g} rad; "
+            f"{load[k]:.4g} N at that depth, at slip {slip:g} and slip angle {angle:g} rad; "
             "reduce the load, or use a larger wheel"
         )
-    depth = depth_under_load(
-        lambda depths: forces(depths, s, beta)[0].full(), size.radius, load[None]
+    depths = depth_under_load(
+        lambda depths: forces(depths, motion)[0].full(), size.radius, load[None]
     )
-    _, pull, side, torque = (each.full()[0] for each in forces(depth, s, beta))
-    return SteadyForces(depth[0], pull, -np.sign(angle) * side, torque)
+    _, pull, side, torque = (each.full()[0] for each in forces(depths, motion))
+    return SteadyForces(depths[0], pull, -np.sign(motion[2]) * side, torque)
 
 
 def depth_under_load(normal: Callable[[Array], Array], radius: float, load: Array) -> Array:
@@ -136,10 +180,9 @@ def depth_under_load(normal: Callable[[Array], Array], radius: float, load: Arra
     return np.asarray((low + high) / 2)
 
 
-def _check(load: Array, slip: Array, angle: Array) -> None:
-    """Raise ModelError if an argument of `steady_forces` is outside its bounds."""
+def check_slip(slip: Array, angle: Array) -> None:
+    """Raise ModelError if slip ratios or slip angles are outside their bounds."""
     checks = (
-        ("load: expected a finite positive force in N", load, (load > 0) & (load < np.inf)),
         ("slips: expected slip ratios from -1 to 1", slip, np.abs(slip) <= 1),
         (
             "angles: expected slip angles between -pi/2 and pi/2, in radians",
@@ -151,13 +194,6 @@ def _check(load: Array, slip: Array, angle: Array) -> None:
         if not good.all() or not values.size:
             found = f"{values[~good][0]:g}; correct it" if values.size else "none; add one"
             raise ModelError(f"{expected}, found {found}")
-
-
-def _forces(soil: Soil, size: WheelSize, gravity: float) -> ca.Function:
-    """Return the forces on a wheel as a function of depth, slip ratio and slip angle."""
-    arguments = depth, slip, angle = [ca.SX.sym(name) for name in ("depth", "slip", "angle")]
-    forces = forces_at_slip(soil, size, depth, slip, angle, gravity)
-    return ca.Function("forces", arguments, [*forces])
 
 
 def drawbar_reserve(vehicle: Vehicle, soil: Soil, run: Trajectory) -> Trajectory:

@@ -275,7 +275,7 @@ OF_REGIONS = (*RegionTable.model_fields, "width")  # keys of a region that are n
 
 
 def soil_of(
-    *, name: str = DEFAULT_SOIL, regions: tuple[RegionTable, ...] = (), **constants: float
+    *, name: str = DEFAULT_SOIL, regions: tuple[RegionTable, ...] = (), **constants: Any
 ) -> Soil:
     """Return the soil of a table: one of the catalogue, with other constants and regions."""
     return replace(known_soil(name), regions=tuple(map(_region, regions)), **constants)

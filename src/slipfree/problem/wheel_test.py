@@ -1,29 +1,44 @@
-"""Wheel files of ``slipfree wheel``: a wheel, its load, a soil, slip ratios and slip angles."""
+"""Wheel files: a wheel, its load, a soil, slip ratios and slip angles; measured points and fits.
+
+``slipfree wheel`` computes the forces on the wheel, ``slipfree fit`` fits the soil to the points.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from slipfree.core.errors import DataError
+from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.files.tables import read_columns, read_names
-from slipfree.files.toml.source import Fault, read_text
+from slipfree.files.toml.source import Fault, problem_error, read_text
 from slipfree.files.toml.types import Angle, Positive, Record, given_values
+from slipfree.fit.calibration import Interval
+from slipfree.fit.unknowns import Unknown, law_constants
+from slipfree.fit.wheel_soil import QUANTITIES, SoilFit, check_constant, fit_soil
 from slipfree.laws.soil import Soil, WheelSize
-from slipfree.models.single_wheel import WheelCurves, single_wheel, steady_forces
+from slipfree.models.single_wheel import (
+    WheelCurves,
+    WheelRuns,
+    check_slip,
+    motion_at_slip,
+    single_wheel,
+    slip_of_motion,
+    steady_forces,
+)
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, validated_problem
 from slipfree.problem.schema import GRAVITY, FileKeys, Gravity, NamedSoil, soil_of
 from slipfree.problem.verbs.base import Lines
+from slipfree.problem.verbs.fit import direction_lines, estimate_lines, estimate_rows
 from slipfree.vehicle.gravity import gravity_of, gravity_words
 
-COLUMNS = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
-QUANTITIES = tuple(COLUMNS)
 MAX_POINTS = 100_000  # slip ratios times slip angles
 
 
@@ -53,9 +68,25 @@ class TestTable(Record):
     )
     measured: str | None = Field(
         default=None,
-        description="CSV file of measured points: a column 'slip', one of "
-        f"{', '.join(QUANTITIES)}, and, where they are not zero and wheel.load, columns "
-        "'slip_angle' [rad] and 'load' [N]",
+        description="CSV file of measured points: a column 'slip', or 'rim_speed' and 'speed' "
+        f"[m/s], and one of {', '.join(QUANTITIES)}; where they are not zero and wheel.load, "
+        "columns 'slip_angle' [rad] and 'load' [N]; numbers of runs and their repeats in 'run'",
+    )
+
+
+class SoilUnknownTable(Record):
+    """A constant of the soil to be fitted."""
+
+    lower: Angle | None = Field(
+        default=None, description="lower bound, in the unit of the constant [rad, Pa, m, 1]"
+    )
+    upper: Angle | None = Field(
+        default=None, description="upper bound, in the unit of the constant [rad, Pa, m, 1]"
+    )
+    prior: Annotated[tuple[Angle, Angle], Field(strict=False)] | None = Field(
+        default=None,
+        description="mean and standard deviation before the fit, in the unit of the constant "
+        "[rad, Pa, m, 1]",
     )
 
 
@@ -67,6 +98,19 @@ class WheelFile(FileKeys):
     wheel: TestedWheelTable = Field(description="the wheel")
     soil: NamedSoil = Field(default=NamedSoil(), description="the soil")
     test: TestTable = Field(default=TestTable(), description="the test")
+    unknowns: dict[str, SoilUnknownTable] = Field(
+        default={}, description="constants of the soil that slipfree fit estimates, by name"
+    )
+    folds: Annotated[int, Field(ge=2, le=1000)] = Field(
+        default=5, description="number of parts of the runs, each predicted by a fit to the others"
+    )
+    resamples: Annotated[int, Field(ge=0, le=10_000)] = Field(
+        default=100, description="number of fits to runs drawn at random, for intervals"
+    )
+    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="seed of both choices")
+    loss: Literal["soft_l1", "linear"] = Field(
+        default="soft_l1", description="loss of a residual: robust to outliers, or its square"
+    )
 
     def faults(self) -> Iterator[Fault]:
         """Yield an error for each value that contradicts another one."""
@@ -80,15 +124,6 @@ class WheelFile(FileKeys):
             yield Fault(("test", "points"), expected, f"{count}; reduce the number of points")
 
 
-class Measured(NamedTuple):
-    """Measured points: slip ratio [1], slip angle [rad], load [N] and a value, shape (n,)."""
-
-    slip: Array
-    angle: Array
-    load: Array
-    value: Array
-
-
 class WheelTest(NamedTuple):
     """Result of a wheel file."""
 
@@ -98,9 +133,33 @@ class WheelTest(NamedTuple):
     load: float  # vertical [N]
     gravity: float  # [m/s^2]
     curves: WheelCurves
-    measured: dict[str, Measured]  # by quantity
-    errors: dict[str, tuple[float, float]]  # computed minus measured: root mean square, mean
+    measured: WheelRuns | None
+    errors: dict[str, tuple[int, float, float]]  # points; computed minus measured: rms, mean
     files: list[Path]  # those read
+
+
+class FittedWheel(NamedTuple):
+    """Result of a fit of a soil to the measured points of a wheel file."""
+
+    title: str
+    size: WheelSize
+    gravity: float  # [m/s^2]
+    runs: WheelRuns
+    fit: SoilFit
+    files: list[Path]  # those read
+
+
+class WheelContents(NamedTuple):
+    """Contents of a wheel file."""
+
+    spec: WheelFile
+    title: str
+    soil: Soil
+    size: WheelSize
+    gravity: float
+    runs: WheelRuns | None
+    files: list[Path]
+    problem: Problem[Any]
 
 
 def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
@@ -110,6 +169,69 @@ def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
     the file of measured points cannot be read; ModelError if the wheel sinks to its axle, or the
     soil is not valid.
     """
+    file = read_wheel_file(path, settings)
+    spec, soil, size, gravity = file.spec, file.soil, file.size, file.gravity
+    low, high = spec.test.slip
+    slips = np.linspace(low, high, spec.test.points)
+    curves = single_wheel(
+        soil, size, spec.wheel.load, slips, spec.test.slip_angles, gravity=gravity
+    )
+    errors = {}
+    if file.runs is not None:
+        forces = steady_forces(soil, size, file.runs.motion, file.runs.load, gravity)
+        for k, name in enumerate(QUANTITIES):
+            missed = getattr(forces, name) - file.runs.values[:, k]
+            if (known := np.isfinite(missed)).any():
+                rms = float(np.sqrt(np.mean(missed[known] ** 2)))
+                errors[name] = int(known.sum()), rms, float(missed[known].mean())
+    return WheelTest(
+        file.title, soil, size, spec.wheel.load, gravity, curves, file.runs, errors, file.files
+    )
+
+
+def fit_wheel_file(file: WheelContents) -> FittedWheel:
+    """Return the fit of the soil of a wheel file to its measured points.
+
+    ProblemError is raised if the file has no unknowns or no measured points, or an unknown is not
+    valid; other errors are those of `fit_soil`.
+    """
+    spec = file.spec
+    faults = []
+    if file.runs is None:
+        faults.append(Fault(("test", "measured"), "a CSV file of measured points", "none; add it"))
+    if not spec.unknowns:
+        expected = "at least one constant of the soil to be fitted, as in [unknowns.cohesion]"
+        faults.append(Fault(("unknowns",), expected, "none; add one"))
+    if file.runs is None or faults:
+        raise problem_error(file.problem.source, faults)
+    unknowns = []
+    for name, table in spec.unknowns.items():
+        with at(file.problem, ("unknowns", name)):
+            low = -np.inf if table.lower is None else table.lower
+            high = np.inf if table.upper is None else table.upper
+            unknowns.append(Unknown(name, name, (), low, high, table.prior))
+            check_constant(unknowns[-1], file.soil)
+    fit = fit_soil(
+        file.soil,
+        file.size,
+        unknowns,
+        file.runs,
+        folds=spec.folds,
+        resamples=spec.resamples,
+        seed=spec.seed,
+        loss=spec.loss,
+        gravity=file.gravity,
+    )
+    return FittedWheel(file.title, file.size, file.gravity, file.runs, fit, file.files)
+
+
+def is_wheel_file(path: Path) -> bool:
+    """Return whether a file of ``slipfree fit`` is a wheel file, by its table ``[wheel]``."""
+    return re.search(r"^\s*(\[wheel\]|wheel\s*=|wheel\.)", read_text(path), re.M) is not None
+
+
+def read_wheel_file(path: Path, settings: Sequence[str]) -> WheelContents:
+    """Return the contents of a wheel file, and of its file of measured points."""
     text = read_text(path, "a wheel file")
     problem: Problem[Any] = validated_problem(lambda *_: WheelFile, path, text, settings)
     spec: WheelFile = problem.spec
@@ -117,44 +239,50 @@ def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
         gravity = gravity_of(spec.gravity)
     soil = soil_of(**given_values(spec.soil))
     size = WheelSize(spec.wheel.radius, spec.wheel.width)
-    low, high = spec.test.slip
-    slips = np.linspace(low, high, spec.test.points)
-    angles = spec.test.slip_angles
-    curves = single_wheel(soil, size, spec.wheel.load, slips, angles, gravity=gravity)
-    measured, files = {}, [path]
+    runs, files = None, [path]
     if spec.test.measured is not None:
         files.append(path.parent / spec.test.measured)
-        measured = _read_measured(files[-1], spec.wheel.load)
-    errors = {name: _error(soil, size, name, points, gravity) for name, points in measured.items()}
-    title = spec.title or path.stem
-    load = spec.wheel.load
-    return WheelTest(title, soil, size, load, gravity, curves, measured, errors, files)
+        runs = _read_measured(files[-1], spec.wheel.load)
+    return WheelContents(spec, spec.title or path.stem, soil, size, gravity, runs, files, problem)
 
 
-def _read_measured(path: Path, load: float) -> dict[str, Measured]:
-    """Return the measured points in a CSV file, by quantity; ``load`` is that of the wheel file."""
+def _read_measured(path: Path, load: float) -> WheelRuns:
+    """Return the measured points in a CSV file; ``load`` is that of the wheel file."""
     names = read_names(path, "measured points")
     quantities = [name for name in QUANTITIES if name in names]
-    if not ("slip" in names and quantities):
+    speeds: list[str] = [name for name in ("rim_speed", "speed") if name in names]
+    if not (("slip" in names or len(speeds) > 1) and quantities):
         raise DataError(
-            f"{path}: expected a first line with 'slip' and one of {', '.join(QUANTITIES)}, found "
-            f"{', '.join(names)}; add the names of the columns"
+            f"{path}: expected a first line with 'slip', or 'rim_speed' and 'speed', and one of "
+            f"{', '.join(QUANTITIES)}, found {', '.join(names)}; add the names of the columns"
         )
-    points = ["slip", *(name for name in ("slip_angle", "load") if name in names)]
+    kinds = [*speeds] if len(speeds) > 1 else ["slip"]
+    points = kinds + [name for name in ("slip_angle", "load", "run") if name in names]
     columns = read_columns(path, [*points, *quantities], "measured points").values
-    slip = columns["slip"]
-    angle = columns.get("slip_angle", np.zeros_like(slip))
-    loads = columns.get("load", np.full_like(slip, load))
-    return {name: Measured(slip, angle, loads, columns[name]) for name in quantities}
-
-
-def _error(
-    soil: Soil, size: WheelSize, name: str, points: Measured, gravity: float
-) -> tuple[float, float]:
-    """Return root mean square and mean of computed minus measured values."""
-    forces = steady_forces(soil, size, points.load, points.slip, points.angle, gravity)
-    misses = getattr(forces, name) - points.value
-    return float(np.sqrt(np.mean(misses**2))), float(np.mean(misses))
+    first = columns[kinds[0]]
+    angle = columns.get("slip_angle", np.zeros_like(first))
+    if kinds == ["slip"]:
+        check_slip(first, angle)
+        motion = motion_at_slip(first, angle)
+    else:
+        speed = columns["speed"]
+        # exactly zero at a right angle, where the cosine is not
+        along = np.where(np.isclose(np.abs(angle), np.pi / 2), 0, speed * np.cos(angle))
+        motion = np.vstack([first, along, speed * np.sin(angle)])
+        largest = np.abs(motion).max(axis=0)
+        if not largest.all():
+            raise DataError(
+                f"{path}: expected moving wheels, found the speeds zero in point "
+                f"{int(largest.argmin()) + 1}; remove it"
+            )
+        motion /= largest
+    values = [columns.get(name, np.full_like(first, np.nan)) for name in QUANTITIES]
+    return WheelRuns(
+        motion,
+        columns.get("load", np.full_like(first, load)),
+        np.column_stack(values),
+        columns.get("run", np.arange(first.size, dtype=float)),
+    )
 
 
 def wheel_facts(test: WheelTest) -> Lines:
@@ -183,8 +311,8 @@ def wheel_facts(test: WheelTest) -> Lines:
                 f"{depth.max():.4g} mm",
             )
         )
-    for name, (rms, mean) in test.errors.items():
-        unit, count = COLUMNS[name], test.measured[name].slip.size
+    for name, (count, rms, mean) in test.errors.items():
+        unit = QUANTITIES[name]
         error = f"computed minus measured rms {rms:.3g} {unit}, mean {mean:.3g} {unit}"
         facts.append((f"measured {name}", f"{count} points, {error}"))
     return facts
@@ -198,3 +326,113 @@ def wheel_rows(curves: WheelCurves) -> tuple[list[str], list[list[float]]]:
         for i, slip in enumerate(curves.slip)
     ]
     return ["slip_angle", "slip", *QUANTITIES], rows
+
+
+def measured_points(runs: WheelRuns | None) -> dict[str, tuple[Array, Array, Array, Array]]:
+    """Return slip ratios, slip angles [rad], loads [N] and values of the measured quantities."""
+    if runs is None:
+        return {}
+    slip, angle = slip_of_motion(runs.motion)
+    return {
+        name: (slip, angle, runs.load, runs.values[:, k])
+        for k, name in enumerate(QUANTITIES)
+        if np.isfinite(runs.values[:, k]).any()
+    }
+
+
+def fit_facts(fitted: FittedWheel) -> Lines:
+    """Return the facts of a fit of a soil: constants, directions, and errors of the quantities."""
+    fit, runs = fitted.fit, fitted.runs
+    outcome = Outcome.INTERRUPTED if fit.estimate.is_interrupted else Outcome.COMPLETE
+    facts = [
+        ("outcome", outcome.title),
+        ("wheel", f"radius {fitted.size.radius:g} m, width {fitted.size.width:g} m"),
+        ("gravity", gravity_words(fitted.gravity)),
+        ("measured", f"{runs.load.size} points of {np.unique(runs.run).size} runs"),
+        *estimate_lines(fit.estimate),
+        *direction_lines(fit.estimate),
+    ]
+    if np.isfinite(fit.excess):
+        facts.append(("residuals", f"{fit.excess:.3g} times the deviation between repeats"))
+    for each in fit.errors:
+        unit = QUANTITIES[each.name]
+        repeats = f", between repeats {each.repeats:.3g}" if np.isfinite(each.repeats) else ""
+        facts.append(
+            (
+                each.name,
+                f"rms error {_interval(each.nominal)} {unit} before, {_interval(each.validated)} "
+                f"of runs left out; deviation of the data {each.variation:.3g}{repeats}",
+            )
+        )
+    if fit.sunk:
+        words = f"at {fit.sunk} points the wheel sinks to its axle, where the law ends"
+        facts.append(("sinkage", words))
+    return facts
+
+
+def _interval(interval: Interval) -> str:
+    return f"{interval.value:.3g} ({interval.lower:.3g} to {interval.upper:.3g})"
+
+
+def constant_rows(fit: SoilFit) -> tuple[list[str], list[list[Any]]]:
+    """Return column names and rows of the fitted constants, with intervals by resampling."""
+    names, rows = estimate_rows(fit.estimate)
+    return [*names, "resampled_lower", "resampled_upper"], [
+        [*row, *interval] for row, interval in zip(rows, fit.resampled.tolist(), strict=True)
+    ]
+
+
+def point_rows(fitted: FittedWheel) -> tuple[list[str], list[list[float]]]:
+    """Return column names and rows of the points: measured, and computed before and after."""
+    runs, fit = fitted.runs, fitted.fit
+    slip, angle = slip_of_motion(runs.motion)
+    kinds = {
+        "measured": runs.values,
+        "before": fit.nominal,
+        "fitted": fit.fitted,
+        "left_out": fit.validated,
+    }
+    names = [f"{name}_{kind}" for name in QUANTITIES for kind in kinds]
+    table = np.column_stack(
+        [
+            runs.run,
+            slip,
+            angle,
+            runs.load,
+            *(values[:, k] for k in range(len(QUANTITIES)) for values in kinds.values()),
+        ]
+    )
+    return ["run", "slip", "slip_angle", "load", *names], table.tolist()
+
+
+def error_rows(fit: SoilFit) -> list[dict[str, Any]]:
+    """Return the errors of the quantities as objects."""
+    return [
+        {
+            **each._asdict(),
+            "nominal": each.nominal._asdict(),
+            "validated": each.validated._asdict(),
+            "unit": QUANTITIES[each.name],
+        }
+        for each in fit.errors
+    ]
+
+
+def soil_text(fitted: FittedWheel) -> str:
+    """Return the fitted soil as a TOML table, with the intervals of the constants in comments."""
+    estimate = fitted.fit.estimate
+    intervals = dict(zip((x.name for x in estimate.labels), estimate.intervals, strict=True))
+    lines = [
+        f"# {fitted.title}: soil fitted by slipfree fit",
+        "# of a problem file; in a wheel file, write [soil]",
+        "[law.soil]",
+    ]
+    default = Soil()
+    for label in law_constants(default).values():
+        value = getattr(fitted.fit.soil, label.name)
+        if label.name in intervals:
+            low, high = intervals[label.name]
+            lines.append(f"{label.name} = {value!r}  # 95 % interval {low:.4g} to {high:.4g}")
+        elif value != getattr(default, label.name):
+            lines.append(f"{label.name} = {str(value).lower()}")
+    return "\n".join([*lines, ""])

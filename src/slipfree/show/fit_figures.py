@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from slipfree.core.records import Array
 from slipfree.fit.calibration import Calibration
 from slipfree.fit.estimate import CONFIDENCE, Estimate
+from slipfree.fit.wheel_soil import QUANTITIES, SoilFit
 from slipfree.show import style
 from slipfree.show.plots import Plot
 from slipfree.show.style import MM, PAGE
@@ -90,3 +91,40 @@ def _draw_ellipse(ax: Axes, estimate: Estimate, i: int, j: int) -> None:
         label = estimate.labels[k]
         (ax.xaxis if k == i else ax.yaxis).set_major_locator(MaxNLocator(3))
         set_label(label.name if label.unit == "1" else f"{label.name} [{label.unit}]")
+
+
+def soil_plot(name: str, measured: Array, fit: SoilFit) -> Plot:
+    """Return the figure of a fit of a soil, to be drawn later, with the name of its file."""
+    words = (
+        "Computed over measured quantities, with the constants before the fit and with those "
+        "fitted to other runs, and 95 % confidence ellipses with the strongest correlations."
+    )
+    return Plot(name, words, partial(soil_figure, measured, fit))
+
+
+def soil_figure(measured: Array, fit: SoilFit) -> Figure:
+    """Return the figure of a fit of a soil to measured quantities, shape (n, 4)."""
+    known = [k for k in range(len(QUANTITIES)) if np.isfinite(measured[:, k]).any()]
+    pairs = _pairs(fit.estimate)
+    count = len(known) + len(pairs)
+    rows = -(-count // COLUMNS)
+    made = style.figure(PAGE, rows * ROW_HEIGHT * MM)
+    axes = made.subplots(rows, COLUMNS, squeeze=False).ravel()
+    for ax, k in zip(axes, known, strict=False):
+        name, unit = list(QUANTITIES.items())[k]
+        values = measured[:, k]
+        for j, (label, computed) in enumerate(
+            (("before", fit.nominal), ("fitted to others", fit.validated))
+        ):
+            look = {"ms": 2, "mew": 0, "alpha": 0.6, "color": style.PALETTE[j], "label": label}
+            ax.plot(values, computed[:, k], "o", **look)
+        ends = np.nanmin(values), np.nanmax(values)
+        ax.plot(ends, ends, color="black", lw=0.6)
+        ax.set_xlabel(f"measured {name} [{unit}]")
+        ax.set_ylabel("computed")
+    axes[0].legend()
+    for ax, pair in zip(axes[len(known) :], pairs, strict=False):
+        _draw_ellipse(ax, fit.estimate, *pair)
+    for ax in axes[count:]:
+        ax.set_axis_off()
+    return made

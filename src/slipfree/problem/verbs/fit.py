@@ -319,13 +319,13 @@ def facts(fitted: Fitted) -> Lines:
         ("outcome", outcome.title),
         *([("log", "; ".join(fitted.notes))] if fitted.notes else []),
         ("windows", f"{train} for training, {test} others"),
-        *_estimates(calibration.estimate),
-        *_directions(calibration.estimate),
+        *estimate_lines(calibration.estimate),
+        *direction_lines(calibration.estimate),
         *map(_error_line, error_rows(fitted)),
     ]
 
 
-def _estimates(estimate: Estimate) -> Iterator[tuple[str, str]]:
+def estimate_lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
     """Yield the estimates, with 95 % intervals."""
     for k, label in enumerate(estimate.labels):
         unit = "" if label.unit == "1" else f" {label.unit}"
@@ -342,7 +342,7 @@ def _estimates(estimate: Estimate) -> Iterator[tuple[str, str]]:
         )
 
 
-def _directions(estimate: Estimate) -> Iterator[tuple[str, str]]:
+def direction_lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
     """Yield the combinations of unknowns that the data determine best, weakly, or not at all."""
     names = [
         label.name
@@ -384,9 +384,8 @@ def _error_line(row: Mapping[str, Any]) -> tuple[str, str]:
     )
 
 
-def estimate_rows(fitted: Fitted) -> tuple[list[str], list[list[Any]]]:
+def estimate_rows(estimate: Estimate) -> tuple[list[str], list[list[Any]]]:
     """Return column names and rows of the estimates, in SI units."""
-    estimate = fitted.calibration.estimate
     deviation = np.sqrt(np.diag(estimate.covariance))
     names = ["name", "unit", "nominal", "value", "deviation", "lower", "upper", "at_bound"]
     return names, [

@@ -1,0 +1,459 @@
+"""Fit of the constants of a soil to single-wheel tests, with cross-validation.
+
+The residuals are computed minus measured drawbar pull, side force, torque and sinkage, divided by a
+deviation of each quantity. The estimate minimises a robust loss of the residuals and of the
+deviations from priors, with exact derivatives; its covariance is that of `slipfree.fit.estimate`
+for independent runs. Cross-validation predicts each run by constants fitted to runs of other parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple, get_type_hints
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+import scipy  # its parts are imported when they are used
+
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
+from slipfree.fit.calibration import Interval, bootstrap
+from slipfree.fit.estimate import (
+    AT_BOUND,
+    CONFIDENCE,
+    EDGE,
+    NORMAL_MEDIAN,
+    Estimate,
+    Loss,
+    sandwich,
+)
+from slipfree.fit.unknowns import Unknown, label_of, law_constants
+from slipfree.laws.soil import STEADY_CREEP, Soil, WheelSize, forces_at_speeds
+from slipfree.models.single_wheel import WheelRuns
+from slipfree.system.interrupt import check_interrupt, interrupt_requested
+from slipfree.vehicle.tree import EARTH_GRAVITY
+
+QUANTITIES = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
+REWEIGHTINGS = 3  # estimates, each with the deviations of the residuals of the one before
+SAME_MOTION = 0.05  # largest difference of the speeds of repeats, over the largest speed
+SMALLEST = 1e-9  # deviation of a quantity that is not measured, or fitted exactly
+TOLERANCE = 1e-9  # of searches
+NOT_STEADY = ("damping_ratio", "creep", "regions", "coupled_shear")  # of a soil
+STEADY_CONSTANTS = tuple(name for name in law_constants(Soil()) if name not in NOT_STEADY)
+DEPTH_STEPS = 60  # of Newton's method and bisection for the sinkage
+DEPTH_TOLERANCE = 1e-13  # last step of the sinkage [wheel radii]
+
+
+class WheelModel:
+    """Functions of the forces on a wheel for constants, depth and motion, and derivatives."""
+
+    def __init__(
+        self, soil: Soil, size: WheelSize, unknowns: Sequence[Unknown], gravity: float
+    ) -> None:
+        values, depth, motion = (
+            ca.SX.sym(name, rows)
+            for name, rows in (("values", len(unknowns)), ("depth", 1), ("motion", 3))
+        )
+        symbols: dict[str, Any] = {u.quantity: values[k] for k, u in enumerate(unknowns)}
+        speeds = motion[0], motion[1], motion[2]
+        forces = forces_at_speeds(
+            replace(soil, **symbols), size, depth, *speeds, STEADY_CREEP, gravity
+        )
+        rows = ca.vertcat(forces.pull, -ca.sign(motion[2]) * forces.side, forces.torque)
+        normal = ca.vertcat(forces.normal, ca.jacobian(forces.normal, depth))
+        slopes = [ca.densify(ca.jacobian(rows, by)) for by in (depth, values)]
+        softer = ca.densify(ca.jacobian(forces.normal, values))
+        arguments = [values, depth, motion]
+        self.normal = ca.Function("normal", arguments, [normal])
+        self.forces = ca.Function("forces", arguments, [rows, *slopes, normal[1], softer])
+        self.radius = size.radius
+
+
+class WheelPredictor:
+    """Forces and sinkage of a wheel in given runs, and derivatives by the unknowns."""
+
+    def __init__(self, model: WheelModel, runs: WheelRuns) -> None:
+        count = runs.load.size
+        self._normal, self._forces = model.normal.map(count), model.forces.map(count)
+        self._runs, self._radius, self._depth = runs, model.radius, np.full(count, model.radius / 4)
+        self._last: tuple[Array, tuple[Array, Array]] | None = None
+
+    def __call__(self, values: Array) -> tuple[Array, Array]:
+        """Return pull, side, torque and sinkage, shape (n, 4), and derivatives (n, 4, p)."""
+        if self._last is not None and np.array_equal(self._last[0], values):
+            return self._last[1]
+        runs, many = self._runs, np.tile(values[:, None], self._runs.load.size)
+        depth = self._depth = self._solve_depth(many)
+        rows, by_depth, by_values, stiffness, softer = (
+            each.full() for each in self._forces(many, depth[None], runs.motion)
+        )
+        count = depth.size
+        # a wheel that has sunk to its axle stays there
+        sinking = -softer.reshape(count, values.size) / stiffness.T
+        sinking[depth >= self._radius] = 0
+        direct = by_values.reshape(3, count, -1).transpose(1, 0, 2)
+        slopes = direct + by_depth.T[..., None] * sinking[:, None]
+        predicted = np.column_stack([rows.T, depth])
+        self._last = (
+            values.copy(),
+            (predicted, np.concatenate([slopes, sinking[:, None]], axis=1)),
+        )
+        return self._last[1]
+
+    def _solve_depth(self, many: Array) -> Array:
+        """Return the depths at which the soil bears the loads; at most the radius [m]."""
+        runs, depth = self._runs, self._depth
+        low, high = np.zeros_like(depth), np.full_like(depth, self._radius)
+        for _ in range(DEPTH_STEPS):
+            normal, stiffness = self._normal(many, depth[None], runs.motion).full()
+            deep = normal > runs.load
+            low, high = np.where(deep, low, depth), np.where(deep, depth, high)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                new = depth - (normal - runs.load) / stiffness
+            # bisection where Newton's step leaves the bracket
+            new = np.where((new > low) & (new < high), new, (low + high) / 2)
+            done = np.abs(new - depth).max() < DEPTH_TOLERANCE * self._radius
+            depth = new
+            if done:
+                break
+        return np.where(depth > (1 - 1e-9) * self._radius, self._radius, depth)
+
+
+class _Search:
+    """Residuals of a fit, without unit, and their Jacobian."""
+
+    def __init__(
+        self,
+        predict: WheelPredictor,
+        measured: Array,
+        deviations: Array,
+        unknowns: Sequence[Unknown],
+    ) -> None:
+        self._predict, self._measured, self._deviations = predict, measured, deviations
+        self._known = np.isfinite(measured)
+        rows = [k for k, each in enumerate(unknowns) if each.prior is not None]
+        pairs = np.array([unknowns[k].prior for k in rows], dtype=float).reshape(-1, 2)
+        self._rows, self._mean, self._spread = rows, *pairs.T
+
+    def residual(self, values: Array) -> Array:
+        check_interrupt()
+        missed = (self._predict(values)[0] - self._measured) / self._deviations
+        priors = (values[self._rows] - self._mean) / self._spread
+        return np.append(missed[self._known], priors)
+
+    def jacobian(self, values: Array) -> Array:
+        slopes = self._predict(values)[1] / self._deviations[:, None]
+        priors = np.eye(values.size)[self._rows] / self._spread[:, None]
+        return np.concatenate([slopes[self._known], priors])
+
+
+Rows = npt.NDArray[np.intp]
+
+
+class QuantityErrors(NamedTuple):
+    """Root mean square errors of a quantity over all runs, in its unit, with 95 % intervals."""
+
+    name: str
+    points: int  # number of measured values
+    variation: float  # standard deviation of the measured values
+    repeats: float  # standard deviation between repeats; nan without repeats
+    nominal: Interval  # with the constants before the fit
+    validated: Interval  # of runs predicted by constants fitted to others
+
+
+class SoilFit(NamedTuple):
+    """Result of a fit of p constants of a soil to n points of a wheel."""
+
+    estimate: Estimate
+    soil: Soil  # with the fitted constants
+    draws: Array  # shape (resamples, p): constants fitted to runs drawn at random
+    resampled: Array  # shape (p, 2): 95 % intervals of these; nan without draws
+    nominal: Array  # shape (n, 4): computed with the constants before and after the fit
+    fitted: Array
+    validated: Array  # shape (n, 4): each by constants fitted to other runs; nan if interrupted
+    errors: tuple[QuantityErrors, ...]  # of the measured quantities
+    excess: float  # deviation of the residuals over that of repeats; nan without repeats
+    sunk: int  # number of points at which the fitted wheel sinks to its axle
+
+
+def fit_soil(
+    soil: Soil,
+    size: WheelSize,
+    unknowns: Sequence[Unknown],
+    runs: WheelRuns,
+    *,
+    folds: int = 5,
+    resamples: int = 100,
+    seed: int = 0,
+    loss: Loss = "soft_l1",
+    gravity: float = EARTH_GRAVITY,
+) -> SoilFit:
+    """Fit constants of a soil to runs of a wheel, and predict each run from the others.
+
+    Parameters
+    ----------
+    soil : Soil
+        Constants with which the search begins; those that are not unknowns stay.
+    size : WheelSize
+        Radius and width of the wheel.
+    unknowns : sequence of Unknown
+        Constants to be fitted, with bounds and priors.
+    runs : WheelRuns
+        Measured points. Those with the same number of a run stay together in cross-validation and
+        bootstrap; they are repeats if their motion is the same.
+    folds : int
+        Number of parts of the runs; each is predicted by a fit to the others.
+    resamples : int
+        Number of fits to runs drawn at random, for intervals; may be zero.
+    seed : int
+        Seed of both random choices.
+    loss : str
+        "soft_l1" limits the influence of outliers, "linear" does not.
+    gravity : float
+        Gravitational acceleration, for the soil that the wheel pushes aside. [m/s^2]
+
+    Raises
+    ------
+    ModelError
+        If an unknown is no constant of steady motion in soil, the number of runs is smaller than
+        that of unknowns or folds, or the search does not converge.
+    """
+    problem = SoilProblem(soil, size, unknowns, runs, loss, gravity)
+    numbers = np.unique(runs.run)
+    needed = max(len(unknowns) + 1, folds)
+    if numbers.size < needed:
+        raise ModelError(
+            f"fit of soil: expected at least {needed} runs, for {len(unknowns)} unknowns and "
+            f"{folds} folds, found {numbers.size}; give each measurement its own number in the "
+            "column 'run', measure more, or reduce 'folds' or the unknowns"
+        )
+    spread = repeat_spread(runs)
+    values, deviations, converged = problem.solve(runs, problem.nominal)
+    if not converged:
+        raise ModelError(
+            "fit of soil: expected convergence, found none; give bounds or priors of the "
+            "unknowns, or fit fewer of them"
+        )
+    nominal, fitted = (problem.predict(runs, v)[0] for v in (problem.nominal, values))
+    rng, validated = np.random.default_rng(seed), np.full(runs.values.shape, np.nan)
+    draws, is_interrupted = list[Array](), False
+    part = dict(
+        zip(numbers.tolist(), (rng.permutation(numbers.size) % folds).tolist(), strict=True)
+    )
+    fold = np.array([part[number] for number in runs.run.tolist()])
+    rows_of = [np.flatnonzero(runs.run == number) for number in numbers]
+    try:
+        for k in range(folds):
+            others, _, _ = problem.solve(runs.take(fold != k), problem.nominal)
+            validated[fold == k] = problem.predict(runs.take(fold == k), others)[0]
+        for _ in range(resamples):
+            rows = np.concatenate([rows_of[k] for k in rng.integers(0, len(rows_of), len(rows_of))])
+            draws.append(problem.search(runs.take(rows), values, deviations).x)
+    except KeyboardInterrupt:
+        if not interrupt_requested():
+            raise
+        is_interrupted = True
+    found = problem.estimate(values, deviations, is_interrupted)
+    many, edges = (
+        np.array(draws).reshape(-1, values.size),
+        [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2],
+    )
+    resampled = np.quantile(many, edges, axis=0).T if draws else np.full((values.size, 2), np.nan)
+    return SoilFit(
+        found,
+        replace(soil, **dict(zip(problem.names, values.tolist(), strict=True))),
+        many,
+        resampled,
+        nominal,
+        fitted,
+        validated,
+        tuple(_errors(runs, rows_of, spread, nominal, validated)),
+        float(np.nanmedian(deviations / spread)) if np.isfinite(spread).any() else np.nan,
+        int((fitted[:, 3] >= size.radius).sum()),
+    )
+
+
+def repeat_spread(runs: WheelRuns) -> Array:
+    """Return the pooled standard deviation between repeats of each quantity; nan without them.
+
+    Points of one run are repeats if their speeds agree within 0.05 of the largest.
+    """
+    squares, freedom = np.zeros(len(QUANTITIES)), np.zeros(len(QUANTITIES))
+    for number in np.unique(runs.run):
+        rows = runs.run == number
+        values = runs.values[rows]
+        if len(values) > 1 and np.ptp(runs.motion[:, rows], axis=1).max() < SAME_MOTION:
+            known = np.isfinite(values)
+            count = known.sum(axis=0)
+            mean = np.where(known, values, 0).sum(axis=0) / np.maximum(count, 1)
+            squares += np.where(known, (values - mean) ** 2, 0).sum(axis=0)
+            freedom += np.maximum(count - 1, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(squares > 0, np.sqrt(squares / freedom), np.nan)
+
+
+class SoilProblem:
+    """Unknowns of a fit with their bounds and scales, and searches over parts of the runs."""
+
+    def __init__(
+        self,
+        soil: Soil,
+        size: WheelSize,
+        unknowns: Sequence[Unknown],
+        runs: WheelRuns,
+        loss: Loss = "soft_l1",
+        gravity: float = EARTH_GRAVITY,
+    ) -> None:
+        self._soil, self._unknowns = soil, unknowns
+        self._runs, self._loss = runs, loss
+        self._spread = repeat_spread(runs)
+        self.names = [unknown.quantity for unknown in unknowns]
+        for unknown in unknowns:
+            check_constant(unknown, soil)
+            if self.names.count(unknown.quantity) > 1:
+                raise ModelError(
+                    f"unknown {unknown.name!r}: expected each constant once, found "
+                    f"{unknown.quantity!r} twice; remove one"
+                )
+        self.nominal = np.array([float(getattr(soil, name)) for name in self.names])
+        limits = np.array([_limits(each, soil, self.names) for each in unknowns]).reshape(-1, 2)
+        self._scales = np.array(
+            [
+                _scale(unknown, value, *pair)
+                for unknown, value, pair in zip(unknowns, self.nominal, limits, strict=True)
+            ]
+        )
+        self._model = WheelModel(soil, size, unknowns, gravity)
+        margin = np.minimum(EDGE * self._scales, (limits[:, 1] - limits[:, 0]) / 4)
+        self._bounds = limits[:, 0] + margin, limits[:, 1] - margin
+
+    def predict(self, runs: WheelRuns, values: Array) -> tuple[Array, Array]:
+        """Return computed quantities and their derivatives, as `WheelPredictor`."""
+        return WheelPredictor(self._model, runs)(values)
+
+    def search(self, runs: WheelRuns, start: Array, deviations: Array) -> Any:
+        """Return the result of `least_squares` for given deviations of the quantities."""
+        predict = WheelPredictor(self._model, runs)
+        search = _Search(predict, runs.values, deviations, self._unknowns)
+        return scipy.optimize.least_squares(
+            search.residual,
+            np.clip(start, *self._bounds),
+            search.jacobian,
+            bounds=self._bounds,
+            x_scale=self._scales,
+            loss=self._loss,
+            xtol=TOLERANCE,
+            ftol=TOLERANCE,
+        )
+
+    def solve(self, runs: WheelRuns, start: Array) -> tuple[Array, Array, bool]:
+        """Return estimates, deviations of the quantities, and whether the last search converged."""
+        values, converged = np.clip(start, *self._bounds), False
+        for _ in range(REWEIGHTINGS):
+            deviations = self._deviations(self.predict(runs, values)[0] - runs.values)
+            result = self.search(runs, values, deviations)
+            values, converged = np.asarray(result.x), bool(result.status)
+        return values, deviations, converged
+
+    def _deviations(self, missed: Array) -> Array:
+        """Return robust deviations of residuals, at least those of repeats."""
+        missed = np.where(np.isfinite(missed).any(axis=0), missed, 0)  # no quantity without values
+        robust = np.nanmedian(np.abs(missed), axis=0) / NORMAL_MEDIAN
+        return np.fmax(np.fmax(robust, self._spread), SMALLEST)
+
+    def estimate(self, values: Array, deviations: Array, is_interrupted: bool = False) -> Estimate:
+        """Return the estimate with its covariance, for independent runs."""
+        soil, unknowns = self._soil, self._unknowns
+        predicted, slopes = self.predict(self._runs, values)
+        known = np.isfinite(self._runs.values)
+        missed = np.where(known, (predicted - self._runs.values) / deviations, 0)
+        slopes = np.where(known[..., None], slopes / deviations[:, None], 0)
+        edges = np.minimum(np.abs(values - self._bounds[0]), np.abs(values - self._bounds[1]))
+        scales = np.maximum(self._scales, np.abs(values))
+        at_bound = edges < AT_BOUND * scales
+        priors = np.array([1 / each.prior[1] if each.prior else 0.0 for each in unknowns])
+        numbers = np.unique(self._runs.run)
+        longest = max(int((self._runs.run == number).sum()) for number in numbers)
+        grouped = np.zeros((numbers.size, longest * len(QUANTITIES)))
+        steep = np.zeros((*grouped.shape, int((~at_bound).sum())))
+        for k, number in enumerate(numbers):
+            rows = self._runs.run == number
+            count = int(rows.sum()) * len(QUANTITIES)
+            grouped[k, :count] = missed[rows].ravel()
+            steep[k, :count] = (slopes[rows][..., ~at_bound] * scales[~at_bound]).reshape(count, -1)
+        covariance, directions = sandwich(grouped, steep, priors, scales, ~at_bound, self._loss)
+        reach = float(scipy.special.stdtrit(numbers.size - values.size, 0.5 + CONFIDENCE / 2))
+        spread = reach * np.sqrt(np.diag(covariance))
+        return Estimate(
+            tuple(label_of(each, soil) for each in unknowns),
+            self.nominal,
+            values,
+            covariance,
+            np.column_stack([values - spread, values + spread]),
+            scales,
+            tuple(bool(each) for each in at_bound),
+            directions,
+            deviations,
+            0,
+            is_interrupted,
+        )
+
+
+def check_constant(unknown: Unknown, soil: Soil) -> None:
+    """Raise ModelError if an unknown is no constant of steady motion, or outside its bounds."""
+    if unknown.quantity not in STEADY_CONSTANTS:
+        raise ModelError(
+            f"unknown {unknown.name!r}: expected one of the constants of soil "
+            f"{', '.join(STEADY_CONSTANTS)}, found {unknown.quantity!r}; correct it"
+        )
+    value, (low, high) = getattr(soil, unknown.quantity), _limits(unknown, soil, ())
+    if not low <= value <= high:
+        raise ModelError(
+            f"unknown {unknown.name!r}: expected a nominal value within the bounds, {low:g} to "
+            f"{high:g}, found {value:g}; change the bounds, or the soil"
+        )
+
+
+def _limits(unknown: Unknown, soil: Soil, names: Sequence[str]) -> tuple[float, float]:
+    """Return the bounds of a constant, with a stress that is largest ahead of the lowest point."""
+    low, high = unknown.lower, unknown.upper
+    hint = get_type_hints(Soil, include_extras=True)[unknown.quantity]
+    for bound in hint.__metadata__:
+        low = max(low, getattr(bound, "gt", low), getattr(bound, "ge", low))
+        high = min(high, getattr(bound, "lt", high), getattr(bound, "le", high))
+    both = {"peak", "peak_rate"} <= set(names)
+    if unknown.quantity == "peak":
+        rate = 1 / 3 if both else soil.peak_rate
+        low, high = max(low, rate), min(high, 1 - rate)
+    elif unknown.quantity == "peak_rate":
+        high = min(high, 1 / 3 if both else min(soil.peak, 1 - soil.peak))
+    return low, high
+
+
+def _scale(unknown: Unknown, nominal: float, low: float, high: float) -> float:
+    """Return the size of a constant: deviation of the prior, nominal or usual value, or range."""
+    if unknown.prior:
+        return unknown.prior[1]
+    usual = abs(nominal) or abs(float(getattr(Soil(), unknown.quantity)))
+    return usual or (high - low) / 10
+
+
+def _errors(
+    runs: WheelRuns, rows_of: Sequence[Rows], spread: Array, nominal: Array, validated: Array
+) -> Iterator[QuantityErrors]:
+    """Yield the errors of the measured quantities; runs are drawn for their intervals."""
+    for k, name in enumerate(QUANTITIES):
+        known = np.isfinite(runs.values[:, k])
+        if not known.any():
+            continue
+        intervals = []
+        for computed in (nominal, validated):
+            squares = np.where(known, (computed[:, k] - runs.values[:, k]) ** 2, 0)
+            sums = np.array([[squares[rows].sum(), known[rows].sum()] for rows in rows_of])
+            intervals.append(
+                bootstrap(sums, lambda s: float(np.sqrt(s[:, 0].sum() / max(s[:, 1].sum(), 1))))
+            )
+        values = runs.values[known, k]
+        yield QuantityErrors(name, values.size, float(values.std()), float(spread[k]), *intervals)
