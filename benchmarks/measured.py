@@ -6,7 +6,8 @@ project (sources: docs/measured.md):
 - ``drive/husky_long.csv.gz``: windows of 2 s of a Husky, wheel rates and poses of a lidar;
 - ``single_wheel/cmu_smooth.csv``: a smooth wheel in sand;
 - ``single_wheel/ishigami2005.csv``: two wheels in a regolith simulant;
-- ``single_wheel/single_wheel_experiments.csv``: three papers on wheels in soil.
+- ``single_wheel/single_wheel_experiments.csv``: three papers on wheels in soil;
+- ``single_wheel/mgru3_gentle_slopes.csv``: a wheel on slopes, which predicts steeper ones.
 
 Nothing is fitted to the points that judge it. Without FOLDER, only the fits of synthetic data with
 known truth are made: bias, and coverage of the 95 % intervals.
@@ -25,7 +26,6 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.optimize import least_squares
 
 from slipfree import (
     Analytic,
@@ -49,17 +49,17 @@ from slipfree.fit.calibration import (
 )
 from slipfree.fit.estimate import estimate
 from slipfree.fit.unknowns import Unknown, parametric_model
+from slipfree.fit.wheel_soil import QUANTITIES, fit_soil, repeat_spread
 from slipfree.fit.windows import Log, Windows, cut
 from slipfree.laws.soil import Soil, WheelSize, forces_at_slip
 from slipfree.laws.soils import known_soil
+from slipfree.models.single_wheel import WheelRuns, motion_at_slip
 
 LEVEL = Analytic(lambda x, _: 0 * x, mu=0.6)
 DRAWS, WINDOWS = 200, 60  # of synthetic poses
 HUSKY_STEP = 0.05  # time between samples of the log [s]
 HUSKY_RADIUS, HUSKY_TRACK, HUSKY_BASE = 0.165, 0.57, 0.51  # of the data sheet [m]
 ISHIGAMI_LOAD = 64.68  # as codes that cite the paper assume; the paper does not state it [N]
-PRIOR = 0.5  # deviation of the logarithm of a soil constant before a fit
-HALVINGS = 45  # of the interval of the sinkage
 SEED = 0
 
 
@@ -253,151 +253,80 @@ def _save_fit(found: Calibration, figures: Path) -> None:
 # Wheels in soil
 
 
-class Points(NamedTuple):
-    """Measured points of a wheel: slip ratio, slip angle [rad], load [N], group, and quantities.
-
-    Values of pull and side [N], torque [N m] and sinkage [m] are NaN where they were not measured.
-    Points of one group are fitted or judged together.
-    """
-
-    slip: np.ndarray
-    angle: np.ndarray
-    load: np.ndarray
-    group: np.ndarray
-    values: dict[str, np.ndarray]
-
-    def take(self, rows: np.ndarray) -> Points:
-        """Return some of the points."""
-        parts = (each[rows] for each in self[:4])
-        return Points(*parts, {name: each[rows] for name, each in self.values.items()})
-
-
 class WheelCase(NamedTuple):
-    """A wheel in soil: points, size, constants before the fit, and names of those to be fitted."""
+    """A wheel in soil: runs, size, constants before the fit, and priors of those to be fitted."""
 
     words: str
-    points: Points
+    runs: WheelRuns
     size: WheelSize
     soil: Soil
-    constants: tuple[str, ...]
-    regions: dict[str, Callable[[Points], np.ndarray]]
+    priors: dict[str, tuple[float, float]]  # mean and deviation
+    folds: int
+    regions: dict[str, np.ndarray]  # masks of the points
 
 
-class WheelModel:
-    """Forces on a wheel, and their derivatives by the logarithms of soil constants."""
+PUBLISHED, SINKAGE, SHEAR, BOTH = "published law", "slip sinkage", "coupled shear", "both"
+RATE = 0.5  # deviation of the priors of the constants of slip sinkage, whose mean is zero
+FOLDINGS = 2  # random partitions of the runs
 
-    def __init__(self, case: WheelCase) -> None:
-        theta = ca.SX.sym("theta", len(case.constants))
-        values = {
-            name: getattr(case.soil, name) * ca.exp(theta[k])
-            for k, name in enumerate(case.constants)
-        }
-        at = [ca.SX.sym(name) for name in ("depth", "slip", "angle")]
-        normal, pull, side, torque = forces_at_slip(replace(case.soil, **values), case.size, *at)
-        rows = ca.vertcat(pull, -side, torque)
-        self.radius = case.size.radius
-        self.normal = ca.Function("normal", [theta, *at], [normal])
-        self.forces = ca.Function(
-            "forces",
-            [theta, *at],
-            [
-                rows,
-                ca.densify(ca.jacobian(rows, at[0])),
-                ca.densify(ca.jacobian(rows, theta)),
-                ca.jacobian(normal, at[0]),
-                ca.densify(ca.jacobian(normal, theta)),
-            ],
+
+def variants(case: WheelCase) -> Iterator[tuple[str, Soil, list[Unknown]]]:
+    """Yield the laws that are compared: name, soil before the fit, unknowns."""
+    is_oblique = bool((case.runs.motion[2] != 0).any())
+    rates = ["exponent_slip", *(["exponent_skid"] if (case.runs.motion[2] != 0).any() else [])]
+    for name in (PUBLISHED, SINKAGE, SHEAR, BOTH) if is_oblique else (PUBLISHED, SINKAGE):
+        own = dict(case.priors)
+        if name in (SINKAGE, BOTH):
+            own |= dict.fromkeys(rates, (0.0, RATE))
+        unknowns = [Unknown(k, k, prior=prior) for k, prior in own.items()]
+        yield name, replace(case.soil, coupled_shear=name in (SHEAR, BOTH)), unknowns
+
+
+def cross_validated(case: WheelCase) -> Iterator[str]:
+    """Yield rms errors of runs that were left out, by law, region and quantity."""
+    runs = case.runs
+    count = np.unique(runs.run).size
+    yield f"{case.words}: {runs.load.size} points, {count} runs, {case.folds} folds"
+    yield "  " + _errors_in_words("deviation of the data", case, None)
+    spread = repeat_spread(runs)
+    if np.isfinite(spread).any():
+        pairs = zip(QUANTITIES, spread, strict=True)
+        words = ", ".join(f"{name} {value:.3g}" for name, value in pairs if np.isfinite(value))
+        yield f"  deviation between repeats: {words}"
+    for k, (name, soil, unknowns) in enumerate(variants(case)):
+        computed = []
+        for seed in range(FOLDINGS if case.folds < runs.load.size else 1):
+            fit = fit_soil(
+                soil, case.size, unknowns, runs, folds=case.folds, resamples=0, seed=seed
+            )
+            computed.append(fit.validated - runs.values)
+        if k == 0:
+            before = [fit.nominal - runs.values]
+            yield "  " + _errors_in_words("constants before the fit", case, before)
+        yield "  " + _errors_in_words(name, case, computed)
+        labels = zip(fit.estimate.labels, fit.estimate.intervals, strict=True)
+        values = zip(labels, fit.estimate.values, fit.estimate.at_bound, strict=True)
+        yield "    " + ", ".join(
+            f"{label.name} {value:.3g} ({'at its bound' if edge else f'{low:.3g} to {high:.3g}'})"
+            for (label, (low, high)), value, edge in values
         )
-
-    def __call__(self, theta: np.ndarray, points: Points) -> tuple[np.ndarray, np.ndarray]:
-        """Return pull, side, torque and sinkage, shape (n, 4), and derivatives (n, 4, n_theta)."""
-        count = points.slip.size
-        many = np.tile(theta[:, None], count)
-        at = points.slip[None], points.angle[None]
-        low, high = np.zeros((1, count)), np.full((1, count), self.radius)
-        normal = self.normal.map(count)
-        for _ in range(HALVINGS):
-            middle = (low + high) / 2
-            deep = normal(many, middle, *at).full() > points.load
-            low, high = np.where(deep, low, middle), np.where(deep, middle, high)
-        depth = (low + high) / 2
-        rows, by_depth, by_theta, stiff, softer = (
-            each.full() for each in self.forces.map(count)(many, depth, *at)
-        )
-        sinking = -softer.reshape(count, -1) / stiff.T
-        direct = by_theta.reshape(3, count, -1).transpose(1, 0, 2)
-        slopes = direct + by_depth.T[..., None] * sinking[:, None]
-        values = np.column_stack([rows.T, depth.T])
-        return values, np.concatenate([slopes, sinking[:, None]], axis=1)
+        if lost := fit.estimate.undetermined:
+            yield f"    not determined: {', '.join(lost)}"
 
 
-QUANTITIES = ("pull", "side", "torque", "sinkage")
-
-
-def fit_soil(model: WheelModel, case: WheelCase, points: Points) -> np.ndarray:
-    """Return the logarithms of the constants, from points; quantities count equally."""
-    measured = np.column_stack([points.values[name] for name in QUANTITIES])
-    known = np.isfinite(measured)
-    size = np.array(
-        [np.std(each[k]) if k.any() else 1.0 for each, k in zip(measured.T, known.T, strict=True)]
-    )
-
-    def residual(theta: np.ndarray) -> np.ndarray:
-        values, _ = model(theta, points)
-        return np.append(((values - measured) / size)[known] / 0.2, theta / PRIOR)
-
-    def jacobian(theta: np.ndarray) -> np.ndarray:
-        _, slopes = model(theta, points)
-        rows = (slopes / size[:, None])[known] / 0.2
-        return np.concatenate([rows, np.eye(theta.size) / PRIOR])
-
-    start = np.zeros(len(case.constants))
-    top = np.full(start.size, 2.0)
-    for k, name in enumerate(case.constants):
-        most = {"peak": 0.8, "friction_angle": 0.9, "exit_depth": 1.5, "exponent": 2.5}.get(name)
-        if most is not None:
-            top[k] = np.log(most / getattr(case.soil, name))
-    low = np.full(start.size, -3.0)
-    if "peak" in case.constants:
-        low[case.constants.index("peak")] = np.log(1.05 * case.soil.peak_rate / case.soil.peak)
-    return least_squares(residual, start, jacobian, bounds=(low, top), loss="soft_l1").x
-
-
-def two_fold(case: WheelCase) -> Iterator[str]:
-    """Yield rms errors of points by constants that were fitted to the other half of the points."""
-    model, zero = WheelModel(case), np.zeros(len(case.constants))
-    groups = np.unique(case.points.group)
-    half = np.random.default_rng(SEED).permutation(groups.size) % 2
-    side_of = dict(zip(groups.tolist(), half.tolist(), strict=True))
-    fold = np.array([side_of[each] for each in case.points.group.tolist()])
-    before, _ = model(zero, case.points)
-    after, fitted = np.empty_like(before), []
-    for k in (0, 1):
-        theta = fit_soil(model, case, case.points.take(fold == k))
-        after[fold != k] = model(theta, case.points.take(fold != k))[0]
-        fitted.append(theta)
-    values = [
-        getattr(case.soil, name) * np.exp(np.array(fitted)[:, k])
-        for k, name in enumerate(case.constants)
-    ]
-    yield f"{case.words}: constants before, and fitted to each half"
-    yield "  " + ", ".join(
-        f"{name} {getattr(case.soil, name):.3g} -> {a:.3g} / {b:.3g}"
-        for name, (a, b) in zip(case.constants, values, strict=True)
-    )
-    for words, region in case.regions.items():
-        rows = region(case.points)
-        for k, name in enumerate(QUANTITIES):
-            measured = case.points.values[name][rows]
-            known = np.isfinite(measured)
-            if known.any():
-                errors = [(each[rows, k] - measured)[known] for each in (before, after)]
-                rms = [float(np.sqrt(np.mean(each**2))) for each in errors]
-                yield (
-                    f"  {words:28} {name:8} {known.sum():4} points, range "
-                    f"{np.nanmin(measured):8.3g} to {np.nanmax(measured):8.3g}: rms before "
-                    f"{rms[0]:8.3g}, fitted on the other half {rms[1]:8.3g}"
-                )
+def _errors_in_words(name: str, case: WheelCase, errors: list[np.ndarray] | None) -> str:
+    """Return rms errors in each region in words; without errors, the deviation of the data."""
+    lines = []
+    for region, rows in case.regions.items():
+        parts = []
+        for k, quantity in enumerate(QUANTITIES):
+            measured = case.runs.values[rows, k]
+            if np.isfinite(measured).any():
+                squares = [np.nanmean(e[rows, k] ** 2) for e in errors or ()]
+                value = np.sqrt(np.mean(squares)) if errors else np.nanstd(measured)
+                parts.append(f"{quantity} {value:.3g}")
+        lines.append(f"{region} ({rows.sum()}): {', '.join(parts)}")
+    return f"{name:26} " + "; ".join(lines)
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -406,34 +335,28 @@ def table(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(lines))
 
 
-def everything(points: Points) -> np.ndarray:
-    """Return the mask of all points."""
-    return np.ones(points.slip.size, dtype=bool)
-
-
 def cmu(folder: Path) -> Iterator[WheelCase]:
     """Yield the smooth wheel in sand, with the constants that its authors tuned by hand."""
-    rows = [row for row in table(folder / "single_wheel/cmu_smooth.csv") if float(row["beta"]) < 80]
+    rows = table(folder / "single_wheel/cmu_smooth.csv")
     column = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
-    angle = np.deg2rad(column["beta"])
-    forward, rim = column["avg_Vx"] * np.cos(angle), column["avg_Vry"]
-    points = Points(
-        (rim - forward) / np.maximum(rim, forward),
-        angle,
+    angle, speed = np.deg2rad(column["beta"]), column["avg_Vx"]
+    along = np.where(column["beta"] == 90, 0, speed * np.cos(angle))
+    motion = np.vstack([column["avg_Vry"], along, speed * np.sin(angle)])
+    values = [-column["avg_Fy"], column["avg_Fx"], np.full(angle.size, np.nan)]
+    runs = WheelRuns(
+        motion / np.abs(motion).max(axis=0),
         -column["avg_Fz"],
+        np.column_stack([*values, -column["avg_Z"] / 1000]),
         column["Vry"] * 1000 + column["beta"],
-        {
-            "pull": -column["avg_Fy"],
-            "side": column["avg_Fx"],
-            "torque": np.full(angle.size, np.nan),
-            "sinkage": -column["avg_Z"] / 1000,
-        },
     )
+    is_driven = motion[0] >= motion[1]
+    steep = column["beta"] == 90
     regions = {
-        "all": everything,
-        "driven, slip angle <= 45 deg": lambda p: (p.slip >= 0) & (p.angle < 0.8),
-        "driven, slip angle > 45 deg": lambda p: (p.slip >= 0) & (p.angle > 0.8),
-        "braked": lambda p: p.slip < 0,
+        "all": ~np.zeros_like(steep),
+        "driven, up to 45 deg": is_driven & (column["beta"] <= 45),
+        "driven, 60 and 75 deg": is_driven & (column["beta"] > 45) & ~steep,
+        "braked, up to 75 deg": ~is_driven & ~steep,
+        "90 deg": steep,
     }
     tuned = Soil(
         cohesion=1000.0,
@@ -446,28 +369,27 @@ def cmu(folder: Path) -> Iterator[WheelCase]:
         shear_across=0.021,
         shear_across_rate=0.0,
     )
-    constants = (
-        "cohesion",
-        "friction_angle",
-        "frictional_modulus",
-        "exponent",
-        "shear_along",
-        "shear_across",
-        "exit_depth",
-        "peak",
-    )
-    size, driven = WheelSize(0.058, 0.05), "driven, slip angle <= 45 deg"
-    yield WheelCase("CMU smooth wheel, sand", points, size, tuned, constants, regions)
-    few = points.take(regions[driven](points))
-    words = f"CMU smooth wheel, sand, fitted only where {driven}"
-    yield WheelCase(words, few, size, tuned, constants, {"all": everything})
+    priors = {
+        "cohesion": (200.0, 200.0),
+        "friction_angle": (0.56, 0.1),
+        "frictional_modulus": (4e6, 4e6),
+        "exponent": (1.2, 0.4),
+        "shear_along": (0.015, 0.01),
+        "shear_across": (0.015, 0.01),
+        "exit_depth": (0.8, 0.4),
+        "peak": (0.4, 0.15),
+    }
+    size = WheelSize(0.058, 0.05)
+    yield WheelCase("CMU smooth wheel, sand", runs, size, tuned, priors, 2, regions)
+    rest = {name: rows[~steep] for name, rows in regions.items() if name != "90 deg"}
+    words = "CMU smooth wheel, sand, without 90 deg (sunk to its axle)"
+    yield WheelCase(words, runs.take(~steep), size, tuned, priors, 2, rest)
 
 
 def ishigami(folder: Path) -> Iterator[WheelCase]:
-    """Yield both wheels of Ishigami with the published constants."""
+    """Yield both wheels of Ishigami with the published constants; their load is assumed."""
     soil = known_soil("regolith_simulant")
     names = {"Fx_N": "pull", "Fy_N": "side"}
-    regions = {"slip <= 0.5": lambda p: p.slip <= 0.5, "all": everything}
     for wheel, words in (("B", "paddles"), ("A", "smooth")):
         rows = [
             row
@@ -476,80 +398,200 @@ def ishigami(folder: Path) -> Iterator[WheelCase]:
         ]
         slip = np.array([float(row["slip"]) for row in rows])
         degrees = np.array([float(row["slip_angle_deg"]) for row in rows])
-        values = {
-            name: np.array(
-                [float(row["value"]) if names[row["quantity"]] == name else np.nan for row in rows]
+        values = np.full((slip.size, 4), np.nan)
+        for k, row in enumerate(rows):
+            values[k, list(QUANTITIES).index(names[row["quantity"]])] = float(row["value"])
+        runs = WheelRuns(
+            motion_at_slip(slip, np.deg2rad(degrees)),
+            np.full(slip.size, ISHIGAMI_LOAD),
+            values,
+            np.round(10 * slip) + 1000 * degrees,
+        )
+        priors = {
+            name: (getattr(soil, name), deviation)
+            for name, deviation in (
+                ("friction_angle", 0.1),
+                ("shear_along", 0.02),
+                ("shear_along_rate", 0.03),
+                ("shear_across", 0.01),
+                ("shear_across_rate", 0.03),
+                ("exit_depth", 0.3),
+                ("peak", 0.1),
             )
-            if name in names.values()
-            else np.full(slip.size, np.nan)
-            for name in QUANTITIES
         }
-        group = np.round(10 * slip) + 1000 * degrees
-        load = np.full(slip.size, ISHIGAMI_LOAD)
-        points = Points(slip, np.deg2rad(degrees), load, group, values)
-        constants = (
-            "friction_angle",
-            "shear_along",
-            "shear_along_rate",
-            "shear_across",
-            "shear_across_rate",
-            "exit_depth",
-            "peak",
-        )
-        yield WheelCase(
-            f"Ishigami, {words}", points, WheelSize(0.09, 0.11), soil, constants, regions
-        )
+        regions = {"all": slip > -2, "slip <= 0.5": slip <= 0.5}
+        yield WheelCase(f"Ishigami, {words}", runs, WheelSize(0.09, 0.11), soil, priors, 2, regions)
 
 
 def papers(folder: Path) -> Iterator[WheelCase]:
     """Yield the wheels of three papers, with the constants that the collection states."""
     simulants = {row["simulant"]: row for row in table(folder / "single_wheel/soil_simulants.csv")}
     rows = table(folder / "single_wheel/single_wheel_experiments.csv")
-    kinds = dict.fromkeys((row["source"], row["grouser_height_m"]) for row in rows)
-    for source, grousers in kinds:
+    for source, grousers in dict.fromkeys((row["source"], row["grouser_height_m"]) for row in rows):
         own = [
             row for row in rows if (row["source"], row["grouser_height_m"]) == (source, grousers)
         ]
-        first, known = own[0], simulants[own[0]["soil_simulant"]]
-        width = float(first["wheel_width_m"])
-        stiffness = 1e3 * (
-            float(known["k_c_kN_per_m_n_plus_1"]) / width + float(known["k_phi_kN_per_m_n_plus_2"])
-        )
-        shear = float(first["soil_shear_modulus_k_m"])
-        soil = Soil(
-            cohesion=1e3 * float(known["cohesion_kPa"]),
-            friction_angle=np.deg2rad(float(known["friction_angle_deg"])),
-            cohesive_modulus=0.0,
-            frictional_modulus=stiffness,
-            exponent=float(known["n"]),
+        size = WheelSize(float(own[0]["wheel_radius_m"]), float(own[0]["wheel_width_m"]))
+        shear = float(own[0]["soil_shear_modulus_k_m"])
+        soil = replace(
+            simulant(simulants[own[0]["soil_simulant"]], size.width),
             shear_along=shear,
-            shear_along_rate=0.0,
             shear_across=shear,
-            shear_across_rate=0.0,
-            density=float(known["density_kg_per_m3"]),
             grouser_height=float(grousers),
         )
-
-        def numbers(name: str, own: list[dict[str, str]] = own) -> np.ndarray:
-            return np.array([float(row[name] or "nan") for row in own])
-
-        slip = numbers("slip")
-        points = Points(
-            slip,
-            np.zeros(slip.size),
-            numbers("vertical_load_n"),
-            slip,
-            {
-                "pull": numbers("meas_drawbar_pull_n"),
-                "side": np.full(slip.size, np.nan),
-                "torque": numbers("meas_torque_nm"),
-                "sinkage": numbers("meas_sinkage_m"),
-            },
+        slip, load, pull, torque, sinkage = (
+            np.array([float(row[name] or "nan") for row in own])
+            for name in (
+                "slip",
+                "vertical_load_n",
+                "meas_drawbar_pull_n",
+                "meas_torque_nm",
+                "meas_sinkage_m",
+            )
         )
-        size = WheelSize(float(first["wheel_radius_m"]), width)
+        values = np.column_stack([pull, np.full(slip.size, np.nan), torque, sinkage])
+        runs = WheelRuns(motion_at_slip(slip, 0 * slip), load, values, np.arange(float(slip.size)))
+        priors = {
+            "friction_angle": (soil.friction_angle, 0.1),
+            "frictional_modulus": (soil.frictional_modulus, soil.frictional_modulus),
+            "shear_along": (shear, shear),
+        }
         words = f"{source}, grousers {1e3 * float(grousers):g} mm"
-        constants = ("friction_angle", "frictional_modulus", "shear_along", "exit_depth", "peak")
-        yield WheelCase(words, points, size, soil, constants, {"all": everything})
+        regions = {"all": slip > -2}
+        yield WheelCase(words, runs, size, soil, priors, slip.size, regions)
+
+
+def simulant(row: dict[str, str], width: float) -> Soil:
+    """Return a soil of the table of simulants; both moduli of sinkage are one for the width."""
+    cohesive, frictional = (
+        1e3 * float(row[name]) for name in ("k_c_kN_per_m_n_plus_1", "k_phi_kN_per_m_n_plus_2")
+    )
+    return Soil(
+        cohesion=1e3 * float(row["cohesion_kPa"]),
+        friction_angle=np.deg2rad(float(row["friction_angle_deg"])),
+        cohesive_modulus=0.0,
+        frictional_modulus=cohesive / width + frictional,
+        exponent=float(row["n"]),
+        shear_along_rate=0.0,
+        shear_across_rate=0.0,
+        density=float(row["density_kg_per_m3"]),
+    )
+
+
+# ---------------------------------------------------------------------------------------------
+# A wheel on slopes that it has not seen
+
+
+SLOPE_LOAD, SLOPE_SIZE = 17.5 * 9.81, WheelSize(0.225, 0.2)  # the width is an assumption [N], [m]
+PREDICTED_SLOPES = (15.0, 20.0, 25.0)  # [deg]
+SLIP_DEVIATION = 0.02  # of a measured slip ratio: digitising and repeats
+SLIPS = np.concatenate([np.linspace(-0.04, 0.4, 23), np.linspace(0.43, 0.99, 15)])
+SAMPLES = 6000  # of the prior
+PRIORS: dict[str, Callable[[Any, int], np.ndarray]] = {  # about the constants of GRC-1
+    "cohesion": lambda rng, n: 250.0 * np.exp(rng.normal(0, 0.5, n)),
+    "friction_angle": lambda rng, n: np.deg2rad(np.clip(rng.normal(38, 4, n), 20, 50)),
+    "frictional_modulus": lambda rng, n: 508.5e3 * np.exp(rng.normal(0, 0.5, n)),
+    "exponent": lambda rng, n: np.clip(rng.normal(0.8, 0.15, n), 0.4, 1.4),
+    "shear_along": lambda rng, n: 0.015 * np.exp(rng.normal(0, 0.5, n)),
+    "exit_depth": lambda rng, n: rng.uniform(0.0, 1.2, n),
+    "peak": lambda rng, n: rng.uniform(0.2, 0.6, n),
+    "grouser_height": lambda rng, n: rng.uniform(0.0, 0.03, n),
+    "exponent_slip": lambda rng, n: rng.uniform(0.0, 0.8, n),  # as fitted to wheels of two papers
+}
+
+
+def slopes(folder: Path) -> Iterator[str]:
+    """Yield the slip predicted on steep slopes from gentle ones, by both laws.
+
+    Constants are drawn from the prior and weighted by the likelihood of the measured slips. On a
+    slope, the wheel pulls its weight's part along it, and bears the part across it.
+    """
+    rows = table(folder / "single_wheel/mgru3_gentle_slopes.csv")
+    measured = np.array([[float(row["slope_deg"]), float(row["slip"])] for row in rows])
+    yield (
+        f"MGRU3, {SLOPE_LOAD:.1f} N, width assumed {SLOPE_SIZE.width:g} m: slips "
+        + ", ".join(f"{slip:.3f} at {slope:.1f} deg" for slope, slip in measured)
+    )
+    for name, without in ((PUBLISHED, ("exponent_slip",)), (SINKAGE, ())):
+        rng = np.random.default_rng(SEED)
+        drawn = {key: draw(rng, SAMPLES) for key, draw in PRIORS.items()}
+        constants = {key: values for key, values in drawn.items() if key not in without}
+        model = slope_model(tuple(constants))
+        theta = np.array(list(constants.values()))
+        computed = np.array([slip_on_slope(model, theta, slope) for slope in measured[:, 0]])
+        misfit = ((computed - measured[:, 1:]) / SLIP_DEVIATION) ** 2
+        weight = np.exp(-misfit.sum(axis=0) / 2)
+        evidence, weight = weight.mean(), weight / weight.sum()
+        kept = weight > 1e-4 * weight.max()
+        effective = 1 / (weight**2).sum()
+        yield f"  {name}: {effective:.0f} effective of {SAMPLES} samples, evidence {evidence:.3g}"
+        for slope in (*measured[:, 0], *PREDICTED_SLOPES):
+            slip = slip_on_slope(model, theta[:, kept], slope)
+            blurred = slip + rng.normal(0, SLIP_DEVIATION, slip.size)
+            low, middle, high = weighted_quantiles(blurred, weight[kept], (0.025, 0.5, 0.975))
+            stuck = weight[kept][slip >= SLIPS[-1]].sum() / weight[kept].sum()
+            yield (
+                f"    {slope:5.1f} deg: slip {middle:.3f} (95 % interval {low:.3f} to "
+                f"{min(high, 1):.3f}), cannot climb with probability {stuck:.2f}"
+            )
+        narrowed = {
+            key: weighted_deviation(values, weight) / values.std()
+            for key, values in constants.items()
+        }
+        words = ", ".join(f"{key} {ratio:.2f}" for key, ratio in narrowed.items())
+        yield f"    deviation after over before: {words}"
+        open_ = [key for key, ratio in narrowed.items() if ratio > 0.9]
+        yield f"    not determined by these slopes: {', '.join(open_)}"
+
+
+def slope_model(names: tuple[str, ...]) -> ca.Function:
+    """Return normal force with its derivative by the depth, and pull, for constants and slips."""
+    theta = ca.SX.sym("theta", len(names))
+    depth, slip = ca.SX.sym("depth"), ca.SX.sym("slip")
+    values: dict[str, Any] = {name: theta[k] for k, name in enumerate(names)}
+    base = Soil(cohesive_modulus=0.0, shear_along_rate=0.0, shear_across_rate=0.0, density=1620.0)
+    forces = forces_at_slip(replace(base, **values), SLOPE_SIZE, depth, slip, 0.0)
+    stiffness = ca.jacobian(forces.normal, depth)
+    return ca.Function("forces", [theta, depth, slip], [forces.normal, stiffness, forces.pull])
+
+
+def slip_on_slope(model: ca.Function, theta: np.ndarray, degrees: float) -> np.ndarray:
+    """Return the slip ratios with which a wheel climbs a slope, shape (n,); 1 if it cannot."""
+    count, angle = theta.shape[1], np.deg2rad(degrees)
+    load, needed = SLOPE_LOAD * np.cos(angle), SLOPE_LOAD * np.sin(angle)
+    many = np.repeat(theta, SLIPS.size, axis=1)
+    slip = np.tile(SLIPS, count)[None]
+    radius = SLOPE_SIZE.radius
+    low, high = np.zeros_like(slip), np.full_like(slip, radius)
+    depth = np.full_like(slip, 0.1 * radius)
+    for _ in range(14):
+        normal, stiffness, pull = (each.full() for each in model(many, depth, slip))
+        low, high = np.where(normal > load, low, depth), np.where(normal > load, depth, high)
+        new = depth - (normal - load) / stiffness
+        depth = np.where((new > low) & (new < high), new, (low + high) / 2)
+    pull = np.where(depth > 0.999 * radius, -np.inf, pull).reshape(count, SLIPS.size)
+    enough = pull >= needed
+    first = enough.argmax(axis=1)
+    rows, before = np.arange(count), np.maximum(first - 1, 0)
+    a, b = pull[rows, before], pull[rows, first]
+    share = np.where(first > 0, (needed - a) / np.where(b > a, b - a, 1), 0)
+    found = SLIPS[before] + share * (SLIPS[first] - SLIPS[before])
+    return np.where(enough.any(axis=1), found, 1.0)
+
+
+def weighted_quantiles(
+    values: np.ndarray, weight: np.ndarray, levels: tuple[float, ...]
+) -> np.ndarray:
+    """Return quantiles of weighted values."""
+    order = np.argsort(values)
+    share = np.cumsum(weight[order]) / weight.sum()
+    return np.interp(levels, share, values[order])
+
+
+def weighted_deviation(values: np.ndarray, weight: np.ndarray) -> float:
+    """Return the standard deviation of weighted values."""
+    mean = (weight * values).sum() / weight.sum()
+    return float(np.sqrt((weight * (values - mean) ** 2).sum() / weight.sum()))
 
 
 def main() -> None:
@@ -557,14 +599,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--figures", type=Path)
+    parser.add_argument("--wheels", action="store_true", help="only wheels in soil")
     given = parser.parse_args()
     parts: list[Iterator[str]] = [synthetic()]
     if given.folder:
         parts = [
             husky(given.folder, given.figures),
-            *(two_fold(case) for cases in (ishigami, cmu, papers) for case in cases(given.folder)),
+            *(
+                cross_validated(case)
+                for cases in (cmu, ishigami, papers)
+                for case in cases(given.folder)
+            ),
+            slopes(given.folder),
             *parts,
         ]
+    if given.wheels:
+        parts = parts[1:-1]
     for part in parts:
         for line in part:
             print(line, flush=True)

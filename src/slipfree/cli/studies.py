@@ -186,9 +186,9 @@ def fit(
             print_error(f"interrupted; {files[0]} contains the estimates so far")
             raise typer.Exit(INTERRUPTED)
         if lost:
-            unwritten = f"; {write} was not written" if write else ""
+            unwritten = f"; no {fitted.subject} was written" if write else ""
             print_error(
-                f"{file}: expected data that determine all unknowns, found no information on "
+                f"{file}: expected {fitted.data} all unknowns, found no information on "
                 f"{', '.join(lost)}{unwritten}; give priors, fit fewer unknowns, or use "
                 f"{fitted.remedy}"
             )
@@ -212,6 +212,8 @@ class _FitWork(NamedTuple):
 
     inputs: list[Path]
     rows_name: str  # end of the name of the table of windows or points
+    subject: str  # what is fitted
+    data: str
     remedy: str
     solve: Callable[[], _FitResult]
 
@@ -238,7 +240,14 @@ def _log_fit(file: Path, settings: Settings, trust: Trust) -> _FitWork:
             lambda name: fit_plot(name, fitted.calibration),
         )
 
-    return _FitWork(files_read(problem), "windows", "a log with other manoeuvres", solve)
+    return _FitWork(
+        files_read(problem),
+        "windows",
+        "vehicle",
+        "a log that determines",
+        "a log with other manoeuvres",
+        solve,
+    )
 
 
 def _soil_fit(file: Path, settings: Settings, trust: Trust) -> _FitWork:  # noqa: ARG001 - of logs
@@ -260,7 +269,14 @@ def _soil_fit(file: Path, settings: Settings, trust: Trust) -> _FitWork:  # noqa
             lambda name: soil_plot(name, fitted.runs.values, fitted.fit),
         )
 
-    return _FitWork(contents.files, "points", "runs at other slip ratios, angles or loads", solve)
+    return _FitWork(
+        contents.files,
+        "points",
+        "soil",
+        "runs that determine",
+        "runs at other slip ratios, slip angles or loads",
+        solve,
+    )
 
 
 def wheel(
