@@ -267,7 +267,7 @@ class WheelCase(NamedTuple):
 
 PUBLISHED, SINKAGE, SHEAR, BOTH = "published law", "slip sinkage", "coupled shear", "both"
 RATE = 0.5  # deviation of the priors of the constants of slip sinkage, whose mean is zero
-FOLDINGS = 2  # random partitions of the runs
+FOLDINGS = 1  # random partitions of the runs
 
 
 def variants(case: WheelCase) -> Iterator[tuple[str, Soil, list[Unknown]]]:
@@ -485,8 +485,8 @@ def simulant(row: dict[str, str], width: float) -> Soil:
 SLOPE_LOAD, SLOPE_SIZE = 17.5 * 9.81, WheelSize(0.225, 0.2)  # the width is an assumption [N], [m]
 PREDICTED_SLOPES = (15.0, 20.0, 25.0)  # [deg]
 SLIP_DEVIATION = 0.02  # of a measured slip ratio: digitising and repeats
-SLIPS = np.concatenate([np.linspace(-0.04, 0.4, 23), np.linspace(0.43, 0.99, 15)])
-SAMPLES = 6000  # of the prior
+SLIPS = np.concatenate([np.linspace(-0.04, 0.4, 15), np.linspace(0.46, 0.98, 8)])
+SAMPLES = 4000  # of the prior
 PRIORS: dict[str, Callable[[Any, int], np.ndarray]] = {  # about the constants of GRC-1
     "cohesion": lambda rng, n: 250.0 * np.exp(rng.normal(0, 0.5, n)),
     "friction_angle": lambda rng, n: np.deg2rad(np.clip(rng.normal(38, 4, n), 20, 50)),
@@ -564,7 +564,7 @@ def slip_on_slope(model: ca.Function, theta: np.ndarray, degrees: float) -> np.n
     radius = SLOPE_SIZE.radius
     low, high = np.zeros_like(slip), np.full_like(slip, radius)
     depth = np.full_like(slip, 0.1 * radius)
-    for _ in range(14):
+    for _ in range(10):
         normal, stiffness, pull = (each.full() for each in model(many, depth, slip))
         low, high = np.where(normal > load, low, depth), np.where(normal > load, depth, high)
         new = depth - (normal - load) / stiffness
