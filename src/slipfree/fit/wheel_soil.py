@@ -36,7 +36,8 @@ from slipfree.system.interrupt import check_interrupt, interrupt_requested
 from slipfree.vehicle.tree import EARTH_GRAVITY
 
 QUANTITIES = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
-REWEIGHTINGS = 3  # estimates, each with the deviations of the residuals of the one before
+FIRST_SHARE = 0.3  # of the variation of a quantity, as deviation of residuals in the first estimate
+REWEIGHTINGS = 4  # estimates, each with the deviations of the residuals of the one before
 SAME_MOTION = 0.05  # largest difference of the speeds of repeats, over the largest speed
 SMALLEST = 1e-9  # deviation of a quantity that is not measured, or fitted exactly
 TOLERANCE = 1e-7  # of searches
@@ -351,8 +352,12 @@ class SoilProblem:
     def solve(self, runs: WheelRuns, start: Array) -> tuple[Array, Array, bool]:
         """Return estimates, deviations of the quantities, and whether the last search converged."""
         values, converged = np.clip(start, *self._bounds), False
-        for _ in range(REWEIGHTINGS):
-            deviations = self._deviations(self.predict(runs, values)[0] - runs.values)
+        # not the residuals of the nominal constants: a quantity far off would keep a small weight
+        mean = np.nanmean(np.where(np.isfinite(runs.values).any(axis=0), runs.values, 0), axis=0)
+        deviations = self._deviations(FIRST_SHARE * (runs.values - mean))
+        for k in range(REWEIGHTINGS):
+            if k:
+                deviations = self._deviations(self.predict(runs, values)[0] - runs.values)
             result = self.search(runs, values, deviations)
             values, converged = np.asarray(result.x), bool(result.status)
         return values, deviations, converged

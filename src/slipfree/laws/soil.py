@@ -22,7 +22,7 @@ Hanamoto). Shear deformation moduli grow with the slip angle (Ishigami):
 - Normal force ``r b int(sigma cos + tau_x sin)``, drawbar pull ``r b int(tau_x cos - sigma sin)``,
   side force ``int(r b tau_y + R_b (r - h' cos))`` and resistance torque ``r r_s b int(tau_x)`` (8).
 
-Two additions, which wheel tests support (`docs/measured.md`), are off by default:
+Two additions, which wheel tests support (`docs/measured_wheels.md`), are off by default:
 
 - Slip sinkage: ``n`` grows by ``n_s s+ + n_k q`` (9), where ``s+`` is the slip ratio of a driven
   wheel (Ding et al., J. Field Robotics 32(6), 2015: ``n_0 + n_1 s``), and the skid ratio
