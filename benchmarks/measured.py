@@ -1,7 +1,7 @@
 """Measurements: a robot's log, wheels in soil, and fits of known truth.
 
 ``python benchmarks measured FOLDER [--figures DIR]`` reads public data that are not part of the
-project (sources: docs/measured.md):
+project (sources: docs/measured.md, docs/measured_wheels.md):
 
 - ``drive/husky_long.csv.gz``: windows of 2 s of a Husky, wheel rates and poses of a lidar;
 - ``single_wheel/cmu_smooth.csv``: a smooth wheel in sand;
@@ -381,9 +381,6 @@ def cmu(folder: Path) -> Iterator[WheelCase]:
     }
     size = WheelSize(0.058, 0.05)
     yield WheelCase("CMU smooth wheel, sand", runs, size, tuned, priors, 2, regions)
-    rest = {name: rows[~steep] for name, rows in regions.items() if name != "90 deg"}
-    words = "CMU smooth wheel, sand, without 90 deg (sunk to its axle)"
-    yield WheelCase(words, runs.take(~steep), size, tuned, priors, 2, rest)
 
 
 def ishigami(folder: Path) -> Iterator[WheelCase]:
