@@ -381,6 +381,9 @@ def cmu(folder: Path) -> Iterator[WheelCase]:
     }
     size = WheelSize(0.058, 0.05)
     yield WheelCase("CMU smooth wheel, sand", runs, size, tuned, priors, 2, regions)
+    few = regions["driven, up to 45 deg"]
+    words = "CMU smooth wheel, sand, fitted only where driven, up to 45 deg"
+    yield WheelCase(words, runs.take(few), size, tuned, priors, 2, {"all": few[few]})
 
 
 def ishigami(folder: Path) -> Iterator[WheelCase]:
