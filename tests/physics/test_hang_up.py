@@ -141,14 +141,18 @@ def crest_height(radius, gravity, bearing):
 
 
 @pytest.mark.parametrize("gravity", [EARTH, MOON])
-@pytest.mark.parametrize("make", [direct_kinematics, dynamics])
-def test_the_breakover_of_a_crest_has_its_closed_form(make, gravity):
-    """The clearance over the top, which is zero at a radius near that of rigid wheels."""
+@pytest.mark.parametrize(
+    ("make", "share"),
+    [(dynamics, 2e-4), (direct_kinematics, 1e-2)],  # the law of the load is smoother in the second
+)
+def test_the_breakover_of_a_crest_has_its_closed_form(make, share, gravity):
+    """The clearance over the top up to a share of the depth, and the radius at which it is zero."""
     first = brentq(lambda r: crest_height(r, gravity, False) - BELLY, LEAST, 2 * LEAST)
+    depth = MASS * gravity / AXLE / 2
     for radius in (first + 1e-4, 1.0, 3.0):
         start = settle(model_of(FLAT_BELLY, crest(radius), gravity, make))
         clearance = crest_height(radius, gravity, False) - BELLY
-        assert start["clearance_body"][0] == pytest.approx(clearance, abs=1e-7)
+        assert start["clearance_body"][0] == pytest.approx(clearance, abs=share * depth)
     assert first == pytest.approx(LEAST, rel=0.02)
     with pytest.raises(ModelError, match="the platform touches the ground"):
         settle(model_of(FLAT_BELLY, crest(first - 1e-4), gravity, make))
