@@ -81,7 +81,7 @@ def drawn_obstacle(kind: str, radius: float, rng: Any) -> Ground:
         return drawn_ground("rough", radius, rng)
     constant, angle = float(rng.uniform(0.4, 1.0)), rng.uniform(-0.5, 0.5)
     sine, cosine = np.sin(angle), np.cos(angle)
-    curvature = rng.uniform(0.3, 0.8) / radius
+    curvature = rng.uniform(0.2, 0.5) / radius
 
     def mu(x: Any, y: Any) -> Any:
         return constant + 0 * (x + y)
@@ -100,11 +100,13 @@ def drawn_obstacle(kind: str, radius: float, rng: Any) -> Ground:
         return Ground(ridge, mu)
     if kind == "bank":  # a slope that begins beside the vehicle
         rise = np.tan(np.deg2rad(rng.uniform(40, 60)))
-        edge, side = rise / 4 / curvature, abs(sine)
-        return Ground(
-            lambda x, y: rise * edge * ca.log1p(ca.exp((cosine * x + side * y) / edge - 2)),
-            lambda x, y: 1.2 * mu(x, y),
-        )
+        edge, side = rise / 2 / curvature, abs(sine)
+
+        def bank(x: Any, y: Any) -> Any:
+            aside = cosine * x + side * y - 0.5
+            return rise / 2 * (aside + ca.sqrt(aside**2 + edge**2))
+
+        return Ground(bank, lambda x, y: 1.2 * mu(x, y))
     drop = rng.uniform(0.3, 1.5)
     edge = np.sqrt(0.39 * drop / curvature)
     return Ground(
