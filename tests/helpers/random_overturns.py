@@ -15,9 +15,9 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.models.dynamics import dynamics
 from slipfree.vehicle.shapes import Box
 
-SHAPES = {  # of the platforms; their lower faces are near the axles
-    "skid_steer": Box((0.3, 0.7, 0.3), (0.0, 0.0, 0.15)),
-    "rocky7": Box((0.26, 0.4, 0.2), (0.0, 0.1, 0.15)),
+SHAPES = {  # edges and centre of the platforms; their lower faces are lowered
+    "skid_steer": ((0.3, 0.7, 0.3), (0.0, 0.0, 0.15)),
+    "rocky7": ((0.26, 0.4, 0.2), (0.0, 0.1, 0.15)),
 }
 GROUNDS = ("ridge", "bank", "cliff", "rough")
 FINITE = ("x", "y", "z", "body_load", "kinetic_energy", "contact_energy", "lost_energy")
@@ -38,10 +38,13 @@ def draw(index: int) -> Overturn:
     rng = np.random.default_rng([21, index])
     name, ground = str(rng.choice([*SHAPES])), GROUNDS[index % len(GROUNDS)]
     vehicle = getattr(catalog, name)()
-    body = replace(vehicle.body, shapes=(SHAPES[name],))
+    radius = max(wheel.radius for wheel in vehicle.wheels)
+    size, (x, y, z) = SHAPES[name]
+    box = Box(size, (x, y, z - float(rng.uniform(0, 0.7)) * radius))
+    body = replace(vehicle.body, shapes=(box,))
     if ground == "bank":  # with a load on top
         x, y, z = body.at
-        body = replace(body, at=(x, y, z + float(rng.uniform(0.1, 0.3))))
+        body = replace(body, at=(x, y, z + float(rng.uniform(0.2, 0.5))))
     vehicle = replace(vehicle, body=body)
     speed = float(np.exp(rng.uniform(np.log(0.5), np.log(3.0))))
     turn, inputs = rng.uniform(-0.1, 0.1), dict[str, float]()
@@ -51,7 +54,7 @@ def draw(index: int) -> Overturn:
         if c.kind == "commanded":
             inputs[f"{c.name}_rate"] = 0.0
     fall = dict[str, float]()
-    if ground == "rough":
+    if ground == "rough":  # in the air
         attitude = rng.standard_normal(4)
         attitude /= np.linalg.norm(attitude)
         fall = dict(zip((f"attitude_{k}" for k in "wxyz"), attitude.tolist(), strict=True))
@@ -62,7 +65,7 @@ def draw(index: int) -> Overturn:
     return Overturn(
         f"{index}: {name}, {ground}, {speed:.3g} m/s",
         vehicle,
-        drawn_obstacle(ground, max(wheel.radius for wheel in vehicle.wheels), rng),
+        drawn_obstacle(ground, radius, rng),
         speed,
         float(rng.uniform(-0.15, 0.15)),
         inputs,
@@ -99,7 +102,7 @@ def drawn_obstacle(kind: str, radius: float, rng: Any) -> Ground:
 
         return Ground(ridge, mu)
     if kind == "bank":  # a slope that begins beside the vehicle
-        rise = np.tan(np.deg2rad(rng.uniform(40, 60)))
+        rise = np.tan(np.deg2rad(rng.uniform(45, 70)))
         edge, side = rise / 2 / curvature, abs(sine)
 
         def bank(x: Any, y: Any) -> Any:
