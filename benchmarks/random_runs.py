@@ -6,9 +6,10 @@ time limit, and prints their outcomes. Every failure is listed with its seed: a 
 another exception, a warning, a refusal without a cause, or a run that violates a law of geometry.
 ``--seed 17`` prints one case; ``--set ground=flat tolerance=1e-6`` changes it, to isolate a cause.
 
-``python benchmarks random_runs climbs`` (or ``drives``) ``[--count N]`` runs 200 climbs (300 drives
-with inertia) of `tests/helpers`, and prints how many end in each way, the largest error of the
-energy balance over its bound, and every run that is unfinished or fails. Every twentieth drive is
+``python benchmarks random_runs climbs`` (or ``drives``, ``overturns``) ``[--count N]`` runs 200
+climbs (300 drives with inertia, 100 hang-ups and roll-overs of vehicles whose bodies bear load) of
+`tests/helpers`, and prints how many end in each way, the largest error of the energy balance over
+its bound, the longest run, and every run that is unfinished or fails. Every twentieth drive is
 compared with its mirror image and with the drive turned by 90 degrees, over ten times the
 tolerance. ``--seed 17`` prints one.
 
@@ -51,7 +52,7 @@ import numpy as np
 import psutil
 from common import PROBLEMS, apart
 
-from helpers import random_climbs, random_dynamics
+from helpers import random_climbs, random_dynamics, random_overturns
 from helpers.fuzz_files import SIDE, bases, document
 from helpers.random_cases import Outcome, draw, outcome
 from slipfree import Bicubic, SolverOptions, catalog, direct_kinematics, rollouts
@@ -83,6 +84,7 @@ COUNT, WORKERS, PATIENCE = 500, 2, 60.0  # random problems; processes; time for 
 RUNS_OF: dict[str, tuple[ModuleType, int]] = {
     "climbs": (random_climbs, 200),
     "drives": (random_dynamics, 300),
+    "overturns": (random_overturns, 100),
 }
 MIRRORED = 20  # interval of the drives that are mirrored and turned
 
@@ -142,17 +144,19 @@ def table(found: list[dict[str, Any]]) -> None:
 def endings(kind: str, count: int) -> None:
     """Print the endings of runs of a kind."""
     runs = RUNS_OF[kind][0]
-    begin, kinds, worst = time.process_time(), Counter[str](), (0.0, "")
+    begin, kinds, worst, longest = time.process_time(), Counter[str](), (0.0, ""), (0.0, "")
     for index in range(count):
-        case = runs.draw(index)
+        case, start = runs.draw(index), time.process_time()
         found = runs.ending(case)
         kinds[found.kind] += 1
         worst = max(worst, (found.ledger, case.words))
-        if found.kind in ("unfinished", "failure") or not found.ledger < 1:
+        longest = max(longest, (time.process_time() - start, case.words))
+        if found.kind in ("unfinished", "failure", "not finite") or not found.ledger < 1:
             print(f"  {case.words}: {found.kind}, {found.words}, {found.ledger:.2g}", flush=True)
     counts = ", ".join(f"{name} {times}" for name, times in kinds.most_common())
     print(f"{count} {kind}, {time.process_time() - begin:.0f} s of CPU: {counts}")
     print(f"  error of the energy balance at most {worst[0]:.2g} of its bound: {worst[1]}")
+    print(f"  longest run {longest[0]:.1f} s of CPU: {longest[1]}")
 
 
 def views(count: int) -> None:

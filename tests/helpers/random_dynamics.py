@@ -206,7 +206,7 @@ class Ending(NamedTuple):
     ledger: float = 0.0
 
 
-def ending(case: Case) -> Ending:
+def ending(case: Case, run: Callable[[Any], Trajectory] = run) -> Ending:
     """Return how the run of a case ends."""
     try:
         motion = run(case)

@@ -2,6 +2,7 @@
 
 Energy balances within 100 x tolerance; mirror images and turned runs agree. ``python
 benchmarks random_runs drives`` does this for 300; here every vehicle, drive and ground is drawn.
+``python benchmarks random_runs overturns`` runs 100 hang-ups and roll-overs.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from helpers import random_overturns
 from helpers.random_dynamics import (
     GROUNDS,
     TOLERANCE,
@@ -23,6 +25,8 @@ from helpers.random_dynamics import (
 pytestmark = pytest.mark.slow
 
 DRAWN = (0, 1, 3, 5, 16, 20, 26, 139)
+OVERTURNED = (0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 13)
+ENDS = {"upright", "upright, body on the ground", "on its side", "on its roof, body on the ground"}
 
 
 def test_every_vehicle_drive_and_ground_is_drawn():
@@ -53,3 +57,15 @@ def test_energy_balances_at_any_tolerance():
 def test_mirrored_and_turned_runs_agree(index, view):
     """Until a wheel leaves the ground or slides; rounding is all that differs."""
     assert difference(draw(index), view) < 10 * TOLERANCE
+
+
+def test_hang_ups_and_roll_overs_end_as_they_should():
+    """A run ends at a limit, or with the vehicle upright, on its side or roof; energy balances."""
+    kinds = set()
+    for index in OVERTURNED:
+        case = random_overturns.draw(index)
+        found = random_overturns.ending(case)
+        kinds.add(found.kind)
+        assert found.kind not in ("failure", "unfinished", "not finite"), (case.words, found)
+        assert found.ledger < 1, (case.words, found)
+    assert kinds >= ENDS, kinds
