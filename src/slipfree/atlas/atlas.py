@@ -352,7 +352,9 @@ def tile_of(
         for k in range(0, places.shape[1], CHUNK)
     ]
     shape = heading.size, x.size, y.size
-    return {name: np.concatenate([p[name] for p in parts]).reshape(shape) for name in parts[0]}
+    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    with np.errstate(over="ignore"):  # a wheel without load uses any multiple of its friction
+        return {name: each.reshape(shape).astype(np.float32) for name, each in whole.items()}
 
 
 def _bands(
