@@ -17,9 +17,19 @@ from pathlib import Path
 
 import numpy as np
 
-from slipfree.fit.ground_fit import FITTED, Kind, Score, by_logs, judge, rms
-from slipfree.fit.ground_motion import MODELS, DriveLog, Slopes
+from slipfree.fit.ground_fit import (
+    FITTED,
+    Kind,
+    Score,
+    by_logs,
+    fit_ground,
+    fit_on_uncertain_map,
+    judge,
+    rms,
+)
+from slipfree.fit.ground_motion import MODELS, DriveLog, GroundPredictor, Slopes, windows_of
 from slipfree.terrain.base import Grid
+from slipfree.terrain.grid_ops import disturbed
 
 DT = 0.1  # between samples [s]
 DELAY = 2  # from a command to the drives, in samples
@@ -27,6 +37,9 @@ UNIT, LEVER = 0.0217, 0.12  # [m/s] of a unit of the drives; units of an angular
 LIMIT = 90.0  # of a side's command [%]
 SMOOTHING, SHIFT = 1.5, (-1.5, 1.0)  # of the map [m]
 GAP, CHORD_ERROR, STATED = 1.5, 0.25, 0.1  # of good positions [s, m/s, m]
+MADE = 16  # synthetic logs
+FURTHER = 4  # maps with further errors
+TRUE = {"scale": 1.02, "track": 0.7, "drift": 0.02, "slip_slope": 0.2, "turn_slope": 2.0}
 Scores = dict[str, dict[Kind, Score]]
 KINDS = {FITTED: "5 m of path", (20.0, 0.0): "20 m of path", (0.0, 5.0): "5 s"}
 
@@ -106,14 +119,95 @@ def read_logs(folder: Path, origin: np.ndarray) -> list[DriveLog]:
     return [log for log in logs if log is not None]
 
 
+def made_logs(rng: np.random.Generator, slopes: Slopes) -> list[DriveLog]:
+    """Return logs of a robot with the constants `TRUE` on a synthetic hillside, without errors."""
+    count, dt, fine = 400, 0.2, 10
+    place, heading = rng.uniform(-12, 12, (MADE, 2)), rng.uniform(-3, 3, MADE)
+    sides, path = np.empty((count, MADE, 2)), np.empty((count, MADE, 2))
+    for k in range(count):
+        if k % 15 == 0:  # a new command every three seconds; back to the middle from 20 m
+            z = place @ [1, 1j]
+            away = np.sign(np.angle(-z * np.exp(-1j * heading))) * (np.abs(z) > 20)
+            turn = rng.normal(0, 0.06, MADE) + 0.08 * away
+        sides[k], path[k] = np.column_stack([0.5 - turn / 2, 0.5 + turn / 2]), place
+        for _ in range(fine):
+            up, tilt = slopes.tilt(place, heading)
+            v, _, yaw = MODELS["slope"].step(TRUE, *sides[k].T, up, tilt, None)
+            middle = heading + yaw * dt / fine / 2
+            ahead = np.column_stack([np.cos(middle), np.sin(middle)])
+            place = place + (v * np.sqrt(1 - up**2) * dt / fine)[:, None] * ahead
+            heading = heading + yaw * dt / fine
+    velocity, sure = np.gradient(path, dt, axis=0), np.ones(count)
+    return [
+        DriveLog(
+            str(k),
+            "made",
+            dt,
+            path[:, k],
+            velocity[:, k],
+            np.hypot(*velocity[:, k].T),
+            sure > 0,
+            sure,
+            sides[:, k],
+        )
+        for k in range(MADE)
+    ]
+
+
+def synthetic(draws: int) -> Iterator[str]:
+    """Yield bias and coverage of fits of synthetic logs, on the true map and on wrong ones."""
+    axis = np.arange(-40.0, 41.0)
+    x, y = np.meshgrid(axis, axis, indexing="ij")
+    hill = Grid(axis, axis, 2.5 * np.sin(x / 9) * np.cos(y / 11) + 0.05 * x)
+    for error, count in ((0.0, draws), (0.1, max(draws // 5, 2))):
+        found = []
+        for draw in range(count):
+            rng = np.random.default_rng(draw)
+            logs = made_logs(rng, Slopes(hill, 0.0))
+            seen = [
+                log._replace(place=log.place + rng.normal(0, 0.02, log.place.shape)) for log in logs
+            ]
+            windows = windows_of(logs, 5.0)
+            if not error:
+                predict = GroundPredictor(seen, windows, Slopes(hill, 0.0))
+                found.append(fit_ground(MODELS["slope"], predict))
+                continue
+            grid = disturbed(hill, error, 3.0, draw)
+            more = [
+                Slopes(disturbed(grid, error, 3.0, count + FURTHER * draw + k), 0.0)
+                for k in range(FURTHER)
+            ]
+            maps = Slopes(grid, 0.0), more
+            found.append(fit_on_uncertain_map(MODELS["slope"], seen, windows, maps))
+        yield (
+            f"{count} draws, about {len(windows.log)} windows of {MADE} logs, positions to 20 mm, map "
+            f"to {error:g} m: bias, deviation, stated, coverage of 95 %"
+        )
+        for name, true in TRUE.items():
+            values = np.array([each.values[name] for each in found])
+            ends = np.array([each.intervals[name] for each in found])
+            inside = np.mean((ends[:, 0] <= true) & (true <= ends[:, 1]))
+            stated = np.mean([each.deviation[name] for each in found])
+            yield (
+                f"  {name:11} truth {true:5.3f}, bias {values.mean() - true:+.1e} (standard error "
+                f"{values.std(ddof=1) / np.sqrt(count):.1e}), deviation {values.std(ddof=1):.2e}, "
+                f"stated {stated:.2e}, coverage {100 * inside:.1f} %"
+            )
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--judge", type=Path)
     parser.add_argument("--figures", type=Path)
+    parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--models", nargs="+", choices=MODELS, default=list(MODELS))
     given = parser.parse_args()
+    if given.folder is None:
+        for line in synthetic(given.draws):
+            print(line, flush=True)
+        return
     folder = given.folder
     heights = np.loadtxt(next(folder.glob("*DEM.csv"))).T
     origin = np.loadtxt(next(folder.glob("*Offset.csv")))

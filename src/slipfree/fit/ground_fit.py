@@ -119,6 +119,34 @@ def fit_ground(model: MotionModel, predict: GroundPredictor, where: str = "the l
     )
 
 
+def fit_on_uncertain_map(
+    model: MotionModel,
+    logs: Sequence[DriveLog],
+    windows: PathWindows,
+    maps: tuple[Slopes, Sequence[Slopes]],
+) -> GroundFit:
+    """Fit the constants of a model over a map with errors of a known size.
+
+    Errors of a map attenuate the influence of its slopes. ``maps`` are the map and the same with
+    further errors of this size: what these change is subtracted (simulation extrapolation; Cook and
+    Stefanski, J. Am. Stat. Assoc. 89, 1994), and their spread is added to the deviations.
+    """
+    given, others = maps
+    fitted = fit_ground(model, GroundPredictor(logs, windows, given))
+    again = [fit_ground(model, GroundPredictor(logs, windows, each)).values for each in others]
+    values, deviation, intervals = {}, {}, {}
+    for name, value in fitted.values.items():
+        drawn = np.array([each[name] for each in again])
+        values[name] = 2 * value - float(drawn.mean())
+        deviation[name] = float(np.hypot(fitted.deviation[name], drawn.std(ddof=1)))
+        low, high = fitted.intervals[name]
+        ratio = deviation[name] / fitted.deviation[name] if fitted.deviation[name] else 0.0
+        half = (high - low) / 2 * ratio
+        intervals[name] = values[name] - half, values[name] + half
+    errors = GroundPredictor(logs, windows, given)(model, values)
+    return GroundFit(fitted.names, values, deviation, intervals, errors)
+
+
 def _covariance(missed: Array, slopes: Array, log: Array, free: Mask) -> Array:
     """Return the sandwich covariance in units of the sizes; infinite if undetermined."""
     slopes = slopes[..., free]
