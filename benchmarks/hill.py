@@ -22,12 +22,11 @@ from slipfree.fit.ground_fit import (
     Kind,
     Score,
     by_logs,
-    fit_ground,
     fit_on_uncertain_map,
     judge,
     rms,
 )
-from slipfree.fit.ground_motion import MODELS, DriveLog, GroundPredictor, Slopes, windows_of
+from slipfree.fit.ground_motion import MODELS, DriveLog, Slopes, windows_of
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import disturbed
 
@@ -168,20 +167,16 @@ def synthetic(draws: int) -> Iterator[str]:
                 log._replace(place=log.place + rng.normal(0, 0.02, log.place.shape)) for log in logs
             ]
             windows = windows_of(logs, 5.0)
-            if not error:
-                predict = GroundPredictor(seen, windows, Slopes(hill, 0.0))
-                found.append(fit_ground(MODELS["slope"], predict))
-                continue
-            grid = disturbed(hill, error, 3.0, draw)
+            grid = disturbed(hill, error, 3.0, draw) if error else hill
             more = [
                 Slopes(disturbed(grid, error, 3.0, count + FURTHER * draw + k), 0.0)
-                for k in range(FURTHER)
+                for k in range(FURTHER if error else 0)
             ]
             maps = Slopes(grid, 0.0), more
             found.append(fit_on_uncertain_map(MODELS["slope"], seen, windows, maps))
         yield (
-            f"{count} draws, about {len(windows.log)} windows of {MADE} logs, positions to 20 mm, map "
-            f"to {error:g} m: bias, deviation, stated, coverage of 95 %"
+            f"{count} draws, about {len(windows.log)} windows of {MADE} logs, positions to 20 mm, "
+            f"map to {error:g} m: bias, deviation, stated, coverage of 95 %"
         )
         for name, true in TRUE.items():
             values = np.array([each.values[name] for each in found])

@@ -33,6 +33,7 @@ from slipfree.cli.common import (
 )
 from slipfree.cli.new import write_new_file
 from slipfree.cli.outputs import check_outputs, default_table, save, stop_json
+from slipfree.core.errors import ModelError
 from slipfree.system.interrupt import held_interrupt, interrupt_requested
 from slipfree.system.regular_files import regular_file
 
@@ -142,10 +143,23 @@ def fit(
     force: Annotated[
         bool, typer.Option("--force", help="Replace an existing vehicle file.")
     ] = False,
+    predict: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--predict",
+            metavar="LOG",
+            help="Another log, to be predicted with constants that are fitted to all logs of the "
+            "file, for verb = 'fit-over-map'; may be repeated. By default, the logs of each folder "
+            "are predicted with constants that are fitted to the others.",
+        ),
+    ] = None,
     draw: Draw = True,
     trust: Trust = None,
 ) -> None:
     """Fit numbers of a vehicle and of a law to a log of wheel rates and poses.
+
+    With verb = 'fit-over-map', fit models of a skid-steered vehicle to logs of commands and
+    positions over a map, and print the errors of their predictions on logs that were left out.
 
     Print the estimates with 95 % intervals, the combinations of unknowns that the log does not
     determine, and the errors of predictions over windows that were not used for the fit. If the log
@@ -165,8 +179,16 @@ def fit(
         from slipfree.problem.verbs.fit import fit as solve
 
         problem: Any = read_problem(file, settings, trust, "fit")
-        inputs = files_read(problem)
+        inputs = [*files_read(problem), *(predict or [])]
         table = out or default_table(file, "fit", inputs)
+        if problem.spec.verb == "fit-over-map":
+            _fit_over_map(problem, predict or [], inputs, table, draw)
+            return
+        if predict:
+            raise ModelError(
+                f"{file}: expected verb = 'fit-over-map' for --predict, found verb = 'fit'; omit "
+                "--predict: windows that are not used for the fit are predicted"
+            )
         others = table.with_name(f"{table.stem}_windows.csv")
         picture = table.with_suffix(".png") if draw else None
         check_outputs([table, others, picture, write], inputs)
@@ -199,6 +221,26 @@ def fit(
                 "fewer unknowns, or use a log with other manoeuvres"
             )
             raise typer.Exit(STOPPED)
+
+
+def _fit_over_map(
+    problem: Any, predict: list[Path], inputs: Sequence[Path], table: Path, draw: bool
+) -> None:
+    """Fit models over a map, print their errors, and write table and figure."""
+    from slipfree.files.tables import write_rows
+    from slipfree.problem.verbs.fit_over_map import error_rows, facts, fit_over_map
+    from slipfree.show.fit_figures import ground_plot
+
+    picture = table.with_suffix(".png") if draw else None
+    check_outputs([table, picture], list(inputs))
+    scores, fits = fit_over_map(problem, predict)
+    rows = error_rows(scores)
+    files = [save(table, lambda path: write_rows(path, *rows))]
+    print_facts(facts(scores, fits))
+    add_json("errors", lambda: [dict(zip(rows[0], row, strict=True)) for row in rows[1]])
+    if picture is not None:
+        files += _draw([ground_plot(picture.stem, scores)], picture.parent)
+    print_line(f"wrote {' and '.join(map(str, files))}")
 
 
 def wheel(

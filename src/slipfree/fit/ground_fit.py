@@ -124,6 +124,7 @@ def fit_on_uncertain_map(
     logs: Sequence[DriveLog],
     windows: PathWindows,
     maps: tuple[Slopes, Sequence[Slopes]],
+    where: str = "the logs",
 ) -> GroundFit:
     """Fit the constants of a model over a map with errors of a known size.
 
@@ -132,8 +133,12 @@ def fit_on_uncertain_map(
     Stefanski, J. Am. Stat. Assoc. 89, 1994), and their spread is added to the deviations.
     """
     given, others = maps
-    fitted = fit_ground(model, GroundPredictor(logs, windows, given))
-    again = [fit_ground(model, GroundPredictor(logs, windows, each)).values for each in others]
+    fitted = fit_ground(model, GroundPredictor(logs, windows, given), where)
+    if not others:
+        return fitted
+    again = [
+        fit_ground(model, GroundPredictor(logs, windows, each), where).values for each in others
+    ]
     values, deviation, intervals = {}, {}, {}
     for name, value in fitted.values.items():
         drawn = np.array([each[name] for each in again])
@@ -199,10 +204,12 @@ def judge(
     models: Mapping[str, MotionModel],
     kinds: Sequence[Kind] = (FITTED, (20.0, 0.0), (0.0, 5.0)),
     others: Sequence[DriveLog] = (),
+    further: Sequence[Slopes] = (),
 ) -> tuple[dict[str, dict[Kind, Score]], dict[str, list[GroundFit]]]:
     """Predict each group of logs with constants fitted to the other groups.
 
-    With ``others``, these are predicted with constants fitted to all ``logs``.
+    With ``others``, these are predicted with constants fitted to all ``logs``. ``further`` are the
+    slopes of the map with further errors, for `fit_on_uncertain_map`.
     """
     windows = {kind: windows_of(logs, *kind) for kind in {*kinds, FITTED}}
     test = {kind: windows_of(others, *kind) for kind in kinds} if others else windows
@@ -220,8 +227,8 @@ def judge(
             def of(kind: Kind, out: str = fold) -> PathWindows:
                 return windows[kind].take(group[windows[kind].log] != out)
 
-            predict = GroundPredictor(logs, of(FITTED), slopes)
-            fitted = fit_ground(model, predict, f"the logs without {fold}" if fold else "the logs")
+            where = f"the logs without {fold}" if fold else "the logs"
+            fitted = fit_on_uncertain_map(model, logs, of(FITTED), (slopes, further), where)
             fits[name].append(fitted)
             for kind in kinds:
                 seen = GroundPredictor(logs, of(kind), slopes)(model, fitted.values)
