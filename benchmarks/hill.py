@@ -196,6 +196,7 @@ def main() -> None:
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--judge", type=Path)
     parser.add_argument("--figures", type=Path)
+    parser.add_argument("--from-positions", action="store_true", help="courses from positions only")
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--models", nargs="+", choices=MODELS, default=list(MODELS))
     given = parser.parse_args()
@@ -211,7 +212,13 @@ def main() -> None:
     logs = read_logs(folder, origin)
     others = read_logs(given.judge, origin) if given.judge else []
     began = time.perf_counter()
-    scores, fits = judge(logs, slopes, {name: MODELS[name] for name in given.models}, others=others)
+    scores, fits = judge(
+        logs,
+        slopes,
+        {name: MODELS[name] for name in given.models},
+        others=others,
+        from_positions=given.from_positions,
+    )
     print(f"{len(logs)} logs, {time.perf_counter() - began:.0f} s")
     for part in (errors_of, against, slips_of):
         for line in part(scores):
@@ -254,6 +261,8 @@ def errors_of(scores: Scores) -> Iterator[str]:
 def against(scores: Scores, other: str = "icr") -> Iterator[str]:
     """Yield the position errors of all models relative to those of another one."""
     for name in scores if other in scores else ():
+        if name == other:
+            continue
         for kind, words in KINDS.items():
             squares = np.column_stack([scores[k][kind].errors.position ** 2 for k in (name, other)])
 

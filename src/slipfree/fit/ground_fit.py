@@ -125,6 +125,7 @@ def fit_on_uncertain_map(
     windows: PathWindows,
     maps: tuple[Slopes, Sequence[Slopes]],
     where: str = "the logs",
+    from_positions: bool = False,
 ) -> GroundFit:
     """Fit the constants of a model over a map with errors of a known size.
 
@@ -133,11 +134,12 @@ def fit_on_uncertain_map(
     Stefanski, J. Am. Stat. Assoc. 89, 1994), and their spread is added to the deviations.
     """
     given, others = maps
-    fitted = fit_ground(model, GroundPredictor(logs, windows, given), where)
+    fitted = fit_ground(model, GroundPredictor(logs, windows, given, from_positions), where)
     if not others:
         return fitted
     again = [
-        fit_ground(model, GroundPredictor(logs, windows, each), where).values for each in others
+        fit_ground(model, GroundPredictor(logs, windows, each, from_positions), where).values
+        for each in others
     ]
     values, deviation, intervals = {}, {}, {}
     for name, value in fitted.values.items():
@@ -148,7 +150,7 @@ def fit_on_uncertain_map(
         ratio = deviation[name] / fitted.deviation[name] if fitted.deviation[name] else 0.0
         half = (high - low) / 2 * ratio
         intervals[name] = values[name] - half, values[name] + half
-    errors = GroundPredictor(logs, windows, given)(model, values)
+    errors = GroundPredictor(logs, windows, given, from_positions)(model, values)
     return GroundFit(fitted.names, values, deviation, intervals, errors)
 
 
@@ -205,11 +207,13 @@ def judge(
     kinds: Sequence[Kind] = (FITTED, (20.0, 0.0), (0.0, 5.0)),
     others: Sequence[DriveLog] = (),
     further: Sequence[Slopes] = (),
+    from_positions: bool = False,
 ) -> tuple[dict[str, dict[Kind, Score]], dict[str, list[GroundFit]]]:
     """Predict each group of logs with constants fitted to the other groups.
 
     With ``others``, these are predicted with constants fitted to all ``logs``. ``further`` are the
-    slopes of the map with further errors, for `fit_on_uncertain_map`.
+    slopes of the map with further errors, for `fit_on_uncertain_map`; ``from_positions`` is
+    that of `GroundPredictor`.
     """
     windows = {kind: windows_of(logs, *kind) for kind in {*kinds, FITTED}}
     test = {kind: windows_of(others, *kind) for kind in kinds} if others else windows
@@ -228,12 +232,16 @@ def judge(
                 return windows[kind].take(group[windows[kind].log] != out)
 
             where = f"the logs without {fold}" if fold else "the logs"
-            fitted = fit_on_uncertain_map(model, logs, of(FITTED), (slopes, further), where)
+            fitted = fit_on_uncertain_map(
+                model, logs, of(FITTED), (slopes, further), where, from_positions
+            )
             fits[name].append(fitted)
             for kind in kinds:
-                seen = GroundPredictor(logs, of(kind), slopes)(model, fitted.values)
+                seen = GroundPredictor(logs, of(kind), slopes, from_positions)(model, fitted.values)
                 own = test[kind] if others else test[kind].take(group[test[kind].log] == fold)
-                errors = GroundPredictor(others or logs, own, slopes)(model, fitted.values)
+                errors = GroundPredictor(others or logs, own, slopes, from_positions)(
+                    model, fitted.values
+                )
                 reach = np.array([conformal(each) for each in seen[:3]])
                 blocks[kind].append((errors, own, np.tile(reach[:, None], len(own.log))))
         scores[name] = {}

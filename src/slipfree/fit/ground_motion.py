@@ -25,7 +25,8 @@ HALF_BASE, HALF_TRACK = 0.4, 0.4  # of the four wheels [m]
 FRICTION = 0.6  # only ratios to it count: creep, resistance
 LEAST_SHARE = 0.03  # of the weight on an axle or a side
 RESISTED = 0.05  # speed from which the rolling resistance is complete [m/s]
-NEWTON_STEPS, NEWTON_TOLERANCE = 30, 1e-7  # of the balance; tolerance in m/s and rad/s
+# of the balance, which converges quadratically; tolerance of a step in m/s and rad/s
+NEWTON_STEPS, NEWTON_TOLERANCE = 30, 3e-5
 Rates = tuple[Array, Array, Array]  # forward and leftward speed [m/s], and turning rate [rad/s]
 Values = Mapping[str, float]
 # (values, speeds of the left and right side, sines of the nose-up and left-up angles, rates a
@@ -225,11 +226,13 @@ def _friction(
         k_xy = -k * along * across / size**2
         tangent = step(k * (1 - (along / size) ** 2), k_xy, k * (1 - (across / size) ** 2), force)
         new = at - tangent
-        worse = ~(sliding(new)[3] <= value + 1e-12)
+        there = sliding(new)
+        worse = ~(there[3] <= value + 1e-12)
         if worse.any():
             new[worse] = (at - step(k, 0 * k, k, force))[worse]
+            there = sliding(new)
         moved, at = np.abs(new - at).max(), new
-        along, across, size, value = sliding(at)
+        along, across, size, value = there
         if moved < NEWTON_TOLERANCE:
             break
     return at[:, 0], at[:, 1], at[:, 2]
@@ -313,9 +316,19 @@ class PathErrors(NamedTuple):
 
 
 class GroundPredictor:
-    """Predictions of windows: the same course at the start as measured, then commands only."""
+    """Predictions of windows: the same course at the start as measured, then commands only.
 
-    def __init__(self, logs: Sequence[DriveLog], windows: PathWindows, slopes: Slopes) -> None:
+    The measured course is the mean of those of a line through the positions of a chord, and of the
+    receiver's velocities with the equivalent weights; ``from_positions``, the former only.
+    """
+
+    def __init__(
+        self,
+        logs: Sequence[DriveLog],
+        windows: PathWindows,
+        slopes: Slopes,
+        from_positions: bool = False,
+    ) -> None:
         self.windows, self._slopes = windows, slopes
         self._dt = dt = logs[0].dt
         self._half = half = round(CHORD / dt)
@@ -338,6 +351,12 @@ class GroundPredictor:
         self._ends = rows[:, None], (self._steps - half)[:, None] + k
         self._start, self._course = seen[:, 0], self._velocity(seen, slice(0, 2 * half + 1))
         self._final = self._velocity(seen, self._ends)
+        if not from_positions:
+            speeds = (np.concatenate([log.velocity for log in logs]) @ [1, 1j])[self._rows]
+            # a line through positions weighs the velocities between them like this
+            weights = half * (half + 1) - k**2
+            self._course = _mean_course(self._course, speeds[:, : 2 * half + 1] @ weights)
+            self._final = _mean_course(self._final, speeds[self._ends] @ weights)
         self._moved = seen[rows, self._steps - half] - seen[:, half]
 
     def _velocity(self, path: Array, at: Any) -> Array:
@@ -394,6 +413,12 @@ class GroundPredictor:
             means.append(_lagged((left + right) / 2, values.get("speed_lag", 0.0), self._dt))
             differences.append(_lagged((right - left) / 2, values.get("turn_lag", 0.0), self._dt))
         return np.concatenate(means), np.concatenate(differences)
+
+
+def _mean_course(one: Array, other: Array) -> Array:
+    """Return the mean direction of velocities, as complex numbers of size one."""
+    mean = one / np.abs(one) + other / np.abs(other)
+    return np.asarray(mean / np.abs(mean))
 
 
 def _lagged(signal: Array, lag: float, dt: float) -> Array:
