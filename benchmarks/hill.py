@@ -36,6 +36,7 @@ UNIT, LEVER = 0.0217, 0.12  # [m/s] of a unit of the drives; units of an angular
 LIMIT = 90.0  # of a side's command [%]
 SMOOTHING, SHIFT = 1.5, (-1.5, 1.0)  # of the map [m]
 GAP, CHORD_ERROR, STATED = 1.5, 0.25, 0.1  # of good positions [s, m/s, m]
+JUDGED = ["straight", "differential", "icr", "slope"]
 MADE = 16  # synthetic logs
 FURTHER = 4  # maps with further errors
 TRUE = {"scale": 1.02, "track": 0.7, "drift": 0.02, "slip_slope": 0.2, "turn_slope": 2.0}
@@ -198,7 +199,7 @@ def main() -> None:
     parser.add_argument("--figures", type=Path)
     parser.add_argument("--from-positions", action="store_true", help="courses from positions only")
     parser.add_argument("--draws", type=int, default=200)
-    parser.add_argument("--models", nargs="+", choices=MODELS, default=list(MODELS))
+    parser.add_argument("--models", nargs="+", choices=MODELS, default=JUDGED)
     given = parser.parse_args()
     if given.folder is None:
         for line in synthetic(given.draws):
