@@ -57,6 +57,7 @@ from slipfree.models.single_wheel import WheelRuns, motion_at_slip
 
 LEVEL = Analytic(lambda x, _: 0 * x, mu=0.6)
 DRAWS, WINDOWS = 200, 60  # of synthetic poses
+STEADY, TURNING = 0.6, 2.0  # of the rates of the sides: spread, least difference [rad/s]
 HUSKY_STEP = 0.05  # time between samples of the log [s]
 HUSKY_RADIUS, HUSKY_TRACK, HUSKY_BASE = 0.165, 0.57, 0.51  # of the data sheet [m]
 ISHIGAMI_LOAD = 64.68  # as codes that cite the paper assume; the paper does not state it [N]
@@ -214,6 +215,44 @@ def husky(folder: Path, figures: Path | None) -> Iterator[str]:
         yield from _estimates(found, took)
         if figures and robot.words == "quasi-static friction":
             _save_fit(found, figures)
+
+
+def turning(folder: Path) -> Iterator[str]:
+    """Yield the scatter of the turning rate over the difference of the sides, at steady rates."""
+    with gzip.open(folder / "drive/husky_long.csv.gz", "rt") as file:
+        rows = list(csv.DictReader(file))
+    step, number, left, right, yaw = (
+        np.array([float(row[name]) for row in rows])
+        for name in ("calib_step", "window", "wl_radps", "wr_radps", "yaw")
+    )
+    windows = [np.flatnonzero(number == each) for each in np.unique(number)]
+    rates = np.array([[left[k].mean(), right[k].mean()] for k in windows])
+    spread = np.array([max(left[k].std(), right[k].std()) for k in windows])
+    turned = np.array([np.unwrap(yaw[k])[-1] - yaw[k[0]] for k in windows])
+    difference = rates[:, 1] - rates[:, 0]
+    lasting = np.array([HUSKY_STEP * (len(k) - 1) for k in windows])
+    ratio = turned / lasting / difference
+    manoeuvre = np.array([step[k[0]] for k in windows])
+    steady = np.flatnonzero((spread < STEADY) & (np.abs(difference) > TURNING))
+    mean = ratio[steady].mean()
+    near = list[float]()
+    for k in steady:
+        others = steady[manoeuvre[steady] != manoeuvre[k]]
+        closest = np.argsort(np.hypot(*(rates[others] - rates[k]).T))[:10]
+        near.append(ratio[k] - ratio[others[closest]].mean())
+    yield (
+        f"yaw rate over difference of the sides, {steady.size} steady windows: scatter "
+        f"{100 * ratio[steady].std() / mean:.0f} %, {100 * np.std(near) / mean:.0f} % about ten "
+        "windows of the nearest rates in other manoeuvres"
+    )
+    for words, apart in (("the same manoeuvre", 0), ("successive manoeuvres", 1)):
+        pairs = [
+            (ratio[i], ratio[j])
+            for i, j in zip(steady, steady[1:] if not apart else steady[3:], strict=False)
+            if manoeuvre[j] - manoeuvre[i] == apart
+        ]
+        correlation = np.corrcoef(np.array(pairs).T)[0, 1]
+        yield f"  correlation between windows of {words}: {correlation:.2f}"
 
 
 def _accuracy(errors: np.ndarray) -> str:
@@ -605,6 +644,7 @@ def main() -> None:
     if given.folder:
         parts = [
             husky(given.folder, given.figures),
+            turning(given.folder),
             *(
                 cross_validated(case)
                 for cases in (cmu, ishigami, papers)

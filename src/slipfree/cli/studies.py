@@ -33,6 +33,7 @@ from slipfree.cli.common import (
 )
 from slipfree.cli.new import write_new_file
 from slipfree.cli.outputs import check_outputs, default_table, save, stop_json
+from slipfree.core.errors import ModelError
 from slipfree.system.interrupt import held_interrupt, interrupt_requested
 from slipfree.system.regular_files import regular_file
 
@@ -144,10 +145,23 @@ def fit(
     force: Annotated[
         bool, typer.Option("--force", help="Replace an existing vehicle file.")
     ] = False,
+    predict: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--predict",
+            metavar="LOG",
+            help="Another log, to be predicted with constants that are fitted to all logs of the "
+            "file, for verb = 'fit-over-map'; may be repeated. By default, the logs of each folder "
+            "are predicted with constants that are fitted to the others.",
+        ),
+    ] = None,
     draw: Draw = True,
     trust: Trust = None,
 ) -> None:
     """Fit a vehicle and a law to a log of wheel rates and poses, or a soil to single-wheel tests.
+
+    With verb = 'fit-over-map', fit models of a skid-steered vehicle to logs of commands and
+    positions over a map, and print the errors of their predictions on logs that were left out.
 
     Print the estimates with 95 % intervals, the combinations of unknowns that the data do not
     determine, and the errors of predictions that were not used for the fit. If the data do not
@@ -156,16 +170,30 @@ def fit(
     """
     with reported(), about(file):
         from slipfree.files.tables import write_rows
+        from slipfree.problem.inputs import files_read
         from slipfree.problem.wheel_test import is_wheel_file
 
-        work = _soil_fit if is_wheel_file(file) else _log_fit
-        fitted = work(file, settings, trust)
-        table = out or default_table(file, "fit", fitted.inputs)
-        others = table.with_name(f"{table.stem}_{fitted.rows_name}.csv")
+        if is_wheel_file(file):
+            work = _soil_fit(file, settings or [])
+        else:
+            problem: Any = read_problem(file, settings, trust, "fit")
+            if problem.spec.verb == "fit-over-map":
+                inputs = [*files_read(problem), *(predict or [])]
+                table = out or default_table(file, "fit", inputs)
+                _fit_over_map(problem, predict or [], inputs, table, draw)
+                return
+            work = _log_fit(problem)
+        if predict:
+            raise ModelError(
+                f"{file}: expected verb = 'fit-over-map' for --predict, found another file; omit "
+                "--predict: what is not used for the fit is predicted"
+            )
+        table = out or default_table(file, "fit", work.inputs)
+        others = table.with_name(f"{table.stem}_{work.rows_name}.csv")
         picture = table.with_suffix(".png") if draw else None
-        check_outputs([table, others, picture, write], fitted.inputs)
+        check_outputs([table, others, picture, write], work.inputs)
         with held_interrupt():
-            result = fitted.solve()
+            result = work.solve()
             estimate, lost = result.estimate, result.estimate.undetermined
             files = [
                 save(table, lambda path: write_rows(path, *result.estimates)),
@@ -186,11 +214,11 @@ def fit(
             print_error(f"interrupted; {files[0]} contains the estimates so far")
             raise typer.Exit(INTERRUPTED)
         if lost:
-            unwritten = f"; no {fitted.subject} was written" if write else ""
+            unwritten = f"; no {work.subject} was written" if write else ""
             print_error(
-                f"{file}: expected {fitted.data} all unknowns, found no information on "
+                f"{file}: expected {work.data} all unknowns, found no information on "
                 f"{', '.join(lost)}{unwritten}; give priors, fit fewer unknowns, or use "
-                f"{fitted.remedy}"
+                f"{work.remedy}"
             )
             raise typer.Exit(STOPPED)
 
@@ -218,14 +246,12 @@ class _FitWork(NamedTuple):
     solve: Callable[[], _FitResult]
 
 
-def _log_fit(file: Path, settings: Settings, trust: Trust) -> _FitWork:
+def _log_fit(problem: Any) -> _FitWork:
     """Return the fit of a vehicle to a log."""
     from slipfree.files.vehicle_draft import vehicle_text
     from slipfree.problem.inputs import files_read
     from slipfree.problem.verbs import fit as verb
     from slipfree.show.fit_figures import fit_plot
-
-    problem: Any = read_problem(file, settings, trust, "fit")
 
     def solve() -> _FitResult:
         fitted = verb.fit(problem)
@@ -250,12 +276,12 @@ def _log_fit(file: Path, settings: Settings, trust: Trust) -> _FitWork:
     )
 
 
-def _soil_fit(file: Path, settings: Settings, trust: Trust) -> _FitWork:  # noqa: ARG001 - of logs
+def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
     """Return the fit of a soil to the measured points of a wheel file."""
     from slipfree.problem import wheel_test
     from slipfree.show.fit_figures import soil_plot
 
-    contents = wheel_test.read_wheel_file(file, settings or [])
+    contents = wheel_test.read_wheel_file(file, settings)
 
     def solve() -> _FitResult:
         fitted = wheel_test.fit_wheel_file(contents)
@@ -277,6 +303,26 @@ def _soil_fit(file: Path, settings: Settings, trust: Trust) -> _FitWork:  # noqa
         "runs at other slip ratios, slip angles or loads",
         solve,
     )
+
+
+def _fit_over_map(
+    problem: Any, predict: list[Path], inputs: Sequence[Path], table: Path, draw: bool
+) -> None:
+    """Fit models over a map, print their errors, and write table and figure."""
+    from slipfree.files.tables import write_rows
+    from slipfree.problem.verbs.fit_over_map import error_rows, facts, fit_over_map
+    from slipfree.show.fit_figures import ground_plot
+
+    picture = table.with_suffix(".png") if draw else None
+    check_outputs([table, picture], list(inputs))
+    scores, fits = fit_over_map(problem, predict)
+    rows = error_rows(scores)
+    files = [save(table, lambda path: write_rows(path, *rows))]
+    print_facts(facts(scores, fits))
+    add_json("errors", lambda: [dict(zip(rows[0], row, strict=True)) for row in rows[1]])
+    if picture is not None:
+        files += _draw([ground_plot(picture.stem, scores)], picture.parent)
+    print_line(f"wrote {' and '.join(map(str, files))}")
 
 
 def wheel(

@@ -24,6 +24,7 @@ from slipfree.problem.verbs.base import MotionVerb, Verb
 from slipfree.problem.verbs.compare import CompareVerb
 from slipfree.problem.verbs.direct import DirectVerb
 from slipfree.problem.verbs.fit import FitVerb
+from slipfree.problem.verbs.fit_over_map import FitOverMapVerb
 from slipfree.problem.verbs.inverse import InverseVerb
 from slipfree.problem.verbs.plan import PlanVerb
 
@@ -34,6 +35,7 @@ VERBS: tuple[Verb, ...] = (
     CompareVerb(),
     FitVerb(),
     AtlasVerb(),
+    FitOverMapVerb(),
 )
 
 

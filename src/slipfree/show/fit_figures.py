@@ -1,7 +1,8 @@
-"""Figure of a calibration: predicted and measured end poses, and confidence ellipses."""
+"""Figures of fits: end poses and confidence ellipses of a calibration; errors over a map."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from itertools import combinations
 
@@ -14,6 +15,7 @@ from scipy.stats import chi2
 from slipfree.core.records import Array
 from slipfree.fit.calibration import Calibration
 from slipfree.fit.estimate import CONFIDENCE, Estimate
+from slipfree.fit.ground_fit import Kind, Score, by_logs, rms
 from slipfree.fit.wheel_soil import QUANTITIES, SoilFit
 from slipfree.show import style
 from slipfree.show.plots import Plot
@@ -127,4 +129,43 @@ def soil_figure(measured: Array, fit: SoilFit) -> Figure:
         _draw_ellipse(ax, fit.estimate, *pair)
     for ax in axes[count:]:
         ax.set_axis_off()
+    return made
+
+
+def ground_plot(name: str, scores: Mapping[str, Mapping[Kind, Score]]) -> Plot:
+    """Return the figure of errors over a map, by words of the models, with the name of its file."""
+    words = (
+        "Errors of predictions from commands on logs that were not fitted: of the position by "
+        "length of path, and of the course and of the slip by grade."
+    )
+    return Plot(name, words, partial(ground_figure, scores))
+
+
+def ground_figure(scores: Mapping[str, Mapping[Kind, Score]]) -> Figure:
+    """Return the figure of errors over a map; windows of a duration give slip and course."""
+    made = style.figure(PAGE, 1.3 * ROW_HEIGHT * MM)
+    place, turn, slide = made.subplots(1, 3)
+    for k, (words, own) in enumerate(scores.items()):
+        color = style.PALETTE[k % len(style.PALETTE)]
+        rows = []
+        for score in own.values():
+            value, low, high = by_logs(score.errors.position, score.windows.log, rms)
+            rows.append((score.windows.length.mean(), value, value - low, high - value))
+        path, value, *bars = np.array(sorted(rows)).T
+        place.errorbar(path, value, bars, fmt="o-", ms=3, capsize=2, color=color, label=words)
+        least = min(own, key=lambda kind: kind[0])  # no length: the windows of a duration
+        slips = own[least].slip()
+        middle = np.rad2deg([(low + high) / 2 for low, high, *_ in slips])
+        errors, grade = own[least].errors, own[least].grade
+        courses = [
+            np.rad2deg(rms(errors.course[(grade >= low) & (grade < high)]))
+            for low, high, *_ in slips
+        ]
+        turn.plot(middle, courses, "o-", ms=3, color=color)
+        slide.plot(middle, [100 * each[3] for each in slips], "o-", ms=3, color=color)
+    place.set(xlabel="path [m]", ylabel="position error, rms [m]", xlim=(0, None), ylim=(0, None))
+    turn.set(xlabel="grade [deg]", ylabel="course error after 5 s, rms [deg]")
+    slide.set(xlabel="grade [deg]", ylabel="error of the slip, median [%]")
+    slide.axhline(0, color="black", lw=0.6)
+    place.legend(fontsize="x-small")
     return made

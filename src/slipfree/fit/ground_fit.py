@@ -1,0 +1,292 @@
+"""Fits of motion models to logs over a map, and their errors on logs that were left out.
+
+The constants minimise a robust loss of the errors at the ends of windows, divided by their own
+deviations. The covariance is the sandwich estimate with one sum of gradients for each log, since
+the windows of a log share its ground, its weather and its driver (`slipfree.fit.estimate`).
+Prediction intervals are the errors that 90 % of the fitted windows do not exceed, with the
+correction of conformal prediction for their number; whole groups of logs are left out in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import scipy  # its parts are imported when they are used, since this takes 0.2 s
+
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Mask
+from slipfree.fit.estimate import CONFIDENCE, NORMAL_MEDIAN, SINGULAR
+from slipfree.fit.ground_motion import (
+    DriveLog,
+    GroundPredictor,
+    MotionModel,
+    PathErrors,
+    PathWindows,
+    Slopes,
+    windows_of,
+)
+
+FIRST_DEVIATIONS = 0.25, 0.25, 0.15  # of the errors before they are known [m, m, rad]
+LEAST_DEVIATION = 1e-6
+COVERED = 0.9  # share of the errors inside a prediction interval
+STRAIGHT = np.deg2rad(15)  # largest error of the course of a window that tells of slip
+CLASSES = (-25, -12, -6, 0, 6, 12, 25)  # limits of the classes of grade [deg]
+SIZES = {"drift": 0.1, "slip_slope": 1.0, "turn_slope": 5.0, "ahead": 1.0}  # 1 or the start value
+RESAMPLES = 1000
+AT_BOUND = 1e-3  # distance from a bound that counts as zero [sizes]
+STEP = 1e-4  # of derivatives [sizes]
+
+
+class GroundFit(NamedTuple):
+    """Fitted constants of a motion model."""
+
+    names: tuple[str, ...]
+    values: dict[str, float]
+    deviation: dict[str, float]  # standard deviations; zero at a bound
+    intervals: dict[str, tuple[float, float]]  # 95 % confidence intervals
+    errors: PathErrors  # of the fitted windows
+
+
+def fit_ground(model: MotionModel, predict: GroundPredictor, where: str = "the logs") -> GroundFit:
+    """Fit the constants of a model to windows.
+
+    ModelError names the constants that the windows do not determine.
+    """
+    names = tuple(model.start)
+    values = np.array([model.start[name] for name in names])
+    bounds = np.array([model.bounds[name] for name in names]).T
+    sizes = np.array([SIZES.get(name, abs(model.start[name]) or 1.0) for name in names])
+    deviations = np.array(FIRST_DEVIATIONS)
+    if len(predict.windows.log) <= len(names):
+        raise ModelError(
+            f"{where}: expected more windows than the {len(names)} constants of the model, found "
+            f"{len(predict.windows.log)}; use longer logs, shorter windows or a simpler model"
+        )
+
+    def ends(at: Array) -> Array:
+        errors = predict(model, dict(zip(names, at.tolist(), strict=True)))
+        return np.column_stack([errors.along, errors.across, errors.course])
+
+    for _ in range(2):  # the second time with the deviations of the first one
+        result = scipy.optimize.least_squares(
+            lambda at, size: (ends(at) / size).ravel(),
+            values,
+            bounds=bounds,
+            loss="soft_l1",
+            x_scale=sizes,
+            diff_step=1e-4,
+            xtol=1e-5,
+            ftol=1e-6,
+            max_nfev=60,
+            args=(deviations,),
+        )
+        values = result.x
+        missed = ends(values)
+        deviations = np.maximum(np.median(np.abs(missed), axis=0) / NORMAL_MEDIAN, LEAST_DEVIATION)
+    # the Jacobian of the search is weighted by the loss
+    steps = np.diag(STEP * sizes)
+    slopes = np.stack([ends(values + h) - ends(values - h) for h in steps], axis=-1) / (2 * STEP)
+    free = (values - bounds[0] > AT_BOUND * sizes) & (bounds[1] - values > AT_BOUND * sizes)
+    covariance = _covariance(
+        missed / deviations,
+        slopes / deviations[:, None],
+        predict.windows.log,
+        free,
+    )
+    spread = np.sqrt(np.diag(covariance))
+    if lost := [name for name, each in zip(names, spread, strict=True) if not each <= 1]:
+        raise ModelError(
+            f"{where}: expected windows that determine {', '.join(lost)} of the model "
+            f"{model.words!r}, found a standard deviation larger than the size of the constant; "
+            "use logs with other manoeuvres and slopes, or a model without it"
+        )
+    freedom = max(len(np.unique(predict.windows.log)) - 1, 1)
+    reach = float(scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2))
+    numbers = dict(zip(names, values.tolist(), strict=True))
+    deviation = dict(zip(names, (spread * sizes).tolist(), strict=True))
+    return GroundFit(
+        names,
+        numbers,
+        deviation,
+        {
+            name: (at - reach * deviation[name], at + reach * deviation[name])
+            for name, at in numbers.items()
+        },
+        predict(model, numbers),
+    )
+
+
+def fit_on_uncertain_map(
+    model: MotionModel,
+    logs: Sequence[DriveLog],
+    windows: PathWindows,
+    maps: tuple[Slopes, Sequence[Slopes]],
+    where: str = "the logs",
+    from_positions: bool = False,
+) -> GroundFit:
+    """Fit the constants of a model over a map with errors of a known size.
+
+    Errors of a map attenuate the influence of its slopes. ``maps`` are the map and the same with
+    further errors of this size: what these change is subtracted (simulation extrapolation; Cook and
+    Stefanski, J. Am. Stat. Assoc. 89, 1994), and their spread is added to the deviations.
+    """
+    given, others = maps
+    fitted = fit_ground(model, GroundPredictor(logs, windows, given, from_positions), where)
+    if not others:
+        return fitted
+    again = [
+        fit_ground(model, GroundPredictor(logs, windows, each, from_positions), where).values
+        for each in others
+    ]
+    values, deviation, intervals = {}, {}, {}
+    for name, value in fitted.values.items():
+        drawn = np.array([each[name] for each in again])
+        values[name] = 2 * value - float(drawn.mean())
+        deviation[name] = float(np.hypot(fitted.deviation[name], drawn.std(ddof=1)))
+        low, high = fitted.intervals[name]
+        ratio = deviation[name] / fitted.deviation[name] if fitted.deviation[name] else 0.0
+        half = (high - low) / 2 * ratio
+        intervals[name] = values[name] - half, values[name] + half
+    errors = GroundPredictor(logs, windows, given, from_positions)(model, values)
+    return GroundFit(fitted.names, values, deviation, intervals, errors)
+
+
+def _covariance(missed: Array, slopes: Array, log: Array, free: Mask) -> Array:
+    """Return the sandwich covariance in units of the sizes; infinite if undetermined."""
+    slopes = slopes[..., free]
+    scores = np.einsum("ni,nip->np", missed / np.sqrt(1 + missed**2), slopes)
+    hessian = np.einsum("nip,ni,niq->pq", slopes, (1 + missed**2) ** -1.5, slopes)
+    sums = np.array([scores[log == each].sum(axis=0) for each in np.unique(log)])
+    count, p = len(sums), int(free.sum())
+    meat = sums.T @ sums * count / max(count - 1, 1)
+    values, vectors = np.linalg.eigh(hessian)
+    lost = values <= SINGULAR * max(values.max(initial=0.0), 1e-300)
+    inverse = vectors[:, ~lost] / values[~lost] @ vectors[:, ~lost].T
+    part = inverse @ meat @ inverse
+    part[np.diag_indices(p)] += np.where((vectors[:, lost] ** 2).sum(axis=1) > SINGULAR, np.inf, 0)
+    covariance = np.zeros((free.size, free.size))
+    covariance[np.ix_(free, free)] = part
+    return covariance
+
+
+class Score(NamedTuple):
+    """Errors of a model on windows of logs that were not fitted."""
+
+    errors: PathErrors
+    windows: PathWindows
+    grade: Array  # mean of the slope along the path [rad]
+    reach: Array  # shape (3, n): half widths of the 90 % intervals [m, m, rad]
+
+    @property
+    def coverage(self) -> Array:
+        """Shares of the errors along, across and of the course inside their intervals."""
+        return np.asarray((np.abs(np.array(self.errors[:3])) <= self.reach).mean(axis=1))
+
+    def slip(self) -> list[tuple[float, float, int, float]]:
+        """Return limits [rad], number of straight windows, and error of the slip by class."""
+        straight = np.abs(self.errors.course) < STRAIGHT
+        share, limits = self.errors.along / self.errors.displacement, np.deg2rad(CLASSES)
+        return [
+            (low, high, int(rows.sum()), float(np.median(share[rows])))
+            for low, high in pairwise(limits.tolist())
+            if (rows := straight & (self.grade >= low) & (self.grade < high)).any()
+        ]
+
+
+Kind = tuple[float, float]  # length of path [m] and duration [s] of windows; one is zero
+FITTED: Kind = (5.0, 0.0)
+
+
+def judge(
+    logs: Sequence[DriveLog],
+    slopes: Slopes,
+    models: Mapping[str, MotionModel],
+    kinds: Sequence[Kind] = (FITTED, (20.0, 0.0), (0.0, 5.0)),
+    others: Sequence[DriveLog] = (),
+    further: Sequence[Slopes] = (),
+    from_positions: bool = False,
+) -> tuple[dict[str, dict[Kind, Score]], dict[str, list[GroundFit]]]:
+    """Predict each group of logs with constants fitted to the other groups.
+
+    With ``others``, these are predicted with constants fitted to all ``logs``. ``further`` are the
+    slopes of the map with further errors, for `fit_on_uncertain_map`; ``from_positions`` is
+    that of `GroundPredictor`.
+    """
+    windows = {kind: windows_of(logs, *kind) for kind in {*kinds, FITTED}}
+    test = {kind: windows_of(others, *kind) for kind in kinds} if others else windows
+    group = np.array([log.group for log in logs])
+    folds = sorted(set(group.tolist())) if not others else [""]
+    scores = dict[str, dict[Kind, Score]]()
+    fits = dict[str, list[GroundFit]]()
+    for name, model in models.items():
+        blocks: dict[Kind, list[tuple[PathErrors, PathWindows, Array]]] = {
+            kind: [] for kind in kinds
+        }
+        fits[name] = []
+        for fold in folds:
+
+            def of(kind: Kind, out: str = fold) -> PathWindows:
+                return windows[kind].take(group[windows[kind].log] != out)
+
+            where = f"the logs without {fold}" if fold else "the logs"
+            fitted = fit_on_uncertain_map(
+                model, logs, of(FITTED), (slopes, further), where, from_positions
+            )
+            fits[name].append(fitted)
+            for kind in kinds:
+                seen = GroundPredictor(logs, of(kind), slopes, from_positions)(model, fitted.values)
+                own = test[kind] if others else test[kind].take(group[test[kind].log] == fold)
+                errors = GroundPredictor(others or logs, own, slopes, from_positions)(
+                    model, fitted.values
+                )
+                reach = np.array([conformal(each) for each in seen[:3]])
+                blocks[kind].append((errors, own, np.tile(reach[:, None], len(own.log))))
+        scores[name] = {}
+        for kind, parts in blocks.items():
+            errors = PathErrors(
+                *(np.concatenate(each) for each in zip(*(p[0] for p in parts), strict=True))
+            )
+            own = PathWindows(
+                *(np.concatenate(each) for each in zip(*(p[1] for p in parts), strict=True))
+            )
+            reach = np.concatenate([p[2] for p in parts], axis=1)
+            scores[name][kind] = Score(errors, own, grades(others or logs, own, slopes), reach)
+    return scores, fits
+
+
+def conformal(errors: Array) -> float:
+    """Return the half width of an interval that contains the next error in 90 % of the cases."""
+    rank = min(int(np.ceil(COVERED * (errors.size + 1))), errors.size)
+    return float(np.sort(np.abs(errors))[rank - 1])
+
+
+def grades(logs: Sequence[DriveLog], windows: PathWindows, slopes: Slopes) -> Array:
+    """Return the mean slope of the map along the measured paths of windows [rad]."""
+    means = []
+    for k, first, last in zip(*windows[:3], strict=True):
+        log, part = logs[k], slice(first, last)
+        course = np.arctan2(log.velocity[part, 1], log.velocity[part, 0])
+        means.append(np.arcsin(slopes.tilt(log.place[part], course)[0].mean()))
+    return np.array(means)
+
+
+def by_logs(
+    values: Array, log: Array, statistic: Callable[[Array], float]
+) -> tuple[float, float, float]:
+    """Return a statistic of values, and its 95 % interval by resampling whole logs."""
+    rng, names = np.random.default_rng(0), np.unique(log)
+    rows = {each: np.flatnonzero(log == each) for each in names.tolist()}
+    draws = [
+        statistic(values[np.concatenate([rows[k] for k in rng.choice(names, names.size).tolist()])])
+        for _ in range(RESAMPLES)
+    ]
+    low, high = np.quantile(draws, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
+    return statistic(values), float(low), float(high)
+
+
+def rms(values: Array) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,207 @@
+"""Fits over a map: models of a skid-steered vehicle from logs of commands and positions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, cast
+
+import numpy as np
+from pydantic import Field
+
+from slipfree.core.errors import ModelError
+from slipfree.files.tables import read_columns
+from slipfree.files.toml.types import Pair, Positive, Quantity, Record
+from slipfree.fit.ground_fit import FITTED, GroundFit, Kind, Score, by_logs, judge, rms
+from slipfree.fit.ground_motion import MODELS, DriveLog, Slopes
+from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.problem import Problem
+from slipfree.problem.schema import VERB, CommonKeys, HeightErrors, TerrainTable
+from slipfree.problem.verbs.base import Lines, Verb
+from slipfree.terrain.grid_ops import disturbed
+
+GAP = 1.5  # longest time between positions that count as good [s]
+LEAST_SPEED = 0.1  # commanded speed from which the vehicle drives in one direction [m/s]
+FURTHER_MAPS = 4  # with further errors
+Name = Annotated[str, Field(min_length=1)]
+Scores = dict[str, dict[Kind, Score]]
+
+
+class DriveColumns(Record):
+    """Columns of a log of commands and positions."""
+
+    t: str = Field(default="t", description="column of the time, in s")
+    x: str = Field(default="x", description="column of the receiver's x on the map, in m")
+    y: str = Field(default="y", description="column of the receiver's y on the map, in m")
+    left: str = Field(default="left", description="column of the left side's command, in m/s")
+    right: str = Field(default="right", description="column of the right side's command, in m/s")
+
+
+class DriveData(Record):
+    """Logs of commands and positions."""
+
+    files: Annotated[tuple[Name, ...], Field(strict=False, min_length=2)] = Field(
+        description="the logs: tables as text; those of one folder are left out together"
+    )
+    step: Positive = Field(default=0.1, description="time between the samples that are used [s]")
+    delay: Quantity = Field(default=0.0, ge=0, description="from a command to the motion [s]")
+    columns: DriveColumns = Field(default=DriveColumns(), description="names of the columns")
+
+
+class FitOverMap(CommonKeys):
+    """Fit over a map: models of a skid-steered vehicle from logs of commands and positions."""
+
+    verb: Literal["fit-over-map"] = Field(description=VERB)
+    terrain: TerrainTable = Field(description="the ground")
+    data: DriveData = Field(description="the logs")
+    shift: Pair = Field(
+        default=(0.0, 0.0), description="place on the map of the origin of the logs [m]"
+    )
+    smoothing: Quantity = Field(
+        default=0.0, ge=0, description="standard deviation over which slopes are averaged [m]"
+    )
+    map_error: HeightErrors | None = Field(
+        default=None, description="error of the map: what it changes in the fit is subtracted"
+    )
+    models: Annotated[
+        tuple[Literal[tuple(MODELS)], ...],  # type: ignore[valid-type]
+        Field(strict=False, min_length=1),
+    ] = Field(default=("differential", "icr", "slope"), description=f"models: {', '.join(MODELS)}")
+    lengths: Annotated[tuple[Positive, ...], Field(strict=False)] = Field(
+        default=(FITTED[0], 20.0), description="lengths of path of the windows [m]"
+    )
+    duration: Positive = Field(default=5.0, description="duration of further windows [s]")
+
+    @property
+    def named_files(self) -> tuple[str, ...]:
+        """Names of the logs."""
+        return self.data.files
+
+
+class FitOverMapVerb(Verb):
+    """Fit of models of motion over a map."""
+
+    schema = FitOverMap
+    commands = ("fit",)
+
+
+def fit_over_map(
+    problem: Problem[FitOverMap], predict: Sequence[Path] = ()
+) -> tuple[Scores, dict[str, list[GroundFit]]]:
+    """Return errors of predictions and fits of the models, by name.
+
+    Each folder of logs is predicted with constants fitted to the others; each log if there is one
+    folder. The logs ``predict`` are predicted with constants fitted to all.
+    """
+    spec = problem.spec
+    grid = build_ground(cast("Any", problem)).grid  # a problem without motion
+    slopes, further = Slopes(grid, spec.smoothing, spec.shift), list[Slopes]()
+    if spec.map_error is not None:
+        error = spec.map_error.rms, spec.map_error.correlation
+        further = [
+            Slopes(disturbed(grid, *error, seed), spec.smoothing, spec.shift)
+            for seed in range(FURTHER_MAPS)
+        ]
+    with at(problem, ("data", "files")):
+        paths = [problem.folder / name for name in spec.data.files]
+        alone = len({path.parent for path in paths}) == 1
+        logs = [
+            _read_log(path, spec.data, path.stem if alone else path.parent.name) for path in paths
+        ]
+        others = [_read_log(path, spec.data, path.stem) for path in predict]
+        models = {name: MODELS[name] for name in spec.models}
+        kinds = [*((length, 0.0) for length in spec.lengths), (0.0, spec.duration)]
+        return judge(logs, slopes, models, kinds, others, further)
+
+
+def _read_log(path: Path, data: DriveData, group: str) -> DriveLog:
+    """Return a log at equal intervals; positions are linear between samples, commands are held."""
+    table, _ = read_columns(path, dict(data.columns), "a log", where="[data.columns]")
+    t = table["t"]
+    if t.size < 2 or np.diff(t).min() <= 0:
+        raise ModelError(f"{path}: expected times that increase; sort the log")
+    even = np.arange(t[0], t[-1], data.step)
+    place = np.column_stack([np.interp(even, t, table[key]) for key in ("x", "y")])
+    velocity = np.gradient(place, data.step, axis=0)
+    held = np.searchsorted(t, np.maximum(even - data.delay, t[0]) + 1e-9, side="right") - 1
+    sides = np.column_stack([table["left"], table["right"]])[held]
+    later = np.clip(np.searchsorted(t, even, side="right"), 1, t.size - 1)
+    mean = sides.mean(axis=1)
+    return DriveLog(
+        path.stem,
+        group,
+        data.step,
+        place,
+        velocity,
+        np.hypot(*velocity.T),
+        t[later] - t[later - 1] < GAP,
+        np.where(np.abs(mean) > LEAST_SPEED, np.sign(mean), 0.0),
+        sides,
+    )
+
+
+def facts(scores: Mapping[str, Mapping[Kind, Score]], fits: Mapping[str, list[GroundFit]]) -> Lines:
+    """Return constants and errors of all models as lines."""
+    return [*_constants(fits), *_errors(scores)]
+
+
+def _constants(fits: Mapping[str, list[GroundFit]]) -> Iterator[tuple[str, str]]:
+    """Yield the constants of each model from the last fit, and their range over all fits."""
+    for name, own in fits.items():
+        words = []
+        for key, value in own[-1].values.items():
+            low, high = own[-1].intervals[key]
+            unit = MODELS[name].units[key]
+            words.append(
+                f"{key} {value:.4g}{'' if unit == '1' else f' {unit}'} ({low:.4g} to {high:.4g})"
+            )
+        yield MODELS[name].words, ", ".join(words)
+
+
+def _errors(scores: Mapping[str, Mapping[Kind, Score]]) -> Iterator[tuple[str, str]]:
+    for kind in next(iter(scores.values())):
+        for name, own in scores.items():
+            row = dict(zip(COLUMNS, _row(name, kind, own[kind]), strict=True))
+            yield (
+                f"{kind[0]:g} m of path, {name}" if kind[0] else f"{kind[1]:g} s, {name}",
+                f"rms {row['position_rms']:.3g} m ({row['position_lower']:.3g} to "
+                f"{row['position_upper']:.3g}), {np.rad2deg(row['course_rms']):.3g} deg; "
+                f"{row['windows']} windows, 90 % intervals hold "
+                f"{100 * row['coverage_along']:.0f}, {100 * row['coverage_across']:.0f}, "
+                f"{100 * row['coverage_course']:.0f} %",
+            )
+    for name, own in scores.items():
+        kind = next(each for each in own if not each[0])
+        words = (
+            f"{np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} deg: {error:+.3f} ({count})"
+            for low, high, count, error in own[kind].slip()
+        )
+        yield f"error of slip, {name}", ", ".join(words)
+
+
+COLUMNS = (
+    *("model", "length", "duration", "windows", "logs"),
+    *("position_rms", "position_lower", "position_upper", "position_median"),
+    *("along_rms", "across_rms", "course_rms", "course_lower", "course_upper"),
+    *("reach_along", "reach_across", "reach_course"),
+    *("coverage_along", "coverage_across", "coverage_course"),
+)
+
+
+def _row(name: str, kind: Kind, score: Score) -> list[Any]:
+    errors, log = score.errors, score.windows.log
+    return [
+        *(name, *kind, log.size, np.unique(log).size),
+        *by_logs(errors.position, log, rms),
+        float(np.median(errors.position)),
+        *(rms(errors.along), rms(errors.across)),
+        *by_logs(errors.course, log, rms),
+        *score.reach.mean(axis=1).tolist(),
+        *score.coverage.tolist(),
+    ]
+
+
+def error_rows(scores: Mapping[str, Mapping[Kind, Score]]) -> tuple[list[str], list[list[Any]]]:
+    """Return column names and rows of the errors of all models [m, s, rad]."""
+    rows = [_row(name, kind, score) for name, own in scores.items() for kind, score in own.items()]
+    return list(COLUMNS), rows

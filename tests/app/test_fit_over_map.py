@@ -1,0 +1,81 @@
+"""``slipfree fit`` of models over a map: table, figure, other logs, refusals."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.commands import printed
+from helpers.hillside import AXIS, HILL, TRUE, drive
+
+PROBLEM = """\
+verb = "fit-over-map"
+models = ["differential", "slope"]
+lengths = [5.0]
+
+[terrain]
+file = "hill.asc"
+
+[data]
+files = ["a/0.csv", "a/1.csv", "b/2.csv", "b/3.csv"]
+step = 0.2
+"""
+
+
+def write_log(path: Path, seed: int) -> None:
+    """Write a log of the robot."""
+    log = drive(seed, path.parent.name)
+    path.parent.mkdir(exist_ok=True)
+    t = log.dt * np.arange(len(log.place))
+    rows = np.column_stack([t, log.place, log.sides])
+    np.savetxt(path, rows, delimiter=",", header="t,x,y,left,right", comments="")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder with a problem, its map and its logs."""
+    monkeypatch.chdir(tmp_path)
+    head = f"ncols {AXIS.size}\nnrows {AXIS.size}\nxllcenter -40\nyllcenter -40\ncellsize 1\n"
+    rows = "\n".join(" ".join(f"{z:.6f}" for z in row) for row in HILL.z.T[::-1])
+    Path("hill.asc").write_text(head + rows + "\n")
+    Path("hill.toml").write_text(PROBLEM)
+    for k, name in enumerate(("a", "a", "b", "b")):
+        write_log(tmp_path / name / f"{k}.csv", k)
+    return tmp_path
+
+
+@pytest.mark.usefixtures("folder")
+def test_folders_are_predicted_in_turn() -> None:
+    words = printed("fit", "hill.toml", "-o", "table.csv")
+    assert "wrote table.csv and table.png" in words
+    with Path("table.csv").open() as file:
+        rows = {(r["model"], float(r["length"])): r for r in csv.DictReader(file)}
+    assert set(rows) == {(m, length) for m in ("differential", "slope") for length in (5.0, 0.0)}
+    for length in (5.0, 0.0):
+        worse, better = (float(rows[m, length]["position_rms"]) for m in ("differential", "slope"))
+        assert better < 0.2 * worse
+
+
+def test_other_logs_are_predicted(folder: Path) -> None:
+    write_log(folder / "other.csv", 9)
+    own = ("--predict", "other.csv", "--no-draw", "--set", "models=['slope']")
+    shown = json.loads(printed("--json", "fit", "hill.toml", *own))
+    (first, _) = shown["errors"]
+    assert first["logs"] == 1
+    assert first["position_rms"] < 0.05
+    words = str(shown["facts"]["slip and turning by the slope"])
+    found = dict(each.split()[:2] for each in words.split(", "))
+    for name, true in TRUE.items():
+        assert float(found[name]) == pytest.approx(true, rel=0.03), name
+
+
+@pytest.mark.usefixtures("folder")
+def test_wrong_problems_are_refused() -> None:
+    Path("a/0.csv").write_text("t,x,y,left\n0,0,0,1\n1,0,0,1\n")
+    assert "right" in printed("fit", "hill.toml", "--no-draw", code=2)
+    Path("hill.toml").write_text(PROBLEM.replace("slope", "ice"))
+    assert "models" in printed("fit", "hill.toml", "--no-draw", code=2)

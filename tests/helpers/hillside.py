@@ -1,0 +1,59 @@
+"""Logs of a skid-steered robot with known constants on a synthetic hillside, by their own steps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slipfree.core.records import Array
+from slipfree.fit.ground_motion import DriveLog
+from slipfree.terrain.base import Grid
+
+TRUE = {"scale": 1.02, "track": 0.7, "drift": 0.02, "slip_slope": 0.2, "turn_slope": 2.0}
+DT, FINE = 0.2, 20  # time between samples [s], and steps of the simulation between them
+AXIS = np.arange(-40.0, 41.0)
+
+
+def height(x: Array, y: Array) -> Array:
+    """Return the height of a hillside [m]."""
+    return 2.5 * np.sin(x / 9) * np.cos(y / 11) + 0.05 * x
+
+
+HILL = Grid(AXIS, AXIS, height(*np.meshgrid(AXIS, AXIS, indexing="ij")))
+
+
+def gradient(x: float, y: float, size: float) -> tuple[float, float]:
+    """Return the exact gradient of the hillside times a factor."""
+    return (
+        size * (2.5 / 9 * np.cos(x / 9) * np.cos(y / 11) + 0.05),
+        -size * 2.5 / 11 * np.sin(x / 9) * np.sin(y / 11),
+    )
+
+
+def drive(seed: int, group: str, size: float = 1.0, noise: float = 0.0) -> DriveLog:
+    """Return the log of a robot with the true constants, which drives towards the middle."""
+    rng, count = np.random.default_rng(seed), 700
+    place, heading, path = rng.uniform(-15, 15, 2), rng.uniform(-3, 3), []
+    sides, turn = np.empty((count, 2)), 0.0
+    for k in range(count):
+        if k % 15 == 0:  # a new command every three seconds
+            away = np.angle(-complex(*place) * np.exp(-1j * heading))
+            turn = rng.normal(0, 0.06) + (0.08 * np.sign(away) if np.hypot(*place) > 20 else 0)
+        sides[k] = 0.5 - turn / 2, 0.5 + turn / 2
+        path.append(place)
+        left, right = sides[k]
+        for _ in range(FINE):
+            x, y = gradient(*place, size)
+            c, s = np.cos(heading), np.sin(heading)
+            up = (x * c + y * s) / np.sqrt(1 + (x * c + y * s) ** 2)
+            mean, step = (left + right) / 2, DT / FINE
+            yaw = (right - left + 2 * TRUE["drift"] * mean) / TRUE["track"]
+            yaw *= np.exp(-TRUE["turn_slope"] * up)
+            v = TRUE["scale"] * mean - TRUE["slip_slope"] * mean * up
+            middle = heading + step * yaw / 2
+            ahead = np.array([np.cos(middle), np.sin(middle)])
+            place, heading = place + step * v * np.sqrt(1 - up**2) * ahead, heading + step * yaw
+    exact = np.array(path)
+    velocity = np.gradient(exact, DT, axis=0)
+    seen = exact + noise * rng.normal(size=exact.shape)
+    speed, good = np.hypot(*velocity.T), np.ones(count, bool)
+    return DriveLog(f"log {seed}", group, DT, seen, velocity, speed, good, np.ones(count), sides)

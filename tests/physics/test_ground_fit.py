@@ -1,0 +1,141 @@
+"""Motion over a map fitted to commands and positions: known truth, intervals, refusals, balance."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import root
+
+from helpers.hillside import AXIS, HILL, TRUE, drive
+from slipfree import ModelError
+from slipfree.core.records import Array
+from slipfree.fit.ground_fit import GroundFit, conformal, fit_ground, fit_on_uncertain_map, judge
+from slipfree.fit.ground_motion import (
+    FRICTION,
+    HALF_BASE,
+    HALF_TRACK,
+    MODELS,
+    DriveLog,
+    GroundPredictor,
+    Slopes,
+    windows_of,
+)
+from slipfree.terrain.base import Grid
+from slipfree.terrain.grid_ops import disturbed
+
+
+@cache
+def logs(size: float = 1.0) -> list[DriveLog]:
+    """Return logs of three campaigns."""
+    return [drive(k, "abc"[k % 3], size) for k in range(6)]
+
+
+def fitted(drives: list[DriveLog], name: str, slopes: Slopes) -> GroundFit:
+    """Return the fit of a model to windows of 5 m."""
+    return fit_ground(MODELS[name], GroundPredictor(drives, windows_of(drives, 5.0), slopes))
+
+
+def test_fit_finds_the_truth() -> None:
+    found = fitted(logs(), "slope", Slopes(HILL, 0.0))
+    for name, value in TRUE.items():
+        assert abs(found.values[name] - value) < 0.01 * max(abs(value), 0.1), name
+    # what remains are chords of 2 s, steps of 0.2 s and the interpolation between nodes
+    assert np.median(found.errors.position) < 0.01
+    assert found.errors.position.max() < 0.1
+
+
+def test_wrong_map_widens_the_intervals_and_does_not_bias() -> None:
+    drives, wrong = logs(), disturbed(HILL, 0.1, 3.0, 1)
+    more = [Slopes(disturbed(wrong, 0.1, 3.0, seed), 0.0) for seed in (2, 3, 4)]
+    right = fitted(drives, "slope", Slopes(HILL, 0.0))
+    found = fit_on_uncertain_map(
+        MODELS["slope"], drives, windows_of(drives, 5.0), (Slopes(wrong, 0.0), more)
+    )
+    for name in ("slip_slope", "turn_slope"):
+        assert found.deviation[name] > 2 * right.deviation[name], name
+        low, high = found.intervals[name]
+        assert low < TRUE[name] < high, name
+
+
+def test_level_ground_determines_no_influence_of_the_slope() -> None:
+    level = Grid(AXIS, AXIS, np.zeros_like(HILL.z))
+    with pytest.raises(ModelError, match=r"slip_slope, turn_slope of the model 'slip and turning"):
+        fitted(logs(0.0), "slope", Slopes(level, 0.0))
+
+
+def test_groups_are_predicted_with_constants_of_the_others() -> None:
+    names = ("differential", "slope")
+    scores, fits = judge(logs(), Slopes(HILL, 0.0), {name: MODELS[name] for name in names})
+    assert [len(fits[name]) for name in names] == [3, 3]
+    for kind, score in scores["slope"].items():
+        assert (
+            score.errors.position.mean() < scores["differential"][kind].errors.position.mean() / 5
+        )
+        assert abs(score.slip()[0][3]) < 0.005
+
+
+def test_conformal_intervals_hold() -> None:
+    rng = np.random.default_rng(0)
+    inside = [abs(rng.normal()) <= conformal(rng.normal(size=30)) for _ in range(4000)]
+    assert 0.885 < np.mean(inside) < 0.925  # 28 / 31 = 0.903
+
+
+def test_windows_leave_out_bad_positions() -> None:
+    log = logs()[0]
+    jump = log.place.copy()
+    jump[350:] += 3.0
+    for bad in (log._replace(place=jump), log._replace(good=np.arange(700) < 340)):
+        windows = windows_of([bad], 5.0)
+        assert not ((windows.first < 349) & (windows.last > 350)).any()
+        assert len(windows.log) < len(windows_of([log], 5.0).log)
+    with pytest.raises(ModelError, match="found none; use longer logs or shorter windows"):
+        windows_of([log._replace(good=log.good & False)], 5.0)
+
+
+def test_slopes_of_a_plane() -> None:
+    plane = Grid(AXIS, AXIS, 0.2 * AXIS[:, None] - 0.1 * AXIS)
+    place, heading = np.array([[3.3, -7.1], [60.0, 2.0]]), np.array([0.4, 0.4])
+    up, left = Slopes(plane, 1.5, (1.0, -2.0)).tilt(place, heading)
+    normal = np.array([-0.2, 0.1, 1]) / np.sqrt(1.05)
+    ahead = np.array([np.cos(0.4), np.sin(0.4), 0.2 * np.cos(0.4) - 0.1 * np.sin(0.4)])
+    ahead /= np.linalg.norm(ahead)
+    assert_allclose(up, ahead[2], atol=1e-9)
+    assert_allclose(left, np.cross(normal, ahead)[2], atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_balance_of_friction(seed: int) -> None:
+    """Forces of four wheels, written out wheel by wheel, and moments about the centre of mass."""
+    rng = np.random.default_rng(seed)
+    p = {**MODELS["friction"].start, "height": 0.3, "ahead": rng.uniform(-0.1, 0.1)}
+    left, right, up, tilt = (*rng.uniform(0.2, 0.6, 2), *rng.uniform(-0.2, 0.2, 2))
+    rates = MODELS["friction"].step(
+        p, *(np.array([each]) for each in (left, right, up, tilt)), None
+    )
+
+    def balance(rate: Array) -> Array:
+        mean = (left + right) / 2
+        half = p["turn"] * (right - left) / 2 + p["drift"] * mean
+        normal = np.sqrt(1 - up**2 - tilt**2)
+        total = np.array([-up, -tilt, 0.0])
+        for x in (HALF_BASE, -HALF_BASE):
+            for y in (HALF_TRACK, -HALF_TRACK):
+                share = 0.5 + np.sign(x) * (p["ahead"] * normal - p["height"] * up) / normal / (
+                    2 * HALF_BASE
+                )
+                share *= 0.5 - np.sign(y) * p["height"] * tilt / normal / (2 * HALF_TRACK)
+                load, drive_speed = share * normal, p["scale"] * mean - np.sign(y) * half
+                sliding = np.array(
+                    [rate[0] - rate[2] * y - drive_speed, rate[1] + rate[2] * (x - p["ahead"])]
+                )
+                force = -FRICTION * load * sliding / np.sqrt(sliding @ sliding + p["creep"] ** 2)
+                force[0] -= p["resistance"] * load * np.tanh(drive_speed / 0.05)
+                total += [*force, (x - p["ahead"]) * force[1] - y * force[0]]
+        return total
+
+    sol = root(balance, np.ravel(rates) + 0.01, tol=1e-12)
+    assert sol.success
+    assert_allclose(np.ravel(rates), sol.x, atol=1e-6)
