@@ -34,6 +34,8 @@ from slipfree.core.records import Array
 from slipfree.models.force_distribution import least_utilisation
 
 STEPS, MORE_STEPS = 8, 16
+ROUNDING = 1e-15
+MIN_RESISTANCE = 1e-10  # smallest square of a resistance to sliding, relative to the largest
 FIRST_FACTOR, LOAD_STEPS = 1.5, 16  # for given normal forces
 FIRST_LEVEL = 1.5  # largest coefficient at which the search starts
 START_SHARE = 0.7  # of the coefficient at which the first rates leave their cone
@@ -345,11 +347,15 @@ def least_friction_of_loads(terms: Terms, tolerance: float) -> Interval:
     n, k = load.shape
     columns = terms.slopes.reshape(k, limit.shape[1], 2, n)
     c = columns.transpose(3, 1, 2, 0) * limit[:, :, None, None]
-    square = np.einsum("nikw,nikv->nwv", c, c) + TINY * np.eye(k)
-    first = -np.einsum("nikw,nw->nik", c, _solved(square, load))  # of least norm
-    interval = Interval(np.zeros(n), _largest(first))
+    square = np.einsum("nikw,nikv->nwv", c, c)
+    interval = Interval(np.zeros(n), np.full(n, np.inf))
+    wide = np.flatnonzero(np.isfinite(square).all(axis=(1, 2)) & np.isfinite(load).all(axis=1))
+    sizes = np.linalg.eigvalsh(square[wide])
+    # a rate that no wheel under load resists is not balanced by any forces
+    wide = wide[sizes[:, 0] > MIN_RESISTANCE * sizes[:, -1]]
+    first = np.einsum("nikw,nw->nik", c[wide], _solved(square[wide], load[wide]))
+    interval.high[wide] = _largest(first)  # of least norm
     y, level = np.zeros((n, k)), FIRST_FACTOR * interval.high + SMALLEST_LEVEL
-    wide = np.flatnonzero(np.isfinite(interval.high))
     for _ in range(LOAD_STEPS):
         low, high = (bound[wide] for bound in interval)
         y[wide], level[wide], *bounds = _load_step(
@@ -376,7 +382,9 @@ def _load_step(
     slope = gain[..., None, None] * np.eye(2)
     slope = slope + 2 * bend[..., None, None] * s[..., :, None] * s[..., None, :]
     reach = np.matmul(slope, c)
-    hessian = np.einsum("nikw,nikv->nwv", c, reach) + TINY * np.eye(y.shape[1])
+    hessian = np.einsum("nikw,nikv->nwv", c, reach)
+    trace = np.trace(hessian, axis1=1, axis2=2)[:, None, None]
+    hessian += (ROUNDING * trace + TINY) * np.eye(y.shape[1])
     residual = load - np.einsum("nikw,nik->nw", c, gain[..., None] * s)
     by_level = (gain * (2 / sigma - 4 * sigma * size / (root * (1 + root))))[..., None] * s
     newton = _solved(hessian, residual)
