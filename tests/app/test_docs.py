@@ -7,6 +7,7 @@ import ast
 import inspect
 import re
 from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,16 @@ def test_every_page_is_in_one_table_of_contents():
     assert sorted(found) == sorted(
         [name for name in pages if name != "index"] + [f"notebooks/{name}" for name in NOTEBOOKS]
     )
+
+
+def test_the_generated_parts_of_all_pages_are_made():
+    """Every key of a problem file has words for its type, every listed name exists."""
+    spec = spec_from_file_location("made", DOCS / "made.py")
+    made = module_from_spec(spec)
+    spec.loader.exec_module(made)
+    for page in PAGES:
+        text = page.read_text()
+        assert (made.fill(text) != text) == bool(re.search(r"<!-- \w+: ", text)), page
 
 
 def test_every_package_is_in_the_reference():
