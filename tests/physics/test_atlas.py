@@ -79,11 +79,12 @@ def test_friction_that_differs_between_wheels_scales_the_bounds():
         assert values["least_utilisation_high"] - values["least_utilisation_low"] < 2e-3
 
 
-def test_errors_of_heights_on_level_ground_are_those_of_the_contact_heights():
+@pytest.mark.parametrize("through", [True, False], ids=("interpolated", "smoothed"))
+def test_errors_of_heights_on_level_ground_are_those_of_the_contact_heights(through):
     """Roll and pitch of a level three-wheeler follow from the heights at its contacts alone."""
     axis = np.linspace(-3.0, 3.0, 25)
     flat = np.zeros((axis.size, axis.size))
-    ground = Bicubic(Grid(axis, axis, flat), mu=0.5)
+    ground = Bicubic(Grid(axis, axis, flat), mu=0.5, through=through)
     vehicle = catalog.three_wheeler()
     model = direct_kinematics(vehicle, ground)
     found = atlas(model, ground, headings=[0.4], x=[0.1], y=[-0.05], error=0.02, compiled=False)
@@ -92,7 +93,7 @@ def test_errors_of_heights_on_level_ground_are_those_of_the_contact_heights():
     for i in range(axis.size):
         for j in range(axis.size):
             flat[i, j] = 1.0
-            unit = Bicubic(Grid(axis, axis, flat.copy()))
+            unit = Bicubic(Grid(axis, axis, flat.copy()), through=through)
             weights[:, i, j] = unit.elevation(pose["contact_x"][0], pose["contact_y"][0])
             flat[i, j] = 0.0
     right, left, front = weights

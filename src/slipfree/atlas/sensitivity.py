@@ -4,9 +4,10 @@ The adjoint of the closure equations ``r(p, c) = 0`` gives the derivatives of a 
 the coefficients ``c`` of the spline under the wheels: with ``(dr/dp)' y = dq/dp``, they are
 ``dq/dc - (dr/dc)' y``. Coefficients follow from all heights by the inverse of the filter
 (1, 4, 1)/6 along both axes; its kernel ``sqrt(3) z^|k|``, ``z = sqrt(3) - 2``, is cut off where it
-is below a thousandth. The sum of the absolute derivatives by the heights times an error of each is
-the worst case; their root sum of squares times a standard deviation is that of the quantity, for
-independent errors of the nodes.
+is below a thousandth. On a smoothing ground (``through=False``) heights are the coefficients. The
+sum of the absolute derivatives by the heights times an error of each is the worst case; their root
+sum of squares times a standard deviation is that of the quantity, for independent errors of the
+nodes.
 """
 
 from __future__ import annotations
@@ -74,12 +75,8 @@ def sensitivity_graph(graphs: Graphs) -> SensitivityGraph | None:
     return SensitivityGraph(graph, names, cells)
 
 
-def height_errors(graph: SensitivityGraph, values: Array, *, through: bool = True) -> Errors:
-    """Return the errors of quantities from values of the graph, shape (n_results, n).
-
-    ``through`` tells whether the ground interpolates the heights; otherwise they are the
-    coefficients.
-    """
+def height_errors(graph: SensitivityGraph, values: Array) -> Errors:
+    """Return the errors of quantities from values of the graph, shape (n_results, n)."""
     parts = graph.graph.parts
     count, n = (parts[0].stop - parts[0].start) // 2, values.shape[1]
     spacing = graph.cells.spacing
@@ -91,7 +88,8 @@ def height_errors(graph: SensitivityGraph, values: Array, *, through: bool = Tru
         nodes = np.arange(int(offset.max(initial=0)) + 4 + 2 * MARGIN)
         coefficients = offset[..., None] + MARGIN + np.arange(4)
         away = np.abs(nodes - coefficients[..., None])  # (n, count, 4, nodes)
-        kernels.append(np.sqrt(3.0) * POLE**away if through else (away == 0).astype(float))
+        is_interpolated = graph.cells.is_interpolated
+        kernels.append(np.sqrt(3.0) * POLE**away if is_interpolated else (away == 0).astype(float))
         bases.append(middle_basis() / 6 / h ** np.arange(4)[:, None])
     deviation, worst = np.empty((2, len(graph.names), n))
     for k, part in enumerate(parts[1:]):

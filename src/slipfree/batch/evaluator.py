@@ -192,7 +192,7 @@ class _Compiled(Generic[G]):
         self._tables = [np.ascontiguousarray(each.coefficients) for each in source.cells]
         self._cells = (_Cells * max(1, len(self._tables)))(
             *(
-                _Cells(table.ctypes.data, table.shape[1], *(n for pair in each[1:] for n in pair))
+                _Cells(table.ctypes.data, table.shape[1], *each.numbers)
                 for table, each in zip(self._tables, source.cells, strict=True)
             )
         )

@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slipfree.cli.common import (
-    MAX_PROCESSES,
     Draw,
+    Processes,
+    Scheduler,
     Settings,
     Trust,
     add_json,
     add_json_file,
+    check_workers,
     counted,
     detail,
     print_facts,
@@ -100,21 +102,8 @@ def atlas(
             "current folder.",
         ),
     ] = None,
-    processes: Annotated[
-        int | None,
-        typer.Option(
-            "-j",
-            "--processes",
-            min=1,
-            max=MAX_PROCESSES,
-            metavar="P",
-            help="Number of processes; default: one per core.",
-        ),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Compute on the workers of this Dask scheduler."),
-    ] = None,
+    processes: Processes = None,
+    scheduler: Scheduler = None,
     settings: Settings = None,
     draw: Draw = True,
     trust: Trust = None,
@@ -135,11 +124,7 @@ def atlas(
         from slipfree.problem.inputs import files_read
         from slipfree.problem.verbs.atlas import build_atlas
 
-        if scheduler is not None and processes is not None:
-            raise DataError(
-                "--scheduler: expected --scheduler or --processes, found both; remove --processes: "
-                "a cluster has as many processes as workers"
-            )
+        check_workers(processes, scheduler)
         own = _own_settings(headings, every, friction, error, within or [])
         with _as_arguments():
             problem = _read(file, vehicle, [*own, *(settings or [])], trust)

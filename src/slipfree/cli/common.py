@@ -84,6 +84,21 @@ Trust = Annotated[
         "trust only files that you would execute. Repeatable.",
     ),
 ]
+Processes = Annotated[
+    int | None,
+    typer.Option(
+        "-j",
+        "--processes",
+        min=1,
+        max=MAX_PROCESSES,
+        metavar="P",
+        help="Number of processes; default: one per core.",
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Compute on the workers of this Dask scheduler."),
+]
 Draw = Annotated[bool, typer.Option("--draw/--no-draw", help="Draw the figure.")]
 ResultFile = Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")]
 InputFolder = Annotated[
@@ -534,6 +549,15 @@ def duration(seconds: float) -> str:
         if seconds >= 2 * size:
             return f"{seconds / size:.2g} {unit}"
     return f"{seconds:.2g} s"
+
+
+def check_workers(processes: int | None, scheduler: str | None) -> None:
+    """Raise DataError if both options that say where to compute are given."""
+    if scheduler is not None and processes is not None:
+        raise DataError(
+            "--scheduler: expected --scheduler or --processes, found both; remove --processes: a "
+            "cluster has as many processes as workers"
+        )
 
 
 @contextmanager

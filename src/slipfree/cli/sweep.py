@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slipfree.cli.common import (
-    MAX_PROCESSES,
     STOPPED,
     File,
+    Processes,
+    Scheduler,
     Settings,
     Trust,
     add_json_file,
+    check_workers,
     counted,
     detail,
     duration,
@@ -25,7 +27,6 @@ from slipfree.cli.common import (
     warn,
 )
 from slipfree.cli.outputs import check_outputs
-from slipfree.core.errors import DataError
 from slipfree.system.interrupt import check_interrupt, held_interrupt
 
 if TYPE_CHECKING:
@@ -69,19 +70,8 @@ def sweep(
             "Runs of this sweep that it already contains are not repeated.",
         ),
     ] = None,
-    processes: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=MAX_PROCESSES,
-            metavar="P",
-            help="Number of processes; default: one per core.",
-        ),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Run on the workers of this Dask scheduler."),
-    ] = None,
+    processes: Processes = None,
+    scheduler: Scheduler = None,
     keep: Annotated[
         bool, typer.Option("--keep", help="Write the result of every run: DIR/run_0001.nc.")
     ] = False,
@@ -184,13 +174,9 @@ def _pool(count: int | None, scheduler: str | None) -> Callable[[], Pool]:
     from slipfree.sweep.pools import Cluster, ProcessPool
     from slipfree.system.processes import available_cores
 
+    check_workers(count, scheduler)
     if scheduler is None:
         return lambda: ProcessPool(count or available_cores())
-    if count is not None:
-        raise DataError(
-            "--scheduler: expected --scheduler or --processes, found both; remove --processes: a "
-            "cluster has as many processes as workers"
-        )
     return lambda: Cluster(scheduler, warn)
 
 

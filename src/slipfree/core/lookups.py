@@ -30,6 +30,9 @@ class Cells(NamedTuple):
         Local coordinates of the node nearest to the local origin, and distances between nodes. [m]
     node, last : tuple of 2 ints
         Indices of that node and of the last cell, along x and y.
+    is_interpolated : bool
+        Whether the spline passes through the heights of the map; otherwise they are its
+        coefficients.
     """
 
     coefficients: Array
@@ -37,6 +40,13 @@ class Cells(NamedTuple):
     spacing: tuple[float, float]
     node: tuple[int, int]
     last: tuple[int, int]
+    is_interpolated: bool = True
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Places, distances and indices, as `kernel.c` and ``lanes.c`` take them."""
+        pairs = self.place, self.spacing, self.node, self.last
+        return tuple(number for pair in pairs for number in pair)
 
 
 class Lookup(NamedTuple):

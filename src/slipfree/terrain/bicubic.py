@@ -329,7 +329,7 @@ class Bicubic:
         (x_0, y_0, _), (i, j) = self.origin, (cell[0] for cell in self._cells)
         place = float(self.grid.x[i] - x_0), float(self.grid.y[j] - y_0)
         last = self._cells[0][1], self._cells[1][1]
-        return Cells(self._table, place, self.grid.spacing, (i, j), last)
+        return Cells(self._table, place, self.grid.spacing, (i, j), last, self.through)
 
     @cached_property
     def _kernel(self) -> Opened | None:

@@ -88,7 +88,7 @@ def register_ground(cells: Cells) -> Opened | None:
     if compiled is None:
         return None
     key = float(secrets.randbits(KEY_BITS))
-    numbers, table = np.array([key, *(n for pair in cells[1:] for n in pair)]), cells.coefficients
+    numbers, table = np.array([key, *cells.numbers]), cells.coefficients
     with _LOCK:
         free = [slot for slot in range(compiled.kernel_slots()) if not compiled.kernel_in_use(slot)]
         for slot in free:
