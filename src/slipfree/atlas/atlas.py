@@ -71,7 +71,7 @@ class Band(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Atlas:
-    """Poses of a vehicle at the nodes of a map, for several headings.
+    """PoseEvaluator of a vehicle at the nodes of a map, for several headings.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Atlas:
         return np.asarray(self["reason"] == 0)
 
     def held(self, friction: float) -> tuple[Mask, Mask]:
-        """Return where friction surely holds the vehicle, and where it surely does not.
+        """Return the poses that friction surely holds, and those that it surely does not hold.
 
         Parameters
         ----------
@@ -174,8 +174,8 @@ class Summary(NamedTuple):
     reduce: Callable[..., Array]
 
 
-class Poses(NamedTuple):
-    """What computes the poses of a model: evaluators, labels of the bands, and reasons."""
+class PoseEvaluator(NamedTuple):
+    """Evaluators of the poses of a model, summaries of their quantities, and reasons."""
 
     evaluate: Evaluator
     more: EvaluatorOf[AtlasGraphs]
@@ -206,7 +206,7 @@ def atlas(
 ) -> Atlas:
     """Return where and how a vehicle stands on a map, at many places and headings.
 
-    Poses, loads and limits are exact, those of `settle`: nothing is fitted to the ground under the
+    PoseEvaluator, loads and limits are exact, those of `settle`: nothing is fitted to the ground under the
     vehicle. The least coefficient of friction is enclosed by bounds: no distribution of forces
     holds the vehicle below the lower one, and forces were found for the upper one.
 
@@ -262,7 +262,7 @@ def atlas(
         raise ModelError("atlas: expected a map, or the places 'x' and 'y', found none; give them")
     turns = 2 * np.pi * np.arange(headings) / headings if isinstance(headings, int) else headings
     heading = np.asarray(turns, dtype=float)
-    poses = poses_of(model, with_errors=error is not None, compiled=compiled)
+    poses = pose_evaluator(model, with_errors=error is not None, compiled=compiled)
     shape = heading.size, x.size, y.size
     labels = bands_of(poses, error=error, is_moving=bool(inputs))
     values = {name: np.full(shape, np.nan, dtype=np.float32) for name in labels}
@@ -288,8 +288,8 @@ def tiles_of(n_x: int, n_y: int) -> Iterator[tuple[slice, slice]]:
 
 
 @lru_cache(maxsize=4)
-def poses_of(model: Dae, *, with_errors: bool, compiled: bool = True) -> Poses:
-    """Return what computes the poses of a model."""
+def pose_evaluator(model: Dae, *, with_errors: bool, compiled: bool = True) -> PoseEvaluator:
+    """Return the evaluators of the poses of a model; cached, since they serve all tiles."""
     evaluate = evaluator_of(model, compiled=compiled)
     graphs = evaluate.graphs
     holding = None if graphs.stages else model.holding  # soil holds wheels, not friction
@@ -312,10 +312,12 @@ def poses_of(model: Dae, *, with_errors: bool, compiled: bool = True) -> Poses:
     reasons, codes = _reasons(model)
     names = [label.name for label in leaves(model.labels.y)]
     power = names.index("power") if "power" in names else None
-    return Poses(evaluate, more, _summaries(graphs), least, codes, reasons, power)
+    return PoseEvaluator(evaluate, more, _summaries(graphs), least, codes, reasons, power)
 
 
-def bands_of(poses: Poses, *, error: float | None, is_moving: bool = False) -> dict[str, Label]:
+def bands_of(
+    poses: PoseEvaluator, *, error: float | None, is_moving: bool = False
+) -> dict[str, Label]:
     """Return the labels of the bands; there is one of energy if the vehicle moves."""
     labels = {REASON.name: REASON} | {name: each.label for name, each in poses.summaries.items()}
     graphs = poses.more.graphs
@@ -337,7 +339,7 @@ def bands_of(poses: Poses, *, error: float | None, is_moving: bool = False) -> d
 
 
 def tile_of(
-    poses: Poses,
+    poses: PoseEvaluator,
     x: Array,
     y: Array,
     heading: Array,
@@ -358,7 +360,7 @@ def tile_of(
 
 
 def _bands(
-    poses: Poses,
+    poses: PoseEvaluator,
     places: Array,
     inputs: Mapping[str, float],
     error: float | None,

@@ -239,7 +239,7 @@ def _next_level(level: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
 
 
 def _length_inside(wheels: _Wheels, slips: list[ca.SX], move: ca.SX, level: ca.SX) -> ca.SX:
-    """Return the length of a step at most `CONE_STEP` of the way out of the cones of a level."""
+    """Return the largest step, at most 1, that stays within `CONE_STEP` of the cones of a level."""
     length, square = ca.SX(1), level**2
     for s, d in zip(slips, wheels.slips(move), strict=True):
         a = d[2] ** 2 - square * _tangential(d)

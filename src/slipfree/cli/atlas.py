@@ -191,7 +191,7 @@ def _own_settings(
 
 
 def _toml(text: str, default: str = "") -> str:
-    """Return a number as it is, and another text in quotes; ``default`` for an empty one."""
+    """Return a number unchanged, other text in quotes, and ``default`` for empty text."""
     try:
         float(text)
     except ValueError:

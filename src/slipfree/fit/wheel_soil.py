@@ -407,7 +407,7 @@ class SoilProblem:
 
 
 def check_constant(unknown: Unknown, soil: Soil) -> None:
-    """Raise ModelError if an unknown is no constant of steady motion, or outside its bounds."""
+    """Raise ModelError unless an unknown is a constant of steady motion, within its bounds."""
     if unknown.quantity not in STEADY_CONSTANTS:
         raise ModelError(
             f"unknown {unknown.name!r}: expected one of the constants of soil "

@@ -54,7 +54,7 @@ class _CostGraphs(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SamplingTask:
-    """What a sampling controller minimises, and how.
+    """Costs, goal and ranges of a sampling controller, and parameters of the method.
 
     Attributes
     ----------

@@ -164,7 +164,7 @@ def _overlap(tile: slice, window: slice) -> tuple[slice, slice] | None:
 
 
 def _key(problem: Problem[Any]) -> dict[str, str]:
-    """Return what the tiles of a problem depend on: values, input files and version."""
+    """Return the values, input files and version on which the tiles of a problem depend."""
     values = problem.spec.model_dump_json(exclude={"title"}, serialize_as_any=True)
     files = [file for file in files_read(problem)[1:] if file.is_file()]
     text = json.dumps([values, [(str(file), digest(file)) for file in files]])
@@ -237,20 +237,20 @@ def write_file(path: Path, setup: AtlasSetup, folder: TileFolder) -> None:
 
 
 class AtlasOverview(NamedTuple):
-    """What summary and figures of a mobility map show."""
+    """Facts of the summary, and contents of the figures of a mobility map."""
 
     view: AtlasView
     facts: dict[str, Fact]  # of the whole map, by name
 
 
 def overview_of_tiles(setup: AtlasSetup, folder: TileFolder) -> AtlasOverview:
-    """Return what summary and figures show, from the finished tiles of a map."""
+    """Return the overview of a map from its finished tiles."""
     tiles = ((*tile, folder.poses(k)) for k, tile in enumerate(setup.tiles))
     return _overview(setup.x, setup.y, tiles, folder.window, setup.site)
 
 
 def overview_of_file(stored: StoredAtlas) -> AtlasOverview:
-    """Return what summary and figures show, from a netCDF file."""
+    """Return the overview of a map in a netCDF file."""
     poses = stored.poses
     tiles = ((i, j, part_of(poses, i, j)) for i, j in tiles_of(poses.x.size, poses.y.size))
     return _overview(poses.x, poses.y, tiles, lambda i, j: part_of(poses, i, j), stored.site)

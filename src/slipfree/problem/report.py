@@ -91,7 +91,7 @@ def report(file: Path, folder: Path | None = None) -> Report:
 
 
 def atlas_lines(file: Path) -> tuple[Lines, Lines, AtlasOverview]:
-    """Return summary, set-up, and what the figures of a mobility map show."""
+    """Return summary, set-up, and the contents of the figures of a mobility map."""
     overview = overview_of_file(open_atlas(file))
     attributes = overview.view.site.attributes
     set_up = [

@@ -44,7 +44,7 @@ WRAP = 95  # characters of a line of a legend
 
 
 class AtlasView(NamedTuple):
-    """What the figures of a mobility map show.
+    """Contents of the figures of a mobility map.
 
     Attributes
     ----------

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from slipfree.atlas.atlas import Poses, bands_of, poses_of, tiles_of
+from slipfree.atlas.atlas import PoseEvaluator, bands_of, pose_evaluator, tiles_of
 from slipfree.core.dae import Dae
 from slipfree.core.records import Array, Label, leaves
 from slipfree.core.trajectory import OFFSET, Frame
@@ -171,7 +171,7 @@ class AtlasSetup:
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings about what the map cannot have."""
+        """Warnings about bands that the map lacks, and about a map that is too small."""
         words = list[str]()
         if not self.vehicle.mass:
             words.append("the vehicle has no mass: the map has no bands of friction; give its mass")
@@ -195,11 +195,11 @@ class AtlasSetup:
         error, is_moving = self.problem.spec.atlas.error, bool(self.inputs)
         return bands_of(self.poses(compiled=compiled), error=error, is_moving=is_moving)
 
-    def poses(self, *, compiled: bool = True) -> Poses:
-        """Return what computes the poses."""
+    def poses(self, *, compiled: bool = True) -> PoseEvaluator:
+        """Return the evaluators of the poses."""
         table = self.problem.spec.atlas
         with_errors, compiled = table.error is not None, compiled and table.compiled
-        return poses_of(self.model, with_errors=with_errors, compiled=compiled)
+        return pose_evaluator(self.model, with_errors=with_errors, compiled=compiled)
 
 
 def build_atlas(problem: Problem[AtlasKeys]) -> AtlasSetup:
