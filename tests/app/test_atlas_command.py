@@ -237,7 +237,7 @@ def test_hostile_maps_are_refused(z, more, expected):
         ((), "found no vehicle"),
         (("three_wheeler", "--headings", "361"), "--headings: expected a number of at most 360"),
         (("three_wheeler", "--every", "10"), "--every: expected at most 9"),
-        (("three_wheeler", "--within", "rol=-1..1"), "--within.rol: did you mean 'roll'?"),
+        (("three_wheeler", "--within", "rol=-1..1"), "--within rol: did you mean 'roll'?"),
         (("three_wheeler", "--within", "roll"), "expected NAME=LOW..HIGH"),
         (("three_wheeler", "--within", "roll=2..1"), "in ascending order"),
         (("three_wheeler", "--friction", "0"), "--friction: expected a number greater than 0"),

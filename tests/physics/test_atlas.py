@@ -20,6 +20,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.atlas.atlas import atlas
+from slipfree.core.records import leaves
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.shapes import Box
@@ -70,7 +71,8 @@ def test_friction_that_differs_between_wheels_scales_the_bounds():
     ground = Bicubic(grid, mu=Grid(grid.x, grid.y, rows))
     model = direct_kinematics(vehicle, ground)
     found = atlas(model, ground, headings=[0.3], x=[0.4], y=PLACES, compiled=False)
-    for j in np.flatnonzero(found.stands[0, 0]):
+    assert found.stands[0, 0].all()
+    for j in range(PLACES.size):
         pose = settle(model, x=0.4, y=PLACES[j], heading=0.3)
         least = best_utilisation(vehicle, ground, pose)["utilisation_best"][0]
         values = picked(found, (0, 0, j))
@@ -135,8 +137,9 @@ def test_a_rigid_vehicle_is_held_by_its_own_loads():
     ground, vehicle = hills(rms=0.1), catalog.rigid_skid_steer()
     model = direct_kinematics(vehicle, ground)
     found = atlas(model, ground, headings=[0.4], x=PLACES, y=PLACES, compiled=False)
-    assert found.stands.any()
-    for at in np.argwhere(found.stands & (found["rests"] == 1))[::6]:
+    compared = np.argwhere(found.stands & (found["rests"] == 1))[::6]
+    assert len(compared) >= 3
+    for at in compared:
         pose = settle(model, x=PLACES[at[1]], y=PLACES[at[2]], heading=0.4)
         values = picked(found, tuple(at))
         for name in ("roll", "pitch"):
@@ -196,16 +199,54 @@ def test_on_soil_slip_and_sinkage_are_those_of_the_motion():
     assert_allclose(values["slip_ratio"], run["slip_ratio"][0].max(), rtol=1e-5)
 
 
-def test_the_clearance_of_bodies_is_that_of_single_poses():
-    """A box below the platform keeps the distance that settle reports; a ridge ends poses."""
-    box = Body(10.0, shapes=(Box((0.5, 0.8, 0.1), (0.0, 0.0, -0.1)),))
+@pytest.mark.parametrize("height", [-0.1, 0.4], ids=("low", "high"))
+def test_the_clearance_of_bodies_is_that_of_single_poses(height):
+    """A box keeps the distance that settle reports, near the ground and far from it."""
+    box = Body(10.0, shapes=(Box((0.5, 0.8, 0.1), (0.0, 0.0, height)),))
     vehicle = replace(catalog.rigid_skid_steer(), body=box)
     ground = hills(rms=0.05)
     model = direct_kinematics(vehicle, ground)
     found = atlas(model, ground, headings=[0.2], x=PLACES, y=[0.3], compiled=False)
-    for i in np.flatnonzero(found.stands[0, :, 0]):
+    assert found.stands.all()
+    for i in range(PLACES.size):
         pose = settle(model, x=PLACES[i], y=0.3, heading=0.2)
-        assert found["clearance_body"][0, i, 0] == pytest.approx(
-            pose["clearance_body"][0], abs=1e-6
-        )
-    assert found.stands.any()
+        clearance = pose["clearance_body"][0]
+        assert found["clearance_body"][0, i, 0] == pytest.approx(clearance, abs=1e-6)
+
+
+def test_a_moving_rigid_vehicle_has_the_energy_of_its_motion():
+    """Relaxation to rest does not lose the inputs."""
+    ground = hills(rms=0.1)
+    model = direct_kinematics(catalog.rigid_skid_steer(), ground)
+    rates = {label.full: 1.0 for label in leaves(model.labels.u)}
+    found = atlas(model, ground, headings=[0.4], x=[0.0], y=[0.6], inputs=rates, compiled=False)
+    pose = settle(model, x=0.0, y=0.6, heading=0.4)
+    run = simulate(model, pose, model.inputs(**rates), [0.0, 0.01])
+    energy = run["power"][0] / np.hypot(run["velocity_x"][0], run["velocity_y"][0])
+    assert abs(energy) > 1.0
+    assert found["energy_per_metre"].item() == pytest.approx(energy, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"headings": 0}, "headings: expected at least one, found 0"),
+        ({"inputs": {"left": 1.0}}, "inputs: expected names among right_rate, .* found 'left'"),
+    ],
+)
+def test_wrong_arguments_are_named(arguments, message):
+    ground = hills()
+    model = direct_kinematics(catalog.three_wheeler(), ground)
+    with pytest.raises(ModelError, match=message):
+        atlas(model, ground, compiled=False, **arguments)
+
+
+def test_a_pose_does_not_depend_on_others():
+    """Errors of heights have the same digits alone and beside poses with wider wheels."""
+    ground = hills()
+    model = direct_kinematics(catalog.three_wheeler(), ground)
+    common = {"x": [0.7], "y": [0.0], "error": 0.02, "compiled": False}
+    alone = atlas(model, ground, headings=[0.8], **common)
+    beside = atlas(model, ground, headings=[0.0, 0.8, 2.0], **common)
+    for name in alone.bands:
+        assert_allclose(beside[name][1], alone[name][0], rtol=1e-6, err_msg=name)

@@ -24,6 +24,7 @@ from slipfree.batch.graph import Graph, Graphs, graph_of
 from slipfree.batch.many import (
     CHUNK,
     Source,
+    columns_of,
     solve_positions,
     sources_of,
     stand,
@@ -31,6 +32,7 @@ from slipfree.batch.many import (
     start_states,
 )
 from slipfree.batch.motion import COMPLETE, relax
+from slipfree.contact.clearance import CLEARANCE
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, Mask, leaves
@@ -42,8 +44,16 @@ NO_POSE = "no pose was found at which all wheels touch the ground"
 HEADINGS = 16
 TILE = 64  # nodes of the side of a tile
 LEAST_FRICTION = (
-    Label("least_friction_low", "1", "coefficient of friction below which no forces hold it"),
-    Label("least_friction_high", "1", "coefficient of friction that surely holds the vehicle"),
+    Label(
+        "least_friction_low",
+        "1",
+        "coefficient of friction, at the wheel with the best grip, below which no forces hold it",
+    ),
+    Label(
+        "least_friction_high",
+        "1",
+        "coefficient of friction, at the wheel with the best grip, that surely holds the vehicle",
+    ),
 )
 LEAST_UTILISATION = (  # where friction differs from place to place
     Label("least_utilisation_low", "1", "share of the friction below which no forces hold it"),
@@ -56,7 +66,6 @@ CHECKED = {  # words of failed checks
 REASON = Label("reason", "1", "why the vehicle does not stand; 0 if it stands")
 RESTS = Label("rests", "1", "number of rests found; the other bands are those of the steepest")
 ENERGY = Label("energy_per_metre", "J m-1", "work of the drives per metre at the given inputs")
-CLEARANCE = "clearance_body"
 TILT = 0.06  # of the starts from which other rests are sought [rad]
 SAME_REST = 2e-3  # difference of inclinations up to which rests are the same [rad]
 DEVIATION, WORST = "{}_deviation", "{}_worst"
@@ -71,7 +80,7 @@ class Band(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Atlas:
-    """PoseEvaluator of a vehicle at the nodes of a map, for several headings.
+    """Poses of a vehicle at the nodes of a map, for several headings.
 
     Attributes
     ----------
@@ -108,15 +117,15 @@ class Atlas:
         Parameters
         ----------
         friction : float
-            Coefficient of friction of the ground; 1 on a ground with a map of friction. [1]
+            Coefficient of friction at the wheel with the best grip: that of the ground times its
+            grip; 1 on a ground with a map of friction. [1]
 
         Returns
         -------
         held, not_held : ndarray of bool, shape (n_headings, n_x, n_y)
             Elsewhere the bounds do not decide. A vehicle that does not stand is not held.
         """
-        labels = LEAST_FRICTION if LEAST_FRICTION[0].name in self.bands else LEAST_UTILISATION
-        low, high = (self[label.name] for label in labels)
+        low, high = (self[label.name] for label in least_bounds(self) or LEAST_FRICTION)
         return self.stands & (high <= friction), ~self.stands | (low > friction)
 
     def share(self, **bounds: tuple[float, float]) -> Array:
@@ -144,6 +153,12 @@ class Atlas:
         index = filled.argmax(axis=0) if largest else filled.argmin(axis=0)
         chosen = np.take_along_axis(values, index[None], axis=0)[0]
         return chosen, np.where(empty, np.nan, self.heading[index])
+
+
+def least_bounds(poses: Atlas) -> tuple[Label, Label] | None:
+    """Return the labels of both bounds of the least friction; None without them."""
+    known = LEAST_FRICTION, LEAST_UTILISATION
+    return next((labels for labels in known if labels[0].name in poses.bands), None)
 
 
 class AtlasGraphs(NamedTuple):
@@ -206,7 +221,7 @@ def atlas(
 ) -> Atlas:
     """Return where and how a vehicle stands on a map, at many places and headings.
 
-    PoseEvaluator, loads and limits are exact, those of `settle`: nothing is fitted to the ground under the
+    Poses, loads and limits are exact, those of `settle`: nothing is fitted to the ground under the
     vehicle. The least coefficient of friction is enclosed by bounds: no distribution of forces
     holds the vehicle below the lower one, and forces were found for the upper one.
 
@@ -240,7 +255,7 @@ def atlas(
     Raises
     ------
     ModelError
-        If the model is of another kind, a name is unknown, or places are missing.
+        If the model is of another kind, a name is unknown, or places or headings are missing.
 
     Examples
     --------
@@ -253,28 +268,36 @@ def atlas(
     >>> found["pitch"][:, 6, 6].round(3).tolist()  # north, west, south, east
     [0.2, 0.0, -0.2, 0.0]
     """
-    axis = getattr(terrain, "grid", None)
+    grid = getattr(terrain, "grid", None)
     x, y = (
-        getattr(axis, name, None) if given is None else np.asarray(given, dtype=float)
+        getattr(grid, name, None) if given is None else np.asarray(given, dtype=float)
         for name, given in (("x", x), ("y", y))
     )
     if x is None or y is None:
         raise ModelError("atlas: expected a map, or the places 'x' and 'y', found none; give them")
-    turns = 2 * np.pi * np.arange(headings) / headings if isinstance(headings, int) else headings
-    heading = np.asarray(turns, dtype=float)
-    poses = pose_evaluator(model, with_errors=error is not None, compiled=compiled)
+    known = [label.full for label in leaves(model.labels.u)]
+    if unknown := [name for name in inputs or {} if name not in known]:
+        raise ModelError(
+            f"inputs: expected names among {', '.join(known)}, found {unknown[0]!r}; correct it"
+        )
+    heading: Array = np.array(headings, dtype=np.float64)
+    if not heading.ndim:  # a number of them
+        heading = 2 * np.pi * np.arange(float(heading)) / max(float(heading), 1.0)
+    if not heading.size:
+        raise ModelError(f"headings: expected at least one, found {headings}; correct it")
+    evaluator = pose_evaluator(model, with_errors=error is not None, compiled=compiled)
     shape = heading.size, x.size, y.size
-    labels = bands_of(poses, error=error, is_moving=bool(inputs))
+    labels = bands_of(evaluator, error=error, is_moving=bool(inputs))
     values = {name: np.full(shape, np.nan, dtype=np.float32) for name in labels}
     tiles = list(tiles_of(x.size, y.size))
     for k, (i, j) in enumerate(tiles):
-        tile = tile_of(poses, x[i], y[j], heading, inputs or {}, error, tolerance)
+        tile = tile_of(evaluator, x[i], y[j], heading, inputs or {}, error, tolerance)
         for name, found in tile.items():
             values[name][:, i, j] = found
         if progress is not None:
             progress((k + 1) / len(tiles))
     bands = {name: Band(label, values[name]) for name, label in labels.items()}
-    return Atlas(x, y, heading, bands, poses.reasons)
+    return Atlas(x, y, heading, bands, evaluator.reasons)
 
 
 def tiles_of(n_x: int, n_y: int) -> Iterator[tuple[slice, slice]]:
@@ -316,19 +339,21 @@ def pose_evaluator(model: Dae, *, with_errors: bool, compiled: bool = True) -> P
 
 
 def bands_of(
-    poses: PoseEvaluator, *, error: float | None, is_moving: bool = False
+    evaluator: PoseEvaluator, *, error: float | None, is_moving: bool = False
 ) -> dict[str, Label]:
     """Return the labels of the bands; there is one of energy if the vehicle moves."""
-    labels = {REASON.name: REASON} | {name: each.label for name, each in poses.summaries.items()}
-    graphs = poses.more.graphs
-    labels |= {label.name: label for label in poses.least or ()}
-    labels |= {RESTS.name: RESTS} if poses.has_rests else {}
-    checks = (check.label for check in poses.evaluate.graphs.dae.checks)
-    labels |= {label.name: label for label in checks if label.name == CLEARANCE}
-    labels |= {ENERGY.name: ENERGY} if is_moving and poses.power is not None else {}
+    labels = {REASON.name: REASON} | {
+        name: each.label for name, each in evaluator.summaries.items()
+    }
+    graphs = evaluator.more.graphs
+    labels |= {label.name: label for label in evaluator.least or ()}
+    labels |= {RESTS.name: RESTS} if evaluator.has_rests else {}
+    checks = (check.label for check in evaluator.evaluate.graphs.dae.checks)
+    labels |= {label.name: label for label in checks if label.name == CLEARANCE.name}
+    labels |= {ENERGY.name: ENERGY} if is_moving and evaluator.power is not None else {}
     if graphs.sensitivity is not None:
         for name in graphs.sensitivity.names:
-            old = poses.summaries[name].label
+            old = evaluator.summaries[name].label
             for template, words in (
                 (DEVIATION, f"standard deviation for independent errors of heights of {error:g} m"),
                 (WORST, f"largest error, to first order, for errors of heights of {error:g} m"),
@@ -339,7 +364,7 @@ def bands_of(
 
 
 def tile_of(
-    poses: PoseEvaluator,
+    evaluator: PoseEvaluator,
     x: Array,
     y: Array,
     heading: Array,
@@ -350,7 +375,7 @@ def tile_of(
     """Return the bands of a tile, shape (n_headings, n_x, n_y)."""
     places = np.stack([each.ravel() for each in np.meshgrid(heading, x, y, indexing="ij")])
     parts = [
-        _bands(poses, places[:, k : k + CHUNK], inputs, error, tolerance)
+        _bands(evaluator, places[:, k : k + CHUNK], inputs, error, tolerance)
         for k in range(0, places.shape[1], CHUNK)
     ]
     shape = heading.size, x.size, y.size
@@ -360,52 +385,67 @@ def tile_of(
 
 
 def _bands(
-    poses: PoseEvaluator,
+    evaluator: PoseEvaluator,
     places: Array,
     inputs: Mapping[str, float],
     error: float | None,
     tolerance: float,
 ) -> dict[str, Array]:
     """Return the bands of some poses, shape (n,); ``places`` are heading, x and y."""
-    evaluate, rows = poses.evaluate, poses.evaluate.graphs.rows
-    states = start_states(evaluate.graphs, dict(zip(("heading", "x", "y"), places, strict=True)))
-    for k, label in enumerate(leaves(evaluate.graphs.dae.labels.u)):
-        states[rows.u.start + k] = inputs.get(label.full, 0.0)
+    evaluate, graphs = evaluator.evaluate, evaluator.evaluate.graphs
+    states = start_states(graphs, dict(zip(("heading", "x", "y"), places, strict=True)))
+    labels = leaves(graphs.dae.labels.u)
+    given = np.array([[inputs.get(label.full, 0.0)] for label in labels])
+    states[graphs.rows.u] = given
     with np.errstate(all="ignore"):
         solved = stand(evaluate, states)
         rests = other_rests(evaluate, states, solved)
-        found, margins = stand_checked(evaluate, states, solved)
-        outputs = evaluate(evaluate.graphs.outputs, states)
-        stands = found == COMPLETE
-        bands = {REASON.name: poses.codes[found + 2].astype(float)}
-        for name, (source, _, reduce) in poses.summaries.items():
+        states[graphs.rows.u] = given  # a vehicle relaxes at rest
+        found = stand_checked(evaluate, states, solved)
+        outputs = evaluate(graphs.outputs, states)
+        bands = dict[str, Array]()
+        for name, (source, _, reduce) in evaluator.summaries.items():
             values = (outputs if source.is_output else states)[source.rows]
-            bands[name] = np.where(stands, reduce(values, axis=0), np.nan)
-        if poses.has_rests:
-            bands[RESTS.name] = np.where(stands, rests, np.nan)
-        for check, margin in zip(evaluate.graphs.dae.checks, margins, strict=False):
-            if check.label.name == CLEARANCE:
-                bands[CLEARANCE] = np.where(stands, margin, np.nan)
-        if inputs and poses.power is not None:
-            energy = outputs[poses.power] / _speed(evaluate, states)
-            bands[ENERGY.name] = np.where(stands, energy, np.nan)
-        graphs = poses.more.graphs
-        if graphs.hold is not None:
-            values = poses.more(graphs.hold, states)
-            terms = Terms(*(values[part] for part in graphs.hold.parts))
-            if graphs.friction is None:
-                interval = least_friction_of_loads(terms, tolerance)
-            else:
-                interval = least_friction(poses.more, graphs.friction, terms, tolerance)
-            for label, bound in zip(poses.least or (), interval, strict=True):
-                bands[label.name] = np.where(stands, bound, np.nan)
-        if graphs.sensitivity is not None and error is not None:
-            values = poses.more(graphs.sensitivity.graph, states)
-            errors = height_errors(graphs.sensitivity, values)
-            for k, name in enumerate(graphs.sensitivity.names):
-                for template, each in zip((DEVIATION, WORST), errors, strict=True):
-                    bands[template.format(name)] = np.where(stands, error * each[k], np.nan)
-    return bands
+            bands[name] = reduce(values, axis=0)
+        if evaluator.has_rests:
+            bands[RESTS.name] = rests.astype(float)
+        for check in graphs.dae.checks:
+            if check.label.name == CLEARANCE.name:  # margins of checks are only bounds
+                bands[CLEARANCE.name] = check.margin(*columns_of(graphs, states)[:2])
+        if inputs and evaluator.power is not None:
+            bands[ENERGY.name] = outputs[evaluator.power] / _speed(evaluate, states)
+        bands |= _friction_bands(evaluator, states, tolerance)
+        bands |= _error_bands(evaluator, states, error)
+    stands = found == COMPLETE
+    bands = {name: np.where(stands, values, np.nan) for name, values in bands.items()}
+    return {REASON.name: evaluator.codes[found + 2].astype(float)} | bands
+
+
+def _friction_bands(evaluator: PoseEvaluator, states: Array, tolerance: float) -> dict[str, Array]:
+    """Return the bounds of the least friction, if forces hold the vehicle by friction."""
+    graphs = evaluator.more.graphs
+    if graphs.hold is None or evaluator.least is None:
+        return {}
+    values = evaluator.more(graphs.hold, states)
+    terms = Terms(*(values[part] for part in graphs.hold.parts))
+    if graphs.friction is None:
+        bounds = least_friction_of_loads(terms, tolerance)
+    else:
+        bounds = least_friction(evaluator.more, graphs.friction, terms, tolerance)
+    return {label.name: bound for label, bound in zip(evaluator.least, bounds, strict=True)}
+
+
+def _error_bands(evaluator: PoseEvaluator, states: Array, error: float | None) -> dict[str, Array]:
+    """Return the effects of errors of the heights [m], if there is an error."""
+    sensitivity = evaluator.more.graphs.sensitivity
+    if sensitivity is None or error is None:
+        return {}
+    found = height_errors(sensitivity, evaluator.more(sensitivity.graph, states))
+    return {
+        template.format(name): error * values
+        for template, each in zip((DEVIATION, WORST), found, strict=True)
+        for name, values in zip(sensitivity.names, each, strict=True)
+    }
 
 
 def _speed(evaluate: Evaluator, states: Array) -> Array:

@@ -53,7 +53,7 @@ TINY = 1e-300
 
 
 class FrictionGraphs(NamedTuple):
-    """Graphs of the search: functions of a column of `Rows`, to its rows from ``rates`` on."""
+    """Graphs of the search: functions of a column of all rows, to its rows from ``rates`` on."""
 
     pattern: ca.Sparsity
     start: Graph
@@ -68,7 +68,7 @@ class Terms(NamedTuple):
     friction: Array
 
 
-class Rows(NamedTuple):
+class SearchRows(NamedTuple):
     """Rows of a search: entries of ``A``, load, virtual rates, level and bounds, best forces."""
 
     slopes: slice
@@ -81,11 +81,11 @@ class Rows(NamedTuple):
     forces: slice
 
 
-def rows_of(pattern: ca.Sparsity) -> Rows:
+def rows_of(pattern: ca.Sparsity) -> SearchRows:
     """Return the rows for a matrix ``A`` of a given pattern, shape (3 n_wheels, n_rates)."""
     m, n = pattern.shape
     ends = np.cumsum([0, pattern.nnz(), n, n, 1, 1, 1, 1, m]).tolist()
-    return Rows(*(slice(a, b) for a, b in pairwise(ends)))
+    return SearchRows(*(slice(a, b) for a, b in pairwise(ends)))
 
 
 def friction_graphs(pattern: ca.Sparsity) -> FrictionGraphs:
@@ -103,7 +103,7 @@ def friction_graphs(pattern: ca.Sparsity) -> FrictionGraphs:
 class _Wheels:
     """Slips of the wheels as functions of the virtual rates."""
 
-    def __init__(self, column: ca.SX, rows: Rows, pattern: ca.Sparsity) -> None:
+    def __init__(self, column: ca.SX, rows: SearchRows, pattern: ca.Sparsity) -> None:
         matrix = ca.SX(pattern, column[rows.slopes])
         self.count = pattern.shape[0] // 3
         self.blocks = [matrix[3 * i : 3 * i + 3, :] for i in range(self.count)]
@@ -118,7 +118,7 @@ class _Wheels:
         return ca.densify(reduce(ca.plus, terms))
 
 
-def _start(column: ca.SX, rows: Rows, pattern: ca.Sparsity) -> ca.SX:
+def _start(column: ca.SX, rows: SearchRows, pattern: ca.Sparsity) -> ca.SX:
     """Return the column at the start: a translation along the mean normal of the wheels."""
     wheels, load = _Wheels(column, rows, pattern), column[rows.load]
     normal = reduce(ca.plus, (block[2, :3].T for block in wheels.blocks))
@@ -130,7 +130,7 @@ def _start(column: ca.SX, rows: Rows, pattern: ca.Sparsity) -> ca.SX:
     return ca.vertcat(y, bounds, ca.SX.zeros(3 * wheels.count))
 
 
-def _step(column: ca.SX, rows: Rows, pattern: ca.Sparsity) -> ca.SX:
+def _step(column: ca.SX, rows: SearchRows, pattern: ca.Sparsity) -> ca.SX:
     """Return the column after a Newton step at a level, and at the next level."""
     wheels, load = _Wheels(column, rows, pattern), column[rows.load]
     level, low, high = (column[each] for each in (rows.level, rows.low, rows.high))
@@ -276,11 +276,11 @@ def _solve(matrix: ca.SX, right: tuple[ca.SX, ...]) -> list[ca.SX]:
     return solutions
 
 
-class Interval(NamedTuple):
+class FrictionBounds(NamedTuple):
     """Bounds of the least friction, shape (n,).
 
-    It is proved that less than ``low`` does not hold the vehicle, and that ``high`` does; ``high``
-    is infinite if no forces were found. [1]
+    No forces hold the vehicle below ``low``; forces were found at ``high``, which is infinite
+    otherwise. [1]
     """
 
     low: Array
@@ -289,7 +289,7 @@ class Interval(NamedTuple):
 
 def least_friction(
     evaluate: EvaluatorOf[Any], graphs: FrictionGraphs, terms: Terms, tolerance: float
-) -> Interval:
+) -> FrictionBounds:
     """Return bounds of the least factor of the wheels' friction that holds the vehicle.
 
     Intervals wider than a tolerance after `STEPS` steps take `MORE_STEPS` further ones; what is
@@ -323,10 +323,10 @@ def least_friction(
         exact = least_utilisation(matrix.swapaxes(1, 2), load, friction).utilisation
         known = ~np.isnan(exact)
         low[wide[known]] = high[wide[known]] = exact[known]
-    return Interval(low, high)
+    return FrictionBounds(low, high)
 
 
-def least_friction_of_loads(terms: Terms, tolerance: float) -> Interval:
+def least_friction_of_loads(terms: Terms, tolerance: float) -> FrictionBounds:
     """Return bounds of the least factor of the friction limits for given normal forces.
 
     Tangential forces ``f_i = limit_i v_i`` balance the load, ``C' v + load = 0``; wanted is the
@@ -348,7 +348,7 @@ def least_friction_of_loads(terms: Terms, tolerance: float) -> Interval:
     columns = terms.slopes.reshape(k, limit.shape[1], 2, n)
     c = columns.transpose(3, 1, 2, 0) * limit[:, :, None, None]
     square = np.einsum("nikw,nikv->nwv", c, c)
-    interval = Interval(np.zeros(n), np.full(n, np.inf))
+    interval = FrictionBounds(np.zeros(n), np.full(n, np.inf))
     wide = np.flatnonzero(np.isfinite(square).all(axis=(1, 2)) & np.isfinite(load).all(axis=1))
     sizes = np.linalg.eigvalsh(square[wide])
     # a rate that no wheel under load resists is not balanced by any forces

@@ -23,8 +23,7 @@ from slipfree.core.records import Array, leaves
 from slipfree.terrain.bicubic import middle_basis
 
 POLE = np.sqrt(3.0) - 2.0
-MARGIN = 6  # nodes around those under the wheels: the kernel has fallen to 4e-4
-FOUND = 18  # rows of a lookup: two coordinates of the centre, 16 derivatives
+MARGIN = 6  # nodes around those under the wheels: the kernel has fallen to 6e-4
 FOLLOWED = "roll", "pitch", "tip_over_margin"
 
 
@@ -51,11 +50,15 @@ class SensitivityGraph(NamedTuple):
 
 
 def sensitivity_graph(graphs: Graphs) -> SensitivityGraph | None:
-    """Return the graph of the sensitivities of a model; None if its ground is not a map."""
+    """Return the graph of the sensitivities of a model.
+
+    None if its ground is not a map, or its wheels are pressed: roll and pitch are states then,
+    which follow from an equilibrium and not from closure.
+    """
     dae, rows = graphs.dae, graphs.rows
     closure = dae.residuals[0]
     lookups = [each for each in needed_lookups(dae.lookups, [closure]) if each.cells is not None]
-    if not lookups or len({id(each.cells) for each in lookups}) > 1:
+    if dae.rest.numel() or not lookups or len({id(each.cells) for each in lookups}) > 1:
         return None
     p = graphs.state[rows.p]
     labels = [label.name for label in leaves((dae.labels.x, dae.labels.z, dae.labels.y))]
@@ -88,8 +91,9 @@ def height_errors(graph: SensitivityGraph, values: Array) -> Errors:
         nodes = np.arange(int(offset.max(initial=0)) + 4 + 2 * MARGIN)
         coefficients = offset[..., None] + MARGIN + np.arange(4)
         away = np.abs(nodes - coefficients[..., None])  # (n, count, 4, nodes)
-        is_interpolated = graph.cells.is_interpolated
-        kernels.append(np.sqrt(3.0) * POLE**away if is_interpolated else (away == 0).astype(float))
+        # cut off, so that a pose does not depend on the spread of the wheels of others
+        filtered = np.where(away <= MARGIN, np.sqrt(3.0) * POLE**away, 0.0)
+        kernels.append(filtered if graph.cells.is_interpolated else (away == 0).astype(float))
         bases.append(middle_basis() / 6 / h ** np.arange(4)[:, None])
     deviation, worst = np.empty((2, len(graph.names), n))
     for k, part in enumerate(parts[1:]):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.atlas.atlas import LEAST_FRICTION, LEAST_UTILISATION, REASON, Atlas, Band
+from slipfree.atlas.atlas import REASON, Atlas, Band, least_bounds
 from slipfree.core.records import Array, Indices, Label
 
 ELEVATION = Label("elevation", "m", "height of the ground")
@@ -42,12 +42,6 @@ class Verdicts(NamedTuple):
         return np.where(counts.any(axis=0), 1 + counts.argmax(axis=0), 0)
 
 
-def least_bounds(poses: Atlas) -> tuple[Label, Label] | None:
-    """Return the labels of both bounds of the least friction; None if there are none."""
-    known = LEAST_FRICTION, LEAST_UTILISATION
-    return next((labels for labels in known if labels[0].name in poses.bands), None)
-
-
 def verdicts(poses: Atlas, *, friction: float | None, within: Bounds) -> Verdicts:
     """Return the reasons for which a vehicle may not stay at the poses of an atlas.
 
@@ -56,8 +50,8 @@ def verdicts(poses: Atlas, *, friction: float | None, within: Bounds) -> Verdict
     poses : Atlas
         The poses.
     friction : float, optional
-        Coefficient of friction of the ground, which must hold the vehicle; 1 on a ground with a
-        map of friction, None on a ground without friction. [1]
+        Coefficient of friction at the wheel with the best grip, which must hold the vehicle; 1 on
+        a ground with a map of friction, None on a ground without friction. [1]
     within : mapping of str to tuple of 2 floats
         Smallest and largest value of bands by name, in their units.
 
@@ -124,9 +118,12 @@ def _friction_maps(poses: Atlas, least: tuple[Label, Label], degrees_from: float
             values = poses.extreme(label.name, largest=largest)[0]
             base, _, end = label.name.rpartition("_")
             words = f"{name} of the headings at which the vehicle stands: {label.words}"
-            bound = Label(f"{base}_{name}_{end}", label.unit, words)
-            maps.append(Band(bound, np.where(np.isfinite(values), values, np.nan)))
-        turned = np.rad2deg(poses.extreme(least[1].name, largest=largest)[1] + degrees_from)
+            renamed = Label(f"{base}_{name}_{end}", label.unit, words)
+            maps.append(Band(renamed, np.where(np.isfinite(values), values, np.nan)))
+        bound, at = poses.extreme(least[1].name, largest=largest)
+        if not largest:  # all headings are equally bad without forces
+            at = np.where(np.isfinite(bound), at, np.nan)
+        turned = np.rad2deg(at + degrees_from)
         words = f"heading with the {'largest' if largest else 'smallest'} {least[1].name}"
         maps.append(Band(Label(f"heading_{name}", "degree", words), np.mod(turned, 360.0)))
     return maps
@@ -140,14 +137,12 @@ def _extremes(label: Label, values: Array) -> Iterator[Band]:
         kinds = ["smallest"]
     elif label.name == SIGNED:
         kinds = ["smallest", "largest"]
-    empty = np.isnan(values).all(axis=0)
     for kind in kinds:
         if kind == "smallest":
-            extreme = np.where(np.isnan(values), np.inf, values).min(axis=0)
+            extreme = np.fmin.reduce(values)
         else:
-            size = np.abs(values) if kind == "magnitude" else values
-            extreme = np.where(np.isnan(size), -np.inf, size).max(axis=0)
+            extreme = np.fmax.reduce(np.abs(values) if kind == "magnitude" else values)
         words = "largest magnitude" if kind == "magnitude" else f"{kind} value"
         name = f"{label.name}_{'smallest' if kind == 'smallest' else 'largest'}"
         new = Label(name, label.unit, f"{words} over the headings: {label.words}")
-        yield Band(new, np.where(empty, np.nan, extreme))
+        yield Band(new, extreme)

@@ -214,10 +214,8 @@ def _newton(evaluate: Evaluator, states: Array, count: int, longest: float, ramp
     return solved
 
 
-def stand_checked(evaluate: Evaluator, states: Array, solved: Mask) -> tuple[Indices, Array]:
-    """Return why each pose is none or not valid, and the margins of the checks of the others.
-
-    ``solved`` are the poses that `stand` found; margins have the shape (n_checks, n).
+def stand_checked(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
+    """Return codes of the reasons why poses are not valid; ``solved`` are those that were found.
 
     Codes are `COMPLETE`, `UNSOLVED` without a pose, the index of a violated limit, or, after the
     limits, that of a failed check. The states get positions, rates and forces.
@@ -233,15 +231,13 @@ def stand_checked(evaluate: Evaluator, states: Array, solved: Mask) -> tuple[Ind
     clear = clearances(evaluate, states[:, inside])
     failed = np.where(clear.min(axis=0) >= 0, COMPLETE, smallest(clear) + len(graphs.dae.limits))
     codes[inside] = failed
-    margin = np.full((len(clear), inside.size), np.nan)
-    margin[:, inside] = clear
-    return codes, margin
+    return codes
 
 
 def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, Source]) -> _Poses:
     """Return the poses of states."""
     graphs = evaluate.graphs
-    codes, _ = stand_checked(evaluate, states, stand(evaluate, states))
+    codes = stand_checked(evaluate, states, stand(evaluate, states))
     outcomes, reasons = ["complete"] * codes.size, [""] * codes.size
     for k in np.flatnonzero(codes != COMPLETE):
         outcomes[k], reasons[k] = FAILED, NO_POSE
@@ -403,7 +399,9 @@ def _run(
             failed = int(clearances(evaluate, state[:, None])[:, 0].argmin())
             words = _check_end(graphs, failed, state)[1]
         else:
-            words = _limit_end(graphs, _worst(graphs, distances), state)[1]
+            words = _limit_end(graphs, graphs.bounds[int(smallest(distances[:, None])[0])], state)[
+                1
+            ]
         outcomes[k] = FAILED
         reasons[k] = (
             "start: expected a sample within the limits of the model, found a violation: "
@@ -417,11 +415,6 @@ def _run(
     return LaneResults(columns, (), outcomes, reasons, end, motions.error, disputed)
 
 
-def _worst(graphs: Graphs, distances: Array) -> int:
-    """Return the index of the limit that is violated most."""
-    return graphs.bounds[int(np.where(np.isnan(distances), -np.inf, distances).argmin())]
-
-
 def _end(graphs: Graphs, code: int, state: Array) -> tuple[str, str]:
     """Return outcome and message of a violated limit or, after the limits, of a failed check."""
     count = len(graphs.dae.limits)
@@ -433,7 +426,7 @@ def _end(graphs: Graphs, code: int, state: Array) -> tuple[str, str]:
 def _limit_end(graphs: Graphs, index: int, state: Array) -> tuple[str, str]:
     """Return outcome and message of the end of a motion at a limit."""
     limit, dae = graphs.dae.limits[index], graphs.dae
-    x, z, u = _columns(graphs, state)
+    x, z, u = columns_of(graphs, state)
     symbols = [dae.t, *dae.columns(), *(each.symbol for each in dae.p)]
     value = dae.function("value", symbols, [limit.expression])(
         state[graphs.rows.t], x, z, u, *state[graphs.rows.c]
@@ -442,11 +435,11 @@ def _limit_end(graphs: Graphs, index: int, state: Array) -> tuple[str, str]:
 
 
 def _check_end(graphs: Graphs, index: int, state: Array) -> tuple[str, str]:
-    x, z, _ = _columns(graphs, state)
+    x, z, _ = columns_of(graphs, state)
     return Outcome.LIMIT.name.lower(), graphs.dae.checks[index].describe(x, z)
 
 
-def _columns(graphs: Graphs, states: Array) -> tuple[Array, Array, Array]:
+def columns_of(graphs: Graphs, states: Array) -> tuple[Array, Array, Array]:
     """Return ``x``, ``z`` and ``u`` of states."""
     rows = graphs.rows
     z = np.concatenate([states[part] for part in rows.z])

@@ -121,10 +121,7 @@ def integrate_lanes(
 def candidate_lanes(
     evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float
 ) -> Motions:
-    """Return motions as `integrate_lanes`, without errors, in a third of the time.
-
-    Lanes that are not solved are not repeated.
-    """
+    """Return motions as `integrate_lanes`, without errors; lanes are not repeated."""
     with np.errstate(all="ignore"):
         run = _Run(evaluate, states, inputs, t, step)
         run.run()
@@ -507,7 +504,7 @@ def solve_forces(evaluate: Evaluator, states: Array) -> Array:
     The forces of a lane that is solved do not change, whatever the others need.
     """
     graph, rows = evaluate.graphs.checked, evaluate.graphs.rows
-    distances = np.empty((graph.parts[DISTANCES].stop - graph.parts[DISTANCES].start, 0))
+    distances = np.empty((0, 0))
     lanes, part = np.arange(states.shape[1]), states
     for k in range(FORCE_STEPS):
         values = _iterated(evaluate, graph, part)
@@ -699,7 +696,7 @@ def relax(evaluate: Evaluator, states: Array) -> Mask:
     """Relax states at rest to their equilibrium; return which have reached it.
 
     Implicit steps follow the relaxation; they grow while they are small, and end as Newton's
-    method. With steps that grow regardless, two thirds of the poses on rough ground were lost.
+    method.
     """
     dae, rows = evaluate.graphs.dae, evaluate.graphs.rows
     relaxing = slice(rows.x.stop - dae.rest.numel(), rows.x.stop)
@@ -715,6 +712,7 @@ def relax(evaluate: Evaluator, states: Array) -> Mask:
         # a wheel far from its contact takes steps of bounded length
         part[relaxing] += step * np.minimum(1.0, MAX_RELAXATION / length)
         done = (length < AT_REST) & (h > 1.0) & good
+        # steps that always grow miss many poses on rough ground
         h = np.where(length > GROWING, np.maximum(STEP_LOSS * h, LEAST_STEP), STEP_GROWTH * h)
         if done.any():
             states[:, lanes[done]], at_rest[lanes[done]] = part[:, done], True

@@ -44,7 +44,8 @@ ARGUMENTS = {  # of the command, by the settings that they stand for
     "--set vehicle.file": "VEHICLE",
     "--set vehicle.catalog": "VEHICLE",
     "--set terrain.friction": "--friction",
-    **{f"--set atlas.{name}": f"--{name}" for name in ("headings", "every", "error", "within")},
+    "--set atlas.within.": "--within ",
+    **{f"--set atlas.{name}": f"--{name}" for name in ("headings", "every", "error")},
 }
 
 
@@ -191,12 +192,11 @@ def _own_settings(
 
 
 def _toml(text: str, default: str = "") -> str:
-    """Return a number unchanged, other text in quotes, and ``default`` for empty text."""
+    """Return a number as TOML has it, other text in quotes, and ``default`` for empty text."""
     try:
-        float(text)
+        return repr(float(text))
     except ValueError:
         return json.dumps(text) if text.strip() else default
-    return text
 
 
 def _read(

@@ -134,6 +134,12 @@ def geotiff_writer(path: Path, x: Array, y: Array, site: Site) -> Iterator[Write
     import rasterio
     from rasterio import Affine
 
+    for name, axis in (("x", x), ("y", y)):
+        if axis.size < 2 or not np.allclose(np.diff(axis), axis[1] - axis[0]):
+            raise DataError(
+                f"{path}: expected at least two evenly spaced places along {name}, found others; "
+                "write a netCDF file (.nc) instead"
+            )
     east, north = site.on_map("x", x), site.on_map("y", y)
     d_x, d_y = ((axis[-1] - axis[0]) / (axis.size - 1) for axis in (east, north))
     profile = {

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from slipfree.atlas.atlas import Atlas, Band, tile_of, tiles_of
-from slipfree.atlas.summary import ALLOWED, STANDING, least_bounds
+from slipfree.atlas.atlas import Atlas, Band, least_bounds, tile_of, tiles_of
+from slipfree.atlas.summary import ALLOWED, STANDING
 from slipfree.core.facts import Fact
 from slipfree.core.records import Array
 from slipfree.core.version import __version__
@@ -90,7 +90,7 @@ class TileFolder:
     Parameters
     ----------
     path : Path
-        The folder, made for the first tile. Tiles of another problem in it are removed.
+        The folder, made if it is missing. Tiles of another problem in it are removed.
     setup : AtlasSetup
         Set-up of the map.
     """

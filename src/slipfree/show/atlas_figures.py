@@ -25,7 +25,7 @@ from slipfree.core.records import Array
 from slipfree.files.atlas_files import Site
 from slipfree.show import style
 from slipfree.show.ground_drawing import LEVEL, brightness
-from slipfree.show.plots import Plot, draw
+from slipfree.show.plots import Plot
 from slipfree.show.style import MM, PAGE
 from slipfree.terrain.base import Grid
 
@@ -94,11 +94,6 @@ def friction_maps(maps: Mapping[str, Band]) -> list[Band]:
     bases = "least_friction", "least_utilisation"
     names = [f"{base}_{which}_high" for base in bases for which in ("best", "worst")]
     return [maps[name] for name in names if name in maps]
-
-
-def plot_atlas(drawn: AtlasView) -> dict[str, Figure]:
-    """Draw the figures of a mobility map and return them by name."""
-    return draw(atlas_plots(drawn))
 
 
 def _share_words(drawn: AtlasView) -> str:

@@ -347,7 +347,7 @@ static double drop(double before, double at, double after) {
 }
 
 /* The smallest of the gaps (rim, across) of a wheel that are second minima, refined by parabolas, or
- * inside the ground; `_nearest` of contact/certify.py does the same. */
+ * inside the ground; `_smallest_gaps` of contact/certify.py does the same. */
 static double smallest_gap(const double *gap, casadi_int rim, casadi_int across, double touching,
                            double near, casadi_int *index) {
   double best = INFINITY;

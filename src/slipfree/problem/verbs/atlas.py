@@ -9,7 +9,14 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from slipfree.atlas.atlas import PoseEvaluator, bands_of, pose_evaluator, tiles_of
+from slipfree.atlas.atlas import (
+    HEADINGS,
+    TOLERANCE,
+    PoseEvaluator,
+    bands_of,
+    pose_evaluator,
+    tiles_of,
+)
 from slipfree.core.dae import Dae
 from slipfree.core.records import Array, Label, leaves
 from slipfree.core.trajectory import OFFSET, Frame
@@ -41,7 +48,7 @@ class AtlasTable(Record):
     """Headings, nodes and quantities of a mobility map."""
 
     headings: Annotated[int, Field(ge=1, le=MAX_HEADINGS)] = Field(
-        default=16, description="number of equally spaced headings"
+        default=HEADINGS, description="number of equally spaced headings"
     )
     every: Annotated[int, Field(ge=1)] = Field(
         default=1, description="distance between nodes of the result, in nodes of the map"
@@ -62,7 +69,8 @@ class AtlasTable(Record):
         "drives per metre; on soil, the poses are those at this speed [m/s]",
     )
     tolerance: Annotated[float, Field(gt=0, le=0.1)] = Field(
-        default=1e-3, description="width of the bounds of the least coefficient of friction [1]"
+        default=TOLERANCE,
+        description="width of the bounds of the least coefficient of friction [1]",
     )
     compiled: bool = Field(
         default=True,
@@ -179,6 +187,11 @@ class AtlasSetup:
             words.append(
                 "the ground has no coefficient of friction: the map has the least coefficient, but "
                 "headings that slide are allowed; give one: friction in [terrain], or --friction"
+            )
+        if self.problem.spec.atlas.error and self.model.rest.numel():
+            words.append(
+                "the wheels are pressed into the ground: the map has no errors of roll, pitch and "
+                "tip-over margin; omit 'error'"
             )
         size = extents(self.vehicle)[2]
         grid = self.ground.grid
