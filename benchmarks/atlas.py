@@ -35,7 +35,7 @@ VEHICLES = {
     "Ackermann car": catalog.ackermann(),
     "rigid four-wheeler": catalog.rigid_skid_steer(),
 }
-HEADINGS, COMPARED, DRAWS = 16, 250, 200
+HEADINGS, COMPARED, DRAWS = 16, 100, 200
 
 
 def scaled() -> Bicubic:
@@ -133,7 +133,7 @@ def errors() -> None:
         model = direct_kinematics(vehicle, terrain)
         ratios: dict[str, list[float]] = {}
         beyond = 0
-        for _ in range(6):
+        for _ in range(3):
             place = {"x": rng.choice(grid.x[9:-9]), "y": rng.choice(grid.y[9:-9])}
             found = atlas(
                 model, terrain, headings=[0.5], x=[place["x"]], y=[place["y"]], error=0.02

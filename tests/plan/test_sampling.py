@@ -11,6 +11,7 @@ from slipfree import (
     Grid,
     ModelError,
     SamplingTask,
+    SolverError,
     catalog,
     direct_kinematics,
     sample_plan,
@@ -102,6 +103,30 @@ def test_candidates_that_leave_the_map_have_no_weight(task):
     assert any("leaves the map" in words for words in found.ends)
     assert np.isfinite(found.cost)
     assert np.isfinite(found.x).all()
+
+
+def test_early_ends_have_infinite_cost_and_starts_beyond_a_limit_are_named(task):
+    """Where all candidates end early, the longest motion is kept; a wrong start says why."""
+    edge = replace(task, candidates=4, ranges=RANGES | {"right_rate": (3, 3), "left_rate": (3, 3)})
+    start = state(task, settle(task.model, y=2.6))
+    found = sample_plan(edge, start)
+    assert found.complete == 0.0
+    assert found.cost == np.inf
+    assert np.isnan(found.x[0, -1])
+    start[1] = 3.6  # metres: the front wheel is off the map
+    with pytest.raises(SolverError, match="cannot start at this state: wheel front leaves the map"):
+        sample_plan(edge, start)
+
+
+def test_inputs_are_shifted_by_the_time_since_the_last_cycle(task):
+    """Without noise and weight, a cycle repeats the later inputs of the one before."""
+    quiet = replace(task, candidates=1)
+    start = state(task, settle(task.model, y=-1.0))
+    first = sample_plan(quiet, start)._replace(inputs=np.outer([1.0, 1.0, 0.0], np.arange(5.0) / 2))
+    for elapsed, shift in ((None, 1), (0.8, 2), (9.0, 4)):
+        later = sample_plan(quiet, start, first, elapsed=elapsed)
+        expected = first.inputs[:, np.minimum(np.arange(5) + shift, 4)]
+        assert_allclose(later.inputs, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,17 @@ import numpy as np
 from slipfree.batch.evaluator import Evaluator, EvaluatorOf, evaluator_of, evaluator_of_graphs
 from slipfree.batch.graph import Graph, graph_of
 from slipfree.batch.many import solve_positions
-from slipfree.batch.motion import COMPLETE, Motions, candidate_lanes, derivatives, solve_forces
+from slipfree.batch.motion import (
+    COMPLETE,
+    INVALID_START,
+    UNSOLVED,
+    Motions,
+    candidate_lanes,
+    derivatives,
+    margins,
+    smallest,
+    solve_forces,
+)
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, leaves
@@ -37,6 +47,7 @@ from slipfree.plan.stage import Cost
 CORRELATION = 0.7  # of the noise in neighbouring intervals
 EFFECTIVE = 0.02  # share of the candidates that shall have weight
 BISECTIONS = 60  # of the temperature
+NEAR_GROUND = "a wheel or a body touches the ground at the start"
 STEP = 0.5  # longest step [size of the vehicle]
 
 
@@ -71,8 +82,6 @@ class SamplingTask:
         Smallest and largest value of every input.
     goal_weight : float
         Cost of a distance of one vehicle size, or of a radian, from the goal.
-    final : sequence of Cost
-        Further costs of the state at the end, which are not integrated.
     intervals : int
         Number of intervals of the horizon, with constant inputs.
     candidates : int
@@ -98,7 +107,6 @@ class SamplingTask:
     span: float
     ranges: Mapping[str, Range]
     goal_weight: float = 1.0
-    final: Sequence[Cost] = field(default=(), kw_only=True)
     intervals: int = field(default=10, kw_only=True)
     candidates: int = field(default=512, kw_only=True)
     spread: float = field(default=0.2, kw_only=True)
@@ -155,10 +163,10 @@ class SamplingTask:
             if labels[k].unit == "rad":
                 miss = 2 * ca.sin(miss / 2)
             away += (miss / (dae.size if labels[k].unit == "m" else 1.0)) ** 2
-        last = self.goal_weight * away + sum(c.weight * c.expression for c in self.final)
         running = graph_of(dae, state, "running", [ca.SX(sum(terms))])
         return evaluator_of_graphs(
-            _CostGraphs(running, graph_of(dae, state, "final", [last])), compiled=self.compiled
+            _CostGraphs(running, graph_of(dae, state, "final", [self.goal_weight * away])),
+            compiled=self.compiled,
         )
 
     @cached_property
@@ -246,13 +254,10 @@ def sample_plan(
     if not (motions.end > 0).any():
         words = ", ".join(_ends(task, motions)) or "no pose was found"
         raise SolverError(f"sampling: the vehicle cannot start at this state: {words}")
-    chosen = costs if complete.any() else -motions.end
-    weights = _weights(np.where(np.isfinite(chosen), chosen, np.inf))
-    both = np.stack([inputs @ weights, inputs[..., int(np.nanargmin(chosen))]], axis=-1)
+    chosen = costs if np.isfinite(costs).any() else -motions.end
+    both = np.stack([inputs @ _weights(chosen), inputs[..., int(chosen.argmin())]], axis=-1)
     values, run = _simulated(task, x, both)
-    best = int(np.argmin(np.where(run.reason == COMPLETE, values, np.inf)))
-    if (run.reason != COMPLETE).all():
-        best = int(np.argmax(run.end))
+    best = int(values.argmin() if np.isfinite(values).any() else run.end.argmax())
     rows = task.evaluate.graphs.rows.x
     return SampledPlan(
         both[..., best],
@@ -284,7 +289,7 @@ def _candidates(task: SamplingTask, mean: Array, number: int) -> Array:
 
 
 def _simulated(task: SamplingTask, x: Array, inputs: Array) -> tuple[Array, Motions]:
-    """Return costs and motions of inputs (n_u, intervals, n); costs are NaN after early ends."""
+    """Return costs and motions of inputs (n_u, intervals, n)."""
     rows, n = task.evaluate.graphs.rows, inputs.shape[-1]
     states = np.zeros((rows.t.stop, 1))
     states[rows.x, 0] = x - task.model.shift[0]
@@ -311,7 +316,7 @@ def _simulated(task: SamplingTask, x: Array, inputs: Array) -> tuple[Array, Moti
 
 
 def _costs(task: SamplingTask, motions: Motions, inputs: Array) -> Array:
-    """Return the costs of motions by the trapezoidal rule; NaN for those that end early."""
+    """Return the costs of motions by the trapezoidal rule; infinite for early ends."""
     evaluate, graphs, rows = (
         task.evaluate_costs,
         task.evaluate_costs.graphs,
@@ -327,7 +332,7 @@ def _costs(task: SamplingTask, motions: Motions, inputs: Array) -> Array:
                 prepare(task.evaluate, part)
                 total += 0.5 * h * evaluate(graphs.running, part)[0]
         total += evaluate(graphs.final, motions.samples[-1])[0]
-    return np.where(motions.reason == COMPLETE, total, np.nan)
+    return np.where((motions.reason == COMPLETE) & np.isfinite(total), total, np.inf)
 
 
 def _weights(costs: Array) -> Array:
@@ -348,8 +353,9 @@ def _weights(costs: Array) -> Array:
 def _ends(task: SamplingTask, motions: Motions) -> dict[str, int]:
     """Return the numbers of early ends by words."""
     labels = [each.label for part in (task.model.limits, task.model.checks) for each in part]
-    counted = Counter(motions.reason[motions.reason != COMPLETE].tolist())
-    return {
-        labels[k].words if k >= 0 else "Newton's method did not follow the contacts": count
-        for k, count in counted.items()
-    }
+    words = {k: label.words for k, label in enumerate(labels)}
+    words |= {UNSOLVED: "Newton's method did not follow the contacts", INVALID_START: NEAR_GROUND}
+    beyond = (motions.reason == INVALID_START) & (margins(motions.distances) < 0)
+    bounds = np.array(task.evaluate.graphs.bounds)[smallest(motions.distances)]
+    codes = np.where(beyond, bounds, motions.reason)
+    return dict(Counter(words[code] for code in codes[codes != COMPLETE].tolist()))

@@ -28,6 +28,7 @@ from slipfree.terrain.kernel import Opened, register_ground
 
 KNOT_TOLERANCE = 1e-10  # points closer to a knot count as on it, in cells
 HOLE_CLEARANCE = 1 / 3  # smoothing shifts the zero of the distance by less, in cells
+MAX_BLOCKS = 256  # kept; 64 MB
 BLOCK = 128  # side of a block of cells whose bounds are computed together
 CHUNK = 8192  # points evaluated at once, so that temporary arrays stay in the cache
 CUBIC = tuple((m, n) for n in range(4) for m in range(4))  # orders of a cell's derivatives
@@ -231,6 +232,8 @@ class Bicubic:
             here = inside & (blocks == np.array([block]).T).all(axis=0)
             key = *block, reach
             if key not in self._known_bounds:
+                if len(self._known_bounds) >= MAX_BLOCKS:
+                    self._known_bounds.pop(next(iter(self._known_bounds)))  # the oldest
                 self._known_bounds[key] = self._block_bounds(*key)
             place = i[here] - BLOCK * block[0], j[here] - BLOCK * block[1]
             slope[here], curvature[here] = self._known_bounds[key][:, *place]
