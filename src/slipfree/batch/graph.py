@@ -344,6 +344,20 @@ def graph_of(dae: Dae, state: ca.SX, name: str, results: Sequence[ca.SX]) -> Gra
 
 def elimination(dae: Dae, state: ca.SX, rows: StateRows) -> Solve:
     """Return a function that solves linear systems of expressions by elimination."""
+    samples = _sampled_states(dae, state, rows)
+
+    def solve(matrix: ca.SX, right: ca.SX) -> ca.SX:
+        (values,) = evaluate(dae.function("matrix", [state], [ca.densify(ca.vec(matrix))]), samples)
+        m, n = matrix.shape
+        numbers = values.T[np.isfinite(values).all(axis=0)].reshape(-1, n, m)
+        with np.errstate(all="ignore"):
+            return _eliminate(matrix, right, numbers.transpose(0, 2, 1))
+
+    return solve
+
+
+def _sampled_states(dae: Dae, state: ca.SX, rows: StateRows) -> Array:
+    """Return random states near rest, shape (n_rows, `SAMPLES`), at which pivots are chosen."""
     rng = np.random.default_rng(0)
     samples = rng.normal(0.0, JOINT_SPREAD, (state.numel(), SAMPLES))
     x = dae.columns()[0]
@@ -378,15 +392,7 @@ def elimination(dae: Dae, state: ca.SX, rows: StateRows) -> Solve:
     within = np.array(spread)[first : first + rows.w.stop - rows.w.start, None]
     samples[rows.w] = unknowns[1] + within * samples[rows.w]
     samples[rows.lag] = np.abs(samples[rows.lag])
-
-    def solve(matrix: ca.SX, right: ca.SX) -> ca.SX:
-        (values,) = evaluate(dae.function("matrix", [state], [ca.densify(ca.vec(matrix))]), samples)
-        m, n = matrix.shape
-        numbers = values.T[np.isfinite(values).all(axis=0)].reshape(-1, n, m)
-        with np.errstate(all="ignore"):
-            return _eliminate(matrix, right, numbers.transpose(0, 2, 1))
-
-    return solve
+    return samples
 
 
 def _eliminate(matrix: ca.SX, right: ca.SX, numbers: Array) -> ca.SX:

@@ -116,12 +116,6 @@ def atlas(
     command to continue.
     """
     with reported():
-        from slipfree.problem.atlas_tiles import (
-            TileFolder,
-            overview_of_tiles,
-            summary_lines,
-            write_file,
-        )
         from slipfree.problem.inputs import files_read
         from slipfree.problem.verbs.atlas import build_atlas
 
@@ -141,26 +135,44 @@ def atlas(
         print_facts(setup.facts)
         for words in setup.warnings:
             warn(words)
-        folder = TileFolder(tiles, setup)
-        with held_interrupt():
-            _compute(setup, folder, processes, scheduler)
-            files = [save(each, lambda path: write_file(path, setup, folder)) for each in outs]
-            overview = overview_of_tiles(setup, folder)
-        folder.remove()
-        print_facts(summary_lines(overview.facts))
-        facts = overview.facts
-        add_json("atlas", lambda: {name: fact._asdict() for name, fact in facts.items()})
-        if not facts["allowed_share"].value:
-            warn("no pose is allowed; the summary lists the reasons")
-        print_line(f"wrote {', '.join(map(str, files))}")
-        if draw:
-            from slipfree.show.atlas_figures import atlas_plots
-            from slipfree.show.plots import save as save_plots
+        _solve(setup, outs, tiles, figures if draw else None, (processes, scheduler))
 
-            plots = save_plots(atlas_plots(overview.view), figures)
-            for each in plots:
-                add_json_file(each)
-            print_line(f"drew {', '.join(each.stem for each in plots)} in {figures}")
+
+def _solve(
+    setup: AtlasSetup,
+    outs: Sequence[Path],
+    tiles: Path,
+    figures: Path | None,
+    workers: tuple[int | None, str | None],
+) -> None:
+    """Compute the map, write its files, print its summary, and draw its figures."""
+    from slipfree.problem.atlas_tiles import (
+        TileFolder,
+        overview_of_tiles,
+        summary_lines,
+        write_file,
+    )
+
+    folder = TileFolder(tiles, setup)
+    with held_interrupt():
+        _compute(setup, folder, *workers)
+        files = [save(each, lambda path: write_file(path, setup, folder)) for each in outs]
+        overview = overview_of_tiles(setup, folder)
+    folder.remove()
+    facts = overview.facts
+    print_facts(summary_lines(facts))
+    add_json("atlas", lambda: {name: fact._asdict() for name, fact in facts.items()})
+    if not facts["allowed_share"].value:
+        warn("no pose is allowed; the summary lists the reasons")
+    print_line(f"wrote {', '.join(map(str, files))}")
+    if figures is not None:
+        from slipfree.show.atlas_figures import atlas_plots
+        from slipfree.show.plots import save as save_plots
+
+        plots = save_plots(atlas_plots(overview.view), figures)
+        for each in plots:
+            add_json_file(each)
+        print_line(f"drew {', '.join(each.stem for each in plots)} in {figures}")
 
 
 def _own_settings(
