@@ -274,10 +274,7 @@ def _estimates(found: Calibration, took: float) -> Iterator[str]:
         low, high = result.intervals[k]
         edge = "at its bound" if result.at_bound[k] else f"{low:.4f} to {high:.4f}"
         parts.append(f"{label.name} {result.values[k]:.4f} ({edge})")
-    yield (
-        f"  {len(found.train.measured)} windows, {result.evaluations} evaluations, "
-        f"{took:.1f} s CPU: {', '.join(parts)}"
-    )
+    yield (f"  {len(found.train.measured)} windows, {took:.1f} s CPU: {', '.join(parts)}")
 
 
 def _save_fit(found: Calibration, figures: Path) -> None:

@@ -8,9 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from helpers.commands import printed
 from helpers.hillside import AXIS, HILL, TRUE, drive
+from slipfree.fit.ground_fit import judge
+from slipfree.fit.ground_motion import MODELS, Slopes
+from slipfree.problem.load import load_problem
+from slipfree.problem.verbs.fit_over_map import fit_over_map
 
 PROBLEM = """\
 verb = "fit-over-map"
@@ -77,5 +82,40 @@ def test_other_logs_are_predicted(folder: Path) -> None:
 def test_wrong_problems_are_refused() -> None:
     Path("a/0.csv").write_text("t,x,y,left\n0,0,0,1\n1,0,0,1\n")
     assert "right" in printed("fit", "hill.toml", "--no-draw", code=2)
+    for rows, words in (
+        ("0,0,0,1,1\n", "longer than 0.2 s, found 0 s"),
+        ("0,0,0,1,1\n2,0,0,1,1\n1,0,0,1,1\n", "found 1 s after 2 s"),
+    ):
+        Path("a/0.csv").write_text(f"t,x,y,left,right\n{rows}")
+        assert words in printed("fit", "hill.toml", "--no-draw", code=2)
+    assert "omit --write" in printed("fit", "hill.toml", "--write", "v.toml", code=2)
+    Path("hill.toml").write_text(PROBLEM.replace("step = 0.2", "step = 0.6"))
+    assert "step" in printed("fit", "hill.toml", "--no-draw", code=2)
     Path("hill.toml").write_text(PROBLEM.replace("slope", "ice"))
     assert "models" in printed("fit", "hill.toml", "--no-draw", code=2)
+
+
+def test_folders_of_the_same_name_are_left_out_separately(folder: Path) -> None:
+    """Courses follow from the positions alone: the logs have no velocities of the receiver."""
+    files = [f"{campaign}/logs/{k}.csv" for k, campaign in enumerate(("may", "may", "june"))]
+    logs = []
+    for k, name in enumerate(files):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        log = drive(k, str(folder / name))
+        write_log(folder / name, k)
+        columns = (column[:-1] for column in log[3:])  # the last sample is not reached
+        log = log._replace(**dict(zip(log._fields[3:], columns, strict=True)), group=name[:3])
+        velocity = np.gradient(log.place, log.dt, axis=0)
+        logs.append(log._replace(velocity=velocity, speed=np.hypot(*velocity.T)))
+    old = '["a/0.csv", "a/1.csv", "b/2.csv", "b/3.csv"]'
+    Path("hill.toml").write_text(PROBLEM.replace(old, json.dumps(files)))
+    scores, fits = fit_over_map(load_problem(folder / "hill.toml", command="fit"))
+    assert [len(each) for each in fits.values()] == [2, 2]
+    models = {"slope": MODELS["slope"]}
+    expected, _ = judge(logs, Slopes(HILL, 0.0), models, [(5.0, 0.0)], from_positions=True)
+    other, _ = judge(logs, Slopes(HILL, 0.0), models, [(5.0, 0.0)])
+    found, right, wrong = (
+        np.sort(each["slope"][5.0, 0.0].errors.along) for each in (scores, expected, other)
+    )
+    assert_allclose(found, right, atol=1e-5)
+    assert np.abs(found - wrong).max() > 1e-4

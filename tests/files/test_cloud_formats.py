@@ -87,6 +87,17 @@ def test_elements_before_the_vertices_are_skipped(tmp_path):
         heights(tmp_path / "a.ply")
 
 
+def test_comments_in_other_encodings_are_left_out(tmp_path):
+    """The byte 85 is a new line in Latin-1."""
+    comment = b"comment from Z\xfcrich\x85and Gen\xe8ve\n"
+    data = ply(PLANE, "binary_little_endian").replace(b"element", comment + b"element", 1)
+    (tmp_path / "a.ply").write_bytes(data)
+    heights(tmp_path / "a.ply")
+    data = pcd(PLANE, "binary").replace(b"DATA", b"# from Z\xfcrich\x85FIELDS y\nDATA", 1)
+    (tmp_path / "a.pcd").write_bytes(data)
+    heights(tmp_path / "a.pcd")
+
+
 @pytest.mark.bounded
 def test_a_window_reads_the_same_heights(tmp_path):
     path = tmp_path / "a.pcd"

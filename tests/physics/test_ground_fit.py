@@ -12,6 +12,7 @@ from scipy.optimize import root
 from helpers.hillside import AXIS, HILL, TRUE, drive
 from slipfree import ModelError
 from slipfree.core.records import Array
+from slipfree.fit import ground_fit
 from slipfree.fit.ground_fit import GroundFit, conformal, fit_ground, fit_on_uncertain_map, judge
 from slipfree.fit.ground_motion import (
     FRICTION,
@@ -31,6 +32,12 @@ from slipfree.terrain.grid_ops import disturbed
 def logs(size: float = 1.0) -> list[DriveLog]:
     """Return logs of three campaigns."""
     return [drive(k, "abc"[k % 3], size) for k in range(6)]
+
+
+def part(log: DriveLog, samples: slice) -> DriveLog:
+    """Return some samples of a log."""
+    names = ("place", "velocity", "speed", "good", "direction", "sides")
+    return log._replace(**{name: getattr(log, name)[samples] for name in names})
 
 
 def fitted(drives: list[DriveLog], name: str, slopes: Slopes) -> GroundFit:
@@ -75,6 +82,33 @@ def test_groups_are_predicted_with_constants_of_the_others() -> None:
             score.errors.position.mean() < scores["differential"][kind].errors.position.mean() / 5
         )
         assert abs(score.slip()[0][3]) < 0.005
+
+
+def test_groups_without_windows_of_a_kind_are_judged_on_the_others() -> None:
+    model, slopes = {"differential": MODELS["differential"]}, Slopes(HILL, 0.0)
+    short = part(drive(9, "short"), slice(120))
+    scores, fits = judge([*logs(), short], slopes, model, [(5.0, 0.0), (20.0, 0.0)])
+    assert len(fits["differential"]) == 4
+    judged = [set(each.windows.log.tolist()) for each in scores["differential"].values()]
+    assert judged == [set(range(7)), set(range(6))]
+    few = [part(drive(k, "short"), slice(120)) for k in range(4)]
+    few.append(logs()[0]._replace(group="long"))
+    with pytest.raises(ModelError, match="at least one in the fitted logs, found none"):
+        judge(few, slopes, model, [(20.0, 0.0)])
+
+
+def test_fits_that_do_not_converge_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ground_fit, "MAX_EVALUATIONS", 2)
+    with pytest.raises(ModelError, match=r"convergence of the fit of .* after 2 eval"):
+        fitted(logs(), "slope", Slopes(HILL, 0.0))
+
+
+def test_coarse_and_short_logs_have_no_windows() -> None:
+    log = logs()[0]
+    coarse, short = part(log, slice(None, None, 5))._replace(dt=1.0), part(log, slice(10))
+    assert windows_of([coarse], 5.0).log.size
+    windows = windows_of([short, log], 5.0)
+    assert set(windows.log.tolist()) == {1}
 
 
 def test_conformal_intervals_hold() -> None:

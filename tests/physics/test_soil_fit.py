@@ -138,6 +138,9 @@ def test_fits_that_cannot_be_made_are_refused(runs, unknowns, options, words):
     low = Unknown("cohesion", "cohesion", lower=1e4)
     with pytest.raises(ModelError, match="nominal value within the bounds, 10000 to inf"):
         fit_soil(NOMINAL, SIZE, (low,), runs)
+    peaks = Unknown("peak", "peak", lower=0.2, upper=0.3), Unknown("rate", "peak_rate")
+    with pytest.raises(ModelError, match=r"'peak': .* found 0\.3333 and 0\.3 with the limits of"):
+        fit_soil(replace(NOMINAL, peak=0.25, peak_rate=0.1), SIZE, peaks, runs)
 
 
 def test_a_wheel_that_is_dragged_sideways():

@@ -565,7 +565,7 @@ def counted(words: str) -> Iterator[Callable[..., None]]:
     """Yield a function that shows progress: a bar on a terminal, otherwise lines on stderr.
 
     The function takes the number of completed items, their total number, and a text. The first
-    line is printed after a second; the time between lines increases up to a minute.
+    line is printed after `FIRST_LINE`; the time between lines increases up to a minute.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn

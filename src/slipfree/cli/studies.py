@@ -140,10 +140,10 @@ def fit(
     ] = None,
     write: Annotated[
         Path | None,
-        typer.Option("--write", metavar="VEHICLE.toml", help="Write the fitted vehicle."),
+        typer.Option("--write", metavar="FILE.toml", help="Write the fitted vehicle or soil."),
     ] = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Replace an existing vehicle file.")
+        bool, typer.Option("--force", help="Replace an existing vehicle or soil file.")
     ] = False,
     predict: Annotated[
         list[Path] | None,
@@ -178,6 +178,11 @@ def fit(
         else:
             problem: Any = read_problem(file, settings, trust, "fit")
             if problem.spec.verb == "fit-over-map":
+                if write:
+                    raise ModelError(
+                        f"{file}: expected a fit of a vehicle or a soil for --write, found verb = "
+                        "'fit-over-map'; omit --write: the constants are printed"
+                    )
                 inputs = [*files_read(problem), *(predict or [])]
                 table = out or default_table(file, "fit", inputs)
                 _fit_over_map(problem, predict or [], inputs, table, draw)

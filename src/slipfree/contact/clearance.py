@@ -32,7 +32,11 @@ FAR = 0.06  # larger clearances need only a lower bound where only contacts matt
 PLANNED_MARGIN = 1e-3  # clearance that planners keep, for the motion between their points [m]
 PLANNED_STEPS = 3  # number of Newton steps of the expression for planners
 PLANNED_POINTS = 5  # largest number of grid points a side, of the expression for planners
-CLEARANCE = Label("clearance_body", "m", "least distance of the vehicle's bodies from the ground")
+CLEARANCE = Label(
+    "clearance_body",
+    "m",
+    "least distance of the vehicle's bodies from the ground; above 0.3 m an upper bound",
+)
 TOUCHES = "the body of the vehicle touches the ground (clearance)"
 
 

@@ -7,7 +7,8 @@ shape. On other grounds the search has two stages.
 
 1. A grid of ground points under the shape and around it is compared by the distance from the
    shape, which has a closed form. The grid finds ground that rises between the corners of a box.
-   Its spacing is that of the map, with at most `MAX_POINTS` points a side.
+   Its spacing is that of the map, with at most `MAX_POINTS` points a side. Ground more than
+   `MAX_REACH` beside the shape is not searched, so that larger distances are upper bounds.
 2. From each local minimum of the grid that may become the least, and from the lowest corners of a
    box or the lowest points of a hull, Newton's method improves the point of the shape and the foot
    of its perpendicular together. The point of a box moves in the directions in which it is not at a

@@ -15,12 +15,11 @@ from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy  # its parts are imported when they are used, since this takes 0.2 s
 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, Label, Mask
+from slipfree.core.records import Array, Indices, Label, Mask
 from slipfree.fit.body_motion import BodyMotion, MotionError, Velocities, body_motion, velocities
 from slipfree.fit.unknowns import SENSOR, Unknown, label_of, limits_of, value_of
 from slipfree.fit.windows import Windows, end_poses
@@ -60,7 +59,6 @@ class Estimate(NamedTuple):
     at_bound: tuple[bool, ...]  # whether it is at a bound; its interval is then that value
     directions: tuple[Direction, ...]  # principal, of the covariance, best determined first
     deviations: Array  # of the residuals: two of position [m], and heading [rad]
-    evaluations: int  # number of evaluations of the predictions
     is_interrupted: bool = False  # by Ctrl-C: values of the last accepted step
 
     @property
@@ -98,13 +96,11 @@ class Predictor:
         self._shape = count, samples, 3
         self._near: Velocities | None = None
         self._last: tuple[Array, Prediction, Velocities] | None = None
-        self.evaluations = 0
 
     def __call__(self, values: Array) -> Prediction:
         """Return the prediction for values of the unknowns; MotionError if there is no motion."""
         if self._last is not None and np.array_equal(self._last[0], values):
             return self._last[1]
-        self.evaluations += 1
         try:
             motion = velocities(self.motion, self._given, values[self._of_model], self._near)
         except MotionError as error:
@@ -214,7 +210,6 @@ def estimate(
         tuple(bool(each) for each in at_bound),
         directions,
         deviations,
-        predict.evaluations,
         is_interrupted,
     )
 
@@ -253,7 +248,7 @@ def _check_extremum(
 class _Priors(NamedTuple):
     """Indices of the unknowns with a prior, its mean values and standard deviations."""
 
-    rows: npt.NDArray[np.intp]
+    rows: Indices
     mean: Array
     deviation: Array
 

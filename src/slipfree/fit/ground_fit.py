@@ -11,14 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy  # its parts are imported when they are used, since this takes 0.2 s
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask
-from slipfree.fit.estimate import CONFIDENCE, NORMAL_MEDIAN, SINGULAR
+from slipfree.fit.estimate import AT_BOUND, CONFIDENCE, NORMAL_MEDIAN, SINGULAR
 from slipfree.fit.ground_motion import (
     DriveLog,
     GroundPredictor,
@@ -30,20 +30,20 @@ from slipfree.fit.ground_motion import (
 )
 
 FIRST_DEVIATIONS = 0.25, 0.25, 0.15  # of the errors before they are known [m, m, rad]
-LEAST_DEVIATION = 1e-6
+LEAST_DEVIATION = 1e-6  # [m, m, rad]
 COVERED = 0.9  # share of the errors inside a prediction interval
-STRAIGHT = np.deg2rad(15)  # largest error of the course of a window that tells of slip
+STRAIGHT = np.deg2rad(15)  # largest error of the course of windows used for the error of the slip
 CLASSES = (-25, -12, -6, 0, 6, 12, 25)  # limits of the classes of grade [deg]
-SIZES = {"drift": 0.1, "slip_slope": 1.0, "turn_slope": 5.0, "ahead": 1.0}  # 1 or the start value
+# of constants; otherwise the start value, or 1
+SIZES = {"drift": 0.1, "slip_slope": 1.0, "turn_slope": 5.0, "ahead": 1.0}
 RESAMPLES = 1000
-AT_BOUND = 1e-3  # distance from a bound that counts as zero [sizes]
+MAX_EVALUATIONS = 60  # of a search, without those for derivatives
 STEP = 1e-4  # of derivatives [sizes]
 
 
 class GroundFit(NamedTuple):
     """Fitted constants of a motion model."""
 
-    names: tuple[str, ...]
     values: dict[str, float]
     deviation: dict[str, float]  # standard deviations; zero at a bound
     intervals: dict[str, tuple[float, float]]  # 95 % confidence intervals
@@ -53,13 +53,30 @@ class GroundFit(NamedTuple):
 def fit_ground(model: MotionModel, predict: GroundPredictor, where: str = "the logs") -> GroundFit:
     """Fit the constants of a model to windows.
 
-    ModelError names the constants that the windows do not determine.
+    Parameters
+    ----------
+    model : MotionModel
+        Model with start values and bounds of its constants.
+    predict : GroundPredictor
+        Predictions of n windows. Those of one log are not independent.
+    where : str
+        The logs, for error messages.
+
+    Returns
+    -------
+    GroundFit
+        Constants in the units of the model, and errors of the windows, shape (n,) [m, m, rad].
+
+    Raises
+    ------
+    ModelError
+        If there are not more windows than constants, the search does not converge, or the windows
+        do not determine a constant.
     """
     names = tuple(model.start)
-    values = np.array([model.start[name] for name in names])
+    start = np.array([model.start[name] for name in names])
     bounds = np.array([model.bounds[name] for name in names]).T
     sizes = np.array([SIZES.get(name, abs(model.start[name]) or 1.0) for name in names])
-    deviations = np.array(FIRST_DEVIATIONS)
     if len(predict.windows.log) <= len(names):
         raise ModelError(
             f"{where}: expected more windows than the {len(names)} constants of the model, found "
@@ -70,22 +87,13 @@ def fit_ground(model: MotionModel, predict: GroundPredictor, where: str = "the l
         errors = predict(model, dict(zip(names, at.tolist(), strict=True)))
         return np.column_stack([errors.along, errors.across, errors.course])
 
-    for _ in range(2):  # the second time with the deviations of the first one
-        result = scipy.optimize.least_squares(
-            lambda at, size: (ends(at) / size).ravel(),
-            values,
-            bounds=bounds,
-            loss="soft_l1",
-            x_scale=sizes,
-            diff_step=1e-4,
-            xtol=1e-5,
-            ftol=1e-6,
-            max_nfev=60,
-            args=(deviations,),
+    result, missed, deviations = _least_errors(ends, start, bounds, sizes)
+    if not result.status:
+        raise ModelError(
+            f"{where}: expected convergence of the fit of the model {model.words!r}, found none "
+            f"after {result.nfev} evaluations; use longer logs or a simpler model"
         )
-        values = result.x
-        missed = ends(values)
-        deviations = np.maximum(np.median(np.abs(missed), axis=0) / NORMAL_MEDIAN, LEAST_DEVIATION)
+    values = result.x
     # the Jacobian of the search is weighted by the loss
     steps = np.diag(STEP * sizes)
     slopes = np.stack([ends(values + h) - ends(values - h) for h in steps], axis=-1) / (2 * STEP)
@@ -101,14 +109,13 @@ def fit_ground(model: MotionModel, predict: GroundPredictor, where: str = "the l
         raise ModelError(
             f"{where}: expected windows that determine {', '.join(lost)} of the model "
             f"{model.words!r}, found a standard deviation larger than the size of the constant; "
-            "use logs with other manoeuvres and slopes, or a model without it"
+            "use logs with other manoeuvres and slopes, or a model without them"
         )
     freedom = max(len(np.unique(predict.windows.log)) - 1, 1)
     reach = float(scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2))
     numbers = dict(zip(names, values.tolist(), strict=True))
     deviation = dict(zip(names, (spread * sizes).tolist(), strict=True))
     return GroundFit(
-        names,
         numbers,
         deviation,
         {
@@ -117,6 +124,30 @@ def fit_ground(model: MotionModel, predict: GroundPredictor, where: str = "the l
         },
         predict(model, numbers),
     )
+
+
+def _least_errors(
+    ends: Callable[[Array], Array], start: Array, bounds: Array, sizes: Array
+) -> tuple[Any, Array, Array]:
+    """Return the result of the last search, and errors at ends with their deviations."""
+    values, deviations = start, np.array(FIRST_DEVIATIONS)
+    for _ in range(2):  # the second time with the deviations of the first one
+        result = scipy.optimize.least_squares(
+            lambda at, size: (ends(at) / size).ravel(),
+            values,
+            bounds=bounds,
+            loss="soft_l1",
+            x_scale=sizes,
+            diff_step=1e-4,
+            xtol=1e-5,
+            ftol=1e-6,
+            max_nfev=MAX_EVALUATIONS,
+            args=(deviations,),
+        )
+        values = result.x
+        missed = ends(values)
+        deviations = np.maximum(np.median(np.abs(missed), axis=0) / NORMAL_MEDIAN, LEAST_DEVIATION)
+    return result, missed, deviations
 
 
 def fit_on_uncertain_map(
@@ -129,9 +160,34 @@ def fit_on_uncertain_map(
 ) -> GroundFit:
     """Fit the constants of a model over a map with errors of a known size.
 
-    Errors of a map attenuate the influence of its slopes. ``maps`` are the map and the same with
-    further errors of this size: what these change is subtracted (simulation extrapolation; Cook and
-    Stefanski, J. Am. Stat. Assoc. 89, 1994), and their spread is added to the deviations.
+    Errors of a map attenuate the influence of its slopes. What further errors of the same size
+    change is subtracted (simulation extrapolation; Cook and Stefanski, J. Am. Stat. Assoc. 89,
+    1994), and their spread is added to the deviations.
+
+    Parameters
+    ----------
+    model : MotionModel
+        Model with start values and bounds of its constants.
+    logs : sequence of DriveLog
+        Logs, in SI units.
+    windows : PathWindows
+        Parts of the logs, shape (n,).
+    maps : tuple of Slopes and sequence of Slopes
+        Slopes of the map, and of the map with further errors: none, or at least two.
+    where : str
+        The logs, for error messages.
+    from_positions : bool
+        Whether courses follow from the positions only, as for `GroundPredictor`.
+
+    Returns
+    -------
+    GroundFit
+        Constants in the units of the model, and errors of the windows, shape (n,) [m, m, rad].
+
+    Raises
+    ------
+    ModelError
+        As `fit_ground`.
     """
     given, others = maps
     fitted = fit_ground(model, GroundPredictor(logs, windows, given, from_positions), where)
@@ -151,7 +207,7 @@ def fit_on_uncertain_map(
         half = (high - low) / 2 * ratio
         intervals[name] = values[name] - half, values[name] + half
     errors = GroundPredictor(logs, windows, given, from_positions)(model, values)
-    return GroundFit(fitted.names, values, deviation, intervals, errors)
+    return GroundFit(values, deviation, intervals, errors)
 
 
 def _covariance(missed: Array, slopes: Array, log: Array, free: Mask) -> Array:
@@ -211,9 +267,34 @@ def judge(
 ) -> tuple[dict[str, dict[Kind, Score]], dict[str, list[GroundFit]]]:
     """Predict each group of logs with constants fitted to the other groups.
 
-    With ``others``, these are predicted with constants fitted to all ``logs``. ``further`` are the
-    slopes of the map with further errors, for `fit_on_uncertain_map`; ``from_positions`` is
-    that of `GroundPredictor`.
+    Parameters
+    ----------
+    logs : sequence of DriveLog
+        Logs, in SI units, with the names of their groups.
+    slopes : Slopes
+        Slopes of the map.
+    models : mapping of str to MotionModel
+        Models by name.
+    kinds : sequence of tuple of 2 floats
+        Lengths of path [m] and durations [s] of the windows; one of both is zero.
+    others : sequence of DriveLog
+        Logs that are predicted with constants fitted to all ``logs``, instead of the groups.
+    further : sequence of Slopes
+        Slopes of the map with further errors, for `fit_on_uncertain_map`.
+    from_positions : bool
+        Whether courses follow from the positions only, as for `GroundPredictor`.
+
+    Returns
+    -------
+    scores : dict
+        Errors on all windows of each kind, by model and kind.
+    fits : dict
+        Fits by model, one for each group that is left out.
+
+    Raises
+    ------
+    ModelError
+        As `fit_ground`, or if no log has a window of a kind.
     """
     windows = {kind: windows_of(logs, *kind) for kind in {*kinds, FITTED}}
     test = {kind: windows_of(others, *kind) for kind in kinds} if others else windows
@@ -222,39 +303,47 @@ def judge(
     scores = dict[str, dict[Kind, Score]]()
     fits = dict[str, list[GroundFit]]()
     for name, model in models.items():
-        blocks: dict[Kind, list[tuple[PathErrors, PathWindows, Array]]] = {
-            kind: [] for kind in kinds
-        }
+        folded = {kind: list[Score]() for kind in kinds}
         fits[name] = []
         for fold in folds:
-
-            def of(kind: Kind, out: str = fold) -> PathWindows:
-                return windows[kind].take(group[windows[kind].log] != out)
-
+            rest = {kind: part.take(group[part.log] != fold) for kind, part in windows.items()}
             where = f"the logs without {fold}" if fold else "the logs"
-            fitted = fit_on_uncertain_map(
-                model, logs, of(FITTED), (slopes, further), where, from_positions
-            )
+            maps = slopes, further
+            fitted = fit_on_uncertain_map(model, logs, rest[FITTED], maps, where, from_positions)
             fits[name].append(fitted)
             for kind in kinds:
-                seen = GroundPredictor(logs, of(kind), slopes, from_positions)(model, fitted.values)
                 own = test[kind] if others else test[kind].take(group[test[kind].log] == fold)
-                errors = GroundPredictor(others or logs, own, slopes, from_positions)(
-                    model, fitted.values
-                )
-                reach = np.array([conformal(each) for each in seen[:3]])
-                blocks[kind].append((errors, own, np.tile(reach[:, None], len(own.log))))
-        scores[name] = {}
-        for kind, parts in blocks.items():
-            errors = PathErrors(
-                *(np.concatenate(each) for each in zip(*(p[0] for p in parts), strict=True))
-            )
-            own = PathWindows(
-                *(np.concatenate(each) for each in zip(*(p[1] for p in parts), strict=True))
-            )
-            reach = np.concatenate([p[2] for p in parts], axis=1)
-            scores[name][kind] = Score(errors, own, grades(others or logs, own, slopes), reach)
+                if own.log.size:  # the logs of a group may be too short
+                    seen = GroundPredictor(logs, rest[kind], slopes, from_positions)
+                    predict = GroundPredictor(others or logs, own, slopes, from_positions)
+                    grade = grades(others or logs, own, slopes)
+                    folded[kind].append(_fold(model, fitted.values, seen, predict, grade))
+        scores[name] = {kind: _joined(parts) for kind, parts in folded.items()}
     return scores, fits
+
+
+def _fold(
+    model: MotionModel,
+    values: dict[str, float],
+    seen: GroundPredictor,
+    predict: GroundPredictor,
+    grade: Array,
+) -> Score:
+    """Return the errors of a model on windows that were not fitted."""
+    reach = np.array([conformal(each) for each in seen(model, values)[:3]])
+    errors = predict(model, values)
+    return Score(errors, predict.windows, grade, np.tile(reach[:, None], grade.size))
+
+
+def _joined(parts: Sequence[Score]) -> Score:
+    """Return the errors on the windows of all groups."""
+    errors, windows, grade, reach = zip(*parts, strict=True)
+    return Score(
+        PathErrors(*map(np.concatenate, zip(*errors, strict=True))),
+        PathWindows(*map(np.concatenate, zip(*windows, strict=True))),
+        np.concatenate(grade),
+        np.concatenate(reach, axis=1),
+    )
 
 
 def conformal(errors: Array) -> float:

@@ -8,7 +8,7 @@ measured path, so that a prediction uses nothing but the map, the start and the 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
@@ -75,16 +75,16 @@ class Slopes:
 class DriveLog(NamedTuple):
     """A log of commands and positions, with samples at equal intervals.
 
-    Positions are those of the receiver in axes of which the first counts headings.
+    Positions are those of the receiver. Headings are measured from their first axis.
     """
 
     name: str
     group: str  # of logs that are left out together, such as a campaign
     dt: float  # time between samples [s]
     place: Array  # shape (n, 2): position of the receiver [m]
-    velocity: Array  # shape (n, 2): from the receiver, not from the positions [m/s]
+    velocity: Array  # shape (n, 2): measured, or the derivative of the positions [m/s]
     speed: Array  # shape (n,): of the receiver [m/s]
-    good: Mask  # shape (n,): samples with trustworthy positions
+    good: Mask  # shape (n,): samples with reliable positions
     direction: Array  # shape (n,): 1 where the command is ahead, -1 back, 0 neither
     sides: Array  # shape (n, 2): commanded speeds of the left and the right side [m/s]
 
@@ -112,6 +112,8 @@ def windows_of(logs: Sequence[DriveLog], length: float = 0.0, duration: float = 
     rows = list[tuple[int, int, int, float]]()
     for k, log in enumerate(logs):
         half, count = round(CHORD / log.dt), len(log.speed)
+        if count < 2 * half + 10:  # no sample has a chord before and after, with a margin
+            continue
         s = np.append(0.0, np.cumsum(log.speed[1:] * (log.speed[1:] > 0.1)) * log.dt)
         wide = half + 2  # of commands, which precede the motion
         calm = _throughout(log.speed > 0.25, half) & _throughout(log.good, half)
@@ -124,7 +126,7 @@ def windows_of(logs: Sequence[DriveLog], length: float = 0.0, duration: float = 
             if not ends[i]:
                 i += 1
                 continue
-            step = half // 2
+            step = max(half // 2, 1)
             if j < count and ends[j]:
                 path, moved = s[j] - s[i], log.place[j] - log.place[i]
                 drift = log.velocity[i:j].sum(axis=0) * log.dt - moved
@@ -319,7 +321,8 @@ class GroundPredictor:
     """Predictions of windows: the same course at the start as measured, then commands only.
 
     The measured course is the mean of those of a line through the positions of a chord, and of the
-    receiver's velocities with the equivalent weights; ``from_positions``, the former only.
+    receiver's velocities with the equivalent weights; with ``from_positions``, the former only, for
+    logs whose velocities are derivatives of the positions. ModelError is raised without windows.
     """
 
     def __init__(
@@ -329,6 +332,11 @@ class GroundPredictor:
         slopes: Slopes,
         from_positions: bool = False,
     ) -> None:
+        if not windows.log.size:
+            raise ModelError(
+                "windows: expected at least one in the fitted logs, found none; use longer logs or "
+                "shorter windows"
+            )
         self.windows, self._slopes = windows, slopes
         self._dt = dt = logs[0].dt
         self._half = half = round(CHORD / dt)
@@ -339,18 +347,16 @@ class GroundPredictor:
         self._line = k / (dt * (k**2).sum())  # slope of a line through the positions of a chord
         first = (windows.first - half)[self._order]
         self._logs = [log.sides for log in logs]
-        self._count = np.array([len(log.sides) for log in logs])
-        self._offset = np.append(0, np.cumsum(self._count))[windows.log][self._order]
+        own, count = windows.log[self._order], np.array([len(log.sides) for log in logs])
         at = first[:, None] + np.arange(int(self._steps.max()) + 1)
-        self._rows = self._offset[:, None] + np.minimum(
-            at, self._count[windows.log][self._order, None] - 1
-        )
+        offset = np.append(0, np.cumsum(count))[own]
+        self._rows = offset[:, None] + np.minimum(at, count[own, None] - 1)
         z = np.concatenate([log.place for log in logs]) @ [1, 1j]
         seen = z[self._rows]
         rows = np.arange(len(first))
         self._ends = rows[:, None], (self._steps - half)[:, None] + k
-        self._start, self._course = seen[:, 0], self._velocity(seen, slice(0, 2 * half + 1))
-        self._final = self._velocity(seen, self._ends)
+        self._start, self._course = seen[:, 0], seen[:, : 2 * half + 1] @ self._line
+        self._final = seen[self._ends] @ self._line
         if not from_positions:
             speeds = (np.concatenate([log.velocity for log in logs]) @ [1, 1j])[self._rows]
             # a line through positions weighs the velocities between them like this
@@ -359,15 +365,11 @@ class GroundPredictor:
             self._final = _mean_course(self._final, speeds[self._ends] @ weights)
         self._moved = seen[rows, self._steps - half] - seen[:, half]
 
-    def _velocity(self, path: Array, at: Any) -> Array:
-        """Return the velocity of a chord of positions, as complex numbers."""
-        return np.asarray((path[:, at] if isinstance(at, slice) else path[at]) @ self._line)
-
     def __call__(self, model: MotionModel, values: Values) -> PathErrors:
         """Return the errors of a model with values of its constants."""
         path = self._paths(model, values)
         half, rows = self._half, np.arange(len(path))
-        own, final = self._velocity(path, slice(0, 2 * half + 1)), self._velocity(path, self._ends)
+        own, final = path[:, : 2 * half + 1] @ self._line, path[self._ends] @ self._line
         spin = self._course / np.abs(self._course) * np.abs(own) / np.where(own == 0, 1, own)
         missed = spin * (path[rows, self._steps - half] - path[:, half]) - self._moved
         missed = missed * np.abs(self._moved) / self._moved

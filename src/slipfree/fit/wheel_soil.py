@@ -14,11 +14,10 @@ from typing import Any, NamedTuple, get_type_hints
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 import scipy  # its parts are imported when they are used
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array
+from slipfree.core.records import Array, Indices
 from slipfree.fit.calibration import Interval, bootstrap
 from slipfree.fit.estimate import (
     AT_BOUND,
@@ -150,9 +149,6 @@ class _Search:
         return np.concatenate([slopes[self._known], priors])
 
 
-Rows = npt.NDArray[np.intp]
-
-
 class QuantityErrors(NamedTuple):
     """Root mean square errors of a quantity over all runs, in its unit, with 95 % intervals."""
 
@@ -169,8 +165,7 @@ class SoilFit(NamedTuple):
 
     estimate: Estimate
     soil: Soil  # with the fitted constants
-    draws: Array  # shape (resamples, p): constants fitted to runs drawn at random
-    resampled: Array  # shape (p, 2): 95 % intervals of these; nan without draws
+    resampled: Array  # shape (p, 2): 95 % intervals of fits to runs drawn at random; nan without
     nominal: Array  # shape (n, 4): computed with the constants before and after the fit
     fitted: Array
     validated: Array  # shape (n, 4): each by constants fitted to other runs; nan if interrupted
@@ -257,15 +252,11 @@ def fit_soil(
             raise
         is_interrupted = True
     found = problem.estimate(values, deviations, is_interrupted)
-    many, edges = (
-        np.array(draws).reshape(-1, values.size),
-        [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2],
-    )
-    resampled = np.quantile(many, edges, axis=0).T if draws else np.full((values.size, 2), np.nan)
+    edges = [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2]
+    resampled = np.quantile(draws, edges, axis=0).T if draws else np.full((values.size, 2), np.nan)
     return SoilFit(
         found,
         replace(soil, **dict(zip(problem.names, values.tolist(), strict=True))),
-        many,
         resampled,
         nominal,
         fitted,
@@ -320,6 +311,13 @@ class SoilProblem:
                 )
         self.nominal = np.array([float(getattr(soil, name)) for name in self.names])
         limits = np.array([_limits(each, soil, self.names) for each in unknowns]).reshape(-1, 2)
+        for unknown, (low, high) in zip(unknowns, limits.tolist(), strict=True):
+            if not low < high:  # the peaks of the stress limit each other
+                raise ModelError(
+                    f"unknown {unknown.name!r}: expected a lower bound below the upper one, found "
+                    f"{low:.4g} and {high:.4g} with the limits of 'peak' and 'peak_rate'; change "
+                    "the bounds, or fit only one of both"
+                )
         self._scales = np.array(
             [
                 _scale(unknown, value, *pair)
@@ -401,7 +399,6 @@ class SoilProblem:
             tuple(bool(each) for each in at_bound),
             directions,
             deviations,
-            0,
             is_interrupted,
         )
 
@@ -446,7 +443,7 @@ def _scale(unknown: Unknown, nominal: float, low: float, high: float) -> float:
 
 
 def _errors(
-    runs: WheelRuns, rows_of: Sequence[Rows], spread: Array, nominal: Array, validated: Array
+    runs: WheelRuns, rows_of: Sequence[Indices], spread: Array, nominal: Array, validated: Array
 ) -> Iterator[QuantityErrors]:
     """Yield the errors of the measured quantities; runs are drawn for their intervals."""
     for k, name in enumerate(QUANTITIES):

@@ -365,7 +365,9 @@ def fit_facts(fitted: FittedWheel) -> Lines:
             )
         )
     if fit.sunk:
-        words = f"at {fit.sunk} points the wheel sinks to its axle, where the law ends"
+        words = (
+            f"at {fit.sunk} points the wheel sinks to its axle, beyond which the law is not valid"
+        )
         facts.append(("sinkage", words))
     return facts
 

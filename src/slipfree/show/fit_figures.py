@@ -164,7 +164,7 @@ def ground_figure(scores: Mapping[str, Mapping[Kind, Score]]) -> Figure:
         turn.plot(middle, courses, "o-", ms=3, color=color)
         slide.plot(middle, [100 * each[3] for each in slips], "o-", ms=3, color=color)
     place.set(xlabel="path [m]", ylabel="position error, rms [m]", xlim=(0, None), ylim=(0, None))
-    turn.set(xlabel="grade [deg]", ylabel="course error after 5 s, rms [deg]")
+    turn.set(xlabel="grade [deg]", ylabel=f"course error after {least[1]:g} s, rms [deg]")
     slide.set(xlabel="grade [deg]", ylabel="error of the slip, median [%]")
     slide.axhline(0, color="black", lw=0.6)
     place.legend(fontsize="x-small")

@@ -66,7 +66,7 @@ def ply_points(stream: BinaryIO) -> Points:
     end = re.search(rb"end_header[ \t]*(\r\n|\n|\r)", head)
     if not re.match(rb"ply[ \t]*[\r\n]", head) or end is None:
         raise ValueError(f"no header from 'ply' to 'end_header' in its first {MAX_HEADER} bytes")
-    kind, elements = _ply_header(head[: end.start()].decode("latin-1").splitlines()[1:])
+    kind, elements = _ply_header(head[: end.start()].decode("ascii", "replace").splitlines()[1:])
     names = [element.name for element in elements]
     if "vertex" not in names:
         raise ValueError(f"the elements {', '.join(names) or 'none'} without 'vertex'")
@@ -118,7 +118,7 @@ def pcd_points(stream: BinaryIO) -> Points:
     if data not in PCD_DATA:
         raise ValueError(f"DATA {data}, which is none of {', '.join(PCD_DATA)}")
     entries = dict[str, list[str]]()
-    for line in head[: end.start()].decode("latin-1").splitlines():
+    for line in head[: end.start()].decode("ascii", "replace").splitlines():
         key, *words = line.split("#")[0].split() or [""]
         entries[key] = words
     fields, count = _pcd_fields(entries), _pcd_count(entries)

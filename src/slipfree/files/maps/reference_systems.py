@@ -90,9 +90,11 @@ def reprojection(crs: Any, command: str, x: float, y: float) -> str:
 
 def semi_major_axis(name: str) -> float:
     """Return the semi-major axis of the body of a reference system, NaN if unknown [m]."""
+    if not name:
+        return math.nan
     from rasterio.crs import CRS
 
-    return _ellipsoid(CRS.from_string(name))[0] if name else math.nan
+    return _ellipsoid(CRS.from_string(name))[0]
 
 
 def _ellipsoid(crs: Any) -> tuple[float, float]:

@@ -43,7 +43,9 @@ class DriveData(Record):
     files: Annotated[tuple[Name, ...], Field(strict=False, min_length=2)] = Field(
         description="the logs: tables as text; those of one folder are left out together"
     )
-    step: Positive = Field(default=0.1, description="time between the samples that are used [s]")
+    step: Annotated[Positive, Field(le=0.5)] = Field(
+        default=0.1, description="time between the samples that are used, at most 0.5 [s]"
+    )
     delay: Quantity = Field(default=0.0, ge=0, description="from a command to the motion [s]")
     columns: DriveColumns = Field(default=DriveColumns(), description="names of the columns")
 
@@ -106,21 +108,30 @@ def fit_over_map(
         paths = [problem.folder / name for name in spec.data.files]
         alone = len({path.parent for path in paths}) == 1
         logs = [
-            _read_log(path, spec.data, path.stem if alone else path.parent.name) for path in paths
+            _read_log(path, spec.data, path.name if alone else str(path.parent)) for path in paths
         ]
         others = [_read_log(path, spec.data, path.stem) for path in predict]
         models = {name: MODELS[name] for name in spec.models}
         kinds = [*((length, 0.0) for length in spec.lengths), (0.0, spec.duration)]
-        return judge(logs, slopes, models, kinds, others, further)
+        # logs have no velocities of the receiver: those of `_read_log` follow from the positions
+        return judge(logs, slopes, models, kinds, others, further, from_positions=True)
 
 
 def _read_log(path: Path, data: DriveData, group: str) -> DriveLog:
     """Return a log at equal intervals; positions are linear between samples, commands are held."""
     table, _ = read_columns(path, dict(data.columns), "a log", where="[data.columns]")
     t = table["t"]
-    if t.size < 2 or np.diff(t).min() <= 0:
-        raise ModelError(f"{path}: expected times that increase; sort the log")
+    if (np.diff(t) <= 0).any():
+        k = int(np.argmax(np.diff(t) <= 0))
+        raise ModelError(
+            f"{path}: expected times that increase, found {t[k + 1]:g} s after {t[k]:g} s; sort "
+            "the log"
+        )
     even = np.arange(t[0], t[-1], data.step)
+    if even.size < 2:
+        raise ModelError(
+            f"{path}: expected a log longer than {data.step:g} s, found {t[-1] - t[0]:g} s; omit it"
+        )
     place = np.column_stack([np.interp(even, t, table[key]) for key in ("x", "y")])
     velocity = np.gradient(place, data.step, axis=0)
     held = np.searchsorted(t, np.maximum(even - data.delay, t[0]) + 1e-9, side="right") - 1
