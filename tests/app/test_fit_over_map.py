@@ -76,6 +76,9 @@ def test_other_logs_are_predicted(folder: Path) -> None:
 @pytest.mark.usefixtures("folder")
 def test_wrong_problems_are_refused() -> None:
     Path("a/0.csv").write_text("t,x,y,left\n0,0,0,1\n1,0,0,1\n")
-    assert "right" in printed("fit", "hill.toml", "--no-draw", code=2)
+    words = "a/0.csv: expected the columns t, x, y, left, right, found no column 'right'"
+    assert words in printed("fit", "hill.toml", "--no-draw", code=2)
     Path("hill.toml").write_text(PROBLEM.replace("slope", "ice"))
-    assert "models" in printed("fit", "hill.toml", "--no-draw", code=2)
+    words = printed("fit", "hill.toml", "--no-draw", code=2)
+    assert "models[1]: expected 'straight'" in words
+    assert "found 'ice'" in words
