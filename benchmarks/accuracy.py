@@ -24,9 +24,9 @@ import casadi as ca
 import numpy as np
 from common import TESTS, run_parts
 from scipy.interpolate import NdBSpline, RectBivariateSpline
-from test_body_clearance import SHAPED, rough, settled_poses, with_shapes
 
 from helpers.scale_cases import CASES, difference
+from helpers.shaped import SHAPED, rough, settled_poses, with_shapes
 from slipfree import (
     Analytic,
     Bicubic,

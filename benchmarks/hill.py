@@ -1,10 +1,12 @@
 """A skid-steered robot on a hillside: errors of baselines and of models on the map.
 
-``python benchmarks hill FOLDER [--judge OTHER] [--figures DIR]`` reads public logs that are not
-part of the project (source: docs/measured.md): folders of logs ``*.txt.gz``, one for each
-campaign, and the elevation model. Each campaign is predicted with constants that were fitted to
-the others; with ``--judge``, the logs of OTHER with constants that were fitted to all of FOLDER.
-Without FOLDER, only the fits of synthetic logs with known truth are made.
+``python benchmarks hill FOLDER [--judge OTHER] [--models NAME ...] [--from-positions]
+[--figures DIR]`` reads public logs that are not part of the project (source: docs/measured.md):
+folders of logs ``*.txt.gz``, one for each campaign, and the elevation model. Each campaign is
+predicted with constants that were fitted to the others; with ``--judge``, the logs of OTHER with
+constants that were fitted to all of FOLDER.
+
+``python benchmarks hill [--draws N]`` fits synthetic logs with known truth.
 """
 
 from __future__ import annotations

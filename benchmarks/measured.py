@@ -637,6 +637,8 @@ def main() -> None:
     parser.add_argument("--figures", type=Path)
     parser.add_argument("--wheels", action="store_true", help="only wheels in soil")
     given = parser.parse_args()
+    if given.wheels and not given.folder:
+        parser.error("expected a folder for --wheels")
     parts: list[Iterator[str]] = [synthetic()]
     if given.folder:
         parts = [
@@ -651,7 +653,7 @@ def main() -> None:
             *parts,
         ]
     if given.wheels:
-        parts = parts[1:-1]
+        parts = parts[2:-1]
     for part in parts:
         for line in part:
             print(line, flush=True)

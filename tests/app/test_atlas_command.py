@@ -5,11 +5,13 @@ import re
 import sys
 from pathlib import Path
 
+import distributed
 import numpy as np
 import pytest
 import rasterio
 
 from helpers.commands import invoke, printed, refused, sets
+from helpers.rasters import from_origin, geotiff
 from slipfree import Bicubic, catalog, direct_kinematics, read_map
 from slipfree.atlas import atlas as core
 from slipfree.files.atlas_files import open_atlas
@@ -37,12 +39,8 @@ def small_tiles(monkeypatch):
         monkeypatch.setattr(module, "TILE", 16)
 
 
-def write_map(z, name="site.tif", **more):
-    height, width = z.shape
-    place = rasterio.Affine(1.0, 0, 5e5, 0, -1.0, 5e6)
-    profile = {"width": width, "height": height, "count": 1, "dtype": z.dtype, "crs": "EPSG:32633"}
-    with rasterio.open(name, "w", "GTiff", transform=place, **profile, **more) as file:
-        file.write(z, 1)
+def write_map(z, **more):
+    geotiff(Path("site.tif"), z, from_origin(5e5, 5e6, 1.0), **more)
 
 
 def bands(name):
@@ -159,7 +157,6 @@ def test_two_processes_give_the_same_file_as_one(two_tiles):
 
 @pytest.mark.slow
 def test_workers_of_dask_give_the_same_file(two_tiles):
-    distributed = pytest.importorskip("distributed")
     printed(*two_tiles, "-o", "here.tif")
     more = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}
     with distributed.LocalCluster(n_workers=1, **more) as local:
@@ -242,9 +239,10 @@ def test_hostile_maps_are_refused(z, more, expected):
         (("three_wheeler", "--within", "roll=2..1"), "in ascending order"),
         (("three_wheeler", "--friction", "0"), "--friction: expected a number greater than 0"),
         (("three_wheeler", "--scheduler", "x", "-j", "2"), "found both"),
-        (
+        pytest.param(
             ("three_wheeler", *INTERPRETED, "--scheduler", "tcp://127.0.0.1:1"),
             "a running Dask scheduler",
+            marks=pytest.mark.slow,
         ),
         (("three_wheeler", "-o", "out.png"), "expected a name that ends in .tif"),
         (("three_wheeler", "-o", "site.tif"), "found the input"),

@@ -81,7 +81,8 @@ def test_other_logs_are_predicted(folder: Path) -> None:
 @pytest.mark.usefixtures("folder")
 def test_wrong_problems_are_refused() -> None:
     Path("a/0.csv").write_text("t,x,y,left\n0,0,0,1\n1,0,0,1\n")
-    assert "right" in printed("fit", "hill.toml", "--no-draw", code=2)
+    words = "a/0.csv: expected the columns t, x, y, left, right, found no column 'right'"
+    assert words in printed("fit", "hill.toml", "--no-draw", code=2)
     for rows, words in (
         ("0,0,0,1,1\n", "longer than 0.2 s, found 0 s"),
         ("0,0,0,1,1\n2,0,0,1,1\n1,0,0,1,1\n", "found 1 s after 2 s"),
@@ -92,7 +93,9 @@ def test_wrong_problems_are_refused() -> None:
     Path("hill.toml").write_text(PROBLEM.replace("step = 0.2", "step = 0.6"))
     assert "step" in printed("fit", "hill.toml", "--no-draw", code=2)
     Path("hill.toml").write_text(PROBLEM.replace("slope", "ice"))
-    assert "models" in printed("fit", "hill.toml", "--no-draw", code=2)
+    words = printed("fit", "hill.toml", "--no-draw", code=2)
+    assert "models[1]: expected 'straight'" in words
+    assert "found 'ice'" in words
 
 
 def test_folders_of_the_same_name_are_left_out_separately(folder: Path) -> None:

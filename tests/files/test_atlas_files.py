@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import rasterio
+import xarray
 
 from slipfree import Bicubic, DataError, Grid, catalog, direct_kinematics
 from slipfree.atlas.atlas import Atlas, Band, atlas
@@ -94,7 +95,6 @@ def test_netcdf_reads_back(tmp_path, poses, site):
 
 
 def test_xarray_knows_the_axes(tmp_path, poses, site):
-    xarray = pytest.importorskip("xarray")
     write_atlas(tmp_path / "a.nc", poses, site)
     with xarray.open_dataset(tmp_path / "a.nc", engine="scipy") as found:
         assert found["roll"].dims == ("heading", "y", "x")

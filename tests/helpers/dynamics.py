@@ -30,6 +30,12 @@ def moved(model, start, t, tolerance=1e-9, **inputs):
     return run
 
 
+def energy_error(run):
+    """Return what the energy gains beyond the work that is not lost [J]."""
+    energy = run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
+    return energy - energy[0] - run["work"] + run["lost_energy"]
+
+
 def four_wheels(*, spring=0.0, driven=True, mass=40.0, height=0.25, turn=None, **wheel):
     """Return a car; with a spring constant, its wheels are on vertical struts.
 

@@ -29,7 +29,7 @@ def gradient(x: float, y: float, size: float) -> tuple[float, float]:
     )
 
 
-def drive(seed: int, group: str, size: float = 1.0, noise: float = 0.0) -> DriveLog:
+def drive(seed: int, group: str, size: float = 1.0) -> DriveLog:
     """Return the log of a robot with the true constants, which drives towards the middle."""
     rng, count = np.random.default_rng(seed), 700
     place, heading, path = rng.uniform(-15, 15, 2), rng.uniform(-3, 3), []
@@ -54,6 +54,5 @@ def drive(seed: int, group: str, size: float = 1.0, noise: float = 0.0) -> Drive
             place, heading = place + step * v * np.sqrt(1 - up**2) * ahead, heading + step * yaw
     exact = np.array(path)
     velocity = np.gradient(exact, DT, axis=0)
-    seen = exact + noise * rng.normal(size=exact.shape)
     speed, good = np.hypot(*velocity.T), np.ones(count, bool)
-    return DriveLog(f"log {seed}", group, DT, seen, velocity, speed, good, np.ones(count), sides)
+    return DriveLog(f"log {seed}", group, DT, exact, velocity, speed, good, np.ones(count), sides)

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from helpers.dynamics import FLAT, four_wheels, moved, states
+from helpers.dynamics import FLAT, energy_error, four_wheels, moved, states
 from slipfree import Analytic, Compliant, ModelError, Solids, dynamics, in_gravity, settle, simulate
 from slipfree.laws.soil import Soil
 from slipfree.problem.load import find_motion_verb, load_problem
@@ -30,30 +30,25 @@ def sunk(*shapes, mu=0.8, **keys):
     return dynamics(car(*shapes, **keys), replace(FLAT, mu=mu), law=LAW)
 
 
-def energies(run):
-    total = run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
-    return total - total[0] - run["work"] + run["lost_energy"]
-
-
 @pytest.mark.parametrize(
-    ("shapes", "points"),
+    ("shapes", "share"),
     [
-        ((Box((0.4, 0.5, 0.4), at=(0, 0.35, 0)),), 9),
-        ((Hull(tuple((x, y, -0.2) for x in (-0.2, 0.2) for y in (0.1, 0.6))),), 4),
-        (tuple(Ball(0.05, (x, y, -0.15)) for x, y in ((-0.2, 0.1), (0.2, 0.1), (0, 0.6))), 3),
+        ((Box((0.4, 0.5, 0.4), at=(0, 0.35, 0)),), 1 / 9),
+        ((Hull(tuple((x, y, -0.2) for x in (-0.2, 0.2) for y in (0.1, 0.6))),), 1 / 4),
+        (tuple(Ball(0.05, (x, y, -0.15)) for x, y in ((-0.2, 0.1), (0.2, 0.1), (0, 0.6))), 3 / 8),
     ],
 )
 @pytest.mark.parametrize("gravity", [9.81, 1.62])
-def test_a_car_on_its_belly_is_as_deep_as_its_weight_asks(shapes, points, gravity):
+def test_a_car_on_its_belly_is_as_deep_as_its_weight_asks(shapes, share, gravity):
     """All points bear the weight; a moon's car with the same depth has softer points."""
     model = dynamics(in_gravity(car(*shapes), gravity), FLAT, law=LAW)
     run = moved(model, states(model, z=0.2), np.linspace(0, 4, 5), 1e-8)
     assert run["body_load"][-1] == pytest.approx(48 * gravity, rel=1e-5)
     assert run["force_normal"][-1] == pytest.approx(0, abs=1e-9)
     middle = run["z"][-1] + 0.35 * np.sin(run["pitch"][-1])
-    if points > 3:
-        assert 0.2 - middle == pytest.approx(DEPTH / points, rel=1e-2)
-    assert np.abs(energies(run)).max() < 1e-5 * 48 * gravity * 0.2
+    # on unequal depths the car pitches by 1 mrad, and its centre of mass moves: 4e-4 more
+    assert 0.2 - middle == pytest.approx(share * DEPTH, rel=1e-3)
+    assert np.abs(energy_error(run)).max() < 1e-5 * 48 * gravity * 0.2
 
 
 def test_a_car_slides_on_its_belly_as_far_as_friction_lets_it():
@@ -63,7 +58,8 @@ def test_a_car_slides_on_its_belly_as_far_as_friction_lets_it():
     start = states(model, z=0.2 - DEPTH / 9, velocity_y=3.0)
     run = moved(model, start, np.linspace(0, 1.5, 16), 1e-8)
     assert run["y"][-1] == pytest.approx(3.0**2 / (2 * 0.5 * 9.81), rel=3e-3)
-    assert np.abs(energies(run)).max() < 1e-4 * 24 * 9
+    assert np.abs(energy_error(run)).max() < 1e-6 * 24 * 9
+    assert run["body_load"][-1] == pytest.approx(WEIGHT, rel=1e-6)
     # pitched by friction on the front corners until it stops
     assert run["body_load"] == pytest.approx(WEIGHT, rel=0.3)
 
@@ -97,14 +93,16 @@ def test_a_ball_bounces_as_a_damped_oscillator_without_friction():
 
 @pytest.mark.slow
 def test_a_rover_hangs_on_a_ridge():
-    """Its wheels drive on beside a ridge that is higher than its belly, until they turn in air."""
+    """It drives onto a ridge higher than its belly until its front wheels lift and it stops."""
     ridge = Analytic(lambda x, y: 0.3 * ca.exp(-((x / 0.15) ** 2) - ((y - 2) / 0.4) ** 2), mu=0.5)
     vehicle = car(BELLY)
     model = dynamics(vehicle, ridge, law=LAW)
     inputs = model.inputs(**{label.full: 6.0 for label in model.labels.u.wheels})
     run = simulate(model, settle(model, y=0.0), inputs, np.linspace(0, 4, 81))
     assert run.stop is None
-    assert run["body_load"].max() > 0.2 * WEIGHT
+    assert run["body_load"][-1] > 0.4 * WEIGHT
+    assert (run["force_normal"][-1][:2] == 0).all()
+    assert abs(run["velocity_y"][-1]) < 1e-2
     ended = simulate(dynamics(vehicle, ridge), settle(model, y=0.0), inputs, run.t)
     assert "the platform touches the ground" in ended.stop.words
 
@@ -122,7 +120,7 @@ def test_a_roll_over_ends_on_the_roof():
     up = 1 - 2 * (run["attitude_x"][-1] ** 2 + run["attitude_y"][-1] ** 2)
     assert up == pytest.approx(-1, abs=1e-4)
     assert run["kinetic_energy"][-1] < 1e-4
-    assert np.abs(energies(run)).max() < 1e-4 * WEIGHT
+    assert np.abs(energy_error(run)).max() < 1e-4 * WEIGHT
 
 
 def test_without_a_depth_the_motion_ends_at_a_touch():

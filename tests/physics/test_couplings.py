@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from helpers.dynamics import FLAT
 from helpers.urdf import joint, link, wheel, written
 from slipfree import (
     Analytic,
@@ -20,7 +21,6 @@ from slipfree.core.records import leaves
 from slipfree.models.given_rates import COMMANDS
 from slipfree.solve.replay import replay, round_trip, trim_states
 
-FLAT = Analytic(lambda x, _: 0 * x, mu=0.8)
 ROVER = """\
 name = "two rockers"
 frame = "paper"

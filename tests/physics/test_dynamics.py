@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.dynamics import FLAT, center_height, four_wheels, moved, slope, states
+from helpers.dynamics import FLAT, center_height, energy_error, four_wheels, moved, slope, states
 from slipfree import (
     Analytic,
     Bicubic,
@@ -36,16 +36,6 @@ def lone_wheel(section, mass=2.0, inertia=None, **more):
     """Return a single free wheel."""
     wheel = Wheel("w", "platform", (0, 0, 0), section, driven=False, mass=mass, inertia=inertia)
     return Vehicle("wheel", (), (), (replace(wheel, **more),), LIGHT)
-
-
-def energy(run):
-    """Return kinetic, potential and contact energy along a motion [J]."""
-    return run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
-
-
-def energy_error(run):
-    """Return what the energy gains beyond the work that is not lost [J]."""
-    return energy(run) - energy(run)[0] - run["work"] + run["lost_energy"]
 
 
 def pendulum():
@@ -80,7 +70,7 @@ def test_a_tumbling_vehicle_keeps_its_energy_and_falls_freely():
     run = moved(model, start, t, 1e-10)
     exchanged = np.ptp(run["kinetic_energy"])
     assert exchanged > 1000
-    assert np.abs(energy(run) - energy(run)[0]).max() < 1e-8 * exchanged
+    assert np.abs(energy_error(run)).max() < 1e-8 * exchanged
     norm = sum(run[f"attitude_{axis}"] ** 2 for axis in "wxyz")
     assert np.abs(norm - 1).max() < 2e-9  # 20 tolerances
     # the centre of mass is in free fall: potential energy is that of a parabola

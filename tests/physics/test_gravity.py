@@ -6,9 +6,9 @@ from math import inf, nan, pi, sqrt
 import casadi as ca
 import numpy as np
 import pytest
-import rasterio
 
 from helpers.dynamics import FLAT, four_wheels, moved, states
+from helpers.rasters import from_origin, geotiff
 from slipfree import (
     Analytic,
     ModelError,
@@ -65,11 +65,8 @@ def test_a_map_of_another_body_with_the_gravity_of_the_earth_is_noted(tmp_path):
     assert foreign_map_words(EARTH_GRAVITY, 1e6).endswith("1000 km: set 'gravity' [m/s^2]")
     for gravity, radius in ((1.62, 1737400.0), (EARTH_GRAVITY, 6378388.0), (EARTH_GRAVITY, nan)):
         assert not foreign_map_words(gravity, radius)
-    map_file = {"driver": "GTiff", "width": 40, "height": 40, "count": 1, "dtype": "float32"}
     crs = "+proj=stere +lat_0=-90 +a=1737400 +b=1737400 +units=m"
-    transform = rasterio.Affine(1, 0, -20, 0, -1, 20)
-    with rasterio.open(tmp_path / "m.tif", "w", **map_file, crs=crs, transform=transform) as file:
-        file.write(np.zeros((1, 40, 40), "f4"))
+    geotiff(tmp_path / "m.tif", np.zeros((40, 40)), from_origin(-20, 20, 1), crs=crs)
     (tmp_path / "p.toml").write_text(
         'verb = "direct"\nterrain = { file = "m.tif" }\n'
         'vehicle = { catalog = "skid_steer", mass = 20.0 }\nstart = { x = 0.0, y = 0.0 }\n'

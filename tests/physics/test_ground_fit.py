@@ -54,7 +54,7 @@ def test_fit_finds_the_truth() -> None:
     assert found.errors.position.max() < 0.1
 
 
-def test_wrong_map_widens_the_intervals_and_does_not_bias() -> None:
+def test_wrong_map_widens_the_intervals_over_the_truth() -> None:
     drives, wrong = logs(), disturbed(HILL, 0.1, 3.0, 1)
     more = [Slopes(disturbed(wrong, 0.1, 3.0, seed), 0.0) for seed in (2, 3, 4)]
     right = fitted(drives, "slope", Slopes(HILL, 0.0))
@@ -81,7 +81,7 @@ def test_groups_are_predicted_with_constants_of_the_others() -> None:
         assert (
             score.errors.position.mean() < scores["differential"][kind].errors.position.mean() / 5
         )
-        assert abs(score.slip()[0][3]) < 0.005
+        assert abs(score.slip()[0][3]) < 1e-3
 
 
 def test_groups_without_windows_of_a_kind_are_judged_on_the_others() -> None:

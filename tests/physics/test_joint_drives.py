@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from helpers.dynamics import FLAT, four_wheels, moved, states
+from helpers.dynamics import FLAT, energy_error, four_wheels, moved, states
 from slipfree import Analytic, ModelError, catalog, follow, quasi_statics, settle
 from slipfree.geometry.path import Path
 from slipfree.models.dynamics import dynamics
@@ -40,9 +40,7 @@ def with_arm(drive, axis="x", **more):
 
 def imbalance(run):
     """Return the largest error of the energy balance over the energy exchanged."""
-    total = run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
-    gain = total - total[0] - run["work"] + run["lost_energy"]
-    return np.abs(gain).max() / (np.abs(run["work"]).max() + run["lost_energy"][-1])
+    return np.abs(energy_error(run)).max() / (np.abs(run["work"]).max() + run["lost_energy"][-1])
 
 
 @pytest.mark.parametrize("motion", ["turn", "slide"])

@@ -11,7 +11,7 @@ from scipy.optimize import fsolve, linprog
 from scipy.spatial.transform import Rotation
 
 from helpers.cases import hills
-from helpers.dynamics import FLAT, moved, states
+from helpers.dynamics import FLAT, energy_error, moved, states
 from slipfree import (
     Analytic,
     Coulomb,
@@ -375,7 +375,7 @@ def test_forces_of_a_motion_act_along_the_rollers():
     run = simulate(dae, settle(dae), dae.inputs(**rates), np.linspace(0, 2, 5))
     signs = np.array([X_SIGNS[name] for name in NAMES])
     ratio = run["force_along"] / run["force_across"]
-    assert_allclose(ratio, np.broadcast_to(signs, ratio.shape), rtol=0.05)  # wheels lean a little
+    assert_allclose(ratio, np.broadcast_to(signs, ratio.shape), rtol=1e-4)  # wheels lean a little
     assert np.ptp(run["force_along"]) > 1
 
 
@@ -420,8 +420,7 @@ def test_coasting_wheels_take_their_share_of_momentum(angle, sideways):
     assert_allclose(run["omega_z"][-1], 0, atol=1e-6)
     signs = np.array([X_SIGNS[n] for n in NAMES]) if sideways else np.ones(4)
     assert_allclose(run["wheel_rate"][-1], signs * factor * expected / RADIUS, rtol=1e-5)
-    energy = run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
-    assert np.abs(energy - energy[0] + run["lost_energy"]).max() < 1e-6 * energy[0]
+    assert np.abs(energy_error(run)).max() < 1e-6 * run["kinetic_energy"][0]
 
 
 def test_momentum_of_free_motions_is_kept():
@@ -447,9 +446,7 @@ def test_the_energy_ledger_of_driven_wheels_on_hills():
     names = [label.full for label in model.labels.u.wheels]
     inputs = dict(zip(names, (-0.4 * X_SIGNS[n] for n in NAMES), strict=True))
     run = moved(model, settle(model), np.linspace(0, 2, 21), tolerance=1e-9, **inputs)
-    energy = run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
-    miss = energy - energy[0] - run["work"] + run["lost_energy"]
-    assert np.abs(miss).max() < 1e-6 * np.abs(run["work"]).max()
+    assert np.abs(energy_error(run)).max() < 1e-6 * np.abs(run["work"]).max()
     assert run["lost_energy"][-1] > 0
     assert np.abs(run["wheel_rate"]).max() > 5
 

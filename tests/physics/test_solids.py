@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.dynamics import FLAT, four_wheels, moved
+from helpers.dynamics import FLAT, energy_error, four_wheels, moved
 from slipfree import (
     Analytic,
     ModelError,
@@ -218,8 +218,7 @@ def climbing(vehicle, ground, heading, speed, duration, tolerance=1e-6):
 
 def ledger(run):
     """Return the error of the energy balance over its bound, 100 x tolerance x work."""
-    energy = run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
-    error = np.abs(energy - energy[0] - run["work"] + run["lost_energy"]).max()
+    error = np.abs(energy_error(run)).max()
     return error / (100 * run.statistics["tolerance"] * np.abs(run["work"]).max())
 
 

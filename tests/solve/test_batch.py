@@ -133,6 +133,7 @@ def test_compiled_and_interpreted_graphs_agree(model, rng):
         )
 
 
+@pytest.mark.slow
 def test_a_damaged_library_is_compiled_again(model, tmp_path, monkeypatch, rng):
     """The compiled graphs are in the cache of all equations, private and with a checksum."""
     monkeypatch.setenv(codegen_cache.FOLDER, str(tmp_path / "own"))
