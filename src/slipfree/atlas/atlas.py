@@ -265,8 +265,8 @@ def atlas(
     >>> ground = Bicubic(Grid(x, x, np.tan(0.2) * np.tile(x, (13, 1))))  # slopes up to the north
     >>> model = direct_kinematics(catalog.three_wheeler(), ground)
     >>> found = atlas(model, ground, headings=4, compiled=False)
-    >>> found["pitch"][:, 6, 6].round(3).tolist()  # north, west, south, east
-    [0.2, 0.0, -0.2, 0.0]
+    >>> np.rint(100 * found["pitch"][:, 6, 6]).astype(int).tolist()  # north, west, south, east
+    [20, 0, -20, 0]
     """
     grid = getattr(terrain, "grid", None)
     x, y = (
