@@ -31,7 +31,7 @@ from slipfree.cli.common import (
     visible,
     with_output_options,
 )
-from slipfree.cli.inspect import check, export, info, vehicle
+from slipfree.cli.inspect import check, export, ground, info, vehicle
 from slipfree.cli.new import examples, new
 from slipfree.cli.run import run
 from slipfree.cli.show import edit, report, show
@@ -81,7 +81,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 COMMANDS = (
-    *(new, examples, run, check, vehicle, compare, info, show, edit, report, export),
+    *(new, examples, run, check, ground, vehicle, compare, info, show, edit, report, export),
     *(sweep, pareto, track, fit, wheel, atlas),
 )
 for command in COMMANDS:

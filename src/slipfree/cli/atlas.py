@@ -121,7 +121,7 @@ def atlas(
 
         check_workers(processes, scheduler)
         own = _own_settings(headings, every, friction, error, within or [])
-        with _as_arguments():
+        with as_arguments():
             problem = _read(file, vehicle, [*own, *(settings or [])], trust)
         outs = out or [Path(f"{file.stem}.tif" if vehicle is None else f"{file.stem}_atlas.tif")]
         _check_endings(outs)
@@ -130,7 +130,7 @@ def atlas(
         inputs = files_read(problem)
         check_outputs(outs, inputs, folder=figures if draw else None)
         check_outputs([], inputs, folder=tiles, names=("*",))
-        with _as_arguments():
+        with as_arguments():
             setup = build_atlas(problem)
         print_facts(setup.facts)
         for words in setup.warnings:
@@ -215,17 +215,24 @@ def _read(
     file: Path, vehicle: str | None, settings: Sequence[str], trust: list[Path] | None
 ) -> Problem[Any]:
     """Return the problem in a file, or that of a map and a vehicle."""
+    if vehicle is not None:
+        return problem_of_map(file, vehicle, settings, trust)
+    if file.suffix.lower() != ".toml":
+        raise DataError(
+            f"{file}: expected a problem file (.toml), or a map and a vehicle, found no vehicle; "
+            f"name one: slipfree atlas {shlex.quote(str(file))} VEHICLE"
+        )
+    return read_problem(file, [*settings], trust, "atlas")
+
+
+def problem_of_map(
+    file: Path, vehicle: str, settings: Sequence[str], trust: list[Path] | None
+) -> Problem[Any]:
+    """Return the problem of the mobility map of a vehicle, a file or name of the catalogue."""
     from slipfree.files.urdf.xacro import trusted_paths
     from slipfree.problem.load import load_again
     from slipfree.problem.schema import CATALOG
 
-    if vehicle is None:
-        if file.suffix.lower() != ".toml":
-            raise DataError(
-                f"{file}: expected a problem file (.toml), or a map and a vehicle, found no "
-                f"vehicle; name one: slipfree atlas {shlex.quote(str(file))} VEHICLE"
-            )
-        return read_problem(file, [*settings], trust, "atlas")
     if file.suffix.lower() == ".toml":
         raise DataError(
             f"{file}: expected a map before the vehicle {vehicle!r}, found a TOML file; omit "
@@ -246,7 +253,7 @@ def _read(
 
 
 @contextmanager
-def _as_arguments() -> Iterator[None]:
+def as_arguments() -> Iterator[None]:
     """Name the options and arguments of this command in messages, not their settings."""
     from slipfree.files.toml.source import ProblemError
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from slipfree.cli.atlas import as_arguments, problem_of_map
 from slipfree.cli.common import (
     BAD_INPUT,
+    Draw,
     File,
     InputFolder,
     ResultFile,
@@ -31,6 +34,12 @@ from slipfree.cli.common import (
 from slipfree.cli.new import write_new_file
 from slipfree.cli.outputs import check_outputs, motion_json, quantities, resume_command
 from slipfree.core.errors import DataError
+
+if TYPE_CHECKING:
+    from slipfree.problem.build_ground import GroundMap
+    from slipfree.problem.problem import Problem
+
+ANY_VEHICLE = "three_wheeler"  # of a problem of which only the map is read
 
 
 def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
@@ -54,6 +63,80 @@ def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
         add_json("start", lambda: quantities(start))
         print_facts([*setup.facts, *facts])
         print_line("ok")
+
+
+def ground(
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="MAP|FILE", help="Map of the heights, or problem file (TOML)."),
+    ],
+    vehicle: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="VEHICLE",
+            help="With a map: vehicle file (TOML, URDF or xacro), or name of the catalogue, to "
+            "find a start at which it stands.",
+        ),
+    ] = None,
+    settings: Settings = None,
+    draw: Draw = True,
+    trust: Trust = None,
+) -> None:
+    """Describe a map: size, reference system, slopes, holes, doubtful heights, and a start.
+
+    Maps in degrees are converted as by --set terrain.geographic=local. The figure shows heights,
+    slopes and the start.
+    """
+    with reported():
+        from slipfree.problem.build_ground import ground_facts
+        from slipfree.problem.ground_survey import stand, survey, survey_lines
+        from slipfree.problem.inputs import files_read
+
+        with as_arguments():
+            problem, ground = _ground(file, vehicle, settings or [], trust)
+        facts = survey(ground)
+        add_json("ground", lambda: {name: fact._asdict() for name, fact in facts.items()})
+        print_facts([*ground_facts(ground), *survey_lines(facts)])
+        pose: Mapping[str, float] = {}
+        if vehicle is not None or file.suffix.lower() == ".toml":
+            with as_arguments():
+                pose, lines = stand(problem, ground.grid)
+            print_facts(lines)
+            add_json("start", lambda: pose)
+        if draw:
+            from slipfree.show.motion_figures import ground_plot
+            from slipfree.show.plots import save
+
+            folder = Path(f"{file.stem}_figures")
+            check_outputs([], files_read(problem), folder=folder, names=("ground.png",))
+            place = (pose["x"], pose["y"]) if pose else None
+            (path,) = save([ground_plot(ground.grid, place)], folder)
+            add_json_file(path)
+            print_line(f"drew {path}")
+
+
+def _ground(
+    file: Path, vehicle: str | None, settings: list[str], trust: list[Path] | None
+) -> tuple[Problem[Any], GroundMap]:
+    """Return a problem with the map, and its ground; maps in degrees are converted."""
+    from slipfree.files.maps.elevation import DegreesError
+    from slipfree.files.toml.source import ProblemError
+    from slipfree.problem.build_ground import build_ground
+
+    if file.suffix.lower() == ".toml" and vehicle is None:
+        problem = read_problem(file, settings, trust, "vehicle")
+        return problem, build_ground(problem)
+    settings = ["frame=rep103", *settings]
+    problem = problem_of_map(file, vehicle or ANY_VEHICLE, settings, trust)
+    try:
+        return problem, build_ground(problem)
+    except ProblemError as error:
+        if not isinstance(error.__cause__, DegreesError):
+            raise
+    key = "terrain.geographic=local"
+    print_line(f"the map is in degrees; it is converted to metres by --set {key}")
+    problem = problem_of_map(file, vehicle or ANY_VEHICLE, [key, *settings], trust)
+    return problem, build_ground(problem)
 
 
 def vehicle(

@@ -49,6 +49,7 @@ DISTINCT = 0.01  # smallest distance of distinguishable lines [width of the axes
 NEAR = 0.6  # a path with a smaller extent is drawn again, enlarged [extent of the map]
 RELIEF = (0.22, 0.6)  # smallest and largest height of a drawn surface [width]
 POSE = ("heading", "roll", "pitch", "yaw", "tip_over_margin", "tip_over")  # not joints
+STEEP = 40.0  # end of the colour scale of slopes [deg]
 CHECK_COLUMNS = 3  # panels side by side
 CHECKS = {
     "closure_residual": "log",
@@ -72,6 +73,35 @@ def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
     bar.set_label("height $z$ [m], relief shaded")
     bar.locator, bar.formatter = style.ticks(6), ScalarFormatter(useOffset=False)
     return ax
+
+
+def ground_plot(grid: Grid, place: tuple[float, float] | None = None) -> Plot:
+    """Return the figure of a ground: heights and slopes, with a place where a vehicle stands."""
+    return Plot("ground", "Heights and slopes of the ground.", lambda: _ground(grid, place))
+
+
+def _ground(grid: Grid, place: tuple[float, float] | None) -> Figure:
+    x, y, z = ground_drawing.patch(grid, ground_drawing.whole(grid), HEATMAP)
+    slope = np.degrees(np.arctan(np.hypot(*np.gradient(z, x[1] - x[0], y[1] - y[0]))))
+    figure = style.figure(
+        PAGE, PAGE * (0.12 + 0.42 * float(np.clip(np.ptp(y) / np.ptp(x), 0.3, 2)))
+    )
+    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+    ground(grid, left)
+    drawn = right.imshow(
+        slope.T, cmap="magma_r", vmin=0.0, vmax=STEEP, **ground_drawing.extent(x, y)
+    )
+    ground_drawing.shade(x, y, z, right)
+    right.set_ylabel("")
+    bar = figure.colorbar(drawn, cax=right.inset_axes((1.03, 0.0, 0.04, 1.0)), extend="max")
+    bar.set_label("slope [deg], relief shaded")
+    if place is not None:
+        for ax in (left, right):
+            ax.plot(*place, "o", mfc="white", mec="black", ms=5, label="start")
+    entries = dict(zip(*reversed(left.get_legend_handles_labels()), strict=True))
+    if entries:
+        figure.legend(entries.values(), entries.keys(), loc="outside upper left", ncols=3)
+    return figure
 
 
 def path(run: Trajectory, ax: Axes) -> Axes:

@@ -39,6 +39,10 @@ MAX_MEDIAN_SLOPE = 50.0  # a steeper map is taken to be in degrees [1]
 Facts = tuple[tuple[str, str], ...]
 
 
+class DegreesError(DataError):
+    """A map in degrees is read without their conversion to metres."""
+
+
 class Frame(NamedTuple):
     """Linear relation between ground and map file: file coordinates ``x0 + kx x, y0 + ky y``."""
 
@@ -143,7 +147,7 @@ def read_map(
     except DataError as error:
         if str(error).startswith(f"{path}:"):
             raise
-        raise DataError(f"{path}: {error}") from error
+        raise type(error)(f"{path}: {error}") from error
 
 
 def takes_key(ending: str, key: str) -> bool:
@@ -183,14 +187,14 @@ def _check_degrees(heights: Heights, *, local: bool) -> None:
     )
     system = f" ({heights.crs})" if heights.crs else ""
     if heights.geographic and not local:
-        raise DataError(f"expected a map in metres, found degrees{system}: {reach}{remedy}")
+        raise DegreesError(f"expected a map in metres, found degrees{system}: {reach}{remedy}")
     if local or heights.crs or not (heights.placed and fits):
         return
     rise = np.abs(np.diff(np.where(np.isinf(heights.z), np.nan, heights.z), axis=1))
     rise = rise[rise > 0]  # neither holes nor lakes
     steep = float(np.median(rise)) / axes_of(heights.x, heights.y)[1].step if rise.size else 0.0
     if steep > MAX_MEDIAN_SLOPE:
-        raise DataError(
+        raise DegreesError(
             f"expected a map in metres, found one that seems to be in degrees: {reach}, with "
             f"slopes of {steep:.2g} along y (median){remedy}; if x and y are in metres, check the "
             "unit of the heights"

@@ -1,0 +1,191 @@
+"""Survey of a ground for ``slipfree ground``: slopes, hollows, doubtful heights, and a start."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import degrees
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
+
+from slipfree.atlas.atlas import Atlas, Band, tile_of
+from slipfree.core.facts import Fact
+from slipfree.core.records import Array, Mask
+from slipfree.core.trajectory import OFFSET
+from slipfree.problem.build_ground import GroundMap
+from slipfree.problem.problem import Problem
+from slipfree.problem.verbs.atlas import AtlasKeys, AtlasTable, build_atlas
+from slipfree.problem.verbs.base import Lines
+from slipfree.terrain.base import Grid
+
+STEEP = 20.0, 30.0  # slopes that are counted [deg]
+SPIKE = 3.0  # height of spikes above all neighbours, in differences between these [1]
+HIGH = 0.5  # smallest height of a spike [cells]
+ROUND = 1.0, 0.5, 0.25, 0.1, 0.05, 0.01  # steps to which heights may be rounded [m]
+COARSE = 0.01  # rounded heights matter if their step exceeds this share of the cell [1]
+WHOLE = 1e-6  # heights within this share of a step are multiples of it [1]
+PLACES, HEADINGS = 12, 4  # places along an axis, and headings, at which the vehicle is put
+TOUCHING = 0.99  # share of the nodes at which a wheel touches once
+
+
+def survey(ground: GroundMap) -> dict[str, Fact]:
+    """Return the statistics of a ground: slopes, hollows and doubtful heights.
+
+    A height is doubtful if it is above or below all its neighbours by more than three times the
+    difference between these and more than half a cell.
+    """
+    grid = ground.grid
+    known = _known(grid)
+    slope = np.degrees(np.arctan(np.hypot(*np.gradient(grid.z, *grid.spacing))))[known]
+    concave = _concave_curvature(grid)[known]
+    facts = {
+        "slope_median": Fact(float(np.median(slope)), "degree", "median slope"),
+        "slope_high": Fact(float(np.percentile(slope, 95)), "degree", "95th percentile of slopes"),
+        "slope_largest": Fact(float(slope.max()), "degree", "largest slope"),
+        **{
+            f"share_above_{each:.0f}": Fact(
+                float(np.mean(slope > each)), "1", f"share of the nodes steeper than {each:g} deg"
+            )
+            for each in STEEP
+        },
+        "hole_share": Fact(float(1 - known.mean()), "1", "share of the nodes in or beside holes"),
+        "wheel_radius": Fact(
+            1 / max(float(np.quantile(concave, TOUCHING)), 1e-9),
+            "m",
+            f"radius of wheels that touch once at {100 * TOUCHING:g} % of the nodes",
+        ),
+    }
+    away = np.where(known, _spikes(grid), 0.0)
+    facts["spikes"] = Fact(np.count_nonzero(away), "1", "heights unlike those of the neighbours")
+    if away.any():
+        i, j = np.unravel_index(np.abs(away).argmax(), away.shape)
+        facts["spike_x"] = Fact(float(grid.x[i]), "m", "place of the largest spike")
+        facts["spike_y"] = Fact(float(grid.y[j]), "m", "place of the largest spike")
+        facts["spike_size"] = Fact(float(away[i, j]), "m", "largest spike or pit")
+    values = grid.values
+    step = next((each for each in ROUND if _are_multiples(values, each)), 0.0)
+    if step > COARSE * min(grid.spacing) and np.ptp(values) > 0:
+        facts["rounded_to"] = Fact(step, "m", "heights are multiples of it")
+    return facts
+
+
+def survey_lines(facts: dict[str, Fact]) -> Lines:
+    """Return the lines of the summary that show the facts of `survey`."""
+    value = {name: fact.value for name, fact in facts.items()}
+    shares = ", ".join(
+        f"{100 * value[f'share_above_{each:.0f}']:.3g} % above {each:g} deg" for each in STEEP
+    )
+    lines = [
+        (
+            "slope",
+            f"median {value['slope_median']:.3g} deg, 95 % below {value['slope_high']:.3g} deg, "
+            f"largest {value['slope_largest']:.3g} deg; {shares}",
+        ),
+        (
+            "hollows",
+            f"wheels of up to {value['wheel_radius']:.3g} m radius touch once at "
+            f"{100 * TOUCHING:g} % of the nodes; terrain.rolled fills narrower hollows",
+        ),
+    ]
+    if value["hole_share"]:
+        lines.append(
+            (
+                "holes",
+                f"{100 * value['hole_share']:.3g} % of the nodes are in or beside holes, where a "
+                "motion ends; terrain.fill = 'linear' fills those inside the map",
+            )
+        )
+    if value["spikes"]:
+        lines.append(
+            (
+                "doubtful heights",
+                f"{value['spikes']} nodes are spikes or pits, the largest of "
+                f"{value['spike_size']:.3g} m at x = {value['spike_x']:.9g}, y = "
+                f"{value['spike_y']:.9g}; correct the map, or reduce them with terrain.smooth",
+            )
+        )
+    if "rounded_to" in value:
+        lines.append(
+            (
+                "rounded heights",
+                f"to {value['rounded_to']:g} m, which makes steps in the ground; terrain.smooth "
+                "of two to three cells removes them",
+            )
+        )
+    return lines
+
+
+class Stand(NamedTuple):
+    """Where a vehicle stands on a coarse grid of places and headings.
+
+    ``pose`` is the most level pose: x, y, heading in the frame of the problem, roll and pitch
+    [m, rad]; it is empty if the vehicle stands nowhere. ``facts`` are lines of the summary.
+    """
+
+    pose: Mapping[str, float]
+    facts: Lines
+
+
+def stand(problem: Problem[Any], grid: Grid) -> Stand:
+    """Return where the vehicle of a problem stands on its ground."""
+    spec, (few, many) = problem.spec, sorted(grid.z.shape)
+    table = AtlasTable(headings=HEADINGS, every=max(1, min(many // PLACES, few - 1)))
+    keys = {name: getattr(spec, name) for name in ("frame", "terrain", "vehicle")}
+    setup = build_atlas(replace(problem, spec=AtlasKeys(verb="atlas", atlas=table, **keys)))
+    evaluator = setup.poses(compiled=False)
+    x, y, heading = setup.x, setup.y, setup.heading
+    values = tile_of(evaluator, x, y, heading, {}, None, table.tolerance)
+    labels = setup.labels(compiled=False)
+    bands = {name: Band(label, values[name]) for name, label in labels.items()}
+    poses = Atlas(x, y, heading, bands, evaluator.reasons)
+    _, found = setup.site.summary_of(poses, slice(0, x.size), slice(0, y.size))
+    allowed = found.codes == 0
+    words = f"at {100 * float(allowed.mean()):.3g} % of {allowed.size} poses"
+    if not allowed.all():
+        counts = np.bincount(found.codes[~allowed])
+        words += f"; elsewhere mostly: {found.reasons[counts.argmax()]}"
+    facts = [(f"{setup.vehicle.name} stands", words)]
+    if not allowed.any():
+        return Stand({}, facts)
+    tilt = np.where(allowed, np.hypot(poses["roll"], poses["pitch"]), np.inf)
+    k, i, j = np.unravel_index(tilt.argmin(), tilt.shape)
+    turned = float(heading[k]) + OFFSET[problem.spec.frame]
+    tilts = {name: float(poses[name][k, i, j]) for name in ("roll", "pitch")}
+    shown = ", ".join(f"{name} {degrees(value):.3g} deg" for name, value in tilts.items())
+    start = f'x = {x[i]:.9g}, y = {y[j]:.9g}, heading = "{degrees(turned):.4g} deg"'
+    pose = {"x": float(x[i]), "y": float(y[j]), "heading": turned, **tilts}
+    return Stand(pose, [*facts, ("start", f"{start} ({spec.frame}; {shown})")])
+
+
+def _known(grid: Grid) -> Mask:
+    """Return the mask of nodes that have heights, as have their eight neighbours."""
+    if grid.holes is None:
+        return np.ones(grid.z.shape, dtype=bool)
+    return np.asarray(~binary_dilation(grid.holes, np.ones((3, 3), dtype=bool)))
+
+
+def _spikes(grid: Grid) -> Array:
+    """Return the heights of nodes above, or below, all neighbours; zero unless doubtful [m]."""
+    ring = np.ones((3, 3), dtype=bool)
+    ring[1, 1] = False
+    high, low = (
+        each(grid.z, footprint=ring, mode="nearest") for each in (maximum_filter, minimum_filter)
+    )
+    away = np.maximum(grid.z - high, 0.0) - np.maximum(low - grid.z, 0.0)
+    least = np.maximum(SPIKE * (high - low), HIGH * min(grid.spacing))
+    return np.where(np.abs(away) > least, away, 0.0)
+
+
+def _concave_curvature(grid: Grid) -> Array:
+    """Return the largest curvature of the ground at the nodes, positive in hollows [1/m]."""
+    along_x, along_y = np.gradient(grid.z, *grid.spacing)
+    xx, xy = np.gradient(along_x, *grid.spacing)
+    yy = np.gradient(along_y, grid.spacing[1], axis=1)
+    return np.asarray((xx + yy) / 2 + np.hypot((xx - yy) / 2, xy))
+
+
+def _are_multiples(values: Array, step: float) -> bool:
+    shares = values / step
+    return bool(np.all(np.abs(shares - np.rint(shares)) < WHOLE))

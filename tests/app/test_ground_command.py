@@ -1,0 +1,86 @@
+"""Tests of ``slipfree ground``: statistics against closed forms, doubtful heights, and a start."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.commands import invoke, printed, sets
+from slipfree import Bicubic, Grid, catalog, direct_kinematics, settle
+
+pytestmark = pytest.mark.usefixtures("folder")
+AXIS = np.linspace(-10.0, 10.0, 41)
+BOWL = 25.0  # radius of curvature at the lowest point [m]
+
+
+def described(z, *words, code=0):
+    np.savez("site.npz", x=AXIS, y=AXIS, z=z)
+    result = invoke("ground", "site.npz", *words, "--json")
+    assert result.exit_code == code, result.output
+    return json.loads(result.stdout)
+
+
+def test_slopes_and_hollows_of_a_bowl():
+    x, y = np.meshgrid(AXIS, AXIS, indexing="ij")
+    found = described((x**2 + y**2) / (2 * BOWL), "--no-draw")["ground"]
+    values = {name: fact["value"] for name, fact in found.items()}
+    # in a paraboloid the slope is the distance from the middle over the radius
+    share = np.mean(np.hypot(x, y) / BOWL > np.tan(np.radians(20.0)))
+    assert values["share_above_20"] == pytest.approx(share, abs=0.02)
+    assert values["slope_median"] == pytest.approx(
+        np.degrees(np.arctan(np.median(np.hypot(x, y)) / BOWL)), rel=1e-2
+    )
+    assert values["wheel_radius"] == pytest.approx(BOWL, rel=1e-9)
+    assert values["spikes"] == values["hole_share"] == 0
+    assert "rounded_to" not in values
+
+
+def test_spikes_holes_and_rounded_heights_are_named():
+    z = np.round(2.0 * np.sin(AXIS[:, None] / 3) * np.cos(AXIS / 4))
+    z[20, 8], z[30, 30] = 9.0, np.nan
+    found = described(z)
+    values = {name: fact["value"] for name, fact in found["ground"].items()}
+    assert values["rounded_to"] == 1.0
+    assert (values["spikes"], values["spike_x"], values["spike_y"]) == (1, AXIS[20], AXIS[8])
+    assert values["hole_share"] == pytest.approx(9 / z.size)
+    assert found["files"] == ["site_figures/ground.png"]
+    assert Path("site_figures/ground.png").stat().st_size > 1e4
+    assert "terrain.smooth of two to three cells" in found["facts"]["rounded heights"]
+
+
+def test_a_vehicle_stands_at_the_start():
+    """The start is the most level pose of a coarse grid, as the vehicle's own settling has it."""
+    z = 0.1 * AXIS[:, None] * np.sin(AXIS / 3)
+    found = described(z, "three_wheeler", "--no-draw")
+    start = found["start"]
+    model = direct_kinematics(catalog.three_wheeler(), Bicubic(Grid(AXIS, AXIS, z)))
+    heading = start["heading"] - np.pi / 2  # from the y axis
+    pose = settle(model, x=start["x"], y=start["y"], heading=heading)
+    for name in ("roll", "pitch"):
+        assert start[name] == pytest.approx(pose[name][0], abs=1e-6)
+    assert "rep103" in found["facts"]["start"]
+    assert "% of 784 poses" in found["facts"]["three_wheeler stands"]
+
+
+def test_maps_in_degrees_are_converted():
+    z = 500.0 + 100.0 * np.random.default_rng(0).random((20, 20))
+    np.savez("deg.npz", x=np.linspace(7.0, 7.01, 20), y=np.linspace(45, 45.01, 20), z=z)
+    out = printed("ground", "deg.npz", "--no-draw")
+    assert out.startswith("the map is in degrees; it is converted to metres")
+    assert "786.199 x 1111.95 m, 20 x 20 nodes" in out  # 0.01 deg of the mean sphere
+
+
+def test_the_ground_of_a_problem_and_errors():
+    np.savez("site.npz", x=AXIS, y=AXIS, z=0.0 * AXIS[:, None] * AXIS)
+    Path("p.toml").write_text(
+        'verb = "direct"\nstart = {}\ninputs = {}\ntime = { duration = 1.0, step = 0.1 }\n'
+        '[terrain]\nfile = "site.npz"\n[vehicle]\ncatalog = "rocky7"\n'
+    )
+    out = printed("ground", "p.toml", "--no-draw", *sets("terrain.window=[-5,5,-5,5]"))
+    assert "10 x 10 m, 21 x 21 nodes" in out
+    assert "rocky7 stands" in out
+    np.savez("site.npz", x=AXIS, y=AXIS, z=1e5 + AXIS[:, None] * AXIS)
+    assert "vertical_scale" in printed("ground", "site.npz", code=2)
+    assert "VEHICLE: expected a vehicle file" in printed("ground", "site.npz", "tank", code=2)
+    assert "omit VEHICLE" in printed("ground", "p.toml", "rocky7", code=2)
