@@ -84,6 +84,7 @@ OTHERS = [
     ["--version"],
     ["--json check problems/rover_inverse.toml"],
     ["check problems/plan_crater_field.toml"],
+    ["ground problems/real_dem_rough.toml"],
     ["vehicle problems/rover_inverse.toml"],
     ["vehicle problems/vehicles/trailer.toml"],
     ["vehicle problems/vehicles/trike.toml"],

@@ -175,3 +175,13 @@ def test_the_mobility_on_rollers_is_counted_and_a_free_motion_named(tmp_path):
     assert "resists its motion about a point 0 m to the right" in found.faults[0]
     assert facts(found)["driven wheels"] == "4: a, b, c, d"
     assert "resists its motion" in invoke("vehicle", str(file), code=2).stderr
+
+
+def test_a_picture_of_the_vehicle(folder):
+    """On level ground, or on that of a problem; other endings are refused before anything else."""
+    (folder / "p.toml").write_text(VALID)
+    for words, name in (([DATA / "cart.toml"], "cart.png"), (["p.toml"], "p.svg")):
+        out = invoke("vehicle", *words, "--picture", name, code=0).stdout
+        assert f"drew {name}" in out
+        assert (folder / name).stat().st_size > 2e4
+    assert "ends in .png" in invoke("vehicle", "p.toml", "--picture", "a.bmp", code=2).stderr

@@ -407,7 +407,7 @@ def test_the_vehicle_file_is_not_read_again(named: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_films(file: Path, climb_file: Path, tmp_path: Path) -> None:
+def test_films_and_pictures(file: Path, climb_file: Path, tmp_path: Path) -> None:
     for each, count in ((file, 21), (climb_file, 3)):
         out = tmp_path / f"{each.stem}.gif"
         invoke("show", each, "--animation", out, code=0)
@@ -417,6 +417,11 @@ def test_films(file: Path, climb_file: Path, tmp_path: Path) -> None:
             film.seek(count - 1)
             last = np.asarray(film.convert("RGB"), dtype=int)
         assert (np.abs(first - last).max(axis=2) > 30).sum() > 20
+    pictures = []
+    for time in ("0", "0.5"):
+        invoke("show", file, "--picture", tmp_path / "p.png", "--at", time, code=0)
+        pictures.append(np.asarray(Image.open(tmp_path / "p.png").convert("RGB"), dtype=int))
+    assert (np.abs(pictures[1] - pictures[0]).max(axis=2) > 30).sum() > 200
 
 
 def test_places_are_checked_before_anything_is_drawn(
@@ -426,7 +431,7 @@ def test_places_are_checked_before_anything_is_drawn(
     (tmp_path / "d.html").mkdir()
     monkeypatch.setattr("slipfree.problem.result.read", lambda _: pytest.fail("read"))
     for option, name, said in (
-        ("--animation", "a.avi", "expected a name that ends in .gif or .mp4"),
+        ("--animation", "a.avi", "expected a name that ends in .mp4 or .gif"),
         ("--animation", "gone/a.gif", "expected a folder gone to write to, found none"),
         ("--animation", str(file), "expected a separate file, found the input"),
         ("--html", "a.gif", "expected a name that ends in .html"),

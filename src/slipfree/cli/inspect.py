@@ -32,7 +32,15 @@ from slipfree.cli.common import (
     visible,
 )
 from slipfree.cli.new import write_new_file
-from slipfree.cli.outputs import check_outputs, motion_json, quantities, resume_command
+from slipfree.cli.outputs import (
+    Picture,
+    check_outputs,
+    check_picture,
+    motion_json,
+    quantities,
+    resume_command,
+    save_picture,
+)
 from slipfree.core.errors import DataError
 
 if TYPE_CHECKING:
@@ -152,6 +160,7 @@ def vehicle(
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    picture: Picture = None,
     trust: Trust = None,
 ) -> None:
     """Describe the vehicle of a problem or of a vehicle file.
@@ -162,8 +171,9 @@ def vehicle(
     with reported():
         from slipfree.problem.build_vehicle import guessed_completion
         from slipfree.problem.inputs import files_named_in
-        from slipfree.problem.report import describe
+        from slipfree.problem.report import describe, vehicle_plot
 
+        check_picture(picture, [file, *files_named_in(file)])
         if write is not None:
             check_outputs([write], [file, *files_named_in(file)])
             write_new_file(guessed_completion(file, write.parent, trust or []), write, force)
@@ -175,6 +185,8 @@ def vehicle(
         if faults:
             print_error("\n".join(faults))
             raise typer.Exit(BAD_INPUT)
+        if picture is not None:
+            save_picture(vehicle_plot(file, settings or [], trust or []), picture)
 
 
 def info(

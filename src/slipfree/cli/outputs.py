@@ -7,7 +7,9 @@ import shlex
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from slipfree.cli.common import (
     add_json_file,
@@ -15,6 +17,7 @@ from slipfree.cli.common import (
     is_quiet,
     note_failure,
     print_error,
+    print_line,
     warn,
 )
 from slipfree.core.errors import DataError, WriteError
@@ -26,10 +29,15 @@ if TYPE_CHECKING:
     from slipfree.core.facts import Facts
     from slipfree.core.trajectory import Stop, Trajectory
     from slipfree.problem.problem import Problem
+    from slipfree.show.plots import Plot
 
 OUTPUT = ("output", "file")  # key of a problem file with the name of its result
 FIGURE = b"\x89PNG"  # first bytes of a PNG file
-PAGES = (".html", ".htm")  # endings of pages
+PAGES, PICTURES = (".html", ".htm"), (".png", ".svg", ".pdf")  # endings
+Picture = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.png|.svg|.pdf", help="Draw the vehicle on its ground."),
+]
 
 
 def motion_json(run: Trajectory, facts: Facts) -> dict[str, Any]:
@@ -156,6 +164,26 @@ def check_page(out: Path, inputs: Sequence[Path]) -> None:
     check_outputs([out], inputs)
     if out.suffix.lower() not in PAGES:
         raise DataError(f"{out}: expected a name that ends in .html or .htm; choose another name")
+
+
+def check_picture(out: Path | None, inputs: Sequence[Path]) -> None:
+    """Raise DataError if a picture cannot be written, or its name has another ending."""
+    if out is None:
+        return
+    check_outputs([out], inputs)
+    if out.suffix.lower() not in PICTURES:
+        raise DataError(
+            f"{out}: expected a name that ends in {', '.join(PICTURES)}; choose another name"
+        )
+
+
+def save_picture(plot: Plot, out: Path) -> None:
+    """Draw a picture and write it to a file that `check_picture` has accepted."""
+    from slipfree.show.plots import save as save_plots
+
+    save_plots([plot._replace(name=out.stem)], out.parent, [out.suffix[1:]])
+    add_json_file(out)
+    print_line(f"drew {out}")
 
 
 def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any]) -> None:

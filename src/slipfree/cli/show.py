@@ -21,12 +21,13 @@ from slipfree.cli.common import (
     Trust,
     about,
     add_json_file,
+    counted,
     detail,
     print_line,
     reported,
     warn,
 )
-from slipfree.cli.outputs import check_outputs, check_page
+from slipfree.cli.outputs import Picture, check_outputs, check_page, check_picture, save_picture
 from slipfree.system.regular_files import escape_name, regular_file, replace_file
 
 if TYPE_CHECKING:
@@ -49,7 +50,12 @@ def show(
         Path | None, typer.Option(metavar="FILE.html", help="Save a self-contained page instead.")
     ] = None,
     animation: Annotated[
-        Path | None, typer.Option(metavar="FILE.gif|.mp4", help="Save an animation instead.")
+        Path | None, typer.Option(metavar="FILE.mp4|.gif", help="Save an animation instead.")
+    ] = None,
+    picture: Picture = None,
+    time: Annotated[
+        float | None,
+        typer.Option("--at", metavar="SECONDS", help="Time of the picture; default: the end."),
     ] = None,
     color: Annotated[
         Layer,
@@ -59,12 +65,13 @@ def show(
     port: Port = 0,
     browser: Browser = True,
 ) -> None:
-    """Show motions in a web page, or save a page or an animation.
+    """Show motions in a web page, or save a page, an animation or a picture.
 
     The page shows ground, vehicles, contact points, slip and forces in three dimensions.
     """
     with reported():
         _check_outputs(files, html, animation)
+        check_picture(picture, files)
         from slipfree.show.drive_scene import drive_scene
 
         motions = _read(files, folder)
@@ -76,7 +83,9 @@ def show(
         if animation is not None:
             from slipfree.show.film import animate
 
-            print_line(f"wrote {animation}, {animate(scene, animation, title)}")
+            with counted("frames") as progress:
+                speed = animate(scene, animation, title, progress)
+            print_line(f"wrote {animation}, {speed}")
             add_json_file(animation)
         if html is not None:
             from slipfree.show.viewer import page
@@ -84,7 +93,11 @@ def show(
             text = page(scene, title, color)
             _write_page(html, text)
             print_line(f"wrote {html}, {len(text) / 1e6:.1f} MB")
-        if html is None and animation is None:
+        if picture is not None:
+            from slipfree.show.film import picture as drawn
+
+            save_picture(drawn(scene, title, time), picture)
+        if html is None and animation is None and picture is None:
             from slipfree.show.viewer import serve
 
             serve(scene, title, color, port, warn, lambda url: open_page(url, browser))

@@ -173,7 +173,9 @@ def vehicle_file(name: str, problem: Problem[Any]) -> VehicleFile:
     """Return the contents of a vehicle file of a problem, which is read once."""
     if name not in problem.vehicles:
         path, trusted = problem.folder / name, problem.trusted
-        problem.vehicles[name] = shared("vehicle", (path, trusted), lambda: _read(path, trusted))
+        problem.vehicles[name] = shared(
+            "vehicle", (path, trusted), lambda: read_vehicle_file(path, trusted)
+        )
     contents: VehicleFile = problem.vehicles[name]
     return contents
 
@@ -200,10 +202,11 @@ def read_vehicle(
         If the file cannot be read, is not a vehicle file, or is xacro that is not trusted.
     """
     files = ([path] if trust else []) if isinstance(trust, bool) else trust
-    return _read(Path(path), trusted_paths(files)).vehicle
+    return read_vehicle_file(Path(path), trusted_paths(files)).vehicle
 
 
-def _read(path: Path, trusted: frozenset[str]) -> VehicleFile:
+def read_vehicle_file(path: Path, trusted: frozenset[str]) -> VehicleFile:
+    """Return the contents of a vehicle file; errors as in `read_vehicle`."""
     draft, robot = _draft(path, trusted)
     try:
         return VehicleFile(draft.vehicle(), robot)

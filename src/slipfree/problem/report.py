@@ -20,6 +20,7 @@ from slipfree.files.atlas_files import is_atlas, open_atlas
 from slipfree.files.cf import MAP_TRANSFORM
 from slipfree.files.netcdf import ORIGIN, read
 from slipfree.files.toml.source import ProblemError
+from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.files.vehicle_draft import Draft
 from slipfree.files.vehicle_toml import VehicleError
 from slipfree.geometry.frame import AXES, unit_vector
@@ -28,20 +29,32 @@ from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.records import is_determinate
 from slipfree.models.samples import closest_fact
 from slipfree.problem.atlas_tiles import AtlasOverview, overview_of_file, summary_lines
-from slipfree.problem.build_vehicle import is_vehicle_file, read_vehicle
+from slipfree.problem.build_vehicle import (
+    VehicleFile,
+    is_vehicle_file,
+    read_vehicle,
+    read_vehicle_file,
+    vehicle_file,
+)
 from slipfree.problem.inputs import STORED, digest
 from slipfree.problem.load import find_motion_verb, load_problem, verb_of
+from slipfree.problem.problem import Problem
 from slipfree.problem.result import build, motion_facts, open_result
 from slipfree.problem.verbs.base import Lines, Result, outcome_fact, ranges
 from slipfree.problem.verbs.drive_facts import clearance_lines
+from slipfree.problem.verbs.driving import visual_meshes
+from slipfree.routing.traversability import extents
 from slipfree.show.atlas_figures import atlas_plots
+from slipfree.show.drive_scene import Driven, drive_scene
+from slipfree.show.film import picture
 from slipfree.show.html_page import Report
 from slipfree.show.plots import Plot
 from slipfree.show.style import unit
 from slipfree.solve.settle import settle
 from slipfree.solve.system import with_inputs
 from slipfree.terrain.analytic import Analytic
-from slipfree.terrain.base import Terrain
+from slipfree.terrain.base import Grid, Terrain
+from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 
 VERSION = "_version"
@@ -49,6 +62,7 @@ ELSEWHERE = (  # attributes reported in other sections
     *("problem", "settings", "history", "title", "date_created", "problem_folder"),
     *(STORED, MAP_TRANSFORM),
 )
+LEVEL = 6.0  # half the width of the level ground in a picture [reach of the vehicle]
 MIN_SHARE = 0.3  # smallest named entry of a singular vector, relative to the largest
 MAX_TREE_DEPTH = 40  # largest printed depth of the tree of parts
 
@@ -193,6 +207,28 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
     except ModelError as error:
         faults = (f"{path}: on level ground: {error}",)
         return Description(_drawn_tree(vehicle), facts, faults)
+
+
+def vehicle_plot(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = ()) -> Plot:
+    """Return the picture of a vehicle, on level ground or on the ground of its problem.
+
+    Errors are those of `describe`.
+    """
+    if is_vehicle_file(path):
+        contents = read_vehicle_file(path, trusted_paths(trust))
+        stored: VehicleFile | None = contents
+        vehicle = contents.vehicle
+        axis = np.linspace(-LEVEL, LEVEL, 9) * extents(vehicle)[2]
+        terrain = Bicubic(Grid(axis, axis, np.zeros((axis.size, axis.size))))
+        start = settle(direct_kinematics(vehicle, terrain))
+    else:
+        problem: Problem[Any] = load_problem(path, settings, command="vehicle", trust=trust)
+        setup, name = build(problem), problem.spec.vehicle.file
+        stored = None if name is None else vehicle_file(name, problem)
+        vehicle, terrain, start = setup.vehicle, setup.terrain, setup.start
+    robot, visuals = stored and stored.robot, visual_meshes(stored)
+    drive = Driven(vehicle.name, start, terrain, vehicle, robot=robot, visuals=visuals)
+    return picture(drive_scene([drive]), vehicle.name)
 
 
 def _description(vehicle: Vehicle, dae: Dae, terrain: Terrain, start: Trajectory) -> Description:

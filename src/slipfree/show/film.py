@@ -1,35 +1,43 @@
-"""Films of scenes: all paths in plan view, and a 3D view of the first vehicle."""
+"""Films and pictures of scenes: all paths in plan view, and a view of the first vehicle.
+
+The view is a parallel projection of triangles that are sorted from back to front. Only what moves
+is drawn for each frame of a film, over a picture of the rest.
+"""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from subprocess import CalledProcessError
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.show import style
+from slipfree.show.plots import Plot
 from slipfree.show.scene import ARROWS, Actor, Color, Scene, scale_words
 from slipfree.show.style import MM, PAGE, STYLE
 from slipfree.system.regular_files import replace_file
 
 FRAMES, FILM_DPI = 20, 110  # frames per second, and dots per inch
-ENDINGS = (".gif", ".mp4")
+ENDINGS = (".mp4", ".gif")
 MOST = 400  # maximum number of frames of a film; longer motions are shown faster
 COLUMNS = {"width_ratios": (2, 3)}  # widths of the two axes
-FILM_HEIGHT = 90.0  # [mm]
-HEIGHT, ZOOM = 0.6, 1.55  # height of the 3D view, in widths, and its magnification
-CAMERA = 28.0, -55.0  # elevation and azimuth of the 3D view [deg]
+FILM_HEIGHT, PICTURE_HEIGHT = 90.0, 110.0  # [mm]
+HEIGHT = 0.62  # height of the view over its width
+WIDE = 2.2  # width of the ground in a picture over that in a film [1]
+CAMERA = np.radians((28.0, -55.0))  # elevation and azimuth of the viewer
+LIGHT = np.array([-0.35, -0.5, 0.8])  # direction to the light
+DARKEST = 0.45  # brightness of faces that the light does not reach
 TITLE = 80  # number of characters in a line of the title
 HEAD = 0.3, 0.4  # length of an arrow's head over the arrow's, and its width over its length
 WIDTH = 150  # number of characters in a line below the film
@@ -79,97 +87,204 @@ def write_film(
         ) from error
 
 
-def animate(scene: Scene, file: str | Path, title: str = "") -> str:
-    """Write the motions of a scene as a ``.gif`` or ``.mp4`` film; return its speed in words."""
+def animate(
+    scene: Scene,
+    file: str | Path,
+    title: str = "",
+    progress: Callable[[int, int], object] | None = None,
+) -> str:
+    """Write the motions of a scene as a ``.gif`` or ``.mp4`` film; return its speed in words.
+
+    ``progress`` is called with the number of drawn frames and that of all.
+    """
     writer, (first, last) = film_writer(Path(file), FRAMES), scene.span
     count = int(np.clip(np.ceil(FRAMES * (last - first)) + 1, 2, MOST))
     speed = max(1.0, FRAMES * (last - first) / count)
     with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
-        figure = style.figure(PAGE, FILM_HEIGHT * MM)
-        FigureCanvasAgg(figure)
+        figure = FilmFigure(figsize=(PAGE, FILM_HEIGHT * MM), layout="constrained", dpi=FILM_DPI)
         film = Film(figure, scene, title, speed)
-        figure.draw_without_rendering()
-        figure.set_layout_engine(None)  # axes must not move between frames
-        times = np.linspace(first, last, count).tolist()
-        write_film(writer, figure, Path(file), film.show, times)
+
+        def show(step: int) -> None:
+            film.show(float(np.linspace(first, last, count)[step]))
+            if progress is not None:
+                progress(step + 1, count)
+
+        write_film(writer, figure, Path(file), show, range(count))
     return f"{speed:.3g} times real speed"
 
 
+def picture(scene: Scene, title: str, time: float | None = None) -> Plot:
+    """Return the picture of the first vehicle of a scene on its ground, by default at the end."""
+    at = scene.span[1] if time is None else time
+
+    def make() -> Figure:
+        figure = style.figure(PAGE, PICTURE_HEIGHT * MM)
+        FigureCanvasAgg(figure)
+        is_level = np.ptp(scene.ground.mesh.vertices[:, 2]) < style.FLAT
+        view = View(figure.subplots(), (1.0 if is_level else WIDE) * scene.backdrop.half)
+        view.add_paths(scene)
+        view.show(scene, at, None if is_level else view.coloured(scene, at))
+        figure.suptitle(title, x=0.02, ha="left", fontsize=9, weight="bold", parse_math=False)
+        words = "; ".join([f"t = {at:.4g} s", *_told(scene)])
+        figure.supxlabel(words, x=0.02, ha="left", fontsize=7, parse_math=False, bbox=BELOW)
+        return figure
+
+    return Plot("vehicle", "The vehicle on its ground.", make)
+
+
+class FilmFigure(Figure):
+    """A figure whose saved frames are the pixels of its canvas, as they were drawn."""
+
+    def savefig(self, fname: Any, **_: Any) -> None:
+        """Write the pixels as red, green, blue and opacity."""
+        fname.write(self.canvas.buffer_rgba())  # type: ignore[attr-defined]  # of Agg's canvas
+
+
 class Film:
-    """Artists of a film: positions in plan view, and a 3D view of the first vehicle."""
+    """Artists of a film: positions in plan view, and the view of the first vehicle."""
 
     def __init__(self, figure: Figure, scene: Scene, title: str, speed: float) -> None:
-        grid = figure.add_gridspec(1, 2, **COLUMNS)
-        flat, space = figure.add_subplot(grid[0]), figure.add_subplot(grid[1], projection="3d")
-        self.scene, self.space = scene, space
+        self.canvas = cast("Any", FigureCanvasAgg(figure))  # most of its methods have no types
+        self.scene = scene
+        flat, space = figure.subplots(1, 2, gridspec_kw=COLUMNS)
+        self.view = View(space, scene.backdrop.half)
         self.markers = _draw_paths(flat, scene)
         head = textwrap.fill(title, TITLE) or " "  # keeps the line of the clock free
-        self.head = figure.suptitle(
-            head, x=0.02, ha="left", fontsize=9, weight="bold", parse_math=False
-        )
+        figure.suptitle(head, x=0.02, ha="left", fontsize=9, weight="bold", parse_math=False)
         self.clock = figure.text(0.98, 0.98, "", ha="right", va="top", fontsize=9)
-        told = [f"{name}: {words}" for name in scene.scales if (words := scale_words(scene, name))]
-        told += [f"{speed:.3g} times real speed"] if speed > 1 else []
+        told = [*_told(scene), *([f"{speed:.3g} times real speed"] if speed > 1 else [])]
         lines = ["; ".join(told), *scene.warnings]
         lines += [f"{actor.name} {actor.stop}" for actor in scene.actors if actor.stop]
         words = "\n".join(textwrap.fill(line, WIDTH) for line in lines)
         figure.supxlabel(words, x=0.02, ha="left", fontsize=7, parse_math=False, bbox=BELOW)
-        space.set_axis_off()
-        space.computed_zorder = False  # the vehicle is always in front of its ground
-        space.view_init(*CAMERA)
-        self.drawn: list[Any] = []
+        self.moving = [*self.markers, *self.view.artists, self.clock]
+        for artist in self.moving:
+            artist.set_animated(True)
+        self.canvas.draw()
+        self.still = self.canvas.copy_from_bbox(figure.bbox)
 
     def show(self, t: float) -> None:
-        """Show the scene at a time [s]."""
+        """Draw the scene at a time [s]."""
         for actor, marker in zip(self.scene.actors, self.markers, strict=True):
             x, y, _ = actor.bodies[0].origins[_sample(actor, t)] + self.scene.origin
             marker.set_data([x], [y])
-        for artist in self.drawn:
-            artist.remove()
-        actor = self.scene.actors[0]
+        self.view.show(self.scene, t)
+        self.clock.set_text(f"t = {t:.2f} s")
+        self.canvas.restore_region(self.still)
+        for artist in self.moving:
+            artist.draw(self.canvas.get_renderer())
+
+
+class View:
+    """View of a vehicle on its ground from above, ahead and the left.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where it is drawn.
+    half : float
+        Half the width of the view [m].
+    """
+
+    def __init__(self, ax: Axes, half: float) -> None:
+        self.ax, self.half = ax, half
+        ax.set_axis_off()
+        high = HEIGHT * half
+        ax.set(xlim=(-half, half), ylim=(-high, high), aspect="equal")
+        look: dict[str, Any] = {"clip_on": False}
+        self.ground = PolyCollection([], lw=0.2, **look)
+        self.paths = list[tuple[Array, LineCollection]]()
+        self.vehicle = PolyCollection([], lw=0.3, **look)
+        self.arrows = LineCollection([], lw=1.4, **look)
+        self.artists = [self.ground, self.vehicle, self.arrows]
+        for number, artist in enumerate(self.artists):
+            artist.set_zorder(2 * number)
+            ax.add_collection(artist, autolim=False)
+
+    def add_paths(self, scene: Scene) -> None:
+        """Add the paths of all platforms."""
+        for actor in scene.actors:
+            line = LineCollection([], colors=[_shares(actor.color)], zorder=1, lw=1.2)
+            line.set_linestyle("--" if actor.ghost else "-")
+            self.ax.add_collection(line, autolim=False)
+            self.paths.append((actor.bodies[0].origins, line))
+
+    def show(self, scene: Scene, t: float, ground: tuple[Array, Array] | None = None) -> None:
+        """Draw the first vehicle of a scene at a time [s], by default on gray ground."""
+        actor = scene.actors[0]
         k = _sample(actor, t)
-        middle, half = actor.bodies[0].origins[k], self.scene.backdrop.half
-        ground = self.scene.backdrop.near(middle, half)
-        self.drawn = [self._ground(ground), *self._vehicle(actor, k), *self._arrows(actor, k)]
-        for axis, value in zip("xyz", middle, strict=True):
-            part = half * (HEIGHT if axis == "z" else 1.0)
-            getattr(self.space, f"set_{axis}lim")(value - part, value + part)
-        self.space.set_box_aspect((1, 1, HEIGHT), zoom=ZOOM)
-        self.clock.set(text=f"t = {t:.2f} s", y=self.head.get_position()[1])
-
-    def _ground(self, faces: Iterable[Array]) -> Any:
-        look: dict[str, Any] = {"facecolors": "0.95", "edgecolors": "0.65", "lw": 0.2}
-        return self._add(Poly3DCollection(list(faces), shade=True, zorder=0, **look))
-
-    def _add(self, shape: Any) -> Any:
-        """Add a collection to the 3D view, also where it exceeds the square of the axes."""
-        shape.set_clip_on(False)
-        return self.space.add_collection3d(shape)
-
-    def _vehicle(self, actor: Actor, k: int) -> list[Any]:
-        """Draw the faces of the vehicle's parts at sample ``k``; return the artists."""
-        faces, colors = [], []
+        middle = actor.bodies[0].origins[k]
+        if ground is None:
+            faces = scene.backdrop.near(middle, self.half)
+            _draw_faces(self.ground, faces, np.full((len(faces), 3), 0.95), middle)
+        else:
+            _draw_faces(self.ground, *ground, middle)
+        for path, line in self.paths:
+            line.set_segments([projected(path, middle)[:, :2]])
+        faces, colors = list[Array](), list[Array]()
         for body in actor.bodies:
             for mesh, color in body.meshes:
                 points = mesh.vertices @ body.rotations[k].T + body.origins[k]
                 faces.append(points[mesh.faces])
-                colors += [_shares(color)] * len(mesh.faces)
-        shape = Poly3DCollection(np.concatenate(faces), facecolors=colors, shade=True, zorder=1)
-        return [self._add(shape)]
-
-    def _arrows(self, actor: Actor, k: int) -> list[Any]:
-        """Draw slip and forces at sample ``k`` as arrows from the contact points; return them."""
-        artists = []
-        elevation, azimuth = np.radians(CAMERA)
-        sight = np.array([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)])
+                colors.append(np.tile(_shares(color), (len(mesh.faces), 1)))
+        _draw_faces(self.vehicle, np.concatenate(faces), np.concatenate(colors), middle)
+        lines, looks = list[Array](), list[tuple[float, float, float]]()
         for each in actor.arrows:
-            lines = arrow_lines(
-                each.starts[k], self.scene.scales[each.name] * each.vectors[k], sight
-            )
-            if lines.size:
-                look: dict[str, Any] = {"colors": _shares(ARROWS[each.name]), "lw": 1.4}
-                artists.append(self._add(Line3DCollection(lines, zorder=2, **look)))
-        return artists
+            found = arrow_lines(each.starts[k], scene.scales[each.name] * each.vectors[k], SIGHT)
+            lines += [*projected(found, middle)[..., :2]]
+            looks += [_shares(ARROWS[each.name])] * len(found)
+        self.arrows.set_segments(lines)
+        self.arrows.set_color(looks)
+
+    def coloured(self, scene: Scene, t: float) -> tuple[Array, Array]:
+        """Return the faces of a scene's ground around its first vehicle, and their colours."""
+        actor, ground = scene.actors[0], scene.ground
+        away = ground.mesh.vertices - actor.bodies[0].origins[_sample(actor, t)]
+        near = (np.abs(away[:, :2]) < self.half).all(axis=1)
+        faces = ground.mesh.faces[near[ground.mesh.faces].all(axis=1)]
+        colors = ground.colors(ground.layers[0].name, shaded=False)
+        return ground.mesh.vertices[faces], colors[faces].mean(axis=1) / 255
+
+
+_ELEVATION, _AZIMUTH = CAMERA
+SIGHT = np.array(  # direction to the viewer
+    [
+        np.cos(_ELEVATION) * np.cos(_AZIMUTH),
+        np.cos(_ELEVATION) * np.sin(_AZIMUTH),
+        np.sin(_ELEVATION),
+    ]
+)
+RIGHT = np.array([-np.sin(_AZIMUTH), np.cos(_AZIMUTH), 0.0])
+AXES = np.stack([RIGHT, np.cross(SIGHT, RIGHT), SIGHT], axis=1)
+
+
+def projected(points: Array, middle: Array) -> Array:
+    """Return positions in the picture, right and up, and distances towards the viewer [m]."""
+    return np.asarray((points - middle) @ AXES)
+
+
+def _draw_faces(
+    artist: PolyCollection, faces: Sequence[Array] | Array, colors: Array, middle: Array
+) -> None:
+    """Draw faces of given colours, from back to front and shaded, facing either side."""
+    if not isinstance(faces, np.ndarray):  # triangles and quadrilaterals
+        faces = np.stack([face[[0, 1, 2, -1]] for face in faces])
+    corners = faces[:, [0, 1, 2, -1]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals *= np.sign(normals @ SIGHT)[:, None]
+    sizes = np.linalg.norm(normals, axis=1)
+    lit = normals @ LIGHT / np.where(sizes > 0, sizes, 1.0) / np.linalg.norm(LIGHT)
+    shade = DARKEST + (1 - DARKEST) * np.clip(lit, 0, 1)
+    places = projected(corners, middle)
+    order = np.argsort(places[..., 2].mean(axis=1))
+    artist.set_verts(places[order, :, :2])  # type: ignore[arg-type]  # faster than a list
+    looks = (np.clip(shade, 0, 1)[:, None] * colors)[order]
+    artist.set_facecolor(looks)
+    artist.set_edgecolor(looks)
+
+
+def _told(scene: Scene) -> list[str]:
+    return [f"{name}: {words}" for name in scene.scales if (words := scale_words(scene, name))]
 
 
 def arrow_lines(starts: Array, vectors: Array, sight: Array) -> Array:
@@ -205,6 +320,7 @@ def _draw_paths(ax: Axes, scene: Scene) -> list[Any]:
     return markers
 
 
-def _shares(color: Color) -> tuple[float, ...]:
+def _shares(color: Color) -> tuple[float, float, float]:
     """Return red, green and blue, from 0 to 1, of a colour with components from 0 to 255."""
-    return tuple(part / 255 for part in color)
+    red, green, blue = color
+    return red / 255, green / 255, blue / 255

@@ -193,7 +193,7 @@ class DriveVerb(MotionVerb):
         _check_ground(result, terrain, prisms, vehicle)
         name_of_file = problem.spec.vehicle.file
         stored = None if name_of_file is None else vehicle_file(name_of_file, problem)
-        robot, visuals = stored and stored.robot, _visuals(stored)
+        robot, visuals = stored and stored.robot, visual_meshes(stored)
         return Driven(name, run, terrain, vehicle, prisms=prisms, robot=robot, visuals=visuals)
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
@@ -205,7 +205,7 @@ class DriveVerb(MotionVerb):
         }
 
 
-def _visuals(file: VehicleFile | None) -> dict[str, Mesh]:
+def visual_meshes(file: VehicleFile | None) -> dict[str, Mesh]:
     """Return the meshes of the links of a URDF by name, those that the result used and exist."""
     from slipfree.show.meshes import joined
 
