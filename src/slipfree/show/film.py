@@ -24,7 +24,7 @@ from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.show import style
 from slipfree.show.plots import Plot
-from slipfree.show.scene import ARROWS, Actor, Color, Scene, scale_words
+from slipfree.show.scene import ARROWS, Actor, Color, Scene, layer, scale_words
 from slipfree.show.style import MM, PAGE, STYLE
 from slipfree.system.regular_files import replace_file
 
@@ -237,13 +237,14 @@ class View:
         self.arrows.set_color(looks)
 
     def coloured(self, scene: Scene, t: float) -> tuple[Array, Array]:
-        """Return the faces of a scene's ground around its first vehicle, and their colours."""
+        """Return the faces of the ground around the first vehicle, and colours of heights."""
         actor, ground = scene.actors[0], scene.ground
         away = ground.mesh.vertices - actor.bodies[0].origins[_sample(actor, t)]
         near = (np.abs(away[:, :2]) < self.half).all(axis=1)
         faces = ground.mesh.faces[near[ground.mesh.faces].all(axis=1)]
-        colors = ground.colors(ground.layers[0].name, shaded=False)
-        return ground.mesh.vertices[faces], colors[faces].mean(axis=1) / 255
+        heights = ground.mesh.vertices[faces, 2].mean(axis=1)
+        colors = layer("height", heights, "", heights.min(), heights.max()).colors
+        return ground.mesh.vertices[faces], colors / 255
 
 
 _ELEVATION, _AZIMUTH = CAMERA
