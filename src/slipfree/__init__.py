@@ -27,7 +27,7 @@ Motion, a `Trajectory`
     many motions of one model, in processes or side by side.
     `cross_check`, the difference between two formulations.
 Mobility map, an ``Atlas``
-    `atlas`, where and how a vehicle can stand on a map.
+    `atlas`, where and how a vehicle can stand on a map. `plot` draws it, a motion or a plan.
 Plan
     `plan`, the inputs that reach a goal with the least `Cost`. `replan`, a plan from the current
     state while driving; `sample_plan`, by sampling (`SamplingTask`). `Region`, a keep-out region.

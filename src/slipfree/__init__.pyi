@@ -32,6 +32,7 @@ from .problem.build_vehicle import read_vehicle
 from .problem.load import load_problem
 from .problem.result import open_result, run_problem
 from .routing.search import Route
+from .show.motion_figures import plot
 from .solve.options import SolverOptions
 from .solve.rollouts import rollouts
 from .solve.settle import settle
@@ -91,6 +92,7 @@ __all__ = [
     "open_result",
     "plan",
     "planar",
+    "plot",
     "quasi_statics",
     "read_map",
     "read_vehicle",

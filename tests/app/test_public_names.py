@@ -32,6 +32,7 @@ NAMES = {
         "sample_plan",
         "cross_check",
         "atlas",
+        "plot",
     ),
     *("Cost", "Region", "Route", "SamplingTask"),
     *("Dae", "Trajectory", "Outcome", "SolverOptions"),
@@ -64,6 +65,44 @@ def test_plan_is_the_function_although_its_package_is_imported():
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="settled"):
         _ = slipfree.settled
+
+
+def test_wrong_arguments_get_a_remedy():
+    vehicle, ground = catalog.three_wheeler(), Bicubic(jacksboro(0.005))
+    model = direct_kinematics(vehicle, ground)
+    start = settle(model, x=60.0, y=60.0)
+    rates = {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": 0.0}
+    t = np.linspace(0, 1, 3)
+    for call, words in (
+        (lambda: direct_kinematics("rover.urdf", ground), "vehicle: .*str.*read_vehicle"),
+        (lambda: direct_kinematics(vehicle, "site.tif"), "terrain: .*str.*read_map"),
+        (lambda: Bicubic("site.tif"), "grid: expected a Grid, found str 'site.tif'; .*read_map"),
+        (lambda: start["heding"], "did you mean 'heading'"),
+        (lambda: simulate(model, (0, 0, 0), model.inputs(**rates), t), "start: .*tuple.*settle"),
+        (lambda: simulate(model, start, rates, t), "model.inputs"),
+        (lambda: slipfree.rollouts(model, start, np.zeros(3), t), "inputs: expected a Mapping"),
+        (lambda: slipfree.follow(model, vehicle, [(0, 0)], speed=1.0), "path: expected a Path"),
+    ):
+        with pytest.raises(slipfree.ModelError, match=words):
+            call()
+    with pytest.raises(AttributeError, match="did you mean 'rocky7'"):
+        catalog.roky7  # noqa: B018
+
+
+def test_results_are_drawn():
+    vehicle, ground = catalog.three_wheeler(), Bicubic(jacksboro(0.005), mu=0.6)
+    model = direct_kinematics(vehicle, ground)
+    rates = model.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
+    run = simulate(model, settle(model, x=60.0, y=60.0), rates, np.linspace(0, 5, 6))
+    x, y = np.linspace(55.0, 65.0, 6), np.linspace(56.0, 66.0, 5)
+    poses = slipfree.atlas(model, ground, headings=4, x=x, y=y, compiled=False)
+    for result, name, axes in ((run, None, "east"), (run, "tilts", "time"), (poses, None, "east")):
+        (ax, *_) = slipfree.plot(result, ground, name).axes
+        assert axes in ax.get_xlabel()
+    with pytest.raises(slipfree.ModelError, match="did you mean 'tilts'"):
+        slipfree.plot(run, ground, "tilt")
+    with pytest.raises(slipfree.ModelError, match="result: expected a Trajectory"):
+        slipfree.plot(model, ground)
 
 
 def test_help_is_a_page_that_names_everything():

@@ -190,7 +190,7 @@ parent = "fork"|parent = "frok"|'platform': platform, fork, found 'frok'; did yo
 name = "right"|name = "left"|v.toml:23: wheels[1].name (wheel 'left'): expected a unique name, found
 name = "right"|name = "swivel"|found 'swivel', also the name of coordinates[0]
 kind = "passive"|kind = "suspension"|(swivel); remove it, set its kind to 'passive' or 'commanded',
-value = "swivel"|value = "swivl"|found 'swivl'; did you mean 'swivel'? otherwise add { name =
+value = "swivel"|value = "swivl"|found 'swivl'; did you mean 'swivel'? correct it, or add { name =
 value = "swivel"|value = "2 swivel"|v.toml:13: joints[0].value (joint 'fork'): expected a formula of
 value = "swivel"|value = "0"|v.toml:4: coordinates[0] (coordinate 'swivel'): expected a joint whose
 name = "swivel"|name = "sin"|v.toml:5: coordinates[0].name (coordinate 'sin'): expected a name other

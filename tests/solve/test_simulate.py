@@ -369,7 +369,7 @@ def test_vehicle_leaves_the_map_at_the_edge():
 def test_an_unknown_quantity_is_refused():
     dae = direct_kinematics(three_wheeler(), Analytic(hills))
     run = settle(dae)
-    with pytest.raises(ModelError, match=r"found 'speed'; use one of .*clearance"):
+    with pytest.raises(ModelError, match=r"found 'speed'; .*use one of .*clearance"):
         run["speed"]
     with pytest.raises(ModelError, match=r"'contact_x': expected one of the wheels right.*'rear'"):
         run["contact_x", "rear"]

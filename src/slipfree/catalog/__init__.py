@@ -11,6 +11,7 @@ from slipfree.catalog.carts import (
 from slipfree.catalog.rovers import open_source_rover, rocky7
 from slipfree.catalog.step_climber import seven_wheels, step_climber
 from slipfree.catalog.three_wheelers import three_wheeler
+from slipfree.core.errors import similar
 
 __all__ = [
     "ackermann",
@@ -25,3 +26,11 @@ __all__ = [
     "step_climber",
     "three_wheeler",
 ]
+
+
+def __getattr__(name: str) -> None:
+    """Raise AttributeError with the most similar name of the catalogue."""
+    raise AttributeError(
+        f"expected a vehicle of the catalogue, found {name!r}; {similar(name, __all__)}use one of "
+        f"{', '.join(__all__)}"
+    )

@@ -13,7 +13,7 @@ import typer
 
 from slipfree.cli.common import add_json, add_json_file, print_line, reported
 from slipfree.cli.outputs import check_outputs
-from slipfree.core.errors import DataError
+from slipfree.core.errors import DataError, similar
 from slipfree.system.regular_files import check_name, replace_file
 
 if TYPE_CHECKING:
@@ -183,11 +183,7 @@ def _files(table: Any) -> Iterator[str]:
 
 
 def _unknown(name: str, known: list[str]) -> str:
-    from difflib import get_close_matches
-
-    near = get_close_matches(name, known, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
     return (
-        f"NAME: expected the name of a shipped problem, found {name!r}; {hint}list them with "
-        "slipfree examples"
+        f"NAME: expected the name of a shipped problem, found {name!r}; {similar(name, known)}"
+        "list them with slipfree examples"
     )

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, expect
 from slipfree.core.rearrange import with_outputs
 from slipfree.core.records import Array, Label, Record, leaves, unpack
 from slipfree.core.trajectory import Trajectory
@@ -120,6 +120,7 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Record:
     >>> print(f"ends at ({run['x'][-1]:.2f}, {run['y'][-1]:.2f})")
     ends at (-0.01, 3.98)
     """
+    expect(path, Path, "path", "make one of points: Path(np.array([[0.0, 0.0], [1.0, 2.0]]))")
     if not np.isfinite(speed) or speed == 0:
         raise ModelError(
             f"speed: expected a finite speed other than zero, found {speed} m/s; give a positive "

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, Generic, NamedTuple, Protocol, runtime_checkable
@@ -14,7 +13,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import TypeVar  # with a default
 
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, similar
 from slipfree.core.lookups import Lookup, lookup_function
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import (
@@ -601,8 +600,7 @@ class Dae(Generic[X, Z, U, Y]):
             if name == limit.label.name:
                 found.append(limit.expression)
         if not found:
-            near = get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
+            hint = similar(name, known)
             raise ModelError(
                 f"expected a quantity of the model, found {name!r}; {hint}use one of "
                 f"{', '.join(sorted(known))}"

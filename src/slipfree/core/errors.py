@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 
 class SlipfreeError(Exception):
     """Base class of all errors of the package."""
@@ -17,6 +20,23 @@ class DataError(SlipfreeError, ValueError):
 
 class WriteError(DataError):
     """File that cannot be written, for example because its disk is full."""
+
+
+def expect(value: object, kind: type, name: str, remedy: str) -> None:
+    """Raise ModelError unless an argument is of a kind; ``remedy`` says how to get one."""
+    if not isinstance(value, kind):
+        shown = f" {value!r}" if isinstance(value, str | int | float) else ""
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise ModelError(
+            f"{name}: expected {article} {kind.__name__}, found {type(value).__name__}{shown}; "
+            f"{remedy}"
+        )
+
+
+def similar(name: str, known: Iterable[str]) -> str:
+    """Return a question with the most similar known name; empty without a similar one."""
+    nearest = get_close_matches(name, [*known], n=1)
+    return f"did you mean {nearest[0]!r}? " if nearest else ""
 
 
 def missing_package(package: str, extra: str) -> str:

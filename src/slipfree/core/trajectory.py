@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from slipfree.core.errors import ModelError, SlipfreeError, missing_package
+from slipfree.core.errors import ModelError, SlipfreeError, missing_package, similar
 from slipfree.core.facts import Fact, Facts, encode
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Label, field_overview, overview
@@ -179,7 +179,8 @@ class Trajectory:
         if quantity not in self.columns:
             known = ", ".join(sorted(self.columns))
             raise ModelError(
-                f"expected a quantity of the trajectory, found {quantity!r}; use one of {known}"
+                f"expected a quantity of the trajectory, found {quantity!r}; "
+                f"{similar(quantity, self.columns)}use one of {known}"
             )
         values = self.columns[quantity].values
         if wheel is None:
@@ -192,7 +193,7 @@ class Trajectory:
         if wheel not in self.wheels:
             raise ModelError(
                 f"{quantity!r}: expected one of the wheels {', '.join(self.wheels)}, found "
-                f"{wheel!r}; correct the name"
+                f"{wheel!r}; {similar(wheel, self.wheels)}correct the name"
             )
         return values[:, self.wheels.index(wheel)]
 

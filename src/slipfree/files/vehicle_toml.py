@@ -6,13 +6,12 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, ValidationError
 
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, similar
 from slipfree.files.toml.source import (
     PIECE,
     Fault,
@@ -461,15 +460,14 @@ def _name_errors(table: VehicleTable) -> Iterator[Fault]:
 
 
 def _parent_errors(table: VehicleTable) -> Iterator[Fault]:
-    """Yield an error for row unknown parent and for row loop of parents."""
+    """Yield an error for each unknown parent and for each loop of parents."""
     parents = {joint.name: joint.parent for joint in table.joints}
     known = ["platform", *parents]
     for part in ("joints", "wheels"):
         for index, row in enumerate(getattr(table, part)):
             if row.parent not in known:
-                yield Fault(
-                    (part, index, "parent"), f"{PARENT}: {listed(known)}", _near(row.parent, known)
-                )
+                found = f"{row.parent!r}; {similar(row.parent, known)}correct the name"
+                yield Fault((part, index, "parent"), f"{PARENT}: {listed(known)}", found)
     reported: set[str] = set()
     for index, joint in enumerate(table.joints):
         loop = loop_of(joint.name, parents)
@@ -477,11 +475,6 @@ def _parent_errors(table: VehicleTable) -> Iterator[Fault]:
             reported |= set(loop)
             found = f"a loop: {' on '.join((*loop, loop[0]))}; cut the loop at one joint"
             yield Fault(("joints", index, "parent"), "a tree with the root 'platform'", found)
-
-
-def _near(name: str, known: list[str]) -> str:
-    nearest = get_close_matches(name, known, n=1)
-    return f"{name!r}" + (f"; did you mean {nearest[0]!r}?" if nearest else "")
 
 
 def _value_errors(table: VehicleTable) -> Iterator[Fault]:
@@ -499,9 +492,9 @@ def _value_errors(table: VehicleTable) -> Iterator[Fault]:
             if name not in motions:
                 expected = f"a formula of the coordinates ({', '.join(known) or 'none'})"
                 add = f'{{ name = "{name}", kind = "passive" }} to "coordinates"'
-                near = _near(name, known)
-                found = f"{near} otherwise add" if "?" in near else f"{near}; correct it, or add"
-                yield Fault(place, expected, f"{found} {add}")
+                yield Fault(
+                    place, expected, f"{name!r}; {similar(name, known)}correct it, or add {add}"
+                )
             motions.setdefault(name, set()).add(joint.motion)
     for index, c in enumerate(table.coordinates):
         if not motions[c.name]:

@@ -58,6 +58,7 @@ from slipfree.core.records import Label, leaves, pack
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.least_slip import LeastSlip, slip_unit
 from slipfree.laws.rolling import Rolling, rolling_counts
+from slipfree.models.base import check_arguments
 from slipfree.models.determinacy import (
     angle_slopes,
     command_determinacy,
@@ -163,6 +164,7 @@ def inverse_kinematics(
     >>> run["wheel_rate"][-1].round(3)
     array([1.498, 1.164, 2.025])
     """
+    check_arguments(vehicle, terrain)
     check_inverse(vehicle, given, solve_for, exact=exact)
     direct = direct_kinematics(vehicle, terrain, slip=slip_law(given))
     return invert(

@@ -50,6 +50,7 @@ from slipfree.models.base import (
     Quantities,
     body_checks,
     carriers,
+    check_arguments,
     extent,
     joint_rates,
     level_heights,
@@ -450,6 +451,7 @@ def direct_kinematics(
       inputs: right_rate, left_rate, steer_rate
       outputs: wheel_angle, work, contact_z, center_x, center_y, center_z, slip_along, ...
     """
+    check_arguments(vehicle, terrain)
     check_slip_law(vehicle, slip)
     check_rollers(vehicle)
     if not smoothing > 0:

@@ -37,6 +37,7 @@ from slipfree.models.base import (
     at_rest,
     body_checks,
     carriers,
+    check_arguments,
     extent,
     joint_rates,
     outputs,
@@ -179,6 +180,7 @@ def montana_kinematics(
       inputs: right_rate, left_rate, steer_rate
       outputs: wheel_angle, work, contact_z, center_x, center_y, center_z, slip_along, ...
     """
+    check_arguments(vehicle, terrain)
     check_slip_law(vehicle, slip)
     _check(vehicle, kappa)
     labels = _assembly_labels(

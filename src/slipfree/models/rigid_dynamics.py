@@ -47,7 +47,7 @@ from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import GroundForce, GroundLaw, Reaction, SlidingContacts, check_law
-from slipfree.models.base import at_rest, body_checks, extent, raised_poses, sizes
+from slipfree.models.base import at_rest, body_checks, check_arguments, extent, raised_poses, sizes
 from slipfree.models.dynamic_outputs import (
     Contact,
     DynamicOutputs,
@@ -132,6 +132,7 @@ def rigid_dynamics(
     >>> print(f"{start['load_share'].sum():.2f}")
     4.00
     """
+    check_arguments(vehicle, terrain)
     check_law(law, GroundLaw, "law: expected a wheel-ground law such as LinearCreep()")
     check_dynamic(vehicle)
     contact.check(vehicle, terrain)

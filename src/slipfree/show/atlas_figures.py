@@ -28,6 +28,7 @@ from slipfree.show.ground_drawing import LEVEL, brightness
 from slipfree.show.plots import Plot
 from slipfree.show.style import MM, PAGE
 from slipfree.terrain.base import Grid
+from slipfree.terrain.bicubic import Bicubic
 
 SHARE = "RdYlBu"  # colours of the share of headings
 FRICTION = "viridis"
@@ -66,6 +67,16 @@ class AtlasView(NamedTuple):
     reasons: tuple[str, ...]
     detail: Atlas
     site: Site
+
+
+def view_of(poses: Atlas, terrain: Bicubic) -> AtlasView:
+    """Return the contents of the figures of a mobility map on a ground; all poses are a detail."""
+    friction = terrain.mu
+    if friction is not None and not isinstance(friction, float | int):
+        friction = 1.0  # bounds are relative to a coefficient that varies
+    site = Site(terrain.elevation(poses.x[:, None], poses.y), friction)
+    maps, found = site.summary_of(poses, slice(None), slice(None))
+    return AtlasView(poses.x, poses.y, maps, found.reasons, poses, site)
 
 
 def atlas_plots(drawn: AtlasView) -> tuple[Plot, ...]:

@@ -20,10 +20,14 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import ScalarFormatter
 from matplotlib.transforms import Bbox
 
+from slipfree.atlas.atlas import Atlas
+from slipfree.core.errors import ModelError, expect, similar
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.models.samples import CLOSEST
+from slipfree.plan.plan import Plan
 from slipfree.show import ground_drawing, style
+from slipfree.show.atlas_figures import atlas_plots, view_of
 from slipfree.show.force_figures import (
     contact_plot,
     energy_plot,
@@ -32,7 +36,7 @@ from slipfree.show.force_figures import (
     utilisation_plot,
 )
 from slipfree.show.ground_drawing import HEATMAP, Window, side_plot
-from slipfree.show.plots import Panel, Plot, PlottedDrive, stack
+from slipfree.show.plots import Panel, Plot, PlottedDrive, draw, stack
 from slipfree.show.style import COLUMN, FLAT, MM, PAGE, PLATFORM, STOPPED
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
@@ -266,6 +270,47 @@ def motion_plots(
     """Return the figures of `FIGURES` that have content, the most important first."""
     drive = PlottedDrive(run, grid, surface or Bicubic(grid), prisms)
     return tuple(plot for compose in FIGURES if (plot := compose(drive)) is not None)
+
+
+def plot(result: Trajectory | Plan | Atlas, terrain: Bicubic, name: str | None = None) -> Figure:
+    """Draw a motion, a plan or a mobility map.
+
+    Parameters
+    ----------
+    result : Trajectory, Plan or Atlas
+        What is drawn; of a plan, the simulated motion.
+    terrain : Bicubic
+        The ground.
+    name : str, optional
+        Name of the figure, as of the files of ``slipfree run --figures-all`` and ``slipfree
+        atlas``: ``"map"`` and ``"slip"`` of motions, ``"headings"`` and ``"friction"`` of mobility
+        maps, and others. By default the first one.
+
+    Returns
+    -------
+    Figure
+        A figure of Matplotlib, which notebooks show.
+
+    Raises
+    ------
+    ModelError
+        If the result has no figure of this name.
+    """
+    expect(terrain, Bicubic, "terrain", "make one from a map: Bicubic(read_map(path).grid)")
+    if isinstance(result, Atlas):
+        plots = atlas_plots(view_of(result, terrain))
+    else:
+        run = result.replay if isinstance(result, Plan) else result
+        expect(run, Trajectory, "result", "give the result of simulate, plan or atlas")
+        plots = motion_plots(run, terrain.grid, terrain)
+    known = {plot.name: plot for plot in plots}
+    name = plots[0].name if name is None else name
+    if name not in known:
+        raise ModelError(
+            f"name: expected one of the figures {', '.join(known)}, found {name!r}; "
+            f"{similar(name, known)}correct the name"
+        )
+    return draw([known[name]])[name]
 
 
 def map_plot(drive: PlottedDrive) -> Plot:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, expect
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Record
 from slipfree.core.trajectory import Column, SolverError, Stop, Trajectory, joined
@@ -123,6 +123,12 @@ def simulate(
     >>> print(f"{run['y'][-1]:.4f} m, heading {run['heading'][-1]:.4f} rad")
     0.2703 m, heading 0.0300 rad
     """
+    expect(start, Trajectory, "start", "settle the vehicle: settle(model, x=0.0, y=0.0)")
+    if isinstance(inputs, Mapping):
+        raise ModelError(
+            "inputs: expected the record of inputs of the model, found a mapping; make one: "
+            "model.inputs(**inputs)"
+        )
     t = check_times(t)
     watched = watch_events(dae, events)
     stops = tuple(each for each in watched if each.event.stop)

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from slipfree.core.errors import expect
 from slipfree.core.lookups import Cells, LookupTable
 from slipfree.core.records import Array, Indices
 from slipfree.terrain.base import (
@@ -105,6 +106,8 @@ class Bicubic:
         return f"{self.grid!r}".replace("Grid", "Bicubic", 1) + f"\n  friction: {friction}"
 
     def __post_init__(self) -> None:
+        remedy = "pass the grid of a map, read_map(path).grid, or Grid(x, y, z) of arrays"
+        expect(self.grid, Grid, "grid", remedy)
         check_friction(self.mu)
 
     def __getstate__(self) -> dict[str, Any]:

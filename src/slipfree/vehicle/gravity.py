@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from difflib import get_close_matches
 from typing import Any, NamedTuple
 
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, similar
 from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle
 
 
@@ -57,8 +56,7 @@ def gravity_of(value: Any) -> float:
     if isinstance(value, str):
         if value.lower() in BODIES:
             return BODIES[value.lower()].gravity
-        nearest = get_close_matches(value.lower(), BODIES, n=1)
-        hint = f"did you mean {nearest[0]!r}? else " if nearest else ""
+        hint = similar(value.lower(), BODIES)
         raise ModelError(
             f"expected one of the bodies {', '.join(BODIES)}, or a number in m/s^2, found "
             f"{value!r}; {hint}give the number"

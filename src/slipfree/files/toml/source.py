@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 import sys
 import tomllib
@@ -15,7 +14,7 @@ from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel
 
-from slipfree.core.errors import DataError
+from slipfree.core.errors import DataError, similar
 from slipfree.system.regular_files import escape_name, read_bytes, regular_file
 
 Place = tuple[str | int, ...]
@@ -274,13 +273,7 @@ def validation_fault(schema: type[BaseModel], data: Any, error: dict[str, Any]) 
 def _unknown(place: Place, known: Sequence[str]) -> Fault:
     name = str(place[-1])
     expected = f"one of {listed(known)}" if known else "no key"
-    return Fault(place, expected, f"the unknown key {_cut(name)!r}", similar_hint(name, known))
-
-
-def similar_hint(name: str, known: Sequence[str]) -> str:
-    """Return a suggestion of the most similar known name; empty without a similar one."""
-    nearest = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean {nearest[0]!r}? " if nearest else ""
+    return Fault(place, expected, f"the unknown key {_cut(name)!r}", similar(name, known))
 
 
 def listed(known: Sequence[str]) -> str:
