@@ -91,6 +91,19 @@ def test_a_ball_bounces_as_a_damped_oscillator_without_friction():
     assert np.ptp(run["z"]) > 0.09
 
 
+def test_energy_balances_where_points_slide_over_a_ridge():
+    """Forces along the ground's normal instead of the gap's gradient would gain 0.05 J."""
+    ridge = Analytic(
+        lambda x, y: 0.05 * ca.exp(-(((y - 1.2) / 0.15) ** 2) - (x / 0.4) ** 2), mu=0.3
+    )
+    runners = Hull(tuple((x, y, -0.2) for x in (-0.2, 0.2) for y in (0.1, 0.6)))
+    model = dynamics(car(runners), ridge, law=Compliant(body_depth=5e-3))
+    start = states(model, z=0.2 - 5e-3 / 4, velocity_y=3.0)
+    run = moved(model, start, np.linspace(0, 0.6, 31), 1e-8)
+    assert run["body_load"].max() > 3 * WEIGHT
+    assert np.abs(energy_error(run)).max() < 100 * 1e-8 * run["kinetic_energy"][0]
+
+
 @pytest.mark.slow
 def test_a_rover_hangs_on_a_ridge():
     """It drives onto a ridge higher than its belly until its front wheels lift and it stops."""

@@ -11,9 +11,11 @@ from slipfree.catalog import three_wheeler
 from slipfree.core.dae import PiecewiseLinear
 from slipfree.core.errors import ModelError
 from slipfree.core.trajectory import SolverError
+from slipfree.solve.integrator import STALLED_STEPS, StepObserver
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
+from slipfree.system.interrupt import InterruptGuard
 
 
 def test_a_stiff_equation_has_its_solution():
@@ -51,6 +53,14 @@ def test_newtons_method_ends_within_the_tolerance():
     for tolerance in np.geomspace(1e-4, 1e-9, 11):
         run = simulate(dae, start, inputs, t, options=SolverOptions(tolerance=tolerance))
         assert_allclose(run["x"], exact["x"], atol=tolerance)
+
+
+def test_steps_that_do_not_advance_end_the_call():
+    observer = StepObserver(InterruptGuard())
+    for t in [*np.linspace(0, 1e-9, 500), *np.full(1 + STALLED_STEPS, 3.0)]:
+        observer(t, 1.0, 1.0)
+    with pytest.raises(SolverError, match="shorter than the rounding"):
+        observer(3.0, 1.0, 1.0)
 
 
 def test_a_limit_ends_the_motion_at_its_crossing():

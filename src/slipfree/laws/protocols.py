@@ -241,18 +241,22 @@ class BodyTouch(NamedTuple):
     gap : SX, shape (1, 1)
         Distance from the ground, negative below it. [m]
     normal, slip : SX, shape (3, 1)
-        Unit normal of the ground, upward; velocity of the point, in fixed axes. [1, m/s]
+        Direction of the gradient of the gap, which is the unit normal of a plane ground, upward;
+        velocity of the point, in fixed axes. [1, m/s]
     friction : SX, shape (1, 1)
         Coefficient of friction of the ground. [1]
-    weight, gravity : float
-        Weight of the vehicle [N], and gravitational acceleration [m/s^2].
+    weight : float or SX, shape (1, 1)
+        Weight of the vehicle times the norm of the gradient of the gap, which is one on a plane
+        ground. [N]
+    gravity : float
+        Gravitational acceleration. [m/s^2]
     """
 
     gap: ca.SX
     normal: ca.SX
     slip: ca.SX
     friction: ca.SX
-    weight: float
+    weight: float | ca.SX
     gravity: float
 
 

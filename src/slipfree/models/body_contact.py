@@ -6,7 +6,12 @@ that rises between these points is not felt; the clearance of the body then is n
 
 The gap of a point is its height above the ground below it times the vertical component of the
 ground's normal there: the distance on a plane, and in general up to a relative error of the order
-of gap times curvature.
+of gap times curvature. For the centre of a ball the error is of the order of
+curvature times squared radius times squared slope.
+
+The normal force acts along the gradient of the gap, which differs from the ground's normal by as
+much: its work is the change of the elastic energy. A force along the normal would gain or lose
+energy where a point slides over curved ground.
 """
 
 from __future__ import annotations
@@ -32,23 +37,19 @@ MAX_POINTS = 200  # each adds a lookup of the ground
 
 
 class BodyContact(NamedTuple):
-    """Contact of a point of a body; ``arm`` is from the platform's origin [m]."""
+    """Contact of a point of a body: arm from the platform's origin [m], and elastic energy [J]."""
 
     part: str
     touch: BodyTouch
     arm: ca.SX
     force: GroundForce
+    energy: ca.SX
 
     @property
     def load(self) -> Load:
         """Force of the ground on the part, and its moment about the platform's origin."""
         force = self.force.normal * self.touch.normal + self.force.tangential
         return Load(self.part, force, ca.cross(self.arm, force))
-
-    @property
-    def energy(self) -> ca.SX:
-        """Elastic energy of the contact [J]."""
-        return self.force.elastic * ca.fmax(-self.touch.gap, 0) / 2
 
     @property
     def dissipation(self) -> ca.SX:
@@ -74,14 +75,22 @@ def body_contacts(
     for part, frame, radius in points:
         motion = body.parts[part].at(body.parts[part].pose @ frame)
         x, y, z = ca.vertsplit(motion.pose.origin)
-        height, gradient, _ = terrain.jet(x, y, lookups)
-        normal = ca.vertcat(-gradient, 1) / ca.sqrt(1 + ca.sumsqr(gradient))
-        gap = (z - height) * normal[2] - radius
+        height, gradient, hessian = terrain.jet(x, y, lookups)
+        upright = 1 / ca.sqrt(1 + ca.sumsqr(gradient))
+        gap = (z - height) * upright - radius
+        turning = (z - height) * upright**2 * hessian @ gradient
+        slope = upright * ca.vertcat(-gradient - turning, 1)  # gradient of the gap
+        steepness = ca.norm_2(slope)
+        normal = slope / steepness
         place = motion.pose.origin - radius * normal
         slip = motion.at(Pose(motion.pose.rotation, place)).velocity
         friction = terrain.friction(x, y, lookups)
-        touch = BodyTouch(gap, normal, slip, friction, vehicle.weight, vehicle.gravity)
-        contacts.append(BodyContact(part, touch, place - body.origin, law.body_force(touch)))
+        # force k d |slope| along the gradient of the elastic energy k d^2 / 2
+        weight = steepness * vehicle.weight
+        touch = BodyTouch(gap, normal, slip, friction, weight, vehicle.gravity)
+        force = law.body_force(touch)
+        energy = force.elastic / steepness * ca.fmax(-gap, 0) / 2
+        contacts.append(BodyContact(part, touch, place - body.origin, force, energy))
     return tuple(contacts)
 
 

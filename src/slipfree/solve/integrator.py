@@ -32,7 +32,8 @@ NEWTON_SHARE = 0.01  # fraction of a step's allowed error at which CVODES ends N
 MAX_RESTARTS = 20  # maximum number of restarts after failures, per interval of the inputs
 PACE_TIMES = 9  # times in a motion whose inputs bound its pace
 MAX_COVERED = 2.0  # a step that covers more causes a repetition [allowed distances]
-ROUNDING = 1e-13  # smaller relative changes of an input are not jumps
+ROUNDING = 1e-13  # smaller relative changes of an input are not jumps; a step is longer than this
+STALLED_STEPS = 100  # number of successive steps without progress at which a call ends
 MAX_IDLE = 64  # integrators kept for later calls; inputs that jump use one for each interval
 Progress = Callable[[float], bool | None]
 
@@ -356,8 +357,9 @@ class StepObserver:
     """Observer of the steps of an integrator.
 
     The observer records the times of the steps and reports progress. It ends the integration at a
-    step beyond a limit, if it is ``guarded``, if the progress callable returns False, or at a
-    Ctrl-C held back by `held_interrupt`, if it is ``polled``.
+    step beyond a limit, if it is ``guarded``, if the progress callable returns False, at a Ctrl-C
+    held back by `held_interrupt`, if it is ``polled``, or if steps no longer advance: CVODES
+    itself would take `MAX_STEPS` of them.
     """
 
     def __init__(
@@ -372,6 +374,7 @@ class StepObserver:
         self.times: list[float] = []
         self.paces: list[float] = []
         self.reported = -np.inf
+        self.stalled = 0
 
     def __call__(self, t: float, margin: float, pace: float) -> None:
         """Observe a step: its time, the least distance to a limit, and the pace."""
@@ -392,8 +395,12 @@ class StepObserver:
         return float(np.nanmax(paces)) if (covered >= MAX_COVERED).any() else 0.0
 
     def _observe(self, t: float, margin: float, pace: float) -> None:
+        advances = not self.times or abs(t - self.times[-1]) > ROUNDING * abs(t)
+        self.stalled = 0 if advances else self.stalled + 1
         self.times.append(t)
         self.paces.append(pace)
+        if self.stalled > STALLED_STEPS:
+            raise SolverError("steps have become shorter than the rounding of the time")
         if self.progress is not None and t > self.reported:
             self.reported = t
             answer = self.progress(t)
