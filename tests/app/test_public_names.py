@@ -33,7 +33,7 @@ NAMES = {
         "cross_check",
         "atlas",
     ),
-    *("Cost", "Region", "Route", "SamplingTask"),
+    *("Cost", "Mesh", "Region", "Route", "SamplingTask", "Search"),
     *("Dae", "Trajectory", "Outcome", "SolverOptions"),
     *("load_problem", "run_problem", "open_result"),
     *("SlipfreeError", "ModelError", "DataError", "SolverError"),

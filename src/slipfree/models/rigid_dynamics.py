@@ -196,6 +196,8 @@ def rigid_dynamics(
         standing=standing_start(vehicle, terrain, (), labels),
         lookups=lookups.lookups,
         replay=Replay(dynamics(vehicle, terrain, law=contact), own),
+        vehicle=vehicle,
+        ground=terrain,
     )
 
 
