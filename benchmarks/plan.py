@@ -46,7 +46,9 @@ from slipfree import (
     Analytic,
     Coulomb,
     LinearCreep,
+    Mesh,
     Path,
+    Search,
     SlipfreeError,
     SolverOptions,
     Torque,
@@ -118,7 +120,7 @@ def planned(
     start = settle(dae, options=solver)
     inputs = dae.inputs(right_rate=rates[0], left_rate=rates[1], steer_rate=0.0)
     guess = simulate(dae, start, inputs, np.linspace(0, DURATION, 61), options=solver)
-    given = {"costs": WEIGHTS, "smooth": SMOOTH, "intervals": INTERVALS, "continuous": False}
+    given = {"costs": WEIGHTS, "smooth": SMOOTH, "mesh": Mesh(INTERVALS, DEGREE, continuous=False)}
     begin = time.perf_counter()
     found = plan(
         dae,
@@ -128,7 +130,6 @@ def planned(
         duration=DURATION,
         inputs=RATES,
         limits=STEER,
-        degree=DEGREE,
         options=solver,
         **(given | options),
     )
@@ -158,7 +159,7 @@ def rows() -> list[Row]:
     for rates in STARTS:
         best, seconds = planned(ground, rates=rates)
         found.append((f"least slip, from {rates[0]}/{rates[1]} rad/s", best, seconds))
-    found.append(("rates continuous", *planned(ground, continuous=True)))
+    found.append(("rates continuous", *planned(ground, mesh=Mesh(INTERVALS, DEGREE))))
     found.append(("effort only", *planned(ground, costs={"effort": WEIGHTS["effort"]})))
     found.append(("plan for flat ground", *planned(Analytic(level))))
     ways = [Row(words, by_plan(best), best, seconds) for words, best, seconds in found]
@@ -314,7 +315,7 @@ def horizon_growth(found: Plan) -> None:
 
 def moving_horizon() -> None:
     """Print the tables of a moving horizon."""
-    found, _ = planned(Analytic(hills), intervals=50, continuous=True, compiled=True)
+    found, _ = planned(Analytic(hills), mesh=Mesh(50), compiled=True)
     horizon_table(found)
     print()
     horizon_growth(found)
@@ -521,11 +522,9 @@ def planned_with_inertia(
         costs={"time": 1.0, "effort": 1e-3},
         duration=(0.5, 20.0),
         smooth=2e-5,
-        continuous=False,
         inputs={label.full: (-torque, torque) for label in model.labels.u.wheels},
-        intervals=intervals,
-        accuracy=0.01 if last else np.inf,
-        resume=None if before is None else before.saved,
+        mesh=Mesh(intervals, continuous=False, accuracy=0.01 if last else 1.0),
+        search=Search(resume=None if before is None else before.saved),
     )
 
 

@@ -17,7 +17,9 @@ from slipfree import (
     Bicubic,
     Grid,
     LeastSlip,
+    Mesh,
     Path,
+    Search,
     catalog,
     direct_kinematics,
     follow,
@@ -179,15 +181,14 @@ def _planned(vehicle, ground):
         found = plan(
             model,
             start,
-            guess if saved is None else [],
+            guess,
             goal=GOAL,
             costs={"slip": 100.0, "effort": 0.001},
             duration=8.0,
             inputs=dict.fromkeys(names, (-12.0, 12.0)),
-            intervals=40,
-            accuracy=5e-3,
             smooth=1e-4,
-            resume=saved,
+            mesh=Mesh(40, accuracy=5e-3),
+            search=Search(resume=saved),
         )
         spent = time.perf_counter() - clock
         count = sum(stage.iterations for stage in found.stages)

@@ -23,7 +23,7 @@ import numpy as np
 from common import run_parts
 from test_rovers import LIGHT, rocky_case, rocky_run, rover_ground
 
-from slipfree import Bicubic, SolverOptions, direct_kinematics, settle, simulate
+from slipfree import Bicubic, Mesh, SolverOptions, direct_kinematics, settle, simulate
 from slipfree.catalog import rocky7
 from slipfree.core.trajectory import Trajectory
 from slipfree.plan.plan import plan
@@ -109,10 +109,7 @@ def planned(continuous: bool) -> None:
         costs=costs,
         duration=DURATION,
         smooth=1e-3,
-        continuous=continuous,
-        intervals=INTERVALS,
-        degree=3,
-        accuracy=1e-2,
+        mesh=Mesh(INTERVALS, continuous=continuous, accuracy=1e-2),
         limits=dict.fromkeys(steering, (-0.8, 0.8)),
         inputs=dict.fromkeys(wheels, (-10.0, 10.0))
         | {f"{name}_rate": (-0.5, 0.5) for name in steering},

@@ -137,22 +137,14 @@ except ModelError as error:
 rigid = catalog.three_wheeler(axle="fixed")
 model = direct_kinematics(rigid, ground)
 start = settle(model)
-guess = simulate(
+straight_on = simulate(
     model,
     start,
     model.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0),
     np.linspace(0, 20, 41),
 )
 best = plan(
-    model,
-    start,
-    guess,
-    goal={"x": 0.4, "y": 2.6},
-    costs={"slip": 7e4, "effort": 0.01},
-    duration=20.0,
-    smooth=0.002,
-    limits={"steer": (-1.0, 1.0)},
-    intervals=20,
+    model, start, goal={"x": 0.4, "y": 2.6}, costs={"slip": 7e4, "effort": 0.01}, duration=20.0
 )
 
 
@@ -164,7 +156,7 @@ def rms(motion):
 print(f"solved: {best.success}; simulated end ", end="")
 print(f"({best.replay['x'][-1]:.4f}, {best.replay['y'][-1]:.4f}) m")
 print(
-    f"rms slip {rms(guess):.1e} m/s straight on at constant rates, {rms(best.replay):.1e} planned"
+    f"rms slip {rms(straight_on):.1e} m/s straight on at constant rates, {rms(best.replay):.1e} planned"
 )
 
 # %% [markdown]

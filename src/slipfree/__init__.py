@@ -29,9 +29,9 @@ Motion, a `Trajectory`
 Mobility map, an ``Atlas``
     `atlas`, where and how a vehicle can stand on a map. `plot` draws it, a motion or a plan.
 Plan
-    `plan`, the inputs that reach a goal with the least `Cost`. `replan`, a plan from the current
-    state while driving; `sample_plan`, by sampling (`SamplingTask`). `Region`, a keep-out region.
-    `Route`, a path over a map.
+    `plan`, the inputs that reach a goal with the least `Cost`; its options `Mesh` and `Search`.
+    `replan`, a plan from the current state while driving; `sample_plan`, by sampling
+    (`SamplingTask`). `Region`, a keep-out region. `Route`, a path over a map.
 Problem file
     `load_problem` and `run_problem`, as in ``slipfree run``. `open_result`, the result in a file.
 Errors

@@ -27,7 +27,9 @@ from .models.rigid_dynamics import rigid_dynamics
 from .plan.mpc import replan
 from .plan.plan import plan
 from .plan.sampling import SamplingTask, sample_plan
+from .plan.search import Search
 from .plan.stage import Cost
+from .plan.transcription import Mesh
 from .problem.build_vehicle import read_vehicle
 from .problem.load import load_problem
 from .problem.result import open_result, run_problem
@@ -60,6 +62,7 @@ __all__ = [
     "Joint",
     "LeastSlip",
     "LinearCreep",
+    "Mesh",
     "ModelError",
     "Motor",
     "Outcome",
@@ -69,6 +72,7 @@ __all__ = [
     "Rolling",
     "Route",
     "SamplingTask",
+    "Search",
     "SlipfreeError",
     "Soil",
     "Solids",

@@ -10,11 +10,10 @@ import pytest
 
 from helpers.problem_files import FILE, VALID, _read
 from slipfree.files.toml.source import ProblemError
-from slipfree.problem.build import samples
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, run_problem
-from slipfree.problem.schema import Time
 from slipfree.problem.verbs.direct import Direct
+from slipfree.solve.sampling import input_samples
 
 
 def _faults(folder: Path, text: str, *settings: str) -> list[str]:
@@ -135,15 +134,12 @@ def test_every_table_is_frozen_and_strict() -> None:
 
 
 def test_samples_contain_the_jumps() -> None:
-    time = Time(duration=1.0, step=0.4)
     inputs = {"a": ((0.0, 1.0), (0.5, 2.0), (0.8, 3.0), (7.0, 4.0)), "b": 5.0}
-    t, rates = samples(time, inputs)
+    t, rates = input_samples(1.0, 0.4, inputs)
     np.testing.assert_allclose(t, [0, 0.4, 0.5, 0.8, 1.0])
     np.testing.assert_array_equal(rates["a"], [1, 1, 2, 3])
     assert rates["b"] == 5.0
-    assert samples(Time(duration=0.3, step=0.1), {})[0].tolist() == pytest.approx(
-        [0, 0.1, 0.2, 0.3]
-    )
+    assert input_samples(0.3, 0.1, {})[0].tolist() == pytest.approx([0, 0.1, 0.2, 0.3])
 
 
 def test_piecewise_inputs_on_flat_ground(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ NAMES = {
         "atlas",
         "plot",
     ),
-    *("Cost", "Region", "Route", "SamplingTask"),
+    *("Cost", "Mesh", "Region", "Route", "SamplingTask", "Search"),
     *("Dae", "Trajectory", "Outcome", "SolverOptions"),
     *("load_problem", "run_problem", "open_result"),
     *("SlipfreeError", "ModelError", "DataError", "SolverError"),

@@ -38,6 +38,7 @@ from slipfree.core.evaluation import evaluate
 from slipfree.core.records import leaves
 from slipfree.plan.plan import plan
 from slipfree.plan.problem import costs_of
+from slipfree.plan.transcription import Mesh
 from slipfree.routing.traversability import blocking_reasons, traversability
 from slipfree.vehicle.shapes import Ball, Box, Hull
 
@@ -280,7 +281,7 @@ def test_a_plan_drives_around_the_ridge():
             smooth=0.002,
             inputs=dict.fromkeys(names, (-4.0, 4.0)),
             limits=limits,
-            intervals=20,
+            mesh=Mesh(20),
         )
         assert found.accurate
         assert found.replay.stop is None

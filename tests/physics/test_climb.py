@@ -32,6 +32,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.geometry.path import Path
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.plan.plan import Plan, plan
+from slipfree.plan.transcription import Mesh
 from slipfree.plan.verification import simulate_plan
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import run_problem
@@ -96,12 +97,9 @@ def planned(task, ways, **limits) -> Plan:
         costs=COSTS,
         duration=task.duration,
         smooth=0.02,
-        continuous=True,
         limits={"utilisation": (0.0, MOST), "steer": (-STEER, STEER), **limits},
         inputs=RATES,
-        intervals=task.intervals,
-        degree=task.degree,
-        accuracy=0.01,
+        mesh=Mesh(task.intervals, degree=task.degree, accuracy=0.01),
     )
 
 

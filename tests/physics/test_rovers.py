@@ -35,6 +35,7 @@ from slipfree.geometry.path import Path
 from slipfree.models.determinacy import wheel_rates
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.plan.plan import plan
+from slipfree.plan.transcription import Mesh
 from slipfree.terrain.rolled import rolled
 from slipfree.vehicle.tree import body_inertia
 
@@ -271,10 +272,8 @@ def test_an_articulated_vehicle_is_planned_for():
         goal={"x": float(guess["x"][-1]) + 0.05, "y": float(guess["y"][-1])},
         costs={"slip": 100.0, "effort": 1e-3},
         duration=5.0,
-        intervals=4,
-        degree=2,
         smooth=1e-3,
-        accuracy=1e-2,
+        mesh=Mesh(4, degree=2, accuracy=1e-2),
     )
     assert found.success
     assert found.accurate

@@ -42,7 +42,7 @@ def found():
         duration=DURATION,
         inputs=RATES,
         limits={"steer": (-1.0, 1.0)},
-        intervals=COUNT,
+        mesh=sf.Mesh(COUNT),
     )
 
 

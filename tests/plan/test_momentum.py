@@ -49,10 +49,8 @@ def assert_planned(model, guess, start, most, **options):
         costs={"time": 1.0},
         duration=(0.5, 5.0),
         smooth=1e-4,
-        continuous=False,
         inputs={label.full: (-most, most) for label in model.labels.u.wheels},
-        intervals=12,
-        accuracy=5e-3,
+        mesh=sf.Mesh(12, continuous=False, accuracy=5e-3),
         **options,
     )
     assert found.success

@@ -15,8 +15,9 @@ from slipfree.core.records import Label
 from slipfree.plan.ipopt import NlpSolution, solve_program
 from slipfree.plan.optimality import check_optimality, limit_prices, price_rows, prices_words
 from slipfree.plan.plan import plan
+from slipfree.plan.search import Search
 from slipfree.plan.stage import Cost
-from slipfree.plan.transcription import CollocationMesh, TimedCondition, transcribe
+from slipfree.plan.transcription import CollocationMesh, Mesh, TimedCondition, transcribe
 
 STEER, GOAL, DURATION = 0.12, (0.12, 1.3), 10.0
 
@@ -121,8 +122,7 @@ def planned(model, *, steer=STEER, x=GOAL[0], duration=DURATION, rate=0.1, **opt
         duration=duration,
         limits={"steer": (-steer, steer)},
         inputs=rates,
-        intervals=5,
-        accuracy=1.0,
+        mesh=Mesh(5, accuracy=1.0),
         **options,
     )
 
@@ -183,7 +183,8 @@ def test_price_of_a_limited_cost_is_its_lagrange_multiplier():
 
 @pytest.mark.slow
 def test_a_plan_that_is_not_solved_has_no_prices(model):
-    found = planned(model, progress=lambda _words, iterate: iterate.number < 1)
+    search = Search(progress=lambda _words, iterate: iterate.number < 1)
+    found = planned(model, search=search)
     assert not found.success
     assert found.optimality is None
     assert found.prices == ()

@@ -16,6 +16,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
 from slipfree.models.samples import measured_slip
 from slipfree.plan.plan import plan
+from slipfree.plan.transcription import Mesh
 from slipfree.plan.verification import inputs_along
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
@@ -68,7 +69,7 @@ def test_a_rigid_axle_reaches_its_goal_with_least_slip():
 @pytest.mark.slow
 def test_a_limited_cost_is_at_its_limit():
     """A limit on a term without weight; below the least value the explanation names the cost."""
-    given = {"limits": STEER, "intervals": 6}
+    given = {"limits": STEER, "mesh": Mesh(6)}
     _, _, free = asked(costs={"effort": 1.0}, **given)
     least = free.costs["effort"]
     assert rms_slip(free.replay) > 1e-3  # effort alone slips more
@@ -90,7 +91,7 @@ def test_tilting_wheels_keep_to_their_limit_without_slip():
         vehicle,
         goal={"x": 0.3, "y": 1.3},
         duration=duration,
-        intervals=count,
+        mesh=Mesh(count),
         costs={"effort": 0.01, "tilt_right": 1.0, "tilt_left": 1.0},
         limits={"tilt_right": (-0.35, 0.35), "tilt_left": (-0.35, 0.35), "steer": (-1.0, 1.0)},
     )
@@ -118,7 +119,7 @@ def test_a_pose_a_way_point_and_a_range_of_durations():
         duration=(5.0, 30.0),
         costs={"slip": 1e3, "time": 0.01},
         accelerations=dict.fromkeys(RATES, (-1.0, 1.0)),
-        intervals=20,
+        mesh=Mesh(20),
     )
     assert found.success
     assert found.run["y"][-1] == pytest.approx(2.0, abs=1e-6)

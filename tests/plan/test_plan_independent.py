@@ -10,6 +10,7 @@ from helpers.cases import hills
 from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
 from slipfree.plan.plan import plan
+from slipfree.plan.transcription import Mesh
 
 SLIP, EFFORT, SMOOTH = 1e3, 0.01, 0.002
 DURATION, GOAL, STEER = 10.0, (0.15, 1.3), 0.15
@@ -74,8 +75,7 @@ def planned(dae, start, count):
         smooth=SMOOTH,
         duration=DURATION,
         limits={"steer": (-STEER, STEER)},
-        intervals=count,
-        accuracy=1.0,
+        mesh=Mesh(count, accuracy=1.0),
     )
     assert found.success
     return found

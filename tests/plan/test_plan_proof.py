@@ -42,7 +42,7 @@ def asked(model, *guesses, goal=(0.1, 1.3), **options):
         "duration": 10.0,
         "smooth": 0.002,
         "inputs": RATES,
-        "intervals": 8,
+        "mesh": sf.Mesh(8),
     } | options
     return plan(*model, guesses or guess(model), goal=dict(zip("xy", goal, strict=True)), **given)
 
@@ -73,7 +73,7 @@ def test_the_course_is_the_plan_at_its_points_and_the_simulation_between(coarse)
 @pytest.mark.slow
 @pytest.mark.parametrize("continuous", [False, True])
 def test_inputs_are_constant_or_linear_on_every_interval_and_so_simulated(model, continuous):
-    found = asked(model, continuous=continuous, intervals=5)
+    found = asked(model, mesh=sf.Mesh(5, continuous=continuous))
     replay, ends = found.replay, found.motion.ends
     rates, parts = replay["right_rate"], (replay.t.size - 1) // 5
     if continuous:
@@ -87,10 +87,10 @@ def test_inputs_are_constant_or_linear_on_every_interval_and_so_simulated(model,
 @pytest.mark.slow
 def test_a_mesh_is_refined_until_the_simulation_agrees(model):
     """The simulation is so exact that the difference is the collocation's error."""
-    options = {"intervals": 4, "degree": 2, "options": sf.SolverOptions(tolerance=1e-11)}
-    coarse = asked(model, **options)
+    mesh, options = sf.Mesh(4, degree=2), sf.SolverOptions(tolerance=1e-11)
+    coarse = asked(model, mesh=mesh, options=options)
     wanted = max(coarse.difference.values()) / 10
-    found = asked(model, **options, accuracy=wanted)
+    found = asked(model, mesh=replace(mesh, accuracy=wanted), options=options)
     assert coarse.accurate
     assert found.accurate
     assert max(found.difference.values()) <= wanted
@@ -143,18 +143,16 @@ def test_what_is_violated_between_the_points_is_told_and_made_small(model):
     apart = Limit(Label("disc", "m", "too near"), (x - 0.02) ** 2 + (y - 0.7) ** 2, 0.2**2, np.inf)
     options = {
         "limits": (apart,),
-        "intervals": 3,
-        "degree": 2,
         "costs": {"effort": 1.0},
         "options": sf.SolverOptions(tolerance=1e-6),
     }
-    found = asked(model, **options, accuracy=1.0)
+    found = asked(model, **options, mesh=sf.Mesh(3, degree=2, accuracy=1.0))
     assert found.success
     assert found.violation["disc"] > 1e-3  # m2, by the simulation
     replay = found.replay
     nearest = ((replay["x"] - 0.02) ** 2 + (replay["y"] - 0.7) ** 2).min()
     assert found.violation["disc"] == pytest.approx(0.04 - nearest, abs=1e-9)
-    finer = asked(model, **options, accuracy=1e-3)
+    finer = asked(model, **options, mesh=sf.Mesh(3, degree=2))
     assert finer.accurate
     assert finer.violation.get("disc", 0.0) <= 1e-3
 
@@ -182,18 +180,18 @@ def test_a_search_that_gets_stuck_is_made_again_with_a_wider_filter(model, monke
 
 @pytest.mark.slow
 def test_a_plan_starts_from_itself_and_from_others(model, coarse):
-    again = asked(model, resume=coarse.saved)
+    again = asked(model, search=sf.Search(resume=coarse.saved))
     assert again.success
     assert again.stages[0].words == "resumed"
     assert again.stages[0].iterations <= 3
     assert_allclose(again.run["x"], coarse.run["x"], atol=1e-8)
-    moved = asked(model, goal=(0.105, 1.365), resume=coarse.saved)
+    moved = asked(model, goal=(0.105, 1.365), search=sf.Search(resume=coarse.saved))
     assert moved.success
     assert iterations(moved) <= iterations(coarse) / 2
-    assert asked(model, resume=coarse.saved, intervals=13, degree=4).success
+    assert asked(model, search=sf.Search(resume=coarse.saved), mesh=sf.Mesh(13, degree=4)).success
     ground = sf.Analytic(lambda x, y: hills(x, y) + 0.01 * x)
     dae = sf.direct_kinematics(VEHICLE, ground)
-    assert asked((dae, sf.settle(dae)), resume=coarse.saved).success
+    assert asked((dae, sf.settle(dae)), search=sf.Search(resume=coarse.saved)).success
 
 
 @pytest.mark.slow
@@ -207,7 +205,7 @@ def test_limits_on_which_a_plan_rests_are_there_when_it_is_resumed():
     assert found.stages[1].words == "with tilt_right_stop, tilt_left_stop"
     for name in ("tilt_right", "tilt_left"):
         assert np.abs(found.run[name]).max() <= 0.04 + 1e-6
-    again = asked(tilting, first, **options, resume=found.saved)
+    again = asked(tilting, first, **options, search=sf.Search(resume=found.saved))
     assert [stage.words for stage in again.stages] == ["resumed"]
     assert again.stages[0].iterations <= 3
 
@@ -234,8 +232,8 @@ def test_another_model_runs_under_the_inputs_of_a_plan(coarse):
 def test_a_stopped_refinement_leaves_the_plan_before_it(model, coarse):
     found = asked(
         model,
-        accuracy=max(coarse.difference.values()) / 10,
-        progress=lambda words, _: "intervals" not in words,
+        mesh=sf.Mesh(8, accuracy=max(coarse.difference.values()) / 10),
+        search=sf.Search(progress=lambda words, _: "intervals" not in words),
     )
     assert found.success
     assert not found.accurate
@@ -249,7 +247,7 @@ def test_a_plan_goes_on_from_a_place_on_its_way(coarse):
     half = coarse.motion.states(np.array([0.5]))[:, 0]
     dae = sf.direct_kinematics(VEHICLE, sf.Analytic(hills))
     start = sf.settle(dae, **dict(zip(("x", "y", "heading", "steer"), half, strict=True)))
-    found = asked((dae, start), duration=5.0, resume=coarse.saved)
+    found = asked((dae, start), duration=5.0, search=sf.Search(resume=coarse.saved))
     assert found.success
     cold = asked((dae, start), guess((dae, start), duration=5.0), duration=5.0)
     assert iterations(found) < iterations(cold)
@@ -259,13 +257,17 @@ def test_a_plan_goes_on_from_a_place_on_its_way(coarse):
 def test_the_plan_of_another_vehicle_is_refused(coarse):
     dae = sf.direct_kinematics(three_wheeler(), sf.Analytic(hills))
     with pytest.raises(sf.ModelError, match="expected a saved plan with the states, unknowns"):
-        asked((dae, sf.settle(dae)), guess((dae, sf.settle(dae))), resume=coarse.saved)
+        asked(
+            (dae, sf.settle(dae)),
+            guess((dae, sf.settle(dae))),
+            search=sf.Search(resume=coarse.saved),
+        )
 
 
 @pytest.mark.slow
 def test_an_accuracy_that_is_not_reached_and_a_goal_that_is_missed_are_told(model, monkeypatch):
     monkeypatch.setattr(searching, "MAX_REFINEMENTS", 1)
-    found = asked(model, intervals=2, degree=1, accuracy=1e-9, costs={"effort": 1.0})
+    found = asked(model, mesh=sf.Mesh(2, degree=1, accuracy=1e-9), costs={"effort": 1.0})
     assert found.success
     assert not found.accurate
     assert found.violation["y at the goal"] == pytest.approx(abs(found.replay["y"][-1] - 1.3))

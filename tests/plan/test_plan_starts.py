@@ -63,10 +63,9 @@ def planned(model, guess, **options):
         costs={"effort": 0.01, "slip": 1e3},
         duration=16.0,
         smooth=0.002,
-        intervals=10,
         inputs=dict.fromkeys(("right_rate", "left_rate", "steer_rate"), (-2.0, 2.0)),
         limits=[Limit(Label("top", "m2", "the hill is too near"), top, 0.16, np.inf)],
-        accuracy=1e-2,
+        mesh=sf.Mesh(10, accuracy=1e-2),
         **options,
     )
 
@@ -122,8 +121,8 @@ def test_further_guesses_depend_on_the_seed_alone_and_keep_to_bounds(model):
 
 
 def test_no_starts_and_starts_that_cannot_be_simulated_are_an_error(model, monkeypatch):
-    with pytest.raises(sf.ModelError, match="starts: expected 1 or more, found 0"):
-        planned(model, led(model, 1), starts=0)
+    with pytest.raises(sf.ModelError, match="Search: 'starts': expected a number >= 1, found 0"):
+        planned(model, led(model, 1), search=sf.Search(starts=0))
     monkeypatch.setattr("slipfree.system.processes.available_cores", lambda: 1)
 
     def fail(*_args, **_options):

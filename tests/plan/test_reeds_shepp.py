@@ -10,9 +10,8 @@ import pytest
 from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
 from slipfree.control.path_following import arc_inputs, turning_axis_offset
 from slipfree.core.errors import ModelError
-from slipfree.problem.build import samples
-from slipfree.problem.schema import Time
 from slipfree.routing.reeds_shepp import HEADINGS, reeds_shepp
+from slipfree.solve.sampling import input_samples
 from slipfree.terrain.base import Terrain
 
 RADIUS = 0.8
@@ -92,7 +91,7 @@ def driven(vehicle, arcs, speed=0.5):
     start = settle(dae)
     values = {c.name: 0.0 for c in vehicle.of("commanded")}
     pieces, duration = arc_inputs(dae, vehicle, arcs, values, speed=speed)
-    t, rates = samples(Time(duration=duration, step=0.2), pieces)
+    t, rates = input_samples(duration, 0.2, pieces)
     return simulate(dae, start, dae.inputs(**rates), t), duration
 
 

@@ -35,7 +35,7 @@ def case():
 
 
 def windows(case, **options):
-    given = {"speed": SPEED, "length": 1.8, "overlap": 0.6, "goal": GOAL, "intervals": 8}
+    given = {"speed": SPEED, "length": 1.8, "overlap": 0.6, "goal": GOAL, "mesh": sf.Mesh(8)}
     return plan_windows(*case, **COMMON, **(given | options))
 
 
@@ -83,7 +83,7 @@ def test_windows_cost_little_more_than_one_plan(case, found):
     dae, law, start, route = case
     guess = sf.simulate(dae, start, law(route), np.linspace(0, route.length / SPEED, 61))
     whole = sf.plan(
-        dae, start, guess, goal=GOAL, duration=found.motion.duration, intervals=36, **COMMON
+        dae, start, guess, goal=GOAL, duration=found.motion.duration, mesh=sf.Mesh(36), **COMMON
     )
     assert whole.success
 
@@ -112,7 +112,7 @@ def test_an_interrupted_plan_keeps_its_windows_and_is_resumed(case, found):
 
 @pytest.mark.slow
 def test_a_window_without_solution_is_named_and_the_others_are_kept(case):
-    kept = windows(case, limits={"y": (-1.0, 2.2)}, intervals=5)
+    kept = windows(case, limits={"y": (-1.0, 2.2)}, mesh=sf.Mesh(5))
     assert not kept.success
     assert kept.windows
     assert "m of the route" in kept.replay.stop.words
@@ -150,7 +150,7 @@ def test_initial_inputs_of_a_plan(case):
     goal = {"y": float(guess["y"][-1])}
     still = {"right_rate": 0.0, "left_rate": 0.0, "steer_rate": 0.0}
     found = sf.plan(
-        dae, start, guess, goal=goal, duration=4.0, intervals=8, initial_inputs=still, **COMMON
+        dae, start, guess, goal=goal, duration=4.0, mesh=sf.Mesh(8), initial_inputs=still, **COMMON
     )
     assert found.success
     assert_allclose(found.motion.inputs(np.array([0.0])), 0.0, atol=1e-9)

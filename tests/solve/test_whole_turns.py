@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from slipfree import Analytic, catalog, direct_kinematics, replan, settle, simulate
+from slipfree import Analytic, Mesh, catalog, direct_kinematics, replan, settle, simulate
 from slipfree import plan as search
 from slipfree.core.dae import Dae
 from slipfree.core.records import leaves
@@ -98,7 +98,7 @@ def test_a_measured_heading_may_be_a_turn_away_from_the_plan() -> None:
     guess = simulate(dae, start, dae.inputs(right_rate=1.7, left_rate=1.7), np.linspace(0, 4, 9))
     found = search(
         dae, start, guess, goal={"y": 1.0, "heading": 2 * pi}, costs={"effort": 1.0},
-        duration=4.0, intervals=4,
+        duration=4.0, mesh=Mesh(4),
     )  # fmt: skip
     assert found.accurate
     assert found.replay["heading"][-1] == pytest.approx(0.0, abs=1e-3)

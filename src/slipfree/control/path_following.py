@@ -297,6 +297,15 @@ def turning_axis_offset(vehicle: Vehicle) -> float:
     return planar_geometry(vehicle, _symbols(vehicle)).ahead
 
 
+def turning_radius(vehicle: Vehicle) -> float:
+    """Return the radius of the sharpest turns of `follow` with steered wheels [m].
+
+    Without steered wheels it is the largest distance of a wheel from the centre line.
+    """
+    plan = planar_geometry(vehicle, _symbols(vehicle))
+    return plan.base / tan(MAX_STEER_ANGLE) if plan.steered else plan.base
+
+
 def arc_inputs(
     dae: Dae,
     vehicle: Vehicle,

@@ -12,7 +12,7 @@ from slipfree.core.records import Array
 Faces = npt.NDArray[np.uint32]
 
 
-class Mesh(NamedTuple):
+class TriangleMesh(NamedTuple):
     """A triangle mesh: vertices (n, 3) [m], and faces (m, 3).
 
     Faces are the indices of three vertices, counter-clockwise seen from outside.
@@ -22,7 +22,7 @@ class Mesh(NamedTuple):
     faces: Faces
 
 
-def sheet(points: Array, closed: tuple[bool, bool] = (False, False)) -> Mesh:
+def sheet(points: Array, closed: tuple[bool, bool] = (False, False)) -> TriangleMesh:
     """Return the mesh through a grid of points (n, m, 3) [m].
 
     ``closed`` is whether the last line of points connects to the first, for each direction.
@@ -35,4 +35,4 @@ def sheet(points: Array, closed: tuple[bool, bool] = (False, False)) -> Mesh:
     here, up = j[None, :], ((j + 1) % m)[None, :]
     a, b, c, d = first + here, right + here, right + up, first + up
     faces = np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=2)
-    return Mesh(points.reshape(-1, 3), faces.reshape(-1, 3).astype(np.uint32))
+    return TriangleMesh(points.reshape(-1, 3), faces.reshape(-1, 3).astype(np.uint32))

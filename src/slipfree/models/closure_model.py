@@ -114,6 +114,8 @@ def closure_dae(
         linear=law.linear,
         discs=discs,
         holding=_holding(q) if vehicle.mass else None,
+        vehicle=vehicle,
+        ground=terrain,
         leading_rates=ca.vertcat(q.rates.z, q.rates.roll, q.rates.pitch, *q.rates.suspension),
     )
 

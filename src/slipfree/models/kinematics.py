@@ -340,6 +340,8 @@ def _dae(
         lookups=q.lookups.lookups,
         linear=law.linear,
         holding=_holding(q, pressed, _groups(labels)[0]) if vehicle.mass else None,
+        vehicle=vehicle,
+        ground=terrain,
     )
 
 

@@ -197,6 +197,8 @@ def rigid_dynamics(
         standing=standing_start(vehicle, terrain, (), labels),
         lookups=lookups.lookups,
         replay=Replay(dynamics(vehicle, terrain, law=contact), own),
+        vehicle=vehicle,
+        ground=terrain,
     )
 
 

@@ -16,11 +16,11 @@ from functools import cached_property
 import numpy as np
 
 from slipfree.core.dae import Dae, Limit
-from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Record, leaves, overview
 from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Stop, Trajectory
 from slipfree.plan.explanation import explanation
+from slipfree.plan.guess import initial_guess
 from slipfree.plan.ipopt import STOPPED_STATUS, NlpSolution
 from slipfree.plan.optimality import Optimality, Price, check_optimality, limit_prices
 from slipfree.plan.polynomial_motion import (
@@ -31,10 +31,10 @@ from slipfree.plan.polynomial_motion import (
     sample_plan,
     save_plan,
 )
-from slipfree.plan.problem import Range, near_conditions, task_of
+from slipfree.plan.problem import Range, check_type, free_durations, near_conditions, task_of
 from slipfree.plan.search import (
     LocalOptimum,
-    PlanProgress,
+    Search,
     SearchState,
     SolvedStage,
     best_verified,
@@ -45,13 +45,11 @@ from slipfree.plan.search import (
     solve_resumed,
 )
 from slipfree.plan.stage import Cost
-from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, transcribe
+from slipfree.plan.transcription import CollocationMesh, Mesh, PlanTask, Program, transcribe
 from slipfree.plan.verification import Verification, inputs_along, verify_plan
 from slipfree.solve.options import SolverOptions
 from slipfree.system.forks import computing
 from slipfree.system.interrupt import with_interrupt_guard
-
-SAMPLE_STEP = 0.25  # largest time between samples of the simulation [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +110,8 @@ class Plan:
         units = {cost.label.name: cost.label.unit for cost in self.program.task.costs}
         solved = "accurate" if self.accurate else "not accurate"
         iterations = sum(stage.iterations for stage in self.stages)
-        return overview(
+        why = "" if self.success or self.run.stop is None else f"{self.run.stop.words}\n"
+        return why + overview(
             f"Plan: {solved if self.success else 'not solved'}; {self.motion.duration:.6g} s on "
             f"{self.motion.ends.size - 1} intervals, {iterations} iterations",
             costs=(f"{name} {cost:.4g} {units.get(name, '')}" for name, cost in self.costs.items()),
@@ -144,29 +143,21 @@ class Plan:
 def plan(
     dae: Dae,
     start: Trajectory,
-    guess: Trajectory | Sequence[Trajectory],
+    guess: Trajectory | Sequence[Trajectory] | None = None,
     *,
     goal: Mapping[str, float | Range] | Sequence[Limit],
     costs: Mapping[str, float] | Sequence[Cost],
-    duration: float | Range,
+    duration: float | Range | None = None,
     smooth: float = 0.0,
-    continuous: bool = True,
     limits: Mapping[str, Range] | Sequence[Limit] = (),
     way_points: Mapping[float, Mapping[str, float | Range]] | None = None,
     inputs: Mapping[str, Range] | None = None,
     accelerations: Mapping[str, Range] | None = None,
     cost_limits: Mapping[str, float] | None = None,
     initial_inputs: Mapping[str, float] | None = None,
-    intervals: int = 40,
-    degree: int = 3,
-    accuracy: float = 1e-3,
+    mesh: Mesh = Mesh(),
+    search: Search = Search(),
     options: SolverOptions = SolverOptions(),
-    step: float = SAMPLE_STEP,
-    starts: int = 1,
-    seed: int = 0,
-    resume: SavedPlan | None = None,
-    progress: PlanProgress | None = None,
-    keep: Callable[[Plan], None] | None = None,
 ) -> Plan:
     """Return the inputs that reach a goal at least cost, with the resulting motion.
 
@@ -177,10 +168,12 @@ def plan(
         added to the program, which is then solved again.
     start : Trajectory
         Trajectory whose last sample is the start of the plan.
-    guess : Trajectory or sequence of Trajectory
+    guess : Trajectory or sequence of Trajectory, optional
         Motions of the model from the start roughly to the goal, as initial guesses. The result is
         the verified plan of least cost from all guesses, or, if the simulation verifies none, the
-        plan of least cost.
+        plan of least cost. By default one guess is made: the vehicle drives along a route if the
+        ground is a map, or straight to the goal; in reverse gear, too, to a goal that it cannot
+        reach by turning forwards (`slipfree.plan.guess`).
     goal : mapping of str to float or (low, high), or sequence of Limit
         Values or ranges of states and algebraic unknowns at the end, by name, in map coordinates;
         or conditions in the model's symbols. A heading, or a joint without stop and spring, is the
@@ -192,12 +185,10 @@ def plan(
         square), or any quantity of the model, whose square is integrated over time and summed over
         the wheels (positions in local coordinates, see `Dae`). Alternatively, terms with other
         expressions: `Cost`.
-    duration : float or (shortest, longest)
-        Duration of the plan. [s]
+    duration : float or (shortest, longest), optional
+        Duration of the plan; by default from half to twice that of the initial guess. [s]
     smooth : float
         Weight of the squared rates of the inputs, integrated over time.
-    continuous : bool
-        Whether inputs are continuous and linear on every interval; otherwise they are constant.
     limits : mapping of str to (low, high), or sequence of Limit
         Ranges of quantities by name during the whole plan, in map coordinates; or limits in the
         model's symbols.
@@ -211,83 +202,73 @@ def plan(
     initial_inputs : mapping of str to float, optional
         Values of inputs at the beginning by name, for example zero for a vehicle at rest; the
         others are free within their bounds. [1/s]
-    intervals, degree : int
-        Initial number of intervals, and number of collocation points per interval.
-    accuracy : float
-        Largest admissible difference of the simulation from the plan, in the unit of the quantity.
-        The admissible violation of a limit is the smaller of ``accuracy`` and 1 % of its range; for
-        equal bounds it is ``accuracy``. The mesh is refined where they are exceeded.
+    mesh : Mesh
+        Intervals of the first mesh, form of the inputs, accuracy and sampling of the simulation.
+    search : Search
+        Further initial guesses, an earlier plan to start from, and functions that observe the
+        search.
     options : SolverOptions
         Options of the solvers; the plan is simulated with a hundredth of the tolerance.
-    step : float
-        Largest time between samples of the simulation. [s]
-    starts : int
-        Number of initial guesses to try if ``guess`` has fewer. Further guesses are simulated with
-        the inputs of the first guess: first with negated inputs if the bounds allow it, then with
-        randomly perturbed inputs. A guess whose motion ends too early is omitted. ``Plan.optima``
-        lists the plans from all guesses.
-    seed : int
-        Seed of the random perturbations.
-    resume : SavedPlan, optional
-        Plan from which the search starts instead of from ``guess``. Its mesh, ground and goal may
-        differ. If it starts in another state, only its part after the nearest state is used.
-    progress : callable, optional
-        Function called with a description of the program and every iterate. If it returns False,
-        the search ends, and the plan is the iterate with the smallest violation.
-    keep : callable, optional
-        Function called with each plan before the simulation that verifies it. ``replay`` is then
-        the planned motion, whose stop says that it is not verified.
 
     Returns
     -------
     Plan
         Plan with ``inputs``, the planned motion ``run``, and its simulation ``replay``. A search
-        that finds no solution returns an iterate: see ``success``, ``accurate`` and ``run.stop``.
+        that finds no solution returns an iterate, and the explanation in ``run.stop``; see also
+        ``success`` and ``accurate``.
 
     Raises
     ------
     ModelError
-        If a name is unknown, a number is not valid, start, goal and limits contradict each other,
-        no goal or guess is given, ``resume`` is a plan of another model, or a lookup of the model
-        lacks derivatives.
+        If an argument has a wrong type, a name is unknown, a number is not valid, start, goal and
+        limits contradict each other, no goal is given, no guess is given for a model whose vehicle
+        is unknown or is not driven by rates, ``search.resume`` is a plan of another model, or a
+        lookup of the model lacks derivatives.
     SolverError
-        If a further guess or the plan cannot be simulated from the start.
+        If a guess that is made or the plan cannot be simulated from the start.
 
     Examples
     --------
-    A cart drives to a goal 1 m ahead and 5 cm to the right. The squared roll rate is an additional
-    cost.
+    A cart drives to a goal 1 m ahead and 5 cm to the right.
 
-    >>> import casadi as ca
-    >>> import numpy as np
-    >>> from slipfree import Analytic, Cost, catalog, direct_kinematics
-    >>> from slipfree import plan, settle, simulate, straight
-    >>> vehicle = catalog.three_wheeler(axle="fixed")
-    >>> model = direct_kinematics(vehicle, Analytic(lambda x, y: 0.1 * x * y))
+    >>> from slipfree import Analytic, catalog, direct_kinematics, plan, settle
+    >>> ground = Analytic(lambda x, y: 0.1 * x * y)
+    >>> model = direct_kinematics(catalog.three_wheeler(axle="fixed"), ground)
     >>> start = settle(model)
-    >>> law = straight(model, vehicle, start, speed=0.25)
-    >>> guess = simulate(model, start, law, np.linspace(0, 4, 9))
-    >>> costs = [
-    ...     Cost("rolling", model.z.rates.roll**2, "rad2 s-1", "squared roll rate"),
-    ...     Cost("effort", ca.sumsqr(ca.vertcat(*model.u.wheels)), "rad2 s-1", "squared inputs"),
-    ... ]
-    >>> found = plan(
-    ...     model, start, guess, goal={"x": 0.05, "y": 1.0}, costs=costs, duration=4.0, intervals=4
-    ... )
+    >>> found = plan(model, start, goal={"x": 0.05, "y": 1.0}, costs={"slip": 1e3, "effort": 0.01})
     >>> found.success, found.accurate
     (True, True)
     >>> print(f"ends at ({found.replay['x'][-1]:.3f}, {found.replay['y'][-1]:.3f})")
     ends at (0.050, 1.000)
+
+    The squared roll rate as the cost, in 4 s, on a coarse mesh:
+
+    >>> from slipfree import Cost, Mesh
+    >>> rolling = Cost("rolling", model.z.rates.roll**2, "rad2 s-1", "squared roll rate")
+    >>> goal = {"x": 0.05, "y": 1.0}
+    >>> found = plan(
+    ...     model, start, goal=goal, costs=[rolling], smooth=0.01, duration=4.0, mesh=Mesh(4)
+    ... )
+    >>> found.success
+    True
     """
     clock = time.process_time()
+    check_type("model", dae, Dae, "build a model, for example with direct_kinematics")
+    check_type("start", start, Trajectory, "give the result of settle(model)")
+    check_type("mesh", mesh, Mesh, "give a record, as in Mesh(intervals=20)")
+    check_type("search", search, Search, "give a record, as in Search(starts=4)")
+    check_type("options", options, SolverOptions, "give a record, as in SolverOptions(1e-6)")
+    motions = [] if guess is None else [guess] if isinstance(guess, Trajectory) else list(guess)
+    for motion in motions:
+        check_type("guess", motion, Trajectory, "give the result of simulate, or no guess")
     task = task_of(
         dae,
         start,
         goal=goal,
         costs=costs,
-        duration=duration,
+        duration=1.0 if duration is None else duration,
         smooth=smooth,
-        continuous=continuous,
+        continuous=mesh.continuous,
         limits=limits,
         way_points=way_points,
         inputs=inputs,
@@ -295,32 +276,37 @@ def plan(
         cost_limits=cost_limits,
         initial_inputs=initial_inputs,
     )
-    for name, number in (("intervals", intervals), ("starts", starts)):
-        if number < 1:
-            raise ModelError(f"plan: {name}: expected 1 or more, found {number}; increase it")
-    ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))
-    mesh = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], degree)
-    motions = [guess] if isinstance(guess, Trajectory) else list(guess)
-    task = _with_near_conditions(task, motions, resume)
-    if resume is None:
-        guesses = named_guesses(task, start, motions, starts, seed)
-        searches = solve_guesses(transcribe(task, mesh, options), guesses, progress)
+    former = search.resume
+    nominal = [float(motion.t[-1] - motion.t[0]) for motion in motions]
+    if not motions and former is None:
+        motion, length = initial_guess(task, start, inputs or {}, options)
+        motions, nominal = [motion], [length]
+    if duration is None:
+        length = former.motion.duration if former is not None else 0.0
+        task = replace(task, duration=(length, length) if former else free_durations(nominal))
+    ends = np.union1d(np.linspace(0, 1, mesh.intervals + 1), list(way_points or ()))
+    first = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], mesh.degree)
+    task = _with_near_conditions(task, motions, former)
+    if former is None:
+        guesses = named_guesses(task, start, motions, search)
+        searches = solve_guesses(transcribe(task, first, options), guesses, search.progress)
     else:
-        searches = [solve_resumed(task, mesh, resume, options, progress)]
+        searches = [solve_resumed(task, first, former, options, search.progress)]
 
-    def verify(search: SearchState) -> Verification:
-        program, unknowns = search.program, search.found.unknowns
-        if keep is not None:
-            keep(_unverified(search))
-        return verify_plan(program, unknowns, start, accuracy=accuracy, step=step)
+    def verify(state: SearchState) -> Verification:
+        if search.keep is not None:
+            search.keep(_unverified(state))
+        return verify_plan(
+            state.program, state.found.unknowns, start, accuracy=mesh.accuracy, step=mesh.step
+        )
 
-    search, verification, optima = best_verified(searches, verify, progress)
-    result = replace(_to_plan(search, verification), optima=optima)
-    iterations = sum(stage.iterations for stage in search.stages)
+    best, verification, optima = best_verified(searches, verify, search.progress)
+    result = replace(_to_plan(best, verification), optima=optima)
+    iterations = sum(stage.iterations for stage in best.stages)
     statistics = {
         "cpu_seconds": time.process_time() - clock,
         "iterations": float(iterations),
-        "compiled": float(search.program.compiled),
+        "compiled": float(best.program.compiled),
     }
     return replace(result, run=replace(result.run, statistics=statistics))
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from numbers import Real
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -17,6 +19,7 @@ from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import PlanTask, TimedCondition
 from slipfree.solve.sampling import TURN, periodic_states
 
+DURATIONS = (0.5, 2.0)  # default range of the duration, relative to that of the initial guess
 HALF_TURN = np.pi + 1e-3  # such as a goal of 3.1416: both ways are short [rad]
 Range = tuple[float, float]
 MIN_CLEARANCE = 1e-3  # clearances below this all have about the same cost [m]
@@ -24,26 +27,61 @@ BLENDED_POWER = 0.1  # width of the smooth transition between work and braking [
 ROUNDED_FRACTION = 0.01  # rounding of a square root at zero, relative to its bound
 
 
+def check_type(name: str, value: Any, kinds: type | tuple[type, ...], remedy: str) -> None:
+    """Raise ModelError if the argument ``name`` of `plan` has another type than expected."""
+    names = [kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,))]
+    if not isinstance(value, kinds):
+        raise ModelError(
+            f"plan: {name}: expected {' or '.join(names)}, found {type(value).__name__}; {remedy}"
+        )
+
+
+def _check_terms(name: str, values: Any, kind: type, example: str) -> None:
+    """Raise ModelError unless an argument is a mapping, or a sequence of records of a kind."""
+    if isinstance(values, Mapping):
+        return
+    check_type(name, values, (Mapping, Sequence), f"give values by name, as in {example}")
+    for value in values:
+        check_type(name, value, kind, f"give values by name, as in {example}")
+
+
+def range_of(name: str, value: float | Range) -> Range:
+    """Return the bounds of a number or of a range; ``name`` is that of the argument."""
+    ends = np.array(value, dtype=object).ravel().tolist()
+    if not 1 <= len(ends) <= 2 or not all(isinstance(each, Real) for each in ends):
+        raise ModelError(
+            f"plan: {name}: expected a number or a range (smallest, largest), found {value!r}; "
+            "correct it"
+        )
+    return float(ends[0]), float(ends[-1])
+
+
+def free_durations(durations: Sequence[float]) -> Range:
+    """Return the default range of the duration of a plan from initial guesses [s]."""
+    return DURATIONS[0] * min(durations), DURATIONS[1] * max(durations)
+
+
 def duration_of(value: float | Range) -> Range:
     """Return the smallest and the largest duration in s, from a number or a range."""
-    low, high = (value, value) if isinstance(value, int | float) else value
+    low, high = range_of("duration", value)
     if not 0 < low <= high < np.inf:
         raise ModelError(
             "plan: duration: expected a positive, finite duration or an ascending range of such "
             f"durations (smallest, largest), found {value} s; correct it"
         )
-    return float(low), float(high)
+    return low, high
 
 
 def costs_of(dae: Dae, costs: Mapping[str, float] | Sequence[Cost]) -> tuple[Cost, ...]:
     """Return the terms of the cost from weights by name, or terms unchanged."""
+    _check_terms("costs", costs, Cost, '{"slip": 1e3}')
     if not isinstance(costs, Mapping):
         return tuple(costs)
-    terms = []
+    terms = list[Cost]()
     for name, weight in costs.items():
-        if not weight >= 0:
+        if not (isinstance(weight, Real) and weight >= 0):
             raise ModelError(
-                f"plan: costs: expected a weight of at least 0 for {name!r}, found {weight}; "
+                f"plan: costs: expected a weight of at least 0 for {name!r}, found {weight!r}; "
                 "correct it"
             )
         terms.append(_cost_term(dae, name)._replace(weight=weight))
@@ -55,9 +93,9 @@ def cost_limits_of(
 ) -> tuple[tuple[Cost, ...], tuple[tuple[int, float], ...]]:
     """Return the terms of the cost, with weight 0 if only limited, and the limits by index."""
     names, terms = [cost.name for cost in costs], list(costs)
-    limits = []
+    limits = list[tuple[int, float]]()
     for name, highest in highest_of.items():
-        if not 0 < highest < np.inf:
+        if not (isinstance(highest, Real) and 0 < highest < np.inf):
             raise ModelError(
                 f"plan: cost_limits: expected a positive, finite limit of {name!r}, found "
                 f"{highest}; correct or remove it"
@@ -123,6 +161,7 @@ def _squared_unit(dae: Dae, name: str) -> str:
 
 def limits_of(dae: Dae, limits: Mapping[str, float | Range] | Sequence[Limit]) -> tuple[Limit, ...]:
     """Return limits from values or ranges by name, in map coordinates, or limits unchanged."""
+    _check_terms("goal and limits", limits, Limit, '{"x": 2.0, "y": (0.0, 1.0)}')
     if not isinstance(limits, Mapping):
         return tuple(limits)
     return tuple(limit for name, value in limits.items() for limit in _conditions(dae, name, value))
@@ -130,7 +169,7 @@ def limits_of(dae: Dae, limits: Mapping[str, float | Range] | Sequence[Limit]) -
 
 def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
     """Yield limits on a quantity, given in map coordinates; one per wheel for wheel quantities."""
-    low, high = (bounds, bounds) if isinstance(bounds, int | float) else bounds
+    low, high = range_of(name, bounds)
     _check_ascending(name, low, high)
     is_known = False
     for record, shift in (("x", dae.shift[0]), ("z", dae.shift[1]), ("u", None), ("y", None)):
@@ -193,12 +232,13 @@ def bounds_of(dae: Dae, ranges: Mapping[str, Range]) -> Array:
     """Return the bounds of all inputs, infinite for inputs without bounds, shape (n_u, 2)."""
     names = [label.full for label in leaves(dae.labels.u)]
     bounds = np.tile([-np.inf, np.inf], (len(names), 1))
-    for name, (low, high) in ranges.items():
+    for name, value in ranges.items():
         if name not in names:
             raise ModelError(
                 f"plan: bounds of inputs: expected one of {', '.join(names)}, found {name!r}; "
                 "correct the name"
             )
+        low, high = range_of(name, value)
         _check_ascending(name, low, high)
         bounds[names.index(name)] = low, high
     return bounds

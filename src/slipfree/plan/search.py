@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from annotated_types import Ge, Le, doc
 
 from slipfree.core.dae import Dae, Limit
-from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, field_overview, leaves
+from slipfree.core.schema import check_bounds
 from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.ipopt import (
@@ -61,6 +62,53 @@ FUTILE_GROWTH = 4.0  # ratio of intervals after which an unchanged error has ano
 MIN_IMPROVEMENT = 0.8  # ratio of errors on a finer and a coarser mesh for a further refinement
 LIMIT_CLEARANCE = 1e-5  # distance of plans from limits of the model, in their units
 PlanProgress = Callable[[str, Iterate], bool]
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Initial guesses of a search for a plan, and its observation.
+
+    Attributes
+    ----------
+    starts : int
+        Number of initial guesses to try if fewer are given. Further guesses are simulated with the
+        inputs of the first guess: first with negated inputs if the bounds allow it, then with
+        randomly perturbed inputs. A guess whose motion ends too early is omitted. ``Plan.optima``
+        lists the plans from all guesses.
+    seed : int
+        Seed of the random perturbations.
+    resume : SavedPlan or None
+        Plan from which the search starts instead of from a guess. Its mesh, ground and goal may
+        differ. If it starts in another state, only its part after the nearest state is used.
+    progress : callable or None
+        Function called with a description of the program and every iterate. If it returns False,
+        the search ends, and the plan is the iterate with the smallest violation.
+    keep : callable or None
+        Function called with each plan before the simulation that verifies it. ``replay`` is then
+        the planned motion, whose stop says that it is not verified.
+
+    Raises
+    ------
+    ModelError
+        If a number is out of its range.
+    """
+
+    starts: Annotated[
+        int,
+        Ge(1),
+        Le(1000),
+        doc(
+            "number of starts, in parallel processes: routes, the guess, reversed gears, perturbed "
+            "inputs; the verified plan of least cost is returned"
+        ),
+    ] = 1
+    seed: Annotated[int, Ge(0), doc("seed of the perturbations of the starts")] = 0
+    resume: SavedPlan | None = None
+    progress: PlanProgress | None = None
+    keep: Callable[[Any], None] | None = None
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
 
 
 class LocalOptimum(NamedTuple):
@@ -186,17 +234,13 @@ class SearchState(NamedTuple):
 
 
 def named_guesses(
-    task: PlanTask, start: Trajectory, guesses: Sequence[Trajectory], starts: int, seed: int
+    task: PlanTask, start: Trajectory, guesses: Sequence[Trajectory], search: Search
 ) -> list[tuple[str, Trajectory]]:
-    """Return names and motions of initial guesses: those given, then others up to ``starts``."""
-    if not guesses:
-        raise ModelError(
-            "plan: guess: expected at least one motion as initial guess, found none; give one, "
-            "such as a simulated motion"
-        )
+    """Return names and motions of initial guesses: those given, then others up to the starts."""
     named = [(f"guess {number}", each) for number, each in enumerate(guesses, 1)]
-    missing = max(starts - len(guesses), 0)
-    return [*named, *further_guesses(task.dae, start, guesses[0], task.inputs, missing, seed)]
+    missing = max(search.starts - len(guesses), 0)
+    further = further_guesses(task.dae, start, guesses[0], task.inputs, missing, search.seed)
+    return [*named, *further]
 
 
 def solve_guesses(

@@ -10,15 +10,17 @@ input rates are functions of the inputs of an interval.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from annotated_types import Ge, Gt, Le, Unit, doc
 
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import found_column, needed_lookups, substitute_lookups
 from slipfree.core.records import Array, Label, Mask, field_overview, leaves
+from slipfree.core.schema import check_bounds
 from slipfree.plan.sparse_assembly import Index as Index
 from slipfree.plan.sparse_assembly import NlpBlock, ProgramFunctions, assemble, nlp_block
 from slipfree.plan.stage import Cost, StageFunctions, stage_functions
@@ -26,6 +28,7 @@ from slipfree.solve.options import SolverOptions
 from slipfree.solve.system import with_inputs
 
 ALLOWED_DEGREES = (1, 2, 3, 4, 5)
+SAMPLE_STEP = 0.25  # largest time between samples of the simulation [s]
 
 
 class TimedCondition(NamedTuple):
@@ -55,6 +58,47 @@ class PlanTask:
 
     def __repr__(self) -> str:
         return field_overview(self)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """First mesh of a plan, and the accuracy to which it is refined.
+
+    Attributes
+    ----------
+    intervals, degree : int
+        Number of intervals, and number of collocation points per interval, 1 to 5.
+    continuous : bool
+        Whether inputs are continuous and linear on every interval; otherwise they are constant.
+    accuracy : float
+        Largest admissible difference of the simulation from the plan, in the unit of the quantity.
+        The admissible violation of a limit is the smaller of ``accuracy`` and 1 % of its range; for
+        equal bounds it is ``accuracy``. The mesh is refined where they are exceeded.
+    step : float
+        Largest time between samples of the simulation. [s]
+
+    Raises
+    ------
+    ModelError
+        If a number is out of its range.
+    """
+
+    intervals: Annotated[int, Ge(1), doc("number of intervals of the first mesh")] = 40
+    degree: Annotated[int, Ge(1), Le(5), doc("degree of the polynomials on an interval")] = 3
+    continuous: Annotated[
+        bool, doc("whether inputs are continuous and linear on intervals; otherwise constant")
+    ] = True
+    accuracy: Annotated[
+        float,
+        Gt(0),
+        Le(1),
+        Unit("m, rad"),
+        doc("largest deviation of the simulation from the plan and its limits"),
+    ] = 1e-3
+    step: Annotated[float, Gt(0), Unit("s")] = SAMPLE_STEP
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
 
 
 class CollocationMesh(NamedTuple):

@@ -20,7 +20,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Label, field_overview, leaves, overview
 from slipfree.core.trajectory import PLAN, SolverError, Stop, Trajectory, joined
 from slipfree.geometry.path import Path
-from slipfree.plan.plan import SAMPLE_STEP, Plan, plan
+from slipfree.plan.plan import Plan, plan
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
     SavedPlan,
@@ -31,8 +31,8 @@ from slipfree.plan.polynomial_motion import (
     transfer_motion,
 )
 from slipfree.plan.problem import Range, bounds_of
-from slipfree.plan.search import PlanProgress, SolvedStage, cost_terms
-from slipfree.plan.transcription import PlanTask, transcribe
+from slipfree.plan.search import PlanProgress, Search, SolvedStage, cost_terms
+from slipfree.plan.transcription import Mesh, PlanTask, transcribe
 from slipfree.plan.verification import simulate_plan
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
@@ -126,6 +126,7 @@ class _WindowSearch(NamedTuple):
     goal: Mapping[str, float | Range]
     progress: PlanProgress | None
     keep: Callable[[Plan, _HandOver, float], None]
+    mesh: Mesh
     arguments: Mapping[str, Any]
 
     def solve(self, here: _HandOver) -> tuple[Plan, float, tuple[SolvedStage, ...]]:
@@ -154,8 +155,11 @@ class _WindowSearch(NamedTuple):
             goal=self.goal if end == self.route.length else self.gate(guess),
             duration=float(guess.t[-1]),
             initial_inputs=here.inputs,
-            progress=progress and (lambda words, iterate: progress(f"{of}: {words}", iterate)),
-            keep=lambda unverified: self.keep(unverified, here, end),
+            mesh=self.mesh,
+            search=Search(
+                progress=progress and (lambda words, iterate: progress(f"{of}: {words}", iterate)),
+                keep=lambda unverified: self.keep(unverified, here, end),
+            ),
             **self.arguments,
         )
 
@@ -168,7 +172,7 @@ class _WindowSearch(NamedTuple):
         left = np.clip(1 - (s - here.reached) / min(self.overlap, end - here.reached), 0, 1)
         path = Path(points + away * (left**2 * (3 - 2 * left))[:, None])
         duration = (end - here.reached) / self.speed
-        t = np.linspace(0, duration, max(int(np.ceil(duration / self.arguments["step"])), 1) + 1)
+        t = np.linspace(0, duration, max(int(np.ceil(duration / self.mesh.step)), 1) + 1)
         rough = SolverOptions(tolerance=GUESS_TOLERANCE)
         try:
             return simulate(self.dae, here.run, self.law(path), t, options=rough)
@@ -211,7 +215,7 @@ def plan_windows(
     length: float,
     overlap: float,
     goal: Mapping[str, float | Range],
-    step: float = SAMPLE_STEP,
+    mesh: Mesh = Mesh(),
     options: SolverOptions = SolverOptions(),
     resume: SavedPlan | None = None,
     progress: PlanProgress | None = None,
@@ -238,18 +242,19 @@ def plan_windows(
             "expected a positive overlap shorter than the window, found an overlap "
             f"of {overlap:g} m and a window of {length:g} m; adjust one of them"
         )
-    own = {"step": step, "options": options, **arguments}
+    own = {"options": options, **arguments}
 
     def keep_first(planned: Plan, here: _HandOver, end: float) -> None:
         if keep is not None and not parts:
             part = _first_part(planned, (0.0, end), 0.0, 0.0, planned.stages)
             keep(_join([part], None, _stop_of(planned, here, end), dae, options))
 
-    search = _WindowSearch(dae, law, route, speed, length, overlap, goal, progress, keep_first, own)
+    window = speed, length, overlap, goal, progress, keep_first, mesh, own
+    search = _WindowSearch(dae, law, route, *window)
     bounds = bounds_of(dae, arguments.get("inputs") or {})
     here, parts, task, stop = _HandOver(start, {}, 0.0), list[_Part](), None, None
     if resume is not None:
-        former = _former_part(dae, start, resume, step, options)
+        former = _former_part(dae, start, resume, mesh.step, options)
         reached = search.nearest(former.replay, 0.0, route.length)
         parts.append(former._replace(window=former.window._replace(end=reached)))
         here = _HandOver(former.replay, _end_inputs(dae, former.motion, bounds), reached)

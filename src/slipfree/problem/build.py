@@ -22,7 +22,6 @@ from slipfree.files.maps.reference_systems import semi_major_axis
 from slipfree.files.tables import read_columns
 from slipfree.files.toml.source import Fault, ProblemError, name_errors, problem_error
 from slipfree.files.toml.source import Place as KeyPath
-from slipfree.files.toml.types import Piecewise
 from slipfree.geometry.path import Path
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.models.dynamics import dynamics
@@ -44,7 +43,6 @@ from slipfree.vehicle.gravity import foreign_map_words, gravity_words
 from slipfree.vehicle.tree import Vehicle
 
 DYNAMIC_TOLERANCE = 1e-6  # default tolerance of dynamics, whose motions are less smooth
-TIME_TOLERANCE = 1e-9  # relative difference of times that count as equal
 EVEN = 1e-6  # smaller relative differences of periods count as zero
 LAWS: dict[str, Mapping[str, Callable[..., Any]]] = {
     "kinematics": SLIP_LAWS,
@@ -121,33 +119,6 @@ def solver_options(problem: Problem[S]) -> SolverOptions:
     if is_dynamic and "tolerance" not in spec.solver.model_fields_set:
         return replace(options, tolerance=DYNAMIC_TOLERANCE)
     return options
-
-
-def samples(
-    time: schema.Time, inputs: Mapping[str, float | Piecewise]
-) -> tuple[Array, dict[str, float | Array]]:
-    """Return the sample times, including jumps of the inputs, and the rates by interval.
-
-    The times are from zero to the duration, shape (n,) [s]. An input is a constant rate, or pairs
-    of the time at which a rate begins and the rate; its rates are constant, or have shape (n - 1,)
-    [rad/s, m/s].
-    """
-    near = TIME_TOLERANCE * time.duration
-    regular = time.step * np.arange(int(time.duration / time.step) + 1)
-    jumps = [pair[0] for value in inputs.values() if isinstance(value, tuple) for pair in value]
-    t = np.sort(np.concatenate([regular, [time.duration], jumps]))
-    t = t[t <= time.duration]
-    t = t[np.append(True, np.diff(t) > near)]
-    t[-1] = time.duration
-    middles = (t[1:] + t[:-1]) / 2
-
-    def by_interval(value: float | Piecewise) -> float | Array:
-        if not isinstance(value, tuple):
-            return value
-        times, rates = (np.array(column) for column in zip(*value, strict=True))
-        return np.asarray(rates[np.searchsorted(times, middles, side="right") - 1])
-
-    return t, {name: by_interval(value) for name, value in inputs.items()}
 
 
 class SampledTimes(NamedTuple):
@@ -371,14 +342,19 @@ def build_law(
     """Return the inputs that the driving law of a problem computes from state and time."""
     with at(problem, ("driver",)):
         if driver.name == "straight":
-            if driver.path is not None or driver.file is not None:
-                key = "path" if driver.path is not None else "file"
-                raise ModelError(
-                    f"driver: expected no path with name = 'straight', found the key {key!r}; use "
-                    "name = 'follow', or remove the key"
-                )
+            check_without_path(driver)
             return straight(dae, vehicle, start, speed=driver.speed)
         return follow(dae, vehicle, Path(path_points(problem, driver)), speed=driver.speed)
+
+
+def check_without_path(driver: DriverTable) -> None:
+    """Raise ModelError for the path of a driver that drives straight."""
+    if driver.path is not None or driver.file is not None:
+        key = "path" if driver.path is not None else "file"
+        raise ModelError(
+            f"driver: expected no path with name = 'straight', found the key {key!r}; use "
+            "name = 'follow', or remove the key"
+        )
 
 
 def build_climbing(problem: Problem[Any], world: World) -> tuple[Dae, Any]:

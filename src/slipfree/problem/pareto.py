@@ -120,8 +120,9 @@ def plan_front(
     weight = f"{_key('costs', against)}={problem.spec.costs.get(against, 0.0)!r}"
     measured = () if against == DURATION else (weight,)  # by which the plan reports the objective
     given = begin("plan of the problem", measured, None)
-    least = begin(f"least {against}", _least_settings(problem, against), given)
-    slip = _slip_settings(problem, against)
+    durations = _durations(problem, given)
+    least = begin(f"least {against}", _least_settings(problem, against, durations), given)
+    slip = _slip_settings(problem, against, durations[1] if against == DURATION else None)
     best = begin("least slip", slip, given)
     other = begin("least slip from the initial guess", slip, None, is_needed=False)
     best = other if is_better(other, best) else best
@@ -180,32 +181,33 @@ def _without(problem: Problem[PlanKeys], *kept: str) -> SettingTexts:
     return tuple(f"{_key('costs', name)}=" for name in problem.spec.costs if name not in kept)
 
 
-def _longest(problem: Problem[PlanKeys]) -> tuple[float, float]:
-    """Return the smallest and the largest duration of the plans of a front [s]."""
-    duration = problem.spec.plan.duration or problem.spec.time.duration
-    low, high = duration if isinstance(duration, tuple) else (SHORTEST * duration, duration)
+def _durations(problem: Problem[PlanKeys], given: FrontPoint) -> tuple[float, float]:
+    """Return the smallest and the largest duration of the plans of a front [s].
+
+    A problem without durations has those up to the duration of its plan, ``given``.
+    """
+    low, high = problem.spec.plan.duration or 2 * (given.solution.duration,)
     return (low, high) if low < high else (SHORTEST * high, high)
 
 
-def _least_settings(problem: Problem[PlanKeys], against: str) -> SettingTexts:
+def _least_settings(
+    problem: Problem[PlanKeys], against: str, durations: tuple[float, float]
+) -> SettingTexts:
     """Return the settings of the plan of least second objective."""
     # Smoothness would increase the second objective.
     smooth = "plan.smooth=0.0"
     if against == DURATION:
-        low, high = _longest(problem)
+        low, high = durations
         spans = f"plan.duration=[{low!r}, {high!r}]"
         return (*_without(problem, TIME), f"costs.{TIME}=1.0", spans, smooth)
     weight = problem.spec.costs.get(against) or 1.0
     return (*_without(problem, against), f"{_key('costs', against)}={weight!r}", smooth)
 
 
-def _slip_settings(
-    problem: Problem[PlanKeys], against: str, bound: float | None = None
-) -> SettingTexts:
+def _slip_settings(problem: Problem[PlanKeys], against: str, bound: float | None) -> SettingTexts:
     """Return the settings of the plan of least slip, with a bound on the second objective."""
     if against == DURATION:
-        longest = _longest(problem)[1] if bound is None else bound
-        return (*_without(problem, SLIP), f"plan.duration={longest!r}")
+        return (*_without(problem, SLIP), f"plan.duration={bound!r}")
     kept = (*_without(problem, SLIP, against), f"{_key('costs', against)}=0.0")
     return kept if bound is None else (*kept, f"{_key('cost_limits', against)}={bound!r}")
 

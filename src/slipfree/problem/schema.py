@@ -441,7 +441,7 @@ class Timed(CommonKeys):
         if time.step > time.duration:
             expected = f"at most the duration, {time.duration:g} s"
             yield Fault(("time", "step"), expected, f"{time.step:g} s; reduce the step")
-        elif time.duration / time.step > MAX_SAMPLES:
+        elif inf > time.duration > MAX_SAMPLES * time.step:
             expected = f"a step with at most {MAX_SAMPLES} samples in {time.duration:g} s"
             yield Fault(("time", "step"), expected, f"{time.step:g} s; increase the step")
 

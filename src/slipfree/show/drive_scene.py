@@ -13,7 +13,7 @@ from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory, stop_words
 from slipfree.files.urdf.links import Robot, poses_on_map, wheel_name
 from slipfree.files.urdf.tree import UrdfJoint
-from slipfree.geometry.mesh import Mesh
+from slipfree.geometry.mesh import TriangleMesh
 from slipfree.geometry.regions import Region
 from slipfree.models.samples import FramePoses, part_poses, wheel_poses
 from slipfree.routing.traversability import extents, nodes_at, traversability
@@ -76,7 +76,7 @@ class Driven(NamedTuple):
     plan: Trajectory | None = None  # the plan that the motion simulates, with contact points
     prisms: tuple[Prism, ...] = ()  # solids on the ground
     robot: Robot | None = None  # URDF of the vehicle; None without one
-    visuals: Mapping[str, Mesh] = {}  # of links of the URDF, in their frames, by name
+    visuals: Mapping[str, TriangleMesh] = {}  # of links of the URDF, in their frames, by name
 
 
 def drive_scene(drives: Sequence[Driven]) -> Scene:
@@ -116,7 +116,7 @@ def actors_of(drives: Sequence[Driven], origin: Array) -> list[Actor]:
     return actors
 
 
-def solid_mesh(prism: Prism, window: Window, bottom: float, origin: Array) -> Mesh:
+def solid_mesh(prism: Prism, window: Window, bottom: float, origin: Array) -> TriangleMesh:
     """Return the mesh of a prism above ``bottom``, relative to an origin, in the drawn part [m]."""
     west, east, south, north = window
     reach = np.hypot(east - west, north - south) / 2
@@ -130,12 +130,12 @@ def solid_mesh(prism: Prism, window: Window, bottom: float, origin: Array) -> Me
         for sign in (-1, 1)
     ]
     if len(corners) < 3 or sides[0] == sides[1]:
-        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint32))
+        return TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint32))
     outline = np.insert(corners, 1, sides[0], axis=1) @ axes.T + place - origin
     return extruded(outline, (sides[1] - sides[0]) * axes[:, 1])
 
 
-def _with_solids(ground: SceneGround, solids: Sequence[Mesh]) -> SceneGround:
+def _with_solids(ground: SceneGround, solids: Sequence[TriangleMesh]) -> SceneGround:
     """Return a ground with meshes of solids, which are gray in every layer."""
     if not solids:
         return ground
@@ -148,7 +148,7 @@ def _with_solids(ground: SceneGround, solids: Sequence[Mesh]) -> SceneGround:
 
 
 def _backdrop(
-    first: Driven, window: Window, origin: Array, reach: float, solids: Sequence[Mesh]
+    first: Driven, window: Window, origin: Array, reach: float, solids: Sequence[TriangleMesh]
 ) -> Backdrop:
     """Return the ground of a film: shaded in plan view, and a surface around the vehicle."""
     terrain = first.terrain

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import scipy  # scipy.spatial is imported when it is used
 
 from slipfree.core.records import Array
-from slipfree.geometry.mesh import Mesh, sheet
+from slipfree.geometry.mesh import TriangleMesh, sheet
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.vehicle.sections import Sphere
 from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
@@ -25,14 +25,14 @@ NEAR = 1e-9  # smaller lengths count as zero [m]
 MOST = 60_000  # maximum number of added nodes
 
 
-def joined(*meshes: Mesh) -> Mesh:
+def joined(*meshes: TriangleMesh) -> TriangleMesh:
     """Return several meshes as one."""
     starts = np.cumsum([0, *(len(each.vertices) for each in meshes)])
     faces = [each.faces + np.uint32(start) for each, start in zip(meshes, starts, strict=False)]
-    return Mesh(np.concatenate([each.vertices for each in meshes]), np.concatenate(faces))
+    return TriangleMesh(np.concatenate([each.vertices for each in meshes]), np.concatenate(faces))
 
 
-def spokes(radius: float) -> Mesh:
+def spokes(radius: float) -> TriangleMesh:
     """Return the mesh of four spokes about the x axis, one of them thicker, for a radius [m]."""
     angles = 2 * np.pi * np.arange(SPOKES) / SPOKES
     ends = [(0.0, float(radius * np.cos(a)), float(radius * np.sin(a))) for a in angles]
@@ -42,7 +42,7 @@ def spokes(radius: float) -> Mesh:
     )
 
 
-def roller_axles(radius: float, angle: float) -> Mesh:
+def roller_axles(radius: float, angle: float) -> TriangleMesh:
     """Return the mesh of the axles of rollers around the x axis, on the tread of a wheel.
 
     The angle from the wheel's axle is that of `slipfree.vehicle.sections.Omni` [rad].
@@ -56,7 +56,9 @@ def roller_axles(radius: float, angle: float) -> Mesh:
     return joined(*rods)
 
 
-def rod(start: Sequence[float] | Array, end: Sequence[float] | Array, radius: float) -> Mesh:
+def rod(
+    start: Sequence[float] | Array, end: Sequence[float] | Array, radius: float
+) -> TriangleMesh:
     """Return the mesh of an eight-sided prism between two points [m]."""
     ends = np.array([start, end], dtype=float)
     along = ends[1] - ends[0]
@@ -69,7 +71,7 @@ def rod(start: Sequence[float] | Array, end: Sequence[float] | Array, radius: fl
     return extruded(ends[0] + radius * round_, ends[1] - ends[0])
 
 
-def extruded(outline: Array, along: Sequence[float] | Array) -> Mesh:
+def extruded(outline: Array, along: Sequence[float] | Array) -> TriangleMesh:
     """Return the mesh of a convex outline extruded along a vector, with closed ends [m]."""
     n = len(outline)
     side = sheet(np.stack([outline, outline + np.asarray(along)], axis=1), closed=(True, False))
@@ -77,13 +79,13 @@ def extruded(outline: Array, along: Sequence[float] | Array) -> Mesh:
     fan = np.stack([np.zeros_like(k), k, k + 1], axis=1)
     # Each end has vertices of its own, so that edges stay sharp when normals are averaged.
     caps = [
-        Mesh(outline, fan[:, ::-1].astype(np.uint32)),
-        Mesh(outline + np.asarray(along), fan.astype(np.uint32)),
+        TriangleMesh(outline, fan[:, ::-1].astype(np.uint32)),
+        TriangleMesh(outline + np.asarray(along), fan.astype(np.uint32)),
     ]
     return joined(side, *caps)
 
 
-def shape_mesh(shape: BodyShape) -> Mesh:
+def shape_mesh(shape: BodyShape) -> TriangleMesh:
     """Return the mesh of a shape of a body, in the frame of its part."""
     if isinstance(shape, Ball):
         ball = Sphere(shape.radius).mesh()
@@ -93,19 +95,19 @@ def shape_mesh(shape: BodyShape) -> Mesh:
         rotation, origin = (np.array(ca.evalf(each)) for each in shape.pose)
         points = points @ rotation.T + origin.T
     if np.linalg.matrix_rank(points - points[0], tol=NEAR) < 3:  # no surface
-        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.uint32))
+        return TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.uint32))
     hull = scipy.spatial.ConvexHull(points)
     corners = points[hull.simplices]
     sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     inward = (sides * hull.equations[:, :3]).sum(axis=1) < 0
     corners[inward] = corners[inward, ::-1]
     # faces have vertices of their own, so that edges stay sharp when normals are averaged
-    return Mesh(
+    return TriangleMesh(
         corners.reshape(-1, 3), np.arange(corners.size // 3, dtype=np.uint32).reshape(-1, 3)
     )
 
 
-def plate(half_width: float, rear: float, front: float, thickness: float) -> Mesh:
+def plate(half_width: float, rear: float, front: float, thickness: float) -> TriangleMesh:
     """Return the mesh of a flat plate, x right, y forward, pointed at the front; lengths in m."""
     shoulder = front - 0.25 * (front - rear)
     corners = (
@@ -156,17 +158,17 @@ class Refined(NamedTuple):
         """Distance between nodes in divided cells, the larger of x and y [m]."""
         return float(max(self.grid.spacing)) / self.parts
 
-    def mesh(self, origin: Array) -> Mesh:
+    def mesh(self, origin: Array) -> TriangleMesh:
         """Return the surface relative to an origin: nodes of the grid, then of divided cells."""
         x, y, z = self.grid.x, self.grid.y, self.grid.z
         points = np.stack(np.broadcast_arrays(x[:, None], y[None, :], z), axis=-1)
         whole, empty = sheet(points - origin), self._empty()
         kept = np.repeat(~(self.near | empty).ravel(), 2)  # a cell has two faces
         if not self.near.any():
-            return Mesh(whole.vertices, whole.faces[kept])
+            return TriangleMesh(whole.vertices, whole.faces[kept])
         x, y = self._places()
         tiles = np.stack([x, y, self._sealed(self.terrain.elevation(x, y))], axis=-1) - origin
-        return joined(Mesh(whole.vertices, whole.faces[kept]), *map(sheet, tiles))
+        return joined(TriangleMesh(whole.vertices, whole.faces[kept]), *map(sheet, tiles))
 
     def spread(self, colors: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Return colours of all nodes of the mesh, interpolated from those of the grid."""

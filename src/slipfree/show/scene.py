@@ -18,7 +18,7 @@ from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
 from slipfree.core.records import Array
-from slipfree.geometry.mesh import Mesh
+from slipfree.geometry.mesh import TriangleMesh
 from slipfree.show import style
 from slipfree.show.ground_drawing import Window
 from slipfree.show.meshes import plate
@@ -69,7 +69,7 @@ class Lines(NamedTuple):
 class SceneGround(NamedTuple):
     """Ground of a scene."""
 
-    mesh: Mesh
+    mesh: TriangleMesh
     layers: tuple[Layer, ...]  # colourings to choose from
     shade: Array | None = None  # shape (n,): brightness of the vertices in a hillshade
     lines: tuple[Lines, ...] = ()  # lines on the surface: contours, grid, arrow to the north
@@ -86,7 +86,9 @@ class SceneBody(NamedTuple):
     """A rigid body over time."""
 
     name: str  # name of the part or the wheel
-    meshes: tuple[tuple[Mesh, Color], ...]  # meshes in the frame of the body, with their colours
+    meshes: tuple[
+        tuple[TriangleMesh, Color], ...
+    ]  # meshes in the frame of the body, with their colours
     origins: Array  # shape (n, 3): origins of the body's frame in the scene [m]
     rotations: Array  # shape (n, 3, 3): from the body's frame to the scene
 
@@ -197,7 +199,7 @@ def layer(name: str, values: Array, legend: str, low: float, high: float) -> Lay
     return Layer(name, legend, ends, scale(parts, bytes=True)[:, :3])
 
 
-def chassis(positions: Array, span: tuple[float, float], radius: float) -> Mesh:
+def chassis(positions: Array, span: tuple[float, float], radius: float) -> TriangleMesh:
     """Return the plate of a part from rear to front, in the part's frame, x right [m]."""
     half = NARROW * float(np.abs(positions[:, 0]).max())
     return plate(half, *span, PLATE * radius)

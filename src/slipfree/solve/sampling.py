@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -24,8 +24,37 @@ STRIDE = 16  # samples per singular value, which would take as long as all other
 SOLVED_RESIDUAL = 1e-12  # residual, without unit, at which a sample needs no further step
 UNSOLVED_RESIDUAL = 1e-10  # residual of a sample above which it exceeds rounding
 ROUNDING_STEP = 1e-13  # step, in typical sizes, below which only rounding is left
+TIME_TOLERANCE = 1e-9  # relative difference of times that count as equal
 TURN = 2 * np.pi
 ROUNDING = 1e-7  # relative difference of expressions that counts as rounding
+Piecewise = tuple[tuple[float, float], ...]
+
+
+def input_samples(
+    duration: float, step: float, inputs: Mapping[str, float | Piecewise]
+) -> tuple[Array, dict[str, float | Array]]:
+    """Return the sample times, including jumps of the inputs, and the rates by interval.
+
+    The times are from zero to the duration, shape (n,) [s]. An input is a constant rate, or pairs
+    of the time at which a rate begins and the rate; its rates are constant, or have shape (n - 1,)
+    [rad/s, m/s].
+    """
+    near = TIME_TOLERANCE * duration
+    regular = step * np.arange(int(duration / step) + 1)
+    jumps = [pair[0] for value in inputs.values() if isinstance(value, tuple) for pair in value]
+    t = np.sort(np.concatenate([regular, [duration], jumps]))
+    t = t[t <= duration]
+    t = t[np.append(True, np.diff(t) > near)]
+    t[-1] = duration
+    middles = (t[1:] + t[:-1]) / 2
+
+    def by_interval(value: float | Piecewise) -> float | Array:
+        if not isinstance(value, tuple):
+            return value
+        times, rates = (np.array(column) for column in zip(*value, strict=True))
+        return np.asarray(rates[np.searchsorted(times, middles, side="right") - 1])
+
+    return t, {name: by_interval(value) for name, value in inputs.items()}
 
 
 class Samples(NamedTuple):

@@ -18,7 +18,7 @@ import numpy as np
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 from slipfree.core.schema import Length
-from slipfree.geometry.mesh import Mesh, sheet
+from slipfree.geometry.mesh import TriangleMesh, sheet
 
 AXLE = ca.SX(ca.DM([1, 0, 0]))  # direction of the axle in the wheel's axes
 FACES_AROUND, FACES_ACROSS = 36, 6  # faces of a mesh around the wheel, and across its tread
@@ -149,7 +149,7 @@ class Section(ABC):
         x, rho = _curve(self, flat.size)(flat)
         return x.full().reshape(np.shape(u)), rho.full().reshape(np.shape(u))
 
-    def mesh(self) -> Mesh:
+    def mesh(self) -> TriangleMesh:
         """Return a mesh of the wheel's surface about the x axis, for drawings.
 
         If the edges of the tread do not reach the axle, the mesh is a ring; its inner side mirrors

@@ -17,7 +17,7 @@ from slipfree.core.records import Array
 from slipfree.files.urdf.tree import MeshFile, Shape
 from slipfree.files.urdf.xacro import package_folders
 from slipfree.files.vehicle_draft import MAX_LENGTH, rotation_of, vector_of
-from slipfree.geometry.mesh import Mesh
+from slipfree.geometry.mesh import TriangleMesh
 from slipfree.system.processes import ProcessDiedError, bounded_call, bounded_read
 from slipfree.system.regular_files import read_bytes
 
@@ -73,7 +73,7 @@ class MeshFiles:
     """Files of meshes, read in one process with limits, since damaged files may hang or crash."""
 
     def __init__(self, meshes: Iterable[MeshFile], folder: Path) -> None:
-        self._read: dict[str, Mesh | DataError] = {}
+        self._read: dict[str, TriangleMesh | DataError] = {}
         files: dict[str, Path] = {}
         for name in dict.fromkeys(mesh.name for mesh in meshes):
             try:
@@ -83,14 +83,14 @@ class MeshFiles:
         if files:
             self._read |= zip(files, _read_files([*files.values()]), strict=True)
 
-    def triangles(self, mesh: MeshFile) -> Mesh:
+    def triangles(self, mesh: MeshFile) -> TriangleMesh:
         """Return the triangles of a mesh in the frame of its link, or raise its DataError."""
         read = self._read[mesh.name]
         if isinstance(read, DataError):
             raise read
         vertices: Array = read.vertices * mesh.scale @ rotation_of(mesh.turned).T + mesh.at
         is_mirrored = np.prod(mesh.scale) < 0
-        return Mesh(vertices, read.faces[:, ::-1] if is_mirrored else read.faces)
+        return TriangleMesh(vertices, read.faces[:, ::-1] if is_mirrored else read.faces)
 
 
 def unit_words(mesh: MeshFile, factor: float) -> str:
@@ -119,7 +119,7 @@ def unit_factor(radii: Array, centers: Array, axle: Array, own: int) -> float | 
     return next((unit for unit in UNITS if low <= unit * radius / extent <= high), 1.0)
 
 
-def _read_files(paths: Sequence[Path]) -> list[Mesh | DataError]:
+def _read_files(paths: Sequence[Path]) -> list[TriangleMesh | DataError]:
     if find_spec("trimesh") is None:
         return [DataError(missing_package("trimesh", "urdf")) for _ in paths]
     size = sum(path.stat().st_size for path in paths)
@@ -129,18 +129,18 @@ def _read_files(paths: Sequence[Path]) -> list[Mesh | DataError]:
         return [_attempt(bounded_read, _read_file, path) for path in paths]
 
 
-def _attempt(read: Callable[..., Mesh], *arguments: Any) -> Mesh | DataError:
+def _attempt(read: Callable[..., TriangleMesh], *arguments: Any) -> TriangleMesh | DataError:
     try:
         return read(*arguments)
     except DataError as error:
         return error
 
 
-def _read_each(paths: Sequence[Path]) -> list[Mesh | DataError]:
+def _read_each(paths: Sequence[Path]) -> list[TriangleMesh | DataError]:
     return [_attempt(_read_file, path) for path in paths]
 
 
-def _read_file(path: Path) -> Mesh:
+def _read_file(path: Path) -> TriangleMesh:
     """Return the triangles in a file in metres; raise DataError if it cannot be read."""
     import trimesh
 
@@ -165,7 +165,7 @@ def _read_file(path: Path) -> Mesh:
             f"expected a mesh of points with finite coordinates, found none in {path.name!r}; "
             "export it again"
         )
-    return Mesh(vertices, faces)
+    return TriangleMesh(vertices, faces)
 
 
 def find_mesh(name: str, folder: Path) -> Path:

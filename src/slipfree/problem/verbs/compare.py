@@ -20,13 +20,13 @@ from slipfree.problem.build import (
     build_terrain,
     build_vehicle,
     check_names,
-    samples,
 )
 from slipfree.problem.build_ground import GroundMap, at, build_ground
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import INPUTS, VERB, DriverTable, TerrainKeys, VehicleSource
 from slipfree.problem.verbs.base import Verb
 from slipfree.solve.options import SolverOptions
+from slipfree.solve.sampling import input_samples
 from slipfree.solve.simulate import simulate
 from slipfree.solve.system import with_inputs
 from slipfree.system.interrupt import interrupt_requested
@@ -113,7 +113,7 @@ def _compared(problem: Problem[Compare], name: str, vehicle: Vehicle, dae: Dae) 
     free = {f"{wheel.name}_rate" for wheel in vehicle.wheels if not wheel.driven}
     rates = {key: rate for key, rate in spec.inputs.items() if key not in free}
     check_names(problem, dae, {**dict.fromkeys(known, 0.0), **rates})
-    t, _ = samples(spec.time, {})
+    t, _ = input_samples(spec.time.duration, spec.time.step, {})
     same = dae.inputs(**{key: rates.get(key, 0.0) for key in known})
     law = build_law(problem, spec.driver, dae, vehicle, start)
     drives = [_drive(vehicle, dae, start, inputs, t, options) for inputs in (same, law)]

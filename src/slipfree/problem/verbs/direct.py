@@ -31,7 +31,6 @@ from slipfree.problem.build import (
     check_names,
     model_law,
     sampled_times,
-    samples,
     solver_options,
 )
 from slipfree.problem.build_ground import at
@@ -49,6 +48,7 @@ from slipfree.problem.schema import (
 from slipfree.problem.verbs.base import CROSS_CHECK, CrossCheck, Result, Watch, integrate
 from slipfree.problem.verbs.drive_facts import FORMULATION
 from slipfree.problem.verbs.driving import DriveVerb, model_attributes
+from slipfree.solve.sampling import input_samples
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
@@ -233,7 +233,7 @@ class DirectVerb(DriveVerb):
         if is_climbing:
             dae, climbing_inputs = build_climbing(problem, world)
         start = build_start(problem, dae)
-        (t, rates), every = samples(spec.time, constants or {}), 0
+        (t, rates), every = input_samples(spec.time.duration, spec.time.step, constants or {}), 0
         if spec.formulation == "montana":
             with at(problem, ("formulation",)):
                 if spec.model != "kinematics":

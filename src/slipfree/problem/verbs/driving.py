@@ -18,7 +18,7 @@ from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.cf import MAP_TRANSFORM, encode_map_coordinates
 from slipfree.files.urdf.meshes import FORMATS, MeshFiles, find_mesh
-from slipfree.geometry.mesh import Mesh
+from slipfree.geometry.mesh import TriangleMesh
 from slipfree.laws.soil import Soil
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.records import is_determinate
@@ -205,11 +205,11 @@ class DriveVerb(MotionVerb):
         }
 
 
-def visual_meshes(file: VehicleFile | None) -> dict[str, Mesh]:
+def visual_meshes(file: VehicleFile | None) -> dict[str, TriangleMesh]:
     """Return the meshes of the links of a URDF by name, those that the result used and exist."""
     from slipfree.show.meshes import joined
 
-    visuals: dict[str, Mesh] = {}
+    visuals: dict[str, TriangleMesh] = {}
     if file is None or file.robot is None:
         return visuals
     folder, known = Path(file.robot.tree.file).parent, []

@@ -48,7 +48,6 @@ from slipfree.problem.build import (
     build_vehicle,
     check_names,
     heading_offset,
-    samples,
 )
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.problem import Problem
@@ -67,6 +66,7 @@ from slipfree.problem.verbs.inverse_schema import ROBOT, Inverse, are_commands, 
 from slipfree.solve.collocation import drive
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.replay import apply_inputs, replay, round_trip, spline_inputs, trim_states
+from slipfree.solve.sampling import input_samples
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Coordinate, Vehicle
 
@@ -416,7 +416,7 @@ def _inputs(spec: Inverse, dae: Dae, given: Mapping[str, Any]) -> tuple[Array, A
     texts = {name: value for name, value in given.items() if isinstance(value, str)}
     formulas = {name: evaluate(text, {"t": dae.t}) for name, text in texts.items()}
     numbers = {name: value for name, value in given.items() if name not in formulas}
-    t, rates = samples(spec.time, numbers)
+    t, rates = input_samples(spec.time.duration, spec.time.step, numbers)
     first = {
         name: value[0] if isinstance(value, np.ndarray) else value for name, value in rates.items()
     }

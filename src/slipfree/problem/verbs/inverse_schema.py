@@ -17,11 +17,11 @@ from slipfree.files.toml.source import Fault, format_value, problem_error
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import Angles, Column, Piecewise, Record, TimeFunction, bare_words
 from slipfree.models.given_rates import COMMANDS
-from slipfree.problem.build import samples
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.schema import FILE, VERB, MotionKeys, TerrainKeys, Time
 from slipfree.problem.units import check_time_unit
+from slipfree.solve.sampling import input_samples
 from slipfree.vehicle.formula import evaluate
 
 ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_y to the left
@@ -172,7 +172,7 @@ def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -
 
 def _check_formula(text: str, time: Time) -> None:
     """Raise ModelError for a formula that is not a function of t or not finite at a sample."""
-    t, symbol = samples(time, {})[0], ca.SX.sym("t")
+    t, symbol = input_samples(time.duration, time.step, {})[0], ca.SX.sym("t")
     try:
         value = evaluate(text, {"t": symbol})
     except ModelError as error:

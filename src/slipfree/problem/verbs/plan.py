@@ -28,6 +28,7 @@ from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.plan.constraints import missed_words
+from slipfree.plan.guess import settled_start
 from slipfree.plan.ipopt import (
     SOLVED_STATUS,
     STOPPED_STATUS,
@@ -74,8 +75,6 @@ from slipfree.problem.verbs.plan_setup import (
     Planning,
     build_planning,
     long_plan,
-    plan_arguments,
-    settled_start,
 )
 from slipfree.routing.traversability import Traversability, traversability
 from slipfree.solve.options import SolverOptions
@@ -133,19 +132,19 @@ class PlanVerb(DriveVerb):
             progress = (lambda *_: False) if is_interrupted else progress
         with at(problem, ("driver" if spec.driver else "inputs",)):
             guesses = [] if resume else [guess_motion(setup, start) for start in setup.starts]
-        length = resume.motion.duration if resume else float(guesses[0].t[-1])
+        duration = resume.motion.duration if resume else setup.duration
 
         def described(plan: Plan, run: Trajectory) -> tuple[Trajectory, Mapping[str, Array]]:
             run, arrays = _described(setup, plan, run, facts)
             lines = [np.stack([guess["x"], guess["y"]], axis=1) for guess in guesses]
-            drawn = _lines_as_arrays("guess", lines) | _lines_as_arrays("route", setup.paths)
+            drawn = _lines_as_arrays("guess", lines) | _lines_as_arrays("route", setup.guide.paths)
             return run, {**arrays, **drawn}
 
         def keep(plan: Plan) -> None:
             run, arrays = described(plan, plan.replay)
             watch.keep(VerbSolution(run, setup, arrays))
 
-        plan = find_plan(problem, setup, guesses, resume, progress, length, keep=keep)
+        plan = find_plan(problem, setup, guesses, resume, progress, duration, keep=keep)
         tested = Tested(plan)
         if spec.plan.robust is not None and plan.accurate:
             keep(replace(plan, replay=replace(plan.replay, stop=UNTESTED)))
@@ -174,8 +173,6 @@ class PlanVerb(DriveVerb):
         resume: SavedPlan | None,
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the simulated motion of a plan in windows, and the plan as arrays."""
-        spec, model = problem.spec, (setup.dae, setup.vehicle, setup.terrain)
-        arguments = plan_arguments(spec, setup.keep_out, model, setup.between)
 
         def described(plan: LongPlan) -> tuple[Trajectory, Mapping[str, Array]]:
             windows = Fact([window._asdict() for window in plan.windows])
@@ -185,7 +182,7 @@ class PlanVerb(DriveVerb):
             run, arrays = described(plan)
             watch.keep(VerbSolution(run, setup, arrays))
 
-        plan = long_plan(problem, setup, setup.paths[0], arguments, resume, progress, keep)
+        plan = long_plan(problem, setup, resume, progress, keep)
         run, arrays = described(plan)
         diagnostics = {"by_friction": lambda run: run.with_facts(_by_friction(setup, plan))}
         return with_diagnostics(run, diagnostics, watch, setup, arrays), arrays
@@ -407,7 +404,7 @@ def _by_stiffness(
     step, options = setup.spec.time.step, setup.spec.solver.options
 
     def drive() -> Trajectory:
-        start = settled_start(model, setup.start, setup.spec)
+        start = settled_start(model, setup.start, setup.spec.solver.options)
         return simulate_plan(model, start, plan.motion, step=step, options=options)
 
     return _simulated("stiff", plan, drive)
@@ -462,7 +459,7 @@ def _slowly(setup: Planning, plan: Plan) -> dict[str, Fact]:
     run = plan.run
     try:
         model: Dae = quasi_statics(setup.vehicle, setup.terrain)
-        start = settled_start(model, setup.start, setup.spec)
+        start = settled_start(model, setup.start, setup.spec.solver.options)
         wheels = [
             name for name, w in zip(run.wheels, setup.vehicle.wheels, strict=True) if w.driven
         ]

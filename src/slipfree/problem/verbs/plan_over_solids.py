@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,7 +35,6 @@ from slipfree.problem.build import (
     build_start,
     build_world,
     level_section,
-    samples,
     solver_options,
 )
 from slipfree.problem.build_ground import at
@@ -42,6 +42,7 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.schema import STEP_CLIMBING, Modelled
 from slipfree.problem.verbs.base import Watch, integrate
 from slipfree.problem.verbs.plan_schema import GuideTable, PlanKeys
+from slipfree.solve.sampling import input_samples
 from slipfree.terrain.solids import Profile
 
 KEYS = {
@@ -99,7 +100,7 @@ def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
             tracked_plan(plan.parts), **driver.control.model_dump(exclude_unset=True)
         )
     dae = climbing(world.dae, world.vehicle, tracking)
-    start, (t, _) = build_start(problem, dae), samples(spec.time, {})
+    start, (t, _) = build_start(problem, dae), input_samples(spec.time.duration, spec.time.step, {})
     inputs = dae.inputs(reference_speed=driver.speed)
     driven = f"plan over solids, tracked at {driver.speed:g} m/s before and after it"
     setup = world.ground, world.terrain, world.vehicle, world.dae, dae, start, inputs, t, driven
@@ -113,6 +114,10 @@ def _faults(spec: PlanKeys) -> Iterator[Fault]:
         found = "another guide; change it"
         yield Fault(("driver", "name"), f"{STEP_CLIMBING!r} for a plan over solids", found)
         return
+    if spec.time.duration == inf:
+        yield Fault(
+            ("time", "duration"), "the duration of the simulation of the plan", "none; add it"
+        )
     tables["driver.control"] = spec.driver.control
     for name, table in tables.items():
         keys = {*table} if isinstance(table, Mapping) else table.model_fields_set

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal
+from math import inf
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -12,10 +12,21 @@ from pydantic import Field
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 from slipfree.files.toml.source import Fault, ProblemError
-from slipfree.files.toml.source import Place as KeyPath
-from slipfree.files.toml.types import NonNegative, Pair, PiecewiseConstant, Positive, Range, Record
+from slipfree.files.toml.types import (
+    NonNegative,
+    Pair,
+    PiecewiseConstant,
+    Positive,
+    Quantity,
+    Range,
+    Record,
+    record_of,
+)
 from slipfree.geometry.regions import Region
-from slipfree.problem.build import heading_offset, path_points
+from slipfree.plan.guess import ground_routes
+from slipfree.plan.search import Search
+from slipfree.plan.transcription import SAMPLE_STEP, Mesh
+from slipfree.problem.build import check_without_path, path_points
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import (
@@ -26,10 +37,9 @@ from slipfree.problem.schema import (
     HeightErrors,
     Modelled,
     RegionTable,
-    TerrainKeys,
+    Time,
     region_of,
 )
-from slipfree.routing.search import route, routes
 from slipfree.routing.traversability import Traversability
 
 MAX_INTERVALS = 2000  # a plan with more needs gigabytes and hours; windows divide it
@@ -45,9 +55,10 @@ class GuideTable(ClimbingDriver):
         "drive forwards and backwards along the shortest path of a car on even ground; "
         "'step-climbing': plan of a step climber over solids"
     )
-    turning_radius: NonNegative = Field(
-        default=1.0,
-        description="smallest turning radius of a route, or of the shortest path of a car [m]",
+    turning_radius: NonNegative | None = Field(
+        default=None,
+        description="smallest turning radius of a route, or of the shortest path of a car; "
+        "default: that of the driving law [m]",
     )
     paths: Annotated[
         tuple[Annotated[tuple[Pair, ...], Field(strict=False)], ...] | None,
@@ -97,32 +108,30 @@ class Robust(Record):
     )
 
 
-class Search(Record):
+class PlanTime(Time):
+    """Sampling of the motion, and duration of the initial guess."""
+
+    duration: Positive = Field(
+        default=inf,
+        description="duration of the initial guess with [inputs]; longest one with a driver, by "
+        "default up to the goal [s]",
+    )
+    step: Positive = Field(default=SAMPLE_STEP, description="time between samples [s]")
+
+
+OfMesh: Any = record_of(Mesh, omitted=("step",))
+Options: Any = record_of(Search, OfMesh)
+
+
+class PlanTable(Options):  # type: ignore[misc]
     """Options of the search for a plan."""
 
-    intervals: Annotated[int, Field(ge=1)] = Field(
-        default=40, description="number of intervals of the first mesh"
-    )
-    degree: Annotated[int, Field(ge=1, le=5)] = Field(
-        default=3, description="degree of the polynomials on an interval"
-    )
     duration: Range = Field(
-        default=None, description="duration of the plan; default: that of the initial guess [s]"
+        default=None,
+        description="duration of the plan; default: half to twice that of the initial guess [s]",
     )
     smooth: NonNegative = Field(
         default=0.0, description="weight of the squared rates of the inputs [1]"
-    )
-    continuous: bool = Field(
-        default=True,
-        description="whether inputs are continuous and linear on intervals; otherwise constant",
-    )
-    starts: Annotated[int, Field(ge=1, le=1000)] = Field(
-        default=1,
-        description="number of starts, in parallel processes: routes, the guess, reversed gears, "
-        "perturbed inputs; the verified plan of least cost is returned",
-    )
-    seed: Annotated[int, Field(ge=0)] = Field(
-        default=0, description="seed of the perturbations of the starts"
     )
     window: Positive | None = Field(
         default=None,
@@ -141,10 +150,6 @@ class Search(Record):
         default=False,
         description="with model = 'dynamics': whether wheels may slide, as in a turn of a "
         "skid-steered vehicle; otherwise they roll within the limits of friction",
-    )
-    accuracy: Annotated[float, Field(gt=0, le=1)] = Field(
-        default=1e-3,
-        description="largest deviation of the simulation from the plan and its limits [m, rad]",
     )
 
 
@@ -170,7 +175,11 @@ class PlanKeys(Modelled):
     accelerations: dict[str, Range] = Field(
         default={}, description="ranges of the time derivatives of the inputs [rad/s2, m/s2]"
     )
-    plan: Search = Field(default=Search(), description="options of the search")
+    plan: PlanTable = Field(default=PlanTable(), description="options of the search")
+    time: PlanTime = Field(default=PlanTime(), description="sampling, and duration of the guess")
+    start: dict[str, Quantity] = Field(
+        default={}, description="as in other problems; zero by default [m, rad, m/s]"
+    )
     keep_out: Annotated[tuple[KeepOut, ...], Field(strict=False)] = Field(
         default=(), description="regions that no wheel may touch"
     )
@@ -182,18 +191,22 @@ class PlanKeys(Modelled):
         default=None, description=f"inputs of the initial guess, rates with any model: {INPUTS}"
     )
     driver: GuideTable | None = Field(
-        default=None, description="driving law of the initial guess, instead of inputs"
+        default=None,
+        description="driving law of the initial guess, instead of inputs; without both, a law that "
+        "suits the goal",
     )
-
-    alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
-        **TerrainKeys.alternatives,
-        (): ("inputs", "driver"),
-    }
 
     def faults(self) -> Iterator[Fault]:
         """Yield the errors of common keys, and of options that do not suit the model."""
         yield from super().faults()
         search, driver = self.plan, self.driver
+        if self.inputs is not None:
+            if driver is not None:
+                expected = "at most one initial guess, of inputs and driver"
+                yield Fault(("driver",), expected, "both; remove one of them")
+            if self.time.duration == inf:
+                expected = "the duration of the initial guess by [inputs]"
+                yield Fault(("time", "duration"), expected, "none; add it, or remove [inputs]")
         if driver is not None:
             yield from driver.climbing_faults(self.model)
             if driver.name == STEP_CLIMBING and not self.terrain.obstacles:
@@ -286,15 +299,22 @@ def way_points_of(problem: Problem[PlanKeys]) -> dict[float, Ranges]:
     return dict(sorted(between.items()))
 
 
-def initial_paths(
-    problem: Problem[PlanKeys], layers: Traversability, places: tuple[Place, ...]
+def guide_paths(
+    problem: Problem[PlanKeys],
+    driver: GuideTable,
+    layers: Traversability,
+    places: tuple[Place, ...],
+    radius: float,
 ) -> tuple[Array, ...]:
     """Return the paths of the initial guesses: given paths, or routes over the ground."""
-    driver = problem.spec.driver
-    if driver is None or driver.name in ("straight", "reeds-shepp"):
-        return ()
-    if driver.name == "follow":
-        with at(problem, ("driver",)):
+    with at(problem, ("driver",)):
+        if driver.name == "straight":
+            check_without_path(driver)
+            return ()
+        if driver.name == "reeds-shepp":
+            _check_cusps(problem, driver, places)
+            return ()
+        if driver.name == "follow":
             if driver.paths is None:
                 return (path_points(problem, driver),)
             if driver.path is not None or driver.file is not None:
@@ -304,20 +324,10 @@ def initial_paths(
                 )
             return tuple(np.array(path) for path in driver.paths)
     _check_goal_place(problem, places)
-    ends = [np.array(place[1:]) for place in places]
-    radius = driver.turning_radius
     with at(problem, ("driver",)):
-        if len(ends) == 2:
-            count = max(driver.count, problem.spec.plan.starts)
-            paths = routes(layers, ends[0], ends[1], count, turning_radius=radius)
-            return tuple(path.points for path in paths)
-        if driver.count > 1:
-            raise ModelError(
-                f"driver: expected count = 1 with way-points, found {driver.count}; set count = 1, "
-                "or remove the way-points"
-            )
-        legs = [route(layers, *pair, turning_radius=radius) for pair in pairwise(ends)]
-        return (np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])]),)
+        count = max(driver.count, problem.spec.plan.starts if len(places) == 2 else 1)
+        ends = np.array([place[1:] for place in places])
+        return ground_routes(layers, ends, turning_radius=radius, count=count)
 
 
 def _check_goal_place(problem: Problem[Any], places: tuple[Place, ...]) -> None:
@@ -331,10 +341,8 @@ def _check_goal_place(problem: Problem[Any], places: tuple[Place, ...]) -> None:
         )
 
 
-def cusp_goal(
-    problem: Problem[PlanKeys], driver: GuideTable, places: tuple[Place, ...]
-) -> tuple[float, float, float | None]:
-    """Return x, y [m] and heading of the goal from the y axis [rad], None without heading."""
+def _check_cusps(problem: Problem[PlanKeys], driver: GuideTable, places: tuple[Place, ...]) -> None:
+    """Raise an error for keys that do not suit a driver along a path with cusps."""
     _check_goal_place(problem, places)
     if len(places) > 2:
         raise ModelError(
@@ -353,9 +361,6 @@ def cusp_goal(
             "driver: expected only 'speed' and 'turning_radius' with name = 'reeds-shepp', found "
             f"also {', '.join(map(repr, others))}; remove {'it' if len(others) == 1 else 'them'}"
         )
-    _, x, y = places[-1]
-    heading = problem.spec.goal.get("heading")
-    return x, y, None if heading is None else sum(heading) / 2 + heading_offset(problem)
 
 
 def regions(problem: Problem[PlanKeys]) -> tuple[Region, ...]:

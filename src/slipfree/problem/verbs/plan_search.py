@@ -20,13 +20,13 @@ from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError, SlipfreeError
 from slipfree.core.facts import Fact, Facts
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import Array
-from slipfree.core.trajectory import PLAN, PLAN_SHARE, SolverError, Stop, Trajectory
+from slipfree.core.trajectory import PLAN, PLAN_SHARE, Stop, Trajectory
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.rigid_dynamics import dynamic_guess
+from slipfree.plan.guess import Drive, drive_guess, settled_start
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.polynomial_motion import PolynomialMotion, SavedPlan
-from slipfree.plan.problem import bounds_of
+from slipfree.plan.problem import Range, bounds_of
 from slipfree.plan.robust import (
     CONFIDENCE,
     Bound,
@@ -43,6 +43,7 @@ from slipfree.plan.search import (
     NOT_SOLVED,
     LocalOptimum,
     PlanProgress,
+    Search,
     count_distinct,
     distances,
     further_guesses,
@@ -56,22 +57,19 @@ from slipfree.problem.verbs.plan_setup import (
     Planning,
     PlanSource,
     build_planning,
+    mesh_of,
     momentum_models,
     plan_arguments,
     problem_from,
-    search_arguments,
-    settled_start,
     source_of,
 )
 from slipfree.solve.options import MIN_TOLERANCE
-from slipfree.solve.simulate import simulate
 from slipfree.system.processes import local_tasks
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import disturbed
 
 SMOOTHINGS = (1.0, 0.3)  # smoothing widths of the load law in the first plans, in static depths
-ROUGH = 1e-5  # tolerance of initial guesses [m, rad]
 Report = Callable[[str, str], None]
 UNTESTED = Stop(
     PLAN_SHARE,
@@ -81,26 +79,11 @@ UNTESTED = Stop(
 )
 
 
-def guess_motion(setup: Planning, start: tuple[Any, Array]) -> Trajectory:
-    """Return the motion under the inputs of an initial guess, simulated with a loose tolerance.
-
-    If the guess follows a path and the goal has x and y, the motion ends at its sample nearest to
-    the goal, the middle of its ranges. If the integrator fails after the first sample, the motion
-    ends there.
-    """
-    law, t = start
-    try:
-        rough = replace(setup.spec.solver.options, tolerance=ROUGH)
-        run = simulate(setup.guide, setup.guide_start, law, t, options=rough)
-    except SolverError as error:
-        if error.trajectory is None:
-            raise
-        run = error.trajectory
-    if setup.paths and setup.places[-1][0] == "goal":
-        _, x, y = setup.places[-1]
-        away = np.hypot(run["x"] - x, run["y"] - y)
-        run = run.part(slice(max(int(away.argmin()), 1) + 1))
-    if setup.guide is setup.dae:
+def guess_motion(setup: Planning, drive: Drive) -> Trajectory:
+    """Return the motion of an initial guess with the model of the plan."""
+    is_path = bool(setup.guide.paths)
+    run = drive_guess(setup.trip, drive, setup.spec.solver.options, is_path=is_path)
+    if setup.trip.dae is setup.dae:
         return run
     return dynamic_guess(setup.dae, setup.vehicle, setup.start, run)
 
@@ -111,7 +94,7 @@ def find_plan(
     guesses: list[Trajectory],
     resume: SavedPlan | None,
     progress: PlanProgress,
-    length: float,
+    duration: float | Range,
     tightening: Tightening = MappingProxyType({}),
     keep: Callable[[Plan], None] | None = None,
 ) -> Plan:
@@ -119,8 +102,8 @@ def find_plan(
 
     For wheels that press into the ground, plans with smoother load laws are computed first, for
     wheels that slide, plans with larger creep speeds; each search starts from the previous plan. If
-    a search fails, the previous plan is returned. ``length`` is the duration if the problem gives
-    none [s]; ``progress`` and ``keep`` are as for `plan`.
+    a search fails, the previous plan is returned. ``duration`` is used if the problem gives none
+    [s]; ``progress`` and ``keep`` are as for `plan`.
 
     ProblemError is raised if start, goal and limits contradict each other, or ``resume`` is a plan
     of another model; SolverError if the plan cannot be simulated from the start.
@@ -128,23 +111,22 @@ def find_plan(
     spec, found, saved = problem.spec, None, resume
     for dae in (*([] if resume else _smoothed_models(problem, setup)), setup.dae):
         is_same = dae is setup.dae or dae.replay is not None  # creep does not change the start
-        start = setup.start if is_same else settled_start(dae, setup.start, spec)
+        options = solver_options(problem)
+        start = setup.start if is_same else settled_start(dae, setup.start, options)
         model = (dae, setup.vehicle, setup.terrain)
         arguments = plan_arguments(spec, setup.keep_out, model, setup.between)
-        search = search_arguments(spec) | {"options": solver_options(problem)}
-        if dae.replay and dae is not setup.dae:  # only the last creep speed has to be accurate
-            search["accuracy"] = np.inf
+        is_last = dae is setup.dae or not dae.replay  # only the last creep speed is accurate
+        keep_own = keep if keep is None or dae is setup.dae else partial(_keep_smoothed, keep)
         with at(problem, ("plan",)):
             now = plan(
                 dae,
                 start,
                 [] if saved else guesses,
                 **tightened_arguments(dae, arguments, tightening),
-                **search,
-                duration=spec.plan.duration or (length, length),
-                resume=saved,
-                progress=progress,
-                keep=keep if keep is None or dae is setup.dae else partial(_keep_smoothed, keep),
+                duration=spec.plan.duration or duration,
+                mesh=mesh_of(spec, None if is_last else 1.0),
+                search=Search(resume=saved, progress=progress, keep=keep_own),
+                options=options,
             )
         if found is not None:
             if not now.success and now.run.outcome is not Outcome.INTERRUPTED:
@@ -246,7 +228,7 @@ def solve_start(task: tuple[PlanSource, int]) -> StartResult:
         first = guess_motion(setup, setup.starts[0])
         missing = problem.spec.plan.starts - len(setup.starts)
         if number < len(setup.starts):
-            law = setup.spec.driver.name if setup.spec.driver else "inputs"
+            law = setup.guide.name or "inputs"
             name = law if len(setup.starts) == 1 else f"{law} {number + 1}"
             guess = guess_motion(setup, setup.starts[number])
         else:
@@ -256,7 +238,7 @@ def solve_start(task: tuple[PlanSource, int]) -> StartResult:
             if number - len(setup.starts) >= len(further):
                 return StartResult(number, None, None, "a perturbed guess cannot be simulated")
             name, guess = further[number - len(setup.starts)]
-        solved = find_plan(problem, setup, [guess], None, lambda *_: True, float(first.t[-1]))
+        solved = find_plan(problem, setup, [guess], None, lambda *_: True, setup.duration)
     except SlipfreeError as error:
         return StartResult(number, None, None, str(error))
     return StartResult(number, solved.optima[0]._replace(start=name), solved.saved)

@@ -12,11 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
-from slipfree.control.path_following import arc_inputs, follow, turning_axis_offset
+from slipfree.control.path_following import follow, turning_radius
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, Label, leaves
-from slipfree.core.trajectory import Trajectory
+from slipfree.core.records import Array, Label
 from slipfree.files.toml.source import ProblemError
 from slipfree.geometry.path import Path
 from slipfree.geometry.regions import Region
@@ -25,13 +24,22 @@ from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import GroundLaw
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.rigid_dynamics import rigid_dynamics
+from slipfree.plan.guess import (
+    Drive,
+    Guide,
+    Trip,
+    choose_guide,
+    guide_drives,
+    settled_start,
+    trip_of,
+)
 from slipfree.plan.polynomial_motion import SavedPlan
-from slipfree.plan.problem import limits_of, task_of
+from slipfree.plan.problem import duration_of, free_durations, limits_of, task_of
 from slipfree.plan.search import PlanProgress
+from slipfree.plan.transcription import Mesh
 from slipfree.plan.windows import LongPlan, plan_windows
 from slipfree.problem.build import (
     Setup,
-    build_law,
     build_model,
     build_start,
     build_terrain,
@@ -39,17 +47,14 @@ from slipfree.problem.build import (
     check_names,
     in_frame,
     model_law,
-    samples,
 )
 from slipfree.problem.build_ground import at, build_ground, convert_places
 from slipfree.problem.problem import Problem, validated_problem
 from slipfree.problem.verbs.plan_schema import (
-    GuideTable,
     Place,
     PlanKeys,
     Ranges,
-    cusp_goal,
-    initial_paths,
+    guide_paths,
     key_of,
     places_of,
     regions,
@@ -57,9 +62,8 @@ from slipfree.problem.verbs.plan_schema import (
     way_points_of,
 )
 from slipfree.routing.reachability import unreachable
-from slipfree.routing.reeds_shepp import reeds_shepp
 from slipfree.routing.traversability import Traversability, extents, traversability
-from slipfree.solve.settle import settle
+from slipfree.solve.sampling import input_samples
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
 
@@ -119,14 +123,6 @@ def _contradictions(
             "expected a vehicle with exact contact of all wheels, found "
             f"{vehicle.name}, whose wheels press into the ground; remove 'window'",
         )
-    speed = abs(spec.driver.speed) if spec.driver else 1.0
-    least = Path(paths[0]).length / speed
-    if spec.time.duration < least:
-        yield (
-            ("time", "duration"),
-            f"expected at least {least:.6g} s, which the path takes at {speed:g} m/s, found "
-            f"{spec.time.duration:g} s; increase the duration",
-        )
 
 
 def _overlap(spec: PlanKeys, window: float) -> float:
@@ -134,41 +130,35 @@ def _overlap(spec: PlanKeys, window: float) -> float:
     return OVERLAP * window if spec.plan.overlap is None else spec.plan.overlap
 
 
-def search_arguments(spec: PlanKeys) -> dict[str, Any]:
-    """Return the arguments of `plan` about mesh, accuracy, solver and sampling of a problem."""
-    return {
-        "intervals": spec.plan.intervals,
-        "degree": spec.plan.degree,
-        "accuracy": spec.plan.accuracy,
-        "options": spec.solver.options,
-        "step": spec.time.step,
-    }
+def mesh_of(spec: PlanKeys, accuracy: float | None = None) -> Mesh:
+    """Return mesh, accuracy and sampling of a problem, by default with its own accuracy."""
+    keys = {name: getattr(spec.plan, name) for name in ("intervals", "degree", "continuous")}
+    return Mesh(**keys, accuracy=accuracy or spec.plan.accuracy, step=spec.time.step)
 
 
 def long_plan(
     problem: Problem[PlanKeys],
-    setup: Setup,
-    route: Array,
-    arguments: Mapping[str, Any],
+    setup: Planning,
     resume: SavedPlan | None,
     progress: PlanProgress,
     keep: Callable[[LongPlan], None],
 ) -> LongPlan:
-    """Return the plan of a problem along a route on the map, shape (n, 2) [m], planned in windows.
+    """Return the plan of a problem along its route, planned in windows.
 
-    ``arguments`` are those of `plan`; ``progress`` and ``keep`` are as for `plan_windows`.
-    ProblemError is raised if speed, lengths or limits are not valid, or ``resume`` is a plan of
-    another model; SolverError if no motion along the route can be simulated from the start.
+    ``progress`` and ``keep`` are as for `plan_windows`. ProblemError is raised if speed, lengths or
+    limits are not valid, or ``resume`` is a plan of another model; SolverError if no motion along
+    the route can be simulated from the start.
     """
-    spec = problem.spec
-    window, speed = spec.plan.window or 0.0, spec.driver.speed if spec.driver else 0.0
-    options = {**arguments, **search_arguments(spec)}
-    options = {k: v for k, v in options.items() if k not in ("way_points", "cost_limits")}
-    options |= {"speed": abs(speed), "length": window, "overlap": _overlap(spec, window)}
+    spec, guide, model = problem.spec, setup.guide, (setup.dae, setup.vehicle, setup.terrain)
+    window = spec.plan.window or 0.0
+    arguments = plan_arguments(spec, setup.keep_out, model, {})
+    options = {k: v for k, v in arguments.items() if k not in ("way_points", "cost_limits")}
+    options |= {"mesh": mesh_of(spec), "options": spec.solver.options}
+    options |= {"speed": abs(guide.speed), "length": window, "overlap": _overlap(spec, window)}
     options |= {"resume": resume, "progress": progress, "keep": keep}
-    law = partial(follow, setup.dae, setup.vehicle, speed=speed)
+    law = partial(follow, setup.dae, setup.vehicle, speed=guide.speed)
     with at(problem, ("plan",)):
-        return plan_windows(setup.dae, law, setup.start, Path(route), **options)
+        return plan_windows(setup.dae, law, setup.start, Path(guide.paths[0]), **options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,12 +168,12 @@ class Planning(Setup):
     layers: Traversability
     places: tuple[Place, ...]  # start, way-points, goal on the map [m]
     keep_out: tuple[Region, ...]
-    paths: tuple[Array, ...]  # of the initial guesses, shape (n, 2), if they follow paths [m]
-    starts: tuple[tuple[Any, Array], ...]  # inputs and sample times of each guess [s]
+    starts: tuple[Drive, ...]  # inputs and sample times of each guess [s]
     spec: PlanKeys
     between: Mapping[float, Ranges]  # ranges at the way-points, by fraction of the duration
-    guide: Dae  # moves along the guesses: a kinematic model for plans with inertia
-    guide_start: Trajectory
+    trip: Trip  # its model moves along the guesses: a kinematic one for plans with inertia
+    guide: Guide  # driving law of the guesses; without a name for guesses by [inputs]
+    duration: tuple[float, float]  # smallest and largest one of the plan [s]
 
 
 def build_planning(problem: Problem[PlanKeys]) -> Planning:
@@ -203,8 +193,8 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
         if is_dynamic
         else build_model(problem, vehicle, terrain)
     )
-    guide: Dae = direct_kinematics(vehicle, terrain) if is_dynamic else dae
-    check_names(problem, dae, spec.inputs, guide)
+    driven: Dae = direct_kinematics(vehicle, terrain) if is_dynamic else dae
+    check_names(problem, dae, spec.inputs, driven)
     keep_out, between = regions(problem), way_points_of(problem)
     places, exact = places_of(problem, between, terrain.domain)
     layers = traversability(terrain, vehicle, keep_out=keep_out)
@@ -213,22 +203,21 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
         where = problem.source.where((key_of(wrong[0].name),))
         raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
     start = build_start(problem, dae)
-    guide_start = settled_start(guide, start, spec) if is_dynamic else start
-    paths = initial_paths(problem, layers, places)
-    check_windows(problem, vehicle, paths)
-    check_robust(problem, terrain.has_friction)
-    starts = _starts(problem, guide, vehicle, guide_start, paths, places)
     _check_quantities(problem, dae)
     with at(problem, ("plan",)):
-        task_of(
-            dae,
-            start,
-            **plan_arguments(spec, keep_out, (dae, vehicle, terrain), between),
-            duration=spec.plan.duration or spec.time.duration,
-        )
+        model = dae, vehicle, terrain
+        arguments = plan_arguments(spec, keep_out, model, between)
+        task = task_of(dae, start, **arguments, duration=spec.plan.duration or 1.0)
+    begin = settled_start(driven, start, spec.solver.options) if is_dynamic else start
+    trip = trip_of(task, driven, begin, vehicle, terrain)
+    guide = _guide(problem, trip, layers, places)
+    check_windows(problem, vehicle, guide.paths)
+    check_robust(problem, terrain.has_friction)
+    starts = _starts(problem, trip, guide)
+    duration = duration_of(spec.plan.duration or free_durations([t[-1] for _, t in starts]))
     goal = ", ".join(f"{name} {spelled(value)}" for name, value in spec.goal.items())
     setup = ground, terrain, vehicle, dae, dae, start, *starts[0], f"plan to {goal}"
-    search = layers, places, keep_out, paths, starts, spec, between, guide, guide_start
+    search = layers, places, keep_out, starts, spec, between, trip, guide, duration
     return Planning(*setup, *search)
 
 
@@ -278,66 +267,31 @@ def _check_quantities(problem: Problem[PlanKeys], dae: Dae) -> None:
                 dae.named(name)
 
 
-def _starts(
-    problem: Problem[PlanKeys],
-    dae: Dae,
-    vehicle: Vehicle,
-    start: Trajectory,
-    paths: tuple[Array, ...],
-    places: tuple[Place, ...],
-) -> tuple[tuple[Any, Array], ...]:
+def _guide(
+    problem: Problem[PlanKeys], trip: Trip, layers: Traversability, places: tuple[Place, ...]
+) -> Guide:
+    """Return the driving law of the initial guesses: that of the problem, or one that suits."""
+    spec, driver = problem.spec, problem.spec.driver
+    if spec.inputs is not None:
+        return Guide("", 0.0, 0.0)
+    if driver is None:
+        with at(problem, ("vehicle",)):
+            return choose_guide(trip, spec.bounds, layers, count=spec.plan.starts)
+    radius = driver.turning_radius
+    radius = turning_radius(trip.vehicle) if radius is None else radius
+    paths = guide_paths(problem, driver, layers, places, radius)
+    return Guide(driver.name, driver.speed, radius, paths)
+
+
+def _starts(problem: Problem[PlanKeys], trip: Trip, guide: Guide) -> tuple[Drive, ...]:
     """Return inputs and times of the samples [s] of each initial guess."""
-    spec = problem.spec
-    t, rates = samples(spec.time, spec.inputs or {})
-    if spec.driver is None:
+    spec, time = problem.spec, problem.spec.time
+    if spec.inputs is not None:
+        t, rates = input_samples(time.duration, time.step, spec.inputs)
         with at(problem, ("inputs",)):
-            return ((dae.inputs(**rates), t),)
-    if spec.driver.name == "reeds-shepp":
-        return (_cusp_guess(problem, spec.driver, dae, vehicle, start, places),)
-    if not paths:
-        return ((build_law(problem, spec.driver, dae, vehicle, start), t),)
+            return ((trip.dae.inputs(**rates), t),)
     with at(problem, ("driver",)):
-        return tuple(_path_guess(dae, vehicle, path, spec.driver.speed, t) for path in paths)
-
-
-def _path_guess(
-    dae: Dae, vehicle: Vehicle, points: Array, speed: float, t: Array
-) -> tuple[Any, Array]:
-    """Return the inputs of a law that follows a path [m/s], and sample times up to its end [s]."""
-    path = Path(points)
-    count = int((t <= path.length / abs(speed)).sum())
-    return follow(dae, vehicle, path, speed=speed), t[: max(count, 2)]
-
-
-def _cusp_guess(
-    problem: Problem[PlanKeys],
-    driver: GuideTable,
-    dae: Dae,
-    vehicle: Vehicle,
-    start: Trajectory,
-    places: tuple[Place, ...],
-) -> tuple[Any, Array]:
-    """Return the inputs along the shortest path with cusps to the goal, and sample times [s]."""
-    spec = problem.spec
-    with at(problem, ("driver",)):
-        goal = cusp_goal(problem, driver, places)
-        first = (float(start["x"][-1]), float(start["y"][-1]), float(start["heading"][-1]))
-        arcs = reeds_shepp(first, goal, driver.turning_radius, turning_axis_offset(vehicle))
-        if not arcs:
-            raise ModelError(
-                "driver: expected a goal apart from the start, found one at the start; move "
-                "the goal"
-            )
-        values = {c.name: float(start[c.name][-1]) for c in vehicle.of("commanded")}
-        pieces, duration = arc_inputs(dae, vehicle, arcs, values, speed=driver.speed)
-    if duration > spec.time.duration:
-        with at(problem, ("time", "duration")):
-            raise ModelError(
-                f"expected at least {duration:.6g} s, which the path with cusps takes, found "
-                f"{spec.time.duration:g} s; increase the duration"
-            )
-    t, rates = samples(spec.time.model_copy(update={"duration": duration}), pieces)
-    return dae.inputs(**rates), t
+        return guide_drives(trip, guide, step=time.step, longest=time.duration)
 
 
 def plan_arguments(
@@ -356,7 +310,6 @@ def plan_arguments(
         "goal": spec.goal,
         "costs": spec.costs,
         "smooth": spec.plan.smooth,
-        "continuous": spec.plan.continuous,
         "limits": limits,
         "way_points": between,
         "inputs": spec.bounds,
@@ -390,14 +343,6 @@ def _kept_off_holes(spec: PlanKeys, dae: Dae) -> Iterator[Limit]:
         own = {limit.label.name, limit.label.full} & {*spec.limits}
         if limit.label.name == HOLE_MARGIN and not own:
             yield limit._replace(lower=limit.lower + HOLE_CLEARANCE * spec.plan.accuracy)
-
-
-def settled_start(dae: Dae, start: Trajectory, spec: PlanKeys) -> Trajectory:
-    """Return the start of a plan, settled for another model ``dae`` of the vehicle."""
-    values: dict[str, Any] = {
-        label.full: float(start.of(label)[-1]) for label in leaves(dae.labels.x)
-    }
-    return settle(dae, options=spec.solver.options, **values)
 
 
 class PlanSource(NamedTuple):

@@ -1,0 +1,283 @@
+"""Initial guesses of plans: motions of a driving law along routes, paths or arcs to the goal.
+
+This is the only module of the planner that knows vehicles and grounds, those of `Dae.vehicle` and
+`Dae.ground`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.control.path_following import (
+    arc_inputs,
+    follow,
+    straight,
+    turning_axis_offset,
+    turning_radius,
+)
+from slipfree.core.dae import Dae
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Record, leaves
+from slipfree.core.trajectory import Trajectory
+from slipfree.geometry.path import Path
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.rigid_dynamics import dynamic_guess
+from slipfree.plan.problem import Range
+from slipfree.plan.transcription import SAMPLE_STEP, PlanTask
+from slipfree.plan.verification import simulate_to_failure
+from slipfree.routing.reeds_shepp import reeds_shepp
+from slipfree.routing.search import route, routes
+from slipfree.routing.traversability import Traversability, traversability
+from slipfree.solve.options import SolverOptions
+from slipfree.solve.sampling import input_samples
+from slipfree.solve.settle import settle
+from slipfree.terrain.base import Terrain
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.vehicle.tree import Vehicle
+
+PACE = 0.5  # default speed, in sizes of the vehicle per second
+FROUDE = 0.5  # default speed with inertia, relative to the root of gravity times size
+BOUND_SHARE = 0.5  # default speed relative to that at the bounds of the wheel rates
+AHEAD = 3.0  # distance driven to a goal without a place, in sizes of the vehicle
+SAME_PLACE = 1e-6  # distance of places that count as one [m]
+GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
+
+
+@dataclass(frozen=True, eq=False)
+class Trip:
+    """Vehicle at its start, the places that it passes, and the heading at the last one."""
+
+    dae: Dae  # model with the rates of wheels and commanded coordinates as inputs
+    vehicle: Vehicle
+    start: Trajectory
+    places: Array  # shape (n, 2): start, way-points and goal, in map coordinates [m]
+    heading: float | None  # at the goal, from the y axis [rad]
+    has_inertia: bool = False  # whether the plan has
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """Position and heading from the y axis at the start [m, rad]."""
+        run = self.start.in_frame("paper")
+        return float(run["x"][-1]), float(run["y"][-1]), float(run["heading"][-1])
+
+
+class Guide(NamedTuple):
+    """Driving law of initial guesses."""
+
+    name: str  # "route", "follow", "straight" or "reeds-shepp"
+    speed: float  # [m/s]
+    turning_radius: float  # smallest one of a route or of arcs [m]
+    paths: tuple[Array, ...] = ()  # to follow, shape (n, 2) each [m]
+
+
+Drive = tuple[Record, Array]  # inputs, and times of the samples [s]
+
+
+def place_ranges(task: PlanTask) -> list[dict[str, Range]]:
+    """Return the ranges of x, y and heading at way-points and goal that have some, by name.
+
+    They are in map coordinates, the heading from the y axis [m, rad]; the last one is the goal.
+    """
+    labels = [label.full for label in leaves(task.dae.labels.x)]
+    symbols = list(leaves(task.dae.x))
+    where = {name: labels.index(name) for name in ("x", "y", "heading") if name in labels}
+    return [
+        {
+            name: (limit.lower + task.dae.shift[0][k], limit.upper + task.dae.shift[0][k])
+            for limit in condition.limits
+            for name, k in where.items()
+            if ca.is_equal(limit.expression, symbols[k])
+        }
+        for condition in task.conditions
+    ]
+
+
+def trip_of(task: PlanTask, dae: Dae, start: Trajectory, vehicle: Vehicle, ground: Terrain) -> Trip:
+    """Return the trip of a task, driven by a model ``dae`` from its own ``start``.
+
+    A place is the middle of its ranges on the map. Way-points without x or y are omitted; at the
+    goal, a coordinate without a range is that of the place before.
+    """
+    *passed, goal = place_ranges(task)
+    places = [np.array([start[axis][-1] for axis in "xy"])]
+    for ranges in (*(each for each in passed if {"x", "y"} <= each.keys()), goal):
+        if {"x", "y"} & ranges.keys():
+            places.append(_middle(ranges, places[-1], ground.domain))
+    heading = sum(goal["heading"]) / 2 if "heading" in goal else None
+    return Trip(dae, vehicle, start, np.array(places), heading, task.dae.replay is not None)
+
+
+def _middle(ranges: Mapping[str, Range], before: Array, domain: tuple[float, ...]) -> Array:
+    """Return the middle of ranges on the map; that of an infinite range is near the one before."""
+    place = before.copy()
+    for k, axis in enumerate("xy"):
+        if axis in ranges:
+            low, high = max(ranges[axis][0], domain[2 * k]), min(ranges[axis][1], domain[2 * k + 1])
+            is_finite = np.isfinite([low, high]).all()
+            place[k] = (low + high) / 2 if is_finite else np.clip(before[k], low, high)
+    return place
+
+
+def choose_guide(
+    trip: Trip, bounds: Mapping[str, Range], layers: Traversability | None, *, count: int = 1
+) -> Guide:
+    """Return the driving law that suits a trip, with the default speed and turning radius.
+
+    The vehicle reverses along arcs to a goal that it cannot reach by turning forwards, if the
+    ``bounds`` of its inputs allow it. Otherwise it drives along at most ``count`` routes over the
+    map, or along the places if there is no map or no route, or straight ahead without a place to
+    reach.
+    """
+    radius, speed = turning_radius(trip.vehicle), _default_speed(trip, bounds)
+    wheels = [f"{wheel.name}_rate" for wheel in trip.vehicle.wheels if wheel.driven]
+    can_reverse = all(bounds.get(name, (-np.inf, np.inf))[0] < 0 for name in wheels)
+    length = np.hypot(*np.diff(trip.places, axis=0).T).sum()
+    if can_reverse and len(trip.places) == 2 and _needs_cusps(trip, radius):
+        return Guide("reeds-shepp", speed, radius)
+    if length < SAME_PLACE:
+        return Guide("straight", speed, radius)
+    if layers is not None:
+        with suppress(ModelError):  # a plan may exist: a route needs space for every heading
+            most = count if len(trip.places) == 2 else 1
+            paths = ground_routes(layers, trip.places, turning_radius=radius, count=most)
+            return Guide("route", speed, radius, paths)
+    return Guide("follow", speed, radius, (trip.places,))
+
+
+def _default_speed(trip: Trip, bounds: Mapping[str, Range]) -> float:
+    fastest = [
+        wheel.radius * bounds[name][1]
+        for wheel in trip.vehicle.wheels
+        if (name := f"{wheel.name}_rate") in bounds and 0 < bounds[name][1] < np.inf
+    ]
+    if fastest:
+        return BOUND_SHARE * min(fastest)
+    size = trip.dae.size
+    return FROUDE * math.sqrt(trip.vehicle.gravity * size) if trip.has_inertia else PACE * size
+
+
+def _needs_cusps(trip: Trip, radius: float) -> bool:
+    """Return whether the goal is behind the vehicle or beside it, within its turning circles."""
+    x, y, heading = trip.pose
+    east, north = trip.places[-1] - (x, y)
+    distance, bearing = np.hypot(east, north), np.arctan2(-east, north)
+    turns = [bearing - heading] if distance > SAME_PLACE else []
+    if trip.heading is not None:
+        turns.append(trip.heading - (bearing if turns else heading))
+    # a circle through both places that is tangent to a heading has the radius d / (2 sin(turn))
+    return any(
+        np.cos(turn) < 0 or distance < 2 * radius * abs(np.sin(turn)) - SAME_PLACE for turn in turns
+    )
+
+
+def ground_routes(
+    layers: Traversability, places: Array, *, turning_radius: float, count: int = 1
+) -> tuple[Array, ...]:
+    """Return routes along places, shape (n, 2) each [m]; ``count`` is at most 1 with way-points."""
+    if len(places) == 2:
+        found = routes(layers, places[0], places[1], count, turning_radius=turning_radius)
+        return tuple(each.points for each in found)
+    if count > 1:
+        raise ModelError(
+            f"driver: expected count = 1 with way-points, found {count}; set count = 1, or remove "
+            "the way-points"
+        )
+    legs = [route(layers, *pair, turning_radius=turning_radius) for pair in pairwise(places)]
+    return (np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])]),)
+
+
+def guide_drives(
+    trip: Trip, guide: Guide, *, step: float, longest: float = np.inf
+) -> tuple[Drive, ...]:
+    """Return inputs and sample times of the guesses of a guide, one per path.
+
+    ``step`` is the time between samples, ``longest`` the longest duration of a drive straight ahead
+    or along a path [s].
+    """
+    if guide.name == "reeds-shepp":
+        return (_cusp_drive(trip, guide, step),)
+    if guide.name == "straight":
+        length = np.hypot(*(trip.places[-1] - trip.places[0])) or AHEAD * trip.dae.size
+        laws = [(straight(trip.dae, trip.vehicle, trip.start, speed=guide.speed), length)]
+    else:
+        paths = [Path(points) for points in guide.paths]
+        laws = [
+            (follow(trip.dae, trip.vehicle, path, speed=guide.speed), path.length) for path in paths
+        ]
+    return tuple(
+        (law, input_samples(min(length / abs(guide.speed), longest), step, {})[0])
+        for law, length in laws
+    )
+
+
+def _cusp_drive(trip: Trip, guide: Guide, step: float) -> Drive:
+    """Return inputs along the shortest path with cusps to the last place, and sample times [s]."""
+    goal = (*trip.places[-1].tolist(), trip.heading)
+    ahead = turning_axis_offset(trip.vehicle)
+    arcs = reeds_shepp(trip.pose, goal, guide.turning_radius, ahead)
+    if not arcs:
+        raise ModelError(
+            "driver: expected a goal apart from the start, found one at the start; move the goal"
+        )
+    values = {c.name: float(trip.start[c.name][-1]) for c in trip.vehicle.of("commanded")}
+    pieces, duration = arc_inputs(trip.dae, trip.vehicle, arcs, values, speed=guide.speed)
+    t, rates = input_samples(duration, step, pieces)
+    return trip.dae.inputs(**rates), t
+
+
+def drive_guess(trip: Trip, drive: Drive, options: SolverOptions, *, is_path: bool) -> Trajectory:
+    """Return the motion of a guess, simulated with a loose tolerance.
+
+    Along a path to a goal, it ends at its sample nearest to the goal. If the integrator fails after
+    the first sample, it ends there.
+    """
+    rough = replace(options, tolerance=GUESS_TOLERANCE)
+    run = simulate_to_failure(trip.dae, trip.start, *drive, rough)
+    if is_path and len(trip.places) > 1:
+        x, y = trip.places[-1]
+        away = np.hypot(run["x"] - x, run["y"] - y)
+        run = run.part(slice(max(int(away.argmin()), 1) + 1))
+    return run
+
+
+def settled_start(dae: Dae, start: Trajectory, options: SolverOptions) -> Trajectory:
+    """Return the start of a plan, settled for another model ``dae`` of the vehicle."""
+    values: dict[str, Any] = {
+        label.full: float(start.of(label)[-1]) for label in leaves(dae.labels.x)
+    }
+    return settle(dae, options=options, **values)
+
+
+def initial_guess(
+    task: PlanTask, start: Trajectory, bounds: Mapping[str, Range], options: SolverOptions
+) -> tuple[Trajectory, float]:
+    """Return a motion of a task's model from the start roughly to the goal, and its duration [s].
+
+    ``bounds`` are those of the inputs. The duration is that of the whole path, even if the motion
+    ends before.
+    """
+    dae, vehicle, ground = task.dae, task.dae.vehicle, task.dae.ground
+    if vehicle is None:
+        raise ModelError(
+            "plan: guess: expected at least one motion as initial guess for a model whose vehicle "
+            "is not known, found none; give one, such as a simulated motion"
+        )
+    vehicle, driven, begin = vehicle.numeric, dae, start
+    if dae.replay is not None:  # with inertia
+        driven = direct_kinematics(vehicle, ground)
+        begin = settled_start(driven, start, options)
+    trip = trip_of(task, driven, begin, vehicle, ground)
+    layers = traversability(ground, vehicle) if isinstance(ground, Bicubic) else None
+    guide = choose_guide(trip, bounds, layers)
+    drive = guide_drives(trip, guide, step=SAMPLE_STEP)[0]
+    run = drive_guess(trip, drive, options, is_path=bool(guide.paths))
+    run = run if driven is dae else dynamic_guess(dae, vehicle, start, run)
+    return run, float(drive[1][-1])
