@@ -257,15 +257,84 @@ class _Cells(ctypes.Structure):
     )
 
 
-class _Source:
+class CodeWriter:
+    """C code of functions of the rows ``a`` of a state and of the results ``found`` of lookups.
+
+    Attributes
+    ----------
+    unknown : int or None
+        An operation of CasADi that has no C code.
+    """
+
+    one, work = "SPLAT(1.0)", "w{}"
+
+    def __init__(self) -> None:
+        self.unknown: int | None = None
+        self._constants: dict[float, int] = {}
+
+    def constant(self, value: float) -> str:
+        """Return the C code of a constant."""
+        return f"splat(K[{self._constants.setdefault(value, len(self._constants))}])"
+
+    def call(self, name: str, arguments: list[str]) -> str:
+        """Return the C code of a function of `CALLS`."""
+        return f"{name}({','.join(arguments)})"
+
+    def instructions(self, function: ca.Function) -> tuple[list[int], list[str]]:
+        """Return the numbers of the variables of a function, and its lines of C code."""
+        used, lines = set[int](), list[str]()
+        for k in range(function.n_instructions()):
+            operation = function.instruction_id(k)
+            given, found = function.instruction_input(k), function.instruction_output(k)
+            if operation == ca.OP_OUTPUT:
+                lines.append(f"r[{found[1]}]={self.work.format(given[0])};")
+                continue
+            used.add(found[0])
+            value = self._value(function, k, operation, given)
+            lines.append(f"{self.work.format(found[0])}={value};")
+        return sorted(used), lines
+
+    def _value(self, function: ca.Function, k: int, operation: int, given: list[int]) -> str:
+        if operation == ca.OP_CONST:
+            return self.constant(function.instruction_constant(k))
+        if operation == ca.OP_INPUT:
+            return f"{('a', 'found')[given[0]]}[{given[1]}]"
+        w = [self.work.format(each) for each in given]
+        if operation in BINARY:
+            return f"{w[0]}{BINARY[operation]}{w[1]}"
+        if operation in CALLS:
+            return self.call(CALLS[operation], w)
+        if operation == ca.OP_SQ:
+            return f"{w[0]}*{w[0]}"
+        if operation == ca.OP_TWICE:
+            return f"{w[0]}+{w[0]}"
+        if operation == ca.OP_INV:
+            return f"{self.one}/{w[0]}"
+        if operation == ca.OP_NEG:
+            return f"-{w[0]}"
+        if operation == ca.OP_ASSIGN:
+            return w[0]
+        self.unknown = operation
+        return w[0]
+
+
+class _Source(CodeWriter):
     """C code of graphs, and the constants and cells that are its arguments."""
 
     def __init__(self, graphs: tuple[Graph, ...], steps: str) -> None:
+        super().__init__()
         self.names, self.has_steps = tuple(graph.name for graph in graphs), bool(steps)
-        self.unknown: int | None = None  # an operation without C code
-        self._constants: dict[float, int] = {}
         self.cells: list[Cells] = []
         self.code = "\n".join((*(self._graph(graph) for graph in graphs), steps))
+
+    def function(self, name: str, function: ca.Function) -> str:
+        """Return the C code of a function."""
+        used, lines = self.instructions(function)
+        declared = f"  vd {','.join(f'w{k}' for k in used)};\n" if used else ""
+        return (
+            f"static void {name}(const vd *a, const vd *found, vd *r, const double *K) {{\n"
+            f"{declared}" + "\n".join(lines) + "\n}\n"
+        )
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -273,11 +342,11 @@ class _Source:
         return tuple(self._constants)
 
     def _graph(self, graph: Graph) -> str:
-        functions = [self._function(f"f_{graph.name}", graph.function)]
+        functions = [self.function(f"f_{graph.name}", graph.function)]
         lines = list[str]()
         row = 0
         for k, (lookup, argument) in enumerate(zip(graph.lookups, graph.arguments, strict=True)):
-            functions.append(self._function(f"q_{graph.name}_{k}", argument))
+            functions.append(self.function(f"q_{graph.name}_{k}", argument))
             index = next((i for i, c in enumerate(self.cells) if c is lookup.cells), None)
             if index is None and lookup.cells is not None:
                 index = len(self.cells)
@@ -305,46 +374,6 @@ class _Source:
             "store(out + k * n + g, r[k], n - g);\n"
             "  }\n}\n"
         )
-
-    def _function(self, name: str, function: ca.Function) -> str:
-        used, lines = set[int](), list[str]()
-        for k in range(function.n_instructions()):
-            operation = function.instruction_id(k)
-            given, found = function.instruction_input(k), function.instruction_output(k)
-            if operation == ca.OP_OUTPUT:
-                lines.append(f"r[{found[1]}]=w{given[0]};")
-                continue
-            used.add(found[0])
-            lines.append(f"w{found[0]}={self._value(function, k, operation, given)};")
-        declared = f"  vd {','.join(f'w{k}' for k in sorted(used))};\n" if used else ""
-        return (
-            f"static void {name}(const vd *a, const vd *found, vd *r, const double *K) {{\n"
-            f"{declared}" + "\n".join(lines) + "\n}\n"
-        )
-
-    def _value(self, function: ca.Function, k: int, operation: int, given: list[int]) -> str:
-        if operation == ca.OP_CONST:
-            value = function.instruction_constant(k)
-            return f"splat(K[{self._constants.setdefault(value, len(self._constants))}])"
-        if operation == ca.OP_INPUT:
-            return f"{('a', 'found')[given[0]]}[{given[1]}]"
-        w = [f"w{each}" for each in given]
-        if operation in BINARY:
-            return f"{w[0]}{BINARY[operation]}{w[1]}"
-        if operation in CALLS:
-            return f"{CALLS[operation]}({','.join(w)})"
-        if operation == ca.OP_SQ:
-            return f"{w[0]}*{w[0]}"
-        if operation == ca.OP_TWICE:
-            return f"{w[0]}+{w[0]}"
-        if operation == ca.OP_INV:
-            return f"SPLAT(1.0)/{w[0]}"
-        if operation == ca.OP_NEG:
-            return f"-{w[0]}"
-        if operation == ca.OP_ASSIGN:
-            return w[0]
-        self.unknown = operation
-        return w[0]
 
 
 def _step_code(graphs: Graphs) -> str:

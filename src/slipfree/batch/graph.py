@@ -163,10 +163,7 @@ def graphs_of(dae: Dae) -> Graphs:
     p, w, f = (dae.columns()[1][a:b] for a, b in pairwise(ends))
     late = [ca.depends_on(rate, f) for rate in ca.vertsplit(dae.quad)] if dae.quad.numel() else []
     kept = tuple(k for k, is_late in enumerate(late) if not is_late)
-    columns = _state_columns(dae, (p, w, f), len(kept))
-    edges = np.cumsum([0, *(each.numel() for each in columns)]).tolist()
-    rows = StateRows(*(slice(a, b) for a, b in pairwise(edges)))
-    state = ca.vertcat(*columns)
+    rows, state = state_of(dae, (p, w, f), len(kept))
     eliminate = elimination(dae, state, rows)
     quad = [dae.quad[k] for k in kept]
     distances, bounds = _distances(dae)
@@ -217,14 +214,18 @@ def _checks_of(dae: Dae) -> tuple[PlacedCheck, ...]:
     return checks
 
 
-def _state_columns(dae: Dae, unknowns: tuple[ca.SX, ca.SX, ca.SX], quadratures: int) -> list[ca.SX]:
-    """Return the symbols of a state in the order of `StateRows`."""
+def state_of(
+    dae: Dae, unknowns: tuple[ca.SX, ca.SX, ca.SX], quadratures: int = 0
+) -> tuple[StateRows, ca.SX]:
+    """Return the rows of a state and its symbols; ``unknowns`` are ``p``, ``w`` and ``f``."""
     (x, _, u), (p, w, f) = dae.columns(), unknowns
     parameters = ca.vertcat(ca.SX(0, 1), *(each.symbol for each in dae.p))
     lag = ca.SX(0, 1) if dae.lag is None else dae.lag
     continuation = _continuation(dae)
     stage = ca.SX(0, 1) if continuation is None else continuation.symbol
-    return [x, p, ca.SX.sym("q", quadratures), w, f, u, parameters, stage, lag, dae.t]
+    columns = [x, p, ca.SX.sym("q", quadratures), w, f, u, parameters, stage, lag, dae.t]
+    edges = np.cumsum([0, *(each.numel() for each in columns)]).tolist()
+    return StateRows(*(slice(a, b) for a, b in pairwise(edges))), ca.vertcat(*columns)
 
 
 def _continuation(dae: Dae) -> Continuation | None:
