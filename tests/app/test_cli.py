@@ -412,6 +412,7 @@ def test_help_needs_no_heavy_imports():
 
 OPTIONAL = {"trimesh", "xacro", "laspy", "lazrs", "mcap", "mcap_ros2", "rosbags", "yourdfpy"}
 OPTIONAL |= {"pyproj", "rasterio", "viser", "distributed", "xarray", "pandas"}
+OPTIONAL |= {"scipy.signal", "scipy.stats"}  # their import takes as long as all others
 
 
 @pytest.mark.slow

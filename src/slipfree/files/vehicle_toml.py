@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
@@ -129,6 +129,14 @@ def _known_section(_: Any) -> None:
     raise expected_error(f"one of {', '.join(map(repr, SECTIONS))}")
 
 
+def _kind_in(data: Any, kinds: Collection[str]) -> str:
+    """Return the kind that a table states, which must be one of some."""
+    kind = data.get("kind") if isinstance(data, dict) else None
+    if not isinstance(kind, str) or kind not in kinds:
+        raise expected_error(f"a table whose 'kind' is one of {', '.join(map(repr, kinds))}")
+    return kind
+
+
 class DriveKind(Record):
     """Key of the table of a drive that is not a parameter of its kind."""
 
@@ -139,10 +147,7 @@ class DriveKind(Record):
         """Return the record with the parameters of the kind."""
         if cls is not DriveKind:
             return cls
-        kind = data.get("kind") if isinstance(data, dict) else None
-        if not isinstance(kind, str) or kind not in DRIVES:
-            raise expected_error(f"a table whose 'kind' is one of {', '.join(map(repr, DRIVES))}")
-        drive: Any = DRIVES[kind]
+        drive: Any = DRIVES[_kind_in(data, DRIVES)]
         schema: type[Record] = record_of(drive, DriveKind)
         return schema
 
@@ -173,10 +178,7 @@ class AnyShapeTable(Record):
         """Return the record with the dimensions of the kind."""
         if cls is not AnyShapeTable:
             return cls
-        kind = data.get("kind") if isinstance(data, dict) else None
-        if not isinstance(kind, str) or kind not in SHAPE_TABLES:
-            raise expected_error(f"a table whose 'kind' is one of {', '.join(map(repr, SHAPES))}")
-        return SHAPE_TABLES[kind]
+        return SHAPE_TABLES[_kind_in(data, SHAPE_TABLES)]
 
 
 class BoxTable(AnyShapeTable):

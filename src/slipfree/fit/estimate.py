@@ -163,7 +163,7 @@ def estimate(
         )
     predict = Predictor(dae, unknowns, windows)
     values = np.clip(nominal, *bounds)
-    priors = _Priors.of(unknowns)
+    priors = Priors.of(unknowns)
     predict.accept(values)
     is_interrupted = False
     for k in range(REWEIGHTINGS):
@@ -186,8 +186,7 @@ def estimate(
             break
         values = np.asarray(result.x)
     prediction = predict(values)
-    edges = np.minimum(np.abs(values - bounds[0]), np.abs(values - bounds[1]))
-    at_bound = edges < AT_BOUND * scales
+    at_bound = are_at_bound(values, bounds, scales)
     covariance, directions = _covariance(
         prediction, windows, deviations, priors, scales, ~at_bound, loss
     )
@@ -197,21 +196,31 @@ def estimate(
             other = values.copy()
             other[k] = nominal[k]
             _check_extremum(predict, (prediction, predict(other)), labels[k], values[k], k)
-    freedom = len(windows.end) - len(unknowns)
-    reach = float(scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2))
-    spread = reach * np.sqrt(np.diag(covariance))
     return Estimate(
         labels,
         nominal,
         values,
         covariance,
-        np.column_stack([values - spread, values + spread]),
+        intervals_of(values, covariance, len(windows.end)),
         scales,
         tuple(bool(each) for each in at_bound),
         directions,
         deviations,
         is_interrupted,
     )
+
+
+def are_at_bound(values: Array, bounds: tuple[Array, Array], scales: Array) -> Mask:
+    """Return whether estimates are at one of their bounds."""
+    edges = np.minimum(np.abs(values - bounds[0]), np.abs(values - bounds[1]))
+    return np.asarray(edges < AT_BOUND * scales)
+
+
+def intervals_of(values: Array, covariance: Array, count: int) -> Array:
+    """Return 95 % confidence intervals, shape (p, 2), of estimates from n independent windows."""
+    reach = float(scipy.special.stdtrit(count - values.size, 0.5 + CONFIDENCE / 2))
+    spread = reach * np.sqrt(np.diag(covariance))
+    return np.column_stack([values - spread, values + spread])
 
 
 def _check_extremum(
@@ -245,7 +254,7 @@ def _check_extremum(
     )
 
 
-class _Priors(NamedTuple):
+class Priors(NamedTuple):
     """Indices of the unknowns with a prior, its mean values and standard deviations."""
 
     rows: Indices
@@ -253,11 +262,19 @@ class _Priors(NamedTuple):
     deviation: Array
 
     @classmethod
-    def of(cls, unknowns: Sequence[Unknown]) -> _Priors:
+    def of(cls, unknowns: Sequence[Unknown]) -> Priors:
         """Return the priors of unknowns."""
         rows = [k for k, each in enumerate(unknowns) if each.prior is not None]
         pairs = np.array([unknowns[k].prior for k in rows], dtype=float).reshape(-1, 2)
         return cls(np.array(rows, dtype=int), pairs[:, 0], pairs[:, 1])
+
+    def missed(self, values: Array) -> Array:
+        """Return the differences of values from the mean, over the deviations."""
+        return np.asarray((values[self.rows] - self.mean) / self.deviation)
+
+    def slopes(self, count: int) -> Array:
+        """Return the derivatives of these differences by all unknowns."""
+        return np.asarray(np.eye(count)[self.rows] / self.deviation[:, None])
 
 
 def _scales(
@@ -304,7 +321,7 @@ class _Estimation:
     """
 
     def __init__(
-        self, predict: Predictor, windows: Windows, deviations: Array, priors: _Priors
+        self, predict: Predictor, windows: Windows, deviations: Array, priors: Priors
     ) -> None:
         self._predict, self._windows = predict, windows
         self._deviations, self._priors = deviations, priors
@@ -313,20 +330,17 @@ class _Estimation:
 
     def residual(self, values: Array) -> Array:
         check_interrupt()
-        priors = self._priors
         try:
             missed = (self._predict(values).end - self._windows.end) / self._deviations
         except MotionError as error:
             self._rejected.append((values.copy(), error))
             missed = np.full(self._windows.end.shape, np.nan)
-        return np.append(missed, (values[priors.rows] - priors.mean) / priors.deviation)
+        return np.append(missed, self._priors.missed(values))
 
     def jacobian(self, values: Array) -> Array:
         self.accepted.append(values.copy())
         slopes = self._predict.accept(values).slopes / self._deviations[:, None]
-        rows = np.zeros((self._priors.rows.size, values.size))
-        rows[np.arange(self._priors.rows.size), self._priors.rows] = 1 / self._priors.deviation
-        return np.concatenate([slopes.reshape(-1, values.size), rows])
+        return np.concatenate([slopes.reshape(-1, values.size), self._priors.slopes(values.size)])
 
     def check(self, result: Any, scales: Array) -> None:
         """Raise ModelError if a search ended beside rejected values, or did not converge."""
@@ -352,7 +366,7 @@ def _covariance(
     prediction: Prediction,
     windows: Windows,
     deviations: Array,
-    priors: _Priors,
+    priors: Priors,
     scales: Array,
     free: Mask,
     loss: Loss,
@@ -360,25 +374,23 @@ def _covariance(
     """Return the covariance of the estimates, and the principal directions of the free ones."""
     missed = (prediction.end - windows.end) / deviations
     slopes = prediction.slopes[..., free] / deviations[:, None] * scales[free]
-    known = np.zeros(scales.size)
-    known[priors.rows] = 1 / priors.deviation
-    return sandwich(missed, slopes, known, scales, free, loss)
+    return sandwich(missed, slopes, priors, scales, free, loss)
 
 
 def sandwich(
-    missed: Array, slopes: Array, known: Array, scales: Array, free: Mask, loss: Loss
+    missed: Array, slopes: Array, priors: Priors, scales: Array, free: Mask, loss: Loss
 ) -> tuple[Array, tuple[Direction, ...]]:
     """Return the covariance of estimates, and the principal directions of the free ones.
 
     ``missed``, shape (n, m), are residuals of n independent windows without unit, ``slopes`` their
-    derivatives by the p free unknowns in units of their scales; ``known`` is one over the deviation
-    of the priors of all unknowns, or zero.
+    derivatives by the p free unknowns in units of their scales.
     """
     size = 1 + missed**2 if loss == "soft_l1" else np.ones_like(missed)
     scores = np.einsum("ni,nip->np", missed / np.sqrt(size), slopes)
     bread = np.einsum("nip,ni,niq->pq", slopes, size**-1.5, slopes)
     n, p = len(missed), int(free.sum())
     meat = scores.T @ scores * n / (n - p)
+    known = priors.slopes(scales.size).sum(axis=0)
     prior = np.diag((known * scales)[free] ** 2)
     bread, meat = bread + prior, meat + prior
     values, vectors = np.linalg.eigh(bread)

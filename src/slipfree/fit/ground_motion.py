@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy  # its parts are imported when they are used, since this takes 0.3 s
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask
@@ -428,4 +428,6 @@ def _lagged(signal: Array, lag: float, dt: float) -> Array:
     if lag < LEAST_LAG:
         return signal
     keep = float(np.exp(-dt / lag))
-    return np.asarray(lfilter([1 - keep], [1, -keep], signal, zi=[keep * signal[0]])[0])
+    return np.asarray(
+        scipy.signal.lfilter([1 - keep], [1, -keep], signal, zi=[keep * signal[0]])[0]
+    )

@@ -200,10 +200,17 @@ def limits_of(unknown: Unknown, vehicle: Vehicle, law: Any) -> tuple[float, floa
     elif unknown.quantity in ("track", "grip"):
         least = max(least, 0.0)
     elif unknown.quantity in law_constants(law):
-        hint = get_type_hints(type(law), include_extras=True)[unknown.quantity]
-        for bound in getattr(hint, "__metadata__", ()):
-            least = max(least, getattr(bound, "gt", least), getattr(bound, "ge", least))
-            most = min(most, getattr(bound, "lt", most), getattr(bound, "le", most))
+        least, most = law_limits(unknown, law)
+    return least, most
+
+
+def law_limits(unknown: Unknown, law: Any) -> tuple[float, float]:
+    """Return the bounds of a constant of a law: its own, and those of its annotation."""
+    least, most = unknown.lower, unknown.upper
+    hint = get_type_hints(type(law), include_extras=True)[unknown.quantity]
+    for bound in getattr(hint, "__metadata__", ()):
+        least = max(least, getattr(bound, "gt", least), getattr(bound, "ge", least))
+        most = min(most, getattr(bound, "lt", most), getattr(bound, "le", most))
     return least, most
 
 

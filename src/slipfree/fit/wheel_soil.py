@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -20,15 +20,18 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices
 from slipfree.fit.calibration import Interval, bootstrap
 from slipfree.fit.estimate import (
-    AT_BOUND,
     CONFIDENCE,
     EDGE,
     NORMAL_MEDIAN,
+    REWEIGHTINGS,
     Estimate,
     Loss,
+    Priors,
+    are_at_bound,
+    intervals_of,
     sandwich,
 )
-from slipfree.fit.unknowns import Unknown, label_of, law_constants
+from slipfree.fit.unknowns import Unknown, label_of, law_constants, law_limits
 from slipfree.laws.soil import STEADY_CREEP, Soil, WheelSize, forces_at_speeds
 from slipfree.models.single_wheel import WheelRuns
 from slipfree.system.interrupt import check_interrupt, interrupt_requested
@@ -36,7 +39,6 @@ from slipfree.vehicle.tree import EARTH_GRAVITY
 
 QUANTITIES = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
 FIRST_SHARE = 0.3  # of the variation of a quantity, as deviation of residuals in the first estimate
-REWEIGHTINGS = 4  # estimates, each with the deviations of the residuals of the one before
 SAME_MOTION = 0.05  # largest difference of the speeds of repeats, over the largest speed
 SMALLEST = 1e-9  # deviation of a quantity that is not measured, or fitted exactly
 TOLERANCE = 1e-7  # of searches
@@ -129,24 +131,19 @@ class _Search:
         predict: WheelPredictor,
         measured: Array,
         deviations: Array,
-        unknowns: Sequence[Unknown],
+        priors: Priors,
     ) -> None:
         self._predict, self._measured, self._deviations = predict, measured, deviations
-        self._known = np.isfinite(measured)
-        rows = [k for k, each in enumerate(unknowns) if each.prior is not None]
-        pairs = np.array([unknowns[k].prior for k in rows], dtype=float).reshape(-1, 2)
-        self._rows, self._mean, self._spread = rows, *pairs.T
+        self._known, self._priors = np.isfinite(measured), priors
 
     def residual(self, values: Array) -> Array:
         check_interrupt()
         missed = (self._predict(values)[0] - self._measured) / self._deviations
-        priors = (values[self._rows] - self._mean) / self._spread
-        return np.append(missed[self._known], priors)
+        return np.append(missed[self._known], self._priors.missed(values))
 
     def jacobian(self, values: Array) -> Array:
         slopes = self._predict(values)[1] / self._deviations[:, None]
-        priors = np.eye(values.size)[self._rows] / self._spread[:, None]
-        return np.concatenate([slopes[self._known], priors])
+        return np.concatenate([slopes[self._known], self._priors.slopes(values.size)])
 
 
 class QuantityErrors(NamedTuple):
@@ -298,8 +295,8 @@ class SoilProblem:
         loss: Loss = "soft_l1",
         gravity: float = EARTH_GRAVITY,
     ) -> None:
-        self._soil, self._unknowns = soil, unknowns
-        self._runs, self._loss = runs, loss
+        self._labels = tuple(label_of(each, soil) for each in unknowns)
+        self._runs, self._loss, self._priors = runs, loss, Priors.of(unknowns)
         self._spread = repeat_spread(runs)
         self.names = [unknown.quantity for unknown in unknowns]
         for unknown in unknowns:
@@ -335,7 +332,7 @@ class SoilProblem:
     def search(self, runs: WheelRuns, start: Array, deviations: Array) -> Any:
         """Return the result of `least_squares` for given deviations of the quantities."""
         predict = WheelPredictor(self._model, runs)
-        search = _Search(predict, runs.values, deviations, self._unknowns)
+        search = _Search(predict, runs.values, deviations, self._priors)
         return scipy.optimize.least_squares(
             search.residual,
             np.clip(start, *self._bounds),
@@ -368,15 +365,12 @@ class SoilProblem:
 
     def estimate(self, values: Array, deviations: Array, is_interrupted: bool = False) -> Estimate:
         """Return the estimate with its covariance, for independent runs."""
-        soil, unknowns = self._soil, self._unknowns
         predicted, slopes = self.predict(self._runs, values)
         known = np.isfinite(self._runs.values)
         missed = np.where(known, (predicted - self._runs.values) / deviations, 0)
         slopes = np.where(known[..., None], slopes / deviations[:, None], 0)
-        edges = np.minimum(np.abs(values - self._bounds[0]), np.abs(values - self._bounds[1]))
         scales = np.maximum(self._scales, np.abs(values))
-        at_bound = edges < AT_BOUND * scales
-        priors = np.array([1 / each.prior[1] if each.prior else 0.0 for each in unknowns])
+        at_bound = are_at_bound(values, self._bounds, scales)
         numbers = np.unique(self._runs.run)
         longest = max(int((self._runs.run == number).sum()) for number in numbers)
         grouped = np.zeros((numbers.size, longest * len(QUANTITIES)))
@@ -386,15 +380,15 @@ class SoilProblem:
             count = int(rows.sum()) * len(QUANTITIES)
             grouped[k, :count] = missed[rows].ravel()
             steep[k, :count] = (slopes[rows][..., ~at_bound] * scales[~at_bound]).reshape(count, -1)
-        covariance, directions = sandwich(grouped, steep, priors, scales, ~at_bound, self._loss)
-        reach = float(scipy.special.stdtrit(numbers.size - values.size, 0.5 + CONFIDENCE / 2))
-        spread = reach * np.sqrt(np.diag(covariance))
+        covariance, directions = sandwich(
+            grouped, steep, self._priors, scales, ~at_bound, self._loss
+        )
         return Estimate(
-            tuple(label_of(each, soil) for each in unknowns),
+            self._labels,
             self.nominal,
             values,
             covariance,
-            np.column_stack([values - spread, values + spread]),
+            intervals_of(values, covariance, numbers.size),
             scales,
             tuple(bool(each) for each in at_bound),
             directions,
@@ -420,11 +414,7 @@ def check_constant(unknown: Unknown, soil: Soil) -> None:
 
 def _limits(unknown: Unknown, soil: Soil, names: Sequence[str]) -> tuple[float, float]:
     """Return the bounds of a constant, with a stress that is largest ahead of the lowest point."""
-    low, high = unknown.lower, unknown.upper
-    hint = get_type_hints(Soil, include_extras=True)[unknown.quantity]
-    for bound in hint.__metadata__:
-        low = max(low, getattr(bound, "gt", low), getattr(bound, "ge", low))
-        high = min(high, getattr(bound, "lt", high), getattr(bound, "le", high))
+    low, high = law_limits(unknown, soil)
     both = {"peak", "peak_rate"} <= set(names)
     if unknown.quantity == "peak":
         rate = 1 / 3 if both else soil.peak_rate

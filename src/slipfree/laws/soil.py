@@ -47,7 +47,7 @@ that of the rim speed ``creep``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from math import inf, pi, radians, sqrt
@@ -59,7 +59,7 @@ from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
 from slipfree.core.dae import Limit
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Label, check_bounds
+from slipfree.core.records import Array, Label, check_bounds
 from slipfree.laws.coulomb import creep_continuation, no_equilibrium
 from slipfree.laws.protocols import (
     ACROSS,
@@ -83,7 +83,7 @@ SMALLEST_PATH = 1e-9  # shear displacement below which its direction is smoothed
 STEADY_CREEP = 1e-8  # creep speed in steady motion [larger of rim and forward speed]
 ANGLE_SMOOTHING = 0.01  # slip angle whose smoothed sign in (6) and (7) is 0.76 [rad]
 RATIO_SMOOTHING = 0.02  # slip and skid ratio below which the exponent hardly changes [1]
-STATIC_STEPS = 60  # number of bisection steps for the static sinkage
+DEPTH_STEPS = 60  # number of bisection steps for the sinkage
 UNKNOWNS = (
     NORMAL,
     ALONG,
@@ -454,17 +454,25 @@ def static_sinkage(soil: Soil, size: WheelSize, load: float) -> float:
     depth = ca.SX.sym("depth")
     forces = forces_at_speeds(soil, size, depth, 0, 0, 0, STEADY_CREEP).normal
     normal = ca.Function("normal", [depth], [forces])
-    low, high = 0.0, size.radius
-    if float(normal(high)) < load:
+    most = float(normal(size.radius))
+    if most < load:
         raise ModelError(
             f"soil: expected a sinkage smaller than the wheel's radius, {size.radius:g} m, found "
-            f"that the soil bears only {float(normal(high)):.4g} N of {load:.4g} N at that depth; "
+            f"that the soil bears only {most:.4g} N of {load:.4g} N at that depth; "
             "reduce the load, or increase the wheel's width or radius"
         )
-    for _ in range(STATIC_STEPS):
+    depths = depth_under_load(lambda h: normal(h).full(), size.radius, np.full((1, 1), load))
+    return float(depths.item())
+
+
+def depth_under_load(normal: Callable[[Array], Array], radius: float, load: Array) -> Array:
+    """Return the depths at which soil bears loads [N], by bisection; at most the radius [m]."""
+    low, high = np.zeros_like(load), np.full_like(load, radius)
+    for _ in range(DEPTH_STEPS):
         middle = (low + high) / 2
-        low, high = (low, middle) if float(normal(middle)) > load else (middle, high)
-    return (low + high) / 2
+        deep = normal(middle) > load
+        low, high = np.where(deep, low, middle), np.where(deep, middle, high)
+    return np.asarray((low + high) / 2)
 
 
 class _ContactArc(NamedTuple):

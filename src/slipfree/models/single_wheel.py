@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ from slipfree.laws.soil import (
     STEADY_CREEP,
     Soil,
     WheelSize,
+    depth_under_load,
     forces_at_slip,
     forces_at_speeds,
     wheel_size,
@@ -23,7 +24,6 @@ from slipfree.laws.soil import (
 from slipfree.laws.soil_regions import soil_at
 from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle
 
-STEPS = 60  # number of bisection steps for the sinkage
 SLIP_LIMIT = 0.3  # slip ratio at which the largest pull counts [1]
 RESERVE = Label(
     "drawbar_reserve",
@@ -168,16 +168,6 @@ def steady_forces(
     )
     _, pull, side, torque = (each.full()[0] for each in forces(depths, motion))
     return SteadyForces(depths[0], pull, -np.sign(motion[2]) * side, torque)
-
-
-def depth_under_load(normal: Callable[[Array], Array], radius: float, load: Array) -> Array:
-    """Return the depths at which soil bears loads [N], by bisection; at most the radius [m]."""
-    low, high = np.zeros_like(load), np.full_like(load, radius)
-    for _ in range(STEPS):
-        middle = (low + high) / 2
-        deep = normal(middle) > load
-        low, high = np.where(deep, low, middle), np.where(deep, middle, high)
-    return np.asarray((low + high) / 2)
 
 
 def check_slip(slip: Array, angle: Array) -> None:
