@@ -28,7 +28,7 @@ from slipfree.fit.ground_fit import (
     judge,
     rms,
 )
-from slipfree.fit.ground_motion import MODELS, DriveLog, Slopes, windows_of
+from slipfree.fit.ground_motion import MODELS, DriveLog, Slopes, slope_rates, windows_of
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import disturbed
 
@@ -36,7 +36,7 @@ DT = 0.1  # between samples [s]
 DELAY = 2  # from a command to the drives, in samples
 UNIT, LEVER = 0.0217, 0.12  # [m/s] of a unit of the drives; units of an angular command, each side
 LIMIT = 90.0  # of a side's command [%]
-SMOOTHING, SHIFT = 1.5, (-1.5, 1.0)  # of the map [m]
+SMOOTHING, SHIFT = 1.5, (-1.5, 1.0)  # of the map; of the positions on it [m]
 GAP, CHORD_ERROR, STATED = 1.5, 0.25, 0.1  # of good positions [s, m/s, m]
 JUDGED = ["straight", "differential", "icr", "slope"]
 MADE = 16  # synthetic logs
@@ -106,7 +106,7 @@ def read_log(path: Path, origin: np.ndarray) -> DriveLog | None:
         path.name.split(".")[0],
         path.parent.name,
         DT,
-        np.column_stack([at(east), at(north)]),
+        np.column_stack([at(east), at(north)]) + SHIFT,
         np.column_stack([at(speed * np.sin(course)), at(speed * np.cos(course))]),
         at(speed),
         good,
@@ -115,45 +115,46 @@ def read_log(path: Path, origin: np.ndarray) -> DriveLog | None:
     )
 
 
-def read_logs(folder: Path, origin: np.ndarray) -> list[DriveLog]:
-    """Return the logs of all campaigns in a folder."""
+def read_logs(folder: Path, origin: np.ndarray, has_velocities: bool) -> list[DriveLog]:
+    """Return the logs of all campaigns in a folder, with or without the receiver's velocities."""
     logs = (read_log(path, origin) for path in sorted(folder.glob("*/*.txt.gz")))
-    return [log for log in logs if log is not None]
+    return [log._replace(is_velocity_measured=has_velocities) for log in logs if log is not None]
 
 
-def made_logs(rng: np.random.Generator, slopes: Slopes) -> list[DriveLog]:
+def made_logs(rng: np.random.Generator, slopes: Slopes, draws: int) -> list[list[DriveLog]]:
     """Return logs of a robot with the constants `TRUE` on a synthetic hillside, without errors."""
-    count, dt, fine = 400, 0.2, 10
-    place, heading = rng.uniform(-12, 12, (MADE, 2)), rng.uniform(-3, 3, MADE)
-    sides, path = np.empty((count, MADE, 2)), np.empty((count, MADE, 2))
+    count, dt, fine, n = 400, 0.2, 10, draws * MADE
+    values = {name: np.full(n, value) for name, value in TRUE.items()}
+    place, heading = rng.uniform(-12, 12, (2, n)).T @ [1, 1j], rng.uniform(-3, 3, n)
+    sides, path = np.empty((count, n, 2)), np.empty((count, n), dtype=complex)
     for k in range(count):
         if k % 15 == 0:  # a new command every three seconds; back to the middle from 20 m
-            z = place @ [1, 1j]
-            away = np.sign(np.angle(-z * np.exp(-1j * heading))) * (np.abs(z) > 20)
-            turn = rng.normal(0, 0.06, MADE) + 0.08 * away
+            away = np.sign(np.angle(-place * np.exp(-1j * heading))) * (np.abs(place) > 20)
+            turn = rng.normal(0, 0.06, n) + 0.08 * away
         sides[k], path[k] = np.column_stack([0.5 - turn / 2, 0.5 + turn / 2]), place
         for _ in range(fine):
             up, tilt = slopes.tilt(place, heading)
-            v, _, yaw = MODELS["slope"].step(TRUE, *sides[k].T, up, tilt, None)
+            v, _, yaw = slope_rates(values, *sides[k].T, up, tilt, None)
             middle = heading + yaw * dt / fine / 2
-            ahead = np.column_stack([np.cos(middle), np.sin(middle)])
-            place = place + (v * np.sqrt(1 - up**2) * dt / fine)[:, None] * ahead
+            place = place + v * np.sqrt(1 - up**2) * dt / fine * np.exp(1j * middle)
             heading = heading + yaw * dt / fine
-    velocity, sure = np.gradient(path, dt, axis=0), np.ones(count)
-    return [
+    places = np.stack([path.real, path.imag], axis=2)
+    velocity, sure = np.gradient(places, dt, axis=0), np.ones(count)
+    logs = [
         DriveLog(
             str(k),
             "made",
             dt,
-            path[:, k],
+            places[:, k],
             velocity[:, k],
             np.hypot(*velocity[:, k].T),
             sure > 0,
             sure,
             sides[:, k],
         )
-        for k in range(MADE)
+        for k in range(n)
     ]
+    return [logs[k : k + MADE] for k in range(0, n, MADE)]
 
 
 def synthetic(draws: int) -> Iterator[str]:
@@ -161,24 +162,24 @@ def synthetic(draws: int) -> Iterator[str]:
     axis = np.arange(-40.0, 41.0)
     x, y = np.meshgrid(axis, axis, indexing="ij")
     hill = Grid(axis, axis, 2.5 * np.sin(x / 9) * np.cos(y / 11) + 0.05 * x)
-    for error, count in ((0.0, draws), (0.1, max(draws // 5, 2))):
+    made = made_logs(np.random.default_rng(0), Slopes(hill, 0.0), draws)
+    for error in 0.0, 0.1:
         found = []
-        for draw in range(count):
+        for draw, logs in enumerate(made):
             rng = np.random.default_rng(draw)
-            logs = made_logs(rng, Slopes(hill, 0.0))
             seen = [
                 log._replace(place=log.place + rng.normal(0, 0.02, log.place.shape)) for log in logs
             ]
             windows = windows_of(logs, 5.0)
             grid = disturbed(hill, error, 3.0, draw) if error else hill
             more = [
-                Slopes(disturbed(grid, error, 3.0, count + FURTHER * draw + k), 0.0)
+                Slopes(disturbed(grid, error, 3.0, draws + FURTHER * draw + k), 0.0)
                 for k in range(FURTHER if error else 0)
             ]
             maps = Slopes(grid, 0.0), more
             found.append(fit_on_uncertain_map(MODELS["slope"], seen, windows, maps))
         yield (
-            f"{count} draws, about {len(windows.log)} windows of {MADE} logs, positions to 20 mm, "
+            f"{draws} draws, about {len(windows.log)} windows of {MADE} logs, positions to 20 mm, "
             f"map to {error:g} m: bias, deviation, stated, coverage of 95 %"
         )
         for name, true in TRUE.items():
@@ -188,7 +189,7 @@ def synthetic(draws: int) -> Iterator[str]:
             stated = np.mean([each.deviation[name] for each in found])
             yield (
                 f"  {name:11} truth {true:5.3f}, bias {values.mean() - true:+.1e} (standard error "
-                f"{values.std(ddof=1) / np.sqrt(count):.1e}), deviation {values.std(ddof=1):.2e}, "
+                f"{values.std(ddof=1) / np.sqrt(draws):.1e}), deviation {values.std(ddof=1):.2e}, "
                 f"stated {stated:.2e}, coverage {100 * inside:.1f} %"
             )
 
@@ -211,16 +212,16 @@ def main() -> None:
     heights = np.loadtxt(next(folder.glob("*DEM.csv"))).T
     origin = np.loadtxt(next(folder.glob("*Offset.csv")))
     grid = Grid(*(np.arange(float(count)) for count in heights.shape), heights)
-    slopes = Slopes(grid, SMOOTHING, SHIFT)
-    logs = read_logs(folder, origin)
-    others = read_logs(given.judge, origin) if given.judge else []
+    slopes = Slopes(grid, SMOOTHING)
+    has_velocities = not given.from_positions
+    logs = read_logs(folder, origin, has_velocities)
+    others = read_logs(given.judge, origin, has_velocities) if given.judge else []
     began = time.perf_counter()
     scores, fits = judge(
         logs,
         slopes,
         {name: MODELS[name] for name in given.models},
         others=others,
-        from_positions=given.from_positions,
     )
     print(f"{len(logs)} logs, {time.perf_counter() - began:.0f} s")
     for part in (errors_of, against, slips_of):

@@ -106,17 +106,19 @@ def test_folders_of_the_same_name_are_left_out_separately(folder: Path) -> None:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         log = drive(k, str(folder / name))
         write_log(folder / name, k)
-        columns = (column[:-1] for column in log[3:])  # the last sample is not reached
-        log = log._replace(**dict(zip(log._fields[3:], columns, strict=True)), group=name[:3])
+        names = ("place", "good", "direction", "sides")  # the last sample is not reached
+        log = log._replace(**{key: getattr(log, key)[:-1] for key in names}, group=name[:3])
         velocity = np.gradient(log.place, log.dt, axis=0)
-        logs.append(log._replace(velocity=velocity, speed=np.hypot(*velocity.T)))
+        speed = np.hypot(*velocity.T)
+        logs.append(log._replace(velocity=velocity, speed=speed, is_velocity_measured=False))
     old = '["a/0.csv", "a/1.csv", "b/2.csv", "b/3.csv"]'
     Path("hill.toml").write_text(PROBLEM.replace(old, json.dumps(files)))
-    scores, fits = fit_over_map(load_problem(folder / "hill.toml", command="fit"))
+    _, scores, fits = fit_over_map(load_problem(folder / "hill.toml", command="fit"))
     assert [len(each) for each in fits.values()] == [2, 2]
     models = {"slope": MODELS["slope"]}
-    expected, _ = judge(logs, Slopes(HILL, 0.0), models, [(5.0, 0.0)], from_positions=True)
-    other, _ = judge(logs, Slopes(HILL, 0.0), models, [(5.0, 0.0)])
+    expected, _ = judge(logs, Slopes(HILL, 0.0), models, [(5.0, 0.0)])
+    measured = [log._replace(is_velocity_measured=True) for log in logs]
+    other, _ = judge(measured, Slopes(HILL, 0.0), models, [(5.0, 0.0)])
     found, right, wrong = (
         np.sort(each["slope"][5.0, 0.0].errors.along) for each in (scores, expected, other)
     )

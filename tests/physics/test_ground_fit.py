@@ -22,6 +22,7 @@ from slipfree.fit.ground_motion import (
     DriveLog,
     GroundPredictor,
     Slopes,
+    friction_rates,
     windows_of,
 )
 from slipfree.terrain.base import Grid
@@ -131,8 +132,8 @@ def test_windows_leave_out_bad_positions() -> None:
 
 def test_slopes_of_a_plane() -> None:
     plane = Grid(AXIS, AXIS, 0.2 * AXIS[:, None] - 0.1 * AXIS)
-    place, heading = np.array([[3.3, -7.1], [60.0, 2.0]]), np.array([0.4, 0.4])
-    up, left = Slopes(plane, 1.5, (1.0, -2.0)).tilt(place, heading)
+    place, heading = np.array([3.3 - 7.1j, 60.0 + 2.0j]), np.array([0.4, 0.4])
+    up, left = Slopes(plane, 1.5).tilt(place, heading)
     normal = np.array([-0.2, 0.1, 1]) / np.sqrt(1.05)
     ahead = np.array([np.cos(0.4), np.sin(0.4), 0.2 * np.cos(0.4) - 0.1 * np.sin(0.4)])
     ahead /= np.linalg.norm(ahead)
@@ -146,13 +147,13 @@ def test_balance_of_friction(seed: int) -> None:
     rng = np.random.default_rng(seed)
     p = {**MODELS["friction"].start, "height": 0.3, "ahead": rng.uniform(-0.1, 0.1)}
     left, right, up, tilt = (*rng.uniform(0.2, 0.6, 2), *rng.uniform(-0.2, 0.2, 2))
-    rates = MODELS["friction"].step(
-        p, *(np.array([each]) for each in (left, right, up, tilt)), None
-    )
+    given = (np.array([each]) for each in (left, right, up, tilt))
+    values = {name: np.array([each]) for name, each in p.items()}
+    rates = friction_rates(values, *given, None)
 
     def balance(rate: Array) -> Array:
         mean = (left + right) / 2
-        half = p["turn"] * (right - left) / 2 + p["drift"] * mean
+        half = (right - left) / 2 + p["drift"] * mean
         normal = np.sqrt(1 - up**2 - tilt**2)
         total = np.array([-up, -tilt, 0.0])
         for x in (HALF_BASE, -HALF_BASE):

@@ -320,13 +320,13 @@ def _fit_over_map(
 
     picture = table.with_suffix(".png") if draw else None
     check_outputs([table, picture], list(inputs))
-    scores, fits = fit_over_map(problem, predict)
-    rows = error_rows(scores)
+    fitted = fit_over_map(problem, predict)
+    rows = error_rows(fitted.scores)
     files = [save(table, lambda path: write_rows(path, *rows))]
-    print_facts(facts(scores, fits))
+    print_facts(facts(fitted))
     add_json("errors", lambda: [dict(zip(rows[0], row, strict=True)) for row in rows[1]])
     if picture is not None:
-        files += _draw([ground_plot(picture.stem, scores)], picture.parent)
+        files += _draw([ground_plot(picture.stem, fitted.scores)], picture.parent)
     print_line(f"wrote {' and '.join(map(str, files))}")
 
 

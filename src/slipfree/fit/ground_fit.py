@@ -83,11 +83,8 @@ def fit_ground(model: MotionModel, predict: GroundPredictor, where: str = "the l
             f"{len(predict.windows.log)}; use longer logs, shorter windows or a simpler model"
         )
 
-    def ends(at: Array) -> Array:
-        errors = predict(model, dict(zip(names, at.tolist(), strict=True)))
-        return np.column_stack([errors.along, errors.across, errors.course])
-
-    result, missed, deviations = _least_errors(ends, start, bounds, sizes)
+    errors = _Errors(model, predict, sizes, bounds)
+    result, deviations = _least_errors(errors, start)
     if not result.status:
         raise ModelError(
             f"{where}: expected convergence of the fit of the model {model.words!r}, found none "
@@ -95,12 +92,11 @@ def fit_ground(model: MotionModel, predict: GroundPredictor, where: str = "the l
         )
     values = result.x
     # the Jacobian of the search is weighted by the loss
-    steps = np.diag(STEP * sizes)
-    slopes = np.stack([ends(values + h) - ends(values - h) for h in steps], axis=-1) / (2 * STEP)
+    missed, slopes = errors(values), errors.slopes(values)
     free = (values - bounds[0] > AT_BOUND * sizes) & (bounds[1] - values > AT_BOUND * sizes)
     covariance = _covariance(
         missed / deviations,
-        slopes / deviations[:, None],
+        slopes * sizes / deviations[:, None],
         predict.windows.log,
         free,
     )
@@ -126,28 +122,48 @@ def fit_ground(model: MotionModel, predict: GroundPredictor, where: str = "the l
     )
 
 
-def _least_errors(
-    ends: Callable[[Array], Array], start: Array, bounds: Array, sizes: Array
-) -> tuple[Any, Array, Array]:
-    """Return the result of the last search, and errors at ends with their deviations."""
+class _Errors(NamedTuple):
+    """Errors of a model at the ends of windows, along, across and of the course [m, m, rad]."""
+
+    model: MotionModel
+    predict: GroundPredictor
+    sizes: Array  # of the constants
+    bounds: Array  # shape (2, n_constants)
+
+    def __call__(self, values: Array) -> Array:
+        """Return the errors, shape (n, 3), or (n, m, 3) for values of shape (m, n_constants)."""
+        constants = dict(zip(self.model.start, values.T, strict=True))
+        return np.stack(self.predict(self.model, constants)[:3], axis=-1)
+
+    def slopes(self, values: Array) -> Array:
+        """Return the derivatives by the constants, shape (n, 3, n_constants)."""
+        steps = np.diag(STEP * self.sizes)
+        high, low = (np.clip(values + each, *self.bounds) for each in (steps, -steps))
+        ends = self(np.concatenate([high, low])).swapaxes(1, 2)
+        count = len(values)
+        return np.asarray((ends[..., :count] - ends[..., count:]) / np.diag(high - low))
+
+
+def _least_errors(errors: _Errors, start: Array) -> tuple[Any, Array]:
+    """Return the result of the last search, and the deviations of the errors."""
     values, deviations = start, np.array(FIRST_DEVIATIONS)
     for _ in range(2):  # the second time with the deviations of the first one
         result = scipy.optimize.least_squares(
-            lambda at, size: (ends(at) / size).ravel(),
+            lambda at, size: (errors(at) / size).ravel(),
             values,
-            bounds=bounds,
+            lambda at, size: (errors.slopes(at) / size[:, None]).reshape(-1, at.size),
+            bounds=errors.bounds,
             loss="soft_l1",
-            x_scale=sizes,
-            diff_step=1e-4,
+            x_scale=errors.sizes,
             xtol=1e-5,
             ftol=1e-6,
             max_nfev=MAX_EVALUATIONS,
             args=(deviations,),
         )
         values = result.x
-        missed = ends(values)
-        deviations = np.maximum(np.median(np.abs(missed), axis=0) / NORMAL_MEDIAN, LEAST_DEVIATION)
-    return result, missed, deviations
+        spread = np.median(np.abs(errors(values)), axis=0) / NORMAL_MEDIAN
+        deviations = np.maximum(spread, LEAST_DEVIATION)
+    return result, deviations
 
 
 def fit_on_uncertain_map(
@@ -156,7 +172,6 @@ def fit_on_uncertain_map(
     windows: PathWindows,
     maps: tuple[Slopes, Sequence[Slopes]],
     where: str = "the logs",
-    from_positions: bool = False,
 ) -> GroundFit:
     """Fit the constants of a model over a map with errors of a known size.
 
@@ -176,8 +191,6 @@ def fit_on_uncertain_map(
         Slopes of the map, and of the map with further errors: none, or at least two.
     where : str
         The logs, for error messages.
-    from_positions : bool
-        Whether courses follow from the positions only, as for `GroundPredictor`.
 
     Returns
     -------
@@ -190,12 +203,12 @@ def fit_on_uncertain_map(
         As `fit_ground`.
     """
     given, others = maps
-    fitted = fit_ground(model, GroundPredictor(logs, windows, given, from_positions), where)
+    fitted = fit_ground(model, GroundPredictor(logs, windows, given), where)
     if not others:
         return fitted
+    near = model._replace(start=fitted.values)
     again = [
-        fit_ground(model, GroundPredictor(logs, windows, each, from_positions), where).values
-        for each in others
+        fit_ground(near, GroundPredictor(logs, windows, each), where).values for each in others
     ]
     values, deviation, intervals = {}, {}, {}
     for name, value in fitted.values.items():
@@ -206,7 +219,7 @@ def fit_on_uncertain_map(
         ratio = deviation[name] / fitted.deviation[name] if fitted.deviation[name] else 0.0
         half = (high - low) / 2 * ratio
         intervals[name] = values[name] - half, values[name] + half
-    errors = GroundPredictor(logs, windows, given, from_positions)(model, values)
+    errors = GroundPredictor(logs, windows, given)(model, values)
     return GroundFit(values, deviation, intervals, errors)
 
 
@@ -263,7 +276,6 @@ def judge(
     kinds: Sequence[Kind] = (FITTED, (20.0, 0.0), (0.0, 5.0)),
     others: Sequence[DriveLog] = (),
     further: Sequence[Slopes] = (),
-    from_positions: bool = False,
 ) -> tuple[dict[str, dict[Kind, Score]], dict[str, list[GroundFit]]]:
     """Predict each group of logs with constants fitted to the other groups.
 
@@ -281,8 +293,6 @@ def judge(
         Logs that are predicted with constants fitted to all ``logs``, instead of the groups.
     further : sequence of Slopes
         Slopes of the map with further errors, for `fit_on_uncertain_map`.
-    from_positions : bool
-        Whether courses follow from the positions only, as for `GroundPredictor`.
 
     Returns
     -------
@@ -309,13 +319,13 @@ def judge(
             rest = {kind: part.take(group[part.log] != fold) for kind, part in windows.items()}
             where = f"the logs without {fold}" if fold else "the logs"
             maps = slopes, further
-            fitted = fit_on_uncertain_map(model, logs, rest[FITTED], maps, where, from_positions)
+            fitted = fit_on_uncertain_map(model, logs, rest[FITTED], maps, where)
             fits[name].append(fitted)
             for kind in kinds:
                 own = test[kind] if others else test[kind].take(group[test[kind].log] == fold)
                 if own.log.size:  # the logs of a group may be too short
-                    seen = GroundPredictor(logs, rest[kind], slopes, from_positions)
-                    predict = GroundPredictor(others or logs, own, slopes, from_positions)
+                    seen = GroundPredictor(logs, rest[kind], slopes)
+                    predict = GroundPredictor(others or logs, own, slopes)
                     grade = grades(others or logs, own, slopes)
                     folded[kind].append(_fold(model, fitted.values, seen, predict, grade))
         scores[name] = {kind: _joined(parts) for kind, parts in folded.items()}
@@ -358,7 +368,7 @@ def grades(logs: Sequence[DriveLog], windows: PathWindows, slopes: Slopes) -> Ar
     for k, first, last in zip(*windows[:3], strict=True):
         log, part = logs[k], slice(first, last)
         course = np.arctan2(log.velocity[part, 1], log.velocity[part, 0])
-        means.append(np.arcsin(slopes.tilt(log.place[part], course)[0].mean()))
+        means.append(np.arcsin(slopes.tilt(log.place[part] @ [1, 1j], course)[0].mean()))
     return np.array(means)
 
 

@@ -8,13 +8,16 @@ measured path, so that a prediction uses nothing but the map, the start and the 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import scipy  # its parts are imported when they are used, since this takes 0.3 s
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask
+from slipfree.fit.unknowns import Unknown
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import averaged
 
@@ -27,8 +30,9 @@ LEAST_SHARE = 0.03  # of the weight on an axle or a side
 RESISTED = 0.05  # speed from which the rolling resistance is complete [m/s]
 # of the balance, which converges quadratically; tolerance of a step in m/s and rad/s
 NEWTON_STEPS, NEWTON_TOLERANCE = 30, 3e-5
+ComplexArray = npt.NDArray[np.complex128]
 Rates = tuple[Array, Array, Array]  # forward and leftward speed [m/s], and turning rate [rad/s]
-Values = Mapping[str, float]
+Values = Mapping[str, Array]  # constants of n motions, each of shape (n,)
 # (values, speeds of the left and right side, sines of the nose-up and left-up angles, rates a
 # moment before) -> rates
 Step = Callable[[Values, Array, Array, Array, Array, Rates | None], Rates]
@@ -37,39 +41,53 @@ Step = Callable[[Values, Array, Array, Array, Array, Rates | None], Rates]
 class Slopes:
     """Slope of a height map, averaged over the size of a vehicle; bilinear between the nodes.
 
-    ``smoothing`` is the standard deviation of a Gaussian [m], and ``shift`` the place of the map
-    that belongs to the origin of the logs, relative to that of the map [m].
+    ``smoothing`` is the standard deviation of a Gaussian [m]; ``grid`` has the averaged heights.
     """
 
-    def __init__(
-        self, grid: Grid, smoothing: float, shift: tuple[float, float] = (0.0, 0.0)
-    ) -> None:
+    def __init__(self, grid: Grid, smoothing: float) -> None:
         steps = float(grid.x[1] - grid.x[0]), float(grid.y[1] - grid.y[0])
         heights = averaged(grid.z, steps, smoothing) if smoothing else grid.z
-        gradient = np.gradient(heights, *steps)
-        self._table = np.stack([*gradient], axis=-1).reshape(-1, 2)
-        self._shape = grid.z.shape
-        self._first = np.array([grid.x[0] - shift[0], grid.y[0] - shift[1]])
+        self.grid = Grid(grid.x, grid.y, heights)
+        x, y = (np.gradient(heights, step, axis=k) for k, step in enumerate(steps))
+        node = np.asarray(x + 1j * y)
+        first, right, ahead = node[:-1, :-1], node[1:, :-1], node[:-1, 1:]
+        bend = node[1:, 1:] - right - ahead + first
+        # of each cell: bilinear in the shares of its sides
+        self._cells = np.stack([first, right - first, ahead - first, bend], -1).reshape(-1, 4)
+        self._last = np.array(grid.z.shape) - 1
+        self._first = np.array([grid.x[0], grid.y[0]])
         self._steps = np.array(steps)
 
-    def __call__(self, place: Array) -> Array:
-        """Return the gradient at places, shape (n, 2); beyond the map that of its border."""
-        last = np.array(self._shape) - 1
-        cell = np.clip((place - self._first) / self._steps, 0, last - 1e-9)
-        whole = cell.astype(int)
-        f, g = cell[:, :1] - whole[:, :1], cell[:, 1:] - whole[:, 1:]
-        k = whole[:, 0] * self._shape[1] + whole[:, 1]
-        table, row = self._table, self._shape[1]
-        near = (1 - g) * table[k] + g * table[k + 1]
-        return np.asarray((1 - f) * near + f * ((1 - g) * table[k + row] + g * table[k + row + 1]))
+    def tilt(self, place: ComplexArray, heading: Array) -> tuple[Array, Array]:
+        """Return the sines of the nose-up and left-up angles of vehicles.
 
-    def tilt(self, place: Array, heading: Array) -> tuple[Array, Array]:
-        """Return the sines of the nose-up and left-up angles of vehicles; heading from x [rad]."""
-        (x, y), c, s = self(place).T, np.cos(heading), np.sin(heading)
-        ahead = x * c + y * s
-        along = np.sqrt(1 + ahead**2)
-        left = (y * c - x * s) / (along * np.sqrt(1 + x**2 + y**2))
-        return np.clip(ahead / along, -STEEPEST, STEEPEST), np.clip(left, -STEEPEST, STEEPEST)
+        Places are complex numbers [m], headings count from x [rad]; beyond the map the slope is
+        that of its border.
+        """
+        (x, y), (dx, dy), (nx, ny) = self._first, self._steps, self._last
+        f = np.minimum(np.maximum((place.real - x) / dx, 0), nx - 1e-9)
+        g = np.minimum(np.maximum((place.imag - y) / dy, 0), ny - 1e-9)
+        i, j = f.astype(int), g.astype(int)
+        f, g = f - i, g - j
+        cell = self._cells[i * int(ny) + j]
+        gradient = cell[:, 0] + f * cell[:, 1] + g * (cell[:, 2] + f * cell[:, 3])
+        turned = gradient * _direction(-heading)
+        ahead, left = turned.real, turned.imag
+        square = ahead**2
+        along = np.sqrt(1 + square)
+        left = left / (along * np.sqrt(1 + square + left**2))
+        return _bounded(ahead / along), _bounded(left)
+
+
+def _bounded(sine: Array) -> Array:
+    return np.minimum(np.maximum(sine, -STEEPEST), STEEPEST)
+
+
+def _direction(angle: Array) -> ComplexArray:
+    """Return complex numbers of size one; faster than the complex exponential."""
+    direction = np.empty(angle.shape, dtype=complex)
+    direction.real, direction.imag = np.cos(angle), np.sin(angle)
+    return direction
 
 
 class DriveLog(NamedTuple):
@@ -81,12 +99,14 @@ class DriveLog(NamedTuple):
     name: str
     group: str  # of logs that are left out together, such as a campaign
     dt: float  # time between samples [s]
-    place: Array  # shape (n, 2): position of the receiver [m]
-    velocity: Array  # shape (n, 2): measured, or the derivative of the positions [m/s]
+    place: Array  # shape (n, 2): position of the receiver on the map [m]
+    velocity: Array  # shape (n, 2): of the receiver [m/s]
     speed: Array  # shape (n,): of the receiver [m/s]
     good: Mask  # shape (n,): samples with reliable positions
     direction: Array  # shape (n,): 1 where the command is ahead, -1 back, 0 neither
     sides: Array  # shape (n, 2): commanded speeds of the left and the right side [m/s]
+    is_velocity_measured: bool = True  # by the receiver; otherwise the derivative of the positions
+    heading: Array | None = None  # shape (n,): of a sensor, continuous over turns [rad]
 
 
 class PathWindows(NamedTuple):
@@ -150,14 +170,50 @@ def _throughout(mask: Mask, half: int) -> Mask:
     return np.convolve(mask, np.ones(width), "same") > width - 0.5
 
 
+class Tour(NamedTuple):
+    """Starts and commands of n motions over a map, the longest motion first."""
+
+    place: ComplexArray  # shape (n,): start [m]
+    heading: Array  # shape (n,): at the start [rad]
+    left: Array  # shape (m, n): commanded speeds of the sides [m/s]
+    right: Array
+    steps: Array  # shape (n,): numbers of steps, at most m
+    dt: float  # [s]
+    slopes: Slopes
+
+
 class MotionModel(NamedTuple):
-    """A model of the motion: constants with start values and bounds, and its rates."""
+    """A model of the motion: constants with start values and bounds, and the paths it predicts."""
 
     words: str
     start: dict[str, float]
     bounds: dict[str, tuple[float, float]]
     units: dict[str, str]
-    step: Step
+    # places and headings at the samples, shape (m + 1, n), undefined after the end of a motion
+    paths: Callable[[Values, Tour], tuple[ComplexArray, Array]]
+
+
+def integrate_rates(step: Step, values: Values, tour: Tour) -> tuple[ComplexArray, Array]:
+    """Return the paths of a model whose rates depend on the slope at the vehicle."""
+    place, heading, n = tour.place, tour.heading, len(tour.place)
+    shape = len(tour.left) + 1, n
+    places, headings = np.zeros(shape, dtype=complex), np.zeros(shape)
+    places[0], headings[0] = place, heading
+    rates: Rates | None = None
+    for k in range(len(tour.left)):
+        if n != (n := int(np.searchsorted(-tour.steps, -k))):  # motions that go on
+            values = {name: each[:n] for name, each in values.items()}
+            rates = None if rates is None else (rates[0][:n], rates[1][:n], rates[2][:n])
+            place, heading = place[:n], heading[:n]
+        up, tilt = tour.slopes.tilt(place, heading)
+        rates = step(values, tour.left[k, :n], tour.right[k, :n], up, tilt, rates)
+        v, side, turn = rates
+        # speeds are along the slope, places on the map
+        moved = v * np.sqrt(1 - up**2) + 1j * (side * np.sqrt(1 - tilt**2))
+        place = place + tour.dt * moved * _direction(heading + tour.dt / 2 * turn)
+        heading = heading + tour.dt * turn
+        places[k + 1, :n], headings[k + 1, :n] = place, heading
+    return places, headings
 
 
 def _differential(p: Values, left: Array, right: Array, *_: object) -> Rates:
@@ -176,14 +232,14 @@ def _straight(p: Values, left: Array, right: Array, *_: object) -> Rates:
     return p["scale"] * (left + right) / 2, 0 * left, 0 * left
 
 
-def _slope(p: Values, left: Array, right: Array, up: Array, *_: object) -> Rates:
+def slope_rates(p: Values, left: Array, right: Array, up: Array, *_: object) -> Rates:
     """Slip along a slope, and turns that are tighter downhill than uphill."""
     mean = (left + right) / 2
     turn = (right - left + 2 * p["drift"] * mean) / p["track"] * np.exp(-p["turn_slope"] * up)
     return p["scale"] * mean - p["slip_slope"] * np.abs(mean) * up, 0 * left, turn
 
 
-def _friction(
+def friction_rates(
     p: Values, left: Array, right: Array, up: Array, tilt: Array, near: Rates | None
 ) -> Rates:
     """Equilibrium of four wheels with friction, creep and rolling resistance on a slope.
@@ -194,10 +250,11 @@ def _friction(
     Loads follow from the moments of gravity and of the wheels' forces about the contacts, as shares
     of the front and of the left side.
     """
-    mean, half = (left + right) / 2, p["turn"] * (right - left) / 2
+    mean, half = (left + right) / 2, (right - left) / 2
     mean, half = p["scale"] * mean, half + p["drift"] * mean
     drive = np.stack([mean - half, mean + half, mean - half, mean + half], axis=1)
-    x, y = HALF_BASE * np.array([1, 1, -1, -1]) - p["ahead"], HALF_TRACK * np.array([1, -1, 1, -1])
+    x = HALF_BASE * np.array([1, 1, -1, -1]) - p["ahead"][:, None]
+    y = HALF_TRACK * np.array([1, -1, 1, -1])
     normal = np.sqrt(1 - up**2 - tilt**2)
     front = 0.5 + (p["ahead"] - p["height"] * up / normal) / (2 * HALF_BASE)
     on_left = 0.5 - p["height"] * tilt / normal / (2 * HALF_TRACK)
@@ -205,26 +262,25 @@ def _friction(
     shares = [front * on_left, front * (1 - on_left)]
     shares += [(1 - front) * on_left, (1 - front) * (1 - on_left)]
     load = normal[:, None] * np.stack(shares, axis=1)  # over the weight
-    resistance = p["resistance"] * load * np.tanh(drive / RESISTED)
-    grip, pulls = FRICTION * load, np.stack([up, tilt, 0 * up], axis=1)
-    arms = np.stack([np.stack([1 + 0 * y, 0 * y, -y]), np.stack([0 * x, 1 + 0 * x, x])])
-    constant = np.einsum("nw,cw->nc", resistance, arms[0]) + pulls
+    resistance = p["resistance"][:, None] * load * np.tanh(drive / RESISTED)
+    grip, creep = FRICTION * load, p["creep"][:, None] ** 2
+    constant = np.stack([up, tilt, 0 * up], axis=1) + _moments(resistance, 0 * load, x, y)
 
     def sliding(at: Array) -> tuple[Array, Array, Array, Array]:
-        along, across = at @ arms[0] - drive, at @ arms[1]
-        size = np.sqrt(along**2 + across**2 + p["creep"] ** 2)
+        along, across = at[:, :1] - at[:, 2:] * y - drive, at[:, 1:2] + at[:, 2:] * x
+        size = np.sqrt(along**2 + across**2 + creep)
         return along, across, size, (grip * size).sum(axis=1) + (constant * at).sum(axis=1)
 
     def step(k_xx: Array, k_xy: Array, k_yy: Array, force: Array) -> Array:
-        pairs = ((k_xx, 0, 0), (k_xy, 0, 1), (k_xy, 1, 0), (k_yy, 1, 1))
-        matrix = sum(np.einsum("nw,aw,bw->nab", k, arms[i], arms[j]) for k, i, j in pairs)
-        return np.asarray(np.linalg.solve(matrix, force[..., None])[..., 0])
+        columns = [_moments(k_xx, k_xy, x, y), _moments(k_xy, k_yy, x, y)]
+        columns.append(_moments(k_xy * x - k_xx * y, k_yy * x - k_xy * y, x, y))
+        return np.asarray(np.linalg.solve(np.stack(columns, axis=2), force[..., None])[..., 0])
 
     at = np.stack([mean, 0 * mean, half / HALF_TRACK / 2] if near is None else near, axis=1)
     along, across, size, value = sliding(at)
     for _ in range(NEWTON_STEPS):
         k = grip / size
-        force = (k * along) @ arms[0].T + (k * across) @ arms[1].T + constant
+        force = _moments(k * along, k * across, x, y) + constant
         k_xy = -k * along * across / size**2
         tangent = step(k * (1 - (along / size) ** 2), k_xy, k * (1 - (across / size) ** 2), force)
         new = at - tangent
@@ -240,15 +296,27 @@ def _friction(
     return at[:, 0], at[:, 1], at[:, 2]
 
 
-_SCALE, _TRACK, _LAGS = (0.5, 1.5), (0.02, 20.0), {"speed_lag": (0.0, 3.0), "turn_lag": (0.0, 3.0)}
-_LAG_STARTS = {"speed_lag": 0.05, "turn_lag": 0.1}
-_DIFFERENTIAL = {"scale": 1.0, "track": 0.7}
-_ICR = {"scale_left": 1.0, "scale_right": 1.0, "left": 0.35, "right": -0.35, "ahead": 0.0}
+def _moments(along: Array, across: Array, x: Array, y: Array) -> Array:
+    """Return the sums of forces at places ahead and to the left, and their moment, shape (n, 3)."""
+    moments = across * x - along * y
+    return np.stack([each.sum(axis=1) for each in (along, across, moments)], axis=1)
+
+
+# constants of drives and sensors, which any model may have besides its own: start values
+DRIVES_AND_SENSORS = {
+    "turn": 1.0,
+    "speed_lag": 0.05,
+    "turn_lag": 0.1,
+    "sensor_right": 0.0,
+    "sensor_ahead": 0.0,
+    "sensor_heading": 0.0,
+}
+_SCALE = (0.5, 1.5)
 _BOUNDS = {
     "scale": _SCALE,
     "scale_left": _SCALE,
     "scale_right": _SCALE,
-    "track": _TRACK,
+    "track": (0.02, 20.0),
     "left": (0.01, 10.0),
     "right": (-10.0, -0.01),
     "ahead": (-2.0, 2.0),  # within the wheelbase for the centre of mass
@@ -259,9 +327,15 @@ _BOUNDS = {
     "resistance": (0.0, 0.9 * FRICTION),
     "slip_slope": (-3.0, 3.0),
     "turn_slope": (-8.0, 8.0),
-    **_LAGS,
+    "speed_lag": (0.0, 3.0),
+    "turn_lag": (0.0, 3.0),
+    "sensor_right": (-5.0, 5.0),
+    "sensor_ahead": (-5.0, 5.0),
+    "sensor_heading": (-7.0, 7.0),  # a turn to either side, without an edge near half a turn
 }
-_UNITS = {"track": "m", "left": "m", "right": "m", "ahead": "m", "speed_lag": "s", "turn_lag": "s"}
+_UNITS = dict.fromkeys(
+    ("track", "left", "right", "ahead", "sensor_right", "sensor_ahead", "sensor_heading"), "m"
+) | {"speed_lag": "s", "turn_lag": "s", "sensor_heading": "rad", "creep": "m/s"}
 
 
 def _model(words: str, start: dict[str, float], step: Step) -> MotionModel:
@@ -270,22 +344,22 @@ def _model(words: str, start: dict[str, float], step: Step) -> MotionModel:
         start,
         {name: _BOUNDS[name] for name in start},
         {name: _UNITS.get(name, "1") for name in start},
-        step,
+        partial(integrate_rates, step),
     )
 
 
 MODELS = {
     "straight": _model("straight on at the commanded speed", {"scale": 1.0}, _straight),
-    "differential": _model("differential drive", _DIFFERENTIAL, _differential),
-    "differential_lags": _model(
-        "differential drive, lags", {**_DIFFERENTIAL, **_LAG_STARTS}, _differential
+    "differential": _model("differential drive", {"scale": 1.0, "track": 0.7}, _differential),
+    "icr": _model(
+        "five-parameter ICR",
+        {"scale_left": 1.0, "scale_right": 1.0, "left": 0.35, "right": -0.35, "ahead": 0.0},
+        _icr,
     ),
-    "icr": _model("five-parameter ICR", _ICR, _icr),
-    "icr_lags": _model("five-parameter ICR, lags", {**_ICR, **_LAG_STARTS}, _icr),
     "slope": _model(
         "slip and turning by the slope",
         {"scale": 1.0, "track": 0.7, "drift": 0.01, "slip_slope": 0.1, "turn_slope": 1.0},
-        _slope,
+        slope_rates,
     ),
     "friction": _model(
         "balance of friction on the slope",
@@ -298,9 +372,24 @@ MODELS = {
             "height": 0.5,
             "resistance": 0.1,
         },
-        _friction,
+        friction_rates,
     ),
 }
+
+
+def with_drives_and_sensors(model: MotionModel, unknowns: Sequence[Unknown]) -> MotionModel:
+    """Return a model with those unknowns that are constants of drives and sensors."""
+    added = [each for each in unknowns if each.quantity in DRIVES_AND_SENSORS]
+    bounds = {}
+    for each in added:
+        low, high = _BOUNDS[each.quantity]
+        bounds[each.quantity] = max(low, each.lower), min(high, each.upper)
+    start = {each.quantity: DRIVES_AND_SENSORS[each.quantity] for each in added}
+    return model._replace(
+        start=model.start | {name: float(np.clip(at, *bounds[name])) for name, at in start.items()},
+        bounds=model.bounds | bounds,
+        units=model.units | {name: _UNITS.get(name, "1") for name in start},
+    )
 
 
 class PathErrors(NamedTuple):
@@ -308,7 +397,7 @@ class PathErrors(NamedTuple):
 
     along: Array  # along and to the left of the measured displacement [m]
     across: Array
-    course: Array  # [rad]
+    course: Array  # or heading, of logs with a sensor of it [rad]
     displacement: Array  # measured [m]
 
     @property
@@ -321,17 +410,12 @@ class GroundPredictor:
     """Predictions of windows: the same course at the start as measured, then commands only.
 
     The measured course is the mean of those of a line through the positions of a chord, and of the
-    receiver's velocities with the equivalent weights; with ``from_positions``, the former only, for
-    logs whose velocities are derivatives of the positions. ModelError is raised without windows.
+    receiver's velocities with the equivalent weights. Without measured velocities it is the former;
+    with a sensor of the heading in all logs, the heading takes its place. ModelError is raised
+    without windows.
     """
 
-    def __init__(
-        self,
-        logs: Sequence[DriveLog],
-        windows: PathWindows,
-        slopes: Slopes,
-        from_positions: bool = False,
-    ) -> None:
+    def __init__(self, logs: Sequence[DriveLog], windows: PathWindows, slopes: Slopes) -> None:
         if not windows.log.size:
             raise ModelError(
                 "windows: expected at least one in the fitted logs, found none; use longer logs or "
@@ -348,86 +432,116 @@ class GroundPredictor:
         first = (windows.first - half)[self._order]
         self._logs = [log.sides for log in logs]
         own, count = windows.log[self._order], np.array([len(log.sides) for log in logs])
-        at = first[:, None] + np.arange(int(self._steps.max()) + 1)
-        offset = np.append(0, np.cumsum(count))[own]
-        self._rows = offset[:, None] + np.minimum(at, count[own, None] - 1)
+        at = first + np.arange(int(self._steps.max()) + 1)[:, None]
+        self._rows = np.append(0, np.cumsum(count))[own] + np.minimum(at, count[own] - 1)
         z = np.concatenate([log.place for log in logs]) @ [1, 1j]
         seen = z[self._rows]
         rows = np.arange(len(first))
-        self._ends = rows[:, None], (self._steps - half)[:, None] + k
-        self._start, self._course = seen[:, 0], seen[:, : 2 * half + 1] @ self._line
-        self._final = seen[self._ends] @ self._line
-        if not from_positions:
+        self._last = self._steps - half, rows
+        self._ends = self._last[0] + k[:, None], rows
+        self._start, self._moved = seen[0], seen[self._last] - seen[half]
+        angles = [log.heading for log in logs if log.heading is not None]
+        self._has_headings = len(angles) == len(logs)
+        if self._has_headings:
+            heading = np.exp(1j * np.concatenate(angles))[self._rows]
+            self._course, self._final = heading[half], heading[self._last]
+            return
+        self._course = self._line @ seen[: 2 * half + 1]
+        self._final = self._line @ seen[self._ends]
+        if all(log.is_velocity_measured for log in logs):
             speeds = (np.concatenate([log.velocity for log in logs]) @ [1, 1j])[self._rows]
             # a line through positions weighs the velocities between them like this
             weights = half * (half + 1) - k**2
-            self._course = _mean_course(self._course, speeds[:, : 2 * half + 1] @ weights)
-            self._final = _mean_course(self._final, speeds[self._ends] @ weights)
-        self._moved = seen[rows, self._steps - half] - seen[:, half]
+            self._course = _mean_course(self._course, weights @ speeds[: 2 * half + 1])
+            self._final = _mean_course(self._final, weights @ speeds[self._ends])
 
-    def __call__(self, model: MotionModel, values: Values) -> PathErrors:
-        """Return the errors of a model with values of its constants."""
-        path = self._paths(model, values)
-        half, rows = self._half, np.arange(len(path))
-        own, final = path[:, : 2 * half + 1] @ self._line, path[self._ends] @ self._line
-        spin = self._course / np.abs(self._course) * np.abs(own) / np.where(own == 0, 1, own)
-        missed = spin * (path[rows, self._steps - half] - path[:, half]) - self._moved
-        missed = missed * np.abs(self._moved) / self._moved
-        course = np.angle(final * spin / self._final)
+    def __call__(self, model: MotionModel, values: Mapping[str, float | Array]) -> PathErrors:
+        """Return the errors of a model of n windows, shape (n,).
+
+        If values of constants are arrays of shape (m,), each with a value for a prediction, errors
+        have the shape (n, m).
+        """
+        count = max(np.size(each) for each in values.values())
+        path, heading = self._paths(model, values, count)
+        half = self._half
+        if self._has_headings:
+            direction = np.exp(1j * (heading + values.get("sensor_heading", 0.0)))
+            own, final = direction[half], direction[self._last]
+        else:
+            own, final = (
+                np.tensordot(self._line, each, 1)
+                for each in (path[: 2 * half + 1], path[self._ends])
+            )
+        course, displacement = self._course[:, None], self._moved[:, None]
+        spin = course / np.abs(course) * np.abs(own) / np.where(own == 0, 1, own)
+        missed = spin * (path[self._last] - path[half]) - displacement
+        missed = missed * np.abs(displacement) / displacement
+        turned = np.angle(final * spin / self._final[:, None])
         back = np.argsort(self._order)
-        return PathErrors(
-            missed.real[back], missed.imag[back], course[back], np.abs(self._moved)[back]
-        )
+        if all(np.ndim(each) == 0 for each in values.values()):
+            missed, turned = missed[:, 0], turned[:, 0]
+        size = np.abs(self._moved)
+        return PathErrors(missed.real[back], missed.imag[back], turned[back], size[back])
 
-    def _paths(self, model: MotionModel, values: Values) -> Array:
-        """Return predicted positions, shape (n, n_steps), from a chord before each window."""
-        mean, half_difference = self._commands(values)
-        left, right = (mean - half_difference)[self._rows], (mean + half_difference)[self._rows]
-        level = np.zeros(len(left))
+    def _paths(
+        self, model: MotionModel, values: Mapping[str, float | Array], count: int
+    ) -> tuple[ComplexArray, Array]:
+        """Return predicted positions and headings, (n_samples, n, count), from a chord before."""
+        n, half = len(self._start), self._half
+        mean, difference = self._commands(values, count)
+        lanes = {name: np.tile(np.broadcast_to(each, count), n) for name, each in values.items()}
+        none = np.zeros(n * count)
+        receiver = lanes.get("sensor_ahead", none) - 1j * lanes.get("sensor_right", none)
+        course = np.repeat(np.angle(self._course), count)
+        if self._has_headings:
+            course = course - lanes.get("sensor_heading", none)
+        tour = Tour(
+            np.repeat(self._start, count) - receiver * np.exp(1j * course),
+            course,
+            mean - difference,
+            mean + difference,
+            np.repeat(self._steps, count),
+            self._dt,
+            self._slopes,
+        )
         # the heading one chord before the start, from the measured course at the start
-        turned = sum(
-            model.step(values, left[:, k], right[:, k], level, level, None)[2]
-            for k in range(self._half)
-        )
-        heading = np.angle(self._course) - np.asarray(turned) * self._dt
-        place, path = self._start.copy(), np.empty(left.shape, dtype=complex)
-        path[:] = place[:, None]
-        rates: Rates | None = None
-        for k in range(left.shape[1] - 1):
-            n = int(np.searchsorted(-self._steps, -k, side="right"))  # windows that go on
-            here = np.column_stack([place[:n].real, place[:n].imag])
-            up, tilt = self._slopes.tilt(here, heading[:n])
-            if rates is not None:
-                rates = rates[0][:n], rates[1][:n], rates[2][:n]
-            rates = model.step(values, left[:n, k], right[:n, k], up, tilt, rates)
-            v, side, turn = rates
-            # speeds are along the slope, places on the map
-            moved = v * np.sqrt(1 - up**2) + 1j * side * np.sqrt(1 - tilt**2)
-            place[:n] += self._dt * moved * np.exp(1j * (heading[:n] + self._dt * turn / 2))
-            heading[:n] += self._dt * turn
-            path[:n, k + 1] = place[:n]
-        return path
+        chord = tour._replace(left=tour.left[:half], right=tour.right[:half])
+        turned = model.paths(lanes, chord)[1][-1] - course
+        place, heading = model.paths(lanes, tour._replace(heading=course - turned))
+        if receiver.any():
+            place = place + receiver * _direction(heading)
+        return place.reshape(-1, n, count), heading.reshape(-1, n, count)
 
-    def _commands(self, values: Values) -> tuple[Array, Array]:
-        """Return mean and half difference of the sides' speeds after first-order lags."""
-        means, differences = list[Array](), list[Array]()
-        for left, right in (sides.T for sides in self._logs):
-            means.append(_lagged((left + right) / 2, values.get("speed_lag", 0.0), self._dt))
-            differences.append(_lagged((right - left) / 2, values.get("turn_lag", 0.0), self._dt))
-        return np.concatenate(means), np.concatenate(differences)
+    def _commands(self, values: Mapping[str, float | Array], count: int) -> list[Array]:
+        """Return mean and half difference of the sides' speeds after lags, (n_steps, n count)."""
+        signals = list[Array]()
+        for name, sign in (("speed_lag", 1), ("turn_lag", -1)):
+            parts = (
+                _lagged((right + sign * left) / 2, values.get(name, 0.0), self._dt)
+                for left, right in (sides.T for sides in self._logs)
+            )
+            signals.append(np.concatenate([*parts], axis=0))
+        signals[1] = signals[1] * values.get("turn", 1.0)
+        return [
+            np.repeat(each, count // each.shape[1], axis=1)[self._rows[:-1]].reshape(
+                len(self._rows) - 1, -1
+            )
+            for each in signals
+        ]
 
 
-def _mean_course(one: Array, other: Array) -> Array:
+def _mean_course(one: ComplexArray, other: ComplexArray) -> ComplexArray:
     """Return the mean direction of velocities, as complex numbers of size one."""
     mean = one / np.abs(one) + other / np.abs(other)
     return np.asarray(mean / np.abs(mean))
 
 
-def _lagged(signal: Array, lag: float, dt: float) -> Array:
-    """Return a signal after a first-order lag [s]."""
-    if lag < LEAST_LAG:
-        return signal
-    keep = float(np.exp(-dt / lag))
-    return np.asarray(
-        scipy.signal.lfilter([1 - keep], [1, -keep], signal, zi=[keep * signal[0]])[0]
-    )
+def _lagged(signal: Array, lags: float | Array, dt: float) -> Array:
+    """Return a signal after first-order lags [s], with a column for each."""
+    columns = list[Array]()
+    for lag in np.ravel(lags).tolist():
+        keep = float(np.exp(-dt / lag)) if lag > LEAST_LAG else 0.0
+        columns.append(
+            scipy.signal.lfilter([1 - keep], [1, -keep], signal, zi=[keep * signal[0]])[0]
+        )
+    return np.column_stack(columns)

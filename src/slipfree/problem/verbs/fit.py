@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -43,6 +45,7 @@ from slipfree.problem.schema import MODEL, VERB, CommonKeys, LawKeys, VehicleSou
 from slipfree.problem.units import check_heading_unit, check_sampling, check_travel
 from slipfree.problem.verbs.base import Lines, Verb
 from slipfree.terrain.analytic import Analytic
+from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
 TIME_SLACK = 1e-6  # of window ends [window]
@@ -97,6 +100,17 @@ class UnknownTable(Record):
     upper: Quantity | None = Field(
         default=None, description="upper bound, in the unit of the quantity [m, rad, 1]"
     )
+
+    def unknown(self, name: str) -> Unknown:
+        """Return the unknown of a table with a name."""
+        lower = -inf if self.lower is None else self.lower
+        upper = inf if self.upper is None else self.upper
+        return Unknown(name, self.quantity or name, self.wheels, lower, upper)
+
+
+class PriorUnknownTable(UnknownTable):
+    """A number to be fitted, of which something may be known before."""
+
     prior: Annotated[tuple[float, Positive], Field(strict=False)] | None = Field(
         default=None,
         description="mean and standard deviation before the fit, in the unit of the quantity "
@@ -105,9 +119,7 @@ class UnknownTable(Record):
 
     def unknown(self, name: str) -> Unknown:
         """Return the unknown of a table with a name."""
-        lower = -inf if self.lower is None else self.lower
-        upper = inf if self.upper is None else self.upper
-        return Unknown(name, self.quantity or name, self.wheels, lower, upper, self.prior)
+        return replace(super().unknown(name), prior=self.prior)
 
 
 class Fit(LawKeys, CommonKeys):
@@ -123,7 +135,7 @@ class Fit(LawKeys, CommonKeys):
         default=0.6, description="coefficient of friction of the ground, which is level [1]"
     )
     data: Data = Field(description="the log")
-    unknowns: Annotated[dict[str, UnknownTable], Field(min_length=1)] = Field(
+    unknowns: Annotated[dict[str, PriorUnknownTable], Field(min_length=1)] = Field(
         description="the numbers to be fitted, by name [m, rad, 1]"
     )
     train: Annotated[float, Field(gt=0, lt=1)] = Field(
@@ -159,6 +171,15 @@ class Fitted(NamedTuple):
     notes: tuple[str, ...]
 
 
+def build_model(
+    model: Literal["kinematics", "quasi-static"], ground: Terrain, vehicle: Vehicle, law: Any
+) -> Dae:
+    """Return the model of a fit."""
+    if model == "kinematics":
+        return direct_kinematics(vehicle, ground, slip=law)
+    return quasi_statics(vehicle, ground, law=law)
+
+
 def fit(problem: Problem[Fit]) -> Fitted:
     """Return the result of a fit.
 
@@ -169,12 +190,8 @@ def fit(problem: Problem[Fit]) -> Fitted:
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle, problem)
     law: Any = model_law(problem)
-    ground, unknowns = Analytic(lambda x, _: 0 * x, mu=spec.friction), []
-
-    def build(vehicle: Vehicle, law: Any) -> Dae:
-        if spec.model == "kinematics":
-            return direct_kinematics(vehicle, ground, slip=law)
-        return quasi_statics(vehicle, ground, law=law)
+    unknowns, ground = list[Unknown](), Analytic(lambda x, _: 0 * x, mu=spec.friction)
+    build = partial(build_model, spec.model, ground)
 
     for name, table in spec.unknowns.items():
         with at(problem, ("unknowns", name)):

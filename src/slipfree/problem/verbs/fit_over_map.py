@@ -3,28 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal, NamedTuple, cast
 
 import numpy as np
 from pydantic import Field
 
 from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
 from slipfree.files.tables import read_columns
+from slipfree.files.toml.source import Fault, problem_error
 from slipfree.files.toml.types import Pair, Positive, Quantity, Record
 from slipfree.fit.ground_fit import FITTED, GroundFit, Kind, Score, by_logs, judge, rms
-from slipfree.fit.ground_motion import MODELS, DriveLog, Slopes
+from slipfree.fit.ground_motion import (
+    DRIVES_AND_SENSORS,
+    MODELS,
+    DriveLog,
+    MotionModel,
+    Slopes,
+    with_drives_and_sensors,
+)
+from slipfree.fit.ground_vehicle import vehicle_model
+from slipfree.fit.unknowns import QUANTITIES, Unknown, law_constants
+from slipfree.problem.build import model_law
 from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import VERB, CommonKeys, HeightErrors, TerrainTable
+from slipfree.problem.schema import (
+    MODEL,
+    VERB,
+    CommonKeys,
+    HeightErrors,
+    LawKeys,
+    TerrainTable,
+    VehicleSource,
+)
 from slipfree.problem.verbs.base import Lines, Verb
+from slipfree.problem.verbs.fit import UnknownTable, build_model
+from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import disturbed
 
 GAP = 1.5  # longest time between positions that count as good [s]
 LEAST_SPEED = 0.1  # commanded speed from which the vehicle drives in one direction [m/s]
 FURTHER_MAPS = 4  # with further errors
 Name = Annotated[str, Field(min_length=1)]
-Scores = dict[str, dict[Kind, Score]]
+VEHICLE = "vehicle"  # name of the model of the vehicle
 
 
 class DriveColumns(Record):
@@ -35,6 +59,16 @@ class DriveColumns(Record):
     y: str = Field(default="y", description="column of the receiver's y on the map, in m")
     left: str = Field(default="left", description="column of the left side's command, in m/s")
     right: str = Field(default="right", description="column of the right side's command, in m/s")
+    velocity: Annotated[tuple[Name, Name], Field(strict=False)] | None = Field(
+        default=None,
+        description="columns of the receiver's velocity along x and y, measured by the Doppler "
+        "shift, in m/s; by default, the derivative of the positions",
+    )
+    heading: Name | None = Field(
+        default=None,
+        description="column of the vehicle's heading from x, by a compass or an inertial unit, in "
+        "rad; by default, courses follow from positions and velocities",
+    )
 
 
 class DriveData(Record):
@@ -50,7 +84,17 @@ class DriveData(Record):
     columns: DriveColumns = Field(default=DriveColumns(), description="names of the columns")
 
 
-class FitOverMap(CommonKeys):
+class MapUnknownTable(UnknownTable):
+    """A number to be fitted beside the constants of the models."""
+
+    quantity: str | None = Field(
+        default=None,
+        description=f"of all models: {', '.join(DRIVES_AND_SENSORS)}; of the vehicle: "
+        f"{', '.join(QUANTITIES)}, or a constant of the law; by default the name of the table",
+    )
+
+
+class FitOverMap(LawKeys, CommonKeys):
     """Fit over a map: models of a skid-steered vehicle from logs of commands and positions."""
 
     verb: Literal["fit-over-map"] = Field(description=VERB)
@@ -67,8 +111,15 @@ class FitOverMap(CommonKeys):
     )
     models: Annotated[
         tuple[Literal[tuple(MODELS)], ...],  # type: ignore[valid-type]
-        Field(strict=False, min_length=1),
+        Field(strict=False),
     ] = Field(default=("differential", "icr", "slope"), description=f"models: {', '.join(MODELS)}")
+    vehicle: VehicleSource | None = Field(
+        default=None, description="a skid-steered vehicle as a further model, with nominal values"
+    )
+    model: Literal["kinematics", "quasi-static"] = Field(default="kinematics", description=MODEL)
+    unknowns: dict[str, MapUnknownTable] = Field(
+        default={}, description="further numbers to be fitted, by name [m, rad, s, 1]"
+    )
     lengths: Annotated[tuple[Positive, ...], Field(strict=False)] = Field(
         default=(FITTED[0], 20.0), description="lengths of path of the windows [m]"
     )
@@ -87,39 +138,77 @@ class FitOverMapVerb(Verb):
     commands = ("fit",)
 
 
-def fit_over_map(
-    problem: Problem[FitOverMap], predict: Sequence[Path] = ()
-) -> tuple[Scores, dict[str, list[GroundFit]]]:
-    """Return errors of predictions and fits of the models, by name.
+class FittedModels(NamedTuple):
+    """Models over a map by name, errors of their predictions, and their fits."""
+
+    models: dict[str, MotionModel]
+    scores: dict[str, dict[Kind, Score]]
+    fits: dict[str, list[GroundFit]]
+
+
+def fit_over_map(problem: Problem[FitOverMap], predict: Sequence[Path] = ()) -> FittedModels:
+    """Return errors of predictions and fits of the models.
 
     Each folder of logs is predicted with constants fitted to the others; each log if there is one
     folder. The logs ``predict`` are predicted with constants fitted to all.
     """
     spec = problem.spec
-    grid = build_ground(cast("Any", problem)).grid  # a problem without motion
-    slopes, further = Slopes(grid, spec.smoothing, spec.shift), list[Slopes]()
+    ground = build_ground(cast("Any", problem))  # a problem without motion
+    models = _models(problem, ground.mu)
+    slopes, further = Slopes(ground.grid, spec.smoothing), list[Slopes]()
     if spec.map_error is not None:
         error = spec.map_error.rms, spec.map_error.correlation
         further = [
-            Slopes(disturbed(grid, *error, seed), spec.smoothing, spec.shift)
+            Slopes(disturbed(ground.grid, *error, seed), spec.smoothing)
             for seed in range(FURTHER_MAPS)
         ]
     with at(problem, ("data", "files")):
         paths = [problem.folder / name for name in spec.data.files]
         alone = len({path.parent for path in paths}) == 1
-        logs = [
-            _read_log(path, spec.data, path.name if alone else str(path.parent)) for path in paths
-        ]
-        others = [_read_log(path, spec.data, path.stem) for path in predict]
-        models = {name: MODELS[name] for name in spec.models}
+        logs = [_read_log(path, spec, path.name if alone else str(path.parent)) for path in paths]
+        others = [_read_log(path, spec, path.stem) for path in predict]
         kinds = [*((length, 0.0) for length in spec.lengths), (0.0, spec.duration)]
-        # logs have no velocities of the receiver: those of `_read_log` follow from the positions
-        return judge(logs, slopes, models, kinds, others, further, from_positions=True)
+        return FittedModels(models, *judge(logs, slopes, models, kinds, others, further))
 
 
-def _read_log(path: Path, data: DriveData, group: str) -> DriveLog:
+def _models(problem: Problem[FitOverMap], friction: float | Grid | None) -> dict[str, MotionModel]:
+    """Return the models, with that of the vehicle last."""
+    spec, unknowns = problem.spec, list[Unknown]()
+    models = {name: MODELS[name] for name in spec.models}
+    known = dict.fromkeys(DRIVES_AND_SENSORS)
+    vehicle, law = None, None
+    if spec.vehicle is not None:
+        with at(problem, ("vehicle",)):
+            vehicle = build_vehicle(spec.vehicle, problem)
+        law = model_law(problem)
+        known |= dict.fromkeys([*QUANTITIES, *law_constants(law)])
+    for name, table in spec.unknowns.items():
+        with at(problem, ("unknowns", name)):
+            unknowns.append(table.unknown(name))
+            if unknowns[-1].quantity not in known:
+                remedy = "correct it" if vehicle else "correct it, or add the table [vehicle]"
+                raise ModelError(
+                    f"unknown {name!r}: expected one of the quantities {', '.join(known)}, found "
+                    f"{unknowns[-1].quantity!r}; {remedy}"
+                )
+    if vehicle is not None:
+        with at(problem, ("vehicle",)):
+            build = partial(build_model, spec.model)
+            words = f"vehicle, {spec.model}"
+            models[VEHICLE] = vehicle_model(words, build, vehicle, law, unknowns, friction)
+    if not models:
+        raise problem_error(
+            problem.source, [Fault(("models",), "at least one model, or a vehicle", "none")]
+        )
+    return {name: with_drives_and_sensors(each, unknowns) for name, each in models.items()}
+
+
+def _read_log(path: Path, spec: FitOverMap, group: str) -> DriveLog:
     """Return a log at equal intervals; positions are linear between samples, commands are held."""
-    table, _ = read_columns(path, dict(data.columns), "a log", where="[data.columns]")
+    data, columns = spec.data, dict(spec.data.columns)
+    vx, vy = columns.pop("velocity") or (None, None)
+    wanted = {name: each for name, each in (columns | {"vx": vx, "vy": vy}).items() if each}
+    table, _ = read_columns(path, wanted, "a log", where="[data.columns]")
     t = table["t"]
     if (np.diff(t) <= 0).any():
         k = int(np.argmax(np.diff(t) <= 0))
@@ -132,8 +221,13 @@ def _read_log(path: Path, data: DriveData, group: str) -> DriveLog:
         raise ModelError(
             f"{path}: expected a log longer than {data.step:g} s, found {t[-1] - t[0]:g} s; omit it"
         )
-    place = np.column_stack([np.interp(even, t, table[key]) for key in ("x", "y")])
-    velocity = np.gradient(place, data.step, axis=0)
+
+    def between(*names: str) -> Array:
+        return np.column_stack([np.interp(even, t, table[name]) for name in names])
+
+    place = between("x", "y") + spec.shift
+    velocity = between("vx", "vy") if vx else np.gradient(place, data.step, axis=0)
+    heading = np.interp(even, t, np.unwrap(table["heading"])) if "heading" in table else None
     held = np.searchsorted(t, np.maximum(even - data.delay, t[0]) + 1e-9, side="right") - 1
     sides = np.column_stack([table["left"], table["right"]])[held]
     later = np.clip(np.searchsorted(t, even, side="right"), 1, t.size - 1)
@@ -148,25 +242,27 @@ def _read_log(path: Path, data: DriveData, group: str) -> DriveLog:
         t[later] - t[later - 1] < GAP,
         np.where(np.abs(mean) > LEAST_SPEED, np.sign(mean), 0.0),
         sides,
+        vx is not None,
+        heading,
     )
 
 
-def facts(scores: Mapping[str, Mapping[Kind, Score]], fits: Mapping[str, list[GroundFit]]) -> Lines:
+def facts(fitted: FittedModels) -> Lines:
     """Return constants and errors of all models as lines."""
-    return [*_constants(fits), *_errors(scores)]
+    return [*_constants(fitted), *_errors(fitted.scores)]
 
 
-def _constants(fits: Mapping[str, list[GroundFit]]) -> Iterator[tuple[str, str]]:
-    """Yield the constants of each model from the last fit, and their range over all fits."""
-    for name, own in fits.items():
-        words = []
+def _constants(fitted: FittedModels) -> Iterator[tuple[str, str]]:
+    """Yield the constants of each model from the last fit, with their intervals."""
+    for name, own in fitted.fits.items():
+        words, model = [], fitted.models[name]
         for key, value in own[-1].values.items():
             low, high = own[-1].intervals[key]
-            unit = MODELS[name].units[key]
+            unit = model.units[key]
             words.append(
                 f"{key} {value:.4g}{'' if unit == '1' else f' {unit}'} ({low:.4g} to {high:.4g})"
             )
-        yield MODELS[name].words, ", ".join(words)
+        yield model.words, ", ".join(words)
 
 
 def _errors(scores: Mapping[str, Mapping[Kind, Score]]) -> Iterator[tuple[str, str]]:
