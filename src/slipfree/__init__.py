@@ -21,7 +21,8 @@ Model, a `Dae`
 Start
     `settle`, the vehicle at rest on the ground. `settle_many`, at many positions at once.
 Inputs
-    ``model.inputs(...)``, values or expressions. `follow` a `Path`, or drive `straight`.
+    ``model.inputs(...)``, values or expressions. `follow` a `Path`, or drive `straight`. A model
+    that is `commanded` has forward velocity and yaw rate as inputs.
 Motion, a `Trajectory`
     `simulate`, with `SolverOptions`; the `Outcome` says whether the motion is complete. `rollouts`,
     many motions of one model, in processes or side by side.

@@ -3,7 +3,7 @@
 from . import catalog
 from .atlas.atlas import atlas
 from .batch.many import settle_many
-from .control.path_following import follow, straight
+from .control.path_following import commanded, follow, straight
 from .core.dae import Dae
 from .core.errors import DataError, ModelError, SlipfreeError
 from .core.outcome import Outcome
@@ -85,6 +85,7 @@ __all__ = [
     "__version__",
     "atlas",
     "catalog",
+    "commanded",
     "cross_check",
     "direct_kinematics",
     "dynamics",

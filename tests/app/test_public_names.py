@@ -21,7 +21,7 @@ NAMES = {
     *("direct_kinematics", "inverse_kinematics", "montana_kinematics", "quasi_statics"),
     *("dynamics", "rigid_dynamics", "planar", "in_gravity", "Compliant", "Rate", "Torque", "Motor"),
     *("LeastSlip", "Rolling", "Coulomb", "LinearCreep", "Soil"),
-    *("follow", "straight", "Path"),
+    *("follow", "commanded", "straight", "Path"),
     *(
         "settle",
         "settle_many",

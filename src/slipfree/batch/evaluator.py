@@ -114,6 +114,11 @@ class EvaluatorOf(Protocol[G]):
     ) -> tuple[Array, Mask] | None:
         """Return the result of compiled steps; None without them."""
 
+    def drive(
+        self, states: Array, inputs: Array, t: Array, numbers: tuple[float, ...], samples: Array
+    ) -> Array | None:
+        """Fill in samples of motions, and return their ends; None without compiled steps."""
+
 
 Evaluator = EvaluatorOf[Graphs]
 
@@ -138,7 +143,7 @@ def evaluator_of(dae: Dae, *, compiled: bool = True, lanes: int | None = None) -
         If the model has no graphs; see `slipfree.batch.graph.graphs_of`.
     """
     graphs = graphs_of(dae)
-    steps = _step_code(graphs) if graphs.explicit else ""
+    steps = _step_code(graphs) if graphs.linear else ""
     return evaluator_of_graphs(graphs, steps, compiled=compiled, lanes=lanes)
 
 
@@ -178,6 +183,9 @@ class _Interpreted(Generic[G]):
     def advance(self, *_: Any) -> None:
         """Return None: there are no compiled steps."""
 
+    def drive(self, *_: Any) -> None:
+        """Return None: there are no compiled steps."""
+
 
 class _Compiled(Generic[G]):
     """Evaluation by a compiled library."""
@@ -187,7 +195,7 @@ class _Compiled(Generic[G]):
     def __init__(self, graphs: G, source: _Source, loaded: ctypes.CDLL) -> None:
         self.graphs = graphs
         self._functions = {name: getattr(loaded, name) for name in source.names}
-        self._advance = loaded.advance if source.has_steps else None
+        self._steps = loaded if source.has_steps else None
         self._constants = np.array([*source.constants, 0.0])
         self._tables = [np.ascontiguousarray(each.coefficients) for each in source.cells]
         self._cells = (_Cells * max(1, len(self._tables)))(
@@ -224,14 +232,14 @@ class _Compiled(Generic[G]):
         ``bounds`` are the largest correction and error. The result is None for a model whose rates
         need iterations.
         """
-        if self._advance is None:
+        if self._steps is None:
             return None
         n = states.shape[1]
         states, rates, h, counts = (
             np.ascontiguousarray(each, dtype=float) for each in (states, rates, h, count)
         )
         results = np.empty((len(states) + 1, n))
-        self._advance(
+        self._steps.advance(
             ctypes.c_long(n),
             ctypes.c_void_p(states.ctypes.data),
             ctypes.c_long(states.strides[0] // 8),
@@ -244,6 +252,38 @@ class _Compiled(Generic[G]):
             self._cells,
         )
         return results[:-1], results[-1] > 0
+
+    def drive(
+        self, states: Array, inputs: Array, t: Array, numbers: tuple[float, ...], samples: Array
+    ) -> Array | None:
+        """Fill in samples of motions, and return their ends, as `motion.candidate_lanes`.
+
+        ``numbers`` are the length of a step, the largest number of steps between samples, the
+        largest correction and error, the rounding of limits, the number of repeated Newton steps of
+        the forces, that of attempts, and the factor of the number of steps after each of them. The
+        result, shape (2, n), contains the times of the ends and their
+        codes: -1 if complete, -2 if not solved, or the index of a bound of a limit. It is None for
+        a model whose rates need iterations.
+        """
+        if self._steps is None:
+            return None
+        states, inputs, t = (
+            np.ascontiguousarray(each, dtype=float) for each in (states, inputs, t)
+        )
+        ends = np.empty((2, states.shape[1]))
+        self._steps.drive(
+            ctypes.c_long(states.shape[1]),
+            ctypes.c_void_p(states.ctypes.data),
+            ctypes.c_void_p(inputs.ctypes.data),
+            ctypes.c_long(t.size),
+            ctypes.c_void_p(t.ctypes.data),
+            *(ctypes.c_double(each) for each in numbers),
+            ctypes.c_void_p(samples.ctypes.data),
+            ctypes.c_void_p(ends.ctypes.data),
+            ctypes.c_void_p(self._constants.ctypes.data),
+            self._cells,
+        )
+        return ends
 
 
 class _Cells(ctypes.Structure):
@@ -379,7 +419,7 @@ class _Source(CodeWriter):
 def _step_code(graphs: Graphs) -> str:
     """Return the C code of steps of a model whose rates need no iteration."""
     rows, function = graphs.rows, graphs.motion.function
-    _, p, w, change, error, _ = graphs.motion.parts
+    _, p, w, change, error, speed, forces, doubt, distances = graphs.checked.parts
     sizes = {
         "ROWS": function.numel_in(0),
         "RESULTS": function.numel_out(0),
@@ -393,7 +433,19 @@ def _step_code(graphs: Graphs) -> str:
         "CHANGE": change.start,
         "ERROR": error.start,
         "TIME": rows.t.start,
+        "SPEED": speed.start,
+        "CHECKED_RESULTS": graphs.checked.function.numel_out(0),
+        "FORCES": forces.stop - forces.start,
+        "FIRST_FORCE": rows.f.start,
+        "NEW_FORCES": forces.start,
+        "DOUBT": doubt.start,
+        "FIRST_DISTANCE": distances.start,
+        "INPUTS": rows.u.stop - rows.u.start,
+        "FIRST_INPUT": rows.u.start,
     }
+    if graphs.dae.lag is not None:
+        sizes["LAG"], sizes["LAST_RELAXING"] = rows.lag.start, rows.x.stop
+        sizes["FIRST_RELAXING"] = rows.x.stop - graphs.dae.rest.numel()
     lines = [f"#define {name} {value}" for name, value in sizes.items()]
     return "\n".join([*lines, Path(__file__).with_name("step.c").read_text(encoding="utf-8")])
 

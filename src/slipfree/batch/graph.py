@@ -133,11 +133,6 @@ class Graphs(NamedTuple):
     linear: bool
 
     @property
-    def explicit(self) -> bool:
-        """Whether rates follow from linear equations, and no states relax."""
-        return self.linear and self.dae.lag is None
-
-    @property
     def stages(self) -> tuple[float, ...]:
         """Values of the continuation parameter; none if it is not a row of the states."""
         continuation = _continuation(self.dae)

@@ -32,6 +32,8 @@ STEP_GROWTH, STEP_LOSS, GROWING = 1.4, 0.5, 0.02  # after steps below and above 
 MAX_RELAXATION = 0.1  # longest step of the relaxation [size]
 AT_REST = 1e-11  # last step of the relaxation, of more than a second [size]
 MAX_STEPS = 1_000_000  # in an interval
+MAX_CANDIDATE_STEPS = 64  # in an interval of a candidate, at the first of several attempts
+CANDIDATE_TRIES, CANDIDATE_REFINEMENT = 5, 2
 MAX_BISECTIONS = 90
 NEAR = 0.05  # clearance at a limit below which a second contact may be earlier [size]
 PARTS = 16  # of the time before such a limit, at whose ends clearances are computed
@@ -118,17 +120,97 @@ def integrate_lanes(
     return motions
 
 
+class Candidates(NamedTuple):
+    """Motions of n lanes over m samples, of which only the ends are named.
+
+    Attributes
+    ----------
+    samples : ndarray, shape (m, n_integrated, n)
+        Integrated rows of the states at the samples, NaN after the end of a lane.
+    end : ndarray, shape (n,)
+        Time of the first step beyond a limit, or of the last sample before unsolved steps. [s]
+    reason : ndarray of int, shape (n,)
+        Index of the limit that ended the lane; `COMPLETE` or `UNSOLVED`.
+    """
+
+    samples: Array
+    end: Array
+    reason: Array
+
+
 def candidate_lanes(
     evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float
-) -> Motions:
-    """Return motions as `integrate_lanes`, without errors; lanes are not repeated."""
+) -> Candidates:
+    """Return motions as `integrate_lanes`, for many candidates of which few are kept.
+
+    Errors are not estimated, checks of samples not evaluated, and the time of an end is that of the
+    first step beyond a limit. Limits are evaluated after each step.
+    """
+    graphs = evaluate.graphs
+    samples = np.full((t.size, graphs.rows.q.stop, states.shape[1]), np.nan)
+    bounds = MAX_CHANGE, MAX_ERROR, LIMIT_ROUNDING
+    numbers = step, MAX_CANDIDATE_STEPS, *bounds, FORCE_STEPS, CANDIDATE_TRIES, CANDIDATE_REFINEMENT
     with np.errstate(all="ignore"):
-        run = _Run(evaluate, states, inputs, t, step)
-        run.run()
-    run.reason[run.reason == LOST] = UNSOLVED
-    unknown = np.full(run.end.size, np.nan)
-    steps = run.counts.sum(axis=0)
-    return Motions(run.samples, run.end, run.reason, run.beyond, unknown, run.distances, steps)
+        ends = evaluate.drive(states, inputs, t, numbers, samples)
+        if ends is None:
+            ends = _drive(evaluate, states.copy(), inputs, t, step, samples)
+    codes = np.array([*graphs.bounds, UNSOLVED, COMPLETE])  # the last two have the indices -2, -1
+    return Candidates(samples, ends[0], codes[ends[1].astype(int)])
+
+
+def _drive(
+    evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float, samples: Array
+) -> Array:
+    """Fill in the samples of candidates; return times and codes of their ends, as compiled code."""
+    rows = evaluate.graphs.rows
+    move = advance if evaluate.graphs.dae.lag is None else advance_relaxing
+    ends = np.array([[t[-1]], [COMPLETE]]) * np.ones(states.shape[1])
+    rates, speed = np.empty((rows.q.stop, states.shape[1])), np.zeros(states.shape[1])
+
+    def check(lanes: Indices, some: Array) -> tuple[Array, Array, Mask, Mask]:
+        """Return rates, speeds, and which lanes are solved inside limits and which not solved."""
+        slope, solved, fast, distances = _checked(evaluate, some)
+        beyond = solved & ~(margins(distances) >= 0)
+        ends[0, lanes[beyond]] = some[rows.t][0, beyond]
+        ends[1, lanes[beyond]] = smallest(distances)[beyond]
+        return slope, fast, solved & ~beyond, ~solved
+
+    for k, now in enumerate(t):  # from sample k - 1 to sample k
+        span = now - t[k - 1] if k else 0.0
+        number = np.clip(np.ceil(speed * span / step - 1e-9), 1, MAX_CANDIDATE_STEPS)
+        first, slopes, left = states.copy(), rates.copy(), np.flatnonzero(ends[1] == COMPLETE)
+        for _ in range(CANDIDATE_TRIES if k else 1):
+            going, some, slope = left, first[:, left], slopes[:, left]
+            arrived, lost = list[tuple[Indices, Array]](), list[Indices]()
+            for taken in range(int(number[left].max(initial=0)) if k else 0):
+                if taken:
+                    slope, _, kept, bad = check(going, some)
+                    lost.append(going[bad])
+                    going, some, slope = (_of(kept, each) for each in (going, some, slope))
+                some, good = move(evaluate, some, slope, span / number[going], np.ones_like(going))
+                lost.append(going[~good])
+                there, more = (
+                    good & (number[going] == taken + 1),
+                    good & (number[going] > taken + 1),
+                )
+                arrived.append((going[there], some[:, there]))
+                going, some, slope = (_of(more, each) for each in (going, some, slope))
+            arrived = arrived or [(going, some)]
+            lanes, some = (np.concatenate(each, axis=-1) for each in zip(*arrived, strict=True))
+            some[rows.t] = now
+            if k < t.size - 1:
+                some[rows.u] = inputs[:, k, lanes]
+            slope, fast, kept, bad = check(lanes, some)
+            states[:, lanes[kept]], rates[:, lanes[kept]] = some[:, kept], slope[:, kept]
+            speed[lanes[kept]] = fast[kept]
+            left = np.concatenate([*lost, lanes[bad]])
+            number[left] *= CANDIDATE_REFINEMENT
+            if not left.size:
+                break
+        ends[0, left], ends[1, left] = t[max(k - 1, 0)], UNSOLVED
+        alive = ends[1] == COMPLETE
+        samples[k][:, alive] = states[: rows.q.stop, alive]
+    return ends
 
 
 def _integrate(
@@ -340,20 +422,8 @@ class _Run:
 
     def _checked(self, states: Array) -> tuple[Array, Mask, Array, Array]:
         """Return the results of `derivatives`, and the least distances to the limits."""
-        graph = self.evaluate.graphs.checked
-        values = _iterated(self.evaluate, graph, states)
-        result = _derivatives(self.evaluate, graph, values, states)
-        distances = values[graph.parts[DISTANCES]]
-        for _ in range(FORCE_STEPS):
-            states[self.rows.f] = values[graph.parts[FORCES]]
-            rough = ~(values[graph.parts[DOUBT]][0] <= 0)
-            if not rough.any():
-                break
-            some = _of(rough, states)
-            more = self.evaluate(graph, some)
-            values[:, rough] = more
-            distances[:, rough] = more[graph.parts[DISTANCES]]
-        return *result, margins(distances)
+        rates, good, speed, distances = _checked(self.evaluate, states)
+        return rates, good, speed, margins(distances)
 
     def _end(
         self, lanes: Indices, states: Array, before: _Step | None, good: Mask, kept: Mask
@@ -521,6 +591,20 @@ def solve_forces(evaluate: Evaluator, states: Array) -> Array:
             break
         lanes, part = lanes[moving], part[:, moving]
     return distances
+
+
+def _checked(evaluate: Evaluator, states: Array) -> tuple[Array, Mask, Array, Array]:
+    """Return the results of `derivatives`, and the distances to the bounds of limits."""
+    graph, forces = evaluate.graphs.checked, evaluate.graphs.rows.f
+    values = _iterated(evaluate, graph, states)
+    result = _derivatives(evaluate, graph, values, states)
+    for _ in range(FORCE_STEPS):
+        states[forces] = values[graph.parts[FORCES]]
+        rough = ~(values[graph.parts[DOUBT]][0] <= 0)
+        if not rough.any():
+            break
+        values[:, rough] = evaluate(graph, _of(rough, states))
+    return *result, values[graph.parts[DISTANCES]]
 
 
 def margins(distances: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from math import pi, tan
 from typing import NamedTuple
 
@@ -11,12 +12,12 @@ import numpy as np
 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError, expect
-from slipfree.core.rearrange import with_outputs
+from slipfree.core.rearrange import substitute, with_outputs
 from slipfree.core.records import Array, Label, Record, leaves, unpack
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose
 from slipfree.geometry.path import Path
-from slipfree.models.given_rates import PLANAR
+from slipfree.models.given_rates import COMMANDS, PLANAR
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
@@ -126,15 +127,81 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Record:
             f"speed: expected a finite speed other than zero, found {speed} m/s; give a positive "
             "speed, or a negative one to drive backwards"
         )
+    states, plan = _steerable(dae, vehicle, "follow")
+    v, required = _guidance_rates(dae, path, plan, speed)
+    return _planar_inputs(dae, vehicle, states, plan, (v, required, speed))
+
+
+def commanded(dae: Dae, vehicle: Vehicle, *, speed: float) -> Dae:
+    """Return a model whose inputs are the commands of a robot: forward velocity and yaw rate.
+
+    The wheel rates are those of planar motion with the current steering angles, and the steering
+    angles approach those of the command over a fraction of the size of the vehicle, as in
+    `follow`: the law of a robot that drives without a map. On uneven ground the vehicle slips, and
+    its motion differs from the command.
+
+    Parameters
+    ----------
+    dae : Dae
+        The vehicle's direct kinematics, quasi-statics or dynamics.
+    vehicle : Vehicle
+        Vehicle with steered wheels, or with driven wheels on both sides.
+    speed : float
+        Typical speed, which decides how fast wheels are steered. [m/s]
+
+    Returns
+    -------
+    Dae
+        The model with the inputs ``forward`` [m/s] and ``yaw_rate``, counter-clockwise. [rad/s]
+
+    Raises
+    ------
+    ModelError
+        If the speed is not positive and finite, or for vehicles that `follow` refuses.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slipfree import Analytic, catalog, commanded, direct_kinematics, settle, simulate
+    >>> vehicle, ground = catalog.skid_steer(), Analytic(lambda x, y: 0.02 * x * y)
+    >>> model = commanded(direct_kinematics(vehicle, ground), vehicle, speed=0.4)
+    >>> inputs = model.inputs(forward=0.4, yaw_rate=0.1)
+    >>> run = simulate(model, settle(model), inputs, np.linspace(0, 5, 26))
+    >>> print(f"turns by {run['heading'][-1]:.2f} rad")
+    turns by 0.50 rad
+    """
+    if not 0 < speed < np.inf:
+        raise ModelError(f"speed: expected a positive, finite speed, found {speed} m/s; correct it")
+    states, plan = _steerable(dae, vehicle, "commanded")
+    forward, yaw_rate = ca.SX.sym("forward"), ca.SX.sym("yaw_rate")
+    inputs = _planar_inputs(dae, vehicle, states, plan, (forward, yaw_rate, speed))
+    driven = substitute(dae, list(leaves(dae.u)), list(leaves(inputs)))
+    labels = driven.labels._replace(u=(COMMANDS["forward"], COMMANDS["yaw_rate"]))
+    return replace(driven, u=(forward, yaw_rate), labels=labels)
+
+
+def _steerable(dae: Dae, vehicle: Vehicle, name: str) -> tuple[dict[str, ca.SX], _PlanarGeometry]:
+    """Return the joints' symbols and the plan view of a vehicle whose inputs are rates."""
     wrong = [label.full for label in leaves(dae.labels.u) if not label.unit.endswith("s-1")]
     if wrong:
         raise ModelError(
-            "follow: expected the rates of all driven wheels and commanded coordinates as inputs, "
+            f"{name}: expected the rates of all driven wheels and commanded coordinates as inputs, "
             f"found {', '.join(wrong)}; use drives of the kind 'rate' or 'motor'"
         )
     states = dict(zip((label.name for label in dae.labels.x.joints), dae.x.joints, strict=True))
     plan = planar_geometry(vehicle, {c.name: states[c.name] for c in vehicle.of("commanded")})
-    v, required = _guidance_rates(dae, path, plan, speed)
+    return states, plan
+
+
+def _planar_inputs(
+    dae: Dae,
+    vehicle: Vehicle,
+    states: dict[str, ca.SX],
+    plan: _PlanarGeometry,
+    motion: tuple[ca.SX, ca.SX, float],
+) -> Record:
+    """Return the inputs for a forward velocity, a turning rate, and a typical speed."""
+    v, required, speed = motion
     pace, turning = abs(speed) / plan.base, required
     rates = dict.fromkeys((c.name for c in vehicle.of("commanded")), ca.SX(0))
     if plan.steered:

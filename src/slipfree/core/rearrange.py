@@ -154,6 +154,8 @@ def substitute(dae: Dae, symbols: Sequence[ca.SX], values: Sequence[ca.SX]) -> D
         pace=new(dae.pace),
         alg=tuple(new(rows) for rows in dae.alg),
         quad=new(dae.quad),
+        linear=None if dae.linear is None else (new(dae.linear[0]), new(dae.linear[1])),
+        leading_rates=new(dae.leading_rates),
         y=unpack(dae.y, [new(each) for each in leaves(dae.y)]),
         limits=tuple(limit._replace(expression=new(limit.expression)) for limit in dae.limits),
     )

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -28,38 +28,38 @@ from slipfree.batch.graph import Graph, graph_of
 from slipfree.batch.many import solve_positions
 from slipfree.batch.motion import (
     COMPLETE,
-    INVALID_START,
     UNSOLVED,
-    Motions,
+    Candidates,
     candidate_lanes,
-    derivatives,
-    margins,
+    clearances,
     smallest,
     solve_forces,
 )
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, Indices, leaves
+from slipfree.core.records import Array, Indices, Label, leaves
 from slipfree.core.trajectory import SolverError
+from slipfree.geometry.regions import Region
 from slipfree.plan.problem import Range, costs_of
 from slipfree.plan.stage import Cost
 
 CORRELATION = 0.7  # of the noise in neighbouring intervals
 EFFECTIVE = 0.02  # share of the candidates that shall have weight
 BISECTIONS = 60  # of the temperature
-NEAR_GROUND = "a wheel or a body touches the ground at the start"
-STEP = 0.5  # longest step [size of the vehicle]
+STEP = 0.75  # longest step [size of the vehicle]
+CHECKED_POINTS = 4  # of an interval, for keep-out regions
+LEAST_WEIGHT = 1e-4  # of a candidate that is certified
+IN_REGION = -5  # reason of an end, beside those of the batch
 
 
-class _CostGraphs(NamedTuple):
-    """Graphs of the costs: integrands, and cost at the end."""
+class _ForcedCost(NamedTuple):
+    """Graph of the integrand of costs that depend on forces."""
 
-    running: Graph
-    final: Graph
+    graph: Graph
 
     @property
     def every(self) -> tuple[Graph, ...]:
-        """All graphs."""
+        """The graph."""
         return tuple(self)
 
 
@@ -72,8 +72,8 @@ class SamplingTask:
     model : Dae
         Model of kinematics or quasi-statics.
     costs : mapping of str to float, or sequence of Cost
-        Weights by name, as in `slipfree.plan`, or terms. They are integrated by the trapezoidal
-        rule between the samples.
+        Weights by name, as in `slipfree.plan`, or terms. They are integrated with the motion; those
+        that depend on forces follow by the trapezoidal rule between the samples.
     goal : mapping of str to float
         Values of states at the end of the horizon, in map coordinates. [m, rad]
     span : float
@@ -146,39 +146,31 @@ class SamplingTask:
 
     @cached_property
     def evaluate(self) -> Evaluator:
-        """Evaluator of the model."""
-        return evaluator_of(self.model, compiled=self.compiled)
+        """Evaluator of the model, whose only quadrature is the cost that needs no forces."""
+        dae, cost = self.model, ca.SX.sym("cost")
+        rate = sum((each.weight * each.expression for each in self._terms[0]), ca.SX(0))
+        label = Label("cost", "1", "integral of the costs that do not depend on forces")
+        own = replace(dae, q=(cost,), quad=rate, labels=dae.labels._replace(q=(label,)))
+        return evaluator_of(own, compiled=self.compiled)
 
     @cached_property
-    def evaluate_costs(self) -> EvaluatorOf[_CostGraphs]:
-        """Evaluator of the costs."""
-        dae, state = self.model, self.evaluate.graphs.state
-        terms = [each.weight * each.expression for each in costs_of(dae, self.costs)]
-        away = ca.SX(0)
-        labels = list(leaves(dae.labels.x))
-        x = list(leaves(dae.x))
-        for name, value in self.goal.items():
-            k = [label.full for label in labels].index(name)
-            miss = x[k] + float(dae.shift[0][k]) - value
-            if labels[k].unit == "rad":
-                miss = 2 * ca.sin(miss / 2)
-            away += (miss / (dae.size if labels[k].unit == "m" else 1.0)) ** 2
-        running = graph_of(dae, state, "running", [ca.SX(sum(terms))])
-        return evaluator_of_graphs(
-            _CostGraphs(running, graph_of(dae, state, "final", [self.goal_weight * away])),
-            compiled=self.compiled,
-        )
+    def evaluate_forced(self) -> EvaluatorOf[_ForcedCost] | None:
+        """Evaluator of the costs that depend on forces, if any."""
+        if not self._terms[1]:
+            return None
+        rate = sum((each.weight * each.expression for each in self._terms[1]), ca.SX(0))
+        graph = graph_of(self.model, self.evaluate.graphs.state, "forced", [rate])
+        return evaluator_of_graphs(_ForcedCost(graph), compiled=self.compiled)
 
     @cached_property
-    def has_forces(self) -> bool:
-        """Whether the integrands depend on unknowns that follow from the motion."""
-        graphs, terms = self.evaluate.graphs, costs_of(self.model, self.costs)
-        forces = graphs.state[graphs.rows.f]
-        return (
-            any(ca.depends_on(each.expression, forces) for each in terms)
-            if forces.numel()
-            else False
-        )
+    def _terms(self) -> tuple[tuple[Cost, ...], tuple[Cost, ...]]:
+        """Costs that do not depend on unknowns that follow from the motion, and costs that do."""
+        z = self.model.columns()[1]
+        known = sum(block.numel() for block in self.model.alg[:2])
+        found: tuple[list[Cost], list[Cost]] = [], []
+        for each in costs_of(self.model, self.costs):
+            found[ca.depends_on(each.expression, z[known:])].append(each)
+        return tuple(found[0]), tuple(found[1])
 
     @cached_property
     def limits(self) -> tuple[Array, Array]:
@@ -216,7 +208,13 @@ class SampledPlan(NamedTuple):
 
 
 def sample_plan(
-    task: SamplingTask, x: Array, former: SampledPlan | None = None, *, elapsed: float | None = None
+    task: SamplingTask,
+    x: Array,
+    former: SampledPlan | None = None,
+    *,
+    elapsed: float | None = None,
+    goal: Mapping[str, float] | None = None,
+    keep_out: Sequence[Region] = (),
 ) -> SampledPlan:
     """Return inputs of low cost from a state on, by sampling.
 
@@ -231,6 +229,12 @@ def sample_plan(
         ranges.
     elapsed : float, optional
         Time since the cycle before, by which its inputs are shifted; by default one interval. [s]
+    goal : mapping of str to float, optional
+        Goal of this cycle, such as a point of a path ahead; by default that of the task. [m, rad]
+    keep_out : sequence of Region
+        Regions that the centre of the platform must not enter, such as obstacles that were seen
+        since the last cycle, enlarged by half the width of the vehicle. They are checked at
+        `CHECKED_POINTS` points of every interval.
 
     Returns
     -------
@@ -239,9 +243,14 @@ def sample_plan(
 
     Raises
     ------
+    ModelError
+        If a name of the goal is unknown.
     SolverError
         If the vehicle cannot stand at ``x``, or a limit is violated there.
     """
+    if goal is not None:
+        task.model.start(**goal)  # names
+    aims = _Aims(task, task.goal if goal is None else goal, tuple(keep_out), _first_state(task, x))
     low, high = task.limits
     mean = np.tile((low + high) / 2, task.intervals)
     number = 0
@@ -249,31 +258,44 @@ def sample_plan(
         mean = _shifted(task, former.inputs, task.t[1] if elapsed is None else elapsed)
         number = former.cycle + 1
     inputs = _candidates(task, mean, number)
-    costs, motions = _simulated(task, x, inputs)
-    complete = motions.reason == COMPLETE
+    costs, motions = _simulated(aims, inputs)
     if not (motions.end > 0).any():
         words = ", ".join(_ends(task, motions)) or "no pose was found"
         raise SolverError(f"sampling: the vehicle cannot start at this state: {words}")
-    chosen = costs if np.isfinite(costs).any() else -motions.end
-    both = np.stack([inputs @ _weights(chosen), inputs[..., int(chosen.argmin())]], axis=-1)
-    values, run = _simulated(task, x, both)
+    weights = _certified_weights(aims, costs, motions)
+    both = np.stack([inputs @ weights, inputs[..., int(weights.argmax())]], axis=-1)
+    values, run = _simulated(aims, both)
+    _certify(aims, values, run, np.arange(2))
     best = int(values.argmin() if np.isfinite(values).any() else run.end.argmax())
     rows = task.evaluate.graphs.rows.x
     return SampledPlan(
         both[..., best],
         run.samples[:, rows, best].T + task.model.shift[0][:, None],
         float(values[best]),
-        float(complete.mean()),
+        float((motions.reason == COMPLETE).mean()),
         _ends(task, motions),
         number,
     )
 
 
+class _Aims(NamedTuple):
+    """Task, goal and obstacles of a cycle, and the rows of the state that it starts from."""
+
+    task: SamplingTask
+    goal: Mapping[str, float]
+    keep_out: tuple[Region, ...]
+    first: Array
+
+
 def _shifted(task: SamplingTask, inputs: Array, elapsed: float) -> Array:
-    """Return inputs of the last cycle from a later time on; the last ones are held."""
-    middles = task.t[:-1] + 0.5 * task.t[1] + elapsed
-    index = np.clip((middles / task.t[1]).astype(int), 0, task.intervals - 1)
-    return np.asarray(inputs[:, index])
+    """Return inputs of the last cycle from a later time on, means over the intervals.
+
+    The last ones are held.
+    """
+    whole, part = divmod(elapsed / task.t[1], 1.0)
+    index = np.minimum(np.arange(task.intervals) + int(whole), task.intervals - 1)
+    later = np.minimum(index + 1, task.intervals - 1)
+    return np.asarray((1 - part) * inputs[:, index] + part * inputs[:, later])
 
 
 def _candidates(task: SamplingTask, mean: Array, number: int) -> Array:
@@ -288,51 +310,106 @@ def _candidates(task: SamplingTask, mean: Array, number: int) -> Array:
     return np.clip(mean[..., None] + spread[..., None] * noise, low[..., None], high[..., None])
 
 
-def _simulated(task: SamplingTask, x: Array, inputs: Array) -> tuple[Array, Motions]:
-    """Return costs and motions of inputs (n_u, intervals, n)."""
-    rows, n = task.evaluate.graphs.rows, inputs.shape[-1]
-    states = np.zeros((rows.t.stop, 1))
-    states[rows.x, 0] = x - task.model.shift[0]
-    states[rows.c] = np.reshape([each.value for each in task.model.p], (-1, 1))
-    states[rows.stage] = np.reshape(task.evaluate.graphs.stages[-1:], (-1, 1))
-    if not solve_positions(task.evaluate, states).all():
+def _first_state(task: SamplingTask, x: Array) -> Array:
+    """Return the rows of the vehicle at a state, shape (n_rows, 1)."""
+    rows = task.evaluate.graphs.rows
+    first = np.zeros((rows.t.stop, 1))
+    first[rows.x, 0] = x - task.model.shift[0]
+    first[rows.c] = np.reshape([each.value for each in task.model.p], (-1, 1))
+    first[rows.stage] = np.reshape(task.evaluate.graphs.stages[-1:], (-1, 1))
+    if not solve_positions(task.evaluate, first).all():
         raise SolverError("sampling: no pose was found at this state; correct it")
-    step = STEP * task.model.size
-    is_parallel = task.evaluate.is_compiled and task.evaluate_costs.is_compiled
-    parts = np.array_split(np.arange(n), min(task.threads, n) if is_parallel else 1)
+    return first
 
-    def run(part: Indices) -> tuple[Array, Motions]:
-        many = np.repeat(states, part.size, axis=1)
-        motions = candidate_lanes(task.evaluate, many, inputs[..., part], task.t, step)
-        return _costs(task, motions, inputs[..., part]), motions
 
-    if len(parts) == 1:
-        return run(parts[0])
+def _simulated(aims: _Aims, inputs: Array) -> tuple[Array, Candidates]:
+    """Return costs and motions of inputs (n_u, intervals, n); costs of early ends are infinite."""
+    task, n = aims.task, inputs.shape[-1]
+
+    def run(part: Indices) -> tuple[Array, Candidates]:
+        many, own = np.repeat(aims.first, part.size, axis=1), inputs[..., part]
+        step = STEP * task.model.size
+        motions = candidate_lanes(task.evaluate, many, own, task.t, step)
+        _end_in_regions(aims, motions)
+        costs = _costs(aims, many, motions, own)
+        return np.where(motions.reason == COMPLETE, costs, np.inf), motions
+
+    if task.threads == 1 or not task.evaluate.is_compiled:
+        return run(np.arange(n))
     with ThreadPoolExecutor(task.threads) as pool:
-        results = list(pool.map(run, parts))
-    costs = np.concatenate([cost for cost, _ in results])
-    motions = zip(*(found for _, found in results), strict=True)
-    return costs, Motions(*(np.concatenate(each, axis=-1) for each in motions))
+        results = list(pool.map(run, np.array_split(np.arange(n), min(task.threads, n))))
+    costs, motions = zip(*results, strict=True)
+    joined = (np.concatenate(each, axis=-1) for each in zip(*motions, strict=True))
+    return np.concatenate(costs), Candidates(*joined)
 
 
-def _costs(task: SamplingTask, motions: Motions, inputs: Array) -> Array:
-    """Return the costs of motions by the trapezoidal rule; infinite for early ends."""
-    evaluate, graphs, rows = (
-        task.evaluate_costs,
-        task.evaluate_costs.graphs,
-        task.evaluate.graphs.rows,
-    )
-    prepare = solve_forces if task.has_forces else derivatives
-    total = np.zeros(motions.end.size)
+def _end_in_regions(aims: _Aims, motions: Candidates) -> None:
+    """End motions whose platform enters a region; straight lines connect the samples."""
+    x, y = (motions.samples[:, row] + aims.task.model.shift[0][row] for row in _places(aims.task))
+    for region in aims.keep_out:
+        for part in np.linspace(1.0, 0.0, CHECKED_POINTS, endpoint=False)[::-1]:
+            at = ((1 - part) * each[:-1] + part * each[1:] for each in (x, y))
+            inside = region.distance(*at) < 0
+            first = np.where(inside.any(axis=0), aims.task.t[inside.argmax(axis=0)], np.inf)
+            earlier = (first < motions.end) | (inside.any(axis=0) & (motions.reason == COMPLETE))
+            motions.end[earlier], motions.reason[earlier] = first[earlier], IN_REGION
+
+
+def _places(task: SamplingTask) -> list[int]:
+    """Return the rows of x and y."""
+    names = [label.full for label in leaves(task.model.labels.x)]
+    return [names.index("x"), names.index("y")]
+
+
+def _costs(aims: _Aims, many: Array, motions: Candidates, inputs: Array) -> Array:
+    """Return the costs of motions, infinite for early ends."""
+    task, rows = aims.task, aims.task.evaluate.graphs.rows
+    total, forced = motions.samples[-1][rows.q][0].copy(), task.evaluate_forced
     with np.errstate(all="ignore"):
-        for k, h in enumerate(np.diff(task.t)):
-            for states in (motions.samples[k], motions.samples[k + 1]):
-                part = states.copy()
-                part[rows.u] = inputs[:, k]
-                prepare(task.evaluate, part)
-                total += 0.5 * h * evaluate(graphs.running, part)[0]
-        total += evaluate(graphs.final, motions.samples[-1])[0]
-    return np.where((motions.reason == COMPLETE) & np.isfinite(total), total, np.inf)
+        if forced is not None:
+            for k, h in enumerate(np.diff(task.t)):
+                many[rows.u] = inputs[:, k]
+                for sample in motions.samples[k : k + 2]:
+                    many[: rows.q.stop] = sample
+                    solve_forces(task.evaluate, many)
+                    total += 0.5 * h * forced(forced.graphs.graph, many)[0]
+        labels = list(leaves(task.model.labels.x))
+        for name, value in aims.goal.items():
+            k = [label.full for label in labels].index(name)
+            miss = motions.samples[-1][k] + task.model.shift[0][k] - value
+            is_angle = labels[k].unit == "rad"
+            miss = 2 * np.sin(miss / 2) if is_angle else miss / task.model.size_of(labels[k])
+            total += task.goal_weight * miss**2
+    return np.where(np.isfinite(total), total, np.inf)
+
+
+def _certified_weights(aims: _Aims, costs: Array, motions: Candidates) -> Array:
+    """Return the weights of candidates; those with weight touch the ground only at their contacts.
+
+    Only candidates with weight are certified, since a certificate takes as long as the motion.
+    """
+    certified = np.zeros(costs.size, dtype=bool)
+    while True:
+        weights = _weights(costs if np.isfinite(costs).any() else -motions.end)
+        new = np.flatnonzero((weights > LEAST_WEIGHT) & np.isfinite(costs) & ~certified)
+        if not new.size:
+            return weights
+        _certify(aims, costs, motions, new)
+        certified[new] = True
+
+
+def _certify(aims: _Aims, costs: Array, motions: Candidates, lanes: Indices) -> None:
+    """End lanes at a second contact of a wheel at a sample after the first."""
+    evaluate, samples = aims.task.evaluate, motions.samples[1:, :, lanes]
+    states = np.repeat(aims.first, samples.shape[0] * lanes.size, axis=1)
+    states[: samples.shape[1]] = samples.swapaxes(0, 1).reshape(samples.shape[1], -1)
+    least = clearances(evaluate, states).reshape(-1, samples.shape[0], lanes.size)
+    bad = (least < 0).any(axis=0)
+    ended = lanes[bad.any(axis=0)]
+    when = bad.argmax(axis=0)[bad.any(axis=0)]
+    check = smallest(least[:, when, bad.any(axis=0)])
+    costs[ended], motions.end[ended] = np.inf, aims.task.t[when]
+    motions.reason[ended] = len(aims.task.model.limits) + check
 
 
 def _weights(costs: Array) -> Array:
@@ -350,12 +427,10 @@ def _weights(costs: Array) -> Array:
     return np.asarray(weights / weights.sum())
 
 
-def _ends(task: SamplingTask, motions: Motions) -> dict[str, int]:
+def _ends(task: SamplingTask, motions: Candidates) -> dict[str, int]:
     """Return the numbers of early ends by words."""
     labels = [each.label for part in (task.model.limits, task.model.checks) for each in part]
     words = {k: label.words for k, label in enumerate(labels)}
-    words |= {UNSOLVED: "Newton's method did not follow the contacts", INVALID_START: NEAR_GROUND}
-    beyond = (motions.reason == INVALID_START) & (margins(motions.distances) < 0)
-    bounds = np.array(task.evaluate.graphs.bounds)[smallest(motions.distances)]
-    codes = np.where(beyond, bounds, motions.reason)
-    return dict(Counter(words[code] for code in codes[codes != COMPLETE].tolist()))
+    words[UNSOLVED] = "Newton's method did not follow the contacts"
+    words[IN_REGION] = "the platform enters a keep-out region"
+    return dict(Counter(words[k] for k in motions.reason[motions.reason != COMPLETE].tolist()))
