@@ -319,7 +319,8 @@ class _PlainCode(CodeWriter):
         names = ", ".join(f"{name}_{k}" for k in range(len(parts)))
         return "".join(parts) + (
             f"static void {name}(const double *a, const double *found, double *r) {{\n"
-            f"  static Part *const parts[] = {{{names}}};\n  double w[{max(used, default=0) + 1}];\n"
+            f"  static Part *const parts[] = {{{names}}};\n"
+            f"  double w[{max(used, default=0) + 1}];\n"
             f"  int k;\n  for (k = 0; k < {len(parts)}; k++) parts[k](a, found, w, r);\n}}\n"
         )
 
