@@ -192,7 +192,8 @@ def report(
         detail(f"made {len(found.figures)} figures of {file}")
         if found.note and not found.figures:
             warn(found.note)
-        text = page(found)
+        with counted("figures") as progress:
+            text = page(found, progress)
         _write_page(target, text)
         print_line(f"wrote {target}")
 

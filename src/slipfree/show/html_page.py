@@ -145,11 +145,19 @@ class Report(NamedTuple):
     texts: Mapping[str, str]  # preformatted, by heading
 
 
-def page(report: Report) -> str:
-    """Return a report as a self-contained HTML page without scripts."""
+def page(report: Report, progress: Callable[[int, int], object] | None = None) -> str:
+    """Return a report as a self-contained HTML page without scripts.
+
+    ``progress`` is called with the number of drawn figures and that of all.
+    """
     parts = {name: _table(rows) for name, rows in report.tables.items() if rows}
     first, *others = parts
-    shown = _note(report.note) + "".join(_figure(plot) for plot in report.figures)
+    figures = list[str]()
+    for plot in report.figures:
+        figures.append(_figure(plot))
+        if progress is not None:
+            progress(len(figures), len(report.figures))
+    shown = _note(report.note) + "".join(figures)
     sections = {
         first: parts[first],
         **({"Figures": shown} if shown else {}),

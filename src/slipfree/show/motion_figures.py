@@ -243,7 +243,7 @@ def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
 def slip(run: Trajectory, direction: str, ax: Axes) -> Axes:
     """Draw the slip of every wheel over time in mm/s, ``"along"`` or ``"across"`` its direction."""
     style.by_wheel(run, 1e3 * run[f"slip_{direction}"], ax)
-    ax.set_ylabel(f"slip {direction} the wheel [mm/s]")
+    ax.set_ylabel(f"slip {direction}\nthe wheel [mm/s]")
     return style.time_axis(run, ax)
 
 
