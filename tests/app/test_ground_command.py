@@ -1,6 +1,7 @@
 """Tests of ``slipfree ground``: statistics against closed forms, doubtful heights, and a start."""
 
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -84,3 +85,20 @@ def test_the_ground_of_a_problem_and_errors():
     assert "vertical_scale" in printed("ground", "site.npz", code=2)
     assert "VEHICLE: expected a vehicle file" in printed("ground", "site.npz", "tank", code=2)
     assert "omit VEHICLE" in printed("ground", "p.toml", "rocky7", code=2)
+
+
+def test_a_new_problem_has_map_vehicle_and_start():
+    z = 0.05 * AXIS[:, None] * np.sin(AXIS / 3)
+    np.savez("site.npz", x=AXIS, y=AXIS, z=z)
+    files = "--ground", "site.npz", "--vehicle", "three_wheeler"
+    for kind in ("direct", "plan", "atlas"):
+        printed("new", kind, kind, *files)
+        assert printed("check", f"{kind}.toml").endswith("ok\n")
+    plan = tomllib.loads(Path("plan.toml").read_text())
+    assert plan["terrain"] == {"file": "site.npz", "friction": 0.6}
+    assert {*plan} >= {"start", "goal", "costs"}
+    assert not {*plan} & {"bounds", "inputs", "time"}
+    printed("new", "direct", "more", *files, *sets("terrain.window=[-5,5,-5,5]"))
+    assert "window = [-5.0, 5.0, -5.0, 5.0]" in Path("more.toml").read_text()
+    assert "together" in printed("new", "direct", "no", *files[:2], code=2)
+    assert "omit them" in printed("new", "inverse", "no", *files, code=2)

@@ -34,10 +34,12 @@ from slipfree.system.interrupt import check_interrupt, held_interrupt
 
 if TYPE_CHECKING:
     from slipfree.problem.atlas_tiles import TileFolder
+    from slipfree.problem.build_ground import GroundMap
     from slipfree.problem.problem import Problem
     from slipfree.problem.verbs.atlas import AtlasSetup
 
 UNBOUNDED = "1e99"  # bound that no quantity reaches
+ANY_VEHICLE = "three_wheeler"  # of a problem of which only the map is read
 ENDINGS = (".tif", ".tiff", ".nc")
 ARGUMENTS = {  # of the command, by the settings that they stand for
     "--set terrain.file": "MAP",
@@ -250,6 +252,30 @@ def problem_of_map(
     # names of files are relative to the current folder
     head = Path("atlas"), "", [*own, *settings], trusted_paths(trust or [])
     return load_again(*head, command="atlas")
+
+
+def ground_of(
+    file: Path, vehicle: str | None, settings: Sequence[str], trust: list[Path] | None
+) -> tuple[Problem[Any], GroundMap]:
+    """Return a problem with the map, and its ground; maps in degrees are converted."""
+    from slipfree.files.maps.elevation import DegreesError
+    from slipfree.files.toml.source import ProblemError
+    from slipfree.problem.build_ground import build_ground
+
+    if file.suffix.lower() == ".toml" and vehicle is None:
+        problem = read_problem(file, [*settings], trust, "vehicle")
+        return problem, build_ground(problem)
+    settings = ["frame=rep103", *settings]
+    problem = problem_of_map(file, vehicle or ANY_VEHICLE, settings, trust)
+    try:
+        return problem, build_ground(problem)
+    except ProblemError as error:
+        if not isinstance(error.__cause__, DegreesError):
+            raise
+    key = "terrain.geographic=local"
+    print_line(f"the map is in degrees; it is converted to metres by --set {key}")
+    problem = problem_of_map(file, vehicle or ANY_VEHICLE, [key, *settings], trust)
+    return problem, build_ground(problem)
 
 
 @contextmanager

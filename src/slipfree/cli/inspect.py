@@ -6,11 +6,11 @@ import sys
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
-from slipfree.cli.atlas import as_arguments, problem_of_map
+from slipfree.cli.atlas import as_arguments, ground_of
 from slipfree.cli.common import (
     BAD_INPUT,
     Draw,
@@ -42,12 +42,6 @@ from slipfree.cli.outputs import (
     save_picture,
 )
 from slipfree.core.errors import DataError
-
-if TYPE_CHECKING:
-    from slipfree.problem.build_ground import GroundMap
-    from slipfree.problem.problem import Problem
-
-ANY_VEHICLE = "three_wheeler"  # of a problem of which only the map is read
 
 
 def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
@@ -101,7 +95,7 @@ def ground(
         from slipfree.problem.inputs import files_read
 
         with as_arguments():
-            problem, ground = _ground(file, vehicle, settings or [], trust)
+            problem, ground = ground_of(file, vehicle, settings or [], trust)
         facts = survey(ground)
         add_json("ground", lambda: {name: fact._asdict() for name, fact in facts.items()})
         print_facts([*ground_facts(ground), *survey_lines(facts)])
@@ -121,30 +115,6 @@ def ground(
             (path,) = save([ground_plot(ground.grid, place)], folder)
             add_json_file(path)
             print_line(f"drew {path}")
-
-
-def _ground(
-    file: Path, vehicle: str | None, settings: list[str], trust: list[Path] | None
-) -> tuple[Problem[Any], GroundMap]:
-    """Return a problem with the map, and its ground; maps in degrees are converted."""
-    from slipfree.files.maps.elevation import DegreesError
-    from slipfree.files.toml.source import ProblemError
-    from slipfree.problem.build_ground import build_ground
-
-    if file.suffix.lower() == ".toml" and vehicle is None:
-        problem = read_problem(file, settings, trust, "vehicle")
-        return problem, build_ground(problem)
-    settings = ["frame=rep103", *settings]
-    problem = problem_of_map(file, vehicle or ANY_VEHICLE, settings, trust)
-    try:
-        return problem, build_ground(problem)
-    except ProblemError as error:
-        if not isinstance(error.__cause__, DegreesError):
-            raise
-    key = "terrain.geographic=local"
-    print_line(f"the map is in degrees; it is converted to metres by --set {key}")
-    problem = problem_of_map(file, vehicle or ANY_VEHICLE, [key, *settings], trust)
-    return problem, build_ground(problem)
 
 
 def vehicle(

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import math
+import os
+import re
 import shlex
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -9,9 +13,11 @@ from enum import StrEnum
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Annotated, Any
 
+import tomlkit
 import typer
 
-from slipfree.cli.common import add_json, add_json_file, print_line, reported
+from slipfree.cli.atlas import as_arguments, ground_of
+from slipfree.cli.common import Settings, Trust, add_json, add_json_file, print_line, reported
 from slipfree.cli.outputs import check_outputs
 from slipfree.core.errors import DataError, similar
 from slipfree.system.regular_files import check_name, replace_file
@@ -22,6 +28,14 @@ if TYPE_CHECKING:
 STARTERS = "starters"  # folder of the templates in the package
 HOLE = "FILE"  # placeholder of the file name in the comments of a template
 SHIPPED = "problems"  # in the package
+OWN = ("terrain", "vehicle")  # tables with the user's files
+FRICTION = 0.6  # assumed coefficient
+AHEAD = 6.0  # distance of the goal [reach of the vehicle]
+TABLES = {  # comments
+    "terrain": "see docs/elevation.md; the coefficient of friction is an assumption",
+    "start": "where the vehicle stands; height, pitch and roll follow from the ground",
+    "goal": "ahead of the start: change it",
+}
 NEED = ("file", "friction")  # keys whose values are names of input files
 
 
@@ -41,8 +55,24 @@ def new(
     ],
     name: Annotated[Path, typer.Argument(metavar="NAME", help="Name of the problem.")],
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    ground: Annotated[
+        Path | None, typer.Option(metavar="MAP", help="Map of the heights, with --vehicle.")
+    ] = None,
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            metavar="VEHICLE",
+            help="With --ground: vehicle file (TOML, URDF or xacro), or name of the catalogue.",
+        ),
+    ] = None,
+    settings: Settings = None,
+    trust: Trust = None,
 ) -> None:
-    """Write NAME.toml, a commented and complete problem, as a template."""
+    """Write NAME.toml, a commented and complete problem, as a template.
+
+    With --ground and --vehicle it has your map and vehicle, with a start at which the vehicle
+    stands; --set gives further keys of [terrain], such as terrain.vertical_scale=0.01.
+    """
     with reported():
         if not (name.name and str(name).isprintable()):
             raise DataError(
@@ -52,9 +82,72 @@ def new(
         out = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
         text = (_folder(STARTERS) / f"{kind}.toml").read_text(encoding="utf-8")
         word = shlex.quote(str(out))
+        if ground is not None or vehicle is not None or settings:
+            if ground is None or vehicle is None or kind is Kind.inverse:
+                raise DataError(
+                    "new: expected --ground and --vehicle together, for direct, plan or atlas, "
+                    f"found {kind} with one of them or --set alone; add the other one"
+                    if kind is not Kind.inverse
+                    else "new: expected direct, plan or atlas with --ground and --vehicle, found "
+                    "inverse; omit them, and enter map and vehicle in the file"
+                )
+            tables = _own_tables(kind, out.parent, ground, vehicle, settings or [], trust)
+            text = _with_tables(text, kind, f"{Path(vehicle).stem} on {ground.stem}", tables)
         write_new_file(text.replace(f" {HOLE}", f" {word}"), out, force)
         solve = "atlas" if kind is Kind.atlas else "run"
         print_line(f"wrote {out}: slipfree check {word} && slipfree {solve} {word}")
+
+
+def _own_tables(
+    kind: Kind,
+    folder: Path,
+    ground: Path,
+    vehicle: str,
+    settings: list[str],
+    trust: list[Path] | None,
+) -> dict[str, dict[str, Any]]:
+    """Return the tables of a problem in a folder with a map, a vehicle and where it stands."""
+    from slipfree.problem.build_vehicle import build_vehicle
+    from slipfree.problem.ground_survey import stand
+    from slipfree.routing.traversability import extents
+
+    with as_arguments():
+        problem, surface = ground_of(ground, vehicle, settings, trust)
+        pose, ((_, words), *_) = stand(problem, surface.grid)
+    if not pose:
+        raise DataError(
+            f"{ground}: expected a place where the vehicle stands, found that it stands {words}; "
+            "choose another map or vehicle"
+        )
+    spec = problem.spec
+    tables = {name: getattr(spec, name).model_dump(exclude_unset=True) for name in OWN}
+    for table in tables.values():
+        if "file" in table:
+            table["file"] = Path(os.path.relpath(table["file"], folder)).as_posix()
+    tables["terrain"].setdefault("friction", FRICTION)
+    if kind is Kind.atlas:
+        return tables
+    heading = pose["heading"]
+    place = {name: round(pose[name], 3) for name in "xy"}
+    tables["start"] = {**place, "heading": f"{math.degrees(heading) % 360:g} deg"}
+    if kind is Kind.plan:
+        ahead = AHEAD * extents(build_vehicle(spec.vehicle, problem))[2]
+        way = {"x": math.cos(heading), "y": math.sin(heading)}
+        tables["goal"] = {name: round(place[name] + ahead * way[name], 3) for name in "xy"}
+    return tables
+
+
+def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, dict[str, Any]]) -> str:
+    """Return a template with other tables and another title."""
+    own = ""
+    for name, table in tables.items():
+        own += f"[{name}]{f'  # {TABLES[name]}' if name in TABLES else ''}\n"
+        own += f"{tomlkit.dumps(table)}\n"
+    replaced = {*tables, *(("limits", "bounds", "inputs", "time", "plan") * (kind is Kind.plan))}
+    head, *sections = re.split(r"(?m)^(?=\[)", text)
+    kept = (each for each in sections if re.findall(r"\w+", each)[0] not in replaced)
+    head = re.sub(r"(?m)^title = .*", f"title = {json.dumps(title)}", head)
+    return re.sub(r" A three-wheeler .*", "", head) + own + "".join(kept)
 
 
 def write_new_file(text: str, out: Path, force: bool) -> None:
