@@ -36,7 +36,7 @@ WAYS = {  # kind and beginning of a comment: settings of each alternative that i
         (
             "given=",
             f"path={{t={TIMES}, x=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0], y={TIMES}, "
-            "heading=[1.5, 1.5, 1.5, 1.5, 1.5, 1.5]}",
+            "heading=[NORTH, NORTH, NORTH, NORTH, NORTH, NORTH]}".replace("NORTH", repr(np.pi / 2)),
             "time.duration=5",
         ),
         ("given=", 'path={file="path.csv"}', "time.duration=5"),
@@ -58,7 +58,7 @@ def folder(folder):
     axis = np.linspace(-5.0, 8.0, 27)
     np.savez("map.npz", x=axis, y=axis, z=0.05 * np.sin(axis)[:, None] * np.cos(axis))
     Path("vehicle.toml").write_text((ROOT / "problems" / "vehicles" / "trailer.toml").read_text())
-    rows = "".join(f"{t},0.0,{0.2 * t},1.5\n" for t in range(6))
+    rows = "".join(f"{t},0.0,{0.2 * t},{np.pi / 2}\n" for t in range(6))
     Path("path.csv").write_text(f"t,x,y,heading\n{rows}")
     floor, step = "1,-5,-1\n1,5,-1\n1,5,0\n1,-5,0\n", "2,0,0\n2,4,0\n2,4,0.06\n2,0,0.06\n"
     Path("solids.csv").write_text(f"solid,x,z\n{floor}{step}")
