@@ -181,7 +181,7 @@ def all_commands(problems: Path, *, few: bool = False) -> list[list[Command]]:
     """Return the commands, in groups of some that follow one another; slow groups first."""
     shipped = sorted(
         (file for file in problems.glob("*.toml") if not few or file.stem in FEW),
-        key=lambda file: (file.stem[:4] != "plan", file),
+        key=lambda file: (file.stem[:4] != "plan" and file.stem not in AFTER, file),
     )
     return [
         *map(problem, shipped),
