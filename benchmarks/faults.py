@@ -111,7 +111,8 @@ def limited(size: int) -> Start:
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
-    return lambda words, folder: ended(begun(words, folder, preexec_fn=limit))
+    env = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # no halves of compiled modules
+    return lambda words, folder: ended(begun(words, folder, preexec_fn=limit, env=env))
 
 
 def surrounded(**variables: str | None) -> Start:

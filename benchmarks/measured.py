@@ -38,15 +38,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.fit.body_motion import body_motion
-from slipfree.fit.calibration import (
-    Calibration,
-    bootstrap,
-    calibrate,
-    heading_median,
-    heading_rms,
-    position_median,
-    position_rms,
-)
+from slipfree.fit.calibration import Calibration, bootstrap, calibrate, heading_rms, position_rms
 from slipfree.fit.estimate import estimate
 from slipfree.fit.unknowns import Unknown, parametric_model
 from slipfree.fit.wheel_soil import QUANTITIES, fit_soil, repeat_spread
@@ -259,10 +251,11 @@ def _accuracy(errors: np.ndarray) -> str:
     """Return the errors of end poses in words, with bootstrap intervals."""
     place, turn = bootstrap(errors, position_rms), bootstrap(errors, heading_rms)
     low, high = np.rad2deg([turn.lower, turn.upper])
+    away, off = np.median([np.hypot(*errors.T[:2]), np.abs(errors[:, 2])], axis=1)
     return (
         f"{place.value:.3f} ({place.lower:.3f} to {place.upper:.3f})      "
-        f"{position_median(errors):.3f}   {np.rad2deg(turn.value):5.1f} ({low:.1f} to {high:.1f})"
-        f"       {np.rad2deg(heading_median(errors)):.1f}"
+        f"{away:.3f}   {np.rad2deg(turn.value):5.1f} ({low:.1f} to {high:.1f})"
+        f"       {np.rad2deg(off):.1f}"
     )
 
 

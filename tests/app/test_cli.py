@@ -412,12 +412,13 @@ def test_help_needs_no_heavy_imports():
 
 OPTIONAL = {"trimesh", "xacro", "laspy", "lazrs", "mcap", "mcap_ros2", "rosbags", "yourdfpy"}
 OPTIONAL |= {"pyproj", "rasterio", "viser", "distributed", "xarray", "pandas"}
-OPTIONAL |= {"scipy.signal", "scipy.stats"}  # their import takes as long as all others
+# their import takes as long as all others
+OPTIONAL |= {"matplotlib", "scipy.signal", "scipy.stats"}
 
 
 @pytest.mark.slow
 def test_optional_libraries_are_imported_only_when_used(folder):
-    """A motion on a ground without reference system needs none of them."""
+    """A motion on a ground without reference system, without figures, needs none of them."""
     lines = "--version", "run p.toml --no-draw --set time.duration=0.2", "info p.nc"
     code = (
         "import sys, slipfree\n"

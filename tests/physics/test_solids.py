@@ -206,14 +206,14 @@ def test_a_disc_keeps_its_radius_in_its_plane():
         assert float(found[0]) == pytest.approx(away[0] - radius, abs=1e-9)
 
 
-def climbing(vehicle, ground, heading, speed, duration, tolerance=1e-6):
+def climbing(vehicle, ground, heading, speed, duration, count=101):
     """Return a motion from rest at rates of a forward speed."""
     model = dynamics(vehicle, ground)
     rates = {label.full: 0.0 for part in model.labels.u for label in part}
     for wheel in vehicle.wheels:
         rates[f"{wheel.name}_rate"] = speed / wheel.radius * ca.tanh(model.t / 0.3)
     start = settle(model, x=0.0, y=0.0, heading=heading)
-    return moved(model, start, np.linspace(0, duration, 101), tolerance, **rates)
+    return moved(model, start, np.linspace(0, duration, count), 1e-6, **rates)
 
 
 def ledger(run):
@@ -233,9 +233,9 @@ def test_rocky_7_climbs_a_step_higher_than_its_wheels_at_a_heading():
     assert run["solid_load_1"][0].max() == 0
     assert run["solid_load_1"][-1].sum() == pytest.approx(vehicle.weight, rel=0.2)
     assert ledger(run) < 1
-    left, right = (climbing(vehicle, ground, np.deg2rad(each), 0.2, 1.5) for each in (20, -20))
-    assert_allclose(-right["x"], left["x"], atol=1e-5)  # before wheels slide
-    assert_allclose(right["z"], left["z"], atol=1e-5)
+    right = climbing(vehicle, ground, -np.deg2rad(20), 0.2, 1.53, 18)
+    assert_allclose(-right["x"], run["x"][:18], atol=1e-5)  # before wheels slide
+    assert_allclose(right["z"], run["z"][:18], atol=1e-5)
 
 
 @pytest.mark.slow

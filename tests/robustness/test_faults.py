@@ -162,7 +162,8 @@ try:
 except DataError as error:
     sys.exit(f"refused: {{error}}")
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-B", "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.stderr.startswith("refused: "), done.stderr
     assert "cannot be written (File too large)" in done.stderr
     with RunLog(tmp_path / "runs.jsonl", HEAD) as log:
@@ -187,7 +188,9 @@ def test_a_disk_that_is_full_while_a_result_is_written(folder: Path) -> None:
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
 
-    process = _begun(folder, "run", "p.toml", "-o", "p.nc", "--no-draw", preexec_fn=limit)
+    # Python itself may leave half of a compiled module
+    env = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}
+    process = _begun(folder, "run", "p.toml", "-o", "p.nc", "--no-draw", preexec_fn=limit, env=env)
     _, told = process.communicate(timeout=60)
     assert process.returncode == 1
     begin, end = told.split("; the earlier file is unchanged; ")

@@ -170,11 +170,12 @@ def info(
         from slipfree.files.atlas_files import is_atlas
         from slipfree.files.netcdf import read
         from slipfree.problem.inputs import STORED
-        from slipfree.problem.report import atlas_lines
         from slipfree.problem.result import facts_of, motion_facts
         from slipfree.problem.verbs.base import outcome_fact, ranges
 
         if is_atlas(file):
+            from slipfree.problem.report import atlas_lines
+
             summary, set_up, _ = atlas_lines(file)
             print_facts([*summary, *set_up])
             return

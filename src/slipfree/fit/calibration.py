@@ -82,19 +82,9 @@ def position_rms(errors: Array) -> float:
     return float(np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()))
 
 
-def position_median(errors: Array) -> float:
-    """Return the median distance of predicted from measured positions [m]."""
-    return float(np.median(np.hypot(errors[:, 0], errors[:, 1])))
-
-
 def heading_rms(errors: Array) -> float:
     """Return the root mean square error of the heading [rad]."""
     return float(np.sqrt((errors[:, 2] ** 2).mean()))
-
-
-def heading_median(errors: Array) -> float:
-    """Return the median absolute error of the heading [rad]."""
-    return float(np.median(np.abs(errors[:, 2])))
 
 
 def bootstrap(errors: Array, statistic: Callable[[Array], float]) -> Interval:
