@@ -3,6 +3,7 @@
 import ctypes
 import re
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -205,7 +206,11 @@ def test_code_calls_only_the_mathematical_library_and_has_no_data_that_change(ca
 @pytest.mark.slow  # three vehicles more: steered, six wheels, pressed wheels; 4 to 10 s each
 @pytest.mark.parametrize("name", ["ackermann", "rocky7", "rigid_skid_steer"])
 def test_code_of_other_vehicles_agrees_with_the_models(name, tmp_path):
-    code = Code(export_controller(getattr(catalog, name)(), tmp_path).files)
+    vehicle = getattr(catalog, name)()
+    if name == "ackermann":  # its words would end a comment
+        steer = replace(vehicle.coordinates[0], words="angle */ int x; /* left\npositive")
+        vehicle = replace(vehicle, coordinates=(steer, *vehicle.coordinates[1:]))
+    code = Code(export_controller(vehicle, tmp_path).files)
     run = code.run_test()
     assert run.returncode == 0, run.stdout
     if name == "ackermann":
@@ -222,9 +227,11 @@ def _check_bicycle(car):
     expected = [(0.4 + 0.3 * turn) / 0.15, (0.4 - 0.3 * turn) / 0.15]
     assert_allclose([rates["rear_right_rate"], rates["rear_left_rate"]], expected, rtol=1e-6)
     assert_allclose(rates["steer_target"], 0.2, rtol=1e-6)
-    sharper = car.rates(None, place, pose, v_x=0.4, omega_z=2 * turn)
-    assert_allclose(sharper["steer_target"], np.arctan(2 * 0.7 * turn / 0.4), rtol=1e-3)
-    assert sharper["steer_rate"] > 0
+    for _ in range(4):  # the target is a Gauss-Newton step, since the joint steers two wheels
+        sharper = car.rates(None, place, pose, v_x=0.4, omega_z=2 * turn)
+        place[3] = sharper["steer_target"]
+        assert car.call("settle", None, place, pose) == OK
+    assert_allclose(place[3], np.arctan(2 * 0.7 * turn / 0.4), rtol=1e-6)
 
 
 def test_refusals_name_the_remedy(tmp_path):

@@ -31,7 +31,7 @@ from slipfree.core.records import Array, Label, leaves
 from slipfree.core.trajectory import HEADING, OFFSET, Frame
 from slipfree.core.version import __version__
 from slipfree.models.base import extent
-from slipfree.models.given_rates import COMMANDS, derived_rates
+from slipfree.models.given_rates import COMMANDS, ROBOT, derived_rates
 from slipfree.models.inverse import check_inverse, invert
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.system.regular_files import replace_file
@@ -47,7 +47,6 @@ MAP_HEIGHT = 0.15  # amplitude of its heights [size]
 NEWTON_STEPS = 3  # of its reference numbers
 JOINT_SPREAD, SLIDE_SPREAD = 0.3, 0.1  # of its measured joints [rad, size]
 COMMAND = 0.3  # largest velocity in its commands [m/s, rad/s]
-ROBOT = {"forward": "v_x", "right": "v_y", "yaw_rate": "omega_z"}  # names in REP 103, v_y left
 AXES = {"paper": ("right", "forward"), "rep103": ("forward", "left")}
 FILES = ("{}.h", "controller.h"), ("{}.c", "controller.c"), ("{}_test.c", "controller_test.c")
 STACK = 3000  # other variables on the stack [bytes]
@@ -77,7 +76,7 @@ MET = {
 
 
 class _Field(NamedTuple):
-    """A number of a record in C; its value is ``sign * value + shift`` of the model's value."""
+    """A number of a record in C: ``sign * value + shift`` for the value of the model."""
 
     name: str
     unit: str
@@ -87,8 +86,9 @@ class _Field(NamedTuple):
 
     @property
     def declaration(self) -> str:
+        """Declaration in the record."""
         unit = self.unit.replace(" s-1", "/s")
-        return f"  double {self.name}; /* {self.words} [{unit}] */"
+        return f"  double {self.name}; /* {_comment(self.words)} [{unit}] */"
 
     def value(self, record: str) -> str:
         """Return the C code of the model's value."""
@@ -108,6 +108,8 @@ class _Field(NamedTuple):
 
 
 class _Fields(NamedTuple):
+    """Numbers of the records in C."""
+
     place: list[_Field]
     pose: list[_Field]
     command: list[_Field]
@@ -205,7 +207,7 @@ def controller_code(
     if vehicle.planar:
         raise ModelError(
             f"{vehicle.name!r}: expected a vehicle that moves in all directions, found one that is "
-            "locked to a plane; omit planar"
+            "locked to a plane; give a vehicle on a map"
         )
     check_driven(vehicle)
     check_inverse(vehicle, given, "angles", exact=exact)
@@ -219,7 +221,7 @@ def controller_code(
     text = {
         "name": name,
         "NAME": name.upper(),
-        "title": re.sub(r"[^ -.0-~]", "?", vehicle.name),  # no end of a comment
+        "title": _comment(vehicle.name),
         "version": __version__,
         "met": MET[exact],
         **dict(zip("xy", AXES[frame], strict=True)),
@@ -273,13 +275,15 @@ def _fields(model: _Model, frame: Frame) -> _Fields:
     count = model.place.numel()
 
     def field(label: Label) -> _Field:
+        """Return the number in C of a variable."""
         name, words = label.full, label.words
         if name == "heading":
             words = HEADING.format("y" if frame == "paper" else "x")
             return _Field(name, label.unit, words, 1.0, OFFSET[frame])
         if name in COMMANDS and frame == "rep103":
             words = words.replace("across", "to the left of") if name == "right" else words
-            return _Field(ROBOT[name], label.unit, words, -1.0 if name == "right" else 1.0)
+            robot = next(key for key, command in ROBOT.items() if command == name)
+            return _Field(robot, label.unit, words, -1.0 if name == "right" else 1.0)
         return _Field(_c_name(name), label.unit, words)
 
     records = x[:count], [*x[count:], *p], list(leaves(model.inverse.labels.u)), model.labels
@@ -425,7 +429,7 @@ def _source_text(model: _Model, fields: _Fields, prefix: str) -> dict[str, str]:
             name: _lines(f.declaration for f in record) for name, record in fields._asdict().items()
         },
         "n_relaxing": str(model.relaxing),
-        "n_contacts": str(next(k for k, f in enumerate(pose) if f.name.startswith("contact_x"))),
+        "n_wheels": str(len(model.direct.z.position.contacts)),
         "functions": functions,
         "stack": f"{(8 * code.stack + STACK) / 1000:.0f}",
         "sizes": ", ".join(map(repr, sizes[n:].tolist())),
@@ -536,6 +540,11 @@ def _solved(
         matrices = entries.T.reshape(-1, len(start), len(start)).transpose(0, 2, 1)
         start = start - np.linalg.solve(matrices, right.T[:, :, None])[:, :, 0].T
     return start
+
+
+def _comment(words: str) -> str:
+    """Return words for a comment of C: they neither end it nor begin another one."""
+    return " ".join(words.replace("*/", "* /").replace("/*", "/ *").split())
 
 
 def _lines(lines: Iterable[str]) -> str:
