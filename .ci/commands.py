@@ -90,6 +90,7 @@ OTHERS = [
     ["vehicle problems/rover_inverse.toml"],
     ["vehicle problems/vehicles/trailer.toml"],
     ["vehicle problems/vehicles/trike.toml"],
+    ["export problems/vehicles/trike.toml --c onboard"],
     *(
         [f"new {kind} {kind}", f"run {kind}.toml --no-draw"]
         for kind in ("direct", "inverse", "plan")

@@ -322,24 +322,24 @@ class CodeWriter:
 
     def instructions(self, function: ca.Function) -> tuple[list[int], list[str]]:
         """Return the numbers of the variables of a function, and its lines of C code."""
-        used, lines = set[int](), list[str]()
+        values, used, lines = dict[int, str](), set[int](), list[str]()
         for k in range(function.n_instructions()):
             operation = function.instruction_id(k)
             given, found = function.instruction_input(k), function.instruction_output(k)
-            if operation == ca.OP_OUTPUT:
-                lines.append(f"r[{found[1]}]={self.work.format(given[0])};")
-                continue
-            used.add(found[0])
-            value = self._value(function, k, operation, given)
-            lines.append(f"{self.work.format(found[0])}={value};")
+            if operation == ca.OP_CONST:
+                values[found[0]] = self.constant(function.instruction_constant(k))
+            elif operation == ca.OP_INPUT:
+                values[found[0]] = f"{('a', 'found')[given[0]]}[{given[1]}]"
+            elif operation == ca.OP_OUTPUT:
+                lines.append(f"r[{found[1]}]={values[given[0]]};")
+            else:
+                value = self._value(operation, [values[each] for each in given])
+                used.add(found[0])
+                values[found[0]] = self.work.format(found[0])
+                lines.append(f"{values[found[0]]}={value};")
         return sorted(used), lines
 
-    def _value(self, function: ca.Function, k: int, operation: int, given: list[int]) -> str:
-        if operation == ca.OP_CONST:
-            return self.constant(function.instruction_constant(k))
-        if operation == ca.OP_INPUT:
-            return f"{('a', 'found')[given[0]]}[{given[1]}]"
-        w = [self.work.format(each) for each in given]
+    def _value(self, operation: int, w: list[str]) -> str:
         if operation in BINARY:
             return f"{w[0]}{BINARY[operation]}{w[1]}"
         if operation in CALLS:

@@ -27,6 +27,7 @@ from slipfree.cli.common import (
     print_facts,
     print_line,
     read_problem,
+    refuse_result,
     reported,
     show,
     visible,
@@ -205,7 +206,10 @@ def info(
 
 
 def export(
-    file: ResultFile,
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="Result file; with --c, a problem or vehicle file."),
+    ],
     path: Annotated[
         Path | None,
         typer.Option(
@@ -222,25 +226,53 @@ def export(
             metavar="FILE.mcap", help="Write path, joints, transforms and slip for ROS 2."
         ),
     ] = None,
+    code: Annotated[
+        Path | None,
+        typer.Option(
+            "--c",
+            metavar="DIR",
+            help="Write inverse kinematics and contact of the vehicle as C code with a test.",
+        ),
+    ] = None,
     folder: InputFolder = None,
+    trust: Trust = None,
 ) -> None:
-    """Export the path, the rates or the whole motion of a result.
+    """Export the path, the rates or the whole motion of a result, or a vehicle as C code.
 
     The path is for geographic information systems, the rates are for robots, the motion is for
-    Foxglove and RViz.
+    Foxglove and RViz. The C code is for the controller of a robot: it returns the rates of wheels
+    and joints for velocities of the platform, and the pose on the ground.
     """
     with reported(), about(file):
         from slipfree.files.export import export_path, export_rates
         from slipfree.problem.result import export_mcap, result_files
 
-        if path is None and rates is None and mcap is None:
+        outputs = path, rates, mcap
+        if (code is None) == (outputs == (None, None, None)):
             raise DataError(
-                "export: expected --path, --rates or --mcap, found none; add one of them"
+                "export: expected --path, --rates or --mcap with a result, or --c with a problem "
+                f"or vehicle file, found {'none' if code is None else 'both'}; "
+                f"{'add one of them' if code is None else 'omit --c'}"
             )
+        if code is not None:
+            _export_code(file, code, trust)
+            return
         write_motion = partial(export_mcap, folder=folder)
-        check_outputs([path, rates, mcap], result_files(file, folder))
+        check_outputs(outputs, result_files(file, folder))
         for out, write in ((path, export_path), (rates, export_rates), (mcap, write_motion)):
             if out is not None:
                 write(file, out)
                 add_json_file(out)
                 print_line(f"wrote {out}")
+
+
+def _export_code(file: Path, folder: Path, trust: list[Path] | None) -> None:
+    from slipfree.problem.controller import export_code
+
+    refuse_result(file)
+    files, command = export_code(file, folder, trust or ())
+    for out in files:
+        add_json_file(out)
+        print_line(f"wrote {out}")
+    add_json("test", lambda: command)
+    print_line(f"to test: {command}")

@@ -8,6 +8,7 @@
 #define RELAXING @n_relaxing@  /* numbers of a pose that follow from the loads of pressed wheels */
 #define COMMANDS @n_command@
 #define RATES @n_rates@
+#define WHEELS @n_wheels@
 
 #define STEPS 40          /* most steps of Newton's method */
 #define CONVERGED 1e-9    /* last step, whose error is about its square [typical size] */
@@ -173,7 +174,7 @@ int @name@_settle(const @name@_ground *ground, const @name@_place *place, @name@
   read_place(place, a);
   read_pose(pose, a);
   if (!solve_pose(ground, a)) return @NAME@_NO_POSE;
-  for (k = @n_contacts@; k < POSE && ground; k += 2) {
+  for (k = POSE - 2 * WHEELS; k < POSE && ground; k += 2) {
     double i = (a[PLACE + k] - ground->x) / ground->h_x;
     double j = (a[PLACE + k + 1] - ground->y) / ground->h_y;
     if (i < 0 || j < 0 || i > (double)(ground->n_x - 1) || j > (double)(ground->n_y - 1))

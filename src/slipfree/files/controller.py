@@ -31,7 +31,7 @@ from slipfree.core.records import Array, Label, leaves
 from slipfree.core.trajectory import HEADING, OFFSET, Frame
 from slipfree.core.version import __version__
 from slipfree.models.base import extent
-from slipfree.models.given_rates import COMMANDS, derived_rates
+from slipfree.models.given_rates import COMMANDS, ROBOT, derived_rates
 from slipfree.models.inverse import check_inverse, invert
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.system.regular_files import replace_file
@@ -47,9 +47,9 @@ MAP_HEIGHT = 0.15  # amplitude of its heights [size]
 NEWTON_STEPS = 3  # of its reference numbers
 JOINT_SPREAD, SLIDE_SPREAD = 0.3, 0.1  # of its measured joints [rad, size]
 COMMAND = 0.3  # largest velocity in its commands [m/s, rad/s]
-ROBOT = {"forward": "v_x", "right": "v_y", "yaw_rate": "omega_z"}  # names in REP 103, v_y left
 AXES = {"paper": ("right", "forward"), "rep103": ("forward", "left")}
 FILES = ("{}.h", "controller.h"), ("{}.c", "controller.c"), ("{}_test.c", "controller_test.c")
+STACK = 3000  # other variables on the stack [bytes]
 OPERATORS = {
     "lt": "({0}<{1})",
     "le": "({0}<={1})",
@@ -70,14 +70,13 @@ KEYWORDS = re.compile(  # of C and, for the header, of C++
     "|static|struct|switch|template|this|typedef|union|unsigned|void|volatile|while"
 )
 MET = {
-    True: "The motion is met exactly, with the\n * least slip of the wheels.",
-    False: "Where the wheels cannot impose all\n * velocities, the rates are those of the nearest "
-    "motion, which they contain.",
+    True: "The motion is met exactly, with the least slip of the wheels.",
+    False: "Where the wheels cannot impose all velocities, the rates are of the nearest motion.",
 }
 
 
 class _Field(NamedTuple):
-    """A number of a record in C; its value is ``sign * value + shift`` of the model's value."""
+    """A number of a record in C: ``sign * value + shift`` for the value of the model."""
 
     name: str
     unit: str
@@ -87,8 +86,9 @@ class _Field(NamedTuple):
 
     @property
     def declaration(self) -> str:
+        """Declaration in the record."""
         unit = self.unit.replace(" s-1", "/s")
-        return f"  double {self.name}; /* {self.words} [{unit}] */"
+        return f"  double {self.name}; /* {_comment(self.words)} [{unit}] */"
 
     def value(self, record: str) -> str:
         """Return the C code of the model's value."""
@@ -108,6 +108,8 @@ class _Field(NamedTuple):
 
 
 class _Fields(NamedTuple):
+    """Numbers of the records in C."""
+
     place: list[_Field]
     pose: list[_Field]
     command: list[_Field]
@@ -133,6 +135,13 @@ class _Model(NamedTuple):
     labels: list[Label]
 
 
+class ControllerCode(NamedTuple):
+    """Files of C code, and the shell command that compiles and runs their test program."""
+
+    files: list[Path]
+    command: str
+
+
 def export_controller(
     vehicle: Vehicle,
     folder: Path,
@@ -140,7 +149,7 @@ def export_controller(
     given: Sequence[str] = tuple(COMMANDS),
     exact: bool = False,
     frame: Frame = "rep103",
-) -> tuple[list[Path], str]:
+) -> ControllerCode:
     """Write the inverse kinematics and the contact of a vehicle as C code.
 
     Parameters
@@ -157,10 +166,9 @@ def export_controller(
 
     Returns
     -------
-    files : list of Path
-        The files.
-    command : str
-        Shell command that compiles and runs the test program.
+    ControllerCode
+        The files, and the command that compiles and runs the test program, which returns zero if
+        the code agrees with the models in Python within 1e-12.
 
     Raises
     ------
@@ -184,7 +192,8 @@ def export_controller(
     sources = " ".join(shlex.quote(str(file)) for file in files[1:])
     program = str(files[-1].with_suffix(""))
     program = shlex.quote(program if os.sep in program else f"./{program}")
-    return files, f"cc -std=c99 -pedantic -Wall -O2 -o {program} {sources} -lm && {program}"
+    command = f"cc -std=c99 -pedantic -Wall -O2 -o {program} {sources} -lm && {program}"
+    return ControllerCode(files, command)
 
 
 def controller_code(
@@ -198,7 +207,7 @@ def controller_code(
     if vehicle.planar:
         raise ModelError(
             f"{vehicle.name!r}: expected a vehicle that moves in all directions, found one that is "
-            "locked to a plane; omit planar"
+            "locked to a plane; give a vehicle on a map"
         )
     check_driven(vehicle)
     check_inverse(vehicle, given, "angles", exact=exact)
@@ -212,7 +221,7 @@ def controller_code(
     text = {
         "name": name,
         "NAME": name.upper(),
-        "title": re.sub(r"[^ -.0-~]", "?", vehicle.name),  # no end of a comment
+        "title": _comment(vehicle.name),
         "version": __version__,
         "met": MET[exact],
         **dict(zip("xy", AXES[frame], strict=True)),
@@ -266,13 +275,15 @@ def _fields(model: _Model, frame: Frame) -> _Fields:
     count = model.place.numel()
 
     def field(label: Label) -> _Field:
+        """Return the number in C of a variable."""
         name, words = label.full, label.words
         if name == "heading":
             words = HEADING.format("y" if frame == "paper" else "x")
             return _Field(name, label.unit, words, 1.0, OFFSET[frame])
         if name in COMMANDS and frame == "rep103":
             words = words.replace("across", "to the left of") if name == "right" else words
-            return _Field(ROBOT[name], label.unit, words, -1.0 if name == "right" else 1.0)
+            robot = next(key for key, command in ROBOT.items() if command == name)
+            return _Field(robot, label.unit, words, -1.0 if name == "right" else 1.0)
         return _Field(_c_name(name), label.unit, words)
 
     records = x[:count], [*x[count:], *p], list(leaves(model.inverse.labels.u)), model.labels
@@ -301,8 +312,12 @@ class _PlainCode(CodeWriter):
 
     one, work = "1.0", "w[{}]"
 
+    def __init__(self) -> None:
+        super().__init__()
+        self.stack = 0  # largest array of variables and of results of lookups [numbers]
+
     def constant(self, value: float) -> str:
-        return repr(value)
+        return repr(value) if value >= 0 else f"({value!r})"
 
     def call(self, name: str, arguments: list[str]) -> str:
         operator = OPERATORS.get(name)
@@ -311,6 +326,7 @@ class _PlainCode(CodeWriter):
     def function(self, name: str, function: ca.Function) -> str:
         """Return the code of a function, in parts that compilers translate in seconds."""
         (used, lines), parts = self.instructions(function), list[str]()
+        self.stack = max(self.stack, *used, 0)
         for first in range(0, len(lines), PART):
             body = _lines(lines[first : first + PART])
             parts.append(
@@ -413,8 +429,9 @@ def _source_text(model: _Model, fields: _Fields, prefix: str) -> dict[str, str]:
             name: _lines(f.declaration for f in record) for name, record in fields._asdict().items()
         },
         "n_relaxing": str(model.relaxing),
-        "n_contacts": str(next(k for k, f in enumerate(pose) if f.name.startswith("contact_x"))),
+        "n_wheels": str(len(model.direct.z.position.contacts)),
         "functions": functions,
+        "stack": f"{(8 * code.stack + STACK) / 1000:.0f}",
         "sizes": ", ".join(map(repr, sizes[n:].tolist())),
         "read_place": _lines(f"  a[{k}] = {f.value('place')};" for k, f in enumerate(place)),
         "read_pose": _lines(f"  a[{n + k}] = {f.value('pose')};" for k, f in enumerate(pose)),
@@ -523,6 +540,11 @@ def _solved(
         matrices = entries.T.reshape(-1, len(start), len(start)).transpose(0, 2, 1)
         start = start - np.linalg.solve(matrices, right.T[:, :, None])[:, :, 0].T
     return start
+
+
+def _comment(words: str) -> str:
+    """Return words for a comment of C: they neither end it nor begin another one."""
+    return " ".join(words.replace("*/", "* /").replace("/*", "/ *").split())
 
 
 def _lines(lines: Iterable[str]) -> str:

@@ -35,6 +35,7 @@ COMMANDS = {
     "right": Label("right", "m s-1", "velocity of the platform's centre across its heading"),
     "yaw_rate": Label("yaw_rate", "rad s-1", "rate of the heading, counter-clockwise"),
 }
+ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_y to the left
 GAIN = 5.0  # decay rate of the error of a steering angle [1/s]
 MAX_STEERING_RATE = 1.0  # largest rate of a steered joint without max_rate [rad/s, m/s]
 STOP_CLEARANCE = 1e-4  # distance between a stop and the target of a steered coordinate [rad, m]

@@ -27,6 +27,7 @@ from slipfree.models.given_rates import (
     EULER,
     OMEGA,
     PLANAR,
+    ROBOT,
     STOP_CLEARANCE,
     VELOCITY,
     steering_effects,
@@ -62,7 +63,7 @@ from slipfree.problem.verbs.base import (
     with_diagnostics,
 )
 from slipfree.problem.verbs.driving import DriveVerb
-from slipfree.problem.verbs.inverse_schema import ROBOT, Inverse, are_commands, read_commands
+from slipfree.problem.verbs.inverse_schema import Inverse, are_commands, read_commands
 from slipfree.solve.collocation import drive
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.replay import apply_inputs, replay, round_trip, spline_inputs, trim_states

@@ -16,15 +16,13 @@ from slipfree.files.tables import read_columns, read_names
 from slipfree.files.toml.source import Fault, format_value, problem_error
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import Angles, Column, Piecewise, Record, TimeFunction, bare_words
-from slipfree.models.given_rates import COMMANDS
+from slipfree.models.given_rates import COMMANDS, ROBOT
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.schema import FILE, VERB, MotionKeys, TerrainKeys, Time
 from slipfree.problem.units import check_time_unit
 from slipfree.solve.sampling import input_samples
 from slipfree.vehicle.formula import evaluate
-
-ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_y to the left
 
 
 class PathTable(Record):
