@@ -94,7 +94,7 @@ check problems/plan_tilt_limits.toml --set limits.steer=[1,-1]
 check problems/plan_tilt_limits.toml --set bounds.right_rate=2
 check problems/plan_tilt_limits.toml --set plan.intervals=0
 check problems/plan_tilt_limits.toml --set plan.degree=2.5
-run problems/plan_tilt_limits.toml --no-draw --set plan.intervals=10 --set time.duration=2
+run problems/plan_tilt_limits.toml --no-draw --set plan.intervals=10 --set plan.duration=2
 run problems/plan_tilt_limits.toml --no-draw --resume problems/ice.asc
 run problems/paper_direct.toml --no-draw --set start.x=4.9 --set time.duration=60
 run problems/fit_skid_steer.toml

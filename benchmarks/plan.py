@@ -328,16 +328,16 @@ ROUGHER = (
     "terrain.synthetic.power_law.rms=0.2",
     "terrain.synthetic.power_law.shortest=1.5",
     "goal={x=1.5, y=4.0}",
-    "inputs=",
     "driver={name='route', speed=0.2, turning_radius=1.0}",
-    "time.duration=40.0",
+    "plan.duration=",
     "plan.intervals=25",
 )
 FIELD = (
     "terrain.synthetic.craters=",
     "terrain.synthetic.power_law.rms=0.2",
     "goal={x=20.0, y=25.0}",
-    "driver.turning_radius=2.0",
+    "driver={name='route', speed=0.5, turning_radius=2.0}",
+    "plan.duration=",
     "plan.intervals=30",
     "plan.accuracy=5e-3",
 )

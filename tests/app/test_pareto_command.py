@@ -21,8 +21,8 @@ def run(*words):
 @pytest.mark.slow
 def test_a_front_is_written_with_the_slopes_of_its_secants(tmp_path):
     out = tmp_path / "front"
-    settings = (*SMALL, "--set", "time.duration=8", "--set", "inputs.right_rate=1.1")
-    done = run(HILLS, "--points", 3, *settings, "--set", "inputs.left_rate=1.1", "-o", out)
+    settings = (*SMALL, "--set", "plan.duration=8")
+    done = run(HILLS, "--points", 3, *settings, "-o", out)
     assert done.exit_code == 0, done.output
     with (out / "pareto.csv").open() as file:
         rows = list(csv.DictReader(file))

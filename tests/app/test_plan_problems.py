@@ -26,7 +26,7 @@ from slipfree.show.plots import draw
 FIELD = Path(__file__).parents[2] / "problems" / "plan_crater_field.toml"
 HILLS = FIELD.with_name("plan_rigid_hills.toml")
 SHORT = (
-    *("start.y=14.0", "goal.y=24.0", "plan.intervals=12", "time.duration=40.0", "costs.slip="),
+    *("start.y=14.0", "goal.y=24.0", "plan.intervals=12", "plan.duration=20.0", "costs.slip="),
     *("start.x=17.5", "goal.x=17.5", "solver.tolerance=1e-6"),
 )
 
@@ -45,15 +45,16 @@ def test_a_route_around_a_place_to_keep_out_of_is_planned_and_simulated():
 
 ROBOT = FIELD.with_name("plan_rigid_robot.toml")
 PARKING = FIELD.with_name("plan_parking.toml")
+CUSPS = "driver={name='reeds-shepp', speed=0.4, turning_radius=1.5}"
 WINDOWS = (
-    "inputs=",
+    "plan.duration=",
     "driver={name='follow', speed=0.25, path=[[0.0, 0.0], [0.2, 1.5], [0.6, 2.6]]}",
     *("plan.window=1.2", "plan.overlap=0.4", "plan.intervals=5"),
 )
 PRESSED = (
-    "inputs=",
+    "plan.duration=",
     "driver={name='follow', speed=0.5, path=[[0.0, 0.0], [5.0, 0.5]]}",
-    *("plan.window=2.0", "time.duration=12.0"),
+    "plan.window=2.0",
 )
 
 
@@ -95,16 +96,20 @@ PRESSED = (
             ["limits.x=[0.0, 10.0]"],
             "x at the goal must be 20 m, but x of the vehicle",
         ),
-        (PARKING, ("driver.speed=-0.4",), "expected a positive speed"),
-        (PARKING, ("goal={heading=0.5}",), "expected values for x and y, which the driver needs"),
+        (PARKING, ("driver={name='reeds-shepp', speed=-0.4}",), "expected a positive speed"),
         (
             PARKING,
-            ("goal={x=0.0, y=0.0, heading=0.0}", "keep_out="),
+            (CUSPS, "goal={heading=0.5}"),
+            "expected values for x and y, which the driver needs",
+        ),
+        (
+            PARKING,
+            (CUSPS, "goal={x=0.0, y=0.0, heading=0.0}", "keep_out="),
             "a goal apart from the start",
         ),
         (
             PARKING,
-            ("way_points=[{at=0.5, x=1.0, y=0.5}]", "keep_out="),
+            (CUSPS, "way_points=[{at=0.5, x=1.0, y=0.5}]", "keep_out="),
             "way-points without x and",
         ),
         (HILLS, ("plan.robust.share=0.9",), "expected an uncertainty"),
@@ -116,10 +121,9 @@ PRESSED = (
             (*WINDOWS, "plan.window="),
             "plan.overlap: expected this key only with 'window'",
         ),
-        (HILLS, (*WINDOWS, "time.duration=5.0"), "time.duration: expected at least 10.7"),
         (
             HILLS,
-            (*WINDOWS, "driver=", "inputs={right_rate=0.4, left_rate=0.4, steer_rate=0.0}"),
+            (*WINDOWS, "driver={name='straight', speed=0.25}"),
             "expected a driver that follows",
         ),
         (ROBOT, PRESSED, "found rigid_skid_steer, whose wheels press"),
@@ -130,8 +134,8 @@ def test_plans_that_cannot_be_set_up(file, settings, words):
 
 
 def test_several_routes_start_the_search():
-    setup = build(load_problem(FIELD, ["driver.count=2"]))
-    assert len(setup.paths) == len(setup.starts) == 2
+    setup = build(load_problem(FIELD, ["plan.starts=2"]))
+    assert len(setup.guide.paths) == len(setup.starts) == 2
 
 
 @pytest.mark.slow
@@ -140,7 +144,7 @@ def test_the_law_of_friction_plans_a_gentle_ground():
     hills = FIELD.with_name("plan_rigid_hills.toml")
     settings = [
         *("model='quasi-static'", "law.coulomb.creep=1e-2", "terrain.friction=0.6"),
-        *("costs.slip=1e3", "plan.intervals=8", "time.duration=10.0", "goal.x=0.1", "goal.y=1.3"),
+        *("costs.slip=1e3", "plan.intervals=8", "plan.duration=10.0", "goal.x=0.1", "goal.y=1.3"),
     ]
     motion = run_problem(load_problem(hills, settings)).trajectory
     assert motion.stop is None
@@ -159,7 +163,7 @@ def test_a_plan_of_tilting_wheels_keeps_to_their_limits():
 
 
 QUICK = (
-    *("plan.intervals=8", "time.duration=10.0", "goal.x=0.1", "goal.y=1.3", "costs.slip=1e3"),
+    *("plan.intervals=8", "plan.duration=10.0", "goal.x=0.1", "goal.y=1.3", "costs.slip=1e3"),
     "solver.tolerance=1e-6",
 )
 
@@ -260,7 +264,7 @@ def _driven(folder: Path, goal: str, duration: float) -> Result:
     file = folder / "p.toml"
     file.write_text(
         'verb = "plan"\nframe = "rep103"\ncosts = { slip = 1.0, effort = 0.1 }\n'
-        f"goal = {goal}\nplan = {{ intervals = 20 }}\nstart = {{ heading = 0.0 }}\n"
+        f"goal = {goal}\nplan = {{ intervals = 20, duration = {duration} }}\nstart = {{ heading = 0.0 }}\n"
         'driver = { name = "straight", speed = 0.25 }\n'
         f"time = {{ duration = {duration}, step = 0.5 }}\n"
         'vehicle = { catalog = "differential_drive" }\n'
@@ -309,7 +313,7 @@ def test_guess_with_cusps_ends_at_the_goal_on_even_ground(goal):
     setup = build(load_problem(PARKING, ("terrain.synthetic.power_law=", f"goal={goal}")))
     run = guess_motion(setup, setup.starts[0])
     assert (run["x"][-1], run["y"][-1]) == pytest.approx((-1.0, -3.0), abs=1e-3)
-    assert setup.paths == ()
+    assert setup.guide.paths == ()
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ PLAIN = (  # straight ahead on even ground, at least effort: to the nearest admi
     "costs={effort=1.0}",
     "goal={x=0.0, y=[2.0, 3.0]}",
     "plan.intervals=4",
-    "time.duration=8.0",
+    "plan.duration=8.0",
 )
 FLAT = (
     *PLAIN,
@@ -34,7 +34,7 @@ FLAT = (
     "plan.robust.draws=12",
     "plan.robust.final_draws=12",
 )
-NEAR = ("goal={x=0.3, y=1.0}", "time.duration=8.0", "plan.intervals=12")
+NEAR = ("goal={x=0.3, y=1.0}", "plan.duration=8.0", "plan.intervals=12")
 
 
 @pytest.fixture(autouse=True)

@@ -42,7 +42,7 @@ WAYS = {  # kind and beginning of a comment: settings of each alternative that i
         ("given=", 'path={file="path.csv"}', "time.duration=5"),
     ],
     ("plan", "of both tables"): [MAP],
-    ("plan", "[driver]"): [("inputs=", 'driver={name="route", speed=0.2}')],
+    ("plan", "[driver]"): [('driver={name="route", speed=0.2}',)],
 }
 
 

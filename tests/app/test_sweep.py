@@ -437,7 +437,7 @@ def test_runs_with_other_input_files_share_nothing(file, monkeypatch):
         ),
         (
             "plan_rigid_hills.toml",
-            ("plan.intervals=4", "time.duration=10.0", "goal.x=0.1", "goal.y=1.3", "costs.slip="),
+            ("plan.intervals=4", "plan.duration=10.0", "goal.x=0.1", "goal.y=1.3", "costs.slip="),
             {"within_limits", "plan_violation", "plan_cost_effort", "plan_difference_x"},
         ),
     ],

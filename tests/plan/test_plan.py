@@ -160,7 +160,7 @@ def test_run_plans_simulates_and_tells():
     result = run_file("plan.intervals=10", "costs.slip=")
     assert result.exit_code == 0, result.output
     told = dict(line.split("  ", 1) for line in result.stdout.splitlines() if "  " in line)
-    assert told["driven by"].strip() == "plan to x 0.6, y 2.6"
+    assert told["driven by"].strip().startswith("plan to x 0.6, y 2.6 in 20 s")
     assert "effort" in told["plan"]
     assert "iterations" in told["plan"]
     assert told["simulated"].strip().startswith("differs from the plan by at most x ")
@@ -175,7 +175,7 @@ def test_run_plans_simulates_and_tells():
 @pytest.mark.usefixtures("folder")
 def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved():
     bounds = (f"bounds.{side}_rate=[0, 0.5]" for side in ("right", "left"))
-    result = run_file("plan.intervals=10", "costs.slip=", "time.duration=4.0", *bounds)
+    result = run_file("plan.intervals=10", "costs.slip=", "plan.duration=4.0", *bounds)
     assert result.exit_code == 1, result.output
     told = result.stdout.partition("ground ")[0]
     assert told.startswith("outcome ")

@@ -258,9 +258,12 @@ def plan(
     check_type("mesh", mesh, Mesh, "give a record, as in Mesh(intervals=20)")
     check_type("search", search, Search, "give a record, as in Search(starts=4)")
     check_type("options", options, SolverOptions, "give a record, as in SolverOptions(1e-6)")
-    motions = [] if guess is None else [guess] if isinstance(guess, Trajectory) else list(guess)
+    remedy = "give the result of simulate, or no guess"
+    guess = () if guess is None else guess
+    check_type("guess", guess, (Trajectory, Sequence), remedy)
+    motions = [guess] if isinstance(guess, Trajectory) else list(guess)
     for motion in motions:
-        check_type("guess", motion, Trajectory, "give the result of simulate, or no guess")
+        check_type("guess", motion, Trajectory, remedy)
     task = task_of(
         dae,
         start,

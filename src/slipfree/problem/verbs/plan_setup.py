@@ -216,7 +216,10 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     starts = _starts(problem, trip, guide)
     duration = duration_of(spec.plan.duration or free_durations([t[-1] for _, t in starts]))
     goal = ", ".join(f"{name} {spelled(value)}" for name, value in spec.goal.items())
-    setup = ground, terrain, vehicle, dae, dae, start, *starts[0], f"plan to {goal}"
+    words = f"plan to {goal} in {spelled(duration)} s"
+    if guide.name:
+        words += f"; initial guess: {guide.name} at {guide.speed:.3g} m/s"
+    setup = ground, terrain, vehicle, dae, dae, start, *starts[0], words
     search = layers, places, keep_out, starts, spec, between, trip, guide, duration
     return Planning(*setup, *search)
 
