@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slipfree import Coulomb, LeastSlip, catalog, direct_kinematics, quasi_statics
 from slipfree.fit.ground_fit import (
     FITTED,
     Kind,
@@ -28,7 +29,16 @@ from slipfree.fit.ground_fit import (
     judge,
     rms,
 )
-from slipfree.fit.ground_motion import MODELS, DriveLog, Slopes, slope_rates, windows_of
+from slipfree.fit.ground_motion import (
+    MODELS,
+    DriveLog,
+    Slopes,
+    slope_rates,
+    windows_of,
+    with_drives_and_sensors,
+)
+from slipfree.fit.ground_vehicle import vehicle_model
+from slipfree.fit.unknowns import Unknown
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import disturbed
 
@@ -39,9 +49,42 @@ LIMIT = 90.0  # of a side's command [%]
 SMOOTHING, SHIFT = 1.5, (-1.5, 1.0)  # of the map; of the positions on it [m]
 GAP, CHORD_ERROR, STATED = 1.5, 0.25, 0.1  # of good positions [s, m/s, m]
 JUDGED = ["straight", "differential", "icr", "slope"]
+FRICTION, CREEP = 0.6, 0.03  # of the vehicle's law: their ratio gives the measured slip on slopes
+CART = catalog.skid_steer(  # assumed: the logs state no dimensions
+    half_track=0.4, wheelbase=0.8, r1=0.06, r2=0.14, mass=70.0, wheel_mass=3.0
+)
+LEFT, RIGHT = (tuple(w.name for w in CART.wheels if side in w.name) for side in ("left", "right"))
+UNKNOWNS = (  # "turn", since the unit of an angular command is unknown
+    Unknown("radius_left", "radius", LEFT),
+    Unknown("radius_right", "radius", RIGHT),
+    Unknown("turn", "turn", lower=1.5),
+)
+CENTER = (
+    Unknown("center_of_mass_ahead", "center_of_mass_ahead", lower=-0.06, upper=0.06),
+    Unknown("center_of_mass_up", "center_of_mass_up", lower=-0.1, upper=0.2),
+)
 MADE = 16  # synthetic logs
 FURTHER = 4  # maps with further errors
 TRUE = {"scale": 1.02, "track": 0.7, "drift": 0.02, "slip_slope": 0.2, "turn_slope": 2.0}
+VEHICLES = {
+    "vehicle_kinematics": vehicle_model(
+        "vehicle with least slip",
+        lambda ground, vehicle, law: direct_kinematics(vehicle, ground, slip=law),
+        CART,
+        LeastSlip(),
+        UNKNOWNS,
+        FRICTION,
+    ),
+    "vehicle_friction": vehicle_model(
+        "vehicle with friction",
+        lambda ground, vehicle, law: quasi_statics(vehicle, ground, law=law),
+        CART,
+        Coulomb(creep=CREEP),
+        (*UNKNOWNS, *CENTER),
+        FRICTION,
+    ),
+}
+ALL = MODELS | {name: with_drives_and_sensors(model, UNKNOWNS) for name, model in VEHICLES.items()}
 Scores = dict[str, dict[Kind, Score]]
 KINDS = {FITTED: "5 m of path", (20.0, 0.0): "20 m of path", (0.0, 5.0): "5 s"}
 
@@ -202,7 +245,7 @@ def main() -> None:
     parser.add_argument("--figures", type=Path)
     parser.add_argument("--from-positions", action="store_true", help="courses from positions only")
     parser.add_argument("--draws", type=int, default=200)
-    parser.add_argument("--models", nargs="+", choices=MODELS, default=JUDGED)
+    parser.add_argument("--models", nargs="+", choices=ALL, default=JUDGED)
     given = parser.parse_args()
     if given.folder is None:
         for line in synthetic(given.draws):
@@ -220,7 +263,7 @@ def main() -> None:
     scores, fits = judge(
         logs,
         slopes,
-        {name: MODELS[name] for name in given.models},
+        {name: ALL[name] for name in given.models},
         others=others,
     )
     print(f"{len(logs)} logs, {time.perf_counter() - began:.0f} s")
@@ -234,7 +277,7 @@ def main() -> None:
                 f"{key} {value:.3f} ({fitted.deviation[key]:.3f})"
                 for key, value in fitted.values.items()
             )
-            print(f"{MODELS[name].words}: {', '.join(words)}")
+            print(f"{ALL[name].words}: {', '.join(words)}")
     if given.figures:
         save_figure(scores, given.figures)
 
@@ -255,7 +298,7 @@ def errors_of(scores: Scores) -> Iterator[str]:
             turn, least, most = np.rad2deg(by_logs(errors.course, log, rms))
             inside = ", ".join(f"{100 * share:.0f}" for share in own[kind].coverage)
             yield (
-                f"| {MODELS[name].words} | {value:.3f} ({low:.3f} to {high:.3f}) | "
+                f"| {ALL[name].words} | {value:.3f} ({low:.3f} to {high:.3f}) | "
                 f"{np.median(errors.position):.3f} | {rms(errors.along):.3f} | "
                 f"{rms(errors.across):.3f} | {turn:.1f} ({least:.1f} to {most:.1f}) | "
                 f"{np.rad2deg(np.median(np.abs(errors.course))):.1f} | {inside} |"
@@ -277,7 +320,7 @@ def against(scores: Scores, other: str = "icr") -> Iterator[str]:
                 by_logs(squares, scores[name][kind].windows.log, ratio)
             )
             yield (
-                f"- {MODELS[name].words} against {MODELS[other].words}, {words}: position rms "
+                f"- {ALL[name].words} against {ALL[other].words}, {words}: position rms "
                 f"{value:+.1f} % ({low:+.1f} to {high:+.1f})"
             )
 
@@ -289,7 +332,7 @@ def slips_of(scores: Scores) -> Iterator[str]:
             f"{np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} deg {error:+.3f} ({count})"
             for low, high, count, error in own[0.0, 5.0].slip()
         )
-        yield f"- error of slip, {MODELS[name].words}: {', '.join(classes)}"
+        yield f"- error of slip, {ALL[name].words}: {', '.join(classes)}"
 
 
 def save_figure(scores: Scores, folder: Path) -> None:
@@ -297,5 +340,5 @@ def save_figure(scores: Scores, folder: Path) -> None:
     from slipfree.show.fit_figures import ground_plot
     from slipfree.show.plots import save
 
-    words = {name: MODELS[name].words for name in scores}
+    words = {name: ALL[name].words for name in scores}
     save([ground_plot("measured_hill", {words[name]: own for name, own in scores.items()})], folder)

@@ -15,7 +15,7 @@ from helpers.hillside import AXIS, HILL, TRUE, drive
 from slipfree.fit.ground_fit import judge
 from slipfree.fit.ground_motion import MODELS, Slopes
 from slipfree.problem.load import load_problem
-from slipfree.problem.verbs.fit_over_map import fit_over_map
+from slipfree.problem.verbs.fit_over_map import fit_over_map, models_of
 
 PROBLEM = """\
 verb = "fit-over-map"
@@ -31,13 +31,15 @@ step = 0.2
 """
 
 
-def write_log(path: Path, seed: int) -> None:
-    """Write a log of the robot."""
-    log = drive(seed, path.parent.name)
+def write_log(path: Path, seed: int, sensor: tuple[complex, float] = (0j, 0.0)) -> None:
+    """Write a log of the robot, with velocities, and with headings of a sensor at an angle."""
+    log = drive(seed, path.parent.name, sensor=sensor)
     path.parent.mkdir(exist_ok=True)
     t = log.dt * np.arange(len(log.place))
-    rows = np.column_stack([t, log.place, log.sides])
-    np.savetxt(path, rows, delimiter=",", header="t,x,y,left,right", comments="")
+    columns = [t, log.place, log.sides, log.velocity]
+    columns += [] if log.heading is None else [np.rad2deg(log.heading) % 360]
+    header = "t,x,y,left,right,vx,vy,yaw [deg]"[: None if sensor[1] else -10]
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="")
 
 
 @pytest.fixture
@@ -98,29 +100,61 @@ def test_wrong_problems_are_refused() -> None:
     assert "found 'ice'" in words
 
 
+def test_pose_of_the_sensors_is_found(folder: Path) -> None:
+    """Compass at an angle, receiver ahead of the centre; a column has degrees."""
+    for k in range(4):
+        write_log(folder / "ab"[k // 2] / f"{k}.csv", k, (0.5 + 0j, 0.4))
+    write_log(folder / "other.csv", 9, (0.5 + 0j, 0.4))
+    columns = '\n[data.columns]\nvelocity = ["vx", "vy"]\nheading = "yaw"\n'
+    unknowns = "[unknowns.receiver]\nquantity = 'sensor_ahead'\n[unknowns.sensor_heading]\n"
+    Path("hill.toml").write_text(PROBLEM + columns + unknowns)
+    own = ("--predict", "other.csv", "--no-draw", "--set", "models=['slope']")
+    shown = json.loads(printed("--json", "fit", "hill.toml", *own))
+    words = str(shown["facts"]["slip and turning by the slope"])
+    found = dict(each.split()[:2] for each in words.split(", "))
+    for name, true in (TRUE | {"sensor_ahead": 0.5, "sensor_heading": 0.4}).items():
+        assert float(found[name]) == pytest.approx(true, rel=0.03), name
+
+
+def test_vehicles_and_their_unknowns(folder: Path) -> None:
+    vehicle = '\n[vehicle]\ncatalog = "skid_steer"\n[unknowns.track]\nlower = 0.65\n'
+    Path("hill.toml").write_text(PROBLEM + vehicle + "[unknowns.turn_lag]\n")
+    models = models_of(load_problem(folder / "hill.toml", command="fit"), 0.6)
+    assert models["vehicle"].start == {"track": 0.65, "turn_lag": 0.1}  # nominal: 0.6
+    assert "turn_lag" in models["slope"].start
+    Path("hill.toml").write_text(PROBLEM + "[unknowns.track]\n")
+    words = printed("fit", "hill.toml", "--no-draw", code=2)
+    assert "found 'track'; correct it, or add the table [vehicle]" in words
+    printed_words = printed(
+        "fit", "hill.toml", "--set", "models=[]", "--set", "unknowns={}", code=2
+    )
+    assert "expected at least one model, or a vehicle, found none" in printed_words
+
+
 def test_folders_of_the_same_name_are_left_out_separately(folder: Path) -> None:
-    """Courses follow from the positions alone: the logs have no velocities of the receiver."""
+    """Courses follow from the positions alone unless the columns of the velocities are named."""
     files = [f"{campaign}/logs/{k}.csv" for k, campaign in enumerate(("may", "may", "june"))]
     logs = []
     for k, name in enumerate(files):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         log = drive(k, str(folder / name))
         write_log(folder / name, k)
-        names = ("place", "good", "direction", "sides")  # the last sample is not reached
-        log = log._replace(**{key: getattr(log, key)[:-1] for key in names}, group=name[:3])
-        velocity = np.gradient(log.place, log.dt, axis=0)
-        speed = np.hypot(*velocity.T)
-        logs.append(log._replace(velocity=velocity, speed=speed, is_velocity_measured=False))
+        # the last sample is not reached
+        names = ("place", "velocity", "speed", "good", "direction", "sides")
+        logs.append(log._replace(**{key: getattr(log, key)[:-1] for key in names}, group=name[:3]))
     old = '["a/0.csv", "a/1.csv", "b/2.csv", "b/3.csv"]'
     Path("hill.toml").write_text(PROBLEM.replace(old, json.dumps(files)))
     _, scores, fits = fit_over_map(load_problem(folder / "hill.toml", command="fit"))
     assert [len(each) for each in fits.values()] == [2, 2]
-    models = {"slope": MODELS["slope"]}
-    expected, _ = judge(logs, Slopes(HILL, 0.0), models, [(5.0, 0.0)])
-    measured = [log._replace(is_velocity_measured=True) for log in logs]
-    other, _ = judge(measured, Slopes(HILL, 0.0), models, [(5.0, 0.0)])
-    found, right, wrong = (
-        np.sort(each["slope"][5.0, 0.0].errors.along) for each in (scores, expected, other)
+    Path("hill.toml").write_text(
+        Path("hill.toml").read_text() + '[data.columns]\nvelocity = ["vx", "vy"]\n'
     )
-    assert_allclose(found, right, atol=1e-5)
-    assert np.abs(found - wrong).max() > 1e-4
+    _, others, _ = fit_over_map(load_problem(folder / "hill.toml", command="fit"))
+    models = {"slope": MODELS["slope"]}
+    for own, is_measured in ((scores, False), (others, True)):
+        given = [log._replace(is_velocity_measured=is_measured) for log in logs]
+        expected, _ = judge(given, Slopes(HILL, 0.0), models, [(5.0, 0.0)])
+        found, right = (np.sort(e["slope"][5.0, 0.0].errors.along) for e in (own, expected))
+        assert_allclose(found, right, atol=1e-5)
+    one, other = (np.sort(e["slope"][5.0, 0.0].errors.along) for e in (scores, others))
+    assert np.abs(one - other).max() > 1e-4

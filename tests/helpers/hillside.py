@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from slipfree.core.records import Array
@@ -29,30 +31,58 @@ def gradient(x: float, y: float, size: float) -> tuple[float, float]:
     )
 
 
-def drive(seed: int, group: str, size: float = 1.0) -> DriveLog:
-    """Return the log of a robot with the true constants, which drives towards the middle."""
+@cache
+def drive(
+    seed: int,
+    group: str,
+    size: float = 1.0,
+    *,
+    lag: float = 0.0,
+    sensor: tuple[complex, float] = (0j, 0.0),
+) -> DriveLog:
+    """Return the log of a robot with the true constants, which drives towards the middle.
+
+    Its turns follow the commands with a lag [s]. The sensor is ahead and to the left of the centre
+    [m], and measures a heading that is larger by an angle [rad].
+    """
     rng, count = np.random.default_rng(seed), 700
     place, heading, path = rng.uniform(-15, 15, 2), rng.uniform(-3, 3), []
-    sides, turn = np.empty((count, 2)), 0.0
+    sides, turn, difference, angles = np.empty((count, 2)), 0.0, 0.0, []
     for k in range(count):
         if k % 15 == 0:  # a new command every three seconds
             away = np.angle(-complex(*place) * np.exp(-1j * heading))
             turn = rng.normal(0, 0.06) + (0.08 * np.sign(away) if np.hypot(*place) > 20 else 0)
         sides[k] = 0.5 - turn / 2, 0.5 + turn / 2
+        difference = turn if k == 0 else difference
         path.append(place)
-        left, right = sides[k]
+        angles.append(heading)
         for _ in range(FINE):
             x, y = gradient(*place, size)
             c, s = np.cos(heading), np.sin(heading)
             up = (x * c + y * s) / np.sqrt(1 + (x * c + y * s) ** 2)
-            mean, step = (left + right) / 2, DT / FINE
-            yaw = (right - left + 2 * TRUE["drift"] * mean) / TRUE["track"]
-            yaw *= np.exp(-TRUE["turn_slope"] * up)
+            mean, step = 0.5, DT / FINE
+            keep = np.exp(-step / lag) if lag else 0.0
+            before, difference = difference, turn + keep * (difference - turn)
+            yaw = ((before + difference) / 2 if lag else turn) + 2 * TRUE["drift"] * mean
+            yaw *= np.exp(-TRUE["turn_slope"] * up) / TRUE["track"]
             v = TRUE["scale"] * mean - TRUE["slip_slope"] * mean * up
             middle = heading + step * yaw / 2
             ahead = np.array([np.cos(middle), np.sin(middle)])
             place, heading = place + step * v * np.sqrt(1 - up**2) * ahead, heading + step * yaw
-    exact = np.array(path)
+    angle = np.array(angles)
+    receiver = np.array(path) @ [1, 1j] + sensor[0] * np.exp(1j * angle)
+    exact = np.column_stack([receiver.real, receiver.imag])
     velocity = np.gradient(exact, DT, axis=0)
     speed, good = np.hypot(*velocity.T), np.ones(count, bool)
-    return DriveLog(f"log {seed}", group, DT, exact, velocity, speed, good, np.ones(count), sides)
+    return DriveLog(
+        f"log {seed}",
+        group,
+        DT,
+        exact,
+        velocity,
+        speed,
+        good,
+        np.ones(count),
+        sides,
+        heading=angle + sensor[1] if sensor[1] else None,
+    )

@@ -24,7 +24,9 @@ from slipfree.fit.ground_motion import (
     Slopes,
     friction_rates,
     windows_of,
+    with_drives_and_sensors,
 )
+from slipfree.fit.unknowns import Unknown
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import disturbed
 
@@ -53,6 +55,36 @@ def test_fit_finds_the_truth() -> None:
     # what remains are chords of 2 s, steps of 0.2 s and the interpolation between nodes
     assert np.median(found.errors.position) < 0.01
     assert found.errors.position.max() < 0.1
+
+
+def test_sensors_and_lags_are_found_beside_the_truth() -> None:
+    """A receiver off the centre, a compass that is mounted askew, and a lag of the turns."""
+    sensor, lag = (0.6 + 0.3j, 0.8), 0.5
+    drives = [drive(k, "a", lag=lag, sensor=sensor) for k in range(6)]
+    true = {"turn_lag": lag, "sensor_ahead": 0.6, "sensor_right": -0.3, "sensor_heading": 0.8}
+    unknowns = [Unknown(name, name) for name in true]
+    model = with_drives_and_sensors(MODELS["slope"], unknowns)
+    predict = GroundPredictor(drives, windows_of(drives, 5.0), Slopes(HILL, 0.0))
+    found = fit_ground(model, predict)
+    for name, value in (TRUE | true).items():
+        assert abs(found.values[name] - value) < 0.02 * max(abs(value), 0.1), name
+    assert np.median(found.errors.position) < 0.01
+    with pytest.raises(ModelError, match=r"expected windows that determine .*sensor_ahead"):
+        fit_ground(with_drives_and_sensors(MODELS["icr"], unknowns[1:2]), predict)
+
+
+def test_derivatives_in_one_pass_equal_single_predictions() -> None:
+    """Values in arrays: the motions of different constants do not influence each other."""
+    predict = GroundPredictor(logs(), windows_of(logs(), 5.0), Slopes(HILL, 0.0))
+    for name in ("slope", "friction"):
+        model = with_drives_and_sensors(MODELS[name], [Unknown("turn_lag", "turn_lag")])
+        low = {key: value + 0.01 for key, value in model.start.items()}
+        both = {key: np.array([low[key], value]) for key, value in model.start.items()}
+        found = predict(model, both)
+        for k, values in enumerate((low, model.start)):
+            single = predict(model, values)
+            assert_allclose(found.along[:, k], single.along, atol=1e-4)
+            assert_allclose(found.course[:, k], single.course, atol=1e-4)
 
 
 def test_wrong_map_widens_the_intervals_over_the_truth() -> None:

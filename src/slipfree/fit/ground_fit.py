@@ -18,6 +18,7 @@ import scipy  # its parts are imported when they are used, since this takes 0.2 
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask
+from slipfree.fit.body_motion import MotionError
 from slipfree.fit.estimate import AT_BOUND, CONFIDENCE, NORMAL_MEDIAN, SINGULAR
 from slipfree.fit.ground_motion import (
     DriveLog,
@@ -137,19 +138,28 @@ class _Errors(NamedTuple):
 
     def slopes(self, values: Array) -> Array:
         """Return the derivatives by the constants, shape (n, 3, n_constants)."""
-        steps = np.diag(STEP * self.sizes)
-        high, low = (np.clip(values + each, *self.bounds) for each in (steps, -steps))
-        ends = self(np.concatenate([high, low])).swapaxes(1, 2)
-        count = len(values)
-        return np.asarray((ends[..., :count] - ends[..., count:]) / np.diag(high - low))
+        steps = STEP * self.sizes
+        steps = np.where(values + steps > self.bounds[1], -steps, steps)
+        ends = self(values + np.vstack([np.zeros_like(steps), np.diag(steps)])).swapaxes(1, 2)
+        return np.asarray((ends[..., 1:] - ends[..., :1]) / steps)
 
 
 def _least_errors(errors: _Errors, start: Array) -> tuple[Any, Array]:
     """Return the result of the last search, and the deviations of the errors."""
     values, deviations = start, np.array(FIRST_DEVIATIONS)
+    count = errors(start).size  # MotionError without a motion at the start values
+    rejected = list[tuple[Array, MotionError]]()
+
+    def residual(at: Array, size: Array) -> Array:
+        try:
+            return np.asarray((errors(at) / size).ravel())
+        except MotionError as error:
+            rejected.append((at.copy(), error))
+            return np.full(count, np.nan)  # the search takes a shorter step
+
     for _ in range(2):  # the second time with the deviations of the first one
         result = scipy.optimize.least_squares(
-            lambda at, size: (errors(at) / size).ravel(),
+            residual,
             values,
             lambda at, size: (errors.slopes(at) / size[:, None]).reshape(-1, at.size),
             bounds=errors.bounds,
@@ -163,6 +173,12 @@ def _least_errors(errors: _Errors, start: Array) -> tuple[Any, Array]:
         values = result.x
         spread = np.median(np.abs(errors(values)), axis=0) / NORMAL_MEDIAN
         deviations = np.maximum(spread, LEAST_DEVIATION)
+    for at, error in rejected:
+        if np.abs((at - values) / errors.sizes).max() < AT_BOUND:
+            raise ModelError(
+                "expected constants within the range in which the vehicle can move, found that "
+                f"the logs favour values beyond it: {error}"
+            ) from error
     return result, deviations
 
 

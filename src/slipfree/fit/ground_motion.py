@@ -537,11 +537,10 @@ def _mean_course(one: ComplexArray, other: ComplexArray) -> ComplexArray:
 
 
 def _lagged(signal: Array, lags: float | Array, dt: float) -> Array:
-    """Return a signal after first-order lags [s], with a column for each."""
+    """Return the means over the steps of a held signal after first-order lags [s], by columns."""
     columns = list[Array]()
     for lag in np.ravel(lags).tolist():
         keep = float(np.exp(-dt / lag)) if lag > LEAST_LAG else 0.0
-        columns.append(
-            scipy.signal.lfilter([1 - keep], [1, -keep], signal, zi=[keep * signal[0]])[0]
-        )
+        before = scipy.signal.lfilter([0, 1 - keep], [1, -keep], signal, zi=[signal[0]])[0]
+        columns.append(signal + lag / dt * (1 - keep) * (before - signal))
     return np.column_stack(columns)

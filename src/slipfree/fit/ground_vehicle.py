@@ -20,6 +20,7 @@ from slipfree.batch.motion import candidate_lanes
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, leaves
+from slipfree.fit.body_motion import MotionError
 from slipfree.fit.ground_motion import DRIVES_AND_SENSORS, ComplexArray, MotionModel, Slopes, Tour
 from slipfree.fit.ground_motion import Values as LaneValues
 from slipfree.fit.unknowns import Unknown, label_of, limits_of, parametric_model, value_of
@@ -107,7 +108,9 @@ def _paths(driven: _Driven, values: LaneValues, tour: Tour) -> tuple[ComplexArra
         reached = np.isfinite(motions.samples[:, x]).sum(axis=0) > steps
         if not (stands & reached).all():
             k = int(np.argmin(stands & reached))
-            raise ModelError(_reason(evaluate, states[:, k : k + 1], inputs[..., k : k + 1], t))
+            place = tour.place[first + k]
+            message = _reason(evaluate, states[:, [k]], inputs[..., [k]], t, place)
+            raise MotionError(message, first + k)
         shift = graphs.dae.shift[0]
         own = motions.samples[:, [x, y, heading]] + shift[[x, y, heading], None]
         places[: t.size, part] = own[:, 0] + 1j * own[:, 1]
@@ -115,17 +118,16 @@ def _paths(driven: _Driven, values: LaneValues, tour: Tour) -> tuple[ComplexArra
     return places, headings
 
 
-def _reason(evaluate: Evaluator, states: Array, inputs: Array, t: Array) -> str:
+def _reason(evaluate: Evaluator, states: Array, inputs: Array, t: Array, place: complex) -> str:
     """Return the message of a motion that ends early."""
     lanes = run_lanes(evaluate, states, inputs, t, quantities=["x", "y"])
-    x, y = (float(lanes.columns[name].values[0, 0]) for name in ("x", "y"))
     numbers = states[evaluate.graphs.rows.c, 0]
     constants = ", ".join(
         f"{each.label.name} = {value:.4g}"
         for each, value in zip(evaluate.graphs.dae.p, numbers, strict=True)
     )
     return (
-        f"expected a motion of the vehicle from x = {x:.2f}, y = {y:.2f} m"
+        f"expected a motion of the vehicle from x = {place.real:.2f}, y = {place.imag:.2f} m"
         f"{f' with {constants}' if constants else ''}, found "
         f"{lanes.reasons[0] or 'contacts that the batch does not follow'}; remove trees and "
         "buildings from the map, increase 'smoothing', or give bounds of the unknowns"

@@ -165,6 +165,7 @@ QUANTITIES: dict[str, Quantity] = {
         "m", "centre of mass of the platform, to the right", *_center(0)
     ),
     "center_of_mass_ahead": Quantity("m", "centre of mass of the platform, ahead", *_center(1)),
+    "center_of_mass_up": Quantity("m", "centre of mass of the platform, upwards", *_center(2)),
 }
 SENSOR: dict[str, Label] = {
     "sensor_right": Label("sensor_right", "m", "position of the sensor, to the right"),

@@ -154,7 +154,7 @@ def fit_over_map(problem: Problem[FitOverMap], predict: Sequence[Path] = ()) -> 
     """
     spec = problem.spec
     ground = build_ground(cast("Any", problem))  # a problem without motion
-    models = _models(problem, ground.mu)
+    models = models_of(problem, ground.mu)
     slopes, further = Slopes(ground.grid, spec.smoothing), list[Slopes]()
     if spec.map_error is not None:
         error = spec.map_error.rms, spec.map_error.correlation
@@ -171,7 +171,9 @@ def fit_over_map(problem: Problem[FitOverMap], predict: Sequence[Path] = ()) -> 
         return FittedModels(models, *judge(logs, slopes, models, kinds, others, further))
 
 
-def _models(problem: Problem[FitOverMap], friction: float | Grid | None) -> dict[str, MotionModel]:
+def models_of(
+    problem: Problem[FitOverMap], friction: float | Grid | None
+) -> dict[str, MotionModel]:
     """Return the models, with that of the vehicle last."""
     spec, unknowns = problem.spec, list[Unknown]()
     models = {name: MODELS[name] for name in spec.models}
