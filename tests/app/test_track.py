@@ -2,10 +2,11 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from helpers.commands import invoke, printed, sets
+from helpers.commands import invoke, printed
 from slipfree.files.netcdf import read
 
 pytestmark = pytest.mark.slow
@@ -28,7 +29,6 @@ goal = { y = 0.8 }
 costs = { slip = 1e3, effort = 0.01 }
 plan = { intervals = 8, smooth = 0.002 }
 """
-CHANGES = [f"terrain.error.{key}" for key in ("rms=0.02", "correlation=1.0", "seed=1")]
 
 
 @pytest.fixture(scope="module")
@@ -42,36 +42,57 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return where
 
 
-def test_three_ways_to_follow_a_plan_are_compared(folder: Path) -> None:
-    settings = sets(*CHANGES)
+def tracked(folder: Path, *words: object) -> dict[str, dict[str, Any]]:
+    """Return the rows of the table by name."""
+    found = json.loads(printed("track", folder / "p.nc", *words, "--json"))["motions"]
+    return {row["name"]: row for row in found}
+
+
+def test_four_ways_to_follow_a_plan_meet_the_same_world(folder: Path) -> None:
     out = folder / "t.nc"
-    found = json.loads(
-        printed("track", folder / "p.nc", *settings, "--period", 0.5, "-o", out, "--json")
-    )["facts"]
-    assert list(found) == ["plan", "open loop", "quasi-static", "dynamics", "follow", "replanned"]
-    without = {name: found.pop(name) for name in ("quasi-static", "dynamics")}
-    assert all("not simulated: " in words for words in without.values())  # no friction is given
-    assert "coefficient of friction" in without["dynamics"]
-    ends = {name: float(words.split()[1]) for name, words in found.items()}
-    assert ends["plan"] == 0
-    assert ends["replanned"] < ends["open loop"]
-    assert "8 cycles, 0 failed" in found["replanned"]
+    worse = ["--disturb", "heights=0.02", "--disturb", "inputs=0.05"]
+    found = tracked(folder, *worse, "--period", 0.5, "--window", 2, "-o", out)
+    assert list(found) == ["plan", "inputs", "follow", "replan", "sampling"]
+    assert all(row["complete"] == row["seeds"] == 1 for row in list(found.values())[1:])
+    # 5 % of 0.8 m, to the side as well, which only feedback corrects
+    assert found["replan"]["end_distance"] < found["inputs"]["end_distance"] / 3
+    assert found["sampling"]["end_distance"] < 0.05
+    assert found["replan"]["cycles"] == 8
+    assert found["replan"]["failed_cycles"] == 0
     assert read(out).t[-1] == pytest.approx(4.0)
+    assert out.with_suffix(".png").stat().st_size > 10_000
+
+
+def test_disturbances_act_on_the_motion_of_the_inputs(folder: Path) -> None:
+    """The unchanged world repeats the plan; each disturbance moves the end by what it should."""
+    alone = ["--by", "inputs", "--period", 0.5]
+    assert tracked(folder, *alone)["inputs"]["end_distance"] < 1e-5
+    text = printed("track", folder / "p.nc", *alone, "--disturb", "radii=0.05", "--seeds", 2)
+    words = next(line for line in text.splitlines() if line.split()[:1] == ["inputs"]).split()
+    assert words[1:4] == ["2", "of", "2"]
+    assert 0.003 < float(words[4]) < float(words[5]) < 0.2  # of a path of 0.8 m, two draws
+    # the vehicle stands for the first of eight periods, at a fifth of a metre per second
+    late = tracked(folder, *alone, "--disturb", "latency=0.5")["inputs"]["end_distance"]
+    assert 0.05 < late < 0.15
 
 
 def test_a_plan_is_driven_with_forces_and_with_inertia(folder: Path) -> None:
-    settings = ["--set", "terrain.friction=0.8", "--period", "2", "--json"]
-    found = json.loads(printed("track", folder / "p.nc", *settings))["facts"]
-    ends = {name: float(words.split()[1]) for name, words in found.items()}
-    assert ends["open loop"] < 1e-5 < ends["quasi-static"] < 0.01
-    assert ends["quasi-static"] != ends["dynamics"] < 0.05
-    assert "rms slip" in found["dynamics"]
+    words = ["--set", "terrain.friction=0.8", "--period", 2, "--by", "inputs", "--disturb"]
+    ends = {
+        (model, change): tracked(folder, *words, f"friction={change}", "--set", f"model={model}")[
+            "inputs"
+        ]["end_distance"]
+        for model, change in (("quasi-static", 0), ("quasi-static", 0.2), ("dynamics", 0))
+    }
+    assert 1e-5 < ends["quasi-static", 0] < 0.01
+    assert ends["quasi-static", 0] != ends["quasi-static", 0.2] < 0.01
+    assert ends["quasi-static", 0] != ends["dynamics", 0] < 0.05
 
 
 def test_the_exit_code_reports_a_motion_that_ends_early(folder: Path) -> None:
     """The changed map ends before the front wheel reaches its place at the goal."""
     window = ["--set", "terrain.synthetic.y=[-2.5,1.5]", "--set", "terrain.synthetic.spacing=0.5"]
-    result = invoke("track", str(folder / "p.nc"), *window, code=1)
+    result = invoke("track", str(folder / "p.nc"), "--by", "replan", *window, code=1)
     assert "leaves the map" in result.stdout
 
 
@@ -81,6 +102,10 @@ def test_the_exit_code_reports_a_motion_that_ends_early(folder: Path) -> None:
         (["q.nc"], "expected the result of a plan"),
         (["p.nc", "--period", "9"], "period: expected a period above 0 and at most 4 s, the durat"),
         (["p.nc", "--window", "5"], "horizon: span: expected a window above 0 and at most"),
+        (["p.nc", "--by", "hope"], "by: expected one of inputs, follow, replan, sampling, found"),
+        (["p.nc", "--disturb", "wind=1"], "disturb: expected one of heights, friction, radii"),
+        (["p.nc", "--disturb", "radii"], "--disturb: expected NAME=SIZE with a size of at least 0"),
+        (["p.nc", "--disturb", "friction=0.1"], "a ground with a coefficient of friction, found"),
     ],
 )
 def test_wrong_words_are_refused(folder: Path, words: list[str], message: str) -> None:

@@ -12,8 +12,9 @@ from numpy.testing import assert_allclose
 import slipfree as sf
 from helpers.cases import hills
 from slipfree.catalog import differential_drive, three_wheeler
-from slipfree.plan.mpc import cycle_inputs, first_cycle, horizon, replan, track_plan
+from slipfree.plan.mpc import cycle_inputs, first_cycle, horizon, replan
 from slipfree.plan.plan import plan
+from slipfree.plan.tracking import Replanning, TrackingWorld, track_plan
 from slipfree.plan.verification import simulate_plan
 from slipfree.terrain.grid_ops import disturbed
 
@@ -49,6 +50,12 @@ def found():
 @pytest.fixture(scope="module")
 def window(found):
     return horizon(found, span=DURATION / 2, intervals=COUNT // 2)
+
+
+def track(window, world, start, *, latency=0.0, **options):
+    """Drive in another world by replanning."""
+    place, planned = TrackingWorld(world, None, start, latency), window.program.task.dae
+    return track_plan(Replanning(window), planned, place, duration=DURATION, **options)
 
 
 def traverse(found, window, **start):
@@ -115,7 +122,7 @@ def test_inputs_keep_to_their_bounds(found, window):
 def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, window):
     """The last part is as long as what is left."""
     dae, times = found.program.task.dae, []
-    tracked = track_plan(window, dae, sf.settle(dae), period=0.7, progress=times.append)
+    tracked = track(window, dae, sf.settle(dae), period=0.7, progress=times.append)
     assert (tracked.cycles, tracked.failures) == (11, 0)
     assert_allclose(times, np.arange(11) * 0.7)
     assert away(tracked.run) < 1e-4
@@ -127,7 +134,7 @@ def test_on_a_wrong_ground_and_beside_the_start_replanning_ends_nearer(window):
     world = sf.direct_kinematics(VEHICLE, sf.Bicubic(disturbed(GRID, 0.02, 1.0, 1)))
     start = sf.settle(world, x=0.04, y=-0.03, heading=0.03)
     alone = simulate_plan(world, start, window.plan, step=0.2)
-    tracked = track_plan(window, world, start, period=0.4)
+    tracked = track(window, world, start, period=0.4)
     assert away(tracked.run) < away(alone) / 5
 
 
@@ -135,7 +142,7 @@ def test_a_limit_of_the_world_ends_the_motion(window):
     part = slice(7, 18)
     grid = sf.Grid(AXIS[part], AXIS[part], np.ascontiguousarray(GRID.z[part, part]))
     world = sf.direct_kinematics(VEHICLE, sf.Bicubic(grid))
-    tracked = track_plan(window, world, sf.settle(world), period=0.8)
+    tracked = track(window, world, sf.settle(world), period=0.8)
     assert tracked.run.stop.name.startswith("map_margin")
     assert tracked.run.stop.t == pytest.approx(tracked.run.t[-1])
     assert tracked.run.t[-1] < DURATION
@@ -158,10 +165,10 @@ def test_what_is_no_window_period_world_or_state_is_refused(found, window):
         horizon(replace(found, program=late), span=4.0)
     words = "period: expected a period above 0 and at most 8 s, the duration"
     with pytest.raises(sf.ModelError, match=words):
-        track_plan(window, task.dae, sf.settle(task.dae), period=0.0)
+        track(window, task.dae, sf.settle(task.dae), period=0.0)
     other = sf.direct_kinematics(differential_drive(), sf.Bicubic(GRID))
     with pytest.raises(sf.ModelError, match="world: expected the states and inputs of the plan's"):
-        track_plan(window, other, sf.settle(other), period=0.8)
+        track(window, other, sf.settle(other), period=0.8)
     with pytest.raises(sf.ModelError, match=r"expected 'begin' from 0 to below 4 s"):
         cycle_inputs(window, first, 8.5, 9.0)
     for state in (start[:-1], start * np.nan, start[0]):

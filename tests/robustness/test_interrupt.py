@@ -30,7 +30,7 @@ from slipfree.core.trajectory import SolverError
 from slipfree.files import netcdf
 from slipfree.files.tables import write_rows
 from slipfree.fit import estimate
-from slipfree.plan import ipopt, mpc, verification
+from slipfree.plan import ipopt, tracking, verification
 from slipfree.plan import plan as planning
 from slipfree.plan.ipopt import solve_nlp
 from slipfree.plan.mpc import horizon
@@ -615,11 +615,13 @@ def test_a_comparison_keeps_its_finished_vehicles(monkeypatch):
 
 def test_a_tracking_keeps_its_cycles(monkeypatch):
     dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
-    pressed, _ = pressing(mpc._drive, at=3)
-    monkeypatch.setattr(mpc, "_drive", pressed)
+    pressed, _ = pressing(tracking._drive, at=3)
+    monkeypatch.setattr(tracking, "_drive", pressed)
     frame = horizon(planned(), span=1.0)
+    world = tracking.TrackingWorld(dae, None, settle(dae))
+    controller, model = tracking.Replanning(frame), frame.program.task.dae
     with held_interrupt():
-        found = mpc.track_plan(frame, dae, settle(dae), period=0.25)
+        found = tracking.track_plan(controller, model, world, duration=2.0, period=0.25)
     assert found.run.stop.name == "interrupted"
     assert_allclose(found.run.t[-1], 0.5)
 

@@ -479,62 +479,122 @@ def _plan_name(number: int) -> str:
 def track(
     file: Annotated[Path, typer.Argument(metavar="PLAN.nc", help="Result file of a plan.")],
     settings: Settings = None,
+    by: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--by",
+            metavar="WAY",
+            help="Way to follow the plan: inputs, follow, replan or sampling; may be repeated. "
+            "Default: all.",
+        ),
+    ] = None,
+    disturb: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--disturb",
+            metavar="NAME=SIZE",
+            help="Random disturbance of the world: heights (rms) [m]; friction, radii, inputs, "
+            "relative; latency [s]. May be repeated.",
+        ),
+    ] = None,
+    seeds: Annotated[
+        int, typer.Option(metavar="COUNT", min=1, help="Number of worlds, seeds 1, 2, ...")
+    ] = 1,
     period: Annotated[
         float | None,
         typer.Option(
             metavar="SECONDS",
-            help="Time between updates of the plan; default: a twentieth of the window.",
+            help="Time between decisions; default: a twentieth of the window.",
         ),
     ] = None,
     window: Annotated[
         float | None,
         typer.Option(
             metavar="SECONDS",
-            help="Duration of the replanned window; default: a fifth of the plan's duration.",
+            help="Horizon of replan and sampling; default: a fifth of the plan's duration.",
         ),
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--output", metavar="OUT.nc", help="File for the replanned motion; default: none."
+            "-o",
+            "--output",
+            metavar="OUT.nc",
+            help="File for the last motion, by the last way with the last seed; the figure has the "
+            "same name with .png. Default: neither.",
         ),
     ] = None,
     folder: InputFolder = None,
+    draw: Draw = True,
 ) -> None:
-    """Follow a plan in a changed world, by replanning.
+    """Follow a plan in a changed world, in several ways.
 
-    Print the final error and the slip, and compare them with those of two other controllers: the
-    plan's inputs without feedback, and the driving law. The inputs are simulated with three models:
-    that of the plan, quasi-statics and dynamics. Changes of the world are given by --set, as
-    in terrain.error.rms=0.02.
+    Print the distance of the end from that of the plan, the slip, and the CPU time of a cycle: with
+    the inputs of the plan, the driving law along its path, replanning, and sampling. The
+    controllers know the ground and the vehicle of the plan. Changes of the world are given by
+    --set, as in model=quasi-static, and drawn at random by --disturb; every way meets the same
+    worlds.
     """
     with reported(), about(file):
         from slipfree.files.netcdf import write
         from slipfree.problem.result import result_files
-        from slipfree.problem.verbs.plan_tracking import follow_plan, tracking_lines, tracking_rows
+        from slipfree.problem.verbs.plan_tracking import (
+            WAYS,
+            follow_plan,
+            tracking_lines,
+            tracking_rows,
+        )
 
         with regular_file(file, "a result file of slipfree"):
-            check_outputs([out], result_files(file, folder))
+            picture = out.with_suffix(".png") if out is not None and draw else None
+            check_outputs([out, picture], result_files(file, folder))
         with held_interrupt():
             test = follow_plan(
                 file,
                 settings or [],
+                by=tuple(dict.fromkeys(by or WAYS)),
+                disturb=_disturbances(disturb or []),
+                seeds=seeds,
                 period=period,
                 window=window,
                 folder=folder,
-                progress=lambda t: detail(f"replanned at {t:.4g} s"),
+                progress=lambda name, seed, t: detail(f"{name}, seed {seed}: {t:.4g} s"),
             )
-            run = test.motions[-1].run
-            if out is not None and run is not None:
-                out = save(out, lambda path: write(path, run))
+            motions = [each.motion.run for each in test.motions if each.motion is not None]
+            if out is not None and motions:
+                out = save(out, lambda path: write(path, motions[-1]))
             is_interrupted = interrupt_requested()
         rows = tracking_rows(test)
-        print_facts(list(tracking_lines(rows)))
+        print_line("\n".join(tracking_lines(rows)))
         add_json("motions", lambda: rows)
-        if out is not None and run is not None:
+        if out is not None and motions:
             print_line(f"wrote {out}")
+        if picture is not None and motions and not is_interrupted:
+            from slipfree.show.plan_figures import tracking_plot
+
+            named = [(each.name, each.motion.run) for each in test.motions if each.motion]
+            _draw([tracking_plot(picture.stem, test.plan, named)], picture.parent)
+            print_line(f"wrote {picture}")
         if is_interrupted:
             print_error("; ".join(["interrupted", *written()]))
             raise typer.Exit(INTERRUPTED)
-        if run is not None and run.outcome.exit_code:
-            raise typer.Exit(run.outcome.exit_code)
+        codes = [run.outcome.exit_code for run in motions]
+        if any(codes):
+            raise typer.Exit(max(codes))
+
+
+def _disturbances(words: Sequence[str]) -> dict[str, float]:
+    """Return the sizes of disturbances by name."""
+    sizes = dict[str, float]()
+    for each in words:
+        name, _, size = each.partition("=")
+        try:
+            sizes[name] = float(size)
+        except ValueError:
+            sizes[name] = float("nan")
+        if not 0 <= sizes[name] < float("inf"):
+            raise ModelError(
+                f"--disturb: expected NAME=SIZE with a size of at least 0, as in heights=0.02, "
+                f"found {each!r}; correct it"
+            )
+    return sizes

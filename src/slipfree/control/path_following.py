@@ -122,14 +122,9 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Record:
     ends at (-0.01, 3.98)
     """
     expect(path, Path, "path", "make one of points: Path(np.array([[0.0, 0.0], [1.0, 2.0]]))")
-    if not np.isfinite(speed) or speed == 0:
-        raise ModelError(
-            f"speed: expected a finite speed other than zero, found {speed} m/s; give a positive "
-            "speed, or a negative one to drive backwards"
-        )
     states, plan = _steerable(dae, vehicle, "follow")
-    v, required = _guidance_rates(dae, path, plan, speed)
-    return _planar_inputs(dae, vehicle, states, plan, (v, required, speed))
+    commands = guidance(dae, vehicle, path, speed=speed)
+    return _planar_inputs(dae, vehicle, states, plan, (*commands, speed))
 
 
 def commanded(dae: Dae, vehicle: Vehicle, *, speed: float) -> Dae:
@@ -220,10 +215,18 @@ def _planar_inputs(
     return unpack(dae.u, [*wheels, *rates.values()])
 
 
-def _guidance_rates(
-    dae: Dae, path: Path, plan: _PlanarGeometry, speed: float
-) -> tuple[ca.SX, ca.SX]:
-    """Return the speed and the turning rate that track the reference point of the path."""
+def guidance(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> tuple[ca.SX, ca.SX]:
+    """Return the forward velocity and the yaw rate of `follow`, for a robot that takes commands.
+
+    Arguments and errors are those of `follow`. The results are expressions of the time and the
+    states of ``dae``. [m/s, rad/s]
+    """
+    if not np.isfinite(speed) or speed == 0:
+        raise ModelError(
+            f"speed: expected a finite speed other than zero, found {speed} m/s; give a positive "
+            "speed, or a negative one to drive backwards"
+        )
+    plan = _steerable(dae, vehicle, "follow")[1]
     reference = path.symbolic(abs(speed) * dae.t, (dae.shift[0][0], dae.shift[0][1]))
     sign, base = np.sign(speed), plan.base
     curvature = sign * reference.curvature

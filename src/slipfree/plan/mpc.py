@@ -5,24 +5,21 @@ equal those of the plan at that time. Only the bounds of its program change from
 each cycle the previous solution is shifted in time, the measured state is imposed, and one
 iteration is made (Diehl, Bock, Schloeder, A real-time iteration scheme for nonlinear optimization
 in optimal feedback control, SIAM J. Control Optim. 43, 2005). Near the end of the plan the window
-becomes shorter. `track_plan` simulates the vehicle under this control.
+becomes shorter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.outcome import ipopt_words
-from slipfree.core.records import Array, Record, field_overview, leaves
-from slipfree.core.trajectory import SolverError, Trajectory, joined
+from slipfree.core.records import Array, Record, field_overview
+from slipfree.core.trajectory import SolverError
 from slipfree.plan.ipopt import MAX_ITERATIONS, largest_violation, warm_solver
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import (
@@ -39,12 +36,10 @@ from slipfree.plan.transcription import (
     completed,
     transcribe,
 )
-from slipfree.plan.verification import inputs_along, simulate_to_failure
-from slipfree.solve.options import SolverOptions
+from slipfree.plan.verification import inputs_along
 from slipfree.solve.sampling import same_turn
-from slipfree.solve.simulate import interrupted_at
 from slipfree.system.forks import computing
-from slipfree.system.interrupt import interrupt_requested, with_interrupt_guard
+from slipfree.system.interrupt import with_interrupt_guard
 
 TIME_TOLERANCE = 1e-6  # largest difference of times that count as equal [s]
 USABLE_STATUSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Maximum_Iterations_Exceeded")
@@ -369,109 +364,3 @@ def _shift_multipliers(
         bounds[where] = former.bound_multipliers[where[which]]
     bounds[layout.inputs[which.size :]] = former.bound_multipliers[layout.inputs[which.size :]]
     return rows, bounds
-
-
-class TrackedMotion(NamedTuple):
-    """Motion of a vehicle that follows a plan in closed loop."""
-
-    run: Trajectory  # the simulated motion, with times since the beginning of the plan
-    cycles: int  # number of simulated cycles
-    failures: int  # cycles without solution, which used the inputs of the last solved one
-
-
-@computing
-def track_plan(
-    window: Horizon,
-    world: Dae,
-    start: Trajectory,
-    *,
-    period: float,
-    options: SolverOptions = SolverOptions(),
-    progress: Callable[[float], None] | None = None,
-) -> TrackedMotion:
-    """Simulate a vehicle that replans over a moving window at every period.
-
-    The controller uses the model of the plan; the vehicle moves according to the model ``world``,
-    for example on another ground. The controller measures all states without error or delay.
-
-    Parameters
-    ----------
-    window : Horizon
-        Window of the plan, from `slipfree.plan.mpc.horizon`.
-    world : Dae
-        Model in which the vehicle moves, with the states and inputs of the plan's model.
-    start : Trajectory
-        Trajectory of the model ``world`` whose last sample is the initial state of the vehicle.
-    period : float
-        Time between two cycles, at most the duration of the plan. [s]
-    options : SolverOptions
-        Options of the simulation.
-    progress : callable, optional
-        Function called in each cycle with the time at which it begins. [s]
-
-    Returns
-    -------
-    TrackedMotion
-        The motion ends early if a limit of ``world`` is violated, the simulation fails, or a
-        Ctrl-C is held back by `held_interrupt`.
-
-    Raises
-    ------
-    ModelError
-        If the period is not positive or exceeds the duration of the plan, or if the models have
-        different states or inputs.
-    SolverError
-        If the first cycle fails, or if a simulation cannot be started.
-    """
-    duration, dae = window.plan.duration, window.program.task.dae
-    if not 0 < period <= duration:
-        raise ModelError(
-            f"period: expected a period above 0 and at most {duration:g} s, the duration of the "
-            f"plan, found {period:g} s; choose a period in this range"
-        )
-    for record in ("x", "u"):
-        own, expected = (
-            [label.full for label in leaves(getattr(each.labels, record))] for each in (world, dae)
-        )
-        if own != expected:
-            raise ModelError(
-                "world: expected the states and inputs of the plan's model, "
-                f"{', '.join(expected)}, found {', '.join(own)}; use a vehicle with the same "
-                "joints and wheels (its parameters may differ)"
-            )
-    times = np.append(np.arange(0.0, duration - 0.5 * period, period), duration)
-    cycle, here, runs, failures = first_cycle(window), start, list[Trajectory](), 0
-    for t, end in pairwise(times):
-        try:
-            cycle = replan(window, cycle, t, dae.rows("x", here, -1))
-        except SolverError:
-            failures += 1
-        if progress is not None:
-            progress(t)
-        try:
-            here = _drive(world, here, window, cycle, (t, end), options)
-        except KeyboardInterrupt:
-            if not (runs and interrupt_requested()):
-                raise
-            runs[-1] = replace(here, stop=interrupted_at(t))
-            break
-        runs.append(here)
-        if here.stop is not None or here.t[-1] < end - 1e-9:
-            break
-    run = joined(*(each.part(slice(-1)) for each in runs[:-1]), runs[-1])
-    return TrackedMotion(run, len(runs), failures)
-
-
-def _drive(
-    world: Dae,
-    here: Trajectory,
-    window: Horizon,
-    cycle: Cycle,
-    span: tuple[float, float],
-    options: SolverOptions,
-) -> Trajectory:
-    """Return the motion under the inputs of a cycle, with times since the beginning of the plan."""
-    inputs, times = cycle_inputs(window, cycle, *span)
-    run = simulate_to_failure(world, here, inputs, times, options)
-    stop = run.stop and run.stop._replace(t=run.stop.t + cycle.t)
-    return replace(run, t=run.t + cycle.t, stop=stop)

@@ -213,7 +213,7 @@ def sample_plan(
     former: SampledPlan | None = None,
     *,
     elapsed: float | None = None,
-    goal: Mapping[str, float] | None = None,
+    goal: Mapping[str, float | Array] | None = None,
     keep_out: Sequence[Region] = (),
 ) -> SampledPlan:
     """Return inputs of low cost from a state on, by sampling.
@@ -229,8 +229,10 @@ def sample_plan(
         ranges.
     elapsed : float, optional
         Time since the cycle before, by which its inputs are shifted; by default one interval. [s]
-    goal : mapping of str to float, optional
-        Goal of this cycle, such as a point of a path ahead; by default that of the task. [m, rad]
+    goal : mapping of str to float or ndarray, optional
+        Goal of this cycle; by default that of the task. An array of shape (intervals + 1,) contains
+        values at the samples ``task.t``, such as those of a plan that is followed; their mean
+        square distance counts. [m, rad]
     keep_out : sequence of Region
         Regions that the centre of the platform must not enter, such as obstacles that were seen
         since the last cycle, enlarged by half the width of the vehicle. They are checked at
@@ -249,7 +251,7 @@ def sample_plan(
         If the vehicle cannot stand at ``x``, or a limit is violated there.
     """
     if goal is not None:
-        task.model.start(**goal)  # names
+        task.model.start(**dict.fromkeys(goal, 0.0))  # names
     aims = _Aims(task, task.goal if goal is None else goal, tuple(keep_out), _first_state(task, x))
     low, high = task.limits
     mean = np.tile((low + high) / 2, task.intervals)
@@ -282,7 +284,7 @@ class _Aims(NamedTuple):
     """Task, goal and obstacles of a cycle, and the rows of the state that it starts from."""
 
     task: SamplingTask
-    goal: Mapping[str, float]
+    goal: Mapping[str, float | Array]
     keep_out: tuple[Region, ...]
     first: Array
 
@@ -376,10 +378,12 @@ def _costs(aims: _Aims, many: Array, motions: Candidates, inputs: Array) -> Arra
         labels = list(leaves(task.model.labels.x))
         for name, value in aims.goal.items():
             k = [label.full for label in labels].index(name)
-            miss = motions.samples[-1][k] + task.model.shift[0][k] - value
+            count = 1 if np.isscalar(value) else task.intervals
+            wanted = np.reshape(value, (-1, 1))[-count:] - task.model.shift[0][k]
+            miss = motions.samples[-count:, k] - wanted
             is_angle = labels[k].unit == "rad"
             miss = 2 * np.sin(miss / 2) if is_angle else miss / task.model.size_of(labels[k])
-            total += task.goal_weight * miss**2
+            total += task.goal_weight * (miss**2).mean(axis=0)
     return np.where(np.isfinite(total), total, np.inf)
 
 

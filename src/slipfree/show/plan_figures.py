@@ -28,7 +28,7 @@ from slipfree.routing.traversability import Traversability, blocked_by
 from slipfree.show import ground_drawing, motion_figures, style
 from slipfree.show.ground_drawing import Window
 from slipfree.show.plots import Panel, Plot, stack
-from slipfree.show.style import COLUMN, MM, PLATFORM
+from slipfree.show.style import COLUMN, MM, PAGE, PLATFORM
 from slipfree.terrain.base import Grid
 
 # The scale is light blue, so that warm colours mark blocked nodes; all differ in lightness too.
@@ -56,6 +56,7 @@ CONVERGENCE = {  # label and scale of the axis, by field of `Convergence`
     "barrier": ("barrier parameter", "log"),
 }
 SEARCH_WORDS = 30  # characters of the name of a search
+TRACKING_HEIGHT = 70.0  # [mm]
 ENTRIES = 7  # lines of a legend beside a row of that height
 Range = tuple[float, float]
 Place = tuple[str, float, float]
@@ -193,6 +194,34 @@ def plan_plots(
         "traversability", caption, lambda: _traversability(run, grid, layers, places, found, guess)
     )
     return (planned, ground) if panels else (ground,)
+
+
+def tracking_plot(name: str, plan: Trajectory, motions: Sequence[tuple[str, Trajectory]]) -> Plot:
+    """Return the figure of motions that follow a plan, with the names of their controllers."""
+    caption = "Paths of a plan and of the motions that follow it, and distances at equal times."
+
+    def make() -> Figure:
+        figure = style.figure(PAGE, TRACKING_HEIGHT * MM)
+        ground, error = figure.subplots(1, 2)
+        ground.plot(plan["x"], plan["y"], color=PLATFORM, lw=1.6, label="plan", zorder=3)
+        names = list(dict.fromkeys(name for name, _ in motions))
+        for way, run in motions:
+            look = style.look(names.index(way))
+            ground.plot(run["x"], run["y"], lw=0.8, **look)
+            at = [np.interp(run.t, plan.t, plan[axis]) for axis in "xy"]
+            distance = np.hypot(run["x"] - at[0], run["y"] - at[1])
+            seen = error.get_legend_handles_labels()[1]
+            error.plot(run.t, distance, lw=0.8, label=None if way in seen else way, **look)
+        ground.set_aspect("equal", adjustable="datalim")
+        ground.set_xlabel("x [m]")
+        ground.set_ylabel("y [m]")
+        ground.legend()
+        error.set_xlabel("time [s]")
+        error.set_ylabel("distance from the plan [m]")
+        error.legend()
+        return figure
+
+    return Plot(name, caption, make)
 
 
 def convergence_plots(

@@ -1,30 +1,37 @@
-"""Test of a plan in a changed world: open loop, path following and replanning compared."""
+"""Test of a plan in a changed world: several ways to follow it, in the same disturbed worlds."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.control.path_following import follow
-from slipfree.core.dae import Dae
+from slipfree.control.path_following import commanded, guidance
 from slipfree.core.errors import DataError, ModelError
+from slipfree.core.rearrange import substitute
 from slipfree.core.records import leaves
+from slipfree.core.schema import Length
 from slipfree.core.trajectory import SolverError, Trajectory, path_length
 from slipfree.files.netcdf import read, read_arrays
 from slipfree.geometry.path import Path as GroundPath
-from slipfree.laws.soil import Soil
-from slipfree.models.dynamics import dynamics
-from slipfree.models.quasi_statics import quasi_statics
-from slipfree.plan.mpc import horizon, track_plan
+from slipfree.plan.mpc import Horizon, horizon
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import from_arrays
-from slipfree.plan.verification import simulate_plan
-from slipfree.problem.build import build_start, build_world, model_law
+from slipfree.plan.sampling import SamplingTask
+from slipfree.plan.tracking import (
+    Controller,
+    Following,
+    Replanning,
+    Sampling,
+    TrackedMotion,
+    TrackingWorld,
+    track_plan,
+)
+from slipfree.problem.build import build_model, build_start, build_world, solver_options
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import problem_of
 from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed
@@ -32,62 +39,78 @@ from slipfree.problem.verbs.plan_search import find_plan
 from slipfree.problem.verbs.plan_setup import build_planning
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
-from slipfree.solve.simulate import simulate
 from slipfree.system.interrupt import interrupt_requested
+from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
+from slipfree.terrain.grid_ops import disturbed
+from slipfree.vehicle.sections import Section
 from slipfree.vehicle.tree import Vehicle
 
 CYCLES_PER_WINDOW = 20  # default number of periods in a window
 WINDOWS_PER_PLAN = 5  # duration of a plan divided by the default window
 PATH_SPACING = 20  # samples of a plan between two points of its path
+WAYS = ("inputs", "follow", "replan", "sampling")
+DISTURBANCES = {
+    "heights": "rms of errors of the heights, correlated over twice the vehicle's size [m]",
+    "friction": "change of the friction coefficient, up or down at random [1]",
+    "radii": "standard deviation of the relative errors of the wheel radii [1]",
+    "inputs": "standard deviation of the relative errors of the inputs [1]",
+    "latency": "time after which inputs take effect, rounded to periods [s]",
+}
+CORRELATION = 2.0  # length of the errors of heights [size of the vehicle]
+TURN_RANGE = 1.5  # largest yaw rate of candidates, relative to speed over size of the vehicle
+SPEED_RANGE = (-0.25, 1.75)  # forward velocity of candidates, relative to the mean speed
+SPREAD, CANDIDATES, GOAL_WEIGHT = 0.08, 512, 10.0  # of `slipfree.SamplingTask`
 
 
 class Followed(NamedTuple):
-    """Attempt of a controller to follow a plan in the changed world."""
+    """Attempt to follow a plan in a disturbed world."""
 
     name: str  # of the controller
-    run: Trajectory | None  # None if it does not suit the vehicle, or fails at the start
-    words: str  # facts about the controller, or the error
+    seed: int  # of the disturbances
+    motion: TrackedMotion | None  # None if it does not suit the vehicle, or fails at the start
+    words: str  # the error, if any
 
 
 class TrackingTest(NamedTuple):
-    """A plan, simulated on its own ground, and the motions that follow it in the changed world."""
+    """A plan, simulated on its own ground, and the motions that follow it in disturbed worlds."""
 
     plan: Trajectory
     motions: tuple[Followed, ...]
-
-
-class ChangedWorld(NamedTuple):
-    """The changed world: vehicle, ground, model, and the vehicle settled at the start."""
-
-    vehicle: Vehicle
-    terrain: Bicubic
-    dae: Dae
-    start: Trajectory
 
 
 def follow_plan(
     file: Path,
     changes: Sequence[str] = (),
     *,
+    by: Sequence[str] = WAYS,
+    disturb: Mapping[str, float] = {},
+    seeds: int = 1,
     period: float | None = None,
     window: float | None = None,
     folder: Path | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[str, int, float], None] | None = None,
 ) -> TrackingTest:
-    """Follow the plan of a result file in a changed world, with three controllers.
+    """Follow the plan of a result file in changed worlds, in several ways.
 
-    The plan's inputs are simulated as they are, also with quasi-statics and with dynamics; the
-    driving law `slipfree.follow` follows its path at its mean speed; and a moving window replans
-    from the measured state at every ``period``. The controllers know the plan's ground and vehicle,
-    not the changed ones, whose settings are ``changes``. By default a window lasts a fifth of the
-    plan, and a period a twentieth of the window. [s]
+    ``by`` are names of `WAYS`: the inputs of the plan; `slipfree.follow` along its path at its mean
+    speed; `slipfree.replan` over a moving window; and `slipfree.sample_plan` towards the plan at
+    the window's end, with commands as inputs. All decide at every ``period``, from the states. The
+    controllers know the plan's ground and vehicle. The settings of the world are ``changes``; its
+    disturbances have the sizes of `DISTURBANCES` and the ``seeds`` 1, 2, ... By default a window
+    lasts a fifth of the plan, and a period a twentieth of the window. [s]
 
-    The replanned motion is the last one. After a Ctrl-C held back by `held_interrupt`, the motions
-    are those simulated until then. DataError is raised if the file contains no plan or the changed
-    problem cannot be built; ModelError if period, window, joints or wheels do not suit the plan;
-    SolverError if the first window cannot be solved, or a motion fails before its first sample.
+    After a Ctrl-C held back by `held_interrupt`, the motions are those simulated until then.
+    DataError is raised if the file contains no plan or the changed problem cannot be built;
+    ModelError if a name, period, window, joints or wheels do not suit the plan; SolverError if the
+    first window cannot be solved, or a motion fails before its first sample.
     """
+    for names, known, what in ((by, WAYS, "by"), (disturb, DISTURBANCES, "disturb")):
+        for name in names:
+            if name not in known:
+                raise ModelError(
+                    f"{what}: expected one of {', '.join(known)}, found {name!r}; correct the name"
+                )
     run = read(file)
     saved = from_arrays(read_arrays(file), str(file))
     planned, real = (problem_of(file, run, folder, each) for each in ((), changes))
@@ -104,124 +127,228 @@ def follow_plan(
     setup = build_planning(planned)
     duration = saved.motion.duration
     plan = find_plan(planned, setup, [], saved, lambda *_: True, duration)
-    _, terrain, vehicle, _, dae = build_world(real)
-    world = ChangedWorld(vehicle, terrain, dae, build_start(real, dae))
     window = duration / WINDOWS_PER_PLAN if window is None else window
     period = window / CYCLES_PER_WINDOW if period is None else period
+    options = _world_options(real)
     frame = horizon(plan, span=window)
-    options = planned.spec.solver.options
-    tracked = track_plan(
-        frame, world.dae, world.start, period=period, options=options, progress=progress
-    )
-    step = planned.spec.time.step
-    cycles = f"{tracked.cycles} cycles, {tracked.failures} failed, window {window:.3g} s"
-    others = list[Followed]()
-    try:
-        run = simulate_plan(world.dae, world.start, plan.motion, step=step, options=options)
-        others.append(Followed("open loop", run, "inputs of the plan"))
-        others.extend(_with_forces(plan, real, world))
-        others.append(_followed(plan, world, step, options))
-    except KeyboardInterrupt:
-        if not interrupt_requested():
-            raise
-    return TrackingTest(plan.replay, (*others, Followed("replanned", tracked.run, cycles)))
+    task = _sampling_task(plan, setup.vehicle, window, compiled=options.compiled)
+    motions = list[Followed]()
+    for seed in range(1, seeds + 1):
+        world = _disturbed_world(real, plan, setup.vehicle, disturb, seed)
+        for name in by:
+            report = partial(progress, name, seed) if progress else None
+            try:
+                controller = _controller(name, plan, setup.vehicle, frame, task)
+            except ModelError as error:
+                motions.append(Followed(name, seed, None, str(error)))
+                continue
+            try:
+                tracked = track_plan(
+                    controller,
+                    plan.program.task.dae,
+                    world,
+                    duration=duration,
+                    period=period,
+                    options=options,
+                    progress=report,
+                )
+            except SolverError as error:
+                motions.append(Followed(name, seed, None, str(error)))
+            except KeyboardInterrupt:
+                if not interrupt_requested():
+                    raise
+            else:
+                motions.append(Followed(name, seed, tracked, ""))
+            if interrupt_requested():
+                return TrackingTest(plan.replay, tuple(motions))
+    return TrackingTest(plan.replay, tuple(motions))
 
 
-def _with_forces(plan: Plan, problem: Problem[Any], world: ChangedWorld) -> Iterator[Followed]:
-    """Yield the motions under the plan's inputs with quasi-statics and with dynamics."""
-    if problem.spec.model != "quasi-static":
-        yield _with_model("quasi-static", quasi_statics, plan, problem, world)
-    law, speed = model_law(problem), initial_speed(plan.replay)
-    model = partial(dynamics, law=law) if isinstance(law, Soil) else dynamics
-    yield _with_model("dynamics", model, plan, problem, world, speed=speed)
+def _world_options(problem: Problem[Any]) -> SolverOptions:
+    """Return the options of the simulation of a world."""
+    options = solver_options(problem)
+    if problem.spec.model == "kinematics":
+        return options
+    return replace(options, tolerance=max(options.tolerance, FRICTION_TOLERANCE))
 
 
-def _with_model(
-    name: str,
-    model: Callable[[Vehicle, Bicubic], Dae],
-    plan: Plan,
-    problem: Problem[Any],
-    world: ChangedWorld,
-    speed: float | None = None,
-) -> Followed:
-    """Return the motion under the plan's inputs with another model of the changed world.
-
-    ``speed`` is the initial speed for a model with inertia, None for other models. [m/s]
-    """
-    options = problem.spec.solver.options
-    options = replace(options, tolerance=max(options.tolerance, FRICTION_TOLERANCE))
+def _disturbed_world(
+    problem: Problem[Any], plan: Plan, vehicle: Vehicle, sizes: Mapping[str, float], seed: int
+) -> TrackingWorld:
+    """Return the world of a changed problem with disturbances; ``vehicle`` is that of the plan."""
+    built, rng = build_world(problem), np.random.default_rng(seed)
+    dae = plan.program.task.dae
+    sign = rng.choice([-1.0, 1.0])
+    radii = 1 + sizes.get("radii", 0.0) * rng.standard_normal(len(built.vehicle.wheels))
+    factors = 1 + sizes.get("inputs", 0.0) * rng.standard_normal(len(list(leaves(dae.u))))
+    grid, mu = built.terrain.grid, built.terrain.mu
+    if sizes.get("heights"):
+        grid = disturbed(grid, sizes["heights"], CORRELATION * dae.size, seed)
+    if sizes.get("friction"):
+        mu = _changed_friction(mu, 1 + sign * sizes["friction"])
+    terrain = Bicubic(grid, built.terrain.center, mu)
+    wheels = [
+        replace(wheel, section=_scaled(wheel.section, factor))
+        for wheel, factor in zip(built.vehicle.wheels, radii.tolist(), strict=True)
+    ]
+    own = replace(built.vehicle, wheels=tuple(wheels))
+    real = build_model(problem, own, terrain, built.prisms)
+    u = list(leaves(real.u))
+    if "inputs" in sizes:
+        real = substitute(real, u, [each * factor for each, factor in zip(u, factors, strict=True)])
     names = {**problem.spec.start, "heading": 0.0}
-    values: dict[str, Any] = {key: float(world.start[key][0]) for key in names}
-    if speed is not None:
-        values[SPEED] = speed
+    start = build_start(problem, real)
+    if problem.spec.model == "dynamics":
+        values: dict[str, Any] = {name: float(start[name][0]) for name in names}
+        values[SPEED] = initial_speed(plan.replay)
+        start = settle(real, options=_world_options(problem), **values)
     try:
-        dae = model(world.vehicle, world.terrain)
-        _check_inputs(dae, world.dae)
-        start = settle(dae, options=options, **values)
-        step = problem.spec.time.step
-        run = simulate_plan(dae, start, plan.motion, step=step, options=options)
-    except (ModelError, SolverError) as error:
-        return Followed(name, None, f"not simulated: {error}")
-    return Followed(name, run, "inputs of the plan")
+        driven = commanded(real, vehicle, speed=_mean_speed(plan))
+    except ModelError:  # `_controller` reports it
+        driven = None
+    return TrackingWorld(real, driven, start, sizes.get("latency", 0.0))
 
 
-def _check_inputs(dae: Dae, planned: Dae) -> None:
-    """Raise ModelError unless a model has the inputs of the plan's model."""
-    expected, names = ([label.full for label in leaves(each.labels.u)] for each in (planned, dae))
-    if names != expected:
+def _changed_friction(mu: Any, factor: float) -> Any:
+    """Return a coefficient of friction, or a map of it, times a factor."""
+    if isinstance(mu, Grid):
+        return replace(mu, z=factor * mu.z)
+    if mu is None:
         raise ModelError(
-            f"expected the inputs of the plan, {', '.join(expected)}, found {', '.join(names)}; "
-            "give the wheels drives whose input is a rate"
+            "disturb: friction: expected a ground with a coefficient of friction, found none; give "
+            "it by --set terrain.friction=0.8, and --set model=quasi-static, whose motion depends "
+            "on friction"
         )
+    return factor * mu
 
 
-def _followed(plan: Plan, world: ChangedWorld, step: float, options: SolverOptions) -> Followed:
-    """Return the motion of the driving law along the plan's path at its mean speed."""
-    run, name = plan.replay, "follow"
-    points = np.column_stack([run["x"], run["y"]])
-    points = np.concatenate([points[:-1:PATH_SPACING], points[-1:]])
-    duration = plan.motion.duration
-    times = np.append(np.arange(0.0, duration - 0.5 * step, step), duration)
+def _scaled(section: Section, factor: float) -> Section:
+    """Return a cross-section with all lengths times a factor."""
+    values: dict[str, Any] = {}
+    for field in fields(section):
+        value = getattr(section, field.name)
+        if isinstance(value, Section):
+            values[field.name] = _scaled(value, factor)
+        elif field.type in (Length, "Length"):
+            values[field.name] = factor * value
+    return replace(section, **values)
+
+
+def _mean_speed(plan: Plan) -> float:
+    """Return the mean speed of a plan over the ground [m/s]."""
+    return path_length(plan.replay) / plan.motion.duration
+
+
+def _sampling_task(
+    plan: Plan, vehicle: Vehicle, span: float, *, compiled: bool
+) -> SamplingTask | None:
+    """Return the task of planning by sampling; None if the vehicle does not take commands."""
+    dae, speed = plan.program.task.dae, _mean_speed(plan)
     try:
-        path = GroundPath(points)
-        law = follow(world.dae, world.vehicle, path, speed=path.length / duration)
-        run = simulate(world.dae, world.start, law, times, options=options)
-        return Followed(name, run, "along the path of the plan")
-    except SolverError as error:
-        return Followed(name, error.trajectory, str(error))
-    except ModelError as error:
-        return Followed(name, None, str(error))
+        model = commanded(dae, vehicle, speed=speed)
+    except ModelError:
+        return None
+    turn = TURN_RANGE * speed / dae.size
+    return SamplingTask(
+        model,
+        {"slip": 1.0},
+        {},
+        span,
+        {"forward": (SPEED_RANGE[0] * speed, SPEED_RANGE[1] * speed), "yaw_rate": (-turn, turn)},
+        goal_weight=GOAL_WEIGHT,
+        candidates=CANDIDATES,
+        spread=SPREAD,
+        compiled=compiled,
+    )
+
+
+def _controller(
+    name: str, plan: Plan, vehicle: Vehicle, window: Horizon, task: SamplingTask | None
+) -> Controller:
+    """Return a new controller by its name; ModelError is raised if the vehicle does not suit it."""
+    if name in ("inputs", "replan"):
+        return Replanning(window, updated=name == "replan")
+    run, dae, speed = plan.replay, plan.program.task.dae, _mean_speed(plan)
+    if name == "follow" or task is None:
+        points = np.column_stack([run["x"], run["y"]])
+        path = GroundPath(np.concatenate([points[:-1:PATH_SPACING], points[-1:]]))
+        speed = path.length / plan.motion.duration
+        return Following(dae, guidance(dae, vehicle, path, speed=speed))
+    return Sampling(task, plan.motion)
 
 
 def tracking_rows(test: TrackingTest) -> list[dict[str, Any]]:
-    """Return for each motion its name, end error [m], slip [m/s], path length [m] and outcome."""
-    rows = list[dict[str, Any]]()
-    for name, run, words in (Followed("plan", test.plan, "on its own ground"), *test.motions):
-        rows.append({"name": name, "words": words})
-        if run is None:
-            continue
-        slip = np.hypot(run["slip_along"], run["slip_across"])
-        squares = np.trapezoid(slip**2, run.t, axis=0).mean() / (run.t[-1] - run.t[0])
-        end = np.hypot(*(run[axis][-1] - test.plan[axis][-1] for axis in "xy"))
-        rows[-1] |= {
-            "end_distance": float(end),
-            "slip_rms": float(np.sqrt(squares)),
-            "path_length": path_length(run),
-            "outcome": run.outcome.name.lower(),
-            "stop": "" if run.stop is None else f"{run.t[-1]:.4g} s: {run.stop.words}",
-        }
+    """Return for the plan and each way to follow it the results over all seeds.
+
+    Names, the number of seeds and of complete motions, median and largest distance of the end from
+    the plan's [m], slip [m/s], path length [m], CPU time per cycle [s], and messages.
+    """
+    slip, length = _rms_slip(test.plan), path_length(test.plan)
+    rows: list[dict[str, Any]] = [
+        {"name": "plan", "slip_rms": slip, "path_length": length, "words": ["on its own ground"]}
+    ]
+    for name in dict.fromkeys(each.name for each in test.motions):
+        attempts = [each for each in test.motions if each.name == name]
+        motions = [each.motion for each in attempts if each.motion is not None]
+        row: dict[str, Any] = {"name": name, "seeds": len(attempts)}
+        if motions:
+            ends = [
+                float(np.hypot(*(each.run[axis][-1] - test.plan[axis][-1] for axis in "xy")))
+                for each in motions
+            ]
+            row |= {
+                "complete": sum(each.run.stop is None for each in motions),
+                "end_distance": float(np.median(ends)),
+                "end_distance_max": max(ends),
+                "slip_rms": float(np.median([_rms_slip(each.run) for each in motions])),
+                "path_length": float(np.median([path_length(each.run) for each in motions])),
+                "cycles": sum(each.cycles for each in motions),
+                "failed_cycles": sum(each.failures for each in motions),
+                "cycle_cpu": float(np.median([each.cpu for each in motions])),
+            }
+        stops = [
+            f"seed {each.seed}: stopped at {run.t[-1]:.4g} s: {run.stop.words}"
+            for each in attempts
+            if each.motion is not None and (run := each.motion.run).stop is not None
+        ]
+        errors = dict.fromkeys(each.words for each in attempts if each.words)
+        rows.append({**row, "words": [*stops, *errors]})
     return rows
 
 
-def tracking_lines(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
-    """Yield the lines that show the rows of `tracking_rows`."""
+def _rms_slip(run: Trajectory) -> float:
+    """Return the root of the mean square slip of a wheel over time [m/s]."""
+    if run.t.size < 2:
+        return float("nan")
+    slip = np.hypot(run["slip_along"], run["slip_across"])
+    squares = np.trapezoid(slip**2, run.t, axis=0).mean() / (run.t[-1] - run.t[0])
+    return float(np.sqrt(squares))
+
+
+COLUMNS = (  # width, two lines of the head, and the cell of a row
+    (10, "", "", lambda row: row["name"]),
+    (10, "complete", "", lambda row: f"{row['complete']} of {row['seeds']}"),
+    (12, "end from", "plan [m]", lambda row: f"{row['end_distance']:.3g}"),
+    (10, "", "largest", lambda row: f"{row['end_distance_max']:.3g}"),
+    (10, "rms slip", "[mm/s]", lambda row: f"{1e3 * row['slip_rms']:.3g}"),
+    (9, "path", "[m]", lambda row: f"{row['path_length']:.4g}"),
+    (12, "cycles", "failed", lambda row: f"{row['failed_cycles']} of {row['cycles']}"),
+    (12, "CPU of a", "cycle [ms]", lambda row: f"{1e3 * row['cycle_cpu']:.3g}"),
+)
+
+
+def tracking_lines(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield the lines of the table of `tracking_rows`, and the messages below it."""
+    for k in (1, 2):
+        yield "".join(f"{column[k]:>{column[0]}}" for column in COLUMNS).rstrip()
     for row in rows:
-        words = row["words"]
-        if "outcome" in row:
-            stopped = f"; stopped at {row['stop']}" if row["stop"] else ""
-            words = (
-                f"ends {row['end_distance']:.3g} m from the plan, rms slip "
-                f"{1e3 * row['slip_rms']:.3g} mm/s per wheel, path {row['path_length']:.4g} m; "
-                f"{words}{stopped}"
-            )
-        yield row["name"], words
+        cells = ""
+        for width, _, _, cell in COLUMNS:
+            try:
+                cells += f"{cell(row):>{width}}"
+            except KeyError:  # the plan itself has no controller
+                cells += " " * width
+        yield cells.rstrip()
+    for row in rows:
+        for words in row["words"]:
+            yield f"{row['name']}: {words}"

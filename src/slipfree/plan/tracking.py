@@ -1,0 +1,293 @@
+"""Follow a plan in closed loop: four controllers, and the simulation of a vehicle under them.
+
+A controller decides at every period, from the measured states, about the inputs of the period that
+follows. It knows the ground and the vehicle of the plan; the vehicle moves in another world, where
+inputs may arrive late.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple, Protocol
+
+import casadi as ca
+import numpy as np
+
+from slipfree.core.dae import Dae, InputValue
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, leaves
+from slipfree.core.trajectory import SolverError, Trajectory, joined
+from slipfree.plan.mpc import Cycle, Horizon, cycle_inputs, first_cycle, replan
+from slipfree.plan.polynomial_motion import PolynomialMotion
+from slipfree.plan.sampling import SampledPlan, SamplingTask, sample_plan
+from slipfree.plan.verification import simulate_to_failure
+from slipfree.solve.options import SolverOptions
+from slipfree.solve.simulate import interrupted_at
+from slipfree.system.forks import computing
+from slipfree.system.interrupt import interrupt_requested
+
+TIME_TOLERANCE = 1e-6  # relative difference of times that count as equal
+
+
+class Decision(NamedTuple):
+    """Inputs that a controller chooses for a period.
+
+    Attributes
+    ----------
+    inputs : mapping of str to InputValue
+        Inputs by name: those of the plan, or the commands ``forward`` and ``yaw_rate``.
+    times : ndarray, shape (n,)
+        Times of the samples for `slipfree.simulate`, in the time of the inputs. [s]
+    failed : bool
+        Whether no new inputs were found, and those of an earlier period are continued.
+    """
+
+    inputs: Mapping[str, InputValue]
+    times: Array
+    failed: bool = False
+
+
+class Controller(Protocol):
+    """A way to follow a plan, with a memory: use each for one motion."""
+
+    name: str
+
+    def decide(self, t: float, end: float, x: Array) -> Decision:
+        """Return inputs from a time to the end of its period, for the states then.
+
+        ``x`` are the states of the plan's model in map coordinates; times count since the beginning
+        of the plan. [s]
+        """
+
+
+class Replanning:
+    """The inputs of the plan, updated by `slipfree.replan` over a moving window; or unchanged."""
+
+    def __init__(self, window: Horizon, *, updated: bool = True) -> None:
+        self.name = "replan" if updated else "inputs"
+        self._window, self._dae = window, window.program.task.dae
+        none = np.zeros(0)
+        self._cycle = first_cycle(window) if updated else Cycle(0.0, window.plan, none, none, 0.0)
+        self._updated = updated
+
+    def decide(self, t: float, end: float, x: Array) -> Decision:
+        """Return the inputs of the plan for a period."""
+        failed = False
+        try:
+            if self._updated:
+                self._cycle = replan(self._window, self._cycle, t, x - self._dae.shift[0])
+        except SolverError:
+            failed = True
+        inputs, times = cycle_inputs(self._window, self._cycle, t, end)
+        names = (label.full for label in leaves(self._dae.labels.u))
+        return Decision(dict(zip(names, leaves(inputs), strict=True)), times, failed)
+
+
+class Following:
+    """A driving law of `slipfree.control.path_following.guidance`: commands by time and state."""
+
+    name = "follow"
+
+    def __init__(self, dae: Dae, commands: tuple[ca.SX, ca.SX]) -> None:
+        self._shift = dae.shift[0]
+        self._law = dae.function("commands", [dae.t, dae.columns()[0]], [ca.vertcat(*commands)])
+
+    def decide(self, t: float, end: float, x: Array) -> Decision:
+        """Return the commands of the law, which are held for a period."""
+        forward, yaw_rate = np.array(self._law(t, x - self._shift)).ravel().tolist()
+        return Decision({"forward": forward, "yaw_rate": yaw_rate}, np.array([t, end]))
+
+
+class Sampling:
+    """Commands by `slipfree.sample_plan`, which track the places and headings of the plan.
+
+    Beyond its end, the plan is continued at its last velocity. The task's model is that of the plan
+    with commands as inputs (`slipfree.commanded`).
+    """
+
+    name = "sampling"
+
+    def __init__(self, task: SamplingTask, plan: PolynomialMotion) -> None:
+        self._task, self._plan = task, plan
+        self._cycle: SampledPlan | None = None
+        self._last = 0.0
+
+    def decide(self, t: float, end: float, x: Array) -> Decision:
+        """Return the first commands of the cheapest candidate."""
+        failed = False
+        try:
+            elapsed, goal = t - self._last, self._places(t + self._task.t)
+            self._cycle = sample_plan(self._task, x, self._cycle, elapsed=elapsed, goal=goal)
+            self._last = t
+        except SolverError:
+            failed = True
+        begin, last, ends = t - self._last, end - self._last, self._task.t[1:-1]
+        near = TIME_TOLERANCE * self._task.span
+        times = np.array([begin, *ends[(ends > begin + near) & (ends < last - near)], last])
+        index = np.searchsorted(ends, (times[1:] + times[:-1]) / 2)
+        none = np.zeros((len(self._task.ranges), index.size))
+        values = none if self._cycle is None else self._cycle.inputs[:, index]
+        return Decision(dict(zip(self._task.ranges, values, strict=True)), times, failed)
+
+    def _places(self, t: Array) -> dict[str, float | Array]:
+        """Return places and headings of the plan at times, in map coordinates."""
+        plan, labels = self._plan, leaves(self._task.model.labels.x)
+        step = 0.01 * plan.duration
+        before, last = plan.states(np.array([1 - step / plan.duration, 1.0])).T
+        beyond = np.maximum(t - plan.duration, 0.0) / step
+        x = plan.states(np.minimum(t / plan.duration, 1.0)) + np.outer(last - before, beyond)
+        x += self._task.model.shift[0][:, None]
+        names = [label.full for label in labels]
+        return {name: x[names.index(name)] for name in ("x", "y", "heading")}
+
+
+class TrackingWorld(NamedTuple):
+    """The world in which a vehicle follows a plan.
+
+    Attributes
+    ----------
+    dae : Dae
+        Model with the inputs of the plan; its states may be others.
+    commanded : Dae or None
+        The same with the inputs ``forward`` and ``yaw_rate`` (`slipfree.commanded`), for
+        controllers that command velocities.
+    start : Trajectory
+        The vehicle at rest at its start; the last sample counts.
+    latency : float
+        Time after which inputs take effect; rounded to periods. Until then the inputs are zero. [s]
+    """
+
+    dae: Dae
+    commanded: Dae | None
+    start: Trajectory
+    latency: float = 0.0
+
+
+class TrackedMotion(NamedTuple):
+    """Motion of a vehicle that follows a plan in closed loop."""
+
+    run: Trajectory  # the simulated motion, with times since the beginning of the plan
+    cycles: int  # number of simulated cycles
+    failures: int  # cycles without solution, which used the inputs of the last solved one
+    cpu: float  # CPU time of the controller per cycle [s]
+
+
+@computing
+def track_plan(
+    controller: Controller,
+    planned: Dae,
+    world: TrackingWorld,
+    *,
+    duration: float,
+    period: float,
+    options: SolverOptions = SolverOptions(),
+    progress: Callable[[float], None] | None = None,
+) -> TrackedMotion:
+    """Simulate a vehicle that follows a plan under a controller.
+
+    The controller measures all states without error or delay.
+
+    Parameters
+    ----------
+    controller : Controller
+        For example `slipfree.plan.tracking.Replanning`.
+    planned : Dae
+        Model of the plan, whose states the controller measures.
+    world : TrackingWorld
+        World in which the vehicle moves.
+    duration : float
+        Duration of the motion. [s]
+    period : float
+        Time between two cycles, at most the duration. [s]
+    options : SolverOptions
+        Options of the simulation.
+    progress : callable, optional
+        Function called in each cycle with the time at which it begins. [s]
+
+    Returns
+    -------
+    TrackedMotion
+        The motion ends early if a limit of the world is violated, the simulation fails, or a
+        Ctrl-C is held back by `held_interrupt`.
+
+    Raises
+    ------
+    ModelError
+        If the period is not positive or exceeds the duration, or if the world lacks states or
+        inputs of the plan's model.
+    SolverError
+        If a simulation cannot be started.
+    """
+    if not 0 < period <= duration:
+        raise ModelError(
+            f"period: expected a period above 0 and at most {duration:g} s, the duration of the "
+            f"plan, found {period:g} s; choose a period in this range"
+        )
+    _check_world(planned, world)
+    times = np.append(np.arange(0.0, duration - 0.5 * period, period), duration)
+    late, cpu = round(world.latency / period), 0.0
+    decisions, runs = list[Decision](), list[Trajectory]()
+    here = world.start
+    for k, (t, end) in enumerate(pairwise(times)):
+        x = planned.rows("x", here, -1) + planned.shift[0]
+        clock = time.process_time()
+        decisions.append(controller.decide(t, end, x))
+        cpu += time.process_time() - clock
+        if progress is not None:
+            progress(t)
+        applied = _still(world.dae, end - t) if k < late else decisions[k - late]
+        try:
+            here = _drive(world, here, applied, t, options)
+        except KeyboardInterrupt:
+            if not (runs and interrupt_requested()):
+                raise
+            runs[-1] = replace(here, stop=interrupted_at(t))
+            break
+        runs.append(here)
+        if here.stop is not None or here.t[-1] < end - TIME_TOLERANCE * duration:
+            break
+    run = joined(*(each.part(slice(-1)) for each in runs[:-1]), runs[-1])
+    failures = sum(each.failed for each in decisions[: len(runs)])
+    return TrackedMotion(run, len(runs), failures, cpu / len(decisions))
+
+
+def _check_world(planned: Dae, world: TrackingWorld) -> None:
+    """Raise ModelError if the world lacks states that are measured, or inputs, of the plan."""
+    own, expected = (
+        [label.full for label in leaves(each.labels.u)] for each in (world.dae, planned)
+    )
+    states = [label for label in leaves(planned.labels.x) if label.name not in world.start.columns]
+    if own != expected or states:
+        lacks = f"; without {', '.join(each.full for each in states)}" if states else ""
+        raise ModelError(
+            "world: expected the states and inputs of the plan's model, "
+            f"{', '.join(expected)}, found {', '.join(own)}{lacks}; use a vehicle with the same "
+            "joints and wheels (its parameters may differ)"
+        )
+
+
+def _still(dae: Dae, span: float) -> Decision:
+    """Return zero inputs for a period."""
+    names = [label.full for label in leaves(dae.labels.u)]
+    return Decision(dict.fromkeys(names, 0.0), np.array([0.0, span]))
+
+
+def _drive(
+    world: TrackingWorld, here: Trajectory, decision: Decision, t: float, options: SolverOptions
+) -> Trajectory:
+    """Return the motion under a decision from a time on, with times since the plan's beginning."""
+    names = {label.full for label in leaves(world.dae.labels.u)}
+    dae = world.dae if names == set(decision.inputs) else world.commanded
+    if dae is None:
+        raise ModelError(
+            f"world: expected a model with the inputs {', '.join(decision.inputs)}, found none; "
+            "give the vehicle that is `commanded`"
+        )
+    times = decision.times
+    run = simulate_to_failure(dae, here, dae.inputs(**decision.inputs), times, options)
+    shift = t - times[0]
+    stop = run.stop and run.stop._replace(t=run.stop.t + shift)
+    return replace(run, t=run.t + shift, stop=stop)
