@@ -19,7 +19,7 @@ import scipy
 HERE = Path(__file__).parent
 PROBLEMS = HERE.parent / "problems"
 TESTS = HERE.parent / "tests"
-sys.path += [str(TESTS), str(TESTS / "physics")]  # helpers and cases that tests share
+sys.path.append(str(TESTS))  # helpers that tests share
 CALL = (
     "import importlib, json, sys; sys.path.insert(0, sys.argv[1]); "
     "function = getattr(importlib.import_module(sys.argv[2]), sys.argv[3]); "

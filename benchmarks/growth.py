@@ -36,9 +36,8 @@ import numpy as np
 from common import apart, run_parts
 from common import least as least_wall
 from sweep import PROBLEM
-from test_rovers import rocky_case, rover_ground
 
-from helpers.cases import hills
+from helpers.cases import hills, rocky_case, rover_ground
 from plan import planned
 from slipfree import (
     Analytic,

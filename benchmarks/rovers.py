@@ -21,8 +21,8 @@ from itertools import product
 import casadi as ca
 import numpy as np
 from common import run_parts
-from test_rovers import LIGHT, rocky_case, rocky_run, rover_ground
 
+from helpers.cases import LIGHT, rocky_case, rocky_run, rover_ground
 from slipfree import Bicubic, Mesh, SolverOptions, direct_kinematics, settle, simulate
 from slipfree.catalog import rocky7
 from slipfree.core.trajectory import Trajectory

@@ -11,7 +11,7 @@ import pytest
 from helpers.commands import invoke
 
 HILLS = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
-SMALL = ("--set", "plan.intervals=8", "--set", "plan.accuracy=0.05", "--set", "costs.slip=1e4")
+SMALL = ("--set", "plan.intervals=5", "--set", "plan.accuracy=0.05", "--set", "costs.slip=1e4")
 
 
 def run(*words):

@@ -10,11 +10,12 @@ import casadi as ca
 import numpy as np
 
 from slipfree import Bicubic, Grid, SolverOptions, direct_kinematics, settle, simulate
-from slipfree.catalog import three_wheeler
+from slipfree.catalog import rocky7, three_wheeler
 from slipfree.core.lookups import LookupTable, lookup_function
 
 DATA = Path(__file__).parents[1] / "data"
 PAPER_RATES = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.0}
+LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 # What was compiled of a model serves every motion of it.
 closure_model = lru_cache(maxsize=8)(direct_kinematics)
 
@@ -60,3 +61,20 @@ def rover_ground():
     (x0, x1, nx), (y0, y1, ny) = values[:3], values[3:6]
     z = values[6:].reshape(int(ny), int(nx)).T
     return Grid(np.linspace(x0, x1, int(nx)), np.linspace(y0, y1, int(ny)), np.array(z, order="C"))
+
+
+def rocky_case(ground, r1=0.02, steer=0.0):
+    """Rocky 7 on a ground: the model, its start and its inputs."""
+    vehicle = rocky7(r1=r1, **LIGHT)
+    dae = closure_model(vehicle, Bicubic(ground))
+    steering = {f"steer_front_{side}": steer for side in ("right", "left")}
+    rates = {f"{wheel.name}_rate": 0.5 / 0.065 for wheel in vehicle.wheels}
+    inputs = dae.inputs(**rates, **{f"{name}_rate": 0.0 for name in steering})
+    return dae, settle(dae, x=1.1, y=0.0, heading=-np.pi / 2, **steering), inputs
+
+
+def rocky_run(ground, r1=0.02, steer=0.0, tolerance=1e-8, duration=10.0):
+    """Return a motion of Rocky 7 at 0.5 m/s."""
+    t = np.linspace(0, duration, 101)
+    options = SolverOptions(tolerance=tolerance)
+    return simulate(*rocky_case(ground, r1, steer), t, options=options)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.cases import hills, rover_ground
+from helpers.cases import LIGHT, hills, rover_ground
 from helpers.commands import invoke, sets
 from helpers.vehicles import four_wheel_steered, skid_steered
 from slipfree import (
@@ -50,7 +50,6 @@ from slipfree.problem.inputs import input_files
 from slipfree.problem.load import load_problem
 from slipfree.solve.replay import apply_inputs, replay, round_trip, trim_states
 
-LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)
 VEHICLES = {
     make.__name__: make(**LIGHT)

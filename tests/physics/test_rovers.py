@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.cases import closure_model, hills, rover_ground
+from helpers.cases import LIGHT, closure_model, hills, rocky_run, rover_ground
 from slipfree import (
     Analytic,
     Bicubic,
@@ -39,7 +39,6 @@ from slipfree.plan.transcription import Mesh
 from slipfree.terrain.rolled import rolled
 from slipfree.vehicle.tree import body_inertia
 
-LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)
 CATALOG = {
     make.__name__: make(**LIGHT)
@@ -148,22 +147,6 @@ ENDS = {  # radius of the tubes, steering: x, y, z after 10 s, found with anothe
     (0.0, 0.0): (6.052913, -0.342339, 0.175481),
     (0.02, 0.1): (5.752414, 1.337478, 0.266629),
 }
-
-
-def rocky_case(ground, r1=0.02, steer=0.0):
-    """Rocky 7 on a ground: the model, its start and its inputs."""
-    vehicle = rocky7(r1=r1, **LIGHT)
-    dae = closure_model(vehicle, Bicubic(ground))
-    steering = {f"steer_front_{side}": steer for side in ("right", "left")}
-    rates = {f"{wheel.name}_rate": 0.5 / 0.065 for wheel in vehicle.wheels}
-    inputs = dae.inputs(**rates, **{f"{name}_rate": 0.0 for name in steering})
-    return dae, settle(dae, x=1.1, y=0.0, heading=-np.pi / 2, **steering), inputs
-
-
-def rocky_run(ground, r1=0.02, steer=0.0, tolerance=1e-8, duration=10.0):
-    t = np.linspace(0, duration, 101)
-    options = SolverOptions(tolerance=tolerance)
-    return simulate(*rocky_case(ground, r1, steer), t, options=options)
 
 
 @pytest.mark.slow

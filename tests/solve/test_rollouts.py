@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from helpers.cases import hills
+from helpers.cases import LIGHT, hills
 from slipfree import (
     Analytic,
     ModelError,
@@ -19,7 +19,6 @@ from slipfree.catalog import three_wheeler
 
 T = np.linspace(0, 2, 5)
 OPTIONS = SolverOptions(tolerance=1e-6)
-LIGHT = {"mass": 0.0, "wheel_mass": 0.0}
 
 
 def on_hills(trail=0.0):
