@@ -37,7 +37,7 @@ import tomllib
 import traceback
 import warnings
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import asdict
 from itertools import repeat
 from pathlib import Path
@@ -141,20 +141,26 @@ def table(found: list[dict[str, Any]]) -> None:
         print("".join(f"  - {fault}\n" for fault in each["faults"]), end="")
 
 
+def ending_of(kind: str, index: int) -> tuple[str, random_dynamics.Ending, float]:
+    """Return description, ending and CPU time [s] of a run of a kind."""
+    runs, begin = RUNS_OF[kind][0], time.process_time()
+    case = runs.draw(index)
+    found = runs.ending(case)
+    return case.words, found, time.process_time() - begin
+
+
 def endings(kind: str, count: int) -> None:
     """Print the endings of runs of a kind."""
-    runs = RUNS_OF[kind][0]
-    begin, kinds, worst, longest = time.process_time(), Counter[str](), (0.0, ""), (0.0, "")
-    for index in range(count):
-        case, start = runs.draw(index), time.process_time()
-        found = runs.ending(case)
-        kinds[found.kind] += 1
-        worst = max(worst, (found.ledger, case.words))
-        longest = max(longest, (time.process_time() - start, case.words))
-        if found.kind in ("unfinished", "failure", "not finite") or not found.ledger < 1:
-            print(f"  {case.words}: {found.kind}, {found.words}, {found.ledger:.2g}", flush=True)
+    kinds, worst, longest, total = Counter[str](), (0.0, ""), (0.0, ""), 0.0
+    with ProcessPoolExecutor(WORKERS) as pool:
+        for words, found, cost in pool.map(ending_of, repeat(kind, count), range(count)):
+            kinds[found.kind] += 1
+            worst, longest = max(worst, (found.ledger, words)), max(longest, (cost, words))
+            total += cost
+            if found.kind in ("unfinished", "failure", "not finite") or not found.ledger < 1:
+                print(f"  {words}: {found.kind}, {found.words}, {found.ledger:.2g}", flush=True)
     counts = ", ".join(f"{name} {times}" for name, times in kinds.most_common())
-    print(f"{count} {kind}, {time.process_time() - begin:.0f} s of CPU: {counts}")
+    print(f"{count} {kind}, {total:.0f} s of CPU: {counts}")
     print(f"  error of the energy balance at most {worst[0]:.2g} of its bound: {worst[1]}")
     print(f"  longest run {longest[0]:.1f} s of CPU: {longest[1]}")
 

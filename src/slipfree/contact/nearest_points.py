@@ -51,7 +51,7 @@ OUTSIDE = 3  # the same beside a shape, where the distance rises like a cone [sl
 SIMILAR = 0.02  # corners with gaps within this of the least also start [least gap]
 CORNERS = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])  # of the lowest face [half edges]
 MAX_STARTS = 4  # number of points of a hull that are improved, those with the least vertical gaps
-COARSE_POINTS = 16  # number of points a side of the grid under the vehicle
+COARSE_POINTS = 12  # number of points a side of the grid under the vehicle
 BOUND_POINTS = 5  # the same for quick lower bounds
 CONVERGED = 1e-7  # largest change of a converged search, whose distance is far more exact [m]
 MIN_CURVATURE = 1e-9  # smaller convexity along a face counts as none [1/m]
@@ -99,21 +99,13 @@ class NearestPoints:
 
         The heights of a coarse grid and the bound of the slope limit the height of the ground.
         """
-        bounds = getattr(self.terrain, "derivative_bounds", None)
-        if bounds is None:
-            return np.full(placed.shape[1], -np.inf)
         shapes = placed.reshape(len(self.shapes), 12, -1)
         lowest = np.min(
             [_lowest(shape, at) for (_, shape), at in zip(self.shapes, shapes, strict=True)], axis=0
         )
         x, y, heights = self._coarse_ground(shapes, BOUND_POINTS, far)
-        steps = [axis[1] - axis[0] for axis in (x, y)]
-        sides = [axis[-1] - axis[0] for axis in (x, y)]
-        reach = math.ceil(5 * max(side.max() for side in sides)) / 10  # few values, to be cached
-        x_0, y_0, _ = self.terrain.origin
-        middle = [axis.mean(axis=0) for axis in (x, y)]
-        slope, _ = bounds(middle[0] + x_0, middle[1] + y_0, reach)
-        highest = heights.max(axis=(0, 1)) + slope * np.hypot(*steps) / 2
+        slope, _ = self._derivative_bounds(x, y)
+        highest = heights.max(axis=(0, 1)) + slope * np.hypot(x[1] - x[0], y[1] - y[0]) / 2
         return np.asarray(np.minimum(lowest - highest, far))
 
     def _nearest(self, placed: Array) -> Nearest:
@@ -143,14 +135,16 @@ class NearestPoints:
         ground = None
         if len(lowest) > 1:
             x, y, heights = self._coarse_ground(placed, COARSE_POINTS, MAX_REACH)
-            spacing = np.maximum(x[1] - x[0], y[1] - y[0])
-            ground = x, y, heights + SLACK * spacing
+            _, curvature = self._derivative_bounds(x, y)
+            squares = (x[1] - x[0]) ** 2 + (y[1] - y[0]) ** 2
+            # between the points; less than for unknown curvatures, as in `_grid_starts`
+            rise = np.minimum(SLACK * np.sqrt(squares / 2), curvature * squares / 8)
+            ground = x, y, heights + rise
         for k in np.argsort(lowest.mean(axis=1)):
             shape, open_ = self.shapes[k][1], np.arange(n)
             if ground is not None:
-                # not nearer than the height of the lowest point above all ground within ``upper``
-                reach = _radius(shape) + upper
-                open_ = np.flatnonzero(lowest[k] - _highest(ground, placed[k, :2], reach) < upper)
+                bound = _coarse_bound(ground, placed[k, :2], _radius(shape), lowest[k])
+                open_ = np.flatnonzero((bound < upper) | (bound == 0))
             if open_.size:
                 find = self._hull_starts if isinstance(shape, Hull) else self._grid_starts
                 least, starts = find(shape, placed[k][:, open_])
@@ -179,6 +173,20 @@ class NearestPoints:
         steps = np.linspace(0, 1, count)[:, None]
         x, y = (low[k] + side[k] * steps for k in (0, 1))
         return x, y, self._heights(*np.broadcast_arrays(x[:, None], y))
+
+    def _derivative_bounds(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return bounds of slope and curvature of the ground of n grids; infinite if unknown.
+
+        Coordinates of the grids are of shape (count, n).
+        """
+        bounds = getattr(self.terrain, "derivative_bounds", None)
+        if bounds is None:
+            return np.full(x.shape[1], np.inf), np.full(x.shape[1], np.inf)
+        side = max((axis[-1] - axis[0]).max() for axis in (x, y))
+        reach = math.ceil(5 * side) / 10  # few values, to be cached
+        x_0, y_0, _ = self.terrain.origin
+        slope, curvature = bounds(x.mean(axis=0) + x_0, y.mean(axis=0) + y_0, reach)
+        return slope, curvature
 
     @cached_property
     def _over_plane(self) -> tuple[ca.Function, ...]:
@@ -356,14 +364,21 @@ def _is_near(chosen: Mask, pose: Indices, cell: Array) -> Mask:
     return is_near
 
 
-def _highest(ground: tuple[Array, Array, Array], center: Array, reach: Array) -> Array:
-    """Return upper bounds of the heights of a coarse ground within a distance of a point, (n,)."""
+def _coarse_bound(
+    ground: tuple[Array, Array, Array], center: Array, radius: float, lowest: Array
+) -> Array:
+    """Return lower bounds of the distances of a shape from a coarse ground, (n,); zero if inside.
+
+    The shape is above the height ``lowest`` and within ``radius`` of its centre. A point of the
+    ground is not above the highest node of its cell, which is at most a step beside it.
+    """
     x, y, heights = ground
-    near = [
-        np.abs(axis - at) <= reach + (axis[1] - axis[0])
+    beside = [
+        np.maximum(np.abs(axis - at) - (axis[1] - axis[0]) - radius, 0) ** 2
         for axis, at in zip((x, y), center, strict=True)
     ]
-    return np.asarray(np.where(near[0][:, None] & near[1], heights, -np.inf).max(axis=(0, 1)))
+    squares = beside[0][:, None] + beside[1] + np.maximum(lowest - heights, 0) ** 2
+    return np.asarray(np.sqrt(squares.min(axis=(0, 1))))
 
 
 def _lowest(shape: BodyShape, placed: Array) -> Array:
