@@ -56,7 +56,7 @@ class AtlasTable(Record):
     error: Positive | None = Field(
         default=None,
         description="standard deviation and largest magnitude of errors of the heights, for the "
-        "resulting errors of roll, pitch and tip-over margin [m]",
+        "resulting errors of roll, pitch, tip-over margin and clearance of bodies [m]",
     )
     within: dict[str, Range] = Field(
         default={},
