@@ -174,21 +174,24 @@ def traversability(
     ground with friction, with the largest utilisation of a wheel for forces distributed by load,
     plus ``4 (inclination / (inclination + margin))**2`` with the tip-over margin of a vehicle with
     mass. A utilisation of at least 1 adds 30. The poses are those at nodes a third of the smaller
-    of the vehicle's width and length apart, but more on very large maps. On level ground the cost
-    is 1.
+    of the vehicle's width and length apart, but more on very large maps. On level ground, and
+    between places closer to each other than the vehicle is large, the cost is 1.
     """
     layers = free_space(terrain, vehicle, keep_out=keep_out, spacing=spacing)
-    if terrain.is_level:
-        return layers
     right, forward, reach = extents(vehicle)
-    step = max(1, round(min(right, forward) / 1.5 / max(layers.spacing)))
-    step = max(step, math.ceil(math.sqrt(HEADINGS * layers.to_hole.size / MAX_POSES)))
     low, high = np.array([-np.inf] * 2), np.array([np.inf] * 2)
     if places is not None:
         low, high = places.min(axis=0), places.max(axis=0)
-        room = max(np.linalg.norm(high - low) / 2, 3 * reach)
-        low, high = low - room, high + room
-    x, y = (_thinned(*each, step) for each in zip((layers.x, layers.y), low, high, strict=True))
+    distance = float(np.linalg.norm(high - low))
+    if terrain.is_level or distance < 2 * reach:
+        return layers
+    step = max(1, round(min(right, forward) / 1.5 / max(layers.spacing)))
+    step = max(step, math.ceil(math.sqrt(HEADINGS * layers.to_hole.size / MAX_POSES)))
+    room = max(distance / 2, 3 * reach)
+    x, y = (
+        _thinned(axis, a - room, b + room, step)
+        for axis, a, b in zip((layers.x, layers.y), low, high, strict=True)
+    )
     model = direct_kinematics(vehicle, terrain)
     count = HEADINGS * x.size * y.size * (RESTING if model.rest.numel() else 1)
     heading = 2 * np.pi * np.arange(HEADINGS) / HEADINGS
