@@ -159,8 +159,6 @@ def errors() -> None:
     terrain, rng = scaled(), np.random.default_rng(1)
     grid, side = terrain.grid, PATCH // 2
     for name, vehicle in VEHICLES.items():
-        if name.startswith("rigid"):
-            continue
         box = Box((0.3, 0.4, 0.1), (0.0, 0.1, 0.0))
         vehicle = replace(vehicle, body=replace(vehicle.body, shapes=(box,)))
         model = direct_kinematics(vehicle, terrain)

@@ -123,6 +123,37 @@ def test_errors_of_heights_on_level_ground_are_those_of_the_contact_heights(thro
         assert values[f"{name}_worst"] == pytest.approx(0.02 * abs(derivative).sum(), rel=5e-3)
 
 
+def test_errors_of_heights_of_a_rigid_vehicle_are_those_of_a_plane_on_springs():
+    """On level ground it rests on the plane through its four contacts by least squares.
+
+    The weight above the springs softens them by the ratio of static depth and height to the square
+    of half the track, half a percent.
+    """
+    axis = np.linspace(-1.5, 1.5, 13)
+    flat = np.zeros((axis.size, axis.size))
+    ground, vehicle = Bicubic(Grid(axis, axis, flat), mu=0.5), catalog.rigid_skid_steer()
+    model = direct_kinematics(vehicle, ground)
+    found = atlas(model, ground, headings=[0.0], x=[0.1], y=[-0.05], error=0.02, compiled=False)
+    pose = settle(model, x=0.1, y=-0.05)
+    places = np.stack([pose[f"contact_{c}"][0] for c in "xy"])
+    weights = np.empty((4, axis.size, axis.size))
+    for i in range(axis.size):
+        for j in range(axis.size):
+            flat[i, j] = 1.0
+            unit = Bicubic(Grid(axis, axis, flat.copy()))
+            weights[:, i, j] = unit.elevation(*places)
+            flat[i, j] = 0.0
+    offsets = places - np.array([[0.1], [-0.05]])
+    slopes = np.linalg.pinv(np.vstack([np.ones(4), offsets]).T)[1:]
+    values = picked(found, (0, 0, 0))
+    for name, slope in zip(("roll", "pitch"), slopes, strict=True):
+        derivative = 0.02 * np.tensordot(slope, weights, 1)
+        deviation, worst = np.sqrt((derivative**2).sum()), np.abs(derivative).sum()
+        assert values[f"{name}_deviation"] == pytest.approx(deviation, rel=1e-2)
+        assert values[f"{name}_worst"] == pytest.approx(worst, rel=1.5e-2)  # cut off as above
+        assert values[f"{name}_deviation"] > deviation
+
+
 def test_reasons_name_the_border_steep_ground_and_the_share_of_headings():
     """A pose without a valid rest has a reason, and NaN in all other bands."""
     axis = np.linspace(-3.0, 3.0, 31)

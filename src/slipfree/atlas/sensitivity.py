@@ -9,6 +9,8 @@ sum of the absolute derivatives by the heights times an error of each is the wor
 sum of squares times a standard deviation is that of the quantity, for independent errors of the
 nodes.
 
+The pose of pressed wheels also follows from the balance of forces, whose equations are added.
+
 The clearance of bodies changes as the distance of the nearest pair of points would, if it moved
 with body and ground: to first order, another pair has no effect.
 """
@@ -61,15 +63,17 @@ class SensitivityGraph(NamedTuple):
 def sensitivity_graph(graphs: Graphs) -> SensitivityGraph | None:
     """Return the graph of the sensitivities of a model.
 
-    None if its ground is not a map, or its wheels are pressed: roll and pitch are states then,
-    which follow from an equilibrium and not from closure.
+    None if its ground is not a map. The pose of pressed wheels follows from closure, the balance of
+    forces, and states that are at rest.
     """
     dae, rows = graphs.dae, graphs.rows
-    closure = dae.residuals[0]
-    lookups = [each for each in needed_lookups(dae.lookups, [closure]) if each.cells is not None]
-    if dae.rest.numel() or not lookups or len({id(each.cells) for each in lookups}) > 1:
+    equations, p = dae.residuals[0], graphs.state[rows.p]
+    lookups = [each for each in needed_lookups(dae.lookups, [equations]) if each.cells is not None]
+    if not lookups or len({id(each.cells) for each in lookups}) > 1:
         return None
-    p = graphs.state[rows.p]
+    if resting := dae.rest.numel():
+        p = ca.vertcat(p, graphs.state[rows.w], graphs.state[rows.x][-resting:])
+        equations = ca.vertcat(equations, dae.residuals[1], dae.ode[-resting:])
     labels = [label.name for label in leaves((dae.labels.x, dae.labels.z, dae.labels.y))]
     values = list(leaves((dae.x, dae.z, dae.y)))
     names = tuple(name for name in FOLLOWED if name in labels)
@@ -81,9 +85,9 @@ def sensitivity_graph(graphs: Graphs) -> SensitivityGraph | None:
         followed.append(ca.dot(weights, check.placing))
         names, state = (*names, check.label.name), ca.vertcat(state, weights)
     solve = elimination(dae, graphs.state, rows)
-    jacobian = ca.jacobian(closure, p)
+    jacobian = ca.jacobian(equations, p)
     found = ca.vertcat(*(each.found[2:] for each in lookups))
-    slopes = ca.jacobian(closure, found)
+    slopes = ca.jacobian(equations, found)
     results = [ca.vertcat(*(each.found[:2] for each in lookups))]
     for quantity in followed:
         adjoint = solve(jacobian.T, ca.densify(ca.gradient(quantity, p)))

@@ -188,11 +188,6 @@ class AtlasSetup:
                 "the ground has no coefficient of friction: the map has the least coefficient, but "
                 "headings that slide are allowed; give one: friction in [terrain], or --friction"
             )
-        if self.problem.spec.atlas.error and self.model.rest.numel():
-            words.append(
-                "the wheels are pressed into the ground: the map has no errors of roll, pitch and "
-                "tip-over margin; omit 'error'"
-            )
         size = extents(self.vehicle)[2]
         grid = self.ground.grid
         width = min(float(np.ptp(grid.x)), float(np.ptp(grid.y)))
