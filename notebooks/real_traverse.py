@@ -59,8 +59,8 @@ print(f"cells of {grid.spacing[0]:.1f} x {grid.spacing[1]:.1f} m, relief {np.ptp
 # %% [markdown]
 # ## Where can it go?
 #
-# For every place: the slope and the roughness under the vehicle's footprint, hollows, and the friction that
-# the slope takes. What cannot be crossed is blocked, and a message says why.
+# For every place and eight directions: the pose of the vehicle, and the friction that it takes. What cannot be
+# crossed is blocked, and a message gives the reason.
 
 # %%
 vehicle = catalog.three_wheeler()
@@ -71,8 +71,10 @@ for route in found:
     print(
         f"a way of {route.length:.0f} m, which costs as much as {route.cost:.0f} m of level ground"
     )
-i, j = np.unravel_index(np.argmax(layers.slope[2:-2, 2:-2]), layers.slope[2:-2, 2:-2].shape)
-x, y = layers.x[i + 2], layers.y[j + 2]
+poses = layers.poses
+used = np.fmin.reduce(poses["utilisation"])
+i, j = np.unravel_index(np.nanargmax(used), used.shape)
+x, y = poses.x[i], poses.y[j]
 print(f"at ({x:.0f}, {y:.0f}) m: {blocking_reasons(layers, x, y)}")
 
 # %%

@@ -1,7 +1,9 @@
 """Tests of ``slipfree atlas``: two files, a problem, tiles that continue, and refused input."""
 
 import json
+import os
 import re
+import signal
 import sys
 from pathlib import Path
 
@@ -155,12 +157,25 @@ def test_two_processes_give_the_same_file_as_one(two_tiles):
     assert Path("1.tif").read_bytes() == Path("2.tif").read_bytes()
 
 
-@pytest.mark.slow
-def test_workers_of_dask_give_the_same_file(two_tiles):
-    printed(*two_tiles, "-o", "here.tif")
+@pytest.mark.slow  # starts workers
+def test_workers_of_dask_give_the_same_file_if_one_is_killed(monkeypatch):
+    x = np.linspace(0.0, 120.0, 300)
+    np.savez("map.npz", x=x, y=x[:5], z=0.1 * np.sin(x)[:, None] * np.cos(x[:5]))
+    words = "atlas", "map.npz", "three_wheeler", *QUICK, "--headings", "1"  # five tiles
+    printed(*words, "-o", "here.tif")
     more = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}
-    with distributed.LocalCluster(n_workers=1, **more) as local:
-        printed(*two_tiles, "-o", "there.tif", "--scheduler", local.scheduler_address)
+    with distributed.LocalCluster(n_workers=2, **more) as local:
+        first, add, killed = local.workers[0].pid, atlas_tiles.TileFolder.add, []
+
+        def kills(folder, tile):
+            add(folder, tile)
+            if not killed and len(folder.missing) < 4:  # a worker has finished a tile
+                killed.append(first)
+                os.kill(first, signal.SIGKILL)
+
+        monkeypatch.setattr(atlas_tiles.TileFolder, "add", kills)
+        printed(*words, "-o", "there.tif", "--scheduler", local.scheduler_address)
+    assert killed
     assert Path("here.tif").read_bytes() == Path("there.tif").read_bytes()
 
 

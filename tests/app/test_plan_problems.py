@@ -70,7 +70,7 @@ PRESSED = (
         (
             FIELD,
             ["terrain.friction=0.01"],
-            "friction coefficient of 0.0563, the ground offers",
+            "times the friction of the ground; move the start",
         ),
         (FIELD, ["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points[0]: expected the key 'at'"),
         (

@@ -15,7 +15,7 @@ from slipfree.core.facts import Fact
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.regions import Region
 from slipfree.plan.ipopt import Convergence, convergence_arrays, convergence_from
-from slipfree.routing.traversability import blocked_by, traversability
+from slipfree.routing.traversability import blocked_by, free_space, traversability
 from slipfree.show import ground_drawing, plan_figures, plots
 from slipfree.terrain.synthetic import blank, craters
 
@@ -35,7 +35,7 @@ def layers(grid):
     triangle = ((30.0, 30.0), (34.0, 30.0), (32.0, 35.0))
     keep_out = [Region.disc(14.0, 16.0, 1.5), Region.polygon(triangle)]
     vehicle = sf.catalog.three_wheeler(axle="fixed")
-    return traversability(sf.Bicubic(grid, mu=0.5), vehicle, keep_out=keep_out)
+    return traversability(sf.Bicubic(grid, mu=0.5), vehicle, keep_out=keep_out, spacing=2.0)
 
 
 @pytest.fixture(scope="module")
@@ -69,10 +69,10 @@ def figures(*args, **options) -> dict[str, Figure]:
 def test_costs_and_what_blocks_lie_where_they_belong(layers, grid, ax):
     plan_figures.cost_map(layers, grid, ax, ground_drawing.whole(grid))
     costs, blocked = (image.get_array() for image in ax.images[:2])
-    assert costs.T.shape == layers.cost.shape
-    free = np.isfinite(layers.cost)
+    assert costs.T.shape == layers.cost.shape[1:]
+    free = np.isfinite(layers.least_cost)
     np.testing.assert_array_equal(np.ma.getmaskarray(costs).T, ~free)
-    np.testing.assert_allclose(costs.T[free], layers.cost[free])
+    np.testing.assert_allclose(costs.T[free], layers.least_cost[free])
     # what blocks a node has a colour, what is free has none
     np.testing.assert_array_equal(blocked[..., 3].T > 0, ~free)
     assert ax.get_aspect() == 1.0
@@ -82,13 +82,11 @@ def test_costs_and_what_blocks_lie_where_they_belong(layers, grid, ax):
 
 def test_the_legend_names_only_what_blocks_in_the_part_that_is_drawn(layers, grid, ax):
     plan_figures.cost_map(layers, grid, ax, ground_drawing.whole(grid))
-    masks = blocked_by(layers)
-    assert "too steep for friction" in labels(ax)
+    assert "friction holds no heading" in labels(ax)
     assert "keep-out region" in labels(ax)
     blocked = [each for each in labels(ax) if each.startswith("too close")]
     assert blocked == ["too close to a keep-out region", "too close to the edge of the map"]
-    assert "too concave for wheels" not in labels(ax)
-    assert not masks["hollow"].any()
+    assert blocked_by(layers)["friction"].any()
     away = Figure().subplots()
     plan_figures.cost_map(layers, grid, away, (20.0, 24.0, 4.0, 8.0))
     assert labels(away) == []
@@ -98,7 +96,7 @@ def test_missing_heights_are_hatched_in_the_part_that_is_drawn(grid, ax):
     holes = np.zeros(grid.z.shape, dtype=bool)
     holes[40:44, 40:44] = True  # at x, y from 20 to 21.5 m
     ragged = sf.Grid(grid.x, grid.y, grid.z, holes=holes)
-    found = traversability(sf.Bicubic(ragged, mu=0.5), sf.catalog.three_wheeler(axle="fixed"))
+    found = free_space(sf.Bicubic(ragged, mu=0.5), sf.catalog.three_wheeler(axle="fixed"))
     plan_figures.cost_map(found, ragged, ax, (15.0, 25.0, 15.0, 25.0))
     assert {"no heights", "too close to a hole in the map"} <= {*labels(ax)}
     away = Figure().subplots()

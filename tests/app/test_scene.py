@@ -158,7 +158,7 @@ def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:
     assert_allclose(points[:, 2], heights, atol=1e-4)  # the spline of nodes near by
     assert len(scene.ground.mesh.faces) <= 2 * SIDE**2
     by_name = {layer.name: layer for layer in scene.ground.layers}
-    assert list(by_name) == ["height", "slope", "traversability"]
+    assert list(by_name) == ["height", "slope"]
     order = np.argsort(points[:, 2])
     lightness = by_name["height"].colors[order].astype(float) @ (0.3, 0.6, 0.1)
     assert (np.diff(lightness) > -2).all()  # viridis grows lighter, for every eye
@@ -176,7 +176,8 @@ def test_blocked_ground_is_gray(drive: Driven) -> None:
     from slipfree.geometry.regions import Region
 
     at = (1.5, 0.0)
-    scene = drive_scene([drive._replace(keep_out=(Region.disc(*at, 0.5),))])
+    scene = drive_scene([drive._replace(keep_out=(Region.disc(*at, 0.5),))], with_poses=True)
+    assert [layer.name for layer in scene.ground.layers[2:]] == ["traversability", "headings"]
     away = np.hypot(*(scene.ground.mesh.vertices + scene.origin)[:, :2].T - np.array(at)[:, None])
     gray = (scene.ground.layers[2].colors == BLOCKED).all(axis=1)
     assert gray[away < 1.5].all()

@@ -23,7 +23,7 @@ from slipfree.atlas.atlas import atlas
 from slipfree.core.records import leaves
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.terrain.synthetic import blank, power_law
-from slipfree.vehicle.shapes import Box
+from slipfree.vehicle.shapes import Ball, Box
 from slipfree.vehicle.tree import Body
 
 PLACES = np.array([-1.5, 0.0, 0.7, 1.6])
@@ -83,31 +83,75 @@ def test_friction_that_differs_between_wheels_scales_the_bounds():
 
 @pytest.mark.parametrize("through", [True, False], ids=("interpolated", "smoothed"))
 def test_errors_of_heights_on_level_ground_are_those_of_the_contact_heights(through):
-    """Roll and pitch of a level three-wheeler follow from the heights at its contacts alone."""
+    """The pose of a level three-wheeler follows from the heights at its contacts alone.
+
+    The clearance of a ball also follows from the height below it.
+    """
     axis = np.linspace(-3.0, 3.0, 25)
     flat = np.zeros((axis.size, axis.size))
     ground = Bicubic(Grid(axis, axis, flat), mu=0.5, through=through)
     vehicle = catalog.three_wheeler()
+    ball = Ball(0.05, (0.2, 0.3, 0.0))
+    vehicle = replace(vehicle, body=replace(vehicle.body, shapes=(ball,)))
     model = direct_kinematics(vehicle, ground)
     found = atlas(model, ground, headings=[0.4], x=[0.1], y=[-0.05], error=0.02, compiled=False)
     pose = settle(model, x=0.1, y=-0.05, heading=0.4)
-    weights = np.empty((3, axis.size, axis.size))
+    turned = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
+    spot = [0.1, -0.05] + turned @ ball.at[:2]
+    places = np.column_stack([np.stack([pose[f"contact_{c}"][0] for c in "xy"]), spot])
+    weights = np.empty((4, axis.size, axis.size))
     for i in range(axis.size):
         for j in range(axis.size):
             flat[i, j] = 1.0
             unit = Bicubic(Grid(axis, axis, flat.copy()), through=through)
-            weights[:, i, j] = unit.elevation(pose["contact_x"][0], pose["contact_y"][0])
+            weights[:, i, j] = unit.elevation(*places)
             flat[i, j] = 0.0
-    right, left, front = weights
+    right, left, front, below = weights
     track = np.hypot(*(np.diff(pose[f"contact_{c}"][0][:2])[0] for c in "xy"))
     middle = [pose[f"contact_{c}"][0][:2].mean() for c in "xy"]
     base = np.hypot(*(pose[f"contact_{c}"][0][2] - m for c, m in zip("xy", middle, strict=True)))
-    by_height = {"roll": (right - left) / track, "pitch": (front - (right + left) / 2) / base}
+    shares = np.linalg.solve(np.vstack([places[:, :3], np.ones(3)]), [*spot, 1.0])
+    by_height = {
+        "roll": (right - left) / track,
+        "pitch": (front - (right + left) / 2) / base,
+        "clearance_body": np.tensordot(shares, weights[:3], 1) - below,
+    }
     for name, derivative in by_height.items():
         values = picked(found, (0, 0, 0))
         deviation = 0.02 * np.sqrt((derivative**2).sum())
         assert values[f"{name}_deviation"] == pytest.approx(deviation, rel=2e-3)
         assert values[f"{name}_worst"] == pytest.approx(0.02 * abs(derivative).sum(), rel=5e-3)
+
+
+def test_errors_of_heights_of_a_rigid_vehicle_are_those_of_a_plane_on_springs():
+    """On level ground it rests on the plane through its four contacts by least squares.
+
+    The weight above the springs softens them by the ratio of static depth and height to the square
+    of half the track, half a percent.
+    """
+    axis = np.linspace(-1.5, 1.5, 13)
+    flat = np.zeros((axis.size, axis.size))
+    ground, vehicle = Bicubic(Grid(axis, axis, flat), mu=0.5), catalog.rigid_skid_steer()
+    model = direct_kinematics(vehicle, ground)
+    found = atlas(model, ground, headings=[0.0], x=[0.1], y=[-0.05], error=0.02, compiled=False)
+    pose = settle(model, x=0.1, y=-0.05)
+    places = np.stack([pose[f"contact_{c}"][0] for c in "xy"])
+    weights = np.empty((4, axis.size, axis.size))
+    for i in range(axis.size):
+        for j in range(axis.size):
+            flat[i, j] = 1.0
+            unit = Bicubic(Grid(axis, axis, flat.copy()))
+            weights[:, i, j] = unit.elevation(*places)
+            flat[i, j] = 0.0
+    offsets = places - np.array([[0.1], [-0.05]])
+    slopes = np.linalg.pinv(np.vstack([np.ones(4), offsets]).T)[1:]
+    values = picked(found, (0, 0, 0))
+    for name, slope in zip(("roll", "pitch"), slopes, strict=True):
+        derivative = 0.02 * np.tensordot(slope, weights, 1)
+        deviation, worst = np.sqrt((derivative**2).sum()), np.abs(derivative).sum()
+        assert values[f"{name}_deviation"] == pytest.approx(deviation, rel=1e-2)
+        assert values[f"{name}_worst"] == pytest.approx(worst, rel=1.5e-2)  # cut off as above
+        assert values[f"{name}_deviation"] > deviation
 
 
 def test_reasons_name_the_border_steep_ground_and_the_share_of_headings():

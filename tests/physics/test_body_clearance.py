@@ -248,11 +248,13 @@ def test_a_batch_ends_where_a_single_motion_ends():
 
 
 def test_routes_avoid_ground_as_high_as_the_body():
-    layers = traversability(RIDGE, LOW)
-    assert_allclose(layers.limits.clearance, 0.1)
-    assert "body clears 0.1 m" in blocking_reasons(layers, 0.0, 1.0)
-    high = traversability(RIDGE, with_shapes(skid_steer(), Box((0.3, 0.6, 0.1), (0.0, 0.0, 0.3))))
-    assert "body" not in blocking_reasons(high, 0.0, 1.0)
+    narrow = three_wheeler(axle="fixed", half_track=0.3, wheelbase=0.5, r1=0.02, r2=0.08)
+    low, high = (with_shapes(narrow, Box((0.3, 0.4, 0.1), (0.0, 0.2, z))) for z in (0.03, 0.4))
+    blocked = traversability(RIDGE, low, spacing=0.25)
+    at = int(np.abs(blocked.x).argmin()), int(np.abs(blocked.y - 0.9).argmin())
+    assert "a body touches the ground" in blocking_reasons(blocked, 0.0, blocked.y[at[1]])
+    free = traversability(RIDGE, high, spacing=0.25)
+    assert np.isfinite(free.cost[:, *at]).sum() > np.isfinite(blocked.cost[:, *at]).sum()
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+import re
 
 import casadi as ca
 import numpy as np
@@ -18,9 +18,13 @@ from slipfree.geometry.regions import Region
 from slipfree.routing import search as search
 from slipfree.routing import smoothing
 from slipfree.routing.search import homotopy_class, obstacle_points, route, routes
-from slipfree.routing.traversability import MAX_SLOPE, blocking_reasons, traversability
-from slipfree.terrain.synthetic import blank, craters, ramp
-from slipfree.vehicle.sections import Torus
+from slipfree.routing.traversability import (
+    STEEP,
+    blocking_reasons,
+    free_space,
+    traversability,
+)
+from slipfree.terrain.synthetic import blank, craters
 
 ROVER = three_wheeler(axle="fixed")  # half width 1.05 m, half length 1.05 m, reach 1.42 m
 SMALL = three_wheeler(axle="fixed", half_track=0.3, wheelbase=0.5, r1=0.02, r2=0.08)
@@ -42,12 +46,12 @@ def corridor(width=2.0):
         box(low - 0.5, low, high, 20),
     ]
     terrain = Bicubic(blank((0, 20), (0, 20), 0.1))
-    return traversability(terrain, SMALL, keep_out=walls, spacing=0.1), low + width / 2
+    return free_space(terrain, SMALL, keep_out=walls, spacing=0.1), low + width / 2
 
 
 def plain(size=20, spacing=0.5, **options):
     """Layers of level ground."""
-    return traversability(Bicubic(blank((0, size), (0, size), spacing)), ROVER, **options)
+    return free_space(Bicubic(blank((0, size), (0, size), spacing)), ROVER, **options)
 
 
 def length(points):
@@ -64,95 +68,66 @@ def driven(points):
 def costs_at(layers, places):
     i = np.rint((places[:, 0] - layers.x[0]) / layers.spacing[0]).astype(int)
     j = np.rint((places[:, 1] - layers.y[0]) / layers.spacing[1]).astype(int)
-    return layers.cost[i, j]
-
-
-def wavy(spacing, size=12.0):
-    """Two waves with known derivatives."""
-    grid = blank((0, size), (0, size), spacing)
-    x, y = grid.x[:, None], grid.y[None, :]
-    return Grid(grid.x, grid.y, 0.3 * np.sin(0.5 * x) + 0.2 * np.cos(0.4 * y))
+    return layers.least_cost[i, j]
 
 
 # Layers
 
 
-def test_layers_of_a_plane():
-    grid, slope = blank((0, 20), (0, 16), 0.25), 0.2
-    layers = traversability(Bicubic(Grid(grid.x, grid.y, slope * grid.x[:, None] + grid.z)), ROVER)
-    inner = (slice(5, -5), slice(5, -5))
-    assert_allclose(layers.slope[inner], math.atan(slope), atol=1e-12)
-    assert_allclose(layers.roughness[inner], 0, atol=1e-6)
-    assert_allclose(layers.hollow[inner], 0, atol=1e-6)
-    assert layers.friction is None
-    expected = 1 + 4 * (math.atan(slope) / MAX_SLOPE) ** 2
-    assert_allclose(layers.cost[inner], expected, rtol=1e-9)
+def slope_of(degrees, vehicle, **options):
+    """Return the map of a vehicle on a plane that rises to the north, and a node inside."""
+    grid, rise = blank((0, 4), (0, 4), 0.5), math.tan(math.radians(degrees))
+    terrain = Bicubic(Grid(grid.x, grid.y, rise * grid.y[None, :] + grid.z), **options)
+    layers = traversability(terrain, vehicle)
+    return terrain, layers, (layers.x.size // 2, layers.y.size // 2)
+
+
+def test_costs_are_those_of_poses():
+    """On a plane they follow from the pose of settle at each heading."""
+    terrain, layers, at = slope_of(10, ROVER, mu=0.6)
+    model = direct_kinematics(ROVER, terrain)
+    for k in (0, 3, 6):
+        pose = settle(model, x=layers.x[at[0]], y=layers.y[at[1]], heading=layers.heading[k])
+        margin, used = pose["tip_over_margin"][0].min(), pose["utilisation"][0].max()
+        tilt = math.acos(math.cos(pose["roll"][0]) * math.cos(pose["pitch"][0]))
+        expected = 1 + 4 * (tilt / STEEP) ** 2 + 4 * used**2 + 4 * (tilt / (tilt + margin)) ** 2
+        assert used < 1
+        assert layers.cost[k][at] == pytest.approx(expected, rel=5e-4)
+
+
+def test_headings_across_a_slope_are_blocked_where_only_they_slide():
+    """Across, the front wheel of a tilting three-wheeler needs three times the slope's tangent."""
+    _, layers, at = slope_of(15, three_wheeler(), mu=0.5)
+    used = layers.poses["utilisation"][2][layers.poses.x.size // 2, layers.poses.y.size // 2]
+    assert used == pytest.approx(3 * math.tan(math.radians(15)) / 0.5, rel=1e-5)
+    north, west = layers.cost[0][at], layers.cost[2][at]
+    assert math.isfinite(north)
+    assert math.isinf(west)
+    assert layers.least_cost[at] <= north
+    assert layers.cost_toward(math.pi)[at] == layers.cost[4][at]
+    assert layers.cost_toward(0.1)[at] > north
+
+
+def test_backwards_the_front_points_the_other_way():
+    grid = blank((0, 4), (0, 4), 0.5)
+    terrain = Bicubic(Grid(grid.x, grid.y, 0.2 * grid.y[None, :] + grid.z), mu=0.6)
+    ahead, back = (traversability(terrain, ROVER, backwards=each) for each in (False, True))
+    at = (ahead.x.size // 2, ahead.y.size // 2)
+    assert_allclose(back.cost[0][at], ahead.cost[4][at])
+    assert abs(back.cost[0][at] - ahead.cost[0][at]) > 0.01
 
 
 def test_axes_are_a_third_of_the_smaller_half_extent_apart():
-    layers = traversability(Bicubic(blank((0, 20), (0, 30), 0.1)), ROVER)
+    layers = free_space(Bicubic(blank((0, 20), (0, 30), 0.1)), ROVER)
     assert_allclose(layers.spacing, 1.05 / 3, rtol=0.02)
-    assert layers.cost.shape == (layers.x.size, layers.y.size)
+    assert layers.cost.shape == (1, layers.x.size, layers.y.size)
     assert (layers.x[0], layers.x[-1], layers.y[0], layers.y[-1]) == (0, 20, 0, 30)
     assert_allclose(plain(40, 2.0).x, np.arange(0, 41, 2.0))  # a coarse grid keeps its nodes
 
 
-def test_slope_and_roughness_are_those_of_a_plane_fitted_by_least_squares(rng):
-    grid = blank((0, 10), (0, 10), 0.25)
-    grid = Grid(grid.x, grid.y, 0.1 * rng.standard_normal(grid.z.shape) + 0.1 * grid.y)
-    layers = traversability(Bicubic(grid), ROVER, spacing=0.25, steepest=1.0)
-    for i, j in ((10, 20), (17, 9)):
-        part = (slice(i - 4, i + 5), slice(j - 4, j + 5))  # 1.05 m on either side
-        x, y = (a.ravel() for a in np.meshgrid(grid.x[part[0]], grid.y[part[1]], indexing="ij"))
-        design = np.stack([np.ones_like(x), x, y], axis=1)
-        fit, left, *_ = np.linalg.lstsq(design, grid.z[part].ravel(), rcond=None)
-        assert_allclose(layers.slope[i, j], math.atan(math.hypot(fit[1], fit[2])), rtol=1e-9)
-        assert_allclose(layers.roughness[i, j], math.sqrt(left[0] / x.size), rtol=1e-9)
-
-
-def test_roughness_between_nodes_too_far_apart_follows_from_curvature():
-    fine = traversability(Bicubic(wavy(0.05)), SMALL, spacing=0.5, steepest=1.0)
-    coarse = traversability(Bicubic(wavy(0.5)), SMALL, spacing=0.5, steepest=1.0)
-    assert coarse.limits.half < 0.5
-    inner = (slice(3, -3), slice(3, -3))
-    assert_allclose(coarse.roughness[inner], fine.roughness[inner], atol=1.5e-4)
-    assert fine.roughness[inner].max() > 5e-4
-    assert_allclose(coarse.slope[inner], fine.slope[inner], atol=5e-3)
-
-
-def test_hollow_is_the_largest_curvature_of_the_surface():
-    grid = blank((-4, 4), (-4, 4), 0.1)
-    x, y = grid.x[:, None], grid.y[None, :]
-    radius = 10.0
-    bowl = Grid(grid.x, grid.y, radius - np.sqrt(radius**2 - x**2 - y**2))
-    layers = traversability(Bicubic(bowl), SMALL, spacing=0.1)
-    inner = (slice(3, -3), slice(3, -3))
-    assert_allclose(layers.hollow[inner], 1 / radius, rtol=2e-3)
-    dome = traversability(Bicubic(Grid(grid.x, grid.y, -bowl.z)), SMALL, spacing=0.1)
-    assert_allclose(dome.hollow[inner], -1 / radius, rtol=2e-3)
-
-
-def test_ground_more_hollow_than_the_largest_wheel_is_blocked():
-    grid = blank((0, 12), (0, 12), 0.05)
-    groove = 0.5 * 5.0 * np.minimum(np.abs(grid.x - 6), 0.1)[:, None] ** 2  # curvature 5 / m
-    bicubic = Bicubic(Grid(grid.x, grid.y, groove + grid.z))
-    layers = traversability(bicubic, ROVER, spacing=0.1)
-    assert np.isinf(layers.cost[np.abs(layers.x - 6) < 0.06]).all()
-    assert "hollow of 0.2 m radius, too narrow for the wheel radius of 0.3 m" in blocking_reasons(
-        layers, 6.0, 6.0
-    )
-    # beside it some of the footprint is too hollow: passable, but dear
-    beside, away = (layers.cost[int(np.argmin(np.abs(layers.x - at))), 60] for at in (6.6, 9.0))
-    assert 1.3 < beside / away < 3
-    small_wheels = replace(
-        ROVER, wheels=tuple(replace(w, section=Torus(0.05, 0.1)) for w in ROVER.wheels)
-    )
-    assert blocking_reasons(traversability(bicubic, small_wheels, spacing=0.1), 6.0, 6.0) == ""
-
-
 def test_wheels_stay_on_the_map():
     layers = plain()
-    free = np.isfinite(layers.cost)
+    free = np.isfinite(layers.least_cost)
     to_edge = np.minimum(layers.x, 20 - layers.x)
     assert_allclose(layers.limits.reach, REACH)
     assert (free.any(axis=1) == (to_edge >= REACH)).all()
@@ -163,50 +138,33 @@ def test_wheels_stay_on_the_map():
     assert blocking_reasons(layers, 10.0, 10.0) == ""
 
 
-def test_slopes_too_steep_are_blocked():
-    terrain = Bicubic(ramp(blank((0, 20), (0, 20), 0.25), start=8, end=12, rise=1.0))
-    assert blocking_reasons(traversability(terrain, ROVER), 10.0, 10.0) == ""
-    layers = traversability(terrain, ROVER, steepest=math.radians(20))
-    assert "degrees, steeper than the 20 degrees" in blocking_reasons(layers, 10.0, 10.0)
-    # the steepest slope is 15/8 of the mean at the middle, a little less over the footprint
-    middle = layers.slope[layers.x.size // 2].max()
-    assert 0.85 * 15 / 32 < math.tan(middle) < 15 / 32
-    words = r"at the start .*: slope of 22.* degrees, steeper than the 20"
-    with pytest.raises(ModelError, match=words):
-        route(layers, (10.0, 10.0), (10.0, 4.0))
-
-
 @pytest.mark.parametrize("kind", ["formula", "map"])
 def test_friction_that_cannot_hold_blocks(kind):
-    grid, nodes = blank((0, 20), (0, 20), 0.25), blank((0, 20), (0, 20), 1.0)
+    grid, nodes = blank((0, 12), (0, 8), 0.5), blank((0, 12), (0, 8), 1.0)
     uphill = Grid(grid.x, grid.y, 0.3 * grid.y + grid.z)
     mu = {
-        "formula": lambda x, y: ca.if_else(x < 10, 0.1, 0.6) + 0 * y,
-        "map": Grid(nodes.x, nodes.y, np.where(nodes.x < 10, 0.1, 0.6)[:, None] + nodes.z),
+        "formula": lambda x, y: ca.if_else(x < 6, 0.1, 0.6) + 0 * y,
+        "map": Grid(nodes.x, nodes.y, np.where(nodes.x < 6, 0.1, 0.6)[:, None] + nodes.z),
     }[kind]
     layers = traversability(Bicubic(uphill, mu=mu), ROVER)
-    near, far = (int(np.argmin(np.abs(layers.x - x))) for x in (5, 15))
-    j = layers.y.size // 2
-    assert_allclose(layers.friction[far, j], 0.5, rtol=1e-6)
-    assert_allclose(layers.limits.steepest, math.atan(0.6), rtol=1e-6)
-    assert_allclose(layers.friction[near, j], 3.0, rtol=1e-6)
-    assert blocking_reasons(layers, 5.0, 10.0) == (
-        "slope of 16.7 degrees needs a friction coefficient of 0.3, the ground offers 0.1"
-    )
-    # the best grip decides
-    wheels = (replace(ROVER.wheels[0], grip=2.0), *ROVER.wheels[1:])
-    layers = traversability(Bicubic(uphill, mu=0.2), replace(ROVER, wheels=wheels))
-    assert_allclose(layers.friction[far, j], 0.75)
+    words = blocking_reasons(layers, 3.0, 4.0)
+    assert words.startswith("no heading is possible: the vehicle needs at least ")
+    assert 2.9 < float(re.search(r"least ([\d.]+) times the friction", words).group(1)) < 6
+    assert blocking_reasons(layers, 9.0, 4.0) == ""
+    with pytest.raises(
+        ModelError, match=r"cannot be at the start \(3, 4\): no heading is possible"
+    ):
+        route(layers, (3.0, 4.0), (9.0, 4.0))
 
 
 def test_keep_out_is_blocked_as_far_as_wheels_reach():
     disc, wall = Region.disc(5.0, 5.0, 1.0), box(12, 14, 10, 14)
     terrain = Bicubic(blank((0, 20), (0, 20), 0.25))
-    layers = traversability(terrain, ROVER, keep_out=[disc, wall], spacing=0.25)
+    layers = free_space(terrain, ROVER, keep_out=[disc, wall], spacing=0.25)
     x, y = np.meshgrid(layers.x, layers.y, indexing="ij")
     near = (disc.distance(x, y) < REACH) | (wall.distance(x, y) < REACH)
     edge = np.minimum(np.minimum(x, 20 - x), np.minimum(y, 20 - y)) < REACH
-    assert (np.isinf(layers.cost) == (near | edge)).all()
+    assert (np.isinf(layers.cost[0]) == (near | edge)).all()
     assert blocking_reasons(layers, 5.25, 5.0) == "inside the keep-out disc at (5, 5) of 1 m radius"
     assert blocking_reasons(layers, 13.0, 9.0) == (
         "1 m from the keep-out polygon of 4 points about (13, 12), and wheels reach 1.42 m"
@@ -215,13 +173,11 @@ def test_keep_out_is_blocked_as_far_as_wheels_reach():
 
 def test_bad_options_are_refused():
     for options, message in (
-        ({"steepest": 0.0}, "'steepest' above 0 and below pi/2 rad, found 0"),
-        ({"steepest": 1.6}, "'steepest' above 0 and below pi/2 rad"),
         ({"spacing": 0.0}, "expected a positive 'spacing', found 0 m"),
         ({"spacing": 11.0}, r"half the smaller side of the map, 10 m, found 11 m"),
     ):
         with pytest.raises(ModelError, match=message):
-            traversability(Bicubic(blank((0, 20), (0, 20), 0.5)), ROVER, **options)
+            free_space(Bicubic(blank((0, 20), (0, 20), 0.5)), ROVER, **options)
     for radius in (-1.0, np.inf):
         with pytest.raises(ModelError, match="finite 'turning_radius' of at least 0"):
             route(plain(), (10.0, 5.0), (15.0, 5.0), turning_radius=radius)
@@ -233,7 +189,7 @@ def test_bad_options_are_refused():
 
 
 def test_grid_search_is_at_most_2_8_percent_long():
-    graph = search._graph(np.ones((41, 41)), (0.5, 0.5))
+    graph = search._graph(plain(spacing=0.5)._replace(cost=np.ones((1, 41, 41))))
     lengths = dijkstra(graph, indices=0).reshape(41, 41)
     for angle in np.linspace(0, np.pi / 2, 7):
         i, j = round(40 * math.cos(angle)), round(40 * math.sin(angle))
@@ -244,7 +200,7 @@ def test_grid_search_is_at_most_2_8_percent_long():
 @pytest.mark.parametrize("origin", [(0.0, 0.0), UTM])
 def test_straight_on_flat_ground(angle, origin):
     x, y = origin
-    layers = traversability(Bicubic(blank((x, x + 40), (y, y + 40), 0.5)), ROVER)
+    layers = free_space(Bicubic(blank((x, x + 40), (y, y + 40), 0.5)), ROVER)
     start = (x + 20 - 15.03 * math.cos(angle), y + 20 - 15.01 * math.sin(angle))
     goal = (x + 20 + 14.0 * math.cos(angle), y + 20 + 14.0 * math.sin(angle))
     points = route(layers, start, goal)
@@ -261,7 +217,7 @@ def test_through_the_gap_of_a_wall():
     x, y = UTM
     terrain = Bicubic(blank((x, x + 40), (y, y + 40), 0.5))
     walls = [box(x, x + 25, y + 19.5, y + 20.5), box(x + 31, x + 40, y + 19.5, y + 20.5)]
-    layers = traversability(terrain, ROVER, keep_out=walls)
+    layers = free_space(terrain, ROVER, keep_out=walls)
     points = route(layers, (x + 10, y + 10), (x + 10, y + 30), turning_radius=2.0)
     places, curvature = driven(points)
     assert np.isfinite(costs_at(layers, places)).all()
@@ -300,13 +256,13 @@ def test_a_corridor_is_kept_and_its_bend_rounded_where_there_is_room(width, turn
 
 def battlement(layers, height):
     """Return the layers with a way one node wide that goes up and down every other node."""
-    cost = np.full_like(layers.cost, np.inf)
+    cost = np.full_like(layers.to_hole, np.inf)
     for k in range(5):
         i = 20 + 4 * k
         cost[i : i + 5, 20] = cost[i + 2 : i + 5, 20 + height] = 1.0
         cost[i + 3, 20] = np.inf
         cost[i + 2, 20 : 21 + height] = cost[i + 4, 20 : 21 + height] = 1.0
-    return layers._replace(cost=cost)
+    return layers._replace(cost=cost[None])
 
 
 @pytest.mark.parametrize("half", [1.05, 8.0])
@@ -325,9 +281,9 @@ def test_where_there_is_no_room_for_smoothness_the_search_is_followed(half):
 @pytest.mark.parametrize("size", [5, 6])
 def test_where_way_points_half_an_extent_apart_cut_a_corner_more_are_given(size):
     flat = plain(21, 0.35)
-    cost = np.full_like(flat.cost, np.inf)
+    cost = np.full_like(flat.to_hole, np.inf)
     cost[20 : 20 + size, 20] = cost[20 + size, 20:40] = cost[19 + size : 21 + size, 20] = 1.0
-    layers = flat._replace(cost=cost)
+    layers = flat._replace(cost=cost[None])
     start, goal = (layers.x[20], layers.y[20]), (layers.x[20 + size], layers.y[39])
     places, _ = driven(route(layers, start, goal))
     assert np.isfinite(costs_at(layers, places)).all()
@@ -449,6 +405,6 @@ def test_a_large_map_is_coarsened():
     axis = np.arange(2000) * 0.25
     grid = Grid(axis, axis, 0.1 * np.sin(0.1 * axis)[:, None] * np.cos(0.07 * axis))
     layers = traversability(Bicubic(grid), ROVER)
-    assert layers.cost.shape == (1429, 1429)
+    assert layers.cost.shape == (8, 1429, 1429)
     inner = np.minimum(layers.x, axis[-1] - layers.x) >= REACH
     assert (np.isfinite(layers.cost) == inner[:, None] & inner).all()

@@ -181,7 +181,7 @@ class AtlasGraphs(NamedTuple):
         return tuple(found)
 
 
-class Summary(NamedTuple):
+class Reduction(NamedTuple):
     """A band: the rows of a quantity, its label, and the reduction over the rows."""
 
     source: Source
@@ -190,20 +190,25 @@ class Summary(NamedTuple):
 
 
 class PoseEvaluator(NamedTuple):
-    """Evaluators of the poses of a model, summaries of their quantities, and reasons."""
+    """Evaluators of the poses of a model, reductions of their quantities to bands, and reasons."""
 
     evaluate: Evaluator
     more: EvaluatorOf[AtlasGraphs]
-    summaries: Mapping[str, Summary]
+    reductions: Mapping[str, Reduction]
     least: tuple[Label, Label] | None
     codes: Indices
     reasons: tuple[str, ...]
     power: int | None  # row of the drives' power in the outputs, of vehicles with mass
+    quantities: frozenset[str] | None  # names of the bands to compute; None for all
 
     @property
     def has_rests(self) -> bool:
-        """Whether the vehicle has pressed wheels, which may rest in several ways."""
-        return bool(self.evaluate.graphs.dae.rest.numel())
+        """Whether to count the rests of pressed wheels, which may rest in several ways."""
+        return bool(self.evaluate.graphs.dae.rest.numel()) and self.computes(RESTS.name)
+
+    def computes(self, name: str) -> bool:
+        """Whether a band is computed if the model has it."""
+        return self.quantities is None or name in self.quantities
 
 
 def atlas(
@@ -216,6 +221,7 @@ def atlas(
     error: float | None = None,
     inputs: Mapping[str, float] | None = None,
     tolerance: float = TOLERANCE,
+    quantities: Sequence[str] | None = None,
     compiled: bool = True,
     progress: Callable[[float], object] | None = None,
 ) -> Atlas:
@@ -237,11 +243,13 @@ def atlas(
         Ascending map coordinates of the places; by default the nodes of the map. [m]
     error : float, optional
         Standard deviation and largest magnitude of the errors of the heights, for bands of the
-        resulting errors of roll, pitch and tip-over margin. [m]
+        resulting errors of roll, pitch, tip-over margin and clearance of bodies. [m]
     inputs : mapping of str to float, optional
         Inputs of the model at the poses, zero by default. On soil they set the slip. [rad/s, m/s]
     tolerance : float
         Width of the bounds of the least coefficient of friction that is aimed at. [1]
+    quantities : sequence of str, optional
+        Names of the bands to compute beside the reasons, if the model has them; by default all.
     compiled : bool
         Whether to compile the equations.
     progress : callable, optional
@@ -285,7 +293,10 @@ def atlas(
         heading = 2 * np.pi * np.arange(float(heading)) / max(float(heading), 1.0)
     if not heading.size:
         raise ModelError(f"headings: expected at least one, found {headings}; correct it")
-    evaluator = pose_evaluator(model, with_errors=error is not None, compiled=compiled)
+    names = None if quantities is None else frozenset(quantities)
+    evaluator = pose_evaluator(
+        model, with_errors=error is not None, quantities=names, compiled=compiled
+    )
     shape = heading.size, x.size, y.size
     labels = bands_of(evaluator, error=error, is_moving=bool(inputs))
     values = {name: np.full(shape, np.nan, dtype=np.float32) for name in labels}
@@ -311,11 +322,20 @@ def tiles_of(n_x: int, n_y: int) -> Iterator[tuple[slice, slice]]:
 
 
 @lru_cache(maxsize=4)
-def pose_evaluator(model: Dae, *, with_errors: bool, compiled: bool = True) -> PoseEvaluator:
+def pose_evaluator(
+    model: Dae,
+    *,
+    with_errors: bool,
+    quantities: frozenset[str] | None = None,
+    compiled: bool = True,
+) -> PoseEvaluator:
     """Return the evaluators of the poses of a model; cached, since they serve all tiles."""
     evaluate = evaluator_of(model, compiled=compiled)
     graphs = evaluate.graphs
     holding = None if graphs.stages else model.holding  # soil holds wheels, not friction
+    bounds = {label.name for label in (*LEAST_FRICTION, *LEAST_UTILISATION)}
+    if quantities is not None and not bounds & quantities:
+        holding = None
     hold = friction = least = None
     if holding is not None:
         entries = (holding.matrix.nz[:], holding.load, holding.friction)
@@ -331,11 +351,17 @@ def pose_evaluator(model: Dae, *, with_errors: bool, compiled: bool = True) -> P
             entries = ca.densify(ca.vec(holding.matrix)), entries[1], entries[2] * holding.normal
         hold = graph_of(model, graphs.state, "hold", entries)
     sensitivity = sensitivity_graph(graphs) if with_errors else None
-    more = evaluator_of_graphs(AtlasGraphs(hold, friction, sensitivity), compiled=compiled)
+    extra = AtlasGraphs(hold, friction, sensitivity)
+    more = evaluator_of_graphs(extra, compiled=compiled and bool(extra.every))
     reasons, codes = _reasons(model)
     names = [label.name for label in leaves(model.labels.y)]
     power = names.index("power") if "power" in names else None
-    return PoseEvaluator(evaluate, more, _summaries(graphs), least, codes, reasons, power)
+    reductions = {
+        name: each
+        for name, each in _reductions(graphs).items()
+        if quantities is None or name in quantities
+    }
+    return PoseEvaluator(evaluate, more, reductions, least, codes, reasons, power, quantities)
 
 
 def bands_of(
@@ -343,17 +369,18 @@ def bands_of(
 ) -> dict[str, Label]:
     """Return the labels of the bands; there is one of energy if the vehicle moves."""
     labels = {REASON.name: REASON} | {
-        name: each.label for name, each in evaluator.summaries.items()
+        name: each.label for name, each in evaluator.reductions.items()
     }
     graphs = evaluator.more.graphs
     labels |= {label.name: label for label in evaluator.least or ()}
     labels |= {RESTS.name: RESTS} if evaluator.has_rests else {}
     checks = (check.label for check in evaluator.evaluate.graphs.dae.checks)
-    labels |= {label.name: label for label in checks if label.name == CLEARANCE.name}
+    if evaluator.computes(CLEARANCE.name):
+        labels |= {label.name: label for label in checks if label.name == CLEARANCE.name}
     labels |= {ENERGY.name: ENERGY} if is_moving and evaluator.power is not None else {}
     if graphs.sensitivity is not None:
         for name in graphs.sensitivity.names:
-            old = evaluator.summaries[name].label
+            old = labels[name]
             for template, words in (
                 (DEVIATION, f"standard deviation for independent errors of heights of {error:g} m"),
                 (WORST, f"largest error, to first order, for errors of heights of {error:g} m"),
@@ -399,18 +426,20 @@ def _bands(
     states[graphs.rows.u] = given
     with np.errstate(all="ignore"):
         solved = stand(evaluate, states)
-        rests = other_rests(evaluate, states, solved)
+        if evaluator.has_rests:
+            rests = other_rests(evaluate, states, solved)
         states[graphs.rows.u] = given  # a vehicle relaxes at rest
         found = stand_checked(evaluate, states, solved)
         outputs = evaluate(graphs.outputs, states)
         bands = dict[str, Array]()
-        for name, (source, _, reduce) in evaluator.summaries.items():
+        for name, (source, _, reduce) in evaluator.reductions.items():
             values = (outputs if source.is_output else states)[source.rows]
             bands[name] = reduce(values, axis=0)
         if evaluator.has_rests:
             bands[RESTS.name] = rests.astype(float)
         for check in graphs.dae.checks:
-            if check.label.name == CLEARANCE.name:  # margins of checks are only bounds
+            # margins of checks are only bounds
+            if check.label.name == CLEARANCE.name and evaluator.computes(CLEARANCE.name):
                 bands[CLEARANCE.name] = check.margin(*columns_of(graphs, states)[:2])
         if inputs and evaluator.power is not None:
             bands[ENERGY.name] = outputs[evaluator.power] / _speed(evaluate, states)
@@ -440,7 +469,7 @@ def _error_bands(evaluator: PoseEvaluator, states: Array, error: float | None) -
     sensitivity = evaluator.more.graphs.sensitivity
     if sensitivity is None or error is None:
         return {}
-    found = height_errors(sensitivity, evaluator.more(sensitivity.graph, states))
+    found = height_errors(sensitivity, evaluator.evaluate.graphs, evaluator.more, states)
     return {
         template.format(name): error * values
         for template, each in zip((DEVIATION, WORST), found, strict=True)
@@ -506,7 +535,7 @@ def _reasons(dae: Dae) -> tuple[tuple[str, ...], Indices]:
     return tuple(reasons), np.array(codes)
 
 
-SUMMARIES: dict[str, tuple[Any, str]] = {  # of several wheels
+REDUCTIONS: dict[str, tuple[Any, str]] = {  # of several wheels
     "tip_over_margin": (np.min, ""),
     "utilisation": (np.max, "largest utilisation of the wheels, for the load-weighted forces"),
     "drive_torque": (lambda values, axis: np.abs(values).max(axis), "largest torque of a drive"),
@@ -515,17 +544,17 @@ SUMMARIES: dict[str, tuple[Any, str]] = {  # of several wheels
 }
 
 
-def _summaries(graphs: Graphs) -> dict[str, Summary]:
+def _reductions(graphs: Graphs) -> dict[str, Reduction]:
     """Return the bands that are rows of states and outputs, or summaries of several."""
     dae, rows = graphs.dae, graphs.rows
     first = rows.x.stop - dae.rest.numel()  # the states before are given
-    found = dict[str, Summary]()
+    found = dict[str, Reduction]()
     for name, source in sources_of(graphs, None).items():
         is_pose = first <= source.rows[0] < rows.p.stop and not source.is_output
         if is_pose and name != "z" and not source.wheels:
-            found[name] = Summary(source, source.label, np.min)
-        elif name in SUMMARIES:
-            reduce, words = SUMMARIES[name]
+            found[name] = Reduction(source, source.label, np.min)
+        elif name in REDUCTIONS:
+            reduce, words = REDUCTIONS[name]
             label = replace(source.label, words=words or source.label.words)
-            found[name] = Summary(source, label, reduce)
+            found[name] = Reduction(source, label, reduce)
     return found

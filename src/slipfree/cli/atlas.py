@@ -83,7 +83,7 @@ def atlas(
         float | None,
         typer.Option(
             metavar="METRES",
-            help="Error of the heights, for the errors of roll, pitch and tip-over margin.",
+            help="Error of the heights, for the errors of roll, pitch, margin and clearance.",
         ),
     ] = None,
     within: Annotated[

@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from slipfree.problem.plan_edit import Document
     from slipfree.show.plan_page import PlanPage
 
-Layer = Literal["height", "slope", "traversability"]
+Layer = Literal["height", "slope", "traversability", "headings"]
+POSE_LAYERS = ("traversability", "headings")
 Port = Annotated[
     int, typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free port.")
 ]
@@ -59,7 +60,11 @@ def show(
     ] = None,
     color: Annotated[
         Layer,
-        typer.Option(metavar="LAYER", help="Initial colours: height, slope or traversability."),
+        typer.Option(
+            metavar="LAYER",
+            help="Initial colours: height, slope, traversability or headings; the last two are "
+            "those of poses, which take a while.",
+        ),
     ] = "height",
     folder: InputFolder = None,
     port: Port = 0,
@@ -77,7 +82,7 @@ def show(
         motions = _read(files, folder)
         title = motions[0].run.attributes.get("title", motions[0].name)
         with about(files[0]):
-            scene = drive_scene(motions)
+            scene = drive_scene(motions, with_poses=color in POSE_LAYERS)
         for words in scene.warnings:
             warn(words)
         if animation is not None:

@@ -34,7 +34,7 @@ import numpy as np
 from slipfree.contact.touch import Plane, jet_function, plane_of
 from slipfree.core.evaluation import evaluate
 from slipfree.core.records import Array, Indices, Mask
-from slipfree.geometry.frame import Pose, Vector, translation
+from slipfree.geometry.frame import Pose, translation
 from slipfree.terrain.base import Jet, Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
@@ -388,22 +388,6 @@ def _lowest(shape: BodyShape, placed: Array) -> Array:
         return np.asarray(placed[2] + (np.array(shape.points) @ up).min(axis=0))
     depth = shape.radius if isinstance(shape, Ball) else np.abs(up.T) @ shape.size / 2
     return np.asarray(placed[2] - depth)
-
-
-def lowest_point(shape: BodyShape, part: Pose) -> tuple[float, float]:
-    """Return the height of a shape's lowest point, and half its least width in plan view [m].
-
-    ``part`` is a numeric pose of the shape's part.
-    """
-    frame = frame_of(shape, part)
-    rotation, origin = (np.array(ca.evalf(each)) for each in (frame.rotation, frame.origin))
-    placed = np.concatenate([origin, rotation.T.reshape(9, 1)])
-    points: tuple[Vector, ...] = shape.points if isinstance(shape, Hull) else ()
-    points = shape.support_points if isinstance(shape, Box) else points
-    width = _radius(shape)
-    if points:
-        width = np.ptp(np.array(points) @ rotation.T, axis=0)[:2].min() / 2
-    return float(_lowest(shape, placed)[0]), float(width)
 
 
 def _radius(shape: BodyShape) -> float:

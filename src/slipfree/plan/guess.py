@@ -275,7 +275,9 @@ def initial_guess(
         driven = direct_kinematics(vehicle, ground)
         begin = settled_start(driven, start, options)
     trip = trip_of(task, driven, begin, vehicle, ground)
-    layers = traversability(ground, vehicle) if isinstance(ground, Bicubic) else None
+    layers = None
+    if isinstance(ground, Bicubic):
+        layers = traversability(ground, vehicle, places=trip.places)
     guide = choose_guide(trip, bounds, layers)
     drive = guide_drives(trip, guide, step=SAMPLE_STEP)[0]
     run = drive_guess(trip, drive, options, is_path=bool(guide.paths))

@@ -326,7 +326,7 @@ def _facts(
             facts[f"{label.name}_median"] = Fact(float(np.median(known)), "1", label.words)
     if friction:
         meaning = f"poses whose bounds of the least friction differ by more than {WIDE:g}"
-        facts["wide_bounds"] = Fact(wide / poses, "1", f"share of the {meaning}")
+        facts["loose_bounds_share"] = Fact(wide / poses, "1", f"share of the {meaning}")
     rows = [
         {"reason": text, "share": float(count / poses)}
         for text, count in zip(reasons, counts, strict=True)
@@ -354,9 +354,9 @@ def summary_lines(facts: Mapping[str, Fact]) -> Lines:
     for name in (name for name in facts if name.endswith("_median")):
         words = name.removesuffix("_high_median").replace("_", " ")
         lines.append((words, f"{facts[name].value:.3g} (median of the nodes)"))
-    if "wide_bounds" in facts:
-        share = 100 * float(facts["wide_bounds"].value)
-        lines.append(("bounds of friction", f"wider than {WIDE:g} at {share:.3g} % of the poses"))
+    if "loose_bounds_share" in facts:
+        share = shares["loose_bounds_share"]
+        lines.append(("bounds of friction", f"wider than {WIDE:g} at {share} of the poses"))
     for row in facts["reasons"].value:
         lines.append(("  not allowed", f"{100 * row['share']:.3g} %: {row['reason']}"))
     return lines

@@ -2,33 +2,37 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 
+from slipfree.atlas.atlas import atlas, least_bounds
 from slipfree.core.records import Array, Mask
 from slipfree.geometry.regions import Region
+from slipfree.models.kinematics import direct_kinematics
 from slipfree.routing.smoothing import resample_polyline
 from slipfree.routing.traversability import (
+    HEADINGS,
+    Point,
     Traversability,
-    blocked_by,
     blocking_reasons,
+    extents,
+    more_friction_words,
     node_at,
+    out_of_bounds,
     point_text,
     reasons_by_kind,
     to_edge,
 )
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.vehicle.tree import Vehicle
 
 REMEDIES = {
     "edge": "use a larger map",
-    "hole": 'interpolate small holes by terrain.fill = "linear"',
-    "friction": "give the ground more friction",
     "keep_out": "make the keep-out region smaller",
 }
-SURE = ("friction", "keep_out")
 Ends = tuple[tuple[int, int], tuple[int, int]]  # nodes
 
 
@@ -37,35 +41,62 @@ class Objection(NamedTuple):
 
     name: str  # name of the position, such as ``"goal"``
     words: str  # the reason with numbers, and a remedy
-    # whether the position is an error: off the map, within reach of a keep-out region or on a slope
-    # that friction cannot hold, or one of these two separates it from the start. Otherwise only the
-    # search for a route fails, since it requires space for every heading; a motion may still exist
-    sure: bool
 
 
 def unreachable(
     layers: Traversability, positions: Sequence[tuple[str, float, float]]
 ) -> list[Objection]:
-    """Return the objections to named positions, the first of which is the start."""
+    """Return the objections to named positions, the first of which is the start.
+
+    Positions are off the map or within reach of a keep-out region, or such regions separate them
+    from the start. No other reason is sure: a route requires space for every heading, a motion does
+    not.
+    """
     objections = [
         each for position in positions if (each := _position_objection(layers, *position))
     ]
-    off = {each.name: each.sure for each in objections}
+    off = {each.name for each in objections}
     first, *others = positions
-    if off.get(first[0], False):
+    if first[0] in off:
         return objections
-    for other in others:
-        if not off.get(other[0], False):
-            each = _separation_objection(
-                layers, first, other, is_judged=not {first[0], other[0]} & set(off)
+    for name, x, y in others:
+        if name not in off and (why := _keep_out_words(layers, first[1:], (x, y))):
+            words = (
+                f"the {name} {point_text((x, y))} cannot be reached from the {first[0]} "
+                f"{point_text(first[1:])}: {why}"
             )
-            objections += [each] if each else []
+            objections.append(Objection(name, words))
     return objections
+
+
+def unheld_words(terrain: Bicubic, vehicle: Vehicle, x: float, y: float) -> str:
+    """Return a text if friction certainly holds the vehicle at no heading at a point; else empty.
+
+    Poses are computed only where the mean slope of the ground exceeds the friction.
+    """
+    if terrain.mu is None or not vehicle.mass:
+        return ""
+    half = extents(vehicle)[2] / 2
+    ends = terrain.elevation(x + half * np.array([1, -1, 0, 0]), y + half * np.array([0, 0, 1, -1]))
+    slope = np.hypot(*(ends[::2] - ends[1::2])) / (2 * half)
+    grip = max(wheel.grip for wheel in vehicle.wheels)
+    limit = float(terrain.mu) * grip if isinstance(terrain.mu, float | int) else 0.0
+    if slope <= limit:
+        return ""
+    model = direct_kinematics(vehicle, terrain)
+    poses = atlas(
+        model, terrain, headings=HEADINGS, x=np.array([x]), y=np.array([y]), compiled=False
+    )
+    bounds = least_bounds(poses)
+    if bounds is None or not poses.stands.any():
+        return ""
+    factor = float(np.nanmin(poses[bounds[0].name])) / (limit or 1.0)
+    return more_friction_words(factor) if factor > 1 else ""
 
 
 def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:
     """Return the text of an error for a goal that cannot be reached."""
-    regions = _labels(np.isfinite(layers.cost))
+    regions = _labels(np.isfinite(layers.least_cost))
     i, j = np.nonzero(regions == regions[node_at(layers, *start)])
     gaps = np.hypot(layers.x[i] - goal[0], layers.y[j] - goal[1])
     best = int(gaps.argmin())
@@ -81,56 +112,23 @@ def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:
 
 
 def _position_objection(layers: Traversability, name: str, x: float, y: float) -> Objection | None:
-    """Return the reason why the vehicle cannot be at a position or its nearest node, or None."""
-    wrong = reasons_by_kind(layers, x, y)
-    why = "; ".join(wrong.values()) or blocking_reasons(layers, x, y)
+    """Return the reason why the vehicle cannot be at a position, or None."""
+    is_off = to_edge(layers.limits, np.asarray(x), np.asarray(y)) < 0
+    kinds = ("edge", "keep_out") if is_off else ("keep_out",)
+    reasons = reasons_by_kind(layers, x, y)
+    why = {kind: reasons[kind] for kind in kinds if kind in reasons}
     if not why:
         return None
-    remedies = [f"move the {name}", *(REMEDIES[kind] for kind in wrong if kind in REMEDIES)]
-    words = (
-        f"the vehicle cannot be at the {name} {point_text((x, y))}: {why}; {' or '.join(remedies)}"
-    )
-    is_off = to_edge(layers.limits, np.asarray(x), np.asarray(y)) < 0
-    return Objection(name, words, bool(is_off) or any(kind in wrong for kind in SURE))
+    remedies = " or ".join([f"move the {name}", *(REMEDIES[kind] for kind in why)])
+    place = point_text((x, y))
+    words = f"the vehicle cannot be at the {name} {place}: {'; '.join(why.values())}; {remedies}"
+    return Objection(name, words)
 
 
-def _separation_objection(
-    layers: Traversability,
-    first: tuple[str, float, float],
-    last: tuple[str, float, float],
-    is_judged: bool,
-) -> Objection | None:
-    """Return the reason why ``last`` cannot be reached from ``first``, or None.
-
-    Keep-out regions and slopes that friction cannot hold are always considered, missing routes only
-    if ``is_judged``.
-    """
-    ends = node_at(layers, *first[1:]), node_at(layers, *last[1:])
-    if _are_connected(np.isfinite(layers.cost), ends):
-        return None
-    masks, used = blocked_by(layers), layers.friction
-    start, goal = np.array(first[1:]), np.array(last[1:])
-    why = _keep_out_words(layers, ends)
-    if (
-        not why
-        and used is not None
-        and not _are_connected(~(masks["friction"] | masks["keep_out"]), ends)
-    ):
-        why = _steepest_words(layers, np.where(masks["keep_out"], math.inf, used), ends)
-    if why:
-        words = (
-            f"the {last[0]} {point_text(goal)} cannot be reached from the {first[0]} "
-            f"{point_text(start)}: {why}"
-        )
-        return Objection(last[0], words, True)
-    if not is_judged:
-        return None
-    return Objection(last[0], no_route_words(layers, start, goal), False)
-
-
-def _keep_out_words(layers: Traversability, ends: Ends) -> str:
-    """Return a text about the keep-out regions that separate two nodes; empty if none do."""
-    if _are_connected(~blocked_by(layers)["keep_out"], ends):
+def _keep_out_words(layers: Traversability, start: Point, goal: Point) -> str:
+    """Return a text about the keep-out regions that separate two points; empty if none do."""
+    ends = node_at(layers, *start), node_at(layers, *goal)
+    if _are_connected(~out_of_bounds(layers)["keep_out"], ends):
         return ""
     regions = layers.limits.keep_out
     alone = [region for region in regions if _divides(layers, (region,), ends)]
@@ -157,28 +155,7 @@ def _keep_out_words(layers: Traversability, ends: Ends) -> str:
 def _divides(layers: Traversability, regions: tuple[Region, ...], ends: Ends) -> bool:
     """Return whether keep-out regions separate two nodes."""
     limits = layers.limits._replace(keep_out=regions)
-    return not _are_connected(~blocked_by(layers._replace(limits=limits))["keep_out"], ends)
-
-
-def _steepest_words(layers: Traversability, used: Array, ends: Ends) -> str:
-    """Return a text about the steepest slope on the route of least largest ``used`` friction."""
-    levels = np.unique(used[np.isfinite(used) & (used >= 1)])
-    low, high = 0, levels.size - 1
-    while low < high:
-        middle = (low + high) // 2
-        low, high = (
-            (low, middle) if _are_connected(used <= levels[middle], ends) else (middle + 1, high)
-        )
-    i, j = np.nonzero(used == levels[low])
-    from_ends = sum(np.hypot(i - end[0], j - end[1]) for end in ends)
-    k = int(np.argmin(from_ends))
-    slope = float(layers.slope[i[k], j[k]])
-    at = point_text((layers.x[i[k]], layers.y[j[k]]))
-    return (
-        f"even the easiest route crosses a slope of {math.degrees(slope):.3g} degrees at {at}, "
-        f"which needs a friction coefficient of {math.tan(slope):.3g}, and the ground offers "
-        f"{math.tan(slope) / levels[low]:.3g}; move the goal, or give the ground more friction"
-    )
+    return not _are_connected(~out_of_bounds(layers._replace(limits=limits))["keep_out"], ends)
 
 
 def _labels(free: Mask) -> Array:

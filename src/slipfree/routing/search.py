@@ -22,6 +22,7 @@ from slipfree.routing.traversability import (
     Point,
     Traversability,
     blocking_reasons,
+    nearest_headings,
     node_at,
     nodes_at,
     point_text,
@@ -46,7 +47,7 @@ def obstacle_points(layers: Traversability) -> Array:
     An obstacle is a connected set of blocked nodes, neither at the border of the map nor smaller in
     both directions than the diameter of the vehicle's circle.
     """
-    labels, _ = scipy.ndimage.label(~np.isfinite(layers.cost), CORNERS)
+    labels, _ = scipy.ndimage.label(~np.isfinite(layers.least_cost), CORNERS)
     border = {*labels[0], *labels[-1], *labels[:, 0], *labels[:, -1]}
     points = [np.empty((0, 2))]
     for number, box in enumerate(scipy.ndimage.find_objects(labels), 1):
@@ -93,7 +94,7 @@ def crossed_rays(
     The rays are parallel to the axis that is more nearly perpendicular to the line between the
     path's ends. A path that may not cross a ray passes its obstacle on the other side.
     """
-    on_path = np.zeros(layers.cost.shape, dtype=bool)
+    on_path = np.zeros(layers.to_hole.shape, dtype=bool)
     on_path[nodes_at(layers, resample_polyline(points, 0.5 * min(layers.spacing)))] = True
     is_along_y = bool(np.subtract(*np.abs(points[-1] - points[0])) >= 0)
     for x, y in obstacles:
@@ -110,12 +111,12 @@ def crossed_rays(
                 yield float(layers.spacing[is_along_y] * cells), (column, row)
 
 
-def close_rays(cost: Array, rays: Iterable[Ray]) -> Array:
-    """Return the costs of a map on which rays are blocked."""
-    closed = cost.copy()
-    for ray in rays:
-        closed[ray] = math.inf
-    return closed
+def close_rays(layers: Traversability, rays: Iterable[Ray]) -> Traversability:
+    """Return a map on which rays are blocked."""
+    closed = layers.cost.copy()
+    for column, row in rays:
+        closed[:, column, row] = math.inf
+    return layers._replace(cost=closed)
 
 
 class Route(NamedTuple):
@@ -150,7 +151,7 @@ def route(
     """
     _check_ends(layers, start, goal, turning_radius)
     ends = np.asarray(start, float), np.asarray(goal, float)
-    rough = _search(layers, layers.cost, *ends)
+    rough = _search(layers, *ends)
     if not len(rough):
         raise ModelError(f"route: {no_route_words(layers, *ends)}")
     return smooth(layers, rough, turning_radius)
@@ -195,7 +196,7 @@ def routes(
         if not pending or len(by_class) == count:
             break
         _, closed = pending.pop(0)
-        rough = _search(layers, close_rays(layers.cost, closed), *ends)
+        rough = _search(close_rays(layers, closed), *ends)
         if not len(rough):
             if not by_class:
                 raise ModelError(f"route: {no_route_words(layers, *ends)}")
@@ -242,37 +243,39 @@ def _check_ends(layers: Traversability, start: Point, goal: Point, turning_radiu
         )
 
 
-def _search(layers: Traversability, cost: Array, start: Array, goal: Array) -> Array:
+def _search(layers: Traversability, start: Array, goal: Array) -> Array:
     """Return the cheapest path on the grid with start and goal, shape (n, 2); empty without [m]."""
+    shape = layers.to_hole.shape
     first, last = (
-        int(np.ravel_multi_index(node_at(layers, *point), cost.shape)) for point in (start, goal)
+        int(np.ravel_multi_index(node_at(layers, *point), shape)) for point in (start, goal)
     )
     lengths, before = scipy.sparse.csgraph.dijkstra(
-        _graph(cost, layers.spacing), indices=first, return_predecessors=True
+        _graph(layers), indices=first, return_predecessors=True
     )
     if not math.isfinite(lengths[last]):
         return np.empty((0, 2))
     nodes = [last]
     while nodes[-1] != first:
         nodes.append(int(before[nodes[-1]]))
-    i, j = np.unravel_index(nodes[::-1], cost.shape)
+    i, j = np.unravel_index(nodes[::-1], shape)
     inner = np.stack([layers.x[i], layers.y[j]], axis=1)
     points = np.concatenate([[start], inner, [goal]])
     fresh = np.concatenate([[True], np.any(np.diff(points, axis=0) != 0, axis=1)])
     return np.asarray(points[fresh])
 
 
-def _graph(cost: Array, h: tuple[float, float]) -> scipy.sparse.csr_matrix:
+def _graph(layers: Traversability) -> scipy.sparse.csr_matrix:
     """Return the costs of moves between free nodes, shape (n_x n_y, n_x n_y) [m].
 
-    A move costs its length times the mean cost of its two nodes and of the two nodes that it passes
-    between; it neither cuts a blocked corner nor jumps over a blocked node.
+    A move costs its length times the mean cost, in its direction, of its two nodes and of the two
+    nodes that it passes between; it neither cuts a blocked corner nor jumps over a blocked node.
     """
-    size = cost.size
-    padded = np.pad(cost, 2, constant_values=math.inf).astype(np.float32)
+    size, h, width = layers.to_hole.size, layers.spacing, layers.y.size
     weights = np.empty((size, len(MOVES)), dtype=np.float32)
-    shifts = np.array([i * cost.shape[1] + j for i, j in MOVES], dtype=np.int32)
+    shifts = np.array([i * width + j for i, j in MOVES], dtype=np.int32)
     for column, (i, j) in enumerate(MOVES):
+        cost = layers.cost_toward(math.atan2(-i * h[0], j * h[1]))
+        padded = np.pad(cost, 2, constant_values=math.inf).astype(np.float32)
         passed = _passed(i, j)
         total = _shifted(padded, 0, 0) + _shifted(padded, i, j)
         for each in passed:
@@ -305,7 +308,6 @@ def _shifted(padded: npt.NDArray[np.float32], i: int, j: int) -> npt.NDArray[np.
 def _integral(layers: Traversability, points: Array) -> float:
     """Return the integral along a polyline of the cost at the nearest nodes [m]."""
     dense = resample_polyline(points, 0.25 * min(layers.spacing))
-    middle = 0.5 * (dense[1:] + dense[:-1])
-    return float(
-        layers.cost[nodes_at(layers, middle)] @ np.linalg.norm(np.diff(dense, axis=0), axis=1)
-    )
+    middle, steps = 0.5 * (dense[1:] + dense[:-1]), np.diff(dense, axis=0)
+    cost = layers.cost[nearest_headings(layers, steps), *nodes_at(layers, middle)]
+    return float(cost @ np.linalg.norm(steps, axis=1))

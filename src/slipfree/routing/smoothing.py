@@ -11,7 +11,7 @@ import scipy
 
 from slipfree.core.records import Array, Mask
 from slipfree.geometry.path import Path
-from slipfree.routing.traversability import Traversability, nodes_at, window
+from slipfree.routing.traversability import Traversability, nearest_headings, nodes_at, window
 
 CLEARANCE = 1.2  # clearance from blocked nodes: a cell and a margin, in cells
 CURVATURE_TARGET = 0.97  # target after a violation, relative to the allowed curvature
@@ -52,6 +52,7 @@ def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array
     If no smoothed route avoids all blocked nodes, the result is the rough route, if possible with
     equally spaced points whose spline avoids them.
     """
+    layers = _along(layers, rough)
     step = max(0.25 * layers.limits.half, polyline_length(rough) / MAX_POINTS)
     half = max(layers.limits.half, step)
     field = _field(layers, rough, turning_radius)
@@ -79,13 +80,30 @@ def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array
     return rough
 
 
+def _along(layers: Traversability, rough: Array) -> Traversability:
+    """Return the map with the costs in the direction of the nearest point of a route."""
+    if layers.heading.size == 1:
+        return layers
+    dense = resample_polyline(rough, 0.5 * min(layers.spacing))
+    count = math.ceil(2 * layers.limits.half / min(layers.spacing))  # points on half a vehicle
+    steps = scipy.ndimage.uniform_filter1d(np.diff(dense, axis=0), count, axis=0, mode="nearest")
+    middle = 0.5 * (dense[1:] + dense[:-1])
+    off = np.ones(layers.to_hole.shape, dtype=bool)
+    owner = np.zeros(off.shape, dtype=np.intp)
+    at = nodes_at(layers, middle)
+    off[at], owner[at] = False, np.arange(len(middle))
+    heading = nearest_headings(layers, steps)[owner[_nearest(off, layers.spacing)]]
+    cost = np.take_along_axis(layers.cost, heading[None], axis=0)
+    return layers._replace(heading=layers.heading[:1], cost=cost)
+
+
 def _check_path(layers: Traversability, points: Array) -> tuple[bool, float]:
     """Return whether the spline through points is free, and its largest curvature [1/m]."""
     path = Path(points)
     count = math.ceil(path.length / (CHECK_STEP * min(layers.spacing)))
     place = path.at(np.linspace(0, path.length, count + 1))
     i, j = nodes_at(layers, np.stack([place.x, place.y], axis=1))
-    return bool(np.isfinite(layers.cost[i, j]).all()), float(np.abs(place.curvature).max())
+    return bool(np.isfinite(layers.least_cost[i, j]).all()), float(np.abs(place.curvature).max())
 
 
 def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Field:
@@ -93,12 +111,12 @@ def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Fiel
     (x_min, y_min), (x_max, y_max) = rough.min(axis=0), rough.max(axis=0)
     room = 2 * turning_radius + 4 * layers.limits.half + 4 * max(layers.spacing)
     part = window(layers, (float(x_min), float(x_max), float(y_min), float(y_max)), room)
-    cost, h = layers.cost[part], layers.spacing
+    cost, h = layers.least_cost[part], layers.spacing
     free = np.isfinite(cost)
     if free.all():
         clearance = np.full(cost.shape, np.inf)
     else:
-        to_blocked, nearest = scipy.ndimage.distance_transform_edt(free, h), _nearest_free(free, h)
+        to_blocked, nearest = scipy.ndimage.distance_transform_edt(free, h), _nearest(~free, h)
         # Negative inside blocked regions, so that the gradient leads out of them.
         clearance = to_blocked - scipy.ndimage.distance_transform_edt(~free, h)
         # An infinite cost has no gradient: blocked nodes get that of the nearest free node.
@@ -109,11 +127,9 @@ def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Fiel
     return _Field(cost, clearance, origin, np.array(h))
 
 
-def _nearest_free(free: Mask, h: tuple[float, float]) -> tuple[Array, Array]:
-    """Return the indices of the free node nearest to every node."""
-    i, j = scipy.ndimage.distance_transform_edt(
-        ~free, h, return_distances=False, return_indices=True
-    )
+def _nearest(off: Mask, h: tuple[float, float]) -> tuple[Array, Array]:
+    """Return the indices of the node outside a mask nearest to every node."""
+    i, j = scipy.ndimage.distance_transform_edt(off, h, return_distances=False, return_indices=True)
     return i, j
 
 

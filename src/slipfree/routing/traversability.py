@@ -1,7 +1,7 @@
-"""Traversability of a map: costs for a vehicle, and blocked positions.
+"""Traversability of a map: costs of the poses of a vehicle, and blocked positions.
 
-The costs depend on the ground under the vehicle's footprint in any heading; single wheels and slip
-are not considered.
+Costs are those of exact poses at several headings (`slipfree.atlas`), at nodes about a third of
+its size apart, and interpolated between them.
 """
 
 from __future__ import annotations
@@ -13,30 +13,249 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-import scipy
 
-from slipfree.contact.nearest_points import lowest_point
+from slipfree.atlas.atlas import Atlas, atlas
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask
 from slipfree.geometry.frame import Pose
 from slipfree.geometry.regions import Region
-from slipfree.terrain.base import Formula, Grid
-from slipfree.terrain.bicubic import Bicubic, friction_map
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.terrain.base import Grid
+from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import hole_distance
 from slipfree.vehicle.tree import Vehicle
 
 Point = tuple[float, float] | Array
-# Costs per metre, added to the cost 1 of level ground. The steepest slope that can be climbed, full
-# use of the friction, and ground as high as the body leave no margin: each adds 4. Roughness as
-# large as the wheel radius is an obstacle and adds 10; so does a footprint that is too concave
-# everywhere, which the wheels can straddle only by chance.
-SLOPE = 4.0
+# Costs per metre, added to the cost 1 of level ground. An inclination of `STEEP`, full use of the
+# friction, and a pose about to tip over leave no margin: each adds 4.
+INCLINATION = 4.0
 FRICTION = 4.0
-ROUGHNESS = 10.0
-HOLLOW = 10.0
-CLEARANCE = 4.0
-ROUNDING = 1e-9  # smallest clearance [m]
-MAX_SLOPE = math.radians(30)  # on ground without friction coefficient; loose soil slides at 30-35
+TIPPING = 4.0
+SLIDING = 30.0  # where friction is not enough: routes avoid it by long detours
+STEEP = math.radians(30)  # loose soil slides at 30 to 35 degrees
+MAX_UTILISATION = 1.5  # poses between nodes and headings may need less: only more than this blocks
+QUANTITIES = "roll", "pitch", "utilisation", "tip_over_margin"
+HEADINGS = 8  # moves between two of them take the mean of their costs
+AWAY = 4  # times as far apart are poses away from the places, and half their distance around them
+MAX_POSES = 250_000  # on larger maps the nodes of the poses are farther apart
+INTERPRETED = 20_000  # number of poses up to which compiling the equations takes longer
+RESTING = 5  # times for a pose of pressed wheels, relative to exact contact
+UNKNOWN = 1e-6  # weight of nodes that are blocked anyway, for the interpolation
+
+
+class Limits(NamedTuple):
+    """Limits of the vehicle's positions.
+
+    Attributes
+    ----------
+    reach : float
+        Radius of the circle about the platform's centre that contains all wheels. [m]
+    half : float
+        Half the side of the square that represents the footprint in any heading. [m]
+    domain : tuple of 4 floats
+        ``x_min, x_max, y_min, y_max`` of the map. [m]
+    keep_out : tuple of Region
+        Keep-out regions.
+    """
+
+    reach: float
+    half: float
+    domain: tuple[float, float, float, float]
+    keep_out: tuple[Region, ...]
+
+
+class Traversability(NamedTuple):
+    """Cost of a map for a vehicle, and the reasons of blocked nodes."""
+
+    x: Array  # shape (n_x,): axes in map coordinates [m]
+    y: Array
+    heading: Array  # shape (n_headings,): directions of motion, equally spaced from zero [rad]
+    cost: Array  # shape (n_headings, n_x, n_y): per metre in a direction; infinite if blocked [1]
+    to_hole: Array  # shape (n_x, n_y): distance to a missing height, negative inside [m]
+    limits: Limits
+    poses: Atlas | None = None  # at some of the nodes; None if poses were not computed
+
+    @property
+    def least_cost(self) -> Array:
+        """Cost in the best direction, shape (n_x, n_y) [1]."""
+        return np.asarray(self.cost.min(axis=0))
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Distances between neighbouring nodes along x and along y [m]."""
+        return axis_step(self.x), axis_step(self.y)
+
+    def cost_toward(self, direction: float) -> Array:
+        """Return the cost in a direction [rad], interpolated between headings, (n_x, n_y)."""
+        turn = direction / (2 * math.pi) * self.heading.size
+        k, part = math.floor(turn + 1e-9), turn - math.floor(turn + 1e-9)
+        first, second = (self.cost[m % self.heading.size] for m in (k, k + 1))
+        return np.asarray(first if part < 1e-6 else (1 - part) * first + part * second)
+
+
+def free_space(
+    terrain: Bicubic,
+    vehicle: Vehicle,
+    *,
+    keep_out: Iterable[Region] = (),
+    spacing: float | None = None,
+) -> Traversability:
+    """Return where the wheels of a vehicle stay on a map in any heading, at a cost of 1.
+
+    Parameters
+    ----------
+    terrain : Bicubic
+        The ground.
+    vehicle : Vehicle
+        The vehicle; its wheels in the zero configuration determine its size.
+    keep_out : iterable of Region
+        Regions that no wheel may touch.
+    spacing : float, optional
+        Distance between nodes; by default a sixth of the smaller of the vehicle's width and length,
+        but not less than the node spacing of the ground. [m]
+
+    Raises
+    ------
+    ModelError
+        If ``spacing`` is not positive or more than half the smaller side of the map.
+    """
+    right, forward, reach = extents(vehicle)
+    if spacing is None:
+        spacing = max(*terrain.grid.spacing, min(right, forward) / 3)
+    x, y = coarse_axes(terrain.grid, spacing)
+    limits = Limits(reach, math.sqrt(right * forward), terrain.domain, tuple(keep_out))
+    to_hole = np.full((x.size, y.size), math.inf)
+    if terrain.grid.holes is not None:
+        to_hole = interpolate_layer(
+            hole_distance(terrain.grid), terrain.grid.x, terrain.grid.y, x, y
+        )
+    cost = np.ones((1, x.size, y.size))
+    layers = Traversability(x, y, np.zeros(1), cost, to_hole, limits)
+    cost[:, np.logical_or.reduce([*out_of_bounds(layers).values()])] = math.inf
+    return layers
+
+
+def traversability(
+    terrain: Bicubic,
+    vehicle: Vehicle,
+    *,
+    keep_out: Iterable[Region] = (),
+    spacing: float | None = None,
+    backwards: bool = False,
+    places: Array | None = None,
+) -> Traversability:
+    """Return the traversability of a map for a vehicle, from its poses at 8 headings.
+
+    Parameters
+    ----------
+    terrain, vehicle, keep_out, spacing
+        As for `free_space`; the ground may have a friction coefficient.
+    backwards : bool
+        Whether the vehicle drives backwards.
+    places : ndarray, shape (n, 2), optional
+        Places of the map between which a route is sought. Away from them poses are farther apart.
+        [m]
+
+    Returns
+    -------
+    Traversability
+        The cost and the poses. A node is blocked in a direction if the vehicle does not stand there
+        at this heading, or needs more than 1.5 times the friction; and in all directions if in some
+        heading a wheel could reach over the edge of the map, into a hole or into a keep-out region.
+
+    Raises
+    ------
+    ModelError
+        As `free_space` does.
+
+    Notes
+    -----
+    The cost per metre is ``1 + 4 (inclination / 30 degrees)**2``, plus ``4 utilisation**2`` on
+    ground with friction, with the largest utilisation of a wheel for forces distributed by load,
+    plus ``4 (inclination / (inclination + margin))**2`` with the tip-over margin of a vehicle with
+    mass. A utilisation of at least 1 adds 30. The poses are those at nodes a third of the smaller
+    of the vehicle's width and length apart, but more on very large maps. On level ground, and
+    between places closer to each other than the vehicle is large, the cost is 1.
+    """
+    layers = free_space(terrain, vehicle, keep_out=keep_out, spacing=spacing)
+    right, forward, reach = extents(vehicle)
+    low, high = np.array([-np.inf] * 2), np.array([np.inf] * 2)
+    if places is not None:
+        low, high = places.min(axis=0), places.max(axis=0)
+    distance = float(np.linalg.norm(high - low))
+    if terrain.is_level or distance < 2 * reach:
+        return layers
+    step = max(1, round(min(right, forward) / 1.5 / max(layers.spacing)))
+    step = max(step, math.ceil(math.sqrt(HEADINGS * layers.to_hole.size / MAX_POSES)))
+    room = max(distance / 2, 3 * reach)
+    x, y = (
+        _thinned(axis, a - room, b + room, step)
+        for axis, a, b in zip((layers.x, layers.y), low, high, strict=True)
+    )
+    model = direct_kinematics(vehicle, terrain)
+    count = HEADINGS * x.size * y.size * (RESTING if model.rest.numel() else 1)
+    heading = 2 * np.pi * np.arange(HEADINGS) / HEADINGS
+    poses = atlas(
+        model,
+        terrain,
+        headings=(heading + np.pi * backwards).tolist(),
+        x=x,
+        y=y,
+        quantities=QUANTITIES,
+        compiled=count > INTERPRETED,
+    )
+    outside = out_of_bounds(layers)
+    is_known = ~(outside["edge"] | outside["hole"])[np.ix_(*_nodes_of(layers, poses))]
+    cost = _spread(pose_costs(poses), is_known, poses, layers)
+    cost[:, np.isinf(layers.cost[0])] = math.inf
+    return layers._replace(heading=heading, cost=cost, poses=poses)
+
+
+def _thinned(axis: Array, low: float, high: float, step: int) -> Array:
+    """Return some nodes of an axis and its last, `AWAY` times as far apart outside an interval."""
+    index = np.arange(axis.size)
+    near = (axis >= low) & (axis <= high)
+    chosen = (index % np.where(near, step, AWAY * step) == 0) | (index == axis.size - 1)
+    return np.asarray(axis[chosen])
+
+
+def pose_costs(poses: Atlas) -> Array:
+    """Return the costs per metre of poses, infinite where the vehicle must not be [1]."""
+    with np.errstate(invalid="ignore"):
+        inclination = np.arccos(np.cos(poses["roll"]) * np.cos(poses["pitch"]))
+        cost = 1 + INCLINATION * (inclination / STEEP) ** 2
+        if "utilisation" in poses.bands:
+            used = poses["utilisation"]
+            cost += np.where(used < MAX_UTILISATION, FRICTION * used**2, math.inf)
+            cost += np.where(used < 1, 0.0, SLIDING)
+        if "tip_over_margin" in poses.bands:
+            margin = poses["tip_over_margin"]
+            cost += TIPPING * (inclination / np.maximum(inclination + margin, 1e-9)) ** 2
+    return np.where(poses.stands, cost, math.inf).astype(float)
+
+
+def _nodes_of(layers: Traversability, poses: Atlas) -> tuple[npt.NDArray[np.intp], ...]:
+    """Return the indices of the nodes of poses along both axes."""
+    return nearest_nodes(layers.x, poses.x), nearest_nodes(layers.y, poses.y)
+
+
+def _spread(cost: Array, is_known: Mask, poses: Atlas, layers: Traversability) -> Array:
+    """Return costs of poses at all nodes: means of the free poses around, weighted by distance.
+
+    A node is blocked if the poses around are blocked by more than half. Poses that are not known
+    count only if there are no others.
+    """
+    axes = poses.x, poses.y, layers.x, layers.y
+    spread = np.empty((len(cost), layers.x.size, layers.y.size))
+    weight = np.where(is_known, 1.0, UNKNOWN)
+    total = interpolate_layer(weight, *axes)
+    for k, each in enumerate(cost):
+        free = weight * np.isfinite(each)
+        share = interpolate_layer(free, *axes)
+        sums = interpolate_layer(np.where(np.isfinite(each), each, 0.0) * weight, *axes)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            spread[k] = np.where(share >= 0.5 * total, sums / share, math.inf)
+    return spread
 
 
 def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
@@ -60,95 +279,13 @@ def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
     return axes[0], axes[1]
 
 
-def ground_properties(
-    grid: Grid, x: Array, y: Array, half: float, sharpest: float
-) -> tuple[Array, Array, Array, Array]:
-    """Return slope, roughness, concavity and concave fraction under the footprint at every node."""
-    z = grid.z - grid.z.mean()
-    p, q, r, s, t = _derivatives(z, grid.spacing)
-    hollow = _largest_curvature(p, q, r, s, t)
-    if min(_nodes_within(half, h) for h in grid.spacing) > 0:
-        p, q, variance = _plane(z, grid.spacing, half)
-    else:
-        # too few nodes to fit a plane: use the deviation of a curved square of this size
-        variance = half**4 * ((r**2 + t**2) / 45 + s**2 / 9)
-    share = footprint_mean((hollow >= sharpest).astype(float), grid.spacing, half)
-    layers = [np.arctan(np.hypot(p, q)), np.sqrt(variance), share]
-    slope, roughness, share = (interpolate_layer(layer, grid, x, y) for layer in layers)
-    size = [
-        math.ceil(axis_step(new) / h - 1e-9) for new, h in zip((x, y), grid.spacing, strict=True)
-    ]
-    largest = (
-        hollow
-        if max(size) == 1
-        else scipy.ndimage.maximum_filter(hollow, [2 * n - 1 for n in size])
-    )
-    nearest = [nearest_nodes(old, new) for old, new in ((grid.x, x), (grid.y, y))]
-    return slope, roughness, largest[np.ix_(*nearest)], share
-
-
-def _derivatives(z: Array, h: tuple[float, float]) -> tuple[Array, Array, Array, Array, Array]:
-    """Return first and second differences: z_x, z_y [1], z_xx, z_xy, z_yy [1/m]."""
-    p: Array = np.gradient(z, h[0], axis=0, edge_order=2)
-    q: Array = np.gradient(z, h[1], axis=1, edge_order=2)
-    second = [1.0, -2.0, 1.0]
-    # differences of direct neighbours, so that a bump between two nodes counts in full
-    r = scipy.ndimage.correlate1d(z, second, axis=0, mode="nearest") / h[0] ** 2
-    t = scipy.ndimage.correlate1d(z, second, axis=1, mode="nearest") / h[1] ** 2
-    for array, axis in ((r, 0), (t, 1)):  # the border repeats its neighbours
-        border = np.moveaxis(array, axis, 0)
-        border[0], border[-1] = border[1], border[-2]
-    s: Array = np.gradient(p, h[1], axis=1)
-    return p, q, r, s, t
-
-
-def _largest_curvature(p: Array, q: Array, r: Array, s: Array, t: Array) -> Array:
-    """Return the larger principal curvature of a surface, positive if concave upward [1/m]."""
-    w = np.sqrt(1 + p**2 + q**2)
-    mean = ((1 + q**2) * r - 2 * p * q * s + (1 + p**2) * t) / (2 * w**3)
-    total = (r * t - s**2) / w**4
-    largest: Array = mean + np.sqrt(np.maximum(mean**2 - total, 0))
-    return largest
-
-
-def _plane(z: Array, h: tuple[float, float], half: float) -> tuple[Array, Array, Array]:
-    """Return slopes [1] and residual variance [m^2] of the plane fitted to each square."""
-    left = footprint_mean(z**2, h, half) - footprint_mean(z, h, half) ** 2
-    slopes = []
-    for axis in (0, 1):
-        m = _nodes_within(half, h[axis])
-        offset = h[axis] * np.arange(-m, m + 1)
-        weights = offset / (offset @ offset)
-        others = footprint_mean(z, h, half, axes=(1 - axis,))
-        slope = scipy.ndimage.correlate1d(others, weights, axis=axis, mode="nearest")
-        left -= slope**2 * np.mean(offset**2)
-        slopes.append(slope)
-    return slopes[0], slopes[1], np.maximum(left, 0)
-
-
-def footprint_mean(
-    z: Array, h: tuple[float, float], half: float, axes: tuple[int, ...] = (0, 1)
-) -> Array:
-    """Return the mean of ``z`` over a square of the footprint's size around every node."""
-    for axis in axes:
-        size = 2 * _nodes_within(half, h[axis]) + 1
-        z = scipy.ndimage.uniform_filter1d(z, size, axis=axis, mode="nearest")
-    return z
-
-
-def _nodes_within(half: float, h: float) -> int:
-    """Return the number of nodes between the centre and an edge of a square, rounded."""
-    return round(half / h - 0.5)
-
-
-def interpolate_layer(layer: Array, grid: Grid, x: Array, y: Array) -> Array:
+def interpolate_layer(layer: Array, x: Array, y: Array, new_x: Array, new_y: Array) -> Array:
     """Return a layer at new nodes by linear interpolation."""
-    for axis, (old, new) in enumerate(((grid.x, x), (grid.y, y))):
+    for axis, (old, new) in enumerate(((x, new_x), (y, new_y))):
         if old.size == new.size:
             continue
-        cell = (new - old[0]) / axis_step(old)
-        first = np.clip(np.floor(cell).astype(np.intp), 0, old.size - 2)
-        weight = np.expand_dims(cell - first, 1 - axis)
+        first = np.clip(np.searchsorted(old, new, side="right") - 1, 0, old.size - 2)
+        weight = np.expand_dims((new - old[first]) / (old[first + 1] - old[first]), 1 - axis)
         low, high = np.take(layer, first, axis), np.take(layer, first + 1, axis)
         layer = low + weight * (high - low)
     return layer
@@ -163,192 +300,6 @@ def nearest_nodes(axis: Array, at: Array) -> npt.NDArray[np.intp]:
     """Return the indices of the nodes of a uniform axis nearest to positions."""
     cells = np.rint((at - axis[0]) / axis_step(axis))
     return np.asarray(np.clip(cells, 0, axis.size - 1), dtype=np.intp)
-
-
-class Limits(NamedTuple):
-    """Limits of the vehicle from which the layers were computed.
-
-    Attributes
-    ----------
-    steepest : float
-        Steepest slope that can be climbed. [rad]
-    radius : float
-        Radius of the largest wheel; hollows that are not wider block the vehicle. [m]
-    reach : float
-        Radius of the circle about the platform's centre that contains all wheels. [m]
-    half : float
-        Half the side of the square that represents the footprint in any heading. [m]
-    domain : tuple of 4 floats
-        ``x_min, x_max, y_min, y_max`` of the map. [m]
-    keep_out : tuple of Region
-        Keep-out regions.
-    clearance : float
-        Clearance of the lowest body on level ground, with all joints at zero; infinite without
-        shapes. [m]
-    """
-
-    steepest: float
-    radius: float
-    reach: float
-    half: float
-    domain: tuple[float, float, float, float]
-    keep_out: tuple[Region, ...]
-    clearance: float = math.inf
-
-
-class Traversability(NamedTuple):
-    """Cost of a map for a vehicle, and the layers from which it was computed."""
-
-    x: Array  # shape (n_x,): axes in map coordinates [m]
-    y: Array
-    cost: Array  # shape (n_x, n_y): per metre; infinite where the centre must not be [1]
-    slope: Array  # shape (n_x, n_y): of the plane fitted under the footprint [rad]
-    roughness: Array  # shape (n_x, n_y): root mean square deviation from that plane [m]
-    hollow: Array  # shape (n_x, n_y): largest concavity; negative on a dome [1/m]
-    # shape (n_x, n_y): tangent of the slope, divided by the mean friction coefficient of the ground
-    # under the footprint and by the largest ``grip`` of a wheel [1]
-    friction: Array | None
-    to_hole: Array  # shape (n_x, n_y): distance to a missing height, negative inside [m]
-    limits: Limits
-    # shape (n_x, n_y): how far the ground under the lowest body rises above the mean height under
-    # the footprint; None for a vehicle without shapes [m]
-    rise: Array | None = None
-
-    @property
-    def spacing(self) -> tuple[float, float]:
-        """Distances between neighbouring nodes along x and along y [m]."""
-        return axis_step(self.x), axis_step(self.y)
-
-
-def traversability(
-    terrain: Bicubic,
-    vehicle: Vehicle,
-    *,
-    keep_out: Iterable[Region] = (),
-    steepest: float | None = None,
-    spacing: float | None = None,
-) -> Traversability:
-    """Return the traversability of a map for a vehicle.
-
-    Parameters
-    ----------
-    terrain : Bicubic
-        The ground, with or without a friction coefficient.
-    vehicle : Vehicle
-        The vehicle; its wheels in the zero configuration determine the footprint.
-    keep_out : iterable of Region
-        Regions that no wheel may touch.
-    steepest : float, optional
-        Steepest slope that can be climbed; by default the slope that the largest friction can
-        hold, or 30 degrees on a ground without a friction coefficient. [rad]
-    spacing : float, optional
-        Distance between nodes; by default a sixth of the smaller of the vehicle's width and length,
-        but not less than the node spacing of the ground. [m]
-
-    Returns
-    -------
-    Traversability
-        The cost and its layers. A node is blocked if the slope is steeper than ``steepest`` or
-        than friction can hold, if the roughness reaches the radius of the largest wheel, if the
-        ground is concave with a radius of curvature of at most that radius, if it rises in every
-        heading up to the lowest body of the vehicle, or if in any heading a wheel could reach over
-        the edge of the map, into a hole or into a keep-out region.
-
-    Raises
-    ------
-    ModelError
-        If ``steepest`` is not above 0 and below pi/2, or ``spacing`` is not positive or more than
-        half the smaller side of the map.
-
-    Notes
-    -----
-    The cost per metre is ``1 + 4 (slope / steepest)**2 + 4 friction**2 + 10 (roughness /
-    radius)**2`` plus ten times the fraction of the ground under the footprint that is too concave,
-    and, for a vehicle with shapes, ``4 (rise / clearance)**2``.
-    Concave ground blocks only the vehicle's centre: whether a wheel enters it depends on the
-    heading, which a plan determines and a route does not. The friction coefficient is that of
-    the wheel with the largest ``grip``.
-    """
-    right, forward, reach = extents(vehicle)
-    half, radius = math.sqrt(right * forward), max(wheel.radius for wheel in vehicle.wheels)
-    grip = max(wheel.grip for wheel in vehicle.wheels)
-    if spacing is None:
-        spacing = max(*terrain.grid.spacing, min(right, forward) / 3)
-    x, y = coarse_axes(terrain.grid, spacing)
-    slope, roughness, hollow, share = ground_properties(terrain.grid, x, y, half, 1 / radius)
-    held = _friction(terrain, x, y, half)
-    held = None if held is None else held * grip
-    if steepest is None:
-        steepest = MAX_SLOPE if held is None else math.atan(held.max())
-    if not 0 < steepest < math.pi / 2:
-        raise ModelError(
-            "traversability: expected 'steepest' above 0 and below pi/2 rad, found "
-            f"{steepest}; give it in radians, or omit it for the default"
-        )
-    used = None if held is None else np.tan(slope) / held
-    clear, inner = level_clearance(vehicle)
-    limits = Limits(steepest, radius, reach, half, terrain.domain, tuple(keep_out), clear)
-    cost = 1 + SLOPE * (slope / steepest) ** 2 + ROUGHNESS * (roughness / radius) ** 2
-    cost += HOLLOW * share
-    if used is not None:
-        cost += FRICTION * used**2
-    rise = None
-    if clear < math.inf:
-        rise = _rise(terrain.grid, x, y, half, inner)
-        cost += CLEARANCE * (np.maximum(rise, 0) / max(clear, ROUNDING)) ** 2
-    to_hole = np.full(slope.shape, math.inf)
-    if terrain.grid.holes is not None:
-        to_hole = interpolate_layer(hole_distance(terrain.grid), terrain.grid, x, y)
-    layers = Traversability(x, y, cost, slope, roughness, hollow, used, to_hole, limits, rise)
-    cost[np.logical_or.reduce([*blocked_by(layers).values()])] = math.inf
-    return layers
-
-
-def blocking_reasons(layers: Traversability, x: float, y: float) -> str:
-    """Return the reasons why a vehicle cannot be at a position, as text; empty if it can."""
-    off = to_edge(layers.limits, np.asarray(x), np.asarray(y)) < 0
-    i, j = node_at(layers, x, y)
-    if not off and math.isfinite(layers.cost[i, j]):
-        return ""
-    at = (x, y) if off else (float(layers.x[i]), float(layers.y[j]))
-    return "; ".join(reasons_by_kind(layers, *at).values())
-
-
-def level_clearance(vehicle: Vehicle) -> tuple[float, float]:
-    """Return the clearance of the lowest body on level ground, and half its least width [m].
-
-    All joints are at zero. The clearance is infinite for a vehicle without shapes.
-    """
-    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
-    values = {c.name: ca.SX(0) for c in vehicle.coordinates}
-    poses, parts = vehicle.carriers(rest, values), vehicle.parts(rest, values)
-    bottoms = [
-        float(pose.origin[2]) - wheel.radius
-        for wheel, pose in zip(vehicle.wheels, poses, strict=True)
-    ]
-    lows = [
-        (float(low) - min(bottoms), width)
-        for name, shape in vehicle.shapes
-        for low, width in [lowest_point(shape, parts[name])]
-    ]
-    return min(lows, default=(math.inf, 0.0))
-
-
-def _rise(grid: Grid, x: Array, y: Array, half: float, inner: float) -> Array:
-    """Return how far the ground rises above its mean under the footprint, at every node [m].
-
-    It is the largest rise within the distance ``inner`` of the node, where the body is above the
-    ground in every heading.
-    """
-    relief = grid.z - footprint_mean(grid.z, grid.spacing, half)
-    # a node of the coarse grid stands for its cell
-    sides = [
-        max(2 * _nodes_within(inner, h) + 1, 2 * math.ceil(axis_step(new) / h / 2) + 1)
-        for new, h in zip((x, y), grid.spacing, strict=True)
-    ]
-    highest = scipy.ndimage.maximum_filter(relief, sides)
-    nearest = [nearest_nodes(old, new) for old, new in ((grid.x, x), (grid.y, y))]
-    return np.asarray(highest[np.ix_(*nearest)])
 
 
 def extents(vehicle: Vehicle) -> tuple[float, float, float]:
@@ -367,42 +318,27 @@ def extents(vehicle: Vehicle) -> tuple[float, float, float]:
     return float(right), float(forward), float((np.hypot(*at.T) + radius).max())
 
 
-# Layers
+# Blocked nodes
 
 
-def _friction(terrain: Bicubic, x: Array, y: Array, half: float) -> Array | None:
-    """Return the mean friction coefficient under the footprint [1]; None if the ground has none."""
-    mu = terrain.mu
-    if mu is None:
-        return None
-    if isinstance(mu, float | int):
-        return np.full((x.size, y.size), float(mu))
-    if isinstance(mu, Grid):
-        surface = friction_map(mu, terrain.origin[:2])
-        at_nodes = surface.elevation(x[:, None], y[None, :]) if surface else np.empty(0)
-    else:
-        at_nodes = _formula(mu, x, y)
-    return footprint_mean(at_nodes, (axis_step(x), axis_step(y)), half)
+def blocking_reasons(layers: Traversability, x: float, y: float) -> str:
+    """Return the reasons why a vehicle cannot be at a position, as text; empty if it can."""
+    off = to_edge(layers.limits, np.asarray(x), np.asarray(y)) < 0
+    i, j = node_at(layers, x, y)
+    if not off and math.isfinite(layers.least_cost[i, j]):
+        return ""
+    at = (x, y) if off else (float(layers.x[i]), float(layers.y[j]))
+    return "; ".join(reasons_by_kind(layers, *at).values())
 
 
-def _formula(function: Formula, x: Array, y: Array) -> Array:
-    """Return the values of a formula on a grid, computed for one x at a time."""
-    at, line = ca.SX.sym("x"), ca.SX.sym("y", y.size)
-    values = [ca.SX(function(at, line[j])) for j in range(y.size)]
-    f = ca.Function("friction", [at, line], [ca.vertcat(*values)])
-    return np.array([np.array(f(float(each), y)).ravel() for each in x])
+def out_of_bounds(layers: Traversability) -> dict[str, Mask]:
+    """Return the masks of nodes at which a wheel could leave its bounds, by reason.
 
-
-def blocked_by(layers: Traversability) -> dict[str, Mask]:
-    """Return the masks of blocked nodes, by reason; a node may have several.
-
-    A wheel could reach over the ``"edge"`` of the map, into a ``"hole"`` or into a ``"keep_out"``
-    region. The ground has a ``"slope"`` that is too steep or that ``"friction"`` cannot hold, a
-    ``"roughness"`` of at least the wheel radius, a ``"hollow"`` whose radius is at most the wheel
-    radius, or a rise up to the body of the vehicle, whose ``"clearance"`` it exceeds.
+    It could reach over the ``"edge"`` of the map, into a ``"hole"`` or into a ``"keep_out"``
+    region.
     """
     x, y, limits = layers.x[:, None], layers.y[None, :], layers.limits
-    keep_out = np.zeros(layers.cost.shape, dtype=bool)
+    keep_out = np.zeros(layers.to_hole.shape, dtype=bool)
     for region in limits.keep_out:
         part = window(layers, region.bounds, limits.reach)
         inside = region.distance(*np.broadcast_arrays(x[part[0]], y[:, part[1]])) < limits.reach
@@ -410,15 +346,27 @@ def blocked_by(layers: Traversability) -> dict[str, Mask]:
     return {
         "edge": to_edge(limits, x, y) < limits.reach,
         "hole": layers.to_hole < limits.reach,
-        "slope": layers.slope > limits.steepest,
-        "friction": np.zeros_like(keep_out) if layers.friction is None else layers.friction >= 1,
-        "roughness": layers.roughness >= limits.radius,
-        "hollow": layers.hollow * limits.radius >= 1,
-        "clearance": np.zeros_like(keep_out)
-        if layers.rise is None
-        else layers.rise >= limits.clearance,
         "keep_out": keep_out,
     }
+
+
+def blocked_by(layers: Traversability) -> dict[str, Mask]:
+    """Return the masks of blocked nodes, by reason; a node may have several.
+
+    The reasons are those of `out_of_bounds`; ``"friction"``, which holds no heading at the nearest
+    pose although the vehicle stands; and ``"pose"``, if no heading is possible otherwise.
+    """
+    masks, blocked = out_of_bounds(layers), np.isinf(layers.least_cost)
+    slides = np.zeros_like(blocked)
+    if layers.poses is not None and "utilisation" in layers.poses.bands:
+        used, stands = layers.poses["utilisation"], layers.poses.stands
+        at_poses = np.asarray(stands.any(axis=0) & ~(used < MAX_UTILISATION).any(axis=0))
+        nearest = [
+            np.abs(axis[:, None] - at).argmin(axis=1)
+            for axis, at in ((layers.x, layers.poses.x), (layers.y, layers.poses.y))
+        ]
+        slides = blocked & at_poses[np.ix_(*nearest)]
+    return masks | {"friction": slides, "pose": blocked & ~slides}
 
 
 def to_edge(limits: Limits, x: Array, y: Array) -> Array:
@@ -442,7 +390,10 @@ def window(
 
 
 def reasons_by_kind(layers: Traversability, x: float, y: float) -> dict[str, str]:
-    """Return the reasons why a vehicle cannot be at a position; keys as in `blocked_by`."""
+    """Return the reasons why a vehicle cannot be at a position, by kind.
+
+    The kinds are those of `out_of_bounds`, and ``"pose"`` if no heading is possible.
+    """
     limits, words = layers.limits, {}
     inside = float(to_edge(limits, np.asarray(x), np.asarray(y)))
     if inside < 0:
@@ -451,7 +402,12 @@ def reasons_by_kind(layers: Traversability, x: float, y: float) -> dict[str, str
         words["edge"] = (
             f"{inside:.3g} m from the edge of the map, and wheels reach {limits.reach:.3g} m"
         )
-    words |= _ground_reasons(layers, *node_at(layers, x, y))
+    i, j = node_at(layers, x, y)
+    if layers.to_hole[i, j] < limits.reach:
+        words["hole"] = (
+            f"{max(layers.to_hole[i, j], 0):.3g} m from a hole in the map, where heights are "
+            f"missing, and wheels reach {limits.reach:.3g} m"
+        )
     near = [
         f"inside the keep-out {region.words}"
         if distance < 0
@@ -460,44 +416,25 @@ def reasons_by_kind(layers: Traversability, x: float, y: float) -> dict[str, str
         for region in limits.keep_out
         if (distance := float(region.distance(np.asarray(x), np.asarray(y)))) < limits.reach
     ]
-    return words | ({"keep_out": "; ".join(near)} if near else {})
-
-
-def _ground_reasons(layers: Traversability, i: int, j: int) -> dict[str, str]:
-    """Return the reasons why the ground at a node is blocked."""
-    limits, words, slope = layers.limits, {}, float(layers.slope[i, j])
-    used = 0.0 if layers.friction is None else float(layers.friction[i, j])
-    if layers.to_hole[i, j] < limits.reach:
-        words["hole"] = (
-            f"{max(layers.to_hole[i, j], 0):.3g} m from a hole in the map, where heights are "
-            f"missing, and wheels reach {limits.reach:.3g} m"
-        )
-    if used >= 1:
-        words["friction"] = (
-            f"slope of {math.degrees(slope):.3g} degrees needs a friction coefficient of "
-            f"{math.tan(slope):.3g}, the ground offers {math.tan(slope) / used:.3g}"
-        )
-    elif slope > limits.steepest:
-        words["slope"] = (
-            f"slope of {math.degrees(slope):.3g} degrees, steeper than the "
-            f"{math.degrees(limits.steepest):.3g} degrees that the vehicle can climb"
-        )
-    if layers.roughness[i, j] >= limits.radius:
-        words["roughness"] = (
-            f"roughness of {layers.roughness[i, j]:.3g} m, not less than the wheel radius of "
-            f"{limits.radius:.3g} m"
-        )
-    if layers.hollow[i, j] * limits.radius >= 1:
-        words["hollow"] = (
-            f"hollow of {1 / layers.hollow[i, j]:.3g} m radius, too narrow for the wheel radius of "
-            f"{limits.radius:.3g} m"
-        )
-    if layers.rise is not None and layers.rise[i, j] >= limits.clearance:
-        words["clearance"] = (
-            f"rise of {layers.rise[i, j]:.3g} m above the mean height under the vehicle, whose "
-            f"body clears {limits.clearance:.3g} m on level ground"
-        )
+    words |= {"keep_out": "; ".join(near)} if near else {}
+    if layers.poses is not None and not words and math.isinf(layers.least_cost[i, j]):
+        words["pose"] = _pose_reasons(layers.poses, x, y)
     return words
+
+
+def _pose_reasons(poses: Atlas, x: float, y: float) -> str:
+    """Return why no heading is possible at the node of the poses nearest to a position."""
+    i, j = (int(np.abs(axis - at).argmin()) for axis, at in ((poses.x, x), (poses.y, y)))
+    codes = poses["reason"][:, i, j]
+    words = [poses.reasons[int(code)] for code in np.unique(codes[codes > 0])]
+    if "utilisation" in poses.bands and (codes == 0).any():
+        words.insert(0, more_friction_words(float(np.nanmin(poses["utilisation"][:, i, j]))))
+    return f"no heading is possible: {' or '.join(words)}"
+
+
+def more_friction_words(factor: float) -> str:
+    """Return a text about friction that would have to be larger by a factor."""
+    return f"the vehicle needs at least {factor:.3g} times the friction of the ground"
 
 
 # Nodes
@@ -508,6 +445,12 @@ def nodes_at(
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     """Return the indices of the nodes nearest to points in map coordinates, shape (n, 2)."""
     return nearest_nodes(layers.x, points[:, 0]), nearest_nodes(layers.y, points[:, 1])
+
+
+def nearest_headings(layers: Traversability, steps: Array) -> npt.NDArray[np.intp]:
+    """Return the indices of the headings nearest to the directions of steps, shape (n, 2)."""
+    turns = np.arctan2(-steps[:, 0], steps[:, 1]) / (2 * np.pi) * layers.heading.size
+    return np.mod(np.rint(turns), layers.heading.size).astype(np.intp)
 
 
 def node_at(layers: Traversability, x: float, y: float) -> tuple[int, int]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array
+from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import Trajectory, stop_words
 from slipfree.files.urdf.links import Robot, poses_on_map, wheel_name
 from slipfree.files.urdf.tree import UrdfJoint
@@ -79,8 +79,11 @@ class Driven(NamedTuple):
     visuals: Mapping[str, TriangleMesh] = {}  # of links of the URDF, in their frames, by name
 
 
-def drive_scene(drives: Sequence[Driven]) -> Scene:
-    """Return the scene of motions over the ground of the first; other grounds are a ModelError."""
+def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
+    """Return the scene of motions over the ground of the first; other grounds are a ModelError.
+
+    The ground can also have colours of the poses of the first vehicle, which take a while.
+    """
     first, grid = drives[0], drives[0].terrain.grid
     reach = max(extents(drive.vehicle)[2] for drive in drives)
     window = _window(drives, grid, reach)
@@ -92,9 +95,8 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
     ways = [np.stack([run["x"], run["y"]], axis=1) for run in _runs(drives)]
     fine = refined(drawn, first.terrain, ways, NEXT * reach, FINE * reach)
     origin = np.round([x.mean(), y.mean(), drawn.values.mean()])
-    layers = [
-        each._replace(colors=fine.spread(each.colors)) for each in _layers(drawn, first, window)
-    ]
+    layers = [*_layers(drawn), *(_pose_layers(drawn, first, window) if with_poses else ())]
+    layers = [each._replace(colors=fine.spread(each.colors)) for each in layers]
     warnings = [*_off(drives, fine, SEEN), *_others(drives)]
     notes = [_cropped(grid, fine), *_off(drives, fine, 0.0)]
     solids = [solid_mesh(each, window, drawn.values.min(), origin) for each in first.prisms]
@@ -202,17 +204,16 @@ def _window(drives: Sequence[Driven], grid: Grid, reach: float) -> Window:
     return west, east, south, north
 
 
-def _layers(drawn: Grid, drive: Driven, window: Window) -> Iterable[Layer]:
-    """Yield the colourings of the ground."""
+def _layers(drawn: Grid) -> Iterator[Layer]:
+    """Yield the colourings of the ground by its heights."""
     low, high = float(drawn.values.min()), float(drawn.values.max())
     yield layer("height", drawn.z.ravel(), f"{low:.4g} to {high:.4g} m", low, high)
     slope = np.degrees(np.arctan(np.hypot(*np.gradient(drawn.z, *drawn.spacing)))).ravel()
     yield layer("slope", slope, f"0 to {slope.max():.3g} degrees", 0.0, float(slope.max()))
-    yield _traversability(drawn, drive, window)
 
 
-def _traversability(drawn: Grid, drive: Driven, window: Window) -> Layer:
-    """Return the layer of a vehicle's cost per metre of path, grey at blocked nodes."""
+def _pose_layers(drawn: Grid, drive: Driven, window: Window) -> Iterator[Layer]:
+    """Yield the colourings by the poses of a vehicle, grey where no heading is possible."""
     terrain, reach = drive.terrain, extents(drive.vehicle)[2]
     wide_x, wide_y = (2 * reach + 3 * cell for cell in terrain.grid.spacing)
     wide = (window[0] - wide_x, window[1] + wide_x, window[2] - wide_y, window[3] + wide_y)
@@ -226,13 +227,20 @@ def _traversability(drawn: Grid, drive: Driven, window: Window) -> Layer:
     part = Bicubic(cut(terrain.grid, near), terrain.center, terrain.mu)
     layers = traversability(part, drive.vehicle, keep_out=drive.keep_out)
     places = np.stack(np.meshgrid(drawn.x, drawn.y, indexing="ij"), axis=-1).reshape(-1, 2)
-    cost = layers.cost[nodes_at(layers, places)]
-    free = np.isfinite(cost)
-    top = float(np.percentile(cost[free], 99)) if free.any() else 1.0
-    legend = f"cost per metre of path, 1 to {top:.3g}; grey: blocked"
-    coloured = layer("traversability", np.where(free, cost, 1.0), legend, 1.0, top)
-    coloured.colors[~free] = BLOCKED
-    return coloured
+    costs = layers.cost[:, *nodes_at(layers, places)]
+    least, share = costs.min(axis=0), np.isfinite(costs).mean(axis=0)
+    free = np.isfinite(least)
+    top = float(np.percentile(least[free], 99)) if free.any() else 1.0
+    words = f"cost per metre of path in the best direction, 1 to {top:.3g}; grey: blocked"
+    yield _gray(layer("traversability", np.where(free, least, 1.0), words, 1.0, top), ~free)
+    words = "share of headings at which the vehicle stands and is held, 0 to 1; grey: none"
+    yield _gray(layer("headings", share, words, 0.0, 1.0), ~free)
+
+
+def _gray(colored: Layer, part: Mask) -> Layer:
+    """Return a layer with gray vertices in a part."""
+    colored.colors[part] = BLOCKED
+    return colored
 
 
 def _actor(

@@ -39,11 +39,8 @@ BLOCKED = {  # colour and description of blocked nodes by reason, in order of pr
     "keep_out": ("0.4", "too close to a keep-out region"),
     "edge": ("0.8", "too close to the edge of the map"),
     "hole": ("0.9", "too close to a hole in the map"),
-    "friction": ("#D55E00", "too steep for friction"),
-    "slope": ("#CC79A7", "too steep"),
-    "roughness": ("#F0E442", "too rough"),
-    "hollow": ("#E69F00", "too concave for wheels"),
-    "clearance": ("#8C510A", "rises to the vehicle's body"),
+    "friction": ("#D55E00", "friction holds no heading"),
+    "pose": ("#CC79A7", "the vehicle does not stand"),
 }
 FAR = 0.6  # for a motion with a smaller extent only a part of the map is drawn [map]
 WRAP = 20  # characters of a line of labels and legends beside axes
@@ -63,18 +60,20 @@ Place = tuple[str, float, float]
 
 
 def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Axes:
-    """Draw the cost per metre of path in a window of the map, and the reasons of blocked nodes."""
+    """Draw the cost in the best direction in a window of the map, and reasons of blocked nodes.
+
+    Without poses, only the reasons are drawn.
+    """
     where = ground_drawing.extent(layers.x, layers.y) | {"interpolation": "nearest"}
     shown = (layers.x >= window[0]) & (layers.x <= window[1])
     part = shown[:, None] & (layers.y >= window[2]) & (layers.y <= window[3])
-    free = np.isfinite(layers.cost)
-    inside = layers.cost[free & part]
+    least = layers.least_cost
+    free = np.isfinite(least)
+    inside = least[free & part]
     top = MIN_SCALE_END
     if inside.size:
         top = max(float(np.percentile(inside, MAX_PERCENTILE)), MIN_SCALE_END)
-    costs = ax.imshow(
-        np.where(free, layers.cost, np.nan).T, cmap=COSTS, norm=Normalize(1, top), **where
-    )
+    costs = ax.imshow(np.where(free, least, np.nan).T, cmap=COSTS, norm=Normalize(1, top), **where)
     ax.imshow(_blocked(layers, part, ax).transpose(1, 0, 2), **where)
     ground_drawing.contours(grid, ax, window)
     ground_drawing.hatch(grid, grid.holes, window, "no heights", "0.4", ax)
@@ -82,6 +81,8 @@ def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Ax
         x_min, x_max, y_min, y_max = region.bounds
         if x_min < window[1] and x_max > window[0] and y_min < window[3] and y_max > window[2]:
             ax.add_patch(_outline(region))
+    if layers.poses is None:
+        return ax
     dearer = inside.size > 0 and inside.max() > top
     bar = ax.figure.colorbar(
         costs, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)), extend="max" if dearer else "neither"
@@ -342,8 +343,8 @@ def _bound(value: float, ax: Axes, color: str = "0.4", words: str = "limit") -> 
 
 def _blocked(layers: Traversability, part: Mask, ax: Axes) -> Array:
     """Return the colours of blocked nodes, shape (n_x, n_y, 4), and label their reasons."""
-    colors, masks = np.zeros((*layers.cost.shape, 4)), blocked_by(layers)
-    left = np.isinf(layers.cost)
+    colors, masks = np.zeros((*layers.to_hole.shape, 4)), blocked_by(layers)
+    left = np.isinf(layers.least_cost)
     for name, (color, words) in BLOCKED.items():
         mine = masks[name] & left
         colors[mine] = to_rgba(color)

@@ -56,7 +56,7 @@ class AtlasTable(Record):
     error: Positive | None = Field(
         default=None,
         description="standard deviation and largest magnitude of errors of the heights, for the "
-        "resulting errors of roll, pitch and tip-over margin [m]",
+        "resulting errors of roll, pitch, tip-over margin and clearance of bodies [m]",
     )
     within: dict[str, Range] = Field(
         default={},
@@ -187,11 +187,6 @@ class AtlasSetup:
             words.append(
                 "the ground has no coefficient of friction: the map has the least coefficient, but "
                 "headings that slide are allowed; give one: friction in [terrain], or --friction"
-            )
-        if self.problem.spec.atlas.error and self.model.rest.numel():
-            words.append(
-                "the wheels are pressed into the ground: the map has no errors of roll, pitch and "
-                "tip-over margin; omit 'error'"
             )
         size = extents(self.vehicle)[2]
         grid = self.ground.grid

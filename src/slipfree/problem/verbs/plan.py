@@ -73,10 +73,11 @@ from slipfree.problem.verbs.plan_search import (
 )
 from slipfree.problem.verbs.plan_setup import (
     Planning,
+    build_layers,
     build_planning,
     long_plan,
 )
-from slipfree.routing.traversability import Traversability, traversability
+from slipfree.routing.traversability import Traversability
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
 from slipfree.solve.simulate import simulate
@@ -257,12 +258,13 @@ def _line_points(name: str, arrays: Mapping[str, Array]) -> Array:
 
 
 def layers_of(result: Result, ground: GroundMap) -> Traversability:
-    """Return the traversability of the ground for the vehicle of a result."""
+    """Return where the vehicle of a result can be on the ground, as its set-up does."""
     if result.setup is not None:
         layers: Traversability = result.setup.layers
         return layers
     problem, terrain = result.problem, build_terrain(result.problem, ground)
-    return traversability(terrain, vehicle_of(result), keep_out=regions(problem))
+    places, _ = places_of(problem, way_points_of(problem), terrain.domain)
+    return build_layers(problem, terrain, vehicle_of(result), places)
 
 
 def figure_options(result: Result) -> dict[str, Any]:

@@ -61,8 +61,14 @@ from slipfree.problem.verbs.plan_schema import (
     spelled,
     way_points_of,
 )
-from slipfree.routing.reachability import unreachable
-from slipfree.routing.traversability import Traversability, extents, traversability
+from slipfree.routing.reachability import unheld_words, unreachable
+from slipfree.routing.traversability import (
+    Traversability,
+    extents,
+    free_space,
+    point_text,
+    traversability,
+)
 from slipfree.solve.sampling import input_samples
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
@@ -197,11 +203,18 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     check_names(problem, dae, spec.inputs, driven)
     keep_out, between = regions(problem), way_points_of(problem)
     places, exact = places_of(problem, between, terrain.domain)
-    layers = traversability(terrain, vehicle, keep_out=keep_out)
-    wrong = [each for each in unreachable(layers, places) if each.sure and each.name in exact]
+    layers = build_layers(problem, terrain, vehicle, places)
+    wrong = [each for each in unreachable(layers, places) if each.name in exact]
     if wrong:
         where = problem.source.where((key_of(wrong[0].name),))
         raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
+    for name, x, y in places:
+        if name in exact and (why := unheld_words(terrain, vehicle, x, y)):
+            where = problem.source.where((key_of(name),))
+            raise ProblemError(
+                f"{where}: the vehicle cannot be at the {name} {point_text((x, y))}: {why}; move "
+                f"the {name} or give the ground more friction"
+            )
     start = build_start(problem, dae)
     _check_quantities(problem, dae)
     with at(problem, ("plan",)):
@@ -222,6 +235,18 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     setup = ground, terrain, vehicle, dae, dae, start, *starts[0], words
     search = layers, places, keep_out, starts, spec, between, trip, guide, duration
     return Planning(*setup, *search)
+
+
+def build_layers(
+    problem: Problem[PlanKeys], terrain: Bicubic, vehicle: Vehicle, places: tuple[Place, ...]
+) -> Traversability:
+    """Return where the vehicle can be; with costs of its poses if a route may be searched."""
+    spec, driver, keep_out = problem.spec, problem.spec.driver, regions(problem)
+    if spec.inputs is not None or (driver is not None and driver.name != "route"):
+        return free_space(terrain, vehicle, keep_out=keep_out)
+    points = np.array([place[1:] for place in places])
+    backwards = driver is not None and driver.speed < 0
+    return traversability(terrain, vehicle, keep_out=keep_out, backwards=backwards, places=points)
 
 
 def momentum_models(problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicubic) -> list[Dae]:
