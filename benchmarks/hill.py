@@ -1,10 +1,10 @@
 """A skid-steered robot on a hillside: errors of baselines and of models on the map.
 
-``python benchmarks hill FOLDER [--judge OTHER] [--models NAME ...] [--from-positions]
-[--figures DIR]`` reads public logs that are not part of the project (source: docs/measured.md):
-folders of logs ``*.txt.gz``, one for each campaign, and the elevation model. Each campaign is
-predicted with constants that were fitted to the others; with ``--judge``, the logs of OTHER with
-constants that were fitted to all of FOLDER.
+``python benchmarks hill FOLDER [--judge OTHER] [--models NAME ...] [--unknowns NAME ...]
+[--from-positions] [--figures DIR]`` reads public logs that are not part of the project (source:
+docs/measured.md): folders of logs ``*.txt.gz``, one for each campaign, and the elevation model.
+Each campaign is predicted with constants that were fitted to the others; with ``--judge``, the logs
+of OTHER with constants that were fitted to all of FOLDER.
 
 ``python benchmarks hill [--draws N]`` fits synthetic logs with known truth.
 """
@@ -30,6 +30,7 @@ from slipfree.fit.ground_fit import (
     rms,
 )
 from slipfree.fit.ground_motion import (
+    DRIVES_AND_SENSORS,
     MODELS,
     DriveLog,
     Slopes,
@@ -246,6 +247,7 @@ def main() -> None:
     parser.add_argument("--from-positions", action="store_true", help="courses from positions only")
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--models", nargs="+", choices=ALL, default=JUDGED)
+    parser.add_argument("--unknowns", nargs="+", choices=DRIVES_AND_SENSORS, default=[])
     given = parser.parse_args()
     if given.folder is None:
         for line in synthetic(given.draws):
@@ -260,12 +262,9 @@ def main() -> None:
     logs = read_logs(folder, origin, has_velocities)
     others = read_logs(given.judge, origin, has_velocities) if given.judge else []
     began = time.perf_counter()
-    scores, fits = judge(
-        logs,
-        slopes,
-        {name: ALL[name] for name in given.models},
-        others=others,
-    )
+    unknowns = [Unknown(name, name) for name in given.unknowns]
+    models = {name: with_drives_and_sensors(ALL[name], unknowns) for name in given.models}
+    scores, fits = judge(logs, slopes, models, others=others)
     print(f"{len(logs)} logs, {time.perf_counter() - began:.0f} s")
     for part in (errors_of, against, slips_of):
         for line in part(scores):

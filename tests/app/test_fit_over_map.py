@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from numpy.testing import assert_allclose
 
 from helpers.commands import printed
 from helpers.hillside import AXIS, HILL, TRUE, drive
+from slipfree.batch.evaluator import evaluator_of
+from slipfree.fit import ground_vehicle
 from slipfree.fit.ground_fit import judge
 from slipfree.fit.ground_motion import MODELS, Slopes
 from slipfree.problem.load import load_problem
@@ -129,6 +132,26 @@ def test_vehicles_and_their_unknowns(folder: Path) -> None:
         "fit", "hill.toml", "--set", "models=[]", "--set", "unknowns={}", code=2
     )
     assert "expected at least one model, or a vehicle, found none" in printed_words
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.slow  # 8 s: interpreted equations of a vehicle, since a compilation takes as long
+def test_vehicle_is_judged_beside_the_models(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fitted, least slip predicts the motion of a differential drive of another track."""
+    function = partial(evaluator_of, compiled=False)
+    monkeypatch.setattr(ground_vehicle, "evaluator_of", function)
+    own = PROBLEM.replace('"differential", "slope"', '"differential"')
+    own = own.replace('"a/0.csv", "a/1.csv", "b/2.csv", "b/3.csv"', '"a/0.csv", "b/2.csv"')
+    unknowns = "[unknowns.radius]\n[unknowns.track]\nlower = 0.6\n"
+    Path("hill.toml").write_text(own + '[vehicle]\ncatalog = "differential_drive"\n' + unknowns)
+    shown = json.loads(printed("--json", "fit", "hill.toml", "--no-draw"))
+    errors = {(r["model"], r["length"]): r["position_rms"] for r in shown["errors"]}
+    for length in (5.0, 0.0):
+        ratio = errors["vehicle", length] / errors["differential", length]
+        assert ratio == pytest.approx(1.0, abs=0.03)
+    words = [shown["facts"][key] for key in ("differential drive", "vehicle, kinematics")]
+    tracks = [float(each.split("track ")[1].split()[0]) for each in words]
+    assert tracks[1] == pytest.approx(tracks[0], rel=0.02)
 
 
 def test_folders_of_the_same_name_are_left_out_separately(folder: Path) -> None:

@@ -379,7 +379,11 @@ MODELS = {
 
 def with_drives_and_sensors(model: MotionModel, unknowns: Sequence[Unknown]) -> MotionModel:
     """Return a model with those unknowns that are constants of drives and sensors."""
-    added = [each for each in unknowns if each.quantity in DRIVES_AND_SENSORS]
+    added = [
+        each
+        for each in unknowns
+        if each.quantity in DRIVES_AND_SENSORS and each.quantity not in model.start
+    ]
     bounds = {}
     for each in added:
         low, high = _BOUNDS[each.quantity]
