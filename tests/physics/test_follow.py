@@ -8,8 +8,19 @@ from numpy.testing import assert_allclose
 
 from helpers.cases import closure_model, hills
 from helpers.vehicles import skid_steered
-from slipfree import Analytic, Bicubic, ModelError, Path, follow, settle, simulate, straight
-from slipfree.catalog import three_wheeler
+from slipfree import (
+    Analytic,
+    Bicubic,
+    ModelError,
+    Path,
+    commanded,
+    direct_kinematics,
+    follow,
+    settle,
+    simulate,
+    straight,
+)
+from slipfree.catalog import ackermann, three_wheeler
 from slipfree.control import path_following as laws
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.sections import Torus
@@ -146,3 +157,17 @@ def test_laws_name_what_they_need():
     dae = closure_model(trailer, FLAT)
     with pytest.raises(ModelError, match="driven wheels on both sides, found neither in 'trailer'"):
         follow(dae, trailer, Path(WAY), speed=1.0)
+
+
+def test_commands_are_met_on_a_plane():
+    """A car turns at the commanded rate once it is steered: a closed form of planar motion."""
+    vehicle = ackermann()
+    model = commanded(direct_kinematics(vehicle, FLAT), vehicle, speed=0.5)
+    turn = model.inputs(forward=0.5, yaw_rate=0.15)
+    run = simulate(model, settle(model), turn, np.linspace(0, 20, 101))
+    assert_allclose(np.diff(run["heading"])[50:], 0.15 * 0.2, rtol=0.02)
+    speed = np.hypot(np.diff(run["x"]), np.diff(run["y"])) / 0.2
+    assert_allclose(speed[50:], 0.5, rtol=0.02)
+    for value in (0.0, -1.0, np.inf):
+        with pytest.raises(ModelError, match="speed: expected a positive, finite speed"):
+            commanded(direct_kinematics(vehicle, FLAT), vehicle, speed=value)

@@ -2,14 +2,17 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from slipfree import (
     Bicubic,
+    Cost,
     Grid,
     ModelError,
+    Region,
     SamplingTask,
     SolverError,
     catalog,
@@ -93,6 +96,63 @@ def test_the_seed_decides_and_threads_do_not(task, tmp_path_factory, monkeypatch
     assert_array_equal(two.inputs, one.inputs)
     assert_allclose(sample_plan(task, x).inputs, one.inputs, atol=1e-9)
     assert (sample_plan(replace(task, seed=1), x).inputs != one.inputs).any()
+    # candidates that leave the map, and rough ground where steps are repeated
+    x = state(task, settle(task.model, y=2.0))
+    far = {"x": 0.0, "y": 6.0}
+    names = sample_plan(replace(task, compiled=True), x, goal=far).ends
+    assert names == sample_plan(task, x, goal=far).ends
+    assert names
+
+
+def test_forces_are_costs(task):
+    """The drives' torques follow from the motion; their cost is that of a simulation."""
+    squares = ca.sumsqr(ca.vertcat(*task.model.named("drive_torque")))
+    costs = [Cost("torque", squares, "N2 m2 s", "squared torques")]
+    loaded = replace(task, costs=costs, goal={}, candidates=1)
+    start = settle(task.model, y=-1.0)
+    found = sample_plan(loaded, state(task, start))
+    times = np.linspace(0.0, 2.0, 101)
+    inputs = inputs_of(task, np.repeat(found.inputs, 20, axis=1))
+    run = simulate(task.model, start, inputs, times)
+    paid = np.trapezoid((run["drive_torque"] ** 2).sum(axis=1), times)
+    assert found.cost == pytest.approx(paid, rel=0.05)  # trapezoids of 0.4 s
+
+
+def test_samples_of_a_plan_are_tracked(task):
+    """Values at every sample are followed; the last ones alone leave the way open."""
+    start = state(task, settle(task.model, y=-1.0))
+    y = -1.0 + 0.25 * task.t
+    found = None
+    for _ in range(8):
+        found = sample_plan(task, start, found, elapsed=0.0, goal={"x": 0 * y, "y": y})
+    assert np.abs(found.x[1] - y).max() < 0.05
+    with pytest.raises(ModelError, match="unknown 'z'"):
+        sample_plan(task, start, goal={"z": 1.0})
+
+
+def test_regions_that_are_seen_late_are_avoided(task):
+    """An obstacle between start and goal: no motion that is returned enters it."""
+    start, found = state(task, settle(task.model, y=-1.0)), None
+    rock = Region.disc(0.05, 0.0, radius=0.35)
+    straight = sample_plan(task, start)
+    for _ in range(6):
+        found = sample_plan(task, start, found, elapsed=0.0, keep_out=[rock])
+    assert "the platform enters a keep-out region" in found.ends
+    assert np.isfinite(found.cost)
+    line = np.linspace(found.x[:2, :-1], found.x[:2, 1:], 9)
+    assert rock.distance(*np.moveaxis(line, 1, 0)).min() > -0.01
+    assert straight.complete > found.complete
+
+
+def test_candidates_with_a_second_contact_have_no_weight(task):
+    """A trench narrower than a wheel crosses the way: the vehicle stays before it."""
+    axis = np.linspace(-4.0, 4.0, 161)
+    z = np.where(np.abs(axis - 0.6) < 0.06, -0.15, 0.0) * np.ones((161, 1))
+    model = direct_kinematics(catalog.three_wheeler(axle="fixed"), Bicubic(Grid(axis, axis, z)))
+    trench = replace(task, model=model)
+    found = sample_plan(trench, state(trench, settle(model, y=-1.0)))
+    assert any("apart from the contact point" in words for words in found.ends)
+    assert np.isfinite(found.cost)
 
 
 def test_candidates_that_leave_the_map_have_no_weight(task):
@@ -123,9 +183,10 @@ def test_inputs_are_shifted_by_the_time_since_the_last_cycle(task):
     quiet = replace(task, candidates=1)
     start = state(task, settle(task.model, y=-1.0))
     first = sample_plan(quiet, start)._replace(inputs=np.outer([1.0, 1.0, 0.0], np.arange(5.0) / 2))
-    for elapsed, shift in ((None, 1), (0.8, 2), (9.0, 4)):
+    for elapsed, shift in ((None, 1), (0.8, 2), (0.2, 0.5), (9.0, 4)):
         later = sample_plan(quiet, start, first, elapsed=elapsed)
-        expected = first.inputs[:, np.minimum(np.arange(5) + shift, 4)]
+        times = np.minimum(np.arange(5) + shift, 4)
+        expected = [np.interp(times, np.arange(5), row) for row in first.inputs]
         assert_allclose(later.inputs, expected, atol=1e-12)
 
 
