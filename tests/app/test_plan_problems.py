@@ -265,7 +265,6 @@ def _driven(folder: Path, goal: str, duration: float) -> Result:
     file.write_text(
         'verb = "plan"\nframe = "rep103"\ncosts = { slip = 1.0, effort = 0.1 }\n'
         f"goal = {goal}\nplan = {{ intervals = 20, duration = {duration} }}\n"
-        "start = { heading = 0.0 }\n"
         'driver = { name = "straight", speed = 0.25 }\n'
         f"time = {{ duration = {duration}, step = 0.5 }}\n"
         'vehicle = { catalog = "differential_drive" }\n'

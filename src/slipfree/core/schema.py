@@ -86,7 +86,7 @@ def check_bounds(record: Any) -> None:
     for key in keys_of(type(record)):
         value = getattr(record, key.name)
         remedy = "change it" if key.default is MISSING else f"the default is {key.default}"
-        if isinstance(value, ca.SX):  # a parameter
+        if value is None or isinstance(value, ca.SX):  # a parameter
             continue
         for bound in key.hint.__metadata__:
             for name, (sign, holds) in BOUNDS.items():

@@ -35,7 +35,8 @@ from slipfree.plan.transcription import SAMPLE_STEP, PlanTask
 from slipfree.plan.verification import simulate_to_failure
 from slipfree.routing.reeds_shepp import reeds_shepp
 from slipfree.routing.search import route, routes
-from slipfree.routing.traversability import Traversability, traversability
+from slipfree.routing.smoothing import resample_polyline
+from slipfree.routing.traversability import Traversability, nodes_at, traversability
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import input_samples
 from slipfree.solve.settle import settle
@@ -47,6 +48,7 @@ PACE = 0.5  # default speed, in sizes of the vehicle per second
 FROUDE = 0.5  # default speed with inertia, relative to the root of gravity times size
 BOUND_SHARE = 0.5  # default speed relative to that at the bounds of the wheel rates
 AHEAD = 3.0  # distance driven to a goal without a place, in sizes of the vehicle
+DETOUR = 1.1  # cost of a direct path, relative to a route, up to which it is preferred
 SAME_PLACE = 1e-6  # distance of places that count as one [m]
 GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
 
@@ -133,8 +135,8 @@ def choose_guide(
 
     The vehicle reverses along arcs to a goal that it cannot reach by turning forwards, if the
     ``bounds`` of its inputs allow it. Otherwise it drives along at most ``count`` routes over the
-    map, or along the places if there is no map or no route, or straight ahead without a place to
-    reach.
+    map; directly along the places if there is no map or no route, or where the first route is
+    hardly cheaper; or straight ahead without a place to reach.
     """
     radius, speed = turning_radius(trip.vehicle), _default_speed(trip, bounds)
     wheels = [f"{wheel.name}_rate" for wheel in trip.vehicle.wheels if wheel.driven]
@@ -147,9 +149,19 @@ def choose_guide(
     if layers is not None:
         with suppress(ModelError):  # a plan may exist: a route needs space for every heading
             most = count if len(trip.places) == 2 else 1
-            paths = ground_routes(layers, trip.places, turning_radius=radius, count=most)
-            return Guide("route", speed, radius, paths)
+            first, *others = ground_routes(layers, trip.places, turning_radius=radius, count=most)
+            # a search succeeds more often from a path with fewer turns
+            if _map_cost(layers, trip.places) > DETOUR * _map_cost(layers, first):
+                return Guide("route", speed, radius, (first, *others))
+            return Guide("follow", speed, radius, (trip.places, *others))
     return Guide("follow", speed, radius, (trip.places,))
+
+
+def _map_cost(layers: Traversability, points: Array) -> float:
+    """Return the integral of the map's cost along a polyline, shape (n, 2) [m]."""
+    dense = resample_polyline(points, 0.5 * min(layers.spacing))
+    lengths = np.linalg.norm(np.diff(dense, axis=0), axis=1)
+    return float(layers.cost[nodes_at(layers, (dense[1:] + dense[:-1]) / 2)] @ lengths)
 
 
 def _default_speed(trip: Trip, bounds: Mapping[str, Range]) -> float:

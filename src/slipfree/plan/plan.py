@@ -8,6 +8,7 @@ result contains the remaining differences and violations.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +19,7 @@ import numpy as np
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Record, leaves, overview
-from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Stop, Trajectory
+from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Stop, Trajectory, path_length
 from slipfree.plan.explanation import explanation
 from slipfree.plan.guess import initial_guess
 from slipfree.plan.ipopt import STOPPED_STATUS, NlpSolution
@@ -50,6 +51,9 @@ from slipfree.plan.verification import Verification, inputs_along, verify_plan
 from slipfree.solve.options import SolverOptions
 from slipfree.system.forks import computing
 from slipfree.system.interrupt import with_interrupt_guard
+
+MIN_INTERVALS = 40  # least default number of intervals
+INTERVAL_SIZES = 2.0  # largest length of a default interval, in sizes of the vehicle
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +291,8 @@ def plan(
     if duration is None:
         length = former.motion.duration if former is not None else 0.0
         task = replace(task, duration=(length, length) if former else free_durations(nominal))
-    ends = np.union1d(np.linspace(0, 1, mesh.intervals + 1), list(way_points or ()))
+    intervals = mesh.intervals or _default_intervals(dae, motions, former)
+    ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))
     first = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], mesh.degree)
     task = _with_near_conditions(task, motions, former)
     if former is None:
@@ -312,6 +317,14 @@ def plan(
         "compiled": float(best.program.compiled),
     }
     return replace(result, run=replace(result.run, statistics=statistics))
+
+
+def _default_intervals(dae: Dae, guesses: Sequence[Trajectory], resume: SavedPlan | None) -> int:
+    """Return the number of intervals of a saved plan, or of a guess by the length of its path."""
+    if resume is not None:
+        return resume.motion.mesh.ends.size - 1
+    length = path_length(guesses[0]) if {"x", "y"} <= guesses[0].columns.keys() else 0.0
+    return max(MIN_INTERVALS, math.ceil(length / (INTERVAL_SIZES * dae.size)))
 
 
 def _with_near_conditions(

@@ -66,8 +66,11 @@ class Mesh:
 
     Attributes
     ----------
-    intervals, degree : int
-        Number of intervals, and number of collocation points per interval, 1 to 5.
+    intervals : int or None
+        Number of intervals; by default one per two vehicle sizes (`Dae.size`) of the path of the
+        first guess, and at least 40.
+    degree : int
+        Number of collocation points per interval, 1 to 5.
     continuous : bool
         Whether inputs are continuous and linear on every interval; otherwise they are constant.
     accuracy : float
@@ -83,7 +86,11 @@ class Mesh:
         If a number is out of its range.
     """
 
-    intervals: Annotated[int, Ge(1), doc("number of intervals of the first mesh")] = 40
+    intervals: Annotated[
+        int | None,
+        Ge(1),
+        doc("number of intervals of the first mesh; default: 40, or more for a long initial guess"),
+    ] = None
     degree: Annotated[int, Ge(1), Le(5), doc("degree of the polynomials on an interval")] = 3
     continuous: Annotated[
         bool, doc("whether inputs are continuous and linear on intervals; otherwise constant")

@@ -54,6 +54,7 @@ KEYS = {
     "driver": {"name", "speed", "control"},
     "driver.control": {"proportional", "torque", "motors"},
 }  # supported keys of plans over solids, by table; other keys of plans are errors
+LEG_INTERVALS = 40  # default number per leg
 OF_PLANS = {*PlanKeys.model_fields} - {*Modelled.model_fields}
 
 
@@ -145,7 +146,7 @@ def plan_climb(spec: PlanKeys, driver: GuideTable, climber: Climber, section: Pr
     options: dict[str, Any] = {
         "speed": driver.speed,
         "torques": [driver.control.torque * n for n in driver.control.motors],
-        "s": spec.plan.intervals + 1,
+        "s": (spec.plan.intervals or LEG_INTERVALS) + 1,
     }
 
     def solved(cost: str, mu: float | None) -> Iterator[tuple[Climb, Array, Trajectory, Array]]:

@@ -212,7 +212,7 @@ class PlanKeys(Modelled):
             if driver.name == STEP_CLIMBING and not self.terrain.obstacles:
                 expected = f"solids, [[terrain.obstacles]], with name = {STEP_CLIMBING!r}"
                 yield Fault(("driver", "name"), expected, "none; add one")
-        if search.intervals > MAX_INTERVALS:
+        if (search.intervals or 0) > MAX_INTERVALS:
             found = f"{search.intervals}; reduce it, or divide a long plan with 'window'"
             yield Fault(("plan", "intervals"), f"at most {MAX_INTERVALS} intervals", found)
         if self.model != "dynamics":
