@@ -134,6 +134,14 @@ def test_places_are_marked_by_name(run, ax):
     assert ax.lines[-1].get_xydata()[0] == pytest.approx(GOAL[1:])
 
 
+def test_a_range_is_drawn_as_an_area(run, ax):
+    area = (10.0, 14.0, 20.0, 26.0)
+    plan_figures.motion(run, (START, GOAL), ax, {"goal": area})
+    assert labels(ax) == ["planned motion", "start", "goal"]
+    (patch,) = ax.patches
+    assert (*patch.get_xy(), patch.get_width(), patch.get_height()) == (10.0, 20.0, 4.0, 6.0)
+
+
 def test_room_is_the_distance_less_what_the_wheels_reach(run, layers, ax):
     plan_figures.keep_out_distance(run, layers, ax)
     expected = np.hypot(run["x"] - 14, run["y"] - 16) - 1.5 - layers.limits.reach

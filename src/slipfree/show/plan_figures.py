@@ -16,7 +16,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
+from matplotlib.patches import Polygon, Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from slipfree.core.facts import starting_with
@@ -57,6 +57,7 @@ TRACKING_HEIGHT = 70.0  # [mm]
 ENTRIES = 7  # lines of a legend beside a row of that height
 Range = tuple[float, float]
 Place = tuple[str, float, float]
+NO_AREAS: Mapping[str, Window] = {}
 
 
 def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Axes:
@@ -114,8 +115,13 @@ def initial_guess(points: Array, ax: Axes) -> Axes:
     return ax
 
 
-def motion(run: Trajectory, places: Sequence[Place], ax: Axes) -> Axes:
-    """Draw the planned path of the platform's centre, with start, way-points and goal."""
+def motion(
+    run: Trajectory, places: Sequence[Place], ax: Axes, areas: Mapping[str, Window] = NO_AREAS
+) -> Axes:
+    """Draw the planned path of the platform's centre, with start, way-points and goal.
+
+    Places that have an area are drawn as areas.
+    """
     ax.plot(
         run["x"],
         run["y"],
@@ -126,7 +132,12 @@ def motion(run: Trajectory, places: Sequence[Place], ax: Axes) -> Axes:
         path_effects=style.halo(3.0),
     )
     marks: dict[str, Any] = {"ls": "none", "mec": "black", "zorder": 5}
-    for name, x, y in places:
+    for name, (west, east, south, north) in areas.items():
+        look: dict[str, Any] = {"fill": False, "ls": "--", "lw": 1.0, "zorder": 4, "label": name}
+        outline = Rectangle((west, south), east - west, north - south, **look)
+        outline.set_path_effects(style.halo(2.2))
+        ax.add_patch(outline)
+    for name, x, y in (place for place in places if place[0] not in areas):
         shape, color, size = {"start": ("o", "white", 5), "goal": ("*", "white", 9)}.get(
             name, ("D", "white", 4)
         )
@@ -177,6 +188,7 @@ def plan_plots(
     layers: Traversability,
     *,
     places: Sequence[Place] = (),
+    areas: Mapping[str, Window] = NO_AREAS,
     found: Sequence[Array] = (),
     guess: Array = NO_GUESS,
     bounds: Mapping[str, Range] | None = None,
@@ -184,7 +196,8 @@ def plan_plots(
 ) -> tuple[Plot, ...]:
     """Return the figures of a plan, not drawn yet: inputs and limits, and the map.
 
-    ``places`` are names, x and y of start, way-points and goal; ``found`` and ``guess`` routes and
+    ``places`` are names, x and y of start, way-points and goal, ``areas`` the areas of those that
+    are no points; ``found`` and ``guess`` routes and
     paths of the initial guesses, with NaN between paths, all in map coordinates [m].
     """
     panels = _panels(run, layers, bounds or {}, limits or {})
@@ -192,7 +205,9 @@ def plan_plots(
     planned = Plot("plan", caption, lambda: stack(run, panels, _deviation_note(run)))
     caption = "Cost per metre of path, initial guess, and the planned motion."
     ground = Plot(
-        "traversability", caption, lambda: _traversability(run, grid, layers, places, found, guess)
+        "traversability",
+        caption,
+        lambda: _traversability(run, grid, layers, places, areas, found, guess),
     )
     return (planned, ground) if panels else (ground,)
 
@@ -264,6 +279,7 @@ def _traversability(
     grid: Grid,
     layers: Traversability,
     places: Sequence[Place],
+    areas: Mapping[str, Window],
     found: Sequence[Array],
     guess: Array,
 ) -> Figure:
@@ -281,7 +297,7 @@ def _traversability(
     initial_routes(found, ax)
     if guess.size:
         initial_guess(guess, ax)
-    motion(run, places, ax)
+    motion(run, places, ax, areas)
     style.finished(figure, run, [ax])
     figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
     return figure

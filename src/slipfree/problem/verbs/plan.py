@@ -62,7 +62,7 @@ from slipfree.problem.verbs.plan_facts import (
     plan_lines,
 )
 from slipfree.problem.verbs.plan_over_solids import OverSolids, build_over_solids, drive_over_solids
-from slipfree.problem.verbs.plan_schema import places_of, regions, way_points_of
+from slipfree.problem.verbs.plan_schema import areas_of, places_of, regions, way_points_of
 from slipfree.problem.verbs.plan_search import (
     UNTESTED,
     Tested,
@@ -276,6 +276,7 @@ def figure_options(result: Result) -> dict[str, Any]:
     ends = np.flatnonzero(np.isnan(routes[:, 0]))
     return {
         "places": places_of(problem, way_points_of(problem), grid.domain)[0],
+        "areas": areas_of(problem, way_points_of(problem), grid.domain),
         "found": [line[~np.isnan(line[:, 0])] for line in np.split(routes, ends)[:-1]],
         "guess": _line_points("guess", arrays),
         "bounds": unbounded | spec.bounds,

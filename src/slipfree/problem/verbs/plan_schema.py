@@ -268,6 +268,25 @@ def places_of(
     return tuple(places), exact
 
 
+def areas_of(
+    problem: Problem[PlanKeys], between: Mapping[float, Ranges], domain: Domain
+) -> dict[str, tuple[float, float, float, float]]:
+    """Return the areas of way-points and goal that are no points, by name, on the map [m].
+
+    An area is x_min, x_max, y_min, y_max; a coordinate without a value extends over the map.
+    """
+    named = [(f"way-point at {part:g}", wanted) for part, wanted in between.items()]
+    areas = {}
+    for name, wanted in (*named, ("goal", problem.spec.goal)):
+        (west, east), (south, north) = (
+            np.clip(wanted.get(axis, (-np.inf, np.inf)), *ends).tolist()
+            for axis, ends in (("x", domain[:2]), ("y", domain[2:]))
+        )
+        if {"x", "y"} & wanted.keys() and (west, south) != (east, north):
+            areas[name] = west, east, south, north
+    return areas
+
+
 def key_of(place: str) -> str:
     """Return the key of a problem file for the name of a start, way-point or goal."""
     return place if place in ("start", "goal") else "way_points"
