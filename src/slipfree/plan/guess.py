@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import casadi as ca
 import numpy as np
@@ -276,8 +276,8 @@ def initial_guess(
     ``bounds`` are those of the inputs. The duration is that of the whole path, even if the motion
     ends before.
     """
-    dae, vehicle, ground = task.dae, task.dae.vehicle, task.dae.ground
-    if vehicle is None:
+    dae, vehicle, ground = task.dae, task.dae.vehicle, cast("Terrain", task.dae.ground)
+    if not isinstance(vehicle, Vehicle):
         raise ModelError(
             "plan: guess: expected at least one motion as initial guess for a model whose vehicle "
             "is not known, found none; give one, such as a simulated motion"
