@@ -19,6 +19,8 @@ windows    plan_long_dem with goals 0.4, 1.3 and 3.5 km away, each in a separate
 momentum   over a bump on a slope with `rigid_dynamics`, simulated by `dynamics` on compliant
            contacts: a car with four torque drives over a ridge; a skid-steered cart over a bump
            beside its path, with wheels that roll, then slide (decreasing creep speeds)
+goals      the shipped plans from hand-made guesses, from guesses that are found (without driver,
+           duration and search options), and with ground, vehicle, start, goal and costs alone
 robust     plan_crater_field, with a limit of the utilisation, and plan_climb_ramp, in worlds with
            errors of heights, friction and inputs: 50 draws a round tighten the limits, and 200
            other draws give the shares on which a plan holds
@@ -31,6 +33,7 @@ from __future__ import annotations
 
 import resource
 import time
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -572,6 +575,51 @@ def momentum() -> None:
         momentum_row(f"cart, sliding, creep {creep} m/s", before, time.process_time() - clock)
 
 
+# Goal and costs alone
+
+HAND = {  # settings of hand-made guesses
+    "plan_rigid_hills": [
+        "inputs={right_rate=0.45, left_rate=0.45, steer_rate=0.0}",
+        "time.duration=20",
+    ],
+    "plan_tilt_limits": [
+        "inputs={right_rate=0.45, left_rate=0.45, steer_rate=0.0}",
+        "time.duration=40",
+    ],
+    "plan_parking": ["driver={name='reeds-shepp', speed=0.4, turning_radius=1.5}"],
+    "plan_crater_field": ["driver={name='route', speed=0.5, turning_radius=2.5}"],
+    "plan_momentum": ["driver={name='straight', speed=1.2}", "time.duration=3.9"],
+    "plan_climb_ramp": [],  # from its own paths
+    "plan_sandy_slope": [],
+    "plan_rigid_robot": ["driver={name='straight', speed=0.99}", "time.duration=6"],
+    "plan_real_dem": ["driver={name='route', speed=1.0, turning_radius=3.0}"],
+    "plan_long_dem": ["driver={name='route', speed=1.0, turning_radius=3.0}"],
+}
+SEARCHES, TASKS = ("plan", "driver", "solver"), ("limits", "bounds", "keep_out")
+
+
+def goals() -> None:
+    """Print the plans of three forms of each problem."""
+    print(f"{'':18}{'':13}outcome         iterations  CPU s  duration s  slip mm/m  initial guess")
+    for name, hand in HAND.items():
+        file = PROBLEMS / f"{name}.toml"
+        keys = tomllib.loads(file.read_text("utf-8"))
+        found = [f"{key}=" for key in SEARCHES if key in keys]
+        alone = [*found, *(f"{key}=" for key in TASKS if key in keys)]
+        for form, settings in (("by hand", hand), ("found", found), ("goal, costs", alone)):
+            clock = time.process_time()
+            result = run_problem(load_problem(file, settings))
+            spent, run = time.process_time() - clock, result.trajectory
+            count = run.facts["plan_iterations"].value
+            print(
+                f"{name:18}{form:13}{run.outcome.name.lower():16}{count:10.0f}{spent:7.1f}"
+                f"{run.t[-1]:12.1f}{slip_path(run):11.3f}  {result.setup.guide.name or 'inputs'}",
+                flush=True,
+            )
+            if run.stop is not None:
+                print(f"  {run.stop.words.splitlines()[0]}")
+
+
 # Robust plans
 
 DRAWN = "friction={friction}, inputs={inputs}, map={{rms={rms}, correlation=1.0}}"
@@ -600,5 +648,5 @@ def robust() -> None:
 def main() -> None:
     """Print the parts."""
     starts = {kind: partial(compare, kind) for kind in ("hills", "obstacles")}
-    parts = {"windows": windows, "momentum": momentum, "robust": robust}
+    parts = {"windows": windows, "momentum": momentum, "goals": goals, "robust": robust}
     run_parts({"slip": slip_table, "horizon": moving_horizon, **starts, **parts})

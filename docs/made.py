@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from importlib import import_module
 from inspect import get_annotations
 from pathlib import Path
+from types import UnionType
 from typing import Any, Literal, get_args, get_origin
 
 from slipfree.laws.registry import SLIP_LAWS
@@ -194,6 +195,8 @@ def _alias(annotation: Any, bounds: Sequence[Any]) -> str:
     """Return the name of a type with bounds: that of a table's annotation with the same meaning."""
     if annotation == tuple[float, float]:
         return "Pair"
+    if isinstance(annotation, UnionType):  # or None
+        annotation = get_args(annotation)[0]
     name = str(annotation.__name__)
     if any(getattr(bound, "gt", None) == 0 for bound in bounds) and name == "float":
         return "Positive"

@@ -162,7 +162,7 @@ def test_reprs_of_a_plan_and_all_in_it():
     start, t = settle(dae), np.linspace(0, 4, 9)
     guess = simulate(dae, start, straight(dae, vehicle, start, speed=0.3), t)
     wish = {"goal": {"y": 1.0}, "costs": {"slip": 1.0, "effort": 0.1}, "duration": 4.0}
-    found = slipfree.plan(dae, start, guess, **wish, intervals=4)
+    found = slipfree.plan(dae, start, guess, **wish, mesh=slipfree.Mesh(4))
     assert lines_of(found)[0].startswith("Plan: accurate; 4 s on 4 intervals, ")
     for name in ("run", "motion", "replay", "program", "solution", "saved"):
         lines_of(getattr(found, name))

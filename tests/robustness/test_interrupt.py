@@ -34,6 +34,8 @@ from slipfree.plan import ipopt, tracking, verification
 from slipfree.plan import plan as planning
 from slipfree.plan.ipopt import solve_nlp
 from slipfree.plan.mpc import horizon
+from slipfree.plan.search import Search
+from slipfree.plan.transcription import Mesh
 from slipfree.plan.verification import simulate_plan
 from slipfree.problem.verbs import compare
 from slipfree.problem.verbs import driving as runner
@@ -274,9 +276,8 @@ def planned(progress=None):
         costs={"effort": 0.01},
         duration=2.0,
         inputs=rates,
-        intervals=3,
-        accuracy=1.0,
-        progress=progress,
+        mesh=Mesh(3, accuracy=1.0),
+        search=Search(progress=progress),
     )
 
 

@@ -372,8 +372,9 @@ class Dae(Generic[X, Z, U, Y]):
         Rates of the first k unknowns of ``z``, if other unknowns determine them; empty otherwise.
     holding : Holding or None
         Equilibrium of the contact forces at rest; None for vehicles without mass.
-    vehicle, ground : object or None
-        Vehicle and ground of the model, from which plans make initial guesses; solvers ignore them.
+    vehicle, ground : object
+        Vehicle and ground of the model, from which plans make initial guesses; None if
+        unknown. Solvers ignore them.
     p : tuple of Parameter
         Numbers that are symbols of the model. Solvers take models without parameters:
         `slipfree.core.rearrange.with_values` replaces the symbols by numbers.
@@ -435,8 +436,8 @@ class Dae(Generic[X, Z, U, Y]):
     discs: tuple[tuple[ca.SX, ca.SX], ...] = ()
     leading_rates: ca.SX = ca.SX(0, 1)  # noqa: RUF009 - never changed
     holding: Holding | None = None
-    vehicle: Any = None
-    ground: Any = None
+    vehicle: object = None
+    ground: object = None
     p: tuple[Parameter, ...] = ()
     reported: Mapping[str, float] = field(default_factory=dict)
 

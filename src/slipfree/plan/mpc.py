@@ -211,16 +211,13 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     Examples
     --------
     >>> import numpy as np
-    >>> from slipfree import Analytic, catalog, direct_kinematics, plan, replan, settle, simulate
-    >>> from slipfree import straight
+    >>> from slipfree import Analytic, Mesh, catalog, direct_kinematics, plan, replan, settle
     >>> from slipfree.plan.mpc import first_cycle, horizon
     >>> vehicle = catalog.three_wheeler(axle="fixed")
     >>> model = direct_kinematics(vehicle, Analytic(lambda x, y: 0.1 * x * y))
     >>> start = settle(model)
-    >>> law = straight(model, vehicle, start, speed=0.25)
-    >>> guess = simulate(model, start, law, np.linspace(0, 4, 9))
-    >>> wish = {"goal": {"y": 1.0}, "costs": {"effort": 1.0}, "duration": 4.0}
-    >>> window = horizon(plan(model, start, guess, intervals=4, **wish), span=2.0, intervals=2)
+    >>> wish = {"goal": {"y": 1.0}, "costs": {"effort": 1.0}, "duration": 4.0, "mesh": Mesh(4)}
+    >>> window = horizon(plan(model, start, **wish), span=2.0, intervals=2)
     >>> measured = window.plan.states(np.array([0.1])).ravel() + 1e-3  # at 0.4 s, local
     >>> cycle = replan(window, first_cycle(window), 0.4, measured)
     >>> cycle.violation < 1e-3

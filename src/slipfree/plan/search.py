@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -105,7 +105,7 @@ class Search:
     seed: Annotated[int, Ge(0), doc("seed of the perturbations of the starts")] = 0
     resume: SavedPlan | None = None
     progress: PlanProgress | None = None
-    keep: Callable[[Any], None] | None = None
+    keep: Callable[..., None] | None = None
 
     def __post_init__(self) -> None:
         check_bounds(self)

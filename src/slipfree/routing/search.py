@@ -204,7 +204,7 @@ def routes(
         points = smooth(layers, rough, turning_radius)
         kind = homotopy_class(points, obstacles)
         if kind not in by_class:
-            by_class[kind] = Route(points, _integral(layers, points), polyline_length(points))
+            by_class[kind] = Route(points, path_cost(layers, points), polyline_length(points))
         further = crossed_rays(layers, rough, obstacles)
         pending += [(detour, (*closed, ray)) for detour, ray in further]
         pending.sort(key=itemgetter(0))
@@ -305,7 +305,7 @@ def _shifted(padded: npt.NDArray[np.float32], i: int, j: int) -> npt.NDArray[np.
 # Several routes
 
 
-def _integral(layers: Traversability, points: Array) -> float:
+def path_cost(layers: Traversability, points: Array) -> float:
     """Return the integral along a polyline of the cost at the nearest nodes [m]."""
     dense = resample_polyline(points, 0.25 * min(layers.spacing))
     middle, steps = 0.5 * (dense[1:] + dense[:-1]), np.diff(dense, axis=0)
