@@ -128,9 +128,10 @@ class Sampling:
         near = TIME_TOLERANCE * self._task.span
         times = np.array([begin, *ends[(ends > begin + near) & (ends < last - near)], last])
         index = np.searchsorted(ends, (times[1:] + times[:-1]) / 2)
-        none = np.zeros((len(self._task.ranges), index.size))
+        names = [label.full for label in leaves(self._task.model.labels.u)]
+        none = np.zeros((len(names), index.size))
         values = none if self._cycle is None else self._cycle.inputs[:, index]
-        return Decision(dict(zip(self._task.ranges, values, strict=True)), times, failed)
+        return Decision(dict(zip(names, values, strict=True)), times, failed)
 
     def _places(self, t: Array) -> dict[str, float | Array]:
         """Return places and headings of the plan at times, in map coordinates."""
