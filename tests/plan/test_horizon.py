@@ -140,7 +140,7 @@ def test_on_a_wrong_ground_and_beside_the_start_replanning_ends_nearer(window):
 
 def test_sampled_inputs_are_refined(found):
     """The motion ends at the same place, with less cost; an early end is named."""
-    window = horizon(found, span=DURATION / 2, intervals=COUNT // 2, iterations=5)
+    window = horizon(found, span=DURATION / 2, intervals=COUNT // 2, iterations=1)
     dae = found.program.task.dae
     start = sf.settle(dae, x=0.02)
     noise = 0.2 * np.random.default_rng(3).standard_normal((3, COUNT // 2))

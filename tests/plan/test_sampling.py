@@ -159,7 +159,7 @@ def test_an_obstacle_that_appears_on_the_way_is_passed(task, seed):
         at = state(task, here)
         seen = [kept] if np.hypot(at[0] - x, at[1] - 0.2) < 0.9 else []
         found = sample_plan(aware, at, found, elapsed=0.4, keep_out=seen)
-        inputs = world.inputs(**dict(zip(RANGES, found.inputs[:, :1], strict=True)))
+        inputs = world.inputs(**dict(zip(RANGES, found.inputs[:, 0], strict=True)))
         run = simulate(world, here, inputs, np.linspace(0.0, 0.4, 9))
         path.append(rock.distance(run["x"], run["y"]).min())
         here = run.part(slice(-1, None))

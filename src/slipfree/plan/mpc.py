@@ -282,11 +282,9 @@ def refine(window: Horizon, start: Trajectory, inputs: Array) -> Cycle:
     edges = np.linspace(0.0, span, inputs.shape[1] + 1)
     nodes = span * program.mesh.nodes
     times = np.unique(np.round(np.concatenate([edges, nodes]), 9))
-    which = np.clip(np.searchsorted(edges, times) - 1, 0, inputs.shape[1] - 1)
     names = [label.full for label in leaves(dae.labels.u)]
-    run = simulate(
-        dae, start, dae.inputs(**dict(zip(names, inputs[:, which[1:]], strict=True))), times
-    )
+    rates = inputs[:, np.searchsorted(edges, (times[1:] + times[:-1]) / 2) - 1]
+    run = simulate(dae, start, dae.inputs(**dict(zip(names, rates, strict=True))), times)
     if run.stop is not None:
         raise SolverError(
             f"refine: expected a motion over the window of {span:g} s, found one that ends at "

@@ -239,7 +239,7 @@ def track_plan(
         cpu += time.process_time() - clock
         if progress is not None:
             progress(t)
-        applied = _still(world.dae, end - t) if k < late else decisions[k - late]
+        applied = _still(decisions[k], end - t) if k < late else decisions[k - late]
         try:
             here = _drive(world, here, applied, t, options)
         except KeyboardInterrupt:
@@ -270,10 +270,9 @@ def _check_world(planned: Dae, world: TrackingWorld) -> None:
         )
 
 
-def _still(dae: Dae, span: float) -> Decision:
-    """Return zero inputs for a period."""
-    names = [label.full for label in leaves(dae.labels.u)]
-    return Decision(dict.fromkeys(names, 0.0), np.array([0.0, span]))
+def _still(decision: Decision, span: float) -> Decision:
+    """Return zero inputs for a period, with the names of a decision."""
+    return Decision(dict.fromkeys(decision.inputs, 0.0), np.array([0.0, span]))
 
 
 def _drive(
