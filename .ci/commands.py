@@ -72,8 +72,7 @@ AFTER = {
     ],
     "plan_rigid_hills": [
         "run problems/plan_rigid_hills.toml --resume plan_rigid_hills.nc -o again.nc",
-        "track plan_rigid_hills.nc --set terrain.error.rms=0.01 --set terrain.error.correlation=1"
-        " --set terrain.error.seed=1",
+        "track plan_rigid_hills.nc --disturb heights=0.01 --period 1",
         "pareto problems/plan_rigid_hills.toml --against effort --points 3 --set plan.intervals=8"
         " --set costs.slip=1e3",
     ],

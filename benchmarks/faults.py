@@ -218,7 +218,7 @@ VERBS = {  # command, its file, and what its details say when there is something
     "windows": (f"run plan.toml -o o.nc {WINDOWS}", "o.nc", "iteration 1,"),
     "compare": ("compare compare.toml", "", ""),
     "fit": ("fit fit.toml -o o.csv", "o.csv", ""),
-    "track": ("track plan.nc -o o.nc", "o.nc", "replanned at 0.04"),
+    "track": ("track plan.nc --by replan -o o.nc", "o.nc", "replan, seed 1: 0.04"),
     "pareto": ("pareto plan.toml --points 3 -o front", "front/point_01.nc", "point 2 of 3"),
     "report": ("report old.nc -o o.html", "o.html", ""),
 }

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 import slipfree as sf
 from helpers.cases import hills
 from slipfree.catalog import differential_drive, three_wheeler
-from slipfree.plan.mpc import cycle_inputs, first_cycle, horizon, replan
+from slipfree.plan.mpc import cycle_inputs, first_cycle, horizon, refine, replan
 from slipfree.plan.plan import plan
 from slipfree.plan.tracking import Replanning, TrackingWorld, track_plan
 from slipfree.plan.verification import simulate_plan
@@ -136,6 +136,32 @@ def test_on_a_wrong_ground_and_beside_the_start_replanning_ends_nearer(window):
     alone = simulate_plan(world, start, window.plan, step=0.2)
     tracked = track(window, world, start, period=0.4)
     assert away(tracked.run) < away(alone) / 5
+
+
+def test_sampled_inputs_are_refined(found):
+    """The motion ends at the same place, with less cost; an early end is named."""
+    window = horizon(found, span=DURATION / 2, intervals=COUNT // 2, iterations=1)
+    dae = found.program.task.dae
+    start = sf.settle(dae, x=0.02)
+    noise = 0.2 * np.random.default_rng(3).standard_normal((3, COUNT // 2))
+    sampled = np.array([[0.4], [0.4], [0.0]]) + noise
+    cycle = refine(window, start, sampled)
+
+    def driven(inputs, times):
+        run = sf.simulate(dae, start, inputs, times)
+        slip = (run["slip_along"] ** 2 + run["slip_across"] ** 2).sum(axis=1)
+        effort = sum(run[f"{name}_rate"] ** 2 for name in ("right", "left", "steer"))
+        return run, np.trapezoid(7e4 * slip + 0.01 * effort, run.t)
+
+    fine = np.linspace(0.0, DURATION / 2, 20 * (COUNT // 2) + 1)
+    names = [f"{name}_rate" for name in ("right", "left", "steer")]
+    rows = dict(zip(names, np.repeat(sampled, 20, axis=1), strict=True))
+    before, paid = driven(dae.inputs(**rows), fine)
+    after, less = driven(*cycle_inputs(window, cycle, 0.0, DURATION / 2))
+    assert np.hypot(*(after[axis][-1] - before[axis][-1] for axis in "xy")) < 0.01
+    assert less < 0.7 * paid
+    with pytest.raises(sf.SolverError, match="refine: expected a motion over the window of 4 s"):
+        refine(window, sf.settle(dae, y=3.0), np.full((3, 2), 2.0))
 
 
 def test_a_limit_of_the_world_ends_the_motion(window):

@@ -144,6 +144,31 @@ def test_regions_that_are_seen_late_are_avoided(task):
     assert straight.complete > found.complete
 
 
+@pytest.mark.slow  # a closed loop
+@pytest.mark.parametrize("seed", [0, 1])
+def test_an_obstacle_that_appears_on_the_way_is_passed(task, seed):
+    """Seen at 0.9 m, with 5 cm to spare, on other hills than planned; the goal lies behind it."""
+    world = direct_kinematics(catalog.three_wheeler(axle="fixed"), hills(0.13))
+    x = np.random.default_rng(seed).uniform(-0.1, 0.2)
+    rock, kept = (Region.disc(x, 0.2, radius=radius) for radius in (0.25, 0.3))
+    aware = replace(
+        task, goal={"x": 0.1, "y": 1.4}, span=4.0, intervals=8, candidates=64, seed=seed
+    )
+    here, found, path = settle(world, y=-1.0), None, []
+    for _ in range(30):
+        at = state(task, here)
+        seen = [kept] if np.hypot(at[0] - x, at[1] - 0.2) < 0.9 else []
+        found = sample_plan(aware, at, found, elapsed=0.4, keep_out=seen)
+        inputs = world.inputs(**dict(zip(RANGES, found.inputs[:, 0], strict=True)))
+        run = simulate(world, here, inputs, np.linspace(0.0, 0.4, 9))
+        path.append(rock.distance(run["x"], run["y"]).min())
+        here = run.part(slice(-1, None))
+        if np.hypot(here["x"][-1] - 0.1, here["y"][-1] - 1.4) < 0.2:
+            break
+    assert min(path) > 0
+    assert np.hypot(here["x"][-1] - 0.1, here["y"][-1] - 1.4) < 0.2
+
+
 def test_candidates_with_a_second_contact_have_no_weight(task):
     """A trench narrower than a wheel crosses the way: the vehicle stays before it."""
     axis = np.linspace(-4.0, 4.0, 161)

@@ -133,7 +133,8 @@ def commanded(dae: Dae, vehicle: Vehicle, *, speed: float) -> Dae:
     The wheel rates are those of planar motion with the current steering angles, and the steering
     angles approach those of the command over a fraction of the size of the vehicle, as in
     `follow`: the law of a robot that drives without a map. On uneven ground the vehicle slips, and
-    its motion differs from the command.
+    its motion differs from the command. Steering angles are limited smoothly to half a radian, so
+    that a car turns by some percent less than commanded.
 
     Parameters
     ----------

@@ -18,8 +18,8 @@ import numpy as np
 
 from slipfree.core.errors import ModelError
 from slipfree.core.outcome import ipopt_words
-from slipfree.core.records import Array, Record, field_overview
-from slipfree.core.trajectory import SolverError
+from slipfree.core.records import Array, Record, field_overview, leaves
+from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.plan.ipopt import MAX_ITERATIONS, largest_violation, warm_solver
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import (
@@ -36,8 +36,9 @@ from slipfree.plan.transcription import (
     completed,
     transcribe,
 )
-from slipfree.plan.verification import inputs_along
+from slipfree.plan.verification import inputs_along, local_rows
 from slipfree.solve.sampling import same_turn
+from slipfree.solve.simulate import simulate
 from slipfree.system.forks import computing
 from slipfree.system.interrupt import with_interrupt_guard
 
@@ -223,7 +224,7 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     >>> cycle.violation < 1e-3
     True
     """
-    program, plan, scale = window.program, window.plan, window.program.scale
+    program, plan = window.program, window.plan
     x = np.asarray(x, dtype=float)
     if x.shape != program.layout.first.shape or not np.isfinite([t, *x]).all():
         raise ModelError(
@@ -243,11 +244,75 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     x = same_turn(x[:, None], near[:, None], program.task.periodic)[:, 0]
     first[program.layout.first] = x
     first = completed(program, first)
+    rows, bounds = _shift_multipliers(program, former, t, span)
+    return _iterated(window, t, first, _row_bounds(window, t + span), (rows, bounds))
+
+
+@computing
+@with_interrupt_guard
+def refine(window: Horizon, start: Trajectory, inputs: Array) -> Cycle:
+    """Return inputs that were found by sampling, improved by the iterations of a window.
+
+    The quantities of the goal at the end of the window keep their values under the given inputs,
+    while the costs of the window decrease and its limits are met.
+
+    Parameters
+    ----------
+    window : Horizon
+        Window of a plan of the same model, whose span is the horizon of the sampling.
+    start : Trajectory
+        Motion of the model, whose last sample is the measured state.
+    inputs : ndarray, shape (n_u, n)
+        Inputs in n equal intervals of the window, as in `slipfree.plan.sampling.SampledPlan`.
+
+    Returns
+    -------
+    Cycle
+        Cycle at time zero; `slipfree.plan.mpc.cycle_inputs` returns its inputs.
+
+    Raises
+    ------
+    SolverError
+        If the motion under the inputs ends before the window does, or the iterations fail.
+    """
+    program, dae, span = window.program, window.program.task.dae, window.span
+    edges = np.linspace(0.0, span, inputs.shape[1] + 1)
+    nodes = span * program.mesh.nodes
+    times = np.unique(np.round(np.concatenate([edges, nodes]), 9))
+    names = [label.full for label in leaves(dae.labels.u)]
+    rates = inputs[:, np.searchsorted(edges, (times[1:] + times[:-1]) / 2) - 1]
+    run = simulate(dae, start, dae.inputs(**dict(zip(names, rates, strict=True))), times)
+    if run.stop is not None:
+        raise SolverError(
+            f"refine: expected a motion over the window of {span:g} s, found one that ends at "
+            f"{run.t[-1]:.4g} s: {run.stop.words}; use the sampled inputs",
+            run,
+        )
+    at = np.abs(times[:, None] - nodes).argmin(axis=0)
+    x, z = (local_rows(dae, record, run)[:, at] for record in "xz")
+    middle = span * input_fractions(program)
+    u = inputs[:, np.clip(np.searchsorted(edges, middle) - 1, 0, inputs.shape[1] - 1)]
+    first = completed(program, unknowns_of(program, x, z, u, span))
+    n_z = window.plan.layout.unknowns.shape[2]
+    asked = np.array(window.targets(x[:, -1], z[:n_z, -1], u[:, -1])).ravel()
+    none = np.zeros(program.g_lower.size), np.zeros(program.scale.size)
+    return _iterated(window, 0.0, first, _with_goal(program, asked), none)
+
+
+def _iterated(
+    window: Horizon,
+    t: float,
+    first: Array,
+    row_bounds: tuple[Array, Array],
+    multipliers: tuple[Array, Array],
+) -> Cycle:
+    """Return the cycle after the iterations of a window, from unknowns with the measured state."""
+    program, scale = window.program, window.program.scale
+    x, span = first[program.layout.first], float(first[program.layout.duration])
+    (g_lower, g_upper), (rows, bounds) = row_bounds, multipliers
     lower, upper = program.lower.copy(), program.upper.copy()
     lower[program.layout.first] = upper[program.layout.first] = x
     lower[program.layout.duration] = upper[program.layout.duration] = span
-    g_lower, g_upper = _row_bounds(window, t + span)
-    rows, bounds = _shift_multipliers(program, former, t, span)
     results = window.solver(
         x0=first / scale,
         p=window.weights,
@@ -337,12 +402,18 @@ def _to_fractions(motion: tuple[PolynomialMotion, float], at: Array) -> Array:
 def _row_bounds(window: Horizon, end: float) -> tuple[Array, Array]:
     """Return bounds of the rows; at ``end`` the plan's values replace the goal of later windows."""
     program, plan = window.program, window.plan
+    if end >= plan.duration - TIME_TOLERANCE:
+        return program.g_lower, program.g_upper
+    at = np.array([end / plan.duration])
+    values = window.targets(plan.states(at), plan.algebraic(at), plan.inputs(at))
+    return _with_goal(program, np.array(values).ravel())
+
+
+def _with_goal(program: Program, values: Array) -> tuple[Array, Array]:
+    """Return bounds of the rows with values for the quantities of the goal."""
     lower, upper = program.g_lower.copy(), program.g_upper.copy()
-    if end < plan.duration - TIME_TOLERANCE:
-        at = np.array([end / plan.duration])
-        values = window.targets(plan.states(at), plan.algebraic(at), plan.inputs(at))
-        count = len(program.row_blocks[-1].labels)
-        lower[-count:] = upper[-count:] = np.array(values).ravel()
+    count = len(program.row_blocks[-1].labels)
+    lower[-count:] = upper[-count:] = values
     return lower, upper
 
 

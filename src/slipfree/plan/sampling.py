@@ -336,7 +336,9 @@ def _simulated(aims: _Aims, inputs: Array) -> tuple[Array, Candidates]:
         costs = _costs(aims, many, motions, own)
         return np.where(motions.reason == COMPLETE, costs, np.inf), motions
 
-    if task.threads == 1 or not task.evaluate.is_compiled:
+    evaluators = [task.evaluate, task.evaluate_forced]
+    is_compiled = all(each is None or each.is_compiled for each in evaluators)
+    if task.threads == 1 or not is_compiled:
         return run(np.arange(n))
     with ThreadPoolExecutor(task.threads) as pool:
         results = list(pool.map(run, np.array_split(np.arange(n), min(task.threads, n))))

@@ -128,9 +128,10 @@ class Sampling:
         near = TIME_TOLERANCE * self._task.span
         times = np.array([begin, *ends[(ends > begin + near) & (ends < last - near)], last])
         index = np.searchsorted(ends, (times[1:] + times[:-1]) / 2)
-        none = np.zeros((len(self._task.ranges), index.size))
+        names = [label.full for label in leaves(self._task.model.labels.u)]
+        none = np.zeros((len(names), index.size))
         values = none if self._cycle is None else self._cycle.inputs[:, index]
-        return Decision(dict(zip(self._task.ranges, values, strict=True)), times, failed)
+        return Decision(dict(zip(names, values, strict=True)), times, failed)
 
     def _places(self, t: Array) -> dict[str, float | Array]:
         """Return places and headings of the plan at times, in map coordinates."""
@@ -238,7 +239,7 @@ def track_plan(
         cpu += time.process_time() - clock
         if progress is not None:
             progress(t)
-        applied = _still(world.dae, end - t) if k < late else decisions[k - late]
+        applied = _still(decisions[k], end - t) if k < late else decisions[k - late]
         try:
             here = _drive(world, here, applied, t, options)
         except KeyboardInterrupt:
@@ -269,10 +270,9 @@ def _check_world(planned: Dae, world: TrackingWorld) -> None:
         )
 
 
-def _still(dae: Dae, span: float) -> Decision:
-    """Return zero inputs for a period."""
-    names = [label.full for label in leaves(dae.labels.u)]
-    return Decision(dict.fromkeys(names, 0.0), np.array([0.0, span]))
+def _still(decision: Decision, span: float) -> Decision:
+    """Return zero inputs for a period, with the names of a decision."""
+    return Decision(dict.fromkeys(decision.inputs, 0.0), np.array([0.0, span]))
 
 
 def _drive(
