@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +12,11 @@ from numpy.testing import assert_allclose
 
 from helpers.commands import printed
 from helpers.hillside import AXIS, HILL, TRUE, drive
-from slipfree.batch.evaluator import evaluator_of
-from slipfree.fit import ground_vehicle
 from slipfree.fit.ground_fit import judge
 from slipfree.fit.ground_motion import MODELS, Slopes
 from slipfree.problem.load import load_problem
 from slipfree.problem.verbs.fit_over_map import fit_over_map, models_of
+from slipfree.system import codegen_cache
 
 PROBLEM = """\
 verb = "fit-over-map"
@@ -134,17 +132,15 @@ def test_vehicles_and_their_unknowns(folder: Path) -> None:
     assert "expected at least one model, or a vehicle, found none" in printed_words
 
 
-@pytest.mark.usefixtures("folder")
-@pytest.mark.slow  # 8 s: interpreted equations of a vehicle, since a compilation takes as long
-def test_vehicle_is_judged_beside_the_models(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.slow  # 8 s: the equations of the vehicle are compiled
+def test_vehicle_is_judged_beside_the_models(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Fitted, least slip predicts the motion of a differential drive of another track."""
-    function = partial(evaluator_of, compiled=False)
-    monkeypatch.setattr(ground_vehicle, "evaluator_of", function)
+    monkeypatch.setenv(codegen_cache.FOLDER, str(folder / "cache"))
     own = PROBLEM.replace('"differential", "slope"', '"differential"')
-    own = own.replace('"a/0.csv", "a/1.csv", "b/2.csv", "b/3.csv"', '"a/0.csv", "b/2.csv"')
+    own = own.replace(', "b/2.csv", "b/3.csv"', "")
     unknowns = "[unknowns.radius]\n[unknowns.track]\nlower = 0.6\n"
     Path("hill.toml").write_text(own + '[vehicle]\ncatalog = "differential_drive"\n' + unknowns)
-    shown = json.loads(printed("--json", "fit", "hill.toml", "--no-draw"))
+    shown = json.loads(printed("--json", "fit", "hill.toml", "--no-draw", "--predict", "b/2.csv"))
     errors = {(r["model"], r["length"]): r["position_rms"] for r in shown["errors"]}
     for length in (5.0, 0.0):
         ratio = errors["vehicle", length] / errors["differential", length]

@@ -89,8 +89,9 @@ class MapUnknownTable(UnknownTable):
 
     quantity: str | None = Field(
         default=None,
-        description=f"of all models: {', '.join(DRIVES_AND_SENSORS)}; of the vehicle: "
-        f"{', '.join(QUANTITIES)}, or a constant of the law; by default the name of the table",
+        description=f"of all models: {', '.join(DRIVES_AND_SENSORS)} (turn only of the vehicle); "
+        f"of the vehicle: {', '.join(QUANTITIES)}, or a constant of the law; by default the name "
+        "of the table",
     )
 
 
@@ -202,7 +203,12 @@ def models_of(
         raise problem_error(
             problem.source, [Fault(("models",), "at least one model, or a vehicle", "none")]
         )
-    return {name: with_drives_and_sensors(each, unknowns) for name, each in models.items()}
+    # the other models have a track or centres of rotation
+    common = [each for each in unknowns if each.quantity != "turn"]
+    return {
+        name: with_drives_and_sensors(each, unknowns if name == VEHICLE else common)
+        for name, each in models.items()
+    }
 
 
 def _read_log(path: Path, spec: FitOverMap, group: str) -> DriveLog:
