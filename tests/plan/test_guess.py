@@ -14,7 +14,7 @@ from slipfree.files.toml.source import ProblemError
 from slipfree.plan.guess import choose_guide, initial_guess, trip_of
 from slipfree.plan.problem import free_durations, task_of
 from slipfree.problem.result import build
-from slipfree.routing.traversability import traversability
+from slipfree.routing.traversability import free_space
 
 VEHICLE = sf.catalog.three_wheeler(axle="fixed")
 AXIS = np.linspace(-6.0, 6.0, 25)
@@ -41,7 +41,7 @@ def guide_to(model, goal, bounds=None, *, is_map=True):
     dae, start = model
     task = task_of(dae, start, goal=goal, costs=COSTS, duration=1.0)
     trip = trip_of(task, dae, start, VEHICLE, GROUND)
-    return choose_guide(trip, bounds or {}, traversability(GROUND, VEHICLE) if is_map else None)
+    return choose_guide(trip, bounds or {}, free_space(GROUND, VEHICLE) if is_map else None)
 
 
 def test_the_guide_suits_goal_ground_and_bounds(model):

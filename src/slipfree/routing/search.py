@@ -17,12 +17,11 @@ import scipy
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, field_overview
 from slipfree.routing.reachability import no_route_words
-from slipfree.routing.smoothing import polyline_length, resample_polyline, smooth
+from slipfree.routing.smoothing import along, polyline_length, resample_polyline, smooth
 from slipfree.routing.traversability import (
     Point,
     Traversability,
     blocking_reasons,
-    nearest_headings,
     node_at,
     nodes_at,
     point_text,
@@ -204,7 +203,8 @@ def routes(
         points = smooth(layers, rough, turning_radius)
         kind = homotopy_class(points, obstacles)
         if kind not in by_class:
-            by_class[kind] = Route(points, _integral(layers, points), polyline_length(points))
+            cost = _integral(along(layers, rough), points)
+            by_class[kind] = Route(points, cost, polyline_length(points))
         further = crossed_rays(layers, rough, obstacles)
         pending += [(detour, (*closed, ray)) for detour, ray in further]
         pending.sort(key=itemgetter(0))
@@ -308,6 +308,5 @@ def _shifted(padded: npt.NDArray[np.float32], i: int, j: int) -> npt.NDArray[np.
 def _integral(layers: Traversability, points: Array) -> float:
     """Return the integral along a polyline of the cost at the nearest nodes [m]."""
     dense = resample_polyline(points, 0.25 * min(layers.spacing))
-    middle, steps = 0.5 * (dense[1:] + dense[:-1]), np.diff(dense, axis=0)
-    cost = layers.cost[nearest_headings(layers, steps), *nodes_at(layers, middle)]
-    return float(cost @ np.linalg.norm(steps, axis=1))
+    cost = layers.least_cost[nodes_at(layers, 0.5 * (dense[1:] + dense[:-1]))]
+    return float(cost @ np.linalg.norm(np.diff(dense, axis=0), axis=1))

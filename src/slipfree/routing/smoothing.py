@@ -52,7 +52,7 @@ def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array
     If no smoothed route avoids all blocked nodes, the result is the rough route, if possible with
     equally spaced points whose spline avoids them.
     """
-    layers = _along(layers, rough)
+    layers = along(layers, rough)
     step = max(0.25 * layers.limits.half, polyline_length(rough) / MAX_POINTS)
     half = max(layers.limits.half, step)
     field = _field(layers, rough, turning_radius)
@@ -80,7 +80,7 @@ def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array
     return rough
 
 
-def _along(layers: Traversability, rough: Array) -> Traversability:
+def along(layers: Traversability, rough: Array) -> Traversability:
     """Return the map with the costs in the direction of the nearest point of a route."""
     if layers.heading.size == 1:
         return layers
