@@ -35,8 +35,8 @@ from slipfree.plan.transcription import SAMPLE_STEP, PlanTask
 from slipfree.plan.verification import simulate_to_failure
 from slipfree.routing.reeds_shepp import reeds_shepp
 from slipfree.routing.search import route, routes
-from slipfree.routing.smoothing import resample_polyline
-from slipfree.routing.traversability import Traversability, nodes_at, traversability
+from slipfree.routing.smoothing import path_cost
+from slipfree.routing.traversability import Traversability, traversability
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import input_samples
 from slipfree.solve.settle import settle
@@ -151,17 +151,10 @@ def choose_guide(
             most = count if len(trip.places) == 2 else 1
             first, *others = ground_routes(layers, trip.places, turning_radius=radius, count=most)
             # a search succeeds more often from a path with fewer turns
-            if _map_cost(layers, trip.places) > DETOUR * _map_cost(layers, first):
+            if path_cost(layers, trip.places) > DETOUR * path_cost(layers, first):
                 return Guide("route", speed, radius, (first, *others))
             return Guide("follow", speed, radius, (trip.places, *others))
     return Guide("follow", speed, radius, (trip.places,))
-
-
-def _map_cost(layers: Traversability, points: Array) -> float:
-    """Return the integral of the map's cost along a polyline, shape (n, 2) [m]."""
-    dense = resample_polyline(points, 0.5 * min(layers.spacing))
-    lengths = np.linalg.norm(np.diff(dense, axis=0), axis=1)
-    return float(layers.cost[nodes_at(layers, (dense[1:] + dense[:-1]) / 2)] @ lengths)
 
 
 def _default_speed(trip: Trip, bounds: Mapping[str, Range]) -> float:

@@ -17,7 +17,13 @@ import scipy
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, field_overview
 from slipfree.routing.reachability import no_route_words
-from slipfree.routing.smoothing import along, polyline_length, resample_polyline, smooth
+from slipfree.routing.smoothing import (
+    along,
+    path_cost,
+    polyline_length,
+    resample_polyline,
+    smooth,
+)
 from slipfree.routing.traversability import (
     Point,
     Traversability,
@@ -203,7 +209,7 @@ def routes(
         points = smooth(layers, rough, turning_radius)
         kind = homotopy_class(points, obstacles)
         if kind not in by_class:
-            cost = _integral(along(layers, rough), points)
+            cost = path_cost(along(layers, rough), points)
             by_class[kind] = Route(points, cost, polyline_length(points))
         further = crossed_rays(layers, rough, obstacles)
         pending += [(detour, (*closed, ray)) for detour, ray in further]
@@ -300,13 +306,3 @@ def _passed(i: int, j: int) -> tuple[tuple[int, int], ...]:
 def _shifted(padded: npt.NDArray[np.float32], i: int, j: int) -> npt.NDArray[np.float32]:
     rows, columns = padded.shape
     return padded[2 + i : rows - 2 + i, 2 + j : columns - 2 + j]
-
-
-# Several routes
-
-
-def _integral(layers: Traversability, points: Array) -> float:
-    """Return the integral along a polyline of the cost at the nearest nodes [m]."""
-    dense = resample_polyline(points, 0.25 * min(layers.spacing))
-    cost = layers.least_cost[nodes_at(layers, 0.5 * (dense[1:] + dense[:-1]))]
-    return float(cost @ np.linalg.norm(np.diff(dense, axis=0), axis=1))
