@@ -250,10 +250,11 @@ def test_a_batch_ends_where_a_single_motion_ends():
 def test_routes_avoid_ground_as_high_as_the_body():
     narrow = three_wheeler(axle="fixed", half_track=0.3, wheelbase=0.5, r1=0.02, r2=0.08)
     low, high = (with_shapes(narrow, Box((0.3, 0.4, 0.1), (0.0, 0.2, z))) for z in (0.03, 0.4))
-    blocked = traversability(RIDGE, low, spacing=0.25)
+    places = {"spacing": 0.5, "places": np.array([[-1.0, 0.9], [1.0, 0.9]])}
+    blocked = traversability(RIDGE, low, **places)
     at = int(np.abs(blocked.x).argmin()), int(np.abs(blocked.y - 0.9).argmin())
     assert "a body touches the ground" in blocking_reasons(blocked, 0.0, blocked.y[at[1]])
-    free = traversability(RIDGE, high, spacing=0.25)
+    free = traversability(RIDGE, high, **places)
     assert np.isfinite(free.cost[:, *at]).sum() > np.isfinite(blocked.cost[:, *at]).sum()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -37,11 +38,16 @@ def model():
     return dae, sf.settle(dae)
 
 
+@cache
+def layers():
+    return traversability(GROUND, VEHICLE)
+
+
 def guide_to(model, goal, bounds=None, *, is_map=True):
     dae, start = model
     task = task_of(dae, start, goal=goal, costs=COSTS, duration=1.0)
     trip = trip_of(task, dae, start, VEHICLE, GROUND)
-    return choose_guide(trip, bounds or {}, traversability(GROUND, VEHICLE) if is_map else None)
+    return choose_guide(trip, bounds or {}, layers() if is_map else None)
 
 
 def test_the_guide_suits_goal_ground_and_bounds(model):

@@ -34,7 +34,8 @@ from slipfree.plan.problem import Range
 from slipfree.plan.transcription import SAMPLE_STEP, PlanTask
 from slipfree.plan.verification import simulate_to_failure
 from slipfree.routing.reeds_shepp import reeds_shepp
-from slipfree.routing.search import path_cost, route, routes
+from slipfree.routing.search import route, routes
+from slipfree.routing.smoothing import path_cost
 from slipfree.routing.traversability import Traversability, traversability
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import input_samples

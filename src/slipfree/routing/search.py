@@ -17,12 +17,17 @@ import scipy
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, field_overview
 from slipfree.routing.reachability import no_route_words
-from slipfree.routing.smoothing import polyline_length, resample_polyline, smooth
+from slipfree.routing.smoothing import (
+    along,
+    path_cost,
+    polyline_length,
+    resample_polyline,
+    smooth,
+)
 from slipfree.routing.traversability import (
     Point,
     Traversability,
     blocking_reasons,
-    nearest_headings,
     node_at,
     nodes_at,
     point_text,
@@ -204,7 +209,8 @@ def routes(
         points = smooth(layers, rough, turning_radius)
         kind = homotopy_class(points, obstacles)
         if kind not in by_class:
-            by_class[kind] = Route(points, path_cost(layers, points), polyline_length(points))
+            cost = path_cost(along(layers, rough), points)
+            by_class[kind] = Route(points, cost, polyline_length(points))
         further = crossed_rays(layers, rough, obstacles)
         pending += [(detour, (*closed, ray)) for detour, ray in further]
         pending.sort(key=itemgetter(0))
@@ -300,14 +306,3 @@ def _passed(i: int, j: int) -> tuple[tuple[int, int], ...]:
 def _shifted(padded: npt.NDArray[np.float32], i: int, j: int) -> npt.NDArray[np.float32]:
     rows, columns = padded.shape
     return padded[2 + i : rows - 2 + i, 2 + j : columns - 2 + j]
-
-
-# Several routes
-
-
-def path_cost(layers: Traversability, points: Array) -> float:
-    """Return the integral along a polyline of the cost at the nearest nodes [m]."""
-    dense = resample_polyline(points, 0.25 * min(layers.spacing))
-    middle, steps = 0.5 * (dense[1:] + dense[:-1]), np.diff(dense, axis=0)
-    cost = layers.cost[nearest_headings(layers, steps), *nodes_at(layers, middle)]
-    return float(cost @ np.linalg.norm(steps, axis=1))

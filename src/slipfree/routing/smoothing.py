@@ -16,6 +16,7 @@ from slipfree.routing.traversability import Traversability, nearest_headings, no
 CLEARANCE = 1.2  # clearance from blocked nodes: a cell and a margin, in cells
 CURVATURE_TARGET = 0.97  # target after a violation, relative to the allowed curvature
 MIN_TARGET_FACTOR = 0.7  # smallest factor by which a round changes that target
+DEARER = 1.3  # largest cost of a smoothed route, relative to that which the search found
 CHECK_STEP = 0.05  # distance between the points at which a path is checked, in cells
 CURVATURE_TOLERANCE = 1.02  # accepted curvature, relative to the allowed curvature
 PENALTIES = (1.0, 3.0, 10.0, 30.0, 100.0)  # weights of clearance and curvature, increased in turn
@@ -52,11 +53,12 @@ def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array
     If no smoothed route avoids all blocked nodes, the result is the rough route, if possible with
     equally spaced points whose spline avoids them.
     """
-    layers = _along(layers, rough)
+    layers = along(layers, rough)
     step = max(0.25 * layers.limits.half, polyline_length(rough) / MAX_POINTS)
     half = max(layers.limits.half, step)
     field = _field(layers, rough, turning_radius)
     sharpest = 1 / turning_radius if turning_radius else math.inf
+    dearest = DEARER * path_cost(layers, rough)
     points, best, least = resample_polyline(rough, step), None, math.inf
     for weight in PENALTIES:
         clear = CLEARANCE * max(layers.spacing)
@@ -64,6 +66,8 @@ def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array
         points = _resample_spline(_minimise(field, points, aim), step)
         candidate = _resample_spline(points, half)
         is_free, curvature = _check_path(layers, candidate)
+        # where a turn is too narrow for the radius, a wide one may cross what the route avoids
+        is_free = is_free and path_cost(layers, candidate) <= dearest
         if is_free and curvature < least:
             best, least = candidate, curvature
         if is_free and curvature * turning_radius <= CURVATURE_TOLERANCE:
@@ -80,7 +84,7 @@ def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array
     return rough
 
 
-def _along(layers: Traversability, rough: Array) -> Traversability:
+def along(layers: Traversability, rough: Array) -> Traversability:
     """Return the map with the costs in the direction of the nearest point of a route."""
     if layers.heading.size == 1:
         return layers
@@ -95,6 +99,14 @@ def _along(layers: Traversability, rough: Array) -> Traversability:
     heading = nearest_headings(layers, steps)[owner[_nearest(off, layers.spacing)]]
     cost = np.take_along_axis(layers.cost, heading[None], axis=0)
     return layers._replace(heading=layers.heading[:1], cost=cost)
+
+
+def path_cost(layers: Traversability, points: Array) -> float:
+    """Return the integral of the cost along a polyline, in its direction, shape (n, 2) [m]."""
+    dense = resample_polyline(points, 0.25 * min(layers.spacing))
+    nodes = nodes_at(layers, 0.5 * (dense[1:] + dense[:-1]))
+    lengths = np.linalg.norm(np.diff(dense, axis=0), axis=1)
+    return float(along(layers, points).least_cost[nodes] @ lengths)
 
 
 def _check_path(layers: Traversability, points: Array) -> tuple[bool, float]:

@@ -160,7 +160,8 @@ def traversability(
     -------
     Traversability
         The cost and the poses. A node is blocked in a direction if the vehicle does not stand there
-        at this heading, or needs more than 1.5 times the friction; and in all directions if in some
+        at this heading, or needs more than 1.5 times the friction, or without friction is inclined
+        by more than 30 degrees; and in all directions if in some
         heading a wheel could reach over the edge of the map, into a hole or into a keep-out region.
 
     Raises
@@ -228,6 +229,8 @@ def pose_costs(poses: Atlas) -> Array:
             used = poses["utilisation"]
             cost += np.where(used < MAX_UTILISATION, FRICTION * used**2, math.inf)
             cost += np.where(used < 1, 0.0, SLIDING)
+        else:
+            cost += np.where(inclination < STEEP, 0.0, math.inf)
         if "tip_over_margin" in poses.bands:
             margin = poses["tip_over_margin"]
             cost += TIPPING * (inclination / np.maximum(inclination + margin, 1e-9)) ** 2
