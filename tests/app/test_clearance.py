@@ -9,7 +9,10 @@ from numpy.testing import assert_allclose
 
 from helpers.commands import invoke
 from slipfree import open_result
+from slipfree.problem.load import verb_of
+from slipfree.show.drive_scene import drive_scene
 from slipfree.show.meshes import shape_mesh
+from slipfree.show.plots import draw
 from slipfree.vehicle.shapes import Ball, Box, Hull
 
 VEHICLE = """\
@@ -74,6 +77,15 @@ def test_a_run_reports_where_the_body_came_closest_and_ends_there(tmp_path):
     assert run.stop.name == "clearance_body"
     assert_allclose(run["clearance_body"][-1], 0, atol=1e-6)
     assert (tmp_path / "out_figures" / "clearance.png").exists()
+    result = open_result(out)
+    verb = verb_of(result.problem)
+    scene = drive_scene([verb.shown(result, "out")])
+    (line,) = (each for each in scene.ground.lines if each.name == "closest")
+    foot = line.segments[0, 0] + scene.origin
+    assert_allclose(foot, [place[axis] for axis in "xyz"])
+    figure = draw(plot for plot in verb.figures(result) if plot.name == "map")["map"]
+    (mark,) = (each for each in figure.axes[0].lines if "closest" in str(each.get_label()))
+    assert_allclose(mark.get_xydata(), [foot[:2]])
     summary = invoke("info", out).stdout
     assert "clearance of the body" in summary
 

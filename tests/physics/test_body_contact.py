@@ -1,6 +1,7 @@
 """Tests of bodies that bear load in dynamics: closed forms, energy, hanging and rolling over."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -14,6 +15,7 @@ from slipfree.problem.result import run_problem
 from slipfree.terrain.solids import placed, step
 from slipfree.vehicle.shapes import Ball, Box, Hull
 
+PROBLEMS = Path(__file__).parents[2] / "problems"
 DEPTH, WEIGHT = 2e-3, 48 * 9.81
 LAW = Compliant(body_depth=DEPTH)
 BELLY = Box((0.4, 0.5, 0.2), at=(0.0, 0.35, 0.1))  # its lower face is at the axles
@@ -160,44 +162,15 @@ def test_too_many_points_are_refused():
     assert dynamics(car(BELLY), Solids(FLAT, placed(step(0.1))), law=LAW).labels.y.body_load
 
 
-def test_a_problem_lets_bodies_bear_load(tmp_path):
-    vehicle = """\
-name = "low"
-frame = "rep103"
-mass = 30.0
-center_of_mass = [0, 0, 0.1]
-shapes = [{ kind = "box", size = [0.6, 0.3, 0.2], at = [0, 0, 0.05] }]
-"""
-    wheels = ", ".join(
-        f'{{ name = "{name}", parent = "platform", at = [{x}, {y}, 0], radius = 0.1, mass = 1, '
-        "driven = true, static_depth = 1e-3 }"
-        for name, x, y in (
-            ("lf", 0.3, 0.3),
-            ("lr", -0.3, 0.3),
-            ("rf", 0.3, -0.3),
-            ("rr", -0.3, -0.3),
-        )
-    )
-    (tmp_path / "low.toml").write_text(f"{vehicle}wheels = [{wheels}]\n")
-    (tmp_path / "p.toml").write_text("""\
-verb = "direct"
-model = "dynamics"
-law.compliant = { body_depth = 0.002 }
-vehicle = { file = "low.toml" }
-start = { x = 0.0, y = -1.5 }
-inputs = { lf_rate = 8.0, lr_rate = 8.0, rf_rate = 8.0, rr_rate = 8.0 }
-time = { duration = 4, step = 0.05 }
-
-[terrain]
-friction = 0.5
-synthetic.x = [-3, 3]
-synthetic.y = [-3, 4]
-synthetic.spacing = 0.1
-synthetic.placed_rocks = [[0.0, 0.5, 0.35, 0.16]]
-""")
-    problem = load_problem(tmp_path / "p.toml")
+def test_the_robot_of_the_shipped_problem_hangs_up():
+    problem = load_problem(PROBLEMS / "dynamics_hang_up.toml")
     result = run_problem(problem)
-    assert result.trajectory.stop is None
-    assert result.trajectory["body_load"].max() > 20
-    told = dict(find_motion_verb(result.kind).summary(result.trajectory))
-    assert told["body on the ground"].startswith("at ")
+    run = result.trajectory
+    assert run.stop is None
+    assert run["body_load"][-1] > 34 * 9.81 / 2
+    assert (run["force_normal"][-1][:2] == 0).all()  # front wheels
+    assert abs(run["velocity_y"][-1]) < 1e-3
+    assert run["slip_along"][-1][2:] == pytest.approx(-0.4, abs=0.01)  # rear wheels turn in place
+    summary = dict(find_motion_verb(result.kind).summary(run))
+    assert summary["body on the ground"].startswith("at ")
+    assert summary["energy balance"].startswith("closed to ")

@@ -140,11 +140,15 @@ class NearestPoints:
             # between the points; less than for unknown curvatures, as in `_grid_starts`
             rise = np.minimum(SLACK * np.sqrt(squares / 2), curvature * squares / 8)
             ground = x, y, heights + rise
+            highest = ground[2].max(axis=(0, 1))
         for k in np.argsort(lowest.mean(axis=1)):
             shape, open_ = self.shapes[k][1], np.arange(n)
             if ground is not None:
-                bound = _coarse_bound(ground, placed[k, :2], _radius(shape), lowest[k])
-                open_ = np.flatnonzero((bound < upper) | (bound == 0))
+                open_ = np.flatnonzero(lowest[k] - highest < upper)
+                at, low = placed[k][:2, open_], lowest[k, open_]
+                near = [each[..., open_] for each in ground]
+                bound = _coarse_bound(near, at, _radius(shape), low)
+                open_ = open_[(bound < upper[open_]) | (bound == 0)]
             if open_.size:
                 find = self._hull_starts if isinstance(shape, Hull) else self._grid_starts
                 least, starts = find(shape, placed[k][:, open_])
@@ -364,9 +368,7 @@ def _is_near(chosen: Mask, pose: Indices, cell: Array) -> Mask:
     return is_near
 
 
-def _coarse_bound(
-    ground: tuple[Array, Array, Array], center: Array, radius: float, lowest: Array
-) -> Array:
+def _coarse_bound(ground: Sequence[Array], center: Array, radius: float, lowest: Array) -> Array:
     """Return lower bounds of the distances of a shape from a coarse ground, (n,); zero if inside.
 
     The shape is above the height ``lowest`` and within ``radius`` of its centre. A point of the

@@ -15,7 +15,7 @@ from slipfree.files.urdf.links import Robot, poses_on_map, wheel_name
 from slipfree.files.urdf.tree import UrdfJoint
 from slipfree.geometry.mesh import TriangleMesh
 from slipfree.geometry.regions import Region
-from slipfree.models.samples import FramePoses, part_poses, wheel_poses
+from slipfree.models.samples import CLOSEST, FramePoses, part_poses, wheel_poses
 from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing
 from slipfree.show.ground_drawing import Window
@@ -39,6 +39,7 @@ from slipfree.show.scene import (
     Backdrop,
     Color,
     Layer,
+    Lines,
     Scene,
     SceneBody,
     SceneGround,
@@ -62,6 +63,7 @@ FINE = 0.125  # distance of nodes near the paths [reach of the vehicle]
 SEEN = 0.1  # larger distances of wheels from the drawn ground cause a warning [wheel radius]
 AROUND = 1.6  # half the width of the ground around the vehicle in a film [reach of the vehicle]
 CELLS = 24  # nodes of the ground around the vehicle in a film, per side
+CLOSEST_COLOR = (120, 0, 160)  # of the place where a body came closest to the ground
 SAME = 1e-9  # smaller differences of grounds are rounding [m]
 
 
@@ -101,10 +103,24 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
     notes = [_cropped(grid, fine), *_off(drives, fine, 0.0)]
     solids = [solid_mesh(each, window, drawn.values.min(), origin) for each in first.prisms]
     shade = fine.interpolated(ground_drawing.brightness(drawn)).ravel()
-    lines = map_lines(drawn, first.terrain, window, origin, reach)
+    lines = (
+        *map_lines(drawn, first.terrain, window, origin, reach),
+        *_closest(drives, origin, reach),
+    )
     ground = _with_solids(SceneGround(fine.mesh(origin), tuple(layers), shade, lines), solids)
     backdrop = _backdrop(first, window, origin, reach, solids)
     return framed(ground, actors_of(drives, origin), origin, reach, backdrop, notes, warnings)
+
+
+def _closest(drives: Sequence[Driven], origin: Array, reach: float) -> Iterable[Lines]:
+    """Yield vertical lines where bodies came closest to the ground, if facts contain the places."""
+    places = [each.run.facts[CLOSEST] for each in drives if CLOSEST in each.run.facts]
+    if places:
+        feet = np.array([[each.value[axis] for axis in "xyz"] for each in places]) - origin
+        tops = feet + np.array([0.0, 0.0, reach])
+        labels = tuple((each.words, top) for each, top in zip(places, tops, strict=True))
+        legend = "bodies above the ground"
+        yield Lines("closest", legend, CLOSEST_COLOR, np.stack([feet, tops], axis=1), labels)
 
 
 def actors_of(drives: Sequence[Driven], origin: Array) -> list[Actor]:

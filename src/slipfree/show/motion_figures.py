@@ -109,7 +109,10 @@ def _ground(grid: Grid, place: tuple[float, float] | None) -> Figure:
 
 
 def path(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the path of the platform's centre in plan view, with direction, start, end and stop."""
+    """Draw the path of the platform's centre in plan view, with direction, start, end and stop.
+
+    The place where a body came closest to the ground is marked if the facts contain it.
+    """
     x, y = run["x"], run["y"]
     ax.plot(x, y, color=PLATFORM, label="platform", path_effects=style.halo(2.4), zorder=3)
     for at, way in _directions(x, y, float(np.ptp(ax.get_xlim()))):
@@ -121,6 +124,10 @@ def path(run: Trajectory, ax: Axes) -> Axes:
     else:
         words = f"stopped, {run.stop.t:.4g} s: {run.stop.name}"
         ax.plot(x[-1:], y[-1:], "X", mfc=STOPPED, label=words, **marks | {"ms": 7})
+    if CLOSEST in run.facts:
+        at = run.facts[CLOSEST].value
+        words = f"a body closest to the ground, {at['t']:.4g} s"
+        ax.plot(at["x"], at["y"], "v", mfc="white", label=words, **marks)
     return ax
 
 
