@@ -161,7 +161,7 @@ def test_sampled_inputs_are_refined(found):
     assert np.hypot(*(after[axis][-1] - before[axis][-1] for axis in "xy")) < 0.01
     assert less < 0.7 * paid
     with pytest.raises(sf.SolverError, match="refine: expected a motion over the window of 4 s"):
-        refine(window, sf.settle(dae, y=3.0), np.full((3, 2), 2.0))
+        refine(window, sf.settle(dae, y=2.4), np.full((3, 2), 2.0))
 
 
 def test_a_limit_of_the_world_ends_the_motion(window):

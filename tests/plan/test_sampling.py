@@ -155,7 +155,7 @@ def test_an_obstacle_that_appears_on_the_way_is_passed(task, seed):
         task, goal={"x": 0.1, "y": 1.4}, span=4.0, intervals=8, candidates=64, seed=seed
     )
     here, found, path = settle(world, y=-1.0), None, []
-    for _ in range(30):
+    for _ in range(50):
         at = state(task, here)
         seen = [kept] if np.hypot(at[0] - x, at[1] - 0.2) < 0.9 else []
         found = sample_plan(aware, at, found, elapsed=0.4, keep_out=seen)
