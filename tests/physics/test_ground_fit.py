@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -13,15 +13,19 @@ from helpers.hillside import AXIS, HILL, TRUE, drive
 from slipfree import ModelError
 from slipfree.core.records import Array
 from slipfree.fit import ground_fit
+from slipfree.fit.body_motion import MotionError
 from slipfree.fit.ground_fit import GroundFit, conformal, fit_ground, fit_on_uncertain_map, judge
 from slipfree.fit.ground_motion import (
     FRICTION,
     HALF_BASE,
     HALF_TRACK,
     MODELS,
+    ComplexArray,
     DriveLog,
     GroundPredictor,
     Slopes,
+    Tour,
+    Values,
     friction_rates,
     windows_of,
     with_drives_and_sensors,
@@ -134,6 +138,23 @@ def test_fits_that_do_not_converge_are_refused(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(ground_fit, "MAX_EVALUATIONS", 2)
     with pytest.raises(ModelError, match=r"convergence of the fit of .* after 2 eval"):
         fitted(logs(), "slope", Slopes(HILL, 0.0))
+
+
+def test_searches_avoid_values_without_motion() -> None:
+    """The first step goes from a slope of turns of 1 to 3.9; the truth is 2."""
+    predict, rejected = GroundPredictor(logs(), windows_of(logs(), 5.0), Slopes(HILL, 0.0)), []
+
+    def paths(most: float, values: Values, tour: Tour) -> tuple[ComplexArray, Array]:
+        if values["turn_slope"].max() > most:
+            rejected.append(values["turn_slope"].max())
+            raise MotionError("the vehicle tips over", 0)
+        return MODELS["slope"].paths(values, tour)
+
+    found = fit_ground(MODELS["slope"]._replace(paths=partial(paths, 3.0)), predict)
+    assert rejected
+    assert abs(found.values["turn_slope"] - TRUE["turn_slope"]) < 0.01
+    with pytest.raises(ModelError, match="the vehicle tips over"):
+        fit_ground(MODELS["slope"]._replace(paths=partial(paths, 1.5)), predict)
 
 
 def test_coarse_and_short_logs_have_no_windows() -> None:
