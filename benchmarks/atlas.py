@@ -56,6 +56,7 @@ VEHICLES = {
 }
 HEADINGS, COMPARED = 16, 100
 PLACES, ROW, PATCH = 20, 32, 32  # draws at a place are ROW^2 copies of PATCH x PATCH nodes
+BORDER = 6  # nodes of a copy that do not matter
 ERROR = 0.02  # of the heights [m]
 MAPS = 20  # of plans
 HILLS = (0.4, 0.6), (0.7, 0.8)  # root mean square of the heights [m], and friction, in turn
@@ -64,7 +65,8 @@ FIELD = (  # 18 m across hills
     *("terrain.synthetic.x=[0.0, 24.0]", "terrain.synthetic.y=[0.0, 24.0]"),
     *("terrain.synthetic.power_law.longest=12.0", "terrain.synthetic.power_law.shortest=2.5"),
     *("start={x=12.0, y=3.0, heading=0.0}", "goal={x=12.0, y=21.0}", "plan.intervals=40"),
-    *("plan.accuracy=0.002", "time.duration=120.0"),
+    *("plan.accuracy=0.002", "plan.duration=", "time.duration=120.0", "time.step=0.25"),
+    *("driver={name='route', speed=0.5, turning_radius=2.5}", "solver.tolerance=1e-8"),
 )
 FOLLOWED = "roll", "pitch", "tip_over_margin", "clearance_body"
 
@@ -166,8 +168,8 @@ def errors() -> None:
         beyond = count = 0
         while count < PLACES:
             i, j = (int(rng.integers(side, axis.size - side)) for axis in (grid.x, grid.y))
-            place = {"headings": [0.5], "tolerance": 0.1, "x": grid.x[[i]], "y": grid.y[[j]]}
-            found = atlas(model, terrain, error=ERROR, **place)
+            place = {"headings": [0.5], "x": grid.x[[i]], "y": grid.y[[j]]}
+            found = atlas(model, terrain, error=ERROR, compiled=False, **place)
             if not found.stands.all():
                 continue
             count += 1
@@ -177,7 +179,9 @@ def errors() -> None:
             even = rng.uniform(-ERROR, ERROR, normal.shape)
             for quantity, values in changes(vehicle, found, z, even, grid.spacing).items():
                 beyond += int((np.abs(values) > found[f"{quantity}_worst"].item()).sum())
-            near = normal[:, 4:-4, 4:-4].reshape(ROW**2, -1)  # nodes that matter
+            near = normal[:, BORDER:-BORDER, BORDER:-BORDER].reshape(
+                ROW**2, -1
+            )  # nodes that matter
             stands = np.isfinite(drawn["roll"])
             slopes = {
                 key: np.linalg.lstsq(near[stands], values[stands])[0]
@@ -185,8 +189,8 @@ def errors() -> None:
             }
             worst = np.zeros_like(normal)
             for k, slope in enumerate(slopes.values()):
-                pattern = ERROR * np.sign(slope).reshape(PATCH - 8, -1)
-                worst[2 * k, 4:-4, 4:-4], worst[2 * k + 1, 4:-4, 4:-4] = pattern, -pattern
+                pattern = ERROR * np.sign(slope).reshape(PATCH - 2 * BORDER, -1)
+                worst[2 * k : 2 * k + 2, BORDER:-BORDER, BORDER:-BORDER] = pattern, -pattern
             most = changes(vehicle, found, z, worst, grid.spacing)
             for k, (quantity, values) in enumerate(drawn.items()):
                 deviation = found[f"{quantity}_deviation"].item()
@@ -219,7 +223,15 @@ def changes(
     at = PATCH * np.arange(ROW) + PATCH // 2
     ground = Bicubic(Grid(x, y, tiles), mu=0.6)
     model = direct_kinematics(vehicle, ground)
-    poses = atlas(model, ground, headings=found.heading, x=x[at], y=y[at], tolerance=0.1)
+    poses = atlas(  # each map would be compiled, since pivots depend on it
+        model,
+        ground,
+        headings=found.heading,
+        x=x[at],
+        y=y[at],
+        quantities=FOLLOWED,
+        compiled=False,
+    )
     return {name: poses[name].ravel() - found[name].item() for name in FOLLOWED}
 
 

@@ -134,7 +134,8 @@ def test_plans_that_cannot_be_set_up(file, settings, words):
 
 
 def test_several_routes_start_the_search():
-    setup = build(load_problem(FIELD, ["plan.starts=2"]))
+    level = "terrain.synthetic.craters=", "terrain.synthetic.power_law="
+    setup = build(load_problem(FIELD, (*level, "plan.starts=2")))
     assert len(setup.guide.paths) == len(setup.starts) == 2
 
 

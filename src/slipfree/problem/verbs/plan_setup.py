@@ -203,8 +203,8 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     check_names(problem, dae, spec.inputs, driven)
     keep_out, between = regions(problem), way_points_of(problem)
     places, exact = places_of(problem, between, terrain.domain)
-    layers = build_layers(problem, terrain, vehicle, places)
-    wrong = [each for each in unreachable(layers, places) if each.name in exact]
+    space = free_space(terrain, vehicle, keep_out=keep_out)
+    wrong = [each for each in unreachable(space, places) if each.name in exact]
     if wrong:
         where = problem.source.where((key_of(wrong[0].name),))
         raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
@@ -223,6 +223,7 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
         task = task_of(dae, start, **arguments, duration=spec.plan.duration or 1.0)
     begin = settled_start(driven, start, spec.solver.options) if is_dynamic else start
     trip = trip_of(task, driven, begin, vehicle, terrain)
+    layers = build_layers(problem, terrain, vehicle, places)
     guide = _guide(problem, trip, layers, places)
     check_windows(problem, vehicle, guide.paths)
     check_robust(problem, terrain.has_friction)
