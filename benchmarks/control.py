@@ -33,6 +33,7 @@ from slipfree import (
     Grid,
     Region,
     SamplingTask,
+    SolverError,
     SolverOptions,
     catalog,
     commanded,
@@ -245,7 +246,12 @@ def exact_controller(
     cycles: list[sampling.SampledPlan | None] = [None]
 
     def decide(x: np.ndarray) -> np.ndarray:
-        cycles[0] = sample_plan(task, x, cycles[0], elapsed=PERIOD, goal=goal, keep_out=regions(x))
+        try:
+            cycles[0] = sample_plan(
+                task, x, cycles[0], elapsed=PERIOD, goal=goal, keep_out=regions(x)
+            )
+        except SolverError:  # the vehicle stands for a period
+            return np.zeros(2)
         return cycles[0].inputs[:, 0]
 
     return decide
@@ -372,7 +378,7 @@ def corridor() -> None:
             {"slip": 1.0},
             {"x": 0.0, "y": LENGTH},
             SPAN,
-            {"forward": (0.0, CRAWL), "yaw_rate": (-1.0, 1.0)},
+            {"forward": (-0.15, CRAWL), "yaw_rate": (-1.0, 1.0)},
             candidates=CANDIDATES,
             seed=seed,
         )

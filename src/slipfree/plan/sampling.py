@@ -302,7 +302,11 @@ def _shifted(task: SamplingTask, inputs: Array, elapsed: float) -> Array:
 
 
 def _candidates(task: SamplingTask, mean: Array, number: int) -> Array:
-    """Return inputs of candidates, shape (n_u, intervals, candidates); the first is the mean."""
+    """Return inputs of candidates, shape (n_u, intervals, candidates).
+
+    The first is the mean. The second has the smallest inputs, zero if the ranges allow it: where
+    every other motion meets an obstacle, the vehicle can stop.
+    """
     low, high = task.limits
     rng = np.random.default_rng((task.seed, number))
     noise = rng.standard_normal((*mean.shape, task.candidates))
@@ -310,7 +314,9 @@ def _candidates(task: SamplingTask, mean: Array, number: int) -> Array:
         noise[:, k] = CORRELATION * noise[:, k - 1] + np.sqrt(1 - CORRELATION**2) * noise[:, k]
     noise[..., 0] = 0.0
     spread = task.spread * (high - low)
-    return np.clip(mean[..., None] + spread[..., None] * noise, low[..., None], high[..., None])
+    inputs = np.clip(mean[..., None] + spread[..., None] * noise, low[..., None], high[..., None])
+    inputs[..., 1:2] = np.clip(0.0, low, high)[..., None]
+    return np.asarray(inputs)
 
 
 def _first_state(task: SamplingTask, x: Array) -> Array:
