@@ -27,7 +27,7 @@ power_law = { rms = 0.05, hurst = 0.9, longest = 4.0, shortest = 2.0, seed = 1 }
 PLAN = """\
 goal = { y = 0.8 }
 costs = { slip = 1e3, effort = 0.01 }
-plan = { intervals = 8, smooth = 0.002 }
+plan = { intervals = 8, smooth = 0.002, duration = 4.0 }
 """
 
 

@@ -142,6 +142,8 @@ def test_regions_that_are_seen_late_are_avoided(task):
     line = np.linspace(found.x[:2, :-1], found.x[:2, 1:], 9)
     assert rock.distance(*np.moveaxis(line, 1, 0)).min() > -0.01
     assert straight.complete > found.complete
+    wall = Region.disc(0.0, -1.5, radius=0.52)  # the start is 2 cm inside: it may leave
+    assert np.isfinite(sample_plan(task, start, keep_out=[wall]).cost)
 
 
 @pytest.mark.slow  # a closed loop

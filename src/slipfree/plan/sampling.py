@@ -236,7 +236,8 @@ def sample_plan(
     keep_out : sequence of Region
         Regions that the centre of the platform must not enter, such as obstacles that were seen
         since the last cycle, enlarged by half the width of the vehicle. They are checked at
-        `CHECKED_POINTS` points of every interval.
+        `CHECKED_POINTS` points of every interval. In a region in which it starts, it must not go
+        deeper.
 
     Returns
     -------
@@ -301,7 +302,11 @@ def _shifted(task: SamplingTask, inputs: Array, elapsed: float) -> Array:
 
 
 def _candidates(task: SamplingTask, mean: Array, number: int) -> Array:
-    """Return inputs of candidates, shape (n_u, intervals, candidates); the first is the mean."""
+    """Return inputs of candidates, shape (n_u, intervals, candidates).
+
+    The first is the mean. The second has the smallest inputs, zero if the ranges allow it: where
+    every other motion meets an obstacle, the vehicle can stop.
+    """
     low, high = task.limits
     rng = np.random.default_rng((task.seed, number))
     noise = rng.standard_normal((*mean.shape, task.candidates))
@@ -309,7 +314,9 @@ def _candidates(task: SamplingTask, mean: Array, number: int) -> Array:
         noise[:, k] = CORRELATION * noise[:, k - 1] + np.sqrt(1 - CORRELATION**2) * noise[:, k]
     noise[..., 0] = 0.0
     spread = task.spread * (high - low)
-    return np.clip(mean[..., None] + spread[..., None] * noise, low[..., None], high[..., None])
+    inputs = np.clip(mean[..., None] + spread[..., None] * noise, low[..., None], high[..., None])
+    inputs[..., 1:2] = np.clip(0.0, low, high)[..., None]
+    return np.asarray(inputs)
 
 
 def _first_state(task: SamplingTask, x: Array) -> Array:
@@ -348,12 +355,16 @@ def _simulated(aims: _Aims, inputs: Array) -> tuple[Array, Candidates]:
 
 
 def _end_in_regions(aims: _Aims, motions: Candidates) -> None:
-    """End motions whose platform enters a region; straight lines connect the samples."""
+    """End motions whose platform enters a region, or goes deeper into one in which it starts.
+
+    Straight lines connect the samples.
+    """
     x, y = (motions.samples[:, row] + aims.task.model.shift[0][row] for row in _places(aims.task))
     for region in aims.keep_out:
+        least = np.minimum(region.distance(x[0], y[0]), 0.0)
         for part in np.linspace(1.0, 0.0, CHECKED_POINTS, endpoint=False)[::-1]:
             at = ((1 - part) * each[:-1] + part * each[1:] for each in (x, y))
-            inside = region.distance(*at) < 0
+            inside = region.distance(*at) < least
             first = np.where(inside.any(axis=0), aims.task.t[inside.argmax(axis=0)], np.inf)
             earlier = (first < motions.end) | (inside.any(axis=0) & (motions.reason == COMPLETE))
             motions.end[earlier], motions.reason[earlier] = first[earlier], IN_REGION
