@@ -175,9 +175,9 @@ def plan(
     guess : Trajectory or sequence of Trajectory, optional
         Motions of the model from the start roughly to the goal, as initial guesses. The result is
         the verified plan of least cost from all guesses, or, if the simulation verifies none, the
-        plan of least cost. By default one guess is made: the vehicle drives along a route if the
-        ground is a map, or straight to the goal; in reverse gear, too, to a goal that it cannot
-        reach by turning forwards (`slipfree.plan.guess`).
+        plan of least cost. By default one guess is made: the vehicle drives directly to the goal,
+        or along a route over a map where that is cheaper; in reverse gear, too, to a goal that it
+        cannot reach by turning forwards (`slipfree.plan.guess`).
     goal : mapping of str to float or (low, high), or sequence of Limit
         Values or ranges of states and algebraic unknowns at the end, by name, in map coordinates;
         or conditions in the model's symbols. A heading, or a joint without stop and spring, is the
