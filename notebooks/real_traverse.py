@@ -53,7 +53,7 @@ inside_y = (whole.y >= 2300) & (whole.y <= 2750)
 grid = Grid(
     whole.x[inside_x], whole.y[inside_y], np.ascontiguousarray(whole.z[np.ix_(inside_x, inside_y)])
 )
-ground = Bicubic(grid, mu=0.4)
+ground = Bicubic(grid, mu=0.8)
 print(f"cells of {grid.spacing[0]:.1f} x {grid.spacing[1]:.1f} m, relief {np.ptp(grid.z):.0f} m")
 
 # %% [markdown]
