@@ -114,7 +114,7 @@ PRESSED = (
         ),
         (HILLS, ("plan.robust.share=0.9",), "expected an uncertainty"),
         (HILLS, ("plan.robust.friction=0.1",), "expected a ground with friction"),
-        (HILLS, ("plan.robust.inputs=0.1", "plan.window=2.0"), "plan.window"),
+        (HILLS, ("plan.robust.inputs=0.1", "plan.window=2.0", "plan.duration="), "plan.window"),
         (HILLS, ("plan.robust.share=1.0",), "less than 1"),
         (
             HILLS,
