@@ -43,7 +43,9 @@ VARIES = re.compile(
     r"[\d.e+-]+ (?:s CPU|steps|evaluations|iterations|s, of which [\d.]+ s in)|in [\d.]+ s\b"
     r"|Newton step +[\d.e+-]+ m at most, [\d.]+ x"  # differs between processors
 )
-PROGRESS = re.compile(r"integrated to [\d.]+ of |.*\biteration \d+, cost ")
+PROGRESS = re.compile(
+    r"integrated to [\d.]+ of |.*\biteration \d+, cost |(figures|frames|tiles): \d+ of \d+"
+)
 ROUNDING, TOLERANCE = 1e-6, 0.01
 
 
