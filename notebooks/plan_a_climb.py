@@ -142,17 +142,17 @@ except slipfree.SlipfreeError as error:
 # %% [markdown]
 # ## Where the ground is large
 #
-# A search over the map comes first: steep, rough and hollow ground costs more, and ground that the
+# A search over the map comes first: inclined poses, and those near tipping or sliding, cost more, and ground that the
 # vehicle cannot cross is excluded. A driving law follows each route that is found, and its motion is the
 # initial guess of a plan: `slipfree run problems/plan_crater_field.toml`. Here are routes over that field
 # of different homotopy classes, which pass the obstacles on different sides.
 
 # %%
-field = build(load_problem(problems / "plan_crater_field.toml", ["driver.count=3"]))
+field = build(load_problem(problems / "plan_crater_field.toml", ["plan.starts=3"]))
 grid = field.ground.grid
 figure = style.figure(5.6, 5.6)
 ax = figure.add_subplot(aspect="equal", xlabel="east x [m]", ylabel="north y [m]")
 cost_map(field.layers, grid, ax, ground_drawing.whole(grid))
-initial_routes(field.paths, ax)
+initial_routes(field.guide.paths, ax)
 figure.legend(loc="outside upper center", ncols=3)
 figure

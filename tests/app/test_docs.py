@@ -5,6 +5,7 @@ Pages are built, and notebooks executed, by `sphinx-build -W` (`.ci/run`).
 
 import ast
 import inspect
+import json
 import re
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
@@ -114,6 +115,22 @@ def test_a_notebook_is_listed_and_its_imports_exist(name):
         if isinstance(node, ast.Import | ast.ImportFrom):
             exec(ast.unparse(node), {})  # notebooks run when the pages are built: names change
     assert re.search(r"^# # \S", code, re.MULTILINE), "a title"
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_shows_its_script_executed(name):
+    script, notebook = (ROOT / "notebooks" / f"{name}.{end}" for end in ("py", "ipynb"))
+    cells = json.loads(notebook.read_text())["cells"]
+    parts = re.split(r"(?m)^# %%.*\n", script.read_text())[1:]
+
+    def bare(text):  # markdown and magic commands are comments in the script
+        return [line.removeprefix("#").strip() for line in text.strip().splitlines()]
+
+    assert [bare("".join(cell["source"])) for cell in cells] == [bare(part) for part in parts]
+    outputs = [out for cell in cells for out in cell.get("outputs", ())]
+    assert any("image/png" in out.get("data", ()) for out in outputs)
+    assert not any(out["output_type"] == "error" for out in outputs)
+    assert f"({name}.ipynb)" in (ROOT / "notebooks" / "README.md").read_text()
 
 
 @pytest.mark.parametrize("page", ["conventions.md", "papers.md"])
