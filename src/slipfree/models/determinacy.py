@@ -1,4 +1,4 @@
-"""Determinacy of inverse kinematics: singular values of its linear equations, and wheel rates.
+"""Determinacy of inverse kinematics: singular values of its linear equations.
 
 Slip is linear in all rates. A vehicle that rolls without slip obeys ``A r = 0``, with three rows
 per wheel. With some of the platform's rates given, the columns of the other rates form a square
@@ -12,8 +12,7 @@ wheels and joints by the rolling radius, and a steering angle by the speed of th
 
 Under commands, vehicles slip, and the rates of the driven wheels act through the direct model of
 least slip. The matrix is then the effect of the wheel rates on the given rates, scaled to
-velocities. Since that model is linear in its inputs, the wheel rates of least slip among those with
-the given rates follow from linear algebra.
+velocities.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from slipfree.core.records import Array, Label, leaves, pack
 from slipfree.core.trajectory import Trajectory
 from slipfree.laws.rolling import Rolling
 from slipfree.models.base import extent
-from slipfree.models.given_rates import EULER, OMEGA, VELOCITY, check_commands, derived_rates, omega
+from slipfree.models.given_rates import EULER, OMEGA, VELOCITY, derived_rates, omega
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
@@ -45,9 +44,7 @@ MOVES = {
     "right": "move the platform sideways",
     "yaw_rate": "turn the platform",
 }
-MIN_RELATIVE_SINGULAR_VALUE = 1e-14  # relative singular value that counts as zero
 MIN_RELATIVE_AUTHORITY = 1e-9  # smaller values: the wheels do not affect the given rate
-MAX_MISSED_SHARE = 1e-9  # tolerance of the given rates [largest given rate]
 
 
 def angle_slopes(vehicle: Vehicle, direct: Dae, rows: ca.SX) -> dict[str, ca.SX]:
@@ -314,68 +311,3 @@ def check_authority(vehicle: Vehicle, direct: Dae, stand: Trajectory, given: Seq
     x, z = direct.rows("x", stand, -1), direct.rows("z", stand, -1)
     if check.margin(x[:, None], z[:, None])[0] < 0:
         raise ModelError(f"{vehicle.name!r}: {check.describe(x, z)}")
-
-
-def wheel_rates(
-    vehicle: Vehicle,
-    direct: Dae,
-    stand: Trajectory,
-    *,
-    joints: Mapping[str, float] | None = None,
-    **given: float,
-) -> dict[str, float]:
-    """Return the inputs of least slip with which the platform has given rates, by name.
-
-    The configuration is the last sample of ``stand``, a motion of ``direct``, the direct model of
-    least slip. ``joints`` are rates of commanded coordinates by the names of the inputs, such as
-    ``steer_rate``; others are zero [rad/s, m/s]. ``given`` are some of ``forward``, ``right`` and
-    ``yaw_rate`` [m/s, rad/s]. If several inputs have the same slip, the result has the least norm.
-
-    ModelError is raised if no rate is given, if a rate or a joint is unknown, if a rate cannot be
-    imposed, if there are more rates than driven wheels, or if ``right`` is missing though all
-    driven wheels have rollers.
-    """
-    check_commands(vehicle, tuple(given))
-    at = direct.rows("x", stand, -1), direct.rows("z", stand, -1)
-    effect, slip = (np.array(part) for part in input_effects(direct, direct, tuple(given))(*at))
-    names = [label.full for label in leaves(direct.labels.u)]
-    count, moving = len(direct.u.wheels), joints or {}
-    if unknown := set(moving) - set(names[count:]):
-        raise ModelError(
-            f"joints: expected names of {', '.join(names[count:]) or 'no inputs'}, found "
-            f"{', '.join(map(repr, sorted(unknown)))}; correct the names"
-        )
-    turning = np.array([moving.get(name, 0.0) for name in names[count:]])
-    requested = np.array(list(given.values())) - effect[:, count:] @ turning
-    wheels = _least_slip_inputs(
-        effect[:, :count], slip[:, :count], requested, slip[:, count:] @ turning
-    )
-    sizes = np.array(command_sizes(vehicle, tuple(given)))
-    miss = sizes * (requested - effect[:, :count] @ wheels)
-    worst = int(np.abs(miss).argmax())
-    if not abs(miss[worst]) <= MAX_MISSED_SHARE * float(np.abs(sizes * requested).max()):
-        name = [*given][worst]
-        raise ModelError(
-            f"{vehicle.name!r}: expected given rates that the wheels can impose together in this "
-            f"configuration, found {name!r}, which the nearest motion misses by "
-            f"{abs(miss[worst]):.2g} m/s; remove {name!r} from the given rates"
-        )
-    return dict(zip(names, (float(each) for each in (*wheels, *turning)), strict=True))
-
-
-def _least_slip_inputs(effect: Array, slip: Array, requested: Array, rest: Array) -> Array:
-    """Return the inputs with ``effect @ inputs = requested`` and least slip.
-
-    The slip is ``rest + slip @ inputs``.
-    """
-    left, values, right = np.linalg.svd(effect)
-    rank = int((values > MIN_RELATIVE_SINGULAR_VALUE * max(values[0], np.finfo(float).tiny)).sum())
-    inverse = right[:rank].T @ np.diag(1 / values[:rank]) @ left[:, :rank].T
-    free = right[rank:].T
-    base = inverse @ requested
-    rates = (
-        base
-        + free
-        @ np.linalg.lstsq(slip @ free, -(rest + slip @ base), rcond=MIN_RELATIVE_SINGULAR_VALUE)[0]
-    )
-    return np.asarray(rates + inverse @ (requested - effect @ rates))
