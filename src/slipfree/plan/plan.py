@@ -32,7 +32,14 @@ from slipfree.plan.polynomial_motion import (
     sample_plan,
     save_plan,
 )
-from slipfree.plan.problem import Range, check_type, free_durations, near_conditions, task_of
+from slipfree.plan.problem import (
+    Range,
+    check_type,
+    duration_of,
+    free_durations,
+    near_conditions,
+    task_of,
+)
 from slipfree.plan.search import (
     LocalOptimum,
     Search,
@@ -290,7 +297,8 @@ def plan(
         motions, nominal = [motion], [length]
     if duration is None:
         length = former.motion.duration if former is not None else 0.0
-        task = replace(task, duration=(length, length) if former else free_durations(nominal))
+        default = (length, length) if former is not None else free_durations(nominal)
+        task = replace(task, duration=duration_of(default))
     intervals = mesh.intervals or _default_intervals(dae, motions, former)
     ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))
     first = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], mesh.degree)
