@@ -28,6 +28,7 @@ from slipfree.cli.common import (
     warn,
 )
 from slipfree.cli.outputs import Picture, check_outputs, check_page, check_picture, save_picture
+from slipfree.core.errors import DataError
 from slipfree.system.regular_files import escape_name, regular_file, replace_file
 
 if TYPE_CHECKING:
@@ -83,6 +84,7 @@ def show(
         title = motions[0].run.attributes.get("title", motions[0].name)
         with about(files[0]):
             scene = drive_scene(motions, with_poses=color in POSE_LAYERS)
+        _check_time(time, scene.span, picture)
         for words in scene.warnings:
             warn(words)
         if animation is not None:
@@ -106,6 +108,19 @@ def show(
             from slipfree.show.viewer import serve
 
             serve(scene, title, color, port, warn, lambda url: open_page(url, browser))
+
+
+def _check_time(time: float | None, span: tuple[float, float], picture: Path | None) -> None:
+    """Raise DataError if the time of a picture is outside a scene, or given without a picture."""
+    if time is None:
+        return
+    if picture is None:
+        raise DataError("--at: expected --picture with it, found none; add it, or omit --at")
+    if not span[0] <= time <= span[1]:
+        raise DataError(
+            f"--at: expected a time from {span[0]:g} to {span[1]:g} s, those of the motions, found "
+            f"{time:g} s; choose a time in this range"
+        )
 
 
 def _check_outputs(files: Sequence[Path], html: Path | None, animation: Path | None) -> None:
