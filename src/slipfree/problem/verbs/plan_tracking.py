@@ -52,7 +52,7 @@ PATH_SPACING = 20  # samples of a plan between two points of its path
 WAYS = ("inputs", "follow", "replan", "sampling")
 DISTURBANCES = {
     "heights": "rms of errors of the heights, correlated over twice the vehicle's size [m]",
-    "friction": "change of the friction coefficient, up or down at random [1]",
+    "friction": "relative change of the friction coefficient, up or down at random [1]",
     "radii": "standard deviation of the relative errors of the wheel radii [1]",
     "inputs": "standard deviation of the relative errors of the inputs [1]",
     "latency": "time after which inputs take effect, rounded to periods [s]",
@@ -111,6 +111,11 @@ def follow_plan(
                 raise ModelError(
                     f"{what}: expected one of {', '.join(known)}, found {name!r}; correct the name"
                 )
+    if disturb.get("friction", 0.0) >= 1:
+        raise ModelError(
+            "disturb: friction: expected a relative change below 1, found "
+            f"{disturb['friction']:g}; reduce it"
+        )
     run = read(file)
     saved = from_arrays(read_arrays(file), str(file))
     planned, real = (problem_of(file, run, folder, each) for each in ((), changes))
