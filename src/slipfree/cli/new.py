@@ -25,6 +25,8 @@ from slipfree.system.regular_files import check_name, replace_file
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
+    from slipfree.terrain.base import Grid
+
 STARTERS = "starters"  # folder of the templates in the package
 HOLE = "FILE"  # placeholder of the file name in the comments of a template
 SHIPPED = "problems"  # in the package
@@ -34,7 +36,7 @@ AHEAD = 6.0  # distance of the goal [reach of the vehicle]
 TABLES = {  # comments
     "terrain": "see docs/elevation.md; the coefficient of friction is an assumption",
     "start": "where the vehicle stands; height, pitch and roll follow from the ground",
-    "goal": "ahead of the start: change it",
+    "goal": "near the start: change it",
 }
 NEED = ("file", "friction")  # keys whose values are names of input files
 
@@ -71,7 +73,7 @@ def new(
     """Write NAME.toml, a commented and complete problem, as a template.
 
     With --ground and --vehicle it has your map and vehicle, with a start at which the vehicle
-    stands; --set gives further keys of [terrain], such as terrain.vertical_scale=0.01.
+    stands; --set gives further keys of [terrain] or [vehicle], such as terrain.vertical_scale=0.01.
     """
     with reported():
         if not (name.name and str(name).isprintable()):
@@ -80,8 +82,9 @@ def new(
                 "another name"
             )
         out = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
-        text = (_folder(STARTERS) / f"{kind}.toml").read_text(encoding="utf-8")
         word = shlex.quote(str(out))
+        text = (_folder(STARTERS) / f"{kind}.toml").read_text(encoding="utf-8")
+        text = text.replace(f" {HOLE}", f" {word}")
         if ground is not None or vehicle is not None or settings:
             if ground is None or vehicle is None or kind is Kind.inverse:
                 raise DataError(
@@ -93,7 +96,7 @@ def new(
                 )
             tables = _own_tables(kind, out.parent, ground, vehicle, settings or [], trust)
             text = _with_tables(text, kind, f"{Path(vehicle).stem} on {ground.stem}", tables)
-        write_new_file(text.replace(f" {HOLE}", f" {word}"), out, force)
+        write_new_file(text, out, force)
         solve = "atlas" if kind is Kind.atlas else "run"
         print_line(f"wrote {out}: slipfree check {word} && slipfree {solve} {word}")
 
@@ -111,6 +114,12 @@ def _own_tables(
     from slipfree.problem.ground_survey import stand
     from slipfree.routing.traversability import extents
 
+    for each in settings:
+        if not each.startswith(tuple(f"{name}." for name in OWN)):
+            raise DataError(
+                f"--set: expected a key of {' or '.join(f'[{name}]' for name in OWN)}, found "
+                f"{each!r}; change other keys in the written file"
+            )
     with as_arguments():
         problem, surface = ground_of(ground, vehicle, settings, trust)
         pose, ((_, words), *_) = stand(problem, surface.grid)
@@ -131,10 +140,23 @@ def _own_tables(
     place = {name: round(pose[name], 3) for name in "xy"}
     tables["start"] = {**place, "heading": f"{math.degrees(heading) % 360:g} deg"}
     if kind is Kind.plan:
-        ahead = AHEAD * extents(build_vehicle(spec.vehicle, problem))[2]
-        way = {"x": math.cos(heading), "y": math.sin(heading)}
-        tables["goal"] = {name: round(place[name] + ahead * way[name], 3) for name in "xy"}
+        reach = extents(build_vehicle(spec.vehicle, problem))[2]
+        tables["goal"] = _goal(surface.grid, place, heading, reach)
     return tables
+
+
+def _goal(grid: Grid, place: Mapping[str, float], heading: float, reach: float) -> dict[str, float]:
+    """Return a goal ahead of a place, or beside or behind it if the map ends before."""
+    goals = []
+    for turn in (0.0, 0.5, -0.5, 1.0):
+        angle = heading + turn * math.pi
+        goal = dict[str, float]()
+        for name, axis, way in zip("xy", (grid.x, grid.y), (math.cos, math.sin), strict=True):
+            margin = min(reach, float(axis[-1] - axis[0]) / 2)
+            low, high = float(axis[0]) + margin, float(axis[-1]) - margin
+            goal[name] = round(min(max(place[name] + AHEAD * reach * way(angle), low), high), 3)
+        goals.append(goal)
+    return max(goals, key=lambda goal: round(math.dist(place.values(), goal.values()), 2))
 
 
 def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, dict[str, Any]]) -> str:
@@ -146,7 +168,8 @@ def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, dict[st
     replaced = {*tables, *(("limits", "bounds", "inputs", "time", "plan") * (kind is Kind.plan))}
     head, *sections = re.split(r"(?m)^(?=\[)", text)
     kept = (each for each in sections if re.findall(r"\w+", each)[0] not in replaced)
-    head = re.sub(r"(?m)^title = .*", f"title = {json.dumps(title)}", head)
+    line = f"title = {json.dumps(title, ensure_ascii=False)}"
+    head = re.sub(r"(?m)^title = .*", lambda _: line, head)
     return re.sub(r" A three-wheeler .*", "", head) + own + "".join(kept)
 
 
