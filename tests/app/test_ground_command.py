@@ -101,4 +101,20 @@ def test_a_new_problem_has_map_vehicle_and_start():
     printed("new", "direct", "more", *files, *sets("terrain.window=[-5,5,-5,5]"))
     assert "window = [-5.0, 5.0, -5.0, 5.0]" in Path("more.toml").read_text()
     assert "together" in printed("new", "direct", "no", *files[:2], code=2)
+    assert "found 'frame=paper'" in printed(
+        "new", "direct", "no", *files, *sets("frame=paper"), code=2
+    )
     assert "omit them" in printed("new", "inverse", "no", *files, code=2)
+
+
+def test_a_new_problem_on_a_small_map_with_a_foreign_name():
+    """The goal is on the map, which is smaller than the distance ahead, as the start is."""
+    axis = np.linspace(0.0, 4.0, 21)
+    np.savez("gelände FILE.npz", x=axis, y=axis, z=0.02 * axis[:, None] * axis)
+    printed("new", "plan", "p", "--ground", "gelände FILE.npz", "--vehicle", "three_wheeler")
+    assert printed("check", "p.toml").endswith("ok\n")
+    problem = tomllib.loads(Path("p.toml").read_text(encoding="utf-8"))
+    assert problem["title"] == "three_wheeler on gelände FILE"
+    assert problem["terrain"]["file"] == "gelände FILE.npz"
+    start, goal = ([problem[name][axis] for axis in "xy"] for name in ("start", "goal"))
+    assert 1.0 < np.hypot(*np.subtract(goal, start)) < 4.0

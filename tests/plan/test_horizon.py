@@ -120,13 +120,14 @@ def test_inputs_keep_to_their_bounds(found, window):
 
 
 def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, window):
-    """The last part is as long as what is left."""
+    """It becomes the nearest part of the duration, and late inputs do not last longer."""
     dae, times = found.program.task.dae, []
     tracked = track(window, dae, sf.settle(dae), period=0.7, progress=times.append)
     assert (tracked.cycles, tracked.failures) == (11, 0)
-    assert_allclose(times, np.arange(11) * 0.7)
+    assert_allclose(times, np.arange(11) * DURATION / 11)
     assert away(tracked.run) < 1e-4
-    assert tracked.run.t[-1] == pytest.approx(DURATION)
+    late = track(window, dae, sf.settle(dae), latency=0.7, period=0.7)
+    assert [each.run.t[-1] for each in (tracked, late)] == pytest.approx([DURATION] * 2)
     assert (np.diff(tracked.run.t) > 0).all()
 
 

@@ -504,7 +504,8 @@ def track(
         float | None,
         typer.Option(
             metavar="SECONDS",
-            help="Time between decisions; default: a twentieth of the window.",
+            help="Time between decisions, rounded to a part of the plan's duration; default: a "
+            "twentieth of the window.",
         ),
     ] = None,
     window: Annotated[

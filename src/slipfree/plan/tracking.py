@@ -202,7 +202,8 @@ def track_plan(
     duration : float
         Duration of the motion. [s]
     period : float
-        Time between two cycles, at most the duration. [s]
+        Time between two cycles, at most the duration, of which it becomes the nearest whole part;
+        so inputs that are late last as long as those that they replace. [s]
     options : SolverOptions
         Options of the simulation.
     progress : callable, optional
@@ -228,8 +229,8 @@ def track_plan(
             f"plan, found {period:g} s; choose a period in this range"
         )
     _check_world(planned, world)
-    times = np.append(np.arange(0.0, duration - 0.5 * period, period), duration)
-    late, cpu = round(world.latency / period), 0.0
+    times = np.linspace(0.0, duration, round(duration / period) + 1)
+    late, cpu = round(world.latency / times[1]), 0.0
     decisions, runs = list[Decision](), list[Trajectory]()
     here = world.start
     for k, (t, end) in enumerate(pairwise(times)):
