@@ -126,6 +126,10 @@ def test_samples_of_a_plan_are_tracked(task):
     for _ in range(8):
         found = sample_plan(task, start, found, elapsed=0.0, goal={"x": 0 * y, "y": y})
     assert np.abs(found.x[1] - y).max() < 0.05
+    with pytest.raises(ModelError, match="goal: y: expected a number or one for each of the"):
+        sample_plan(task, start, goal={"y": y[:3]})
+    with pytest.raises(ModelError, match=r"expected finite values of the states x, y, heading"):
+        sample_plan(task, start[:2])
     with pytest.raises(ModelError, match="unknown 'z'"):
         sample_plan(task, start, goal={"z": 1.0})
 
@@ -221,7 +225,8 @@ def test_inputs_are_shifted_by_the_time_since_the_last_cycle(task):
     ("changes", "message"),
     [
         ({"span": 0.0}, "span: expected a positive number"),
-        ({"candidates": 0}, "candidates: expected a number of at least 1"),
+        ({"candidates": 0}, "candidates: expected a whole number of at least 1"),
+        ({"candidates": "9"}, "candidates: expected a whole number of at least 1, found '9'"),
         ({"ranges": {"right_rate": (0, 1)}}, "ranges: expected one for each input"),
         ({"ranges": RANGES | {"left_rate": (1, 0)}}, "left_rate: expected an ascending range"),
         ({"goal": {"speed": 1.0}}, "unknown 'speed'"),

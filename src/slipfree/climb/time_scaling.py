@@ -52,7 +52,8 @@ from slipfree.control.reference_speeds import PerAxle
 from slipfree.control.step_climbing import Commands, ControlState, Motors, Sensed, limited
 from slipfree.core.errors import ModelError
 from slipfree.core.nlp import Nlp
-from slipfree.core.records import Array, Label, check_bounds
+from slipfree.core.records import Array, Label
+from slipfree.core.schema import check_bounds
 from slipfree.core.trajectory import Column, Trajectory, joined
 from slipfree.terrain.solids import Profile
 

@@ -31,7 +31,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Lt, Unit, doc
 
 from slipfree.catalog.step_climber import Climber
-from slipfree.core.records import check_bounds
+from slipfree.core.schema import check_bounds
 from slipfree.terrain.solids import Profile
 
 MIN_MIDDLE_SPEED = 1e-3  # lower bound of the middle axle's relative speed as a divisor

@@ -29,7 +29,8 @@ from slipfree.control.reference_speeds import (
 )
 from slipfree.core.dae import Dae, Labels, Limit
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Label, check_bounds, leaves, pack, symbols, unpack
+from slipfree.core.records import Label, leaves, pack, symbols, unpack
+from slipfree.core.schema import check_bounds
 from slipfree.models.limits import UPRIGHT
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.tree import Vehicle

@@ -2,22 +2,20 @@
 
 A vector such as the state of a model is declared once, as a ``NamedTuple`` of scalars or of nested
 records. The same type contains CasADi symbols, labels or numbers, so that ``state.contacts[0].x``
-has the same meaning everywhere. `check_bounds` checks the annotated bounds of a record's numbers.
+has the same meaning everywhere.
 """
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
-from typing import Any, get_type_hints
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 from typing_extensions import TypeVar  # with a default
-
-from slipfree.core.errors import ModelError
 
 R = TypeVar("R")
 T = TypeVar("T", default=Any)  # type of the scalars of a record: symbols, labels or values
@@ -27,12 +25,6 @@ Mask = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
 LINE_WIDTH, MAX_LINES = 92, 5  # largest width and number of lines of a repr
 MAX_VALUE = 60  # largest number of characters of a value in a repr
-BOUNDS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
-    "gt": (">", lambda value, edge: value > edge),
-    "ge": (">=", lambda value, edge: value >= edge),
-    "lt": ("<", lambda value, edge: value < edge),
-    "le": ("<=", lambda value, edge: value <= edge),
-}
 
 
 @dataclass(frozen=True)
@@ -144,23 +136,3 @@ def _short(value: Any) -> str:
 def quantity_names(labels: Any) -> tuple[str, ...]:
     """Return the names of the quantities in a record of labels, without repetition per wheel."""
     return tuple(dict.fromkeys(label.name for label in leaves(labels)))
-
-
-def check_bounds(record: Any) -> None:
-    """Raise ModelError if a field of a dataclass violates its annotated bound.
-
-    Each field must have a default, which the message contains.
-    """
-    hints = get_type_hints(type(record), include_extras=True)
-    for field in fields(record):
-        value, annotation = getattr(record, field.name), hints[field.name]
-        if isinstance(value, ca.SX):  # a parameter
-            continue
-        for bound in getattr(annotation, "__metadata__", ()):
-            for key, (sign, holds) in BOUNDS.items():
-                edge = getattr(bound, key, None)
-                if edge is not None and not holds(value, edge):
-                    raise ModelError(
-                        f"{type(record).__name__}: {field.name!r}: expected a number {sign} "
-                        f"{edge:g}, found {value}; the default is {field.default}"
-                    )

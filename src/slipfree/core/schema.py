@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
+from numbers import Real
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import casadi as ca
@@ -81,6 +82,11 @@ def _key(name: str, hint: Any, default: Any) -> Key:
     return Key(name, hint, default, unit, meaning)
 
 
+def is_number(value: object) -> bool:
+    """Return whether a value is a real number, also one of NumPy."""
+    return isinstance(value, Real)
+
+
 def check_bounds(record: Any) -> None:
     """Raise ModelError if a field of a dataclass violates its annotated bound."""
     for key in keys_of(type(record)):
@@ -91,8 +97,8 @@ def check_bounds(record: Any) -> None:
         for bound in key.hint.__metadata__:
             for name, (sign, holds) in BOUNDS.items():
                 edge = getattr(bound, name, None)
-                if edge is not None and not holds(value, edge):
+                if edge is not None and not (is_number(value) and holds(value, edge)):
                     raise ModelError(
                         f"{type(record).__name__}: {key.name!r}: expected a number {sign} "
-                        f"{edge:g}, found {value}; {remedy}"
+                        f"{edge:g}, found {value!r}; {remedy}"
                     )

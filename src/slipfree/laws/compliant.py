@@ -16,7 +16,7 @@ import casadi as ca
 from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import check_bounds
+from slipfree.core.schema import check_bounds
 from slipfree.laws.protocols import BodyTouch, GroundForce, WheelContact
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle

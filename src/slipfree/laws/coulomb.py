@@ -18,7 +18,8 @@ from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 from slipfree.core.dae import Continuation, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import Label, check_bounds
+from slipfree.core.records import Label
+from slipfree.core.schema import check_bounds
 from slipfree.laws.protocols import (
     NORMAL,
     Equations,

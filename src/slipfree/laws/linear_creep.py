@@ -16,7 +16,8 @@ import numpy as np
 from annotated_types import Gt, Le, Unit, doc
 
 from slipfree.core.dae import Limit
-from slipfree.core.records import Label, check_bounds
+from slipfree.core.records import Label
+from slipfree.core.schema import check_bounds
 from slipfree.laws.coulomb import (
     MAX_CREEP,
     FrictionUnknowns,

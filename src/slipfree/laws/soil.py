@@ -59,7 +59,8 @@ from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
 from slipfree.core.dae import Limit
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, Label, check_bounds
+from slipfree.core.records import Array, Label
+from slipfree.core.schema import check_bounds
 from slipfree.laws.coulomb import creep_continuation, no_equilibrium
 from slipfree.laws.protocols import (
     ACROSS,

@@ -123,6 +123,12 @@ def _middle(ranges: Mapping[str, Range], before: Array, domain: tuple[float, ...
     for k, axis in enumerate("xy"):
         if axis in ranges:
             low, high = max(ranges[axis][0], domain[2 * k]), min(ranges[axis][1], domain[2 * k + 1])
+            if low > high:
+                raise ModelError(
+                    f"plan: {axis}: expected a goal and way-points on the map, which extends from "
+                    f"{domain[2 * k]:g} to {domain[2 * k + 1]:g} m, found {ranges[axis][0]:g} to "
+                    f"{ranges[axis][1]:g} m; move them"
+                )
             is_finite = np.isfinite([low, high]).all()
             place[k] = (low + high) / 2 if is_finite else np.clip(before[k], low, high)
     return place

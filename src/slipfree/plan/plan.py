@@ -38,6 +38,7 @@ from slipfree.plan.problem import (
     duration_of,
     free_durations,
     near_conditions,
+    range_of,
     task_of,
 )
 from slipfree.plan.search import (
@@ -293,7 +294,8 @@ def plan(
     former = search.resume
     nominal = [float(motion.t[-1] - motion.t[0]) for motion in motions]
     if not motions and former is None:
-        motion, length = initial_guess(task, start, inputs or {}, options)
+        ranges = {name: range_of(name, value) for name, value in (inputs or {}).items()}
+        motion, length = initial_guess(task, start, ranges, options)
         motions, nominal = [motion], [length]
     if duration is None:
         length = former.motion.duration if former is not None else 0.0

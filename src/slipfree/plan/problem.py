@@ -232,6 +232,8 @@ def bounds_of(dae: Dae, ranges: Mapping[str, Range]) -> Array:
     """Return the bounds of all inputs, infinite for inputs without bounds, shape (n_u, 2)."""
     names = [label.full for label in leaves(dae.labels.u)]
     bounds = np.tile([-np.inf, np.inf], (len(names), 1))
+    remedy = 'give ranges by name, as in {"left_rate": (-2.0, 2.0)}'
+    check_type("bounds of inputs", ranges, Mapping, remedy)
     for name, value in ranges.items():
         if name not in names:
             raise ModelError(
@@ -250,7 +252,7 @@ def _initial_bounds(dae: Dae, ranges: Mapping[str, Range], initial: Mapping[str,
     values = bounds_of(dae, {name: (value, value) for name, value in initial.items()})
     fixed = np.clip(values, bounds[:, :1], bounds[:, 1:])
     for name, value in initial.items():
-        low, high = ranges.get(name, (-np.inf, np.inf))
+        low, high = range_of(name, ranges.get(name, (-np.inf, np.inf)))
         if not low <= value <= high:
             raise ModelError(
                 f"plan: initial_inputs: expected an initial value of {name!r} from {low:g} to "
@@ -280,6 +282,10 @@ def task_of(
     if not goal:
         raise ModelError(
             "plan: goal: expected values or ranges by name, found none; give at least one"
+        )
+    if not (isinstance(smooth, Real) and smooth >= 0):
+        raise ModelError(
+            f"plan: smooth: expected a weight of at least 0, found {smooth!r}; correct it"
         )
     terms, highest = cost_limits_of(dae, costs_of(dae, costs), cost_limits or {})
     begin = dae.rows("x", start, -1)

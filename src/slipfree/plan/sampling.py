@@ -38,9 +38,10 @@ from slipfree.batch.motion import (
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, leaves
+from slipfree.core.schema import is_number
 from slipfree.core.trajectory import SolverError
 from slipfree.geometry.regions import Region
-from slipfree.plan.problem import Range, costs_of
+from slipfree.plan.problem import Range, costs_of, range_of
 from slipfree.plan.stage import Cost
 
 CORRELATION = 0.7  # of the noise in neighbouring intervals
@@ -116,15 +117,14 @@ class SamplingTask:
 
     def __post_init__(self) -> None:
         for name in ("span", "goal_weight", "spread"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ModelError(
-                    f"{name}: expected a positive number, found {getattr(self, name)}; correct it"
-                )
+            value = getattr(self, name)
+            if not (is_number(value) and 0 < value < np.inf):
+                raise ModelError(f"{name}: expected a positive number, found {value!r}; correct it")
         for name in ("intervals", "candidates", "threads"):
-            if getattr(self, name) < 1:
+            value = getattr(self, name)
+            if not (isinstance(value, int | np.integer) and value >= 1):
                 raise ModelError(
-                    f"{name}: expected a number of at least 1, found {getattr(self, name)}; "
-                    "correct it"
+                    f"{name}: expected a whole number of at least 1, found {value!r}; correct it"
                 )
         names = [label.full for label in leaves(self.model.labels.u)]
         if sorted(names) != sorted(self.ranges):
@@ -132,7 +132,8 @@ class SamplingTask:
                 f"ranges: expected one for each input, {', '.join(names)}, found "
                 f"{', '.join(self.ranges) or 'none'}; correct them"
             )
-        for name, (low, high) in self.ranges.items():
+        for name, limits in self.ranges.items():
+            low, high = range_of(name, limits)
             if not low <= high:
                 raise ModelError(
                     f"ranges: {name}: expected an ascending range, found {low}, {high}; correct it"
@@ -175,7 +176,8 @@ class SamplingTask:
     @cached_property
     def limits(self) -> tuple[Array, Array]:
         """Smallest and largest inputs, shape (n_u, 1)."""
-        pairs = [self.ranges[label.full] for label in leaves(self.model.labels.u)]
+        names = [label.full for label in leaves(self.model.labels.u)]
+        pairs = [range_of(name, self.ranges[name]) for name in names]
         low, high = np.array(pairs, dtype=float).T[..., None]
         return low, high
 
@@ -247,12 +249,20 @@ def sample_plan(
     Raises
     ------
     ModelError
-        If a name of the goal is unknown.
+        If the state or an array of the goal has a wrong shape or is not finite, or a name of the
+        goal is unknown.
     SolverError
         If the vehicle cannot stand at ``x``, or a limit is violated there.
     """
+    _check_state(task, x)
     if goal is not None:
         task.model.start(**dict.fromkeys(goal, 0.0))  # names
+        for name, value in goal.items():
+            if np.shape(value) not in ((), task.t.shape):
+                raise ModelError(
+                    f"goal: {name}: expected a number or one for each of the {task.t.size} samples "
+                    f"of the horizon, found the shape {np.shape(value)}; give values at `task.t`"
+                )
     aims = _Aims(task, task.goal if goal is None else goal, tuple(keep_out), _first_state(task, x))
     low, high = task.limits
     mean = np.tile((low + high) / 2, task.intervals)
@@ -279,6 +289,15 @@ def sample_plan(
         _ends(task, motions),
         number,
     )
+
+
+def _check_state(task: SamplingTask, x: Array) -> None:
+    names = [label.full for label in leaves(task.model.labels.x)]
+    if np.shape(x) != (len(names),) or not np.isfinite(x).all():
+        raise ModelError(
+            f"sampling: expected finite values of the states {', '.join(names)}, found {x}; give "
+            "all of them in this order"
+        )
 
 
 class _Aims(NamedTuple):
