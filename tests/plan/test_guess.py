@@ -107,6 +107,10 @@ def test_a_model_without_vehicle_needs_a_guess(model):
             r"mesh: expected Mesh, found int; give a record, as in Mesh\(intervals=20\)",
         ),
         ({"duration": "9 s"}, "duration: expected a number or a range"),
+        (
+            {"goal": {"x": 100.0}},
+            "x: expected a goal and way-points on the map, which extends from",
+        ),
         ({"smooth": "a"}, "smooth: expected a weight of at least 0, found 'a'"),
         ({"inputs": [1]}, "bounds of inputs: expected Mapping, found list"),
         ({"dae": VEHICLE}, "model: expected Dae, found Vehicle; build a model"),
