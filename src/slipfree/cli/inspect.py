@@ -97,7 +97,8 @@ def ground(
 
         with as_arguments():
             problem, ground = ground_of(file, vehicle, settings or [], trust)
-        facts = survey(ground)
+        with about(file):
+            facts = survey(ground)
         add_json("ground", lambda: {name: fact._asdict() for name, fact in facts.items()})
         print_facts([*ground_facts(ground), *survey_lines(facts)])
         pose: Mapping[str, float] = {}

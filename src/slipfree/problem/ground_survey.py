@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
 from slipfree.atlas.atlas import Atlas, Band, tile_of
+from slipfree.core.errors import ModelError
 from slipfree.core.facts import Fact
 from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import OFFSET
@@ -27,6 +28,7 @@ ROUND = 1.0, 0.5, 0.25, 0.1, 0.05, 0.01  # steps to which heights may be rounded
 COARSE = 0.01  # rounded heights matter if their step exceeds this share of the cell [1]
 WHOLE = 1e-6  # heights within this share of a step are multiples of it [1]
 PLACES, HEADINGS = 12, 4  # places along an axis, and headings, at which the vehicle is put
+LARGEST_RADIUS = 1e3  # of a wheel that is printed [m]
 TOUCHING = 0.99  # share of the nodes at which a wheel touches once
 
 
@@ -77,6 +79,8 @@ def survey_lines(facts: dict[str, Fact]) -> Lines:
     shares = ", ".join(
         f"{100 * value[f'share_above_{each:.0f}']:.3g} % above {each:g} deg" for each in STEEP
     )
+    radius = value["wheel_radius"]
+    words = f"up to {radius:.3g} m" if radius < LARGEST_RADIUS else "any"
     lines = [
         (
             "slope",
@@ -85,8 +89,8 @@ def survey_lines(facts: dict[str, Fact]) -> Lines:
         ),
         (
             "hollows",
-            f"wheels of up to {value['wheel_radius']:.3g} m radius touch once at "
-            f"{100 * TOUCHING:g} % of the nodes; terrain.rolled fills narrower hollows",
+            f"wheels of {words} radius touch once at {100 * TOUCHING:g} % of the nodes; "
+            "terrain.rolled fills narrower hollows",
         ),
     ]
     if value["hole_share"]:
@@ -130,6 +134,7 @@ class Stand(NamedTuple):
 
 def stand(problem: Problem[Any], grid: Grid) -> Stand:
     """Return where the vehicle of a problem stands on its ground."""
+    _known(grid)  # a vehicle stands nowhere among holes
     spec, (few, many) = problem.spec, sorted(grid.z.shape)
     table = AtlasTable(headings=HEADINGS, every=max(1, min(many // PLACES, few - 1)))
     keys = {name: getattr(spec, name) for name in ("frame", "terrain", "vehicle")}
@@ -163,7 +168,14 @@ def _known(grid: Grid) -> Mask:
     """Return the mask of nodes that have heights, as have their eight neighbours."""
     if grid.holes is None:
         return np.ones(grid.z.shape, dtype=bool)
-    return np.asarray(~binary_dilation(grid.holes, np.ones((3, 3), dtype=bool)))
+    known = np.asarray(~binary_dilation(grid.holes, np.ones((3, 3), dtype=bool)))
+    if not known.any():
+        raise ModelError(
+            "expected at least one node whose eight neighbours have heights, found holes "
+            f"everywhere, at {100 * float(grid.holes.mean()):.3g} % of the nodes; fill them: "
+            "--set terrain.fill=linear"
+        )
+    return known
 
 
 def _spikes(grid: Grid) -> Array:
