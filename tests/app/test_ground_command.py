@@ -90,6 +90,7 @@ def test_the_ground_of_a_problem_and_errors():
     assert "omit VEHICLE" in printed("ground", "p.toml", "rocky7", code=2)
 
 
+@pytest.mark.slow  # poses of each problem are built twice
 def test_a_new_problem_has_map_vehicle_and_start():
     z = 0.05 * AXIS[:, None] * np.sin(AXIS / 3)
     np.savez("site.npz", x=AXIS, y=AXIS, z=z)
