@@ -101,7 +101,7 @@ def animate(
     count = int(np.clip(np.ceil(FRAMES * (last - first)) + 1, 2, MOST))
     speed = max(1.0, FRAMES * (last - first) / count)
     with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
-        figure = FilmFigure(figsize=(PAGE, FILM_HEIGHT * MM), layout="constrained", dpi=FILM_DPI)
+        figure = _FilmFigure(figsize=(PAGE, FILM_HEIGHT * MM), layout="constrained", dpi=FILM_DPI)
         film = Film(figure, scene, title, speed)
 
         def show(step: int) -> None:
@@ -132,7 +132,7 @@ def picture(scene: Scene, title: str, time: float | None = None) -> Plot:
     return Plot("vehicle", "The vehicle on its ground.", make)
 
 
-class FilmFigure(Figure):
+class _FilmFigure(Figure):
     """A figure whose saved frames are the pixels of its canvas, as they were drawn."""
 
     def savefig(self, fname: Any, **_: Any) -> None:
