@@ -402,7 +402,8 @@ def test_gradient_of_the_effort(rng):
 
 
 @pytest.mark.slow
-def test_a_large_map_is_coarsened():
+def test_a_large_map_is_coarsened(monkeypatch, tmp_path):
+    monkeypatch.setenv("SLIPFREE_CACHE", str(tmp_path))  # so many poses are compiled
     axis = np.arange(2000) * 0.25
     grid = Grid(axis, axis, 0.1 * np.sin(0.1 * axis)[:, None] * np.cos(0.07 * axis))
     layers = traversability(Bicubic(grid), ROVER)
