@@ -81,7 +81,7 @@ def test_a_motion_that_goes_to_infinity_is_told_of():
     dae, t = model(lambda _t, x, u: x**2 + u), np.linspace(0, 2, 21)
     with pytest.raises(SolverError, match=r"stopped at t = (0\.99|1)") as caught:
         simulate(dae, settle(dae, x=1.0), dae.inputs(push=0.0), t)
-    assert "CV_" in str(caught.value)
+    assert "steps have become shorter" in str(caught.value)
     assert caught.value.trajectory["x"][-1] > 50
     with pytest.raises(SolverError, match=r"stopped at t = 0\.9"):
         simulate_sampled(dae, settle(dae, x=1.0), dae.inputs(push=0.0), t)
