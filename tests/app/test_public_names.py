@@ -76,12 +76,12 @@ def test_wrong_arguments_get_a_remedy():
     for call, words in (
         (lambda: direct_kinematics("rover.urdf", ground), "vehicle: .*str.*read_vehicle"),
         (lambda: direct_kinematics(vehicle, "site.tif"), "terrain: .*str.*read_map"),
-        (lambda: Bicubic("site.tif"), "grid: expected a Grid, found str 'site.tif'; .*read_map"),
+        (lambda: Bicubic("site.tif"), "grid: expected Grid, found str 'site.tif'; .*read_map"),
         (lambda: start["heding"], "did you mean 'heading'"),
         (lambda: simulate(model, (0, 0, 0), model.inputs(**rates), t), "start: .*tuple.*settle"),
         (lambda: simulate(model, start, rates, t), "model.inputs"),
-        (lambda: slipfree.rollouts(model, start, np.zeros(3), t), "inputs: expected a Mapping"),
-        (lambda: slipfree.follow(model, vehicle, [(0, 0)], speed=1.0), "path: expected a Path"),
+        (lambda: slipfree.rollouts(model, start, np.zeros(3), t), "inputs: expected Mapping"),
+        (lambda: slipfree.follow(model, vehicle, [(0, 0)], speed=1.0), "path: expected Path"),
     ):
         with pytest.raises(slipfree.ModelError, match=words):
             call()
@@ -101,7 +101,7 @@ def test_results_are_drawn():
         assert axes in ax.get_xlabel()
     with pytest.raises(slipfree.ModelError, match="did you mean 'tilts'"):
         slipfree.plot(run, ground, "tilt")
-    with pytest.raises(slipfree.ModelError, match="result: expected a Trajectory"):
+    with pytest.raises(slipfree.ModelError, match="result: expected Trajectory"):
         slipfree.plot(model, ground)
 
 

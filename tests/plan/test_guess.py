@@ -96,15 +96,15 @@ def test_a_model_without_vehicle_needs_a_guess(model):
     [
         (
             {"goal": (1.0, 2.0)},
-            r"goal and limits: expected Limit, found float; give values by name",
+            r"goal and limits: expected Limit, found float 1.0; give values by name",
         ),
         ({"goal": {"y": "1"}}, r"y: expected a number or a range \(smallest, largest\), found '1'"),
-        ({"costs": ["slip"]}, r"costs: expected Cost, found str; give values by name, as in {"),
+        ({"costs": ["slip"]}, r"costs: expected Cost, found str 'slip'; give values by name, as in {"),
         ({"costs": {"slip": "1"}}, "costs: expected a weight of at least 0 for 'slip', found '1'"),
         ({"guess": 1.0}, "guess: expected Trajectory or Sequence, found float"),
         (
             {"mesh": 20},
-            r"mesh: expected Mesh, found int; give a record, as in Mesh\(intervals=20\)",
+            r"mesh: expected Mesh, found int 20; give a record, as in Mesh\(intervals=20\)",
         ),
         ({"duration": "9 s"}, "duration: expected a number or a range"),
         (

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError, expect
+from slipfree.core.errors import ModelError, check_type
 from slipfree.core.rearrange import substitute, with_outputs
 from slipfree.core.records import Array, Label, Record, leaves, unpack
 from slipfree.core.trajectory import Trajectory
@@ -121,7 +121,7 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Record:
     >>> print(f"ends at ({run['x'][-1]:.2f}, {run['y'][-1]:.2f})")
     ends at (-0.01, 3.98)
     """
-    expect(path, Path, "path", "make one of points: Path(np.array([[0.0, 0.0], [1.0, 2.0]]))")
+    check_type("path", path, Path, "make one of points: Path(np.array([[0.0, 0.0], [1.0, 2.0]]))")
     states, plan = _steerable(dae, vehicle, "follow")
     commands = guidance(dae, vehicle, path, speed=speed)
     return _planar_inputs(dae, vehicle, states, plan, (*commands, speed))

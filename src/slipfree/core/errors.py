@@ -22,15 +22,15 @@ class WriteError(DataError):
     """File that cannot be written, for example because its disk is full."""
 
 
-def expect(value: object, kind: type, name: str, remedy: str) -> None:
-    """Raise ModelError unless an argument is of a kind; ``remedy`` says how to get one."""
-    if not isinstance(value, kind):
-        shown = f" {value!r}" if isinstance(value, str | int | float) else ""
-        article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise ModelError(
-            f"{name}: expected {article} {kind.__name__}, found {type(value).__name__}{shown}; "
-            f"{remedy}"
-        )
+def check_type(name: str, value: object, kinds: type | tuple[type, ...], remedy: str) -> None:
+    """Raise ModelError for an argument of another type; ``remedy`` names the right one."""
+    if isinstance(value, kinds):
+        return
+    names = [kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,))]
+    shown = f" {value!r}" if isinstance(value, str | int | float) else ""
+    raise ModelError(
+        f"{name}: expected {' or '.join(names)}, found {type(value).__name__}{shown}; {remedy}"
+    )
 
 
 def similar(name: str, known: Iterable[str]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from slipfree.contact.clearance import BodyClearance, body_clearance
 from slipfree.contact.closure import ContactFrame, wheel_coordinates
 from slipfree.core.dae import Labels
-from slipfree.core.errors import ModelError, expect
+from slipfree.core.errors import ModelError, check_type
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, leaves, pack
 from slipfree.geometry.frame import Pose, platform, quaternion
@@ -80,7 +80,7 @@ class Quantities(NamedTuple):
 def check_arguments(vehicle: object, terrain: object) -> None:
     """Raise ModelError for another thing than a vehicle or a ground, with the way to get one."""
     remedy = "read it by read_vehicle(path), or take one of the catalogue: catalog.rocky7()"
-    expect(vehicle, Vehicle, "vehicle", remedy)
+    check_type("vehicle", vehicle, Vehicle, remedy)
     if not callable(getattr(terrain, "elevation", None)):
         raise ModelError(
             "terrain: expected a ground such as Bicubic or Analytic, found "

@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from slipfree.core.dae import Dae, Limit
+from slipfree.core.errors import check_type
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Record, leaves, overview
 from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Stop, Trajectory, path_length
@@ -34,7 +35,6 @@ from slipfree.plan.polynomial_motion import (
 )
 from slipfree.plan.problem import (
     Range,
-    check_type,
     duration_of,
     free_durations,
     near_conditions,

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.dae import Dae, Limit
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, check_type
 from slipfree.core.records import Array, Mask, leaves
 from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import LIMITED_SUFFIX, conflicts
@@ -25,15 +25,6 @@ Range = tuple[float, float]
 MIN_CLEARANCE = 1e-3  # clearances below this all have about the same cost [m]
 BLENDED_POWER = 0.1  # width of the smooth transition between work and braking [W]
 ROUNDED_FRACTION = 0.01  # rounding of a square root at zero, relative to its bound
-
-
-def check_type(name: str, value: Any, kinds: type | tuple[type, ...], remedy: str) -> None:
-    """Raise ModelError if the argument ``name`` of `plan` has another type than expected."""
-    names = [kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,))]
-    if not isinstance(value, kinds):
-        raise ModelError(
-            f"plan: {name}: expected {' or '.join(names)}, found {type(value).__name__}; {remedy}"
-        )
 
 
 def _check_terms(name: str, values: Any, kind: type, example: str) -> None:

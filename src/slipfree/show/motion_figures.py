@@ -21,7 +21,7 @@ from matplotlib.ticker import ScalarFormatter
 from matplotlib.transforms import Bbox
 
 from slipfree.atlas.atlas import Atlas
-from slipfree.core.errors import ModelError, expect, similar
+from slipfree.core.errors import ModelError, check_type, similar
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.models.samples import CLOSEST
@@ -303,12 +303,12 @@ def plot(result: Trajectory | Plan | Atlas, terrain: Bicubic, name: str | None =
     ModelError
         If the result has no figure of this name.
     """
-    expect(terrain, Bicubic, "terrain", "make one from a map: Bicubic(read_map(path).grid)")
+    check_type("terrain", terrain, Bicubic, "make one from a map: Bicubic(read_map(path).grid)")
     if isinstance(result, Atlas):
         plots = atlas_plots(view_of(result, terrain))
     else:
         run = result.replay if isinstance(result, Plan) else result
-        expect(run, Trajectory, "result", "give the result of simulate, plan or atlas")
+        check_type("result", run, Trajectory, "give the result of simulate, plan or atlas")
         plots = motion_plots(run, terrain.grid, terrain)
     known = {plot.name: plot for plot in plots}
     name = plots[0].name if name is None else name

@@ -17,7 +17,7 @@ from slipfree.batch.evaluator import evaluator_of
 from slipfree.batch.graph import graphs_of
 from slipfree.batch.many import run_lanes, start_states, states_of
 from slipfree.core.dae import Dae, InputValue, PiecewiseLinear
-from slipfree.core.errors import ModelError, SlipfreeError, expect
+from slipfree.core.errors import ModelError, SlipfreeError, check_type
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import TIME, WHEELS, Column, SolverError, Trajectory, require
 from slipfree.solve.options import SolverOptions
@@ -223,7 +223,7 @@ def _check_kinds(
             f"model: expected a function for {processes} processes, found a Dae, which cannot be "
             "sent to other processes; give a function at the level of a module that returns it"
         )
-    expect(inputs, Mapping, "inputs", "give numbers or arrays by name: {'left_rate': 0.5}")
+    check_type("inputs", inputs, Mapping, "give numbers or arrays by name: {'left_rate': 0.5}")
     values = {
         name: each if isinstance(each, ca.SX | PiecewiseLinear) else np.asarray(each, dtype=float)
         for name, each in inputs.items()

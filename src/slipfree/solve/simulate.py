@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError, expect
+from slipfree.core.errors import ModelError, check_type
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Record
 from slipfree.core.trajectory import Column, SolverError, Stop, Trajectory, joined
@@ -123,7 +123,7 @@ def simulate(
     >>> print(f"{run['y'][-1]:.4f} m, heading {run['heading'][-1]:.4f} rad")
     0.2703 m, heading 0.0300 rad
     """
-    expect(start, Trajectory, "start", "settle the vehicle: settle(model, x=0.0, y=0.0)")
+    check_type("start", start, Trajectory, "settle the vehicle: settle(model, x=0.0, y=0.0)")
     if isinstance(inputs, Mapping):
         raise ModelError(
             "inputs: expected the record of inputs of the model, found a mapping; make one: "

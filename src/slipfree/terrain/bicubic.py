@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from slipfree.core.errors import expect
+from slipfree.core.errors import check_type
 from slipfree.core.lookups import Cells, LookupTable
 from slipfree.core.records import Array, Indices
 from slipfree.terrain.base import (
@@ -107,7 +107,7 @@ class Bicubic:
 
     def __post_init__(self) -> None:
         remedy = "pass the grid of a map, read_map(path).grid, or Grid(x, y, z) of arrays"
-        expect(self.grid, Grid, "grid", remedy)
+        check_type("grid", self.grid, Grid, remedy)
         check_friction(self.mu)
 
     def __getstate__(self) -> dict[str, Any]:
