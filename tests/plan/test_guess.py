@@ -99,7 +99,7 @@ def test_a_model_without_vehicle_needs_a_guess(model):
             r"goal and limits: expected Limit, found float 1.0; give values by name",
         ),
         ({"goal": {"y": "1"}}, r"y: expected a number or a range \(smallest, largest\), found '1'"),
-        ({"costs": ["slip"]}, r"costs: expected Cost, found str 'slip'; give values by name, as in {"),
+        ({"costs": ["slip"]}, r"costs: expected Cost, found str 'slip'; give values by name"),
         ({"costs": {"slip": "1"}}, "costs: expected a weight of at least 0 for 'slip', found '1'"),
         ({"guess": 1.0}, "guess: expected Trajectory or Sequence, found float"),
         (
