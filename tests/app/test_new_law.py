@@ -18,7 +18,8 @@ from annotated_types import Gt, Unit, doc
 from numpy.testing import assert_allclose
 
 from helpers.commands import printed, sets
-from slipfree.core.records import Label, check_bounds
+from slipfree.core.records import Label
+from slipfree.core.schema import check_bounds
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import read
 from slipfree.laws.least_slip import LeastSlip, Multipliers, stationarity
