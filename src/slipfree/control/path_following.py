@@ -122,9 +122,26 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Record:
     ends at (-0.01, 3.98)
     """
     check_type("path", path, Path, "make one of points: Path(np.array([[0.0, 0.0], [1.0, 2.0]]))")
+    if not np.isfinite(speed) or speed == 0:
+        raise ModelError(
+            f"speed: expected a finite speed other than zero, found {speed} m/s; give a positive "
+            "speed, or a negative one to drive backwards"
+        )
     states, plan = _steerable(dae, vehicle, "follow")
-    commands = guidance(dae, vehicle, path, speed=speed)
-    return _planar_inputs(dae, vehicle, states, plan, (*commands, speed))
+    reference = path.symbolic(abs(speed) * dae.t, (dae.shift[0][0], dae.shift[0][1]))
+    sign, base = np.sign(speed), plan.base
+    curvature = sign * reference.curvature
+    direction = reference.heading + (0 if sign > 0 else np.pi)
+    forward = (-ca.sin(direction), ca.cos(direction))
+    d_x, d_y = dae.x.x - reference.x, dae.x.y - reference.y
+    along, left = d_x * forward[0] + d_y * forward[1], d_y * forward[0] - d_x * forward[1]
+    # the centre lies ahead of the turning axis: its velocity points to the left of the heading
+    turned = dae.named("heading")[0] - direction + ca.atan(plan.ahead * curvature)
+    v = speed * ca.cos(turned) - abs(speed) / base * along
+    # with left' = v sin(turned) and turned' = turning - v curvature, errors are critically damped
+    error = ca.sin(turned)  # smooth where the angle wraps around
+    turning = speed * curvature - (2 * abs(speed) * error + speed * left / base) / base
+    return _planar_inputs(dae, vehicle, states, plan, (v, turning, speed))
 
 
 def commanded(dae: Dae, vehicle: Vehicle, *, speed: float) -> Dae:
@@ -214,34 +231,6 @@ def _planar_inputs(
         if each.wheel.driven
     ]
     return unpack(dae.u, [*wheels, *rates.values()])
-
-
-def guidance(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> tuple[ca.SX, ca.SX]:
-    """Return the forward velocity and the yaw rate of `follow`, for a robot that takes commands.
-
-    Arguments and errors are those of `follow`. The results are expressions of the time and the
-    states of ``dae``. [m/s, rad/s]
-    """
-    if not np.isfinite(speed) or speed == 0:
-        raise ModelError(
-            f"speed: expected a finite speed other than zero, found {speed} m/s; give a positive "
-            "speed, or a negative one to drive backwards"
-        )
-    plan = _steerable(dae, vehicle, "follow")[1]
-    reference = path.symbolic(abs(speed) * dae.t, (dae.shift[0][0], dae.shift[0][1]))
-    sign, base = np.sign(speed), plan.base
-    curvature = sign * reference.curvature
-    direction = reference.heading + (0 if sign > 0 else np.pi)
-    forward = (-ca.sin(direction), ca.cos(direction))
-    d_x, d_y = dae.x.x - reference.x, dae.x.y - reference.y
-    along, left = d_x * forward[0] + d_y * forward[1], d_y * forward[0] - d_x * forward[1]
-    # the centre lies ahead of the turning axis: its velocity points to the left of the heading
-    turned = dae.named("heading")[0] - direction + ca.atan(plan.ahead * curvature)
-    v = speed * ca.cos(turned) - abs(speed) / base * along
-    # with left' = v sin(turned) and turned' = turning - v curvature, errors are critically damped
-    error = ca.sin(turned)  # smooth where the angle wraps around
-    turning = speed * curvature - (2 * abs(speed) * error + speed * left / base) / base
-    return v, turning
 
 
 def _steering_rates(

@@ -226,13 +226,13 @@ def solve_program(
     return solution._replace(unknowns=best.unknowns, rows=rows, cost=best.cost)
 
 
-def warm_solver(program: Program, iterations: int) -> ca.Function:
-    """Return an IPOPT solver for a warm start near a solution, with full Newton steps."""
+def warm_solver(program: Program, iterations: int, *, full_steps: bool = True) -> ca.Function:
+    """Return an IPOPT solver for a start near a solution, with full steps or a line search."""
     ipopt = WARM_OPTIONS | {
         "max_iter": iterations,
         "mu_strategy": "monotone",
         "mu_init": WARM_BARRIER,
-        "accept_every_trial_step": "yes",
+        "accept_every_trial_step": "yes" if full_steps else "no",
     }
     return _ipopt_solver(program, ipopt, {})
 

@@ -44,6 +44,8 @@ from slipfree.system.interrupt import with_interrupt_guard
 
 TIME_TOLERANCE = 1e-6  # largest difference of times that count as equal [s]
 USABLE_STATUSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Maximum_Iterations_Exceeded")
+MAX_CYCLE_VIOLATION = 0.1  # of a row of a cycle, in its unit; full steps from there diverge
+SEARCH_ITERATIONS = 30  # maximum number of iterations with a line search
 MIN_WINDOW_FRACTION = 0.25  # shorter windows, at the end of a plan, are not updated
 
 
@@ -58,6 +60,7 @@ class Horizon:
     weights: Array  # shape (n_costs + 1,): of the costs and, last, the smoothness
     rows: ca.Function  # function ``(w, p) ->`` rows of the program, of scaled unknowns and weights
     solver: ca.Function  # solver that makes the iterations of one cycle, from `warm_solver`
+    careful: ca.Function  # the same with a line search, for cycles in which full steps fail
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -94,7 +97,8 @@ def horizon(
     degree : int
         Degree of the polynomials on each interval, 1 to 5.
     iterations : int
-        Maximum number of iterations per cycle.
+        Maximum number of iterations per cycle. They make full steps; a cycle that is far from the
+        equations after them is repeated with a line search, in at most 30 iterations.
 
     Raises
     ------
@@ -132,6 +136,7 @@ def horizon(
         weights,
         ca.Function("rows", names, [program.problem["g"]]),
         warm_solver(program, iterations),
+        warm_solver(program, SEARCH_ITERATIONS, full_steps=False),
     )
 
 
@@ -192,7 +197,8 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     t : float
         Time of the measurement since the beginning of the plan. [s]
     x : ndarray, shape (n_x,)
-        Measured states, in local coordinates.
+        Measured states, in local coordinates. Height, roll and pitch of a vehicle with pressed
+        wheels must be those of rest on the ground of the plan: see `slipfree.settle_many`.
 
     Returns
     -------
@@ -313,27 +319,31 @@ def _iterated(
     lower, upper = program.lower.copy(), program.upper.copy()
     lower[program.layout.first] = upper[program.layout.first] = x
     lower[program.layout.duration] = upper[program.layout.duration] = span
-    results = window.solver(
-        x0=first / scale,
-        p=window.weights,
-        lbx=lower / scale,
-        ubx=upper / scale,
-        lbg=g_lower,
-        ubg=g_upper,
-        lam_g0=rows,
-        lam_x0=bounds,
-    )
-    status = str(window.solver.stats()["return_status"])
-    # The rows that IPOPT returns may belong to another iterate than the unknowns.
-    g = np.array(window.rows(results["x"], window.weights)).ravel()
-    if status not in USABLE_STATUSES or not np.isfinite(g).all():
+    asked = replace(program, g_lower=g_lower, g_upper=g_upper)
+    for solver in (window.solver, window.careful):
+        results = solver(
+            x0=first / scale,
+            p=window.weights,
+            lbx=lower / scale,
+            ubx=upper / scale,
+            lbg=g_lower,
+            ubg=g_upper,
+            lam_g0=rows,
+            lam_x0=bounds,
+        )
+        status = str(solver.stats()["return_status"])
+        # The rows that IPOPT returns may belong to another iterate than the unknowns.
+        g = np.array(window.rows(results["x"], window.weights)).ravel()
+        violation = largest_violation(asked, g) if np.isfinite(g).all() else np.inf
+        if status in USABLE_STATUSES and violation < MAX_CYCLE_VIOLATION:
+            break
+    else:
         raise SolverError(
             f"replan: the iterations failed at t = {t:g} s, state {x}: {ipopt_words(status)}; "
             "the inputs of the previous cycle may still be used"
         )
     unknowns, rows, bounds = (np.array(results[name]).ravel() for name in ("x", "lam_g", "lam_x"))
-    asked = replace(program, g_lower=g_lower, g_upper=g_upper)
-    return Cycle(t, motion_of(program, unknowns * scale), rows, bounds, largest_violation(asked, g))
+    return Cycle(t, motion_of(program, unknowns * scale), rows, bounds, violation)
 
 
 def cycle_inputs(window: Horizon, cycle: Cycle, begin: float, end: float) -> tuple[Record, Array]:

@@ -13,9 +13,9 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple, Protocol
 
-import casadi as ca
 import numpy as np
 
+from slipfree.batch.many import settle_many
 from slipfree.core.dae import Dae, InputValue
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, leaves
@@ -70,7 +70,8 @@ class Replanning:
         self.name = "replan" if updated else "inputs"
         self._window, self._dae = window, window.program.task.dae
         none = np.zeros(0)
-        self._cycle = first_cycle(window) if updated else Cycle(0.0, window.plan, none, none, 0.0)
+        self._whole = Cycle(0.0, window.plan, none, none, 0.0)
+        self._cycle = first_cycle(window) if updated else self._whole
         self._updated = updated
 
     def decide(self, t: float, end: float, x: Array) -> Decision:
@@ -81,23 +82,41 @@ class Replanning:
                 self._cycle = replan(self._window, self._cycle, t, x - self._dae.shift[0])
         except SolverError:
             failed = True
-        inputs, times = cycle_inputs(self._window, self._cycle, t, end)
+        begun = t < self._cycle.t + self._cycle.motion.duration - TIME_TOLERANCE
+        inputs, times = cycle_inputs(self._window, self._cycle if begun else self._whole, t, end)
         names = (label.full for label in leaves(self._dae.labels.u))
         return Decision(dict(zip(names, leaves(inputs), strict=True)), times, failed)
 
 
 class Following:
-    """A driving law of `slipfree.control.path_following.guidance`: commands by time and state."""
+    """The velocities of the plan, corrected for the errors of place and heading.
+
+    The law is that of Kanayama et al. (1990), A stable tracking control method for an autonomous
+    mobile robot, IEEE Int. Conf. Robotics and Automation, eq. 8, with gains by which errors are
+    critically damped over the size of the vehicle. Since it tracks the plan in time, the vehicle
+    reverses where the plan does.
+    """
 
     name = "follow"
 
-    def __init__(self, dae: Dae, commands: tuple[ca.SX, ca.SX]) -> None:
-        self._shift = dae.shift[0]
-        self._law = dae.function("commands", [dae.t, dae.columns()[0]], [ca.vertcat(*commands)])
+    def __init__(self, dae: Dae, plan: PolynomialMotion, speed: float) -> None:
+        self._dae, self._plan, self._speed = dae, plan, speed
 
     def decide(self, t: float, end: float, x: Array) -> Decision:
-        """Return the commands of the law, which are held for a period."""
-        forward, yaw_rate = np.array(self._law(t, x - self._shift)).ravel().tolist()
+        """Return commands that are held for a period."""
+        planned = _places(self._dae, self._plan, np.array([t, end]))
+        (r_x, v_x), (r_y, v_y), (heading, yaw_rate) = (
+            (float(value[0]), float(np.diff(value)[0]) / (end - t)) for value in planned.values()
+        )
+        at = dict(zip((label.full for label in leaves(self._dae.labels.x)), x, strict=True))
+        middle, size = heading + yaw_rate * (end - t) / 2, self._dae.size
+        v = v_y * np.cos(middle) - v_x * np.sin(middle)
+        cos, sin = np.cos(at["heading"]), np.sin(at["heading"])
+        ahead = (r_y - at["y"]) * cos - (r_x - at["x"]) * sin
+        left = -(r_y - at["y"]) * sin - (r_x - at["x"]) * cos
+        turned = np.sin(heading - at["heading"])  # smooth where the angle wraps around
+        forward = v * np.cos(heading - at["heading"]) + self._speed / size * ahead
+        yaw_rate += (2 * abs(v) * turned + v * left / size) / size
         return Decision({"forward": forward, "yaw_rate": yaw_rate}, np.array([t, end]))
 
 
@@ -119,7 +138,7 @@ class Sampling:
         """Return the first commands of the cheapest candidate."""
         failed = False
         try:
-            elapsed, goal = t - self._last, self._places(t + self._task.t)
+            elapsed, goal = t - self._last, _places(self._task.model, self._plan, t + self._task.t)
             self._cycle = sample_plan(self._task, x, self._cycle, elapsed=elapsed, goal=goal)
             self._last = t
         except SolverError:
@@ -133,16 +152,16 @@ class Sampling:
         values = none if self._cycle is None else self._cycle.inputs[:, index]
         return Decision(dict(zip(names, values, strict=True)), times, failed)
 
-    def _places(self, t: Array) -> dict[str, float | Array]:
-        """Return places and headings of the plan at times, in map coordinates."""
-        plan, labels = self._plan, leaves(self._task.model.labels.x)
-        step = 0.01 * plan.duration
-        before, last = plan.states(np.array([1 - step / plan.duration, 1.0])).T
-        beyond = np.maximum(t - plan.duration, 0.0) / step
-        x = plan.states(np.minimum(t / plan.duration, 1.0)) + np.outer(last - before, beyond)
-        x += self._task.model.shift[0][:, None]
-        names = [label.full for label in labels]
-        return {name: x[names.index(name)] for name in ("x", "y", "heading")}
+
+def _places(dae: Dae, plan: PolynomialMotion, t: Array) -> dict[str, Array]:
+    """Return places and headings of a plan at times, in map coordinates."""
+    step = 0.01 * plan.duration
+    before, last = plan.states(np.array([1 - step / plan.duration, 1.0])).T
+    beyond = np.maximum(t - plan.duration, 0.0) / step
+    x = plan.states(np.minimum(t / plan.duration, 1.0)) + np.outer(last - before, beyond)
+    x += dae.shift[0][:, None]
+    names = [label.full for label in leaves(dae.labels.x)]
+    return {name: x[names.index(name)] for name in ("x", "y", "heading")}
 
 
 class TrackingWorld(NamedTuple):
@@ -189,7 +208,9 @@ def track_plan(
 ) -> TrackedMotion:
     """Simulate a vehicle that follows a plan under a controller.
 
-    The controller measures all states without error or delay.
+    The controller measures all states without error or delay, but not height, roll and pitch of a
+    vehicle whose wheels are pressed into the ground: they are those of rest on the controller's own
+    ground, since states that contradict it make predictions diverge.
 
     Parameters
     ----------
@@ -234,8 +255,8 @@ def track_plan(
     decisions, runs = list[Decision](), list[Trajectory]()
     here = world.start
     for k, (t, end) in enumerate(pairwise(times)):
-        x = planned.rows("x", here, -1) + planned.shift[0]
         clock = time.process_time()
+        x = _measured(planned, here, compiled=options.compiled)
         decisions.append(controller.decide(t, end, x))
         cpu += time.process_time() - clock
         if progress is not None:
@@ -269,6 +290,19 @@ def _check_world(planned: Dae, world: TrackingWorld) -> None:
             f"{', '.join(expected)}, found {', '.join(own)}{lacks}; use a vehicle with the same "
             "joints and wheels (its parameters may differ)"
         )
+
+
+def _measured(planned: Dae, here: Trajectory, *, compiled: bool) -> Array:
+    """Return the states of a plan's model at the last sample of a motion, in map coordinates."""
+    x = planned.rows("x", here, -1) + planned.shift[0]
+    if not planned.rest.numel():
+        return x
+    names = [label.full for label in leaves(planned.labels.x)]
+    free = names[: -planned.rest.numel()]
+    rest = settle_many(
+        planned, quantities=names, compiled=compiled, **dict(zip(free, x, strict=False))
+    )
+    return x if rest["reason"].item() else np.array([rest[name].item() for name in names])
 
 
 def _still(decision: Decision, span: float) -> Decision:

@@ -10,14 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.control.path_following import commanded, guidance
+from slipfree.control.path_following import commanded
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.rearrange import substitute
 from slipfree.core.records import leaves
 from slipfree.core.schema import Length
 from slipfree.core.trajectory import SolverError, Trajectory, path_length
 from slipfree.files.netcdf import read, read_arrays
-from slipfree.geometry.path import Path as GroundPath
 from slipfree.plan.mpc import Horizon, horizon
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import from_arrays
@@ -48,7 +47,6 @@ from slipfree.vehicle.tree import Vehicle
 
 CYCLES_PER_WINDOW = 20  # default number of periods in a window
 WINDOWS_PER_PLAN = 5  # duration of a plan divided by the default window
-PATH_SPACING = 20  # samples of a plan between two points of its path
 WAYS = ("inputs", "follow", "replan", "sampling")
 DISTURBANCES = {
     "heights": "rms of errors of the heights, correlated over twice the vehicle's size [m]",
@@ -93,12 +91,12 @@ def follow_plan(
 ) -> TrackingTest:
     """Follow the plan of a result file in changed worlds, in several ways.
 
-    ``by`` are names of `WAYS`: the inputs of the plan; `slipfree.follow` along its path at its mean
-    speed; `slipfree.replan` over a moving window; and `slipfree.sample_plan` towards the plan at
-    the window's end, with commands as inputs. All decide at every ``period``, from the states. The
-    controllers know the plan's ground and vehicle. The settings of the world are ``changes``; its
-    disturbances have the sizes of `DISTURBANCES` and the ``seeds`` 1, 2, ... By default a window
-    lasts a fifth of the plan, and a period a twentieth of the window. [s]
+    ``by`` are names of `WAYS`: the inputs of the plan; its velocities, corrected for the errors of
+    place and heading; `slipfree.replan` over a moving window; and `slipfree.sample_plan` towards
+    the plan at the window's end, with commands as inputs. All decide at every ``period``, from the
+    states. The controllers know the plan's ground and vehicle. The settings of the world are
+    ``changes``; its disturbances have the sizes of `DISTURBANCES` and the ``seeds`` 1, 2, ... By
+    default a window lasts a fifth of the plan, and a period a twentieth of the window. [s]
 
     After a Ctrl-C held back by `held_interrupt`, the motions are those simulated until then.
     DataError is raised if the file contains no plan or the changed problem cannot be built;
@@ -143,7 +141,7 @@ def follow_plan(
         for name in by:
             report = partial(progress, name, seed) if progress else None
             try:
-                controller = _controller(name, plan, setup.vehicle, frame, task)
+                controller = _controller(name, plan, frame, task)
             except ModelError as error:
                 motions.append(Followed(name, seed, None, str(error)))
                 continue
@@ -246,13 +244,13 @@ def _mean_speed(plan: Plan) -> float:
 
 def _sampling_task(
     plan: Plan, vehicle: Vehicle, span: float, *, compiled: bool
-) -> SamplingTask | None:
-    """Return the task of planning by sampling; None if the vehicle does not take commands."""
+) -> SamplingTask | ModelError:
+    """Return the task of planning by sampling, or why the vehicle does not take commands."""
     dae, speed = plan.program.task.dae, _mean_speed(plan)
     try:
         model = commanded(dae, vehicle, speed=speed)
-    except ModelError:
-        return None
+    except ModelError as error:
+        return error
     turn = TURN_RANGE * speed / dae.size
     return SamplingTask(
         model,
@@ -268,17 +266,15 @@ def _sampling_task(
 
 
 def _controller(
-    name: str, plan: Plan, vehicle: Vehicle, window: Horizon, task: SamplingTask | None
+    name: str, plan: Plan, window: Horizon, task: SamplingTask | ModelError
 ) -> Controller:
     """Return a new controller by its name; ModelError is raised if the vehicle does not suit it."""
     if name in ("inputs", "replan"):
         return Replanning(window, updated=name == "replan")
-    run, dae, speed = plan.replay, plan.program.task.dae, _mean_speed(plan)
-    if name == "follow" or task is None:
-        points = np.column_stack([run["x"], run["y"]])
-        path = GroundPath(np.concatenate([points[:-1:PATH_SPACING], points[-1:]]))
-        speed = path.length / plan.motion.duration
-        return Following(dae, guidance(dae, vehicle, path, speed=speed))
+    if isinstance(task, ModelError):
+        raise task
+    if name == "follow":
+        return Following(plan.program.task.dae, plan.motion, _mean_speed(plan))
     return Sampling(task, plan.motion)
 
 
