@@ -255,8 +255,8 @@ def track_plan(
     decisions, runs = list[Decision](), list[Trajectory]()
     here = world.start
     for k, (t, end) in enumerate(pairwise(times)):
-        clock = time.process_time()
         x = _measured(planned, here, compiled=options.compiled)
+        clock = time.process_time()
         decisions.append(controller.decide(t, end, x))
         cpu += time.process_time() - clock
         if progress is not None:
