@@ -106,6 +106,7 @@ def test_the_exit_code_reports_a_motion_that_ends_early(folder: Path) -> None:
         (["p.nc", "--disturb", "wind=1"], "disturb: expected one of heights, friction, radii"),
         (["p.nc", "--disturb", "radii"], "--disturb: expected NAME=SIZE with a size of at least 0"),
         (["p.nc", "--disturb", "friction=1.5"], "friction: expected a relative change below 1"),
+        (["p.nc", "--disturb", "radii=1"], "radii: expected a relative change below 0.2"),
         (["p.nc", "--disturb", "friction=0.1"], "a ground with a coefficient of friction, found"),
     ],
 )

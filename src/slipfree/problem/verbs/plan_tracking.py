@@ -55,6 +55,7 @@ DISTURBANCES = {
     "inputs": "standard deviation of the relative errors of the inputs [1]",
     "latency": "time after which inputs take effect, rounded to periods [s]",
 }
+MAX_RADIUS_ERROR = 0.2  # rms of relative errors: wheels of larger ones may vanish
 CORRELATION = 2.0  # length of the errors of heights [size of the vehicle]
 TURN_RANGE = 1.5  # largest yaw rate of candidates, relative to speed over size of the vehicle
 SPEED_RANGE = (-0.25, 1.75)  # forward velocity of candidates, relative to the mean speed
@@ -109,11 +110,12 @@ def follow_plan(
                 raise ModelError(
                     f"{what}: expected one of {', '.join(known)}, found {name!r}; correct the name"
                 )
-    if disturb.get("friction", 0.0) >= 1:
-        raise ModelError(
-            "disturb: friction: expected a relative change below 1, found "
-            f"{disturb['friction']:g}; reduce it"
-        )
+    for name, most in (("friction", 1.0), ("radii", MAX_RADIUS_ERROR)):
+        if disturb.get(name, 0.0) >= most:
+            raise ModelError(
+                f"disturb: {name}: expected a relative change below {most:g}, found "
+                f"{disturb[name]:g}; reduce it"
+            )
     run = read(file)
     saved = from_arrays(read_arrays(file), str(file))
     planned, real = (problem_of(file, run, folder, each) for each in ((), changes))
@@ -332,7 +334,7 @@ COLUMNS = (  # width, two lines of the head, and the cell of a row
     (12, "end from", "plan [m]", lambda row: f"{row['end_distance']:.3g}"),
     (10, "", "largest", lambda row: f"{row['end_distance_max']:.3g}"),
     (10, "rms slip", "[mm/s]", lambda row: f"{1e3 * row['slip_rms']:.3g}"),
-    (9, "path", "[m]", lambda row: f"{row['path_length']:.4g}"),
+    (11, "path", "[m]", lambda row: f"{row['path_length']:.4g}"),
     (12, "cycles", "failed", lambda row: f"{row['failed_cycles']} of {row['cycles']}"),
     (12, "CPU of a", "cycle [ms]", lambda row: f"{1e3 * row['cycle_cpu']:.3g}"),
 )
