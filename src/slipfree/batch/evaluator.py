@@ -94,14 +94,8 @@ class EvaluatorOf(Protocol[G]):
     def __call__(self, graph: Graph, states: Array, slope: float = 1.0) -> Array:
         """Return the results of a graph, shape (n_results, n).
 
-        Parameters
-        ----------
-        graph : Graph
-            One of the graphs.
-        states : ndarray, shape (n_rows, n)
-            States, one in each column, with contiguous rows.
-        slope : float
-            Factor of all derivatives of the ground, for a start on a flattened ground. [1]
+        The ``states`` (n_rows, n) have contiguous rows. ``slope`` is a factor of all derivatives of
+        the ground, for a start on a flattened ground.
         """
 
     def advance(
@@ -127,20 +121,9 @@ Evaluator = EvaluatorOf[Graphs]
 def evaluator_of(dae: Dae, *, compiled: bool = True, lanes: int | None = None) -> Evaluator:
     """Return the evaluator of a model: compiled, or interpreted if it cannot be compiled.
 
-    Parameters
-    ----------
-    dae : Dae
-        The model.
-    compiled : bool
-        Whether to compile the graphs. Without a compiler they are interpreted, and a warning gives
-        the reason.
-    lanes : int, optional
-        Number of lanes of a vector; by default that of the registers of the machine.
-
-    Raises
-    ------
-    ModelError
-        If the model has no graphs; see `slipfree.batch.graph.graphs_of`.
+    A warning gives the reason if it is not compiled. ``lanes`` is the number of lanes of a vector,
+    by default that of the machine's registers. ModelError is raised for a model without graphs; see
+    `slipfree.batch.graph.graphs_of`.
     """
     graphs = graphs_of(dae)
     steps = _step_code(graphs) if graphs.linear else ""
@@ -300,10 +283,7 @@ class _Cells(ctypes.Structure):
 class CodeWriter:
     """C code of functions of the rows ``a`` of a state and of the results ``found`` of lookups.
 
-    Attributes
-    ----------
-    unknown : int or None
-        An operation of CasADi that has no C code.
+    ``unknown`` is an operation of CasADi that has no C code, if there is any.
     """
 
     one, work = "SPLAT(1.0)", "w{}"

@@ -32,27 +32,15 @@ Solve = Callable[[ca.SX, ca.SX], ca.SX]
 
 
 class Graph(NamedTuple):
-    """A function of the rows of a state.
-
-    Attributes
-    ----------
-    name : str
-        Name of the function.
-    function : casadi Function
-        SX function of two columns, the rows of a state and the results of the lookups, to a column.
-    lookups : tuple of Lookup
-        The lookups, in a valid order of evaluation.
-    arguments : tuple of casadi Function
-        Arguments of each lookup, as functions of the same two columns.
-    parts : tuple of slice
-        StateRows of each result in the column.
-    """
+    """A function of the rows of a state."""
 
     name: str
+    # SX function of two columns, the rows of a state and the results of the lookups, to a column
     function: ca.Function
-    lookups: tuple[Lookup, ...]
+    lookups: tuple[Lookup, ...]  # the lookups, in a valid order of evaluation
+    # arguments of each lookup, as functions of the same two columns
     arguments: tuple[ca.Function, ...]
-    parts: tuple[slice, ...]
+    parts: tuple[slice, ...]  # `StateRows` of each result in the column
 
 
 class StateRows(NamedTuple):
@@ -83,54 +71,27 @@ class StateRows(NamedTuple):
 
 
 class Graphs(NamedTuple):
-    """Graphs of a model.
-
-    Attributes
-    ----------
-    dae : Dae
-        The model.
-    rows : StateRows
-        StateRows of its states.
-    state : SX, shape (n_rows, 1)
-        Symbols of a state.
-    quadratures : tuple of int
-        Indices of the quadratures that are integrated.
-    guess : Graph
-        Initial guesses of ``p``, ``w`` and ``f``, and of the states that relax.
-    place : Graph
-        One Newton step of the positions: new ``p``, and the sum of its changes in typical sizes.
-    motion : Graph
-        One Newton step of the positions, and the rates there: derivatives of the integrated rows,
-        new ``p``, new ``w``, the sum of the changes of ``p`` in typical sizes, that of the errors
-        of ``w``, and the speed over the ground [m/s].
-    checked : Graph
-        The results of ``motion``, then new ``f`` by one Newton step, a number that is positive if
-        another is needed, and the distances to the bounds of the limits in sizes of the quantities.
-    bounds : tuple of int
-        Index of the limit to which each distance belongs.
-    outputs : Graph
-        Outputs of the model.
-    checks : tuple of PlacedCheck
-        Checks of samples.
-    placing : Graph
-        Expressions on which the checks of samples depend, one result for each check.
-    linear : bool
-        Whether the rates are the solution of linear equations.
-    """
+    """Graphs of a model."""
 
     dae: Dae
-    rows: StateRows
-    state: ca.SX
-    quadratures: tuple[int, ...]
-    guess: Graph
+    rows: StateRows  # `StateRows` of its states
+    state: ca.SX  # symbols of a state, shape (n_rows, 1)
+    quadratures: tuple[int, ...]  # indices of the quadratures that are integrated
+    guess: Graph  # initial guesses of ``p``, ``w`` and ``f``, and of the states that relax
+    # one Newton step of the positions: new ``p``, and the sum of its changes in typical sizes
     place: Graph
+    # one Newton step of the positions, and the rates there: derivatives of the integrated rows, new
+    # ``p``, new ``w``, the sum of the changes of ``p`` in typical sizes, that of the errors of
+    # ``w``, and the speed over the ground [m/s]
     motion: Graph
+    # the results of ``motion``, then new ``f`` by one Newton step, a number that is positive if
+    # another is needed, and the distances to the bounds of the limits in sizes of the quantities
     checked: Graph
-    bounds: tuple[int, ...]
+    bounds: tuple[int, ...]  # index of the limit to which each distance belongs
     outputs: Graph
-    checks: tuple[PlacedCheck, ...]
-    placing: Graph
-    linear: bool
+    checks: tuple[PlacedCheck, ...]  # of samples
+    placing: Graph  # expressions on which the checks of samples depend, one result for each check
+    linear: bool  # whether the rates are the solution of linear equations
 
     @property
     def stages(self) -> tuple[float, ...]:
@@ -148,10 +109,7 @@ class Graphs(NamedTuple):
 def graphs_of(dae: Dae) -> Graphs:
     """Return the graphs of a model; cached, since they serve all motions.
 
-    Raises
-    ------
-    ModelError
-        If the model is of another kind than kinematics with least slip or quasi-statics.
+    ModelError is raised for models other than kinematics with least slip and quasi-statics.
     """
     checks = _checks_of(dae)
     ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()

@@ -46,33 +46,16 @@ NO_POSE = (
 
 
 class LaneResults(NamedTuple):
-    """Results of n motions at m samples.
+    """Results of n motions at m samples."""
 
-    Attributes
-    ----------
-    columns : dict of str to Column
-        Quantities by name, of shape (n, m) or (n, m, n_wheels), NaN after the end of a motion.
-    wheels : tuple of str
-        Names of the wheels.
-    outcomes : list of str
-        Names of outcomes in lower case; ``"failed"`` without a start.
-    reasons : list of str
-        Messages of early ends.
-    end : ndarray, shape (n,)
-        Times that the motions reached. [s]
-    error : ndarray, shape (n,)
-        Estimates of the errors of x and y at the last sample. [m]
-    disputed : ndarray of bool, shape (n,)
-        Motions that `slipfree.simulate` must decide, since Newton's method did not follow the
-        contacts.
-    """
-
+    # quantities by name, of shape (n, m) or (n, m, n_wheels), NaN after the end of a motion
     columns: dict[str, Column]
     wheels: tuple[str, ...]
-    outcomes: list[str]
-    reasons: list[str]
-    end: Array
-    error: Array
+    outcomes: list[str]  # names of outcomes in lower case; ``"failed"`` without a start
+    reasons: list[str]  # messages of early ends
+    end: Array  # times that the motions reached, shape (n,) [s]
+    error: Array  # estimates of the errors of x and y at the last sample, shape (n,) [m]
+    # which motions `slipfree.simulate` must decide: Newton's method did not follow the contacts
     disputed: Mask
 
 
@@ -323,27 +306,10 @@ def run_lanes(
 ) -> LaneResults:
     """Return the motions of many lanes.
 
-    Parameters
-    ----------
-    evaluate : Evaluator
-        The model.
-    states : ndarray, shape (n_rows, n)
-        States at the start, from `start_states` or with consistent positions.
-    inputs : ndarray, shape (n_u, m - 1, n)
-        Inputs in every interval.
-    t : ndarray, shape (m,)
-        Times of the samples. [s]
-    step : float, optional
-        Largest length of a step; by default half the size of the vehicle. [m]
-    quantities : sequence of str, optional
-        Names of the quantities to keep; by default states, unknowns, inputs and outputs.
-    placed : bool
-        Whether the states have consistent positions.
-
-    Raises
-    ------
-    ModelError
-        If the step is not positive, or a quantity is unknown.
+    The states (n_rows, n) at the start are those of `start_states` or, if ``placed``, have
+    consistent positions; the inputs have the shape (n_u, m - 1, n). The largest length of a step is
+    by default half the size of the vehicle [m]. ``quantities`` are the names of those to keep, by
+    default all. ModelError is raised for a step that is not positive and for unknown quantities.
     """
     sources = sources_of(evaluate.graphs, quantities)
     dae = evaluate.graphs.dae

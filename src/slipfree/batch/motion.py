@@ -48,34 +48,20 @@ COMPLETE, UNSOLVED, INVALID_START, LOST = -1, -2, -3, -4  # ends without a limit
 
 
 class Motions(NamedTuple):
-    """Motions of n lanes over m samples.
+    """Motions of n lanes over m samples."""
 
-    Attributes
-    ----------
-    samples : ndarray, shape (m, n_rows, n)
-        States at the samples in local coordinates, NaN after the end of a lane.
-    end : ndarray, shape (n,)
-        Time of the end. [s]
-    reason : ndarray of int, shape (n,)
-        Index of the limit or, after the limits, of the check that ended the lane; `COMPLETE`, or
-        `UNSOLVED` if corrections of the positions stay too large in short steps.
-    beyond : ndarray, shape (n_rows, n)
-        States just beyond the limit; the states at the end for other lanes.
-    error : ndarray, shape (n,)
-        Estimate of the error of x and y at the last sample of a lane. [m]
-    distances : ndarray, shape (n_bounds, n)
-        Distances to the bounds of the limits at the first sample.
-    steps : ndarray of int, shape (n,)
-        Numbers of steps.
-    """
-
+    # states at the samples in local coordinates, NaN after the end of a lane, shape (m, n_rows, n)
     samples: Array
-    end: Array
+    end: Array  # time of the end, shape (n,) [s]
+    # index of the limit or, after the limits, of the check that ended the lane; `COMPLETE`, or
+    # `UNSOLVED` if corrections of the positions stay too large in short steps, shape (n,)
     reason: Array
+    # states just beyond the limit; the states at the end for other lanes, shape (n_rows, n)
     beyond: Array
-    error: Array
+    error: Array  # estimate of the error of x and y at the last sample of a lane, shape (n,) [m]
+    # distances to the bounds of the limits at the first sample, shape (n_bounds, n)
     distances: Array
-    steps: Indices
+    steps: Indices  # numbers of steps, shape (n,)
 
 
 def integrate_lanes(
@@ -89,20 +75,8 @@ def integrate_lanes(
 ) -> Motions:
     """Return the motions of lanes from states with consistent positions.
 
-    Parameters
-    ----------
-    evaluate : Evaluator
-        The model.
-    states : ndarray, shape (n_rows, n)
-        States at the first sample.
-    inputs : ndarray, shape (n_u, m - 1, n)
-        Inputs in every interval.
-    t : ndarray, shape (m,)
-        Times of the samples. [s]
-    step : float
-        Largest length of a step along the path. [m]
-    certify : bool
-        Whether to evaluate the checks of samples.
+    The states have the shape (n_rows, n), the inputs (n_u, m - 1, n). ``step`` is the largest
+    length of a step along the path [m]; with ``certify``, checks of samples are evaluated.
     """
     with np.errstate(all="ignore"):
         motions = _integrate(evaluate, states, inputs, t, step, certify=certify)
@@ -121,21 +95,13 @@ def integrate_lanes(
 
 
 class Candidates(NamedTuple):
-    """Motions of n lanes over m samples, of which only the ends are named.
+    """Motions of n lanes over m samples, of which only the ends are named."""
 
-    Attributes
-    ----------
-    samples : ndarray, shape (m, n_integrated, n)
-        Integrated rows of the states at the samples, NaN after the end of a lane.
-    end : ndarray, shape (n,)
-        Time of the first step beyond a limit, or of the last sample before unsolved steps. [s]
-    reason : ndarray of int, shape (n,)
-        Index of the limit that ended the lane; `COMPLETE` or `UNSOLVED`.
-    """
-
+    # integrated rows of the states at the samples, shape (m, n_integrated, n), NaN after the end
     samples: Array
+    # time of the first step beyond a limit, or of the last sample before unsolved steps [s]
     end: Array
-    reason: Array
+    reason: Array  # index of the limit that ended the lane; `COMPLETE` or `UNSOLVED`, shape (n,)
 
 
 def candidate_lanes(

@@ -90,12 +90,9 @@ class PathSamples(NamedTuple):
 def legs(climber: Climber, profile: Profile) -> tuple[Leg, ...]:
     """Return the legs of the path, from the first contact of the front wheels to the end.
 
-    Raises
-    ------
-    ModelError
-        If the floor is not level, if there is no obstacle, or if the vehicle gets stuck: a body
-        would have to stand upright, a wheel is caught between two solids, or a leg is longer than
-        50 m.
+    ModelError is raised if the floor is not level, if there is no obstacle, or if the vehicle gets
+    stuck: a body would have to stand upright, a wheel is caught between two solids, or a leg is
+    longer than 50 m.
     """
     corners = [x for solid in profile.solids[1:] for x, _ in solid.points]
     ends = [x for x in corners if x < max(x for x, _ in profile.solids[0].points)]

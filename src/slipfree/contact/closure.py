@@ -24,31 +24,17 @@ ROOT_OFFSET = 1e-30  # keeps a quotient finite [1]
 
 
 class ContactFrame(NamedTuple):
-    """Contact point of a wheel and the directions there, in the terrain's local coordinates.
+    """Contact point of a wheel and the directions there, in the terrain's local coordinates."""
 
-    Attributes
-    ----------
-    point : SX, shape (3, 1)
-        Contact point ``G``. [m]
-    normal : SX, shape (3, 1)
-        Unit normal of the ground, upward. [1]
-    along, across : SX, shape (3, 1)
-        Unit tangents: forward, ``n x a / |n x a|``, and to the right. [1]
-    axle : SX, shape (3, 1)
-        Unit vector of the wheel's axle, to the right. [1]
-    uprightness : SX, shape (1, 1)
-        ``|n x a|``: one for a wheel that stands on the ground, zero for one that lies flat. [1]
-    hessian : SX, shape (2, 2)
-        Second derivatives of the height. [1/m]
-    """
-
-    point: ca.SX
-    normal: ca.SX
+    point: ca.SX  # contact point ``G``, shape (3, 1) [m]
+    normal: ca.SX  # unit normal of the ground, upward, shape (3, 1) [1]
+    # unit tangents: forward, ``n x a / |n x a|``, and to the right, shape (3, 1) [1]
     along: ca.SX
     across: ca.SX
-    axle: ca.SX
+    axle: ca.SX  # unit vector of the wheel's axle, to the right, shape (3, 1) [1]
+    # ``|n x a|``: one for a wheel that stands on the ground, zero for one that lies flat [1]
     uprightness: ca.SX
-    hessian: ca.SX
+    hessian: ca.SX  # second derivatives of the height, shape (2, 2) [1/m]
 
 
 def has_exact_closure(vehicle: Vehicle) -> bool:

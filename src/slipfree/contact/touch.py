@@ -292,10 +292,7 @@ def _newton_function(section: Section) -> ca.Function:
 def tube_radii(wheel: Wheel) -> tuple[float, float]:
     """Return the radii of the tube and of the circle of tube centres of a wheel on solids [m].
 
-    Raises
-    ------
-    ModelError
-        If the wheel is not a torus, a disc or a sphere.
+    ModelError is raised for a wheel that is not a torus, a disc or a sphere.
     """
     radii = wheel.section.torus_radii
     if radii is None:

@@ -442,29 +442,15 @@ def path_inputs(
 ) -> Record:
     """Return the inputs of an inverse model along a timed path.
 
-    Parameters
-    ----------
-    dae : Dae
-        The inverse model, with the given rates velocity_x, velocity_y and heading_rate.
-    start : Trajectory
-        Motion of the model; the path must begin at its last sample.
-    x, y, heading : SX, or ndarray of shape (n,)
-        Position and heading of the platform's centre as expressions of ``dae.t``, or their values
-        at the times ``t``, which a spline of degree five interpolates. [m, rad]
-    t : ndarray, shape (n,), optional
-        Times of the values, at least six, increasing; beyond them the rates stay constant. [s]
+    The model has the given rates velocity_x, velocity_y and heading_rate. Position and heading of
+    the platform's centre are expressions of ``dae.t``, or values at the times ``t``, at least six,
+    which a spline of degree five interpolates [m, rad]; beyond them the rates stay constant. The
+    path begins at the last sample of ``start``.
 
-    Returns
-    -------
-    record
-        Inputs of the model, functions of time.
-
-    Raises
-    ------
-    ModelError
-        If the model has other inputs; if the path depends on symbols other than ``dae.t``; if there
-        are fewer than six times, if their number is not that of the values, if a value is not
-        finite, or if the times do not increase; or if the path does not begin at the start.
+    ModelError is raised if the model has other inputs; if the path depends on symbols other than
+    ``dae.t``; if there are fewer than six times, if their number is not that of the values, if a
+    value is not finite, or if the times do not increase; or if the path does not begin at the
+    start.
     """
     names = tuple(label.full for label in leaves(dae.labels.u))
     if set(names) != set(PLANAR):

@@ -91,18 +91,12 @@ def limit_message(words: str, value: float, lower: float, upper: float, unit: st
 
 @dataclass(frozen=True, eq=False)
 class PiecewiseLinear:
-    """An input that is linear in time on every interval between samples.
+    """An input that is linear in time on every interval between samples."""
 
-    Attributes
-    ----------
-    base : ndarray, shape (n - 1,)
-        Value of each linear function ``base + slope t`` at t = 0, for the n - 1 intervals between
-        n samples, in the unit of the input.
-    slope : ndarray, shape (n - 1,)
-        Rate of each linear function, in the unit of the input per second.
-    """
-
+    # value of each linear function ``base + slope t`` at t = 0, for the n - 1 intervals between n
+    # samples, in the unit of the input, shape (n - 1,)
     base: Array
+    # rate of each linear function, in the unit of the input per second, shape (n - 1,)
     slope: Array
 
 
@@ -114,18 +108,11 @@ Y = TypeVar("Y", default=Any)
 
 
 class Continuation(NamedTuple):
-    """Continuation (homotopy) parameter for the solution of the equations at the initial state.
+    """Continuation (homotopy) parameter for the solution of the equations at the initial state."""
 
-    Attributes
-    ----------
-    symbol : SX, shape (1, 1)
-        Symbol of the parameter in the residuals.
-    values : tuple of float
-        Values for which the equations are solved one after the other, from simpler equations to
-        those of the model.
-    """
-
-    symbol: ca.SX
+    symbol: ca.SX  # symbol of the parameter in the residuals, shape (1, 1)
+    # values for which the equations are solved one after the other, from simpler equations to those
+    # of the model
     values: tuple[float, ...]
 
 
@@ -163,24 +150,14 @@ class PlacedCheck(SampledCheck, Protocol):
 
 
 class Standing(NamedTuple):
-    """Model of the vehicle at rest, from which the start of a dynamic model is computed.
+    """Model of the vehicle at rest, from which the start of a dynamic model is computed."""
 
-    Attributes
-    ----------
-    model : Dae
-        Model whose equilibrium is the start.
-    guess : Dae or None
-        Model with exact contact, whose pose is the initial guess of the equilibrium; None if the
-        wheels cannot all touch a rigid ground.
-    speed : SX, shape (1, 1)
-        Symbol of the speed of the platform along its forward axis. [m/s]
-    x : SX, shape (n_x, 1)
-        States of the dynamic model in the symbols of ``model`` and the speed, in local coordinates.
-    """
-
-    model: Dae
+    model: Dae  # model whose equilibrium is the start
+    # model with exact contact, whose pose is the initial guess of the equilibrium; None if the
+    # wheels cannot all touch a rigid ground
     guess: Dae | None
-    speed: ca.SX
+    speed: ca.SX  # symbol of the speed of the platform along its forward axis, shape (1, 1) [m/s]
+    # states of the dynamic model in the symbols of ``model`` and the speed, local coordinates
     x: ca.SX
 
 
@@ -205,91 +182,54 @@ class HeldTerms(NamedTuple):
 
     The Jacobian only serves Newton's method in the integrator, which converges as fast without
     derivatives of terms that change slowly.
-
-    Attributes
-    ----------
-    ode : SX, shape (n_x, 1)
-        Rates of the states, with symbols in the place of the terms.
-    symbols, values : SX, shape (k, 1)
-        The symbols, and the terms in the symbols of the model.
     """
 
-    ode: ca.SX
+    ode: ca.SX  # rates of the states, with symbols in the place of the terms, shape (n_x, 1)
+    # the symbols (k, 1), and the terms in the symbols of the model
     symbols: ca.SX
     values: ca.SX
 
 
 class Labels(NamedTuple):
-    """Labels of the variables and equations of a `Dae`.
+    """Labels of the variables and equations of a `Dae`."""
 
-    Attributes
-    ----------
-    x, z, q, u, y : record of Label
-        Labels of the variables, in records with the structure of those in the model.
-    alg : tuple of tuple of Label
-        Labels of the algebraic equations, one tuple per block.
-    """
-
+    # x, z, q, u, y: labels of the variables, in records with the structure of those in
+    # the model
     x: Any
     z: Any
     q: Any
     u: Any
     y: Any
-    alg: tuple[tuple[Label, ...], ...]
+    alg: tuple[tuple[Label, ...], ...]  # labels of the algebraic equations, one tuple per block
 
 
 class Sizes(NamedTuple):
-    """Scales of variables and residuals, with the size of the vehicle as unit of length.
+    """Scales of variables and residuals, with the size of the vehicle as unit of length."""
 
-    Attributes
-    ----------
-    x, z, alg : ndarray, shape (n_x,), (n_z,) and (n_z,)
-        Scales of the states, the unknowns and the residuals, each in the unit of its quantity.
-    """
-
+    # scales of the states, the unknowns and the residuals, each in the unit of its quantity
     x: Array
     z: Array
     alg: Array
 
 
 class Parameter(NamedTuple):
-    """A number of a model that can change without building the model again.
+    """A number of a model that can change without building the model again."""
 
-    Attributes
-    ----------
-    label : Label
-        Name, unit and description.
-    symbol : SX, shape (1, 1)
-        Symbol in the expressions of the model.
-    value : float
-        Nominal value, in the label's unit.
-    """
-
-    label: Label
-    symbol: ca.SX
-    value: float
+    label: Label  # name, unit and description
+    symbol: ca.SX  # symbol in the expressions of the model, shape (1, 1)
+    value: float  # nominal value, in the label's unit
 
 
 class Holding(NamedTuple):
-    """Equilibrium of contact forces at rest: ``matrix.T @ forces + load = 0``.
+    """Equilibrium of contact forces at rest: ``matrix.T @ forces + load = 0``."""
 
-    Attributes
-    ----------
-    matrix : SX, shape (3 n_wheels, n_rates) or (2 n_wheels, n_rates)
-        Derivatives of the slips along and across every wheel, and normal to it if the normal
-        forces are not given, by the free rates. [1, m]
-    load : SX, shape (n_rates, 1)
-        Generalised forces of gravity, springs, dampers, and given normal forces over the weight.
-        [1, m]
-    friction : SX, shape (n_wheels, 1)
-        Coefficients of friction under the wheels. [1]
-    normal : SX or None, shape (n_wheels, 1)
-        Given normal forces over the weight; None for those that equilibrium determines. [1]
-    """
-
+    # derivatives of the slips along and across every wheel, and normal to it if the normal forces
+    # are not given, by the free rates, shape (3 n_wheels, n_rates) or (2 n_wheels, n_rates) [1, m]
     matrix: ca.SX
+    # generalised forces of gravity, springs, dampers and given normal forces over the weight [1, m]
     load: ca.SX
-    friction: ca.SX
+    friction: ca.SX  # coefficients of friction under the wheels, shape (n_wheels, 1) [1]
+    # given normal forces over the weight, (n_wheels, 1); None if equilibrium determines them [1]
     normal: ca.SX | None = None
 
 

@@ -15,24 +15,9 @@ from slipfree.core.records import Array
 def evaluate(function: ca.Function, *columns: Array) -> tuple[Array, ...]:
     """Return the results of a function at n points.
 
-    Parameters
-    ----------
-    function : casadi Function
-        Function of dense columns.
-    *columns : ndarray, shape (m, n)
-        One array for each argument; column k belongs to point k.
-
-    Returns
-    -------
-    tuple of ndarray, shape (nnz, n)
-        The structural nonzeros of each result, in CasADi's order: by columns.
-
-    Raises
-    ------
-    ValueError
-        If an argument has the wrong number of values.
-    RuntimeError
-        If the evaluation fails.
+    Column k of each argument (m, n) belongs to point k. The results (nnz, n) are the structural
+    nonzeros in CasADi's order: by columns. ValueError is raised for a wrong number of values,
+    RuntimeError if the evaluation fails.
     """
     count = columns[0].shape[1]
     mapped = function if count == 1 else _mapped(function, count)
@@ -46,21 +31,8 @@ def run_buffered(
 ) -> ca.FunctionBuffer:
     """Evaluate a function from and to memory of numpy; return the buffer, which has statistics.
 
-    Parameters
-    ----------
-    function : casadi Function
-        Function to evaluate.
-    columns : mapping of int to ndarray, shape (m, n)
-        Arguments by index; others are zero.
-    results : mapping of int to ndarray, shape (n, m)
-        Memory for the results by index, one row for each column of a result.
-
-    Raises
-    ------
-    ValueError
-        If an argument has the wrong number of values.
-    RuntimeError
-        If the evaluation fails.
+    ``columns`` are arguments (m, n) by index, others are zero; ``results`` is the memory (n, m) of
+    results by index, one row for each column of a result. Errors are those of `evaluate`.
     """
     buffer = ca.FunctionBuffer(function)
     # CasADi's annotations require a second argument, which memory views do not have
@@ -91,12 +63,7 @@ def _mapped(function: ca.Function, count: int) -> ca.Function:
 def dense(values: Array, sparsity: ca.Sparsity) -> Array:
     """Return matrices from their structural nonzeros, shape (n, rows, columns).
 
-    Parameters
-    ----------
-    values : ndarray, shape (nnz, n)
-        Nonzeros of n matrices, from `evaluate`.
-    sparsity : casadi Sparsity
-        Sparsity of each matrix.
+    The values (nnz, n) are those of `evaluate`.
     """
     matrices = np.zeros((values.shape[1], *sparsity.shape))
     rows, columns = sparsity.get_triplet()

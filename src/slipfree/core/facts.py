@@ -12,22 +12,13 @@ from typing import Any, NamedTuple
 
 
 class Fact(NamedTuple):
-    """A value with its unit and what it is the value of.
+    """A value with its unit and what it is the value of."""
 
-    Attributes
-    ----------
-    value : float, str, list or dict
-        Number, text, or table: a list of rows, each a dict of numbers and texts.
-    unit : str
-        Unit in the spelling of the CF conventions; empty for texts, for tables, and where it
-        depends on the problem, as for costs.
-    words : str
-        Description, where the name does not say all.
-    """
-
-    value: Any
+    value: Any  # number, text, or table: a list of rows, each a dict of numbers and texts
+    # unit in the spelling of the CF conventions; empty for texts, for tables, and where it depends
+    # on the problem, as for costs
     unit: str = ""
-    words: str = ""
+    words: str = ""  # description, where the name does not say all
 
 
 Facts = Mapping[str, Fact]

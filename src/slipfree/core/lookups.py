@@ -20,26 +20,18 @@ from slipfree.core.records import Array
 
 
 class Cells(NamedTuple):
-    """Cells of a bicubic spline, from which compiled code looks up polynomials.
+    """Cells of a bicubic spline, from which compiled code looks up polynomials."""
 
-    Attributes
-    ----------
-    coefficients : ndarray, shape (n_x + 2, n_y + 2)
-        Coefficients of the uniform cubic B-splines, divided by 36. [m]
-    place, spacing : tuple of 2 floats
-        Local coordinates of the node nearest to the local origin, and distances between nodes. [m]
-    node, last : tuple of 2 ints
-        Indices of that node and of the last cell, along x and y.
-    is_interpolated : bool
-        Whether the spline passes through the heights of the map; otherwise they are its
-        coefficients.
-    """
-
+    # coefficients of the uniform cubic B-splines, divided by 36, shape (n_x + 2, n_y + 2) [m]
     coefficients: Array
+    # place and spacing: local coordinates of the node nearest to the local origin, and distances
+    # between nodes [m]
     place: tuple[float, float]
     spacing: tuple[float, float]
+    # node and last: indices of that node and of the last cell, along x and y
     node: tuple[int, int]
     last: tuple[int, int]
+    # whether the spline passes through the heights of the map; otherwise they are its coefficients
     is_interpolated: bool = True
 
     @property
@@ -50,27 +42,17 @@ class Cells(NamedTuple):
 
 
 class Lookup(NamedTuple):
-    """A lookup function, its argument in a model, and the symbols of its result.
+    """A lookup function, its argument in a model, and the symbols of its result."""
 
-    Attributes
-    ----------
-    argument : SX, shape (n, 1)
-        Argument of the function, in the symbols of the model and of earlier lookups.
-    found : SX, shape (m, 1)
-        Symbols of the result; derivatives treat them as constants.
-    function : casadi Function
-        Function from the argument to the result; CasADi takes its derivatives as zero.
-    order : float
-        Highest order up to which derivatives of expressions of the result, with respect to the
-        argument, are exact; infinite for a bicubic ground.
-    cells : Cells or None
-        Cells in which the function looks up the polynomial at the first two rows of its argument.
-    """
-
+    # argument of the function, in the symbols of the model and of earlier lookups, shape (n, 1)
     argument: ca.SX
-    found: ca.SX
+    found: ca.SX  # symbols of the result; derivatives treat them as constants, shape (m, 1)
+    # function from the argument to the result; CasADi takes its derivatives as zero
     function: ca.Function
+    # highest order up to which derivatives of expressions of the result, with respect to the
+    # argument, are exact; infinite for a bicubic ground
     order: float
+    # cells in which the function looks up the polynomial at the first two rows of its argument
     cells: Cells | None = None
 
 
@@ -95,22 +77,8 @@ class LookupTable:
     ) -> ca.SX:
         """Return symbols that represent the result of a function of an argument.
 
-        Calls with equal functions, arguments and orders share a lookup and its symbols.
-
-        Parameters
-        ----------
-        function : casadi Function
-            Function from one dense column to one dense column of m rows.
-        argument : SX, shape (n, 1)
-            Argument of the function, in the symbols of the model and of earlier lookups.
-        order : float
-            Highest order of exact derivatives, as in `Lookup`.
-        cells : Cells, optional
-            Cells of the function, as in `Lookup`.
-
-        Returns
-        -------
-        SX, shape (m, 1)
+        Calls with equal functions, arguments and orders share a lookup and its symbols (m, 1). The
+        function maps one dense column to one dense column; the other arguments are as in `Lookup`.
         """
         argument = ca.densify(argument)
         entries = (entry.element_hash() for entry in ca.vertsplit(argument))
@@ -154,14 +122,7 @@ def _symbols(expression: ca.SX) -> set[int]:
 def check_order(lookups: Sequence[Lookup], order: int, purpose: str) -> None:
     """Raise ModelError if lookups are not differentiable up to an order.
 
-    Parameters
-    ----------
-    lookups : sequence of Lookup
-        Lookups of the model.
-    order : int
-        Required order of derivatives.
-    purpose : str
-        Subject of the message, such as the name of a formulation.
+    ``purpose`` is the subject of the message, such as the name of a formulation.
     """
     least = min((each.order for each in lookups), default=inf)
     if least < order:
@@ -176,13 +137,8 @@ def substitute_lookups(
 ) -> tuple[tuple[Lookup, ...], list[ca.SX], list[ca.SX]]:
     """Return lookups with symbols replaced by values in their arguments.
 
-    Returns
-    -------
-    lookups : tuple of Lookup
-        New lookups, with new symbols for their results.
-    symbols, values : list of SX
-        The complete substitution for other expressions: ``symbols`` also contains the results of
-        the given lookups, and ``values`` those of the new lookups.
+    The new lookups have new symbols for their results. The last results are the complete
+    substitution for other expressions: it also replaces the results of the given lookups.
     """
     before, after, new = [*symbols], [*values], list[Lookup]()
     for lookup in lookups:
@@ -199,14 +155,7 @@ def lookup_results(
 ) -> ca.MX:
     """Return the results of lookups for given values of a model's symbols, shape (m, 1).
 
-    Parameters
-    ----------
-    lookups : sequence of Lookup
-        The lookups, in the order of their creation.
-    symbols : sequence of SX
-        Symbols of the model.
-    given : sequence of MX
-        Values of the symbols.
+    The lookups are in the order of their creation.
     """
     found = ca.MX(0, 1)
     for group in _stages(lookups):
@@ -243,16 +192,7 @@ def lookup_function(
 ) -> ca.Function:
     """Return expressions as a function that evaluates the required lookups.
 
-    Parameters
-    ----------
-    lookups : sequence of Lookup
-        Lookups of the model. Only those on which the expressions depend are evaluated.
-    name : str
-        Name of the function.
-    symbols, expressions : sequence of SX
-        Arguments and results of the function.
-    options : dict, optional
-        Options of the casadi Function.
+    Only lookups on which the expressions depend are evaluated.
     """
     needed = needed_lookups(lookups, expressions)
     if not needed:

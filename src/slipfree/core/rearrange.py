@@ -17,30 +17,15 @@ from slipfree.core.records import Array, Label, leaves, pack, unpack
 
 @dataclass(frozen=True, eq=False)
 class ModelVariable:
-    """A state, unknown or input of a model.
+    """A state, unknown or input of a model."""
 
-    Attributes
-    ----------
-    label : Label
-        Name, unit and description.
-    symbol : SX, shape (1, 1)
-        Symbol in the expressions of the model.
-    rate : SX, shape (1, 1)
-        Rate of a state; zero for unknowns and inputs.
-    guess : SX, shape (1, 1)
-        Initial guess of an unknown as a function of the states; zero for states and inputs.
-    scale : float
-        Typical size, in the label's unit.
-    shift : float
-        Map value minus local value, in the label's unit.
-    """
-
-    label: Label
-    symbol: ca.SX
-    rate: ca.SX
+    label: Label  # name, unit and description
+    symbol: ca.SX  # symbol in the expressions of the model, shape (1, 1)
+    rate: ca.SX  # rate of a state; zero for unknowns and inputs, shape (1, 1)
+    # initial guess of an unknown as a function of the states; zero for states and inputs
     guess: ca.SX
-    scale: float
-    shift: float = 0.0
+    scale: float  # typical size, in the label's unit
+    shift: float = 0.0  # map value minus local value, in the label's unit
 
 
 def variables(dae: Dae) -> tuple[Any, Any, Any]:
@@ -69,17 +54,7 @@ def _entries(column: ca.SX) -> list[ca.SX]:
 
 
 def new_variable(dae: Dae, label: Label, symbol: ca.SX | None = None) -> ModelVariable:
-    """Return a variable with rate, guess and shift zero, and a model's scale for the label's unit.
-
-    Parameters
-    ----------
-    dae : Dae
-        The model.
-    label : Label
-        Name, unit and description of the variable.
-    symbol : SX, shape (1, 1), optional
-        Symbol of the variable; by default a new one.
-    """
+    """Return a variable with rate, guess and shift zero, and the scale of the label's unit."""
     symbol = ca.SX.sym(label.full) if symbol is None else symbol
     return ModelVariable(label, symbol, ca.SX(0), ca.SX(0), dae.size_of(label))
 
@@ -93,18 +68,10 @@ def rearrange(
 ) -> Dae:
     """Return a model with rearranged states, unknowns and inputs.
 
-    Former states that are not states of the new model are zero in initial guesses. In numeric
-    checks, former states and unknowns that are neither states nor unknowns of the new model are
-    zero.
-
-    Parameters
-    ----------
-    dae : Dae
-        The model.
-    x, z, u : record of ModelVariable
-        States, unknowns (one record per block) and inputs of the new model.
-    equations : sequence of (SX, sequence of Label)
-        Residuals of each block of ``z`` as a column, and their labels.
+    ``x``, ``z`` and ``u`` are records of `ModelVariable`, with one record per block of unknowns;
+    ``equations`` are the residuals of each block as a column, and their labels. Former states that
+    are not states of the new model are zero in initial guesses. In numeric checks, former states
+    and unknowns that are neither states nor unknowns of the new model are zero.
     """
     symbols = [_each(record, "symbol") for record in (x, z, u)]
     labels = [_each(record, "label") for record in (x, z, u)]
@@ -193,17 +160,10 @@ def _hashes(record: Any) -> set[int]:
 
 @dataclass(frozen=True, eq=False)
 class _RearrangedCheck:
-    """Check of a model, evaluated at states and unknowns of a rearranged model.
+    """Check of a model, evaluated at states and unknowns of a rearranged model."""
 
-    Attributes
-    ----------
-    check : SampledCheck
-        Check of the original model.
-    states : casadi Function
-        Function from ``x`` and ``z`` of the rearranged model to those of the original model.
-    """
-
-    check: SampledCheck
+    check: SampledCheck  # of the original model
+    # function from ``x`` and ``z`` of the rearranged model to those of the original model
     states: ca.Function
 
     @property
@@ -235,17 +195,7 @@ def _rearranged_checks(dae: Dae, new: Dae) -> tuple[SampledCheck, ...]:
 def with_values(dae: Dae, **values: float) -> Dae:
     """Return a model with numbers in place of its parameters, for solvers.
 
-    Parameters
-    ----------
-    dae : Dae
-        The model.
-    **values : float
-        Values of parameters by name, in their units; others have their nominal values.
-
-    Raises
-    ------
-    ModelError
-        If a name is unknown.
+    Parameters that are not given have their nominal values. ModelError is raised for unknown names.
     """
     names = [each.label.name for each in dae.p]
     for name in values:

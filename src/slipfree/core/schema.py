@@ -35,27 +35,13 @@ BOUNDS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
 
 
 class Key(NamedTuple):
-    """Field of a dataclass or parameter of a function.
-
-    Attributes
-    ----------
-    name : str
-        Name.
-    hint : type
-        Type, with bounds as annotations.
-    default : Any
-        Default; ``dataclasses.MISSING`` if a value is required.
-    unit : str
-        Unit; empty without one.
-    meaning : str
-        Description; empty without one.
-    """
+    """Field of a dataclass or parameter of a function."""
 
     name: str
-    hint: Any
-    default: Any
-    unit: str
-    meaning: str
+    hint: Any  # type, with bounds as annotations
+    default: Any  # default; ``dataclasses.MISSING`` if a value is required
+    unit: str  # unit; empty without one
+    meaning: str  # description; empty without one
 
     @property
     def description(self) -> str:

@@ -75,17 +75,10 @@ class Stop(NamedTuple):
 
 
 class Column(NamedTuple):
-    """One quantity over time: its label and its values.
+    """One quantity over time: its label and its values."""
 
-    Attributes
-    ----------
-    label : Label
-        Name, unit and description.
-    values : ndarray, shape (n,) or (n, n_wheels)
-        Samples, in the label's unit; quantities of wheels have one column per wheel.
-    """
-
-    label: Label
+    label: Label  # name, unit and description
+    # samples in the label's unit, shape (n,) or, for quantities of wheels, (n, n_wheels)
     values: Array
 
     def __repr__(self) -> str:

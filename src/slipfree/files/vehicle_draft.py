@@ -96,12 +96,8 @@ class Draft:
 class UnfitError(DataError):
     """Error in a URDF file that does not contain a valid vehicle.
 
-    Attributes
-    ----------
-    faults : tuple of str
-        One message per error: location, expected and found.
-    draft : Draft or None
-        Valid parts of the vehicle; None if there are none.
+    Each of the ``faults`` is a line: location, expected and found; ``draft`` has the valid parts of
+    the vehicle, None without any.
     """
 
     def __init__(self, faults: Sequence[str], draft: Draft | None = None) -> None:

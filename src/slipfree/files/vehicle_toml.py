@@ -73,10 +73,7 @@ T = TypeVar("T")
 class VehicleError(ProblemError):
     """Error in a vehicle file in TOML, with one message per error.
 
-    Attributes
-    ----------
-    draft : Draft or None
-        Valid parts of the vehicle; None if single values are invalid.
+    ``draft`` has the valid parts of the vehicle; None if single values are invalid.
     """
 
     def __init__(self, *faults: str, draft: Draft | None = None) -> None:

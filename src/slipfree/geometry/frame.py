@@ -20,10 +20,8 @@ AXES: dict[str, Vector] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0
 def unit_vector(axis: Axis) -> Vector:
     """Return the unit vector of an axis given by its name or by a vector.
 
-    Raises
-    ------
-    ModelError
-        If the name is unknown, or if the vector is zero, not finite or not of length three.
+    ModelError is raised for an unknown name, and for a vector that is zero, not finite or not of
+    length three.
     """
     given = AXES.get(axis) if isinstance(axis, str) else axis
     size = hypot(*given) if given is not None and len(given) == 3 else 0.0
@@ -155,11 +153,6 @@ def elements(matrix: Array) -> Elements:
 def in_axes(rotation: Array, given: Elements) -> Elements:
     """Return the elements of a tensor in other axes.
 
-    Parameters
-    ----------
-    rotation : ndarray, shape (3, 3)
-        Rotation matrix from the axes of ``given`` to the other axes.
-    given : tuple of 6 floats
-        Elements of the tensor in its axes.
+    ``rotation`` is the matrix from the axes of ``given`` to the other axes.
     """
     return elements(rotation @ tensor(given) @ rotation.T)

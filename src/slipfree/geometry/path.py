@@ -17,21 +17,13 @@ NODES = 64  # nodes of the arc-length table per way-point
 
 
 class PathPoint(NamedTuple):
-    """A point of a path.
+    """A point of a path."""
 
-    Attributes
-    ----------
-    x, y : SX or ndarray
-        Map coordinates. [m]
-    heading : SX or ndarray
-        Direction of the path, counter-clockwise from +y. [rad]
-    curvature : SX or ndarray
-        Derivative of the heading with respect to arc length, positive in left turns. [1/m]
-    """
-
+    # x and y: map coordinates [m]
     x: Any
     y: Any
-    heading: Any
+    heading: Any  # direction of the path, counter-clockwise from +y [rad]
+    # derivative of the heading with respect to arc length, positive in left turns [1/m]
     curvature: Any
 
 

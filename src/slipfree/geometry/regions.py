@@ -145,17 +145,8 @@ class _Disc(Region):
     def outside(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return the signed distance of a point from the region, negative inside [m].
 
-        Parameters
-        ----------
-        x, y : SX, shape (1, 1)
-            Map coordinates. [m]
-
-        Returns
-        -------
-        SX, shape (1, 1)
-            The signed distance, smoothed near the centre so that it has derivatives there. It is
-            zero on the circle; outside the circle it deviates from the exact distance by at most
-            5e-7 radii. [m]
+        It is smoothed near the centre, so that it has derivatives there, and exact on the circle;
+        outside the circle it deviates by at most 5e-7 radii.
         """
         soft = (TIP_ROUNDING * self.radius) ** 2
         from_center = ca.sqrt((x - self.x) ** 2 + (y - self.y) ** 2 + soft)
@@ -206,22 +197,12 @@ class _Polygon(Region):
     def outside(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return the signed distance of a point from the region, negative inside [m].
 
-        Parameters
-        ----------
-        x, y : SX, shape (1, 1)
-            Map coordinates. [m]
+        It is smooth across the edges, where its gradient is the normal of the edge; it has kinks
+        only where two parts of the border are equally near.
 
-        Returns
-        -------
-        SX, shape (1, 1)
-            The signed distance. It is smooth across the edges, where its gradient is the normal of
-            the edge; it has kinks only where two parts of the border are equally near. [m]
-
-        Notes
-        -----
-        The nearest part of the border determines the sign: for an edge, the side of the edge; for
-        a corner, whether the corner is convex. There is no square root of a distance that vanishes
-        on an edge, so that derivatives are exact there.
+        The nearest part of the border determines the sign: for an edge, the side of the edge; for a
+        corner, whether the corner is convex. There is no square root of a distance that vanishes on
+        an edge, so that derivatives are exact there.
         """
         corners, tips = self._corners
         x, y = x - self.points[0][0], y - self.points[0][1]
@@ -260,12 +241,8 @@ class _Polygon(Region):
     def _corners(self) -> tuple[Array, Array]:
         """Corners in counter-clockwise order, and the signs of their turns.
 
-        Returns
-        -------
-        corners : ndarray, shape (n, 2)
-            Coordinates relative to the first point, without points on straight edges. [m]
-        signs : ndarray, shape (n,)
-            1 for a convex corner, -1 for a concave corner.
+        Corners (n, 2) are relative to the first point [m], without points on straight edges; the
+        sign is 1 for a convex corner, -1 for a concave one.
         """
         local = np.asarray(self.points) - self.points[0]
         turns = _turns(local)

@@ -22,57 +22,34 @@ NORMAL = "force_normal", "N", "force of the ground on the wheel along the normal
 
 
 class Equations(NamedTuple):
-    """Residuals and their labels.
+    """Residuals and their labels."""
 
-    Attributes
-    ----------
-    labels : tuple of Label
-        Name, unit and description of each residual.
-    rows : SX, shape (n, 1)
-        The residuals, in the labels' units.
-    linear : tuple of two SX, shapes (n, n) and (n, 1), or None
-        Matrix and right side of linear equations with the same solution, if the law has a form
-        that takes fewer operations than the Jacobian of the residuals.
-    """
-
-    labels: tuple[Label, ...]
-    rows: ca.SX
+    labels: tuple[Label, ...]  # name, unit and description of each residual
+    rows: ca.SX  # the residuals, in the labels' units, shape (n, 1)
+    # matrix and right side of linear equations with the same solution, if the law has a form that
+    # takes fewer operations than the Jacobian of the residuals, shapes (n, n) and (n, 1), or None
     linear: tuple[ca.SX, ca.SX] | None = None
 
 
 class Motion(NamedTuple):
-    """Rates of a vehicle and the resulting slip, in the symbols of a model.
+    """Rates of a vehicle and the resulting slip, in the symbols of a model."""
 
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The vehicle, with n_wheels wheels.
-    contacts : tuple of ContactFrame
-        Contact frames of the wheels, in local coordinates (:ref:`local-and-map-coordinates`).
-    slips : tuple of SX, shape (3, 1)
-        Slip velocities of the wheels in fixed axes; linear in the rates. [m/s]
-    rates : SX, shape (n_rates, 1)
-        Rates that are not commanded. [m/s, rad/s]
-    labels : tuple of Label
-        Labels of these rates.
-    constraints : Equations
-        Constraints of all slip laws, linear in the rates. With exact contact: no wheel moves along
-        the ground's normal. With pressed wheels: height, inclination and suspension relax
-        (`slipfree.models.kinematics`).
-    weights : tuple of SX or float
-        Weight of each wheel's slip: about one on the ground, about zero in the air. [1]
-    components : tuple of two SX, shapes (3 n_wheels, n_rates) and (3 n_wheels, 1)
-        Derivatives of the slip components along, across and normal to every wheel with respect to
-        the rates, and the part that does not depend on the rates.
-    """
-
-    vehicle: Vehicle
+    vehicle: Vehicle  # the vehicle, with n_wheels wheels
+    # contact frames of the wheels, in local coordinates (:ref:`local-and-map-coordinates`)
     contacts: tuple[ContactFrame, ...]
+    # slip velocities of the wheels in fixed axes; linear in the rates, shape (3, 1) [m/s]
     slips: tuple[ca.SX, ...]
-    rates: ca.SX
-    labels: tuple[Label, ...]
+    rates: ca.SX  # rates that are not commanded, shape (n_rates, 1) [m/s, rad/s]
+    labels: tuple[Label, ...]  # labels of these rates
+    # constraints of all slip laws, linear in the rates. With exact contact: no wheel moves along
+    # the ground's normal. With pressed wheels: height, inclination and suspension relax
+    # (`slipfree.models.kinematics`)
     constraints: Equations
+    # weight of each wheel's slip: about one on the ground, about zero in the air [1]
     weights: tuple[Any, ...]
+    # derivatives of the slip components along, across and normal to every wheel with respect to the
+    # rates, and the part that does not depend on the rates, shapes (3 n_wheels, n_rates) and (3
+    # n_wheels, 1)
     components: tuple[ca.SX, ca.SX]
 
 
@@ -95,69 +72,40 @@ class SlipLaw(Protocol):
 
 
 class SlidingContacts(NamedTuple):
-    """Wheels that slide over the ground, in the symbols of a quasi-static model.
+    """Wheels that slide over the ground, in the symbols of a quasi-static model."""
 
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The vehicle, with n_wheels wheels.
-    along, across, normal : tuple of SX
-        Components of the slip velocity of each wheel along it, across it and along the ground's
-        normal. [m/s]
-    friction : tuple of SX
-        Coefficient of friction at each wheel. [1]
-    driven : tuple of SX
-        Rates of the driven wheels. [rad/s]
-    spins : tuple of SX
-        Angular velocities of all wheels about their axles relative to fixed axes, positive forward.
-        [rad/s]
-    places : tuple of SX, shape (2, 1)
-        Contact points, x and y in map coordinates. [m]
-    diagnose : callable
-        ``diagnose(x, z)`` returns the reason why a state has no equilibrium, as text; empty if
-        friction is not the reason.
-    """
-
-    vehicle: Vehicle
+    vehicle: Vehicle  # the vehicle, with n_wheels wheels
+    # along, across, normal: components of the slip velocity of each wheel along it, across it
+    # and along the ground's normal [m/s]
     along: tuple[ca.SX, ...]
     across: tuple[ca.SX, ...]
     normal: tuple[ca.SX, ...]
-    friction: tuple[ca.SX, ...]
-    driven: tuple[ca.SX, ...]
+    friction: tuple[ca.SX, ...]  # coefficient of friction at each wheel [1]
+    driven: tuple[ca.SX, ...]  # rates of the driven wheels [rad/s]
+    # angular velocities of all wheels about their axles, absolute, positive forward [rad/s]
     spins: tuple[ca.SX, ...]
-    places: tuple[ca.SX, ...]
+    places: tuple[ca.SX, ...]  # contact points, x and y in map coordinates, shape (2, 1) [m]
+    # ``diagnose(x, z)`` returns the reason why a state has no equilibrium, as text; empty if
+    # friction is not the reason
     diagnose: Callable[[Array, Array], str]
 
 
 class Reaction(NamedTuple):
-    """Forces of the ground on the wheels, and the equations of the law's unknowns.
+    """Forces of the ground on the wheels, and the equations of the law's unknowns."""
 
-    Attributes
-    ----------
-    along, across, normal : tuple of SX
-        Components of the force on each wheel along it, across it and along the ground's normal.
-        [N]
-    equations : Equations
-        One equation for each unknown of the law.
-    limits : tuple of Limit
-        Limits of the law's validity.
-    continuation : Continuation or None
-        Continuation from a simpler law to this law, for the initial conditions.
-    torques : tuple of SX
-        Moments of the ground about the axles, positive against forward rolling; empty if these are
-        the moments of the forces at the contact points. [N m]
-    discs : tuple of pairs of SX
-        Pairs of unknowns in the unit disc, as in `Dae`.
-    """
-
+    # along, across, normal: components of the force on each wheel along it, across it and
+    # along the ground's normal [N]
     along: tuple[ca.SX, ...]
     across: tuple[ca.SX, ...]
     normal: tuple[ca.SX, ...]
-    equations: Equations
-    limits: tuple[Limit, ...] = ()
+    equations: Equations  # one equation for each unknown of the law
+    limits: tuple[Limit, ...] = ()  # limits of the law's validity
+    # continuation from a simpler law to this law, for the initial conditions
     continuation: Continuation | None = None
+    # moments of the ground about the axles, positive against forward rolling; empty if these are
+    # the moments of the forces at the contact points [N m]
     torques: tuple[ca.SX, ...] = ()
-    discs: tuple[tuple[ca.SX, ca.SX], ...] = ()
+    discs: tuple[tuple[ca.SX, ca.SX], ...] = ()  # pairs of unknowns in the unit disc, as in `Dae`
 
 
 @runtime_checkable
@@ -179,85 +127,43 @@ class GroundLaw(Protocol):
 
 
 class WheelContact(NamedTuple):
-    """Contact and motion of a wheel of a dynamic model.
+    """Contact and motion of a wheel of a dynamic model."""
 
-    Attributes
-    ----------
-    wheel : Wheel
-        The wheel, with a static depth.
-    touch : Touch
-        Contact with the ground.
-    slip : SX, shape (3, 1)
-        Velocity of the wheel's material point at the contact, in fixed axes. [m/s]
-    spin : SX, shape (1, 1)
-        Angular velocity about the axle relative to fixed axes, positive forward. [rad/s]
-    center : SX, shape (3, 1)
-        Centre of the wheel. [m]
-    place : SX, shape (2, 1)
-        Contact point, x and y in map coordinates. [m]
-    share : float
-        Share of the vehicle's weight. [N]
-    gravity : float
-        Gravitational acceleration. [m/s^2]
-    """
-
-    wheel: Wheel
-    touch: Touch
+    wheel: Wheel  # the wheel, with a static depth
+    touch: Touch  # contact with the ground
+    # velocity of the wheel's material point at the contact, in fixed axes, shape (3, 1) [m/s]
     slip: ca.SX
+    # angular velocity about the axle relative to fixed axes, positive forward, shape (1, 1) [rad/s]
     spin: ca.SX
-    center: ca.SX
-    place: ca.SX
-    share: float
-    gravity: float
+    center: ca.SX  # centre of the wheel, shape (3, 1) [m]
+    place: ca.SX  # contact point, x and y in map coordinates, shape (2, 1) [m]
+    share: float  # share of the vehicle's weight [N]
+    gravity: float  # gravitational acceleration [m/s^2]
 
 
 class GroundForce(NamedTuple):
-    """Force of the ground on a wheel at its contact point, and its moment about the axle.
+    """Force of the ground on a wheel at its contact point, and its moment about the axle."""
 
-    Attributes
-    ----------
-    normal : SX, shape (1, 1)
-        Component along the ground's normal. [N]
-    tangential : SX, shape (3, 1)
-        Friction force, in fixed axes. [N]
-    elastic : SX, shape (1, 1)
-        Elastic part of the normal force, without damping. [N]
-    moment : SX, shape (1, 1)
-        Moment about the axle in addition to that of the force, positive against forward rolling.
-        [N m]
-    """
-
-    normal: ca.SX
-    tangential: ca.SX
-    elastic: ca.SX
+    normal: ca.SX  # component along the ground's normal, shape (1, 1) [N]
+    tangential: ca.SX  # friction force, in fixed axes, shape (3, 1) [N]
+    elastic: ca.SX  # elastic part of the normal force, without damping, shape (1, 1) [N]
+    # moment about the axle in addition to that of the force, positive against forward rolling,
+    # shape (1, 1) [N m]
     moment: ca.SX
 
 
 class BodyTouch(NamedTuple):
-    """Contact of a point of a vehicle's body with the ground, in dynamics.
+    """Contact of a point of a vehicle's body with the ground, in dynamics."""
 
-    Attributes
-    ----------
-    gap : SX, shape (1, 1)
-        Distance from the ground, negative below it. [m]
-    normal, slip : SX, shape (3, 1)
-        Direction of the gradient of the gap, which is the unit normal of a plane ground, upward;
-        velocity of the point, in fixed axes. [1, m/s]
-    friction : SX, shape (1, 1)
-        Coefficient of friction of the ground. [1]
-    weight : float or SX, shape (1, 1)
-        Weight of the vehicle times the norm of the gradient of the gap, which is one on a plane
-        ground. [N]
-    gravity : float
-        Gravitational acceleration. [m/s^2]
-    """
-
-    gap: ca.SX
+    gap: ca.SX  # distance from the ground, negative below it, shape (1, 1) [m]
+    # normal and slip: direction of the gradient of the gap, which is the unit normal of a plane
+    # ground, upward; velocity of the point, in fixed axes, shape (3, 1) [1, m/s]
     normal: ca.SX
     slip: ca.SX
-    friction: ca.SX
+    friction: ca.SX  # coefficient of friction of the ground, shape (1, 1) [1]
+    # weight of the vehicle times the norm of the gap's gradient, which is one on a plane [N]
     weight: float | ca.SX
-    gravity: float
+    gravity: float  # gravitational acceleration [m/s^2]
 
 
 @runtime_checkable

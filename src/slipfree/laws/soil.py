@@ -374,10 +374,8 @@ def _sunk(vehicle: Vehicle, sinkage: tuple[ca.SX, ...]) -> Iterator[Limit]:
 def wheel_size(wheel: Wheel) -> WheelSize:
     """Return radius and width of a wheel in soil.
 
-    Raises
-    ------
-    ModelError
-        If the section of the wheel is not a torus with a width, or if its rollers are oblique.
+    ModelError is raised if the section of the wheel is not a torus with a width, or if its rollers
+    are oblique.
     """
     if wheel.rollers and abs(wheel.rollers) < pi / 2:
         raise ModelError(

@@ -97,36 +97,18 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
 
     Among all forces with ``matrix @ force + load = 0`` and nonnegative normal forces, it finds
     those that minimise ``max_i hypot(along_i, across_i) / (friction_i normal_i)``. By the limit
-    theorems of plasticity, a minimum above one means that no distribution of the contact forces
-    can hold the vehicle by Coulomb friction. A minimum below one means only that a suitable
+    theorems of plasticity, a minimum above one means that no distribution of the contact forces can
+    hold the vehicle by Coulomb friction. A minimum below one means only that a suitable
     distribution exists, not that it occurs. The forces at a fixed utilisation form a convex set.
-    Newton's method follows its analytic centre while the utilisation decreases [1]_, for all
-    samples at once. Internal forces are bounded by a thousand weights: for a vehicle braced between
-    two walls, the minimum exists only under this bound.
+    Newton's method follows its analytic centre while the utilisation decreases (Boyd and El Ghaoui,
+    Method of centers for minimizing generalized eigenvalues, Linear Algebra and its Applications
+    188, 1993), for all samples at once. Internal forces are bounded by a thousand weights: for a
+    vehicle braced between two walls, the minimum exists only under this bound.
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (n, w, 3 m)
-        Equations of equilibrium; columns are (along, across, normal) for every wheel. Any rank.
-    load : ndarray, shape (n, w)
-        Load that the contact forces balance, in units of the vehicle's weight. [weight]
-    friction : ndarray, shape (n, m)
-        Available coefficients of friction, positive. [1]
-
-    Returns
-    -------
-    Best
-        Least utilisation and the contact forces; normal forces are at least -1e-9 weights.
-
-    Raises
-    ------
-    ModelError
-        If shapes do not match, numbers are not finite, or a friction coefficient is not positive.
-
-    References
-    ----------
-    .. [1] Boyd and El Ghaoui, Method of centers for minimizing generalized eigenvalues, Linear
-       Algebra and its Applications 188, 1993.
+    ``matrix`` (n, w, 3 m) has columns (along, across, normal) for every wheel, and any rank;
+    ``load`` (n, w) is in units of the vehicle's weight, and ``friction`` (n, m) positive. Normal
+    forces of the result are at least -1e-9 weights. ModelError is raised if shapes do not match,
+    numbers are not finite, or a friction coefficient is not positive.
     """
     _check(matrix, load, friction)
     particular, free, solvable = _solutions(matrix, load)

@@ -150,12 +150,7 @@ def with_tangential(forces: Forces, parts: Mechanics) -> Forces:
 def force_outputs(q: Quantities, labels: ForceOutputs | tuple[()]) -> ForceOutputs | tuple[()]:
     """Return the output forces, efforts and energies; empty if the vehicle has no mass.
 
-    Parameters
-    ----------
-    q : Quantities
-        Expressions of the model.
-    labels : ForceOutputs or ()
-        Labels of the outputs; they include tangential forces that are not unknowns.
+    The ``labels`` of the outputs include tangential forces that are not unknowns.
     """
     if not labels:
         return ()

@@ -272,11 +272,6 @@ def rocks(run: Trajectory) -> list[LoadChange]:
 
     At each change the vehicle rocks from one set of supporting wheels to another, which may take
     only a few hundredths of a second.
-
-    Parameters
-    ----------
-    run : Trajectory
-        A motion with pressed wheels; see `has_pressed_wheels`.
     """
     loads, changes = run["load_share"], list[LoadChange]()
     lightest = loads.argmin(axis=1)

@@ -192,15 +192,6 @@ def drawbar_reserve(vehicle: Vehicle, soil: Soil, run: Trajectory) -> Trajectory
     The reserve of a driven wheel is its pull at the slip ratio `SLIP_LIMIT`, under its load and at
     its slip angle, minus the pull that it transmits in the direction in which it rolls. It is
     negative if the wheel slips more, and nan where the wheel would sink to its axle.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    soil : Soil
-        The soil of the motion.
-    run : Trajectory
-        The motion, of `quasi_statics` or `dynamics`.
     """
     reserve = np.zeros(run["force_normal"].shape)
     for k, wheel in enumerate(vehicle.wheels):

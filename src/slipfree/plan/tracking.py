@@ -33,20 +33,13 @@ TIME_TOLERANCE = 1e-6  # relative difference of times that count as equal
 
 
 class Decision(NamedTuple):
-    """Inputs that a controller chooses for a period.
+    """Inputs that a controller chooses for a period."""
 
-    Attributes
-    ----------
-    inputs : mapping of str to InputValue
-        Inputs by name: those of the plan, or the commands ``forward`` and ``yaw_rate``.
-    times : ndarray, shape (n,)
-        Times of the samples for `slipfree.simulate`, in the time of the inputs. [s]
-    failed : bool
-        Whether no new inputs were found, and those of an earlier period are continued.
-    """
-
+    # inputs by name: those of the plan, or the commands ``forward`` and ``yaw_rate``
     inputs: Mapping[str, InputValue]
+    # times of the samples for `slipfree.simulate`, in the time of the inputs, shape (n,) [s]
     times: Array
+    # whether no new inputs were found, and those of an earlier period are continued
     failed: bool = False
 
 

@@ -87,12 +87,7 @@ def _tile(setup: AtlasSetup, number: int) -> Tile:
 class TileFolder:
     """Folder with the finished tiles of a mobility map.
 
-    Parameters
-    ----------
-    path : Path
-        The folder, made if it is missing. Tiles of another problem in it are removed.
-    setup : AtlasSetup
-        Set-up of the map.
+    It is made if it is missing; tiles of another problem in it are removed.
     """
 
     def __init__(self, path: Path, setup: AtlasSetup) -> None:
@@ -180,18 +175,9 @@ def run_tiles(
 ) -> None:
     """Compute the missing tiles of a map, and store each as soon as it is finished.
 
-    Parameters
-    ----------
-    setup : AtlasSetup
-        Set-up of the map.
-    folder : TileFolder
-        Where the tiles are stored.
-    workers : int or Pool
-        Number of processes, or the pool that computes the tiles.
-    poll : callable
-        Called several times per second; an exception that it raises ends the computation.
-    progress : callable
-        Called with the number of finished tiles and that of all.
+    ``workers`` is a number of processes or a pool. ``poll`` is called several times per second, and
+    ends the computation by an exception; ``progress`` with the number of finished tiles and that of
+    all.
     """
     problem, count = setup.problem, len(setup.tiles)
     source = problem.source

@@ -45,28 +45,15 @@ WRAP = 95  # characters of a line of a legend
 
 
 class AtlasView(NamedTuple):
-    """Contents of the figures of a mobility map.
+    """Contents of the figures of a mobility map."""
 
-    Attributes
-    ----------
-    x, y : ndarray, shapes (n_x,) and (n_y,)
-        Coordinates of the nodes of ``maps``, which may be fewer than those of the atlas. [m]
-    maps : mapping of str to Band
-        Maps over the headings, by name.
-    reasons : tuple of str
-        Meanings of the map ``limit``.
-    detail : Atlas
-        Poses in a small window in which some headings are allowed and others are not.
-    site : Site
-        Ground of the detail, and conditions.
-    """
-
+    # coordinates of the nodes of ``maps``, which may be fewer than those of the atlas [m]
     x: Array
     y: Array
-    maps: Mapping[str, Band]
-    reasons: tuple[str, ...]
-    detail: Atlas
-    site: Site
+    maps: Mapping[str, Band]  # maps over the headings, by name
+    reasons: tuple[str, ...]  # meanings of the map ``limit``
+    detail: Atlas  # poses in a small window in which some headings are allowed and others are not
+    site: Site  # ground of the detail, and conditions
 
 
 def view_of(poses: Atlas, terrain: Bicubic) -> AtlasView:

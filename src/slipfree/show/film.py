@@ -178,12 +178,7 @@ class Film:
 class View:
     """View of a vehicle on its ground from above, ahead and the left.
 
-    Parameters
-    ----------
-    ax : Axes
-        Where it is drawn.
-    half : float
-        Half the width of the view [m].
+    ``half`` is half the width of the view [m].
     """
 
     def __init__(self, ax: Axes, half: float) -> None:

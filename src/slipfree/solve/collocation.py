@@ -44,20 +44,12 @@ WEAK_SINGULAR_VALUE = (
 
 
 class RadauBasis(NamedTuple):
-    """Polynomials on the interval [0, 1], represented by their values at Radau points.
+    """Polynomials on the interval [0, 1], represented by their values at Radau points."""
 
-    Attributes
-    ----------
-    points : ndarray, shape (k,)
-        Radau points in (0, 1]; the last is 1.
-    tied : ndarray, shape (k, k + 1)
-        Matrix of the derivatives at the points, from the values at zero and at the points.
-    free : ndarray, shape (k, k)
-        Matrix of the derivatives at the points, from the values at the points only.
-    """
-
-    points: Array
+    points: Array  # Radau points in (0, 1]; the last is 1, shape (k,)
+    # matrix of the derivatives at the points, from the values at zero and there, shape (k, k + 1)
     tied: Array
+    # matrix of the derivatives at the points, from the values at the points only, shape (k, k)
     free: Array
 
     def values(self, at: Array, *, tied: bool) -> Array:
@@ -106,45 +98,27 @@ def _lagrange_derivatives(nodes: Array) -> Array:
 
 
 class CollocationElement(NamedTuple):
-    """Motion over one element of the collocation.
+    """Motion over one element of the collocation."""
 
-    Attributes
-    ----------
-    begin, end : float
-        Times of its beginning and its end. [s]
-    first : ndarray, shape (n_x,)
-        States at the beginning; unused for states without an initial value.
-    x, z : ndarray, shape (n_x, k) and (n_z, k)
-        States and unknowns of the motion at the k collocation points.
-    """
-
+    # begin and end: times of its beginning and its end [s]
     begin: float
     end: float
+    # states at the beginning; unused for states without an initial value, shape (n_x,)
     first: Array
+    # x, z: states (n_x, k) and unknowns (n_z, k) of the motion at the k collocation points
     x: Array
     z: Array
 
 
 @dataclass(frozen=True, eq=False)
 class CollocationScheme:
-    """Collocation of a DAE under given inputs; some of its states have no initial value.
-
-    Attributes
-    ----------
-    system : System
-        The DAE under its inputs.
-    free_states : ndarray of bool, shape (n_x,)
-        True for the states without an initial value.
-    basis : RadauBasis
-        Polynomials on an element.
-    point : casadi Function
-        ``(t, x, z) -> (ode, alg, Jacobian of both with respect to x and z)`` at all collocation
-        points of an element; ``z`` are the unknowns of the motion.
-    """
+    """Collocation of a DAE under given inputs; some of its states have no initial value."""
 
     system: System
-    free_states: Mask
-    basis: RadauBasis
+    free_states: Mask  # true for the states without an initial value, shape (n_x,)
+    basis: RadauBasis  # polynomials on an element
+    # ``(t, x, z) -> (ode, alg, Jacobian of both with respect to x and z)`` at all collocation
+    # points of an element; ``z`` are the unknowns of the motion
     point: ca.Function
 
     def march(self, t: Array, first: Array, z: Array) -> list[CollocationElement]:
@@ -270,21 +244,11 @@ def collocation_schemes(system: System, free_states: Mask) -> list[CollocationSc
 
 
 class CollocatedMotion(NamedTuple):
-    """Result of `drive`: a motion, and its unknowns at the collocation points.
+    """Result of `drive`: a motion, and its unknowns at the collocation points."""
 
-    Attributes
-    ----------
-    run : Trajectory
-        The motion, with a stop if it violates a limit.
-    t : ndarray, shape (n,)
-        Times of the collocation points. [s]
-    unknowns : dict of str to ndarray of shape (n,)
-        Unknowns of the motion at these times, by name.
-    """
-
-    run: Trajectory
-    t: Array
-    unknowns: dict[str, Array]
+    run: Trajectory  # the motion, with a stop if it violates a limit
+    t: Array  # times of the collocation points, shape (n,) [s]
+    unknowns: dict[str, Array]  # unknowns of the motion at these times, by name, shape (n,)
 
 
 @computing

@@ -33,38 +33,22 @@ class MotionEquations(NamedTuple):
 
     ``m`` are the unknowns of the motion, ``ode`` the rates of the states, and ``alg`` the residuals
     of the algebraic equations, without unit.
-
-    Attributes
-    ----------
-    core : casadi Function
-        ``(t, x, m, u) -> (ode, alg)``; differentiable with respect to ``x`` and ``m``.
-    jacobian : casadi Function
-        ``(t, x, m, p, u) -> (ode_x, alg_x, ode_m, alg_m)``, derivatives with respect to ``x`` and
-        ``m``, with the names that CasADi's interface to IDAS requires; ``p`` is empty.
     """
 
+    # ``(t, x, m, u) -> (ode, alg)``; differentiable with respect to ``x`` and ``m``
     core: ca.Function
+    # ``(t, x, m, p, u) -> (ode_x, alg_x, ode_m, alg_m)``, derivatives with respect to ``x`` and
+    # ``m``, with the names that CasADi's interface to IDAS requires; ``p`` is empty
     jacobian: ca.Function
 
 
 class _ModelEquations(NamedTuple):
-    """Equations of a model as functions of its inputs ``v``.
+    """Equations of a model as functions of its inputs ``v``."""
 
-    Attributes
-    ----------
-    inputs : tuple of bool
-        One flag per input: whether the equations depend on it.
-    lookups : tuple of Lookup
-        Lookups that the equations use; ``c`` are their results.
-    values : casadi Function
-        ``(t, x, m, v, c) -> (ode, alg)``.
-    slopes : casadi Function
-        Jacobian of ``values`` with respect to ``x``, ``m`` and ``v``, with the same arguments.
-    """
-
-    inputs: tuple[bool, ...]
-    lookups: tuple[Lookup, ...]
-    values: ca.Function
+    inputs: tuple[bool, ...]  # one flag per input: whether the equations depend on it
+    lookups: tuple[Lookup, ...]  # lookups that the equations use; ``c`` are their results
+    values: ca.Function  # ``(t, x, m, v, c) -> (ode, alg)``
+    # Jacobian of ``values`` with respect to ``x``, ``m`` and ``v``, with the same arguments
     slopes: ca.Function
 
 

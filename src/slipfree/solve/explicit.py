@@ -29,11 +29,8 @@ def integrate_explicitly(
     The whole motion is repeated with smaller steps until the estimated error of ``x`` and ``y`` at
     its end is below the tolerance, times the size of the vehicle. Quadratures that depend on forces
     are integrated from the samples by the trapezoidal rule. Beyond a limit there are no samples.
-
-    Raises
-    ------
-    ModelError
-        If the batch does not take the model or an input, or the tolerance is not reached.
+    ModelError is raised if the batch does not take the model or an input, or the tolerance is not
+    reached.
     """
     dae = system.dae
     _check_numbers(dae, inputs)

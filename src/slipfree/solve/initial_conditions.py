@@ -33,28 +33,14 @@ def solve_initial_conditions(
 ) -> Array:
     """Return ``z`` that satisfies all algebraic equations at ``t``, ``x`` and ``u``.
 
-    The equations are solved in blocks, one after another. A block that is linear in its unknowns
-    is solved by one Newton step, other blocks by damped Newton steps of limited size, since the
-    contact of wheels and ground is strongly nonlinear far from the ground.
+    The equations are solved in blocks, one after another. A block that is linear in its unknowns is
+    solved by one Newton step, other blocks by damped Newton steps of limited size, since the
+    contact of wheels and ground is strongly nonlinear far from the ground. Without ``continuation``
+    only the last value of its parameter is used, which requires a guess ``z`` near a solution.
 
-    Parameters
-    ----------
-    system : System
-        The model under inputs.
-    t : float
-        Time. [s]
-    x, z, u : ndarray, shape (n_x,), (n_z,) and (n_u,)
-        States, initial guess of the unknowns, and inputs.
-    continuation : bool
-        Whether to solve at all values of the continuation parameter in turn. If False, only the
-        last value is used, which requires an initial guess near a solution.
-
-    Raises
-    ------
-    ModelError
-        If Newton's method does not converge or a Jacobian is singular. The message gives the
-        violated limit, the equation with the largest residual, or the unknown that no equation
-        determines.
+    ModelError is raised if Newton's method does not converge or a Jacobian is singular. The message
+    gives the violated limit, the equation with the largest residual, or the unknown that no
+    equation determines.
     """
     z = z.copy()
     for block in system.blocks:

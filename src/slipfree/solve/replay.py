@@ -55,33 +55,13 @@ def trim_states(
 ) -> Trajectory:
     """Return a start at the states that minimise the mean square of outputs.
 
-    Parameters
-    ----------
-    dae : Dae
-        The model.
-    start : Trajectory
-        Motion of this model or of a model with the same states. Its last sample is the initial
-        guess, with zero for unknowns that it lacks; states that are not in ``states`` keep their
-        values.
-    inputs : record
-        From ``dae.inputs(...)``; constants or expressions.
-    states : sequence of str
-        Names of the states to find.
-    least : sequence of str
-        Names of the outputs to minimise; the name of an output of wheels includes all wheels.
-    options : SolverOptions
-        Options of the solvers.
+    The last sample of ``start``, of this model or one with the same states, is the initial guess,
+    with zero for unknowns that it lacks; states that are not in ``states`` keep their values. The
+    inputs are constants or expressions. The name of an output of wheels in ``least`` includes all
+    wheels.
 
-    Returns
-    -------
-    Trajectory
-        One sample, with unknowns that satisfy the equations under the inputs.
-
-    Raises
-    ------
-    ModelError
-        If a name is unknown, the equations have no solution at a tried state, or a limit is
-        violated.
+    ModelError is raised if a name is unknown, the equations have no solution at a tried state, or a
+    limit is violated.
     """
     from scipy.optimize import least_squares  # imported where it is used: it takes 0.2 s
 
@@ -158,23 +138,9 @@ def round_trip(
 ) -> dict[str, float]:
     """Return the differences between unknowns of a model and of a motion under the same inputs.
 
-    The model is solved at every sample separately, with the states and inputs of the motion.
-
-    Parameters
-    ----------
-    dae : Dae
-        The model. The motion must contain its states, pose (first field of ``z``) and inputs.
-    run : Trajectory
-        The motion.
-    names : sequence of str
-        Unknowns of the model to compare.
-    options : SolverOptions
-        Options of the solvers.
-
-    Returns
-    -------
-    dict of str to float
-        Largest absolute difference over the samples by name, in the unit of the unknown.
+    The model is solved at every sample separately, with the states and inputs of the motion, which
+    also contains its pose (first field of ``z``). The result is the largest absolute difference by
+    name.
     """
     system = with_inputs(dae, unpack(dae.u, [0.0] * dae.columns()[2].numel()), 0, options)
     x, u, pose = (
@@ -262,23 +228,8 @@ def spline_inputs(
 ) -> Any:
     """Return the inputs of a model as splines through samples.
 
-    Parameters
-    ----------
-    dae : Dae
-        The model.
-    t : ndarray, shape (n,)
-        Ascending times of the samples. Inputs are constant before the first, and after the last or
-        ``end``. [s]
-    values : mapping of str to ndarray of shape (n,)
-        Samples of all inputs by name; other names are ignored.
-    end : float, optional
-        Time after the last sample up to which the splines are extrapolated; by default, they are
-        not. [s]
-
-    Raises
-    ------
-    ModelError
-        If samples of an input are missing.
+    Inputs are constant before the first sample, and after the last or the time ``end``, up to which
+    the splines are extrapolated [s]. ModelError is raised if samples of an input are missing.
     """
     from scipy.interpolate import make_interp_spline  # imported where it is used: it takes 0.2 s
 

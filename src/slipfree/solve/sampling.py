@@ -58,17 +58,10 @@ def input_samples(
 
 
 class Samples(NamedTuple):
-    """States of a motion in local coordinates, in columns.
+    """States of a motion in local coordinates, in columns."""
 
-    Attributes
-    ----------
-    t : ndarray, shape (n,)
-        Times. [s]
-    x, z, q, u : ndarray, shape (n_x, n), (n_z, n), (n_q, n) and (n_u, n)
-        States, algebraic unknowns, quadratures and values of the inputs.
-    """
-
-    t: Array
+    t: Array  # shape (n,) [s]
+    # states, algebraic unknowns, quadratures and values of the inputs, a column for each time
     x: Array
     z: Array
     q: Array

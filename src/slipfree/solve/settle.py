@@ -259,25 +259,12 @@ def settle_exchanged(
 ) -> Trajectory:
     """Return the vehicle at rest with given values of some unknowns of its pose.
 
-    The same number of states is solved for instead.
+    ``exchange`` has the names of the states to solve for, each with that of the unknown of the pose
+    (first field of ``z``) that is given instead, in the same unit; ``start`` has the given unknowns
+    and the other states by name, zero if omitted.
 
-    Parameters
-    ----------
-    dae : Dae
-        The model.
-    exchange : mapping of str to str
-        Names of the states to solve for, each with the name of the unknown of the pose (first field
-        of ``z``) that is given instead. Both must have the same unit.
-    options : SolverOptions
-        Options of the solvers.
-    **start : float
-        Values of the given unknowns and of the other states by name; zero if omitted. [rad, m]
-
-    Raises
-    ------
-    ModelError
-        If a name is unknown, an unknown is given for two states, units differ, or the vehicle
-        cannot stand there.
+    ModelError is raised if a name is unknown, an unknown is given for two states, units differ, or
+    the vehicle cannot stand there.
     """
     names, pose = (
         [label.full for label in leaves(record)] for record in (dae.labels.x, dae.labels.z[0])

@@ -20,32 +20,18 @@ MAX_NEWTON_STEPS = 25  # limit for blocks that depend on the motion
 
 
 class Block(NamedTuple):
-    """One block of algebraic equations, which Newton's method solves at once.
+    """One block of algebraic equations, which Newton's method solves at once."""
 
-    Attributes
-    ----------
-    span : slice
-        Indices of its unknowns in ``z``.
-    residual : casadi Function
-        Function of ``(t, x, z, u, continuation)``: the residual without unit.
-    newton : casadi Function
-        Function of the same arguments: the residual, and its Jacobian with respect to the unknowns
-        of the block.
-    linear : bool
-        Whether the block is linear in its unknowns.
-    stages : tuple of float
-        Values of the continuation parameter at a start, in the order of solution; a single value if
-        the block does not depend on it.
-    labels : tuple of Label
-        Names of its equations.
-    """
-
-    span: slice
-    residual: ca.Function
+    span: slice  # indices of its unknowns in ``z``
+    residual: ca.Function  # function of ``(t, x, z, u, continuation)``: the residual without unit
+    # function of the same arguments: the residual, and its Jacobian with respect to the unknowns of
+    # the block
     newton: ca.Function
-    linear: bool
+    linear: bool  # whether the block is linear in its unknowns
+    # values of the continuation parameter at a start, in the order of solution; a single value if
+    # the block does not depend on it
     stages: tuple[float, ...]
-    labels: tuple[Label, ...]
+    labels: tuple[Label, ...]  # names of its equations
 
 
 class System(NamedTuple):
@@ -53,35 +39,24 @@ class System(NamedTuple):
 
     The unknowns of the motion, ``m``, are the first entries of ``z``; dependent blocks determine
     the other entries after the motion.
-
-    Attributes
-    ----------
-    dae : Dae
-        The model.
-    u : ndarray, shape (n_u, n) or (2 n_u, n)
-        Values of the inputs in every interval; values of an input given by an expression are
-        unused. If inputs are linear in time, the rows of their slopes follow.
-    core : casadi Function
-        ``(t, x, m, u) -> (ode, alg)``, the equations of the motion; ``alg`` is without unit.
-    watch : casadi Function
-        ``(t, x, m, u) -> (rates of the quadratures, least distance to a limit of the motion,
-        pace)``; the distance is negative beyond a limit, with lengths in sizes of the vehicle.
-    blocks, dependent_blocks : tuple of Block
-        The algebraic equations of the motion, and those that are solved after it.
-    jacobian : casadi Function
-        Derivatives of ``core`` for IDAS; see `slipfree.solve.equations.MotionEquations`.
-    outputs : casadi Function
-        ``(t, x, z, u) ->`` values of the outputs, limits and inputs.
     """
 
     dae: Dae
+    # values of the inputs in every interval; values of an input given by an expression are unused.
+    # If inputs are linear in time, the rows of their slopes follow, shape (n_u, n) or (2 n_u, n)
     u: Array
+    # ``(t, x, m, u) -> (ode, alg)``, the equations of the motion; ``alg`` is without unit
     core: ca.Function
+    # ``(t, x, m, u) -> (rates of the quadratures, least distance to a limit of the motion, pace)``;
+    # the distance is negative beyond a limit, with lengths in sizes of the vehicle
     watch: ca.Function
+    # blocks and dependent_blocks: the algebraic equations of the motion, and those that are solved
+    # after it
     blocks: tuple[Block, ...]
     dependent_blocks: tuple[Block, ...]
+    # derivatives of ``core`` for IDAS; see `slipfree.solve.equations.MotionEquations`
     jacobian: ca.Function
-    outputs: ca.Function
+    outputs: ca.Function  # ``(t, x, z, u) ->`` values of the outputs, limits and inputs
 
     @property
     def motion_size(self) -> int:
@@ -97,24 +72,12 @@ def with_inputs(
 ) -> System:
     """Return a DAE under given inputs.
 
-    Parameters
-    ----------
-    dae : Dae
-        The model.
-    inputs : record
-        Numbers, arrays of shape (intervals,), `PiecewiseLinear` values, or expressions in the
-        symbols of the model.
-    intervals : int
-        Number of intervals between samples.
-    options : SolverOptions
-        Options of the solvers; only `compiled` is used.
+    Inputs are numbers, arrays with a value for each of the ``intervals`` between samples,
+    `PiecewiseLinear` values, or expressions in the symbols of the model.
 
-    Raises
-    ------
-    ModelError
-        If an array has another length, a number is complex or not finite, an expression is not a
-        scalar or contains other symbols than time, states and unknowns, or a block of equations
-        contains unknowns of later blocks.
+    ModelError is raised if an array has another length, a number is complex or not finite, an
+    expression is not a scalar or contains other symbols than time, states and unknowns, or a block
+    of equations contains unknowns of later blocks.
     """
     if dae.p:
         raise ModelError(

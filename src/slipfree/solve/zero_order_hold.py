@@ -42,29 +42,12 @@ def simulate_sampled(
     takes 3 to 40 times as long as with continuous inputs. The motion ends with the first sample
     that violates a limit of the model.
 
-    Parameters
-    ----------
-    dae : Dae
-        The model, without algebraic unknowns.
-    start : Trajectory
-        Trajectory whose last sample is the start; the time of this sample is ignored.
-    inputs : record
-        From ``dae.inputs(...)``. Expressions of time, states and those inputs that are numbers
-        are evaluated at every sample and constant until the next one.
-    t : ndarray, shape (n,)
-        Times at which the controller samples, evenly spaced. [s]
-    options : SolverOptions
-        Options of the solvers; the method must be CVODES.
-    progress : callable, optional
-        Called with the time of every sample. If it returns False, the motion ends there with the
-        stop ``"interrupted"``.
+    The arguments are those of `simulate`, with evenly spaced times at which the controller samples;
+    expressions of time, states and those inputs that are numbers are evaluated there. ``progress``
+    is called with the time of every sample, and ends the motion if it returns False.
 
-    Raises
-    ------
-    ModelError
-        If the model has algebraic unknowns, or times, inputs or method are invalid.
-    SolverError
-        If CVODES fails; ``trajectory`` is the motion up to the failure.
+    ModelError is raised if the model has algebraic unknowns, or times, inputs or method are
+    invalid; SolverError, with the motion up to the failure, if CVODES fails.
     """
     t = check_times(t)
     period = float(t[1] - t[0])

@@ -31,18 +31,10 @@ SEED = "seed"  # last part of the keys that repetitions change
 
 
 class SweepAxis(NamedTuple):
-    """Varied key of a sweep, and its values.
+    """Varied key of a sweep, and its values."""
 
-    Attributes
-    ----------
-    key : str
-        Dotted key such as ``inputs.left_rate``.
-    values : tuple of str
-        Values as TOML text, or words without quotes.
-    """
-
-    key: str
-    values: tuple[str, ...]
+    key: str  # dotted key such as ``inputs.left_rate``
+    values: tuple[str, ...]  # values as TOML text, or words without quotes
 
     @property
     def numbers(self) -> tuple[float, ...] | None:
@@ -54,55 +46,27 @@ class SweepAxis(NamedTuple):
 
 
 class Run(NamedTuple):
-    """One run of a sweep.
+    """One run of a sweep."""
 
-    Attributes
-    ----------
-    number : int
-        Number of the run; the first is 1.
-    values : tuple of str
-        One value per varied key.
-    seeds : tuple of int
-        One seed for each key in `Sweep.seeds`.
-    settings : tuple of str
-        All settings that replace values of the problem file, as ``key=value``.
-    """
-
-    number: int
-    values: tuple[str, ...]
-    seeds: tuple[int, ...]
+    number: int  # number of the run; the first is 1
+    values: tuple[str, ...]  # one value per varied key
+    seeds: tuple[int, ...]  # one seed for each key in `Sweep.seeds`
+    # all settings that replace values of the problem file, as ``key=value``
     settings: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """A problem and its varied keys.
+    """A problem and its varied keys."""
 
-    Attributes
-    ----------
-    problem : Problem
-        Problem of the first run.
-    settings : tuple of str
-        Settings of all runs.
-    axes : tuple of SweepAxis
-        Varied keys.
-    seeds : tuple of str
-        Keys of the seeds that every repetition changes; empty without repetitions.
-    repeat : int
-        Number of repetitions of every point of the grid.
-    seed : int
-        The first seed.
-    files : mapping of str to str
-        SHA-256 of all input files by name.
-    """
-
-    problem: Problem[Any]
-    settings: tuple[str, ...]
+    problem: Problem[Any]  # of the first run
+    settings: tuple[str, ...]  # settings of all runs
     axes: tuple[SweepAxis, ...]
+    # keys of the seeds that every repetition changes; empty without repetitions
     seeds: tuple[str, ...]
-    repeat: int
+    repeat: int  # number of repetitions of every point of the grid
     seed: int
-    files: Mapping[str, str]
+    files: Mapping[str, str]  # SHA-256 of all input files by name
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -153,34 +117,16 @@ def sweep_of(
 ) -> Sweep:
     """Return the sweep of a problem file, after a check of every value.
 
-    Each value is checked separately, with the first values of the other keys. Other combinations
-    are not checked: a run with an invalid combination fails.
+    The keys ``vary`` are given as ``key=a:b:n`` for n equally spaced numbers from a to b, or as
+    ``key=v1,v2,...`` for values in TOML or words without quotes; all combinations are run. Each
+    value is checked separately, with the first values of the other keys; a run with an invalid
+    combination fails. ``repeat`` is the number of runs of each combination, with seeds from
+    ``seed`` on; by default one run has the seed of the file. ``progress`` is called with the
+    numbers of checked and of all values.
 
-    Parameters
-    ----------
-    file : Path
-        The problem file.
-    vary : sequence of str
-        Varied keys: ``key=a:b:n`` for n equally spaced numbers from a to b, ``key=v1,v2,...`` for
-        values in TOML or words without quotes. All combinations are run.
-    settings : sequence of str
-        ``key=value`` for all runs.
-    repeat : int, optional
-        Number of runs of each combination, with different seeds; by default one run with the seed
-        of the file.
-    seed : int
-        The first seed.
-    progress : callable
-        Called with the number of checked values and the number of all values.
-    trust : sequence of Path
-        Xacro files that may be expanded.
-
-    Raises
-    ------
-    DataError
-        If ``vary`` is invalid, contains a key twice or contains a key of ``settings``, if there are
-        more than 100 000 runs, or if the problem has no seed for repetitions; a `ProblemError` if
-        a value is invalid.
+    DataError is raised if ``vary`` is invalid, contains a key twice or contains a key of
+    ``settings``, if there are more than 100 000 runs, or if the problem has no seed for
+    repetitions; a `ProblemError` if a value is invalid.
     """
     axes = tuple(axis_of(each) for each in vary)
     _check_keys(axes, settings)

@@ -41,45 +41,24 @@ WORDS = {
 
 
 class RunRow(NamedTuple):
-    """Result of a run.
+    """Result of a run."""
 
-    Attributes
-    ----------
-    run : int
-        Number of the run.
-    settings : tuple of str
-        Settings of this run that are not settings of all runs.
-    outcome : str
-        ``"complete"``, ``"stopped by NAME"``, ``"failed"``, or ``"lost"`` if its process died or
-        the disk or memory was full.
-    words : str
-        Reason of the stop or failure, or description of the end of a complete run.
-    t : float or None
-        Time reached by the motion; None for a failed or lost run. [s]
-    figures : mapping of str to (float, str)
-        Values and units of its metrics, by name.
-    seconds : float
-        Wall time of the run. [s]
-    """
-
-    run: int
-    settings: tuple[str, ...]
+    run: int  # its number
+    settings: tuple[str, ...]  # settings of this run that are not settings of all runs
+    # ``"complete"``, ``"stopped by NAME"``, ``"failed"``, or ``"lost"`` if its process died or the
+    # disk or memory was full
     outcome: str
-    words: str
-    t: float | None
-    figures: Mapping[str, tuple[float, str]]
-    seconds: float
+    words: str  # reason of the stop or failure, or description of the end of a complete run
+    t: float | None  # time reached by the motion; None for a failed or lost run [s]
+    figures: Mapping[str, tuple[float, str]]  # values and units of its metrics, by name
+    seconds: float  # wall time of the run [s]
 
 
 class Rows:
     """The finished runs in a log, read from disk on demand.
 
-    Attributes
-    ----------
-    outcomes : Counter of str
-        Number of finished runs by outcome.
-    last : RunRow or None
-        Last run that finished in this process.
+    ``outcomes`` counts the finished runs by outcome; ``last`` is the last run that finished in this
+    process.
     """
 
     def __init__(self, path: Path) -> None:
@@ -137,10 +116,7 @@ class Rows:
 def row_of(line: Mapping[str, Any]) -> RunRow:
     """Return the row of a line of the log.
 
-    Raises
-    ------
-    TypeError, ValueError, AttributeError, OverflowError
-        If the line does not describe a run.
+    A TypeError, ValueError, AttributeError or OverflowError says that the line describes no run.
     """
     row = RunRow(**line)
     if not all(isinstance(each, str) for each in (row.outcome, row.words, *row.settings)):
@@ -152,22 +128,15 @@ def row_of(line: Mapping[str, Any]) -> RunRow:
 class RunLog:
     """The open log of a sweep; a context manager.
 
-    Attributes
-    ----------
-    rows : Rows
-        The finished runs.
+    ``rows`` are the finished runs.
     """
 
     def __init__(self, path: Path, head: Mapping[str, Any], *, again: bool = False) -> None:
         """Open or create a log.
 
-        Lost runs do not count as finished; with ``again``, neither do failed runs.
-
-        Raises
-        ------
-        DataError
-            If the file cannot be written, is used by another process, is damaged, or belongs to
-            another sweep.
+        Lost runs do not count as finished; with ``again``, neither do failed runs. DataError is
+        raised if the file cannot be written, is used by another process, is damaged, or belongs to
+        another sweep.
         """
         self.path, self._open = path, {LOST, *([FAILED] if again else [])}
         try:
@@ -312,54 +281,26 @@ def _short(value: Any) -> str:
 
 
 class RunTask(NamedTuple):
-    """Task for a process: one run, with the text of the problem but not its input files.
+    """Task for a process: one run, with the text of the problem but not its input files."""
 
-    Attributes
-    ----------
-    run : int
-        Number of the run.
-    file : str
-        Path of the problem file; input files are read relative to its folder.
-    text : str
-        Text of the problem file.
-    settings : tuple of str
-        Settings as ``key=value``.
-    own : int
-        Number of settings that are specific to this run; they are the last ones.
-    keep : bool
-        Whether to return the motion.
-    files : str
-        Identifier of the content of the input files. Runs of one process share maps and models if
-        it is the same.
-    trusted : frozenset of str
-        Paths of xacro files that the command line trusts.
-    """
-
-    run: int
-    file: str
-    text: str
-    settings: tuple[str, ...]
-    own: int
-    keep: bool
+    run: int  # its number
+    file: str  # path of the problem file; input files are read relative to its folder
+    text: str  # of the problem file
+    settings: tuple[str, ...]  # settings as ``key=value``
+    own: int  # number of settings that are specific to this run; they are the last ones
+    keep: bool  # whether to return the motion
+    # identifier of the content of the input files. Runs of one process share maps and models if it
+    # is the same
     files: str
-    trusted: frozenset[str] = frozenset()
+    trusted: frozenset[str] = frozenset()  # paths of xacro files that the command line trusts
 
 
 class Done(NamedTuple):
-    """The result of a task.
+    """The result of a task."""
 
-    Attributes
-    ----------
-    row : RunRow
-        Row for log and table.
-    trajectory : Trajectory or None
-        The motion, if it is requested and exists.
-    arrays : mapping of str to ndarray
-        Arrays of a plan for a warm start; empty for other motions.
-    """
-
-    row: RunRow
-    trajectory: Trajectory | None = None
+    row: RunRow  # row for log and table
+    trajectory: Trajectory | None = None  # the motion, if it is requested and exists
+    # arrays of a plan for a warm start; empty for other motions
     arrays: Mapping[str, Array] = NOTHING
 
 

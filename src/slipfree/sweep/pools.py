@@ -38,10 +38,7 @@ D = TypeVar("D")
 class ProcessPool(Processes[RunTask, Done]):
     """Pool of processes with one thread each.
 
-    Parameters
-    ----------
-    count : int
-        Largest number of processes; they start when they are needed.
+    They start when they are needed; ``count`` is their largest number.
     """
 
     def __init__(self, count: int) -> None:
@@ -50,10 +47,7 @@ class ProcessPool(Processes[RunTask, Done]):
     def result(self, future: Future[Done], task: RunTask) -> Done:
         """Return the result of a future, with outcome ``lost`` if its process died.
 
-        Raises
-        ------
-        SlipfreeError
-            If the process could not start.
+        SlipfreeError is raised if the process could not start.
         """
         try:
             return super().result(future, task)
@@ -69,22 +63,12 @@ class DaskPool(Generic[T, D]):
     """A pool of the workers of a Dask scheduler.
 
     Workers need the same version of slipfree, and the input files of the problem at the same paths.
-    A worker executes one task at a time, regardless of its number of threads.
+    A worker executes one task at a time, regardless of its number of threads; it calls
+    ``function``, which is at module level. ``warn`` is called with a message when all workers are
+    lost, and when workers are available again.
 
-    Parameters
-    ----------
-    function : callable
-        Function at module level; a worker calls it with a task.
-    address : str
-        Address of the scheduler, such as ``tcp://10.0.0.1:8786``.
-    warn : callable
-        Called with a message when all workers are lost, and when workers are available again.
-
-    Raises
-    ------
-    DataError
-        If the package distributed is not installed, no scheduler responds, it has no workers, or
-        they do not have the same version of slipfree.
+    DataError is raised if the package distributed is not installed, no scheduler responds at the
+    address, it has no workers, or they do not have the same version of slipfree.
     """
 
     computation, results = "computation", "results"  # their names in messages
@@ -122,12 +106,8 @@ class DaskPool(Generic[T, D]):
     def result(self, future: Any, task: T) -> D:  # noqa: ARG002 - interface of pools
         """Return the result of a future.
 
-        Raises
-        ------
-        ProcessDiedError
-            If the worker of the task failed.
-        SlipfreeError
-            If the connection to the scheduler is lost.
+        ProcessDiedError is raised if the worker of the task failed, SlipfreeError if the connection
+        to the scheduler is lost.
         """
         del self._open[future.key]
         if future.status == "finished":

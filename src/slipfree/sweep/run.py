@@ -202,33 +202,17 @@ def run_sweep(
     """Execute the unfinished runs of a sweep; return the results of all runs.
 
     Tasks are created when the pool accepts them, and results are kept on disk. The required memory
-    does not depend on the number of metrics.
+    does not depend on the number of metrics. A line of ``runs.jsonl`` is written to the folder when
+    a run is finished, ``table.csv`` at the end and after an interruption, and with ``keep`` the
+    motion of every run, to ``run_0001.nc`` and so on.
 
-    Parameters
-    ----------
-    sweep : Sweep
-        The sweep.
-    folder : Path
-        Folder of the results. A line of ``runs.jsonl`` is written when a run is finished,
-        ``table.csv`` at the end and after an interruption.
-    pool : callable
-        Function that returns the pool, such as ``lambda: ProcessPool(2)``; called only if there are
-        unfinished runs.
-    keep : bool
-        Whether to write the motion of every run, to ``run_0001.nc`` and so on.
-    again : bool
-        Whether to repeat runs that failed; lost runs are always repeated.
-    poll : callable
-        Called several times per second; an exception that it raises interrupts the sweep.
-    progress : callable
-        Called with the finished runs at the beginning and after every run.
+    ``pool`` returns the pool, such as ``lambda: ProcessPool(2)``, and is called only if there are
+    unfinished runs; with ``again``, runs that failed are repeated, as lost runs always are.
+    ``poll`` is called several times per second, and interrupts the sweep by an exception;
+    ``progress`` with the finished runs at the beginning and after every run.
 
-    Raises
-    ------
-    DataError
-        If the folder cannot be written, or contains the results of another sweep.
-    SlipfreeError
-        If the pool fails.
+    DataError is raised if the folder cannot be written, or contains the results of another sweep;
+    SlipfreeError if the pool fails.
     """
     check_name(folder)
     if folder.exists() and not folder.is_dir():

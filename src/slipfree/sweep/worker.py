@@ -84,22 +84,12 @@ def _worked(task: RunTask, begin: float) -> Done:
 def figures_of(run: Trajectory, problem: Problem[Any]) -> Figures:
     """Return the metrics of a motion by name: value and unit.
 
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    problem : Problem
-        Its problem.
-
-    Returns
-    -------
-    dict of str to (float, str)
-        Values at the end (``end_x``), extremes over time and wheels (``pitch_largest``, of absolute
-        values; ``clearance_least``), ``slip_rms`` over time and wheels, ``tilt_largest`` of all
-        tilt angles, differences between end and start (``work``), and the solver's statistics
-        except computing times. Values that are not finite are omitted. ``complete`` is 1 if the
-        motion reached its end. ``within_limits`` of a plan is 1 if its simulation is complete and
-        violates no limit by more than ``plan.accuracy``.
+    Values are those at the end (``end_x``), extremes over time and wheels (``pitch_largest``, of
+    absolute values; ``clearance_least``), ``slip_rms`` over time and wheels, ``tilt_largest`` of
+    all tilt angles, differences between end and start (``work``), and the solver's statistics
+    except computing times. Values that are not finite are omitted. ``complete`` is 1 if the motion
+    reached its end. ``within_limits`` of a plan is 1 if its simulation is complete and violates no
+    limit by more than ``plan.accuracy``.
     """
     verb = verb_of(problem)
     found = {COMPLETE: Fact(float(run.stop is None), "1")}

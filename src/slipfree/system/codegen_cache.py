@@ -50,21 +50,9 @@ def load_or_compile(
 ) -> tuple[ca.Function, ...] | None:
     """Return compiled functions, from the cache if it contains them.
 
-    Parameters
-    ----------
-    text : str
-        Key of the cache: equal texts must mean equal functions.
-    names : sequence of str
-        Names of the functions.
-    make : callable
-        ``make()`` returns the functions: SX functions without calls of other functions. It is
-        called only for a compilation.
-
-    Returns
-    -------
-    tuple of casadi Function, or None
-        The functions in the order of ``names``; None if they can be neither loaded from the
-        cache nor compiled. A warning then gives the reason.
+    Equal texts must mean equal functions. ``make()`` is called only for a compilation, and returns
+    SX functions without calls of other functions. The result is None, with a warning that gives the
+    reason, if they can be neither loaded nor compiled.
     """
 
     def load(file: str) -> tuple[ca.Function, ...]:
@@ -78,23 +66,10 @@ def shared_library(
 ) -> T | None:
     """Return what ``load`` finds in a compiled library, from the cache if it contains the library.
 
-    Parameters
-    ----------
-    text : str
-        Key of the cache: equal texts must mean equal libraries.
-    make : callable
-        ``make()`` returns the C source; it is called only for a compilation.
-    load : callable
-        ``load(path)`` opens the library; it raises OSError or RuntimeError if the library is
-        damaged.
-    flags : sequence of str
-        Flags of the compiler, part of the key.
-
-    Returns
-    -------
-    object or None
-        Result of ``load``; None if the library can be neither loaded from the cache nor compiled.
-        A warning then gives the reason.
+    Equal texts and flags must mean equal libraries. ``make()`` returns the C source; it is called
+    only for a compilation. ``load(path)`` opens the library, and raises OSError or RuntimeError if
+    it is damaged. The result is None, with a warning that gives the reason, if the library can be
+    neither loaded nor compiled.
     """
     key = _key(text, flags)
     try:
@@ -126,23 +101,9 @@ def compiled_functions(
 ) -> tuple[ca.Function, ...]:
     """Return functions derived from an SX function, compiled if it has at least 300 operations.
 
-    Parameters
-    ----------
-    key : casadi Function
-        SX function from which the functions are derived. In the cache, the derived functions are
-        identified by the operations of ``key`` and the source file of ``make``.
-    names : sequence of str
-        Names of the derived functions.
-    make : callable
-        ``make()`` returns the derived functions.
-    compiled : bool
-        Whether to compile the functions. Without a compiler or a cache they are interpreted, with a
-        warning.
-
-    Returns
-    -------
-    tuple of casadi Function
-        The compiled functions, or the result of ``make``.
+    ``key`` is the SX function from which ``make()`` derives the functions: in the cache they are
+    identified by its operations and the source file of ``make``. Without a compiler or a cache, or
+    if not ``compiled``, they are interpreted; the former with a warning.
     """
     if not compiled or key.n_instructions() < MIN_OPERATIONS:
         return tuple(make())

@@ -24,16 +24,9 @@ MAX_WAIT = 10.0  # longest delay of a fork [s]
 class _Forks:
     """Record of the threads that compute and of the forks that wait for them.
 
-    Attributes
-    ----------
-    changed : Condition
-        Lock of this record; threads wait for its changes.
-    depths : dict of int to int
-        Number of nested calls of `computing` functions, by thread.
-    waiting : int
-        Number of forks that wait.
-    unsafe : bool
-        Whether this process was forked while another thread computed.
+    ``changed`` is the lock of this record, for whose changes threads wait; ``depths`` the number of
+    nested calls of `computing` functions by thread, ``waiting`` the number of forks that wait, and
+    ``unsafe`` whether this process was forked while another thread computed.
     """
 
     def __init__(self) -> None:

@@ -84,14 +84,9 @@ class Processes(Generic[T, D]):
     """Pool of processes with one thread each.
 
     Each process has its own `ProcessPoolExecutor`. If a process dies, its executor and all futures
-    of this executor fail; with one process per executor, only one task is lost.
-
-    Parameters
-    ----------
-    count : int
-        Maximum number of processes; they start when they are needed.
-    function : callable
-        Function at module level; a process calls it with a task.
+    of this executor fail; with one process per executor, only one task is lost. At most ``count``
+    processes start, when they are needed; they call ``function``, which is at module level, with a
+    task.
     """
 
     def __init__(self, count: int, function: Callable[[T], D]) -> None:
@@ -115,12 +110,8 @@ class Processes(Generic[T, D]):
     def result(self, future: Future[D], task: T) -> D:  # noqa: ARG002 - interface of pools
         """Return the result of a future.
 
-        Raises
-        ------
-        ProcessDiedError
-            If the process of the task died.
-        SlipfreeError
-            If the process could not start.
+        ProcessDiedError is raised if the process of the task died, SlipfreeError if it could not
+        start.
         """
         process = self._busy.pop(future)
         error = future.exception()
@@ -246,26 +237,14 @@ def bounded_call(
     """Return the result of a function that is called in a process of its own, with limits.
 
     This is for libraries that may hang, crash or exhaust the memory while they read a file of
-    somebody else. The process prints nothing and does not import the user's main module.
+    somebody else. The process prints nothing and does not import the user's main module. The
+    function is at module level, and its arguments can be pickled, as can exceptions that are raised
+    again. ``seconds`` bounds the CPU time, including the start of the process of about 0.2 s; the
+    duration is at most 6 times as long, since other processes may use the processors. ``memory``
+    bounds the size of the process in bytes, where the operating system supports limits.
 
-    Parameters
-    ----------
-    function : callable
-        Function at module level.
-    *arguments
-        Its arguments, which can be pickled.
-    seconds : float
-        Maximum CPU time, including the start of the process of about 0.2 s. The duration is at
-        most 6 times as long, since other processes may use the processors. [s]
-    memory : float
-        Maximum size of the process, where the operating system supports limits. [bytes]
-
-    Raises
-    ------
-    ProcessDiedError
-        If the call exceeds a limit or its process dies; the message is a clause about "it".
-    Exception
-        Any exception of the function that can be pickled.
+    ProcessDiedError is raised if the call exceeds a limit or its process dies; the message is a
+    clause about "it".
     """
     limits = pickle.dumps((sys.path, seconds, int(memory)))
     names = {**os.environ, **dict.fromkeys(NAMES, "1")}
@@ -308,25 +287,10 @@ def bounded_read(
 ) -> T:
     """Return the result of a function that reads a file in a process with limits by its size.
 
-    Parameters
-    ----------
-    function : callable
-        Function at module level.
-    path : Path
-        The file, the first argument of the function.
-    *arguments
-        Further arguments.
-    rate : float
-        Size of the file per CPU time, in addition to 10 s. [bytes/s]
-    growth : float
-        Memory per size of the file, in addition to 3 GB. [1]
-
-    Raises
-    ------
-    DataError
-        If the function exceeds a limit or its process dies; the message names the file.
-    Exception
-        Any exception of the function that can be pickled.
+    The function is at module level; the file is the first of its arguments. The limits are 10 s of
+    CPU time and 1 s per ``rate`` bytes, and 3 GB of memory and ``growth`` times the size of the
+    file. DataError is raised, with the name of the file, if the function exceeds a limit or its
+    process dies; exceptions of the function are raised again.
     """
     size = path.stat().st_size
     try:

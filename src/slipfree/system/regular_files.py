@@ -27,24 +27,10 @@ WRONG_NAME = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG, errno.ELOOP)
 def regular_file(path: Path, expected: str) -> Iterator[int]:
     """Check that a file is a regular file, and raise system errors of the context as DataError.
 
-    Pipes, devices and process substitutions are refused, since reading them may never end.
-
-    Parameters
-    ----------
-    path : Path
-        The file, or a symbolic link to it.
-    expected : str
-        Description of the expected contents in messages, as in ``"a problem file"``.
-
-    Yields
-    ------
-    int
-        Size of the file. [bytes]
-
-    Raises
-    ------
-    DataError
-        If the file does not exist, is not a regular file, or cannot be read.
+    Pipes, devices and process substitutions are refused, since reading them may never end. The
+    context is the size in bytes; ``expected`` describes the contents in messages, as in ``"a
+    problem file"``. DataError is raised if the file does not exist, is not a regular file, or
+    cannot be read.
     """
     size = _checked_size(path, expected)
     try:
@@ -124,21 +110,9 @@ def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
     """Replace a file by a new one only when the new one is complete.
 
     After an error, Ctrl-C, a signal or a crash of the machine, ``path`` is either unchanged or
-    complete.
-
-    Parameters
-    ----------
-    path : Path
-        File to write. A symbolic link remains; its target is replaced.
-    fill : callable
-        ``fill(part)`` writes the contents to ``part``, a temporary file in the same folder.
-
-    Raises
-    ------
-    WriteError
-        If the file cannot be written.
-    DataError
-        If ``path`` is a folder, device, pipe or socket.
+    complete. ``fill(part)`` writes the contents to ``part``, a temporary file in the same folder. A
+    symbolic link remains; its target is replaced. WriteError is raised if the file cannot be
+    written, DataError if ``path`` is a folder, device, pipe or socket.
     """
     target = Path(os.path.realpath(path))  # a symbolic link stays a link
     part = target.with_name(f".{secrets.token_hex(6)}.part{target.suffix}")

@@ -45,19 +45,10 @@ MAX_DEPTH = 50  # deepest nesting of a formula
 def evaluate(text: str, values: Mapping[str, ca.SX]) -> ca.SX:
     """Return the value of a formula.
 
-    Parameters
-    ----------
-    text : str
-        Numbers, names, ``+ - * / **``, parentheses, ``pi`` and the functions ``sin cos tan asin
-        acos atan atan2 sqrt exp log abs``. Angles in radians.
-    values : mapping of str to SX, shape (1, 1)
-        Values of the names that the formula may contain. [rad or m]
-
-    Raises
-    ------
-    ModelError
-        If the text is not such a formula, if a name is unknown, or if the text has more than 1000
-        characters or 50 nested levels.
+    It consists of numbers, names, ``+ - * / **``, parentheses, ``pi`` and the functions ``sin cos
+    tan asin acos atan atan2 sqrt exp log abs``, with angles in radians. ModelError is raised if the
+    text is not such a formula, if a name has no value, or if the text has more than 1000 characters
+    or 50 nested levels.
     """
     return ca.SX(_evaluate_node(_parse(text), text, values, MAX_DEPTH))
 

@@ -43,15 +43,8 @@ SAME_RADIUS = 0.005  # relative difference of the radii of one body in various r
 def gravity_of(value: Any) -> float:
     """Return the gravity of a number or of the name of a body [m/s^2].
 
-    Parameters
-    ----------
-    value : float or str
-        Gravitational acceleration [m/s^2], or a name of `BODIES`, such as ``"moon"``.
-
-    Raises
-    ------
-    ModelError
-        If the number is not positive and finite, or the body is unknown.
+    ModelError is raised if the number is not positive and finite, or the body is not one of
+    `BODIES`.
     """
     if isinstance(value, str):
         if value.lower() in BODIES:

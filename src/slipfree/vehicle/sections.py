@@ -388,17 +388,9 @@ SECTIONS: dict[str, type[Section]] = {
 def section_of_radii(r1: float, r2: float, *, rollers: float | None = None) -> Section:
     """Return the torus of two radii; a disc for ``r1 = 0``, a sphere for ``r2 = 0``.
 
-    Parameters
-    ----------
-    r1, r2 : float
-        Radius of the tube, and radius of the circle of tube centres. [m]
-    rollers : float or None
-        Angle of free rollers, as in `Omni`; None for a wheel without rollers. [rad]
-
-    Raises
-    ------
-    ModelError
-        If a radius is negative or not finite, if both are zero, or if the angle is invalid.
+    ``r1`` is the radius of the tube, ``r2`` that of the circle of tube centres [m]; ``rollers`` the
+    angle of free rollers, as in `Omni`, None without rollers. ModelError is raised for negative or
+    infinite radii, if both are zero, and for invalid angles.
     """
     for key, radius in (("r1", r1), ("r2", r2)):
         if not 0 <= radius < inf:

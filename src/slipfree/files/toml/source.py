@@ -200,10 +200,7 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 class ProblemError(DataError):
     """Error in a TOML file, with one message per invalid value.
 
-    Attributes
-    ----------
-    faults : tuple of str
-        One line per error: location, expected and found value.
+    Each of the ``faults`` is a line: location, expected and found value.
     """
 
     def __init__(self, *faults: str) -> None:

@@ -118,17 +118,7 @@ def _shape(collision: Collision, rotation: Array, files: MeshFiles) -> tuple[Bod
 def reduced_hull(vertices: Array) -> tuple[Array, float]:
     """Return some corners of the convex hull of vertices, and by how much it shrinks.
 
-    Parameters
-    ----------
-    vertices : ndarray, shape (n, 3)
-        The vertices. [m]
-
-    Returns
-    -------
-    corners : ndarray, shape (m, 3)
-        At most 32 corners of the hull. [m]
-    shrink : float
-        Largest distance of a vertex from the hull of the corners. [m]
+    At most 32 corners are returned, and the largest distance of a vertex from their hull [m].
     """
     corners = _corners(vertices)
     chosen = np.unique((corners @ DIRECTIONS.T).argmax(axis=0)).tolist()
