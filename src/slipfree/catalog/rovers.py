@@ -202,7 +202,6 @@ def rocky7(
 
 
 def _box_inertia(mass: float, sides: Vector) -> Elements | None:
-    """Return the inertia of a homogeneous box about its centre [kg m^2]; None without mass."""
     x, y, z = (side**2 for side in sides)
     part = mass / 12
     return (part * (y + z), part * (x + z), part * (x + y), 0.0, 0.0, 0.0) if mass else None

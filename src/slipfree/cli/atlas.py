@@ -147,7 +147,6 @@ def _solve(
     figures: Path | None,
     workers: tuple[int | None, str | None],
 ) -> None:
-    """Compute the map, write its files, print its summary, and draw its figures."""
     from slipfree.problem.atlas_tiles import (
         TileFolder,
         overview_of_tiles,
@@ -206,7 +205,6 @@ def _own_settings(
 
 
 def _toml(text: str, default: str = "") -> str:
-    """Return a number as TOML has it, other text in quotes, and ``default`` for empty text."""
     try:
         return repr(float(text))
     except ValueError:
@@ -216,7 +214,6 @@ def _toml(text: str, default: str = "") -> str:
 def _read(
     file: Path, vehicle: str | None, settings: Sequence[str], trust: list[Path] | None
 ) -> Problem[Any]:
-    """Return the problem in a file, or that of a map and a vehicle."""
     if vehicle is not None:
         return problem_of_map(file, vehicle, settings, trust)
     if file.suffix.lower() != ".toml":
@@ -306,7 +303,6 @@ def _check_endings(outs: Sequence[Path]) -> None:
 def _compute(
     setup: AtlasSetup, folder: TileFolder, processes: int | None, scheduler: str | None
 ) -> None:
-    """Compute the missing tiles, and show the progress."""
     from slipfree.problem.atlas_tiles import compute_tile, run_tiles
     from slipfree.sweep.pools import DaskPool
     from slipfree.system.processes import available_cores

@@ -135,7 +135,6 @@ _running: list[_CommandOutput] = []  # output of the running command, if there i
 
 
 def _current_output() -> _CommandOutput:
-    """Return the output of the running command, or a new one if no command is running."""
     return _running[-1] if _running else _CommandOutput(OutputOptions())
 
 
@@ -173,7 +172,6 @@ def with_output_options(command: Callable[..., None]) -> Callable[..., None]:
 
 @contextmanager
 def _collecting(name: str, options: OutputOptions) -> Iterator[None]:
-    """Collect the output of a command; print the JSON object at its end."""
     output = _CommandOutput(options)
     _running.append(output)
     code = STOPPED
@@ -193,7 +191,6 @@ def _collecting(name: str, options: OutputOptions) -> Iterator[None]:
 
 
 def _check_folder() -> None:
-    """Print an error and exit if the current folder does not exist."""
     try:
         Path.cwd()
     except OSError as error:
@@ -288,7 +285,6 @@ def warn(words: str) -> None:
 
 
 def _warn_once(message: Warning | str, *_: Any, **__: Any) -> None:
-    """Print a Python warning, unless the command has printed it before."""
     if not set(str(message).splitlines()) <= set(_current_output().content.get("warnings", ())):
         warn(str(message))
 

@@ -146,7 +146,6 @@ def _own_tables(
 
 
 def _goal(grid: Grid, place: Mapping[str, float], heading: float, reach: float) -> dict[str, float]:
-    """Return a goal ahead of a place, or beside or behind it if the map ends before."""
     goals = []
     for turn in (0.0, 0.5, -0.5, 1.0):
         angle = heading + turn * math.pi
@@ -160,7 +159,6 @@ def _goal(grid: Grid, place: Mapping[str, float], heading: float, reach: float) 
 
 
 def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, dict[str, Any]]) -> str:
-    """Return a template with other tables and another title."""
     own = ""
     for name, table in tables.items():
         own += f"[{name}]{f'  # {TABLES[name]}' if name in TABLES else ''}\n"
@@ -225,8 +223,6 @@ def examples(
 
 
 def _shipped() -> dict[str, Traversable]:
-    """Return the shipped problems and vehicles by name."""
-
     def below(folder: Traversable, path: str) -> Iterator[tuple[str, Traversable]]:
         for each in sorted(folder.iterdir(), key=lambda each: (each.is_dir(), each.name)):
             if each.is_dir():
@@ -244,7 +240,6 @@ def _folder(name: str = SHIPPED) -> Traversable:
 
 
 def _list(shipped: Mapping[str, Traversable]) -> None:
-    """Print name, verb and title of each shipped problem and vehicle."""
     rows, width = [], max(map(len, shipped))
     for name, file in shipped.items():
         data = tomllib.loads(file.read_text(encoding="utf-8"))
@@ -257,7 +252,6 @@ def _list(shipped: Mapping[str, Traversable]) -> None:
 
 
 def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force: bool) -> None:
-    """Copy shipped problems with their input files to a folder."""
     texts = {}
     while wanted:
         name = wanted.pop()
@@ -290,7 +284,6 @@ def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force
 
 
 def _files(table: Any) -> Iterator[str]:
-    """Yield the names of the input files of a problem, from its parsed TOML table."""
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from _files(value) if key != "output" else ()

@@ -226,7 +226,6 @@ def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any])
 
 
 def _check_file(path: Path) -> None:
-    """Raise DataError for a file that cannot be written, before any computation."""
     check_name(path)
     if path.is_dir():
         raise DataError(
@@ -248,7 +247,6 @@ def _check_file(path: Path) -> None:
 
 
 def _check_folder(folder: Path) -> None:
-    """Raise DataError if ``folder`` is not a folder, or cannot be created or written to."""
     check_name(folder)
     if folder.exists() and not folder.is_dir():
         raise DataError(f"{folder}: expected a folder, found a file; choose another folder")
@@ -257,7 +255,6 @@ def _check_folder(folder: Path) -> None:
 
 
 def _check_writable(path: Path, folder: Path) -> None:
-    """Raise DataError if ``folder``, which exists and will contain ``path``, is not writable."""
     if not os.access(folder, os.W_OK):
         raise DataError(
             f"{path}: expected a folder {folder} that may be written to, found one without write "
@@ -292,7 +289,6 @@ def save(path: Path, write: Callable[[Path], object]) -> Path:
 
 
 def _save_elsewhere(path: Path, write: Callable[[Path], object], words: str) -> Path:
-    """Write a file to a new temporary folder instead of to ``path``; return its path."""
     other = Path(tempfile.mkdtemp(prefix="slipfree_")) / path.name
     try:
         write(other)

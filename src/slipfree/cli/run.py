@@ -141,7 +141,6 @@ def run(
 def _output_paths(
     problem: Problem[Any], out: Path | None, figures: Path | None, *, draw: bool
 ) -> tuple[Path, Path | None]:
-    """Return the result file and the folder for figures, None without figures."""
     is_named = bool(out or (problem.spec.output and problem.source.is_set(OUTPUT)))
     output = problem.spec.output
     out = out or Path(output.file if output else f"{problem.source.path.stem}.nc")
@@ -195,7 +194,6 @@ def _solve(problem: Problem[Any], reports: Reports, former: SavedPlan | None, ou
 
 
 def _save(result: Result, out: Path, csv: Path | None) -> list[Path]:
-    """Write a result; return the written files."""
     from slipfree.files.netcdf import write, write_csv
 
     files = [save(out, lambda path: write(path, result.trajectory, result.arrays))]
@@ -205,7 +203,6 @@ def _save(result: Result, out: Path, csv: Path | None) -> list[Path]:
 
 
 def _draw(plots: Sequence[Plot], folder: Path, *, every: bool) -> None:
-    """Draw the main figures, or with ``every`` all figures, and print their names."""
     from slipfree.show.plots import main_plots, save
 
     files = save(plots if every else main_plots(plots), folder)

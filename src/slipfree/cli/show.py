@@ -111,7 +111,6 @@ def show(
 
 
 def _check_time(time: float | None, span: tuple[float, float], picture: Path | None) -> None:
-    """Raise DataError if the time of a picture is outside a scene, or given without a picture."""
     if time is None:
         return
     if picture is None:
@@ -124,7 +123,6 @@ def _check_time(time: float | None, span: tuple[float, float], picture: Path | N
 
 
 def _check_outputs(files: Sequence[Path], html: Path | None, animation: Path | None) -> None:
-    """Raise DataError for a page or an animation that cannot be written."""
     if html is not None:
         check_page(html, files)
     if animation is not None:
@@ -143,7 +141,6 @@ def _write_page(file: Path, text: str) -> None:
 
 
 def _read(files: Sequence[Path], folder: Path | None) -> list[Any]:
-    """Return the motions in the result files."""
     from slipfree.core.trajectory import SCENE_SAMPLES
     from slipfree.problem.load import verb_of
     from slipfree.problem.result import open_result
@@ -234,7 +231,6 @@ def edit(
 
 
 def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
-    """Serve the page of a problem until Ctrl-C."""
     from slipfree.files.urdf.xacro import trusted_paths
     from slipfree.problem.plan_edit import read_document
     from slipfree.problem.plan_session import Desk, state_of

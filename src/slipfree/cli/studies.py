@@ -252,7 +252,6 @@ class _FitWork(NamedTuple):
 
 
 def _log_fit(problem: Any) -> _FitWork:
-    """Return the fit of a vehicle to a log."""
     from slipfree.files.vehicle_draft import vehicle_text
     from slipfree.problem.inputs import files_read
     from slipfree.problem.verbs import fit as verb
@@ -282,7 +281,6 @@ def _log_fit(problem: Any) -> _FitWork:
 
 
 def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
-    """Return the fit of a soil to the measured points of a wheel file."""
     from slipfree.problem import wheel_test
     from slipfree.show.fit_figures import soil_plot
 
@@ -313,7 +311,6 @@ def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
 def _fit_over_map(
     problem: Any, predict: list[Path], inputs: Sequence[Path], table: Path, draw: bool
 ) -> None:
-    """Fit models over a map, print their errors, and write table and figure."""
     from slipfree.files.tables import write_rows
     from slipfree.problem.verbs.fit_over_map import error_rows, facts, fit_over_map
     from slipfree.show.fit_figures import ground_plot
@@ -380,7 +377,6 @@ def wheel(
 
 
 def _draw(plots: Sequence[Plot], folder: Path) -> list[Path]:
-    """Draw figures, add them to the JSON object, and return their files."""
     from slipfree.show.plots import save as save_plots
 
     files = save_plots(plots, folder)
@@ -585,7 +581,6 @@ def track(
 
 
 def _disturbances(words: Sequence[str]) -> dict[str, float]:
-    """Return the sizes of disturbances by name."""
     sizes = dict[str, float]()
     for each in words:
         name, _, size = each.partition("=")

@@ -134,7 +134,6 @@ def sweep(
 
 
 def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
-    """Print the facts of a sweep, and its remaining time, estimated from finished runs."""
     from slipfree.sweep.log import NAME, RunLog
     from slipfree.sweep.run import plan_facts
 
@@ -181,7 +180,6 @@ def _pool(count: int | None, scheduler: str | None) -> Callable[[], Pool]:
 
 
 def _run_all(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, again: bool) -> Rows:
-    """Run the sweep, show its progress, and return the rows of all runs."""
     from slipfree.sweep.log import FAILED, LOST
     from slipfree.sweep.run import run_sweep
 

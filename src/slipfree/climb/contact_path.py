@@ -198,7 +198,6 @@ def _closest_configurations(climber: Climber, profile: Profile, q: Array, solids
 
 
 def _start(climber: Climber, profile: Profile, first: float) -> Array:
-    """Return a configuration on the floor, shape (4,), with all wheels before x = ``first``."""
     level = max(z for _, z in profile.solids[0].points) + climber.radius
     x = first - 2 * climber.radius - climber.front.ahead
     q = np.array([x, level, 0.0, 0.0])
@@ -296,7 +295,6 @@ def _gaps_and_normals(
 def _other_gaps(
     climber: Climber, profile: Profile, q: Array, solids: Solids
 ) -> tuple[Array, Array]:
-    """Return the gaps of `_gaps_and_normals`, and their derivatives with respect to s [1]."""
     gaps, normals = _gaps_and_normals(climber, profile, q, solids)
     arms = axle_arms(climber, q[None])
     first = _direction(normals[np.arange(3), solids][None], arms)[0]

@@ -85,7 +85,6 @@ def most_loaded(run: Trajectory, section: Profile, name: str) -> Array:
 
 
 def _at_solids(run: Trajectory, section: Profile, name: str) -> Array:
-    """Return a quantity of each axle at ground and solids, shape (n_solids, n, 3)."""
     return np.stack([run[f"solid_{name}_{k}"] for k in range(len(section.solids))])
 
 

@@ -177,7 +177,6 @@ def _smallest_gaps(
 
 
 def _second_minima(gap: Array) -> Mask:
-    """Return the mask of local minima of gaps (n, rim, section), without the contact point."""
     rim, tube = gap.shape[1:]
     padded = np.pad(gap, ((0, 0), (1, 1), (1, 1)), constant_values=np.inf)
     low = np.ones(gap.shape, dtype=bool)

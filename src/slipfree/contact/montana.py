@@ -129,7 +129,6 @@ def pair(wheel: Wheel, terrain: Terrain, at: ContactCoordinates, lookups: Lookup
 
 
 def _ground(jet: Jet, x: ca.SX, y: ca.SX) -> Patch:
-    """Return the ground ``c(x, y) = (x, y, h)`` as a surface patch at a point."""
     h, (h_x, h_y), hessian = jet.height, ca.vertsplit(jet.gradient), jet.hessian
     tangents = ca.vertcat(1, 0, h_x), ca.vertcat(0, 1, h_y)
     h_xx, h_xy, h_yy = (ca.vertcat(0, 0, hessian[k]) for k in (0, 1, 3))

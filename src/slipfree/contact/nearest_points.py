@@ -128,7 +128,6 @@ class NearestPoints:
         return Nearest(gap, foot + np.array(self.terrain.origin), shape)
 
     def _starts(self, placed: Array) -> _Starts:
-        """Return the starts of the search from which the least distance of a pose may come."""
         n = placed.shape[2]
         upper, rows = np.full(n, np.inf), list[_Starts]()
         lowest = np.array([_lowest(s, at) for (_, s), at in zip(self.shapes, placed, strict=True)])
@@ -222,7 +221,6 @@ class NearestPoints:
         return ca.Function("steps", inputs, [at, foot, change, gap, ground])
 
     def _heights(self, x: Array, y: Array) -> Array:
-        """Return the local heights at local points [m]."""
         x_0, y_0, z_0 = self.terrain.origin
         return self.terrain.elevation(x + x_0, y + y_0) - z_0
 
@@ -393,7 +391,6 @@ def _lowest(shape: BodyShape, placed: Array) -> Array:
 
 
 def _radius(shape: BodyShape) -> float:
-    """Return the largest distance of a point of a shape from the origin of its frame [m]."""
     if isinstance(shape, Ball):
         return shape.radius
     if isinstance(shape, Box):
@@ -476,12 +473,10 @@ def _newton_step(
 
 
 def _limited(step: ca.SX, most: ca.SX) -> ca.SX:
-    """Return a step, shortened to a length of at most ``most``."""
     return step * ca.fmin(1, most / ca.sqrt(ca.sumsqr(step) + ROOT_OFFSET))
 
 
 def _inverse(matrix: ca.SX) -> ca.SX:
-    """Return the inverse of a symmetric matrix, shape (2, 2)."""
     a, b, c = matrix[0, 0], matrix[0, 1], matrix[1, 1]
     return ca.blockcat([[c, -b], [-b, a]]) / (a * c - b**2)
 
@@ -557,7 +552,6 @@ def plane_gap(shape: BodyShape, frame: Pose, plane: Plane) -> tuple[ca.SX, ca.SX
 
 
 def _least(gaps: Sequence[tuple[ca.SX, ca.SX]]) -> tuple[ca.SX, ca.SX]:
-    """Return the least of several clearances, and its foot."""
     least, foot = gaps[0]
     for gap, at in gaps[1:]:
         foot = ca.if_else(gap < least, at, foot)

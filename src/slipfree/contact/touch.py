@@ -133,7 +133,6 @@ def _miss(
 
 
 def _split(column: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
-    """Return ground point, inverse Jacobian, height, gradient and Hessian of a search."""
     spot, inverse, height, gradient, hessian = ca.vertsplit(column, [0, 2, 6, 7, 9, 13])
     return spot, ca.reshape(inverse, 2, 2), height, gradient, ca.reshape(hessian, 2, 2)
 
@@ -225,7 +224,6 @@ def _lowest_point(section: Section, jet: ca.Function, asked: Any) -> list[Any]:
 
 
 def _newton_steps(jet: ca.Function, newton: ca.Function, spot: Any, asked: Any) -> Any:
-    """Return the point after `STEPS` steps of Newton's method."""
     for _ in range(STEPS):
         spot = spot + newton(spot, asked, jet(spot))[0][:2]
     return spot

@@ -213,7 +213,6 @@ def _planar_inputs(
     plan: _PlanarGeometry,
     motion: tuple[ca.SX, ca.SX, float],
 ) -> Record:
-    """Return the inputs for a forward velocity, a turning rate, and a typical speed."""
     v, required, speed = motion
     pace, turning = abs(speed) / plan.base, required
     rates = dict.fromkeys((c.name for c in vehicle.of("commanded")), ca.SX(0))
@@ -236,7 +235,6 @@ def _planar_inputs(
 def _steering_rates(
     plan: _PlanarGeometry, v: ca.SX, turning: ca.SX, speed: float
 ) -> dict[str, ca.SX]:
-    """Return the rates of the steering coordinates for a given turning rate."""
     errors: dict[str, ca.SX] = {}
     sizes: dict[str, ca.SX] = {}
     for each in plan.steered:

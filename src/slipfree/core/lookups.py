@@ -115,7 +115,6 @@ def needed_lookups(lookups: Sequence[Lookup], expressions: Sequence[ca.SX]) -> t
 
 
 def _symbols(expression: ca.SX) -> set[int]:
-    """Return the hashes of the symbols of an expression."""
     return {symbol.element_hash() for symbol in ca.symvar(expression)}
 
 

@@ -49,7 +49,6 @@ def variables(dae: Dae) -> tuple[Any, Any, Any]:
 
 
 def _entries(column: ca.SX) -> list[ca.SX]:
-    """Return the entries of a column; an empty list for an empty column."""
     return ca.vertsplit(column) if column.numel() else []
 
 
@@ -144,17 +143,14 @@ def with_outputs(dae: Dae, outputs: Sequence[tuple[Label, ca.SX]]) -> Dae:
 
 
 def _each(record: Any, name: str) -> Any:
-    """Return a record of the values of one attribute, given by name, of each variable."""
     return unpack(record, [getattr(each, name) for each in leaves(record)])
 
 
 def _shifts(record: Any) -> Array:
-    """Return the shifts of the variables of a record, shape (n,)."""
     return np.array([each.shift for each in leaves(record)])
 
 
 def _hashes(record: Any) -> set[int]:
-    """Return the hashes of the symbols of a record."""
     return {symbol.element_hash() for symbol in leaves(record)}
 
 

@@ -269,7 +269,6 @@ def _area(points: Array) -> float:
 
 
 def _check_simple(points: Array) -> None:
-    """Raise ModelError for points that coincide and edges that fold back, cross or touch."""
     count = len(points)
     edges = np.roll(points, -1, axis=0) - points
     for k in range(count):
@@ -300,7 +299,6 @@ def _edge(k: int, count: int) -> str:
 
 
 def _meet(points: Array, first: int, second: int) -> bool:
-    """Return whether two edges have a point in common."""
     count = len(points)
     a, b = points[first], points[(first + 1) % count]
     c, d = points[second], points[(second + 1) % count]

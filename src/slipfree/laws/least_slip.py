@@ -92,7 +92,6 @@ def linear_form(rows: ca.SX, rates: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _multiplier(constraint: Label) -> Label:
-    """Return the label of the multiplier of a constraint."""
     name = "multiplier" if constraint.wheel else f"multiplier_{constraint.name}"
     unit = {"m s-1": "m s-1", "1": "m2 s-2", "m": "m s-2"}[constraint.unit]
     return Label(name, unit, f"multiplier of the {constraint.words}", constraint.wheel)

@@ -365,7 +365,6 @@ def _no_equilibrium(contacts: SlidingContacts) -> Limit:
 
 
 def _sunk(vehicle: Vehicle, sinkage: tuple[ca.SX, ...]) -> Iterator[Limit]:
-    """Yield the limit of the sinkage of each wheel: its radius."""
     for wheel, depth in zip(vehicle.wheels, sinkage, strict=True):
         words = f"wheel {wheel.name} has sunk to its axle (sinkage)"
         yield Limit(Label("sunk", "m", words, wheel.name), depth, -inf, wheel.radius)
@@ -537,7 +536,6 @@ def _contact_arc(
 
 
 def _smooth_size(square: Any) -> Any:
-    """Return the size of a ratio from its square, with a derivative at zero [1]."""
     return ca.sqrt(square + RATIO_SMOOTHING**2) - RATIO_SMOOTHING
 
 

@@ -144,7 +144,6 @@ def _closures(q: Quantities) -> ca.SX:
 
 
 def _guess(q: Quantities, labels: Labels) -> ca.SX:
-    """Return the initial guess: a level platform, contacts below the wheels' centres."""
     heights, centers = level_heights(q.vehicle, q.terrain, q.x, q.lookups)
     pose = ca.vertcat(ca.sum1(heights) / len(centers), ca.SX.zeros(2 + len(q.position.suspension)))
     others = at_rest(q.vehicle, labels.z[1:])

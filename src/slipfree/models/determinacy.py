@@ -213,7 +213,6 @@ def rolling_determinacy(
 
 
 def _reasons(vehicle: Vehicle) -> dict[str, str]:
-    """Return, for each commanded coordinate, the reason why its rate may not be determined."""
     reasons = {}
     for c in vehicle.of("commanded"):
         moved: set[str] = set()

@@ -129,7 +129,6 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0, *, bears: bool = False) ->
 
 
 def _wheel_input(wheel: Wheel) -> Label:
-    """Return the label of the input of a driven wheel."""
     words = f"wheel {wheel.name}, positive forward"
     if wheel.drive.takes_effort:
         return Label(f"{wheel.name}_torque", "N m", f"torque on {words}")
@@ -137,7 +136,6 @@ def _wheel_input(wheel: Wheel) -> Label:
 
 
 def _integral(name: str, unit: str) -> Label:
-    """Return the label of the integral of the controller of a wheel or a coordinate."""
     return Label(f"{name}_motor_integral", unit, f"integral of the controller of {name}")
 
 
@@ -200,7 +198,6 @@ def _output_labels(vehicle: Vehicle, still: Labels, solids: int, *, bears: bool)
 
 
 def _solid_labels(vehicle: Vehicle, k: int) -> OnSolid:
-    """Return the labels of the contacts with solid ``k``; 0 is the ground below the solids."""
     along, name = "along the direction of travel", f"solid {k}" if k else "the ground"
     return OnSolid(
         wheel_labels(vehicle, f"solid_gap_{k}", "m", f"gap between the wheel and {name}"),
@@ -219,7 +216,6 @@ def output_efforts(vehicle: Vehicle, efforts: Sequence[T]) -> tuple[T, ...]:
 
 
 def _joint_speed(vehicle: Vehicle, c: Coordinate) -> Label:
-    """Return the label of a joint's rate: ``_speed`` if commanded, since its input is ``_rate``."""
     name, words = ("speed", "actual rate") if c.kind == "commanded" else ("rate", "rate")
     return Label(f"{c.name}_{name}", f"{vehicle.unit(c.name)} s-1", f"{words} of {c.words}")
 
@@ -422,14 +418,12 @@ def dynamic_outputs(
 def _all_of(
     contacts: Sequence[tuple[Contact, ...]], bodies: Sequence[BodyContact]
 ) -> Iterator[Contact | BodyContact]:
-    """Yield the contacts of all wheels, then those of bodies."""
     for touching in contacts:
         yield from touching
     yield from bodies
 
 
 def _on_solid(contacts: Sequence[Contact]) -> OnSolid:
-    """Return gap, forces and slip of all wheels at one solid."""
     along = [each.touch.frame.along for each in contacts]
     return OnSolid(
         tuple(each.touch.gap for each in contacts),

@@ -260,7 +260,6 @@ def moving_bodies(vehicle: Vehicle, x: DynamicState) -> Multibody:
 
 
 def _in_space(vehicle: Vehicle, x: DynamicState) -> DynamicState:
-    """Return states with all components of position and speeds; a planar vehicle lacks some."""
     if not vehicle.planar:
         return x
     zero = ca.SX(0)
@@ -386,7 +385,6 @@ def _free_speeds(vehicle: Vehicle) -> Sequence[int]:
 def _wheels(
     x: DynamicState, u: Inputs, body: Multibody, contacts: Sequence[tuple[Contact, ...]]
 ) -> list[_Wheel]:
-    """Return the moments on the wheels, and the loads on their carriers."""
     inputs, integrals, found = iter(u.wheels), iter(x.drives), list[_Wheel]()
     zero = ca.SX(0)
     for wheel, touching in zip(body.wheels, contacts, strict=True):
@@ -441,7 +439,6 @@ def _accelerations(
 
 
 def _attitude_rate(x: DynamicState) -> ca.SX:
-    """Return the rate of a quaternion (w, x, y, z), with stabilisation of its norm at one [1/s]."""
     attitude, omega = ca.vertcat(*x.attitude), ca.vertcat(*x.omega)
     scalar, vector = attitude[0], attitude[1:]
     turning = ca.vertcat(-ca.dot(omega, vector), scalar * omega + ca.cross(omega, vector)) / 2

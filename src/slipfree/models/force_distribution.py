@@ -56,7 +56,6 @@ class _Contacts(NamedTuple):
     normal_slope: Array
 
     def pick(self, index: Index | Mask) -> _Contacts:
-        """Return the contact forces of selected samples."""
         return _Contacts(*(item[index] for item in self))
 
 
@@ -133,7 +132,6 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
 
 
 def _check(matrix: Array, load: Array, friction: Array) -> None:
-    """Raise ModelError for arrays of wrong shapes or values."""
     if friction.ndim != 2:
         raise ModelError(
             f"friction: expected shape (n, m) for n samples and m wheels, found {friction.shape}; "
@@ -353,7 +351,6 @@ def _barrier(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
 
 
 def _utilisation(contacts: _Contacts, y: Array) -> Array:
-    """Return the largest utilisation, shape (n,)."""
     along = contacts.along + _apply(contacts.along_slope, y)
     across = contacts.across + _apply(contacts.across_slope, y)
     return np.asarray((np.hypot(along, across) / _normal(contacts, y)).max(1))
@@ -365,5 +362,4 @@ def _normal(contacts: _Contacts, y: Array) -> Array:
 
 
 def _apply(matrices: Array, vectors: Array) -> Array:
-    """Return the products of matrices (n, i, j) and vectors (n, j), shape (n, i)."""
     return np.asarray((matrices @ vectors[..., None])[..., 0])

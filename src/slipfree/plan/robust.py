@@ -168,7 +168,6 @@ def _tighten_gradually(
 
 
 def _sum(first: Tightening, second: Tightening, factor: float) -> dict[Bound, float]:
-    """Return the tightening ``first`` plus ``factor`` times ``second``."""
     return {
         bound: first.get(bound, 0.0) + factor * second.get(bound, 0.0)
         for bound in {**first, **second}
@@ -300,7 +299,6 @@ def _excess_at_stop(dae: Dae, plan: PolynomialMotion, run: Trajectory) -> tuple[
 
 
 def _largest(excess: Iterable[tuple[Bound, float]]) -> dict[Bound, float]:
-    """Return the largest excess of each bound."""
     sizes: dict[Bound, float] = {}
     for bound, size in excess:
         sizes[bound] = max(sizes.get(bound, -np.inf), size)
@@ -330,5 +328,4 @@ def _excess(
 
 
 def _draws(seed: int, stream: int, count: int) -> list[Draw]:
-    """Return the draws of a stream; streams have no draw in common."""
     return [(seed, stream, number) for number in range(count)]

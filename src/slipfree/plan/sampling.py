@@ -351,7 +351,6 @@ def _first_state(task: SamplingTask, x: Array) -> Array:
 
 
 def _simulated(aims: _Aims, inputs: Array) -> tuple[Array, Candidates]:
-    """Return costs and motions of inputs (n_u, intervals, n); costs of early ends are infinite."""
     task, n = aims.task, inputs.shape[-1]
 
     def run(part: Indices) -> tuple[Array, Candidates]:
@@ -390,13 +389,11 @@ def _end_in_regions(aims: _Aims, motions: Candidates) -> None:
 
 
 def _places(task: SamplingTask) -> list[int]:
-    """Return the rows of x and y."""
     names = [label.full for label in leaves(task.model.labels.x)]
     return [names.index("x"), names.index("y")]
 
 
 def _costs(aims: _Aims, many: Array, motions: Candidates, inputs: Array) -> Array:
-    """Return the costs of motions, infinite for early ends."""
     task, rows = aims.task, aims.task.evaluate.graphs.rows
     total, forced = motions.samples[-1][rows.q][0].copy(), task.evaluate_forced
     with np.errstate(all="ignore"):
@@ -464,7 +461,6 @@ def _weights(costs: Array) -> Array:
 
 
 def _ends(task: SamplingTask, motions: Candidates) -> dict[str, int]:
-    """Return the numbers of early ends by words."""
     labels = [each.label for part in (task.model.limits, task.model.checks) for each in part]
     words = {k: label.words for k, label in enumerate(labels)}
     words[UNSOLVED] = "Newton's method did not follow the contacts"

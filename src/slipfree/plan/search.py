@@ -183,7 +183,6 @@ def further_guesses(
 
 
 def _simulated(dae: Dae, start: Trajectory, inputs: Array, t: Array) -> Trajectory:
-    """Simulate inputs given at times ``t``, to the last time or to the first failure."""
     names = [label.full for label in leaves(dae.labels.u)]
     middles = (inputs[:, 1:] + inputs[:, :-1]) / 2
     rough = SolverOptions(tolerance=GUESS_TOLERANCE)
@@ -431,7 +430,6 @@ def _solve_anew(
     words: str,
     progress: PlanProgress | None,
 ) -> SearchState:
-    """Solve with another task or mesh, starting from the solution of the search."""
     former = motion_of(search.program, search.found.unknowns)
     program = transcribe(task, mesh, search.program.options)
     first = transfer_motion(former, program)

@@ -184,7 +184,6 @@ def _evaluate_by_columns(function: ca.Function, arguments: Sequence[Columns]) ->
 
 
 def _gather(values: ca.MX, where: Index) -> ca.MX:
-    """Return the values at the given indices, shape (points, indices per point)."""
     return ca.reshape(values[where.T.ravel().tolist()], *where.shape)
 
 

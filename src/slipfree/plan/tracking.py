@@ -271,7 +271,6 @@ def track_plan(
 
 
 def _check_world(planned: Dae, world: TrackingWorld) -> None:
-    """Raise ModelError if the world lacks states that are measured, or inputs, of the plan."""
     own, expected = (
         [label.full for label in leaves(each.labels.u)] for each in (world.dae, planned)
     )
@@ -299,7 +298,6 @@ def _measured(planned: Dae, here: Trajectory, *, compiled: bool) -> Array:
 
 
 def _still(decision: Decision, span: float) -> Decision:
-    """Return zero inputs for a period, with the names of a decision."""
     return Decision(dict.fromkeys(decision.inputs, 0.0), np.array([0.0, span]))
 
 

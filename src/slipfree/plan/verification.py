@@ -131,7 +131,6 @@ def _compare(x: Array, planned: Array, periodic: Mask, accuracy: float) -> tuple
 
 
 def _precise(program: Program) -> SolverOptions:
-    """Return the options of the simulation that verifies a plan."""
     tolerance = max(program.options.tolerance * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
     return replace(program.options, tolerance=tolerance)
 
@@ -210,7 +209,6 @@ def _replay_excess(task: PlanTask, limit: Limit, run: Trajectory, x: Array) -> f
 
 
 def _units(task: PlanTask) -> dict[str, str]:
-    """Return the units of the states, limits, and conditions of a task, by name."""
     return (
         {label.full: label.unit for label in leaves(task.dae.labels.x)}
         | {limit_name(limit): limit.label.unit for limit in task.limits}
@@ -263,7 +261,6 @@ def local_rows(dae: Dae, record: str, run: Trajectory) -> Array:
 def _limit_excess(
     dae: Dae, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]
 ) -> Array:
-    """Return the violation of every limit at every sample, shape (n_limits, n)."""
     values = limit_values(dae, limits, samples)
     low, high = (
         np.array([getattr(limit, side) for limit in limits]).reshape(-1, 1)

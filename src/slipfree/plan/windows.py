@@ -338,7 +338,6 @@ def _former_part(
 def _join(
     parts: list[_Part], task: PlanTask | None, stop: Stop | None, dae: Dae, options: SolverOptions
 ) -> LongPlan:
-    """Return the plan composed of parts; ``task`` has the terms of its cost."""
     motion = joined_motions([part.motion for part in parts])
     replay = _chained([part.replay for part in parts])
     windows = tuple(part.window for part in parts)
@@ -361,7 +360,6 @@ def _join(
 
 
 def _costs(task: PlanTask, motion: PolynomialMotion, options: SolverOptions) -> dict[str, float]:
-    """Return the integrals of the terms of the cost over a motion, in their units."""
     own = replace(
         task,
         start=motion.unknowns[motion.layout.first],
@@ -375,7 +373,6 @@ def _costs(task: PlanTask, motion: PolynomialMotion, options: SolverOptions) -> 
 
 
 def _largest(sizes: Iterable[dict[str, float]]) -> dict[str, float]:
-    """Return the largest value of each name."""
     largest: dict[str, float] = {}
     for each in sizes:
         largest |= {name: max(size, largest.get(name, 0.0)) for name, size in each.items()}

@@ -159,7 +159,6 @@ def _overlap(tile: slice, window: slice) -> tuple[slice, slice] | None:
 
 
 def _key(problem: Problem[Any]) -> dict[str, str]:
-    """Return the values, input files and version on which the tiles of a problem depend."""
     values = problem.spec.model_dump_json(exclude={"title"}, serialize_as_any=True)
     files = [file for file in files_read(problem)[1:] if file.is_file()]
     text = json.dumps([values, [(str(file), digest(file)) for file in files]])
@@ -298,7 +297,6 @@ def _detail(maps: Mapping[str, Band], step: int, sizes: tuple[int, int]) -> tupl
 def _facts(
     maps: Mapping[str, Band], counts: Array, reasons: tuple[str, ...], nodes: Array, wide: int
 ) -> dict[str, Fact]:
-    """Return the numbers of a map by name; medians are those of its drawn nodes."""
     poses = float(counts.sum())
     words = ("all headings are allowed", "some are", "none is")
     facts = {"allowed_share": Fact(counts[0] / poses, "1", "share of the poses that are allowed")}

@@ -168,7 +168,6 @@ def check_names(
 
 
 def _start_names(dae: Dae) -> list[str]:
-    """Return the names of the states that a start may have."""
     if dae.standing is None:
         return _names(dae.labels.x)
     return [*_names(dae.standing.model.labels.x), SPEED]
@@ -292,7 +291,6 @@ def model_law(problem: Problem[Any]) -> Any:
 
 
 def _wrong_law(spec: LawKeys, name: str) -> Fault:
-    """Return the error for the table of a law that does not apply."""
     if name in LAWS[spec.model]:
         tables = ", ".join(sorted(spec.law.model_fields_set))
         if spec.model == "kinematics":

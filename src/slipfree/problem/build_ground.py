@@ -90,7 +90,6 @@ def build_ground(problem: Problem[S]) -> GroundMap:
 
 
 def _check_keys(problem: Problem[S]) -> None:
-    """Raise ProblemError for keys that apply only to map files, if there is no map file."""
     spec = problem.spec.terrain
     for key in OF_FILES:
         read = spec.file is not None or isinstance(spec.friction, str)
@@ -103,7 +102,6 @@ def _check_keys(problem: Problem[S]) -> None:
 
 
 def _scales(spec: schema.TerrainTable) -> tuple[float, float]:
-    """Return the scale factor of x and y, and that of heights [1]."""
     return spec.scale * spec.horizontal_scale, spec.scale * spec.vertical_scale
 
 
@@ -115,7 +113,6 @@ def _scale_words(spec: schema.TerrainTable) -> str:
 
 
 def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Lines]:
-    """Return the ground after optional smoothing and elevation error, and facts about them."""
     spec, facts = problem.spec.terrain, []
     if spec.smooth is not None:
         with at(problem, ("terrain", "smooth")):
@@ -306,7 +303,6 @@ def convert_places(problem: Problem[A]) -> Problem[A]:
 
 
 def _places(spec: TerrainKeys) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
-    """Yield key and values of start, goal, way-points and keep-out regions of a problem."""
     yield ("start",), spec.start
     if (goal := getattr(spec, "goal", None)) is not None:
         yield ("goal",), goal
@@ -317,7 +313,6 @@ def _places(spec: TerrainKeys) -> Iterator[tuple[KeyPath, dict[str, Any]]]:
 
 
 def _replaced(spec: Any, keys: KeyPath, values: dict[str, Any]) -> Any:
-    """Return the values of a problem with another value of one position."""
     name, old = str(keys[0]), getattr(spec, str(keys[0]))
     if len(keys) == 1:
         return spec.model_copy(update={name: values})
@@ -329,7 +324,6 @@ def _replaced(spec: Any, keys: KeyPath, values: dict[str, Any]) -> Any:
 def _in_metres(
     values: Mapping[str, Any], ground: Map, coordinates: tuple[MapCoordinate, ...]
 ) -> dict[str, Any]:
-    """Return the values of a place with x and y instead of longitude and latitude."""
     if {"x", "y"} & {*values} or not {*DEGREES} <= {*values}:
         found = ", ".join(name for name in ("x", "y", *DEGREES) if name in values)
         raise ModelError(

@@ -191,7 +191,6 @@ def _spikes(grid: Grid) -> Array:
 
 
 def _concave_curvature(grid: Grid) -> Array:
-    """Return the largest curvature of the ground at the nodes, positive in hollows [1/m]."""
     along_x, along_y = np.gradient(grid.z, *grid.spacing)
     xx, xy = np.gradient(along_x, *grid.spacing)
     yy = np.gradient(along_y, grid.spacing[1], axis=1)

@@ -99,7 +99,6 @@ def digest(file: Path) -> str:
 
 
 def _named_urdf(folder: Path, name: str) -> list[str]:
-    """Return the URDF that a vehicle file names, relative to the problem's folder, if any."""
     with suppress(DataError):  # build_vehicle reports errors in the file
         urdf = open_file(folder / name).data.get("urdf")
         if isinstance(urdf, str):
@@ -148,7 +147,6 @@ def _stored(problem: Problem[Any], names: tuple[str, ...], file: str | None) -> 
 
 
 def _file(problem: Problem[Any]) -> str | None:
-    """Return the name of the vehicle file of a problem; None for a vehicle of the catalogue."""
     name: str | None = getattr(getattr(problem.spec, "vehicle", None), "file", None)
     return name
 

@@ -193,7 +193,6 @@ def _durations(problem: Problem[PlanKeys], given: FrontPoint) -> tuple[float, fl
 def _least_settings(
     problem: Problem[PlanKeys], against: str, durations: tuple[float, float]
 ) -> SettingTexts:
-    """Return the settings of the plan of least second objective."""
     # Smoothness would increase the second objective.
     smooth = "plan.smooth=0.0"
     if against == DURATION:
@@ -239,7 +238,6 @@ def _solve_one(
 
 
 def _named(name: str, report: LineCallback | None) -> LineCallback | None:
-    """Return a callback that calls ``report`` with a name in front of the phase and of the line."""
     if report is None:
         return None
     return lambda phase, line: report(f"{name}, {phase}", f"{name}, {line}")
@@ -259,7 +257,6 @@ def _task(
 
 
 def _solve_point(task: _PointTask, report: LineCallback | None = None) -> tuple[int, FrontPoint]:
-    """Return the index of a task in its batch, and its point: a plan, or the reason of failure."""
     return task.order, _planned(task, report)
 
 
@@ -334,7 +331,6 @@ class _PointSolver:
         return [points.get(k, FrontPoint(task.bound)) for k, task in enumerate(tasks)]
 
     def close(self) -> None:
-        """End the processes of this solver."""
         if self._pool is not None:
             self._pool.close()
 

@@ -236,7 +236,6 @@ def _shifted(value: Any, change: float) -> float | str:
 def _edit_regions(
     sections: list[str], old: Sequence[EditedRegion], new: Sequence[EditedRegion]
 ) -> None:
-    """Change, remove and add tables of keep-out regions."""
     kept = {each.identity: each for each in new}
     added = in_order_of_file(old, new)[sum(each.identity in kept for each in old) :]
     places = [k for k, part in enumerate(sections) if "keep_out" in tomllib.loads(part)]
@@ -267,7 +266,6 @@ def _edit_regions(
 
 
 def _ended(text: str) -> str:
-    """Return a text whose last line is complete."""
     return text if text.endswith("\n") or not text else f"{text}\n"
 
 
@@ -281,7 +279,6 @@ def _body_and_tail(section: str) -> tuple[str, str]:
 
 
 def _edit_region(table: Any, old: EditedRegion | None, new: EditedRegion) -> None:
-    """Change the values of a region that differ."""
     if old is None or old.points != new.points:
         if new.radius is None:
             _assign(table, "points", new.points)
@@ -393,7 +390,6 @@ def _check_edit(document: Document, text: str, places: Places, wanted: Places) -
 
 
 def _shape(places: Places) -> Any:
-    """Return the values of places without identities of regions."""
     return places[:3], [each[1:] for each in places.regions]
 
 

@@ -130,7 +130,6 @@ class PlanWorker:
 
 
 def _solve_requests(connection: Connection[Any, Any]) -> None:
-    """Solve the problems that arrive at a connection until it is closed."""
     import slipfree.problem.result  # noqa: F401 - loads while the user is editing
 
     prepare_process()
@@ -349,14 +348,12 @@ class Desk:
             self.session = session.changed(phase=PLANNING, line=line, error="", iterates=())
 
     def _watch(self) -> None:
-        """Read the file again if its size, time or inode has changed."""
         signature = _signature(self.session.document.path)
         if signature != self._signature:
             self._signature = signature
             self._read_again()
 
     def _read_again(self) -> None:
-        """Take over the contents of the file if another program has changed them."""
         session, document = self.session, self.session.document
         try:
             if not is_current(document):

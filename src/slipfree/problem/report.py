@@ -115,7 +115,6 @@ def atlas_lines(file: Path) -> tuple[Lines, Lines, AtlasOverview]:
 
 
 def _atlas_report(file: Path) -> Report:
-    """Return the report of a mobility map."""
     summary, set_up, overview = atlas_lines(file)
     view = overview.view
     attributes = view.site.attributes
@@ -131,7 +130,6 @@ def _atlas_report(file: Path) -> Report:
 
 
 def _versions(file: Path, attributes: Mapping[str, str]) -> Lines:
-    """Return the facts about versions, date and digest of a result file."""
     versions = ((n.removesuffix(VERSION), v) for n, v in attributes.items() if n.endswith(VERSION))
     return [
         ("computed", attributes.get("date_created", "date unknown")),
@@ -143,7 +141,6 @@ def _versions(file: Path, attributes: Mapping[str, str]) -> Lines:
 
 
 def _texts(file: Path, attributes: Mapping[str, str]) -> dict[str, str]:
-    """Return the texts of the problem file and of the commands to repeat the run, by title."""
     if "problem" not in attributes:
         return {}
     name = f"{Path(attributes.get('problem_file', 'problem.toml')).stem}_again.toml"
@@ -155,7 +152,6 @@ def _texts(file: Path, attributes: Mapping[str, str]) -> dict[str, str]:
 
 
 def _drawn(result: Result, count: int) -> _ReportFigures:
-    """Return the figures of ``slipfree run``, or the reason why they cannot be drawn."""
     if "problem" not in result.trajectory.attributes:
         return _ReportFigures(
             (), "No figures: the result contains no problem file, so that its ground is unknown."
@@ -286,7 +282,6 @@ def tree(vehicle: Vehicle | Draft) -> list[str]:
 
 
 def _joint(joint: Joint, vector: Array, kinds: dict[str, Coordinate]) -> str:
-    """Return the description of a joint: motion, axis in the vehicle's frame, and coordinates."""
     moved = {name: _kind(kinds.get(name)) for name in sorted(joint.coordinates)}
     if not moved:
         return "rigid" if joint.value in ("0", "0.0") else f"fixed at {joint.value}"
@@ -303,7 +298,6 @@ def _joint(joint: Joint, vector: Array, kinds: dict[str, Coordinate]) -> str:
 
 
 def _kind(c: Coordinate | None) -> str:
-    """Return the kind of a coordinate, and its spring, damper and stops."""
     if c is None:
         return "kind not given"
     acts = [(c.stiffness, "spring"), (c.damping, "damper"), (c.bump, "elastic stops")]
@@ -398,7 +392,6 @@ def _has_ground_law(dae: Dae) -> bool:
 
 
 def _shares(draft: Vehicle | Draft) -> Lines:
-    """Return the facts about wheels and joints of an invalid vehicle or its draft."""
     suspension = _listed(c.name for c in draft.of("suspension"))
     return [
         ("wheels", _listed(wheel.name for wheel in draft.wheels)),

@@ -125,7 +125,6 @@ def run_problem(
 def _result(
     problem: Problem[Runnable], verb: MotionVerb, solution: VerbSolution, stored: str
 ) -> Result:
-    """Return the result of a solution, with the attributes of its problem."""
     run, setup, arrays = solution
     own = _attributes(problem, verb, setup)
     run = replace(run, attributes={**run.attributes, **own, STORED: stored})
@@ -135,7 +134,6 @@ def _result(
 
 
 def _failed(result: Result, error: Exception) -> Result:
-    """Return a result whose stop reports an error after its computation."""
     run = result.trajectory
     before = f"{run.stop.words}; " if run.stop else ""
     words = f"{before}{type(error).__name__}: {error}"
@@ -155,7 +153,6 @@ def cross_check(result: Result) -> CrossCheck:
 
 
 def _attributes(problem: Problem[Any], verb: MotionVerb, setup: VerbSetup) -> dict[str, str]:
-    """Return the attributes of a result file that describe its problem."""
     source = problem.source
     settings = {"settings": "\n".join(dict.fromkeys(source.settings.values()))}
     attributes = {

@@ -282,7 +282,6 @@ def soil_of(
 
 
 def _region(table: Any) -> SoilRegion:
-    """Return the region of a table with its soil."""
     values = given_values(table).items()
     soil = soil_of(**{key: value for key, value in values if key not in OF_REGIONS})
     return SoilRegion(region_of(table), soil, table.width)

@@ -57,7 +57,6 @@ def check_units(spec: schema.TerrainKeys, dae: Dae) -> Iterator[Fault]:
 
 
 def _units(dae: Dae) -> dict[str, str]:
-    """Return the units of all quantities of a model, by name and by name with wheel."""
     labels = [label for record in dae.labels[:5] for label in leaves(record)]
     labels += [limit.label for limit in dae.all_limits]
     labels += leaves(dae.standing.model.labels.x) if dae.standing else ()

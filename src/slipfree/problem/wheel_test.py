@@ -247,7 +247,6 @@ def read_wheel_file(path: Path, settings: Sequence[str]) -> WheelContents:
 
 
 def _read_measured(path: Path, load: float) -> WheelRuns:
-    """Return the measured points in a CSV file; ``load`` is that of the wheel file."""
     names = read_names(path, "measured points")
     quantities = [name for name in QUANTITIES if name in names]
     speeds: list[str] = [name for name in ("rim_speed", "speed") if name in names]

@@ -392,7 +392,6 @@ def _correct_pose(system: System, samples: Samples) -> tuple[Samples, dict[str, 
 
 
 def _cut_before(run: Trajectory, k: int, stop: Stop) -> Trajectory:
-    """Return the samples before sample ``k``, which violates a limit, with the stop."""
     if k == 0:
         raise invalid_start(stop.words)
     if k == 1:

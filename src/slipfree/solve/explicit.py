@@ -82,7 +82,6 @@ def _samples(
 
 
 def _check_numbers(dae: Dae, inputs: Record) -> None:
-    """Raise ModelError if an input is not given by numbers that are constant in each interval."""
     for label, value in zip(leaves(dae.labels.u), leaves(inputs), strict=True):
         if isinstance(value, ca.SX | PiecewiseLinear):
             raise ModelError(

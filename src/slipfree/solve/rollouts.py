@@ -179,16 +179,13 @@ class _Common(NamedTuple):
     step: float | None
 
     def parameters_of(self, k: int) -> tuple[tuple[str, Any], ...]:
-        """Return the parameters of the model of a run, by name."""
         return tuple((name, _of_run(values, k)) for name, values in self.parameters.items())
 
     def model_of(self, k: int) -> Dae:
-        """Return the model of a run."""
         model = self.model
         return model if isinstance(model, Dae) else _built(model, self.parameters_of(k))
 
     def start_of(self, k: int) -> Trajectory | dict[str, Any]:
-        """Return the start of a run."""
         if isinstance(self.starts, list):
             return self.starts[k if len(self.starts) > 1 else 0]
         return {name: float(_of_run(values, k)) for name, values in self.starts.items()}
@@ -281,12 +278,10 @@ def _count_runs(
 
 
 def _of_run(values: Array, k: int) -> Any:
-    """Return the value of run ``k``; a single value applies to all runs."""
     return values.reshape(-1)[k if values.size > 1 else 0].item()
 
 
 def _inputs_of_run(values: Any, k: int) -> Any:
-    """Return an input of run ``k``, as `Dae.inputs` takes it."""
     if not isinstance(values, np.ndarray) or values.ndim == 0:
         return values
     row = values if values.ndim == 1 else values[k if len(values) > 1 else 0]
@@ -294,7 +289,6 @@ def _inputs_of_run(values: Any, k: int) -> Any:
 
 
 def _simulate_runs(common: _Common, numbers: Array) -> list[_Results]:
-    """Return the results of runs by `simulate`."""
     return [_simulated(common, int(k)) for k in numbers]
 
 
@@ -322,7 +316,6 @@ def _run_batch(common: _Common, numbers: Array) -> list[_Results]:
 
 
 def _start_states(dae: Dae, common: _Common, numbers: Array) -> Array:
-    """Return the states of the batch at the starts of runs."""
     graphs = graphs_of(dae)
     if isinstance(common.starts, dict):
         start = {n: v if v.size == 1 else v[numbers] for n, v in common.starts.items()}
@@ -361,7 +354,6 @@ def _built(model: Callable[..., Dae], parameters: tuple[tuple[str, Any], ...]) -
 
 
 def _simulated(common: _Common, k: int) -> _Results:
-    """Return the result of a run, also of one that fails."""
     dae, number = common.model_of(k), np.array([k])
     inputs = dae.inputs(**{name: _inputs_of_run(each, k) for name, each in common.inputs.items()})
 
@@ -404,7 +396,6 @@ class _Table:
         self.estimated = False
 
     def add(self, results: Sequence[_Results]) -> None:
-        """Add results; later results of a run replace earlier ones."""
         for part in results:
             k = part.numbers
             self.outcomes[k], self.reasons[k], self.ends[k] = part.outcomes, part.reasons, part.ends
@@ -420,7 +411,6 @@ class _Table:
                 self.columns[name].values[k] = samples
 
     def dataset(self, attributes: dict[str, float]) -> xarray.Dataset:
-        """Return the results as a dataset."""
         coordinates: dict[str, Any] = {"time": ("time", self.t, TIME)}
         if self.wheels:
             coordinates["wheel"] = ("wheel", np.array(self.wheels), WHEELS)
@@ -484,7 +474,6 @@ def _padded(size: int) -> int:
 
 
 def _execute_shared(task: tuple[_Handle, Callable[..., list[_Results]], Array]) -> list[_Results]:
-    """Return the results of runs in another process."""
     handle, execute, numbers = task
     return execute(_loaded(handle)[0], numbers)
 

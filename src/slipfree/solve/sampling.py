@@ -163,7 +163,6 @@ def _linearize(block: Block, samples: Samples) -> tuple[Array, Array]:
 
 
 def _evaluate_block(function: ca.Function, block: Block, samples: Samples) -> tuple[Array, ...]:
-    """Return the results of a function of a block at all samples."""
     stage = np.full((1, samples.t.size), block.stages[-1])
     return evaluate(function, samples.t[None], samples.x, samples.z, samples.u, stage)
 
@@ -268,7 +267,6 @@ def to_trajectory(system: System, samples: Samples, report: dict[str, Array]) ->
 
 
 def _check_margins(check: SampledCheck, samples: Samples) -> Array:
-    """Return the margins of a check, NaN at samples at which its linear algebra fails."""
     try:
         return check.margin(samples.x, samples.z)
     except np.linalg.LinAlgError:

@@ -201,7 +201,6 @@ def _relaxation_model(dae: Dae) -> Dae:
 
 
 def _relax(model: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
-    """Return the motion of a vehicle from a first pose to its equilibrium, with zero inputs."""
     rest = unpack(model.u, [0.0] * len(list(leaves(model.u))))
     # The equilibrium is a fixed point, which does not depend on the accuracy of the path to it.
     rough = replace(options, tolerance=RELAXATION_TOLERANCE)
@@ -221,7 +220,6 @@ def _relax(model: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
 
 
 def _one_sample(dae: Dae, x: Array, first: Array, options: SolverOptions) -> Trajectory:
-    """Return a start at given states as one sample; ``first`` is a guess of the unknowns."""
     system = with_inputs(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0, options)
     z = solve_initial_conditions(system, 0.0, x, first, system.u[:, 0])
     samples = Samples(

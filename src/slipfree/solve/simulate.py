@@ -165,7 +165,6 @@ def _integrated(
     inputs: Record,
     options: SolverOptions,
 ) -> tuple[Samples, dict[str, float], EarlyEnd | None]:
-    """Return samples, counts and early end of the integration by the method of the options."""
     system = solver.system
     if options.method != "explicit":
         return integrate(solver, observer, first, t, system.u)
@@ -199,7 +198,6 @@ def check_times(t: Array) -> Array:
 
 
 def _method(system: System, method: Method | None) -> Method:
-    """Return the integration method; raise ModelError if the model does not allow it."""
     if method is None:
         return "idas" if system.motion_size else "cvodes"
     if method == "explicit":  # for the location of ends
@@ -327,7 +325,6 @@ def _event_times(
     each: WatchedEvent,
     run: Trajectory,
 ) -> Array:
-    """Return the times of an event in ``whole`` up to the end of ``run``."""
     if each.event.stop:
         return run.t[-1:] if run.stop and run.stop.name == each.event.name else run.t[:0]
     stop, times = Stop(each.event.name, 0.0, "", Outcome.COMPLETE), list[float]()

@@ -121,7 +121,6 @@ def _with_numbers(dae: Dae, *, linear: bool, compiled: bool) -> System:
 
 
 def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
-    """Return a model with the expressions ``law`` as inputs; ``u`` are the symbols of numbers."""
     _, z, inputs = dae.columns()
     limits = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in dae.limits))
     continuation = (

@@ -238,7 +238,6 @@ class RunLog:
         )
 
     def _check(self, found: Mapping[str, Any], head: Mapping[str, Any]) -> None:
-        """Raise DataError for the log of another sweep."""
         for key, words in WORDS.items():
             if found.get(key) != head[key]:
                 raise DataError(

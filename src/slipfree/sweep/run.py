@@ -58,7 +58,6 @@ def _line(run: Run, row: RunRow, names: Iterable[str]) -> list[object]:
 
 
 def _line_of(words: str) -> str:
-    """Return a text as one line of limited length."""
     joined = " ".join(words.split())
     return joined if len(joined) <= MAX_CHARACTERS else f"{joined[: MAX_CHARACTERS - 3]}..."
 
@@ -237,7 +236,6 @@ def run_sweep(
 
 
 def _tasks(sweep: Sweep, rows: Rows, keep: bool) -> Iterator[RunTask]:
-    """Yield the tasks of all runs that are not finished."""
     path, text = str(sweep.problem.source.path.resolve()), sweep.problem.source.text
     files = json.dumps(dict(sweep.files))
     for run in sweep.runs():

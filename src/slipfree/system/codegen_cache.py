@@ -298,7 +298,6 @@ def _run(command: Sequence[str]) -> None:
 
 
 def _remove_old(cache: Path) -> None:
-    """Remove the least recently used libraries and the leftovers of interrupted compilations."""
     ages = dict[Path, float]()
     for file in cache.iterdir():
         with suppress(OSError):  # another process may remove it at the same time

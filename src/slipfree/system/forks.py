@@ -36,7 +36,6 @@ class _Forks:
         self.unsafe = False
 
     def enter(self) -> None:
-        """Count a call of this thread; an outermost call waits until no fork is waiting."""
         me = threading.get_ident()
         with self.changed:
             if me not in self.depths:
@@ -44,7 +43,6 @@ class _Forks:
             self.depths[me] = self.depths.get(me, 0) + 1
 
     def leave(self) -> None:
-        """Count the end of a call of this thread."""
         me = threading.get_ident()
         with self.changed:
             self.depths[me] -= 1
@@ -59,7 +57,6 @@ class _Forks:
         self.changed.wait_for(self._is_alone, MAX_WAIT)
 
     def in_parent(self) -> None:
-        """Let waiting threads continue after a fork."""
         self.waiting -= 1
         self.changed.notify_all()
         self.changed.release()

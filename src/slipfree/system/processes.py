@@ -180,13 +180,11 @@ class _Process:
         self.process = context.made
 
     def end(self) -> None:
-        """Kill the process and wait for its end."""
         self.process.kill()
         self.executor.shutdown(cancel_futures=True)
 
 
 def _exit_words(code: int | None) -> str:
-    """Return the reason for the end of a process as text, from its exit code."""
     if code is not None and code < 0:
         name = signal.Signals(-code).name
         return f"signal {name}" + ("; possibly out of memory" if name == "SIGKILL" else "")
@@ -349,7 +347,6 @@ def _pickled_error(error: Exception) -> bytes:
 
 
 def _kill_group(process: subprocess.Popen[bytes]) -> None:
-    """Kill a process and those that it started, and wait for its end."""
     if sys.platform != "win32":
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)

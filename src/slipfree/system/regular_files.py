@@ -94,7 +94,6 @@ def _checked_size(path: Path, expected: str) -> int:
 
 
 def _unreadable(path: Path, expected: str, reason: object) -> DataError:
-    """Return the error for a file that cannot be read."""
     if isinstance(reason, ValueError) or reason in [os.strerror(code) for code in WRONG_NAME]:
         remedy = "check the name"
     elif reason == os.strerror(errno.EACCES):

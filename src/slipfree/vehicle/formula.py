@@ -64,7 +64,6 @@ def names_in(text: str) -> frozenset[str]:
 
 
 def _parse(text: str) -> ast.expr:
-    """Return the syntax tree of a formula; raise ModelError for long or invalid text."""
     if len(text) > MAX_LENGTH:
         raise ModelError(
             f"formula {text[:60] + '...'!r}: expected at most {MAX_LENGTH} characters, found "
@@ -80,7 +79,6 @@ def _parse(text: str) -> ast.expr:
 
 
 def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth: int) -> Any:
-    """Return the value of a node; raise ModelError for more than ``depth`` nested levels."""
     if depth == 0:
         raise ModelError(
             f"formula {text!r}: expected at most {MAX_DEPTH} nested levels, found more; simplify it"

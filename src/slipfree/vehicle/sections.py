@@ -196,7 +196,6 @@ def arc_lengths(section: Section) -> tuple[Array, Array]:
 
 
 def _lengths(x: Array, rho: Array) -> Array:
-    """Return the arc length of a polyline at each of its points [m]."""
     return np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(rho))))
 
 

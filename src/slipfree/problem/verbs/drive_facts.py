@@ -102,7 +102,6 @@ def _placed(run: Trajectory, name: str) -> Fact:
 
 
 def _slip_rows(run: Trajectory, slip: Array) -> list[dict[str, Any]]:
-    """Return largest and root mean square slip of each wheel [m/s]."""
     along, across = (np.abs(run[f"slip_{axis}"]).max(axis=0) for axis in ("along", "across"))
     rms = np.sqrt(np.mean(slip**2, axis=0))
     names = ("wheel", "along_largest", "across_largest", "rms")

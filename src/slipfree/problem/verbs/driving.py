@@ -265,7 +265,6 @@ def vehicle_of(result: Result) -> Vehicle:
 
 
 def _diagnostics(setup: Setup, law: object, run: Trajectory) -> dict[str, Diagnostic]:
-    """Return the diagnostics of a motion by name."""
     vehicle = setup.vehicle
     diagnostics: dict[str, Diagnostic] = {
         "filled_ground": partial(_with_filled, setup.ground.grid),
@@ -349,7 +348,6 @@ def _check_ground(
 
 
 def _depth(run: Trajectory) -> Array:
-    """Return the depths of the wheels, zero in exact contact [m]."""
     return run["depth"] if has_pressed_wheels(run) else np.zeros(1)
 
 

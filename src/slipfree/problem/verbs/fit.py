@@ -308,7 +308,6 @@ def _read_mcap(path: Path, columns: Mapping[str, str]) -> dict[str, Array]:
 
 
 def _divided(log: Log, duration: float) -> Log:
-    """Return a log divided into complete windows, which share the samples at their ends."""
     t, slack = log.t - log.t[0], TIME_SLACK * duration
     if np.diff(t).min(initial=0.0) < 0:
         raise ModelError("expected times that do not decrease, found a decrease; sort the log")

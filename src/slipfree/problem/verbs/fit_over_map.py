@@ -261,7 +261,6 @@ def facts(fitted: FittedModels) -> Lines:
 
 
 def _constants(fitted: FittedModels) -> Iterator[tuple[str, str]]:
-    """Yield the constants of each model from the last fit, with their intervals."""
     for name, own in fitted.fits.items():
         words, model = [], fitted.models[name]
         for key, value in own[-1].values.items():

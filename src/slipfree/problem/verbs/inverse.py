@@ -317,7 +317,6 @@ def _given_rates(
 
 
 def _check_units(problem: Problem[Inverse]) -> None:
-    """Raise ProblemError for given rates in wrong units."""
     units = dict.fromkeys(VELOCITY, "m s-1") | dict.fromkeys((*OMEGA, *EULER), "rad s-1")
     units |= {name: label.unit for name, label in COMMANDS.items()}
     units |= {name: units[ours] for name, ours in ROBOT.items()}
@@ -413,7 +412,6 @@ def _heading_errors(heading: Array, place: tuple[str, ...]) -> Iterator[Fault]:
 
 
 def _inputs(spec: Inverse, dae: Dae, given: Mapping[str, Any]) -> tuple[Array, Any, Any]:
-    """Return the times of the samples [s], the inputs, and the inputs at the start."""
     texts = {name: value for name, value in given.items() if isinstance(value, str)}
     formulas = {name: evaluate(text, {"t": dae.t}) for name, text in texts.items()}
     numbers = {name: value for name, value in given.items() if name not in formulas}
@@ -537,7 +535,6 @@ def _check_samples(t: Array, jumps: Sequence[float]) -> None:
 
 
 def _jumps(setup: Setup, run: Trajectory) -> list[float]:
-    """Return the times within a motion at which given rates jump [s]."""
     values: list[Any] = [v for v in leaves(setup.inputs) if isinstance(v, np.ndarray)]
     where = {k + 1 for each in values for k in np.flatnonzero(np.diff(each))}
     return [float(setup.t[k]) for k in sorted(where) if setup.t[k] < run.t[-1]]

@@ -169,7 +169,6 @@ def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -
 
 
 def _check_formula(text: str, time: Time) -> None:
-    """Raise ModelError for a formula that is not a function of t or not finite at a sample."""
     t, symbol = input_samples(time.duration, time.step, {})[0], ca.SX.sym("t")
     try:
         value = evaluate(text, {"t": symbol})

@@ -285,7 +285,6 @@ def figure_options(result: Result) -> dict[str, Any]:
 
 
 def _inaccurate(spec: plan_schema.PlanKeys, plan: Plan | LongPlan) -> Stop:
-    """Return the stop of a solved plan whose simulation misses the required accuracy."""
     sizes = plan.difference | plan.violation
     missed = {name: size for name, size in sizes.items() if size > spec.plan.accuracy}
     worst = missed_words(missed, plan.units) or "a narrow limit"
@@ -334,7 +333,6 @@ def _iterate_reporter(watch: Watch, setup: Planning) -> Callable[[str, Iterate],
 
 
 def _path_of(iterate: Iterate, setup: Planning) -> Array:
-    """Return the path of the platform in an iterate, in map coordinates, shape (n, 2) [m]."""
     names = [label.full for label in leaves(setup.dae.labels.x)]
     states = motion_of(iterate.program, iterate.unknowns).states(np.linspace(0, 1, PATH_SAMPLES))
     local = np.stack([states[names.index("x")], states[names.index("y")]], axis=1)
@@ -391,7 +389,6 @@ def _by_friction(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
 
 
 def _start_values(setup: Planning) -> dict[str, Any]:
-    """Return the values of the start that the problem gives, and the heading, by name."""
     return {name: float(setup.start[name][0]) for name in {**setup.spec.start, "heading": 0.0}}
 
 
@@ -446,7 +443,6 @@ def _in_soil(
 
 
 def _momentum(setup: Planning, plan: Plan) -> dict[str, Fact]:
-    """Return the facts of a plan with inertia, and of slow driving along the same path."""
     if setup.spec.model != "dynamics":
         return {}
     facts = {"momentum_distance": Fact(max(plan.difference[name] for name in "xyz"), "m")}

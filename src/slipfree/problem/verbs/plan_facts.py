@@ -77,7 +77,6 @@ def facts_of(plan: Plan | LongPlan, setup: Planning) -> dict[str, Fact]:
 
 
 def _differences(plan: Plan | LongPlan) -> dict[str, Fact]:
-    """Return the largest difference of each quantity between plan and simulation."""
     facts = dict[str, Fact]()
     for name, size in plan.difference.items():
         key = DIFFERENCE + name.partition("[")[0]  # the largest of the wheels
@@ -263,7 +262,6 @@ def _robust_lines(facts: Facts) -> Iterator[tuple[str, str]]:
 
 
 def _listed(items: Iterator[str]) -> str:
-    """Return the first four texts, and the number of the others."""
     texts = list(items)
     rest = len(texts) - MAX_LISTED
     return ", ".join(texts[:MAX_LISTED]) + (f" and {rest} more" if rest > 0 else "")

@@ -109,7 +109,6 @@ def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
 
 
 def _faults(spec: PlanKeys) -> Iterator[Fault]:
-    """Yield an error for each key that plans over solids do not support, and for wrong costs."""
     tables = {"": spec, **{name: getattr(spec, name) for name in KEYS if name.isalpha()}}
     if spec.driver is None or spec.driver.name != STEP_CLIMBING:
         found = "another guide; change it"

@@ -350,7 +350,6 @@ def guide_paths(
 
 
 def _check_goal_place(problem: Problem[Any], places: tuple[Place, ...]) -> None:
-    """Raise ProblemError if the goal does not have both x and y."""
     if places[-1][0] != "goal":
         where, goal = problem.source.where(("goal",)), problem.spec.goal
         missing = " and ".join(name for name in ("x", "y") if name not in goal)

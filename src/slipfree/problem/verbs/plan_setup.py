@@ -132,7 +132,6 @@ def _contradictions(
 
 
 def _overlap(spec: PlanKeys, window: float) -> float:
-    """Return the overlap of the windows [m]."""
     return OVERLAP * window if spec.plan.overlap is None else spec.plan.overlap
 
 
@@ -287,7 +286,6 @@ def check_robust(problem: Problem[PlanKeys], has_friction: bool) -> None:
 
 
 def _check_quantities(problem: Problem[PlanKeys], dae: Dae) -> None:
-    """Raise ProblemError for goals and limits of unknown quantities."""
     spec = problem.spec
     own = {name for limit in dae.all_limits for name in (limit.label.name, limit.label.full)}
     for table, values in (("goal", spec.goal), ("limits", spec.limits)):
@@ -313,7 +311,6 @@ def _guide(
 
 
 def _starts(problem: Problem[PlanKeys], trip: Trip, guide: Guide) -> tuple[Drive, ...]:
-    """Return inputs and times of the samples [s] of each initial guess."""
     spec, time = problem.spec, problem.spec.time
     if spec.inputs is not None:
         t, rates = input_samples(time.duration, time.step, spec.inputs)

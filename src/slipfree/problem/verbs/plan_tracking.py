@@ -170,7 +170,6 @@ def follow_plan(
 
 
 def _world_options(problem: Problem[Any]) -> SolverOptions:
-    """Return the options of the simulation of a world."""
     options = solver_options(problem)
     if problem.spec.model == "kinematics":
         return options
@@ -215,7 +214,6 @@ def _disturbed_world(
 
 
 def _changed_friction(mu: Any, factor: float) -> Any:
-    """Return a coefficient of friction, or a map of it, times a factor."""
     if isinstance(mu, Grid):
         return replace(mu, z=factor * mu.z)
     if mu is None:
@@ -228,7 +226,6 @@ def _changed_friction(mu: Any, factor: float) -> Any:
 
 
 def _scaled(section: Section, factor: float) -> Section:
-    """Return a cross-section with all lengths times a factor."""
     values: dict[str, Any] = {}
     for field in fields(section):
         value = getattr(section, field.name)
@@ -240,7 +237,6 @@ def _scaled(section: Section, factor: float) -> Section:
 
 
 def _mean_speed(plan: Plan) -> float:
-    """Return the mean speed of a plan over the ground [m/s]."""
     return path_length(plan.replay) / plan.motion.duration
 
 
@@ -270,7 +266,6 @@ def _sampling_task(
 def _controller(
     name: str, plan: Plan, window: Horizon, task: SamplingTask | ModelError
 ) -> Controller:
-    """Return a new controller by its name; ModelError is raised if the vehicle does not suit it."""
     if name in ("inputs", "replan"):
         return Replanning(window, updated=name == "replan")
     if isinstance(task, ModelError):
