@@ -360,8 +360,10 @@ def test_a_motion_on_another_ground_is_refused(run, grid):
         figures(moved(run, 100.0, 0.0), grid)
 
 
-def test_forces_have_a_line_a_wheel(loaded, ax):
-    assert labels(force_figures.normal_forces(loaded, ax)) == ["right", "left", "front"]
+def test_forces_have_a_line_a_wheel(loaded, grid):
+    plot = force_figures.forces_plot(plots.PlottedDrive(loaded, grid, sf.Bicubic(grid)))
+    ax = plots.draw([plot])["forces"].axes[0]
+    assert labels(ax) == ["right", "left", "front"]
     np.testing.assert_array_equal(ax.lines[2].get_ydata(), loaded["force_normal", "front"])
     assert ax.get_ylabel() == "normal force [N]"
 

@@ -13,30 +13,20 @@ from typing import Literal, NamedTuple
 from slipfree.catalog.carts import SIDES
 from slipfree.core.errors import ModelError
 from slipfree.core.schema import Factor, Mass, Radius
-from slipfree.geometry.frame import Elements, Vector
+from slipfree.geometry.frame import Vector
 from slipfree.vehicle.sections import section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 
 class Station(NamedTuple):
-    """Position of a pair of wheels of a rocker-bogie, at rest on level ground [m].
+    """Position of a pair of wheels of a rocker-bogie, at rest on level ground [m]."""
 
-    Attributes
-    ----------
-    half_track, ahead, above : float
-        Position of the wheels' centres to the sides of, ahead of and above the platform's centre.
-    on_bogie : bool
-        Whether the bogies carry the wheels; otherwise the rockers do.
-    steered : bool
-        Whether the wheels steer, about a vertical axis through their centres.
-    """
-
-    half_track: float
+    half_track: float  # of the wheels' centres from the platform's centre
     ahead: float
     above: float
-    on_bogie: bool
-    steered: bool
+    on_bogie: bool  # whether the bogies carry the wheels; otherwise the rockers do
+    steered: bool  # about a vertical axis through the centre
 
 
 def rocker_bogie(
@@ -54,27 +44,10 @@ def rocker_bogie(
 ) -> Vehicle:
     """Return a rocker-bogie rover, with two rockers coupled by a differential.
 
-    Parameters
-    ----------
-    name : str
-        Name of the vehicle.
-    stations : dict of str to Station
-        Front, middle and rear wheels.
-    differential, bogie : tuple of 2 floats
-        Positions of the axes of the rockers and of the bogies: distances ahead of and above the
-        platform's centre, at rest on level ground. [m]
-    radius, r1 : float
-        Rolling radius of the wheels, and radius of their tubes. [m]
-    mass, center_of_mass : float, tuple of 3 floats
-        Mass of the platform, and its centre of mass in the platform's frame. [kg, m]
-    wheel_mass, grip : float
-        Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
-        each wheel [1].
-
-    Raises
-    ------
-    ModelError
-        If a number is out of range.
+    ``stations`` are the front, middle and rear wheels; ``differential`` and ``bogie`` the positions
+    of the axes of the rockers and of the bogies: distances ahead of and above the platform's
+    centre, at rest on level ground [m]. ``radius`` is the rolling radius of the wheels. Other
+    parameters and errors are those of `rocky7`.
     """
     coordinates = [
         Coordinate(
@@ -198,13 +171,9 @@ def rocky7(
         wheel_mass=wheel_mass,
         grip=grip,
     )
-    return replace(rover, body=replace(rover.body, inertia=_box_inertia(mass, (0.26, 0.40, 0.16))))
-
-
-def _box_inertia(mass: float, sides: Vector) -> Elements | None:
-    x, y, z = (side**2 for side in sides)
-    part = mass / 12
-    return (part * (y + z), part * (x + z), part * (x + y), 0.0, 0.0, 0.0) if mass else None
+    x, y, z = (mass / 12 * side**2 for side in (0.26, 0.40, 0.16))
+    inertia = (y + z, x + z, x + y, 0.0, 0.0, 0.0) if mass else None
+    return replace(rover, body=replace(rover.body, inertia=inertia))
 
 
 def open_source_rover(

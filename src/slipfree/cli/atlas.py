@@ -18,7 +18,6 @@ from slipfree.cli.common import (
     Settings,
     Trust,
     add_json,
-    add_json_file,
     check_workers,
     counted,
     detail,
@@ -28,7 +27,7 @@ from slipfree.cli.common import (
     reported,
     warn,
 )
-from slipfree.cli.outputs import check_outputs, save
+from slipfree.cli.outputs import check_outputs, draw, save
 from slipfree.core.errors import DataError
 from slipfree.system.interrupt import check_interrupt, held_interrupt
 
@@ -126,7 +125,12 @@ def atlas(
         with as_arguments():
             problem = _read(file, vehicle, [*own, *(settings or [])], trust)
         outs = out or [Path(f"{file.stem}.tif" if vehicle is None else f"{file.stem}_atlas.tif")]
-        _check_endings(outs)
+        for each in outs:
+            if each.suffix.lower() not in ENDINGS:
+                raise DataError(
+                    f"{each}: expected a name that ends in {', '.join(ENDINGS)}; choose another "
+                    "name"
+                )
         tiles = outs[0].with_name(f"{outs[0].stem}_tiles")
         figures = outs[0].with_name(f"{outs[0].stem}_figures")
         inputs = files_read(problem)
@@ -168,11 +172,8 @@ def _solve(
     print_line(f"wrote {', '.join(map(str, files))}")
     if figures is not None:
         from slipfree.show.atlas_figures import atlas_plots
-        from slipfree.show.plots import save as save_plots
 
-        plots = save_plots(atlas_plots(overview.view), figures)
-        for each in plots:
-            add_json_file(each)
+        plots = draw(atlas_plots(overview.view), figures)
         print_line(f"drew {', '.join(each.stem for each in plots)} in {figures}")
 
 
@@ -290,14 +291,6 @@ def as_arguments() -> Iterator[None]:
                     fault = option + fault.removeprefix(setting)
             faults.append(fault)
         raise ProblemError(*faults) from error
-
-
-def _check_endings(outs: Sequence[Path]) -> None:
-    for out in outs:
-        if out.suffix.lower() not in ENDINGS:
-            raise DataError(
-                f"{out}: expected a name that ends in {', '.join(ENDINGS)}; choose another name"
-            )
 
 
 def _compute(

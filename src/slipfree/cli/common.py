@@ -244,8 +244,8 @@ def add_json(name: str, make: Callable[[], Any]) -> None:
         output.content[name] = make()
 
 
-def add_json_facts(facts: list[tuple[str, str]]) -> None:
-    """Add facts (pairs of name and text) to the JSON object.
+def print_facts(facts: list[tuple[str, str]]) -> None:
+    """Print facts (pairs of name and text), and add them to the JSON output of the command.
 
     The key of an indented name is "NAME: INDENTED", where NAME is the last name without indent.
     """
@@ -254,6 +254,7 @@ def add_json_facts(facts: list[tuple[str, str]]) -> None:
         above = above if name.startswith(" ") else name
         key = f"{above}: {name.strip()}" if name.startswith(" ") and above else name.strip()
         values[key] = f"{values[key]}\n{text}" if key in values else text
+    show(facts)
 
 
 def add_json_file(file: object) -> None:
@@ -342,30 +343,29 @@ def reporting(duration: float | None) -> Iterator[Reports]:
     back inside the context, see `held_interrupt`. With ``--verbose`` every iterate is printed; with
     ``--quiet`` and ``--json`` nothing is printed.
     """
+    of = "" if duration is None else f" of {duration:g}"
+
+    def as_lines(show: Callable[[str, str], None]) -> Callable[[float], None]:
+        return lambda t: show(INTEGRATION, f"{INTEGRATION} to {t:.4g}{of} s")
+
     with held_interrupt():
         if _current_output().options.verbose:
-            yield _reports(_detailed(), lambda _, line: detail(line), duration)
+            yield _reports(as_lines(_detailed()), lambda _, line: detail(line))
         elif not has_bar():
-            yield Reports(lambda _: check_interrupt(), lambda *_: check_interrupt())
+            yield _reports(lambda _: None, lambda *_: None)
         elif sys.stderr.isatty():
             with _bar(duration) as reports:
                 yield reports
         else:
             stderr = sys.stderr  # the current one: integrators redirect sys.stderr
             show = _sparse(lambda line: print_line(line, file=stderr), SAME_PHASE)
-            yield _reports(show, show, duration)
+            yield _reports(as_lines(show), show)
 
 
-def _reports(
-    integration: Callable[[str, str], None],
-    search: Callable[[str, str], None],
-    duration: float | None,
-) -> Reports:
-    of = "" if duration is None else f" of {duration:g}"
-
+def _reports(at: Callable[[float], None], search: Callable[[str, str], None]) -> Reports:
     def show_time(t: float) -> None:
         check_interrupt()
-        integration(INTEGRATION, f"{INTEGRATION} to {t:.4g}{of} s")
+        at(t)
 
     def show_search(phase: str, line: str) -> None:
         check_interrupt()
@@ -417,15 +417,7 @@ def _bar(duration: float | None) -> Iterator[Reports]:
         move = throttled(lambda t: bar.update(task, completed=t))
         describe = throttled(lambda line: bar.update(task, description=escape(visible(line))))
 
-        def show_time(t: float) -> None:
-            check_interrupt()
-            move(t)
-
-        def show_search(_phase: str, line: str) -> None:
-            check_interrupt()
-            describe(line)
-
-        yield Reports(show_time, show_search)
+        yield _reports(move, lambda _, line: describe(line))
 
 
 def throttled(show: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -512,12 +504,6 @@ def begins_with(file: Path, head: bytes) -> bool:
             return stream.read(len(head)) == head
     except DataError:
         return False
-
-
-def print_facts(facts: list[tuple[str, str]]) -> None:
-    """Print facts (pairs of name and text), and add them to the JSON output of the command."""
-    add_json_facts(facts)
-    show(facts)
 
 
 def show(facts: list[tuple[str, str]]) -> None:

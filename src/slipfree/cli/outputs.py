@@ -179,11 +179,18 @@ def check_picture(out: Path | None, inputs: Sequence[Path]) -> None:
 
 def save_picture(plot: Plot, out: Path) -> None:
     """Draw a picture and write it to a file that `check_picture` has accepted."""
+    draw([plot._replace(name=out.stem)], out.parent, [out.suffix[1:]])
+    print_line(f"drew {out}")
+
+
+def draw(plots: Iterable[Plot], folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Draw figures in a folder, add their files to the JSON object, and return these."""
     from slipfree.show.plots import save as save_plots
 
-    save_plots([plot._replace(name=out.stem)], out.parent, [out.suffix[1:]])
-    add_json_file(out)
-    print_line(f"drew {out}")
+    files = save_plots(plots, folder, formats)
+    for file in files:
+        add_json_file(file)
+    return files
 
 
 def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any]) -> None:

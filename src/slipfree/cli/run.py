@@ -14,7 +14,6 @@ from slipfree.cli.common import (
     Settings,
     Trust,
     add_json,
-    add_json_file,
     detail,
     note_failure,
     print_error,
@@ -30,6 +29,7 @@ from slipfree.cli.outputs import (
     OUTPUT,
     check_default_outputs,
     check_outputs,
+    draw,
     motion_json,
     print_incomplete,
     resume_command,
@@ -101,7 +101,7 @@ def run(
     Print a summary and draw figures.
     """
     with reported():
-        from slipfree.files.netcdf import read_arrays
+        from slipfree.files.netcdf import read_arrays, write, write_csv
         from slipfree.plan.polynomial_motion import from_arrays
         from slipfree.problem.inputs import files_read
         from slipfree.problem.load import check_option, verb_of
@@ -122,7 +122,9 @@ def run(
         former = None if resume is None else from_arrays(read_arrays(resume), str(resume))
         with reporting(problem.spec.time.duration if verb.is_timed else None) as reports:
             result = _solve(problem, reports, former, out)
-            files = _save(result, out, csv)
+            files = [save(out, lambda path: write(path, result.trajectory, result.arrays))]
+            if csv is not None:
+                files.append(save(csv, lambda path: write_csv(path, result.trajectory)))
             is_interrupted = interrupt_requested() or result.outcome.exit_code == INTERRUPTED
         with _after(files[0], "summary"):
             _print_summary(result, verb)
@@ -193,21 +195,10 @@ def _solve(problem: Problem[Any], reports: Reports, former: SavedPlan | None, ou
     return result
 
 
-def _save(result: Result, out: Path, csv: Path | None) -> list[Path]:
-    from slipfree.files.netcdf import write, write_csv
-
-    files = [save(out, lambda path: write(path, result.trajectory, result.arrays))]
-    if csv is not None:
-        files.append(save(csv, lambda path: write_csv(path, result.trajectory)))
-    return files
-
-
 def _draw(plots: Sequence[Plot], folder: Path, *, every: bool) -> None:
-    from slipfree.show.plots import main_plots, save
+    from slipfree.show.plots import main_plots
 
-    files = save(plots if every else main_plots(plots), folder)
-    for file in files:
-        add_json_file(file)
+    files = draw(plots if every else main_plots(plots), folder)
     names, rest = ", ".join(file.stem for file in files), len(plots) - len(files)
     more = f"; {rest} more with --figures-all" if rest else ""
     print_line(f"drew {names} in {folder}{more}")

@@ -20,7 +20,6 @@ from slipfree.cli.common import (
     Trust,
     about,
     add_json,
-    add_json_file,
     detail,
     has_bar,
     print_error,
@@ -33,6 +32,7 @@ from slipfree.cli.common import (
 )
 from slipfree.cli.new import write_new_file
 from slipfree.cli.outputs import check_outputs, default_table, save, stop_json
+from slipfree.cli.outputs import draw as draw_plots
 from slipfree.core.errors import ModelError
 from slipfree.system.interrupt import held_interrupt, interrupt_requested
 from slipfree.system.regular_files import regular_file
@@ -213,7 +213,7 @@ def fit(
         add_json("errors", lambda: result.errors)
         add_json("estimates", lambda: [dict(zip(names, row, strict=True)) for row in rows])
         if picture is not None and not is_interrupted:
-            files += _draw([result.plot(picture.stem)], picture.parent)
+            files += draw_plots([result.plot(picture.stem)], picture.parent)
         print_line(f"wrote {' and '.join(map(str, files))}")
         if is_interrupted:
             print_error(f"interrupted; {files[0]} contains the estimates so far")
@@ -323,7 +323,7 @@ def _fit_over_map(
     print_facts(facts(fitted))
     add_json("errors", lambda: [dict(zip(rows[0], row, strict=True)) for row in rows[1]])
     if picture is not None:
-        files += _draw([ground_plot(picture.stem, fitted.scores)], picture.parent)
+        files += draw_plots([ground_plot(picture.stem, fitted.scores)], picture.parent)
     print_line(f"wrote {' and '.join(map(str, files))}")
 
 
@@ -372,17 +372,8 @@ def wheel(
 
             values = {name: getattr(test.curves, name) for name in QUANTITIES}
             drawn = DrawnWheel(*test.curves[:2], test.load, values, measured_points(test.measured))
-            files += _draw([wheel_plot(picture.stem, drawn)], picture.parent)
+            files += draw_plots([wheel_plot(picture.stem, drawn)], picture.parent)
         print_line(f"wrote {' and '.join(map(str, files))}")
-
-
-def _draw(plots: Sequence[Plot], folder: Path) -> list[Path]:
-    from slipfree.show.plots import save as save_plots
-
-    files = save_plots(plots, folder)
-    for file in files:
-        add_json_file(file)
-    return files
 
 
 def pareto(
@@ -456,7 +447,7 @@ def pareto(
         add_json("points", lambda: [dict(zip(names, row, strict=True)) for row in rows])
         draw = draw and not is_interrupted
         if draw:
-            _draw([front_plot(front)], folder)
+            draw_plots([front_plot(front)], folder)
         print_line(f"wrote table, plans{' and figure' if draw else ''} in {folder}")
         if front.outcome.exit_code:
             unsolved = sum(not each.is_solved for each in front.points)
@@ -570,7 +561,7 @@ def track(
             from slipfree.show.plan_figures import tracking_plot
 
             named = [(each.name, each.motion.run) for each in test.motions if each.motion]
-            _draw([tracking_plot(picture.stem, test.plan, named)], picture.parent)
+            draw_plots([tracking_plot(picture.stem, test.plan, named)], picture.parent)
             print_line(f"wrote {picture}")
         if is_interrupted:
             print_error("; ".join(["interrupted", *written()]))

@@ -135,14 +135,11 @@ def _write_geojson(run: Trajectory, out: Path) -> None:
     }
     content: dict[str, Any] = {"type": "FeatureCollection", "features": [feature]}
     if crs not in ("", WGS84):
-        content["crs"] = {"type": "name", "properties": {"name": _urn(crs)}}
+        code = re.fullmatch(r"EPSG:(\d+)", crs)
+        name = f"urn:ogc:def:crs:EPSG::{code[1]}" if code else crs
+        content["crs"] = {"type": "name", "properties": {"name": name}}
 
     def fill(part: Path) -> None:
         part.write_text(json.dumps(content) + "\n", encoding="utf-8")
 
     replace_file(out, fill)
-
-
-def _urn(crs: str) -> str:
-    code = re.fullmatch(r"EPSG:(\d+)", crs)
-    return f"urn:ogc:def:crs:EPSG::{code[1]}" if code else crs

@@ -378,8 +378,7 @@ def _trajectory(file: NetcdfFile) -> Trajectory:
         raise result_fault(file.path, "a variable 'wheel' that does not contain names")
     names = tuple(row.tobytes().rstrip(b"\0").decode(errors="replace") for row in wheels)
     n, k = t.size, len(names)
-    # the last order is that of version 0.1
-    sizes = {("time",): (n,), ("wheel", "time"): (k, n), ("time", "wheel"): (n, k)}
+    sizes = {("time",): (n,), ("wheel", "time"): (k, n)}
     stop = None
     if set(STOP) <= set(stored):
         name, words = (str(stored[key]) for key in (STOP[0], STOP[2]))
@@ -442,8 +441,7 @@ class _Columns(Mapping[str, Column]):
 
     def __getitem__(self, name: str) -> Column:
         label = self._labels[name]
-        stored = self._file.values(name)
-        stored = stored.T if self._file.variables[name].dimensions[0] == "wheel" else stored
+        stored = self._file.values(name).T
         values = np.empty(stored.shape)
         for k in range(0, len(stored), BLOCK):
             values[k : k + BLOCK] = block = stored[k : k + BLOCK]

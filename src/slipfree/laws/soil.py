@@ -296,6 +296,8 @@ class Soil:
                     contacts.across[k] - own.sideways,
                 ]
             )
+        words = "no quasi-static equilibrium: the soil cannot hold the vehicle"
+        fastest = no_equilibrium(contacts._replace(diagnose=lambda _x, _z: words))
         return Reaction(
             unknowns.along,
             unknowns.across,
@@ -306,7 +308,7 @@ class Soil:
                 ),
                 ca.vertcat(*(row for kind in zip(*rows, strict=True) for row in kind)),
             ),
-            (_no_equilibrium(contacts), *_sunk(contacts.vehicle, unknowns.sinkage)),
+            (fastest, *_sunk(contacts.vehicle, unknowns.sinkage)),
             continuation,
             unknowns.torque,
         )
@@ -356,12 +358,6 @@ class Soil:
         arm = frame.point - contact.center
         lever = ca.dot(frame.axle, ca.cross(arm, normal * frame.normal + tangential))
         return GroundForce(normal, tangential, ca.SX(0), torque - lever)
-
-
-def _no_equilibrium(contacts: SlidingContacts) -> Limit:
-    """Return the limit of the slip velocity, beyond which the soil cannot hold the vehicle."""
-    words = "no quasi-static equilibrium: the soil cannot hold the vehicle"
-    return no_equilibrium(contacts._replace(diagnose=lambda _x, _z: words))
 
 
 def _sunk(vehicle: Vehicle, sinkage: tuple[ca.SX, ...]) -> Iterator[Limit]:

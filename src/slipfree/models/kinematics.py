@@ -188,7 +188,10 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
         for at, pose in zip(z.position.contacts, poses, strict=True)
     )
     misses = [closure(*each) for each in zip(vehicle.wheels, poses, contacts, strict=True)]
-    surface = tuple(_at_surface(*each) for each in zip(contacts, misses, strict=True))
+    surface = tuple(  # the points of the wheels
+        contact._replace(point=contact.point - miss)
+        for contact, miss in zip(contacts, misses, strict=True)
+    )
     parts = _at_rest(loaded(vehicle), terrain, place, surface, z.rates, u, lookups)
     depths = [ca.dot(contact.normal, miss) for contact, miss in zip(contacts, misses, strict=True)]
     pressed = press(vehicle, ca.vertcat(*depths), smoothing)
@@ -234,11 +237,6 @@ def _place(x: RelaxedState, contacts: tuple[Any, ...]) -> tuple[Configuration, D
     """Return states and contact points as `Configuration` and `Dependent`."""
     position = Dependent(x.z, x.roll, x.pitch, x.suspension, contacts)
     return Configuration(x.x, x.y, x.heading, x.joints), position
-
-
-def _at_surface(contact: ContactFrame, miss: ca.SX) -> ContactFrame:
-    """Return a contact frame with its point moved by ``-miss``, from the ground to the wheel."""
-    return contact._replace(point=contact.point - miss)
 
 
 def _at_rest(

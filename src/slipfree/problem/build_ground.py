@@ -173,12 +173,6 @@ def _check_size(width: float, length: float, spacing: float, remedy: str) -> Non
         )
 
 
-def read_source(problem: Problem[Any]) -> tuple[Map, tuple[MapCoordinate, ...]]:
-    """Return the map of a problem before scaling, and the coordinates of its file."""
-    ground_map, _ = _source(problem)
-    return ground_map, _map_coordinates(ground_map, *_scales(problem.spec.terrain))
-
-
 def _source(problem: Problem[S]) -> tuple[Map, str]:
     """Return the ground before scaling, and the description of its origin.
 
@@ -295,7 +289,9 @@ def convert_places(problem: Problem[A]) -> Problem[A]:
     places = [place for place in _places(spec) if any(name in place[1] for name in DEGREES)]
     if not places:
         return problem
-    ground, coordinates = read_source(problem)
+    on_map: Problem[Any] = problem
+    ground, _ = _source(on_map)
+    coordinates = _map_coordinates(ground, *_scales(spec.terrain))
     for keys, values in places:
         with at(problem, keys):
             spec = _replaced(spec, keys, _in_metres(values, ground, coordinates))

@@ -262,11 +262,8 @@ def _edit_regions(
         text = f"\n[[keep_out]]\n{table.as_string()}"
         where = places[-1] if places else len(sections) - 1
         body, tail = _body_and_tail(sections[where])
-        sections[where] = _ended(body) + text + tail
-
-
-def _ended(text: str) -> str:
-    return text if text.endswith("\n") or not text else f"{text}\n"
+        end = "" if body.endswith("\n") or not body else "\n"
+        sections[where] = body + end + text + tail
 
 
 def _body_and_tail(section: str) -> tuple[str, str]:

@@ -324,7 +324,8 @@ def _folder(
     here, beside = Path.cwd(), file.absolute().parent
     usual = [*(resolve_links(each / recorded) for each in (here, beside) if recorded), beside, here]
     tried = [folder] if folder is not None else list(dict.fromkeys(usual))
-    complete = [each for each in tried if all(_is_file(each / name) for name in needed)]
+    # Path.is_file raises an error for names that are too long
+    complete = [each for each in tried if all(os.path.isfile(each / name) for name in needed)]  # noqa: PTH113
     known = [name for name in needed if name in digests]  # the others are in the changed settings
     for place in complete:
         if all(digest(place / name) == digests[name] for name in known):
@@ -341,7 +342,3 @@ def _folder(
         f"{'no folder with all of them' if len(needed) > 1 else 'no such file'}; give the folder "
         "of the problem file with --folder DIR"
     )
-
-
-def _is_file(path: Path) -> bool:
-    return os.path.isfile(path)  # noqa: PTH113 - False for names that are too long

@@ -32,17 +32,10 @@ EDGES = 0.3  # text at a smaller distance from an edge points away from it [axes
 CASING = "0.15"  # colour of the edge of coloured tracks
 
 
-def normal_forces(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the normal force of every wheel over time; a wheel lifts off at zero force."""
-    style.by_wheel(run, run["force_normal"], ax)
-    ax.set_ylabel("normal force [N]")
-    return style.time_axis(run, style.with_zero(ax))
-
-
-def tangential_forces(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the tangential force of every wheel over time."""
-    style.by_wheel(run, np.hypot(run["force_along"], run["force_across"]), ax)
-    ax.set_ylabel("tangential force [N]")
+def of_wheels(run: Trajectory, values: Array, words: str, ax: Axes, *, zeros: bool = True) -> Axes:
+    """Draw a quantity of every wheel over time, and zero; see `style.by_wheel`."""
+    style.by_wheel(run, values, ax, zeros=zeros)
+    ax.set_ylabel(words)
     return style.time_axis(run, style.with_zero(ax))
 
 
@@ -73,7 +66,14 @@ def utilisation(run: Trajectory, ax: Axes) -> Axes:
     style.time_axis(run, ax)
     if largest > CEILING:
         words = "" if np.isfinite(largest) else "; infinite where a wheel bears no load"
-        style.remark(ax, f"not drawn above {CEILING:g}{words}", above=True)
+        box = {"fc": "white", "ec": "none", "pad": 2}
+        place: dict[str, Any] = {
+            "transform": ax.transAxes,
+            "ha": "right",
+            "va": "bottom",
+            "bbox": box,
+        }
+        ax.text(1.0, 1.03, f"not drawn above {CEILING:g}{words}", **place)
     _mark_worst(run, ax)
     return ax
 
@@ -160,7 +160,11 @@ def forces_plot(scene: PlottedDrive) -> Plot | None:
     run = scene.run
     if "force_normal" not in run:
         return None
-    panels = [Panel(partial(normal_forces, run)), Panel(partial(tangential_forces, run))]
+    tangential = np.hypot(run["force_along"], run["force_across"])
+    panels = [
+        Panel(partial(of_wheels, run, run["force_normal"], "normal force [N]")),
+        Panel(partial(of_wheels, run, tangential, "tangential force [N]")),
+    ]
     units = {run.columns[name].label.unit for name in _joints(run)}
     if "N m" in units or run["drive_torque"].any():
         panels.append(Panel(partial(drives, run)))
@@ -170,35 +174,20 @@ def forces_plot(scene: PlottedDrive) -> Plot | None:
     return Plot("forces", caption, lambda: stack(run, panels))
 
 
-def depth(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the depth of every wheel in the ground over time; it is negative in the air."""
-    style.by_wheel(run, 1e3 * _depth(run), ax)
-    ax.set_ylabel("depth [mm]")
-    return style.time_axis(run, style.with_zero(ax))
-
-
-def slip_ratio(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the slip ratio of every wheel over time, while the wheel is on the ground."""
-    style.by_wheel(run, np.where(_depth(run) > 0, run["slip_ratio"], np.nan), ax)
-    ax.set_ylabel("slip ratio [1]")
-    return style.time_axis(run, style.with_zero(ax))
-
-
-def drawbar_reserve(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the drawbar-pull reserve of every driven wheel over time."""
-    style.by_wheel(run, run["drawbar_reserve"], ax, zeros=False)
-    ax.set_ylabel("pull reserve [N]")
-    return style.time_axis(run, style.with_zero(ax))
-
-
 def contact_plot(scene: PlottedDrive) -> Plot | None:
     """Return the figure of depth, slip ratio and reserve; None for wheels on rigid ground."""
     run = scene.run
     if "slip_ratio" not in run or not {"depth", "sinkage"} & {*run}:
         return None
-    panels = [Panel(partial(depth, run)), Panel(partial(slip_ratio, run))]
+    depth = run["sinkage" if "sinkage" in run else "depth"]  # in soil, or in a compliant ground
+    ratio = np.where(depth > 0, run["slip_ratio"], np.nan)  # while the wheel is on the ground
+    panels = [
+        Panel(partial(of_wheels, run, 1e3 * depth, "depth [mm]")),
+        Panel(partial(of_wheels, run, ratio, "slip ratio [1]")),
+    ]
     if "drawbar_reserve" in run:
-        panels.append(Panel(partial(drawbar_reserve, run)))
+        reserve, words = run["drawbar_reserve"], "pull reserve [N]"
+        panels.append(Panel(partial(of_wheels, run, reserve, words, zeros=False)))
     caption = "Depth and slip ratio of every wheel over time."
     return Plot("contact", caption, lambda: stack(run, panels))
 
@@ -230,11 +219,6 @@ def _utilisation_map(scene: PlottedDrive) -> Figure:
     style.finished(figure, run, [ground_drawing.solids(scene.prisms, ax)])
     figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
     return figure
-
-
-def _depth(run: Trajectory) -> Array:
-    """Return the depths of the wheels in soil, or in a compliant ground, shape (n, n_wheels)."""
-    return run["sinkage" if "sinkage" in run else "depth"]
 
 
 def _joints(run: Trajectory) -> list[str]:

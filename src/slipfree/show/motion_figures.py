@@ -327,8 +327,16 @@ def map_plot(drive: PlottedDrive) -> Plot:
 
 def elevation_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of heights and slopes along the path."""
-    caption = "Heights and slopes along the path."
-    return Plot("elevation", caption, lambda: _elevation(drive.run, drive.surface))
+
+    def make() -> Figure:
+        figure = style.figure(PAGE, 100 * MM)
+        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        elevation(drive.run, drive.surface, top).set_xlabel("")
+        lines = slope(drive.run, drive.surface, bottom)
+        lines.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        return style.finished(figure, drive.run, [top])
+
+    return Plot("elevation", "Heights and slopes along the path.", make)
 
 
 def slip_plot(drive: PlottedDrive) -> Plot | None:
@@ -390,13 +398,30 @@ def loci_plot(drive: PlottedDrive) -> Plot | None:
     run = drive.run
     if not _tracks_differ(run, float(max(np.ptp(run["x"]), np.ptp(run["y"])))):
         return None
-    return Plot("loci", "Paths of platform, wheels and contact points.", lambda: _loci(run))
+
+    def make() -> Figure:
+        figure = style.figure(PAGE, 95 * MM)
+        plan, side = figure.subplots(1, 2, width_ratios=(1, 1))
+        wide = np.ptp(run["x"]) >= np.ptp(run["y"])
+        loci(run, plan).set_title("plan")
+        loci(run, side, ("x" if wide else "y", "z"))
+        side.set_title(f"from the {'south' if wide else 'east'}, heights not to scale")
+        return style.finished(figure, run, [plan])
+
+    return Plot("loci", "Paths of platform, wheels and contact points.", make)
 
 
 def terrain_plot(drive: PlottedDrive) -> Plot:
     """Return the view of the ground around the path."""
     caption = "Ground around the path, platform and tracks of the contact points."
-    return Plot("terrain", caption, lambda: _terrain(drive))
+
+    def make() -> Figure:
+        figure = Figure(figsize=(COLUMN, 80 * MM))
+        ax = terrain(drive.run, drive.grid, figure.add_subplot(projection="3d"), drive.prisms)
+        style.finished(figure, drive.run, [ax])
+        return _filled(figure, ax)
+
+    return Plot("terrain", caption, make)
 
 
 FIGURES: tuple[Callable[[PlottedDrive], Plot | None], ...] = (
@@ -449,13 +474,6 @@ def _tracks_differ(run: Trajectory, width: float) -> bool:
     return bool(np.hypot(*away).max() > DISTINCT * width)
 
 
-def _terrain(drive: PlottedDrive) -> Figure:
-    figure = Figure(figsize=(COLUMN, 80 * MM))
-    ax = terrain(drive.run, drive.grid, figure.add_subplot(projection="3d"), drive.prisms)
-    style.finished(figure, drive.run, [ax])
-    return _filled(figure, ax)
-
-
 def _filled(figure: Figure, ax: Any) -> Figure:
     """Enlarge a 3D view to the space between legend and note, as no layout engine does."""
     for _ in range(3):
@@ -487,24 +505,6 @@ def _joint_rates(run: Trajectory, names: Sequence[str], ax: Axes) -> Axes:
     units = dict.fromkeys(style.unit(run.columns[name].label.unit) for name in names)
     ax.set_ylabel(f"joint rate [{', '.join(units)}]")
     return style.time_axis(run, ax)
-
-
-def _loci(run: Trajectory) -> Figure:
-    figure = style.figure(PAGE, 95 * MM)
-    plan, side = figure.subplots(1, 2, width_ratios=(1, 1))
-    wide = np.ptp(run["x"]) >= np.ptp(run["y"])
-    loci(run, plan).set_title("plan")
-    loci(run, side, ("x" if wide else "y", "z"))
-    side.set_title(f"from the {'south' if wide else 'east'}, heights not to scale")
-    return style.finished(figure, run, [plan])
-
-
-def _elevation(run: Trajectory, ground: Terrain) -> Figure:
-    figure = style.figure(PAGE, 100 * MM)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    elevation(run, ground, top).set_xlabel("")
-    slope(run, ground, bottom).legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    return style.finished(figure, run, [top])
 
 
 def slipping_directions(run: Trajectory) -> tuple[str, ...]:
@@ -553,8 +553,7 @@ def _joints(run: Trajectory) -> list[str]:
 
 def _distance(run: Trajectory) -> Array:
     """Return the length of the platform's path up to each sample, shape (n,) [m]."""
-    steps = [np.diff(run[name]) for name in ("x", "y", "z")]
-    return np.concatenate([[0.0], np.cumsum(np.sqrt(sum(step**2 for step in steps)))])
+    return np.append(0.0, np.cumsum(np.sqrt(sum(np.diff(run[name]) ** 2 for name in "xyz"))))
 
 
 def _directions(x: Array, y: Array, width: float) -> list[tuple[tuple[float, float], float]]:

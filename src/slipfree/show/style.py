@@ -108,13 +108,6 @@ def unit(unit: str) -> str:
     return "/".join([over, *(p.removesuffix("-1") for p in parts if p.endswith("-1"))])
 
 
-def remark(ax: Axes, words: str, above: bool = False) -> None:
-    """Write a text in the axes, or above them if `above` is true."""
-    x, y, ha, va = (1.0, 1.03, "right", "bottom") if above else (0.5, 0.6, "center", "center")
-    box = {"fc": "white", "ec": "none", "pad": 2}
-    ax.text(x, y, words, transform=ax.transAxes, ha=ha, va=va, bbox=box)
-
-
 def position_axis(axis: Any, name: str, low: float) -> None:
     """Label an axis of x, y or z; large coordinates are drawn relative to a round number."""
     start = 1000 * np.floor(low / 1000) if abs(low) >= LARGE else 0.0

@@ -35,7 +35,6 @@ TASKS_PER_PROCESS = 4  # so that all processes end at about the same time
 ALIGNMENT = 64  # of arrays in shared memory [byte]
 
 Model = Dae | Callable[..., Dae]
-Start = Trajectory | Mapping[str, float]
 
 
 def rollouts(

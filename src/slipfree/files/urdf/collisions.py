@@ -42,7 +42,9 @@ def body_shapes(
     on_wheels = {j.child for wheel in wheels for j in [wheel, *tree.below(wheel.child)]}
     links = [link for link in tree.links.values() if link.name not in on_wheels]
     meshes = [each.mesh for link in links for each in link.collisions if each.mesh]
-    files, centers = MeshFiles(meshes, Path(tree.file).parent), _centers(tree, wheels)
+    files = MeshFiles(meshes, Path(tree.file).parent)
+    places = [tree.frames[wheel.child][1] for wheel in wheels]
+    centers = np.array(places or [np.full(3, np.inf)])
     parent = {joint.child: joint.parent for joint in tree.joints.values()}
     shapes: dict[str, list[BodyShape]] = defaultdict(list)
     touching, unread, reduced = list[str](), dict[str, str](), list[str]()
@@ -67,12 +69,6 @@ def body_shapes(
             shapes[owner].append(_placed(placed, rotation.T, -rotation.T @ origin))
     by_link = {owner: tuple(of_link) for owner, of_link in shapes.items()}
     return by_link, [*_notes(touching, reduced, unread)]
-
-
-def _centers(tree: Tree, wheels: Collection[UrdfJoint]) -> Array:
-    """Return the centres of wheels in the root's frame, (m, 3) [m]; a far point without any."""
-    centers = [tree.frames[wheel.child][1] for wheel in wheels]
-    return np.array(centers or [np.full(3, np.inf)])
 
 
 def _notes(
