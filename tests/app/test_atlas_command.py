@@ -18,6 +18,7 @@ from slipfree import Bicubic, catalog, direct_kinematics, read_map
 from slipfree.atlas import atlas as core
 from slipfree.files.atlas_files import open_atlas
 from slipfree.problem import atlas_tiles
+from slipfree.sweep import pools
 
 INTERPRETED = sets("atlas.compiled=false")
 QUICK = *INTERPRETED, "--no-draw", "--headings", "2"
@@ -264,7 +265,8 @@ def test_hostile_maps_are_refused(z, more, expected):
         (("three_wheeler", *sets("model=dynamics")), "'kinematics' or 'quasi-static'"),
     ],
 )
-def test_wrong_arguments_are_named(words, expected):
+def test_wrong_arguments_are_named(words, expected, monkeypatch):
+    monkeypatch.setattr(pools, "CONNECT", 0.3)
     assert expected in refused("atlas", "site.tif", *words)
 
 

@@ -107,13 +107,9 @@ def without_mass(run: Trajectory) -> Trajectory:
     return replace(run, columns=columns, attributes={})
 
 
-def figures(run: Trajectory, grid: sf.Grid, surface=None) -> dict[str, Figure]:
-    return plots.draw(motion_figures.motion_plots(run, grid, surface))
-
-
-def loads(run: Trajectory, grid: sf.Grid) -> dict[str, Figure]:
-    found = motion_figures.motion_plots(run, grid)
-    return plots.draw(plot for plot in found if plot.name in LOADS)
+def figures(run: Trajectory, grid: sf.Grid, *only: str, surface=None) -> dict[str, Figure]:
+    found = motion_figures.motion_plots(run, grid, surface)
+    return plots.draw(plot for plot in found if plot.name in only or not only)
 
 
 def save_figures(run: Trajectory, grid: sf.Grid, folder: Path, formats=("png",)) -> list[Path]:
@@ -250,7 +246,7 @@ def analytic_slope(run: Trajectory) -> np.ndarray:
 def test_slope_is_that_of_a_formula_to_rounding(run, grid, ax):
     motion_figures.slope(run, sf.Analytic(hills), ax)
     np.testing.assert_allclose(ax.lines[0].get_ydata(), analytic_slope(run), atol=1e-15)
-    lower = figures(run, grid, sf.Analytic(hills))["elevation"].axes[1]
+    lower = figures(run, grid, "elevation", surface=sf.Analytic(hills))["elevation"].axes[1]
     np.testing.assert_allclose(lower.lines[0].get_ydata(), analytic_slope(run), atol=1e-15)
 
 
@@ -286,10 +282,10 @@ def test_written_figures_leave_the_memory(tmp_path):
 
 @pytest.mark.slow
 def test_filled_holes_are_hatched_on_the_map(run, grid):
-    assert "filled holes" not in words(figures(run, grid)["map"])
+    assert "filled holes" not in words(figures(run, grid, "map")["map"])
     filled = np.zeros(grid.z.shape, dtype=bool)
     filled[30:33, 20:28] = True
-    figure = drawn(figures(run, replace(grid, filled=filled))["map"])
+    figure = drawn(figures(run, replace(grid, filled=filled), "map")["map"])
     assert words(figure).count("filled holes") == 1
     hatched = [c for ax in figure.axes for c in ax.collections if getattr(c, "hatches", [None])[0]]
     assert hatched
@@ -336,8 +332,9 @@ def test_figures_of_a_motion_depend_on_what_it_has(run, grid):
 @pytest.mark.slow
 def test_large_map_coordinates_count_from_a_round_one(run, grid):
     x, y = 500_123.0, 4_512_340.0
-    drawings = figures(moved(run, x, y), sf.Grid(grid.x + x, grid.y + y, grid.z))
-    for name in ("map", "terrain", "loci"):
+    names = ("map", "terrain", "loci")
+    drawings = figures(moved(run, x, y), sf.Grid(grid.x + x, grid.y + y, grid.z), *names)
+    for name in names:
         axes = drawn(drawings[name]).axes[0]
         assert axes.get_xlabel() == "east $x$ - 500000 [m]"
         assert axes.get_ylabel() == "north $y$ - 4512000 [m]"
