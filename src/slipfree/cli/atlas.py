@@ -21,6 +21,7 @@ from slipfree.cli.common import (
     check_workers,
     counted,
     detail,
+    output_option,
     print_facts,
     print_line,
     read_problem,
@@ -95,11 +96,9 @@ def atlas(
     ] = None,
     out: Annotated[
         list[Path] | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="OUT.tif|OUT.nc",
-            help="GeoTIFF of the maps over the headings, or netCDF file of all poses; repeatable. "
+        output_option(
+            "OUT.tif|OUT.nc",
+            "GeoTIFF of the maps over the headings, or netCDF file of all poses; repeatable. "
             "Default: the name of the problem with .tif, or of the map with _atlas.tif, in the "
             "current folder.",
         ),

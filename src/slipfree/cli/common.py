@@ -111,6 +111,11 @@ InputFolder = Annotated[
 ]
 
 
+def output_option(metavar: str, meaning: str) -> Any:
+    """Return the option ``-o`` of a command."""
+    return typer.Option("-o", "--output", metavar=metavar, help=meaning)
+
+
 class OutputOptions(NamedTuple):
     """Values of the output options of a command."""
 

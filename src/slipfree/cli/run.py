@@ -16,6 +16,7 @@ from slipfree.cli.common import (
     add_json,
     detail,
     note_failure,
+    output_option,
     print_error,
     print_facts,
     print_line,
@@ -50,11 +51,9 @@ if TYPE_CHECKING:
 
 Out = Annotated[
     Path | None,
-    typer.Option(
-        "-o",
-        "--output",
-        metavar="OUT.nc",
-        help="Result file; default: the [output] file of the problem, or its name with .nc in the "
+    output_option(
+        "OUT.nc",
+        "Result file; default: the [output] file of the problem, or its name with .nc in the "
         "current folder.",
     ),
 ]

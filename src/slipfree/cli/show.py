@@ -23,6 +23,7 @@ from slipfree.cli.common import (
     add_json_file,
     counted,
     detail,
+    output_option,
     print_line,
     reported,
     warn,
@@ -188,9 +189,7 @@ def report(
     file: ResultFile,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--output", metavar="OUT.html", help="Page to write; default: OUT.html."
-        ),
+        output_option("OUT.html", "Page to write; default: OUT.html."),
     ] = None,
     folder: InputFolder = None,
 ) -> None:

@@ -22,6 +22,7 @@ from slipfree.cli.common import (
     add_json,
     detail,
     has_bar,
+    output_option,
     print_error,
     print_facts,
     print_line,
@@ -129,18 +130,16 @@ def fit(
     settings: Settings = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="OUT.csv",
-            help="Table of the estimates; the table of the windows and the figure have the same "
+        output_option(
+            "OUT.csv",
+            "Table of the estimates; the table of the windows and the figure have the same "
             "name with _windows.csv and .png. Default: the name of the file, in the current "
             "folder; with _fit if that is an input.",
         ),
     ] = None,
     write: Annotated[
         Path | None,
-        typer.Option("--write", metavar="FILE.toml", help="Write the fitted vehicle or soil."),
+        typer.Option(metavar="FILE.toml", help="Write the fitted vehicle or soil."),
     ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Replace an existing vehicle or soil file.")
@@ -148,7 +147,6 @@ def fit(
     predict: Annotated[
         list[Path] | None,
         typer.Option(
-            "--predict",
             metavar="LOG",
             help="Another log, to be predicted with constants that are fitted to all logs of the "
             "file, for verb = 'fit-over-map'; may be repeated. By default, the logs of each folder "
@@ -334,11 +332,9 @@ def wheel(
     settings: Settings = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="OUT.csv",
-            help="Table of the curves; the figure has the same name with .png. "
+        output_option(
+            "OUT.csv",
+            "Table of the curves; the figure has the same name with .png. "
             "Default: the name of the file, in the current folder; with _wheel if that is an "
             "input.",
         ),
@@ -391,11 +387,8 @@ def pareto(
     settings: Settings = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="DIR",
-            help="Folder of table, plans and figure; default: the problem's name with _pareto.",
+        output_option(
+            "DIR", "Folder of table, plans and figure; default: the problem's name with _pareto."
         ),
     ] = None,
     processes: Annotated[
@@ -469,7 +462,6 @@ def track(
     by: Annotated[
         list[str] | None,
         typer.Option(
-            "--by",
             metavar="WAY",
             help="Way to follow the plan: inputs, follow, replan or sampling; may be repeated. "
             "Default: all.",
@@ -478,7 +470,6 @@ def track(
     disturb: Annotated[
         list[str] | None,
         typer.Option(
-            "--disturb",
             metavar="NAME=SIZE",
             help="Random disturbance of the world: heights (rms) [m]; friction, radii, inputs, "
             "relative; latency [s]. May be repeated.",
@@ -504,11 +495,9 @@ def track(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="OUT.nc",
-            help="File for the last motion, by the last way with the last seed; the figure has the "
+        output_option(
+            "OUT.nc",
+            "File for the last motion, by the last way with the last seed; the figure has the "
             "same name with .png. Default: neither.",
         ),
     ] = None,

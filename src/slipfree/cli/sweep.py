@@ -21,6 +21,7 @@ from slipfree.cli.common import (
     counted,
     detail,
     duration,
+    output_option,
     print_facts,
     print_line,
     reported,
@@ -62,11 +63,9 @@ def sweep(
     settings: Settings = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="DIR",
-            help="Folder of the results; default: the problem's name with _sweep. "
+        output_option(
+            "DIR",
+            "Folder of the results; default: the problem's name with _sweep. "
             "Runs of this sweep that it already contains are not repeated.",
         ),
     ] = None,
