@@ -1,113 +1,63 @@
 """Public names of `slipfree` and the modules that define them, for lazy_loader and mypy."""
 
-from . import catalog
-from .atlas.atlas import atlas
-from .batch.many import settle_many
-from .control.path_following import commanded, follow, straight
-from .core.dae import Dae
-from .core.errors import DataError, ModelError, SlipfreeError
-from .core.outcome import Outcome
-from .core.trajectory import SolverError, Trajectory
-from .core.version import __version__
-from .files.maps.elevation import read_map
-from .geometry.path import Path
-from .geometry.regions import Region
-from .laws.compliant import Compliant
-from .laws.coulomb import Coulomb
-from .laws.least_slip import LeastSlip
-from .laws.linear_creep import LinearCreep
-from .laws.rolling import Rolling
-from .laws.soil import Soil
-from .models.dynamics import dynamics
-from .models.inverse import inverse_kinematics
-from .models.kinematics import direct_kinematics
-from .models.montana import cross_check, montana_kinematics
-from .models.quasi_statics import quasi_statics
-from .models.rigid_dynamics import rigid_dynamics
-from .plan.mpc import replan
-from .plan.plan import plan
-from .plan.sampling import SamplingTask, sample_plan
-from .plan.search import Search
-from .plan.stage import Cost
-from .plan.transcription import Mesh
-from .problem.build_vehicle import read_vehicle
-from .problem.load import load_problem
-from .problem.result import open_result, run_problem
-from .routing.search import Route
-from .show.motion_figures import plot
-from .solve.options import SolverOptions
-from .solve.rollouts import rollouts
-from .solve.settle import settle
-from .solve.simulate import simulate
-from .terrain.analytic import Analytic
-from .terrain.base import Grid
-from .terrain.bicubic import Bicubic
-from .terrain.solids import Solids
-from .vehicle.drives import Motor, Rate, Torque
-from .vehicle.gravity import in_gravity
-from .vehicle.tree import Body, Coordinate, Joint, Vehicle, planar
-from .vehicle.wheel import Wheel
-
-__all__ = [
-    "Analytic",
-    "Bicubic",
-    "Body",
-    "Compliant",
-    "Coordinate",
-    "Cost",
-    "Coulomb",
-    "Dae",
-    "DataError",
-    "Grid",
-    "Joint",
-    "LeastSlip",
-    "LinearCreep",
-    "Mesh",
-    "ModelError",
-    "Motor",
-    "Outcome",
-    "Path",
-    "Rate",
-    "Region",
-    "Rolling",
-    "Route",
-    "SamplingTask",
-    "Search",
-    "SlipfreeError",
-    "Soil",
-    "Solids",
-    "SolverError",
-    "SolverOptions",
-    "Torque",
-    "Trajectory",
-    "Vehicle",
-    "Wheel",
-    "__version__",
-    "atlas",
-    "catalog",
-    "commanded",
-    "cross_check",
-    "direct_kinematics",
-    "dynamics",
-    "follow",
-    "in_gravity",
-    "inverse_kinematics",
-    "load_problem",
-    "montana_kinematics",
-    "open_result",
-    "plan",
-    "planar",
-    "plot",
-    "quasi_statics",
-    "read_map",
-    "read_vehicle",
-    "replan",
-    "rigid_dynamics",
-    "rollouts",
-    "run_problem",
-    "sample_plan",
-    "settle",
-    "settle_many",
-    "simulate",
-    "straight",
-]
+from . import catalog as catalog
+from .atlas.atlas import atlas as atlas
+from .batch.many import settle_many as settle_many
+from .control.path_following import commanded as commanded
+from .control.path_following import follow as follow
+from .control.path_following import straight as straight
+from .core.dae import Dae as Dae
+from .core.errors import DataError as DataError
+from .core.errors import ModelError as ModelError
+from .core.errors import SlipfreeError as SlipfreeError
+from .core.outcome import Outcome as Outcome
+from .core.trajectory import SolverError as SolverError
+from .core.trajectory import Trajectory as Trajectory
+from .core.version import __version__ as __version__
+from .files.maps.elevation import read_map as read_map
+from .geometry.path import Path as Path
+from .geometry.regions import Region as Region
+from .laws.compliant import Compliant as Compliant
+from .laws.coulomb import Coulomb as Coulomb
+from .laws.least_slip import LeastSlip as LeastSlip
+from .laws.linear_creep import LinearCreep as LinearCreep
+from .laws.rolling import Rolling as Rolling
+from .laws.soil import Soil as Soil
+from .models.dynamics import dynamics as dynamics
+from .models.inverse import inverse_kinematics as inverse_kinematics
+from .models.kinematics import direct_kinematics as direct_kinematics
+from .models.montana import cross_check as cross_check
+from .models.montana import montana_kinematics as montana_kinematics
+from .models.quasi_statics import quasi_statics as quasi_statics
+from .models.rigid_dynamics import rigid_dynamics as rigid_dynamics
+from .plan.mpc import replan as replan
+from .plan.plan import plan as plan
+from .plan.sampling import SamplingTask as SamplingTask
+from .plan.sampling import sample_plan as sample_plan
+from .plan.search import Search as Search
+from .plan.stage import Cost as Cost
+from .plan.transcription import Mesh as Mesh
+from .problem.build_vehicle import read_vehicle as read_vehicle
+from .problem.load import load_problem as load_problem
+from .problem.result import open_result as open_result
+from .problem.result import run_problem as run_problem
+from .routing.search import Route as Route
+from .show.motion_figures import plot as plot
+from .solve.options import SolverOptions as SolverOptions
+from .solve.rollouts import rollouts as rollouts
+from .solve.settle import settle as settle
+from .solve.simulate import simulate as simulate
+from .terrain.analytic import Analytic as Analytic
+from .terrain.base import Grid as Grid
+from .terrain.bicubic import Bicubic as Bicubic
+from .terrain.solids import Solids as Solids
+from .vehicle.drives import Motor as Motor
+from .vehicle.drives import Rate as Rate
+from .vehicle.drives import Torque as Torque
+from .vehicle.gravity import in_gravity as in_gravity
+from .vehicle.tree import Body as Body
+from .vehicle.tree import Coordinate as Coordinate
+from .vehicle.tree import Joint as Joint
+from .vehicle.tree import Vehicle as Vehicle
+from .vehicle.tree import planar as planar
+from .vehicle.wheel import Wheel as Wheel
