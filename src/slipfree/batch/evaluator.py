@@ -348,7 +348,6 @@ class _Source(CodeWriter):
         self.code = "\n".join((*(self._graph(graph) for graph in graphs), steps))
 
     def function(self, name: str, function: ca.Function) -> str:
-        """Return the C code of a function."""
         used, lines = self.instructions(function)
         declared = f"  vd {','.join(f'w{k}' for k in used)};\n" if used else ""
         return (
@@ -358,7 +357,6 @@ class _Source(CodeWriter):
 
     @property
     def constants(self) -> tuple[float, ...]:
-        """Numeric constants in the order of their indices."""
         return tuple(self._constants)
 
     def _graph(self, graph: Graph) -> str:

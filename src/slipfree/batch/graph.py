@@ -249,7 +249,6 @@ def _rates(dae: Dae, w: ca.SX, eliminate: Solve) -> tuple[ca.SX, ca.SX]:
 
 
 def _distances(dae: Dae) -> tuple[list[ca.SX], tuple[int, ...]]:
-    """Return the distances to finite bounds of limits, and the index of the limit of each."""
     distances, index = list[ca.SX](), list[int]()
     for k, limit in enumerate(dae.limits):
         size = dae.size_of(limit.label)

@@ -218,7 +218,6 @@ def stand_checked(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
 
 
 def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, Source]) -> _Poses:
-    """Return the poses of states."""
     graphs = evaluate.graphs
     codes = stand_checked(evaluate, states, stand(evaluate, states))
     outcomes, reasons = ["complete"] * codes.size, [""] * codes.size
@@ -451,7 +450,6 @@ def sources_of(graphs: Graphs, names: Sequence[str] | None) -> dict[str, Source]
 
 
 def _values(evaluate: Evaluator, sources: Mapping[str, Source], samples: Array) -> dict[str, Array]:
-    """Return quantities at samples (m, n_rows, n), shape (n, m) or (n, m, n_wheels)."""
     outputs = samples
     if any(source.is_output for source in sources.values()):
         for states in samples:  # while driving, forces are only as exact as limits need them

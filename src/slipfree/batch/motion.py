@@ -205,7 +205,6 @@ class _Step(NamedTuple):
     h: Array
 
     def of(self, lanes: Mask) -> _Step:
-        """Return the steps of some lanes."""
         return _Step(*(_of(lanes, each) for each in self))
 
 
@@ -297,7 +296,6 @@ class _Run:
         self._search_contacts()
 
     def _enter(self, states: Array, lanes: Indices, k: int) -> None:
-        """Set the time of a sample, and the inputs of the interval that follows."""
         states[self.rows.t] = self.t[k]
         if k < self.t.size - 1:
             states[self.rows.u] = self.inputs[:, k, lanes]
@@ -530,7 +528,6 @@ def smallest(values: Array) -> Indices:
 
 
 def _of(lanes: Mask, array: Any) -> Any:
-    """Return the columns of some lanes, with contiguous rows."""
     return array if lanes.all() else np.compress(lanes, array, axis=-1)
 
 

@@ -176,7 +176,6 @@ def geotiff_writer(path: Path, x: Array, y: Array, site: Site) -> Iterator[Write
 
 
 def _system(crs: str) -> Any:
-    """Return a reference system of rasterio; None for an empty name."""
     from rasterio.crs import CRS as SYSTEM
     from rasterio.errors import CRSError
 
@@ -189,7 +188,6 @@ def _system(crs: str) -> Any:
 
 
 def _describe(file: Any, labels: Sequence[Label], site: Site) -> None:
-    """Write names, units and meanings of the bands, and the description of the atlas."""
     convention = HEADING.format("y" if site.frame == "paper" else "x")
     file.descriptions = tuple(f"{label.name} [{label.unit}]" for label in labels)
     file.units = tuple(label.unit for label in labels)
@@ -225,7 +223,6 @@ def write_atlas(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:
 
 
 def _define(file: Any, poses: Atlas, site: Site) -> None:
-    """Write an atlas to an open netCDF file."""
     conditions = {name: getattr(site, name) for name in CONDITIONS}
     own = {"Conventions": CONVENTIONS, ORIGIN: __version__}
     own[ATLAS] = json.dumps({**conditions, "bands": [*poses.bands]})

@@ -86,7 +86,6 @@ class _Field(NamedTuple):
 
     @property
     def declaration(self) -> str:
-        """Declaration in the record."""
         unit = self.unit.replace(" s-1", "/s")
         return f"  double {self.name}; /* {_comment(self.words)} [{unit}] */"
 
@@ -302,7 +301,6 @@ def _fields(model: _Model, frame: Frame) -> _Fields:
 
 
 def _c_name(name: str) -> str:
-    """Return a name of C that is similar to a name."""
     name = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
     return f"{name}_" if KEYWORDS.fullmatch(name) else re.sub(r"^(?=\d|$)", "_", name)
 
@@ -473,7 +471,6 @@ def _test_text(
 def _cases(
     vehicle: Vehicle, model: _Model, rng: np.random.Generator, count: int
 ) -> tuple[Array, Array, Array, Array]:
-    """Return random places, poses, commands and rates in local coordinates, a row for each case."""
     size, drawn, labels = model.direct.size, TRIES * count, list(leaves(model.direct.labels.x))
     spread = {c.name: _joint_range(vehicle, c, size) for c in vehicle.coordinates}
     spread |= {"x": (-size, size), "y": (-size, size), "heading": (-np.pi, np.pi)}
@@ -543,7 +540,6 @@ def _solved(
 
 
 def _comment(words: str) -> str:
-    """Return words for a comment of C: they neither end it nor begin another one."""
     return " ".join(words.replace("*/", "* /").replace("/*", "/ *").split())
 
 

@@ -134,7 +134,6 @@ def _motion_log(path: Path) -> MotionLog:
 
 
 def _table(path: Path, names: tuple[str, str, str]) -> tuple[int, Rows]:
-    """Return the first time [ns] and the table of `read_mcap` with the given columns."""
     topic, messages = _only_topic(path, MESSAGES[names])
     with _standard_fields(path, topic):
         stamped = [*_rows(messages)]
@@ -329,7 +328,6 @@ def definition(name: str) -> str:
 
 
 def _contained(name: str) -> Iterator[tuple[str, None]]:
-    """Yield the names of the messages that a message contains, at any depth."""
     for part in re.findall(r"^\w+/\w+", DEFINITIONS[name], re.MULTILINE):
         yield part, None
         yield from _contained(part)
@@ -399,7 +397,6 @@ def _joint_states(
 
 
 def _slip(run: Trajectory, wheel: str, frame: str) -> Iterator[Message]:
-    """Yield the slip of a wheel: along, and to the left [m/s]."""
     along, across = run["slip_along", wheel], run["slip_across", wheel]
     for x, right in zip(along.tolist(), across.tolist(), strict=True):
         content = {"frame_id": frame, "vector": _vector((x, -right, 0.0))}

@@ -252,7 +252,6 @@ def annotate(node: Any, attributes: Mapping[str, Any]) -> None:
 
 
 def _attributes(run: Trajectory) -> dict[str, Attribute]:
-    """Return the global attributes of a result file, with those of the motion."""
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     return {
         "Conventions": CONVENTIONS,
@@ -338,7 +337,6 @@ def open_netcdf(path: Path) -> NetcdfFile:
 
 
 def _variable(variable: Any) -> _Variable:
-    """Return the header of a variable that scipy has read."""
     data = root = variable.data
     while isinstance(root.base, np.ndarray):
         root = root.base
@@ -347,7 +345,6 @@ def _variable(variable: Any) -> _Variable:
 
 
 def _attributes_of(node: Any) -> dict[str, Attribute]:
-    """Return the attributes of a netCDF file or variable as text and numbers."""
     return {
         name: value.decode(errors="replace")
         if isinstance(value, bytes)
@@ -400,7 +397,6 @@ def _trajectory(file: NetcdfFile) -> Trajectory:
 
 
 def _facts(file: NetcdfFile) -> dict[str, Fact]:
-    """Return the facts stored in a result file."""
     try:
         return decode(str(file.attributes.get(FACTS, "{}")))
     except ValueError as error:
@@ -408,7 +404,6 @@ def _facts(file: NetcdfFile) -> dict[str, Fact]:
 
 
 def _outcome(file: NetcdfFile) -> Outcome:
-    """Return the outcome stored in a result file."""
     name = str(file.attributes.get(OUTCOME, "")).upper()
     if not name:
         raise result_fault(file.path, f"no attribute {OUTCOME!r}")

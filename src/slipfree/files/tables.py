@@ -94,7 +94,6 @@ class _Layout(NamedTuple):
 
     @property
     def columns(self) -> list[str]:
-        """Names of the columns, by default ``"1"``, ``"2"``, ..."""
         return self.names or [str(k + 1) for k in range(len(self.row))]
 
 
@@ -193,7 +192,6 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def _opened(path: Path, expected: str) -> TextIO:
-    """Return the text of a file; raise DataError for formats that are not text."""
     content = read_bytes(path, f"{expected} as text")
     check_ending(path, "table", f"{expected} as text")
     check_contents(path, "table", f"{expected} as text")
@@ -322,7 +320,6 @@ def _layout_with(path: Path, lines: Sequence[str], separator: str | None, width:
 
 
 def _has_width(cells: Sequence[str], width: int) -> bool:
-    """Return whether cells are as many as columns, besides empty ones at the end."""
     return len(cells) >= width and not any(cells[width:])
 
 
@@ -459,7 +456,6 @@ def _read_numbers(
 
 
 def _lines(path: Path, file: TextIO, layout: _Layout, wanted: str) -> Iterator[tuple[int, str]]:
-    """Yield number and text of the rows; raise DataError for too few or too many values."""
     separator, width = layout.separator, len(layout.row)
     for number, line in enumerate(file, start=1):
         text = _line_body(line, separator)

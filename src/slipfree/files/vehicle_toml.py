@@ -88,7 +88,6 @@ def _meters(value: float) -> float:
 
 
 def _all(check: Callable[[float], float]) -> AfterValidator:
-    """Return a validator that checks the components of a vector."""
     return AfterValidator(lambda vector: tuple(map(check, vector)))
 
 
@@ -107,7 +106,6 @@ def _axis(value: Any) -> str | Vector:
 
 
 def _rollers(value: Any) -> float | bool:
-    """Return the angle of rollers; False for a wheel without rollers."""
     if value is False:
         return False
     angle = parse_unit(value)
@@ -421,7 +419,6 @@ def _differential_errors(table: VehicleTable) -> Iterator[Fault]:
 
 
 def _coupled(draft: Draft, couple: Mapping[str, float]) -> Draft:
-    """Return a draft in which the second of two coupled joints follows the first."""
     if not couple:
         return draft
     (first, ahead), (second, behind) = couple.items()
@@ -573,7 +570,6 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
 
 
 def _body(table: JointTable | VehicleTable, faults: list[Fault], place: Place) -> Body:
-    """Return the body of a part; add an error to ``faults`` if its inertia is invalid."""
     shapes = tuple(SHAPES[s.kind](**s.model_dump(exclude={"kind"})) for s in table.shapes)
     try:
         return Body(table.mass, table.center_of_mass, table.inertia, shapes)
@@ -583,7 +579,6 @@ def _body(table: JointTable | VehicleTable, faults: list[Fault], place: Place) -
 
 
 def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:
-    """Return the wheel that a table describes; its axle is ``sideways`` by default."""
     keys = table.model_dump(include={field.name for field in fields(Wheel)})
     axle = sideways if table.axle is None else table.axle
     return Wheel(**keys | {"section": _section_of(table), "axle": axle, "drive": table.drive})

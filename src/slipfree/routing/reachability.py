@@ -126,7 +126,6 @@ def _position_objection(layers: Traversability, name: str, x: float, y: float) -
 
 
 def _keep_out_words(layers: Traversability, start: Point, goal: Point) -> str:
-    """Return a text about the keep-out regions that separate two points; empty if none do."""
     ends = node_at(layers, *start), node_at(layers, *goal)
     if _are_connected(~out_of_bounds(layers)["keep_out"], ends):
         return ""
@@ -164,7 +163,6 @@ def _labels(free: Mask) -> Array:
 
 
 def _are_connected(free: Mask, ends: Ends) -> bool:
-    """Return whether free ground connects two nodes; the two nodes count as free."""
     free = free.copy()
     free[ends[0]] = free[ends[1]] = True
     labels = _labels(free)

@@ -223,7 +223,6 @@ def routes(
 
 
 def _check_ends(layers: Traversability, start: Point, goal: Point, turning_radius: float) -> None:
-    """Raise ModelError for invalid, blocked or equal ends and for an invalid turning radius."""
     for name, point in (("start", start), ("goal", goal)):
         x, y = (float(each) for each in point)
         if not (math.isfinite(x) and math.isfinite(y)):

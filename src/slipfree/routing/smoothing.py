@@ -140,7 +140,6 @@ def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Fiel
 
 
 def _nearest(off: Mask, h: tuple[float, float]) -> tuple[Array, Array]:
-    """Return the indices of the node outside a mask nearest to every node."""
     i, j = scipy.ndimage.distance_transform_edt(off, h, return_distances=False, return_indices=True)
     return i, j
 
@@ -220,7 +219,6 @@ def _objective(field: _Field, p: Array, aim: _Objective) -> tuple[float, Array, 
 
 
 def _squares(vectors: Array) -> Array:
-    """Return the outer products of vectors with themselves, shape (n, 2, 2)."""
     return np.asarray(vectors[:, :, None] * vectors[:, None, :])
 
 

@@ -238,7 +238,6 @@ def pose_costs(poses: Atlas) -> Array:
 
 
 def _nodes_of(layers: Traversability, poses: Atlas) -> tuple[npt.NDArray[np.intp], ...]:
-    """Return the indices of the nodes of poses along both axes."""
     return nearest_nodes(layers.x, poses.x), nearest_nodes(layers.y, poses.y)
 
 
@@ -426,7 +425,6 @@ def reasons_by_kind(layers: Traversability, x: float, y: float) -> dict[str, str
 
 
 def _pose_reasons(poses: Atlas, x: float, y: float) -> str:
-    """Return why no heading is possible at the node of the poses nearest to a position."""
     i, j = (int(np.abs(axis - at).argmin()) for axis, at in ((poses.x, x), (poses.y, y)))
     codes = poses["reason"][:, i, j]
     words = [poses.reasons[int(code)] for code in np.unique(codes[codes > 0])]

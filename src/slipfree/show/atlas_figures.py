@@ -114,7 +114,6 @@ def shaded(colors: Array, drawn: AtlasView) -> Array:
 
 
 def _image(drawn: AtlasView, values: Array, scale: Colormap, norm: Normalize, ax: Axes) -> None:
-    """Draw a map over the hillshade, grey where it has no value."""
     colors = scale(norm(np.nan_to_num(values)))[..., :3]
     colors[np.isnan(values)] = UNKNOWN
     image = np.clip(shaded(colors, drawn), 0, 1).swapaxes(0, 1)
@@ -135,14 +134,12 @@ def _axes(x: Array, y: Array, ax: Axes) -> None:
 
 
 def _sized(drawn: AtlasView, columns: int = 1, below: float = 0.0) -> Figure:
-    """Return a figure for maps side by side, with room below in millimetres."""
     width = PAGE / columns - 25 * MM
     height = width * np.ptp(drawn.y) / np.ptp(drawn.x)
     return style.figure(PAGE, float(np.clip(height, 40 * MM, PAGE)) + (18 + below) * MM)
 
 
 def _bar(figure: Figure, ax: Any, scale: Colormap, norm: Normalize, label: str, **how: Any) -> None:
-    """Draw a colour bar beside axes."""
     figure.colorbar(ScalarMappable(norm, scale), ax=ax, label=label, shrink=0.85, **how)
 
 

@@ -168,7 +168,6 @@ def _with_solids(ground: SceneGround, solids: Sequence[TriangleMesh]) -> SceneGr
 def _backdrop(
     first: Driven, window: Window, origin: Array, reach: float, solids: Sequence[TriangleMesh]
 ) -> Backdrop:
-    """Return the ground of a film: shaded in plan view, and a surface around the vehicle."""
     terrain = first.terrain
     blocks = [mesh.vertices[face] for mesh in solids for face in mesh.faces]
 
@@ -254,7 +253,6 @@ def _pose_layers(drawn: Grid, drive: Driven, window: Window) -> Iterator[Layer]:
 
 
 def _gray(colored: Layer, part: Mask) -> Layer:
-    """Return a layer with gray vertices in a part."""
     colored.colors[part] = BLOCKED
     return colored
 
@@ -262,7 +260,6 @@ def _gray(colored: Layer, part: Mask) -> Layer:
 def _actor(
     drive: Driven, run: Trajectory, name: str, k: int, origin: Array, ghost: bool = False
 ) -> Actor:
-    """Return body and wheels of a vehicle with their motion, as an actor of the scene."""
     vehicle, color = drive.vehicle, color_of(k)
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], axis=-1)
     bodies = vehicle_bodies(vehicle, run, color)
@@ -383,7 +380,6 @@ def _link_bodies(drive: Driven, robot: Robot, color: Color) -> Iterable[SceneBod
 
 
 def _arrows(run: Trajectory, drive: Driven, contacts: Array, axles: Array) -> list[Arrows]:
-    """Return the arrows of slip velocities and contact forces; absent quantities are skipped."""
     normals = ground_normals(drive.terrain, contacts)
     height = drive.terrain.elevation(contacts[..., 0], contacts[..., 1])
     nearest = np.abs(contacts[..., 2] - height)
@@ -441,7 +437,6 @@ def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]
 
 
 def _others(drives: Sequence[Driven]) -> Iterable[str]:
-    """Yield notes on differences between the drawn ground and the grounds of the other motions."""
     first = drives[0]
     west, east, south, north = first.terrain.domain
     for drive in drives[1:]:

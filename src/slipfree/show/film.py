@@ -301,7 +301,6 @@ def _sample(actor: Actor, t: float) -> int:
 
 
 def _draw_paths(ax: Axes, scene: Scene) -> list[Any]:
-    """Draw the ground and the paths of all motions; return the markers of current positions."""
     scene.backdrop.draw(ax)
     markers = []
     for actor in scene.actors:

@@ -55,7 +55,6 @@ def fit_figure(calibration: Calibration) -> Figure:
 
 
 def _draw_ends(ax: Axes, calibration: Calibration, axis: int, words: str, factor: float) -> None:
-    """Draw one component of predicted over measured end poses."""
     measured = factor * calibration.test.measured[:, axis]
     for k, name in enumerate(("nominal", "fitted")):
         predicted = measured + factor * getattr(calibration.test, name)[:, axis]
@@ -69,7 +68,6 @@ def _draw_ends(ax: Axes, calibration: Calibration, axis: int, words: str, factor
 
 
 def _pairs(estimate: Estimate) -> list[tuple[int, int]]:
-    """Return the pairs of determined unknowns, those with the strongest correlations first."""
     spread = np.sqrt(np.diag(estimate.covariance))
     known = [k for k in range(spread.size) if 0 < spread[k] < np.inf]
 
@@ -81,7 +79,6 @@ def _pairs(estimate: Estimate) -> list[tuple[int, int]]:
 
 
 def _draw_ellipse(ax: Axes, estimate: Estimate, i: int, j: int) -> None:
-    """Draw the joint confidence ellipse of two estimates."""
     part = estimate.covariance[np.ix_([i, j], [i, j])]
     values, vectors = np.linalg.eigh(part)
     radii = np.sqrt(np.maximum(values, 0) * float(chi2.ppf(CONFIDENCE, 2)))

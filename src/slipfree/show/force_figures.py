@@ -247,7 +247,6 @@ def _quantity(run: Trajectory) -> str:
 
 
 def _worst(run: Trajectory) -> tuple[int, int]:
-    """Return sample and wheel of the largest utilisation."""
     values = run["utilisation"]
     k, wheel = np.unravel_index(np.argmax(values), values.shape)
     return int(k), int(wheel)

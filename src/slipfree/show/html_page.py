@@ -108,7 +108,6 @@ def page_script(name: str) -> str:
 
 
 def _layers(scene: Scene, color: str) -> str:
-    """Return HTML to choose a layer of the ground, with the legends of all layers."""
     options = "".join(
         f'<option value="layer-{layer.name}" data-ground="/world/ground {layer.name}"'
         f"{' selected' if layer.name == color else ''}>{escape(layer.name)}</option>"
@@ -123,7 +122,6 @@ def _layers(scene: Scene, color: str) -> str:
 
 
 def _switch(words: str, nodes: Sequence[str]) -> str:
-    """Return HTML of a checkbox that shows or hides nodes of the scene."""
     names = escape("|".join(nodes))
     box = f'<input type="checkbox" checked data-node="{names}" style="{CHECK}">'
     return f'<label style="display:flex;align-items:baseline">{box}<span>{words}</span></label>'
@@ -168,7 +166,6 @@ def page(report: Report, progress: Callable[[int, int], object] | None = None) -
 
 
 def _lines(report: Report, sections: Mapping[str, str]) -> Iterator[str]:
-    """Yield the lines of a page."""
     ids = {name: name.lower().replace(" ", "-") for name in sections}
     yield '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">'
     yield f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'

@@ -132,7 +132,6 @@ class Guard:
             self._show(words + more)
 
     def _refusal(self, connection: Any, request: Any) -> Any:
-        """Return the response to a request that is refused, else None and remove the secret."""
         hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
         port = connection.local_address[1]
         path, refusal = self.gate.admit(request.path, hosts, origins, port)
@@ -159,7 +158,6 @@ class Guard:
         socket.unregister_handler(ShareUrlRequest)  # it would publish the page on another host
 
     def _report(self, _loop: object, context: Mapping[str, Any]) -> None:
-        """Report an error in a task of the server, which continues."""
         self.warn(f"ignored a message: {_short(context.get('exception', context['message']))}")
 
     def _logger(self) -> logging.Logger:

@@ -205,7 +205,6 @@ class Refined(NamedTuple):
         return total
 
     def _empty(self) -> npt.NDArray[np.bool_]:
-        """Return the mask of cells with all four corners in holes, shape (n_x - 1, n_y - 1)."""
         holes = self.grid.holes
         if holes is None:
             return np.zeros_like(self.near)
@@ -265,7 +264,6 @@ def refined(
 
 
 def _dense(path: Array, step: float) -> Array:
-    """Return points along a path, shape (m, 2), at most ``step`` metres apart."""
     lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     at = np.linspace(0, lengths[-1], max(2, ceil(lengths[-1] / step) + 1))
     return np.stack([np.interp(at, lengths, each) for each in path.T], axis=1)

@@ -513,7 +513,6 @@ def slipping_directions(run: Trajectory) -> tuple[str, ...]:
 
 
 def _law(run: Trajectory) -> str:
-    """Return a note on the law that determines the slip."""
     if run.attributes.get("model") == "dynamics":
         return "Slip of a motion with inertia and compliant contact."
     if run.attributes.get("model") == "quasi-static":
@@ -545,7 +544,6 @@ def _moving_joints(run: Trajectory) -> list[str]:
 
 
 def _joints(run: Trajectory) -> list[str]:
-    """Return the names of the joints' angles."""
     angles = [n for n, c in run.columns.items() if c.label.unit == "rad" and c.values.ndim == 1]
     stops = {f"{name}_stop" for name in angles}
     return [name for name in angles if name not in stops and name not in POSE]

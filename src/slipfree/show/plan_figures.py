@@ -309,7 +309,6 @@ def _panels(
     bounds: Mapping[str, Range],
     limits: Mapping[str, Range],
 ) -> list[Panel]:
-    """Return the panels for inputs, limited quantities, keep-out distances and slip of a plan."""
     drawings: list[tuple[float, Callable[[Axes], Any]]] = []
     if bounds:
         entries = sum(len(textwrap.wrap(style.words(name), WRAP)) for name in bounds)
@@ -339,7 +338,6 @@ def _beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
 
 
 def _deviation_note(run: Trajectory) -> str:
-    """Return a note on the deviation of the simulation from the plan; empty if it is unknown."""
     missed = [
         f"{style.words(name)} {gap.value:.1e} {unit}"
         for name, gap in starting_with("plan_difference_", run.facts).items()
@@ -353,7 +351,6 @@ def _deviation_note(run: Trajectory) -> str:
 
 
 def _bound(value: float, ax: Axes, color: str = "0.4", words: str = "limit") -> None:
-    """Draw a bound as a horizontal line."""
     ax.axhline(value, color=color, lw=0.8, ls=(0, (6, 2)), zorder=1, label=words)
 
 
@@ -371,6 +368,5 @@ def _blocked(layers: Traversability, part: Mask, ax: Axes) -> Array:
 
 
 def _outline(region: Region) -> Polygon:
-    """Return the outline of a keep-out region."""
     looks: dict[str, Any] = {"fill": False, "ec": "black", "lw": 1.0, "hatch": "////", "zorder": 2}
     return Polygon(region.outline, label="keep-out region", **looks)

@@ -105,7 +105,6 @@ def save(
 
 
 def _save_figure(plot: Plot, folder: Path, formats: Sequence[str]) -> list[Path]:
-    """Draw a figure, write it to a folder, and return the paths of the files."""
     figure = draw([plot])[plot.name]
     files = [folder / f"{plot.name}.{end}" for end in formats]
     with rc_context(STYLE):  # type: ignore[arg-type]

@@ -206,7 +206,6 @@ def chassis(positions: Array, span: tuple[float, float], radius: float) -> Trian
 
 
 def _vector_lengths(name: str, actors: Iterable[Actor]) -> Array:
-    """Return the finite lengths of all vectors of a quantity."""
     lengths = [
         np.linalg.norm(each.vectors, axis=-1).ravel()
         for actor in actors
@@ -218,7 +217,6 @@ def _vector_lengths(name: str, actors: Iterable[Actor]) -> Array:
 
 
 def _top_speed(actor: Actor) -> float:
-    """Return the largest speed of the platform between two samples [m/s]."""
     steps = np.linalg.norm(np.diff(actor.bodies[0].origins, axis=0), axis=1)
     times = np.diff(actor.t)
     return float((steps[times > 0] / times[times > 0]).max(initial=0.0))
@@ -235,7 +233,6 @@ def _scale(name: str, actors: Iterable[Actor], longest: float, least: float) -> 
 
 
 def _reason_without_arrows(name: str, actors: Iterable[Actor]) -> str:
-    """Return the reason why a scene has no arrows of a quantity."""
     sizes = _vector_lengths(name, actors)
     if not sizes.size:
         return f"the results contain no {name}"
@@ -326,6 +323,5 @@ def _coordinate(name: str, value: float) -> str:
 
 
 def _segments(line: Array) -> Array:
-    """Return the segments between consecutive points, shape (n, 2, 3); NaN ends are omitted."""
     segments = np.stack([line[:-1], line[1:]], axis=1)
     return np.asarray(segments[np.isfinite(segments).all(axis=(1, 2))])

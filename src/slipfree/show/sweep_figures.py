@@ -153,7 +153,6 @@ def _name_axis(axis: Any, varied: Varied) -> None:
 
 
 def _ticks(axis: Any, values: Sequence[str]) -> None:
-    """Label the positions 0, 1, ... of an axis by values; omit some if there are many."""
     every = -(-len(values) // (2 * ROOM))
     words = [value.strip('"') for value in values[::every]]
     crowded = axis.axis_name == "x" and sum(map(len, words)) > 6 * ROOM
@@ -180,7 +179,6 @@ def _write_values(mean: Array, drawn: Any, ax: Axes) -> None:
 
 
 def _labelled(name: str, unit: str) -> str:
-    """Return a label of the name and its unit."""
     return f"{name} [{style.unit(unit)}]" if unit else name
 
 
@@ -214,7 +212,6 @@ def front_figure(front: DrawnFront) -> Figure:
 
 
 def _draw_points(front: DrawnFront, values: Array, given: float, ax: Axes) -> None:
-    """Draw the values of solved points, and marks at the bounds of unsolved points."""
     solved = np.isfinite(values)
     kept = solved & ~front.is_dominated
     shown = np.append(values[solved], given)
@@ -288,7 +285,6 @@ def wheel_figure(test: DrawnWheel) -> Figure:
 
 
 def _draw(test: DrawnWheel, name: str, factor: float, ax: Axes) -> None:
-    """Draw the curves of a quantity, and its measured points."""
     for k, angle in enumerate(test.angle):
         label = f"{np.rad2deg(angle):.3g} deg"
         ax.plot(test.slip, factor * test.values[name][k], label=label, **style.look(k))

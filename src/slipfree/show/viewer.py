@@ -97,7 +97,6 @@ def page(scene: Scene, title: str, color: str) -> str:
 def _server(
     port: int, warn: Callable[[str], None] = lambda _: None
 ) -> tuple[viser.ViserServer, str]:
-    """Return a guarded viser server on a port, and the address of its page."""
     guard = Guard(warn, page_script("viewer_keys.js"))
     try:
         server = guard.start(port)
@@ -225,11 +224,9 @@ class _RunNodes:
 
     @property
     def position(self) -> Array:
-        """Position of the platform at the shown sample, in scene coordinates, shape (3,) [m]."""
         return np.asarray(self.actor.bodies[0].origins[self.last])
 
     def show(self, t: float) -> None:
-        """Show the sample nearest to a time [s]; the first or last one for times outside."""
         actor = self.actor
         k = int(np.clip(np.searchsorted(actor.t, t), 0, actor.t.size - 1))
         if k > 0 and t - actor.t[k - 1] < actor.t[k] - t:
@@ -251,7 +248,6 @@ class _RunNodes:
         self.point(k)
 
     def point(self, k: int) -> None:
-        """Update the arrows to sample ``k``."""
         for node, each in self.arrows:
             lines = _lines(each, k, self.scales[each.name], self.position)
             node.visible = self.shown[each.name] and len(lines) > 0
@@ -260,7 +256,6 @@ class _RunNodes:
 
 
 def _lines(arrows: Arrows, k: int, scale: float, origin: Array) -> Array:
-    """Return starts and ends of arrows at a sample relative to a position, shape (n, 2, 3) [m]."""
     starts, vectors = arrows.starts[k] - origin, arrows.vectors[k] * scale
     kept = np.isfinite(starts).all(axis=-1) & (np.linalg.norm(vectors, axis=-1) > 0)
     return np.asarray(np.stack([starts, starts + vectors], axis=1)[kept], dtype=np.float32)
@@ -285,7 +280,6 @@ def _add_ground(
 
 
 def _add_lines(server: viser.ViserServer, lines: Lines) -> Any:
-    """Add lines on the ground with their labels; return the node that shows or hides them."""
     root = f"{WORLD}/{lines.name}"
     node = server.scene.add_frame(root, show_axes=False)
     server.scene.add_line_segments(
@@ -348,7 +342,6 @@ def _add_tracks(server: viser.ViserServer, root: str, actor: Actor, lift: float)
 
 
 def _set_camera(server: viser.ViserServer, scene: Scene) -> None:
-    """Set the camera to a view of all paths, or to a close view of the first vehicle."""
     low, high = scene.paths.min(axis=0), scene.paths.max(axis=0)
     middle, away = (low + high) / 2, max(0.7 * float(np.linalg.norm(high - low)), 2.5 * scene.reach)
     if scene.is_far:
@@ -406,7 +399,6 @@ class _Controls:
             gui.add_html("".join(f"<p>{escape(note)}</p>" for note in notes))
 
     def advance(self, seconds: float) -> None:
-        """Advance the time by real seconds if playing; continue at the start after the end."""
         if self.playing.value:
             first, last = self.ends
             t = max(first, self.time.value)  # a page may send any number
@@ -426,7 +418,6 @@ class _Controls:
         self.speed.value = SPEEDS[min(max(k, 0), len(SPEEDS) - 1)]
 
     def toggle(self) -> None:
-        """Play or pause."""
         self.playing.value = not self.playing.value
 
     def _add_buttons(self, gui: Any) -> None:

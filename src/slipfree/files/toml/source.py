@@ -297,7 +297,6 @@ def record_at(schema: type[Any], place: Place, data: Any) -> type[Any]:
 
 
 def _records(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the record types in an annotation, such as an optional array of records."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for part in get_args(annotation):
@@ -366,7 +365,6 @@ def decode_text(path: Path, raw: bytes) -> str:
 
 
 def _syntax(path: Path, text: str, message: str) -> str:
-    """Return the message of an error of `load_toml`, with file, line and column if it has them."""
     place = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
     if place is not None:
         return f"{path}:{place[2]}: expected TOML, found an error in column {place[3]}: {place[1]}"
@@ -414,7 +412,6 @@ class _KeyPlaceError(ValueError):
 
 
 def _value(text: str) -> Any:
-    """Return the value of a text, which is TOML or a bare word; raise ValueError otherwise."""
     try:
         (value,) = load_toml(f"value = {text}").values()
     except ValueError:

@@ -105,8 +105,6 @@ def parse_unit(value: Any) -> Any:
 
 
 def _reader(unit: type[WithUnit], text: str) -> WrapValidator:
-    """Return a validator that accepts numbers, and texts with the given unit."""
-
     def read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
         parsed = parse_unit(value)
         if not isinstance(parsed, WithUnit):
@@ -202,7 +200,6 @@ def record_of(
 
 
 def _toml_type(key: Key) -> Any:
-    """Return the type of a key's values in TOML: arrays are tuples, angles may have a unit."""
     plain = getattr(key.hint, "__origin__", key.hint)
     if tuple in (plain, get_origin(plain)):
         return Annotated[key.hint, Field(strict=False)]
@@ -223,7 +220,6 @@ def _numbers(value: Any) -> Iterator[float]:
 
 
 def _is_number(value: Any) -> bool:
-    """Return whether a value is a number with an absolute value of at most 1e300."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return False
     return abs(value) <= MAX_NUMBER  # integers may exceed all floats
@@ -266,7 +262,6 @@ def _time_function(value: Any) -> float | Piecewise | str:
 
 
 def _range(value: Any) -> tuple[float, float]:
-    """Return the range (low, high) of a pair in ascending order, or of a number (low = high)."""
     value = [*map(parse_unit, value)] if isinstance(value, list) else parse_unit(value)
     ends = value if isinstance(value, list) else [value, value]
     if len(ends) == 2 and all(map(_is_number, ends)):

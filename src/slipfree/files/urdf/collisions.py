@@ -74,7 +74,6 @@ def body_shapes(
 def _notes(
     touching: Collection[str], reduced: Collection[str], unread: Mapping[str, str]
 ) -> Iterator[str]:
-    """Yield the notes; ``unread`` are the links of meshes that are not read, by the reason."""
     if touching:
         yield (
             "collision shapes left out of the clearance, since they reach down to the ground of "
@@ -135,7 +134,6 @@ def _corners(vertices: Array) -> Array:
 
 
 def _distances(points: Array, corners: Array) -> Array:
-    """Return the distances of points from the convex hull of corners [m]."""
     # the nearest convex combination: the heavy last row makes the weights sum to one
     heavy = 1e4 * float(np.ptp(points, axis=0).max())
     matrix = np.vstack([corners.T, np.full(len(corners), heavy)])
@@ -160,8 +158,6 @@ def _on_lower_faces(corners: Array, up: Array) -> Array:
 
 
 def _placed(shape: BodyShape, rotation: Array, origin: Array) -> BodyShape:
-    """Return a shape in another frame, in which its frame has a rotation and an origin."""
-
     def moved(point: tuple[float, float, float]) -> tuple[float, float, float]:
         return vector_of(rotation @ np.asarray(point) + origin)
 
@@ -173,7 +169,6 @@ def _placed(shape: BodyShape, rotation: Array, origin: Array) -> BodyShape:
 
 
 def _lowest(shape: BodyShape) -> float:
-    """Return the height of the lowest point of a shape in its frame [m]."""
     if isinstance(shape, Hull):
         return min(point[2] for point in shape.points)
     if isinstance(shape, Ball):

@@ -151,7 +151,6 @@ def _link(element: Element, findings: Findings) -> Link:
 
 
 def _inertia(inertial: Element, turned: Vector, findings: Findings, who: str) -> Elements | None:
-    """Return the inertia tensor of an element in link axes [kg m^2]; None if impossible."""
     element = inertial.first("inertia")
     if element is None:
         return None
@@ -164,7 +163,6 @@ def _inertia(inertial: Element, turned: Vector, findings: Findings, who: str) ->
 
 
 def _solid(element: Element, kind: str) -> Element | None:
-    """Return the element of a kind in the geometry of a collision or visual element."""
     geometry = element.first("geometry")
     return None if geometry is None else geometry.first(kind)
 
@@ -285,7 +283,6 @@ def _joint(element: Element, findings: Findings) -> UrdfJoint:
 
 
 def _limits(element: Element, kind: str, findings: Findings, who: str) -> tuple[float, float]:
-    """Return the limits of a joint, infinite from an absolute value of 1000 [rad, m]."""
     limit = element.first("limit")
     has_limits = limit is not None and {"lower", "upper"} & set(limit.attributes)
     if kind not in ("revolute", "prismatic", "fixed") or limit is None or not has_limits:
@@ -389,7 +386,6 @@ def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], findings: Findin
 
 
 def _actuated(robot: Element) -> Iterator[str]:
-    """Yield the names of the joints with a transmission, a command interface or a Gazebo drive."""
     for transmission in robot.all("transmission"):
         yield from (joint.attributes.get("name", "") for joint in transmission.all("joint"))
     for control in robot.all("ros2_control"):

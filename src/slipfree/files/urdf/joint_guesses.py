@@ -273,7 +273,6 @@ class Joints:
             chain[name] = None
 
     def _rocks(self, joint: UrdfJoint) -> bool:
-        """Return whether a joint that carries wheels lets them follow the ground."""
         followers = [
             follower
             for name, follower in self._tree.joints.items()
