@@ -306,7 +306,7 @@ class Soil:
                 ),
                 ca.vertcat(*(row for kind in zip(*rows, strict=True) for row in kind)),
             ),
-            (_no_equilibrium(contacts), *_sunk(contacts.vehicle, unknowns.sinkage)),
+            (_no_equilibrium(contacts), *_sunk(contacts.vehicle.numeric, unknowns.sinkage)),
             continuation,
             unknowns.torque,
         )
@@ -386,7 +386,7 @@ def wheel_size(wheel: Wheel) -> WheelSize:
             "friction, or other wheels"
         )
     tube, circle = wheel.section.torus_radii or (0.0, 0.0)
-    if not (tube and circle):
+    if not (tube and (isinstance(circle, ca.SX) or circle)):  # a fitted radius is an expression
         raise ModelError(
             f"wheel {wheel.name!r}: expected a torus as section, since the forces of soil depend "
             f"on the wheel's width, found {wheel.section}; set the section to "
