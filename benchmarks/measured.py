@@ -21,6 +21,7 @@ import gzip
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -245,6 +246,29 @@ def turning(folder: Path) -> Iterator[str]:
         ]
         correlation = np.corrcoef(np.array(pairs).T)[0, 1]
         yield f"  correlation between windows of {words}: {correlation:.2f}"
+    yield from _turning_by_ratio(rates, difference * lasting, turned)
+
+
+def _turning_by_ratio(rates: np.ndarray, travel: np.ndarray, turned: np.ndarray) -> Iterator[str]:
+    """Yield errors of one gain between rates and turns, by the ratio of the slower to the faster.
+
+    The gain is the median of all windows; ``travel`` is the integral of the difference.
+    """
+    order = np.argsort(np.abs(rates), axis=1)
+    slow, fast = np.take_along_axis(rates, order, axis=1).T
+    does_turn = np.abs(travel) > 1
+    gain = np.median((turned / travel)[does_turn])
+    squares = np.where(does_turn, turned - gain * travel, 0) ** 2
+    for low, high in pairwise((-1.0, -0.3, 0.05, 1.0)):
+        rows = does_turn & (slow / fast >= low) & (slow / fast < high)
+        shares = np.quantile(turned[rows] / travel[rows] / gain, [0.1, 0.5, 0.9])
+        words = ", ".join(f"{share:.2f}" for share in shares)
+        yield (
+            f"  slower side {low:+.2f} to {high:+.2f} of the faster: {rows.sum()} windows, heading "
+            f"rms {np.rad2deg(np.sqrt(squares[rows].mean())):.1f} deg, "
+            f"{100 * squares[rows].sum() / squares.sum():.0f} % of the squares; gain over the "
+            f"median, deciles 1, 5, 9: {words}"
+        )
 
 
 def _accuracy(errors: np.ndarray) -> str:
