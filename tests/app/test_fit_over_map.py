@@ -102,6 +102,7 @@ def test_wrong_problems_are_refused() -> None:
     ):
         Path("a/0.csv").write_text(f"t,x,y,left,right\n{rows}")
         assert words in printed("fit", "hill.toml", "--no-draw", code=2)
+    assert "found 0.csv in both" in printed("fit", "hill.toml", "--predict", "a/0.csv", code=2)
     assert "omit --write" in printed("fit", "hill.toml", "--write", "v.toml", code=2)
     Path("hill.toml").write_text(PROBLEM.replace("step = 0.2", "step = 0.6"))
     assert "step" in printed("fit", "hill.toml", "--no-draw", code=2)

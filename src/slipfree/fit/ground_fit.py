@@ -34,7 +34,7 @@ FIRST_DEVIATIONS = 0.25, 0.25, 0.15  # of the errors before they are known [m, m
 LEAST_DEVIATION = 1e-6  # [m, m, rad]
 COVERED = 0.9  # share of the errors inside a prediction interval
 STRAIGHT = np.deg2rad(15)  # largest error of the course of windows used for the error of the slip
-CLASSES = (-90, -25, -12, -6, 0, 6, 12, 25, 90)  # limits of the classes of grade [deg]
+CLASSES = (-35, -25, -12, -6, 0, 6, 12, 25, 35)  # limits of the classes of grade [deg]
 # of constants; otherwise the start value, or 1
 SIZES = {"drift": 0.1, "slip_slope": 1.0, "turn_slope": 5.0, "ahead": 1.0}
 RESAMPLES = 1000

@@ -178,6 +178,11 @@ def fit_over_map(problem: Problem[FitOverMap], predict: Sequence[Path] = ()) -> 
         ]
     with at(problem, ("data", "files")):
         paths = [problem.folder / name for name in spec.data.files]
+        if again := {path.resolve() for path in paths} & {path.resolve() for path in predict}:
+            raise ModelError(
+                "expected logs to predict that are not fitted, found "
+                f"{', '.join(sorted(path.name for path in again))} in both; remove them from one"
+            )
         alone = len({path.parent for path in paths}) == 1
         logs = [_read_log(path, spec, path.name if alone else str(path.parent)) for path in paths]
         others = [_read_log(path, spec, path.stem) for path in predict]
