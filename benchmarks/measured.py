@@ -21,6 +21,7 @@ import gzip
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -52,6 +53,7 @@ DRAWS, WINDOWS = 200, 60  # of synthetic poses
 STEADY, TURNING = 0.6, 2.0  # of the rates of the sides: spread, least difference [rad/s]
 HUSKY_STEP = 0.05  # time between samples of the log [s]
 HUSKY_RADIUS, HUSKY_TRACK, HUSKY_BASE = 0.165, 0.57, 0.51  # of the data sheet [m]
+HUSKY_FITTED = 0.139  # rolling radius of a fit [m]
 ISHIGAMI_LOAD = 64.68  # as codes that cite the paper assume; the paper does not state it [N]
 SEED = 0
 
@@ -213,9 +215,19 @@ def turning(folder: Path) -> Iterator[str]:
     """Yield the scatter of the turning rate over the difference of the sides, at steady rates."""
     with gzip.open(folder / "drive/husky_long.csv.gz", "rt") as file:
         rows = list(csv.DictReader(file))
-    step, number, left, right, yaw = (
-        np.array([float(row[name]) for row in rows])
-        for name in ("calib_step", "window", "wl_radps", "wr_radps", "yaw")
+    names = (
+        "calib_step",
+        "window",
+        "wl_radps",
+        "wr_radps",
+        "yaw",
+        "x",
+        "y",
+        "cmd_left",
+        "cmd_right",
+    )
+    step, number, left, right, yaw, x, y, *commands = (
+        np.array([float(row[name]) for row in rows]) for name in names
     )
     windows = [np.flatnonzero(number == each) for each in np.unique(number)]
     rates = np.array([[left[k].mean(), right[k].mean()] for k in windows])
@@ -245,6 +257,44 @@ def turning(folder: Path) -> Iterator[str]:
         ]
         correlation = np.corrcoef(np.array(pairs).T)[0, 1]
         yield f"  correlation between windows of {words}: {correlation:.2f}"
+    is_opposite = np.array([np.prod([each[k].mean() for each in commands]) < 0 for k in windows])
+    moved = np.array([np.hypot(x[k[-1]] - x[k[0]], y[k[-1]] - y[k[0]]) for k in windows])
+    moved /= np.abs(rates.mean(axis=1)) * lasting * HUSKY_FITTED
+    yield from _turning_by_ratio(rates, difference * lasting, turned, is_opposite, moved)
+
+
+def _turning_by_ratio(
+    rates: np.ndarray,
+    travel: np.ndarray,
+    turned: np.ndarray,
+    is_opposite: np.ndarray,
+    moved: np.ndarray,
+) -> Iterator[str]:
+    """Yield errors of one gain between rates and turns, by the ratio of the slower to the faster.
+
+    The gain is the median of all windows; ``travel`` is the integral of the difference;
+    ``is_opposite`` are windows whose sides are commanded in opposite directions, and ``moved`` are
+    distances over the mean travel of the wheels.
+    """
+    order = np.argsort(np.abs(rates), axis=1)
+    slow, fast = np.take_along_axis(rates, order, axis=1).T
+    does_turn = np.abs(travel) > 1
+    gain = np.median((turned / travel)[does_turn])
+    squares = np.where(does_turn, turned - gain * travel, 0) ** 2
+    for low, high in pairwise((-1.0, -0.3, 0.05, 1.0)):
+        rows = np.flatnonzero(does_turn & (slow / fast >= low) & (slow / fast < high))
+        shares = turned[rows] / travel[rows] / gain
+        tenths = np.quantile(shares, [0.1, 0.5, 0.9])
+        least = rows[shares <= tenths[0]]
+        yield (
+            f"  slower side {low:+.2f} to {high:+.2f} of the faster: {rows.size} windows, "
+            f"{100 * is_opposite[rows].mean():.0f} % commanded in opposite directions, heading "
+            f"rms {np.rad2deg(np.sqrt(squares[rows].mean())):.1f} deg, "
+            f"{100 * squares[rows].sum() / squares.sum():.0f} % of the squares; gain over the "
+            f"median, deciles 1, 5, 9: {', '.join(f'{share:.2f}' for share in tenths)}; distance "
+            f"over the wheels' travel {np.median(moved[rows]):.2f}, in the first decile "
+            f"{np.median(moved[least]):.2f}"
+        )
 
 
 def _accuracy(errors: np.ndarray) -> str:

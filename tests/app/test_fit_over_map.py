@@ -12,8 +12,10 @@ from numpy.testing import assert_allclose
 
 from helpers.commands import printed
 from helpers.hillside import AXIS, HILL, TRUE, drive
+from slipfree import read_vehicle
 from slipfree.fit.ground_fit import judge
 from slipfree.fit.ground_motion import MODELS, Slopes
+from slipfree.fit.unknowns import track
 from slipfree.problem.load import load_problem
 from slipfree.problem.verbs.fit_over_map import fit_over_map, models_of
 from slipfree.system import codegen_cache
@@ -59,13 +61,21 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.usefixtures("folder")
 def test_folders_are_predicted_in_turn() -> None:
     words = printed("fit", "hill.toml", "-o", "table.csv")
-    assert "wrote table.csv and table.png" in words
+    assert "wrote table.csv and table_constants.csv and table_windows.csv and table.png" in words
     with Path("table.csv").open() as file:
         rows = {(r["model"], float(r["length"])): r for r in csv.DictReader(file)}
     assert set(rows) == {(m, length) for m in ("differential", "slope") for length in (5.0, 0.0)}
     for length in (5.0, 0.0):
         worse, better = (float(rows[m, length]["position_rms"]) for m in ("differential", "slope"))
         assert better < 0.2 * worse
+    with Path("table_windows.csv").open() as file:
+        windows = [r for r in csv.DictReader(file) if r["model"] == "slope"]
+    row = rows["slope", 5.0]
+    own = [r for r in windows if float(r["length"]) == 5.0]
+    inside = [abs(float(r["error_across"])) <= float(r["reach_across"]) for r in own]
+    assert len(own) == int(row["windows"])
+    assert np.mean(inside) == pytest.approx(float(row["coverage_across"]))
+    assert {r["log"] for r in own} == {"0", "1", "2", "3"}
 
 
 def test_other_logs_are_predicted(folder: Path) -> None:
@@ -75,10 +85,10 @@ def test_other_logs_are_predicted(folder: Path) -> None:
     (first, _) = shown["errors"]
     assert first["logs"] == 1
     assert first["position_rms"] < 0.05
-    words = str(shown["facts"]["slip and turning by the slope"])
-    found = dict(each.split()[:2] for each in words.split(", "))
+    assert " m, " in shown["facts"]["5 m of path, slope"].split(";")[0]  # no interval of one log
+    found = {each["name"]: each["value"] for each in shown["estimates"]}
     for name, true in TRUE.items():
-        assert float(found[name]) == pytest.approx(true, rel=0.03), name
+        assert found[name] == pytest.approx(true, rel=0.03), name
 
 
 @pytest.mark.usefixtures("folder")
@@ -92,6 +102,7 @@ def test_wrong_problems_are_refused() -> None:
     ):
         Path("a/0.csv").write_text(f"t,x,y,left,right\n{rows}")
         assert words in printed("fit", "hill.toml", "--no-draw", code=2)
+    assert "found 0.csv in both" in printed("fit", "hill.toml", "--predict", "a/0.csv", code=2)
     assert "omit --write" in printed("fit", "hill.toml", "--write", "v.toml", code=2)
     Path("hill.toml").write_text(PROBLEM.replace("step = 0.2", "step = 0.6"))
     assert "step" in printed("fit", "hill.toml", "--no-draw", code=2)
@@ -111,10 +122,12 @@ def test_pose_of_the_sensors_is_found(folder: Path) -> None:
     Path("hill.toml").write_text(PROBLEM + columns + unknowns)
     own = ("--predict", "other.csv", "--no-draw", "--set", "models=['slope']")
     shown = json.loads(printed("--json", "fit", "hill.toml", *own))
-    words = str(shown["facts"]["slip and turning by the slope"])
-    found = dict(each.split()[:2] for each in words.split(", "))
+    found = {each["name"]: each for each in shown["estimates"]}
     for name, true in (TRUE | {"sensor_ahead": 0.5, "sensor_heading": 0.4}).items():
-        assert float(found[name]) == pytest.approx(true, rel=0.03), name
+        assert found[name]["value"] == pytest.approx(true, rel=0.03), name
+    angle = found["sensor_heading"]
+    assert angle["unit"] == "rad"
+    assert 0 < angle["upper"] - angle["lower"] < 0.01
 
 
 def test_vehicles_and_their_unknowns(folder: Path) -> None:
@@ -140,14 +153,20 @@ def test_vehicle_is_judged_beside_the_models(folder: Path, monkeypatch: pytest.M
     own = own.replace(', "b/2.csv", "b/3.csv"', "")
     unknowns = "[unknowns.radius]\n[unknowns.track]\nlower = 0.6\n"
     Path("hill.toml").write_text(own + '[vehicle]\ncatalog = "differential_drive"\n' + unknowns)
-    shown = json.loads(printed("--json", "fit", "hill.toml", "--no-draw", "--predict", "b/2.csv"))
+    own = ("--no-draw", "--predict", "b/2.csv", "--write", "fitted.toml")
+    shown = json.loads(printed("--json", "fit", "hill.toml", *own))
     errors = {(r["model"], r["length"]): r["position_rms"] for r in shown["errors"]}
     for length in (5.0, 0.0):
         ratio = errors["vehicle", length] / errors["differential", length]
         assert ratio == pytest.approx(1.0, abs=0.03)
-    words = [shown["facts"][key] for key in ("differential drive", "vehicle, kinematics")]
-    tracks = [float(each.split("track ")[1].split()[0]) for each in words]
-    assert tracks[1] == pytest.approx(tracks[0], rel=0.02)
+    found = {(each["model"], each["name"]): each["value"] for each in shown["estimates"]}
+    width = found["vehicle", "track"]
+    assert width == pytest.approx(found["differential", "track"], rel=0.02)
+    assert track(read_vehicle("fitted.toml")) == pytest.approx(width)
+    tables = "[terrain]\nfile = 'hill.asc'\n[vehicle]\nfile = 'fitted.toml'\n[start]\n"
+    tables += "[time]\nduration = 0.4\nstep = 0.2\n[inputs]\nleft_rate = 1\nright_rate = 1\n"
+    Path("drive.toml").write_text("verb = 'direct'\n" + tables)
+    assert "complete" in printed("run", "drive.toml", "--no-draw")
 
 
 def test_folders_of_the_same_name_are_left_out_separately(folder: Path) -> None:
@@ -162,13 +181,13 @@ def test_folders_of_the_same_name_are_left_out_separately(folder: Path) -> None:
         names = ("place", "velocity", "speed", "good", "direction", "sides")
         logs.append(log._replace(**{key: getattr(log, key)[:-1] for key in names}, group=name[:3]))
     old = '["a/0.csv", "a/1.csv", "b/2.csv", "b/3.csv"]'
-    Path("hill.toml").write_text(PROBLEM.replace(old, json.dumps(files)))
-    _, scores, fits = fit_over_map(load_problem(folder / "hill.toml", command="fit"))
-    assert [len(each) for each in fits.values()] == [2, 2]
+    own = PROBLEM.replace(old, json.dumps(files)).replace('"differential", ', "")
+    Path("hill.toml").write_text(own)
+    scores = fit_over_map(load_problem(folder / "hill.toml", command="fit")).scores
     Path("hill.toml").write_text(
         Path("hill.toml").read_text() + '[data.columns]\nvelocity = ["vx", "vy"]\n'
     )
-    _, others, _ = fit_over_map(load_problem(folder / "hill.toml", command="fit"))
+    others = fit_over_map(load_problem(folder / "hill.toml", command="fit")).scores
     models = {"slope": MODELS["slope"]}
     for own, is_measured in ((scores, False), (others, True)):
         given = [log._replace(is_velocity_measured=is_measured) for log in logs]
@@ -177,3 +196,16 @@ def test_folders_of_the_same_name_are_left_out_separately(folder: Path) -> None:
         assert_allclose(found, right, atol=1e-5)
     one, other = (np.sort(e["slope"][5.0, 0.0].errors.along) for e in (scores, others))
     assert np.abs(one - other).max() > 1e-4
+
+
+def test_jumps_of_positions_are_left_out(folder: Path) -> None:
+    """Measured velocities show them; samples a second away remain."""
+    log, at = drive(9, ""), 300
+    table = np.column_stack([log.dt * np.arange(700), log.place, log.sides, log.velocity])
+    table[at:, 1] += 0.3
+    np.savetxt("jump.csv", table, delimiter=",", header="t,x,y,left,right,vx,vy", comments="")
+    columns = '[data.columns]\nvelocity = ["vx", "vy"]\n'
+    Path("hill.toml").write_text(PROBLEM.replace(', "slope"', "") + columns)
+    fitted = fit_over_map(load_problem(folder / "hill.toml", command="fit"), [Path("jump.csv")])
+    bad = np.flatnonzero(~fitted.predicted[0].good)
+    assert set(range(at - 2, at + 2)) <= set(bad.tolist()) <= set(range(at - 6, at + 6))

@@ -4,17 +4,28 @@ from __future__ import annotations
 
 from functools import partial
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from helpers.hillside import HILL
-from slipfree import Bicubic, LeastSlip, ModelError, SolverOptions, catalog, settle, simulate
+from slipfree import (
+    Bicubic,
+    LeastSlip,
+    ModelError,
+    Soil,
+    SolverOptions,
+    catalog,
+    settle,
+    simulate,
+)
 from slipfree.batch.evaluator import evaluator_of
+from slipfree.core.dae import Dae
 from slipfree.fit import ground_vehicle
 from slipfree.fit.ground_motion import DriveLog, GroundPredictor, MotionModel, Slopes, windows_of
 from slipfree.fit.ground_vehicle import vehicle_model
-from slipfree.fit.unknowns import Unknown, with_unknowns
+from slipfree.fit.unknowns import Unknown, parametric_model, with_unknowns
 from slipfree.problem.verbs.fit import build_model
 from slipfree.vehicle.tree import Vehicle
 
@@ -93,3 +104,28 @@ def test_motions_that_end_are_refused_by_name() -> None:
     car = model(catalog.ackermann(), ())
     with pytest.raises(ModelError, match=r"found steer_rate; use a skid-steered vehicle"):
         predict(car, {"turn": 1.0})
+
+
+def test_radius_and_constants_of_soil_are_parameters() -> None:
+    """Limits keep their numbers, and the equations are those of the same numbers."""
+    law = Soil(frictional_modulus=3e6, creep=0.03)
+    unknowns = (Unknown("radius", "radius"), Unknown("shear_along", "shear_along"))
+    build = partial(build_model, "quasi-static", Bicubic(HILL))
+    free, fixed = parametric_model(build, CART, law, unknowns), build(CART, law)
+    for one, other in zip(free.limits, fixed.limits, strict=True):
+        assert (one.lower, one.upper) == (other.lower, other.upper)
+    names = {name: 0.3 + 0.2 * np.sin(k) for k, name in enumerate(sorted(symbols(fixed)))}
+    names |= {each.label.name: each.value for each in free.p}
+    one, other = (
+        ca.Function("f", list(symbols(dae).values()), [ca.vertcat(*dae.alg)])(
+            *(names[name] for name in symbols(dae))
+        ).full()
+        for dae in (free, fixed)
+    )
+    assert np.isfinite(other).all()
+    assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+
+
+def symbols(dae: Dae) -> dict[str, ca.SX]:
+    """Return the symbols of the algebraic equations by name."""
+    return {each.name(): each for each in ca.symvar(ca.vertcat(*dae.alg))}

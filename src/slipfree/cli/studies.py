@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -176,14 +177,14 @@ def fit(
         else:
             problem: Any = read_problem(file, settings, trust, "fit")
             if problem.spec.verb == "fit-over-map":
-                if write:
+                if write and problem.spec.vehicle is None:
                     raise ModelError(
-                        f"{file}: expected a fit of a vehicle or a soil for --write, found verb = "
-                        "'fit-over-map'; omit --write: the constants are printed"
+                        f"{file}: expected the table [vehicle] for --write, found none; add it, or "
+                        "omit --write: the constants are in a table"
                     )
                 inputs = [*files_read(problem), *(predict or [])]
                 table = out or default_table(file, "fit", inputs)
-                _fit_over_map(problem, predict or [], inputs, table, draw)
+                _fit_over_map(problem, predict or [], inputs, table, draw, (write, force))
                 return
             work = _log_fit(problem)
         if predict:
@@ -264,7 +265,9 @@ def _log_fit(problem: Any) -> _FitWork:
             verb.estimate_rows(estimate),
             verb.window_rows(fitted),
             verb.error_rows(fitted),
-            lambda: vehicle_text(fitted.vehicle, verb.vehicle_comments(fitted)),
+            lambda: vehicle_text(
+                fitted.vehicle, verb.vehicle_comments(fitted.constants | fitted.sensor)
+            ),
             lambda name: fit_plot(name, fitted.calibration),
         )
 
@@ -307,19 +310,35 @@ def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
 
 
 def _fit_over_map(
-    problem: Any, predict: list[Path], inputs: Sequence[Path], table: Path, draw: bool
+    problem: Any,
+    predict: list[Path],
+    inputs: Sequence[Path],
+    table: Path,
+    draw: bool,
+    vehicle: tuple[Path | None, bool],  # file to write, and whether to replace it
 ) -> None:
     from slipfree.files.tables import write_rows
-    from slipfree.problem.verbs.fit_over_map import error_rows, facts, fit_over_map
+    from slipfree.files.vehicle_draft import vehicle_text
+    from slipfree.problem.verbs import fit_over_map as verb
     from slipfree.show.fit_figures import ground_plot
 
+    write, force = vehicle
     picture = table.with_suffix(".png") if draw else None
-    check_outputs([table, picture], list(inputs))
-    fitted = fit_over_map(problem, predict)
-    rows = error_rows(fitted.scores)
-    files = [save(table, lambda path: write_rows(path, *rows))]
-    print_facts(facts(fitted))
-    add_json("errors", lambda: [dict(zip(rows[0], row, strict=True)) for row in rows[1]])
+    more = (table.with_name(f"{table.stem}_{end}.csv") for end in ("constants", "windows"))
+    names = [table, *more]
+    check_outputs([*names, picture, write], list(inputs))
+    fitted = verb.fit_over_map(problem, predict)
+    tables = verb.error_rows(fitted.scores), verb.constant_rows(fitted), verb.window_rows(fitted)
+    files = [
+        save(name, partial(write_rows, names=rows[0], rows=rows[1]))
+        for name, rows in zip(names, tables, strict=True)
+    ]
+    if write is not None:
+        write_new_file(vehicle_text(*verb.fitted_vehicle(problem, fitted)), write, force)
+        files.append(write)
+    print_facts(verb.facts(fitted))
+    for key, (columns, rows) in zip(("errors", "estimates"), tables[:2], strict=True):
+        add_json(key, partial(list, [dict(zip(columns, row, strict=True)) for row in rows]))
     if picture is not None:
         files += draw_plots([ground_plot(picture.stem, fitted.scores)], picture.parent)
     print_line(f"wrote {' and '.join(map(str, files))}")

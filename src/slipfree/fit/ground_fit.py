@@ -34,7 +34,7 @@ FIRST_DEVIATIONS = 0.25, 0.25, 0.15  # of the errors before they are known [m, m
 LEAST_DEVIATION = 1e-6  # [m, m, rad]
 COVERED = 0.9  # share of the errors inside a prediction interval
 STRAIGHT = np.deg2rad(15)  # largest error of the course of windows used for the error of the slip
-CLASSES = (-25, -12, -6, 0, 6, 12, 25)  # limits of the classes of grade [deg]
+CLASSES = (-35, -25, -12, -6, 0, 6, 12, 25, 35)  # limits of the classes of grade [deg]
 # of constants; otherwise the start value, or 1
 SIZES = {"drift": 0.1, "slip_slope": 1.0, "turn_slope": 5.0, "ahead": 1.0}
 RESAMPLES = 1000
@@ -263,6 +263,7 @@ class Score(NamedTuple):
     errors: PathErrors
     windows: PathWindows
     grade: Array  # mean of the slope along the path [rad]
+    is_beyond: Mask  # whether the grade is beyond those of the fitted windows
     reach: Array  # shape (3, n): half widths of the 90 % intervals [m, m, rad]
 
     @property
@@ -342,32 +343,31 @@ def judge(
                 if own.log.size:  # the logs of a group may be too short
                     seen = GroundPredictor(logs, rest[kind], slopes)
                     predict = GroundPredictor(others or logs, own, slopes)
+                    known = grades(logs, rest[kind], slopes)
                     grade = grades(others or logs, own, slopes)
-                    folded[kind].append(_fold(model, fitted.values, seen, predict, grade))
+                    is_beyond = (grade < known.min()) | (grade > known.max())
+                    reach = [conformal(each) for each in seen(model, fitted.values)[:3]]
+                    folded[kind].append(
+                        Score(
+                            predict(model, fitted.values),
+                            own,
+                            grade,
+                            is_beyond,
+                            np.tile(np.reshape(reach, (3, 1)), grade.size),
+                        )
+                    )
         scores[name] = {kind: _joined(parts) for kind, parts in folded.items()}
     return scores, fits
 
 
-def _fold(
-    model: MotionModel,
-    values: dict[str, float],
-    seen: GroundPredictor,
-    predict: GroundPredictor,
-    grade: Array,
-) -> Score:
-    """Return the errors of a model on windows that were not fitted."""
-    reach = np.array([conformal(each) for each in seen(model, values)[:3]])
-    errors = predict(model, values)
-    return Score(errors, predict.windows, grade, np.tile(reach[:, None], grade.size))
-
-
 def _joined(parts: Sequence[Score]) -> Score:
     """Return the errors on the windows of all groups."""
-    errors, windows, grade, reach = zip(*parts, strict=True)
+    errors, windows, grade, is_beyond, reach = zip(*parts, strict=True)
     return Score(
         PathErrors(*map(np.concatenate, zip(*errors, strict=True))),
         PathWindows(*map(np.concatenate, zip(*windows, strict=True))),
         np.concatenate(grade),
+        np.concatenate(is_beyond),
         np.concatenate(reach, axis=1),
     )
 
@@ -391,8 +391,13 @@ def grades(logs: Sequence[DriveLog], windows: PathWindows, slopes: Slopes) -> Ar
 def by_logs(
     values: Array, log: Array, statistic: Callable[[Array], float]
 ) -> tuple[float, float, float]:
-    """Return a statistic of values, and its 95 % interval by resampling whole logs."""
+    """Return a statistic of values, and its 95 % interval by resampling whole logs.
+
+    A single log has no interval: its ends are NaN.
+    """
     rng, names = np.random.default_rng(0), np.unique(log)
+    if names.size == 1:
+        return statistic(values), np.nan, np.nan
     rows = {each: np.flatnonzero(log == each) for each in names.tolist()}
     draws = [
         statistic(values[np.concatenate([rows[k] for k in rng.choice(names, names.size).tolist()])])

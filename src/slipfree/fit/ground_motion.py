@@ -24,18 +24,11 @@ from slipfree.terrain.grid_ops import averaged
 CHORD = 1.0  # half the time over which a line through positions gives a course [s]
 LEAST_LAG = 1e-3  # shorter lags count as none [s]
 STEEPEST = 0.55  # largest sine of a slope: steeper cells of a map are walls, trees or errors
-HALF_BASE, HALF_TRACK = 0.4, 0.4  # of the four wheels [m]
-FRICTION = 0.6  # only ratios to it count: creep, resistance
-LEAST_SHARE = 0.03  # of the weight on an axle or a side
-RESISTED = 0.05  # speed from which the rolling resistance is complete [m/s]
-# of the balance, which converges quadratically; tolerance of a step in m/s and rad/s
-NEWTON_STEPS, NEWTON_TOLERANCE = 30, 3e-5
 ComplexArray = npt.NDArray[np.complex128]
 Rates = tuple[Array, Array, Array]  # forward and leftward speed [m/s], and turning rate [rad/s]
 Values = Mapping[str, Array]  # constants of n motions, each of shape (n,)
-# (values, speeds of the left and right side, sines of the nose-up and left-up angles, rates a
-# moment before) -> rates
-Step = Callable[[Values, Array, Array, Array, Array, Rates | None], Rates]
+# (values, speeds of the left and right side, sine of the nose-up angle) -> rates
+Step = Callable[[Values, Array, Array, Array], Rates]
 
 
 class Slopes:
@@ -199,15 +192,12 @@ def integrate_rates(step: Step, values: Values, tour: Tour) -> tuple[ComplexArra
     shape = len(tour.left) + 1, n
     places, headings = np.zeros(shape, dtype=complex), np.zeros(shape)
     places[0], headings[0] = place, heading
-    rates: Rates | None = None
     for k in range(len(tour.left)):
         if n != (n := int(np.searchsorted(-tour.steps, -k))):  # motions that go on
             values = {name: each[:n] for name, each in values.items()}
-            rates = None if rates is None else (rates[0][:n], rates[1][:n], rates[2][:n])
             place, heading = place[:n], heading[:n]
         up, tilt = tour.slopes.tilt(place, heading)
-        rates = step(values, tour.left[k, :n], tour.right[k, :n], up, tilt, rates)
-        v, side, turn = rates
+        v, side, turn = step(values, tour.left[k, :n], tour.right[k, :n], up)
         # speeds are along the slope, places on the map
         moved = v * np.sqrt(1 - up**2) + 1j * (side * np.sqrt(1 - tilt**2))
         place = place + tour.dt * moved * _direction(heading + tour.dt / 2 * turn)
@@ -216,11 +206,11 @@ def integrate_rates(step: Step, values: Values, tour: Tour) -> tuple[ComplexArra
     return places, headings
 
 
-def _differential(p: Values, left: Array, right: Array, *_: object) -> Rates:
+def _differential(p: Values, left: Array, right: Array, _: Array) -> Rates:
     return p["scale"] * (left + right) / 2, 0 * left, p["scale"] * (right - left) / p["track"]
 
 
-def _icr(p: Values, left: Array, right: Array, *_: object) -> Rates:
+def _icr(p: Values, left: Array, right: Array, _: Array) -> Rates:
     """Centres of rotation of the sides at fixed places (Mandow et al., IROS 2007)."""
     left, right = p["scale_left"] * left, p["scale_right"] * right
     width = p["left"] - p["right"]
@@ -228,78 +218,15 @@ def _icr(p: Values, left: Array, right: Array, *_: object) -> Rates:
     return (right * p["left"] - left * p["right"]) / width, -p["ahead"] * turn, turn
 
 
-def _straight(p: Values, left: Array, right: Array, *_: object) -> Rates:
+def _straight(p: Values, left: Array, right: Array, _: Array) -> Rates:
     return p["scale"] * (left + right) / 2, 0 * left, 0 * left
 
 
-def slope_rates(p: Values, left: Array, right: Array, up: Array, *_: object) -> Rates:
+def slope_rates(p: Values, left: Array, right: Array, up: Array) -> Rates:
     """Slip along a slope, and turns that are tighter downhill than uphill."""
     mean = (left + right) / 2
     turn = (right - left + 2 * p["drift"] * mean) / p["track"] * np.exp(-p["turn_slope"] * up)
     return p["scale"] * mean - p["slip_slope"] * np.abs(mean) * up, 0 * left, turn
-
-
-def friction_rates(
-    p: Values, left: Array, right: Array, up: Array, tilt: Array, near: Rates | None
-) -> Rates:
-    """Equilibrium of four wheels with friction, creep and rolling resistance on a slope.
-
-    With given loads, the equilibrium minimises a convex function of the body's velocity, the sum of
-    friction times regularised sliding speed and of the work against gravity and resistance. A
-    Newton step that does not reduce it is replaced by one with secant stiffness, which always does.
-    Loads follow from the moments of gravity and of the wheels' forces about the contacts, as shares
-    of the front and of the left side.
-    """
-    mean, half = (left + right) / 2, (right - left) / 2
-    mean, half = p["scale"] * mean, half + p["drift"] * mean
-    drive = np.stack([mean - half, mean + half, mean - half, mean + half], axis=1)
-    x = HALF_BASE * np.array([1, 1, -1, -1]) - p["ahead"][:, None]
-    y = HALF_TRACK * np.array([1, -1, 1, -1])
-    normal = np.sqrt(1 - up**2 - tilt**2)
-    front = 0.5 + (p["ahead"] - p["height"] * up / normal) / (2 * HALF_BASE)
-    on_left = 0.5 - p["height"] * tilt / normal / (2 * HALF_TRACK)
-    front, on_left = (np.clip(share, LEAST_SHARE, 1 - LEAST_SHARE) for share in (front, on_left))
-    shares = [front * on_left, front * (1 - on_left)]
-    shares += [(1 - front) * on_left, (1 - front) * (1 - on_left)]
-    load = normal[:, None] * np.stack(shares, axis=1)  # over the weight
-    resistance = p["resistance"][:, None] * load * np.tanh(drive / RESISTED)
-    grip, creep = FRICTION * load, p["creep"][:, None] ** 2
-    constant = np.stack([up, tilt, 0 * up], axis=1) + _moments(resistance, 0 * load, x, y)
-
-    def sliding(at: Array) -> tuple[Array, Array, Array, Array]:
-        along, across = at[:, :1] - at[:, 2:] * y - drive, at[:, 1:2] + at[:, 2:] * x
-        size = np.sqrt(along**2 + across**2 + creep)
-        return along, across, size, (grip * size).sum(axis=1) + (constant * at).sum(axis=1)
-
-    def step(k_xx: Array, k_xy: Array, k_yy: Array, force: Array) -> Array:
-        columns = [_moments(k_xx, k_xy, x, y), _moments(k_xy, k_yy, x, y)]
-        columns.append(_moments(k_xy * x - k_xx * y, k_yy * x - k_xy * y, x, y))
-        return np.asarray(np.linalg.solve(np.stack(columns, axis=2), force[..., None])[..., 0])
-
-    at = np.stack([mean, 0 * mean, half / HALF_TRACK / 2] if near is None else near, axis=1)
-    along, across, size, value = sliding(at)
-    for _ in range(NEWTON_STEPS):
-        k = grip / size
-        force = _moments(k * along, k * across, x, y) + constant
-        k_xy = -k * along * across / size**2
-        tangent = step(k * (1 - (along / size) ** 2), k_xy, k * (1 - (across / size) ** 2), force)
-        new = at - tangent
-        there = sliding(new)
-        worse = ~(there[3] <= value + 1e-12)
-        if worse.any():
-            new[worse] = (at - step(k, 0 * k, k, force))[worse]
-            there = sliding(new)
-        moved, at = np.abs(new - at).max(), new
-        along, across, size, value = there
-        if moved < NEWTON_TOLERANCE:
-            break
-    return at[:, 0], at[:, 1], at[:, 2]
-
-
-def _moments(along: Array, across: Array, x: Array, y: Array) -> Array:
-    """Return the sums of forces at places ahead and to the left, and their moment, shape (n, 3)."""
-    moments = across * x - along * y
-    return np.stack([each.sum(axis=1) for each in (along, across, moments)], axis=1)
 
 
 # constants of drives and sensors, which any model may have besides its own: start values
@@ -319,12 +246,9 @@ _BOUNDS = {
     "track": (0.02, 20.0),
     "left": (0.01, 10.0),
     "right": (-10.0, -0.01),
-    "ahead": (-2.0, 2.0),  # within the wheelbase for the centre of mass
+    "ahead": (-2.0, 2.0),
     "drift": (-0.5, 0.5),
     "turn": (0.05, 20.0),
-    "creep": (1e-3, 1.0),
-    "height": (0.0, 1.5),
-    "resistance": (0.0, 0.9 * FRICTION),
     "slip_slope": (-3.0, 3.0),
     "turn_slope": (-8.0, 8.0),
     "speed_lag": (0.0, 3.0),
@@ -335,7 +259,7 @@ _BOUNDS = {
 }
 _UNITS = dict.fromkeys(
     ("track", "left", "right", "ahead", "sensor_right", "sensor_ahead", "sensor_heading"), "m"
-) | {"speed_lag": "s", "turn_lag": "s", "sensor_heading": "rad", "creep": "m/s"}
+) | {"speed_lag": "s", "turn_lag": "s", "sensor_heading": "rad"}
 
 
 def _model(words: str, start: dict[str, float], step: Step) -> MotionModel:
@@ -360,19 +284,6 @@ MODELS = {
         "slip and turning by the slope",
         {"scale": 1.0, "track": 0.7, "drift": 0.01, "slip_slope": 0.1, "turn_slope": 1.0},
         slope_rates,
-    ),
-    "friction": _model(
-        "balance of friction on the slope",
-        {
-            "scale": 1.05,
-            "turn": 2.4,
-            "drift": 0.01,
-            "creep": 0.05,
-            "ahead": 0.1,
-            "height": 0.5,
-            "resistance": 0.1,
-        },
-        friction_rates,
     ),
 }
 

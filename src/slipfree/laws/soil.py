@@ -308,7 +308,7 @@ class Soil:
                 ),
                 ca.vertcat(*(row for kind in zip(*rows, strict=True) for row in kind)),
             ),
-            (fastest, *_sunk(contacts.vehicle, unknowns.sinkage)),
+            (fastest, *_sunk(contacts.vehicle.numeric, unknowns.sinkage)),
             continuation,
             unknowns.torque,
         )
@@ -379,7 +379,7 @@ def wheel_size(wheel: Wheel) -> WheelSize:
             "friction, or other wheels"
         )
     tube, circle = wheel.section.torus_radii or (0.0, 0.0)
-    if not (tube and circle):
+    if not (tube and (isinstance(circle, ca.SX) or circle)):  # a fitted radius is an expression
         raise ModelError(
             f"wheel {wheel.name!r}: expected a torus as section, since the forces of soil depend "
             f"on the wheel's width, found {wheel.section}; set the section to "

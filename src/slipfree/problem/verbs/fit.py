@@ -443,8 +443,7 @@ def window_rows(fitted: Fitted) -> tuple[list[str], list[list[Any]]]:
     ]
 
 
-def vehicle_comments(fitted: Fitted) -> list[str]:
-    """Return the fitted numbers that are not in a vehicle file, as lines of a comment."""
-    others = {**fitted.constants, **fitted.sensor}
+def vehicle_comments(others: Mapping[str, float]) -> list[str]:
+    """Return fitted numbers that are not in a vehicle file, as lines of a comment."""
     lines = (f"{name} = {value!r} (not part of the vehicle)" for name, value in others.items())
     return ["fitted by slipfree fit", *lines]

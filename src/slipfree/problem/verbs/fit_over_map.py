@@ -11,21 +11,31 @@ import numpy as np
 from pydantic import Field
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array
+from slipfree.core.records import Array, Mask
 from slipfree.files.tables import read_columns
 from slipfree.files.toml.source import Fault, problem_error
 from slipfree.files.toml.types import Pair, Positive, Quantity, Record
-from slipfree.fit.ground_fit import FITTED, GroundFit, Kind, Score, by_logs, judge, rms
+from slipfree.fit.ground_fit import (
+    FITTED,
+    GroundFit,
+    Kind,
+    Score,
+    by_logs,
+    fit_on_uncertain_map,
+    judge,
+    rms,
+)
 from slipfree.fit.ground_motion import (
     DRIVES_AND_SENSORS,
     MODELS,
     DriveLog,
     MotionModel,
     Slopes,
+    windows_of,
     with_drives_and_sensors,
 )
 from slipfree.fit.ground_vehicle import vehicle_model
-from slipfree.fit.unknowns import QUANTITIES, Unknown, law_constants
+from slipfree.fit.unknowns import QUANTITIES, Unknown, law_constants, with_unknowns
 from slipfree.problem.build import model_law
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_vehicle import build_vehicle
@@ -40,11 +50,13 @@ from slipfree.problem.schema import (
     VehicleSource,
 )
 from slipfree.problem.verbs.base import Lines, Verb
-from slipfree.problem.verbs.fit import UnknownTable, build_model
+from slipfree.problem.verbs.fit import UnknownTable, build_model, vehicle_comments
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import disturbed
+from slipfree.vehicle.tree import Vehicle
 
 GAP = 1.5  # longest time between positions that count as good [s]
+JUMP = 0.25  # of positions against measured velocities over a second [m/s]
 LEAST_SPEED = 0.1  # commanded speed from which the vehicle drives in one direction [m/s]
 FURTHER_MAPS = 4  # with further errors
 Name = Annotated[str, Field(min_length=1)]
@@ -140,11 +152,12 @@ class FitOverMapVerb(Verb):
 
 
 class FittedModels(NamedTuple):
-    """Models over a map by name, errors of their predictions, and their fits."""
+    """Models over a map by name, errors of their predictions, and fits to all logs."""
 
     models: dict[str, MotionModel]
     scores: dict[str, dict[Kind, Score]]
-    fits: dict[str, list[GroundFit]]
+    fits: dict[str, GroundFit]
+    predicted: list[DriveLog]
 
 
 def fit_over_map(problem: Problem[FitOverMap], predict: Sequence[Path] = ()) -> FittedModels:
@@ -165,11 +178,24 @@ def fit_over_map(problem: Problem[FitOverMap], predict: Sequence[Path] = ()) -> 
         ]
     with at(problem, ("data", "files")):
         paths = [problem.folder / name for name in spec.data.files]
+        if again := {path.resolve() for path in paths} & {path.resolve() for path in predict}:
+            raise ModelError(
+                "expected logs to predict that are not fitted, found "
+                f"{', '.join(sorted(path.name for path in again))} in both; remove them from one"
+            )
         alone = len({path.parent for path in paths}) == 1
         logs = [_read_log(path, spec, path.name if alone else str(path.parent)) for path in paths]
         others = [_read_log(path, spec, path.stem) for path in predict]
         kinds = [*((length, 0.0) for length in spec.lengths), (0.0, spec.duration)]
-        return FittedModels(models, *judge(logs, slopes, models, kinds, others, further))
+        scores, folds = judge(logs, slopes, models, kinds, others, further)
+        windows = windows_of(logs, *FITTED)
+        fits = {
+            name: folds[name][-1]
+            if others
+            else fit_on_uncertain_map(model, logs, windows, (slopes, further))
+            for name, model in models.items()
+        }
+        return FittedModels(models, scores, fits, others or logs)
 
 
 def models_of(
@@ -239,20 +265,35 @@ def _read_log(path: Path, spec: FitOverMap, group: str) -> DriveLog:
     held = np.searchsorted(t, np.maximum(even - data.delay, t[0]) + 1e-9, side="right") - 1
     sides = np.column_stack([table["left"], table["right"]])[held]
     later = np.clip(np.searchsorted(t, even, side="right"), 1, t.size - 1)
-    mean = sides.mean(axis=1)
+    good, mean, speed = t[later] - t[later - 1] < GAP, sides.mean(axis=1), np.hypot(*velocity.T)
+    if vx:
+        good &= ~_jumps(place, speed, data.step)
     return DriveLog(
         path.stem,
         group,
         data.step,
         place,
         velocity,
-        np.hypot(*velocity.T),
-        t[later] - t[later - 1] < GAP,
+        speed,
+        good,
         np.where(np.abs(mean) > LEAST_SPEED, np.sign(mean), 0.0),
         sides,
         vx is not None,
         heading,
     )
+
+
+def _jumps(place: Array, speed: Array, step: float) -> Mask:
+    """Return samples about which positions and measured velocities disagree, over a second."""
+    half = max(round(0.5 / step), 1)
+    wide = np.pad(place, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
+    chord = np.hypot(*(wide[2 * half :] - wide[: -2 * half]).T) / (2 * half * step)
+
+    def mean(values: Array) -> Array:
+        width = 2 * half + 1
+        return np.convolve(np.pad(values, half, mode="edge"), np.ones(width) / width, "valid")
+
+    return mean(np.abs(chord - mean(speed)) > JUMP) > 0
 
 
 def facts(fitted: FittedModels) -> Lines:
@@ -261,28 +302,60 @@ def facts(fitted: FittedModels) -> Lines:
 
 
 def _constants(fitted: FittedModels) -> Iterator[tuple[str, str]]:
-    for name, own in fitted.fits.items():
-        words, model = [], fitted.models[name]
-        for key, value in own[-1].values.items():
-            low, high = own[-1].intervals[key]
-            unit = model.units[key]
-            words.append(
-                f"{key} {value:.4g}{'' if unit == '1' else f' {unit}'} ({low:.4g} to {high:.4g})"
+    """Yield the constants of each model with their intervals."""
+    words = dict[str, list[str]]()
+    for name, key, unit, value, _, low, high, at_bound in constant_rows(fitted)[1]:
+        size = f"{key} {value:.4g}{'' if unit == '1' else f' {unit}'}"
+        interval = "at its bound" if at_bound else f"{low:.4g} to {high:.4g}"
+        words.setdefault(name, []).append(f"{size} ({interval})")
+    return ((fitted.models[name].words, ", ".join(each)) for name, each in words.items())
+
+
+def constant_rows(fitted: FittedModels) -> tuple[list[str], list[list[Any]]]:
+    """Return column names and rows of the constants of all models."""
+    names = ["model", "name", "unit", "value", "deviation", "lower", "upper", "at_bound"]
+    rows = list[list[Any]]()
+    for name, fit in fitted.fits.items():
+        for key, value in fit.values.items():
+            unit, deviation = fitted.models[name].units[key], fit.deviation[key]
+            rows.append(
+                [name, key, unit, value, deviation, *fit.intervals[key], int(not deviation)]
             )
-        yield model.words, ", ".join(words)
+    return names, rows
+
+
+def fitted_vehicle(problem: Problem[FitOverMap], fitted: FittedModels) -> tuple[Vehicle, list[str]]:
+    """Return the vehicle with fitted values, and lines of a comment with the other constants."""
+    values = dict(fitted.fits[VEHICLE].values)
+    unknowns = [table.unknown(name) for name, table in problem.spec.unknowns.items()]
+    own = [each for each in unknowns if each.quantity in QUANTITIES]
+    vehicle = build_vehicle(cast("Any", problem.spec.vehicle), problem)
+    changed = with_unknowns(vehicle, own, [values.pop(each.name) for each in own])
+    return changed, vehicle_comments(values)
 
 
 def _errors(scores: Mapping[str, Mapping[Kind, Score]]) -> Iterator[tuple[str, str]]:
     for kind in next(iter(scores.values())):
+        label = f"{kind[0]:g} m of path" if kind[0] else f"{kind[1]:g} s"
         for name, own in scores.items():
             row = dict(zip(COLUMNS, _row(name, kind, own[kind]), strict=True))
+            interval = f" ({row['position_lower']:.3g} to {row['position_upper']:.3g})"
             yield (
-                f"{kind[0]:g} m of path, {name}" if kind[0] else f"{kind[1]:g} s, {name}",
-                f"rms {row['position_rms']:.3g} m ({row['position_lower']:.3g} to "
-                f"{row['position_upper']:.3g}), {np.rad2deg(row['course_rms']):.3g} deg; "
-                f"{row['windows']} windows, 90 % intervals hold "
+                f"{label}, {name}",
+                f"rms {row['position_rms']:.3g} m{interval if row['logs'] > 1 else ''}, "
+                f"{np.rad2deg(row['course_rms']):.3g} deg; {row['windows']} windows, 90 % "
+                f"intervals +-{row['reach_along']:.2g} m, +-{row['reach_across']:.2g} m, "
+                f"+-{np.rad2deg(row['reach_course']):.2g} deg hold "
                 f"{100 * row['coverage_along']:.0f}, {100 * row['coverage_across']:.0f}, "
                 f"{100 * row['coverage_course']:.0f} %",
+            )
+        score = next(iter(scores.values()))[kind]
+        if count := int(score.is_beyond.sum()):
+            low, high = np.rad2deg([score.grade.min(), score.grade.max()])
+            yield (
+                f"{label}, extrapolated",
+                f"{count} of {score.grade.size} windows, with grades from {low:.1f} to {high:.1f} "
+                "deg, are beyond those that were fitted; intervals do not hold there",
             )
     for name, own in scores.items():
         kind = next(each for each in own if not each[0])
@@ -293,6 +366,7 @@ def _errors(scores: Mapping[str, Mapping[Kind, Score]]) -> Iterator[tuple[str, s
         yield f"error of slip, {name}", ", ".join(words)
 
 
+AXES = "along", "across", "course"
 COLUMNS = (
     *("model", "length", "duration", "windows", "logs"),
     *("position_rms", "position_lower", "position_upper", "position_median"),
@@ -319,3 +393,26 @@ def error_rows(scores: Mapping[str, Mapping[Kind, Score]]) -> tuple[list[str], l
     """Return column names and rows of the errors of all models [m, s, rad]."""
     rows = [_row(name, kind, score) for name, own in scores.items() for kind, score in own.items()]
     return list(COLUMNS), rows
+
+
+def window_rows(fitted: FittedModels) -> tuple[list[str], list[list[Any]]]:
+    """Return column names and rows of the predicted windows of all models [m, s, rad]."""
+    names = ["model", "length", "duration", "log", "start", "path", "grade", "beyond"]
+    names += ["displacement", *(f"{kind}_{axis}" for kind in ("error", "reach") for axis in AXES)]
+    return names, [
+        [name, *kind, log.name, first * log.dt, path, grade, int(is_beyond), size, *errors, *reach]
+        for name, own in fitted.scores.items()
+        for kind, score in own.items()
+        for k, first, path, grade, is_beyond, size, errors, reach in zip(
+            score.windows.log.tolist(),
+            score.windows.first.tolist(),
+            score.windows.length.tolist(),
+            score.grade.tolist(),
+            score.is_beyond.tolist(),
+            score.errors.displacement.tolist(),
+            np.column_stack(score.errors[:3]).tolist(),
+            score.reach.T.tolist(),
+            strict=True,
+        )
+        for log in [fitted.predicted[k]]
+    ]
