@@ -14,6 +14,9 @@ x 344 nodes; the vehicles are scaled to its cells, about 0.4 m here):
     At 20 places: standard deviations over 1024 draws of the heights, beside the predicted ones;
     even draws that exceed the worst case, and the change by errors with the signs of the
     derivatives, which follow from a regression over the draws, beside it.
+``memory``
+    Largest memory of a process of ``slipfree atlas`` on GeoTIFFs of 1000, 4000 and 20 000 nodes a
+    side, at equal numbers of nodes that are spread over the whole map.
 ``plans``
     Plans of a three-wheeler across 20 maps of hills, whose initial guess follows a route: whether
     they are solved, iterations, slip, friction used and cost.
@@ -21,11 +24,18 @@ x 344 nodes; the vehicles are scaled to its cells, about 0.4 m here):
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import time
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import rasterio
 from batch import ROUGH, cpu, ground
 from common import PROBLEMS, run_parts
 
@@ -59,6 +69,7 @@ PLACES, ROW, PATCH = 20, 32, 32  # draws at a place are ROW^2 copies of PATCH x 
 BORDER = 6  # nodes of a copy that do not matter
 ERROR = 0.02  # of the heights [m]
 MAPS = 20  # of plans
+SIDES = 1000, 4000, 20_000  # nodes of maps whose memory is measured
 HILLS = (0.4, 0.6), (0.7, 0.8)  # root mean square of the heights [m], and friction, in turn
 FIELD = (  # 18 m across hills
     *("terrain.synthetic.craters=", "keep_out=", "limits.utilisation=[0.0, 0.95]"),
@@ -235,6 +246,38 @@ def changes(
     return {name: poses[name].ravel() - found[name].item() for name in FOLLOWED}
 
 
+def memory() -> None:
+    """Print the largest memory of processes that map grounds of several sizes."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "map.tif")
+        for side in (SIDES[0], *SIDES):  # the first compiles the equations
+            write_waves(path, side)
+            words = "atlas", path, "three_wheeler", "--every", side // 200, "--headings", 4
+            command = [sys.executable, "-m", "slipfree", *map(str, words), "--no-draw", "-j", "1"]
+            start = time.perf_counter()
+            done = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL)
+            _, code, used = os.wait4(done.pid, 0)
+            took = time.perf_counter() - start
+            print(
+                f"{side:6} x {side} nodes, {path.stat().st_size / 1e6:6.0f} MB: "
+                f"{used.ru_maxrss / 1024:5.0f} MB at most, {took:4.0f} s, status {code}",
+                flush=True,
+            )
+
+
+def write_waves(path: Path, side: int) -> None:
+    """Write a square GeoTIFF of waves with cells of 0.5 m, block by block."""
+    place = rasterio.Affine(0.5, 0.0, 0.0, 0.0, -0.5, 0.5 * side)
+    shape = {"width": side, "height": side, "count": 1, "dtype": "float32", "transform": place}
+    blocks = {"tiled": True, "blockxsize": 256, "blockysize": 256}
+    rows = np.arange(side)
+    along = np.sin(rows / 11.0).astype(np.float32)
+    with rasterio.open(path, "w", driver="GTiff", **shape, **blocks) as file:
+        for first in range(0, side, 256):
+            wave = 2 * np.cos(rows[first : first + 256, None] / 17.0).astype(np.float32) * along
+            file.write(wave, 1, window=((first, first + len(wave)), (0, side)))
+
+
 def plans() -> None:
     """Print plans that start from routes."""
     rows = []
@@ -278,7 +321,9 @@ def plans() -> None:
 
 def main() -> None:
     """Print the parts that the command line names."""
-    run_parts({"rates": rates, "accuracy": accuracy, "errors": errors, "plans": plans})
+    run_parts(
+        {"rates": rates, "accuracy": accuracy, "errors": errors, "memory": memory, "plans": plans}
+    )
 
 
 if __name__ == "__main__":
