@@ -48,6 +48,7 @@ from slipfree.routing.traversability import extents
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.paged import Elevation, Outline, PagedBicubic, parts_of
+from slipfree.vehicle.shapes import Ball, BodyShape, Hull
 from slipfree.vehicle.tree import Vehicle
 
 MAX_HEADINGS = 360
@@ -241,8 +242,17 @@ class AtlasSetup:
 
 def load_around(ground: PagedBicubic, x: Array, y: Array, vehicle: Vehicle) -> None:
     """Load the ground around places, with room for the search of poses."""
-    room = ROOM * extents(vehicle)[2] + 8 * max(ground.grid.spacing)
+    bodies = max((_reach(shape) for _, shape in vehicle.shapes), default=0.0)
+    room = ROOM * (extents(vehicle)[2] + bodies) + 8 * max(ground.grid.spacing)
     ground.load((x[0] - room, x[-1] + room, y[0] - room, y[-1] + room))
+
+
+def _reach(shape: BodyShape) -> float:
+    """Return the distance of the farthest point of a shape from the origin of its part [m]."""
+    if isinstance(shape, Ball):
+        return float(np.linalg.norm(shape.at)) + shape.radius
+    points = shape.points if isinstance(shape, Hull) else shape.support_points
+    return float(np.linalg.norm(points, axis=1).max())
 
 
 def build_atlas(problem: Problem[AtlasKeys], known: Mapping[str, Extremes] = EMPTY) -> AtlasSetup:
@@ -268,11 +278,11 @@ def build_atlas(problem: Problem[AtlasKeys], known: Mapping[str, Extremes] = EMP
         terrain = PagedBicubic(grid, origin, ground.mu)
         load_around(terrain, np.array([origin[0]]), np.array([origin[1]]), vehicle)
     model = build_model(generic, vehicle, terrain)
-    known = [label.full for label in leaves(model.labels.u)]
+    names = [label.full for label in leaves(model.labels.u)]
     rates = {f"{w.name}_rate": table.speed / w.radius for w in vehicle.wheels if w.driven}
     # without speed nothing moves, and without mass poses do not depend on the rates
     is_moving = bool(table.speed and vehicle.mass)
-    inputs = {name: rates[name] for name in known if is_moving and name in rates}
+    inputs = {name: rates[name] for name in names if is_moving and name in rates}
     x, y = grid.x[:: table.every], grid.y[:: table.every]
     count = table.headings
     heading = 2 * np.pi * np.arange(count) / count - OFFSET[spec.frame]
