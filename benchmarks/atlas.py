@@ -8,8 +8,9 @@ x 344 nodes; the vehicles are scaled to its cells, about 0.4 m here):
     the reasons of poses that do not stand.
 ``accuracy``
     Random poses beside `settle` and `best_utilisation`: largest difference of inclinations and
-    tip-over margin, of a rigid vehicle to the nearest rest that `settle` finds from five starts, poses whose least friction is outside its bounds, and the widths of the bounds;
-    the same on rough maps.
+    tip-over margin, of a rigid vehicle from the nearest rest that `settle` finds from five starts;
+    poses whose least friction is outside its bounds, and the widths of the bounds; the same on
+    rough maps.
 ``errors``
     At 20 places: standard deviations over draws of the heights, beside the predicted ones, also
     apart for places where the edge of the margin and the point of the clearance stay the same;
@@ -240,11 +241,12 @@ def errors() -> None:
             deviation, reached, same = np.array(rows).T
             is_same = same >= SAME
             kept, changed = _range(deviation[is_same]), _range(deviation[~is_same])
+            near, above = (np.abs(deviation - 1) <= 0.1).sum(), (reached > 1).sum()
             print(
                 f"{name:20} {quantity:16} deviation over predicted {_range(deviation)}, within "
-                f"10 % at {(np.abs(deviation - 1) <= 0.1).sum()} of {PLACES}; same edge or point "
-                f"in {100 * SAME:.0f} % of the draws at {is_same.sum()}: {kept}, elsewhere {changed}; "
-                f"worst signs over worst case {_range(reached)}, above 1 at {(reached > 1).sum()}",
+                f"10 % at {near} of {PLACES}; same edge or point in {SAME:.0%} of the draws "
+                f"at {is_same.sum()}: {kept}, elsewhere {changed}; worst signs over worst case "
+                f"{_range(reached)}, above 1 at {above}",
                 flush=True,
             )
         print(
