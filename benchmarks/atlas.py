@@ -8,12 +8,17 @@ x 344 nodes; the vehicles are scaled to its cells, about 0.4 m here):
     the reasons of poses that do not stand.
 ``accuracy``
     Random poses beside `settle` and `best_utilisation`: largest difference of inclinations and
-    tip-over margin, poses whose least friction is outside its bounds, and the widths of the bounds;
-    the same on rough maps.
+    tip-over margin, of a rigid vehicle from the nearest rest that `settle` finds from five starts;
+    poses whose least friction is outside its bounds, and the widths of the bounds; the same on
+    rough maps.
 ``errors``
-    At 20 places: standard deviations over 1024 draws of the heights, beside the predicted ones;
+    At 20 places: standard deviations over draws of the heights, beside the predicted ones, also
+    apart for places where the edge of the margin and the point of the clearance stay the same;
     even draws that exceed the worst case, and the change by errors with the signs of the
     derivatives, which follow from a regression over the draws, beside it.
+``memory``
+    Largest memory of a process of ``slipfree atlas`` on GeoTIFFs of 1000, 4000 and 20 000 nodes a
+    side, at equal numbers of nodes that are spread over the whole map.
 ``plans``
     Plans of a three-wheeler across 20 maps of hills, whose initial guess follows a route: whether
     they are solved, iterations, slip, friction used and cost.
@@ -21,11 +26,21 @@ x 344 nodes; the vehicles are scaled to its cells, about 0.4 m here):
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import time
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import casadi as ca
 import numpy as np
+import rasterio
 from batch import ROUGH, cpu, ground
 from common import PROBLEMS, run_parts
 
@@ -40,8 +55,14 @@ from slipfree import (
     run_problem,
     settle,
 )
-from slipfree.atlas.atlas import atlas
+from slipfree.atlas.atlas import TILT, atlas, other_rests
+from slipfree.batch.evaluator import evaluator_of
+from slipfree.batch.many import columns_of, stand, stand_checked, start_states
+from slipfree.batch.motion import COMPLETE
+from slipfree.contact.clearance import BodyClearance
+from slipfree.core.evaluation import evaluate as run
 from slipfree.core.outcome import Outcome
+from slipfree.core.records import leaves
 from slipfree.core.trajectory import path_length
 from slipfree.files.maps.elevation import jacksboro
 from slipfree.models.friction_feasibility import best_utilisation
@@ -57,8 +78,11 @@ VEHICLES = {
 HEADINGS, COMPARED = 16, 100
 PLACES, ROW, PATCH = 20, 32, 32  # draws at a place are ROW^2 copies of PATCH x PATCH nodes
 BORDER = 6  # nodes of a copy that do not matter
-ERROR = 0.02  # of the heights [m]
+ERROR, HEADING = 0.02, 0.5  # of the heights [m], and of the poses [rad]
+# share of the draws; cosine of gradients and distance [m] for the same edge and point
+SAME, ALIKE, POINT = 0.95, 0.9, 0.1
 MAPS = 20  # of plans
+SIDES = 1000, 4000, 20_000  # nodes of maps whose memory is measured
 HILLS = (0.4, 0.6), (0.7, 0.8)  # root mean square of the heights [m], and friction, in turn
 FIELD = (  # 18 m across hills
     *("terrain.synthetic.craters=", "keep_out=", "limits.utilisation=[0.0, 0.95]"),
@@ -128,15 +152,8 @@ def _compare(name: str, map_name: str, model: Any, terrain: Bicubic) -> None:
         if not found.stands[at]:
             missed += found["reason"][at] == 1
             continue
-        if "rests" in found.bands and found["rests"][at] > 1:
-            rests += 1
-            continue
-        apart.append(
-            max(
-                abs(found[quantity][at] - pose[quantity][0])
-                for quantity in ("roll", "pitch", "tip_over_margin")
-            )
-        )
+        rests += "rests" in found.bands and found["rests"][at] > 1
+        apart.append(min(_apart(found, at, each) for each in rests_of(model, place, pose)))
         if "rests" not in found.bands:
             best = best_utilisation(vehicle_of(name), terrain, pose)["utilisation_best"][0]
             low, high = (found[f"least_friction_{k}"][at] for k in ("low", "high"))
@@ -149,6 +166,24 @@ def _compare(name: str, map_name: str, model: Any, terrain: Bicubic) -> None:
         "several rests",
         flush=True,
     )
+
+
+def _apart(found: Any, at: tuple[int, ...], pose: Any) -> float:
+    names = "roll", "pitch", "tip_over_margin"
+    return float(max(abs(found[name][at] - pose[name][0]) for name in names))
+
+
+def rests_of(model: Any, place: dict[str, float], pose: Any) -> Iterator[Any]:
+    """Yield the rests that `settle` finds, also from starts tilted towards the four corners."""
+    yield pose
+    if model.rest.numel():
+        for turn in np.pi / 4 + np.pi / 2 * np.arange(4):
+            tilted = {
+                "roll": pose["roll"][0] + TILT * np.cos(turn),
+                "pitch": pose["pitch"][0] + TILT * np.sin(turn),
+            }
+            with suppress(ModelError):  # no rest from there
+                yield settle(model, **place, z=pose["z"][0], **tilted)
 
 
 def vehicle_of(name: str) -> Any:
@@ -168,7 +203,7 @@ def errors() -> None:
         beyond = count = 0
         while count < PLACES:
             i, j = (int(rng.integers(side, axis.size - side)) for axis in (grid.x, grid.y))
-            place = {"headings": [0.5], "x": grid.x[[i]], "y": grid.y[[j]]}
+            place = {"headings": [HEADING], "x": grid.x[[i]], "y": grid.y[[j]]}
             found = atlas(model, terrain, error=ERROR, compiled=False, **place)
             if not found.stands.all():
                 continue
@@ -177,62 +212,133 @@ def errors() -> None:
             normal = ERROR * rng.standard_normal((ROW**2, *z.shape))
             drawn = changes(vehicle, found, z, normal, grid.spacing)
             even = rng.uniform(-ERROR, ERROR, normal.shape)
-            for quantity, values in changes(vehicle, found, z, even, grid.spacing).items():
+            for quantity, (values, _) in changes(vehicle, found, z, even, grid.spacing).items():
                 beyond += int((np.abs(values) > found[f"{quantity}_worst"].item()).sum())
             near = normal[:, BORDER:-BORDER, BORDER:-BORDER].reshape(
                 ROW**2, -1
             )  # nodes that matter
-            stands = np.isfinite(drawn["roll"])
+            stands = np.isfinite(drawn["roll"][0])
             slopes = {
                 key: np.linalg.lstsq(near[stands], values[stands])[0]
-                for key, values in drawn.items()
+                for key, (values, _) in drawn.items()
             }
             worst = np.zeros_like(normal)
-            for k, slope in enumerate(slopes.values()):
+            for k, slope in enumerate(slopes.values(), start=1):  # the first copy is level
                 pattern = ERROR * np.sign(slope).reshape(PATCH - 2 * BORDER, -1)
                 worst[2 * k : 2 * k + 2, BORDER:-BORDER, BORDER:-BORDER] = pattern, -pattern
             most = changes(vehicle, found, z, worst, grid.spacing)
-            for k, (quantity, values) in enumerate(drawn.items()):
+            for k, (quantity, (values, same)) in enumerate(drawn.items(), start=1):
                 deviation = found[f"{quantity}_deviation"].item()
-                reached = np.nanmax(np.abs(most[quantity][2 * k : 2 * k + 2]))
+                reached = np.nanmax(np.abs(most[quantity][0][2 * k : 2 * k + 2]))
                 ratios[quantity].append(
-                    [np.nanstd(values) / deviation, reached / found[f"{quantity}_worst"].item()]
+                    [
+                        np.nanstd(values) / deviation,
+                        reached / found[f"{quantity}_worst"].item(),
+                        same[stands].mean(),
+                    ]
                 )
         for quantity, rows in ratios.items():
-            deviation, reached = np.array(rows).T
+            deviation, reached, same = np.array(rows).T
+            is_same = same >= SAME
+            kept, changed = _range(deviation[is_same]), _range(deviation[~is_same])
+            near, above = (np.abs(deviation - 1) <= 0.1).sum(), (reached > 1).sum()
             print(
-                f"{name:20} {quantity:16} deviation over predicted {deviation.min():.3f} to "
-                f"{deviation.max():.3f}, worst signs over worst case {reached.min():.3f} to "
-                f"{reached.max():.3f}, above 1 at {(reached > 1).sum()} of {PLACES}",
+                f"{name:20} {quantity:16} deviation over predicted {_range(deviation)}, within "
+                f"10 % at {near} of {PLACES}; same edge or point in {SAME:.0%} of the draws "
+                f"at {is_same.sum()}: {kept}, elsewhere {changed}; worst signs over worst case "
+                f"{_range(reached)}, above 1 at {above}",
                 flush=True,
             )
         print(
-            f"{name:20} {beyond} of {4 * PLACES * ROW**2} draws beyond the worst case", flush=True
+            f"{name:20} {beyond} of {4 * PLACES * (ROW**2 - 2)} draws beyond the worst case",
+            flush=True,
         )
+
+
+def _range(values: Any) -> str:
+    return f"{values.min():.3f} to {values.max():.3f}" if values.size else "none"
 
 
 def changes(
     vehicle: Any, found: Any, z: Any, noise: Any, spacing: tuple[float, float]
-) -> dict[str, Any]:
+) -> dict[str, tuple[Any, Any]]:
     """Return the changes of quantities by errors of the heights around a place, (n,).
 
-    The map has a copy of the ground with each of the errors, far enough from each other.
+    The map has a copy of the ground with each of the errors, far enough from each other. The first
+    one is level instead, with the local origin on it: models of all maps then share pivots, and are
+    compiled once. With each quantity comes whether its edge or point is that without errors, whose
+    copy is the second.
     """
-    tiles = (z + noise).reshape(ROW, ROW, *z.shape).swapaxes(1, 2).reshape(ROW * PATCH, -1)
+    copies = z + noise
+    copies[0], copies[1] = 0.0, z
+    tiles = copies.reshape(ROW, ROW, *z.shape).swapaxes(1, 2).reshape(ROW * PATCH, -1)
     x, y = (h * np.arange(ROW * PATCH) for h in spacing)
     at = PATCH * np.arange(ROW) + PATCH // 2
-    ground = Bicubic(Grid(x, y, tiles), mu=0.6)
+    ground = Bicubic(Grid(x, y, tiles), (x[at[0]], y[at[0]]), mu=0.6)
     model = direct_kinematics(vehicle, ground)
-    poses = atlas(  # each map would be compiled, since pivots depend on it
-        model,
-        ground,
-        headings=found.heading,
-        x=x[at],
-        y=y[at],
-        quantities=FOLLOWED,
-        compiled=False,
-    )
-    return {name: poses[name].ravel() - found[name].item() for name in FOLLOWED}
+    evaluate = evaluator_of(model)
+    graphs = evaluate.graphs
+    places = np.stack([each.ravel() for each in np.meshgrid(x[at], y[at], indexing="ij")])
+    start = {"heading": np.array([HEADING]), "x": places[0], "y": places[1]}
+    states = start_states(graphs, start)
+    solved = stand(evaluate, states)
+    other_rests(evaluate, states, solved)
+    codes = stand_checked(evaluate, states, solved)
+    columns = columns_of(graphs, states)
+    labels = [label.name for label in leaves((model.labels.x, model.labels.z, model.labels.y))]
+    results = list(leaves((model.x, model.z, model.y)))
+    margin = results[labels.index("tip_over_margin")]
+    tilt = ca.vertcat(*(results[labels.index(name)] for name in ("roll", "pitch")))
+    wanted = [ca.vertcat(tilt, margin), ca.densify(ca.gradient(margin, model.columns()[1]))]
+    values, lean = run(model.function("followed", [*model.columns()], wanted), *columns)
+    check = next(check for check in model.checks if isinstance(check, BodyClearance))
+    nearest = check.search(run(check.pose, *columns[:2])[0])
+    values = np.vstack([values, nearest.gap])
+    values[:, codes != COMPLETE] = np.nan
+    foot = nearest.foot.T[:2] - places  # of equal headings
+    same_point = np.hypot(*(foot.T - foot[:, 1]).T) < POINT
+    lean /= np.linalg.norm(lean, axis=0)
+    same_edge = lean[:, 1] @ lean > ALIKE
+    always = np.ones_like(same_edge)
+    values[:, :2] = np.nan
+    return {
+        name: (each - found[name].item(), same)
+        for name, each, same in zip(
+            FOLLOWED, values, (always, always, same_edge, same_point), strict=True
+        )
+    }
+
+
+def memory() -> None:
+    """Print the largest memory of processes that map grounds of several sizes."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "map.tif")
+        for side in (SIDES[0], *SIDES):  # the first compiles the equations
+            write_waves(path, side)
+            words = "atlas", path, "three_wheeler", "--every", side // 200, "--headings", 4
+            command = [sys.executable, "-m", "slipfree", *map(str, words), "--no-draw", "-j", "1"]
+            start = time.perf_counter()
+            done = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL)
+            _, code, used = os.wait4(done.pid, 0)
+            took = time.perf_counter() - start
+            print(
+                f"{side:6} x {side} nodes, {path.stat().st_size / 1e6:6.0f} MB: "
+                f"{used.ru_maxrss / 1024:5.0f} MB at most, {took:4.0f} s, status {code}",
+                flush=True,
+            )
+
+
+def write_waves(path: Path, side: int) -> None:
+    """Write a square GeoTIFF of waves with cells of 0.5 m, block by block."""
+    place = rasterio.Affine(0.5, 0.0, 0.0, 0.0, -0.5, 0.5 * side)
+    shape = {"width": side, "height": side, "count": 1, "dtype": "float32", "transform": place}
+    blocks = {"tiled": True, "blockxsize": 256, "blockysize": 256}
+    rows = np.arange(side)
+    along = np.sin(rows / 11.0).astype(np.float32)
+    with rasterio.open(path, "w", driver="GTiff", **shape, **blocks) as file:
+        for first in range(0, side, 256):
+            wave = 2 * np.cos(rows[first : first + 256, None] / 17.0).astype(np.float32) * along
+            file.write(wave, 1, window=((first, first + len(wave)), (0, side)))
 
 
 def plans() -> None:
@@ -278,7 +384,9 @@ def plans() -> None:
 
 def main() -> None:
     """Print the parts that the command line names."""
-    run_parts({"rates": rates, "accuracy": accuracy, "errors": errors, "plans": plans})
+    run_parts(
+        {"rates": rates, "accuracy": accuracy, "errors": errors, "memory": memory, "plans": plans}
+    )
 
 
 if __name__ == "__main__":

@@ -17,8 +17,9 @@ from helpers.rasters import from_origin, geotiff
 from slipfree import Bicubic, catalog, direct_kinematics, read_map
 from slipfree.atlas import atlas as core
 from slipfree.files.atlas_files import open_atlas
-from slipfree.problem import atlas_tiles
+from slipfree.problem import atlas_tiles, build_ground
 from slipfree.sweep import pools
+from slipfree.terrain import paged
 
 INTERPRETED = sets("atlas.compiled=false")
 QUICK = *INTERPRETED, "--no-draw", "--headings", "2"
@@ -142,6 +143,42 @@ def test_tiles_of_another_problem_are_not_used(monkeypatch):
     assert tile.stat().st_mtime_ns == before
     printed(*words, "--headings", "1")
     assert tile.stat().st_mtime_ns != before
+
+
+def test_windows_of_a_large_map_give_the_same(monkeypatch):
+    """Heights, holes, friction and scale are those of the map that is read as a whole."""
+    rows, columns = np.mgrid[:24, :400]
+    z = (0.3 * np.sin(columns / 3) * np.cos(rows / 4)).astype("f4")
+    z[11:14, 118:123] = -9999
+    write_map(z, nodata=-9999)
+    mu = (0.5 + 0.2 * np.cos(columns / 5)).astype("f4")
+    geotiff(Path("mu.tif"), mu[:, 30:], from_origin(5e5 + 30, 5e6, 1.0))
+    words = (
+        "atlas",
+        "site.tif",
+        "three_wheeler",
+        *QUICK,
+        "--friction",
+        "mu.tif",
+        "--every",
+        "11",
+        "--headings",
+        "1",
+    )
+    words = *words, *sets("terrain.scale=0.7", "terrain.window=[3.5e5, 3.51e5, 3e6, 4e6]")
+    printed(*words, "-o", "whole.nc")
+    monkeypatch.setattr(build_ground, "LARGE", 100)
+    monkeypatch.setattr(paged, "SPAN", 44)
+    assert "15 of 9600 nodes have no height" in printed(*words, "-o", "parts.nc")
+    (whole, ground), (parts, other) = map(open_atlas, ("whole.nc", "parts.nc"))
+    assert whole.reasons == parts.reasons
+    assert np.unique(whole["reason"]).size > 2
+    for name in whole.bands:
+        np.testing.assert_allclose(parts[name], whole[name], rtol=1e-6, atol=1e-12, err_msg=name)
+    known = ~np.isnan(other.elevation)
+    np.testing.assert_allclose(other.elevation[known], ground.elevation[known], rtol=1e-12)
+    write_map(z)  # the missing heights are not declared
+    assert "probably missing heights" in refused(*words, "-o", "parts.nc")
 
 
 @pytest.fixture

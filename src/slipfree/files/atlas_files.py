@@ -35,6 +35,7 @@ from slipfree.files.netcdf import (
     result_fault,
 )
 from slipfree.system.regular_files import replace_file
+from slipfree.terrain.paged import Elevation
 
 MAX_BYTES = 2**32 - 4  # of a variable of netCDF-3
 CACHE = 64  # GDAL's cache of blocks [MB]; fixed, so that files do not depend on the machine
@@ -55,7 +56,7 @@ class Site(NamedTuple):
 
     Attributes
     ----------
-    elevation : ndarray, shape (n_x, n_y)
+    elevation : ndarray, shape (n_x, n_y), or Elevation
         Heights of the nodes. [m]
     friction : float, optional
         Coefficient of friction that must hold the vehicle, as for `verdicts`. [1]
@@ -71,7 +72,7 @@ class Site(NamedTuple):
         Description: title, ground, vehicle and problem.
     """
 
-    elevation: Array
+    elevation: Array | Elevation
     friction: float | None = None
     within: Bounds = EMPTY
     frame: str = "paper"
@@ -243,7 +244,7 @@ def _define(file: Any, poses: Atlas, site: Site) -> None:
     if site.crs:
         annotate(file.createVariable(CRS, "i4", ()), grid_mapping(site.crs))
         mapped = {"coordinates": " ".join(_add_map_axes(add, poses, site)), "grid_mapping": CRS}
-    annotate(add(ELEVATION, DIMENSIONS[1:], site.elevation.T, "f8"), mapped)
+    annotate(add(ELEVATION, DIMENSIONS[1:], site.elevation[:, :].T, "f8"), mapped)
     for name, (label, values) in poses.bands.items():
         kind = "i2" if name == REASON.name else "f4"
         variable = add(label, DIMENSIONS, values.swapaxes(1, 2), kind)

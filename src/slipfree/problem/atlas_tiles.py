@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from slipfree.atlas.atlas import Atlas, Band, least_bounds, tile_of, tiles_of
+from slipfree.atlas.atlas import Atlas, Band, least_bounds, tiles_of
 from slipfree.atlas.summary import ALLOWED, STANDING
 from slipfree.core.facts import Fact
 from slipfree.core.records import Array
@@ -31,6 +31,7 @@ from slipfree.files.atlas_files import (
     with_reasons,
     write_atlas,
 )
+from slipfree.problem.build_ground import Extremes
 from slipfree.problem.inputs import digest, files_read
 from slipfree.problem.load import load_again
 from slipfree.problem.problem import Problem
@@ -54,6 +55,7 @@ class TileTask(NamedTuple):
     settings: tuple[str, ...]
     trusted: frozenset[str]
     key: str  # of the contents of all input files
+    known: tuple[tuple[str, Extremes], ...]  # of large maps, by file
     number: int
 
 
@@ -71,16 +73,20 @@ def compute_tile(task: TileTask) -> Tile:
 
 @lru_cache(maxsize=1)  # a process computes many tiles
 def _setup(
-    file: str, text: str, settings: tuple[str, ...], trusted: frozenset[str], _: str
+    file: str,
+    text: str,
+    settings: tuple[str, ...],
+    trusted: frozenset[str],
+    _: str,
+    known: tuple[tuple[str, Extremes], ...],
 ) -> AtlasSetup:
-    return build_atlas(load_again(Path(file), text, settings, trusted, command="atlas"))
+    return build_atlas(
+        load_again(Path(file), text, settings, trusted, command="atlas"), dict(known)
+    )
 
 
 def _tile(setup: AtlasSetup, number: int) -> Tile:
-    i, j = setup.tiles[number]
-    table = setup.problem.spec.atlas
-    args = setup.heading, setup.inputs, table.error, table.tolerance
-    bands = tile_of(setup.poses(), setup.x[i], setup.y[j], *args)
+    bands = setup.bands(*setup.tiles[number])
     return Tile(number, np.stack([bands[name] for name in setup.labels()]).astype(np.float32))
 
 
@@ -188,7 +194,14 @@ def run_tiles(
         folder.add(_tile(setup, missing.pop(0)))
         progress(count - len(missing), count)
     key = _key(problem)["problem"]
-    head = str(source.path.absolute()), source.text, settings, problem.trusted, key
+    head = (
+        str(source.path.absolute()),
+        source.text,
+        settings,
+        problem.trusted,
+        key,
+        tuple(setup.known.items()),
+    )
     tasks = [TileTask(*head, number) for number in missing]
     left = len(tasks)
     if not tasks:

@@ -13,7 +13,16 @@ import numpy as np
 
 from slipfree.core.errors import DataError, ModelError
 from slipfree.files.cf import DEGREES, MapCoordinate
-from slipfree.files.maps.elevation import Frame, Map, jacksboro, read_map, takes_key
+from slipfree.files.maps.elevation import (
+    Frame,
+    Map,
+    check_degrees,
+    hole_words,
+    jacksboro,
+    read_map,
+    takes_key,
+)
+from slipfree.files.maps.raster import RasterParts, Reading, raster_parts
 from slipfree.files.maps.reference_systems import from_degrees
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.source import ProblemError
@@ -22,13 +31,17 @@ from slipfree.problem import schema
 from slipfree.problem.problem import A, Problem, S, shared
 from slipfree.problem.schema import TerrainKeys
 from slipfree.problem.verbs.base import Lines
-from slipfree.terrain.base import Grid, check_friction
-from slipfree.terrain.grid_ops import MAX_NODES, cut, disturbed, scaled, smoothed
+from slipfree.terrain.base import MAX_HEIGHT, Grid, check_friction
+from slipfree.terrain.grid_ops import MAX_NODES, Heights, Window, cut, disturbed, scaled, smoothed
+from slipfree.terrain.kernel import library
+from slipfree.terrain.paged import Outline, outline, parts_of
 from slipfree.terrain.rolled import NODES, Rolled, rolled
 from slipfree.terrain.synthetic import Rock, blank, place_rocks
 
 OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys of map files only
 LATER = {"smooth", "error", "rolled", "friction", "obstacles"}  # keys that do not affect the map
+OF_WHOLE_MAPS = "geographic", "fill", "smooth", "error", "rolled"  # keys that need the whole map
+LARGE = 2**22  # nodes of a map above which an atlas reads it by windows
 EARTH = -12000.0, 9000.0  # heights between the deepest ocean and the highest mountain [m]
 
 
@@ -87,6 +100,91 @@ def build_ground(problem: Problem[S]) -> GroundMap:
             grid = changed.grid
     source += _scale_words(spec)
     return GroundMap(grid, source, changed, mu, friction, facts, coordinates, ground_map.crs)
+
+
+class Extremes(NamedTuple):
+    """Smallest and largest value of a map file, and its number of nodes without a value."""
+
+    low: float
+    high: float
+    missing: int
+
+
+def build_large_ground(problem: Problem[S], known: dict[str, Extremes]) -> GroundMap | None:
+    """Return the ground of a problem with a large GeoTIFF, whose heights are read by windows.
+
+    None for other grounds, and with keys that change the whole map. ``known`` are the extremes of
+    files by name; those of others are added, for which the whole file is read once.
+    """
+    spec = problem.spec.terrain
+    if spec.file is None:
+        return None
+    metres = spec.vertical_scale if "vertical_scale" in spec.model_fields_set else None
+    horizontal, vertical = _scales(spec)
+    with at(problem, ("terrain", "file")):
+        raster = _large_raster(problem, spec.file, _file_window(spec), metres)
+        if raster is None:
+            return None
+        heights = _outline(raster, known, 1.0, 1.0)
+        middle = (slice(axis.size // 2 - 2, axis.size // 2 + 2) for axis in raster.nodes)
+        about, missing = raster.heights(*middle), known[str(raster.path)].missing
+        ground_map = Map(heights, crs=about.crs, facts=about.facts, gray=about.gray)
+        if metres is None:
+            _check_heights(ground_map, spec.scale)
+    grid = _outline(raster, known, horizontal, vertical)
+    coordinates = _map_coordinates(ground_map, horizontal, vertical)
+    facts = [*about.facts, *_map_facts(about.crs, coordinates)]
+    if missing:
+        facts.insert(len(about.facts), ("ground holes", hole_words(missing, grid.z.size)))
+    mu, friction = _friction(problem, ground_map, known)
+    source = spec.file + _scale_words(spec)
+    return GroundMap(grid, source, None, mu, friction, facts, coordinates, about.crs)
+
+
+def _large_raster(
+    problem: Problem[Any], name: str, window: Window | None, metres: float | None
+) -> RasterParts | None:
+    """Return a GeoTIFF with more than `LARGE` nodes to read by windows; None for others."""
+    spec, path = problem.spec.terrain, problem.folder / name
+    is_whole = any(getattr(spec, key) is not None for key in OF_WHOLE_MAPS)
+    if is_whole or path.suffix.lower() not in (".tif", ".tiff") or not path.is_file():
+        return None
+    raster = raster_parts(path, Reading(window, spec.cell, spec.registration, None, metres))
+    x, y = raster.nodes
+    return raster if x.size * y.size > LARGE and library() is not None else None
+
+
+def _outline(
+    raster: RasterParts, known: dict[str, Extremes], horizontal: float, vertical: float
+) -> Outline:
+    """Return the scaled outline of a raster, which is read once if its extremes are not known."""
+    x, y = raster.nodes
+    name = str(raster.path)
+    if name not in known:
+        found = [_extremes(raster.heights(*part)) for part in parts_of(x.size, y.size)]
+        lows, highs, missed = zip(*found, strict=True)
+        known[name] = Extremes(min(lows), max(highs), sum(missed))
+    low, high, missing = known[name]
+    if not -MAX_HEIGHT <= low <= high <= MAX_HEIGHT:
+        words = f"values from {low:g} to {high:g}" if low <= high else "none at any node"
+        raise DataError(
+            f"expected heights from -{MAX_HEIGHT:g} to {MAX_HEIGHT:g}, found {words}; use another "
+            "map or window"
+        )
+    return outline(
+        (horizontal * x, horizontal * y),
+        lambda i, j: vertical * raster.heights(i, j).z,
+        (vertical * low, vertical * high),
+        has_holes=missing > 0,
+    )
+
+
+def _extremes(heights: Heights) -> Extremes:
+    """Return the extremes of a part of a map in metres; infinite without heights."""
+    check_degrees(heights, local=False)
+    values = heights.z[~np.isnan(heights.z)]
+    low, high = values.min(initial=np.inf), values.max(initial=-np.inf)
+    return Extremes(float(low), float(high), heights.z.size - values.size)
 
 
 def _check_keys(problem: Problem[S]) -> None:
@@ -187,15 +285,11 @@ def _source(problem: Problem[S]) -> tuple[Map, str]:
 def _read(problem: Problem[S]) -> tuple[Map, str]:
     spec = problem.spec.terrain
     if spec.file is not None:
-        window, (horizontal, _) = spec.window, _scales(spec)
-        if window is not None and spec.geographic is None:
-            a, b, c, d = (each / horizontal for each in window)
-            window = a, b, c, d
         options: dict[str, Any] = {key: getattr(spec, key) for key in OF_FILES}
         if "vertical_scale" in spec.model_fields_set:
             options["vertical_scale"] = spec.vertical_scale
         with at(problem, ("terrain", "file")):
-            ground_map = read_map(problem.folder / spec.file, window=window, **options)
+            ground_map = read_map(problem.folder / spec.file, window=_file_window(spec), **options)
             if "vertical_scale" not in spec.model_fields_set:
                 _check_heights(ground_map, spec.scale)
         return ground_map, spec.file
@@ -204,6 +298,14 @@ def _read(problem: Problem[S]) -> tuple[Map, str]:
             return Map(_synthetic(spec.synthetic)), "synthetic"
     with at(problem, ("terrain", "sample")):
         return Map(jacksboro()), "Jacksboro fault (sample of matplotlib)"
+
+
+def _file_window(spec: schema.TerrainTable) -> Window | None:
+    """Return the window of a problem in coordinates of the map file [m] or [deg]."""
+    if spec.window is None or spec.geographic is not None:
+        return spec.window
+    a, b, c, d = (each / _scales(spec)[0] for each in spec.window)
+    return a, b, c, d
 
 
 def _check_heights(ground_map: Map, scale: float) -> None:
@@ -224,8 +326,13 @@ def _check_heights(ground_map: Map, scale: float) -> None:
         )
 
 
-def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, str]:
-    """Return the coefficient of friction, a number or a map, and its description."""
+def _friction(
+    problem: Problem[S], ground: Map, known: dict[str, Extremes] | None = None
+) -> tuple[float | Grid | None, str]:
+    """Return the coefficient of friction, a number or a map, and its description.
+
+    With ``known``, large maps are read by windows, as in `build_large_ground`.
+    """
     spec = problem.spec.terrain
     name, (horizontal, _) = spec.friction, _scales(spec)
     if not isinstance(name, str):
@@ -237,16 +344,27 @@ def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, st
     if ground.geographic:
         options["geographic"] = ground.frame
     with at(problem, ("terrain", "friction")):
-        friction_map = read_map(problem.folder / name, **options)
-        check_friction(friction_map.grid)  # before scaling: the message has coordinates of the file
-    # both files describe the same area, so that both are scaled; coefficients are not
-    mu = scaled(friction_map.grid, horizontal, 1.0)
+        raster = None if known is None else _large_raster(problem, name, None, None)
+        if raster is None or known is None:
+            read = read_map(problem.folder / name, **options)
+            check_friction(read.grid)  # before scaling: the message has coordinates of the file
+            # both files describe the same area, so that both are scaled; coefficients are not
+            facts, mu = read.facts, scaled(read.grid, horizontal, 1.0)
+        else:
+            facts, mu = (), _outline(raster, known, horizontal, 1.0)
+            low, _, missing = known[str(raster.path)]
+            if missing or low <= 0:
+                words = f"none at {missing} nodes" if missing else f"{low:g}"
+                raise DataError(
+                    f"friction: expected a positive coefficient at every node, found {words}; "
+                    "correct the map"
+                )
     details = "".join(
         f"; {key.removeprefix('ground ')} {words}"
-        for key, words in friction_map.facts
+        for key, words in facts
         if not key.startswith("ground map")
     )
-    return mu, f"{name}, {mu.z.min():g} to {mu.z.max():g}{details}"
+    return mu, f"{name}, {mu.values.min():g} to {mu.values.max():g}{details}"
 
 
 def _synthetic(spec: schema.Synthetic) -> Grid:

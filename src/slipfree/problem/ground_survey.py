@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
-from slipfree.atlas.atlas import Atlas, Band, tile_of
+from slipfree.atlas.atlas import Atlas, Band
 from slipfree.core.errors import ModelError
 from slipfree.core.facts import Fact
 from slipfree.core.records import Array, Mask
@@ -141,7 +141,7 @@ def stand(problem: Problem[Any], grid: Grid) -> Stand:
     setup = build_atlas(replace(problem, spec=AtlasKeys(verb="atlas", atlas=table, **keys)))
     evaluator = setup.poses(compiled=False)
     x, y, heading = setup.x, setup.y, setup.heading
-    values = tile_of(evaluator, x, y, heading, {}, None, table.tolerance)
+    values = setup.bands(slice(0, x.size), slice(0, y.size), compiled=False)
     labels = setup.labels(compiled=False)
     bands = {name: Band(label, values[name]) for name, label in labels.items()}
     poses = Atlas(x, y, heading, bands, evaluator.reasons)

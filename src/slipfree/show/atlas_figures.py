@@ -174,7 +174,7 @@ def _detail(drawn: AtlasView) -> Figure:
         scale, norm = colormaps[SHARE], Normalize(0, 1)
         values, label = found.allowed, "share of headings [1]"
     _image(part, values, scale, norm, ax)
-    z = site.elevation
+    z = site.elevation[:, :]
     if np.ptp(z) > 0 and min(z.shape) > 1:
         heights = ax.contour(poses.x, poses.y, z.T, levels=LINES, colors="white", linewidths=0.6)
         ax.clabel(heights, fontsize=6, fmt="%g m")

@@ -389,7 +389,7 @@ def _check_heights(x: Array, y: Array, z: Array) -> None:
 
 # number, function of two SX scalars in map coordinates, or map; None if not given [1]
 Friction = float | Formula | Grid | None
-BORDER = 2  # repeated rows of nodes around a map that make it constant outside
+REPEATED = 2  # repeated rows of nodes around a map that make it constant outside
 
 
 def check_friction(mu: Friction) -> None:
@@ -456,13 +456,16 @@ def pad_border(grid: Grid) -> Grid:
     A point outside, which a solver may evaluate, therefore has a value in the range of the map.
     Rounding errors grow with the third power of the distance, to 1e-9 at 200 cells.
     """
-    x, y = (_extend_axis(axis, h) for axis, h in zip((grid.x, grid.y), grid.spacing, strict=True))
-    return Grid(x, y, np.pad(grid.z, BORDER, mode="edge"))
+    return Grid(*pad_axes(grid), np.pad(grid.z, REPEATED, mode="edge"))
 
 
-def _extend_axis(axis: Array, spacing: float) -> Array:
-    room = BORDER * spacing
-    return np.linspace(axis[0] - room, axis[-1] + room, axis.size + 2 * BORDER)
+def pad_axes(grid: Grid) -> tuple[Array, Array]:
+    """Return the axes of a grid with the nodes of `pad_border` around it [m]."""
+    x, y = (
+        np.linspace(axis[0] - REPEATED * h, axis[-1] + REPEATED * h, axis.size + 2 * REPEATED)
+        for axis, h in zip((grid.x, grid.y), grid.spacing, strict=True)
+    )
+    return x, y
 
 
 def _check_map(grid: Grid) -> None:
@@ -475,8 +478,8 @@ def _check_map(grid: Grid) -> None:
             f'y = {grid.y[j]:.9g} m; set fill = "linear" for holes inside the map, and cut off '
             "those at its border"
         )
-    bad = ~(grid.z > 0)
-    if bad.any():
+    if not grid.values.min() > 0:
+        bad = ~(grid.z > 0)
         i, j = np.argwhere(bad)[0]
         raise DataError(
             f"friction: all coefficients must be positive, found {np.count_nonzero(bad)} of "

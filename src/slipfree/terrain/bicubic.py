@@ -321,14 +321,7 @@ class Bicubic:
     @cached_property
     def _table(self) -> Array:
         """Spline coefficients, shape (n_x + 2, n_y + 2) [m]."""
-        values = self.grid.z - self.origin[2]
-        if self.through:
-            along_x = _solve_not_a_knot(values)
-            coefficients = np.ascontiguousarray(_solve_not_a_knot(along_x.T).T)
-        else:
-            coefficients = np.ascontiguousarray(np.pad(values, 1, mode="edge"))
-        coefficients /= 36  # instead of the factors 1/6 of the basis functions
-        return coefficients
+        return coefficients_of(self.grid.z - self.origin[2], through=self.through)
 
     @cached_property
     def _spline(self) -> Cells:
@@ -376,6 +369,17 @@ class Bicubic:
     @cached_property
     def _friction_map(self) -> Bicubic | None:
         return friction_map(self.mu, self.origin[:2])
+
+
+def coefficients_of(values: Array, *, through: bool) -> Array:
+    """Return the coefficients of the spline of heights (n_x, n_y), shape (n_x + 2, n_y + 2)."""
+    if through:
+        along_x = _solve_not_a_knot(values)
+        coefficients = np.ascontiguousarray(_solve_not_a_knot(along_x.T).T)
+    else:
+        coefficients = np.ascontiguousarray(np.pad(values, 1, mode="edge"))
+    coefficients /= 36  # instead of the factors 1/6 of the basis functions
+    return coefficients
 
 
 def friction_map(mu: Friction, center: tuple[float, float]) -> Bicubic | None:

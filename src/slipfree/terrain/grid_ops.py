@@ -113,7 +113,9 @@ class Smoothed(NamedTuple):
     largest: float
 
 
-def parts(x: UniformAxis, y: UniformAxis, window: Window | None) -> tuple[slice, slice]:
+def parts(
+    x: UniformAxis, y: UniformAxis, window: Window | None, most: float = MAX_NODES
+) -> tuple[slice, slice]:
     """Return the slices of nodes along x and y that lie in a window, borders included.
 
     Without a window, all nodes are returned.
@@ -122,7 +124,7 @@ def parts(x: UniformAxis, y: UniformAxis, window: Window | None) -> tuple[slice,
     ------
     DataError
         If the window is empty, if the map or the window has fewer than 4 nodes along an axis, if
-        more than 5e7 nodes are selected, or if rounding would lose the distances of the nodes.
+        more than ``most`` nodes are selected, or if rounding would lose the distances of the nodes.
     """
     _check_axes(x, y)
     found = slice(0, x.size), slice(0, y.size)
@@ -142,9 +144,9 @@ def parts(x: UniformAxis, y: UniformAxis, window: Window | None) -> tuple[slice,
                 f"{reach}, its nodes are {x.step:.9g} and {y.step:.9g} apart"
             )
     nodes = math.prod(part.stop - part.start for part in found)
-    if nodes > MAX_NODES:
+    if nodes > most:
         raise DataError(
-            f"expected at most {MAX_NODES:g} nodes, found {float(nodes):.3g} "
+            f"expected at most {most:g} nodes, found {float(nodes):.3g} "
             f"({x.size} by {y.size} in the file); select a part by "
             f"window = [x_min, x_max, y_min, y_max]: {reach}"
         )
@@ -251,19 +253,19 @@ def hole_distance(grid: Grid) -> Array:
     The point of a set of cells that is nearest to a node is itself a node.
     """
     missing = np.zeros(grid.z.shape, bool) if grid.holes is None else grid.holes
-    cells = _any_of_four(missing)
+    cells = any_of_four(missing)
     if cells.all():
         raise DataError(
             "expected a cell of the map with heights at its four corners, found none; use another "
             "map or a finer grid"
         )
-    closed, still_open = _any_of_four(np.pad(cells, 1)), _any_of_four(np.pad(~cells, 1))
+    closed, still_open = any_of_four(np.pad(cells, 1)), any_of_four(np.pad(~cells, 1))
     distance = scipy.ndimage.distance_transform_edt
     found: Array = distance(~closed, grid.spacing) - distance(~still_open, grid.spacing)
     return found
 
 
-def _any_of_four(mask: Mask) -> Mask:
+def any_of_four(mask: Mask) -> Mask:
     """Return whether any of four neighbouring entries is marked, shape (n_x - 1, n_y - 1)."""
     found: Mask = mask[:-1, :-1] | mask[1:, :-1] | mask[:-1, 1:] | mask[1:, 1:]
     return found

@@ -15,7 +15,14 @@ from slipfree.core.records import Array, field_overview
 from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.points import read_point_cloud, read_points
-from slipfree.files.maps.raster import FORMATS, UNKNOWN, Reading, Registration, read_raster
+from slipfree.files.maps.raster import (
+    FORMATS,
+    UNKNOWN,
+    Reading,
+    Registration,
+    naming,
+    read_raster,
+)
 from slipfree.files.maps.reference_systems import metric_system, refuse
 from slipfree.system.regular_files import regular_file
 from slipfree.terrain.base import Grid
@@ -132,7 +139,7 @@ def read_map(
     path = Path(path)
     ending = path.suffix.lower()
     reading = Reading(window, cell, registration, spacing, vertical_scale)
-    try:
+    with naming(path):
         for key in KEYS:
             value = getattr(reading, key)
             if value is not None and not takes_key(ending, key):
@@ -142,12 +149,8 @@ def read_map(
         check_ending(path, "map", _expected_endings(), _endings())
         with regular_file(path, "a map"):
             heights = _reader(ending).read(path, reading)
-        _check_degrees(heights, local=geographic is not None)
+        check_degrees(heights, local=geographic is not None)
         return _mapped(heights, geographic, fill)
-    except DataError as error:
-        if str(error).startswith(f"{path}:"):
-            raise
-        raise type(error)(f"{path}: {error}") from error
 
 
 def takes_key(ending: str, key: str) -> bool:
@@ -169,7 +172,7 @@ def _expected_endings() -> str:
     return f"a file ending in {endings}, or another single-file raster that GDAL reads"
 
 
-def _check_degrees(heights: Heights, *, local: bool) -> None:
+def check_degrees(heights: Heights, *, local: bool) -> None:
     """Raise DataError if degrees would be used as metres or metres as degrees."""
     reach = (
         f"x from {heights.x[0]:.9g} to {heights.x[-1]:.9g}, y from {heights.y[0]:.9g} to "
@@ -217,8 +220,7 @@ def _mapped(
         heights = heights._replace(z=filled.z)
     holes = missing if missing.any() else None
     if holes is not None:
-        count = f"{np.count_nonzero(holes)} of {holes.size} nodes"
-        facts += (("ground holes", f"{count} have no height: wheels must not touch them"),)
+        facts += (("ground holes", hole_words(int(holes.sum()), holes.size)),)
         heights = heights._replace(z=continue_over_holes(heights.z))
     if geographic is None:
         grid = Grid(heights.x, heights.y, heights.z, mask, holes)
@@ -234,6 +236,11 @@ def _mapped(
             f"{metric_system(float(heights.x.mean()), float(heights.y.mean()))} in out.tif"
         )
     return Map(Grid(x, y, heights.z, mask, holes), frame, heights.crs, geographic=True, facts=facts)
+
+
+def hole_words(count: int, size: int) -> str:
+    """Return the description of nodes in holes."""
+    return f"{count} of {size} nodes have no height: wheels must not touch them"
 
 
 def _degrees_words(latitude: Array, frame: Frame) -> str:

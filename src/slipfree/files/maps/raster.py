@@ -13,12 +13,13 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, BinaryIO, Literal, NamedTuple
+from typing import Any, BinaryIO, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import scipy  # scipy.io is imported when it is used, since this takes 0.2 s
 
 from slipfree.core.errors import DataError
+from slipfree.core.records import Array
 from slipfree.files.maps.missing_values import Marker, check_values
 from slipfree.files.maps.reference_systems import LENGTHS, refuse, scale_facts, system_name
 from slipfree.terrain.grid_ops import Heights, UniformAxis, Window, parts
@@ -88,6 +89,7 @@ TO_GRAY = "keep only the band of heights: gdal_translate -b 1 in.tif out.tif"
 TO_REAL = "convert them: gdal_translate -ot Float32 in.tif out.tif"
 TO_METRES = "gdalwarp -t_srs {} in.tif out.tif"
 Registration = Literal["area", "point"]
+T = TypeVar("T")
 WORDS = {
     "area": "heights at the centres of cells (pixel is area)",
     "point": "heights at nodes (pixel is point)",
@@ -136,6 +138,62 @@ class _Place(NamedTuple):
 
 def read_raster(path: Path, ask: Reading) -> Heights:
     """Return the heights in a raster file of a format that GDAL reads from one file."""
+    return _use_dataset(path, lambda file, placed: _from_dataset(file, path, ask, placed))
+
+
+class RasterParts(NamedTuple):
+    """A raster of which parts are read: its axes, and the slices of nodes in a window."""
+
+    path: Path
+    ask: Reading
+    axes: tuple[UniformAxis, UniformAxis]
+    inside: tuple[slice, slice]
+
+    @property
+    def nodes(self) -> tuple[Array, Array]:
+        """Coordinates of the nodes in the window [m or deg]."""
+        x, y = (axis.nodes(part) for axis, part in zip(self.axes, self.inside, strict=True))
+        return x, y
+
+    def heights(self, i: slice, j: slice) -> Heights:
+        """Return the heights of slices of the nodes in the window; at least four are read."""
+        ends, cuts = [], []
+        for axis, whole, part in zip(self.axes, self.inside, (i, j), strict=True):
+            start = max(whole.start, min(whole.start + part.start, whole.stop - 4))
+            stop = max(whole.start + part.stop, start + 4)
+            ends += [axis.first + axis.step * (k + 0.5) for k in (start - 1, stop - 1)]
+            cuts.append(slice(whole.start + part.start - start, whole.start + part.stop - start))
+        with naming(self.path):
+            found = read_raster(self.path, self.ask._replace(window=tuple(ends)))
+        a, b = cuts
+        return found._replace(x=found.x[a], y=found.y[b], z=found.z[a, b])
+
+
+def raster_parts(path: Path, ask: Reading) -> RasterParts:
+    """Return a raster of which parts are read; its window may have any number of nodes."""
+
+    def measure(file: Any, is_placed: bool) -> RasterParts:
+        _check_band(file)
+        x, y, *_ = _place(file, ask, is_placed)
+        return RasterParts(path, ask, (x, y), parts(x, y, ask.window, most=math.inf))
+
+    with naming(path):
+        return _use_dataset(path, measure)
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Put the name of a file before messages of the block."""
+    try:
+        yield
+    except DataError as error:
+        if str(error).startswith(f"{path}:"):
+            raise
+        raise type(error)(f"{path}: {error}") from error
+
+
+def _use_dataset(path: Path, use: Callable[[Any, bool], T]) -> T:
+    """Return the result of a function of an open raster, and of whether it has coordinates."""
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
 
@@ -166,7 +224,7 @@ def read_raster(path: Path, ask: Reading) -> Heights:
                 # without georeferencing some drivers return an uninitialized transform
                 is_warned = any(each.category is NotGeoreferencedWarning for each in noted)
                 is_placed = not is_warned and not dataset.transform.is_identity
-                return _from_dataset(dataset, path, ask, is_placed)
+                return use(dataset, is_placed)
     except DataError:
         raise
     except Exception as error:  # GDAL raises various exceptions for damaged files

@@ -15,17 +15,25 @@ from slipfree.atlas.atlas import (
     PoseEvaluator,
     bands_of,
     pose_evaluator,
+    tile_of,
     tiles_of,
 )
 from slipfree.core.dae import Dae
 from slipfree.core.records import Array, Label, leaves
 from slipfree.core.trajectory import OFFSET, Frame
-from slipfree.files.atlas_files import Site
+from slipfree.files.atlas_files import EMPTY, Site
 from slipfree.files.toml.source import Fault, name_errors, problem_error
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import Positive, Range, Record
 from slipfree.problem.build import build_model, build_vehicle, law_name, vehicle_facts
-from slipfree.problem.build_ground import GroundMap, at, build_ground, ground_facts
+from slipfree.problem.build_ground import (
+    Extremes,
+    GroundMap,
+    at,
+    build_ground,
+    build_large_ground,
+    ground_facts,
+)
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import (
     VERB,
@@ -39,9 +47,12 @@ from slipfree.problem.verbs.base import Lines, Verb
 from slipfree.routing.traversability import extents
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
+from slipfree.terrain.paged import Elevation, Outline, PagedBicubic, parts_of
+from slipfree.vehicle.shapes import Ball, BodyShape, Hull
 from slipfree.vehicle.tree import Vehicle
 
 MAX_HEADINGS = 360
+ROOM = 3.0  # width of the ground that is known around places [radius of the vehicle]
 
 
 class AtlasTable(Record):
@@ -119,11 +130,13 @@ class AtlasSetup:
     problem: Problem[AtlasKeys]
     ground: GroundMap
     vehicle: Vehicle
+    terrain: Bicubic
     model: Dae
     x: Array  # of the nodes of the result [m]
     y: Array
     heading: Array  # from the y axis [rad]
     inputs: Mapping[str, float]
+    known: Mapping[str, Extremes]  # of large maps, by file
 
     @property
     def tiles(self) -> list[tuple[slice, slice]]:
@@ -131,10 +144,10 @@ class AtlasSetup:
         return list(tiles_of(self.x.size, self.y.size))
 
     @property
-    def elevation(self) -> Array:
-        """Heights of the nodes [m]."""
-        every = self.problem.spec.atlas.every
-        return self.ground.grid.z[::every, ::every]
+    def elevation(self) -> Array | Elevation:
+        """Heights of the nodes, shape (n_x, n_y) [m]."""
+        grid, every = self.ground.grid, self.problem.spec.atlas.every
+        return Elevation(grid, every) if isinstance(grid, Outline) else grid.z[::every, ::every]
 
     @property
     def site(self) -> Site:
@@ -209,12 +222,48 @@ class AtlasSetup:
         with_errors, compiled = table.error is not None, compiled and table.compiled
         return pose_evaluator(self.model, with_errors=with_errors, compiled=compiled)
 
+    def bands(self, i: slice, j: slice, *, compiled: bool = True) -> dict[str, Array]:
+        """Return the bands at slices of the nodes, shape (n_headings, n_x, n_y)."""
+        table, x, y = self.problem.spec.atlas, self.x[i], self.y[j]
+        args = self.heading, self.inputs, table.error, table.tolerance
+        poses, ground = self.poses(compiled=compiled), self.terrain
+        if not isinstance(ground, PagedBicubic):
+            return tile_of(poses, x, y, *args)
+        shape = self.heading.size, x.size, y.size
+        found: dict[str, Array] = {
+            name: np.empty(shape, dtype=np.float32) for name in self.labels(compiled=compiled)
+        }
+        for a, b in parts_of(x.size, y.size, table.every):
+            load_around(ground, x[a], y[b], self.vehicle)
+            for name, values in tile_of(poses, x[a], y[b], *args).items():
+                found[name][:, a, b] = values
+        return found
 
-def build_atlas(problem: Problem[AtlasKeys]) -> AtlasSetup:
-    """Return model, places and inputs of a mobility map; raise ProblemError if it is invalid."""
+
+def load_around(ground: PagedBicubic, x: Array, y: Array, vehicle: Vehicle) -> None:
+    """Load the ground around places, with room for the search of poses."""
+    bodies = max((_reach(shape) for _, shape in vehicle.shapes), default=0.0)
+    room = ROOM * (extents(vehicle)[2] + bodies) + 8 * max(ground.grid.spacing)
+    ground.load((x[0] - room, x[-1] + room, y[0] - room, y[-1] + room))
+
+
+def _reach(shape: BodyShape) -> float:
+    """Return the distance of the farthest point of a shape from the origin of its part [m]."""
+    if isinstance(shape, Ball):
+        return float(np.linalg.norm(shape.at)) + shape.radius
+    points = shape.points if isinstance(shape, Hull) else shape.support_points
+    return float(np.linalg.norm(points, axis=1).max())
+
+
+def build_atlas(problem: Problem[AtlasKeys], known: Mapping[str, Extremes] = EMPTY) -> AtlasSetup:
+    """Return model, places and inputs of a mobility map; raise ProblemError if it is invalid.
+
+    ``known`` are the extremes of large maps, by file; otherwise these are read once.
+    """
     spec, table = problem.spec, problem.spec.atlas
     generic: Problem[Any] = problem
-    ground = build_ground(generic)
+    extremes = dict(known)
+    ground = build_large_ground(generic, extremes) or build_ground(generic)
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle, problem)
     grid = ground.grid
@@ -224,16 +273,20 @@ def build_atlas(problem: Problem[AtlasKeys]) -> AtlasSetup:
         fault = Fault(("atlas", "every"), expected, f"{table.every}; reduce it")
         raise problem_error(problem.source, [fault])
     origin = float(grid.x.mean()), float(grid.y.mean())
-    model = build_model(generic, vehicle, Bicubic(grid, origin, ground.mu))
-    known = [label.full for label in leaves(model.labels.u)]
+    terrain = Bicubic(grid, origin, ground.mu)
+    if isinstance(grid, Outline):
+        terrain = PagedBicubic(grid, origin, ground.mu)
+        load_around(terrain, np.array([origin[0]]), np.array([origin[1]]), vehicle)
+    model = build_model(generic, vehicle, terrain)
+    names = [label.full for label in leaves(model.labels.u)]
     rates = {f"{w.name}_rate": table.speed / w.radius for w in vehicle.wheels if w.driven}
     # without speed nothing moves, and without mass poses do not depend on the rates
     is_moving = bool(table.speed and vehicle.mass)
-    inputs = {name: rates[name] for name in known if is_moving and name in rates}
+    inputs = {name: rates[name] for name in names if is_moving and name in rates}
     x, y = grid.x[:: table.every], grid.y[:: table.every]
     count = table.headings
     heading = 2 * np.pi * np.arange(count) / count - OFFSET[spec.frame]
-    setup = AtlasSetup(problem, ground, vehicle, model, x, y, heading, inputs)
+    setup = AtlasSetup(problem, ground, vehicle, terrain, model, x, y, heading, inputs, extremes)
     if table.within:
         bands = setup.labels(compiled=False)
         if faults := [*name_errors(("atlas", "within"), table.within, list(bands))]:
