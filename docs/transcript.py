@@ -41,7 +41,7 @@ SHELL = re.compile(r"[|<>&;$`*?~]")  # what only a shell understands
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 VARIES = re.compile(
     r"[\d.e+-]+ (?:s CPU|steps|evaluations|iterations|s, of which [\d.]+ s in)|in [\d.]+ s\b"
-    r"|Newton step +[\d.e+-]+ m at most, [\d.]+ x"  # differs between processors
+    r"|integration error +[\d.e+-]+ m at most, [\d.]+ x"  # differs between processors
 )
 PROGRESS = re.compile(
     r"integrated to [\d.]+ of |.*\biteration \d+, cost |(figures|frames|tiles): \d+ of \d+"

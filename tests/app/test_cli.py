@@ -304,7 +304,7 @@ def test_run_writes_the_result_and_draws(folder):
     result = invoke("run", "p.toml", code=0)
     for words in (
         *("ground height ", "three_wheeler: right 0.3 m driven", "path length ", "end position "),
-        *("a lower bound, not a prediction", "wheel front", "closure residual", "x the tolerance"),
+        *("a lower bound, not a prediction", "wheel front", "contact error", "x the tolerance"),
         *("certificate  ", "; samples at most ", "steps, ", "outcome                complete\n"),
         "wrote p.nc",
     ):

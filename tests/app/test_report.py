@@ -101,7 +101,7 @@ def test_a_page_holds_all_of_a_result(kind, tmp_path, monkeypatch):
         assert motion.attributes[f"{name}_version"] in words
     assert f"slipfree info {file.name} --problem > {kind}_again.toml" in words
     checks = {
-        "direct": "closure residual",
+        "direct": "contact error",
         "inverse": "contact certificate",
         "plan": "differs from the plan by at most",
     }

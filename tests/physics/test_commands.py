@@ -324,7 +324,7 @@ def test_a_robots_command_counts_left_positive():
     assert "v_x 0.2 m/s, v_y 0.1 m/s, omega_z 0 rad/s" in words
     for name in COMMANDS:
         assert f"error of {name} " in words
-    assert "margin" not in words.split("closure residual")[0].replace("tip-over margin", "")
+    assert "margin" not in words.split("contact error")[0].replace("tip-over margin", "")
     assert_allclose(run["right"], -0.1)
     assert run["x"][-1] < -0.05  # the heading is that of +y: left is west
     _, same = _run("given={forward=0.2, right=-0.1, yaw_rate=0.0}")

@@ -212,7 +212,7 @@ def test_scales_of_a_problem(tmp_path: Path) -> None:
     assert_array_equal(grid.x, 6 * plain.x)
     assert_array_equal(grid.z, plain.z)
     assert facts["ground"] == "g.npz scaled by 6 in x and y, by 1 in height"
-    assert facts["coordinates in the map file"] == (
+    assert facts["file coordinates"] == (
         "x_file = 0.166666667 x, y_file = 0.166666667 y, z_file = z; x, y, z are those of "
         "results, in metres"
     )
@@ -230,7 +230,7 @@ CHANGES = [
 def test_everything_that_is_changed_is_told(tmp_path: Path) -> None:
     z = plane(40, 40, (0.25, 0.25)).z.copy()
     plain, told = _grounds(tmp_path, z=z)
-    assert not {"ground holes filled", "coordinates in the map file", "map crs"} & set(told)
+    assert not {"ground holes filled", "file coordinates", "map crs"} & set(told)
     z[10:12, 20] = np.nan
     grid, facts = _grounds(tmp_path, *CHANGES, z=z)
     assert facts["ground map"] == "numpy archive, CRS not given, heights at nodes"

@@ -109,7 +109,7 @@ def atlas(
     draw: Draw = True,
     trust: Trust = None,
 ) -> None:
-    """Map where and how a vehicle can stand on a ground, for several headings.
+    """Map where and at which headings a vehicle can stand.
 
     Print a summary, write maps of pose, tip-over margin and least friction, and draw figures. Tiles
     that are finished are kept in a folder beside the output until all files are written: repeat the

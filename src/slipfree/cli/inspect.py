@@ -46,7 +46,7 @@ from slipfree.core.errors import DataError
 
 
 def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
-    """Check a problem, and settle the vehicle on the ground at the start of the motion.
+    """Check a problem, and place the vehicle at its start.
 
     Print facts about ground, vehicle and start; the motion, or the mobility map, is not computed.
     """
@@ -85,10 +85,10 @@ def ground(
     draw: Draw = True,
     trust: Trust = None,
 ) -> None:
-    """Describe a map: size, reference system, slopes, holes, doubtful heights, and a start.
+    """Describe a map, and find a start at which a vehicle stands.
 
-    Maps in degrees are converted as by --set terrain.geographic=local. The figure shows heights,
-    slopes and the start.
+    Print size, reference system, slopes, holes and doubtful heights. Maps in degrees are converted
+    as by --set terrain.geographic=local. The figure shows heights, slopes and the start.
     """
     with reported():
         from slipfree.problem.build_ground import ground_facts
@@ -100,13 +100,16 @@ def ground(
         with about(file):
             facts = survey(ground)
         add_json("ground", lambda: {name: fact._asdict() for name, fact in facts.items()})
-        print_facts([*ground_facts(ground), *survey_lines(facts)])
+        lines = [*ground_facts(ground), *survey_lines(facts)]
         pose: Mapping[str, float] = {}
-        if vehicle is not None or file.suffix.lower() == ".toml":
-            with as_arguments():
-                pose, lines = stand(problem, ground.grid)
+        try:
+            if vehicle is not None or file.suffix.lower() == ".toml":
+                with as_arguments():
+                    pose, standing = stand(problem, ground.grid)
+                lines += standing
+                add_json("start", lambda: pose)
+        finally:  # also if the vehicle has errors
             print_facts(lines)
-            add_json("start", lambda: pose)
         if draw:
             from slipfree.show.motion_figures import ground_plot
             from slipfree.show.plots import save
@@ -167,7 +170,7 @@ def info(
         bool, typer.Option("--problem", help="Print the stored problem file instead.")
     ] = False,
 ) -> None:
-    """Print outcome, attributes and ranges of the quantities of a result file."""
+    """Print the outcome of a result and ranges of its quantities."""
     with reported(), about(file):
         from slipfree.files.atlas_files import is_atlas
         from slipfree.files.netcdf import read
@@ -238,7 +241,7 @@ def export(
     folder: InputFolder = None,
     trust: Trust = None,
 ) -> None:
-    """Export the path, the rates or the whole motion of a result, or a vehicle as C code.
+    """Export a motion for ROS or GIS, or a vehicle as C code.
 
     The path is for geographic information systems, the rates are for robots, the motion is for
     Foxglove and RViz. The C code is for the controller of a robot: it returns the rates of wheels

@@ -70,7 +70,7 @@ def new(
     settings: Settings = None,
     trust: Trust = None,
 ) -> None:
-    """Write NAME.toml, a commented and complete problem, as a template.
+    """Write NAME.toml, a complete problem with comments.
 
     With --ground and --vehicle it has your map and vehicle, with a start at which the vehicle
     stands; --set gives further keys of [terrain] or [vehicle], such as terrain.vertical_scale=0.01.

@@ -72,7 +72,7 @@ def show(
     port: Port = 0,
     browser: Browser = True,
 ) -> None:
-    """Show motions in a web page, or save a page, an animation or a picture.
+    """Show motions in a web page, or save a film or a picture.
 
     The page shows ground, vehicles, contact points, slip and forces in three dimensions.
     """
@@ -220,10 +220,10 @@ def edit(
     browser: Browser = True,
     trust: Trust = None,
 ) -> None:
-    """Plan by hand: drag start, goal and keep-out regions on a map in a web page.
+    """Plan by hand on a map in a web page.
 
-    The page shows the search while it runs and compares the plan with the last one. It saves the
-    start, goal and regions to the problem file.
+    Drag start, goal and keep-out regions. The page shows the search while it runs and compares the
+    plan with the last one. It saves the start, goal and regions to the problem file.
     """
     with reported():
         _serve(file, port, trust or [], browser=browser)

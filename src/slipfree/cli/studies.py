@@ -157,7 +157,7 @@ def fit(
     draw: Draw = True,
     trust: Trust = None,
 ) -> None:
-    """Fit a vehicle and a law to a log of wheel rates and poses, or a soil to single-wheel tests.
+    """Fit a vehicle to a log of motion, or a soil to wheel tests.
 
     With verb = 'fit-over-map', fit models of a skid-steered vehicle to logs of commands and
     positions over a map, and print the errors of their predictions on logs that were left out.
@@ -360,10 +360,11 @@ def wheel(
     ] = None,
     draw: Draw = True,
 ) -> None:
-    """Compute the forces on a single wheel in soil over slip ratio and slip angle.
+    """Compute the forces on a single wheel in soil.
 
-    Print a summary, and write drawbar pull, side force, torque and sinkage as a table and a figure.
-    Measured points of a CSV file are drawn over the curves, and compared with them.
+    Print a summary, and write drawbar pull, side force, torque and sinkage over slip ratio and
+    slip angle as a table and a figure. Measured points of a CSV file are drawn over the curves,
+    and compared with them.
     """
     with reported(), about(file):
         from slipfree.files.tables import write_rows
@@ -419,7 +420,7 @@ def pareto(
     draw: Draw = True,
     trust: Trust = None,
 ) -> None:
-    """Plan motions of least slip for several durations, efforts or energies.
+    """Plan motions of least slip against duration, effort or energy.
 
     Print the Pareto front, and write its table, its figure and the plan of every point.
     """

@@ -97,10 +97,10 @@ UNKNOWNS = (
 )
 EQUATIONS = (
     ("touching", "m s-1", "normal velocity of the contact point"),
-    ("bearing", "1", "normal force: that of the soil minus the unknown, over the weight"),
-    ("pulling", "1", "drawbar pull: that of the soil minus the unknown, over the weight"),
-    ("siding", "1", "side force: that of the soil minus the unknown, over the weight"),
-    ("resisting", "1", "torque: that of the soil minus the unknown, over weight and radius"),
+    ("bearing", "1", "normal force of the soil minus that of the unknowns, over the weight"),
+    ("pulling", "1", "drawbar pull of the soil minus that of the unknowns, over the weight"),
+    ("siding", "1", "side force of the soil minus that of the unknowns, over the weight"),
+    ("resisting", "1", "torque of the soil minus that of the unknowns, over weight and radius"),
     ("rim", "m s-1", "rim speed: that of the motion minus the unknown"),
     ("forward", "m s-1", "speed along the wheel: that of the motion minus the unknown"),
     ("sideways", "m s-1", "speed across the wheel: that of the motion minus the unknown"),

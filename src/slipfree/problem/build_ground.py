@@ -258,7 +258,7 @@ def _map_facts(crs: str, coordinates: Iterable[MapCoordinate]) -> Lines:
     ]
     if formulas:
         words = f"{', '.join(formulas)}; x, y, z are those of results, in metres"
-        facts.append(("coordinates in the map file", words))
+        facts.append(("file coordinates", words))
     return facts
 
 

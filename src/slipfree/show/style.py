@@ -96,9 +96,9 @@ def halo(width: float) -> list[AbstractPathEffect]:
 
 def words(name: str) -> str:
     """Return the printed name of a quantity or a wheel."""
-    return {"newton_step": "Newton step", "singular_value": "smallest singular value"}.get(
-        name, name.replace("_", " ")
-    )
+    printed = {"newton_step": "integration error", "closure_residual": "contact error"}
+    printed["singular_value"] = "smallest singular value"
+    return printed.get(name, name.replace("_", " "))
 
 
 def unit(unit: str) -> str:

@@ -133,8 +133,8 @@ def rollouts(
     count = _count_runs(parameters, states, values, t.size - 1)
     if isinstance(model, Dae) and parameters:
         raise ModelError(
-            "p: expected a function as the model, which takes the parameters, found a Dae; give a "
-            "function that returns the model"
+            "p: expected a function that takes the parameters, found a model; give a function "
+            "that returns the model"
         )
     kept = None if quantities is None else tuple(quantities)
     common = _Common(model, t, kept, options, states, values, parameters, step)
@@ -216,7 +216,7 @@ def _check_kinds(
         )
     if processes > 1 and isinstance(model, Dae):
         raise ModelError(
-            f"model: expected a function for {processes} processes, found a Dae, which cannot be "
+            f"model: expected a function for {processes} processes, found a model, which cannot be "
             "sent to other processes; give a function at the level of a module that returns it"
         )
     check_type("inputs", inputs, Mapping, "give numbers or arrays by name: {'left_rate': 0.5}")

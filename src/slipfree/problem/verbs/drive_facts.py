@@ -20,10 +20,10 @@ FILLED = "filled_samples"  # fact of motions on a map with filled holes
 UNIQUE = ("clearance", "relative_curvature")  # not negative if every wheel has one contact point
 MAX_ROCKS = 5  # changes of the least loaded wheel that a summary lists
 CHECKS = (
-    "closure residual",
-    "Newton step",
+    "contact error",
+    "integration error",
     "drift of the assembly",
-    "singular value",
+    "conditioning",
     "contact certificate",
     "energy balance",
     "not converged",
@@ -343,14 +343,15 @@ def trust_lines(
             drift, turned = (value[f"drift_{name}_largest"] for name in ("position", "rotation"))
             yield "drift of the assembly", f"{drift:.2e} m, {turned:.2e} rad at most"
         else:
-            yield "closure residual", f"{value['closure_residual_largest']:.2e} m at most"
+            yield "contact error", f"{value['closure_residual_largest']:.2e} m at most"
             if "newton_step" in run:  # a plan that is not simulated has none
                 step = value["newton_step_largest"]
                 # The integrator's error test ignores the unknowns of pressed wheels.
                 tested = tolerance and not has_pressed_wheels(run)
                 of_it = f", {step / tolerance:.3g} x the tolerance" if tested else ""
-                yield "Newton step", f"{step:.2e} m at most{of_it}"
-        yield "singular value", f"{value['singular_value_least']:.4g} at least"
+                yield "integration error", f"{step:.2e} m at most{of_it}; corrected at the samples"
+        least = value["singular_value_least"]
+        yield "conditioning", f"smallest singular value {least:.4g} at least; at 0 no rates follow"
         yield "contact certificate", certificate(run)
     if listed := value["not_converged"]:
         counts = (f"{name} at {count} of {run.t.size} samples" for name, count in listed.items())
