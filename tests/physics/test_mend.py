@@ -31,7 +31,6 @@ from slipfree.terrain.grid_ops import (
     disturbed,
     fill_holes,
     hole_distance,
-    scaled,
     smoothed,
 )
 
@@ -161,7 +160,7 @@ def test_smoothing_lowers_waves_by_the_gaussian_transfer_and_keeps_slopes():
 
 def test_maps_are_scaled_and_cut_with_their_border():
     grid = plane()
-    found = scaled(grid, 2.0, 0.5)
+    found = grid.scaled(2.0, 0.5)
     for name, factor in (("x", 2), ("y", 2), ("z", 0.5)):
         assert_array_equal(getattr(found, name), factor * getattr(grid, name))
     part = cut(grid, (0.5, 3.0, 8.0, 9.1))

@@ -32,7 +32,7 @@ from slipfree.problem.problem import A, Problem, S, shared
 from slipfree.problem.schema import TerrainKeys
 from slipfree.problem.verbs.base import Lines
 from slipfree.terrain.base import MAX_HEIGHT, Grid, check_friction
-from slipfree.terrain.grid_ops import MAX_NODES, Heights, Window, cut, disturbed, scaled, smoothed
+from slipfree.terrain.grid_ops import MAX_NODES, Heights, Window, cut, disturbed, smoothed
 from slipfree.terrain.kernel import library
 from slipfree.terrain.paged import Outline, outline, parts_of
 from slipfree.terrain.rolled import NODES, Rolled, rolled
@@ -72,25 +72,29 @@ def at(problem: Problem[A], place: KeyPath) -> Iterator[None]:
         raise ProblemError(f"{problem.source.where(place)}: {words}") from error
 
 
-def build_ground(problem: Problem[S]) -> GroundMap:
+def build_ground(problem: Problem[S], known: dict[str, Extremes] | None = None) -> GroundMap:
     """Return the ground of a problem.
 
     The order of operations is: read the file inside the window, fill holes, convert degrees to
     metres, scale, cut to the window (if there is no file), smooth, add the random elevation error
     (``error``), and fill the hollows that a wheel cannot touch (``rolled``).
+
+    With ``known``, GeoTIFFs with more than `LARGE` nodes are read by windows (`Outline`), unless a
+    key changes the whole map. It holds the extremes of files by name; those of others are added,
+    for which the whole file is read once.
     """
     spec = problem.spec.terrain
     _check_keys(problem)
     horizontal, vertical = _scales(spec)
-    ground_map, source = _source(problem)
-    grid = scaled(ground_map.grid, horizontal, vertical)
+    ground_map, source = _source(problem, known)
+    grid = ground_map.grid.scaled(horizontal, vertical)
     if spec.window is not None and spec.file is None:
         with at(problem, ("terrain", "window")):
             grid = cut(grid, spec.window)
     grid, changes = _changed(problem, grid)
     coordinates = _map_coordinates(ground_map, horizontal, vertical)
     facts = [*ground_map.facts, *changes, *_map_facts(ground_map.crs, coordinates)]
-    mu, friction = _friction(problem, ground_map)
+    mu, friction = _friction(problem, ground_map, known)
     changed = None
     if spec.rolled is not None:
         with at(problem, ("terrain", "rolled")):
@@ -110,54 +114,28 @@ class Extremes(NamedTuple):
     missing: int
 
 
-def build_large_ground(problem: Problem[S], known: dict[str, Extremes]) -> GroundMap | None:
-    """Return the ground of a problem with a large GeoTIFF, whose heights are read by windows.
-
-    None for other grounds, and with keys that change the whole map. ``known`` are the extremes of
-    files by name; those of others are added, for which the whole file is read once.
-    """
-    spec = problem.spec.terrain
-    if spec.file is None:
-        return None
-    metres = spec.vertical_scale if "vertical_scale" in spec.model_fields_set else None
-    horizontal, vertical = _scales(spec)
-    with at(problem, ("terrain", "file")):
-        raster = _large_raster(problem, spec.file, _file_window(spec), metres)
-        if raster is None:
-            return None
-        heights = _outline(raster, known, 1.0, 1.0)
-        middle = (slice(axis.size // 2 - 2, axis.size // 2 + 2) for axis in raster.nodes)
-        about, missing = raster.heights(*middle), known[str(raster.path)].missing
-        ground_map = Map(heights, crs=about.crs, facts=about.facts, gray=about.gray)
-        if metres is None:
-            _check_heights(ground_map, spec.scale)
-    grid = _outline(raster, known, horizontal, vertical)
-    coordinates = _map_coordinates(ground_map, horizontal, vertical)
-    facts = [*about.facts, *_map_facts(about.crs, coordinates)]
-    if missing:
-        facts.insert(len(about.facts), ("ground holes", hole_words(missing, grid.z.size)))
-    mu, friction = _friction(problem, ground_map, known)
-    source = spec.file + _scale_words(spec)
-    return GroundMap(grid, source, None, mu, friction, facts, coordinates, about.crs)
-
-
-def _large_raster(
-    problem: Problem[Any], name: str, window: Window | None, metres: float | None
-) -> RasterParts | None:
-    """Return a GeoTIFF with more than `LARGE` nodes to read by windows; None for others."""
+def _map_of(
+    problem: Problem[Any],
+    name: str,
+    window: Window | None,
+    options: dict[str, Any],
+    known: dict[str, Extremes] | None,
+) -> Map:
+    """Return the map in a file, of a large GeoTIFF its outline."""
     spec, path = problem.spec.terrain, problem.folder / name
     is_whole = any(getattr(spec, key) is not None for key in OF_WHOLE_MAPS)
-    if is_whole or path.suffix.lower() not in (".tif", ".tiff") or not path.is_file():
-        return None
-    raster = raster_parts(path, Reading(window, spec.cell, spec.registration, None, metres))
-    x, y = raster.nodes
-    return raster if x.size * y.size > LARGE and library() is not None else None
+    is_geotiff = path.suffix.lower() in (".tif", ".tiff") and path.is_file()
+    if known is not None and is_geotiff and not is_whole and library() is not None:
+        metres = options.get("vertical_scale")
+        raster = raster_parts(path, Reading(window, spec.cell, spec.registration, None, metres))
+        x, y = raster.nodes
+        if x.size * y.size > LARGE:
+            return _outline(raster, known)
+    return read_map(path, window=window, **options)
 
 
-def _outline(
-    raster: RasterParts, known: dict[str, Extremes], horizontal: float, vertical: float
-) -> Outline:
-    """Return the scaled outline of a raster, which is read once if its extremes are not known."""
+def _outline(raster: RasterParts, known: dict[str, Extremes]) -> Map:
+    """Return the outline of a raster, which is read once if its extremes are not known."""
     x, y = raster.nodes
     name = str(raster.path)
     if name not in known:
@@ -171,12 +149,13 @@ def _outline(
             f"expected heights from -{MAX_HEIGHT:g} to {MAX_HEIGHT:g}, found {words}; use another "
             "map or window"
         )
-    return outline(
-        (horizontal * x, horizontal * y),
-        lambda i, j: vertical * raster.heights(i, j).z,
-        (vertical * low, vertical * high),
-        has_holes=missing > 0,
-    )
+    middle = (slice(axis.size // 2 - 2, axis.size // 2 + 2) for axis in (x, y))
+    about = raster.heights(*middle)
+    facts = about.facts
+    if missing:
+        facts += (("ground holes", hole_words(missing, x.size * y.size)),)
+    grid = outline((x, y), lambda i, j: raster.heights(i, j).z, (low, high), missing)
+    return Map(grid, crs=about.crs, facts=facts, gray=about.gray)
 
 
 def _extremes(heights: Heights) -> Extremes:
@@ -271,7 +250,7 @@ def _check_size(width: float, length: float, spacing: float, remedy: str) -> Non
         )
 
 
-def _source(problem: Problem[S]) -> tuple[Map, str]:
+def _source(problem: Problem[S], known: dict[str, Extremes] | None = None) -> tuple[Map, str]:
     """Return the ground before scaling, and the description of its origin.
 
     Consecutive runs of a sweep share it, unless a key changes on which it depends.
@@ -279,17 +258,18 @@ def _source(problem: Problem[S]) -> tuple[Map, str]:
     key = problem.spec.terrain.model_dump_json(
         exclude=LATER, exclude_unset=True, serialize_as_any=True
     )
-    return shared("map", (problem.folder, key), lambda: _read(problem))
+    whole = problem.folder, key, known is None
+    return shared("map", whole, lambda: _read(problem, known))
 
 
-def _read(problem: Problem[S]) -> tuple[Map, str]:
+def _read(problem: Problem[S], known: dict[str, Extremes] | None) -> tuple[Map, str]:
     spec = problem.spec.terrain
     if spec.file is not None:
         options: dict[str, Any] = {key: getattr(spec, key) for key in OF_FILES}
         if "vertical_scale" in spec.model_fields_set:
             options["vertical_scale"] = spec.vertical_scale
         with at(problem, ("terrain", "file")):
-            ground_map = read_map(problem.folder / spec.file, window=_file_window(spec), **options)
+            ground_map = _map_of(problem, spec.file, _file_window(spec), options, known)
             if "vertical_scale" not in spec.model_fields_set:
                 _check_heights(ground_map, spec.scale)
         return ground_map, spec.file
@@ -327,12 +307,9 @@ def _check_heights(ground_map: Map, scale: float) -> None:
 
 
 def _friction(
-    problem: Problem[S], ground: Map, known: dict[str, Extremes] | None = None
+    problem: Problem[S], ground: Map, known: dict[str, Extremes] | None
 ) -> tuple[float | Grid | None, str]:
-    """Return the coefficient of friction, a number or a map, and its description.
-
-    With ``known``, large maps are read by windows, as in `build_large_ground`.
-    """
+    """Return the coefficient of friction, a number or a map, and its description."""
     spec = problem.spec.terrain
     name, (horizontal, _) = spec.friction, _scales(spec)
     if not isinstance(name, str):
@@ -344,24 +321,19 @@ def _friction(
     if ground.geographic:
         options["geographic"] = ground.frame
     with at(problem, ("terrain", "friction")):
-        raster = None if known is None else _large_raster(problem, name, None, None)
-        if raster is None or known is None:
-            read = read_map(problem.folder / name, **options)
-            check_friction(read.grid)  # before scaling: the message has coordinates of the file
-            # both files describe the same area, so that both are scaled; coefficients are not
-            facts, mu = read.facts, scaled(read.grid, horizontal, 1.0)
-        else:
-            facts, mu = (), _outline(raster, known, horizontal, 1.0)
-            low, _, missing = known[str(raster.path)]
-            if missing or low <= 0:
-                words = f"none at {missing} nodes" if missing else f"{low:g}"
-                raise DataError(
-                    f"friction: expected a positive coefficient at every node, found {words}; "
-                    "correct the map"
-                )
+        friction_map = _map_of(problem, name, None, options, known)
+        grid = friction_map.grid
+        if isinstance(grid, Outline) and (grid.missing or grid.extremes[0] <= 0):
+            raise DataError(
+                f"friction: expected positive coefficients at all nodes, found "
+                f"{grid.extremes[0]:g}, and none at {grid.missing} nodes; correct the map"
+            )
+        check_friction(grid)  # before scaling: the message has coordinates of the file
+    # both files describe the same area, so that both are scaled; coefficients are not
+    mu = grid.scaled(horizontal, 1.0)
     details = "".join(
         f"; {key.removeprefix('ground ')} {words}"
-        for key, words in facts
+        for key, words in friction_map.facts
         if not key.startswith("ground map")
     )
     return mu, f"{name}, {mu.values.min():g} to {mu.values.max():g}{details}"

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple, Protocol
 
@@ -255,6 +255,13 @@ class Grid:
     def values(self) -> Array:
         """Values of the nodes outside holes, shape (n,)."""
         return self.z.reshape(-1) if self.holes is None else self.z[~self.holes]
+
+    def scaled(self, horizontal: float, vertical: float) -> Grid:
+        """Return the grid with scaled x and y (``horizontal``) and values (``vertical``)."""
+        if horizontal == vertical == 1:
+            return self
+        x, y, z = horizontal * self.x, horizontal * self.y, vertical * self.z
+        return replace(self, x=x, y=y, z=z)
 
     def touches(self, nodes: Mask | None, x: Array, y: Array) -> Mask:
         """Return the mask of points in cells with a marked node at a corner.

@@ -294,13 +294,6 @@ def continue_over_holes(z: Array) -> Array:
     return found
 
 
-def scaled(grid: Grid, horizontal: float, vertical: float) -> Grid:
-    """Return a ground with scaled x and y (``horizontal``) and heights (``vertical``)."""
-    if horizontal == vertical == 1:
-        return grid
-    return replace(grid, x=horizontal * grid.x, y=horizontal * grid.y, z=vertical * grid.z)
-
-
 def smoothed(grid: Grid, deviation: float) -> Smoothed:
     """Return a ground averaged with Gaussian weights, and the size of the change.
 

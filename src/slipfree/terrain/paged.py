@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import mmap
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import numpy as np
@@ -29,29 +29,37 @@ Read = Callable[[slice, slice], Array]  # values of nodes, NaN where they are mi
 class Outline(Grid):
     """Nodes of a map whose values are read by windows.
 
-    ``z`` and ``holes`` are placeholders: all zero, and None without holes. ``values`` are only the
-    smallest and the largest value.
+    ``z`` and ``holes`` are placeholders: zero everywhere, and None without holes. ``values`` are
+    only the extremes, ``missing`` counts the nodes without a value.
     """
 
-    read: Read = lambda *_: np.empty((0, 0))
-    extremes: tuple[float, float] = (0.0, 0.0)
+    read: Read = field(kw_only=True)
+    extremes: tuple[float, float] = field(kw_only=True)
+    missing: int = field(kw_only=True)
 
     def __post_init__(self) -> None:
-        """Check nothing: the axes are uniform, and values are checked when they are read."""
+        """Check nothing: axes of rasters are uniform, and values are checked when they are read."""
 
     @property
     def values(self) -> Array:
         """Smallest and largest value of the nodes outside holes."""
         return np.array(self.extremes)
 
+    def scaled(self, horizontal: float, vertical: float) -> Outline:
+        """Return the outline with scaled x and y (``horizontal``) and values (``vertical``)."""
+        low, high = self.extremes
+        axes = horizontal * self.x, horizontal * self.y
+        extremes = vertical * low, vertical * high
+        return outline(axes, lambda i, j: vertical * self.read(i, j), extremes, self.missing)
+
 
 def outline(
-    axes: tuple[Array, Array], read: Read, extremes: tuple[float, float], *, has_holes: bool
+    axes: tuple[Array, Array], read: Read, extremes: tuple[float, float], missing: int = 0
 ) -> Outline:
     """Return the outline of a map."""
     (x, y), shape = axes, (axes[0].size, axes[1].size)
-    holes = np.broadcast_to(False, shape) if has_holes else None
-    return Outline(x, y, np.broadcast_to(0.0, shape), None, holes, read, extremes)
+    z, holes = np.broadcast_to(0.0, shape), np.broadcast_to(False, shape) if missing else None
+    return Outline(x, y, z, None, holes, read=read, extremes=extremes, missing=missing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +147,8 @@ class PagedBicubic(Bicubic):
     def _margin(self) -> PagedBicubic | None:
         if self.grid.holes is None:
             return None
-        grid = replace(self.grid, holes=None, read=self._hole_margins, extremes=(0.0, 0.0))
-        return PagedBicubic(grid, self.origin[:2], through=False)
+        margins = outline((self.grid.x, self.grid.y), self._hole_margins, (0.0, 0.0))
+        return PagedBicubic(margins, self.origin[:2], through=False)
 
     def _hole_margins(self, i: slice, j: slice) -> Array:
         """Return the margins of nodes to holes, at most the width of the border [m]."""
@@ -156,7 +164,7 @@ class PagedBicubic(Bicubic):
         mu = self.mu
         if not isinstance(mu, Outline):
             return friction_map(mu, self.origin[:2])
-        padded = outline(pad_axes(mu), partial(_read_padded, mu), mu.extremes, has_holes=False)
+        padded = outline(pad_axes(mu), partial(_read_padded, mu), mu.extremes)
         return PagedBicubic(padded, self.origin[:2], through=False)
 
 

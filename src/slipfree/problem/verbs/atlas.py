@@ -31,7 +31,6 @@ from slipfree.problem.build_ground import (
     GroundMap,
     at,
     build_ground,
-    build_large_ground,
     ground_facts,
 )
 from slipfree.problem.problem import Problem
@@ -263,7 +262,7 @@ def build_atlas(problem: Problem[AtlasKeys], known: Mapping[str, Extremes] = EMP
     spec, table = problem.spec, problem.spec.atlas
     generic: Problem[Any] = problem
     extremes = dict(known)
-    ground = build_large_ground(generic, extremes) or build_ground(generic)
+    ground = build_ground(generic, extremes)
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle, problem)
     grid = ground.grid
