@@ -272,7 +272,9 @@ def test_holes_exclude_headings_by_name():
     ],
     ids=["nan", "holes", "row", "cell", "spikes"],
 )
-def test_hostile_maps_are_refused(z, more, expected):
+@pytest.mark.parametrize("most", [build_ground.LARGE, 0], ids=["whole", "windows"])
+def test_hostile_maps_are_refused(z, more, expected, most, monkeypatch):
+    monkeypatch.setattr(build_ground, "LARGE", most)
     write_map(z, **more)
     words = refused("atlas", "site.tif", "three_wheeler", *QUICK)
     assert words.startswith("MAP: site.tif:")

@@ -146,8 +146,8 @@ def _outline(raster: RasterParts, known: dict[str, Extremes]) -> Map:
     if not -MAX_HEIGHT <= low <= high <= MAX_HEIGHT:
         words = f"values from {low:g} to {high:g}" if low <= high else "none at any node"
         raise DataError(
-            f"expected heights from -{MAX_HEIGHT:g} to {MAX_HEIGHT:g}, found {words}; use another "
-            "map or window"
+            f"{name}: expected heights from -{MAX_HEIGHT:g} to {MAX_HEIGHT:g}, found {words}; use "
+            "another map or window"
         )
     middle = (slice(axis.size // 2 - 2, axis.size // 2 + 2) for axis in (x, y))
     about = raster.heights(*middle)
