@@ -334,14 +334,8 @@ def least_friction_of_loads(terms: Terms, tolerance: float) -> FrictionBounds:
     ``log(sigma^2 - |v_i|^2)``; it is a function of ``s = C y`` alone. Forces of a Newton step for
     ``y`` balance the load exactly and give an upper bound; ``load.y / sum |s_i|`` is a lower bound
     for every ``y``.
-
-    Parameters
-    ----------
-    terms : Terms
-        All entries of the matrix of the slips along and across, column by column; loads; and
-        friction limits over the weight.
-    tolerance : float
-        Width of an interval that needs no further steps. [1]
+    ``terms`` are all entries of the matrix of the slips along and across, column by column; loads;
+    and friction limits over the weight. Intervals below ``tolerance`` need no further steps.
     """
     load, limit = terms.load.T, terms.friction.T
     n, k = load.shape

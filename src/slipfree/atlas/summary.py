@@ -45,20 +45,9 @@ class Verdicts(NamedTuple):
 def verdicts(poses: Atlas, *, friction: float | None, within: Bounds) -> Verdicts:
     """Return the reasons for which a vehicle may not stay at the poses of an atlas.
 
-    Parameters
-    ----------
-    poses : Atlas
-        The poses.
-    friction : float, optional
-        Coefficient of friction at the wheel with the best grip, which must hold the vehicle; 1 on
-        a ground with a map of friction, None on a ground without friction. [1]
-    within : mapping of str to tuple of 2 floats
-        Smallest and largest value of bands by name, in their units.
-
-    Raises
-    ------
-    ModelError
-        If there is no band of a name of ``within``.
+    ``friction`` is the coefficient at the wheel with the best grip, which must hold the vehicle; 1
+    with a map of friction, None on a ground without. ``within`` are bounds of bands by name;
+    ModelError is raised for an unknown one.
     """
     reasons, codes = list(poses.reasons), poses[REASON.name].astype(int)
     least = least_bounds(poses)
@@ -78,16 +67,8 @@ def summary(
 ) -> dict[str, Band]:
     """Return maps over the headings, by name: bands of shape (n_x, n_y).
 
-    Parameters
-    ----------
-    poses : Atlas
-        The poses.
-    found : Verdicts
-        Their verdicts.
-    elevation : ndarray, shape (n_x, n_y)
-        Heights of the nodes. [m]
-    degrees_from : float
-        Angle that is added to headings in degrees, those of another frame. [rad]
+    ``elevation`` are the heights of the nodes [m], ``degrees_from`` is added to headings in
+    degrees, those of another frame [rad].
     """
     words = "share of headings at which the vehicle stands"
     maps = [Band(Label(STANDING, "1", words), np.asarray(poses.stands.mean(axis=0)))]

@@ -27,17 +27,9 @@ Window = tuple[float, float, float, float]
 
 
 class UniformAxis(NamedTuple):
-    """Uniform axis along x or y.
+    """Uniform axis along x or y."""
 
-    Attributes
-    ----------
-    first, step : float
-        Coordinate of the first node, and distance between nodes. [m] or [deg]
-    size : int
-        Number of nodes.
-    """
-
-    first: float
+    first: float  # coordinate of the first node [m or deg]
     step: float
     size: int
 
@@ -48,68 +40,32 @@ class UniformAxis(NamedTuple):
 
 
 class Heights(NamedTuple):
-    """Heights of a map file.
+    """Heights of a map file."""
 
-    Attributes
-    ----------
-    x, y : ndarray, shape (n_x,) and (n_y,)
-        Coordinates of the nodes, increasing and uniform. [m] or [deg]
-    z : ndarray, shape (n_x, n_y)
-        Heights at ``(x[i], y[j])``, NaN in holes. [m]
-    facts : tuple of (str, str)
-        Facts about the file for summaries: pairs of name and description.
-    crs : str
-        Coordinate reference system of the file such as ``"EPSG:32633"``; empty if unknown.
-    geographic : bool
-        Whether x and y are degrees according to the file.
-    placed : bool
-        Whether the file contains the coordinates of its nodes.
-    gray : bool
-        Whether the heights are gray levels of a picture, whose length the file does not contain.
-    """
-
-    x: Array
+    x: Array  # increasing and uniform coordinates of the nodes [m or deg]
     y: Array
-    z: Array
-    facts: tuple[tuple[str, str], ...] = ()
-    crs: str = ""
-    geographic: bool = False
-    placed: bool = True
-    gray: bool = False
+    z: Array  # (n_x, n_y), NaN in holes [m]
+    facts: tuple[tuple[str, str], ...] = ()  # for summaries: pairs of name and description
+    crs: str = ""  # reference system such as "EPSG:32633"; empty if unknown
+    geographic: bool = False  # whether x and y are degrees according to the file
+    placed: bool = True  # whether the file contains the coordinates of its nodes
+    gray: bool = False  # whether the heights are gray levels of a picture, of unknown length
 
 
 class Filled(NamedTuple):
-    """Heights with filled holes, and counts of the filling.
+    """Heights with filled holes, and counts of the filling."""
 
-    Attributes
-    ----------
-    z : ndarray, shape (n_x, n_y)
-        Heights, those in holes interpolated; NaN in holes at the border. [m]
-    nodes, holes : int
-        Number of filled nodes, and number of connected holes.
-    largest : tuple of 2 floats
-        Extents along x and y of the hole with the most nodes; zero without holes. [m] or [deg]
-    """
-
-    z: Array
-    nodes: int
-    holes: int
-    largest: tuple[float, float]
+    z: Array  # NaN in holes at the border [m]
+    nodes: int  # filled
+    holes: int  # connected
+    largest: tuple[float, float]  # extents of the hole with the most nodes; or zero [m or deg]
 
 
 class Smoothed(NamedTuple):
-    """A smoothed ground, and the size of the change.
-
-    Attributes
-    ----------
-    grid : Grid
-        The new ground. [m]
-    rms, largest : float
-        Root mean square and largest absolute value of the change of height. [m]
-    """
+    """A smoothed ground, and the size of the change."""
 
     grid: Grid
-    rms: float
+    rms: float  # root mean square of the change of height [m]
     largest: float
 
 
@@ -120,11 +76,8 @@ def parts(
 
     Without a window, all nodes are returned.
 
-    Raises
-    ------
-    DataError
-        If the window is empty, if the map or the window has fewer than 4 nodes along an axis, if
-        more than ``most`` nodes are selected, or if rounding would lose the distances of the nodes.
+    DataError is raised if the window is empty, the map or the window has fewer than 4 nodes along
+    an axis, more than ``most`` are selected, or rounding would lose the distances of the nodes.
     """
     _check_axes(x, y)
     found = slice(0, x.size), slice(0, y.size)
@@ -243,15 +196,9 @@ def fill_holes(heights: Heights) -> Filled:
 def hole_distance(grid: Grid) -> Array:
     """Return the distance of every node from cells with a missing height, negative inside [m].
 
-    Raises
-    ------
-    DataError
-        If no cell has heights at its four corners.
-
-    Notes
-    -----
-    The point of a set of cells that is nearest to a node is itself a node.
+    DataError is raised if no cell has heights at its four corners.
     """
+    # the point of a set of cells that is nearest to a node is itself a node
     missing = np.zeros(grid.z.shape, bool) if grid.holes is None else grid.holes
     cells = any_of_four(missing)
     if cells.all():

@@ -21,18 +21,10 @@ BLUR = 0.25  # standard deviation of the Gaussian, in wheel radii
 
 @dataclass(frozen=True, eq=False)
 class Rolled:
-    """A ground filled for a wheel, and the change of its heights.
+    """A ground filled for a wheel, and the change of its heights."""
 
-    Attributes
-    ----------
-    grid : Grid
-        The new ground, on nodes at most an eighth of the wheel's radius apart. [m]
-    change : Grid
-        New minus old heights at the same nodes. [m]
-    """
-
-    grid: Grid
-    change: Grid
+    grid: Grid  # on nodes at most an eighth of the wheel's radius apart [m]
+    change: Grid  # new minus old heights at the same nodes [m]
 
     @property
     def largest(self) -> float:
