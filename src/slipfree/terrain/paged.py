@@ -113,7 +113,7 @@ class PagedBicubic(Bicubic):
 
     def _fill(self, window: Window) -> None:
         self._known_bounds.clear()
-        if hasattr(mmap, "MADV_DONTNEED"):
+        if hasattr(mmap, "MADV_DONTNEED"):  # pages of a private mapping are freed
             self._memory.madvise(mmap.MADV_DONTNEED)
         wide, here, inner = [], [], []
         for axis, h, ends in zip(
@@ -134,10 +134,10 @@ class PagedBicubic(Bicubic):
     @cached_property
     def _memory(self) -> mmap.mmap:
         n_x, n_y = self.grid.z.shape
-        flags = (
-            {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
-        )
-        return mmap.mmap(-1, 8 * (n_x + 2) * (n_y + 2), **flags)
+        size = 8 * (n_x + 2) * (n_y + 2)
+        if not hasattr(mmap, "MAP_PRIVATE"):
+            return mmap.mmap(-1, size)
+        return mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
 
     @cached_property
     def _table(self) -> Array:
