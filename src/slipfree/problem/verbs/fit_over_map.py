@@ -279,11 +279,8 @@ def _read_log(spec: FitOverMap, grid: Grid, path: Path, group: str) -> DriveLog:
             f"{south:g} to {north:g} m, found none, the first at x = {place[0, 0]:g}, "
             f"y = {place[0, 1]:g} m; correct 'shift' or the columns"
         )
-    good, mean, speed = (
-        on_map & (t[later] - t[later - 1] < GAP),
-        sides.mean(axis=1),
-        np.hypot(*velocity.T),
-    )
+    good = on_map & (t[later] - t[later - 1] < GAP)
+    mean, speed = sides.mean(axis=1), np.hypot(*velocity.T)
     if vx:
         good &= ~_jumps(place, speed, data.step)
     return DriveLog(
