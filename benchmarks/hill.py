@@ -1,10 +1,10 @@
 """A skid-steered robot on a hillside: errors of baselines and of models on the map.
 
 ``python benchmarks hill FOLDER [--judge OTHER] [--models NAME ...] [--unknowns NAME ...]
-[--every N] [--from-positions] [--figures DIR]`` reads public logs that are not part of the project
-(source: docs/measured.md): folders of logs ``*.txt.gz``, one for each campaign, and the elevation
-model. Each campaign is predicted with constants that were fitted to the others; with ``--judge``,
-the logs of OTHER with constants that were fitted to all of FOLDER.
+[--from-positions] [--figures DIR]`` reads public logs that are not part of the project (source:
+docs/measured.md): folders of logs ``*.txt.gz``, one for each campaign, and the elevation model.
+Each campaign is predicted with constants that were fitted to the others; with ``--judge``, the logs
+of OTHER with constants that were fitted to all of FOLDER.
 
 ``python benchmarks hill [--draws N]`` fits synthetic logs with known truth.
 """
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slipfree import Coulomb, LeastSlip, Soil, catalog, direct_kinematics, quasi_statics
+from slipfree import Coulomb, LeastSlip, catalog, direct_kinematics, quasi_statics
 from slipfree.fit.ground_fit import (
     FITTED,
     Kind,
@@ -49,7 +49,6 @@ UNIT, LEVER = 0.0217, 0.12  # [m/s] of a unit of the drives; units of an angular
 LIMIT = 90.0  # of a side's command [%]
 SMOOTHING, SHIFT = 1.5, (-1.5, 1.0)  # of the map; of the positions on it [m]
 GAP, CHORD_ERROR, STATED = 1.5, 0.25, 0.1  # of good positions [s, m/s, m]
-SAMPLED = "place", "velocity", "speed", "good", "direction"  # values at the samples of logs
 JUDGED = ["straight", "differential", "icr", "slope"]
 FRICTION, CREEP = 0.6, 0.03  # of the vehicle's law: their ratio gives the measured slip on slopes
 CART = catalog.skid_steer(  # assumed: the logs state no dimensions
@@ -64,11 +63,6 @@ UNKNOWNS = (  # "turn", since the unit of an angular command is unknown
 CENTER = (
     Unknown("center_of_mass_ahead", "center_of_mass_ahead", lower=-0.06, upper=0.06),
     Unknown("center_of_mass_up", "center_of_mass_up", lower=-0.1, upper=0.2),
-)
-# a firm soil whose shear moduli do not depend on the slip angle; its modulus of sinkage is assumed
-SOIL = Soil(frictional_modulus=3e6, shear_along_rate=0.0, shear_across_rate=0.0, creep=CREEP)
-SHEAR = tuple(
-    Unknown(name, name, lower=1e-3, upper=0.3) for name in ("shear_along", "shear_across")
 )
 MADE = 16  # synthetic logs
 FURTHER = 4  # maps with further errors
@@ -89,14 +83,6 @@ VEHICLES = {
         Coulomb(creep=CREEP),
         (*UNKNOWNS, *CENTER),
         FRICTION,
-    ),
-    "vehicle_soil": vehicle_model(
-        "vehicle on soil",
-        lambda ground, vehicle, law: quasi_statics(vehicle, ground, law=law),
-        CART,
-        SOIL,
-        (*UNKNOWNS, *SHEAR),
-        None,
     ),
 }
 ALL = MODELS | {name: with_drives_and_sensors(model, UNKNOWNS) for name, model in VEHICLES.items()}
@@ -173,24 +159,10 @@ def read_log(path: Path, origin: np.ndarray) -> DriveLog | None:
     )
 
 
-def read_logs(
-    folder: Path, origin: np.ndarray, has_velocities: bool, every: int = 1
-) -> list[DriveLog]:
-    """Return the logs of all campaigns in a folder, with or without the receiver's velocities.
-
-    Of all samples, the ``every``-th are kept, and commands are averaged between them.
-    """
+def read_logs(folder: Path, origin: np.ndarray, has_velocities: bool) -> list[DriveLog]:
+    """Return the logs of all campaigns in a folder, with or without the receiver's velocities."""
     logs = (read_log(path, origin) for path in sorted(folder.glob("*/*.txt.gz")))
-    return [
-        log._replace(
-            dt=every * log.dt,
-            sides=log.sides[: every * count].reshape(count, every, 2).mean(axis=1),
-            is_velocity_measured=has_velocities,
-            **{name: getattr(log, name)[: every * count : every] for name in SAMPLED},
-        )
-        for log in logs
-        if log is not None and (count := len(log.speed) // every)
-    ]
+    return [log._replace(is_velocity_measured=has_velocities) for log in logs if log is not None]
 
 
 def made_logs(rng: np.random.Generator, slopes: Slopes, draws: int) -> list[list[DriveLog]]:
@@ -273,7 +245,6 @@ def main() -> None:
     parser.add_argument("--judge", type=Path)
     parser.add_argument("--figures", type=Path)
     parser.add_argument("--from-positions", action="store_true", help="courses from positions only")
-    parser.add_argument("--every", type=int, default=1, help="of the samples, use each Nth")
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--models", nargs="+", choices=ALL, default=JUDGED)
     parser.add_argument("--unknowns", nargs="+", choices=DRIVES_AND_SENSORS, default=[])
@@ -287,7 +258,7 @@ def main() -> None:
     origin = np.loadtxt(next(folder.glob("*Offset.csv")))
     grid = Grid(*(np.arange(float(count)) for count in heights.shape), heights)
     slopes = Slopes(grid, SMOOTHING)
-    how = origin, not given.from_positions, given.every
+    how = origin, not given.from_positions
     logs = read_logs(folder, *how)
     others = read_logs(given.judge, *how) if given.judge else []
     began = time.perf_counter()

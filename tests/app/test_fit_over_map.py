@@ -93,6 +93,8 @@ def test_other_logs_are_predicted(folder: Path) -> None:
 
 @pytest.mark.usefixtures("folder")
 def test_wrong_problems_are_refused() -> None:
+    words = printed("fit", "hill.toml", "--no-draw", "--set", "shift=[100, 0]", code=2)
+    assert "x from -40 to 40 m and y from -40 to 40 m, found none, the first at x = " in words
     Path("a/0.csv").write_text("t,x,y,left\n0,0,0,1\n1,0,0,1\n")
     words = "a/0.csv: expected the columns t, x, y, left, right, found no column 'right'"
     assert words in printed("fit", "hill.toml", "--no-draw", code=2)

@@ -52,27 +52,10 @@ class GroundFit(NamedTuple):
 
 
 def fit_ground(model: MotionModel, predict: GroundPredictor, where: str = "the logs") -> GroundFit:
-    """Fit the constants of a model to windows.
+    """Fit the constants of a model to windows; those of one log are not independent.
 
-    Parameters
-    ----------
-    model : MotionModel
-        Model with start values and bounds of its constants.
-    predict : GroundPredictor
-        Predictions of n windows. Those of one log are not independent.
-    where : str
-        The logs, for error messages.
-
-    Returns
-    -------
-    GroundFit
-        Constants in the units of the model, and errors of the windows, shape (n,) [m, m, rad].
-
-    Raises
-    ------
-    ModelError
-        If there are not more windows than constants, the search does not converge, or the windows
-        do not determine a constant.
+    ModelError is raised, with the name of the logs, if there are not more windows than constants,
+    the search does not converge, or the windows do not determine a constant.
     """
     names = tuple(model.start)
     start = np.array([model.start[name] for name in names])
@@ -193,30 +176,8 @@ def fit_on_uncertain_map(
 
     Errors of a map attenuate the influence of its slopes. What further errors of the same size
     change is subtracted (simulation extrapolation; Cook and Stefanski, J. Am. Stat. Assoc. 89,
-    1994), and their spread is added to the deviations.
-
-    Parameters
-    ----------
-    model : MotionModel
-        Model with start values and bounds of its constants.
-    logs : sequence of DriveLog
-        Logs, in SI units.
-    windows : PathWindows
-        Parts of the logs, shape (n,).
-    maps : tuple of Slopes and sequence of Slopes
-        Slopes of the map, and of the map with further errors: none, or at least two.
-    where : str
-        The logs, for error messages.
-
-    Returns
-    -------
-    GroundFit
-        Constants in the units of the model, and errors of the windows, shape (n,) [m, m, rad].
-
-    Raises
-    ------
-    ModelError
-        As `fit_ground`.
+    1994), and their spread is added to the deviations. ``maps`` are the slopes of the map, and
+    those of the map with further errors: none, or at least two.
     """
     given, others = maps
     fitted = fit_ground(model, GroundPredictor(logs, windows, given), where)
@@ -296,32 +257,9 @@ def judge(
 ) -> tuple[dict[str, dict[Kind, Score]], dict[str, list[GroundFit]]]:
     """Predict each group of logs with constants fitted to the other groups.
 
-    Parameters
-    ----------
-    logs : sequence of DriveLog
-        Logs, in SI units, with the names of their groups.
-    slopes : Slopes
-        Slopes of the map.
-    models : mapping of str to MotionModel
-        Models by name.
-    kinds : sequence of tuple of 2 floats
-        Lengths of path [m] and durations [s] of the windows; one of both is zero.
-    others : sequence of DriveLog
-        Logs that are predicted with constants fitted to all ``logs``, instead of the groups.
-    further : sequence of Slopes
-        Slopes of the map with further errors, for `fit_on_uncertain_map`.
-
-    Returns
-    -------
-    scores : dict
-        Errors on all windows of each kind, by model and kind.
-    fits : dict
-        Fits by model, one for each group that is left out.
-
-    Raises
-    ------
-    ModelError
-        As `fit_ground`, or if no log has a window of a kind.
+    With ``others``, these logs are predicted with constants fitted to all ``logs``. ``further`` are
+    slopes of the map with further errors, for `fit_on_uncertain_map`. Scores are by model and kind
+    of window, fits by model, one for each group that is left out.
     """
     windows = {kind: windows_of(logs, *kind) for kind in {*kinds, FITTED}}
     test = {kind: windows_of(others, *kind) for kind in kinds} if others else windows

@@ -184,8 +184,10 @@ def fit_over_map(problem: Problem[FitOverMap], predict: Sequence[Path] = ()) -> 
                 f"{', '.join(sorted(path.name for path in again))} in both; remove them from one"
             )
         alone = len({path.parent for path in paths}) == 1
-        logs = [_read_log(path, spec, path.name if alone else str(path.parent)) for path in paths]
-        others = [_read_log(path, spec, path.stem) for path in predict]
+        groups = [path.name if alone else str(path.parent) for path in paths]
+        read = partial(_read_log, spec, ground.grid)
+        logs = [read(*each) for each in zip(paths, groups, strict=True)]
+        others = [read(path, path.stem) for path in predict]
         kinds = [*((length, 0.0) for length in spec.lengths), (0.0, spec.duration)]
         scores, folds = judge(logs, slopes, models, kinds, others, further)
         windows = windows_of(logs, *FITTED)
@@ -237,8 +239,11 @@ def models_of(
     }
 
 
-def _read_log(path: Path, spec: FitOverMap, group: str) -> DriveLog:
-    """Return a log at equal intervals; positions are linear between samples, commands are held."""
+def _read_log(spec: FitOverMap, grid: Grid, path: Path, group: str) -> DriveLog:
+    """Return a log at equal intervals; positions are linear between samples, commands are held.
+
+    Samples beyond the map are not good.
+    """
     data, columns = spec.data, dict(spec.data.columns)
     vx, vy = columns.pop("velocity") or (None, None)
     wanted = {name: each for name, each in (columns | {"vx": vx, "vy": vy}).items() if each}
@@ -265,7 +270,17 @@ def _read_log(path: Path, spec: FitOverMap, group: str) -> DriveLog:
     held = np.searchsorted(t, np.maximum(even - data.delay, t[0]) + 1e-9, side="right") - 1
     sides = np.column_stack([table["left"], table["right"]])[held]
     later = np.clip(np.searchsorted(t, even, side="right"), 1, t.size - 1)
-    good, mean, speed = t[later] - t[later - 1] < GAP, sides.mean(axis=1), np.hypot(*velocity.T)
+    corners = np.array([[grid.x[0], grid.y[0]], [grid.x[-1], grid.y[-1]]])
+    on_map = ((place >= corners[0]) & (place <= corners[1])).all(axis=1)
+    if not on_map.any():
+        (west, south), (east, north) = corners
+        raise ModelError(
+            f"{path}: expected positions on the map, x from {west:g} to {east:g} m and y from "
+            f"{south:g} to {north:g} m, found none, the first at x = {place[0, 0]:g}, "
+            f"y = {place[0, 1]:g} m; correct 'shift' or the columns"
+        )
+    good = on_map & (t[later] - t[later - 1] < GAP)
+    mean, speed = sides.mean(axis=1), np.hypot(*velocity.T)
     if vx:
         good &= ~_jumps(place, speed, data.step)
     return DriveLog(
