@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import warnings
 
 # Before numpy is imported: threads of processes side by side wait for each other.
@@ -21,6 +22,13 @@ os.environ["SLIPFREE_CACHE"] = ""  # nothing that was compiled before
 def _no_progress_lines(monkeypatch):
     """Keep slow runs from printing lines that fast ones do not print."""
     monkeypatch.setattr("slipfree.cli.common.FIRST_LINE", np.inf)
+
+
+@pytest.fixture(autouse=True)
+def _coarse_figures(monkeypatch):
+    """Draw figures with fewer pixels, in a third less time."""
+    if "slipfree.show.plots" in sys.modules:
+        monkeypatch.setattr("slipfree.show.plots.DPI", 100)
 
 
 @pytest.fixture

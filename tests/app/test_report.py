@@ -18,10 +18,10 @@ from matplotlib.figure import Figure
 
 from helpers.commands import invoke
 from slipfree.files import netcdf
+from slipfree.models.samples import has_friction
 from slipfree.problem.load import load_problem
 from slipfree.problem.report import report
 from slipfree.problem.result import run_problem
-from slipfree.problem.verbs.base import has_friction
 from slipfree.show.html_page import MOST, image, page
 
 ROOT = Path(__file__).parents[2]

@@ -205,10 +205,7 @@ def _draw(plots: Sequence[Plot], folder: Path, *, every: bool) -> None:
 
 
 def _cross_check(result: Result) -> None:
-    """Solve again with the other formulation of contact, and print the eight largest differences.
-
-    JSON output contains the differences of all quantities.
-    """
+    """Solve with the other formulation of contact, and print the eight largest differences."""
     from slipfree.problem.result import cross_check
 
     other, differences = cross_check(result)

@@ -111,10 +111,7 @@ def row_json(row: ComparedVehicle) -> dict[str, Any]:
 
 
 def _drive_json(drive: ComparedMotion) -> dict[str, Any]:
-    """Return the JSON object of one motion of a vehicle: extremes over time, and its stop.
-
-    Values of slip are arrays with one entry per wheel.
-    """
+    """Return the JSON object of one motion of a vehicle: extremes over time, and its stop."""
     return {
         "slip_along": {"unit": "m s-1", "max": drive.along},
         "slip_across": {"unit": "m s-1", "max": drive.across},

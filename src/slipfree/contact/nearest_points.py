@@ -178,10 +178,7 @@ class NearestPoints:
         return x, y, self._heights(*np.broadcast_arrays(x[:, None], y))
 
     def _derivative_bounds(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return bounds of slope and curvature of the ground of n grids; infinite if unknown.
-
-        Coordinates of the grids are of shape (count, n).
-        """
+        """Return bounds of slope and curvature of the ground of n grids; infinite if unknown."""
         bounds = getattr(self.terrain, "derivative_bounds", None)
         if bounds is None:
             return np.full(x.shape[1], np.inf), np.full(x.shape[1], np.inf)
@@ -225,10 +222,7 @@ class NearestPoints:
         return self.terrain.elevation(x + x_0, y + y_0) - z_0
 
     def _grid_starts(self, shape: Box | Ball, placed: Array) -> tuple[Array, _Starts]:
-        """Return the least distance of a shape from a grid of ground points, and local minima.
-
-        ``placed`` are its origins and axes (12, n).
-        """
+        """Return the least distance of a shape from a grid of ground points, and local minima."""
         center, axes = placed[:3].T, placed[3:].T.reshape(-1, 3, 3).transpose(0, 2, 1)
         axes, half = _upright(shape, axes)
         radius = shape.radius if isinstance(shape, Ball) else 0.0
@@ -311,10 +305,7 @@ class NearestPoints:
         return pose, corners[pose, k], places[pose, k, :2], gaps[pose, k]
 
     def _hull_starts(self, shape: Hull, placed: Array) -> tuple[Array, _Starts]:
-        """Return the least vertical gap of a hull's points, and the points with the least gaps.
-
-        ``placed`` are its origins and axes (12, n).
-        """
+        """Return the least vertical gap of a hull's points, and the points with the least gaps."""
         axes, points = placed[3:].T.reshape(-1, 3, 3).transpose(0, 2, 1), np.array(shape.points)
         places = np.einsum("nij,pj->npi", axes, points) + placed[:3].T[:, None]
         gaps = places[..., 2] - self._heights(places[..., 0], places[..., 1])

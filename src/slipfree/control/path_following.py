@@ -533,10 +533,7 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
 def _checked_points(
     t: Array, x: ca.SX | Array, y: ca.SX | Array, heading: ca.SX | Array
 ) -> tuple[Array, Array]:
-    """Return times and values of way-points, shapes (n,) and (3, n).
-
-    Raises ModelError if `path_inputs` cannot interpolate them.
-    """
+    """Return times and values of way-points, shapes (n,) and (3, n)."""
     t = np.asarray(t, dtype=float)
     values = [np.asarray(each, dtype=float) for each in (x, y, heading)]
     if t.size <= DEGREE:

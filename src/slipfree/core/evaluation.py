@@ -61,10 +61,7 @@ def _mapped(function: ca.Function, count: int) -> ca.Function:
 
 
 def dense(values: Array, sparsity: ca.Sparsity) -> Array:
-    """Return matrices from their structural nonzeros, shape (n, rows, columns).
-
-    The values (nnz, n) are those of `evaluate`.
-    """
+    """Return matrices from their structural nonzeros of `evaluate`, shape (n, rows, columns)."""
     matrices = np.zeros((values.shape[1], *sparsity.shape))
     rows, columns = sparsity.get_triplet()
     matrices[:, rows, columns] = values.T

@@ -119,10 +119,7 @@ def _symbols(expression: ca.SX) -> set[int]:
 
 
 def check_order(lookups: Sequence[Lookup], order: int, purpose: str) -> None:
-    """Raise ModelError if lookups are not differentiable up to an order.
-
-    ``purpose`` is the subject of the message, such as the name of a formulation.
-    """
+    """Raise ModelError if lookups are not differentiable up to an order."""
     least = min((each.order for each in lookups), default=inf)
     if least < order:
         raise ModelError(
@@ -152,10 +149,7 @@ def substitute_lookups(
 def lookup_results(
     lookups: Sequence[Lookup], symbols: Sequence[ca.SX], given: Sequence[ca.MX]
 ) -> ca.MX:
-    """Return the results of lookups for given values of a model's symbols, shape (m, 1).
-
-    The lookups are in the order of their creation.
-    """
+    """Return the results of lookups for given values of a model's symbols, shape (m, 1)."""
     found = ca.MX(0, 1)
     for group in _stages(lookups):
         before = found_column(lookups[: group.start])

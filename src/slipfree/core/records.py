@@ -89,10 +89,7 @@ def symbols(labels: R) -> R:
 
 
 def overview(title: str, **names: Iterable[object]) -> str:
-    """Return the repr of a large record: a title, and a line for each nonempty list of names.
-
-    Lines are shortened to 90 characters.
-    """
+    """Return the repr of a large record: a title, and a line for each nonempty list of names."""
     lists = ((key, ", ".join(map(str, each))) for key, each in names.items())
     lines = [title, *(f"{key}: {text}" for key, text in lists if text)]
     cut = [textwrap.shorten(line, LINE_WIDTH - 2, placeholder=" ...") for line in lines]

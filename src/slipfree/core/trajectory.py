@@ -402,9 +402,6 @@ def thin(run: Trajectory, count: int) -> Trajectory:
 
 
 def _extremes(values: Array) -> list[int]:
-    known = np.flatnonzero(~np.isnan(values)) if np.isnan(values).any() else None
-    if known is None:
-        return [int(values.argmin()), int(values.argmax())]
-    if not known.size:
-        return []
-    return [int(known[values[known].argmin()]), int(known[values[known].argmax()])]
+    known = np.flatnonzero(~np.isnan(values))
+    ends = (values[known].argmin(), values[known].argmax()) if known.size else ()
+    return [int(known[k]) for k in ends]

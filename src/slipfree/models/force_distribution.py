@@ -214,10 +214,7 @@ def _feasible_unknowns(contacts: _Contacts, y: Array) -> Array:
 
 
 def _follow_center(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
-    """Return the unknowns at the least level, starting from feasible unknowns at ``level``.
-
-    Samples that do not converge are NaN.
-    """
+    """Return the unknowns at the least level, from feasible ones at ``level``; or NaN."""
     y, level = y.copy(), level.copy()
     active = np.arange(len(y))
     for _ in range(MAX_NEWTON_STEPS):

@@ -19,7 +19,6 @@ from slipfree.core.records import Label
 from slipfree.geometry.frame import platform
 from slipfree.models.base import Quantities, values_of
 from slipfree.models.records import Configuration, Dependent
-from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
 DISTANCE_ROUNDING = 1e-9  # smaller distances count as zero [distance of two wheels]
@@ -120,13 +119,8 @@ def upright(q: Quantities) -> Iterator[Limit]:
 
 def map_margin(q: Quantities) -> Iterator[Limit]:
     """Yield the limits that keep each wheel on the map."""
-    domain = q.terrain.domain
-    if not np.isfinite(domain).all():
-        return
-    for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
-        words = f"wheel {wheel.name} leaves the map, which extends {_extent(domain)}"
-        label = Label("map_margin", "m", words, wheel.name)
-        yield Limit(label, _margin(q.terrain, domain, contact), 0.0, np.inf)
+    if np.isfinite(q.terrain.domain).all():
+        yield from _inside(q, q.terrain.domain, "map_margin", "map")
 
 
 def hole_margin(q: Quantities) -> Iterator[Limit]:
@@ -164,12 +158,8 @@ def relative_curvature(q: Quantities) -> Iterator[Limit]:
 def friction_map_margin(q: Quantities) -> Iterator[Limit]:
     """Yield the limits that keep each wheel on the friction map."""
     domain = q.terrain.friction_domain
-    if not q.vehicle.mass or domain is None:
-        return
-    for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
-        words = f"wheel {wheel.name} leaves the friction map, which extends {_extent(domain)}"
-        label = Label("friction_margin", "m", words, wheel.name)
-        yield Limit(label, _margin(q.terrain, domain, contact), 0.0, np.inf)
+    if q.vehicle.mass and domain is not None:
+        yield from _inside(q, domain, "friction_margin", "friction map")
 
 
 def positive_friction(q: Quantities) -> Iterator[Limit]:
@@ -231,24 +221,18 @@ def limits_of(q: Quantities, *, static: bool = True, overturns: bool = False) ->
     return tuple(limit for limits in kept for limit in limits(q))
 
 
-def _margin(terrain: Terrain, domain: Domain, contact: ContactFrame) -> ca.SX:
-    """Return the distance of a contact from the nearest edge of a domain, negative outside [m].
-
-    ``domain`` is in map coordinates, the contact in local coordinates.
-    """
+def _inside(q: Quantities, domain: Domain, name: str, place: str) -> Iterator[Limit]:
+    """Yield the limits that keep each wheel in a domain in map coordinates, that of a place."""
     west, east, south, north = domain
-    o_x, o_y, _ = terrain.origin
-    u_g, v_g = contact.point[0], contact.point[1]
-    return ca.fmin(
-        ca.fmin(u_g - (west - o_x), (east - o_x) - u_g),
-        ca.fmin(v_g - (south - o_y), (north - o_y) - v_g),
-    )
-
-
-def _extent(domain: Domain) -> str:
-    """Return the extent of a domain in x and y, as part of a message."""
-    west, east, south, north = domain
-    return (
-        f"from {west:.2f} to {east:.2f} m in x and from {south:.2f} to {north:.2f} m in y "
-        "(distance to its edge)"
-    )
+    extent = f"from {west:.2f} to {east:.2f} m in x and from {south:.2f} to {north:.2f} m in y"
+    o_x, o_y, _ = q.terrain.origin
+    for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
+        u_g, v_g = contact.point[0], contact.point[1]  # local
+        margin = ca.fmin(
+            ca.fmin(u_g - (west - o_x), (east - o_x) - u_g),
+            ca.fmin(v_g - (south - o_y), (north - o_y) - v_g),
+        )
+        words = (
+            f"wheel {wheel.name} leaves the {place}, which extends {extent} (distance to its edge)"
+        )
+        yield Limit(Label(name, "m", words, wheel.name), margin, 0.0, np.inf)

@@ -124,10 +124,7 @@ def _frame_poses(
     run: Trajectory,
     frames: Callable[[Pose, Mapping[str, ca.SX]], Sequence[Pose]],
 ) -> FramePoses:
-    """Return the poses of frames over a motion.
-
-    ``frames`` returns their poses from the platform's pose and the values of coordinates by name.
-    """
+    """Return the poses of frames over a motion."""
     names = (*POSITION, *(c.name for c in vehicle.coordinates))
     q = ca.SX.sym("q", len(names))
     place, values = ca.vertsplit(q)[:6], dict(zip(names[6:], ca.vertsplit(q)[6:], strict=True))
@@ -260,6 +257,13 @@ class LoadChange(NamedTuple):
     t: float
     before: str
     after: str
+
+
+def has_friction(run: Trajectory) -> bool:
+    """Return whether the ground has friction; else ``utilisation`` is the coefficient needed."""
+    return "ground_friction" in run.attributes or not np.array_equal(
+        run["utilisation"], run["friction_needed"]
+    )
 
 
 def has_pressed_wheels(run: Trajectory) -> bool:

@@ -310,10 +310,7 @@ class _Aims(NamedTuple):
 
 
 def _shifted(task: SamplingTask, inputs: Array, elapsed: float) -> Array:
-    """Return inputs of the last cycle from a later time on, means over the intervals.
-
-    The last ones are held.
-    """
+    """Return inputs of the last cycle from a later time on: means; the last ones are held."""
     whole, part = divmod(elapsed / task.t[1], 1.0)
     index = np.minimum(np.arange(task.intervals) + int(whole), task.intervals - 1)
     later = np.minimum(index + 1, task.intervals - 1)

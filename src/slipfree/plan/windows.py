@@ -182,10 +182,7 @@ class _WindowSearch(NamedTuple):
             return error.trajectory
 
     def gate(self, guess: Trajectory) -> tuple[Limit, Limit]:
-        """Return the conditions at a window's end: the position is on a line across the guess.
-
-        The segment extends by `ASIDE` times the overlap to either side.
-        """
+        """Return the conditions at a window's end: the position is on a line across the guess."""
         dae, half = self.dae, ASIDE * self.overlap
         x, y, heading = (float(guess[name][-1]) for name in ("x", "y", "heading"))
         right, forward = dae.x.x - (x - dae.shift[0][0]), dae.x.y - (y - dae.shift[0][1])

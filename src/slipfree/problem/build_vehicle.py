@@ -276,10 +276,7 @@ def _completed(file: File, trusted: frozenset[str]) -> _Read:
 
 
 def _tree(path: Path, trusted: frozenset[str], table: UrdfTable | None, file: File | None) -> Tree:
-    """Return the links and joints of a URDF, or of a xacro file that is expanded if it is trusted.
-
-    ``table`` is the vehicle file that completes it, ``file`` its contents.
-    """
+    """Return the links and joints of a URDF, or of a xacro file, expanded if it is trusted."""
     by = "" if file is None else f" (urdf of {file.source.path})"
     with regular_file(path, f"a URDF{by}") as size:
         if size > MAX_BYTES:
@@ -319,10 +316,7 @@ def _check_arguments(arguments: Mapping[str, str], file: File) -> None:
 def _urdf(
     path: Path, trusted: frozenset[str], completion: tuple[UrdfTable, File] | None = None
 ) -> _Read:
-    """Return the draft of the vehicle in a URDF, and the URDF.
-
-    ``completion`` is the vehicle file that completes it, if any; errors in it name this file.
-    """
+    """Return the draft of the vehicle in a URDF, and the URDF."""
     table, file = completion or (None, None)
     try:
         tree, roles = _tree(path, trusted, table, file), NO_ROLES

@@ -41,10 +41,7 @@ STORED = "stored_inputs"  # attribute of a result file
 
 
 def input_names(spec: CommonKeys, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
-    """Return the file names in the keys ``file`` and ``friction`` of tables, as written there.
-
-    With the default ``tables``, the names of further input files of the problem's verb are added.
-    """
+    """Return the file names in the keys ``file`` and ``friction`` of tables, as written there."""
     records = [getattr(spec, name, None) for name in tables]
     names: list[Any] = [getattr(table, "file", None) for table in records]
     names += [getattr(table, "friction", None) for table in records]

@@ -221,10 +221,7 @@ def _solve_one(
     *,
     is_needed: bool = True,
 ) -> FrontPoint:
-    """Return one of the points that a front needs before its own points.
-
-    SolverError is raised if it is needed and not solved; KeyboardInterrupt after an interruption.
-    """
+    """Return one of the points that a front needs before its own points."""
     task = _task(problem, against, settings, FrontTask(0, np.nan, start or FrontPoint(np.nan)))
     _, point = _solve_point(task, _named(name, report))
     if point.outcome is Outcome.INTERRUPTED:

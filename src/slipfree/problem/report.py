@@ -206,10 +206,7 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
 
 
 def vehicle_plot(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = ()) -> Plot:
-    """Return the picture of a vehicle, on level ground or on the ground of its problem.
-
-    Errors are those of `describe`.
-    """
+    """Return the picture of a vehicle, on level ground or on the ground of its problem."""
     if is_vehicle_file(path):
         contents = read_vehicle_file(path, trusted_paths(trust))
         stored: VehicleFile | None = contents

@@ -93,10 +93,7 @@ def animate(
     title: str = "",
     progress: Callable[[int, int], object] | None = None,
 ) -> str:
-    """Write the motions of a scene as a ``.gif`` or ``.mp4`` film; return its speed in words.
-
-    ``progress`` is called with the number of drawn frames and that of all.
-    """
+    """Write the motions of a scene as a ``.gif`` or ``.mp4`` film; return its speed in words."""
     writer, (first, last) = film_writer(Path(file), FRAMES), scene.span
     count = int(np.clip(np.ceil(FRAMES * (last - first)) + 1, 2, MOST))
     speed = max(1.0, FRAMES * (last - first) / count)
@@ -176,10 +173,7 @@ class Film:
 
 
 class View:
-    """View of a vehicle on its ground from above, ahead and the left.
-
-    ``half`` is half the width of the view [m].
-    """
+    """View of a vehicle on its ground from above, ahead and the left."""
 
     def __init__(self, ax: Axes, half: float) -> None:
         self.ax, self.half = ax, half

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
+from slipfree.models.samples import has_friction
 from slipfree.show import ground_drawing, style
 from slipfree.show.plots import Panel, Plot, PlottedDrive, stack
 from slipfree.show.style import COLUMN, MM, PALETTE, PLATFORM
@@ -58,7 +59,7 @@ def utilisation(run: Trajectory, ax: Axes) -> Axes:
     if "utilisation_best" in run:
         best = _finite(run["utilisation_best"])
         ax.plot(run.t, best, color="black", ls=":", lw=0.8, label="optimal distribution of forces")
-    words = "friction limit" if _has_friction(run) else "a friction coefficient of 1"
+    words = "friction limit" if has_friction(run) else "a friction coefficient of 1"
     ax.axhline(1, color="0.4", lw=0.8, ls="--", label=words)
     largest = float(values.max())
     ax.set_ylim(0, CEILING if largest > CEILING else HEADROOM * max(1.0, largest))
@@ -113,7 +114,7 @@ def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
     at = x[k, wheel], y[k, wheel]
     ax.plot(*at, "D", mfc="none", ms=8, label=f"largest, {_worst_words(run)}", **marks)
     if values[k, wheel] > 1:
-        words = "above the friction limit" if _has_friction(run) else "above 1"
+        words = "above the friction limit" if has_friction(run) else "above 1"
         ax.plot([], [], color=OVER, lw=2, label=words)
     return ax
 
@@ -235,15 +236,8 @@ def _finite(values: Array) -> Array:
     return np.minimum(values, 1e3 * CEILING)
 
 
-def _has_friction(run: Trajectory) -> bool:
-    """Return whether the ground has friction; else ``utilisation`` is the coefficient needed."""
-    if "ground_friction" in run.attributes:
-        return True
-    return not np.array_equal(run["utilisation"], run["friction_needed"])
-
-
 def _quantity(run: Trajectory) -> str:
-    return "utilisation" if _has_friction(run) else "friction needed $|f_t|/N$"
+    return "utilisation" if has_friction(run) else "friction needed $|f_t|/N$"
 
 
 def _worst(run: Trajectory) -> tuple[int, int]:

@@ -144,10 +144,7 @@ class Report(NamedTuple):
 
 
 def page(report: Report, progress: Callable[[int, int], object] | None = None) -> str:
-    """Return a report as a self-contained HTML page without scripts.
-
-    ``progress`` is called with the number of drawn figures and that of all.
-    """
+    """Return a report as a self-contained HTML page without scripts."""
     parts = {name: _table(rows) for name, rows in report.tables.items() if rows}
     first, *others = parts
     figures = list[str]()

@@ -82,10 +82,7 @@ def integrate(
 
 
 def _jump_indices(system: System, t: Array, u: Array) -> list[int]:
-    """Return the indices of the times at which an input jumps.
-
-    A mere change of slope is not a jump; the integrator does not restart there.
-    """
+    """Return the indices of the times at which an input jumps; a mere change of slope is none."""
     n = system.dae.columns()[2].numel()
     base, rise = u[:n], u[n:] if len(u) > n else np.zeros_like(u)
     times = t[1:-1]
@@ -229,10 +226,7 @@ def _scaled_rates(system: System, at: Samples) -> list[float]:
 
 
 def _start_after_jump(system: System, samples: Samples, u: Array) -> Samples:
-    """Return the last sample with the unknowns after a jump of the inputs.
-
-    If the equations have no solution there, the sample is returned unchanged.
-    """
+    """Return the last sample with the unknowns after a jump of the inputs, if these exist."""
     at = samples.at([-1])
     if np.array_equal(at.u[:, -1], u):
         return at

@@ -223,10 +223,7 @@ def _block_residual(system: System, block: Block, residual: Array) -> Array:
 
 
 def _solve_block(block: Block, samples: Samples, size: Array) -> tuple[Array, Array]:
-    """Return ``z`` with a block solved by Newton's method at all samples, and its residual.
-
-    No error is raised without a solution: the residual is then large.
-    """
+    """Return ``z`` with a block solved, and the residual, which is large without a solution."""
     z = samples.z.copy()
     for _ in range(MAX_NEWTON_STEPS):
         left, jacobian = _linearize(block, samples._replace(z=z))

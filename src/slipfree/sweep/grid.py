@@ -260,11 +260,7 @@ def _check_keys(axes: Sequence[SweepAxis], settings: Sequence[str]) -> None:
 
 
 def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
-    """Return equally spaced numbers as text; integers if the ends and the step are integers.
-
-    Raises DataError if there are fewer than 2 or more than 100 000 values, or the ends are equal or
-    not finite.
-    """
+    """Return equally spaced numbers as text; integers if the ends and the step are integers."""
     low, high, n = float(first), float(last), int(count)
     if not 2 <= n <= MAX_RUNS:
         raise DataError(
@@ -291,10 +287,7 @@ def _values(text: str) -> tuple[str, ...]:
 
 
 def _spelled(value: Any) -> str:
-    """Return a value as TOML text, which equals JSON for strings, numbers, booleans and arrays.
-
-    Raises TypeError if the value is a table or a date.
-    """
+    """Return a value as TOML text, which equals JSON for strings, numbers, booleans and arrays."""
     if isinstance(value, dict):
         raise TypeError(value)
     return json.dumps(value, ensure_ascii=False)

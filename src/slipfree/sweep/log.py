@@ -126,10 +126,7 @@ def row_of(line: Mapping[str, Any]) -> RunRow:
 
 
 class RunLog:
-    """The open log of a sweep; a context manager.
-
-    ``rows`` are the finished runs.
-    """
+    """The open log of a sweep; a context manager."""
 
     def __init__(self, path: Path, head: Mapping[str, Any], *, again: bool = False) -> None:
         """Open or create a log.
@@ -176,10 +173,7 @@ class RunLog:
             self._file.close()
 
     def _lock(self) -> None:
-        """Lock the file for other processes until it is closed or this process ends.
-
-        Raises DataError if another process has locked it.
-        """
+        """Lock the file for other processes until it is closed or this process ends."""
         if fcntl is None:
             return
         try:

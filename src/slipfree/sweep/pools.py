@@ -147,11 +147,7 @@ class Cluster(DaskPool[RunTask, Done]):
 
 
 def _connect(address: str) -> Any:
-    """Return a Dask client of a scheduler after a check of its workers.
-
-    Raises DataError if distributed is not installed, no scheduler responds, or the workers cannot
-    be used.
-    """
+    """Return a Dask client of a scheduler after a check of its workers."""
     try:
         from distributed import Client
     except ImportError as error:

@@ -207,10 +207,7 @@ def compiler() -> list[str] | None:
 
 
 def _load_cached(cache: Path, key: str, load: Callable[[str], T]) -> T | None:
-    """Return what is loaded from the library of a key; remove damaged libraries of that key.
-
-    The result is None if there is no usable library.
-    """
+    """Return what is loaded from the library of a key, or None; damaged ones are removed."""
     for file in sorted(cache.glob(f"{key}.*.so")):
         try:
             same = file.suffixes[-2] == f".{digest(file.read_bytes())}"
@@ -269,10 +266,7 @@ def _compile(
 
 
 def _run(command: Sequence[str]) -> None:
-    """Run a compiler in its own session; kill it if this process is interrupted or time runs out.
-
-    Raises OSError if the compiler cannot be started.
-    """
+    """Run a compiler in its own session; kill it after an interruption or if time runs out."""
     none = subprocess.DEVNULL
     with subprocess.Popen(
         command, stdin=none, stdout=none, stderr=none, start_new_session=True

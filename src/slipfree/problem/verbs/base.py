@@ -19,6 +19,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.core.trajectory import SolverError, Stop, Trajectory, outcome_words
 from slipfree.files.netcdf import NOTHING
+from slipfree.models.samples import has_friction
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys
 from slipfree.solve.options import SolverOptions
@@ -56,13 +57,6 @@ def ranges(run: Trajectory) -> Lines:
         span = " to ".join(ends)
         facts.append((name, span if unit == "1" or np.isinf(low) else f"{span} {unit}"))
     return facts
-
-
-def has_friction(run: Trajectory) -> bool:
-    """Return whether the ground of a motion has a friction coefficient, according to its result."""
-    return "ground_friction" in run.attributes or not np.array_equal(
-        run["utilisation"], run["friction_needed"]
-    )
 
 
 def plain_facts(run: Trajectory) -> Lines:

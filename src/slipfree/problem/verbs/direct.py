@@ -284,10 +284,7 @@ class DirectVerb(DriveVerb):
 
 
 def _given(problem: Problem[Direct], vehicle: Vehicle) -> tuple[dict[str, Any] | None, str]:
-    """Return the inputs of a problem, None under a driving law, and a note on their MCAP file.
-
-    Rates in the problem replace those in the file.
-    """
+    """Return the inputs of a problem, None under a driving law, and a note on their MCAP file."""
     inputs = problem.spec.inputs
     if inputs is None or FILE not in inputs:
         return inputs, ""

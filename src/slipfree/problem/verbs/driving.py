@@ -181,10 +181,7 @@ class DriveVerb(MotionVerb):
         return motion_plots(result.trajectory, ground.grid, prisms=prisms)
 
     def shown(self, result: Result, name: str) -> Driven:
-        """Return the motion of a result with ground and vehicle, as input of the viewer.
-
-        DataError is raised if ground or vehicle differ from those of the motion.
-        """
+        """Return the motion of a result with ground and vehicle, as input of the viewer."""
         from slipfree.show.drive_scene import Driven
 
         run, problem = result.trajectory, result.problem
