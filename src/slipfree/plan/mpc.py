@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.errors import ModelError
+from slipfree.core.evaluation import evaluate, run_buffered
 from slipfree.core.outcome import ipopt_words
 from slipfree.core.records import Array, Record, field_overview, leaves
 from slipfree.core.trajectory import SolverError, Trajectory
@@ -315,25 +316,23 @@ def _iterated(
     """Return the cycle after the iterations of a window, from unknowns with the measured state."""
     program, scale = window.program, window.program.scale
     x, span = first[program.layout.first], float(first[program.layout.duration])
-    (g_lower, g_upper), (rows, bounds) = row_bounds, multipliers
     lower, upper = program.lower.copy(), program.upper.copy()
     lower[program.layout.first] = upper[program.layout.first] = x
     lower[program.layout.duration] = upper[program.layout.duration] = span
-    asked = replace(program, g_lower=g_lower, g_upper=g_upper)
+    asked = replace(program, g_lower=row_bounds[0], g_upper=row_bounds[1])
+    # Arguments in the order of ``casadi.nlpsol``; CasADi matrices would take a tenth of the time.
+    arguments = (first / scale, window.weights, lower / scale, upper / scale, *row_bounds)
+    columns = {k: value[:, None] for k, value in enumerate((*arguments, *multipliers[::-1]))}
+    unknowns, bounds, rows = (
+        np.empty(scale.size),
+        np.empty(scale.size),
+        np.empty(asked.g_lower.size),
+    )
     for solver in (window.solver, window.careful):
-        results = solver(
-            x0=first / scale,
-            p=window.weights,
-            lbx=lower / scale,
-            ubx=upper / scale,
-            lbg=g_lower,
-            ubg=g_upper,
-            lam_g0=rows,
-            lam_x0=bounds,
-        )
-        status = str(solver.stats()["return_status"])
+        buffer = run_buffered(solver, columns, {0: unknowns, 3: bounds, 4: rows})
+        status = str(buffer.stats()["return_status"])
         # The rows that IPOPT returns may belong to another iterate than the unknowns.
-        g = np.array(window.rows(results["x"], window.weights)).ravel()
+        g = evaluate(window.rows, unknowns[:, None], columns[1])[0].ravel()
         violation = largest_violation(asked, g) if np.isfinite(g).all() else np.inf
         if status in USABLE_STATUSES and violation < MAX_CYCLE_VIOLATION:
             break
@@ -342,7 +341,6 @@ def _iterated(
             f"replan: the iterations failed at t = {t:g} s, state {x}: {ipopt_words(status)}; "
             "the inputs of the previous cycle may still be used"
         )
-    unknowns, rows, bounds = (np.array(results[name]).ravel() for name in ("x", "lam_g", "lam_x"))
     return Cycle(t, motion_of(program, unknowns * scale), rows, bounds, violation)
 
 
@@ -396,12 +394,11 @@ def _sample_motions(
 
 
 def _join_values(motions: list[tuple[PolynomialMotion, float]], at: Array, read: Any) -> Array:
-    """Return values at times, each of the first motion that has not ended yet."""
-    values = read(motions[-1][0], _to_fractions(motions[-1], at))
-    for motion in reversed(motions[:-1]):
-        inside = at <= motion[1] + motion[0].duration
-        values[:, inside] = read(motion[0], _to_fractions(motion, at[inside]))
-    return np.asarray(values)
+    """Return values at ascending times, after the end of the first motion those of the last."""
+    first, last = motions[0], motions[-1]
+    k = np.searchsorted(at, first[1] + first[0].duration, side="right")
+    parts = zip((first, last), (at[:k], at[k:]), strict=True)
+    return np.hstack([read(motion[0], _to_fractions(motion, times)) for motion, times in parts])
 
 
 def _to_fractions(motion: tuple[PolynomialMotion, float], at: Array) -> Array:

@@ -18,6 +18,7 @@ from annotated_types import Ge, Gt, Le, Unit, doc
 
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
+from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import found_column, needed_lookups, substitute_lookups
 from slipfree.core.records import Array, Label, Mask, field_overview, leaves
 from slipfree.core.schema import check_bounds
@@ -235,8 +236,8 @@ def transcribe(
 def completed(program: Program, unknowns: Array) -> Array:
     """Return unscaled unknowns with their roots recomputed from the other unknowns."""
     full, n_w = unknowns.copy(), program.roots.size1_in(0)
-    roots = program.roots(unknowns[:n_w] / program.scale[:n_w])
-    full[program.layout.roots.ravel()] = np.array(roots).ravel()
+    (roots,) = evaluate(program.roots, (unknowns[:n_w] / program.scale[:n_w])[:, None])
+    full[program.layout.roots.ravel()] = roots.ravel()
     return full
 
 

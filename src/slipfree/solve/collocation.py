@@ -80,11 +80,11 @@ def radau_basis(degree: int) -> RadauBasis:
 
 def _lagrange_values(nodes: Array, at: Array) -> Array:
     """Return the values of Lagrange polynomials at points, shape (n_points, n_nodes)."""
-    rows = np.ones((len(at), len(nodes)))
-    for j, node in enumerate(nodes):
-        for other in np.delete(nodes, j):
-            rows[:, j] *= (at - other) / (node - other)
-    return rows
+    same = np.eye(len(nodes), dtype=bool)
+    gaps, away = nodes[:, None] - nodes, at[:, None, None] - nodes
+    return np.asarray(
+        np.where(same, 1.0, away).prod(axis=2) / np.where(same, 1.0, gaps).prod(axis=1)
+    )
 
 
 def _lagrange_derivatives(nodes: Array) -> Array:
