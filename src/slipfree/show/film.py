@@ -19,6 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
@@ -157,6 +158,12 @@ class Film:
         self.moving = [*self.markers, *self.view.artists, self.clock]
         for artist in self.moving:
             artist.set_animated(True)
+        for _ in range(2):  # passes of the layout
+            figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+        beside = Bbox([[flat.bbox.x1 + 2, 0], [figure.bbox.x1, figure.bbox.y1]])
+        for artist in self.view.artists:
+            artist.set(clip_on=True, clip_box=beside)
         self.canvas.draw()
         self.still = self.canvas.copy_from_bbox(figure.bbox)
 
