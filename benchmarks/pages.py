@@ -72,6 +72,8 @@ def numbers(page: str) -> Iterator[tuple[int, str, str]]:
                             kind = "published"
                         elif row and column == 0 and len(cells) > 1:
                             kind = "cases"
+                        elif "(output not kept)" in line:
+                            kind = "outputs not kept"
                         else:
                             over = row and ("times" in units or " over " in cells[0])
                             kind = looked_up(text, units, found, over)
