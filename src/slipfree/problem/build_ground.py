@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -124,7 +125,8 @@ def _map_of(
     """Return the map in a file, of a large GeoTIFF its outline."""
     spec, path = problem.spec.terrain, problem.folder / name
     is_whole = any(getattr(spec, key) is not None for key in OF_WHOLE_MAPS)
-    is_geotiff = path.suffix.lower() in (".tif", ".tiff") and path.is_file()
+    is_geotiff = path.suffix.lower() in (".tif", ".tiff")
+    is_geotiff &= os.path.isfile(path)  # noqa: PTH113 - False for names that are too long, too
     if known is not None and is_geotiff and not is_whole and library() is not None:
         metres = options.get("vertical_scale")
         raster = raster_parts(path, Reading(window, spec.cell, spec.registration, None, metres))
