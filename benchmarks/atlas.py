@@ -91,7 +91,7 @@ FIELD = (  # 18 m across hills
     *("terrain.synthetic.x=[0.0, 24.0]", "terrain.synthetic.y=[0.0, 24.0]"),
     *("terrain.synthetic.power_law.longest=12.0", "terrain.synthetic.power_law.shortest=2.5"),
     *("start={x=12.0, y=3.0, heading=0.0}", "goal={x=12.0, y=21.0}", "plan.intervals=40"),
-    *("plan.accuracy=0.002", "plan.duration=", "time.duration=120.0", "time.step=0.25"),
+    *("plan.accuracy=0.002", "plan.duration=", "time.step=0.25"),
     *("driver={name='route', speed=0.5, turning_radius=2.5}", "solver.tolerance=1e-8"),
 )
 FOLLOWED = "roll", "pitch", "tip_over_margin", "clearance_body"

@@ -265,7 +265,7 @@ def _driven(folder: Path, goal: str, duration: float) -> Result:
     file = folder / "p.toml"
     file.write_text(
         'verb = "plan"\nframe = "rep103"\ncosts = { slip = 1.0, effort = 0.1 }\n'
-        f"goal = {goal}\nplan = {{ intervals = 20, duration = {duration} }}\n"
+        f"goal = {goal}\nplan = {{ intervals = 20 }}\n"
         'driver = { name = "straight", speed = 0.25 }\n'
         f"time = {{ duration = {duration}, step = 0.5 }}\n"
         'vehicle = { catalog = "differential_drive" }\n'

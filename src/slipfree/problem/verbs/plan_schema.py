@@ -109,12 +109,12 @@ class Robust(Record):
 
 
 class PlanTime(Time):
-    """Sampling of the motion, and duration of the initial guess."""
+    """Sampling of the motion, and its duration."""
 
     duration: Positive = Field(
         default=inf,
-        description="duration of the initial guess with [inputs]; longest one with a driver, by "
-        "default up to the goal [s]",
+        description="duration of the plan, if plan.duration does not give it, and of the initial "
+        "guess with [inputs]; longest one with a driver, by default up to the goal [s]",
     )
     step: Positive = Field(default=SAMPLE_STEP, description="time between samples [s]")
 
@@ -128,7 +128,8 @@ class PlanTable(Options):  # type: ignore[misc]
 
     duration: Range = Field(
         default=None,
-        description="duration of the plan; default: half to twice that of the initial guess [s]",
+        description="duration of the plan, or its range; default: time.duration, otherwise half to "
+        "twice that of the initial guess [s]",
     )
     smooth: NonNegative = Field(
         default=0.0, description="weight of the squared rates of the inputs [1]"
@@ -195,6 +196,12 @@ class PlanKeys(Modelled):
         description="driving law of the initial guess, instead of inputs; without both, a law that "
         "suits the goal",
     )
+
+    @property
+    def duration(self) -> Range | float | None:
+        """Duration of the plan or its range, None if it follows from the initial guess [s]."""
+        is_given = self.time.duration < inf and self.plan.window is None
+        return self.plan.duration or (self.time.duration if is_given else None)
 
     def faults(self) -> Iterator[Fault]:
         """Yield the errors of common keys, and of options that do not suit the model."""

@@ -219,7 +219,7 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     with at(problem, ("plan",)):
         model = dae, vehicle, terrain
         arguments = plan_arguments(spec, keep_out, model, between)
-        task = task_of(dae, start, **arguments, duration=spec.plan.duration or 1.0)
+        task = task_of(dae, start, **arguments, duration=spec.duration or 1.0)
     begin = settled_start(driven, start, spec.solver.options) if is_dynamic else start
     trip = trip_of(task, driven, begin, vehicle, terrain)
     layers = build_layers(problem, terrain, vehicle, places)
@@ -227,7 +227,7 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     check_windows(problem, vehicle, guide.paths)
     check_robust(problem, terrain.has_friction)
     starts = _starts(problem, trip, guide)
-    duration = duration_of(spec.plan.duration or free_durations([t[-1] for _, t in starts]))
+    duration = duration_of(spec.duration or free_durations([t[-1] for _, t in starts]))
     goal = ", ".join(f"{name} {spelled(value)}" for name, value in spec.goal.items())
     words = f"plan to {goal} in {spelled(duration)} s"
     if guide.name:
