@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,10 +12,11 @@ from numpy.testing import assert_allclose
 
 import slipfree as sf
 from helpers.cases import hills
-from slipfree.catalog import differential_drive, three_wheeler
+from slipfree.catalog import differential_drive, skid_steer, three_wheeler
+from slipfree.plan.ipopt import warm_solver
 from slipfree.plan.mpc import cycle_inputs, first_cycle, horizon, refine, replan
 from slipfree.plan.plan import plan
-from slipfree.plan.tracking import Replanning, TrackingWorld, track_plan
+from slipfree.plan.tracking import Following, Replanning, TrackingWorld, track_plan
 from slipfree.plan.verification import simulate_plan
 from slipfree.terrain.grid_ops import disturbed
 
@@ -137,6 +139,38 @@ def test_on_a_wrong_ground_and_beside_the_start_replanning_ends_nearer(window):
     alone = simulate_plan(world, start, window.plan, step=0.2)
     tracked = track(window, world, start, period=0.4)
     assert away(tracked.run) < away(alone) / 5
+
+
+def test_a_cycle_far_from_the_equations_is_repeated_with_a_line_search(window):
+    idle = warm_solver(window.program, 0)  # stays at the guess
+    first, away = first_cycle(window), window.program.task.start + np.array([0.3, 0.0, 0.0, 0.0])
+    with pytest.raises(sf.SolverError, match="the inputs of the previous cycle may still be used"):
+        replan(replace(window, solver=idle, careful=idle), first, 0.0, away)
+    cycle = replan(replace(window, solver=idle), first, 0.0, away)
+    assert cycle.violation < 0.02
+    assert_allclose(cycle.motion.states(np.array([0.0]))[:, 0], away, atol=1e-12)
+
+
+def test_the_velocities_of_a_plan_with_a_cusp_are_followed_backwards_and_forwards():
+    def states(at):  # backwards by 0.5 m along the y axis, then forwards along a circle of 1 m
+        t = 10 * at
+        angle = 0.25 * np.maximum(t - 2, 0.0)
+        y = np.where(t < 2, -0.25 * t, np.sin(angle) - 0.5)
+        return np.array([np.cos(angle) - 1, y, angle])
+
+    dae, period = sf.direct_kinematics(skid_steer(), sf.Analytic(lambda x, _: 0 * x)), 0.1
+    law = Following(dae, SimpleNamespace(duration=10.0, states=states), 0.25)
+    x, y, heading = 0.03, 0.02, 0.1
+    for k in range(100):
+        t = period * k
+        sent = law.decide(t, t + period, np.array([x, y, heading])).inputs
+        v, turning = sent["forward"], sent["yaw_rate"]
+        assert (v < 0) == (t < 1.95)
+        assert abs(turning) < 0.6
+        heading += turning * period / 2  # a unicycle, by the midpoint rule
+        x, y = x - v * period * np.sin(heading), y + v * period * np.cos(heading)
+        heading += turning * period / 2
+    assert_allclose([x, y, heading], states(np.array([1.0]))[:, 0], rtol=0, atol=2e-3)
 
 
 def test_sampled_inputs_are_refined(found):

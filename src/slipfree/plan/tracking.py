@@ -109,6 +109,7 @@ class Following:
         left = -(r_y - at["y"]) * sin - (r_x - at["x"]) * cos
         turned = np.sin(heading - at["heading"])  # smooth where the angle wraps around
         forward = v * np.cos(heading - at["heading"]) + self._speed / size * ahead
+        # with left' = v sin(turned), errors are critically damped forwards and backwards
         yaw_rate += (2 * abs(v) * turned + v * left / size) / size
         return Decision({"forward": forward, "yaw_rate": yaw_rate}, np.array([t, end]))
 
