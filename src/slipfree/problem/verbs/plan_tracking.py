@@ -104,18 +104,7 @@ def follow_plan(
     ModelError if a name, period, window, joints or wheels do not suit the plan; SolverError if the
     first window cannot be solved, or a motion fails before its first sample.
     """
-    for names, known, what in ((by, WAYS, "by"), (disturb, DISTURBANCES, "disturb")):
-        for name in names:
-            if name not in known:
-                raise ModelError(
-                    f"{what}: expected one of {', '.join(known)}, found {name!r}; correct the name"
-                )
-    for name, most in (("friction", 1.0), ("radii", MAX_RADIUS_ERROR)):
-        if disturb.get(name, 0.0) >= most:
-            raise ModelError(
-                f"disturb: {name}: expected a relative change below {most:g}, found "
-                f"{disturb[name]:g}; reduce it"
-            )
+    _check_names(by, disturb)
     run = read(file)
     saved = from_arrays(read_arrays(file), str(file))
     planned, real = (problem_of(file, run, folder, each) for each in ((), changes))
@@ -167,6 +156,21 @@ def follow_plan(
             if interrupt_requested():
                 return TrackingTest(plan.replay, tuple(motions))
     return TrackingTest(plan.replay, tuple(motions))
+
+
+def _check_names(by: Sequence[str], disturb: Mapping[str, float]) -> None:
+    for names, known, what in ((by, WAYS, "by"), (disturb, DISTURBANCES, "disturb")):
+        for name in names:
+            if name not in known:
+                raise ModelError(
+                    f"{what}: expected one of {', '.join(known)}, found {name!r}; correct the name"
+                )
+    for name, most in (("friction", 1.0), ("radii", MAX_RADIUS_ERROR)):
+        if disturb.get(name, 0.0) >= most:
+            raise ModelError(
+                f"disturb: {name}: expected a relative change below {most:g}, found "
+                f"{disturb[name]:g}; reduce it"
+            )
 
 
 def _world_options(problem: Problem[Any]) -> SolverOptions:
