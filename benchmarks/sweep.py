@@ -46,7 +46,7 @@ def command(folder: Path, processes: int, runs: int) -> list[str]:
 
 def rows(folder: Path) -> list[dict[str, object]]:
     """Return the finished runs in a log."""
-    lines = (folder / "runs.jsonl").read_bytes().split(b"\n")[1:-1]
+    lines = (folder / "parts.jsonl").read_bytes().split(b"\n")[1:-1]
     return [json.loads(line) for line in lines]
 
 
@@ -81,7 +81,7 @@ def apart() -> float:
 def killed(folder: Path, runs: int) -> list[dict[str, object]]:
     """Start a sweep, kill it half-way, and return its finished runs."""
     process = subprocess.Popen(command(folder, 2, runs), stdout=subprocess.DEVNULL)
-    log = folder / "runs.jsonl"
+    log = folder / "parts.jsonl"
     while not log.exists() or log.read_bytes().count(b"\n") <= runs // 2:
         if process.poll() is not None:
             raise RuntimeError("the sweep ended before it was killed")

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -119,7 +120,7 @@ def test_a_killed_map_continues_and_gives_equal_files(monkeypatch):
 
     monkeypatch.setattr(atlas_tiles, "compute_tile", dies)
     result = invoke(*words, "-o", "part.tif", code=130)
-    assert "part_tiles contains 3 of 6 tiles; repeat the command to continue" in result.stderr
+    assert "contains 3 of 6 tiles; repeat the command to continue" in result.stderr
     computed.clear()
     monkeypatch.setattr(
         atlas_tiles, "compute_tile", lambda task: computed.append(1) or compute(task)
@@ -133,16 +134,74 @@ def test_a_killed_map_continues_and_gives_equal_files(monkeypatch):
 
 
 @pytest.mark.usefixtures("small_tiles")
-def test_tiles_of_another_problem_are_not_used(monkeypatch):
-    words = "atlas", "site.tif", "three_wheeler", *QUICK, "-o", "a.tif"
+def test_only_tiles_as_they_were_written_are_used(monkeypatch):
+    """Tiles of zeros, of another shape, truncated, foreign or exchanged are computed again."""
+    write_map((0.1 * np.sin(np.arange(40 * 20) / 3)).reshape(40, 20).astype("f4"))
+    words = "atlas", "site.tif", "three_wheeler", *QUICK, "--headings", "1", "-j", "1"
+    kept = pytest.MonkeyPatch()
+    kept.setattr(atlas_tiles.TileFolder, "remove", lambda _: None)
+    printed(*words, "-o", "a.tif")
+    whole = Path("a.tif").read_bytes()
+    (folder,) = Path().glob("a_tiles_*")
+    files = sorted(folder.glob("*.npy"))
+    np.save(files[0], 0 * np.load(files[0]))
+    np.save(files[1], np.load(files[1])[:1])
+    files[2].write_bytes(files[2].read_bytes()[:-9])
+    files[3].write_bytes(b"foreign")
+    (folder / "part_of_mine.npy").write_text("")
+    first, last = files[4].read_bytes(), files[5].read_bytes()
+    files[4].write_bytes(last)
+    files[5].write_bytes(first)
+    computed, store = [], atlas_tiles.TileFolder.store
+    monkeypatch.setattr(
+        atlas_tiles.TileFolder,
+        "store",
+        lambda folder, tile: computed.append(tile.number) or store(folder, tile),
+    )
+    kept.undo()
+    printed(*words, "-o", "a.tif")
+    assert computed == [*range(6)]
+    assert Path("a.tif").read_bytes() == whole
+    assert [file.name for file in folder.iterdir()] == ["part_of_mine.npy"]
+
+
+def test_other_problems_have_other_tiles(monkeypatch):
     monkeypatch.setattr(atlas_tiles.TileFolder, "remove", lambda _: None)
-    printed(*words)
-    (tile,) = Path("a_tiles").glob("*.npy")
-    before = tile.stat().st_mtime_ns
-    printed(*words)
-    assert tile.stat().st_mtime_ns == before
-    printed(*words, "--headings", "1")
-    assert tile.stat().st_mtime_ns != before
+    for words in (QUICK, (*QUICK, "--headings", "1")):
+        printed("atlas", "site.tif", "three_wheeler", *words, "-o", "a.tif")
+    assert len([*Path().glob("a_tiles_*")]) == 2
+
+
+@pytest.mark.usefixtures("small_tiles")
+def test_a_map_that_changes_during_the_computation_ends_it(monkeypatch):
+    z = np.zeros((40, 20), "f4")
+    write_map(z)
+    store = atlas_tiles.TileFolder.store
+    monkeypatch.setattr(
+        atlas_tiles.TileFolder, "store", lambda *words: store(*words) or write_map(z + 1)
+    )
+    words = refused("atlas", "site.tif", "three_wheeler", *QUICK, "-j", "1")
+    assert "expected the input files with which the computation started, found others" in words
+    assert not Path("site_atlas.tif").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit of the size of files")
+def test_a_full_disk_keeps_the_earlier_file_and_the_tiles():
+    """The tiles fit, the GeoTIFF does not."""
+    Path("a.tif").write_bytes(b"earlier")
+    code = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000)); "
+        "from slipfree.__main__ import main; main()"
+    )
+    words = "atlas", "site.tif", "three_wheeler", *QUICK, "--headings", "1", "-o", "a.tif"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1, done.stderr
+    assert "a.tif: cannot be written" in done.stderr
+    assert Path("a.tif").read_bytes() == b"earlier"
+    (folder,) = Path().glob("a_tiles_*")
+    assert [*folder.glob("*.npy")]
 
 
 def test_windows_of_a_large_map_give_the_same(monkeypatch):
@@ -203,15 +262,15 @@ def test_workers_of_dask_give_the_same_file_if_one_is_killed(monkeypatch):
     printed(*words, "-o", "here.tif")
     more = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}
     with distributed.LocalCluster(n_workers=2, **more) as local:
-        first, add, killed = local.workers[0].pid, atlas_tiles.TileFolder.add, []
+        first, store, killed = local.workers[0].pid, atlas_tiles.TileFolder.store, []
 
         def kills(folder, tile):
-            add(folder, tile)
+            store(folder, tile)
             if not killed and len(folder.missing) < 4:  # a worker has finished a tile
                 killed.append(first)
                 os.kill(first, signal.SIGKILL)
 
-        monkeypatch.setattr(atlas_tiles.TileFolder, "add", kills)
+        monkeypatch.setattr(atlas_tiles.TileFolder, "store", kills)
         printed(*words, "-o", "there.tif", "--scheduler", local.scheduler_address)
     assert killed
     assert Path("here.tif").read_bytes() == Path("there.tif").read_bytes()

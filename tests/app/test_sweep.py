@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import sys
 import time
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from helpers.commands import invoke
+from helpers.commands import invoke, sets
 from helpers.sweep_cases import (
     GRID,
     PROBLEM,
@@ -32,11 +33,12 @@ from slipfree.show import sweep_figures as show
 from slipfree.show.swept import Swept, Varied
 from slipfree.sweep import pools
 from slipfree.sweep.grid import axis_of, sweep_of
-from slipfree.sweep.log import RunLog, RunRow, RunTask
+from slipfree.sweep.log import Rows, RunRow, RunTask
 from slipfree.sweep.pools import ProcessPool
 from slipfree.sweep.run import drawn_grids, grids
 from slipfree.sweep.worker import work
 from slipfree.system import processes
+from slipfree.system.parts import LOG
 from slipfree.system.processes import finish_tasks
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -115,9 +117,9 @@ def test_a_dry_run_says_what_would_be_run(file):
     assert "not known before the first run" in result.stdout
     assert not (file.parent / "out").exists()
     sweep = sweep_of(file, ["time.step=0.05:0.3:11"], repeat=2)
-    with RunLog(file.parent / "out" / "runs.jsonl", sweep.head) as log:
-        log.append(ROW._replace(seconds=6.0))
-        log.append(ROW._replace(run=2, seconds=8.0))
+    with Rows(file.parent / "out", sweep.count, sweep.head) as rows:
+        rows.append(ROW._replace(seconds=6.0))
+        rows.append(ROW._replace(run=2, seconds=8.0))
     result = sweep_in(file.parent, *words, "--dry-run")
     assert "about 2.3 min: 7 s per run on 1 process\n" in result.stdout
 
@@ -195,7 +197,7 @@ def test_the_table_holds_what_the_results_hold(whole):
 
 def test_the_same_run_by_itself_is_the_same(whole, tmp_path):
     folder, _ = whole
-    line = json.loads(next(line for line in log_lines(folder) if b'{"run": 3,' in line))
+    line = json.loads(next(line for line in log_lines(folder) if b'{"part": 3,' in line))
     words = [word for setting in line["settings"] for word in ("--set", setting)]
     command = ["run", str(folder / "p.toml"), "--no-draw", "-o", str(tmp_path / "a.nc"), *words]
     assert invoke(*command).exit_code == 0
@@ -256,16 +258,14 @@ def test_results_of_other_input_files_are_not_mixed(file, settings, vary, name):
     (folder / "parts/of.toml").write_text('urdf = "rover.urdf"')
     changed = folder / name
     changed.write_text("one")
-    log, head = folder / "runs.jsonl", sweep_of(file, vary, settings).head
-    with RunLog(log, head):
-        pass
-    with RunLog(log, sweep_of(file, vary, settings).head):
-        pass
+    for _ in range(2):
+        with Rows(folder, 1, sweep_of(file, vary, settings).head):
+            pass
     changed.write_text("other")
     with pytest.raises(DataError, match=f"some with another input file: {name}; choose another"):
-        RunLog(log, sweep_of(file, vary, settings).head)
+        Rows(folder, 1, sweep_of(file, vary, settings).head)
     changed.unlink()
-    assert sweep_of(file, vary, settings).files[name] == "missing"
+    assert sweep_of(file, vary, settings).files.digests[name] == "missing"
 
 
 ROW = RunRow(1, ("a=1",), "complete", "", 0.5, {"end_x": (1.25, "m")}, 0.1)
@@ -280,39 +280,42 @@ HEAD: dict[str, Any] = {
 }
 
 
+def rows_in(folder: Path, *, again: bool = False) -> list[RunRow]:
+    with Rows(folder, 3, HEAD, again=again) as rows:
+        return list(rows)
+
+
 def test_the_log_keeps_what_was_written(tmp_path):
-    path = tmp_path / "new" / "runs.jsonl"
-    with RunLog(path, HEAD) as log:
-        assert list(log.rows) == []
-        log.append(ROW)
+    folder = tmp_path / "new"
+    with Rows(folder, 3, HEAD) as rows:
+        assert list(rows) == []
+        rows.append(ROW)
         with pytest.raises(DataError, match="no other process writes, found one in use"):
-            RunLog(path, HEAD)
-    whole = path.read_bytes()
-    path.write_bytes(whole + b'{"run": 2, "sett')
-    with RunLog(path, HEAD) as log:
-        assert list(log.rows) == [ROW]
-    assert path.read_bytes() == whole
-    path.write_bytes(whole[:20])  # not even the first line
-    with RunLog(path, HEAD) as log:
-        assert list(log.rows) == []
+            Rows(folder, 3, HEAD)
+    log = folder / LOG
+    whole = log.read_bytes()
+    log.write_bytes(whole + b'{"part": 2, "sett')
+    assert rows_in(folder) == [ROW]
+    assert log.read_bytes() == whole
+    log.write_bytes(whole[:20])  # not even the first line
+    assert rows_in(folder) == []
 
 
 def test_runs_that_were_lost_are_done_again(tmp_path):
-    path, rows = tmp_path / "runs.jsonl", []
-    for number, outcome in enumerate(("complete", "lost", "failed"), 1):
-        rows.append(ROW._replace(run=number, outcome=outcome))
-    with RunLog(path, HEAD) as log:
-        for row in rows:
-            log.append(row)
-    with RunLog(path, HEAD) as log:
-        assert list(log.rows) == [rows[0], rows[2]]
-    with RunLog(path, HEAD, again=True) as log:
-        assert list(log.rows) == [rows[0]]
-        assert log.rows.outcomes["failed"] == 0
-        for row in rows[1:]:
-            log.append(row._replace(outcome="complete"))
-    with RunLog(path, HEAD) as log:
-        assert [(row.run, row.outcome) for row in log.rows] == [(k, "complete") for k in (1, 2, 3)]
+    outcomes = enumerate(("complete", "lost", "failed"), 1)
+    written = [ROW._replace(run=number, outcome=outcome) for number, outcome in outcomes]
+    with Rows(tmp_path, 3, HEAD) as rows:
+        for row in written:
+            rows.append(row)
+    assert rows_in(tmp_path) == [written[0], written[2]]
+    with Rows(tmp_path, 3, HEAD, again=True) as rows:
+        assert list(rows) == [written[0]]
+        assert rows.outcomes["failed"] == 0
+        for row in written[1:]:
+            rows.append(row._replace(outcome="complete"))
+    assert [(row.run, row.outcome) for row in rows_in(tmp_path)] == [
+        (k, "complete") for k in (1, 2, 3)
+    ]
 
 
 @pytest.mark.slow
@@ -335,24 +338,52 @@ def test_places_of_figures_are_checked_before_anything_runs(file):
 
 
 @pytest.mark.parametrize(
-    "line",
+    ("old", "new"),
     [
-        b"{\n",
-        b"\0\0\n",
-        b"[" * 100_000 + b"\n",
-        b'{"run": Infinity, "settings": [], "outcome": "complete", "words": "", "t": 1.0, '
-        b'"figures": {}, "seconds": 1.0}\n',
+        (b'"end_x": [1.25', b'"end_x": [1.35'),
+        (b'{"part": 1', b'{"part": 2'),
+        (b'{"part": 1', b'{"part": Infinity'),
+        (b'"settings": ["a=1"]', b'"settings": ["a=2"]'),
+        (b"{", b""),
+        (b"{", b"[" * 100_000),
+        (b"{", b"\0"),
     ],
 )
-def test_a_damaged_log_is_refused_by_line(tmp_path, line):
-    path = tmp_path / "runs.jsonl"
-    with RunLog(path, HEAD) as log:
-        log.append(ROW)
-    path.write_bytes(path.read_bytes() + line)
-    with pytest.raises(
-        DataError, match=r"runs.jsonl:3: expected one line of JSON .* remove the line"
-    ):
-        RunLog(path, HEAD)
+def test_runs_whose_line_was_changed_are_done_again(tmp_path, old, new):
+    with Rows(tmp_path, 3, HEAD) as rows:
+        rows.append(ROW)
+        rows.append(ROW._replace(run=3))
+    log = tmp_path / LOG
+    head, first, second = log.read_bytes().splitlines(keepends=True)
+    log.write_bytes(head + first.replace(old, new, 1) + second)
+    assert [row.run for row in rows_in(tmp_path)] == [3]
+
+
+def test_a_log_of_something_else_is_refused(tmp_path):
+    (tmp_path / LOG).write_bytes(b"{\n")
+    with pytest.raises(DataError, match=r"parts.jsonl:1: expected the description of a sweep"):
+        Rows(tmp_path, 3, HEAD)
+    (tmp_path / LOG).unlink()
+    os.mkfifo(tmp_path / LOG)
+    with pytest.raises(DataError, match="found no regular file"):
+        Rows(tmp_path, 3, HEAD)
+
+
+def test_a_map_that_changes_during_a_sweep_ends_it(file, monkeypatch):
+    axis = np.linspace(-3, 3, 25)
+    np.savez("map.npz", x=axis, y=axis, z=0 * axis * axis[:, None])
+
+    def change() -> None:
+        np.savez("map.npz", x=axis, y=axis, z=0.1 + 0 * axis * axis[:, None])
+
+    monkeypatch.setattr(Rows, "append", lambda rows, row: (append(rows, row), change()))
+    words = [*GRID[:2], *sets("terrain.synthetic=", "terrain.file=map.npz"), "--no-draw", "-j", "1"]
+    result = sweep_in(file.parent, *words, code=2)
+    assert "map.npz: expected an input file that does not change" in result.stderr
+    assert len(log_lines(file.parent)) == 2
+
+
+append = Rows.append
 
 
 @pytest.mark.slow
@@ -465,10 +496,10 @@ def test_a_run_that_stops_is_told_by_name(file):
     assert "leaves the map" in rows[1].words
     assert rows[1].t == pytest.approx(1.25 / 6.0, abs=1e-3)
     assert rows[1].settings == (f"{SPEED}=6.0",)
-    with RunLog(file.parent / "runs.jsonl", sweep.head) as log:
+    with Rows(file.parent, sweep.count, sweep.head) as log:
         for row in rows:
             log.append(row)
-    share = drawn_grids(log.rows, grids(sweep, log.rows, ["end_y"]), ["end_y"])[-1]
+    share = drawn_grids(log, grids(sweep, log, ["end_y"]), ["end_y"])[-1]
     assert share.name == "complete"
     np.testing.assert_array_equal(share.values, [[1.0], [0.0]])
 

@@ -13,6 +13,7 @@ import psutil
 
 from helpers.commands import invoke
 from slipfree.sweep.log import RunTask
+from slipfree.system.parts import LOG
 
 PROBLEM = """\
 verb = "direct"
@@ -43,7 +44,7 @@ def begin_sweep(folder: Path, *words: str) -> subprocess.Popen[str]:
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
-    log, end = folder / "out" / "runs.jsonl", time.monotonic() + 60
+    log, end = folder / "out" / LOG, time.monotonic() + 60
     while not log.exists() or log.read_bytes().count(b"\n") < 3:
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < end
@@ -61,7 +62,7 @@ def kill_sweep(process: subprocess.Popen[str]) -> None:
 
 
 def log_lines(folder: Path) -> list[bytes]:
-    return (folder / "out" / "runs.jsonl").read_bytes().splitlines(keepends=True)
+    return (folder / "out" / LOG).read_bytes().splitlines(keepends=True)
 
 
 def table_rows(folder: Path) -> list[dict[str, str]]:

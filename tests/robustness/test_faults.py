@@ -28,7 +28,8 @@ from slipfree.files import netcdf
 from slipfree.show.film import film_writer, write_film
 from slipfree.show.plots import Plot
 from slipfree.show.plots import save as save_figures
-from slipfree.sweep.log import WORDS, RunLog, RunRow
+from slipfree.sweep.log import WORDS, Rows, RunRow
+from slipfree.system.parts import LOG
 from slipfree.system.regular_files import replace_file
 
 pytestmark = pytest.mark.slow
@@ -147,18 +148,18 @@ def test_threads_that_write_one_file_leave_it_whole(motion: Trajectory, tmp_path
 
 def test_a_log_on_a_full_disk_tells_so_and_goes_on_later(tmp_path: Path) -> None:
     row = RunRow(1, (), "complete", "", 1.0, {"x": (1.0, "m")}, 0.1)
-    with RunLog(tmp_path / "runs.jsonl", HEAD) as log:
-        log.append(row)
-    size = (tmp_path / "runs.jsonl").stat().st_size
+    with Rows(tmp_path, 2, HEAD) as rows:
+        rows.append(row)
+    size = (tmp_path / LOG).stat().st_size
     code = f"""
 import resource, sys
 from pathlib import Path
 from slipfree.core.errors import DataError
-from slipfree.sweep.log import RunLog, RunRow
+from slipfree.sweep.log import Rows, RunRow
 resource.setrlimit(resource.RLIMIT_FSIZE, ({size + 20}, {size + 20}))
 try:
-    with RunLog(Path({str(tmp_path / "runs.jsonl")!r}), {HEAD!r}) as log:
-        log.append(RunRow(2, (), "complete", "", 1.0, {{}}, 0.1))
+    with Rows(Path({str(tmp_path)!r}), 2, {HEAD!r}) as rows:
+        rows.append(RunRow(2, (), "complete", "", 1.0, {{}}, 0.1))
 except DataError as error:
     sys.exit(f"refused: {{error}}")
 """
@@ -166,8 +167,8 @@ except DataError as error:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.stderr.startswith("refused: "), done.stderr
     assert "cannot be written (File too large)" in done.stderr
-    with RunLog(tmp_path / "runs.jsonl", HEAD) as log:
-        assert list(log.rows) == [row]
+    with Rows(tmp_path, 2, HEAD) as rows:
+        assert list(rows) == [row]
 
 
 @pytest.fixture

@@ -30,10 +30,11 @@ from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.version import __version__
 from slipfree.sweep import pools
 from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.log import RunLog
+from slipfree.sweep.log import Rows
 from slipfree.sweep.pools import Cluster, ProcessPool
 from slipfree.sweep.run import sweep_facts
 from slipfree.sweep.worker import work
+from slipfree.system.parts import LOG
 from slipfree.system.processes import finish_tasks
 
 pytestmark = pytest.mark.slow
@@ -75,8 +76,8 @@ def test_a_killed_sweep_goes_on(slow: Path, file: Path) -> None:
     kill_sweep(process)
     kept = [line for line in log_lines(file.parent) if line.endswith(b"\n")]
     assert 3 <= len(kept) < RUNS + 1
-    with (file.parent / "out" / "runs.jsonl").open("ab") as log:
-        log.write(b'{"run": 11, "settings": ["dri')  # as if it had been killed while it wrote
+    with (file.parent / "out" / LOG).open("ab") as log:
+        log.write(b'{"part": 11, "settings": ["dri')  # as if it had been killed while it wrote
     sweep_in(file.parent, *SLOW, "--processes", "2", "--no-draw", code=0)
     _check_resumed(file.parent, kept, slow)
 
@@ -95,7 +96,7 @@ def _check_resumed(folder: Path, kept: list[bytes], whole: Path) -> None:
     """Check that finished runs are as they were, none is there twice, and the table is the same."""
     lines = log_lines(folder)
     assert lines[: len(kept)] == kept
-    numbers = [json.loads(line)["run"] for line in lines[1:]]
+    numbers = [json.loads(line)["part"] for line in lines[1:]]
     assert sorted(numbers) == list(range(1, RUNS + 1))
     table = "out/table.csv"
     assert (folder / table).read_bytes() == (whole / table).read_bytes()
@@ -225,10 +226,10 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
     assert done.row.words == "OSError: [Errno 28] No space left on device"
     sweep = sweep_of(file, ["time.step=0.1,0.05"])
     failed = done.row._replace(run=2, outcome="failed", words="by chance")
-    with RunLog(file.parent / "out" / "runs.jsonl", sweep.head) as log:
-        log.append(done.row)
-        log.append(failed)
-        told = dict(sweep_facts(sweep, log.rows, {}, ()))
+    with Rows(file.parent / "out", sweep.count, sweep.head) as rows:
+        rows.append(done.row)
+        rows.append(failed)
+        told = dict(sweep_facts(sweep, rows, {}, ()))
     assert told["  run 1 lost"] == "OSError: [Errno 28] No space left on device (time.step=0.1)"
     assert told["  run 2 failed"] == "by chance (time.step=0.1)"
     assert told["  ..."] == "the same command repeats lost runs"

@@ -116,6 +116,7 @@ def atlas(
     command to continue.
     """
     with reported():
+        from slipfree.problem.atlas_tiles import TileFolder, input_states, tile_folder
         from slipfree.problem.inputs import files_read
         from slipfree.problem.verbs.atlas import build_atlas
 
@@ -130,7 +131,8 @@ def atlas(
                     f"{each}: expected a name that ends in {', '.join(ENDINGS)}; choose another "
                     "name"
                 )
-        tiles = outs[0].with_name(f"{outs[0].stem}_tiles")
+        states = input_states(problem)
+        tiles = tile_folder(outs[0], problem, states)
         figures = outs[0].with_name(f"{outs[0].stem}_figures")
         inputs = files_read(problem)
         check_outputs(outs, inputs, folder=figures if draw else None)
@@ -140,24 +142,19 @@ def atlas(
         print_facts(setup.facts)
         for words in setup.warnings:
             warn(words)
-        _solve(setup, outs, tiles, figures if draw else None, (processes, scheduler))
+        with TileFolder(tiles, setup, states) as folder:
+            _solve(setup, outs, folder, figures if draw else None, (processes, scheduler))
 
 
 def _solve(
     setup: AtlasSetup,
     outs: Sequence[Path],
-    tiles: Path,
+    folder: TileFolder,
     figures: Path | None,
     workers: tuple[int | None, str | None],
 ) -> None:
-    from slipfree.problem.atlas_tiles import (
-        TileFolder,
-        overview_of_tiles,
-        summary_lines,
-        write_file,
-    )
+    from slipfree.problem.atlas_tiles import overview_of_tiles, summary_lines, write_file
 
-    folder = TileFolder(tiles, setup)
     with held_interrupt():
         _compute(setup, folder, *workers)
         files = [save(each, lambda path: write_file(path, setup, folder)) for each in outs]
@@ -312,7 +309,7 @@ def _compute(
         try:
             run_tiles(setup, folder, workers, check_interrupt, progress)
         except KeyboardInterrupt as error:
-            done, count = len(setup.tiles) - len(folder.missing), len(setup.tiles)
             raise KeyboardInterrupt(
-                f"{folder.path} contains {done} of {count} tiles; repeat the command to continue"
+                f"{folder.folder} contains {len(folder)} of {len(setup.tiles)} tiles; repeat the "
+                "command to continue"
             ) from error

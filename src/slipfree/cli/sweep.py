@@ -29,6 +29,7 @@ from slipfree.cli.common import (
 )
 from slipfree.cli.outputs import check_outputs
 from slipfree.system.interrupt import check_interrupt, held_interrupt
+from slipfree.system.parts import LOG
 
 if TYPE_CHECKING:
     from slipfree.show.swept import Swept
@@ -109,8 +110,8 @@ def sweep(
         if dry_run:
             _print_plan(plan, folder, processes or available_cores())
             return
-        reads = [plan.problem.folder / name for name in plan.files] + files_read(plan.problem)
-        check_outputs([], reads, folder=folder, names=("table.csv", "run_*.nc", "runs.jsonl"))
+        reads = [*plan.files.stamps, *files_read(plan.problem)]
+        check_outputs([], reads, folder=folder, names=("table.csv", "run_*.nc", LOG))
         if draw:
             check_outputs([], reads, folder=folder / FIGURES, names=("*",))
         if plan.problem.spec.solver.compiled and (why := obstacle()):
@@ -133,14 +134,13 @@ def sweep(
 
 
 def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
-    from slipfree.sweep.log import NAME, RunLog
+    from slipfree.sweep.log import Rows
     from slipfree.sweep.run import plan_facts
 
-    facts, log = plan_facts(plan), folder / NAME
+    facts = plan_facts(plan)
     left, words = plan.count, "not known before the first run"
-    if log.is_file():
-        with RunLog(log, plan.head) as opened:
-            rows = opened.rows
+    if (folder / LOG).is_file():
+        with Rows(folder, plan.count, plan.head) as rows:
             left -= len(rows)
             facts.append(("finished", f"{len(rows)} in {folder}"))
             if len(rows):

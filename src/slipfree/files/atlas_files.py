@@ -20,7 +20,7 @@ import scipy
 
 from slipfree.atlas.atlas import REASON, TILE, Atlas, Band, tiles_of
 from slipfree.atlas.summary import ELEVATION, LIMIT, Bounds, Verdicts, summary, verdicts
-from slipfree.core.errors import DataError
+from slipfree.core.errors import DataError, WriteError
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import HEADING, OFFSET
 from slipfree.core.version import __version__
@@ -34,7 +34,7 @@ from slipfree.files.netcdf import (
     open_netcdf,
     result_fault,
 )
-from slipfree.system.regular_files import replace_file
+from slipfree.system.regular_files import replace_file, replacing
 from slipfree.terrain.paged import Elevation
 
 MAX_BYTES = 2**32 - 4  # of a variable of netCDF-3
@@ -102,14 +102,10 @@ def write_geotiff(path: str | os.PathLike[str], poses: Atlas, site: Site) -> Non
 
     DataError is raised if the file cannot be written, or the reference system is unknown.
     """
-
-    def fill(part: Path) -> None:
-        with geotiff_writer(part, poses.x, poses.y, site) as write:
-            for i, j in tiles_of(poses.x.size, poses.y.size):
-                maps, found = site.summary_of(part_of(poses, i, j), i, j)
-                write(i, j, with_reasons(maps, found))
-
-    replace_file(Path(path), fill)
+    with geotiff_writer(Path(path), poses.x, poses.y, site) as write:
+        for i, j in tiles_of(poses.x.size, poses.y.size):
+            maps, found = site.summary_of(part_of(poses, i, j), i, j)
+            write(i, j, with_reasons(maps, found))
 
 
 def with_reasons(maps: Mapping[str, Band], found: Verdicts) -> dict[str, Band]:
@@ -130,10 +126,12 @@ def geotiff_writer(path: Path, x: Array, y: Array, site: Site) -> Iterator[Write
     """Yield a function that writes tiles of `tiles_of` to a new GeoTIFF.
 
     Tiles are blocks of the file, each written once, in the order of `tiles_of`: equal maps give
-    equal files.
+    equal files. The file is read again before it replaces an earlier one, since GDAL reports no
+    error if the disk is full. WriteError is raised if it cannot be written.
     """
     import rasterio
     from rasterio import Affine
+    from rasterio.errors import RasterioError
 
     for name, axis in (("x", x), ("y", y)):
         if axis.size < 2 or not np.allclose(np.diff(axis), axis[1] - axis[0]):
@@ -159,21 +157,29 @@ def geotiff_writer(path: Path, x: Array, y: Array, site: Site) -> Iterator[Write
         "interleave": "band",
         "BIGTIFF": "IF_SAFER",
     }
-    with ExitStack() as stack:
-        stack.enter_context(rasterio.Env(GDAL_CACHEMAX=CACHE))
+    with replacing(path) as part, rasterio.Env(GDAL_CACHEMAX=CACHE), ExitStack() as stack:
         file: Any = None
 
         def write(i: slice, j: slice, maps: Mapping[str, Band]) -> None:
             nonlocal file
             if file is None:  # the first tile has the bands
-                file = stack.enter_context(rasterio.open(path, "w", count=len(maps), **profile))
+                file = stack.enter_context(rasterio.open(part, "w", count=len(maps), **profile))
                 _describe(file, [band.label for band in maps.values()], site)
             window = (y.size - j.stop, y.size - j.start), (i.start, i.stop)
             for k, band in enumerate(maps.values(), 1):
                 image = np.ascontiguousarray(band.values.T[::-1], dtype=np.float32)
                 file.write(image, k, window=window)
 
-        yield write
+        try:
+            yield write
+            stack.close()
+            with rasterio.open(part) as written:
+                for k in written.indexes:
+                    written.checksum(k)  # reads all blocks
+        except RasterioError as error:
+            raise WriteError(
+                f"{path}: cannot be written ({error}); free disk space or choose another folder"
+            ) from error
 
 
 def _system(crs: str) -> Any:

@@ -7,10 +7,10 @@ computation continues where it was, with equal files. Files are written tile by 
 from __future__ import annotations
 
 import hashlib
-import io
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +20,7 @@ import scipy
 
 from slipfree.atlas.atlas import Atlas, Band, least_bounds, tiles_of
 from slipfree.atlas.summary import ALLOWED, STANDING
+from slipfree.core.errors import DataError
 from slipfree.core.facts import Fact
 from slipfree.core.records import Array
 from slipfree.core.version import __version__
@@ -32,16 +33,15 @@ from slipfree.files.atlas_files import (
     write_atlas,
 )
 from slipfree.problem.build_ground import Extremes
-from slipfree.problem.inputs import digest, files_read
+from slipfree.problem.inputs import FileStates, file_states, files_read
 from slipfree.problem.load import load_again
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.atlas import AtlasSetup, build_atlas
 from slipfree.problem.verbs.base import Lines
 from slipfree.show.atlas_figures import AtlasView, friction_maps
+from slipfree.system.parts import Identity, Parts
 from slipfree.system.processes import Poll, Pool, finish_tasks, local_tasks
-from slipfree.system.regular_files import replace_file
 
-KEY = "atlas.json"  # file in the folder of the tiles that identifies their problem
 DRAWN = 1000  # largest number of nodes along an axis of a figure
 WIDE = 0.01  # difference of bounds of the least friction that is reported [1]
 DETAIL = 24  # nodes along the side of the detail of a figure
@@ -54,7 +54,7 @@ class TileTask(NamedTuple):
     text: str
     settings: tuple[str, ...]
     trusted: frozenset[str]
-    key: str  # of the contents of all input files
+    digests: tuple[tuple[str, str], ...]  # of all input files, by name
     known: tuple[tuple[str, Extremes], ...]  # of large maps, by file
     number: int
 
@@ -77,12 +77,17 @@ def _setup(
     text: str,
     settings: tuple[str, ...],
     trusted: frozenset[str],
-    _: str,
+    digests: tuple[tuple[str, str], ...],
     known: tuple[tuple[str, Extremes], ...],
 ) -> AtlasSetup:
-    return build_atlas(
-        load_again(Path(file), text, settings, trusted, command="atlas"), dict(known)
-    )
+    problem = load_again(Path(file), text, settings, trusted, command="atlas")
+    setup = build_atlas(problem, dict(known))
+    if input_states(problem).digests != dict(digests):
+        raise DataError(
+            f"{file}: expected the input files with which the computation started, found others; "
+            "copy them to all workers, and repeat the command"
+        )
+    return setup
 
 
 def _tile(setup: AtlasSetup, number: int) -> Tile:
@@ -90,40 +95,52 @@ def _tile(setup: AtlasSetup, number: int) -> Tile:
     return Tile(number, np.stack([bands[name] for name in setup.labels()]).astype(np.float32))
 
 
-class TileFolder:
-    """Folder with the finished tiles of a mobility map.
+def input_states(problem: Problem[Any]) -> FileStates:
+    """Return the states of the input files of a mobility map."""
+    files = (file for file in files_read(problem)[1:] if file.is_file())
+    return file_states({os.path.relpath(file, problem.folder): file for file in files})
 
-    It is made if it is missing; tiles of another problem in it are removed.
+
+def _identity(problem: Problem[Any], states: FileStates) -> dict[str, Any]:
+    """Return what mobility maps whose tiles fit together have in common."""
+    values = problem.spec.model_dump_json(exclude={"title"}, serialize_as_any=True)
+    identity = {"": hashlib.sha256(values.encode()).hexdigest()}
+    return {"slipfree": __version__, "problem": identity, "files": states.digests}
+
+
+def tile_folder(out: Path, problem: Problem[Any], states: FileStates) -> Path:
+    """Return the folder of the tiles beside an output file; each problem has its own."""
+    identity = json.dumps(_identity(problem, states))
+    return out.with_name(f"{out.stem}_tiles_{hashlib.sha256(identity.encode()).hexdigest()[:8]}")
+
+
+class TileFolder(Parts):
+    """Folder with the finished tiles of a mobility map; a context manager.
+
+    The parts of tiles are numbered from 1. ``states`` are those of the input files before the
+    set-up was built.
     """
 
-    def __init__(self, path: Path, setup: AtlasSetup) -> None:
-        self.path, self._setup = path, setup
-        self._labels = setup.labels()
-        self._reasons = setup.poses().reasons
-        key = _key(setup.problem)
-        with suppress(OSError, ValueError):
-            if json.loads((path / KEY).read_text("utf-8")) == key:
-                return
-        for tile in path.glob("tile_*.npy"):
-            tile.unlink()
-        path.mkdir(parents=True, exist_ok=True)
-        (path / KEY).write_text(json.dumps(key), encoding="utf-8")
+    def __init__(self, folder: Path, setup: AtlasSetup, states: FileStates) -> None:
+        head = _identity(setup.problem, states)
+        super().__init__(folder, Identity("mobility map", len(setup.tiles), head), ".npy")
+        self.states, self._setup = states, setup
+        self._labels, self._reasons = setup.labels(), setup.poses().reasons
 
-    @property
-    def missing(self) -> list[int]:
-        """Numbers of the tiles that are not finished."""
-        return [k for k in range(len(self._setup.tiles)) if not self._file(k).is_file()]
+    def store(self, tile: Tile) -> None:
+        """Store a tile; raise DataError if an input file has changed since the start."""
+        self.states.check()
 
-    def add(self, tile: Tile) -> None:
-        """Store a tile; it is complete even if this process is killed."""
-        stream = io.BytesIO()
-        np.save(stream, tile.values)
-        replace_file(self._file(tile.number), lambda part: part.write_bytes(stream.getvalue()))
+        def fill(part: Path) -> None:
+            with part.open("wb") as stream:
+                np.save(stream, tile.values)
+
+        self.add(tile.number + 1, {}, fill)
 
     def poses(self, number: int) -> Atlas:
         """Return the poses of a finished tile."""
         i, j = self._setup.tiles[number]
-        values = np.load(self._file(number))
+        values = np.load(self.file(number + 1))
         bands = {
             name: Band(label, each)
             for (name, label), each in zip(self._labels.items(), values, strict=True)
@@ -145,16 +162,6 @@ class TileFolder:
         bands = {name: Band(self._labels[name], each) for name, each in values.items()}
         return Atlas(setup.x[i], setup.y[j], setup.heading, bands, self._reasons)
 
-    def remove(self) -> None:
-        """Remove the tiles and the folder, unless it has other files."""
-        for file in (*self.path.glob("tile_*.npy"), self.path / KEY):
-            file.unlink(missing_ok=True)
-        with suppress(OSError):
-            self.path.rmdir()
-
-    def _file(self, number: int) -> Path:
-        return self.path / f"tile_{number:06}.npy"
-
 
 def _overlap(tile: slice, window: slice) -> tuple[slice, slice] | None:
     """Return the common nodes of two slices, counted in each of them; None without any."""
@@ -162,13 +169,6 @@ def _overlap(tile: slice, window: slice) -> tuple[slice, slice] | None:
     if start >= stop:
         return None
     return tuple(slice(start - each.start, stop - each.start) for each in (tile, window))  # type: ignore[return-value]
-
-
-def _key(problem: Problem[Any]) -> dict[str, str]:
-    values = problem.spec.model_dump_json(exclude={"title"}, serialize_as_any=True)
-    files = [file for file in files_read(problem)[1:] if file.is_file()]
-    text = json.dumps([values, [(str(file), digest(file)) for file in files]])
-    return {"slipfree": __version__, "problem": hashlib.sha256(text.encode()).hexdigest()}
 
 
 def run_tiles(
@@ -185,37 +185,32 @@ def run_tiles(
     all.
     """
     problem, count = setup.problem, len(setup.tiles)
-    source = problem.source
-    settings = tuple(dict.fromkeys(source.settings.values()))
-    missing = folder.missing
-    progress(count - len(missing), count)
+    source, missing = problem.source, [number - 1 for number in folder.missing]
+    progress(len(folder), count)
     if missing:  # in this process: it compiles the equations, and errors end the computation
         poll()
-        folder.add(_tile(setup, missing.pop(0)))
-        progress(count - len(missing), count)
-    key = _key(problem)["problem"]
+        folder.store(_tile(setup, missing.pop(0)))
+        progress(len(folder), count)
+    if not missing:
+        return
     head = (
         str(source.path.absolute()),
         source.text,
-        settings,
+        tuple(dict.fromkeys(source.settings.values())),
         problem.trusted,
-        key,
+        tuple(folder.states.digests.items()),
         tuple(setup.known.items()),
     )
     tasks = [TileTask(*head, number) for number in missing]
-    left = len(tasks)
-    if not tasks:
-        return
     with ExitStack() as stack:
         if isinstance(workers, int):
-            execute = stack.enter_context(local_tasks(compute_tile, min(workers, left)))
+            execute = stack.enter_context(local_tasks(compute_tile, min(workers, len(tasks))))
             tiles = execute(tasks, poll)
         else:
             tiles = finish_tasks(tasks, workers, poll)
         for tile in tiles:
-            folder.add(tile)
-            left -= 1
-            progress(count - left, count)
+            folder.store(tile)
+            progress(len(folder), count)
 
 
 def write_file(path: Path, setup: AtlasSetup, folder: TileFolder) -> None:

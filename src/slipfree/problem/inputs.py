@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from hashlib import file_digest
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -93,6 +93,36 @@ def digest(file: Path) -> str:
             return file_digest(stream if size else BytesIO(), "sha256").hexdigest()
     except DataError:
         return MISSING
+
+
+class FileStates(NamedTuple):
+    """Files of a computation in parts, as they were when it started."""
+
+    digests: dict[str, str]  # SHA-256 by name
+    stamps: dict[Path, tuple[int, int] | None]  # time of the last change, and size
+
+    def check(self) -> None:
+        """Raise DataError if a file has changed since, so that parts would not fit together."""
+        for path, stamp in self.stamps.items():
+            if _stamp(path) != stamp:
+                raise DataError(
+                    f"{path}: expected an input file that does not change during the computation, "
+                    "found that it changed; repeat the command: finished parts are kept for the "
+                    "earlier file"
+                )
+
+
+def file_states(files: Mapping[str, Path]) -> FileStates:
+    """Return the states of files, by name."""
+    stamps = {path: _stamp(path) for path in files.values()}
+    return FileStates({name: digest(path) for name, path in sorted(files.items())}, stamps)
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    with suppress(OSError, ValueError):  # a missing file, a null character
+        found = path.stat()
+        return found.st_mtime_ns, found.st_size
+    return None
 
 
 def _named_urdf(folder: Path, name: str) -> list[str]:

@@ -18,7 +18,7 @@ from slipfree.core.errors import DataError
 from slipfree.core.version import __version__
 from slipfree.files.toml.source import key_path, load_toml, shortened
 from slipfree.files.urdf.xacro import trusted_paths
-from slipfree.problem.inputs import digest, input_files, input_names
+from slipfree.problem.inputs import FileStates, file_states, input_files, input_names
 from slipfree.problem.load import load_variants
 from slipfree.problem.problem import Problem
 
@@ -66,7 +66,7 @@ class Sweep:
     seeds: tuple[str, ...]
     repeat: int  # number of repetitions of every point of the grid
     seed: int
-    files: Mapping[str, str]  # SHA-256 of all input files by name
+    files: FileStates  # all input files
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -97,8 +97,8 @@ class Sweep:
         text = "\n".join(self.problem.source.text.splitlines())
         return {
             "slipfree": __version__,
-            "problem": hashlib.sha256(text.encode()).hexdigest(),
-            "files": dict(self.files),
+            "problem": {"": hashlib.sha256(text.encode()).hexdigest()},
+            "files": self.files.digests,
             "settings": list(self.settings),
             "vary": {axis.key: list(axis.values) for axis in self.axes},
             "repeat": self.repeat,
@@ -143,8 +143,7 @@ def sweep_of(
         if not {*input_names(problem.spec)} <= files.keys():
             files |= input_files(problem)
         progress(done, count)
-    digests = {name: digest(files[name]) for name in sorted(files)}
-    bare = Sweep(first, tuple(settings), axes, (), 1, seed, digests)
+    bare = Sweep(first, tuple(settings), axes, (), 1, seed, file_states(files))
     if repeat is None:
         return bare
     found = seed_keys(bare.problem.spec.model_dump())

@@ -18,7 +18,7 @@ from slipfree.problem.load import verb_of
 from slipfree.problem.units import unit_of
 from slipfree.show.swept import Swept, Varied
 from slipfree.sweep.grid import Run, Sweep
-from slipfree.sweep.log import COMPLETE, FAILED, LOST, NAME, Rows, RunLog, RunRow, RunTask
+from slipfree.sweep.log import COMPLETE, FAILED, LOST, Rows, RunRow, RunTask
 from slipfree.sweep.pools import Pool
 from slipfree.system.processes import Poll, finish_tasks
 from slipfree.system.regular_files import check_name
@@ -201,9 +201,9 @@ def run_sweep(
     """Execute the unfinished runs of a sweep; return the results of all runs.
 
     Tasks are created when the pool accepts them, and results are kept on disk. The required memory
-    does not depend on the number of metrics. A line of ``runs.jsonl`` is written to the folder when
-    a run is finished, ``table.csv`` at the end and after an interruption, and with ``keep`` the
-    motion of every run, to ``run_0001.nc`` and so on.
+    does not depend on the number of metrics. A line of ``parts.jsonl`` is written to the folder
+    when a run is finished, ``table.csv`` at the end and after an interruption, and with ``keep``
+    the motion of every run, to ``run_0001.nc`` and so on.
 
     ``pool`` returns the pool, such as ``lambda: ProcessPool(2)``, and is called only if there are
     unfinished runs; with ``again``, runs that failed are repeated, as lost runs always are.
@@ -219,25 +219,26 @@ def run_sweep(
             f"{folder}: expected a folder for the sweep, found a file; choose another folder with "
             "-o"
         )
-    with RunLog(folder / NAME, sweep.head, again=again) as log:
+    with Rows(folder, sweep.count, sweep.head, again=again) as rows:
         try:
-            progress(log.rows)
-            if len(log.rows) < sweep.count:
+            progress(rows)
+            if len(rows) < sweep.count:
                 with closing(pool()) as opened:
-                    for done in finish_tasks(_tasks(sweep, log.rows, keep), opened, poll):
+                    for done in finish_tasks(_tasks(sweep, rows, keep), opened, poll):
+                        sweep.files.check()
                         if done.trajectory is not None:
                             file = result_path(folder, sweep, done.row.run)
                             write(file, done.trajectory, done.arrays)
-                        log.append(done.row)
-                        progress(log.rows)
+                        rows.append(done.row)
+                        progress(rows)
         finally:
-            write_table(folder / TABLE, sweep, log.rows)
-        return log.rows
+            write_table(folder / TABLE, sweep, rows)
+        return rows
 
 
 def _tasks(sweep: Sweep, rows: Rows, keep: bool) -> Iterator[RunTask]:
     path, text = str(sweep.problem.source.path.resolve()), sweep.problem.source.text
-    files = json.dumps(dict(sweep.files))
+    files = json.dumps(sweep.files.digests)
     for run in sweep.runs():
         if run.number not in rows:
             own, trusted = len(sweep.keys), sweep.problem.trusted

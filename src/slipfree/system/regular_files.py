@@ -105,11 +105,12 @@ def _unreadable(path: Path, expected: str, reason: object) -> DataError:
     )
 
 
-def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
     """Replace a file by a new one only when the new one is complete.
 
-    After an error, Ctrl-C, a signal or a crash of the machine, ``path`` is either unchanged or
-    complete. ``fill(part)`` writes the contents to ``part``, a temporary file in the same folder. A
+    The context is the path of a temporary file in the same folder, which the block writes. After an
+    error, Ctrl-C, a signal or a crash of the machine, ``path`` is either unchanged or complete. A
     symbolic link remains; its target is replaced. WriteError is raised if the file cannot be
     written, DataError if ``path`` is a folder, device, pipe or socket.
     """
@@ -121,7 +122,7 @@ def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
             raise DataError(
                 f"{path}: expected the name of a file to write, found {kind}; choose another name"
             )
-        fill(part)
+        yield part
         with part.open("rb+") as file:
             os.fsync(file.fileno())
         part.replace(target)
@@ -132,3 +133,12 @@ def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
     finally:
         with suppress(OSError):  # the folder may be read-only
             part.unlink(missing_ok=True)
+
+
+def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
+    """Replace a file by the one that ``fill`` writes to the path that it is given.
+
+    See `replacing`.
+    """
+    with replacing(path) as part:
+        fill(part)

@@ -1,0 +1,243 @@
+"""Finished parts of a computation, such as runs and tiles, in a folder where it continues.
+
+The first line of the log describes the computation, and each other line a finished part, in JSON
+and synchronised to disk. Lines and files that were damaged, truncated or exchanged do not match
+their digests: their parts are computed again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from hashlib import file_digest, sha256
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, NamedTuple, Self
+
+from slipfree.core.errors import DataError
+from slipfree.system.regular_files import replace_file
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such lock: the user must avoid two computations at a time
+    fcntl = None  # type: ignore[assignment]
+
+LOG = "parts.jsonl"
+PART, DIGEST = "part", "sha256"  # keys of the line of a part
+ANOTHER_FOLDER = "choose another folder with -o"
+
+
+class Identity(NamedTuple):
+    """Identity of a computation, whose finished parts have the numbers from 1 to ``size``."""
+
+    kind: str  # as in "sweep"
+    size: int  # number of parts
+    head: Mapping[str, Any]  # equal for computations whose parts may be mixed
+    words: Mapping[str, str] = {}  # descriptions of the keys of the head in messages
+
+
+class Parts:
+    """The open folder of a computation with its finished parts; a context manager.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder; made if it is missing.
+    identity : Identity
+        The computation.
+    ending : str, optional
+        Ending of the files of parts, as in ``".npy"``; by default a part has no file.
+
+    Raises
+    ------
+    DataError
+        If the log cannot be written, is used by another process, or belongs to another computation.
+    """
+
+    def __init__(self, folder: Path, identity: Identity, ending: str = "") -> None:
+        self.folder, self._identity, self._ending = folder, identity, ending
+        self._log = folder / LOG
+        self._offsets: dict[int, int] = {}  # byte at which the line of a part begins
+        if self._log.exists() and not self._log.is_file():
+            raise DataError(
+                f"{self._log}: expected a log of finished parts, found no regular file; "
+                f"{ANOTHER_FOLDER}, or remove it"
+            )
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._stream: IO[bytes] = self._log.open("a+b")
+        except OSError as error:
+            raise self._unwritable(error) from error
+        try:
+            self._lock()
+            self._read()
+        except BaseException:
+            self.close()
+            raise
+
+    def __len__(self) -> int:
+        """Return the number of finished parts."""
+        return len(self._offsets)
+
+    def __contains__(self, number: int) -> bool:
+        """Return whether a part is finished."""
+        return number in self._offsets
+
+    def __iter__(self) -> Iterator[int]:
+        """Yield the numbers of the finished parts in ascending order."""
+        return iter(sorted(self._offsets))
+
+    @property
+    def missing(self) -> list[int]:
+        """Numbers of the parts that are not finished, in ascending order."""
+        return [k for k in range(1, self._identity.size + 1) if k not in self._offsets]
+
+    def record(self, number: int) -> dict[str, Any]:
+        """Return the record of a finished part, as given to `add`."""
+        with self._log.open("rb") as stream:
+            stream.seek(self._offsets[number])
+            line: dict[str, Any] = json.loads(stream.readline())
+        return {key: value for key, value in line.items() if key not in (PART, DIGEST)}
+
+    def file(self, number: int) -> Path:
+        """Return the path of the file of a part."""
+        return self.folder / f"part_{number:06}{self._ending}"
+
+    def add(
+        self,
+        number: int,
+        record: Mapping[str, Any],
+        fill: Callable[[Path], object] = lambda _: None,
+    ) -> None:
+        """Store a part: its file, written by ``fill`` if parts have files, and its record."""
+        if self._ending:
+            replace_file(self.file(number), fill)
+        line = {PART: number, **record}
+        self._offsets[number] = self._write(line | {DIGEST: self._digest(line)})
+
+    def discard(self, number: int) -> None:
+        """Forget a part, which is then missing, if it is finished."""
+        self._offsets.pop(number, None)
+
+    def remove(self) -> None:
+        """Remove the log, the files of all parts, and the folder unless it has other files."""
+        for number in range(1, self._identity.size + 1) if self._ending else ():
+            self.file(number).unlink(missing_ok=True)
+        self._log.unlink(missing_ok=True)
+        self.close()
+        with suppress(OSError):
+            self.folder.rmdir()
+
+    def close(self) -> None:
+        """Close the log, which releases its lock."""
+        with suppress(OSError):  # the error of the write was reported
+            self._stream.close()
+
+    def __enter__(self) -> Self:
+        """Return the parts."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the log."""
+        self.close()
+
+    def _lock(self) -> None:
+        """Lock the log for other processes until it is closed or this process ends."""
+        if fcntl is None:
+            return
+        try:
+            fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise DataError(
+                f"{self._log}: expected a log that no other process writes, found one in use; wait "
+                f"until the other {self._identity.kind} ends, or {ANOTHER_FOLDER}"
+            ) from error
+
+    def _read(self) -> None:
+        """Read the log, remove an incomplete line at its end, and begin it if it is empty."""
+        self._stream.seek(0)
+        offset = 0
+        for line in self._stream:
+            if not line.endswith(b"\n"):
+                self._stream.truncate(offset)
+                break
+            found = _parsed(line)
+            if not offset:
+                self._check(found)
+            elif self._is_part(found):
+                self._offsets[found[PART]] = offset
+            offset += len(line)
+        if not offset:
+            self._write(self._identity.head)
+
+    def _is_part(self, line: dict[str, Any]) -> bool:
+        """Return whether a line and the file of its part are as they were written."""
+        number = line.get(PART)
+        if not isinstance(number, int) or not 1 <= number <= self._identity.size:
+            return False
+        return bool(line.pop(DIGEST, None) == self._digest(line))
+
+    def _digest(self, line: Mapping[str, Any]) -> str:
+        found = sha256(json.dumps(line, sort_keys=True).encode())
+        if self._ending:
+            with suppress(OSError), self.file(line[PART]).open("rb") as stream:
+                found.update(file_digest(stream, "sha256").digest())
+        return found.hexdigest()
+
+    def _check(self, found: Mapping[str, Any]) -> None:
+        kind, _, head, known = self._identity
+        if not found:
+            raise DataError(
+                f"{self._log}:1: expected the description of a {kind} in JSON, found something "
+                f"else; {ANOTHER_FOLDER}, or remove this file"
+            )
+        for key, value in head.items():
+            if found.get(key) != value:
+                raise DataError(
+                    f"{self._log}: expected results of this {kind}, found some with another "
+                    f"{known.get(key, key)}{_difference(found.get(key), value)}; {ANOTHER_FOLDER}, "
+                    "or remove this file"
+                )
+
+    def _write(self, line: Mapping[str, Any]) -> int:
+        """Write a line of JSON; return the byte at which it begins; raise DataError on failure."""
+        try:
+            offset = self._stream.seek(0, os.SEEK_END)
+            self._stream.write(json.dumps(line, allow_nan=False).encode() + b"\n")
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+        except OSError as error:
+            raise self._unwritable(error) from error
+        return offset
+
+    def _unwritable(self, error: OSError) -> DataError:
+        return DataError(
+            f"{self._log}: cannot be written ({error.strerror}); free disk space or "
+            f"{ANOTHER_FOLDER}; what is finished is kept"
+        )
+
+
+def _parsed(line: bytes) -> dict[str, Any]:
+    """Return the object in a line of JSON; an empty one if there is none."""
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _difference(old: Any, new: Any) -> str:
+    """Return a text with the former and the new value of a key in the first line of a log."""
+    if isinstance(old, dict) and isinstance(new, dict):  # files, or varied keys
+        names = [name for name in {**old, **new} if name and old.get(name) != new.get(name)]
+        return f": {', '.join(names)}" if names else ""
+    texts = [json.dumps(value) for value in (old, new)]
+    old_text, new_text = (text if len(text) <= 60 else f"{text[:57]}..." for text in texts)
+    return f": {old_text}, now {new_text}"
