@@ -114,8 +114,8 @@ def test_its_results_are_of_its_kind() -> None:
 class InProcess:
     """A pool in this process: those of others do not have the verb."""
 
-    def __init__(self, _: int) -> None:
-        """Take the number of processes."""
+    def __init__(self, *_: object) -> None:
+        """Take the number of processes and the function."""
 
     def room(self) -> int:
         return 1
@@ -134,7 +134,7 @@ class InProcess:
 
 @pytest.mark.slow
 def test_it_is_swept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slipfree.sweep.pools.ProcessPool", InProcess)
+    monkeypatch.setattr("slipfree.sweep.pools.Processes", InProcess)
     found = printed("sweep", "p.toml", "--vary", "vehicle.mass=20:40:3", "--no-draw")
     assert "load_least" in found
     assert len(Path("p_sweep/table.csv").read_text().splitlines()) == 4

@@ -33,8 +33,7 @@ from slipfree.show import sweep_figures as show
 from slipfree.show.swept import Swept, Varied
 from slipfree.sweep import pools
 from slipfree.sweep.grid import axis_of, sweep_of
-from slipfree.sweep.log import Rows, RunRow, RunTask
-from slipfree.sweep.pools import ProcessPool
+from slipfree.sweep.log import Rows, RunRow, RunTask, run_task
 from slipfree.sweep.run import drawn_grids, grids
 from slipfree.sweep.worker import work
 from slipfree.system import processes
@@ -407,8 +406,8 @@ def test_runs_that_fail_are_rows_and_counted_in_the_bar(file, monkeypatch):
 
 def test_processes_that_cannot_start_are_no_fault_of_the_runs(file, monkeypatch):
     monkeypatch.setattr(processes, "prepare_process", sys.exit)  # ends at once
-    pool = ProcessPool(1)
-    words = r"could not start \(exit code 0\): see its output above; finished runs are kept"
+    pool = processes.Processes(1, run_task)
+    words = r"could not start \(exit code 0\): see its output above; what is finished is kept"
     with pytest.raises(SlipfreeError, match=words):
         list(finish_tasks(tasks_of(file, "time.step=0.1"), pool, lambda: None))
 

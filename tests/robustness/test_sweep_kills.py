@@ -30,12 +30,12 @@ from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.version import __version__
 from slipfree.sweep import pools
 from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.log import Rows
-from slipfree.sweep.pools import Cluster, ProcessPool
+from slipfree.sweep.log import Rows, lost_run, run_task
+from slipfree.sweep.pools import DaskPool
 from slipfree.sweep.run import sweep_facts
 from slipfree.sweep.worker import work
 from slipfree.system.parts import LOG
-from slipfree.system.processes import finish_tasks
+from slipfree.system.processes import Processes, finish_tasks
 
 pytestmark = pytest.mark.slow
 
@@ -104,7 +104,7 @@ def _check_resumed(folder: Path, kept: list[bytes], whole: Path) -> None:
 
 def test_a_process_that_dies_costs_one_run(file: Path) -> None:
     before, aims = {each.pid for each in active_children()}, [False]
-    pool = ProcessPool(1)
+    pool = Processes(1, run_task)
 
     def poll() -> None:
         if aims[0]:
@@ -113,7 +113,8 @@ def test_a_process_that_dies_costs_one_run(file: Path) -> None:
             child.kill()
 
     slow = "time.step=0.00003"
-    found = finish_tasks(tasks_of(file, "time.step=0.1", slow, "time.step=0.05"), pool, poll)
+    tasks = tasks_of(file, "time.step=0.1", slow, "time.step=0.05")
+    found = finish_tasks(tasks, pool, poll, lost_run)
     assert next(found).row.outcome == "complete"
     aims[0] = True
     row = next(found).row
@@ -181,7 +182,7 @@ def test_workers_that_go_away_and_come_back(file: Path, monkeypatch: pytest.Monk
             elif len(said) == 1:
                 local.scale(1)
 
-        pool = Cluster(local.scheduler_address, said.append)
+        pool = DaskPool(run_task, local.scheduler_address, said.append)
         tasks = tasks_of(file, "time.step=0.00003", "time.step=0.05")
         found = list(finish_tasks(tasks, pool, poll))
         pool.close()
@@ -210,8 +211,8 @@ def test_a_scheduler_that_goes_away(file: Path) -> None:
             local.close()
 
     tasks = tasks_of(file, "time.step=0.1", "time.step=0.05")
-    with pytest.raises(SlipfreeError, match="to the scheduler is lost; finished runs are kept"):
-        list(finish_tasks(tasks, Cluster(local.scheduler_address, print), poll))
+    with pytest.raises(SlipfreeError, match="to the scheduler is lost; what is finished is kept"):
+        list(finish_tasks(tasks, DaskPool(run_task, local.scheduler_address, print), poll))
 
 
 def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -245,4 +246,4 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
 def test_a_cluster_that_does_not_fit_is_refused(dask: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pools, "__version__", "9.9")
     with pytest.raises(DataError, match=f"that have slipfree 9.9, found {__version__};"):
-        Cluster(dask, print)
+        DaskPool(run_task, dask, print)

@@ -293,7 +293,7 @@ def _compute(
     setup: AtlasSetup, folder: TileFolder, processes: int | None, scheduler: str | None
 ) -> None:
     from slipfree.problem.atlas_tiles import compute_tile, run_tiles
-    from slipfree.sweep.pools import DaskPool
+    from slipfree.sweep.pools import pool_of
     from slipfree.system.processes import available_cores
 
     with ExitStack() as stack:
@@ -305,7 +305,7 @@ def _compute(
 
         workers: Any = processes or available_cores()
         if scheduler is not None:
-            workers = stack.enter_context(closing(DaskPool(compute_tile, scheduler, warn)))
+            workers = stack.enter_context(closing(pool_of(compute_tile, None, scheduler, warn)))
         try:
             run_tiles(setup, folder, workers, check_interrupt, progress)
         except KeyboardInterrupt as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -34,8 +35,8 @@ from slipfree.system.parts import LOG
 if TYPE_CHECKING:
     from slipfree.show.swept import Swept
     from slipfree.sweep.grid import Sweep
-    from slipfree.sweep.log import Rows
-    from slipfree.sweep.pools import Pool
+    from slipfree.sweep.log import Done, Rows, RunTask
+    from slipfree.system.processes import Pool
 
 MAX_KEYS = 2  # largest number of varied keys in figures
 FIGURES = "figures"
@@ -99,7 +100,8 @@ def sweep(
     with reported():
         from slipfree.problem.inputs import files_read
         from slipfree.sweep.grid import sweep_of
-        from slipfree.sweep.log import FAILED, LOST
+        from slipfree.sweep.log import FAILED, LOST, run_task
+        from slipfree.sweep.pools import pool_of
         from slipfree.sweep.run import TABLE, choose_figures, drawn_grids, grids, sweep_facts
         from slipfree.system.codegen_cache import obstacle
         from slipfree.system.processes import available_cores
@@ -119,7 +121,9 @@ def sweep(
                 f"solver.compiled is true, but functions cannot be compiled: {why}; until then, "
                 "equations that are not in the cache are interpreted, which is slower"
             )
-        rows = _run_all(plan, folder, _pool(processes, scheduler), keep, again)
+        check_workers(processes, scheduler)
+        pool = partial(pool_of, run_task, processes, scheduler, warn)
+        rows = _run_all(plan, folder, pool, keep, again)
         names = choose_figures(plan, rows, figures or [])
         found = grids(plan, rows, names)
         print_facts(sweep_facts(plan, rows, found, names))
@@ -168,17 +172,13 @@ def _warn_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
         )
 
 
-def _pool(count: int | None, scheduler: str | None) -> Callable[[], Pool]:
-    from slipfree.sweep.pools import Cluster, ProcessPool
-    from slipfree.system.processes import available_cores
-
-    check_workers(count, scheduler)
-    if scheduler is None:
-        return lambda: ProcessPool(count or available_cores())
-    return lambda: Cluster(scheduler, warn)
-
-
-def _run_all(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, again: bool) -> Rows:
+def _run_all(
+    plan: Sweep,
+    folder: Path,
+    pool: Callable[[], Pool[RunTask, Done]],
+    keep: bool,
+    again: bool,
+) -> Rows:
     from slipfree.sweep.log import FAILED, LOST
     from slipfree.sweep.run import run_sweep
 

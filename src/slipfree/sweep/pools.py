@@ -1,4 +1,4 @@
-"""Pools of processes or of the workers of Dask, and those that execute the tasks of a sweep."""
+"""Pools of processes or of the workers of Dask."""
 
 from __future__ import annotations
 
@@ -6,57 +6,35 @@ import asyncio
 import os
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any, Generic, TypeVar
 
 from slipfree.core.errors import DataError, SlipfreeError, missing_package
 from slipfree.core.version import __version__
-from slipfree.sweep.log import LOST, Done, RunTask, without_motion
-from slipfree.system.processes import Pool as AnyPool
-from slipfree.system.processes import ProcessDiedError, Processes
+from slipfree.system.processes import Pool, ProcessDiedError, Processes, available_cores
 
 CONNECT = 10.0  # timeout for the connection to a scheduler [s]
 PATIENCE = 1.0  # time between checks of the number of workers [s]
-NONE_LEFT = "no workers are left; waiting for workers (Ctrl-C ends the {})"
-BACK = "workers are available again; the {} continues"
+NONE_LEFT = "no workers are left; waiting for workers (Ctrl-C ends the computation)"
+BACK = "workers are available again; the computation continues"
 AHEAD = 2  # tasks per worker, so that it need not wait for the next one
 
 
-def run_task(task: RunTask) -> Done:
-    """Execute a task with `slipfree.sweep.worker.work`, and return its result."""
-    from slipfree.sweep.worker import work  # imports the solvers, which the parent does not need
-
-    return work(task)
-
-
-Pool = AnyPool[RunTask, Done]
 T = TypeVar("T")
 D = TypeVar("D")
 
 
-class ProcessPool(Processes[RunTask, Done]):
-    """Pool of processes with one thread each.
-
-    They start when they are needed; ``count`` is their largest number.
-    """
-
-    def __init__(self, count: int) -> None:
-        super().__init__(count, run_task)
-
-    def result(self, future: Future[Done], task: RunTask) -> Done:
-        """Return the result of a future, with outcome ``lost`` if its process died.
-
-        SlipfreeError is raised if the process could not start.
-        """
-        try:
-            return super().result(future, task)
-        except ProcessDiedError as error:
-            return without_motion(task, LOST, str(error))
-        except SlipfreeError as error:
-            raise SlipfreeError(
-                f"{error}; finished runs are kept; repeat the command to continue"
-            ) from error
+def pool_of(
+    function: Callable[[T], D],
+    processes: int | None,
+    scheduler: str | None,
+    warn: Callable[[str], None],
+) -> Pool[T, D]:
+    """Return a pool of processes, by default one per core, or of the workers of a scheduler."""
+    if scheduler is None:
+        return Processes(processes or available_cores(), function)
+    return DaskPool(function, scheduler, warn)
 
 
 class DaskPool(Generic[T, D]):
@@ -70,8 +48,6 @@ class DaskPool(Generic[T, D]):
     DataError is raised if the package distributed is not installed, no scheduler responds at the
     address, it has no workers, or they do not have the same version of slipfree.
     """
-
-    computation, results = "computation", "results"  # their names in messages
 
     def __init__(
         self, function: Callable[[T], D], address: str, warn: Callable[[str], None]
@@ -93,7 +69,7 @@ class DaskPool(Generic[T, D]):
             with suppress(OSError):  # if the scheduler stops, the status changes
                 self._workers = len(self._client.nthreads())
             if bool(before) != bool(self._workers):
-                words = (BACK if self._workers else NONE_LEFT).format(self.computation)
+                words = BACK if self._workers else NONE_LEFT
                 self._warn(f"--scheduler {self._address}: {words}")
         return max(1, AHEAD * self._workers)
 
@@ -125,25 +101,9 @@ class DaskPool(Generic[T, D]):
 
     def _gone(self) -> SlipfreeError:
         return SlipfreeError(
-            f"--scheduler {self._address}: the connection to the scheduler is lost; finished "
-            f"{self.results} are kept; start a scheduler and repeat the command to continue"
+            f"--scheduler {self._address}: the connection to the scheduler is lost; what is "
+            "finished is kept; start a scheduler and repeat the command to continue"
         )
-
-
-class Cluster(DaskPool[RunTask, Done]):
-    """A pool of the workers of a Dask scheduler for the runs of a sweep; see `DaskPool`."""
-
-    computation, results = "sweep", "runs"
-
-    def __init__(self, address: str, warn: Callable[[str], None]) -> None:
-        super().__init__(run_task, address, warn)
-
-    def result(self, future: Any, task: RunTask) -> Done:
-        """Return the result of a future, with outcome ``lost`` if its worker failed."""
-        try:
-            return super().result(future, task)
-        except ProcessDiedError as error:
-            return without_motion(task, LOST, str(error))
 
 
 def _connect(address: str) -> Any:

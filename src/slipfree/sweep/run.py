@@ -18,9 +18,8 @@ from slipfree.problem.load import verb_of
 from slipfree.problem.units import unit_of
 from slipfree.show.swept import Swept, Varied
 from slipfree.sweep.grid import Run, Sweep
-from slipfree.sweep.log import COMPLETE, FAILED, LOST, Rows, RunRow, RunTask
-from slipfree.sweep.pools import Pool
-from slipfree.system.processes import Poll, finish_tasks
+from slipfree.sweep.log import COMPLETE, FAILED, LOST, Done, Rows, RunRow, RunTask, lost_run
+from slipfree.system.processes import Poll, Pool, finish_tasks
 from slipfree.system.regular_files import check_name
 
 if TYPE_CHECKING:
@@ -191,7 +190,7 @@ def plan_facts(sweep: Sweep) -> Lines:
 def run_sweep(
     sweep: Sweep,
     folder: Path,
-    pool: Callable[[], Pool],
+    pool: Callable[[], Pool[RunTask, Done]],
     *,
     keep: bool = False,
     again: bool = False,
@@ -205,8 +204,9 @@ def run_sweep(
     when a run is finished, ``table.csv`` at the end and after an interruption, and with ``keep``
     the motion of every run, to ``run_0001.nc`` and so on.
 
-    ``pool`` returns the pool, such as ``lambda: ProcessPool(2)``, and is called only if there are
-    unfinished runs; with ``again``, runs that failed are repeated, as lost runs always are.
+    ``pool`` returns the pool, such as ``lambda: Processes(2, run_task)``, and is called only if
+    there are unfinished runs; with ``again``, runs that failed are repeated, as lost runs always
+    are.
     ``poll`` is called several times per second, and interrupts the sweep by an exception;
     ``progress`` with the finished runs at the beginning and after every run.
 
@@ -224,7 +224,7 @@ def run_sweep(
             progress(rows)
             if len(rows) < sweep.count:
                 with closing(pool()) as opened:
-                    for done in finish_tasks(_tasks(sweep, rows, keep), opened, poll):
+                    for done in finish_tasks(_tasks(sweep, rows, keep), opened, poll, lost_run):
                         sweep.files.check()
                         if done.trajectory is not None:
                             file = result_path(folder, sweep, done.row.run)

@@ -57,12 +57,18 @@ class Pool(Protocol[T_contra, D_co]):
         """Terminate all tasks immediately."""
 
 
-def finish_tasks(tasks: Iterable[T], pool: Pool[T, D], poll: Poll) -> Generator[D, None, None]:
+def finish_tasks(
+    tasks: Iterable[T],
+    pool: Pool[T, D],
+    poll: Poll,
+    lost: Callable[[T, str], D] | None = None,
+) -> Generator[D, None, None]:
     """Yield the results of tasks in the order of completion; the pool remains open.
 
     Tasks are taken one by one when the pool accepts another task. ``poll`` is called several times
-    per second; an exception that it raises ends the loop. Raises SlipfreeError if the pool fails,
-    or if a process of `Processes` dies or cannot start.
+    per second; an exception that it raises ends the loop. If the process of a task dies, the result
+    is that of ``lost``, called with the task and the reason; without it, ProcessDiedError is
+    raised. Raises SlipfreeError if the pool fails, or if a process cannot start.
     """
     waiting, running, finished = iter(tasks), dict[Any, T](), SimpleQueue[Any]()
     while True:
@@ -77,7 +83,13 @@ def finish_tasks(tasks: Iterable[T], pool: Pool[T, D], poll: Poll) -> Generator[
             future = finished.get(timeout=TICK)
         except Empty:
             continue
-        yield pool.result(future, running.pop(future))
+        task = running.pop(future)
+        try:
+            yield pool.result(future, task)
+        except ProcessDiedError as error:
+            if lost is None:
+                raise
+            yield lost(task, str(error))
 
 
 class Processes(Generic[T, D]):
@@ -120,7 +132,8 @@ class Processes(Generic[T, D]):
             how = _exit_words(process.process.exitcode)
             if process.started.exception():
                 raise SlipfreeError(
-                    f"a worker process could not start ({how}): see its output above"
+                    f"a worker process could not start ({how}): see its output above; what is "
+                    "finished is kept"
                 ) from error
             raise ProcessDiedError(f"a worker process died ({how})") from error
         self._idle.append(process)
