@@ -315,14 +315,18 @@ TIPPING = np.arctan(2 / 3 * LA / H_TALL)
 
 @pytest.mark.parametrize("degrees", [0, 20])
 def test_tip_over_margin_across_a_slope(degrees):
-    """Angles about the downhill edge from the front wheel to a rear one, of its foot and gravity.
+    """Angles between gravity and the planes through the centre of mass and an edge.
 
-    The edge's normal in the plane is (L, la) over the root of the sum of squares.
+    The edge from the front wheel to a rear one has the normal (L, la) in the plane of the contacts,
+    over the root of the sum of squares.
     """
-    q = np.hypot(LS, LA)
-    foot = np.arctan2(LA * (2 / 3 * LS) / q, H_TALL)
-    rear = np.arctan2(LS / 3, H_TALL)
-    expected = min(foot - np.arctan(LS / q * np.tan(np.radians(degrees))), rear)
+    q, zeta = np.hypot(LS, LA), np.radians(degrees)
+    foot, rear = LA * (2 / 3 * LS) / q, LS / 3  # distances of the edges from the centre of mass
+    downhill = foot * np.cos(zeta) - H_TALL * LS / q * np.sin(zeta)
+    expected = min(
+        np.arcsin(downhill / np.hypot(foot, H_TALL)),
+        np.arcsin(rear * np.cos(zeta) / np.hypot(rear, H_TALL)),
+    )
     for heading in (np.pi / 2, -np.pi / 2):
         run = stand(three_wheeler(**TALL), slope(degrees), heading=heading)
         assert_allclose(run["tip_over_margin"][0], expected, rtol=0, atol=1e-12)
@@ -332,7 +336,7 @@ ROWS = np.array([[-0.4, 0.4] * 4, np.repeat(np.arange(4) * 0.35, 2)])  # two row
 
 
 def margin_of_all_pairs(points, center):
-    """Return the least lean of the pairs with no contact right of them or beyond their ends."""
+    """Return the least angle of the pairs with no contact right of them or beyond their ends."""
     least = np.inf
     for i, j in permutations(range(points.shape[1]), 2):
         edge, arms = points[:, j] - points[:, i], (points.T - points[:, i])[:, :2]
@@ -343,9 +347,13 @@ def margin_of_all_pairs(points, center):
         if on_line.all() or not ((across > 1e-12) | between).all():
             continue
         arm = points[:, i] - center
-        arm -= arm @ edge / (edge @ edge) * edge
-        lean = np.cross(arm, [0.0, 0.0, -1.0]) @ edge / np.linalg.norm(edge)
-        least = min(least, np.arctan2(lean, -arm[2]))
+        edge /= np.linalg.norm(edge)
+        arm -= arm @ edge * edge
+        arm /= np.linalg.norm(arm)
+        inside = -np.cross(edge, arm)[2]
+        # the closest direction of the half-plane is the edge's if gravity points away from it
+        closest = np.arccos(abs(edge[2])) if arm[2] > 0 else np.arcsin(abs(inside))
+        least = min(least, np.sign(inside) * closest)
     return least if np.isfinite(least) else -np.pi
 
 

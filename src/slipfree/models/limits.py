@@ -32,14 +32,14 @@ MIN_FRICTION = 1e-6  # smaller values of a friction formula count as zero
 def tip_over_margin(
     vehicle: Vehicle, x: Configuration, position: Dependent, contacts: Sequence[ContactFrame]
 ) -> ca.SX:
-    """Return the smallest angle between gravity and an edge of the support polygon [rad].
+    """Return the least angle by which gravity may turn before the vehicle tips over [rad].
 
-    For an edge, the line through two neighbouring contact points, it is the angle between the
-    vertical and the perpendicular from the vehicle's centre of mass to the line (the force-angle
-    measure of Papadopoulos and Rey for gravity alone). It is negative if the line of gravity
-    passes outside the polygon, -pi if all contacts lie on a line in plan view, and infinite for a
-    vehicle without mass. For a planar vehicle, the edges are the contacts of the first and the last
-    wheel.
+    The vehicle tips over an edge, the line through two neighbouring contact points of the support
+    polygon, when the line of gravity through its centre of mass meets the edge. The angle is that
+    between gravity and the half-plane from the centre of mass through the edge. It is negative if
+    the line of gravity passes outside the polygon, -pi if all contacts lie on a line in plan view,
+    and infinite for a vehicle without mass. For a planar vehicle, the edges are the contacts of the
+    first and the last wheel. Joints are considered locked.
     """
     if not vehicle.mass:
         return ca.SX.inf()
@@ -60,9 +60,13 @@ def tip_over_margin(
         edge /= ca.norm_2(edge)
         arm = here - center
         arm -= ca.dot(arm, edge) * edge
-        # the corners run counter-clockwise: the angle is positive while gravity points inside
-        lean = ca.atan2(ca.dot(edge, ca.cross(arm, down)), ca.dot(arm, down))
-        least, here = ca.fmin(least, lean), there
+        arm /= ca.norm_2(arm)
+        # the corners run counter-clockwise: the normal component is positive inside the polygon
+        along, toward, inside = (ca.dot(each, down) for each in (edge, arm, ca.cross(edge, arm)))
+        angle = ca.atan2(inside, ca.hypot(along, toward))
+        # gravity away from the edge, of a low centre of mass, first reaches the edge's direction
+        away = ca.atan2(ca.sign(inside) * ca.hypot(inside, toward), ca.fabs(along))
+        least, here = ca.fmin(least, ca.if_else(toward < 0, away, angle)), there
     return ca.if_else(is_polygon, least, -ca.pi)
 
 

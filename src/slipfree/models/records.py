@@ -385,6 +385,8 @@ def _force_output_labels(vehicle: Vehicle, *, follow: bool) -> ForceOutputs:
             "energy of gravity, relative to the ground's origin, and of springs",
         ),
         Label(
-            "tip_over_margin", "rad", "angle by which gravity may tilt before the vehicle tips over"
+            "tip_over_margin",
+            "rad",
+            "least angle by which gravity may turn before the vehicle tips",
         ),
     )
