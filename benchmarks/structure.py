@@ -28,6 +28,7 @@ import io
 import re
 import sys
 import tokenize
+import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from importlib.util import resolve_name
@@ -252,6 +253,21 @@ def report(folder: Path) -> dict[str, int | str]:
     return numbers
 
 
+def over_budget(tree: Path) -> str:
+    """Return a message about numbers above the budget in ``pyproject.toml``; empty if none is."""
+    text = (tree / "pyproject.toml").read_text(encoding="utf-8")
+    budget = tomllib.loads(text)["tool"]["slipfree"]["budget"]
+    above = []
+    for part, numbers in budget.items():
+        found = report(tree / part)
+        for name, most in numbers.items():
+            print(f"{part}: {name} {found[name]} of {most}")
+            if found[name] > most:
+                above.append(f"{part}: expected at most {most} {name}, found {found[name]}")
+    remedy = "remove repetitions: the budget in pyproject.toml only falls"
+    return "\n".join([*above, remedy]) if above else ""
+
+
 ONLY_IN = {"test functions": "tests", "scripts": "benchmarks"}
 
 
@@ -260,7 +276,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("tree", nargs="?", type=Path, default=Path(__file__).parents[1])
     parser.add_argument("--against", type=Path, metavar="OTHER", help="checkout before")
+    parser.add_argument("--budget", action="store_true", help="fail above the budget")
     options = parser.parse_args()
+    if options.budget:
+        sys.exit(over_budget(options.tree))
     trees = [tree for tree in (options.against, options.tree) if tree is not None]
     for tree in trees:
         if not (tree / "src").is_dir():
