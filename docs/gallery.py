@@ -41,7 +41,6 @@ PICTURES = (
     Picture("climb", "climb_step", "side"),
     Picture("craters", "plan_crater_field", "traversability"),
     Picture("inputs", "plan_crater_field", "plan"),
-    Picture("convergence", "plan_crater_field", "convergence"),
     Picture("parking", "plan_parking", "traversability"),
     Picture("map", "rover_rocks_direct", "map"),
     Picture("elevation", "rover_rocks_direct", "elevation"),

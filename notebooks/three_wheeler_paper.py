@@ -76,13 +76,27 @@ for wheel in start.wheels:
 rates = model.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
 run = simulate(model, start, rates, np.linspace(0, 6, 301), options=SolverOptions(tolerance=1e-10))
 figures = draw(motion_figures.motion_plots(run, ground))
-figures["terrain"]
+figures["map"]
 
 # %%
 figures["tilts"]
 
+
 # %%
-figures["loci"]
+def loci(run, ax):
+    """Draw the paths of platform, wheel centres and contact points in plan view."""
+    for k, wheel in enumerate(run.wheels):
+        for what, width in (("contact", 2.4), ("center", 0.9)):
+            x, y = (run[f"{what}_{axis}", wheel] for axis in "xy")
+            ax.plot(x, y, lw=width, color=f"C{k}", label=f"{what} {wheel}")
+    ax.plot(run["x"], run["y"], color="black", label="platform")
+    ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    ax.legend(ncols=2)
+
+
+figure = Figure(figsize=(6, 5), layout="constrained")
+loci(run, figure.subplots())
+figure
 
 # %% [markdown]
 # The tilts grow all the time, by 0.075 rad/s: the rates turn the axle while the front wheel is held
@@ -150,7 +164,7 @@ figure
 
 # %%
 figure = Figure(figsize=(6, 5), layout="constrained")
-motion_figures.loci(back, figure.subplots())
+loci(back, figure.subplots())
 figure
 
 # %% [markdown]

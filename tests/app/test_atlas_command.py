@@ -77,7 +77,7 @@ def test_a_problem_gives_the_same_and_figures():
     assert mine.keys() == other.keys()
     for name, values in mine.items():
         np.testing.assert_array_equal(values, other[name])
-    pictures = [f"p_figures/{name}.png" for name in ("headings", "detail", "friction", "limit")]
+    pictures = [f"p_figures/{name}.png" for name in ("headings", "friction", "limit")]
     assert out["files"] == ["p.tif", "p.nc", *pictures]
     assert 0 < out["atlas"]["allowed_share"]["value"] < 1
     poses, ground = open_atlas("p.nc")

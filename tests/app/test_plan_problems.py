@@ -12,7 +12,6 @@ from helpers.commands import build_errors
 from slipfree.core.outcome import Outcome
 from slipfree.files.netcdf import write
 from slipfree.plan import search as searching
-from slipfree.plan.ipopt import IPOPT_TOLERANCE, convergence_from
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, motion_facts, open_result, run_problem
@@ -232,28 +231,14 @@ def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch
 
 
 @pytest.mark.slow
-def test_convergence_and_initial_guess_are_stored_and_drawn(tmp_path):
+def test_the_initial_guess_is_stored_and_drawn(tmp_path):
     found = run_problem(load_problem(HILLS, QUICK))
     write(tmp_path / "hills.nc", found.trajectory, found.arrays)
     result = open_result(tmp_path / "hills.nc", HILLS.parent)
-    run, searches = result.trajectory, convergence_from(result.arrays)
-    names = run.facts["plan_searches"].value
-    assert names[:2] == ["without slip cost", "with slip cost"]
-    assert len(names) == len(searches)
-    # the initial guess of each search counts as an iterate
-    iterations = sum(each.cost.size - 1 for each in searches.values())
-    assert iterations == run.facts["plan_iterations"].value
-    for search in searches.values():
-        assert max(search.violation[-1], search.dual_infeasibility[-1]) <= IPOPT_TOLERANCE
-    cost = 1e3 * run.facts["plan_cost_slip"].value + 0.01 * run.facts["plan_cost_effort"].value
-    cost += 0.002 * run.facts["plan_cost_smoothness"].value
-    assert searches[len(names) - 1].cost[-1] == pytest.approx(cost, rel=1e-6)
+    run = result.trajectory
+    assert run.facts["plan_searches"].value[:2] == ["without slip cost", "with slip cost"]
     figures = {plot.name: plot for plot in PlanVerb().figures(result)}
-    assert [*figures][-1] == "convergence"
-    drawn = draw([figures["convergence"], figures["traversability"]])
-    panels = drawn["convergence"].axes
-    assert [ax.get_yscale() for ax in panels] == ["linear", "log", "log", "log"]
-    assert panels[0].get_legend_handles_labels()[1] == names
+    drawn = draw([figures["traversability"]])
     lines = {line.get_label(): line for line in drawn["traversability"].axes[0].lines}
     guess = lines["initial guess"].get_xydata()
     np.testing.assert_allclose(guess[0], [run["x"][0], run["y"][0]], atol=1e-9)

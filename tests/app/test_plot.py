@@ -19,12 +19,11 @@ from helpers.figures import assert_inside
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Trajectory, path_length
 from slipfree.show import force_figures, motion_figures, plots
-from slipfree.terrain.solids import kerb, placed
 
 DOMAIN = (-5.0, 5.0, -4.0, 4.0)
-NAMES = ["map", "elevation", "tilts", "checks", "rates", "loci", "terrain"]
+NAMES = ["map", "elevation", "tilts", "checks", "rates"]
 LOADS = ["utilisation", "forces", "utilisation_map", "energy"]
-WITH_LOADS = [*NAMES[:2], LOADS[0], *NAMES[2:5], *LOADS[1:], *NAMES[5:]]
+WITH_LOADS = [*NAMES[:2], LOADS[0], *NAMES[2:], *LOADS[1:]]
 
 
 def hills(x, y):
@@ -184,15 +183,6 @@ def test_arrows_point_the_way(run, ax, way, angle):
     assert [arrow.get_marker()[2] for arrow in arrows] == pytest.approx([angle] * 3)
 
 
-def test_terrain_contains_solids(run, grid):
-    ax = Figure().add_subplot(projection="3d")
-    top = float(np.nanmax(grid.z)) + 0.5
-    x, y = (float(run[axis].mean()) for axis in "xy")
-    block = placed(kerb(top, 0.5), x=x, y=y)
-    motion_figures.terrain(run, grid, ax, block)
-    assert ax.get_zlim()[1] == pytest.approx(top)
-
-
 def test_tilts_and_moving_joints_are_drawn_with_degrees(run, ax):
     assert labels(motion_figures.tilts(run, ax)) == ["tilt right", "tilt left", "steer"]
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("time $t$ [s]", "joint angle [rad]")
@@ -308,7 +298,6 @@ def test_figures_say_why_a_motion_stopped_and_nothing_reaches_over_the_edge(stop
         texts = [*figure.texts, *(a.xaxis.label for a in figure.axes)]
         texts += [a.yaxis.label for a in places] + [a.title for a in figure.axes]
         texts += [text for a in figure.axes for text in a.texts if text.get_visible()]
-        texts += [a.zaxis.label for a in figure.axes if hasattr(a, "zaxis")]
         assert_inside(figure, texts)
     assert dict(mpl.rcParams) == settings
 
@@ -332,12 +321,10 @@ def test_figures_of_a_motion_depend_on_what_it_has(run, grid):
 @pytest.mark.slow
 def test_large_map_coordinates_count_from_a_round_one(run, grid):
     x, y = 500_123.0, 4_512_340.0
-    names = ("map", "terrain", "loci")
-    drawings = figures(moved(run, x, y), sf.Grid(grid.x + x, grid.y + y, grid.z), *names)
-    for name in names:
-        axes = drawn(drawings[name]).axes[0]
-        assert axes.get_xlabel() == "east $x$ - 500000 [m]"
-        assert axes.get_ylabel() == "north $y$ - 4512000 [m]"
+    drawings = figures(moved(run, x, y), sf.Grid(grid.x + x, grid.y + y, grid.z), "map")
+    axes = drawn(drawings["map"]).axes[0]
+    assert axes.get_xlabel() == "east $x$ - 500000 [m]"
+    assert axes.get_ylabel() == "north $y$ - 4512000 [m]"
 
 
 def test_unknown_formats_are_refused_before_anything_is_drawn(run, grid, tmp_path):

@@ -14,7 +14,6 @@ from helpers.figures import assert_inside
 from slipfree.core.facts import Fact
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.regions import Region
-from slipfree.plan.ipopt import Convergence, convergence_arrays, convergence_from
 from slipfree.routing.traversability import blocked_by, free_space, traversability
 from slipfree.show import ground_drawing, plan_figures, plots
 from slipfree.terrain.synthetic import blank, craters
@@ -111,20 +110,6 @@ def test_an_initial_guess_is_drawn_under_the_plan(run, grid, layers):
     np.testing.assert_array_equal(lines["initial guess"].get_xydata(), guess)
     assert lines["initial guess"].zorder < lines["planned motion"].zorder
     assert lines["initial guess"].get_linewidth() < lines["planned motion"].get_linewidth()
-
-
-def test_searches_of_one_name_have_one_colour(ax):
-    zeros = np.zeros(3)
-    searches = [Convergence(zeros + k, zeros, zeros, zeros) for k in range(3)]
-    searches[1] = Convergence(*np.zeros((4, 0)))  # stopped before its first iterate
-    found = convergence_from(convergence_arrays(searches))
-    assert [*found] == [0, 2]
-    plan_figures.convergence("violation", found, ["window", "other", "window"], ax)
-    first, second = (line for line in ax.lines if line.get_label() == "window")
-    assert first.get_color() == second.get_color()
-    np.testing.assert_array_equal(second.get_xdata(), [3, 4, 5])
-    ax.figure.draw_without_rendering()  # zeros on a logarithmic axis
-    assert convergence_from({}) == {}
 
 
 def test_places_are_marked_by_name(run, ax):

@@ -1,8 +1,8 @@
-"""Solution of transcribed problems and of nonlinear programs with IPOPT, and its convergence."""
+"""Solution of transcribed problems and of nonlinear programs with IPOPT."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -15,8 +15,6 @@ from slipfree.core.trajectory import SolverError
 from slipfree.plan.transcription import Program, completed
 from slipfree.system.interrupt import InterruptGuard, with_interrupt_guard
 
-PREFIX = "convergence_"  # prefix of the names of the arrays in a file
-IPOPT_NAMES = ("obj", "inf_pr", "inf_du", "mu")
 INFEASIBLE_STATUS = "Infeasible_Problem_Detected"
 SOLVED_STATUS = "Solve_Succeeded"
 STOPPED_STATUS = "User_Requested_Stop"  # status after the callback returned False
@@ -45,53 +43,6 @@ IPOPT_OPTIONS: dict[str, Any] = {
 IterateCallback = Callable[["Iterate"], bool]
 
 
-class Convergence(NamedTuple):
-    """Values of IPOPT at every iterate of a search, from the initial guess on.
-
-    Violation and dual infeasibility are those of the scaled program, which IPOPT's tolerance refers
-    to.
-    """
-
-    cost: Array  # shape (n,): cost, the sum of all weighted terms
-    violation: Array  # shape (n,): largest violation of a constraint
-    dual_infeasibility: Array  # shape (n,): largest component of the gradient of the Lagrangian
-    barrier: Array  # shape (n,): barrier parameter
-
-    def __repr__(self) -> str:
-        return field_overview(self)
-
-
-NO_CONVERGENCE = Convergence(*np.zeros((4, 0)))
-
-
-def convergence_of(stats: Mapping[str, Any]) -> Convergence:
-    """Return the convergence of a search from the statistics of ``casadi.nlpsol``."""
-    iterations = stats.get("iterations") or {name: [] for name in IPOPT_NAMES}
-    return Convergence(*(np.array(iterations[name], dtype=float) for name in IPOPT_NAMES))
-
-
-def convergence_arrays(searches: Sequence[Convergence]) -> dict[str, Array]:
-    """Return consecutive searches as arrays for a file, by name; empty without iterates."""
-    if not any(each.cost.size for each in searches):
-        return {}
-    fields = {
-        f"{PREFIX}{name}": np.concatenate([getattr(each, name) for each in searches])
-        for name in Convergence._fields
-    }
-    numbers = [np.full(each.cost.size, float(k)) for k, each in enumerate(searches)]
-    return {**fields, f"{PREFIX}search": np.concatenate(numbers)}
-
-
-def convergence_from(arrays: Mapping[str, Array]) -> dict[int, Convergence]:
-    """Return the searches in the arrays of a file, by index; empty if the file has none."""
-    numbers = arrays.get(f"{PREFIX}search", np.zeros(0))
-    values = {name: arrays.get(f"{PREFIX}{name}", np.zeros(0)) for name in Convergence._fields}
-    return {
-        int(k): Convergence(*(values[name][numbers == k] for name in Convergence._fields))
-        for k in np.unique(numbers)
-    }
-
-
 class Iterate(NamedTuple):
     """Iterate of IPOPT."""
 
@@ -114,7 +65,6 @@ class NlpSolution(NamedTuple):
     success: bool  # whether IPOPT reports a solution
     iterations: int  # number of iterations
     seconds: dict[str, float]  # wall time: total, functions (evaluation) and rest [s]
-    convergence: Convergence = NO_CONVERGENCE  # every iterate; empty if not known
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -273,7 +223,6 @@ def _to_solution(scale: Array, results: dict[str, Any], stats: dict[str, Any]) -
         bool(stats["success"]),
         int(stats["iter_count"]),
         {"total": total, "functions": functions, "rest": total - functions},
-        convergence_of(stats),
     )
 
 

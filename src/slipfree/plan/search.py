@@ -21,7 +21,6 @@ from slipfree.plan.ipopt import (
     OTHER_VIOLATION_GROWTH,
     STOPPED_STATUS,
     STUCK_STATUSES,
-    Convergence,
     Iterate,
     NlpSolution,
     largest_violation,
@@ -214,7 +213,6 @@ class SolvedStage(NamedTuple):
     status: str  # return status of IPOPT
     seconds: dict[str, float]  # wall times, as in `NlpSolution` [s]
     cost: float  # final cost, with the weights of this stage
-    convergence: Convergence  # cost, violation and barrier parameter of every iterate
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -394,7 +392,7 @@ def _solve_stage(
 
 
 def _stage_of(words: str, solution: NlpSolution) -> SolvedStage:
-    names = ("iterations", "status", "seconds", "cost", "convergence")
+    names = ("iterations", "status", "seconds", "cost")
     return SolvedStage(words, *(getattr(solution, name) for name in names))
 
 

@@ -16,10 +16,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy
 
 from slipfree.atlas.atlas import Atlas, Band, least_bounds, tiles_of
-from slipfree.atlas.summary import ALLOWED, STANDING
 from slipfree.core.errors import DataError
 from slipfree.core.facts import Fact
 from slipfree.core.records import Array
@@ -44,7 +42,6 @@ from slipfree.system.processes import Poll, Pool, finish_tasks, local_tasks
 
 DRAWN = 1000  # largest number of nodes along an axis of a figure
 WIDE = 0.01  # difference of bounds of the least friction that is reported [1]
-DETAIL = 24  # nodes along the side of the detail of a figure
 
 
 class TileTask(NamedTuple):
@@ -147,28 +144,17 @@ class TileFolder(Parts):
         }
         return Atlas(self._setup.x[i], self._setup.y[j], self._setup.heading, bands, self._reasons)
 
-    def window(self, i: slice, j: slice) -> Atlas:
-        """Return the poses of a window of nodes, which may span several tiles."""
+    def whole(self) -> Atlas:
+        """Return the poses of all tiles."""
         setup = self._setup
-        shape = setup.heading.size, i.stop - i.start, j.stop - j.start
-        values = {name: np.empty(shape, dtype=np.float32) for name in self._labels}
-        for k, (a, b) in enumerate(setup.tiles):
-            rows, columns = _overlap(a, i), _overlap(b, j)
-            if rows is not None and columns is not None:
-                tile = self.poses(k)
-                for name, array in values.items():
-                    part = tile[name][:, rows[0], columns[0]]
-                    array[:, rows[1], columns[1]] = part
+        shape = setup.heading.size, setup.x.size, setup.y.size
+        values: dict[str, Array] = {name: np.empty(shape, np.float32) for name in self._labels}
+        for k, (i, j) in enumerate(setup.tiles):
+            tile = self.poses(k)
+            for name, array in values.items():
+                array[:, i, j] = tile[name]
         bands = {name: Band(self._labels[name], each) for name, each in values.items()}
-        return Atlas(setup.x[i], setup.y[j], setup.heading, bands, self._reasons)
-
-
-def _overlap(tile: slice, window: slice) -> tuple[slice, slice] | None:
-    """Return the common nodes of two slices, counted in each of them; None without any."""
-    start, stop = max(tile.start, window.start), min(tile.stop, window.stop)
-    if start >= stop:
-        return None
-    return tuple(slice(start - each.start, stop - each.start) for each in (tile, window))  # type: ignore[return-value]
+        return Atlas(setup.x, setup.y, setup.heading, bands, self._reasons)
 
 
 def run_tiles(
@@ -220,8 +206,7 @@ def write_file(path: Path, setup: AtlasSetup, folder: TileFolder) -> None:
     """
     site = setup.site
     if path.suffix.lower() == ".nc":
-        poses = folder.window(slice(0, setup.x.size), slice(0, setup.y.size))
-        write_atlas(path, poses, site)
+        write_atlas(path, folder.whole(), site)
         return
     with geotiff_writer(path, setup.x, setup.y, site) as write:
         for k, (i, j) in enumerate(setup.tiles):
@@ -239,21 +224,20 @@ class AtlasOverview(NamedTuple):
 def overview_of_tiles(setup: AtlasSetup, folder: TileFolder) -> AtlasOverview:
     """Return the overview of a map from its finished tiles."""
     tiles = ((*tile, folder.poses(k)) for k, tile in enumerate(setup.tiles))
-    return _overview(setup.x, setup.y, tiles, folder.window, setup.site)
+    return _overview(setup.x, setup.y, tiles, setup.site)
 
 
 def overview_of_file(stored: StoredAtlas) -> AtlasOverview:
     """Return the overview of a map in a netCDF file."""
     poses = stored.poses
     tiles = ((i, j, part_of(poses, i, j)) for i, j in tiles_of(poses.x.size, poses.y.size))
-    return _overview(poses.x, poses.y, tiles, lambda i, j: part_of(poses, i, j), stored.site)
+    return _overview(poses.x, poses.y, tiles, stored.site)
 
 
 def _overview(
     x: Array,
     y: Array,
     tiles: Iterator[tuple[slice, slice, Atlas]],
-    window: Callable[[slice, slice], Atlas],
     site: Site,
 ) -> AtlasOverview:
     step = max(1, -(-max(x.size, y.size) // DRAWN))
@@ -279,27 +263,8 @@ def _overview(
             at = [-(-each.start // step) for each in (i, j)]
             maps[name].values[at[0] : at[0] + part.shape[0], at[1] : at[1] + part.shape[1]] = part
     facts = _facts(maps, counts, reasons, least, wide)
-    place = _detail(maps, step, (x.size, y.size))
-    detail = site._replace(elevation=site.elevation[place])
-    view = AtlasView(x[::step], y[::step], maps, reasons, window(*place), detail)
+    view = AtlasView(x[::step], y[::step], maps, reasons, poses.heading.size, site)
     return AtlasOverview(view, facts)
-
-
-def _detail(maps: Mapping[str, Band], step: int, sizes: tuple[int, int]) -> tuple[slice, slice]:
-    """Return the window in which headings differ most."""
-    share = maps[ALLOWED if ALLOWED in maps else STANDING].values
-    score = share * (1 - share)
-    friction = friction_maps(maps)
-    if friction:  # where all headings are alike, by the coefficient
-        best, worst = (band.values for band in friction)
-        score = score + 1e-3 * np.clip(np.nan_to_num(worst - best), 0, 1)
-    blurred = scipy.ndimage.uniform_filter(score, max(1, DETAIL // step), mode="constant")
-    middle = np.unravel_index(blurred.argmax(), blurred.shape)
-    window = []
-    for k, size in zip(middle, sizes, strict=True):
-        start = int(np.clip(int(k) * step - DETAIL // 2, 0, max(0, size - DETAIL)))
-        window.append(slice(start, min(start + DETAIL, size)))
-    return window[0], window[1]
 
 
 def _facts(

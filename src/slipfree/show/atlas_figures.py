@@ -1,4 +1,4 @@
-"""Figures of a mobility map: colours over a hillshade, which darkens them, and spokes of headings.
+"""Figures of a mobility map: colours over a hillshade, which darkens them.
 
 Colours are multiplied by the brightness of the ground, so that those of level ground are those of
 the scale.
@@ -14,10 +14,9 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch
 
 from slipfree.atlas.atlas import Atlas, Band
 from slipfree.atlas.summary import ALLOWED, LIMIT, STANDING
@@ -37,9 +36,6 @@ REASONS = ("#0072B2", "#E69F00", "#CC79A7", "#56B4E9", "#F0E442", "#7F4F24", "#0
 ALLOWED_COLOR = "#FFFFFF"
 UNKNOWN = (0.75, 0.75, 0.75)  # where the vehicle stands at no heading
 SMALLEST = 0.02  # of the last colour of the friction [1]
-SPOKES = 12  # nodes with spokes along each axis of the detail
-SPOKE = 0.42  # length of a spoke [distance of the nodes with spokes]
-LINES = 10  # height lines of the detail
 SHADE = 0.7  # of the brightness of the hillshade, so that colours are recognised
 WRAP = 95  # characters of a line of a legend
 
@@ -52,18 +48,18 @@ class AtlasView(NamedTuple):
     y: Array
     maps: Mapping[str, Band]  # maps over the headings, by name
     reasons: tuple[str, ...]  # meanings of the map ``limit``
-    detail: Atlas  # poses in a small window in which some headings are allowed and others are not
-    site: Site  # ground of the detail, and conditions
+    headings: int  # number of headings
+    site: Site  # conditions
 
 
 def view_of(poses: Atlas, terrain: Bicubic) -> AtlasView:
-    """Return the contents of the figures of a mobility map on a ground; all poses are a detail."""
+    """Return the contents of the figures of a mobility map on a ground."""
     friction = terrain.mu
     if friction is not None and not isinstance(friction, float | int):
         friction = 1.0  # bounds are relative to a coefficient that varies
     site = Site(terrain.elevation(poses.x[:, None], poses.y), friction)
     maps, found = site.summary_of(poses, slice(None), slice(None))
-    return AtlasView(poses.x, poses.y, maps, found.reasons, poses, site)
+    return AtlasView(poses.x, poses.y, maps, found.reasons, poses.heading.size, site)
 
 
 def atlas_plots(drawn: AtlasView) -> tuple[Plot, ...]:
@@ -71,12 +67,6 @@ def atlas_plots(drawn: AtlasView) -> tuple[Plot, ...]:
     allowed = _share_words(drawn)
     plots = [
         Plot("headings", f"Share of headings at which {allowed}.", lambda: _headings(drawn)),
-        Plot(
-            "detail",
-            f"Headings at which {allowed} (spokes), and height lines, in the window that the first "
-            "figure marks.",
-            lambda: _detail(drawn),
-        ),
     ]
     if friction_maps(drawn.maps):
         words = "Least coefficient of friction that holds the vehicle, at the best and the worst "
@@ -147,57 +137,12 @@ def _headings(drawn: AtlasView) -> Figure:
     band = drawn.maps[ALLOWED if ALLOWED in drawn.maps else STANDING]
     figure = _sized(drawn)
     ax = figure.subplots()
-    count = drawn.detail.heading.size
+    count = drawn.headings
     scale = colormaps[SHARE].resampled(min(count, 24) + 1)
     norm = Normalize(-0.5 / count, 1 + 0.5 / count)  # each number of headings has one colour
     _image(drawn, band.values, scale, norm, ax)
-    west, east, south, north = _extent(drawn.detail.x, drawn.detail.y)
-    frame = Rectangle((west, south), east - west, north - south, fc="none", ec="black", lw=0.9)
-    frame.set_path_effects(style.halo(2.2))
-    ax.add_patch(frame)
     _bar(figure, ax, scale, norm, f"share of {count} headings [1]", ticks=np.linspace(0, 1, 5))
     ax.set_title(textwrap.fill(f"Share of headings at which {_share_words(drawn)}", WRAP))
-    return figure
-
-
-def _detail(drawn: AtlasView) -> Figure:
-    poses, site = drawn.detail, drawn.site
-    maps, found = site.summary_of(poses, slice(None), slice(None))
-    figure = style.figure(PAGE, 0.85 * PAGE)
-    ax = figure.subplots()
-    part = AtlasView(poses.x, poses.y, maps, found.reasons, poses, site)
-    friction = friction_maps(maps)
-    if friction:
-        scale, norm, label = *_friction_scale(friction[0]), "least friction at the best heading [1]"
-        values = friction[0].values
-    else:
-        scale, norm = colormaps[SHARE], Normalize(0, 1)
-        values, label = found.allowed, "share of headings [1]"
-    _image(part, values, scale, norm, ax)
-    z = site.elevation[:, :]
-    if np.ptp(z) > 0 and min(z.shape) > 1:
-        heights = ax.contour(poses.x, poses.y, z.T, levels=LINES, colors="white", linewidths=0.6)
-        ax.clabel(heights, fontsize=6, fmt="%g m")
-    spoke_step = [max(1, round(axis.size / SPOKES)) for axis in (poses.x, poses.y)]
-    i, j = (
-        np.arange(step // 2, axis.size, step)
-        for step, axis in zip(spoke_step, (poses.x, poses.y), strict=True)
-    )
-    apart = min(
-        step * (axis[-1] - axis[0]) / (axis.size - 1)
-        for step, axis in zip(spoke_step, (poses.x, poses.y), strict=True)
-    )
-    k, a, b = np.nonzero(found.codes[:, i][:, :, j] == 0)
-    x, y = poses.x[i][a], poses.y[j][b]
-    # headings count from the y axis, counter-clockwise
-    d_x, d_y = (-SPOKE * apart * np.sin(poses.heading), SPOKE * apart * np.cos(poses.heading))
-    spokes = np.stack([[x, x + d_x[k]], [y, y + d_y[k]]]).transpose(2, 1, 0)
-    lines = LineCollection(list(spokes), colors="black", linewidths=0.9, zorder=3)
-    lines.set_path_effects(style.halo(1.9))
-    ax.add_collection(lines)
-    ax.plot(*(g.ravel() for g in np.meshgrid(poses.x[i], poses.y[j])), "k.", ms=1.5, zorder=3)
-    _bar(figure, ax, scale, norm, label, extend="max" if friction else "neither")
-    ax.set_title(textwrap.fill(f"Spokes: headings at which {_share_words(drawn)}", WRAP))
     return figure
 
 

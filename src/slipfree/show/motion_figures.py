@@ -10,7 +10,6 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import ScalarFormatter
-from matplotlib.transforms import Bbox
 
 from slipfree.atlas.atlas import Atlas
 from slipfree.core.errors import ModelError, check_type, similar
@@ -44,14 +42,12 @@ from slipfree.terrain.solids import Prism
 
 HEIGHTS = "cividis"
 FILLED = "#D60093"  # hatching of filled holes
-MESH = 72  # nodes of a drawn surface along an axis
 ROUNDING = 1e-9  # smaller slip is rounding [m/s]
 TINY = 1e-16  # floor of logarithmic axes, in the quantity's unit
 STILL = 1e-9  # a joint that moves less counts as fixed [rad]
 BELOW: dict[str, Any] = {"color": "0.75", "lw": 2.6, "zorder": 1}  # visible below other lines
 DISTINCT = 0.01  # smallest distance of distinguishable lines [width of the axes]
 NEAR = 0.6  # a path with a smaller extent is drawn again, enlarged [extent of the map]
-RELIEF = (0.22, 0.6)  # smallest and largest height of a drawn surface [width]
 POSE = ("heading", "roll", "pitch", "yaw", "tip_over_margin", "tip_over")  # not joints
 STEEP = 40.0  # end of the colour scale of slopes [deg]
 CHECK_COLUMNS = 3  # panels side by side
@@ -146,46 +142,6 @@ def tracks(run: Trajectory, ax: Axes) -> Axes:
     return ax
 
 
-def terrain(run: Trajectory, grid: Grid, ax: Any, prisms: Sequence[Prism] = ()) -> Any:
-    """Draw the ground around the path as a surface, with platform and contact tracks."""
-    window = ground_drawing.around(run, grid, pad=0.4)
-    x, y, z = ground_drawing.patch(grid, window, MESH)
-    for prism in prisms:
-        z = np.fmax(z, prism.top(x[:, None], y))
-    ax.computed_zorder = False
-    ax.plot_surface(
-        *np.meshgrid(x, y, indexing="ij"),
-        z,
-        **_colours(z),
-        rcount=MESH,
-        ccount=MESH,
-        linewidth=0.12,
-        edgecolor=(0, 0, 0, 0.3),
-        zorder=1,
-        clip_on=False,
-    )
-    over: dict[str, Any] = {"zorder": 3, "clip_on": False, "path_effects": style.halo(2.2)}
-    for k, wheel in enumerate(run.wheels if _tracks_differ(run, np.ptp(x)) else ()):
-        at = [run[f"contact_{axis}", wheel] for axis in "xyz"]
-        ax.plot(*at, label=f"contact {style.words(wheel)}", **style.look(k), **over)
-    ax.plot(*(run[axis] for axis in "xyz"), color=PLATFORM, label="platform", **over)
-    low = min(np.nanmin(z), run["contact_z"].min())
-    high = max(np.nanmax(z), run["z"].max())
-    width = max(np.ptp(x), np.ptp(y))
-    drawn = float(np.clip(high - low, RELIEF[0] * width, RELIEF[1] * width))
-    ax.set_box_aspect((np.ptp(x), np.ptp(y), drawn))
-    ax.set(xlim=window[:2], ylim=window[2:], zlim=(low, high))
-    ax.view_init(elev=38, azim=-60)
-    times, starts = drawn / (high - low), (window[0], window[2], low)
-    for axis, name, start in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", starts, strict=True):
-        style.position_axis(axis, name, start)
-        axis.labelpad = 7
-    if abs(times - 1) > 0.05:
-        ax.set_zlabel(f"{ax.get_zlabel()}, {times:.2g}:1")
-    ax.zaxis.set_major_locator(style.ticks(3))
-    return ax
-
-
 def history(run: Trajectory, name: str, ax: Axes) -> Axes:
     """Draw a quantity over time, with one line per wheel for quantities of wheels."""
     values = run[name]
@@ -202,26 +158,6 @@ def tilts(run: Trajectory, ax: Axes) -> Axes:
     """Draw the angles of the joints over time: all tilts, and other moving joints."""
     style.over_time(run, _moving_joints(run), ax).set_ylabel("joint angle [rad]")
     return style.time_axis(run, style.degrees(ax))
-
-
-def loci(run: Trajectory, ax: Axes, view: tuple[str, str] = ("x", "y")) -> Axes:
-    """Draw the paths of platform, wheel centres and contact points in a view, as ``("x", "y")``."""
-    a, b = view
-    broad, fine = {"lw": 2.6, "alpha": 0.4}, {"lw": 0.9}
-    for what, words, more in (("contact", "contact", broad), ("center", "centre", fine)):
-        for k, wheel in enumerate(run.wheels):
-            at = [run[f"{what}_{axis}", wheel] for axis in view]
-            ax.plot(*at, label=f"{words} {style.words(wheel)}", **style.look(k) | more)
-    ax.plot(run[a], run[b], color=PLATFORM, label="platform")
-    for k in (0, -1):
-        for wheel in run.wheels:
-            ends = [[run[n][k], run[f"center_{n}", wheel][k]] for n in view]
-            ax.plot(*ends, color="0.55", lw=0.6, zorder=1)
-    for axis, name in ((ax.xaxis, a), (ax.yaxis, b)):
-        style.position_axis(axis, name, float(run[name].min()))
-    if "z" not in view:
-        ax.set_aspect("equal", adjustable="datalim")
-    return ax
 
 
 def elevation(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
@@ -393,37 +329,6 @@ def rates_plot(drive: PlottedDrive) -> Plot:
     return Plot("rates", caption, lambda: stack(run, panels))
 
 
-def loci_plot(drive: PlottedDrive) -> Plot | None:
-    """Return the figure of the paths of platform, wheels and contacts; None if they coincide."""
-    run = drive.run
-    if not _tracks_differ(run, float(max(np.ptp(run["x"]), np.ptp(run["y"])))):
-        return None
-
-    def make() -> Figure:
-        figure = style.figure(PAGE, 95 * MM)
-        plan, side = figure.subplots(1, 2, width_ratios=(1, 1))
-        wide = np.ptp(run["x"]) >= np.ptp(run["y"])
-        loci(run, plan).set_title("plan")
-        loci(run, side, ("x" if wide else "y", "z"))
-        side.set_title(f"from the {'south' if wide else 'east'}, heights not to scale")
-        return style.finished(figure, run, [plan])
-
-    return Plot("loci", "Paths of platform, wheels and contact points.", make)
-
-
-def terrain_plot(drive: PlottedDrive) -> Plot:
-    """Return the view of the ground around the path."""
-    caption = "Ground around the path, platform and tracks of the contact points."
-
-    def make() -> Figure:
-        figure = Figure(figsize=(COLUMN, 80 * MM))
-        ax = terrain(drive.run, drive.grid, figure.add_subplot(projection="3d"), drive.prisms)
-        style.finished(figure, drive.run, [ax])
-        return _filled(figure, ax)
-
-    return Plot("terrain", caption, make)
-
-
 FIGURES: tuple[Callable[[PlottedDrive], Plot | None], ...] = (
     side_plot,
     map_plot,
@@ -438,8 +343,6 @@ FIGURES: tuple[Callable[[PlottedDrive], Plot | None], ...] = (
     forces_plot,
     utilisation_map_plot,
     energy_plot,
-    loci_plot,
-    terrain_plot,
 )  # of a motion over terrain, the most important first
 
 
@@ -472,32 +375,6 @@ def _tracks_differ(run: Trajectory, width: float) -> bool:
     """Return whether tracks and path are distinguishable on a map with a width in metres."""
     away = [run[f"contact_{axis}"] - run[axis][:, None] for axis in "xy"]
     return bool(np.hypot(*away).max() > DISTINCT * width)
-
-
-def _filled(figure: Figure, ax: Any) -> Figure:
-    """Enlarge a 3D view to the space between legend and note, as no layout engine does."""
-    for _ in range(3):
-        figure.draw_without_rendering()
-        width, height = figure.bbox.size
-        top = min([each.get_window_extent().y0 for each in figure.legends], default=height)
-        bottom = max([each.get_window_extent().y1 for each in figure.texts], default=0.0)
-        free = np.array([0.96 * width, 0.97 * (top - bottom)])
-        now, box = _drawn_extent(ax), ax.get_window_extent()
-        scale = float((free / now.size).min())
-        size = box.size * scale
-        shift = (box.min + box.max - now.min - now.max) / 2 * scale
-        corner = np.array([width, top + bottom]) / 2 + shift - size / 2
-        ax.set_position([*(corner / figure.bbox.size), *(size / figure.bbox.size)])
-    return figure
-
-
-def _drawn_extent(ax: Any) -> Any:
-    """Return the bounding box of a 3D view without its empty frame, in pixels."""
-    corners = np.array(list(product(ax.get_xlim(), ax.get_ylim(), ax.get_zlim(), (1.0,)))).T
-    u, v, _, w = ax.get_proj() @ corners
-    points = ax.transData.transform(np.column_stack([u / w, v / w]))
-    labels = [axis.get_tightbbox() for axis in (ax.xaxis, ax.yaxis, ax.zaxis)]
-    return Bbox.union([Bbox([points.min(axis=0), points.max(axis=0)]), *labels])
 
 
 def _joint_rates(run: Trajectory, names: Sequence[str], ax: Axes) -> Axes:

@@ -17,13 +17,11 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
-from matplotlib.ticker import MaxNLocator
 
 from slipfree.core.facts import starting_with
 from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.regions import Region
-from slipfree.plan.ipopt import Convergence
 from slipfree.routing.traversability import Traversability, blocked_by
 from slipfree.show import ground_drawing, motion_figures, style
 from slipfree.show.ground_drawing import Window
@@ -46,13 +44,6 @@ FAR = 0.6  # for a motion with a smaller extent only a part of the map is drawn 
 WRAP = 20  # characters of a line of labels and legends beside axes
 ROW = 34.0  # height of a row of the figure of a plan [mm]
 NO_GUESS = np.zeros((0, 2))
-CONVERGENCE = {  # label and scale of the axis, by field of `Convergence`
-    "cost": ("cost", "linear"),
-    "violation": ("constraint violation, scaled", "log"),
-    "dual_infeasibility": ("dual infeasibility, scaled", "log"),
-    "barrier": ("barrier parameter", "log"),
-}
-SEARCH_WORDS = 30  # characters of the name of a search
 TRACKING_HEIGHT = 70.0  # [mm]
 ENTRIES = 7  # lines of a legend beside a row of that height
 Range = tuple[float, float]
@@ -238,40 +229,6 @@ def tracking_plot(name: str, plan: Trajectory, motions: Sequence[tuple[str, Traj
         return figure
 
     return Plot(name, caption, make)
-
-
-def convergence_plots(
-    run: Trajectory, searches: Mapping[int, Convergence], names: Sequence[str]
-) -> tuple[Plot, ...]:
-    """Return the figure of the convergence of searches, given by index in ``names``."""
-    if not searches:
-        return ()
-    panels = [Panel(partial(convergence, name, searches, names), 30) for name in CONVERGENCE]
-    caption = "Convergence of the search: values of IPOPT at every iterate."
-    return (Plot("convergence", caption, lambda: stack(run, panels)),)
-
-
-def convergence(
-    name: str, searches: Mapping[int, Convergence], names: Sequence[str], ax: Axes
-) -> Axes:
-    """Draw a field of `Convergence` at every iterate of searches, which start at dotted lines."""
-    label, scale = CONVERGENCE[name]
-    first, colors = 0, dict[str, int]()  # searches of the same name have the same colour
-    for k, search in searches.items():
-        values = getattr(search, name)
-        values = np.maximum(values, motion_figures.TINY) if scale == "log" else values
-        words = textwrap.shorten(names[k], SEARCH_WORDS)
-        color = colors.setdefault(words, len(colors))
-        number = first + np.arange(values.size)
-        ax.plot(number, values, marker=".", ms=3, label=words, **style.look(color))
-        if first:
-            ax.axvline(first - 0.5, color="0.6", lw=0.6, ls=":")
-        first += values.size
-    ax.set_yscale(scale)
-    ax.set_ylabel(textwrap.fill(label, WRAP))
-    ax.set_xlabel("iterate, initial guesses included")
-    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    return ax
 
 
 def _traversability(

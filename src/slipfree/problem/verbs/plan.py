@@ -33,8 +33,6 @@ from slipfree.plan.ipopt import (
     SOLVED_STATUS,
     STOPPED_STATUS,
     Iterate,
-    convergence_arrays,
-    convergence_from,
 )
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import ARRAY_PREFIX, SavedPlan, from_arrays, motion_of
@@ -213,18 +211,13 @@ class PlanVerb(DriveVerb):
 
     def figures(self, result: Result) -> tuple[Plot, ...]:
         """Return the figures of a plan and of its motion, the most important first."""
-        from slipfree.show.plan_figures import convergence_plots, plan_plots
+        from slipfree.show.plan_figures import plan_plots
 
         if result.problem.spec.terrain.obstacles:
             return super().figures(result)
         run, ground = result.trajectory, ground_of(result)
         plots = plan_plots(run, ground.grid, layers_of(result, ground), **figure_options(result))
-        names = run.facts["plan_searches"].value
-        searches = convergence_plots(run, convergence_from(result.arrays), names)
-        motion = super().figures(result)
-        if run.stop is not None:  # the search explains why there is no plan
-            return *plots, *searches, *motion
-        return *plots, *motion, *searches
+        return *plots, *super().figures(result)
 
     def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground, vehicle, keep-out regions and plan."""
@@ -239,9 +232,7 @@ def _described(
     """Return the simulation of a plan with facts and, if inaccurate, a stop; the plan as arrays."""
     if run.stop is None and not plan.accurate:
         run = replace(run, stop=_inaccurate(setup.spec, plan))
-    arrays = convergence_arrays([stage.convergence for stage in plan.stages])
-    run = run.with_facts({**facts_of(plan, setup), **facts})
-    return run, plan.saved.arrays | arrays
+    return run.with_facts({**facts_of(plan, setup), **facts}), plan.saved.arrays
 
 
 def _lines_as_arrays(name: str, lines: Sequence[Array]) -> dict[str, Array]:
