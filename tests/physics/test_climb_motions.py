@@ -567,7 +567,7 @@ def test_held_inputs_are_checked():
     t, zeros = np.linspace(0, 0.01, 11), dict.fromkeys(HELD, 0.0)
     with pytest.raises(ModelError, match="evenly spaced"):
         simulate_sampled(dae, start, dae.inputs(reference_speed=0.2, **zeros), t**2)
-    laws = zeros | {HELD[0]: dae.u.model.wheels[0]}
+    laws = zeros | {HELD[0]: dae.u[0].wheels[0]}
     with pytest.raises(ModelError, match="contains an input given by an expression"):
         simulate_sampled(dae, start, dae.inputs(reference_speed=0.2, **laws), t)
     laws = zeros | {HELD[0]: ca.SX.sym("stranger")}

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, NamedTuple, Protocol, get_args
 
 import casadi as ca
-import numpy as np
 from annotated_types import Ge, Gt, Lt, Unit, doc
 
 from slipfree.catalog.step_climber import check_climber
@@ -26,39 +25,34 @@ from slipfree.control.reference_speeds import (
     estimated_directions,
     reference,
 )
-from slipfree.core.dae import Dae, Labels, Limit
+from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
-from slipfree.core.rearrange import substitute
-from slipfree.core.records import Label, leaves, pack, symbols
+from slipfree.core.rearrange import (
+    ModelVariable,
+    blocks,
+    new_variable,
+    rearrange,
+    substitute,
+    variables,
+    with_outputs,
+)
+from slipfree.core.records import Label, leaves, symbols
 from slipfree.core.schema import check_bounds
 from slipfree.models.limits import UPRIGHT
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.tree import Vehicle
 
 
-@dataclass(frozen=True, eq=False)
-class Controller:
-    """Controller of a model, as expressions of symbols of the model and of the controller.
+class Controller(NamedTuple):
+    """Controller of a model, in symbols of the model and of its own.
 
-    States, inputs, outputs and their labels are records; ``rates`` are those of the states,
-    ``laws`` the values of the model's inputs in their order.
+    States have rates; ``laws`` are the values of the model's inputs in their order.
     """
 
-    x: Any
-    u: Any
-    rates: tuple[ca.SX, ...]
+    states: tuple[ModelVariable, ...]
+    inputs: tuple[ModelVariable, ...]
     laws: tuple[ca.SX, ...]
-    y: Any
-    labels_x: Any
-    labels_u: Any
-    labels_y: Any
-
-
-class WithController(NamedTuple):
-    """Variables of a model, and those of its controller."""
-
-    model: Any
-    controller: Any
+    outputs: tuple[tuple[Label, ca.SX], ...]
 
 
 def controlled(model: Dae, controller: Controller, *, sampled: bool = False) -> Dae:
@@ -66,45 +60,26 @@ def controlled(model: Dae, controller: Controller, *, sampled: bool = False) -> 
 
     With ``sampled`` the inputs of the model remain inputs, which
     `slipfree.solve.zero_order_hold.simulate_sampled` sets to the values of the laws. ModelError is
-    raised if the number of laws is not the number of inputs, or the model has numeric checks.
+    raised if the number of laws is not the number of inputs.
     """
-    inputs = pack(model.u)
-    if len(controller.laws) != inputs.numel():
+    inputs, laws = [*leaves(model.u)], list(controller.laws)
+    if len(laws) != len(inputs):
         raise ModelError(
-            f"controlled: expected {inputs.numel()} laws, one per input of the model, found "
-            f"{len(controller.laws)}; give one for each input"
+            f"controlled: expected {len(inputs)} laws, one per input of the model, found "
+            f"{len(laws)}; give one for each input"
         )
-    if model.checks:
-        raise ModelError(
-            "controlled: expected a model without numeric checks at the samples, found "
-            f"{len(model.checks)}; use a plane ground"
-        )
-    driven = model if sampled else substitute(model, [*leaves(model.u)], controller.laws)
-    rates = ca.vertcat(ca.SX(0, 1), *controller.rates)
-    labels, standing, held = model.labels, model.standing, model.held
+    laws = inputs if sampled else laws
+    driven, standing, held = substitute(model, inputs, laws), model.standing, model.held
+    x, z, u = variables(driven)
+    own = (x, controller.states), z, (u if sampled else (), controller.inputs)
+    dae = with_outputs(rearrange(driven, *own, blocks(driven)), controller.outputs)
     if standing is not None:  # the controller starts with states of zero
-        standing = standing._replace(x=ca.vertcat(standing.x, ca.SX.zeros(rates.shape)))
+        zeros = ca.SX.zeros(len(controller.states))
+        standing = standing._replace(x=ca.vertcat(standing.x, zeros))
     if held is not None:
-        before, after = (inputs, inputs) if sampled else (inputs, ca.vertcat(*controller.laws))
-        held = held._replace(ode=ca.vertcat(ca.substitute(held.ode, before, after), rates))
-    return replace(
-        driven,
-        x=WithController(model.x, controller.x),
-        u=WithController(model.u if sampled else (), controller.u),
-        ode=ca.vertcat(driven.ode, rates),
-        y=WithController(driven.y, controller.y),
-        labels=Labels(
-            WithController(labels.x, controller.labels_x),
-            labels.z,
-            labels.q,
-            WithController(labels.u if sampled else (), controller.labels_u),
-            WithController(labels.y, controller.labels_y),
-            labels.alg,
-        ),
-        shift=(np.append(model.shift[0], np.zeros(rates.numel())), model.shift[1]),
-        standing=standing,
-        held=held,
-    )
+        (ode,) = ca.substitute([held.ode], [ca.vertcat(*inputs)], [ca.vertcat(*laws)])
+        held = held._replace(ode=ca.vertcat(ode, *(each.rate for each in controller.states)))
+    return replace(dae, standing=standing, held=held)
 
 
 MAX_TILT = 1.4  # a body with a larger tilt has overturned [rad]
@@ -140,13 +115,7 @@ class ControlState(NamedTuple):
     directions: Any = ()
 
 
-class ControlInputs(NamedTuple):
-    """Input of the controller: the reference speed of the vehicle [m/s]."""
-
-    speed: Any
-
-
-INPUTS = ControlInputs(Label("reference_speed", "m s-1", "reference speed of the vehicle"))
+REFERENCE_SPEED = Label("reference_speed", "m s-1", "reference speed of the vehicle")
 
 
 class Commands(NamedTuple):
@@ -321,36 +290,32 @@ def climbing(
     check_climber(vehicle)
     wheels = tuple(wheel.name for wheel in vehicle.wheels)
     labels = control.labels(wheels)
-    x, u = symbols(labels), symbols(INPUTS)
+    x, speed = symbols(labels), new_variable(model, REFERENCE_SPEED)
     at = _sensed(vehicle, model, section)
-    command = control.commands(vehicle, at, x, u.speed)
+    command = control.commands(vehicle, at, x, speed.symbol)
     tilt = Label(f"front_{UPRIGHT}", "rad", "the front body overturns (tilt)")
     limit = Limit(tilt, at.tilts.front, -MAX_TILT, MAX_TILT)
     model = replace(model, limits=(*model.limits, limit))
+    states = [new_variable(model, *each) for each in zip(leaves(labels), leaves(x), strict=True)]
+    names = (
+        *_labels(wheels, "reference", "rad s-1", "reference rate of the wheels"),
+        *_labels(wheels, "motor_torque", "N m", "torque of a wheel's motor"),
+        Label("torque_scale", "1", "factor by which the torque limit scales all torques"),
+    )
+    outputs = *command.references, *command.torques, command.scale
     controller = Controller(
-        x=x,
-        u=u,
-        rates=command.rates,
-        laws=tuple(n * tau for n, tau in zip(control.motors, command.torques, strict=True)),
-        y=command._replace(rates=()),
-        labels_x=labels,
-        labels_u=INPUTS,
-        labels_y=Commands(
-            _labels(wheels, "reference", "rad s-1", "reference rate of the wheels"),
-            _labels(wheels, "motor_torque", "N m", "torque of a wheel's motor"),
-            Label("torque_scale", "1", "factor by which the torque limit scales all torques"),
-        ),
+        tuple(replace(s, rate=r) for s, r in zip(states, command.rates, strict=True)),
+        (speed,),
+        tuple(n * tau for n, tau in zip(control.motors, command.torques, strict=True)),
+        tuple(zip(names, outputs, strict=True)),
     )
     return controlled(model, controller, sampled=sampled)
 
 
 def held_torques(model: Dae, control: WheelControl) -> dict[str, ca.SX]:
     """Return the torques of the axles by name, for the model of a sampled controller [N m]."""
-    torques, names = model.y.controller.torques, leaves(model.labels.u.model.wheels)
-    return {
-        label.full: count * torque
-        for label, count, torque in zip(names, control.motors, torques, strict=True)
-    }
+    columns = leaves(model.labels.u[0].wheels), control.motors, model.named("motor_torque")
+    return {label.full: n * torque for label, n, torque in zip(*columns, strict=True)}
 
 
 def _sensed(climber: Vehicle, model: Dae, section: Profile | None) -> Sensed:
