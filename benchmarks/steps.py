@@ -28,7 +28,6 @@ import casadi as ca
 import numpy as np
 
 from slipfree import Analytic, ModelError, SolverError, SolverOptions, catalog, dynamics, settle
-from slipfree.catalog.step_climber import climber_of
 from slipfree.climb.contact_path import least_friction
 from slipfree.core.dae import Dae
 from slipfree.core.trajectory import Trajectory
@@ -209,7 +208,7 @@ def demand(name: str, height: float) -> float | None:
     if name in TWO_AXLES:
         return quasi_static(name, height)
     if name == "seven_wheels":  # two bodies and three axles in the plane
-        return least_friction(climber_of(catalog.step_climber()), step(height)).mu
+        return least_friction(catalog.step_climber(), step(height)).mu
     return None
 
 

@@ -39,7 +39,7 @@ from scipy.optimize import brentq
 
 import slipfree
 from slipfree import SolverOptions, catalog, load_problem, run_problem, simulate
-from slipfree.catalog.step_climber import AXLES, climber_of
+from slipfree.catalog.step_climber import AXLES
 from slipfree.climb.contact_path import least_friction
 from slipfree.climb.metrics import (
     climb_metrics,
@@ -285,7 +285,7 @@ def bisected(most, *settings):
     return high
 
 
-climber = climber_of(catalog.step_climber())
+climber = catalog.step_climber()
 SPEEDS = {0.25: "time.duration=5", 0.05: "time.duration=20"}
 heads = [f"{law} {v} m/s" for v in SPEEDS for law in ("fixed", "proposed")]
 print(f"{'step [mm]':>10}{'slow, best':>12}" + "".join(f"{head:>18}" for head in heads))

@@ -198,7 +198,7 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (["given.heading_rate="], "p.toml:6: given: expected three rates of the platform, found"),
+        (["given.heading_rate="], "p.toml:6: given: expected a list of three different names from"),
         (
             ["given.velocity_x=0", "given.velocity_y=0", "given.heading_rate=0"],
             "given: the model is singular here: no equation determines steer (steering angle",

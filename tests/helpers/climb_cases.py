@@ -10,7 +10,6 @@ import numpy as np
 
 from slipfree import Analytic, Solids, SolverOptions, dynamics, settle, simulate
 from slipfree.catalog import step_climber
-from slipfree.catalog.step_climber import Climber, climber_of
 from slipfree.climb.contact_path import legs
 from slipfree.climb.metrics import Metrics, climb_metrics
 from slipfree.climb.time_scaling import TrackedPlan, Tracking, tracked_plan
@@ -50,12 +49,7 @@ class Grip(NamedTuple):
 TABLE_I, TWICE = Grip(), Grip(0.9, 0.675)
 
 
-def dimensions(joint=0.0) -> Climber:
-    """Dimensions of the catalogue's step climber."""
-    return climber_of(step_climber(joint=joint))
-
-
-CLIMBER = dimensions()
+CLIMBER = step_climber()
 
 
 class Climb(NamedTuple):
@@ -86,7 +80,7 @@ def foot(profile):
     """Place of the front axle just before the ramp or step. [m]."""
     edge, top = profile.summit
     angle = np.arctan2(top, edge)
-    return -AHEAD - CLIMBER.radius * np.tan(angle / 2)
+    return -AHEAD - CLIMBER.wheels[0].radius * np.tan(angle / 2)
 
 
 def stiff(vehicle, grip):

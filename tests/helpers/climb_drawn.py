@@ -11,8 +11,7 @@ import numpy as np
 from helpers.climb_cases import Grip, gripped
 from slipfree import SolverOptions
 from slipfree.catalog import step_climber
-from slipfree.catalog.step_climber import climber_of
-from slipfree.control.reference_speeds import Law, Noise
+from slipfree.control.reference_speeds import Law
 from slipfree.control.step_climbing import StepClimbing, held_torques, largest_period
 from slipfree.core.trajectory import Trajectory
 from slipfree.solve.settle import settle
@@ -44,7 +43,7 @@ def drawn(seed: int) -> Drawn:
     control = replace(_control(rng), torque=torque)
     sampled = rng.uniform() < 0.25
     part = rng.uniform(0.3, 0.8)
-    period = part * largest_period(control, climber_of(vehicle)) if sampled else None
+    period = part * largest_period(control, vehicle) if sampled else None
     return Drawn(vehicle, profile, contact, control, rng.uniform(0.1, 0.4), period)
 
 
@@ -120,28 +119,11 @@ def _contact(rng: np.random.Generator) -> Grip:
 def _control(rng: np.random.Generator) -> StepClimbing:
     # Laws as printed seldom climb, so that most draws are of the others.
     law = rng.choice(list(get_args(Law)), p=[0.5, 0.2, 0.1, 0.1, 0.1])
-    derivative, unwinding = rng.uniform(size=2) < 0.3
     return StepClimbing(
         law=str(law),
         directions=str(rng.choice(["sensors", "contact"])),
-        smoothing=_between(rng, 5e-3, 0.1),
         share=rng.uniform(0.8, 1.05),
         cap=rng.uniform(1.0, 2.0),
         proportional=rng.uniform(1.0, 8.0),
         integral=_between(rng, 5.0, 80.0),
-        derivative=0.01 * derivative,
-        unwinding=20.0 * unwinding,
-        noise=_noise(rng),
-    )
-
-
-def _noise(rng: np.random.Generator) -> Noise | None:
-    if rng.uniform() < 0.7:
-        return None
-    return Noise(
-        tilt=_between(rng, 1e-3, 2e-2),
-        tilt_rate=_between(rng, 1e-2, 0.3),
-        wheel_rate=_between(rng, 1e-2, 0.3),
-        band=rng.uniform(10, 60),
-        seed=int(rng.integers(1000)),
     )

@@ -20,7 +20,6 @@ from slipfree import (
     settle,
     simulate,
 )
-from slipfree.catalog.step_climber import climber_of
 from slipfree.climb.contact_path import least_friction
 from slipfree.models.rigid_dynamics import rigid_dynamics
 from slipfree.problem.load import load_problem
@@ -144,11 +143,10 @@ def test_friction_decides_a_slow_motion_alike_in_any_gravity_unless_springs_act(
 def test_a_climb_needs_as_much_friction_in_any_gravity():
     vehicle = catalog.step_climber()
     earth, moon = (
-        least_friction(climber_of(each), step(0.06))
-        for each in (vehicle, in_gravity(vehicle, 1.62))
+        least_friction(each, step(0.06)) for each in (vehicle, in_gravity(vehicle, 1.62))
     )
     assert moon.mu == pytest.approx(earth.mu, rel=1e-9)
-    assert climber_of(in_gravity(vehicle, 1.62)).weight == pytest.approx(21.6 * 1.62)
+    assert in_gravity(vehicle, 1.62).weight == pytest.approx(21.6 * 1.62)
     stiffness = [v.weight / v.wheels[0].depth for v in (vehicle, in_gravity(vehicle, 1.62))]
     assert stiffness[0] == pytest.approx(stiffness[1])  # of contacts: a property of the wheels
 

@@ -1,7 +1,6 @@
 """Tests of vehicles locked to a plane, and of models with a controller."""
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -22,6 +21,7 @@ from slipfree import (
 )
 from slipfree.control.step_climbing import Controller, controlled
 from slipfree.core.errors import ModelError
+from slipfree.core.rearrange import new_variable
 from slipfree.core.records import Label
 from slipfree.geometry.frame import Pose
 from slipfree.vehicle.drives import Motor, Torque
@@ -75,28 +75,19 @@ def test_other_models_refuse_planar_vehicles(model):
             model(planar(vehicle), WAVES)
 
 
-class Sums(NamedTuple):
-    """One sum per wheel."""
-
-    wheels: tuple
-
-
 def test_a_controller_of_torques_equals_the_motors_of_a_vehicle():
     """PI control of the rates: as states of a controller, and as drives of the wheels."""
     motors = dynamics(driven(Motor(stall=1e6, no_load=1e6, kp=3.0, ki=20.0)), FLAT)
     model = dynamics(driven(Torque()), FLAT)
     names = [wheel.name for wheel in catalog.rigid_skid_steer().wheels]
-    sums, wanted = [ca.SX.sym(f"sum_{name}") for name in names], ca.SX.sym("wanted")
-    errors = [wanted - rate for rate in model.y.common.wheel_rate]
+    sums = [new_variable(model, Label(f"sum_{name}", "N m", "integral")) for name in names]
+    wanted = new_variable(model, Label("wanted", "rad s-1", "wanted rate"))
+    errors = [wanted.symbol - rate for rate in model.y.common.wheel_rate]
     controller = Controller(
-        Sums(tuple(sums)),
+        tuple(replace(s, rate=20.0 * error) for s, error in zip(sums, errors, strict=True)),
         (wanted,),
-        tuple(20.0 * error for error in errors),
-        tuple(3.0 * error + total for error, total in zip(errors, sums, strict=True)),
-        (errors[0],),
-        Sums(tuple(Label(f"sum_{name}", "N m", "integral") for name in names)),
-        (Label("wanted", "rad s-1", "wanted rate"),),
-        (Label("first_error", "rad s-1", "error of the first wheel"),),
+        tuple(3.0 * error + s.symbol for error, s in zip(errors, sums, strict=True)),
+        ((Label("first_error", "rad s-1", "error of the first wheel"), errors[0]),),
     )
     closed = controlled(model, controller)
     rates = {label.full: 3.0 for label in motors.labels.u.wheels}
@@ -113,4 +104,4 @@ FLAT = Analytic(lambda x, _y: 0 * x, mu=0.8)
 def test_a_controller_has_a_law_for_every_input():
     model = dynamics(driven(Torque()), FLAT)
     with pytest.raises(ModelError, match="expected 4 laws, one per input of the model, found 0"):
-        controlled(model, Controller((), (), (), (), (), (), (), ()))
+        controlled(model, Controller((), (), (), ()))

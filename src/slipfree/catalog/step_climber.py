@@ -8,7 +8,6 @@ of the joint, along the body, and above the joint.
 from __future__ import annotations
 
 from math import inf
-from typing import NamedTuple
 
 from slipfree.catalog.carts import SIDES, _positive
 from slipfree.core.errors import ModelError
@@ -22,59 +21,8 @@ from slipfree.vehicle.wheel import ORIGIN, Wheel
 AXLES = ("rear", "middle", "front")
 
 
-class ClimberLink(NamedTuple):
-    """A rigid body connected to the joint.
-
-    Its mass [kg] includes the wheels; the centre of mass is ``ahead`` of and ``above`` the joint
-    [m]; the moment of inertia about it leaves out the rotation of the wheels [kg m2].
-    """
-
-    mass: float
-    ahead: float
-    above: float
-    inertia: float
-
-
-class Axle(NamedTuple):
-    """Axle of wheels that rotate at the same rate, at the height of the joint.
-
-    It is ``ahead`` of the joint along the body that carries it [m]; the moment of inertia is that
-    of all its wheels and rotors about it [kg m2].
-    """
-
-    ahead: float
-    inertia: float
-
-
-class Climber(NamedTuple):
-    """An articulated step climber: radius of all wheels [m], bodies, axles, and gravity [m/s2]."""
-
-    radius: float
-    rear_body: ClimberLink
-    front_body: ClimberLink
-    rear: Axle
-    middle: Axle
-    front: Axle
-    gravity: float
-
-    @property
-    def axles(self) -> tuple[Axle, Axle, Axle]:
-        """Rear, middle and front axle."""
-        return self.rear, self.middle, self.front
-
-    @property
-    def mass(self) -> float:
-        """Mass of the vehicle [kg]."""
-        return self.rear_body.mass + self.front_body.mass
-
-    @property
-    def weight(self) -> float:
-        """Weight of the vehicle [N]."""
-        return self.gravity * self.mass
-
-
-def climber_of(vehicle: Vehicle) -> Climber:
-    """Return the dimensions of a vehicle that is an articulated step climber.
+def check_climber(vehicle: Vehicle) -> None:
+    """Check that a vehicle is an articulated step climber.
 
     Raises
     ------
@@ -88,13 +36,6 @@ def climber_of(vehicle: Vehicle) -> Climber:
             f"{vehicle.name!r}: expected a step climber, with {expected}, found another vehicle; "
             "use 'step_climber' of the catalogue, or a vehicle file like it"
         )
-    rear, middle, front = (Axle(w.at[1], (w.inertia or ORIGIN)[0]) for w in vehicle.wheels)
-    rear_body, front_body = (
-        ClimberLink(body.mass, body.at[1], body.at[2], (body.inertia or ORIGIN)[0])
-        for body in (vehicle.body, vehicle.joints[0].body)
-    )
-    bodies, axles = (rear_body, front_body), (rear, middle, front)
-    return Climber(vehicle.wheels[0].radius, *bodies, *axles, vehicle.gravity)
 
 
 def _misfit(vehicle: Vehicle) -> str:

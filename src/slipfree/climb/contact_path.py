@@ -8,33 +8,31 @@ another solid: there the path has a kink, which a vehicle in motion passes only 
 The ground acts on an axle with the normal force N and the tangential force T, positive forward.
 Equilibrium has four equations: both components of force, and for each body with its wheels the
 moment about the joint, in which motor torques are internal. With six contact forces, two degrees of
-freedom remain. The least coefficient of friction is the minimum of the largest ``|T| / N``. It
-follows from a Newton iteration on linear programs (Dinkelbach's algorithm for several ratios): for
-a coefficient mu, the program maximises the smallest reserve ``mu N - |T|``, relative to the last N;
-the largest ratio of these forces is the next mu. The iteration ends when no reserve is left. It is
-slow where wheels nearly jam; bisection then completes it. The programs of all configurations are
-solved as one block-diagonal program.
+freedom remain. The least coefficient of friction is the minimum of the largest ``|T| / N``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
-import scipy
 
-from slipfree.catalog.step_climber import AXLES, Climber, ClimberLink
+from slipfree.catalog.step_climber import AXLES
 from slipfree.core.errors import ModelError
+from slipfree.core.evaluation import evaluate
 from slipfree.core.records import Array
-from slipfree.core.trajectory import SolverError
+from slipfree.models.force_distribution import least_utilisation
 from slipfree.terrain.solids import Profile
+from slipfree.vehicle.tree import Vehicle
 
 Solids = tuple[int, ...]  # index of the solid below each axle
 FLOOR: Solids = (0, 0, 0)
 TILT_INDICES = (2, 2, 3)  # index of the tilt of the body that carries each axle
-NORMAL_TOLERANCE = 1e-12  # a normal belongs to a face if 1 minus their cosine is smaller
+MIN_CLOSING_SPEED = 1e-12  # a wheel that approaches a solid more slowly does not meet it
 LEVEL_SLOPE = 1e-3  # a wheel with a smaller slope of its path has reached the top [rad]
 MIN_TILT_COSINE = 0.05  # cosine of the largest tilt of a body
 MAX_CONTACT_GAP = 1e-6  # a wheel with a smaller gap touches [m]
@@ -42,12 +40,8 @@ END_MARGIN = 1e-3  # a climb ends a radius and this distance behind the last cor
 MAX_LEG_LENGTH = 50.0  # largest length of a leg [m]
 TOLERANCE = 1e-8  # tolerance of the configurations along the path [m, rad]
 MIN_STEPS_PER_RADIUS = 4  # smallest number of steps per wheel radius, so that no solid is missed
+CONTACT_STEPS = 3  # Newton steps to the ground, from gaps of at most MAX_CONTACT_GAP
 MAX_FRICTION = 10.0  # climbs that need a larger coefficient count as impossible
-MIN_NORMAL_FORCE = 1e-9  # smaller normal forces count as zero in a ratio [weight]
-MAX_NORMAL_FORCE = 1e3  # makes the optimum of jammed wheels bounded [weight]
-MIN_RESERVE = 1e-9  # smaller relative reserves of friction count as zero
-MAX_NEWTON_STEPS = 20  # usual numbers are 5 to 9
-BISECTIONS = 34  # bisections after Newton steps that do not converge
 REFINEMENTS = 5  # refinements of the sampling around the worst configuration, often at an edge
 REFINED_POINTS = 3  # new points between two samples
 
@@ -70,29 +64,145 @@ class Leg(NamedTuple):
 
 
 class PathSamples(NamedTuple):
-    """Configurations on a leg at n path parameters ``s`` [m].
+    """Configurations on a leg at n path parameters ``s`` [m], and the mechanics there.
 
     ``q``, ``first`` and ``second`` (n, 4) are configurations [m, rad] and their derivatives with
-    respect to s, ``normals`` (n, 3, 2) the unit normals of the ground at the contacts of the axles,
-    ``speeds`` (n, 3) the speeds of the axles along the ground divided by the rate of s [1], and
-    ``slopes`` their derivatives with respect to s [1/m].
+    respect to s; ``axles`` and ``normals`` (n, 3, 2) the positions of the axles [m] and the unit
+    normals of the ground at their contacts, ``speeds`` (n, 3) the speeds of the axles along the
+    ground divided by the rate of s [1], and ``slopes`` their derivatives with respect to s [1/m].
+
+    The equations of motion are ``A f = load + linear s'' + square s'^2``. Their rows are forward
+    force, upward force, and the nose-up moments of the rear and the front body with their wheels
+    about the joint. The columns of ``matrix``, A (n, 4, 6) [1, m], are the normal forces on the
+    rear, middle and front axle, and the tangential forces on them. ``load`` (n, 4) is the negative
+    load of gravity [N, N m]; ``linear`` and ``square`` (n, 4) are the inertia of bodies and wheels
+    [N s2/m, N s2].
     """
 
     s: Array
     q: Array
     first: Array
     second: Array
+    axles: Array
     normals: Array
     speeds: Array
     slopes: Array
+    matrix: Array
+    load: Array
+    linear: Array
+    square: Array
 
 
-def legs(climber: Climber, profile: Profile) -> tuple[Leg, ...]:
+class _Path(NamedTuple):
+    """Functions of a configuration (4,) in which the axles touch given solids.
+
+    ``closest`` is a Newton step to the ground. ``march`` returns the derivative of the
+    configuration with respect to s, the gaps of all axles to all solids [m], infinite to those
+    below them, the rates of these gaps [1], and the normals (2, 3). ``sample`` returns the fields
+    of `PathSamples` from ``first`` on, as columns.
+    """
+
+    closest: ca.Function
+    march: ca.Function
+    sample: ca.Function
+
+    def touching(self, q: Array) -> Array:
+        """Return configurations (4, n) near q in which all axles touch their solids."""
+        for _ in range(CONTACT_STEPS):
+            (q,) = evaluate(self.closest, q)
+        return q
+
+    def at(self, q: Array) -> tuple[Array, ...]:
+        """Return the results of ``march`` at a configuration (4,)."""
+        return tuple(np.array(each) for each in self.march(q))
+
+
+@lru_cache(maxsize=64)
+def _path(climber: Vehicle, profile: Profile, solids: Solids) -> _Path:
+    """Return the functions of a path on which the axles touch solids with given indices."""
+    q, radius = ca.SX.sym("q", 4), climber.wheels[0].radius
+    tilts = [q[k] for k in TILT_INDICES]
+
+    def place(at: tuple[float, ...], tilt: ca.SX) -> ca.SX:
+        turning = ca.vertcat(ca.cos(tilt), ca.sin(tilt))
+        return q[:2] + at[1] * turning + at[2] * ca.vertcat(-turning[1], turning[0])
+
+    axles = [place(wheel.at, tilt) for wheel, tilt in zip(climber.wheels, tilts, strict=True)]
+    near = [[solid.gap(*ca.vertsplit(axle)) for solid in profile.solids] for axle in axles]
+    normals = [of_axle[k][1] for of_axle, k in zip(near, solids, strict=True)]
+    across = ca.vertcat(
+        *(n.T @ ca.jacobian(axle, q) for n, axle in zip(normals, axles, strict=True))
+    )
+    contact = ca.vertcat(*(of_axle[k][0] for of_axle, k in zip(near, solids, strict=True))) - radius
+    closest = q - across.T @ ca.solve(across @ across.T, contact)
+    # null vector of the three contact conditions; its sign is that of forward motion
+    columns = [[k for k in range(4) if k != left] for left in range(4)]
+    null = ca.vertcat(*((-1) ** k * ca.det(across[:, kept]) for k, kept in enumerate(columns)))
+    tangents = [ca.vertcat(n[1], -n[0]) for n in normals]
+    speeds = ca.vertcat(
+        *(ca.dot(t, ca.jtimes(axle, q, null)) for t, axle in zip(tangents, axles, strict=True))
+    )
+    size = ca.sqrt(ca.sumsqr(speeds) / 3) * ca.sign(ca.sum1(speeds))
+    first, speeds = null / size, speeds / size
+
+    def along(expression: ca.SX) -> ca.SX:
+        return ca.jtimes(expression, q, first)
+
+    slopes, ahead = along(speeds), [along(axle) for axle in axles]
+    bodies = [climber.body, climber.joints[0].body]
+    masses = [(each, place(each.at, q[2 + k]), q[2 + k]) for k, each in enumerate(bodies)]
+    load, linear, square = (ca.SX.zeros(4) for _ in range(3))
+    for body, center, tilt in masses:
+        forces, moments = body.mass * ca.jacobian(center, q).T, ca.jacobian(tilt, q).T
+        turning = (body.inertia or (0.0,))[0] * moments
+        load += climber.gravity * forces[:, 1]
+        linear += forces @ along(center) + turning * along(tilt)
+        square += forces @ along(along(center)) + turning * along(along(tilt))
+    spins = spin_inertia(climber)
+    for k, tilt in enumerate(tilts):  # wheels that roll forward rotate nose-down
+        moment = spins[k] * ca.jacobian(tilt, q).T
+        linear, square = linear - moment * speeds[k], square - moment * slopes[k]
+    upward = [ca.jacobian(axle, q).T @ n for axle, n in zip(axles, normals, strict=True)]
+    forward = [
+        ca.jacobian(axle, q).T @ tangent + radius * ca.jacobian(tilt, q).T
+        for axle, tangent, tilt in zip(axles, tangents, tilts, strict=True)
+    ]
+    matrix = ca.horzcat(*upward, *forward)
+    values = first, along(first), ca.horzcat(*axles), ca.horzcat(*normals), speeds, slopes
+    rows = [ca.densify(ca.vec(each)) for each in (*values, matrix.T, load, linear, square)]
+    gaps, rates = ca.SX(3, len(profile.solids)), ca.SX(3, len(profile.solids))
+    for i, of_axle in enumerate(near):
+        for k, (distance, normal) in enumerate(of_axle):
+            gaps[i, k] = np.inf if k == solids[i] else distance - radius
+            rates[i, k] = ca.dot(normal, ahead[i])
+    march = [first, gaps, rates, ca.horzcat(*normals)]
+    return _Path(
+        ca.Function("closest", [q], [ca.densify(closest)]),
+        ca.Function("march", [q], [ca.densify(each) for each in march], {"cse": True}),
+        ca.Function("sample", [q], rows, {"cse": True}),
+    )
+
+
+def spin_inertia(climber: Vehicle) -> Array:
+    """Return the torque on an axle's wheels per acceleration of the axle, shape (3,) [N m s2/m]."""
+    return np.array([(each.inertia or (0.0,))[0] / each.radius for each in climber.wheels])
+
+
+def sample(climber: Vehicle, profile: Profile, leg: Leg, s: Array) -> PathSamples:
+    """Return the configurations of a leg at path parameters ``s``, (n,), and the mechanics."""
+    path = _path(climber, profile, leg.solids)
+    q = path.touching(leg.curve(s))
+    shapes = (4,), (4,), (3, 2), (3, 2), (3,), (3,), (4, 6), (4,), (4,), (4,)
+    values = zip(evaluate(path.sample, q), shapes, strict=True)
+    return PathSamples(s, q.T, *(rows.T.reshape(-1, *shape) for rows, shape in values))
+
+
+def legs(climber: Vehicle, profile: Profile) -> tuple[Leg, ...]:
     """Return the legs of the path, from the first contact of the front wheels to the end.
 
-    ModelError is raised if the floor is not level, if there is no obstacle, or if the vehicle gets
-    stuck: a body would have to stand upright, a wheel is caught between two solids, or a leg is
-    longer than 50 m.
+    ``climber`` is a vehicle like `slipfree.catalog.step_climber`. ModelError is raised if the floor
+    is not level, if there is no obstacle, or if the vehicle gets stuck: a body would have to stand
+    upright, a wheel is caught between two solids, or a leg is longer than 50 m.
     """
     corners = [x for solid in profile.solids[1:] for x, _ in solid.points]
     ends = [x for x in corners if x < max(x for x, _ in profile.solids[0].points)]
@@ -101,125 +211,37 @@ def legs(climber: Climber, profile: Profile) -> tuple[Leg, ...]:
             "climb: expected an obstacle that begins before the end of the floor, the first solid, "
             "found none; add an obstacle, such as a step"
         )
-    end = max(ends) + climber.radius + END_MARGIN
-    q, solids = _start(climber, profile, min(ends)), FLOOR
-    path: list[Leg] = []
-    axle = ""
-    while True:
-        curve, length, top, met = _march(climber, profile, q, solids, axle, end)
-        if axle:
-            path.append(Leg(axle, solids, length, top, curve))
-        if met is None:
-            return tuple(path)
-        q = curve(np.array([length]))[:, 0]
-        axle, solids, q = _configuration_behind_kink(climber, profile, q, solids, met)
-
-
-def sample(climber: Climber, profile: Profile, leg: Leg, s: Array) -> PathSamples:
-    """Return the configurations of a leg, and their derivatives, at path parameters ``s``, (n,)."""
-    q = _closest_configurations(climber, profile, leg.curve(s).T, leg.solids)
-    arms = axle_arms(climber, q)
-    _, normals, curvature = _contacts(climber, profile, q, leg.solids)
-    along = tangents(normals)
-    first = _direction(normals, arms)
-    across_rows, along_rows = _speed_jacobian(normals, arms), _speed_jacobian(along, arms)
-    speeds = (along_rows @ first[:, :, None])[..., 0]
-    centripetal = -(first[:, TILT_INDICES] ** 2)[..., None] * arms
-    matrix = np.concatenate([across_rows, (speeds[:, None] @ along_rows)], axis=1)
-    bend = -curvature * speeds**2 - (normals * centripetal).sum(axis=-1)
-    even = -(speeds[..., None] * along * centripetal).sum(axis=(1, 2))
-    # the gaps stay zero, and the mean square of the axles' speeds stays one
-    right = np.concatenate([bend, even[:, None]], axis=1)
-    second = np.linalg.solve(matrix, right[..., None])[..., 0]
-    slopes = (along_rows @ second[:, :, None])[..., 0] + (along * centripetal).sum(axis=-1)
-    return PathSamples(s, q, first, second, normals, speeds, slopes)
-
-
-def axle_arms(climber: Climber, q: Array) -> Array:
-    """Return the axles' positions relative to the joint in fixed axes, shape (n, 3, 2) [m]."""
-    tilts = q[:, TILT_INDICES]
-    ahead = np.array([axle.ahead for axle in climber.axles])
-    return np.asarray(ahead[:, None] * np.stack([np.cos(tilts), np.sin(tilts)], axis=-1))
-
-
-def tangents(normals: Array) -> Array:
-    """Return the forward tangents of the ground for normals of shape (..., 2)."""
-    return np.stack([normals[..., 1], -normals[..., 0]], axis=-1)
-
-
-def rotate_nose_up(vectors: Array) -> Array:
-    """Return vectors (..., 2) rotated by a right angle, nose-up."""
-    return np.stack([-vectors[..., 1], vectors[..., 0]], axis=-1)
-
-
-def _speed_jacobian(directions: Array, arms: Array) -> Array:
-    """Return the derivatives of speeds along directions (n, 3, 2) by the rates of q, (n, 3, 4)."""
-    rows = np.zeros((*directions.shape[:2], 4))
-    rows[..., :2] = directions
-    lever = (directions * rotate_nose_up(arms)).sum(axis=-1)
-    rows[:, np.arange(3), TILT_INDICES] = lever
-    return rows
-
-
-def _direction(normals: Array, arms: Array) -> Array:
-    """Return the derivative of the configuration with respect to s, shape (n, 4)."""
-    # null vector of the three contact conditions; its sign is that of forward motion
-    rates = np.linalg.svd(_speed_jacobian(normals, arms))[2][:, -1]
-    speeds = (_speed_jacobian(tangents(normals), arms) @ rates[:, :, None])[..., 0]
-    size = np.copysign(np.sqrt((speeds**2).mean(axis=1)), speeds.sum(axis=1))
-    return np.asarray(rates / size[:, None])
-
-
-def _contacts(
-    climber: Climber, profile: Profile, q: Array, solids: Solids
-) -> tuple[Array, Array, Array]:
-    """Return gaps (n, 3) [m], normals (n, 3, 2) and path curvatures (n, 3) [1/m] of the axles."""
-    places = q[:, None, :2] + axle_arms(climber, q)
-    gaps, curvature = np.empty(places.shape[:2]), np.empty(places.shape[:2])
-    normals = np.empty(places.shape)
-    for index in set(solids):
-        solid = profile.solids[index]
-        on_it = [i for i, below in enumerate(solids) if below == index]
-        distance, normal = solid.distance(places[:, on_it, 0], places[:, on_it, 1])
-        gaps[:, on_it], normals[:, on_it] = distance - climber.radius, normal
-        on_face = (normal @ solid.normals.T).max(axis=-1) > 1 - NORMAL_TOLERANCE
-        # round a corner the axle's path is a circle about it; along a face it is straight
-        curvature[:, on_it] = np.where(on_face, 0.0, 1 / climber.radius)
-    return gaps, normals, curvature
-
-
-def _closest_configurations(climber: Climber, profile: Profile, q: Array, solids: Solids) -> Array:
-    """Return configurations near q, shape (n, 4), in which all axles touch their solids."""
-    for _ in range(3):  # Newton's method, from gaps of at most MAX_CONTACT_GAP
-        gaps, normals, _ = _contacts(climber, profile, q, solids)
-        rows = _speed_jacobian(normals, axle_arms(climber, q))
-        q = q - (np.linalg.pinv(rows) @ gaps[..., None])[..., 0]
-    return q
-
-
-def _start(climber: Climber, profile: Profile, first: float) -> Array:
-    level = max(z for _, z in profile.solids[0].points) + climber.radius
-    x = first - 2 * climber.radius - climber.front.ahead
-    q = np.array([x, level, 0.0, 0.0])
-    gaps = _contacts(climber, profile, q[None], FLOOR)[0]
-    if np.abs(gaps).max() > MAX_CONTACT_GAP:
+    radius, ahead = climber.wheels[0].radius, climber.wheels[2].at[1]
+    level = max(z for _, z in profile.solids[0].points) + radius
+    q, solids, axle = np.array([min(ends) - 2 * radius - ahead, level, 0.0, 0.0]), FLOOR, ""
+    places = q[:2] + [(wheel.at[1], 0.0) for wheel in climber.wheels]
+    gap = np.abs(profile.solids[0].distance(*places.T)[0] - radius).max()
+    if gap > MAX_CONTACT_GAP:
         raise ModelError(
-            f"climb: expected a level floor for the vehicle around x = {x:.3g} m, found a gap of "
-            f"{np.abs(gaps).max():.3g} m between wheels and floor; extend or level the first solid"
+            f"climb: expected a level floor for the vehicle around x = {q[0]:.3g} m, found a gap "
+            f"of {gap:.3g} m between wheels and floor; extend or level the first solid"
         )
-    return q
+    found: list[Leg] = []
+    while True:
+        leg, met = _march(climber, profile, q, solids, axle, max(ends) + radius + END_MARGIN)
+        found += [leg] if axle else []
+        if met is None:
+            return tuple(found)
+        q = leg.curve(np.array([leg.length]))[:, 0]
+        axle, solids, q = _behind_kink(climber, profile, q, solids, met)
 
 
-def _configuration_behind_kink(
-    climber: Climber, profile: Profile, q: Array, solids: Solids, met: tuple[int, int]
+def _behind_kink(
+    climber: Vehicle, profile: Profile, q: Array, solids: Solids, met: tuple[int, int]
 ) -> tuple[str, Solids, Array]:
     """Return climbing axle, solids and configuration behind a kink; several wheels may meet."""
     for _ in range(len(AXLES) * len(profile.solids)):
         axle, solid = met
         solids = tuple(solid if i == axle else below for i, below in enumerate(solids))
-        q = _closest_configurations(climber, profile, q[None], solids)[0]
-        gaps, closing = _other_gaps(climber, profile, q, solids)
-        meeting = (gaps < MAX_CONTACT_GAP) & (closing < -NORMAL_TOLERANCE)
+        path = _path(climber, profile, solids)
+        q = path.touching(q[:, None])[:, 0]
+        _, gaps, rates, _ = path.at(q)
+        meeting = (gaps < MAX_CONTACT_GAP) & (rates < -MIN_CLOSING_SPEED)
         if not meeting.any():
             return AXLES[axle], solids, q
         i, k = np.argwhere(meeting)[0]
@@ -228,41 +250,29 @@ def _configuration_behind_kink(
 
 
 def _march(
-    climber: Climber, profile: Profile, q: Array, solids: Solids, axle: str, end: float
-) -> tuple[Callable[[Array], Array], float, float, tuple[int, int] | None]:
-    """Return curve, length and top of a leg, and the axle and solid that meet at its end."""
+    climber: Vehicle, profile: Profile, q: Array, solids: Solids, axle: str, end: float
+) -> tuple[Leg, tuple[int, int] | None]:
+    """Return a leg, and the axle and solid that meet at its end."""
     from scipy.integrate import solve_ivp  # imported here: the import takes 0.2 s
 
-    climbing = AXLES.index(axle) if axle else None
-
-    def direction(_s: float, q: Array) -> Array:
-        normals = _contacts(climber, profile, q[None], solids)[1]
-        return np.asarray(_direction(normals, axle_arms(climber, q[None]))[0])
-
+    path = _path(climber, profile, solids)
+    rear, climbing = climber.wheels[0].at[1], AXLES.index(axle) if axle else None
     # met at a gap of minus the tolerance: after a kink, wheels that just part have a gap of zero
-    def meets(_s: float, q: Array) -> float:
-        return float(_gaps_and_normals(climber, profile, q, solids)[0].min() + MAX_CONTACT_GAP)
-
-    def arrives(_s: float, q: Array) -> float:
-        return float(end - q[0] - axle_arms(climber, q[None])[0, 0, 0])
-
-    def tips(_s: float, q: Array) -> float:
-        return float(np.cos(q[2:]).min() - MIN_TILT_COSINE)
-
-    def levels(_s: float, q: Array) -> float:
-        normals = _contacts(climber, profile, q[None], solids)[1]
-        return float(-normals[0, climbing, 0] - LEVEL_SLOPE) if climbing is not None else -1.0
-
-    stops: list[Any] = [meets, arrives, tips, levels]
-    for stop in stops:
-        stop.direction, stop.terminal = -1, stop is not levels
+    stops: list[Any] = [
+        lambda _s, q: float(path.at(q)[1].min() + MAX_CONTACT_GAP),
+        lambda _s, q: float(end - q[0] - rear * np.cos(q[2])),
+        lambda _s, q: float(np.cos(q[2:]).min() - MIN_TILT_COSINE),
+        lambda _s, q: -1.0 if climbing is None else -path.at(q)[3][0, climbing] - LEVEL_SLOPE,
+    ]
+    for k, stop in enumerate(stops):
+        stop.direction, stop.terminal = -1, k < 3
     run = solve_ivp(
-        direction,
+        lambda _s, q: path.at(q)[0].ravel(),
         (0.0, MAX_LEG_LENGTH),
         q,
         rtol=TOLERANCE,
         atol=TOLERANCE,
-        max_step=climber.radius / MIN_STEPS_PER_RADIUS,
+        max_step=climber.wheels[0].radius / MIN_STEPS_PER_RADIUS,
         events=stops,
         dense_output=True,
     )
@@ -272,34 +282,10 @@ def _march(
         too_long = f"a leg of the path is longer than {MAX_LEG_LENGTH:g} m"
         why = "a body would stand upright" if tipped.size else too_long
         raise ModelError(_stuck_words(axle, run.y[:, -1], why))
-    top = float(level[0]) if level.size else length
-    if arrived.size:
-        return run.sol, length, top, None
-    gaps, _ = _gaps_and_normals(climber, profile, run.y[:, -1], solids)
-    i, k = np.unravel_index(gaps.argmin(), gaps.shape)
-    return run.sol, length, top, (int(i), int(k))
-
-
-def _gaps_and_normals(
-    climber: Climber, profile: Profile, q: Array, solids: Solids
-) -> tuple[Array, Array]:
-    """Return gaps (3, n_solids) [m], infinite to the solid below, and normals (3, n_solids, 2)."""
-    x, z = (q[:2] + axle_arms(climber, q[None])[0]).T
-    distances = [solid.distance(x, z) for solid in profile.solids]
-    gaps, normals = (np.stack(values, axis=1) for values in zip(*distances, strict=True))
-    gaps -= climber.radius
-    gaps[np.arange(3), solids] = np.inf
-    return gaps, normals
-
-
-def _other_gaps(
-    climber: Climber, profile: Profile, q: Array, solids: Solids
-) -> tuple[Array, Array]:
-    gaps, normals = _gaps_and_normals(climber, profile, q, solids)
-    arms = axle_arms(climber, q[None])
-    first = _direction(normals[np.arange(3), solids][None], arms)[0]
-    slopes = [_speed_jacobian(axes[None], arms)[0] @ first for axes in normals.swapaxes(0, 1)]
-    return gaps, np.stack(slopes, axis=1)
+    leg = Leg(axle, solids, length, float(level[0]) if level.size else length, run.sol)
+    gaps = path.at(run.y[:, -1])[1]
+    nearest = np.unravel_index(gaps.argmin(), gaps.shape)
+    return leg, None if arrived.size else (int(nearest[0]), int(nearest[1]))
 
 
 def _stuck_words(axle: str, q: Array, why: str) -> str:
@@ -308,195 +294,62 @@ def _stuck_words(axle: str, q: Array, why: str) -> str:
     return f"climb: the vehicle gets stuck {where}: {why} ({tilts}); use a lower obstacle"
 
 
-class HoldingForces(NamedTuple):
-    """Contact forces that need the least friction, for n configurations.
+class Demand(NamedTuple):
+    """Friction demand at path parameters ``s`` (n,) [m] on a leg.
 
     ``mu`` (n,) is the least coefficient of friction, ``inf`` where no forces hold the vehicle [1];
     there the normal and tangential (positive forward) forces on the axles (n, 3) are NaN [N].
     """
 
+    leg: Leg
+    s: Array
     mu: Array
     normal: Array
     tangential: Array
 
 
-class Demand(NamedTuple):
-    """Friction demand at path parameters (n,) [m] on a leg."""
+class Friction(NamedTuple):
+    """Friction demands of a slow climb, leg by leg."""
 
-    leg: Leg
-    s: Array
-    hold: HoldingForces
+    demands: tuple[Demand, ...]
 
     @property
     def mu(self) -> float:
-        """Largest coefficient needed on the leg [1]."""
-        return float(self.hold.mu.max())
+        """Least coefficient of friction of the whole climb, infinite if none suffices [1]."""
+        return float(max(each.mu.max() for each in self.demands))
 
 
-class Friction(NamedTuple):
-    """Friction demand of a slow climb.
-
-    ``mu`` is the least coefficient of friction of the whole climb, ``inf`` if none suffices [1];
-    ``axle``, ``s`` and ``q`` are the climbing axle, the path parameter [m] and the configuration
-    (4,) [m, rad] of the largest demand; ``demands`` those of all legs.
-    """
-
-    mu: float
-    axle: str
-    s: float
-    q: Array
-    demands: tuple[Demand, ...]
+def demand(climber: Vehicle, leg: Leg, path: PathSamples) -> Demand:
+    """Return the friction demand of a slow climb at samples of a leg."""
+    count, load = len(path.s), -path.load / climber.weight
+    # across, the third direction of a contact, has no part in the plane's equilibrium
+    matrix = np.zeros((count, 4, 3, 3))
+    matrix[..., 2], matrix[..., 0] = path.matrix[..., :3], path.matrix[..., 3:]
+    best = least_utilisation(matrix.reshape(count, 4, 9), load, np.ones((count, 3)))
+    none = ~(best.utilisation < MAX_FRICTION)
+    forces = np.where(none[:, None, None], np.nan, best.force.reshape(count, 3, 3))
+    mu = np.where(none, np.inf, best.utilisation)
+    return Demand(leg, path.s, mu, *(climber.weight * forces[..., k] for k in (2, 0)))
 
 
-def equilibrium(climber: Climber, path: PathSamples) -> tuple[Array, Array]:
-    """Return the equilibrium equations ``A f = b`` of the contact forces ``f``.
-
-    Rows of ``A`` (n, 4, 6) [1, m] are forward force, upward force, and the nose-up moments of the
-    rear and the front body with their wheels about the joint. Columns are the normal forces on the
-    rear, middle and front axle, and the tangential forces on them. ``b`` (n, 4) is the negative
-    load of gravity [N, N m].
-    """
-    points = axle_arms(climber, path.q) - climber.radius * path.normals
-    directions = np.concatenate([path.normals, tangents(path.normals)], axis=1)
-    moments = cross(np.concatenate([points, points], axis=1), directions)
-    matrix = np.zeros((len(path.q), 4, 6))
-    matrix[:, :2] = directions.transpose(0, 2, 1)
-    matrix[:, 2, [0, 1, 3, 4]] = moments[:, [0, 1, 3, 4]]
-    matrix[:, 3, [2, 5]] = moments[:, [2, 5]]
-    bodies = (climber.rear_body, climber.front_body)
-    levers = [body.mass * center(body, path.q[:, 2 + k])[:, 0] for k, body in enumerate(bodies)]
-    weight = np.full(len(path.q), climber.mass)
-    return matrix, climber.gravity * np.stack([0 * weight, weight, *levers], axis=1)
-
-
-def center(body: ClimberLink, tilt: Array) -> Array:
-    """Return the centre of mass of a body relative to the joint, shape (n, 2) [m]."""
-    forward, up = np.cos(tilt), np.sin(tilt)
-    return np.stack(
-        [body.ahead * forward - body.above * up, body.ahead * up + body.above * forward], axis=1
-    )
-
-
-def cross(a: Array, b: Array) -> Array:
-    """Return the nose-up moments of forces b (..., 2) at positions a (..., 2), shape (...)."""
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
-
-
-def least_friction_forces(matrix: Array, load: Array) -> HoldingForces:
-    """Return the forces that need the least friction, for equations as those of `equilibrium`."""
-    count = len(load)
-    even = np.full((count, 3), load[:, 1:2] / 3)
-    mu, relative = np.full(count, MAX_FRICTION), even.copy()
-    best = np.full((count, 6), np.nan)
-    open_ = np.arange(count)
-    for _ in range(MAX_NEWTON_STEPS):
-        forces, reserve = _reserve(matrix[open_], load[open_], mu[open_], relative[open_])
-        better = reserve > MIN_RESERVE
-        open_, forces = open_[better], forces[better]
-        if not open_.size:
-            break
-        best[open_], relative[open_] = forces, forces[:, :3]
-        bearing = np.maximum(forces[:, :3], MIN_NORMAL_FORCE * load[open_, 1:2])
-        mu[open_] = (np.abs(forces[:, 3:]) / bearing).max(axis=1)
-    if open_.size:
-        low, high = np.zeros(open_.size), mu[open_]
-        for _ in range(BISECTIONS):
-            middle = (low + high) / 2
-            forces, reserve = _reserve(matrix[open_], load[open_], middle, even[open_])
-            held = reserve > 0
-            best[open_[held]] = forces[held]
-            low, high = np.where(held, low, middle), np.where(held, middle, high)
-        mu[open_] = high
-    mu[np.isnan(best[:, 0])] = np.inf
-    return HoldingForces(mu, best[:, :3], best[:, 3:])
-
-
-def _reserve(matrix: Array, load: Array, mu: Array, relative: Array) -> tuple[Array, Array]:
-    """Return the forces (n, 6) [N] that maximise the smallest reserve, and this reserve (n,).
-
-    The forces satisfy ``matrix @ f = load``; the reserve of an axle is ``(mu N - |T|) / relative``.
-    """
-    from scipy.optimize import linprog  # imported here: the import takes 0.2 s
-
-    count, size = len(load), load[:, 1].mean()
-    rows, axles = np.zeros((count, 2, 3, 7)), np.arange(3)  # of T and of -T, for each axle
-    rows[:, :, axles, axles] = -mu[:, None, None]
-    rows[:, :, axles, 3 + axles] = [[1.0], [-1.0]]
-    rows[..., 6] = (relative / size)[:, None]
-    equations = np.concatenate([matrix, np.zeros((count, 4, 1))], axis=2)
-    bounds = [*[(None, MAX_NORMAL_FORCE)] * 3, *[(None, None)] * 4]
-    answer = linprog(
-        np.tile([0.0] * 6 + [-1.0], count),
-        scipy.sparse.block_diag(rows.reshape(count, 6, 7), format="csc"),
-        np.zeros(6 * count),
-        scipy.sparse.block_diag(equations, format="csc"),
-        (load / size).ravel(),
-        bounds=bounds * count,
-        method="highs",
-    )
-    if answer.status != 0:
-        raise SolverError(
-            "climb: expected forces in equilibrium with the least friction, found none: "
-            f"{answer.message} (linear program); check masses and dimensions of the vehicle"
-        )
-    values = answer.x.reshape(count, 7)
-    return values[:, :6] * size, values[:, 6]
-
-
-def least_friction(climber: Climber, profile: Profile, samples: int = 41) -> Friction:
+def least_friction(climber: Vehicle, profile: Profile, samples: int = 41) -> Friction:
     """Return the friction demand of a slow climb of a profile.
 
     ``samples`` is the number of configurations on every leg; more are added around the one with the
     largest demand. If there is no contact path over the profile, ModelError is raised as by `legs`.
     """
-    demands = _demands(climber, profile, samples)
-    worst = max(demands, key=lambda demand: demand.mu)
-    k = int(worst.hold.mu.argmax())
-    return Friction(
-        worst.mu,
-        worst.leg.axle,
-        float(worst.s[k]),
-        sample(climber, profile, worst.leg, worst.s[k : k + 1]).q[0],
-        demands,
-    )
-
-
-def _demands(climber: Climber, profile: Profile, samples: int) -> tuple[Demand, ...]:
-    """Return the demands of all legs, at equally spaced samples and around the largest demand."""
-    path = legs(climber, profile)
-    places = [np.linspace(0, leg.length, samples) for leg in path]
-    holds = _holds(climber, profile, path, places)
-    for _ in range(REFINEMENTS):
-        worst = [int(hold.mu.argmax()) for hold in holds]
-        near = [  # between the sample with the largest demand and its neighbours
-            np.concatenate(
-                [
-                    np.linspace(a, b, REFINED_POINTS + 2)[1:-1]
-                    for a, b in pairwise(s[max(k - 1, 0) : k + 2])
-                ]
-            )
-            for s, k in zip(places, worst, strict=True)
-        ]
-        more = _holds(climber, profile, path, near)
-        orders = [np.argsort(np.append(*pair)) for pair in zip(places, near, strict=True)]
-        places = [
-            np.append(s, new)[order] for s, new, order in zip(places, near, orders, strict=True)
-        ]
-        holds = [
-            HoldingForces(*(np.concatenate(pair)[order] for pair in zip(old, new, strict=True)))
-            for old, new, order in zip(holds, more, orders, strict=True)
-        ]
-    return tuple(Demand(*of_leg) for of_leg in zip(path, places, holds, strict=True))
-
-
-def _holds(
-    climber: Climber, profile: Profile, path: Sequence[Leg], places: Sequence[Array]
-) -> list[HoldingForces]:
-    """Return the forces at path parameters of several legs [m], from one linear program."""
-    equations = [
-        equilibrium(climber, sample(climber, profile, leg, s))
-        for leg, s in zip(path, places, strict=True)
-    ]
-    hold = least_friction_forces(*(np.concatenate(part) for part in zip(*equations, strict=True)))
-    ends = np.cumsum([0, *(s.size for s in places)]).tolist()
-    return [HoldingForces(*(part[a:b] for part in hold)) for a, b in pairwise(ends)]
+    found = list[Demand]()
+    for leg in legs(climber, profile):
+        here = demand(
+            climber, leg, sample(climber, profile, leg, np.linspace(0, leg.length, samples))
+        )
+        for _ in range(REFINEMENTS):
+            k = int(here.mu.argmax())  # new samples between the worst one and its neighbours
+            sides = pairwise(here.s[max(k - 1, 0) : k + 2])
+            near = [np.linspace(*side, REFINED_POINTS + 2)[1:-1] for side in sides]
+            more = demand(climber, leg, sample(climber, profile, leg, np.concatenate(near)))
+            order = np.argsort(np.append(here.s, more.s))
+            pairs = zip(here[1:], more[1:], strict=True)
+            here = Demand(leg, *(np.concatenate(pair)[order] for pair in pairs))
+        found.append(here)
+    return Friction(tuple(found))

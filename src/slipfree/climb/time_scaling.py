@@ -24,38 +24,31 @@ of its axle, so that a wheel that slips regains its grip.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 from math import inf
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-import scipy
 from annotated_types import Gt
 
-from slipfree.catalog.step_climber import AXLES, Climber
 from slipfree.climb.contact_path import (
     MAX_FRICTION,
     Leg,
     PathSamples,
-    axle_arms,
-    center,
-    cross,
-    equilibrium,
-    least_friction_forces,
-    rotate_nose_up,
+    demand,
     sample,
+    spin_inertia,
 )
 from slipfree.control.reference_speeds import PerAxle
 from slipfree.control.step_climbing import Commands, ControlState, Motors, Sensed, limited
 from slipfree.core.errors import ModelError
 from slipfree.core.nlp import Nlp
-from slipfree.core.records import Array, Label
+from slipfree.core.records import Array
 from slipfree.core.schema import check_bounds
-from slipfree.core.trajectory import Column, Trajectory, joined
 from slipfree.terrain.solids import Profile
+from slipfree.vehicle.tree import Vehicle
 
 COSTS = ("time", "friction", "slip")
 TIME_WEIGHT = 1e-4  # weight of the time in costs that do not determine the speed [1/s]
@@ -70,20 +63,6 @@ MIN_SPEED = 0.01  # smallest reference speed, so that the vehicle leaves points 
 ACCELERATION = 0.3  # deceleration before the plan's start, acceleration after its end [m/s2]
 LEG_DISTANCE = 1e-7  # distance between consecutive legs, whose torques differ where they meet [m]
 
-LABELS = (
-    Label("s", "m", "path parameter on the leg"),
-    Label("path_speed", "m s-1", "first derivative of the path parameter"),
-    Label("path_acceleration", "m s-2", "second derivative of the path parameter"),
-    Label("y", "m", "forward position of the joint"),
-    Label("z", "m", "height of the joint"),
-    Label("tilt_rear", "rad", "tilt of the rear body, positive with the nose up"),
-    Label("tilt_front", "rad", "tilt of the front body, positive with the nose up"),
-    Label("wheel_rate", "rad s-1", "rate of the wheels over the ground, positive forward"),
-    Label("torque", "N m", "total torque of the axle's motors"),
-    Label("load", "N", "normal force of the ground on the axle's wheels"),
-    Label("friction", "N", "tangential force of the ground on the axle's wheels, forward"),
-)
-
 
 @dataclass(frozen=True, eq=False)
 class Climb:
@@ -94,39 +73,14 @@ class Climb:
     and ``tangential`` (n, 3) [N] and the coefficient of friction ``mu`` (1,).
     """
 
-    climber: Climber
+    climber: Vehicle
     nodes: PathSamples
     middles: PathSamples
     nlp: Nlp
 
 
-def inertia(climber: Climber, path: PathSamples) -> tuple[Array, Array]:
-    """Return the coefficients (n, 4) of a [N s2/m] and b [N s2] in the rows of `equilibrium`."""
-    linear, square = np.zeros((2, len(path.q), 4))
-    bodies = (climber.rear_body, climber.front_body)
-    for k, body in enumerate(bodies):
-        arm, tilt = center(body, path.q[:, 2 + k]), 2 + k
-        centripetal = path.first[:, tilt, None] ** 2 * arm
-        for rows, rates in ((linear, path.first), (square, path.second)):
-            change = rates[:, :2] + rates[:, tilt, None] * rotate_nose_up(arm)
-            if rows is square:
-                change = change - centripetal
-            rows[:, :2] += body.mass * change
-            rows[:, tilt] += body.mass * cross(arm, change) + body.inertia * rates[:, tilt]
-    spin = spin_inertia(climber)
-    for rows, values in ((linear, path.speeds), (square, path.slopes)):
-        rows[:, 2] -= values[:, :2] @ spin[:2]  # wheels that roll forward rotate nose-down
-        rows[:, 3] -= values[:, 2] * spin[2]
-    return linear, square
-
-
-def spin_inertia(climber: Climber) -> Array:
-    """Return the torque on an axle's wheels per acceleration of the axle, shape (3,) [N m s2/m]."""
-    return np.array([axle.inertia for axle in climber.axles]) / climber.radius
-
-
 def climb(
-    climber: Climber,
+    climber: Vehicle,
     profile: Profile,
     leg: Leg,
     cost: str = "time",
@@ -161,7 +115,11 @@ def climb(
             f"climb: expected positive numbers for 'speed' and 'mu', found {speed} m/s and {mu}; "
             "increase them"
         )
-    ends = _mesh(leg, s, halt=halt) if isinstance(s, int) else np.asarray(s, dtype=float)
+    if isinstance(s, int):
+        # from rest b grows like s: nodes at equal steps of time are quadratic in s
+        part = np.linspace(0, 1, s)
+        s = leg.length * np.sin(np.pi / 2 * part) ** 2 if halt else leg.top * part**2
+    ends = np.asarray(s, dtype=float)
     if ends.ndim != 1 or ends.size < 3 or (np.diff(ends) <= 0).any():
         raise ModelError(
             f"climb: expected three or more increasing nodes as 's', found {ends}; give more "
@@ -169,83 +127,70 @@ def climb(
         )
     nodes = sample(climber, profile, leg, ends)
     middles = sample(climber, profile, leg, (ends[:-1] + ends[1:]) / 2)
-    nlp = _program(climber, nodes, middles, cost, mu, speed, torques, halt=halt)
+    steps, fastest, weight = np.diff(ends), speed**2, climber.weight
+    count = steps.size
+    parts = np.cumsum([0, count + 1, 6 * count, 1]).tolist()
+    scale = np.repeat([fastest, weight / 3, 1.0], np.diff(parts))
+    # IPOPT sees unknowns of size one
+    x = ca.MX.sym("x", parts[-1])
+    b, forces, friction = ca.vertsplit(x * scale, parts)
+    a, mean = (b[1:] - b[:-1]) / ca.DM(2 * steps), (b[1:] + b[:-1]) / 2
+    normal, tangential = (ca.vec(each) for each in ca.vertsplit(ca.reshape(forces, 6, count), 3))
+
+    def moving(linear: Array, square: Array) -> ca.MX:
+        return _blocks(linear[:, :, None]) @ a + _blocks(square[:, :, None]) @ mean
+
+    load, cone = (middles.load / weight).ravel(), 3 / weight
+    held = _blocks(middles.matrix) @ forces - moving(middles.linear, middles.square)
+    rows = [held / weight, *(cone * (friction * normal + k * tangential) for k in (1, -1))]
+    low, high = [load, np.zeros(6 * count)], [load, np.full(6 * count, np.inf)]
+    if np.isfinite(torques).all():
+        spins, most = spin_inertia(climber), np.tile(torques, count)
+        spinning = moving(spins * middles.speeds, spins * middles.slopes)
+        rows.append(climber.wheels[0].radius * tangential + spinning)
+        low, high = [*low, -most], [*high, most]
+    roots = ca.sqrt(b + ROOT_OFFSET * fastest)
+    f = ca.sum1(ca.DM(2 * steps) / (roots[1:] + roots[:-1]))
+    if cost != "time":
+        ratios = tangential**2 / (normal + LOAD_OFFSET * weight) / weight
+        creep = ca.dot(ca.DM(np.repeat(steps, 3)), ratios)
+        f = (friction if cost == "friction" else creep) + TIME_WEIGHT * f
+    # the minimisation of friction is quasi-convex: from guesses other than the forces of a slow
+    # climb, IPOPT may stop elsewhere
+    hold = demand(climber, leg, middles)
+    found, most_load = np.isfinite(hold.mu)[:, None], MAX_GUESS_LOAD * weight
+    loads = np.where(found, np.clip(hold.normal, 0, most_load), weight / 3)
+    pushes = np.where(found, hold.tangential, 0.0)
+    pushes = np.where(np.abs(pushes) <= MAX_FRICTION * loads, pushes, 0.0)
+    least, most = _speeds(nodes, fastest, halt=halt)
+    given = hold.mu[found[:, 0]].max(initial=0.0) if mu is None else mu
+    slow = np.minimum(GUESS_SQUARE * fastest, most)
+    guess = [slow, np.hstack([loads, pushes]).ravel(), np.array([given])]
+    limits = (0.0, MAX_FRICTION) if mu is None else (mu, mu)
+    pushing = np.tile(np.repeat([0.0, -np.inf], 3), count)
+    places = np.split(np.arange(parts[-1]), parts[1:-1])
+    nlp = Nlp(
+        x,
+        f,
+        ca.vertcat(*rows),
+        np.concatenate(guess),
+        scale,
+        np.concatenate([least, pushing, limits[:1]]),
+        np.concatenate([most, np.full(6 * count, np.inf), limits[1:]]),
+        np.concatenate(low),
+        np.concatenate(high),
+        {
+            "b": places[0],
+            "normal": places[1].reshape(-1, 6)[:, :3],
+            "tangential": places[1].reshape(-1, 6)[:, 3:],
+            "mu": places[2],
+        },
+    )
     return Climb(climber, nodes, middles, nlp)
 
 
-def _mesh(leg: Leg, count: int, *, halt: bool) -> Array:
-    """Return nodes along a leg, closer near its start and, with ``halt``, its end at rest."""
-    # from rest b grows like s: nodes at equal steps of time are quadratic in s
-    part = np.linspace(0, 1, count)
-    return leg.length * np.sin(np.pi / 2 * part) ** 2 if halt else leg.top * part**2
-
-
-def _program(
-    climber: Climber,
-    nodes: PathSamples,
-    middles: PathSamples,
-    cost: str,
-    mu: float | None,
-    speed: float,
-    torques: Sequence[float],
-    *,
-    halt: bool,
-) -> Nlp:
-    steps, fastest, weight = np.diff(nodes.s), speed**2, climber.weight
-    count = steps.size
-    ends = np.cumsum([0, count + 1, 3 * count, 3 * count, 1]).tolist()
-    b_at, n_at, t_at, mu_at = (np.arange(i, j) for i, j in pairwise(ends))
-    scale = np.repeat([fastest, weight / 3, weight / 3, 1.0], np.diff(ends))
-    # IPOPT sees unknowns of size one
-    x = ca.MX.sym("x", ends[-1])
-    b, normal, tangential, friction = ca.vertsplit(x * scale, ends)
-    unknowns = b, normal, tangential, friction
-    rows, low, high = _constraint_rows(climber, middles, steps, unknowns, torques)
-    f = _cost(cost, unknowns, steps, fastest, weight)
-    lower, upper = np.full((2, ends[-1]), [[-np.inf], [np.inf]])
-    lower[b_at], upper[b_at] = _speeds(nodes, fastest, halt=halt)
-    lower[n_at] = 0.0
-    lower[mu_at], upper[mu_at] = (0.0, MAX_FRICTION) if mu is None else (mu, mu)
-    slow = np.minimum(GUESS_SQUARE * fastest, upper[b_at])
-    guess = np.concatenate([slow, *_slow_climb(climber, middles, mu)])
-    shaped = {
-        "b": b_at,
-        "normal": n_at.reshape(count, 3),
-        "tangential": t_at.reshape(count, 3),
-        "mu": mu_at,
-    }
-    bounds = lower, upper, np.concatenate(low), np.concatenate(high)
-    return Nlp(x, f, ca.vertcat(*rows), guess, scale, *bounds, shaped)
-
-
-def _cost(
-    cost: str, unknowns: Sequence[ca.MX], steps: Array, fastest: float, weight: float
-) -> ca.MX:
-    b, normal, tangential, friction = unknowns
-    roots = ca.sqrt(b + ROOT_OFFSET * fastest)
-    time: ca.MX = ca.sum1(ca.DM(2 * steps) / (roots[1:] + roots[:-1]))
-    if cost == "time":
-        return time
-    ratios = tangential**2 / (normal + LOAD_OFFSET * weight) / weight
-    creep = ca.sum1(ca.DM(np.repeat(steps, 3)) * ratios)
-    return (friction if cost == "friction" else creep) + TIME_WEIGHT * time
-
-
-def _slow_climb(
-    climber: Climber, middles: PathSamples, mu: float | None
-) -> tuple[Array, Array, Array]:
-    """Return normal and tangential forces [N] and the friction coefficient [1] of a slow climb.
-
-    They are the initial guess of a plan, forces wheel by wheel at each sample, shape (3 n,): the
-    minimisation of friction is quasi-convex, and from a poor guess IPOPT may stop elsewhere.
-    """
-    hold, weight = least_friction_forces(*equilibrium(climber, middles)), climber.weight
-    held = np.isfinite(hold.mu)
-    normal = np.where(held[:, None], np.clip(hold.normal, 0, MAX_GUESS_LOAD * weight), weight / 3)
-    tangential = np.where(held[:, None], hold.tangential, 0.0)
-    most = np.abs(tangential) <= MAX_FRICTION * normal
-    friction = hold.mu[held].max(initial=0.0) if mu is None else mu
-    return normal.ravel(), np.where(most, tangential, 0.0).ravel(), np.array([friction])
+def _blocks(matrices: Array) -> ca.DM:
+    return ca.sparsify(ca.diagcat(*(ca.DM(each) for each in matrices)))
 
 
 def _speeds(nodes: PathSamples, fastest: float, *, halt: bool) -> tuple[Array, Array]:
@@ -259,60 +204,30 @@ def _speeds(nodes: PathSamples, fastest: float, *, halt: bool) -> tuple[Array, A
     ), upper
 
 
-def _constraint_rows(
-    climber: Climber,
-    middles: PathSamples,
-    steps: Array,
-    unknowns: Sequence[ca.MX],
-    torques: Sequence[float],
-) -> tuple[list[ca.MX], list[Array], list[Array]]:
-    """Return equations of motion, cones and torque limits, and their lower and upper bounds."""
-    b, normal, tangential, mu = unknowns
-    count, weight = steps.size, climber.weight
-    matrix, load = equilibrium(climber, middles)
-    to_a, to_b = _from_nodes(steps)
-    inert = [_diagonal(each[:, :, None]) for each in inertia(climber, middles)]
-    moving = _sparse((inert[0] @ to_a + inert[1] @ to_b) / weight) @ b
-    held = (
-        _sparse(_diagonal(matrix[:, :, :3]) / weight) @ normal
-        + _sparse(_diagonal(matrix[:, :, 3:]) / weight) @ tangential
-    )
-    spin = spin_inertia(climber)
-    linear, square = (
-        _diagonal((each * spin)[:, :, None]) for each in (middles.speeds, middles.slopes)
-    )
-    torque = climber.radius * tangential + _sparse(linear @ to_a + square @ to_b) @ b
-    most = np.tile(torques, count)
-    cone, nothing, above = 3 / weight, np.zeros(3 * count), np.full(3 * count, np.inf)
-    rows = [held - moving, *(cone * (mu * normal + sign * tangential) for sign in (1, -1))]
-    low, high = [(load / weight).ravel(), nothing, nothing], [(load / weight).ravel(), above, above]
-    if np.isfinite(most).all():
-        rows, low, high = [*rows, torque], [*low, -most], [*high, most]
-    return rows, low, high
+class ClimbHistory(NamedTuple):
+    """A planned climb as a function of time, at the midpoints of its n intervals.
+
+    Times ``t`` (n,) [s]; path speed (n,) [m/s] and acceleration (n,) [m/s2]; rates of the wheels
+    over the ground (n, 3), positive forward [rad/s]; total torques of the axles' motors (n, 3)
+    [N m]; normal and tangential forces of the ground on the axles' wheels (n, 3) [N]; the
+    coefficient of friction ``mu`` [1], and the ``duration`` [s].
+    """
+
+    t: Array
+    path_speed: Array
+    path_acceleration: Array
+    wheel_rate: Array
+    torque: Array
+    load: Array
+    friction: Array
+    mu: float
+    duration: float
 
 
-def _from_nodes(steps: Array) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
-    """Return the matrices that map b at the n + 1 nodes to a and b on the n intervals."""
-    shape, factors = (steps.size, steps.size + 1), 1 / (2 * steps)
-    # a = (db/ds) / 2, since b is the square of the speed; b at the midpoint is the mean
-    pairs = (-factors, factors), (0.5, 0.5)
-    to_a, to_b = (scipy.sparse.diags(each, [0, 1], shape).tocsr() for each in pairs)
-    return to_a, to_b
+def history(plan: Climb, unknowns: Array) -> ClimbHistory:
+    """Return a planned climb as a function of time.
 
-
-def _diagonal(blocks: Array) -> scipy.sparse.csr_matrix:
-    return scipy.sparse.block_diag(list(blocks), format="csr")
-
-
-def _sparse(matrix: scipy.sparse.csr_matrix) -> ca.DM:
-    return ca.DM(matrix.tocsc())
-
-
-def history(plan: Climb, unknowns: Array) -> Trajectory:
-    """Return a planned climb as a function of time, at the midpoints of its intervals.
-
-    ``unknowns`` is the solution of the program (n_x,). Columns are those of `LABELS`, statistics
-    ``mu`` [1] and ``duration`` [s].
+    ``unknowns`` is the solution of the program (n_x,).
     """
     where, middles, climber = plan.nlp.where, plan.middles, plan.climber
     b = np.maximum(unknowns[where["b"]], 0.0)
@@ -320,34 +235,19 @@ def history(plan: Climb, unknowns: Array) -> Trajectory:
     speed, acceleration = np.sqrt(means), np.diff(b) / (2 * steps)
     # exact for the constant acceleration of an interval, also from rest
     durations = 2 * steps / (np.sqrt(b[:-1]) + np.sqrt(b[1:]))
-    t = np.cumsum(durations) - durations + steps / (np.sqrt(b[:-1]) + speed)
-    friction = unknowns[where["tangential"]]
+    friction, radius = unknowns[where["tangential"]], climber.wheels[0].radius
     spinning = middles.speeds * acceleration[:, None] + middles.slopes * means[:, None]
-    values = dict(zip(("y", "z", "tilt_rear", "tilt_front"), middles.q.T, strict=True)) | {
-        "s": middles.s,
-        "path_speed": speed,
-        "path_acceleration": acceleration,
-        "wheel_rate": middles.speeds * speed[:, None] / climber.radius,
-        "torque": climber.radius * friction + spin_inertia(climber) * spinning,
-        "load": unknowns[where["normal"]],
-        "friction": friction,
-    }
-    columns = {label.name: Column(label, values[label.name]) for label in LABELS}
-    statistics = {"mu": float(unknowns[where["mu"]][0]), "duration": float(durations.sum())}
-    return Trajectory(t, columns, AXLES, statistics=statistics)
-
-
-def in_sequence(parts: Sequence[Trajectory]) -> Trajectory:
-    """Return the planned climbs of consecutive legs as one trajectory.
-
-    Times continue; path parameters restart with every leg. Statistics: the largest ``mu`` and the
-    sum of the durations. All legs except the last must be planned with ``halt=True``.
-    """
-    durations = [part.statistics["duration"] for part in parts]
-    begins = np.cumsum([0.0, *durations[:-1]])
-    later = [replace(part, t=part.t + begin) for part, begin in zip(parts, begins, strict=True)]
-    statistics = {"mu": max(part.statistics["mu"] for part in parts), "duration": sum(durations)}
-    return replace(joined(*later), statistics=statistics)
+    return ClimbHistory(
+        np.cumsum(durations) - durations + steps / (np.sqrt(b[:-1]) + speed),
+        speed,
+        acceleration,
+        middles.speeds * speed[:, None] / radius,
+        radius * friction + spin_inertia(climber) * spinning,
+        unknowns[where["normal"]],
+        friction,
+        float(unknowns[where["mu"]][0]),
+        float(durations.sum()),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -393,7 +293,7 @@ class Tracking:
 
     def commands(
         self,
-        climber: Climber,
+        climber: Vehicle,
         at: Sensed,
         x: ControlState,  # noqa: ARG002 - of the protocol
         speed: ca.SX,
@@ -405,26 +305,18 @@ class Tracking:
         first p, it decreases to zero towards the plan's start, since plans begin at rest.
         """
         plan, p = self.plan, sum(place[0] + place[1] for place in at.axles) / 3 + self.lead
-        before, behind = p < plan.p[0], p > plan.p[-1]
-        off = ca.logic_or(before, behind)
+        before, behind = ca.fmax(plan.p[0] - p, 0), ca.fmax(p - plan.p[-1], 0)
         square, *row = _plan_row(plan, p)
-        ratios, angles, torques = (
-            [ca.if_else(off, outside, value) for value in row[k : k + 3]]
-            for k, outside in ((0, 1.0), (3, 0.0), (6, 0.0))
-        )
         # outside the plan the speed changes with constant acceleration
-        arriving = 2 * ACCELERATION * ca.fmax(plan.p[0] - p, 0)
-        leaving = square + 2 * ACCELERATION * ca.fmax(p - plan.p[-1], 0)
-        square = ca.if_else(before, arriving, ca.if_else(behind, leaving, square))
-        pace = ca.sqrt(square + MIN_SPEED**2)
-        pace = ca.if_else(off, ca.fmin(speed, pace), pace)
-        references, wanted = [], []
-        columns = ratios, angles, torques, at.velocities, at.spins, self.motors
+        pace = ca.sqrt(square + 2 * ACCELERATION * (before + behind) + MIN_SPEED**2)
+        pace = ca.if_else(before + behind > 0, ca.fmin(speed, pace), pace)
+        references, wanted, radius = [], [], climber.wheels[0].radius
+        columns = row[:3], row[3:6], row[6:], at.velocities, at.spins, self.motors
         for ratio, angle, torque, velocity, spin, count in zip(*columns, strict=True):
             actual = velocity[0] * ca.cos(angle) + velocity[1] * ca.sin(angle)
-            references.append(ca.fmin(pace * ratio, actual + self.spare) / climber.radius)
+            references.append(ca.fmin(pace * ratio, actual + self.spare) / radius)
             wanted.append(torque / count + self.proportional * (references[-1] - spin))
-        return Commands(PerAxle(*references), limited(self.torque, PerAxle(*wanted)), ())
+        return Commands(PerAxle(*references), *limited(self.torque, PerAxle(*wanted)), ())
 
 
 def tracked_plan(plans: Sequence[tuple[Climb, Array]]) -> TrackedPlan:
@@ -449,7 +341,7 @@ def tracked_plan(plans: Sequence[tuple[Climb, Array]]) -> TrackedPlan:
 def _leg(plan_and_unknowns: tuple[Climb, Array]) -> tuple[Array, ...]:
     """Return the fields of `TrackedPlan` for one leg, at its nodes and interval midpoints."""
     plan, unknowns = plan_and_unknowns
-    nodes, middles, torque = plan.nodes, plan.middles, history(plan, unknowns)["torque"]
+    nodes, middles, torque = plan.nodes, plan.middles, history(plan, unknowns).torque
     square = np.maximum(unknowns[plan.nlp.where["b"]], 0)
     at_nodes = np.column_stack([np.interp(nodes.s, middles.s, each) for each in torque.T])
     parts = []
@@ -457,20 +349,29 @@ def _leg(plan_and_unknowns: tuple[Climb, Array]) -> tuple[Array, ...]:
         (nodes, square, at_nodes),
         (middles, (square[1:] + square[:-1]) / 2, torque),
     ):
-        axles = path.q[:, None, :2] + axle_arms(plan.climber, path.q)
         directions = np.arctan2(-path.normals[..., 0], path.normals[..., 1])
-        progress = axles.sum(axis=2).mean(axis=1)
-        parts.append((progress, squares, path.speeds, directions, torques))
+        parts.append((progress(path), squares, path.speeds, directions, torques))
     order = np.argsort(np.concatenate([nodes.s, middles.s]))
     return tuple(np.concatenate(pair)[order] for pair in zip(*parts, strict=True))
 
 
+def progress(path: PathSamples) -> Array:
+    """Return the progress at samples of a path, the mean of x + z over the axles, (n,) [m]."""
+    return np.asarray(path.axles.sum(axis=2).mean(axis=1))
+
+
 def _plan_row(plan: TrackedPlan, p: ca.SX) -> list[ca.SX]:
-    """Return square, speeds, directions and torques of a plan at a progress, or at its ends."""
-    columns = [plan.square, plan.speeds, plan.directions, plan.torques]
-    rows, inside = np.column_stack(columns), ca.fmin(ca.fmax(p, plan.p[0]), plan.p[-1])
-    table = ca.interpolant("table", "linear", [plan.p.tolist()], rows.ravel().tolist())
+    """Return square, speeds, directions and torques of a plan at a progress.
+
+    Outside the plan the square is that of its ends, speeds are one, directions and torques zero.
+    """
+    rows = np.column_stack([plan.square, plan.speeds, plan.directions, plan.torques])
+    outside = np.repeat([[0.0, 1.0, 0.0]], [1, 3, 6], axis=1)
+    rows = np.vstack([outside, rows, outside])
+    rows[[0, -1], 0] = plan.square[[0, -1]]
+    places = [plan.p[0] - LEG_DISTANCE, *plan.p, plan.p[-1] + LEG_DISTANCE]
+    table = ca.interpolant("table", "linear", [places], rows.ravel().tolist())
     at = ca.MX.sym("p")
     # a function call: an interpolant cannot be expanded into the SX graph of the model
     lookup = ca.Function("plan", [at], [table(at)], {"never_inline": True})
-    return list(ca.vertsplit(lookup(inside)))
+    return list(ca.vertsplit(lookup(ca.fmin(ca.fmax(p, places[0]), places[-1]))))

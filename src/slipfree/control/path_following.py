@@ -467,7 +467,7 @@ def path_inputs(
         first = np.array(ca.Function("first", [dae.t], [path])(0.0)).ravel()
         velocity = ca.jacobian(path, dae.t)
     else:
-        t, points = _checked_points(t, x, y, heading)
+        t, points = check_way_points(t, x, y, heading)
         first, velocity = points[:, 0], _splines(t, points.T, dae.t)[1]
     there = np.array([start.in_frame("paper")[name][-1] for name in ("x", "y", "heading")])
     gaps = (first - there) / [dae.size, dae.size, 1.0]
@@ -515,7 +515,7 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
         If there are fewer than six way-points, if the numbers of times and values differ, if a
         value is not finite, or if the times do not increase.
     """
-    t, points = _checked_points(t, x, y, heading)
+    t, points = check_way_points(t, x, y, heading)
     place, velocity = _splines(t, points.T, dae.t)
     east, north = (place[k] - dae.shift[0][k] - each for k, each in enumerate((dae.x.x, dae.x.y)))
     turn = place[2] - dae.x.heading
@@ -530,10 +530,13 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
     return with_outputs(dae, [(apart, ca.hypot(east, north)), (turned, turn)]), inputs
 
 
-def _checked_points(
+def check_way_points(
     t: Array, x: ca.SX | Array, y: ca.SX | Array, heading: ca.SX | Array
 ) -> tuple[Array, Array]:
-    """Return times and values of way-points, shapes (n,) and (3, n)."""
+    """Return times and values of way-points, shapes (n,) and (3, n).
+
+    ModelError is raised unless these are six or more finite way-points with increasing times.
+    """
     t = np.asarray(t, dtype=float)
     values = [np.asarray(each, dtype=float) for each in (x, y, heading)]
     if t.size <= DEGREE:

@@ -14,32 +14,22 @@ and front axle, and the joint at distance d ahead of the middle axle,
 where L is the distance of the rear and middle axle and s a common factor. The paper has one angle
 for all axles: (6) assumes the middle axle on the slope, (8) on the floor. All functions take SX or
 numbers, and return SX or `casadi.DM`.
-
-Measurements of a controller may contain sensor noise: smooth, band-limited and reproducible by its
-seed.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
-import numpy as np
-from annotated_types import Ge, Gt, Lt, Unit, doc
 
-from slipfree.catalog.step_climber import Climber
-from slipfree.core.schema import check_bounds
 from slipfree.terrain.solids import Profile
+from slipfree.vehicle.tree import Vehicle
 
 MIN_MIDDLE_SPEED = 1e-3  # lower bound of the middle axle's relative speed as a divisor
 GUIDE_GAP, GUIDE_WIDTH = 1.5e-3, 6e-4  # gap below which a solid guides a wheel, and transition [m]
 MIN_RIM_SPEED = 0.05  # lower bound of the rim speed in the estimates of directions [m/s]
 MAX_SINE = 0.985  # largest sine of an estimated direction
 Law = Literal["projective", "fixed", "printed_6_8", "printed_14", "printed_16"]
-TONES = 24  # number of tones in the noise of a sensor
 
 
 class PerAxle(NamedTuple):
@@ -61,14 +51,14 @@ class Tilts(NamedTuple):
     front: Any
 
 
-def ratios(climber: Climber, tilts: Tilts, directions: PerAxle) -> PerAxle:
+def ratios(climber: Vehicle, tilts: Tilts, directions: PerAxle) -> PerAxle:
     """Return the speed ratios of the axles without slip [1].
 
     ``directions`` are the directions of the axles' motion [rad]. The common factor is chosen so
     that nothing is divided: all ratios are zero if the axles cannot move without slip.
     """
-    to_joint = -climber.middle.ahead
-    link = climber.middle.ahead - climber.rear.ahead
+    behind, to_joint = (-wheel.at[1] for wheel in climber.wheels[:2])
+    link = behind - to_joint
     rear = ca.cos(directions.rear - tilts.rear)
     middle = ca.cos(directions.middle - tilts.rear)
     front = ca.cos(directions.front - tilts.front)
@@ -91,7 +81,7 @@ def capped(speeds: PerAxle, cap: float) -> PerAxle:
 
 
 def reference(
-    climber: Climber, tilts: Tilts, directions: PerAxle, law: Law = "projective", cap: float = 1.5
+    climber: Vehicle, tilts: Tilts, directions: PerAxle, law: Law = "projective", cap: float = 1.5
 ) -> PerAxle:
     """Return the reference speeds of the axles, relative to the vehicle's speed [1].
 
@@ -118,7 +108,7 @@ def reference(
     return capped(PerAxle(rear_under / rear_over * front_over, front_over, front_under), cap)
 
 
-def estimated_directions(climber: Climber, tilts: Tilts, rates: Tilts, spins: PerAxle) -> PerAxle:
+def estimated_directions(climber: Vehicle, tilts: Tilts, rates: Tilts, spins: PerAxle) -> PerAxle:
     """Return estimates of the axles' directions from tilt sensors and encoders [rad].
 
     The tilt rate of a link gives the vertical speed of its axle; divided by the rim speed it is the
@@ -126,13 +116,14 @@ def estimated_directions(climber: Climber, tilts: Tilts, rates: Tilts, spins: Pe
     climbs. The estimates do not require the slope or height of the obstacle. The controller smooths
     them.
     """
-    link = climber.middle.ahead - climber.rear.ahead
+    behind, at_middle, ahead = (wheel.at[1] for wheel in climber.wheels)
     turn = ca.cos(tilts.rear) * rates.rear
-    middle = ca.fmax(0, link * turn)
-    swing = climber.front.ahead * ca.cos(tilts.front) * rates.front
-    rises = PerAxle(ca.fmax(0, -link * turn), middle, middle - climber.middle.ahead * turn + swing)
+    rise = (at_middle - behind) * turn
+    swing = ahead * ca.cos(tilts.front) * rates.front
+    middle = ca.fmax(0, rise)
+    rises = PerAxle(ca.fmax(0, -rise), middle, middle - at_middle * turn + swing)
     sines = (
-        rise / ca.fmax(climber.radius * ca.fabs(spin), MIN_RIM_SPEED)
+        rise / ca.fmax(climber.wheels[0].radius * ca.fabs(spin), MIN_RIM_SPEED)
         for rise, spin in zip(rises, spins, strict=True)
     )
     return PerAxle(*(ca.asin(ca.fmin(MAX_SINE, ca.fmax(0, sine))) for sine in sines))
@@ -159,52 +150,3 @@ def _direction(profile: Profile, radius: float, axle: ca.SX) -> ca.SX:
         down = ca.fmin(down, near * slope)
         free *= ca.if_else(slope >= 0, 1 - near, 1)
     return up + down * free
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Root mean squares, frequency band and seed of the sensor noise.
-
-    The noise of a sensor is a sum of tones of equal amplitude with random phases and frequencies
-    distributed over the band, from a hundredth of its largest frequency; it is a smooth function of
-    time, which integrators can follow. Tilt rates are measured separately from tilts.
-    """
-
-    tilt: Annotated[
-        float, Ge(0), Lt(math.inf), Unit("rad"), doc("root mean square for the bodies' tilts")
-    ] = 0.0
-    tilt_rate: Annotated[
-        float, Ge(0), Lt(math.inf), Unit("rad/s"), doc("root mean square for the tilt rates")
-    ] = 0.0
-    wheel_rate: Annotated[
-        float, Ge(0), Lt(math.inf), Unit("rad/s"), doc("root mean square for the wheel rates")
-    ] = 0.0
-    band: Annotated[float, Gt(0), Lt(math.inf), Unit("Hz"), doc("largest frequency")] = 50.0
-    seed: Annotated[int, Ge(0), doc("seed of the random numbers")] = 0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
-
-def measured(
-    noise: Noise, t: Any, tilts: Tilts, rates: Tilts, spins: PerAxle
-) -> tuple[Tilts, Tilts, PerAxle]:
-    """Return tilts, tilt rates and wheel rates with sensor noise, at a time ``t`` [s]."""
-    rng = np.random.default_rng(noise.seed)
-
-    def noisy(size: float, values: Iterable[Any]) -> list[Any]:
-        return [value + size * _unit(rng, noise.band, t) for value in values]
-
-    return (
-        Tilts(*noisy(noise.tilt, tilts)),
-        Tilts(*noisy(noise.tilt_rate, rates)),
-        PerAxle(*noisy(noise.wheel_rate, spins)),
-    )
-
-
-def _unit(rng: np.random.Generator, band: float, t: Any) -> Any:
-    """Return the value at time ``t`` of noise with unit rms and largest frequency ``band``."""
-    edges = np.linspace(0.01 * band, band, TONES + 1)
-    turning = 2 * np.pi * rng.uniform(edges[:-1], edges[1:])
-    phases = rng.uniform(0, 2 * np.pi, TONES)
-    return math.sqrt(2 / TONES) * ca.sum1(ca.sin(ca.DM(turning) * t + ca.DM(phases)))

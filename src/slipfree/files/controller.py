@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -26,7 +26,8 @@ from slipfree.batch.many import stand, stand_checked, start_states
 from slipfree.batch.motion import COMPLETE
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
-from slipfree.core.evaluation import evaluate
+from slipfree.core.evaluation import dense, evaluate
+from slipfree.core.newton import solve_equations
 from slipfree.core.records import Array, Label, leaves
 from slipfree.core.trajectory import HEADING, OFFSET, Frame
 from slipfree.core.version import __version__
@@ -44,7 +45,7 @@ N_CASES = 100  # states in the test program, half of them on level ground
 TRIES = 4  # drawn places for each state
 MAP_NODES, MAP_HALF = (10, 9), (4.0, 3.5)  # heights of its map along x and y, and half its sides
 MAP_HEIGHT = 0.15  # amplitude of its heights [size]
-NEWTON_STEPS = 3  # of its reference numbers
+NEWTON_STEPS, SOLVED_RESIDUAL = 3, 1e-14  # of its reference numbers
 JOINT_SPREAD, SLIDE_SPREAD = 0.3, 0.1  # of its measured joints [rad, size]
 COMMAND = 0.3  # largest velocity in its commands [m/s, rad/s]
 AXES = {"paper": ("right", "forward"), "rep103": ("forward", "left")}
@@ -532,11 +533,12 @@ def _solved(
     symbols, values = [pair[0] for pair in known], [pair[1] for pair in known]
     results = [ca.densify(rows), ca.densify(ca.jacobian(rows, unknowns))]
     function = dae.function("equations", [*symbols, unknowns], results)
-    for _ in range(NEWTON_STEPS):
-        right, entries = evaluate(function, *values, start)
-        matrices = entries.T.reshape(-1, len(start), len(start)).transpose(0, 2, 1)
-        start = start - np.linalg.solve(matrices, right.T[:, :, None])[:, :, 0].T
-    return start
+
+    def equations(z: Array, rows: Any) -> tuple[Array, Array]:
+        right, entries = evaluate(function, *(each[:, rows] for each in values), z.T)
+        return right.T, dense(entries, function.sparsity_out(1))
+
+    return solve_equations(equations, start.T, tolerance=SOLVED_RESIDUAL, steps=NEWTON_STEPS).z.T
 
 
 def _comment(words: str) -> str:

@@ -12,9 +12,8 @@ parameters that were tried before.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -22,11 +21,12 @@ import numpy.typing as npt
 
 from slipfree.core.dae import Dae, Limit, limit_message, power_of_length
 from slipfree.core.errors import ModelError
+from slipfree.core.evaluation import evaluate as evaluate_columns
+from slipfree.core.newton import solve_equations, solve_linear
 from slipfree.core.records import Array, Mask, leaves
 from slipfree.solve.initial_conditions import MAX_DIVISIONS, MAX_STEP
 
 MAX_STEPS = 30  # of Newton's method
-MAX_HALVINGS = 6  # of a step that does not reduce the residual
 MAX_STANDING_STEPS = 100  # of the relaxation to the pose at rest
 FIRST_TIME_STEP, GROWTH = 1e-3, 1.5  # of the relaxation: first time step [s], ratio of consecutive
 SOLVED_RESIDUAL = 1e-11  # without unit
@@ -218,7 +218,7 @@ def _relax(motion: BodyMotion, given: Array, p: Array) -> tuple[Array, Array, Ma
             break
         matrix = jac[rows].copy()
         matrix[:, rates, range(relaxing)] -= 1 / time_step
-        step = _solved_linear(matrix, residual[rows])[..., 0]
+        step = solve_linear(matrix, residual[rows])[..., 0]
         size = np.abs(step / motion.scale).max(axis=1)
         z[rows] -= step * (MAX_STEP / np.maximum(size, MAX_STEP))[:, None]
         time_step *= GROWTH
@@ -240,7 +240,7 @@ def _is_stable(jac: Array, relaxing: int) -> Mask:
     if not relaxing:
         return np.ones(len(jac), dtype=bool)
     equations, rates = jac[:, :-relaxing], jac[:, -relaxing:]
-    others = -_solved_linear(equations[:, :, relaxing:], equations[:, :, :relaxing])
+    others = -solve_linear(equations[:, :, relaxing:], equations[:, :, :relaxing])
     reduced = rates[:, :, :relaxing] + rates[:, :, relaxing:] @ others
     return np.asarray((np.linalg.eigvals(reduced).real < 0).all(axis=1))
 
@@ -267,7 +267,7 @@ def _velocities(
         _check(solved, np.flatnonzero(cold), "the equations of the model have no solution")
     _check_limits(motion, z, given, many)
     by_p, value, by_z, direct = evaluate(motion.slopes, z, given, many)
-    z_slopes = -_solved_linear(jac, by_p)
+    z_slopes = -solve_linear(jac, by_p)
     slopes = direct + by_z @ z_slopes
     return value[..., 0], slopes[..., :named], z, z_slopes[..., :named]
 
@@ -332,32 +332,13 @@ def _with_stage(motion: BodyMotion, p: Array, values: Array) -> Array:
 
 def _solve(motion: BodyMotion, given: Array, p: Array, z: Array) -> tuple[Array, Array, Mask]:
     """Return unknowns and Jacobians after damped Newton steps, and the mask of solved samples."""
-    z = z.copy()
-    residual, jac = (each.copy() for each in evaluate(motion.newton, z, given, p))
-    size = _size(residual)
-    for _ in range(MAX_STEPS):
-        rows = np.flatnonzero(_is_unsolved(residual, jac))
-        if not rows.size:
-            break
-        step = _solved_linear(jac[rows], residual[rows])[..., 0]
-        damping = np.ones(rows.size)
-        for _ in range(MAX_HALVINGS):
-            trial = z[rows] - damping[:, None] * step
-            new, new_jac = evaluate(motion.newton, trial, given[rows], p[rows])
-            worse = ~(_size(new) < size[rows])
-            if not worse.any():
-                break
-            damping[worse] /= 2
-        z[rows], residual[rows], jac[rows], size[rows] = trial, new, new_jac, _size(new)
-    return z, jac, size < SOLVED_RESIDUAL
 
+    def equations(z: Array, rows: npt.NDArray[np.intp]) -> tuple[Array, Array]:
+        residual, jacobian = evaluate(motion.newton, z, given[rows], p[rows])
+        return residual[..., 0], jacobian
 
-def _solved_linear(matrices: Array, right: Array) -> Array:
-    """Return the solutions of linear equations; those of least norm where a matrix is singular."""
-    try:
-        return np.asarray(np.linalg.solve(matrices, right))
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(matrices) @ right)
+    found = solve_equations(equations, z, tolerance=SOLVED_RESIDUAL, steps=MAX_STEPS)
+    return found.z, found.jacobian, found.size < SOLVED_RESIDUAL
 
 
 def _repeated(p: Array, count: int) -> Array:
@@ -372,30 +353,16 @@ def _size(residual: Array) -> Array:
 def evaluate(function: ca.Function, *arguments: Array) -> tuple[Array, ...]:
     """Return the results of a function at n samples, each of shape (n, rows, columns)."""
     count = len(arguments[0])
-    if count > BATCHES[-1]:
-        starts = range(0, count, BATCHES[-1])
-        blocks = [
-            evaluate(function, *(each[k : k + BATCHES[-1]] for each in arguments)) for k in starts
-        ]
-        return tuple(np.concatenate(each) for each in zip(*blocks, strict=True))
-    size = next(each for each in BATCHES if each >= count)
-    buffer: Any
-    buffer, run = _mapped(function, size).buffer()
-    inputs: list[Any] = [np.zeros((size, each.shape[1])) for each in arguments]
-    results: list[Any] = [
-        np.zeros((size, *reversed(function.size_out(k)))) for k in range(function.n_out())
+    size = next((each for each in BATCHES if each >= count), BATCHES[-1])
+    # few sizes of batches, so that few functions of several samples are made
+    rows = np.minimum(np.arange(count + -count % size), count - 1)
+    columns = [each[rows].T for each in arguments]
+    blocks = [
+        evaluate_columns(function, *(each[:, k : k + size] for each in columns))
+        for k in range(0, rows.size, size)
     ]
-    for k, (values, each) in enumerate(zip(inputs, arguments, strict=True)):
-        values[:] = each[-1]
-        values[:count] = each
-        buffer.set_arg(k, memoryview(values))
-    for k, values in enumerate(results):
-        buffer.set_res(k, memoryview(values))
-    run()
-    return tuple(values[:count].transpose(0, 2, 1) for values in results)
-
-
-@lru_cache(maxsize=64)
-def _mapped(function: ca.Function, size: int) -> ca.Function:
-    """Return a function for several samples, in columns."""
-    return function.map(size)
+    shapes = [(count, *reversed(function.size_out(k))) for k in range(function.n_out())]
+    return tuple(
+        np.concatenate(parts, axis=1)[:, :count].T.reshape(shape).transpose(0, 2, 1)
+        for parts, shape in zip(zip(*blocks, strict=True), shapes, strict=True)
+    )

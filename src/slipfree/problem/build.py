@@ -10,9 +10,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from slipfree.catalog.step_climber import climber_of
+from slipfree.catalog.step_climber import check_climber
 from slipfree.control.path_following import follow, straight
-from slipfree.control.reference_speeds import Noise
 from slipfree.control.step_climbing import StepClimbing, check_period, climbing, held_torques
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
@@ -359,14 +358,12 @@ def build_climbing(problem: Problem[Any], world: World) -> tuple[Dae, Any]:
     """Return the model of a step climber with its controller, and the inputs of this model."""
     driver = problem.spec.driver
     with at(problem, ("driver", "control")):
-        values = dict(driver.control)
-        noise = values.pop("noise")
-        control = StepClimbing(**values, noise=None if noise is None else Noise(**dict(noise)))
+        control = StepClimbing(**dict(driver.control))
     with at(problem, ("vehicle",)):
-        climber = climber_of(world.vehicle)
+        check_climber(world.vehicle)
     if driver.period is not None:
         with at(problem, ("driver", "period")):
-            check_period(driver.period, control, climber)
+            check_period(driver.period, control, world.vehicle)
     with at(problem, ("driver", "control", "directions")):
         sampled = driver.period is not None
         dae = climbing(world.dae, world.vehicle, control, level_section(world), sampled=sampled)

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Field, PlainValidator, ValidationError, cre
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from slipfree import catalog
-from slipfree.control import reference_speeds, step_climbing
+from slipfree.control import step_climbing
 from slipfree.core.errors import ModelError
 from slipfree.core.trajectory import Frame
 from slipfree.files.toml.source import Fault
@@ -501,23 +501,9 @@ class Modelled(LawKeys, MotionKeys):
 
 
 if TYPE_CHECKING:
-    Noise = Record
-else:
-    Noise = record_of(reference_speeds.Noise)
-
-
-class NoisyControl(Record):
-    """Key of the control of a step climber that is not a parameter of the controller."""
-
-    noise: Noise | None = Field(
-        default=None, description="noise of the sensors; without this table, exact measurements"
-    )
-
-
-if TYPE_CHECKING:
     Control = Any
 else:
-    Control = record_of(step_climbing.StepClimbing, NoisyControl)
+    Control = record_of(step_climbing.StepClimbing)
 
 
 class ClimbingDriver(DriverTable):

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -22,10 +22,11 @@ from numpy.polynomial import legendre
 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
+from slipfree.core.newton import solve_equations, solve_linear
 from slipfree.core.records import Array, Mask, Record, leaves
 from slipfree.core.trajectory import SolverError, Stop, Trajectory
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
+from slipfree.solve.sampling import Samples, complete_samples, linearize, to_trajectory
 from slipfree.solve.simulate import check_times
 from slipfree.solve.stops import first_violation, invalid_start
 from slipfree.solve.system import System, with_inputs
@@ -37,7 +38,7 @@ NOISE_GROWTH = 3.0  # growth of the difference of degrees that shows amplified n
 MAX_VAIN_REFINEMENTS = 2  # maximum number of consecutive refinements without improvement
 MAX_NEWTON_STEPS = 20  # maximum number of Newton steps per element
 CONVERGED_RESIDUAL = 1e-13  # residual of an element's equations, without unit
-ROUNDING_RESIDUAL = 1e-10  # residual that is accepted if further steps do not halve it
+ROUNDING_RESIDUAL = 1e-10  # residual that is accepted if further steps do not reduce it
 WEAK_SINGULAR_VALUE = (
     1e-2  # relative singular value below which a rate stays out of the first guess
 )
@@ -140,31 +141,27 @@ class CollocationScheme:
 
     def _solve_element(self, element: CollocationElement) -> CollocationElement:
         """Return the solution of an element by Newton's method from an initial guess."""
-        size, n_x = np.inf, element.x.size
-        for _ in range(MAX_NEWTON_STEPS):
-            residual, jacobian = self._equations(element)
-            former, size = size, float(np.abs(residual).max())
-            if (
-                not np.isfinite(size)
-                or size < CONVERGED_RESIDUAL
-                or former < min(2 * size, ROUNDING_RESIDUAL)
-            ):
-                break
-            try:
-                step = np.linalg.solve(jacobian, residual)
-            except np.linalg.LinAlgError:
-                break
-            element = element._replace(
-                x=element.x - step[:n_x].reshape(element.x.shape),
-                z=element.z - step[n_x:].reshape(element.z.shape),
-            )
-        if not size < ROUNDING_RESIDUAL:
+        n_x = element.x.size
+
+        def at(values: Array) -> CollocationElement:
+            x, z = values[:n_x].reshape(element.x.shape), values[n_x:].reshape(element.z.shape)
+            return element._replace(x=x, z=z)
+
+        def equations(values: Array, _: Any) -> tuple[Array, Array]:
+            residual, jacobian = self._equations(at(values[0]))
+            return residual[None], jacobian[None]
+
+        first = np.concatenate([element.x.ravel(), element.z.ravel()])[None]
+        found = solve_equations(
+            equations, first, tolerance=CONVERGED_RESIDUAL, steps=MAX_NEWTON_STEPS
+        )
+        if not found.size[0] < ROUNDING_RESIDUAL:
             raise SolverError(
                 f"found no motion from t = {element.begin:.4g} to {element.end:.4g} s that follows "
-                f"the path (largest residual {size:.1e}): the path may stop or bend too sharply "
+                f"the path (residual {found.size[0]:.1e}): the path may stop or bend too sharply "
                 "there; smooth the path or omit this part"
             )
-        return element
+        return at(found.z[0])
 
     def _equations(self, element: CollocationElement) -> tuple[Array, Array]:
         """Return the residual and the Jacobian of an element, shapes (n k,) and (n k, n k).
@@ -382,13 +379,11 @@ def _guess_unknowns(system: System, t: float, x: Array, z: Array) -> Array:
 def _correct_pose(system: System, samples: Samples) -> tuple[Samples, dict[str, Array]]:
     """Return the samples after a Newton step on the first block, and a report of residuals."""
     block, z = system.blocks[0], samples.z.copy()
-    for k, t in enumerate(samples.t):
-        point = (t, samples.x[:, k], z[:, k], samples.u[:, k], block.stages[-1])
-        residual, jacobian = (np.array(each) for each in block.newton(*point))
-        z[block.span, k] -= np.linalg.solve(jacobian, residual.ravel())
-    step = np.abs(z - samples.z)[block.span].max(axis=0)
+    residual, jacobian = linearize(block, samples)
+    step = solve_linear(jacobian, residual.T).T
+    z[block.span] -= step
     found, report = complete_samples(system, samples._replace(z=z))
-    return found, {"newton_step": step, **report}
+    return found, {"newton_step": np.abs(step).max(axis=0), **report}
 
 
 def _cut_before(run: Trajectory, k: int, stop: Stop) -> Trajectory:

@@ -10,6 +10,7 @@ import numpy as np
 from slipfree.core.dae import limit_message
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import dense, evaluate
+from slipfree.core.newton import ROUNDING, solve_equations, solve_linear
 from slipfree.core.records import Array, leaves
 from slipfree.solve.system import Block, System
 
@@ -17,6 +18,7 @@ MAX_STEP = 0.25  # largest Newton step of an unknown [typical size]
 MAX_STEPS = 100
 MAX_DIVISIONS = 3  # maximum depth of bisections of a stage of the continuation
 CONVERGED_RESIDUAL = 1e-13  # residual without unit
+WEAK_SINGULAR_VALUE = 1e-12  # smaller ones do not take part in a step, relative to the largest
 MIN_SINGULAR_VALUE = 1e-10  # smallest singular value of a block, relative to the largest
 
 
@@ -47,7 +49,11 @@ def solve_initial_conditions(
         if block.linear:
             # A step from zero gives the solution itself, so that it does not depend on the guess.
             z[block.span] = 0.0
-            z[block.span] -= _newton_step(system, block, (t, x, z, u, block.stages[-1]), check=True)
+            residual, jacobian = _linearized(block, (t, x, z, u, block.stages[-1]))
+            size = system.dae.sizes.z[block.span]
+            step = solve_linear((jacobian * size)[None], residual[None], WEAK_SINGULAR_VALUE)
+            z[block.span] = -size * step[0]
+            _check_regular(system, block, jacobian)
             continue
         z = _solve_block(system, block, (t, x, z, u, block.stages[0 if continuation else -1]))
         for stage in pairwise(block.stages) if continuation else ():
@@ -81,56 +87,50 @@ def _solve_stage(
 def _solve_block(
     system: System, block: Block, point: tuple[float, Array, Array, Array, float]
 ) -> Array:
-    t, x, z, u, continuation = point
-    scale = system.dae.scale[block.span]
+    t, x, first, u, continuation = point
+    z = first.copy()
 
-    def size(z: Array) -> float:
-        point = (np.reshape(each, (-1, 1)) for each in (t, x, z, u, continuation))
-        (left,) = evaluate(block.residual, *point)
-        return float(np.linalg.norm(left))
+    def equations(unknowns: Array, _: Any) -> tuple[Array, Array]:
+        z[block.span] = unknowns[0]
+        residual, jacobian = _linearized(block, (t, x, z, u, continuation))
+        return residual[None], jacobian[None]
 
-    first, now = z, size(z)
-    for _ in range(MAX_STEPS):
-        if now < CONVERGED_RESIDUAL:
-            break
-        step = _newton_step(system, block, (t, x, z, u, continuation), check=False)
-        damping = min(1.0, MAX_STEP / max(float(np.abs(step / scale).max()), 1e-300))
-        for _ in range(12):
-            trial = z.copy()
-            trial[block.span] -= damping * step
-            new = size(trial)
-            # From a residual that is NaN, the first step is accepted.
-            if new < now or not now > 0:
-                break
-            damping /= 2
-        else:
-            break  # no descent: rounding, or a local minimum of the residual
-        z, now = trial, new
+    found = solve_equations(
+        equations,
+        first[None, block.span],
+        tolerance=CONVERGED_RESIDUAL,
+        steps=MAX_STEPS,
+        scale=system.dae.scale[block.span],
+        longest=MAX_STEP,
+        rcond=WEAK_SINGULAR_VALUE,
+    )
+    z[block.span] = found.z[0]
     # The descent may end above CONVERGED_RESIDUAL by rounding.
-    if not now < 1e3 * CONVERGED_RESIDUAL:
+    if not found.size[0] < ROUNDING * CONVERGED_RESIDUAL:
         raise UnsolvedError(_failure_message(system, block, (t, x, z, u, continuation), first), z)
-    _newton_step(system, block, (t, x, z, u, continuation), check=True)
+    _check_regular(system, block, found.jacobian[0])
     return z
 
 
-def _newton_step(system: System, block: Block, point: tuple[Any, ...], *, check: bool) -> Array:
+def _linearized(block: Block, point: tuple[Any, ...]) -> tuple[Array, Array]:
+    """Return the residual of a block, shape (m,), and its Jacobian, shape (m, m)."""
     residual, slopes = evaluate(block.newton, *(np.reshape(each, (-1, 1)) for each in point))
-    residual, jacobian = residual[:, 0], dense(slopes, block.newton.sparsity_out(1))[0]
-    if not np.isfinite(jacobian).all() or not np.isfinite(residual).all():
-        return np.full(residual.shape, np.nan)
-    size = system.dae.sizes.z[block.span]
-    jacobian = jacobian * size
-    if check:
-        _, values, right = np.linalg.svd(jacobian)
-        if values[-1] < MIN_SINGULAR_VALUE * values[0]:
-            labels = list(leaves(system.dae.labels.z))[block.span]
-            weakest = labels[int(np.abs(right[-1]).argmax())]
-            raise ModelError(
-                f"the model is singular here: no equation determines {weakest.full} "
-                f"({weakest.words}): smallest singular value {values[-1]:.1e}, largest "
-                f"{values[0]:.1e}; change the start, the inputs or the vehicle"
-            )
-    return np.asarray(size * np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0])
+    return residual[:, 0], dense(slopes, block.newton.sparsity_out(1))[0]
+
+
+def _check_regular(system: System, block: Block, jacobian: Array) -> None:
+    """Raise ModelError if the equations of a block do not determine its unknowns."""
+    if not np.isfinite(jacobian).all():
+        return
+    _, values, right = np.linalg.svd(jacobian * system.dae.sizes.z[block.span])
+    if values[-1] < MIN_SINGULAR_VALUE * values[0]:
+        labels = list(leaves(system.dae.labels.z))[block.span]
+        weakest = labels[int(np.abs(right[-1]).argmax())]
+        raise ModelError(
+            f"the model is singular here: no equation determines {weakest.full} "
+            f"({weakest.words}): smallest singular value {values[-1]:.1e}, largest "
+            f"{values[0]:.1e}; change the start, the inputs or the vehicle"
+        )
 
 
 def _failure_message(system: System, block: Block, point: tuple[Any, ...], first: Array) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from slipfree.core.dae import Dae, Limit, SampledCheck
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import dense, evaluate
+from slipfree.core.newton import solve_linear
 from slipfree.core.records import Array, Label, Mask, leaves
 from slipfree.core.trajectory import Column, SolverError, Trajectory
 from slipfree.solve.initial_conditions import solve_initial_conditions
@@ -113,9 +114,9 @@ def _correct_block(block: Block, samples: Samples) -> tuple[Array, Array, Array]
     Each Jacobian serves for two steps: another residual costs less than another Jacobian.
     """
     z, rough = samples.z.copy(), np.ones(samples.t.size, dtype=bool)
-    (left, jacobian), first = _linearize(block, samples), np.zeros(samples.t.size)
+    (left, jacobian), first = linearize(block, samples), np.zeros(samples.t.size)
     for k in range(MAX_CORRECTIONS):
-        step, former = _newton_steps(jacobian, left), _max_abs(left)
+        step, former = solve_linear(jacobian, left.T).T, _max_abs(left)
         z[block.span, rough] -= step[:, rough]
         first = first if k else _max_abs(step)
         (left,) = _evaluate_block(block.residual, block, samples._replace(z=z))
@@ -125,7 +126,7 @@ def _correct_block(block: Block, samples: Samples) -> tuple[Array, Array, Array]
         if not rough.any():
             break
         if k % 2:
-            left, jacobian = _linearize(block, samples._replace(z=z))
+            left, jacobian = linearize(block, samples._replace(z=z))
     return z, first, left
 
 
@@ -156,7 +157,7 @@ def _max_abs(rows: Array) -> Array:
     return np.asarray(np.abs(rows).max(axis=0))
 
 
-def _linearize(block: Block, samples: Samples) -> tuple[Array, Array]:
+def linearize(block: Block, samples: Samples) -> tuple[Array, Array]:
     """Return the residuals of a block, shape (m, n), and its Jacobians, shape (n, m, m)."""
     left, slopes = _evaluate_block(block.newton, block, samples)
     return left, dense(slopes, block.newton.sparsity_out(1))
@@ -226,23 +227,12 @@ def _solve_block(block: Block, samples: Samples, size: Array) -> tuple[Array, Ar
     """Return ``z`` with a block solved, and the residual, which is large without a solution."""
     z = samples.z.copy()
     for _ in range(MAX_NEWTON_STEPS):
-        left, jacobian = _linearize(block, samples._replace(z=z))
-        step = _newton_steps(jacobian, left)
+        left, jacobian = linearize(block, samples._replace(z=z))
+        step = solve_linear(jacobian, left.T).T
         z[block.span] -= step
         if block.linear or not (np.abs(step) > ROUNDING_STEP * size).any():
             break
     return z, _evaluate_block(block.residual, block, samples._replace(z=z))[0]
-
-
-def _newton_steps(matrices: Array, right: Array) -> Array:
-    """Return the solutions of linear systems as columns; least squares if one is singular."""
-    try:
-        return np.asarray(np.linalg.solve(matrices, right.T[..., None])[..., 0].T)
-    except np.linalg.LinAlgError:
-        finite, steps = np.isfinite(matrices).all(axis=(1, 2)), np.full(right.T.shape, np.nan)
-        inverses = np.linalg.pinv(matrices[finite])
-        steps[finite] = (inverses @ right.T[finite][..., None])[..., 0]
-        return steps.T
 
 
 def to_trajectory(system: System, samples: Samples, report: dict[str, Array]) -> Trajectory:

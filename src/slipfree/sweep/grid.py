@@ -153,8 +153,8 @@ def sweep_of(
         raise DataError(
             f"{where}: expected a key that ends in .{SEED} for --repeat, found "
             + (f"only {', '.join(found)}, which --vary changes" if found else "none")
-            + "; add a table with a seed, such as [terrain.synthetic.power_law], [terrain.error] "
-            "or [control.noise], or omit --repeat"
+            + "; add a table with a seed, such as [terrain.synthetic.power_law] or "
+            "[terrain.error], or omit --repeat"
         )
     return replace(bare, seeds=seeds, repeat=repeat)
 

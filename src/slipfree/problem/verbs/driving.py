@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -159,7 +159,7 @@ class DriveVerb(MotionVerb):
             *self.cost_lines(run),
         ]
 
-    def own_lines(self, run: Trajectory) -> Lines:
+    def own_lines(self, run: Trajectory) -> Iterable[tuple[str, str]]:
         """Return the lines of the summary that are specific to this verb; none by default."""
         return []
 
@@ -167,7 +167,7 @@ class DriveVerb(MotionVerb):
         """Return the tolerance of the integrator; None if a motion was not integrated."""
         return run.statistics.get("tolerance")
 
-    def cost_lines(self, run: Trajectory) -> Lines:
+    def cost_lines(self, run: Trajectory) -> Iterable[tuple[str, str]]:
         """Return the lines about the computational cost."""
         return [integrator_fact(run)]
 

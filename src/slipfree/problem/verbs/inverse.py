@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slipfree.control.path_following import path_inputs, track_path
+from slipfree.control.path_following import check_way_points, path_inputs, track_path
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.core.facts import Fact, starting_with
@@ -55,7 +55,6 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.units import check_heading_unit, check_time_unit
 from slipfree.problem.verbs.base import (
     Extremes,
-    Lines,
     Result,
     Watch,
     integrate,
@@ -88,7 +87,6 @@ CHECKS = (
 )  # facts about accuracy and validity
 KNOWN = (*VELOCITY, *OMEGA, *EULER)
 COLUMNS = ("t", "x", "y", "heading")
-MIN_POINTS = 6  # smallest number of way-points, for a spline of degree five
 MIN_SAMPLES = 4  # smallest number of samples between jumps of the given rates, for a replay
 GUESS_SPEED = 0.1  # speed of the initial guess if the velocity is not given [m/s]
 
@@ -103,55 +101,6 @@ def steering_warning(run: Trajectory) -> str:
     if "steering_growth" not in run.columns or is_collocated(run):
         return ""
     return steering_note(run)
-
-
-def inverse_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the lines of an inverse motion: rates, steering, margin and errors."""
-    commanded = [name for name in COMMANDS if f"{name}_error" in run.columns]
-    for wheel in run.wheels:
-        if (name := f"{wheel}_rate") in run.columns:
-            first, last = run[name][[0, -1]]
-            yield f"rate of wheel {wheel}", f"{first:.6g} at the start, {last:.6g} rad/s at the end"
-    for name in ("steer", "steer_rate"):
-        if name in run.columns:
-            low, high, unit = run[name].min(), run[name].max(), run.columns[name].label.unit
-            words = "steering angle" if unit == "rad" else "steering rate"
-            yield words, f"{low:.6g} to {high:.6g} {unit.replace(' s-1', '/s')}"
-    if "inverse_margin" in run.columns:
-        margin = run["inverse_margin"]
-        worst = int(margin.argmin())
-        words = run.columns["inverse_margin"].label.words
-        yield "margin", f"{margin[worst]:.4g} at least (t = {run.t[worst]:.4g} s): {words}"
-    known = {*COMMANDS, "path", "heading"}
-    at_stops = run.facts["held_at_stop"].value if "held_at_stop" in run.facts else ()
-    steered = [name for name in run if f"{name}_error" in run.columns and name not in known]
-    for name in steered:
-        low, high, off = run[name].min(), run[name].max(), np.abs(run[f"{name}_error"]).max()
-        unit = run.columns[name].label.unit
-        at_stop = "; reaches its stop" if name in at_stops else ""
-        words = f"{low:.6g} to {high:.6g} {unit}, off by {off:.1e} {unit} at most{at_stop}"
-        yield f"steering {name}", words
-    errors = [np.abs(run[f"{name}_error"]) for name in steered]
-    is_turning = np.max([np.zeros(run.t.size), *errors], axis=0) > STEERED
-    for name in commanded:
-        yield f"error of {name}", _largest_error(run, f"{name}_error", is_turning)
-    for name in ("path_error", "heading_error"):
-        if name in run.columns:
-            yield name.replace("_", " "), _largest_error(run, name)
-    if "steering_slip" in run.columns:
-        yield (
-            "steering slip",
-            f"{run['steering_slip'].max():.2e} m/s at most (steering lever times steering rate)",
-        )
-    if warning := steering_warning(run):
-        yield "warning", warning
-    trip = [gap.value for gap in starting_with(ROUND_TRIP, run.facts).values()]
-    if trip:
-        yield (
-            "round trip",
-            f"{max(trip):.1e} at most: difference of the platform rates from those of the direct "
-            "model at the same wheel and joint rates",
-        )
 
 
 def _largest_error(run: Trajectory, name: str, is_turning: Mask | None = None) -> str:
@@ -170,25 +119,6 @@ def _largest_error(run: Trajectory, name: str, is_turning: Mask | None = None) -
     if is_turning.any():
         return f"{words}, {error[~is_turning].max():.1e} {unit} while the steering is at its target"
     return words
-
-
-def cost_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield lines about the computational cost, and differences of a replay by the direct model."""
-    counts = run.statistics
-    if is_collocated(run):
-        yield (
-            "collocation",
-            f"{counts['elements']:.0f} elements of degree {counts['degree']:.0f}, "
-            f"{counts['cpu_seconds']:.3g} s CPU, steering error {counts['sought_error']:.1e} rad",
-        )
-    else:
-        yield integrator_fact(run)
-    gaps = starting_with(REPLAY, run.facts)
-    listed = ", ".join(f"{name} {gap.value:.1e} {gap.unit}" for name, gap in gaps.items())
-    if gaps:
-        yield "replay by the direct model", f"differs by at most {listed}"
-    if "stopped_replay" in run.facts:
-        yield "replay stopped early", run.facts["stopped_replay"].value
 
 
 class InverseVerb(DriveVerb):
@@ -265,17 +195,74 @@ class InverseVerb(DriveVerb):
         own = Extremes(largest=("steering_slip",), least=("inverse_margin",))
         return super().facts(run) | own.of(run)
 
-    def own_lines(self, run: Trajectory) -> Lines:
-        """Return the lines about rates, steering, margins and errors."""
-        return [*inverse_lines(run)]
+    def own_lines(self, run: Trajectory) -> Iterator[tuple[str, str]]:
+        """Yield the lines of an inverse motion: rates, steering, margin and errors."""
+        commanded = [name for name in COMMANDS if f"{name}_error" in run.columns]
+        for wheel in run.wheels:
+            if (name := f"{wheel}_rate") in run.columns:
+                first, last = run[name][[0, -1]]
+                yield (
+                    f"rate of wheel {wheel}",
+                    f"{first:.6g} at the start, {last:.6g} rad/s at the end",
+                )
+        for name in ("steer", "steer_rate"):
+            if name in run.columns:
+                low, high, unit = run[name].min(), run[name].max(), run.columns[name].label.unit
+                words = "steering angle" if unit == "rad" else "steering rate"
+                yield words, f"{low:.6g} to {high:.6g} {unit.replace(' s-1', '/s')}"
+        if "inverse_margin" in run.columns:
+            margin = run["inverse_margin"]
+            worst = int(margin.argmin())
+            words = run.columns["inverse_margin"].label.words
+            yield "margin", f"{margin[worst]:.4g} at least (t = {run.t[worst]:.4g} s): {words}"
+        known = {*COMMANDS, "path", "heading"}
+        at_stops = run.facts["held_at_stop"].value if "held_at_stop" in run.facts else ()
+        steered = [name for name in run if f"{name}_error" in run.columns and name not in known]
+        for name in steered:
+            low, high, off = run[name].min(), run[name].max(), np.abs(run[f"{name}_error"]).max()
+            unit = run.columns[name].label.unit
+            at_stop = "; reaches its stop" if name in at_stops else ""
+            words = f"{low:.6g} to {high:.6g} {unit}, off by {off:.1e} {unit} at most{at_stop}"
+            yield f"steering {name}", words
+        errors = [np.abs(run[f"{name}_error"]) for name in steered]
+        is_turning = np.max([np.zeros(run.t.size), *errors], axis=0) > STEERED
+        for name in commanded:
+            yield f"error of {name}", _largest_error(run, f"{name}_error", is_turning)
+        for name in ("path_error", "heading_error"):
+            if name in run.columns:
+                yield name.replace("_", " "), _largest_error(run, name)
+        if "steering_slip" in run.columns:
+            most = f"{run['steering_slip'].max():.2e} m/s at most"
+            yield "steering slip", f"{most} (steering lever times steering rate)"
+        if warning := steering_warning(run):
+            yield "warning", warning
+        trip = [gap.value for gap in starting_with(ROUND_TRIP, run.facts).values()]
+        if trip:
+            words = "difference of the platform rates from those of the direct model at the same"
+            yield "round trip", f"{max(trip):.1e} at most: {words} wheel and joint rates"
 
     def tolerance(self, run: Trajectory) -> float | None:
         """Return the tolerance of the integrator; None under collocation."""
         return None if is_collocated(run) else super().tolerance(run)
 
-    def cost_lines(self, run: Trajectory) -> Lines:
-        """Return lines about the computational cost, and differences from a replay of the rates."""
-        return [*cost_lines(run)]
+    def cost_lines(self, run: Trajectory) -> Iterator[tuple[str, str]]:
+        """Yield lines about the computational cost, and differences from a replay of the rates."""
+        counts = run.statistics
+        if is_collocated(run):
+            yield (
+                "collocation",
+                f"{counts['elements']:.0f} elements of degree {counts['degree']:.0f}, "
+                f"{counts['cpu_seconds']:.3g} s CPU, "
+                f"steering error {counts['sought_error']:.1e} rad",
+            )
+        else:
+            yield integrator_fact(run)
+        gaps = starting_with(REPLAY, run.facts)
+        listed = ", ".join(f"{name} {gap.value:.1e} {gap.unit}" for name, gap in gaps.items())
+        if gaps:
+            yield "replay by the direct model", f"differs by at most {listed}"
+        if "stopped_replay" in run.facts:
+            yield "replay stopped early", run.facts["stopped_replay"].value
 
     def warnings(self, run: Trajectory) -> Sequence[str]:
         """Return a warning if the steering is unstable, unless the message of the stop has it."""
@@ -325,10 +312,8 @@ def _check_units(problem: Problem[Inverse]) -> None:
 
 
 def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
-    """Yield an error for each unknown name, and for a wrong kind or number of the given rates."""
-    known = list(dict.fromkeys((*KNOWN, *COMMANDS, *ROBOT)))
-    unknown = [*name_errors(("given",), given, known)]
-    yield from unknown
+    """Yield an error for each unknown name, and for a wrong kind of the given rates."""
+    yield from name_errors(("given",), given, list(dict.fromkeys((*KNOWN, *COMMANDS, *ROBOT))))
     if ours := [name for name in given if name in {*COMMANDS, *ROBOT} - {*KNOWN}]:
         expected = (
             f"either rates in the platform's heading frame ({', '.join(COMMANDS)}; with frame = "
@@ -342,13 +327,6 @@ def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
                 "a number",
                 f"a function of time; give a number (only {', '.join(COMMANDS)} may vary in time)",
             )
-    if len(given) != 3:
-        listed = f": {', '.join(given)}" if given else ""
-        yield Fault(("given",), "three rates of the platform", f"{len(given) or 'none'}{listed}")
-    angular = [name for name in given if name in (*OMEGA, *EULER)]
-    if set(angular) & set(OMEGA) and set(angular) & set(EULER):
-        expected = f"either rates of {', '.join(OMEGA)} or rates of {', '.join(EULER)}, not both"
-        yield Fault(("given",), expected, f"{', '.join(angular)}; remove one kind")
 
 
 def _points(problem: Problem[Inverse]) -> tuple[Array | None, tuple[str, ...]]:
@@ -374,32 +352,23 @@ def _points(problem: Problem[Inverse]) -> tuple[Array | None, tuple[str, ...]]:
             points = np.array([columns[name] for name in COLUMNS])
             check_time_unit(points[0], spec.time.duration)
             check_heading_unit(*points[1:], zero=heading_offset(problem))
-    heading_key = ("path", "heading") if path.file is None else place
-    faults = [*_time_errors(points[0], place, spec.time.duration)]
-    if faults := [*faults, *_heading_errors(points[3], heading_key)]:
+    with at(problem, place):
+        check_way_points(*points)
+    if faults := [*_path_faults(points, place, problem.spec)]:
         raise problem_error(problem.source, faults)
     points[3] += heading_offset(problem)
     return points, notes
 
 
-def _time_errors(t: Array, place: tuple[str, ...], duration: float) -> Iterator[Fault]:
-    """Yield an error for too few or unordered times of a path, or a path that ends too early."""
-    if t.size < MIN_POINTS:
-        yield Fault(place, f"at least {MIN_POINTS} way-points", f"{t.size}; add way-points")
-    elif t[0] != 0:
+def _path_faults(points: Array, place: tuple[str, ...], spec: Inverse) -> Iterator[Fault]:
+    """Yield an error for a path that begins late or ends early, and for a leap of the heading."""
+    t, heading = points[[0, 3]]
+    if t[0] != 0:
         yield Fault(place, "0 as the first time", f"{t[0]:g} s; shift the times")
-    elif not (np.diff(t) > 0).all():
-        k = int(np.flatnonzero(~(np.diff(t) > 0))[0])
-        found = f"{t[k + 1]:g} s at way-point {k + 2} after {t[k]:g} s; correct the times"
-        yield Fault(place, "increasing times", found)
-    elif t[-1] < duration:
+    elif t[-1] < spec.time.duration:
         expected = f"at most the time of the last way-point, {t[-1]:g} s"
-        found = f"{duration:g} s; reduce the duration, or add way-points"
+        found = f"{spec.time.duration:g} s; reduce the duration, or add way-points"
         yield Fault(("time", "duration"), expected, found)
-
-
-def _heading_errors(heading: Array, place: tuple[str, ...]) -> Iterator[Fault]:
-    """Yield an error for consecutive headings that differ by more than pi."""
     leaps = np.flatnonzero(np.abs(np.diff(heading)) > np.pi)
     if leaps.size:
         k = int(leaps[0])
@@ -408,7 +377,7 @@ def _heading_errors(heading: Array, place: tuple[str, ...]) -> Iterator[Fault]:
         remedy = f"{change} the headings from there on if they wrap, or add way-points"
         expected = "consecutive headings that differ by at most pi"
         found = f"{after:g} rad at way-point {k + 2} after {before:g} rad; {remedy}"
-        yield Fault(place, expected, found)
+        yield Fault(("path", "heading") if place[-1] == "t" else place, expected, found)
 
 
 def _inputs(spec: Inverse, dae: Dae, given: Mapping[str, Any]) -> tuple[Array, Any, Any]:

@@ -9,15 +9,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.catalog.step_climber import Climber, climber_of
+from slipfree.catalog.step_climber import check_climber
 from slipfree.climb.contact_path import Leg, legs
 from slipfree.climb.time_scaling import (
     COSTS,
     Climb,
+    ClimbHistory,
     Tracking,
     climb,
     history,
-    in_sequence,
+    progress,
     tracked_plan,
 )
 from slipfree.control.step_climbing import climbing
@@ -44,6 +45,7 @@ from slipfree.problem.verbs.base import Watch, integrate
 from slipfree.problem.verbs.plan_schema import GuideTable, PlanKeys
 from slipfree.solve.sampling import input_samples
 from slipfree.terrain.solids import Profile
+from slipfree.vehicle.tree import Vehicle
 
 KEYS = {
     "": {"goal", "costs", "limits", "plan", "driver"},
@@ -59,10 +61,9 @@ OF_PLANS = {*PlanKeys.model_fields} - {*Modelled.model_fields}
 
 
 class Planned(NamedTuple):
-    """Plan of a climb."""
+    """Plan of a climb: program, solution and history of every leg, and the solver's effort."""
 
-    parts: tuple[tuple[Climb, Array], ...]  # program and solution of every leg
-    run: Trajectory  # motion over all legs
+    parts: tuple[tuple[Climb, Array, ClimbHistory], ...]
     least: tuple[float, ...]  # smallest sufficient friction of each leg [1]
     iterations: float
     seconds: float  # computing time of the solver [s]
@@ -87,7 +88,7 @@ def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
         raise problem_error(problem.source, faults)
     world, driver = build_world(problem), spec.driver
     with at(problem, ("vehicle",)):
-        climber = climber_of(world.vehicle)
+        check_climber(world.vehicle)
     with at(problem, ("terrain",)):
         section = level_section(world)
         if section is None:
@@ -96,9 +97,10 @@ def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
                 "heights equal"
             )
     with at(problem, ("plan",)):
-        plan = plan_climb(spec, driver, climber, section)
+        plan = plan_climb(spec, driver, world.vehicle, section)
         tracking = Tracking(
-            tracked_plan(plan.parts), **driver.control.model_dump(exclude_unset=True)
+            tracked_plan([part[:2] for part in plan.parts]),
+            **driver.control.model_dump(exclude_unset=True),
         )
     dae = climbing(world.dae, world.vehicle, tracking)
     start, (t, _) = build_start(problem, dae), input_samples(spec.time.duration, spec.time.step, {})
@@ -132,7 +134,7 @@ def _faults(spec: PlanKeys) -> Iterator[Fault]:
         yield Fault(("limits", "utilisation"), "no limit with the cost 'friction'", found)
 
 
-def plan_climb(spec: PlanKeys, driver: GuideTable, climber: Climber, section: Profile) -> Planned:
+def plan_climb(spec: PlanKeys, driver: GuideTable, climber: Vehicle, section: Profile) -> Planned:
     """Return the plan of a climb; errors are those of `build_over_solids`."""
     cost = next(name for name, weight in spec.costs.items() if weight > 0)
     if not isinstance(spec.terrain.friction, float):
@@ -148,7 +150,7 @@ def plan_climb(spec: PlanKeys, driver: GuideTable, climber: Climber, section: Pr
         "s": (spec.plan.intervals or LEG_INTERVALS) + 1,
     }
 
-    def solved(cost: str, mu: float | None) -> Iterator[tuple[Climb, Array, Trajectory, Array]]:
+    def solved(cost: str, mu: float | None) -> Iterator[tuple[Climb, Array, ClimbHistory, Array]]:
         for k, leg in enumerate(parts):
             halt = leg is not parts[-1]
             plan = climb(climber, section, leg, cost, mu=mu, halt=halt, **options)
@@ -160,7 +162,7 @@ def plan_climb(spec: PlanKeys, driver: GuideTable, climber: Climber, section: Pr
             yield plan, solution.unknowns, history(plan, solution.unknowns), costs
 
     chosen = [*solved("friction", None)]
-    least = tuple(run.statistics["mu"] for _, _, run, _ in chosen)
+    least = tuple(told.mu for _, _, told, _ in chosen)
     if cost != "friction":
         worst = int(np.argmax(least))
         if least[worst] > most:
@@ -170,10 +172,8 @@ def plan_climb(spec: PlanKeys, driver: GuideTable, climber: Climber, section: Pr
                 "terrain.friction or limits.utilisation"
             )
         chosen = [*solved(cost, most)]
-    iterations, seconds, functions = np.sum([costs for *_, costs in chosen], axis=0)[:3]
-    solutions = tuple((plan, unknowns) for plan, unknowns, *_ in chosen)
-    run = in_sequence([run for _, _, run, _ in chosen])
-    return Planned(solutions, run, least, iterations, seconds, functions)
+    effort = np.sum([costs for *_, costs in chosen], axis=0)[:3]
+    return Planned(tuple(each[:3] for each in chosen), least, *effort)
 
 
 def _leg(number: int, leg: Leg) -> str:
@@ -193,8 +193,8 @@ def drive_over_solids(
         "plan_iterations": Fact(plan.iterations, "1"),
         "plan_seconds": Fact(plan.seconds, "s"),
         "plan_seconds_functions": Fact(plan.functions, "s"),
-        "plan_cost_time": Fact(plan.run.statistics["duration"], "s"),
-        "plan_cost_friction": Fact(plan.run.statistics["mu"], "1"),
+        "plan_cost_time": Fact(sum(told.duration for *_, told in plan.parts), "s"),
+        "plan_cost_friction": Fact(max(told.mu for *_, told in plan.parts), "1"),
         "plan_violation_y_goal": Fact(missed, "m", "y at the goal"),
         "plan_accuracy": Fact(spec.plan.accuracy),
         **{f"plan_least_friction_{k + 1}": Fact(mu, "1") for k, mu in enumerate(plan.least)},
@@ -214,14 +214,12 @@ def _tracking(setup: OverSolids, run: Trajectory) -> dict[str, Fact]:
     Both are compared at equal progress, the mean of y + z over the axles, as far as the motion
     reaches; the time is missing if it does not reach the end.
     """
-    plan, ahead = setup.plan.run, [axle.ahead for axle in climber_of(setup.vehicle).axles]
-    rear, front = plan["tilt_rear"], plan["tilt_front"]
-    tilts = np.stack([rear, rear, front])
-    arms = np.array(ahead)[:, None] * (np.cos(tilts) + np.sin(tilts))
-    planned = plan["y"] + plan["z"] + arms.mean(axis=0)
+    paths = [plan.middles for plan, *_ in setup.plan.parts]
+    planned = np.concatenate([progress(path) for path in paths])
+    _, z, rear, front = np.concatenate([path.q for path in paths]).T
     reached = np.maximum.accumulate((run["center_y"] + run["center_z"]).mean(axis=1))
     part = planned <= reached[-1]
-    pose = {"z": plan["z"], "pitch": rear, setup.vehicle.coordinates[0].name: front - rear}
+    pose = {"z": z, "pitch": rear, setup.vehicle.coordinates[0].name: front - rear}
     facts = dict[str, Fact]()
     for name, values in pose.items():
         errors = np.abs(np.interp(planned[part], reached, run[name]) - values[part])
