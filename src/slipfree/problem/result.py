@@ -113,9 +113,7 @@ def run_problem(
     return kept[-1]
 
 
-def _result(
-    problem: Problem[Runnable], verb: MotionVerb, solution: VerbSolution, files: str
-) -> Result:
+def _result(problem: Problem[Any], verb: MotionVerb, solution: VerbSolution, files: str) -> Result:
     run, setup, arrays = solution
     own = _attributes(problem, verb, setup) | ({"input_files": files} if files else {})
     world, world_arrays = store_world(problem, solution)

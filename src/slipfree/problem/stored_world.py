@@ -82,9 +82,13 @@ def store_world(problem: Problem[Any], solution: VerbSolution) -> tuple[str, dic
                     arrays[f"link{k}_faces"] = visuals[link].faces.astype(float)
         text = vehicle_text(built)
         vehicle = StoredVehicle(file=name, text=text, notes=built.notes, robot=robot)
-    table, friction = ground_table(spec.terrain), spec.terrain.friction
-    place = {"coordinates": ground.coordinates, "crs": ground.crs}
-    stored = StoredWorld(ground=table, friction=friction, vehicle=vehicle, **place)
+    stored = StoredWorld(
+        ground=ground_table(spec.terrain),
+        friction=spec.terrain.friction,
+        coordinates=ground.coordinates,
+        crs=ground.crs,
+        vehicle=vehicle,
+    )
     return stored.model_dump_json(), arrays
 
 
