@@ -235,7 +235,7 @@ def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch
 def test_convergence_and_initial_guess_are_stored_and_drawn(tmp_path):
     found = run_problem(load_problem(HILLS, QUICK))
     write(tmp_path / "hills.nc", found.trajectory, found.arrays)
-    result = open_result(tmp_path / "hills.nc", HILLS.parent)
+    result = open_result(tmp_path / "hills.nc")
     run, searches = result.trajectory, convergence_from(result.arrays)
     names = run.facts["plan_searches"].value
     assert names[:2] == ["without slip cost", "with slip cost"]

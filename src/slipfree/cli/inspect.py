@@ -246,7 +246,7 @@ def export(
     """
     with reported(), about(file):
         from slipfree.files.export import export_path, export_rates
-        from slipfree.problem.result import export_mcap
+        from slipfree.problem.result import export_mcap, result_files
 
         outputs = path, rates, mcap
         if (code is None) == (outputs == (None, None, None)):
@@ -258,7 +258,7 @@ def export(
         if code is not None:
             _export_code(file, code, trust)
             return
-        check_outputs(outputs, [file])
+        check_outputs(outputs, result_files(file))
         for out, write in ((path, export_path), (rates, export_rates), (mcap, export_mcap)):
             if out is not None:
                 write(file, out)

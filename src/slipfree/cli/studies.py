@@ -529,6 +529,7 @@ def track(
     """
     with reported(), about(file):
         from slipfree.files.netcdf import write
+        from slipfree.problem.result import result_files
         from slipfree.problem.verbs.plan_tracking import (
             WAYS,
             follow_plan,
@@ -538,7 +539,7 @@ def track(
 
         with regular_file(file, "a result file of slipfree"):
             picture = out.with_suffix(".png") if out is not None and draw else None
-            check_outputs([out, picture], [file])
+            check_outputs([out, picture], result_files(file))
         with held_interrupt():
             test = follow_plan(
                 file,

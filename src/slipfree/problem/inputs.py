@@ -78,14 +78,11 @@ def digest(file: Path) -> str:
         return MISSING
 
 
-def digests(problem: Problem[Any]) -> str:
-    """Return the names of the input files of a problem with their SHA-256."""
+def digests(problem: Problem[Any]) -> dict[str, str]:
+    """Return the SHA-256 of the input files of a problem by name."""
     files = input_files(problem)
-
-    def text() -> str:
-        return "; ".join(f"{name}, SHA-256 {digest(path)}" for name, path in files.items())
-
-    return shared("digests", tuple(files.values()), text)
+    key = tuple(files.values())
+    return shared("digests", key, lambda: {name: digest(files[name]) for name in files})
 
 
 def _named_urdf(folder: Path, name: str) -> list[str]:

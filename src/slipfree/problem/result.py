@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -38,7 +39,9 @@ from slipfree.problem.verbs.base import (
     plain_facts,
 )
 from slipfree.system.forks import computing
-from slipfree.system.regular_files import escape_name
+from slipfree.system.regular_files import escape_name, unescape_name
+
+DIGESTS = "input_sha256"  # attribute of a result: digests of the input files by name, as JSON
 
 
 @computing
@@ -113,9 +116,11 @@ def run_problem(
     return kept[-1]
 
 
-def _result(problem: Problem[Any], verb: MotionVerb, solution: VerbSolution, files: str) -> Result:
+def _result(
+    problem: Problem[Any], verb: MotionVerb, solution: VerbSolution, files: dict[str, str]
+) -> Result:
     run, setup, arrays = solution
-    own = _attributes(problem, verb, setup) | ({"input_files": files} if files else {})
+    own = _attributes(problem, verb, setup) | ({DIGESTS: json.dumps(files)} if files else {})
     world, world_arrays = store_world(problem, solution)
     run = replace(run, attributes={**run.attributes, **own, STORED: world})
     table, friction = ground_table(problem.spec.terrain), problem.spec.terrain.friction
@@ -242,6 +247,17 @@ def export_mcap(file: Path, out: Path) -> None:
     vehicle, problem = vehicle_of(result), result.problem
     robot = read_robot(problem.spec.vehicle, problem)
     write_mcap(out, result.trajectory, vehicle, robot)
+
+
+def result_files(file: Path) -> list[Path]:
+    """Return a result file and the files from which it was computed, as far as it names them."""
+    files = [file]
+    with suppress(SlipfreeError, ValueError, TypeError):  # the command reports unreadable results
+        attributes = read(file, lazy=True).attributes
+        folder = Path(unescape_name(attributes.get("problem_folder", "")))
+        names = [attributes["problem_file"], *json.loads(attributes.get(DIGESTS, "{}"))]
+        files += [folder / name for name in names]
+    return files
 
 
 def problem_of(

@@ -131,10 +131,12 @@ def read_world(
             visuals = {} if vehicle.robot is None else _visuals(vehicle.robot, arrays)
             vehicles[vehicle.file] = VehicleFile(built, vehicle.robot, visuals)
     except (ValidationError, KeyError, DataError, ModelError) as error:
-        found = "none" if STORED not in run.attributes else f"others ({str(error).splitlines()[0]})"
+        found = f"others ({str(error).splitlines()[0]}); run the problem again"
+        if STORED not in run.attributes or isinstance(error, KeyError):
+            found = "none; run the problem again, and write the arrays of the result as well"
         raise DataError(
             f"{file}: expected a result with its ground and vehicle as slipfree run stores them, "
-            f"found {found}; run the problem again"
+            f"found {found}"
         ) from error
     return {stored.ground: (friction, ground)}, vehicles
 
