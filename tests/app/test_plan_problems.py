@@ -234,7 +234,7 @@ def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch
 def test_the_initial_guess_is_stored_and_drawn(tmp_path):
     found = run_problem(load_problem(HILLS, QUICK))
     write(tmp_path / "hills.nc", found.trajectory, found.arrays)
-    result = open_result(tmp_path / "hills.nc", HILLS.parent)
+    result = open_result(tmp_path / "hills.nc")
     run = result.trajectory
     assert run.facts["plan_searches"].value[:2] == ["without slip cost", "with slip cost"]
     figures = {plot.name: plot for plot in PlanVerb().figures(result)}

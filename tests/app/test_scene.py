@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,9 +20,8 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import Stop, Trajectory
 from slipfree.files import netcdf
 from slipfree.models.samples import measured_slip, part_poses, wheel_poses
-from slipfree.problem.build_vehicle import read_vehicle
-from slipfree.problem.inputs import STORED, StoredInputs, digest
-from slipfree.problem.result import shown
+from slipfree.problem.load import verb_of
+from slipfree.problem.result import open_result
 from slipfree.show import motion_figures
 from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
 from slipfree.show.film import film_writer
@@ -82,6 +79,12 @@ def solved(folder: Path, name: str, text: str, *settings: str) -> Path:
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return solved(tmp_path_factory.mktemp("scene"), "hills", PROBLEM)
+
+
+def shown(file: Path, name: str) -> Any:
+    """Return the motion of a result file as input of the viewer."""
+    result = open_result(file)
+    return verb_of(result.problem).shown(result, name)
 
 
 @pytest.fixture(scope="module")
@@ -306,105 +309,16 @@ def unseen(*words: object) -> str:
     return refused("show", *words, "--no-browser")
 
 
-def test_what_cannot_be_shown_is_refused(
-    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run = netcdf.read(file)
+def test_what_cannot_be_shown_is_refused(file: Path, tmp_path: Path) -> None:
+    run, arrays = netcdf.read(file), netcdf.read_arrays(file)
     bare = tmp_path / "bare.nc"
     attributes = {name: words for name, words in run.attributes.items() if name != "problem"}
     netcdf.write(bare, replace(run, attributes=attributes))
     assert "expected a result that contains its problem, found none" in unseen(bare)
-    text = PROBLEM.replace("[terrain]\n", '[terrain]\nfile = "hills.npz"\n')
-    text = text[: text.index("[terrain.synthetic]")]
-    named = tmp_path / "named.nc"
-    data = file.parent / "data"
-    data.mkdir()
-    grid = shown(file, "hills").terrain.grid
-    np.savez(data / "hills.npz", x=grid.x, y=grid.y, z=grid.z)
-    stored = StoredInputs(vehicle=None, files={"hills.npz": digest(data / "hills.npz")})
-    told = {**run.attributes, "problem": text, STORED: stored.model_dump_json()}
-    netcdf.write(named, replace(run, attributes={**told, STORED: "{}"}))
-    monkeypatch.chdir(tmp_path)
-    assert "a result that contains its vehicle and digests of its maps" in unseen(named)
-    netcdf.write(named, replace(run, attributes=told))
-    words = unseen(named)
-    assert "expected the input file hills.npz of its problem" in words
-    assert "--folder DIR" in words
-    assert_allclose(shown(named, "named", data).terrain.grid.z, grid.z)
     old = {**run.attributes, "problem": PROBLEM.replace("speed", "pace")}
-    netcdf.write(bare, replace(run, attributes=old))
+    netcdf.write(bare, replace(run, attributes=old), arrays)
     assert "correct these errors and run the problem again:\nhills.toml:" in unseen(bare)
     assert "expected a separate file, found the input" in unseen(file, "--html", file)
-
-
-@pytest.fixture(scope="module")
-def named(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a result, in a folder of its own, of a problem that names its ground and vehicle."""
-    folder = tmp_path_factory.mktemp("named")
-    x = np.linspace(-4, 4, 33)
-    np.savez(folder / "hills.npz", x=x, y=x, z=0.1 * np.sin(x)[:, None] * np.cos(x))
-    shutil.copy(PROBLEMS / "vehicles" / "trike.toml", folder)
-    (folder / "out").mkdir()
-    out = solved(folder, "drive", NAMED)
-    return out.replace(folder / "out" / "drive.nc")
-
-
-def test_files_are_looked_for_where_the_problem_was(
-    named: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(named.parent)
-    run = netcdf.read(named)
-    lost = tmp_path / "lost.nc"
-    kept = {name: words for name, words in run.attributes.items() if name != "problem_folder"}
-    netcdf.write(lost, replace(run, attributes=kept))
-    words = unseen(lost)
-    assert f"in {tmp_path} or {named.parent}, found no such file; give" in words
-    monkeypatch.chdir(tmp_path)
-    assert f"in {tmp_path}, found no such file; give" in unseen("lost.nc")
-    told = {**kept, "problem_folder": str(named.parent.parent)}
-    netcdf.write(lost, replace(run, attributes=told))
-    assert isinstance(shown(lost, "lost"), Driven)
-
-
-def test_a_changed_ground_is_refused(named: Path, tmp_path: Path) -> None:
-    folder = named.parent.parent
-    shutil.copy(folder / "trike.toml", tmp_path)
-    with np.load(folder / "hills.npz") as grid:
-        np.savez(tmp_path / "hills.npz", x=grid["x"], y=grid["y"], z=grid["z"] + 0.01)
-    words = unseen(named, "--folder", tmp_path)
-    assert (
-        "expected the ground with which the result was computed, found a different one (hills.npz)"
-        in words
-    )
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("radius = 0.25", "radius = 0.26", "its wheels are 0.01 m from those of the result"),
-        ("wheels", "wheel", "expected a valid stored vehicle"),
-        ('"text"', '"words"', "a result that contains its vehicle and digests of its maps"),
-    ],
-)
-def test_a_changed_vehicle_is_refused(
-    named: Path, tmp_path: Path, old: str, new: str, said: str
-) -> None:
-    run = netcdf.read(named)
-    stored = run.attributes[STORED]
-    assert old in stored
-    changed = tmp_path / "changed.nc"
-    attributes = {**run.attributes, STORED: stored.replace(old, new)}
-    netcdf.write(changed, replace(run, attributes=attributes))
-    assert said in unseen(changed, "--folder", named.parent.parent)
-
-
-def test_the_vehicle_file_is_not_read_again(named: Path, tmp_path: Path) -> None:
-    folder = named.parent.parent
-    shutil.copy(folder / "hills.npz", tmp_path)
-    vehicle = shown(named, "named", folder).vehicle
-    assert vehicle == read_vehicle(folder / "trike.toml")
-    os.mkfifo(tmp_path / "trike.toml")
-    assert shown(named, "named", tmp_path).vehicle == vehicle
 
 
 @pytest.mark.slow

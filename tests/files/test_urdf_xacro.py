@@ -136,7 +136,7 @@ def test_trust_reaches_every_reader_and_results_need_none(robot, monkeypatch):
     sweep = sweep_of(Path("p.toml"), ["driver.speed=0.1"], trust=[Path(robot.name)])
     (task,) = tasks_of(sweep, {}, True)
     done = work(task)
-    netcdf.write("run.nc", done.trajectory)
+    netcdf.write("run.nc", done.trajectory, done.arrays)
     vehicle = read_vehicle(robot.name, trust=True)
     assert build(problem).vehicle == vehicle
     robot.unlink()
@@ -149,18 +149,18 @@ def test_trust_reaches_every_reader_and_results_need_none(robot, monkeypatch):
         "export p.nc --mcap p.mcap",
         "export p.nc --rates p.csv",
     ):
-        assert "stored_inputs" not in printed(*words.split())
+        assert "stored_world" not in printed(*words.split())
 
 
 @pytest.mark.usefixtures("hostile")
 def test_a_result_without_its_vehicle_reads_no_file():
     Path("p.toml").write_text(PROBLEM.replace('file = "FILE"', 'catalog = "rocky7"'))
     invoke("run", "p.toml", "--no-draw", code=0)
-    run = netcdf.read("p.nc")
+    run, arrays = netcdf.read("p.nc"), netcdf.read_arrays("p.nc")
     run.attributes["problem"] = PROBLEM.replace("FILE", "evil.xacro")
-    netcdf.write("evil.nc", run)
+    netcdf.write("evil.nc", run, arrays)
     run.attributes["settings"] = "vehicle.file=link.urdf\ntrust=evil.xacro"
-    netcdf.write("more.nc", run)
+    netcdf.write("more.nc", run, arrays)
     for name in ("evil.nc", "more.nc"):
         invoke("info", name, code=0)
         for words in (["show", name, "--html", "a.html"], ["export", name, "--mcap", "a.mcap"]):

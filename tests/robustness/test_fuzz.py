@@ -169,7 +169,7 @@ def test_the_name_of_a_problem_in_a_result_is_no_path(name: str, tmp_path: Path)
     file.write_bytes(results()[1])
     motion = netcdf.read(file)
     motion = replace(motion, attributes={**motion.attributes, "problem_file": name})
-    assert problem_of(file, motion).spec.verb == "direct"
+    assert problem_of(file, motion, netcdf.read_arrays(file)).spec.verb == "direct"
     assert [each.name for each in tmp_path.iterdir()] == ["r.nc"]
 
 

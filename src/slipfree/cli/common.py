@@ -101,14 +101,6 @@ Scheduler = Annotated[
 ]
 Draw = Annotated[bool, typer.Option("--draw/--no-draw", help="Draw the figure.")]
 ResultFile = Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")]
-InputFolder = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="DIR",
-        help="Folder of the input files of the problem; default: the first folder that contains "
-        "them: that of the problem file, that of the result, or the current one.",
-    ),
-]
 
 
 def output_option(metavar: str, meaning: str) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +14,6 @@ from slipfree.cli.common import (
     BAD_INPUT,
     Draw,
     File,
-    InputFolder,
     ResultFile,
     Settings,
     Trust,
@@ -174,8 +172,8 @@ def info(
     with reported(), about(file):
         from slipfree.files.atlas_files import is_atlas
         from slipfree.files.netcdf import read
-        from slipfree.problem.inputs import STORED
         from slipfree.problem.result import facts_of, motion_facts
+        from slipfree.problem.stored_world import STORED
         from slipfree.problem.verbs.base import outcome_fact, ranges
 
         if is_atlas(file):
@@ -238,7 +236,6 @@ def export(
             help="Write inverse kinematics and contact of the vehicle as C code with a test.",
         ),
     ] = None,
-    folder: InputFolder = None,
     trust: Trust = None,
 ) -> None:
     """Export a motion for ROS or GIS, or a vehicle as C code.
@@ -261,9 +258,8 @@ def export(
         if code is not None:
             _export_code(file, code, trust)
             return
-        write_motion = partial(export_mcap, folder=folder)
-        check_outputs(outputs, result_files(file, folder))
-        for out, write in ((path, export_path), (rates, export_rates), (mcap, write_motion)):
+        check_outputs(outputs, result_files(file))
+        for out, write in ((path, export_path), (rates, export_rates), (mcap, export_mcap)):
             if out is not None:
                 write(file, out)
                 add_json_file(out)

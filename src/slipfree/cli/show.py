@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from slipfree.cli.common import (
-    InputFolder,
     ResultFile,
     Trust,
     about,
@@ -68,7 +67,6 @@ def show(
             "those of poses, which take a while.",
         ),
     ] = "height",
-    folder: InputFolder = None,
     port: Port = 0,
     browser: Browser = True,
 ) -> None:
@@ -81,7 +79,7 @@ def show(
         check_picture(picture, files)
         from slipfree.show.drive_scene import drive_scene
 
-        motions = _read(files, folder)
+        motions = _read(files)
         title = motions[0].run.attributes.get("title", motions[0].name)
         with about(files[0]):
             scene = drive_scene(motions, with_poses=color in POSE_LAYERS)
@@ -141,7 +139,7 @@ def _write_page(file: Path, text: str) -> None:
     add_json_file(file)
 
 
-def _read(files: Sequence[Path], folder: Path | None) -> list[Any]:
+def _read(files: Sequence[Path]) -> list[Any]:
     from slipfree.core.trajectory import SCENE_SAMPLES
     from slipfree.problem.load import verb_of
     from slipfree.problem.result import open_result
@@ -149,7 +147,7 @@ def _read(files: Sequence[Path], folder: Path | None) -> list[Any]:
     results, motions = [], []
     for file in files:
         with about(file):
-            results.append(open_result(file, folder, samples=SCENE_SAMPLES))
+            results.append(open_result(file, samples=SCENE_SAMPLES))
     models = [str(each.trajectory.attributes.get("model", "")) for each in results]
     names = _names(files)
     if len({*models}) > 1:
@@ -191,7 +189,6 @@ def report(
         Path | None,
         output_option("OUT.html", "Page to write; default: OUT.html."),
     ] = None,
-    folder: InputFolder = None,
 ) -> None:
     """Write a result as one HTML page.
 
@@ -204,7 +201,7 @@ def report(
         with regular_file(file, "a result file of slipfree"):
             target = out or file.with_suffix(".html")
         check_page(target, [file])
-        found = made(file, folder)
+        found = made(file)
         detail(f"made {len(found.figures)} figures of {file}")
         if found.note and not found.figures:
             warn(found.note)

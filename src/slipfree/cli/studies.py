@@ -16,7 +16,6 @@ from slipfree.cli.common import (
     STOPPED,
     Draw,
     File,
-    InputFolder,
     Settings,
     Trust,
     about,
@@ -518,7 +517,6 @@ def track(
             "same name with .png. Default: neither.",
         ),
     ] = None,
-    folder: InputFolder = None,
     draw: Draw = True,
 ) -> None:
     """Follow a plan in a changed world, in several ways.
@@ -541,7 +539,7 @@ def track(
 
         with regular_file(file, "a result file of slipfree"):
             picture = out.with_suffix(".png") if out is not None and draw else None
-            check_outputs([out, picture], result_files(file, folder))
+            check_outputs([out, picture], result_files(file))
         with held_interrupt():
             test = follow_plan(
                 file,
@@ -551,7 +549,6 @@ def track(
                 seeds=seeds,
                 period=period,
                 window=window,
-                folder=folder,
                 progress=lambda name, seed, t: detail(f"{name}, seed {seed}: {t:.4g} s"),
             )
             motions = [each.motion.run for each in test.motions if each.motion is not None]

@@ -66,7 +66,7 @@ REMEDY = "run the problem again to write a complete file"
 DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)
 MAX_VALUE = 1e100  # larger numbers in a result file mean that it is damaged
 BLOCK = 65536  # number of samples processed at once
-SIZE = "_size"  # suffix of the dimension of a further array
+SIZE = "_size"  # suffix of the dimensions of a further array, before the number of the axis
 NOTHING: Mapping[str, Array] = {}
 Attribute = str | float
 
@@ -85,8 +85,9 @@ def write(
     run : Trajectory
         The motion. Versions and date are added to its attributes, unless it was read from a result
         file and has them.
-    arrays : mapping of str to ndarray of shape (n,), optional
-        Further arrays by name, which `read_arrays` returns; their lengths may differ.
+    arrays : mapping of str to ndarray, optional
+        Further arrays by name, which `read_arrays` returns; their shapes may differ. Arrays whose
+        values are exact in single precision are stored in it.
 
     Raises
     ------
@@ -103,8 +104,12 @@ def write(
         with scipy.io.netcdf_file(str(part), "w", version=2) as file:
             _define(file, run, on_map)
             for name, values in arrays.items():
-                file.createDimension(f"{name}{SIZE}", values.size)
-                variable = file.createVariable(name, "f8", (f"{name}{SIZE}",))
+                dimensions = [f"{name}{SIZE}{axis or ''}" for axis in range(values.ndim)]
+                for dimension, size in zip(dimensions, values.shape, strict=True):
+                    file.createDimension(dimension, size)
+                with np.errstate(over="ignore"):
+                    is_single = np.array_equal(values.astype("f4"), values, equal_nan=True)
+                variable = file.createVariable(name, "f4" if is_single else "f8", dimensions)
                 variable[:] = values
                 variable.long_name = name.replace("_", " ")
         _write_values(part, {**on_map, **run.columns})
@@ -168,7 +173,7 @@ def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float64]]:
     """Return the arrays that `write` stored in addition to the trajectory, by name."""
     file = open_netcdf(Path(path))
-    names = [k for k, each in file.variables.items() if each.dimensions == (f"{k}{SIZE}",)]
+    names = [k for k, each in file.variables.items() if each.dimensions[:1] == (f"{k}{SIZE}",)]
     with file.stream:
         return {name: file.values(name).astype(np.float64) for name in names}
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from math import degrees, isfinite
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -83,8 +83,17 @@ def build_ground(problem: Problem[S], known: dict[str, Extremes] | None = None) 
     With ``known``, GeoTIFFs with more than `LARGE` nodes are read by windows (`Outline`), unless a
     key changes the whole map. It holds the extremes of files by name; those of others are added,
     for which the whole file is read once.
+
+    The ground of a result is that in its file, unless its table is changed.
     """
     spec = problem.spec.terrain
+    if kept := problem.grounds.get(ground_table(spec)):
+        given, stored = kept[0], cast("GroundMap", kept[1])
+        if spec.friction == given:
+            return stored
+        if not isinstance(spec.friction, str):
+            mu, friction = _friction(problem, Map(stored.grid), None)
+            return stored._replace(mu=mu, friction=friction)
     _check_keys(problem)
     horizontal, vertical = _scales(spec)
     ground_map, source = _source(problem, known)
@@ -105,6 +114,12 @@ def build_ground(problem: Problem[S], known: dict[str, Extremes] | None = None) 
             grid = changed.grid
     source += _scale_words(spec)
     return GroundMap(grid, source, changed, mu, friction, facts, coordinates, ground_map.crs)
+
+
+def ground_table(spec: schema.TerrainTable) -> str:
+    """Return the keys of a ground on which its heights depend, as JSON."""
+    own = {"friction", "obstacles"}
+    return spec.model_dump_json(exclude=own, exclude_unset=True, serialize_as_any=True)
 
 
 class Extremes(NamedTuple):
@@ -372,7 +387,7 @@ def ground_facts(ground: GroundMap) -> Lines:
 def convert_places(problem: Problem[A]) -> Problem[A]:
     """Return a problem with x and y instead of longitude and latitude in all places.
 
-    The reference system is that of the map file, which is read only if a place is in degrees.
+    The reference system is that of the map, whose file is read only if a place is in degrees.
     ProblemError is raised for places that cannot be converted.
     """
     spec = problem.spec
@@ -382,11 +397,14 @@ def convert_places(problem: Problem[A]) -> Problem[A]:
     if not places:
         return problem
     on_map: Problem[Any] = problem
-    ground, _ = _source(on_map)
-    coordinates = _map_coordinates(ground, *_scales(spec.terrain))
+    if kept := problem.grounds.get(ground_table(spec.terrain)):
+        crs, coordinates = kept[1].crs, kept[1].coordinates
+    else:
+        ground, _ = _source(on_map)
+        crs, coordinates = ground.crs, _map_coordinates(ground, *_scales(spec.terrain))
     for keys, values in places:
         with at(problem, keys):
-            spec = _replaced(spec, keys, _in_metres(values, ground, coordinates))
+            spec = _replaced(spec, keys, _in_metres(values, crs, coordinates))
     return replace(problem, spec=spec)
 
 
@@ -410,7 +428,7 @@ def _replaced(spec: Any, keys: KeyPath, values: dict[str, Any]) -> Any:
 
 
 def _in_metres(
-    values: Mapping[str, Any], ground: Map, coordinates: tuple[MapCoordinate, ...]
+    values: Mapping[str, Any], crs: str, coordinates: tuple[MapCoordinate, ...]
 ) -> dict[str, Any]:
     if {"x", "y"} & {*values} or not {*DEGREES} <= {*values}:
         found = ", ".join(name for name in ("x", "y", *DEGREES) if name in values)
@@ -420,10 +438,10 @@ def _in_metres(
         )
     is_range = isinstance(values["longitude"], tuple)
     place = [_degrees(values[name], name) for name in DEGREES]
-    if ground.geographic and not ground.crs:
+    if crs:
+        x, y = from_degrees(crs, *place)
+    elif any(each.name in DEGREES for each in coordinates):
         x, y = place  # those of the file
-    elif ground.crs:
-        x, y = from_degrees(ground.crs, *place)
     else:
         raise ModelError(
             "expected a map with a reference system for longitude and latitude, found none; give "
@@ -432,7 +450,7 @@ def _in_metres(
         )
     if not (isfinite(x) and isfinite(y)):
         raise ModelError(
-            f"expected a place in the domain of the map's projection ({ground.crs}), found "
+            f"expected a place in the domain of the map's projection ({crs}), found "
             f"longitude {place[0]:.9g}, latitude {place[1]:.9g}; correct them"
         )
     for each in coordinates:

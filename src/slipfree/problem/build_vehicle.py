@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -18,6 +19,7 @@ from slipfree.files.toml.source import Fault, Place, name_errors
 from slipfree.files.toml.types import NonNegative, Positive, Record
 from slipfree.files.urdf.elements import read_tree
 from slipfree.files.urdf.links import Robot
+from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.reader import read_urdf
 from slipfree.files.urdf.roles import NO_ROLES, JointRole, LinkRole, Roles, WheelRole, completed
 from slipfree.files.urdf.tree import Tree
@@ -48,10 +50,12 @@ from slipfree.files.vehicle_toml import (
     validated,
 )
 from slipfree.geometry.frame import unit_vector
+from slipfree.geometry.mesh import TriangleMesh
 from slipfree.problem import schema
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, shared
 from slipfree.problem.schema import CATALOG
+from slipfree.show.meshes import joined
 from slipfree.system.regular_files import read_bytes, regular_file
 from slipfree.vehicle.drives import RATE
 from slipfree.vehicle.gravity import in_gravity
@@ -144,7 +148,7 @@ class VehicleFile(NamedTuple):
 
     vehicle: Vehicle
     robot: Robot | None
-    meshes: Mapping[str, str] | None = None  # in a result: SHA-256 of the visible ones
+    visuals: Mapping[str, TriangleMesh] | None = None  # of links, by name; None: not read yet
 
 
 def build_vehicle(spec: schema.VehicleSource, problem: Problem[Any]) -> Vehicle:
@@ -178,6 +182,23 @@ def vehicle_file(name: str, problem: Problem[Any]) -> VehicleFile:
         )
     contents: VehicleFile = problem.vehicles[name]
     return contents
+
+
+def visual_meshes(contents: VehicleFile | None) -> Mapping[str, TriangleMesh]:
+    """Return the meshes of the links of a URDF by name, those that can be read."""
+    visuals: dict[str, TriangleMesh] = {}
+    if contents is None or contents.robot is None:
+        return visuals
+    if contents.visuals is not None:
+        return contents.visuals
+    links = contents.robot.tree.links.values()
+    meshes = (mesh for link in links for mesh in link.visuals)
+    files = MeshFiles(meshes, Path(contents.robot.tree.file).parent)
+    for link in links:
+        with suppress(DataError):  # the vehicle is then drawn with simple bodies
+            if link.visuals:
+                visuals[link.name] = joined(*map(files.triangles, link.visuals))
+    return visuals
 
 
 def read_vehicle(

@@ -1,35 +1,22 @@
-"""Input files of a problem, their digests, and the inputs that a result file contains.
-
-A result may come from somebody else, so that no vehicle file is read which its problem names, and
-maps and meshes only if they are those with which it was computed.
-"""
+"""Input files of a problem and their digests."""
 
 from __future__ import annotations
 
-import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
 from hashlib import file_digest
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, ValidationError
-
-from slipfree.core.errors import DataError, ModelError
-from slipfree.files.urdf.links import Robot
-from slipfree.files.urdf.meshes import find_mesh
-from slipfree.files.vehicle_draft import vehicle_text
-from slipfree.files.vehicle_toml import file_of, open_file, read_toml
-from slipfree.problem.build_vehicle import VehicleFile, vehicle_file
+from slipfree.core.errors import DataError
+from slipfree.files.vehicle_toml import open_file
 from slipfree.problem.problem import Problem, shared
 from slipfree.problem.schema import CommonKeys
 from slipfree.system.regular_files import read_bytes, regular_file
 
 TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # tables with input files
-DRAWN = ("terrain", "profile")  # tables of the ground
 MISSING = "missing"
 SIDES = (".prj", ".aux.xml", ".hdr", ".tfw", ".wld", ".ovr", ".msk")  # endings beside maps
 URDF = (".urdf", ".xacro", ".xml")
@@ -37,24 +24,21 @@ URDF = (".urdf", ".xacro", ".xml")
 FILE_NAME = re.compile(
     r"""filename\s*=\s*["'](?:package://[^/"']*/|file://|[^"']*[)}]/)?([^"']+)"""
 )
-STORED = "stored_inputs"  # attribute of a result file
 
 
-def input_names(spec: CommonKeys, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
+def input_names(spec: CommonKeys) -> tuple[str, ...]:
     """Return the file names in the keys ``file`` and ``friction`` of tables, as written there."""
-    records = [getattr(spec, name, None) for name in tables]
-    names: list[Any] = [getattr(table, "file", None) for table in records]
-    names += [getattr(table, "friction", None) for table in records]
-    if tables is TABLES:
-        names += spec.named_files
-    return tuple(name for name in names if isinstance(name, str))
+    tables = [getattr(spec, name, None) for name in TABLES]
+    names = [getattr(table, key, None) for key in ("file", "friction") for table in tables]
+    return tuple(name for name in (*names, *spec.named_files) if isinstance(name, str))
 
 
 def input_files(problem: Problem[Any]) -> dict[str, Path]:
     """Return the paths of all input files by name, including the URDF of a vehicle file."""
     names = list(input_names(problem.spec))
-    for name in input_names(problem.spec, ["vehicle"]):
-        names += _named_urdf(problem.folder, name)
+    vehicle = getattr(getattr(problem.spec, "vehicle", None), "file", None)
+    if vehicle is not None:
+        names += _named_urdf(problem.folder, vehicle)
     return {name: problem.folder / name for name in names}
 
 
@@ -123,6 +107,11 @@ def _stamp(path: Path) -> tuple[int, int] | None:
         found = path.stat()
         return found.st_mtime_ns, found.st_size
     return None
+def digests(problem: Problem[Any]) -> dict[str, str]:
+    """Return the SHA-256 of the input files of a problem by name."""
+    files = input_files(problem)
+    key = tuple(files.values())
+    return shared("digests", key, lambda: {name: digest(files[name]) for name in files})
 
 
 def _named_urdf(folder: Path, name: str) -> list[str]:
@@ -131,109 +120,3 @@ def _named_urdf(folder: Path, name: str) -> list[str]:
         if isinstance(urdf, str):
             return [str(Path(name).parent / urdf)]
     return []
-
-
-class StoredVehicle(BaseModel):
-    """Vehicle of a result."""
-
-    model_config = ConfigDict(ser_json_inf_nan="constants")
-    file: str  # its name in the problem
-    text: str  # the vehicle as a vehicle file in TOML
-    notes: tuple[str, ...]  # of the reader
-    robot: Robot | None  # URDF, its file relative to the problem's folder
-    meshes: dict[str, str]  # SHA-256 of the visible ones, by name
-
-
-class StoredInputs(BaseModel):
-    """Vehicle of a result, None if it is not from a file, and SHA-256 of maps by name."""
-
-    model_config = ConfigDict(ser_json_inf_nan="constants")
-    vehicle: StoredVehicle | None
-    files: dict[str, str]
-
-
-def stored_inputs(problem: Problem[Any]) -> str:
-    """Return the attribute of a result with its vehicle and the digests of its maps."""
-    names = input_names(problem.spec, DRAWN)
-    file = _file(problem)
-    key = (problem.folder, names, file, problem.trusted)
-    return shared("stored", key, lambda: _stored(problem, names, file))
-
-
-def _stored(problem: Problem[Any], names: tuple[str, ...], file: str | None) -> str:
-    vehicle = None
-    if file is not None:
-        built, robot, _ = vehicle_file(file, problem)
-        text, meshes = vehicle_text(built), _meshes(robot)
-        if robot is not None:
-            place = os.path.relpath(robot.tree.file, problem.folder)
-            robot = robot._replace(tree=replace(robot.tree, file=place))
-        vehicle = StoredVehicle(file=file, text=text, notes=built.notes, robot=robot, meshes=meshes)
-    files = {name: digest(problem.folder / name) for name in names}
-    return StoredInputs(vehicle=vehicle, files=files).model_dump_json()
-
-
-def _file(problem: Problem[Any]) -> str | None:
-    name: str | None = getattr(getattr(problem.spec, "vehicle", None), "file", None)
-    return name
-
-
-def _meshes(robot: Robot | None) -> dict[str, str]:
-    """Return the SHA-256 of the visible meshes of a URDF by name; missing ones are omitted."""
-    if robot is None:
-        return {}
-    folder, digests = Path(robot.tree.file).parent, dict[str, str]()
-    for name in {mesh.name for link in robot.tree.links.values() for mesh in link.visuals}:
-        with suppress(DataError):  # the vehicle is drawn with simple bodies
-            digests[name] = digest(find_mesh(name, folder))
-    return digests
-
-
-def read_stored(file: Path, text: str | None, problem: Problem[Any]) -> StoredInputs:
-    """Return the stored inputs in an attribute of the result ``file``, with its problem.
-
-    DataError is raised if the attribute is missing although the problem names files, or is damaged.
-    """
-    names, vehicle = input_names(problem.spec, DRAWN), _file(problem)
-    if text is None and not names and vehicle is None:
-        return StoredInputs(vehicle=None, files={})
-    try:
-        inputs = StoredInputs.model_validate_json(text or "")
-    except ValidationError as error:
-        raise _incomplete(file) from error
-    stored = None if inputs.vehicle is None else inputs.vehicle.file
-    if stored != vehicle or not {*names} <= {*inputs.files}:
-        raise _incomplete(file)
-    return inputs
-
-
-def restored_vehicle(file: Path, stored: StoredVehicle, folder: Path) -> VehicleFile:
-    """Return the vehicle that the result ``file`` contains; meshes are searched in a folder."""
-    try:
-        draft = read_toml(file_of(file, stored.text))
-        vehicle = replace(draft.vehicle(), notes=stored.notes)
-    except (DataError, ModelError) as error:
-        raise DataError(f"{file}: expected a valid stored vehicle, found: {error}") from error
-    robot = stored.robot
-    if robot is not None:
-        if not _is_tree(robot):
-            raise _incomplete(file)
-        robot = robot._replace(tree=replace(robot.tree, file=str(folder / robot.tree.file)))
-    return VehicleFile(vehicle, robot, stored.meshes)
-
-
-def _is_tree(robot: Robot) -> bool:
-    """Return whether the joints of a URDF connect its links, parents before children."""
-    known = {robot.tree.root}
-    for name, joint in robot.tree.joints.items():
-        if name != joint.name or joint.parent not in known or joint.child in known:
-            return False
-        known.add(joint.child)
-    return known == {*robot.tree.links}
-
-
-def _incomplete(file: Path) -> DataError:
-    return DataError(
-        f"{file}: expected a result that contains its vehicle and digests of its maps, found one "
-        "without them; run the problem again"
-    )

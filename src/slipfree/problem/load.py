@@ -131,12 +131,15 @@ def load_again(
     trusted: frozenset[str] = frozenset(),
     *,
     command: str = "run",
+    grounds: Mapping[str, Any] = {},
 ) -> Problem[Any]:
     """Return the problem in a text, with ``path`` as its file; errors as in `load_problem`.
 
-    ``trusted`` are the paths of xacro files that the command line trusts (`Problem.trusted`).
+    ``trusted`` are the paths of xacro files that the command line trusts (`Problem.trusted`),
+    ``grounds`` the ground in a result (`Problem.grounds`).
     """
-    return replace(_from_text(verbs_of(command), path, text, settings), trusted=trusted)
+    problem = _from_text(verbs_of(command), path, text, settings, grounds=grounds)
+    return replace(problem, trusted=trusted)
 
 
 def _from_text(
@@ -145,13 +148,15 @@ def _from_text(
     text: str,
     settings: Sequence[str],
     varied: Sequence[str] = (),
+    grounds: Mapping[str, Any] = {},
 ) -> Problem[Any]:
     """Return the problem in the text of a TOML file; ``varied`` are settings of ``--vary``."""
 
     def schema_of(data: Mapping[str, Any], source: Source) -> type[CommonKeys]:
         return _by_verb(verbs, data, source).schema
 
-    return convert_places(validated_problem(schema_of, path, text, settings, varied))
+    problem = validated_problem(schema_of, path, text, settings, varied)
+    return convert_places(replace(problem, grounds=grounds))
 
 
 def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> Verb:

@@ -73,6 +73,8 @@ class Problem(Generic[A]):
     trusted: frozenset[str] = frozenset()  # xacro files; only the command line can trust them
     # contents of the vehicle files that were read, by name; of a result those stored in it
     vehicles: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    # ground in a result, and the key 'friction' that belongs to it, by its table as JSON
+    grounds: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def __repr__(self) -> str:
         return f"Problem: {self.spec.verb}, {self.source.path}"

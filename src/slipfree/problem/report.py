@@ -19,7 +19,6 @@ from slipfree.core.version import __version__
 from slipfree.files.atlas_files import is_atlas, open_atlas
 from slipfree.files.cf import MAP_TRANSFORM
 from slipfree.files.netcdf import ORIGIN, read
-from slipfree.files.toml.source import ProblemError
 from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.files.vehicle_draft import Draft
 from slipfree.files.vehicle_toml import VehicleError
@@ -35,14 +34,15 @@ from slipfree.problem.build_vehicle import (
     read_vehicle,
     read_vehicle_file,
     vehicle_file,
+    visual_meshes,
 )
-from slipfree.problem.inputs import STORED, digest
+from slipfree.problem.inputs import digest
 from slipfree.problem.load import find_motion_verb, load_problem, verb_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import build, motion_facts, open_result
+from slipfree.problem.stored_world import STORED
 from slipfree.problem.verbs.base import Lines, Result, outcome_fact, ranges
 from slipfree.problem.verbs.drive_facts import clearance_lines
-from slipfree.problem.verbs.driving import visual_meshes
 from slipfree.routing.traversability import extents
 from slipfree.show.atlas_figures import atlas_plots
 from slipfree.show.drive_scene import Driven, drive_scene
@@ -74,15 +74,11 @@ class _ReportFigures(NamedTuple):
     note: str
 
 
-def report(file: Path, folder: Path | None = None) -> Report:
-    """Return the report of a result file.
-
-    DataError is raised if the file cannot be read, or input files of its problem are missing in
-    ``folder`` (see `open_result`).
-    """
+def report(file: Path) -> Report:
+    """Return the report of a result file; raise DataError if it cannot be read."""
     if is_atlas(file):
         return _atlas_report(file)
-    result = open_result(file, folder, samples=FIGURE_SAMPLES)
+    result = open_result(file, samples=FIGURE_SAMPLES)
     run, verb = read(file, lazy=True), find_motion_verb(result.kind)
     facts, names = [outcome_fact(run), *motion_facts(run)], verb.checks if verb else ()
     attributes = run.attributes
@@ -152,17 +148,13 @@ def _texts(file: Path, attributes: Mapping[str, str]) -> dict[str, str]:
 
 
 def _drawn(result: Result, count: int) -> _ReportFigures:
-    if "problem" not in result.trajectory.attributes:
-        return _ReportFigures(
-            (), "No figures: the result contains no problem file, so that its ground is unknown."
-        )
     try:
         shown = result.trajectory.t.size
         note = f"The figures show {shown} of {count} samples, including the extremes of all "
         note += "quantities; the tables use all samples."
         figures = verb_of(result.problem).figures(result)
         return _ReportFigures(figures, note if shown < count else "")
-    except ProblemError as error:
+    except DataError as error:
         return _ReportFigures((), f"No figures: {error}")
 
 

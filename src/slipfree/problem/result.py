@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import json
 import os
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -20,20 +20,12 @@ from slipfree.files.export import check_motion, check_name
 from slipfree.files.netcdf import read, read_arrays
 from slipfree.files.toml.source import ProblemError
 from slipfree.plan.polynomial_motion import SavedPlan
-from slipfree.problem.build_ground import at
-from slipfree.problem.inputs import (
-    DRAWN,
-    STORED,
-    digest,
-    files_read,
-    input_names,
-    read_stored,
-    restored_vehicle,
-    stored_inputs,
-)
-from slipfree.problem.load import check_option, find_motion_verb, load_problem, verb_of
+from slipfree.problem.build_ground import at, ground_table
+from slipfree.problem.inputs import digests
+from slipfree.problem.load import check_option, find_motion_verb, load_again, verb_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import MotionKeys, Runnable
+from slipfree.problem.stored_world import STORED, read_world, store_world
 from slipfree.problem.verbs.base import (
     CROSS_CHECK,
     VERB_ATTRIBUTE,
@@ -47,7 +39,9 @@ from slipfree.problem.verbs.base import (
     plain_facts,
 )
 from slipfree.system.forks import computing
-from slipfree.system.regular_files import escape_name, resolve_links, unescape_name
+from slipfree.system.regular_files import escape_name, unescape_name
+
+DIGESTS = "input_sha256"  # attribute of a result: digests of the input files by name, as JSON
 
 
 @computing
@@ -103,15 +97,15 @@ def run_problem(
     verb, kept = verb_of(problem), list[Result]()
 
     def store(solution: VerbSolution) -> None:
-        kept[:] = [_result(problem, verb, solution, stored)]
+        kept[:] = [_result(problem, verb, solution, files)]
         keep(kept[-1])
 
     setup = build(problem)
-    stored = stored_inputs(problem)  # before a long search, in which files may change
+    files = digests(problem)  # before a long search, in which files may change
     try:
         with at(problem, ("start",)):
             solution = verb.solve(problem, setup, Watch(progress, tell, path, store), resume)
-        return _result(problem, verb, solution, stored)
+        return _result(problem, verb, solution, files)
     except KeyboardInterrupt:
         if not kept:
             raise
@@ -123,11 +117,15 @@ def run_problem(
 
 
 def _result(
-    problem: Problem[Runnable], verb: MotionVerb, solution: VerbSolution, stored: str
+    problem: Problem[Any], verb: MotionVerb, solution: VerbSolution, files: dict[str, str]
 ) -> Result:
     run, setup, arrays = solution
-    own = _attributes(problem, verb, setup)
-    run = replace(run, attributes={**run.attributes, **own, STORED: stored})
+    own = _attributes(problem, verb, setup) | ({DIGESTS: json.dumps(files)} if files else {})
+    world, world_arrays = store_world(problem, solution)
+    run = replace(run, attributes={**run.attributes, **own, STORED: world})
+    table, friction = ground_table(problem.spec.terrain), problem.spec.terrain.friction
+    problem = replace(problem, grounds={table: (friction, setup.ground)})
+    arrays = {**arrays, **world_arrays}
     if isinstance(problem.spec, MotionKeys):
         run = run.in_frame(problem.spec.frame)
     return Result(verb.name, run, verb.verification(run), setup, arrays, lambda: problem)
@@ -168,18 +166,13 @@ def _attributes(problem: Problem[Any], verb: MotionVerb, setup: VerbSetup) -> di
     return {name: escape_name(text) for name, text in attributes.items()}
 
 
-def open_result(
-    path: str | os.PathLike[str], folder: Path | None = None, *, samples: int | None = None
-) -> Result:
-    """Return the result in a file of ``slipfree run``.
+def open_result(path: str | os.PathLike[str], *, samples: int | None = None) -> Result:
+    """Return the result in a file of ``slipfree run``; no other file is read.
 
     Parameters
     ----------
     path : path
         The result file.
-    folder : Path, optional
-        Folder of the input files of the problem. By default the problem's folder, the result's
-        folder and the current folder are searched, in this order.
     samples : int, optional
         Approximate number of samples to keep, in addition to all extremes (see
         `slipfree.core.trajectory.thin`); by default all are kept.
@@ -193,8 +186,9 @@ def open_result(
     run = read(file) if samples is None else thin(read(file, lazy=True), samples)
     verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
     kind, verification = (verb.name, verb.verification(run)) if verb else ("", {})
-    problem = cache(partial(problem_of, file, run, folder))
-    return Result(kind, run, verification, None, read_arrays(file), problem)
+    arrays = read_arrays(file)
+    problem = cache(partial(problem_of, file, run, arrays))
+    return Result(kind, run, verification, None, arrays, problem)
 
 
 def motion_facts(run: Trajectory) -> Lines:
@@ -227,31 +221,21 @@ def _readable_facts() -> Iterator[None]:
         ) from error
 
 
-def shown(file: Path, name: str, folder: Path | None = None) -> Any:
-    """Return the motion in a result file with ground and vehicle, as input of the viewer.
-
-    ``name`` is that of the motion in the viewer. DataError is raised if the file cannot be read or
-    contains no problem, or if input files of its problem are missing or have changed.
-    """
-    result = open_result(file, folder)
-    return verb_of(result.problem).shown(result, name)
-
-
-def export_mcap(file: Path, out: Path, folder: Path | None = None) -> None:
+def export_mcap(file: Path, out: Path) -> None:
     """Write the motion in a result file as an MCAP file of ROS 2 messages; see `write_mcap`.
 
     Parameters
     ----------
-    file, folder : Path
-        As for `open_result`.
+    file : Path
+        The result file.
     out : Path
         File to write, ending in ``.mcap``.
 
     Raises
     ------
     DataError
-        If the result cannot be read, is not a motion over terrain or contains no problem, if input
-        files of its problem are missing or have changed, or if ``out`` cannot be written.
+        If the result cannot be read, is not a motion over terrain or does not contain problem and
+        vehicle, or if ``out`` cannot be written.
     """
     from slipfree.files.mcap import write_mcap
     from slipfree.problem.build_vehicle import read_robot
@@ -259,27 +243,32 @@ def export_mcap(file: Path, out: Path, folder: Path | None = None) -> None:
 
     check_name(out, file, (".mcap",))
     check_motion(file, read(file, lazy=True), ("x", "y", "z", "wheel_angle", "slip_along"))
-    result = open_result(file, folder)
+    result = open_result(file)
     vehicle, problem = vehicle_of(result), result.problem
     robot = read_robot(problem.spec.vehicle, problem)
     write_mcap(out, result.trajectory, vehicle, robot)
 
 
-def result_files(file: Path, folder: Path | None = None) -> list[Path]:
-    """Return a result file and the files of its problem, if these are found; see `open_result`."""
+def result_files(file: Path) -> list[Path]:
+    """Return a result file and the files from which it was computed, as far as it names them."""
     files = [file]
-    with suppress(SlipfreeError):  # the command reports it if it needs the problem
-        files += files_read(problem_of(file, read(file, lazy=True), folder))
+    with suppress(SlipfreeError, ValueError, TypeError):  # the command reports unreadable results
+        attributes = read(file, lazy=True).attributes
+        folder = Path(unescape_name(attributes.get("problem_folder", "")))
+        names = [attributes["problem_file"], *json.loads(attributes.get(DIGESTS, "{}"))]
+        files += [folder / name for name in names]
     return files
 
 
 def problem_of(
-    file: Path, run: Trajectory, folder: Path | None = None, changes: Sequence[str] = ()
+    file: Path, run: Trajectory, arrays: Mapping[str, Array], changes: Sequence[str] = ()
 ) -> Problem[Any]:
     """Return the problem stored in a result, with further settings ``changes``.
 
-    DataError is raised if the result contains no problem, or input files of the problem are
-    missing; ProblemError if the problem is not valid in this version.
+    Ground and vehicle are those in the result, unless a setting changes them; names of files in
+    ``changes`` are relative to the current folder. DataError is raised if the result does not
+    contain its problem, ground and vehicle; ProblemError if the problem is not valid in this
+    version.
     """
     text = run.attributes.get("problem")
     if text is None:
@@ -287,58 +276,23 @@ def problem_of(
             f"{file}: expected a result that contains its problem, found none; use a file written "
             "by slipfree run"
         )
+    grounds, vehicles = read_world(file, run, arrays)
     settings = run.attributes.get("settings", "").splitlines()
-    name = Path(run.attributes.get("problem_file", "problem.toml")).name
-    with tempfile.TemporaryDirectory() as scratch:
-        copy = Path(scratch) / "problem.toml"  # a name from a file is not trusted
-        copy.write_text(text, encoding="utf-8")
-        try:
-            original = load_problem(copy, settings)
-            problem = load_problem(copy, [*settings, *changes]) if changes else original
-        except ProblemError as error:
-            faults = (fault.replace(str(copy), name) for fault in error.faults)
-            raise ProblemError(
-                f"{file}: its problem is not valid in this version of slipfree; correct these "
-                "errors and run the problem again:",
-                *faults,
-            ) from error
-    recorded = unescape_name(run.attributes.get("problem_folder", ""))
-    stored = read_stored(file, run.attributes.get(STORED), original)
-    place = _folder(file, problem.spec, recorded, folder, stored.files)
-    source = replace(problem.source, path=place / name)
-    vehicles = {}
-    if stored.vehicle is not None:
-        vehicles[stored.vehicle.file] = restored_vehicle(file, stored.vehicle, place)
-    return replace(problem, source=source, vehicles=vehicles)
-
-
-def _folder(
-    file: Path, spec: Runnable, recorded: str, folder: Path | None, digests: Mapping[str, str]
-) -> Path:
-    """Return the first of several folders that contains all input files of a problem.
-
-    ``recorded`` is the folder in the result file; ``folder``, if given, is the only one tried.
-    ``digests`` are the SHA-256 of the files with which the result was computed.
-    """
-    needed = input_names(spec, DRAWN)
-    here, beside = Path.cwd(), file.absolute().parent
-    usual = [*(resolve_links(each / recorded) for each in (here, beside) if recorded), beside, here]
-    tried = [folder] if folder is not None else list(dict.fromkeys(usual))
-    # Path.is_file raises an error for names that are too long
-    complete = [each for each in tried if all(os.path.isfile(each / name) for name in needed)]  # noqa: PTH113
-    known = [name for name in needed if name in digests]  # the others are in the changed settings
-    for place in complete:
-        if all(digest(place / name) == digests[name] for name in known):
-            return place
-    if complete:
-        raise DataError(
-            f"{file}: expected the ground with which the result was computed, found a different "
-            f"one ({', '.join(known)}) in {' and '.join(map(str, complete))}; restore the file, "
-            "give its folder with --folder DIR, or run the problem again"
-        )
-    raise DataError(
-        f"{file}: expected the input file{'s' * (len(needed) > 1)} {' and '.join(needed)} of its "
-        f"problem in {' or '.join(map(str, tried))}, found "
-        f"{'no folder with all of them' if len(needed) > 1 else 'no such file'}; give the folder "
-        "of the problem file with --folder DIR"
-    )
+    name = Path(Path(run.attributes.get("problem_file", "problem.toml")).name)
+    try:
+        problem = load_again(name, text, settings, grounds=grounds)
+        stored, spec = {None, *vehicles}, problem.spec
+        if spec.vehicle.file not in stored or ground_table(spec.terrain) not in grounds:
+            raise DataError(
+                f"{file}: expected a result with the ground and vehicle of its problem, found "
+                "others; run the problem again"
+            )
+        if changes:
+            problem = load_again(name, text, [*settings, *changes], grounds=grounds)
+    except ProblemError as error:
+        raise ProblemError(
+            f"{file}: its problem is not valid in this version of slipfree; correct these "
+            "errors and run the problem again:",
+            *error.faults,
+        ) from error
+    return replace(problem, vehicles=vehicles)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from math import ceil
 from typing import NamedTuple
@@ -21,6 +21,7 @@ from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
 ROD = 8  # faces around a rod
 SPOKES, SPOKE = 4, 0.06  # number of spokes of a wheel, and their radius [wheel radius]
 ROLLERS, ROLLER = 9, 0.25  # number of rollers of a wheel, and half their length [wheel radius]
+FINEST = 1e-3  # smallest cells of simplified meshes [extent]
 NEAR = 1e-9  # smaller lengths count as zero [m]
 MOST = 60_000  # maximum number of added nodes
 
@@ -30,6 +31,24 @@ def joined(*meshes: TriangleMesh) -> TriangleMesh:
     starts = np.cumsum([0, *(len(each.vertices) for each in meshes)])
     faces = [each.faces + np.uint32(start) for each, start in zip(meshes, starts, strict=False)]
     return TriangleMesh(np.concatenate([each.vertices for each in meshes]), np.concatenate(faces))
+
+
+def reduced(meshes: Mapping[str, TriangleMesh], most: int) -> dict[str, TriangleMesh]:
+    """Return meshes by name with at most ``most`` faces in all, and vertices moved together."""
+    found = dict(meshes)
+    cell = FINEST * max((float(np.ptp(each.vertices)) for each in meshes.values()), default=0.0)
+    while sum(len(each.faces) for each in found.values()) > most:
+        found, cell = {name: _merged(each, cell) for name, each in meshes.items()}, 1.5 * cell
+    return {name: each for name, each in found.items() if len(each.faces)}
+
+
+def _merged(mesh: TriangleMesh, cell: float) -> TriangleMesh:
+    """Return a mesh with one vertex per cubic cell [m], without faces that thereby vanish."""
+    cells = np.round(mesh.vertices / cell)
+    _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    faces = number.reshape(-1)[mesh.faces].astype(np.uint32)
+    kept = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    return TriangleMesh(mesh.vertices[first], faces[kept])
 
 
 def spokes(radius: float) -> TriangleMesh:

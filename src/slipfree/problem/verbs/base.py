@@ -30,7 +30,9 @@ from slipfree.system.interrupt import check_interrupt
 if TYPE_CHECKING:
     from slipfree.models.montana import Difference
     from slipfree.plan.polynomial_motion import SavedPlan
+    from slipfree.problem.build_ground import GroundMap
     from slipfree.show.plots import Plot
+    from slipfree.vehicle.tree import Vehicle
 
 
 Lines = list[tuple[str, str]]
@@ -88,6 +90,14 @@ def integrator_fact(run: Trajectory) -> tuple[str, str]:
 
 class VerbSetup(Protocol):
     """Common attributes of the set-ups of all verbs."""
+
+    @property
+    def ground(self) -> GroundMap:
+        """Ground on a grid."""
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle."""
 
     @property
     def start(self) -> Trajectory:
@@ -223,8 +233,7 @@ class Result(Generic[P, D]):
         Raises
         ------
         DataError
-            If the result was read from a file without a problem, or input files that the problem
-            names are missing.
+            If the result was read from a file without its problem, ground and vehicle.
         ProblemError
             If the problem is not valid in this version.
         """
@@ -289,10 +298,7 @@ class MotionVerb(Verb):
 
     @abstractmethod
     def shown(self, result: Result, name: str) -> Any:
-        """Return the motion of a result with ground and vehicle, as input of the viewer.
-
-        DataError is raised if ground or vehicle differ from those of the motion.
-        """
+        """Return the motion of a result with ground and vehicle, as input of the viewer."""
 
     def attributes(self, problem: Problem[Any], setup: Any) -> dict[str, str]:
         """Return the attributes of the result file that only this verb has; none by default."""

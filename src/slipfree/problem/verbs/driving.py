@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -17,18 +15,10 @@ from slipfree.core.facts import Fact
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.cf import MAP_TRANSFORM, encode_map_coordinates
-from slipfree.files.urdf.meshes import FORMATS, MeshFiles, find_mesh
-from slipfree.geometry.mesh import TriangleMesh
 from slipfree.laws.soil import Soil
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.records import is_determinate
-from slipfree.models.samples import (
-    CLOSEST,
-    closest_fact,
-    has_pressed_wheels,
-    obstacle_ending,
-    wheel_poses,
-)
+from slipfree.models.samples import CLOSEST, closest_fact, obstacle_ending
 from slipfree.models.single_wheel import RESERVE, drawbar_reserve
 from slipfree.problem.build import (
     Setup,
@@ -38,9 +28,8 @@ from slipfree.problem.build import (
     law_name,
     model_law,
 )
-from slipfree.problem.build_ground import GroundMap, at, build_ground
-from slipfree.problem.build_vehicle import VehicleFile, vehicle_file
-from slipfree.problem.inputs import digest
+from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.build_vehicle import vehicle_file, visual_meshes
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Modelled, MotionKeys
 from slipfree.problem.verbs.base import (
@@ -70,8 +59,6 @@ from slipfree.problem.verbs.drive_facts import (
 )
 from slipfree.solve.settle import stable_poses
 from slipfree.terrain.base import Grid
-from slipfree.terrain.bicubic import Bicubic
-from slipfree.terrain.solids import Prism
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
@@ -80,8 +67,6 @@ if TYPE_CHECKING:
     from slipfree.show.plots import Plot
 
 Diagnostic = Callable[[Trajectory], Trajectory]
-STEEPEST = 3.0  # ratio of vertical to normal distance from the ground, at a slope of 70 degrees
-SAME = 1e-3  # largest distance of wheels from stored positions and from the ground, in radii
 
 
 class DriveVerb(MotionVerb):
@@ -175,7 +160,7 @@ class DriveVerb(MotionVerb):
         """Return the figures of a motion, the most important first."""
         from slipfree.show.motion_figures import motion_plots
 
-        ground = ground_of(result)
+        ground = build_ground(result.problem)
         terrain = build_terrain(result.problem, ground)
         prisms = build_solids(result.problem, terrain)
         return motion_plots(result.trajectory, ground.grid, prisms=prisms)
@@ -185,12 +170,11 @@ class DriveVerb(MotionVerb):
         from slipfree.show.drive_scene import Driven
 
         run, problem = result.trajectory, result.problem
-        terrain, vehicle = build_terrain(problem, ground_of(result)), vehicle_of(result)
+        terrain, vehicle = build_terrain(problem, build_ground(result.problem)), vehicle_of(result)
         prisms = build_solids(problem, terrain)
-        _check_ground(result, terrain, prisms, vehicle)
-        name_of_file = problem.spec.vehicle.file
-        stored = None if name_of_file is None else vehicle_file(name_of_file, problem)
-        robot, visuals = stored and stored.robot, visual_meshes(stored)
+        file = problem.spec.vehicle.file
+        contents = None if file is None else vehicle_file(file, problem)
+        robot, visuals = contents and contents.robot, visual_meshes(contents)
         return Driven(name, run, terrain, vehicle, prisms=prisms, robot=robot, visuals=visuals)
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
@@ -200,33 +184,6 @@ class DriveVerb(MotionVerb):
             "inputs": " ".join(label.full for label in leaves(setup.dae.labels.u)),
             **({MAP_TRANSFORM: encode_map_coordinates(coordinates)} if coordinates else {}),
         }
-
-
-def visual_meshes(file: VehicleFile | None) -> dict[str, TriangleMesh]:
-    """Return the meshes of the links of a URDF by name, those that the result used and exist."""
-    from slipfree.show.meshes import joined
-
-    visuals: dict[str, TriangleMesh] = {}
-    if file is None or file.robot is None:
-        return visuals
-    folder, known = Path(file.robot.tree.file).parent, []
-    for link in file.robot.tree.links.values():
-        with suppress(DataError):  # the vehicle is then drawn with simple bodies
-            if link.visuals and all(_is_known(mesh.name, folder, file) for mesh in link.visuals):
-                known.append(link)
-    files = MeshFiles((mesh for link in known for mesh in link.visuals), folder)
-    for link in known:
-        with suppress(DataError):
-            visuals[link.name] = joined(*map(files.triangles, link.visuals))
-    return visuals
-
-
-def _is_known(mesh: str, folder: Path, file: VehicleFile) -> bool:
-    """Return whether a mesh is that with which a result was computed; True for other vehicles."""
-    if file.meshes is None:
-        return True
-    is_mesh = mesh.lower().endswith(FORMATS)
-    return is_mesh and file.meshes.get(mesh) == digest(find_mesh(mesh, folder))
 
 
 def _stable_poses(problem: Problem[MotionKeys], setup: Setup) -> tuple[Trajectory, ...]:
@@ -247,17 +204,17 @@ def model_attributes(spec: Modelled) -> dict[str, str]:
     return {"model": spec.model, "law": law_name(spec)}
 
 
-def ground_of(result: Result) -> GroundMap:
-    """Return the ground of a result, from its set-up if present, or built from its problem."""
-    return build_ground(result.problem) if result.setup is None else result.setup.ground
-
-
 def vehicle_of(result: Result) -> Vehicle:
     """Return the vehicle of a result; raise DataError if it does not match the motion."""
     problem = result.problem
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(problem.spec.vehicle, problem)
-    _check_vehicle(result.trajectory, vehicle)
+    run, names = result.trajectory, tuple(wheel.name for wheel in vehicle.wheels)
+    if names != run.wheels or not {c.name for c in vehicle.coordinates} <= {*run.columns}:
+        raise DataError(
+            f"expected the vehicle of the motion, with wheels {', '.join(run.wheels)}, found "
+            f"{vehicle.name!r} with other wheels or joints; run the problem again"
+        )
     return vehicle
 
 
@@ -305,52 +262,3 @@ def _with_ending(setup: Setup, run: Trajectory) -> Trajectory:
     if ending is None:
         return run
     return run.with_facts({OBSTACLES: Fact(ending.name, words=ending.words)})
-
-
-def _check_vehicle(run: Trajectory, vehicle: Vehicle) -> None:
-    """Raise DataError unless the vehicle has the wheels, joints and contacts of the motion."""
-    wheels = tuple(wheel.name for wheel in vehicle.wheels)
-    if wheels != run.wheels or not {c.name for c in vehicle.coordinates} <= {*run.columns}:
-        raise _changed("vehicle", None, "its wheels or joints have other names")
-    placed = wheel_poses(vehicle, run)
-    center, contact = (
-        np.stack([run[f"{name}_{axis}"] for axis in "xyz"], axis=-1)
-        for name in ("center", "contact")
-    )
-    away = np.linalg.norm(placed.origins - center, axis=-1)
-    along = np.einsum("nki,nki->nk", contact - center, placed.rotations[..., 0])
-    out = np.sqrt(np.maximum(((contact - center) ** 2).sum(axis=-1) - along**2, 0))
-    columns = zip(vehicle.wheels, run["wheel_u"].T, strict=True)
-    x, rho = np.stack([wheel.section.outline(u) for wheel, u in columns], axis=-1)
-    off = max(away.max(), np.hypot(along - x, out - rho).max())
-    if not off <= np.abs(_depth(run)).max() + SAME * min(wheel.radius for wheel in vehicle.wheels):
-        raise _changed("vehicle", None, f"its wheels are {off:.2g} m from those of the result")
-
-
-def _check_ground(
-    result: Result, terrain: Bicubic, prisms: Sequence[Prism], vehicle: Vehicle
-) -> None:
-    """Raise DataError unless the ground or a solid is at the contact points of the motion."""
-    run = result.trajectory
-    heights = terrain.elevation(run["contact_x"], run["contact_y"])
-    # points on wheels that press into the ground, or are above it
-    away = np.abs(heights - run["contact_z"]) - STEEPEST * np.abs(_depth(run))
-    points = np.stack([run[f"contact_{axis}"] for axis in "xyz"], axis=-1)
-    for prism in prisms:
-        away = np.minimum(away, np.abs(prism.distance(points)[0]) - np.abs(_depth(run)))
-    off = away.max()
-    if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
-        words = f"it is up to {off:.2g} m from the contact points"
-        raise _changed("ground", result.problem.spec.terrain.file, words)
-
-
-def _depth(run: Trajectory) -> Array:
-    return run["depth"] if has_pressed_wheels(run) else np.zeros(1)
-
-
-def _changed(what: str, file: str | None, words: str) -> DataError:
-    remedy = "restore the file, give its folder with --folder DIR, or " if file else ""
-    return DataError(
-        f"expected the {what} with which the result was computed, found a different one"
-        f"{f' ({file})' if file else ''}: {words}; {remedy}run the problem again"
-    )

@@ -40,14 +40,13 @@ from slipfree.plan.search import PlanProgress
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.windows import LongPlan
 from slipfree.problem.build import Setup, build_terrain, model_law, wheel_angles_at
-from slipfree.problem.build_ground import GroundMap, at
+from slipfree.problem.build_ground import GroundMap, at, build_ground
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs import plan_schema
 from slipfree.problem.verbs.base import RESUME, Lines, Result, VerbSolution, Watch, with_diagnostics
 from slipfree.problem.verbs.driving import (
     Diagnostic,
     DriveVerb,
-    ground_of,
     model_attributes,
     vehicle_of,
 )
@@ -215,7 +214,7 @@ class PlanVerb(DriveVerb):
 
         if result.problem.spec.terrain.obstacles:
             return super().figures(result)
-        run, ground = result.trajectory, ground_of(result)
+        run, ground = result.trajectory, build_ground(result.problem)
         plots = plan_plots(run, ground.grid, layers_of(result, ground), **figure_options(result))
         return *plots, *super().figures(result)
 
@@ -263,7 +262,7 @@ def figure_options(result: Result) -> dict[str, Any]:
     problem, arrays = result.problem, result.arrays
     spec, run = problem.spec, result.trajectory
     unbounded = dict.fromkeys(run.attributes["inputs"].split(), (-np.inf, np.inf))
-    routes, grid = _line_points("route", arrays), ground_of(result).grid
+    routes, grid = _line_points("route", arrays), build_ground(result.problem).grid
     ends = np.flatnonzero(np.isnan(routes[:, 0]))
     return {
         "places": places_of(problem, way_points_of(problem), grid.domain)[0],

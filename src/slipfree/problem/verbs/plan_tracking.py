@@ -87,7 +87,6 @@ def follow_plan(
     seeds: int = 1,
     period: float | None = None,
     window: float | None = None,
-    folder: Path | None = None,
     progress: Callable[[str, int, float], None] | None = None,
 ) -> TrackingTest:
     """Follow the plan of a result file in changed worlds, in several ways.
@@ -106,8 +105,9 @@ def follow_plan(
     """
     _check_names(by, disturb)
     run = read(file)
-    saved = from_arrays(read_arrays(file), str(file))
-    planned, real = (problem_of(file, run, folder, each) for each in ((), changes))
+    arrays = read_arrays(file)
+    saved = from_arrays(arrays, str(file))
+    planned, real = (problem_of(file, run, arrays, each) for each in ((), changes))
     if not isinstance(planned.spec, PlanVerb.schema):
         raise DataError(
             f"{file}: expected the result of a plan, found one with verb = {planned.spec.verb!r}; "
