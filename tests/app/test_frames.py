@@ -12,12 +12,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+import xarray
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 
 from helpers.commands import invoke, printed
 from slipfree.core.facts import Fact
 from slipfree.files import netcdf
+from slipfree.files.mcap import read_mcap
 from slipfree.plan.problem import costs_of
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build
@@ -66,6 +68,37 @@ def test_results_hold_headings_in_the_frame_of_the_problem_and_say_so(problem):
     assert figures_of(run, load_problem(problem))["end_heading"][0] == pytest.approx(0.3, abs=1e-9)
     axes = motion_figures.history(run, "heading", Figure().subplots())
     assert_allclose(np.asarray(axes.lines[0].get_ydata()), 0.3, atol=1e-9)
+
+
+@pytest.mark.parametrize(("frame", "axis", "turn"), [("paper", "y", -pi / 2), ("rep103", "x", 0.0)])
+def test_every_file_of_a_motion_has_the_headings_of_its_frame(problem, frame, axis, turn):
+    """One motion in both frames, in every format; the yaw always counts from the x axis."""
+    settings = [f"--set=frame={frame}", f"--set=start.heading={0.3 + turn}"]
+    printed("run", str(problem), *settings, "--no-draw", "--csv", "run.csv")
+    printed("export", "p.nc", "--path", "path.csv")
+    printed("export", "p.nc", "--path", "path.geojson")
+    printed("export", "p.nc", "--mcap", "path.mcap")
+    printed("report", "p.nc")
+    words = f"counter-clockwise angle of the forward axis from the {axis} axis"
+    with xarray.open_dataset("p.nc", engine="scipy") as file:
+        assert file.attrs["frame"] == frame
+        assert file["heading"].attrs["long_name"] == words
+        found = {"netCDF": file["heading"].values}
+    (line,) = json.loads(Path("path.geojson").read_text())["features"]
+    assert line["properties"]["frame"] == frame
+    shown = json.loads(printed("info", "p.nc", "--json"))["result"]["quantities"]["heading"]
+    assert shown["words"] == words
+    axes = motion_figures.history(netcdf.read("p.nc"), "heading", Figure().subplots())
+    found |= {"GeoJSON": line["properties"]["heading_rad"], "JSON": shown["last"]}
+    found |= {"figure": axes.lines[0].get_ydata()}
+    for name in ("run.csv", "path.csv"):
+        table = np.genfromtxt(name, delimiter=",", names=True, deletechars="")
+        found[name] = table["heading"]
+        assert_allclose(table["yaw"], 0.3, atol=1e-9)
+    for name, values in found.items():
+        assert_allclose(values, 0.3 + turn, atol=1e-9, err_msg=name)
+    assert_allclose(read_mcap(Path("path.mcap"), "heading")["heading"], 0.3, atol=1e-9)
+    assert f"heading {0.3 + turn:.5g} rad" in Path("p.html").read_text()
 
 
 def test_a_start_without_heading_faces_along_the_x_axis(problem):

@@ -42,7 +42,7 @@ def test_geotiff_is_in_the_place_of_the_map(tmp_path, poses, site):
         assert np.isnan(file.nodata)
         assert file.tags()["AREA_OR_POINT"] == "Point"
         assert file.tags()["title"] == "Ridge"
-        assert file.tags()["heading_convention"].endswith("from the x axis")
+        assert file.tags()["frame"] == "rep103"
         names = {text.split(" [")[0]: k for k, text in enumerate(file.descriptions, 1)}
         heights = file.read(names["elevation"])
         row, column = np.unravel_index(heights.argmax(), heights.shape)
@@ -62,12 +62,22 @@ def test_geotiff_is_in_the_place_of_the_map(tmp_path, poses, site):
         assert "roll is not within its bounds" in meanings
 
 
-def test_headings_are_in_degrees_of_the_frame(poses, site):
-    maps, _ = site.summary_of(poses, slice(None), slice(None))
-    best = maps["heading_best"].values
-    high = poses["least_friction_high"][:, 12, 8]
-    paper = np.rad2deg(poses.heading[high.argmin()])
-    assert best[12, 8] == pytest.approx((paper + 90) % 360)
+@pytest.mark.parametrize(("frame", "axis", "turn"), [("paper", "y", 0), ("rep103", "x", 90)])
+def test_headings_of_both_files_are_in_the_frame(tmp_path, poses, site, frame, axis, turn):
+    site = site._replace(frame=frame)
+    write_atlas(tmp_path / "a.nc", poses, site)
+    write_geotiff(tmp_path / "a.tif", poses, site)
+    words = f"counter-clockwise angle of the forward axis from the {axis} axis"
+    with xarray.open_dataset(tmp_path / "a.nc", engine="scipy") as found:
+        assert found.attrs["frame"] == frame
+        assert found["heading"].attrs["long_name"] == words
+        np.testing.assert_allclose(np.rad2deg(found["heading"] - poses.heading), turn)
+        best = found["heading"][poses["least_friction_high"][:, 12, 8].argmin()].item()
+    with rasterio.open(tmp_path / "a.tif") as file:
+        assert file.tags()["frame"] == frame
+        (k,) = (k for k, text in enumerate(file.descriptions, 1) if text.startswith("heading_best"))
+        assert file.tags(k)["long_name"].endswith(words)
+        assert file.read(k)[4, 12] == pytest.approx(np.rad2deg(best) % 360)
 
 
 def test_equal_maps_give_equal_files(tmp_path, poses, site):
@@ -83,8 +93,9 @@ def test_equal_maps_give_equal_files(tmp_path, poses, site):
 def test_netcdf_reads_back(tmp_path, poses, site):
     write_atlas(tmp_path / "a.nc", poses, site)
     again, ground = open_atlas(tmp_path / "a.nc")
-    for name in ("x", "y", "heading"):
+    for name in ("x", "y"):
         np.testing.assert_array_equal(getattr(again, name), getattr(poses, name))
+    np.testing.assert_allclose(again.heading, poses.heading, rtol=0, atol=4 * np.spacing(np.pi))
     assert again.reasons == poses.reasons
     assert list(again.bands) == list(poses.bands)
     for name, band in poses.bands.items():

@@ -106,6 +106,24 @@ def test_clearance_over_a_sphere_has_its_closed_form():
             assert_allclose(at.gap, distance - radius, atol=1e-9)
 
 
+@pytest.mark.parametrize(("edges", "cell"), [((6.0, 3.0, 0.5), 0.1), ((0.7, 0.3, 0.2), 0.05)])
+def test_clearance_of_a_wide_body_is_that_of_dense_sampling(edges, cell):
+    """The body is wider than many cells, on ground whose neighbouring nodes differ by 1 cm."""
+    rng, axis, box = np.random.default_rng(5), np.arange(-5, 5 + cell / 2, cell), Box(edges)
+    z = 0.05 * np.sin(2 * axis)[:, None] * np.cos(3 * axis) + rng.normal(0, 0.01, (axis.size,) * 2)
+    ground, heights = Bicubic(Grid(axis, axis, z)), RectBivariateSpline(axis, axis, z, s=0).ev
+    side = np.arange(-max(edges), max(edges), cell / 10) / 1.6
+    points = np.stack([*np.meshgrid(side, side, indexing="ij"), np.empty((side.size,) * 2)], -1)
+    points[..., 2] = heights(points[..., 0], points[..., 1])
+    for _ in range(12):
+        rotation = rng.uniform(-1, 1, 3) * (0.02, 0.02, 3)
+        height = 0.4 + edges[2] / 2
+        axes = Rotation.from_euler("xyz", rotation).as_matrix()
+        least = shape_distance(box, (points - [0, 0, height]) @ axes).min()
+        (found,) = level(box, height=height, rotation=rotation, ground=ground).gap
+        assert least - 0.05 * cell < found < least + 1e-9
+
+
 def test_a_plane_map_and_a_plane_formula_agree():
     """The clearance from a plane has a closed form, which the search on a map must find."""
     z = np.add.outer(0.1 * AXIS, 0.2 * AXIS)

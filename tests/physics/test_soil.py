@@ -65,8 +65,7 @@ def by_quadrature(soil, size, depth, s, beta, gravity=EARTH_GRAVITY):
     ratio = 1 - s if s >= 0 else 1 / (1 + s)  # of the speed of the centre to that of the rim
     held_back = max(ratio - 1, 0)  # speeds over that of the rim
     skid = np.hypot(held_back, ratio * tan(beta)) / np.hypot(ratio, ratio * tan(beta))
-    driven, skid = (np.hypot(each, 0.02) - 0.02 for each in (max(s, 0), skid))
-    exponent = soil.exponent + soil.exponent_slip * driven + soil.exponent_skid * skid
+    exponent = soil.exponent + soil.exponent_slip * max(s, 0) + soil.exponent_skid * skid
     x_c = pi / 4 - phi / 2
     d_1, d_2 = 1 / tan(x_c) + tan(x_c + phi), 1 / tan(x_c) + tan(phi) / tan(x_c) ** 2
 
@@ -199,8 +198,19 @@ def test_sinkage_grows_with_slip_and_skid():
     angle = np.linspace(0, pi / 2, 5)
     locked = depths(free, np.vstack([0 * angle, np.cos(angle), np.sin(angle)]))
     assert locked == pytest.approx(np.full(5, locked[0]), rel=1e-6)  # skid ratio one
-    more = replace(free, exponent=free.exponent + 0.8 * (np.hypot(1, 0.02) - 0.02), exponent_skid=0)
+    more = replace(free, exponent=free.exponent + 0.8, exponent_skid=0)
     assert locked[0] == pytest.approx(depths(more, slips)[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("slip", [0.1, 0.3, 0.6])
+@pytest.mark.parametrize("growth", [0.4, 0.8])
+def test_slip_sinkage_has_the_published_exponent(slip, growth):
+    """Ding et al. (2015): ``n = n_0 + n_1 s``, without an offset of the smoothing at slip zero."""
+    motion, load = motion_at_slip(np.array([slip]), np.zeros(1)), np.array([LOAD])
+    grown = replace(SAND, exponent_slip=growth)
+    published = replace(SAND, exponent=SAND.exponent + growth * slip)
+    found, expected = (steady_forces(s, SIZE, motion, load).sinkage for s in (grown, published))
+    assert found == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("soil", [SAND, DIGGING])

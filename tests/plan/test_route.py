@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -301,6 +302,22 @@ def test_a_vehicle_follows_its_route_through_craters():
     run = simulate(dae, start, follow(dae, vehicle, path, speed=0.5), t)
     assert run.stop is None
     assert math.dist((run["x"][-1], run["y"][-1]), (20.0, 20.0)) < 0.05
+
+
+def test_the_cost_of_a_route_is_the_integral_of_the_cost_along_it():
+    grid = craters(blank((0, 24), (0, 24), 0.25), count=9, diameters=(2, 5), seed=6)
+    layers = traversability(Bicubic(grid, mu=0.6), three_wheeler(), spacing=1.0)
+    (found,) = routes(layers, (4.0, 4.0), (20.0, 20.0), 1)
+    total = 0.0
+    for start, end in pairwise(found.points):
+        step = end - start
+        k, part = divmod(math.atan2(-step[0], step[1]) / math.tau * 8, 1)
+        at = start + step * (np.arange(400)[:, None] + 0.5) / 400
+        i, j = np.rint(at).astype(int).T  # nodes are 1 m apart
+        costs = [layers.cost[int(m) % 8, i, j] for m in (k, k + 1)]
+        total += math.hypot(*step) * np.mean((1 - part) * costs[0] + part * costs[1])
+    assert total > 1.05 * found.length
+    assert found.cost == pytest.approx(total, rel=1e-3)
 
 
 # Several routes

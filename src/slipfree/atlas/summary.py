@@ -9,6 +9,7 @@ import numpy as np
 
 from slipfree.atlas.atlas import REASON, Atlas, Band, least_bounds
 from slipfree.core.records import Array, Indices, Label
+from slipfree.core.trajectory import heading_column
 
 ELEVATION = Label("elevation", "m", "height of the ground")
 SLIDES = "friction does not hold the vehicle"
@@ -63,12 +64,11 @@ def verdicts(poses: Atlas, *, friction: float | None, within: Bounds) -> Verdict
 
 
 def summary(
-    poses: Atlas, found: Verdicts, elevation: Array, *, degrees_from: float = 0.0
+    poses: Atlas, found: Verdicts, elevation: Array, frame: str = "paper"
 ) -> dict[str, Band]:
     """Return maps over the headings, by name: bands of shape (n_x, n_y).
 
-    ``elevation`` are the heights of the nodes [m], ``degrees_from`` is added to headings in
-    degrees, those of another frame [rad].
+    ``elevation`` are the heights of the nodes [m], ``frame`` is that of headings.
     """
     words = "share of headings at which the vehicle stands"
     maps = [Band(Label(STANDING, "1", words), np.asarray(poses.stands.mean(axis=0)))]
@@ -80,7 +80,7 @@ def summary(
     )
     least = least_bounds(poses)
     if least is not None:
-        maps += _friction_maps(poses, least, degrees_from)
+        maps += _friction_maps(poses, least, frame)
     for label, values in poses.bands.values():
         if label not in (REASON, *(least or ())):
             maps += _extremes(label, values)
@@ -88,7 +88,7 @@ def summary(
     return {band.label.name: band for band in maps}
 
 
-def _friction_maps(poses: Atlas, least: tuple[Label, Label], degrees_from: float) -> Sequence[Band]:
+def _friction_maps(poses: Atlas, least: tuple[Label, Label], frame: str) -> Sequence[Band]:
     """Return both bounds of the least friction at the best and the worst heading, and these.
 
     Coefficients without a bound are NaN: then no forces were found that hold the vehicle.
@@ -104,9 +104,10 @@ def _friction_maps(poses: Atlas, least: tuple[Label, Label], degrees_from: float
         bound, at = poses.extreme(least[1].name, largest=largest)
         if not largest:  # all headings are equally bad without forces
             at = np.where(np.isfinite(bound), at, np.nan)
-        turned = np.rad2deg(at + degrees_from)
+        label, turned = heading_column(at, frame)
         words = f"heading with the {'largest' if largest else 'smallest'} {least[1].name}"
-        maps.append(Band(Label(f"heading_{name}", "degree", words), np.mod(turned, 360.0)))
+        label = Label(f"heading_{name}", "degree", f"{words}; {label.words}")
+        maps.append(Band(label, np.mod(np.rad2deg(turned), 360.0)))
     return maps
 
 

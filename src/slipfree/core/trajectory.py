@@ -24,9 +24,11 @@ STATISTICS = "statistics_"  # prefix of the solver's statistics in the metadata
 STOP = ("stop_name", "stop_time", "stop_words")
 OUTCOME, FACTS = "outcome", "facts"
 Frame = Literal["paper", "rep103"]  # headings count from the y axis, or from the x axis (ROS)
-FRAME = "frame"  # attribute: frame of the headings of a motion; "paper" without it
-OFFSET: dict[str, float] = {"paper": 0.0, "rep103": np.pi / 2}  # heading minus that from y [rad]
-HEADING = "counter-clockwise angle of the forward axis from the {} axis"
+FRAME = "frame"  # attribute of every file: frame of its headings; "paper" without it
+HEADINGS: dict[str, tuple[str, float]] = {  # axis, and heading of the y axis [rad], by frame
+    "paper": ("y", 0.0),
+    "rep103": ("x", np.pi / 2),
+}
 PLAN, PLAN_ACCURACY, PLAN_SHARE = "plan", "plan_accuracy", "plan_share"
 PLAN_UNVERIFIED = "plan_unverified"
 PLAN_STOPS = (PLAN, PLAN_ACCURACY, PLAN_SHARE, PLAN_UNVERIFIED)  # names of stops of plans
@@ -93,6 +95,17 @@ class Column(NamedTuple):
     def metadata(self) -> dict[str, str]:
         """Unit and description under the keys ``units`` and ``long_name`` of the CF conventions."""
         return {"units": self.label.unit, "long_name": self.label.words}
+
+
+def heading_column(heading: Array | float, frame: str, *, own: str = "paper") -> Column:
+    """Return headings of the frame ``own`` as a quantity in another frame [rad].
+
+    Every file, figure and summary takes its headings and their description from this function.
+    """
+    axis, offset = HEADINGS[frame]
+    words = f"counter-clockwise angle of the forward axis from the {axis} axis"
+    values = np.asarray(heading + (offset - HEADINGS[own][1]))
+    return Column(Label("heading", "rad", words), values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,8 +236,7 @@ class Trajectory:
         own = self.attributes.get(FRAME, "paper")
         if frame == own or "heading" not in self.columns:
             return self
-        label = Label("heading", "rad", HEADING.format("y" if frame == "paper" else "x"))
-        heading = Column(label, self["heading"] + (OFFSET[frame] - OFFSET[own]))
+        heading = heading_column(self["heading"], frame, own=own)
         columns = {**self.columns, "heading": heading}
         return replace(self, columns=columns, attributes={**self.attributes, FRAME: frame})
 

@@ -22,7 +22,7 @@ from slipfree.atlas.atlas import REASON, TILE, Atlas, Band, tiles_of
 from slipfree.atlas.summary import ELEVATION, LIMIT, Bounds, Verdicts, summary, verdicts
 from slipfree.core.errors import DataError, WriteError
 from slipfree.core.records import Array, Label
-from slipfree.core.trajectory import HEADING, OFFSET
+from slipfree.core.trajectory import FRAME, Column, heading_column
 from slipfree.core.version import __version__
 from slipfree.files.cf import CRS, DEGREES, STANDARD_NAMES, MapCoordinate, grid_mapping
 from slipfree.files.netcdf import (
@@ -39,13 +39,8 @@ from slipfree.terrain.paged import Elevation
 
 MAX_BYTES = 2**32 - 4  # of a variable of netCDF-3
 CACHE = 64  # GDAL's cache of blocks [MB]; fixed, so that files do not depend on the machine
-AXES = (
-    Label("heading", "rad", HEADING.format("y")),
-    Label("y", "m", "y of the platform's centre"),
-    Label("x", "m", "x of the platform's centre"),
-)
-DIMENSIONS = tuple(label.name for label in AXES)
-CONDITIONS = "friction", "within", "frame", "coordinates", "crs"  # of a site, in the attribute
+DIMENSIONS = "heading", "y", "x"
+CONDITIONS = "friction", "within", "coordinates", "crs"  # of a site, in the attribute
 EMPTY: Mapping[str, Any] = {}
 REASONS = "reasons"  # attribute of the band of reasons
 NO_ATLAS = "repeat slipfree atlas with -o OUT.nc"
@@ -83,8 +78,7 @@ class Site(NamedTuple):
     def summary_of(self, poses: Atlas, i: slice, j: slice) -> tuple[dict[str, Band], Verdicts]:
         """Return maps and verdicts of a part of the atlas."""
         found = verdicts(poses, friction=self.friction, within=self.within)
-        turn = OFFSET[self.frame]
-        return summary(poses, found, self.elevation[i, j], degrees_from=turn), found
+        return summary(poses, found, self.elevation[i, j], self.frame), found
 
     def on_map(self, axis: str, values: Array) -> Array:
         """Return x or y in the coordinates of the map file [m] or [deg]."""
@@ -195,13 +189,11 @@ def _system(crs: str) -> Any:
 
 
 def _describe(file: Any, labels: Sequence[Label], site: Site) -> None:
-    convention = HEADING.format("y" if site.frame == "paper" else "x")
     file.descriptions = tuple(f"{label.name} [{label.unit}]" for label in labels)
     file.units = tuple(label.unit for label in labels)
     for k, label in enumerate(labels, 1):
-        words = label.words + (f"; {convention}" if label.name.startswith("heading") else "")
-        file.update_tags(k, long_name=words)
-    own = {"TIFFTAG_SOFTWARE": f"slipfree {__version__}", "heading_convention": convention}
+        file.update_tags(k, long_name=label.words)
+    own = {"TIFFTAG_SOFTWARE": f"slipfree {__version__}", FRAME: site.frame}
     file.update_tags(AREA_OR_POINT="Point", **own, **site.attributes)
 
 
@@ -231,7 +223,7 @@ def write_atlas(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:
 
 def _define(file: Any, poses: Atlas, site: Site) -> None:
     conditions = {name: getattr(site, name) for name in CONDITIONS}
-    own = {"Conventions": CONVENTIONS, ORIGIN: __version__}
+    own = {"Conventions": CONVENTIONS, ORIGIN: __version__, FRAME: site.frame}
     own[ATLAS] = json.dumps({**conditions, "bands": [*poses.bands]})
     annotate(file, {**site.attributes, **own})
 
@@ -241,7 +233,10 @@ def _define(file: Any, poses: Atlas, site: Site) -> None:
         annotate(variable, {"units": label.unit, "long_name": label.words})
         return variable
 
-    for label, values in zip(AXES, (poses.heading, poses.y, poses.x), strict=True):
+    places = (
+        Column(Label(n, "m", f"{n} of the platform's centre"), getattr(poses, n)) for n in "yx"
+    )
+    for label, values in (heading_column(poses.heading, site.frame), *places):
         file.createDimension(label.name, values.size)
         variable = add(label, [label.name], values, "f8")
         if label.unit == "m":
@@ -323,17 +318,19 @@ def _stored(file: NetcdfFile) -> StoredAtlas:
         bands[name] = Band(label, file.values(name).swapaxes(1, 2).astype(np.float32))
     heading, y, x = (file.values(name).astype(float) for name in DIMENSIONS)
     reasons = json.loads(str(file.variables[REASON.name].attributes[REASONS]))
+    frame = str(file.attributes[FRAME])
     site = Site(
         file.values(ELEVATION.name).T.astype(float),
         None if conditions["friction"] is None else float(conditions["friction"]),
         {name: (float(low), float(high)) for name, (low, high) in conditions["within"].items()},
-        str(conditions["frame"]),
+        frame,
         tuple(MapCoordinate(*each) for each in conditions["coordinates"]),
         str(conditions["crs"]),
         {
             name: str(value)
             for name, value in file.attributes.items()
-            if name not in ("Conventions", ORIGIN, ATLAS)
+            if name not in ("Conventions", ORIGIN, ATLAS, FRAME)
         },
     )
+    heading = heading_column(heading, "paper", own=frame).values
     return StoredAtlas(Atlas(x, y, heading, bands, tuple(map(str, reasons))), site)

@@ -29,7 +29,7 @@ from slipfree.core.errors import DataError, ModelError
 from slipfree.core.evaluation import dense, evaluate
 from slipfree.core.newton import solve_equations
 from slipfree.core.records import Array, Label, leaves
-from slipfree.core.trajectory import HEADING, OFFSET, Frame
+from slipfree.core.trajectory import Frame, heading_column
 from slipfree.core.version import __version__
 from slipfree.models.base import extent
 from slipfree.models.given_rates import COMMANDS, ROBOT, derived_rates
@@ -278,8 +278,8 @@ def _fields(model: _Model, frame: Frame) -> _Fields:
         """Return the number in C of a variable."""
         name, words = label.full, label.words
         if name == "heading":
-            words = HEADING.format("y" if frame == "paper" else "x")
-            return _Field(name, label.unit, words, 1.0, OFFSET[frame])
+            label, offset = heading_column(0.0, frame)
+            return _Field(name, label.unit, label.words, 1.0, float(offset))
         if name in COMMANDS and frame == "rep103":
             words = words.replace("across", "to the left of") if name == "right" else words
             robot = next(key for key, command in ROBOT.items() if command == name)

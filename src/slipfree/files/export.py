@@ -11,7 +11,7 @@ from typing import Any
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Label
-from slipfree.core.trajectory import Column, Trajectory
+from slipfree.core.trajectory import FRAME, Column, Trajectory
 from slipfree.files.cf import map_positions
 from slipfree.files.netcdf import read, write_csv
 from slipfree.system.regular_files import replace_file, resolve_links
@@ -130,6 +130,8 @@ def _write_geojson(run: Trajectory, out: Path) -> None:
             "title": run.attributes.get("title", "path"),
             "reference_system": crs or "not given: coordinates of the map file",
             "time_s": run.t.tolist(),
+            FRAME: run.attributes.get(FRAME, "paper"),
+            **{f"{n}_rad": run[n].tolist() for n in ANGLES if n in run.columns},
         },
         "geometry": {"type": "LineString", "coordinates": [*zip(*positions, strict=True)]},
     }

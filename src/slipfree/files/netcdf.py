@@ -32,6 +32,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import (
     FACTS,
+    FRAME,
     OUTCOME,
     STATISTICS,
     STOP,
@@ -121,7 +122,8 @@ def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
     """Write a trajectory as comma-separated values, one row per sample.
 
     The first row contains the names of the columns, as in ``slip_along[front]``. Values are in SI
-    units and angles in radians. Headings are in the frame of the problem.
+    units and angles in radians. Headings are in the frame of the problem; beside them, ``yaw``
+    counts from the x axis in every file.
 
     Raises
     ------
@@ -268,6 +270,7 @@ def _attributes(run: Trajectory) -> dict[str, Attribute]:
         "python_version": platform.python_version(),
         **{f"{name}_version": version(name) for name in ("casadi", "numpy", "scipy")},
         ORDER: " ".join(run.columns),
+        **({FRAME: "paper"} if "heading" in run.columns else {}),
         **run.metadata,
     }
 

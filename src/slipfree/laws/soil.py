@@ -84,6 +84,7 @@ SMALLEST_PATH = 1e-9  # shear displacement below which its direction is smoothed
 STEADY_CREEP = 1e-8  # creep speed in steady motion [larger of rim and forward speed]
 ANGLE_SMOOTHING = 0.01  # slip angle whose smoothed sign in (6) and (7) is 0.76 [rad]
 RATIO_SMOOTHING = 0.02  # slip and skid ratio below which the exponent hardly changes [1]
+SMALLEST_RATIO = 1e-12  # keeps the derivative of a root finite [1]
 DEPTH_STEPS = 60  # number of bisection steps for the sinkage
 UNKNOWNS = (
     NORMAL,
@@ -532,7 +533,8 @@ def _contact_arc(
 
 
 def _smooth_size(square: Any) -> Any:
-    return ca.sqrt(square + RATIO_SMOOTHING**2) - RATIO_SMOOTHING
+    """Return the root of a square, flat at zero and exact where it exceeds five times the width."""
+    return ca.sqrt(square + SMALLEST_RATIO**2) * ca.tanh(square / RATIO_SMOOTHING**2)
 
 
 def _shear_motion(soil: Soil, rim: Any, forward: Any, sideways: Any, creep: Any) -> _ShearMotion:

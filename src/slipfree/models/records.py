@@ -8,11 +8,12 @@ import casadi as ca
 
 from slipfree.core.dae import Dae, Labels
 from slipfree.core.records import Label, T, leaves, pack
+from slipfree.core.trajectory import heading_column
 from slipfree.laws.protocols import ACROSS, ALONG, NORMAL, component_labels, wheel_labels
 from slipfree.laws.rolling import rolling_counts
 from slipfree.vehicle.tree import Coordinate, Vehicle
 
-HEADING = Label("heading", "rad", "counter-clockwise angle of the right axis from the x axis")
+HEADING = heading_column(0.0, "paper").label
 ROLL = Label("roll", "rad", "angle about the forward axis, positive with the right side down")
 PITCH = Label("pitch", "rad", "angle about the right axis, positive with the nose up")
 

@@ -125,13 +125,14 @@ def _cost_term(dae: Dae, name: str) -> Cost:
 def _driving_power(dae: Dae) -> ca.SX:
     """Return the sum of the positive drive powers [W], smooth where a power changes sign.
 
-    A power ``p`` contributes ``(p + sqrt(p^2 + e^2) - e) / 2`` with ``e`` = `BLENDED_POWER`.
+    A power ``p`` contributes ``p (1 + tanh(p / e)) / 2`` with ``e`` = `BLENDED_POWER`, which is
+    zero at standstill, and exact where the size of ``p`` is large.
     """
     powers = [
         torque * rate
         for torque, rate in zip(dae.named("drive_torque"), dae.named("wheel_rate"), strict=True)
     ]
-    return ca.SX(sum((p + ca.sqrt(p**2 + BLENDED_POWER**2) - BLENDED_POWER) / 2 for p in powers))
+    return ca.SX(sum(p * (1 + ca.tanh(p / BLENDED_POWER)) / 2 for p in powers))
 
 
 def _squared(expression: ca.SX) -> ca.SX:

@@ -16,7 +16,7 @@ from slipfree.control.step_climbing import StepClimbing, check_period, climbing,
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, leaves
-from slipfree.core.trajectory import OFFSET, Column, Trajectory
+from slipfree.core.trajectory import Column, Trajectory, heading_column
 from slipfree.files.maps.reference_systems import semi_major_axis
 from slipfree.files.tables import read_columns
 from slipfree.files.toml.source import Fault, ProblemError, name_errors, problem_error
@@ -93,7 +93,8 @@ def build_terrain(problem: Problem[S], ground: GroundMap) -> Bicubic:
 
 def heading_offset(problem: Problem[S]) -> float:
     """Return the angle that converts a heading of the problem to one from the y axis [rad]."""
-    return -OFFSET[getattr(problem.spec, "frame", "paper")]
+    own = getattr(problem.spec, "frame", "paper")
+    return float(heading_column(0.0, "paper", own=own).values)
 
 
 def in_frame(problem: Problem[S], dae: Dae) -> Dae:

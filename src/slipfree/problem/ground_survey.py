@@ -14,7 +14,7 @@ from slipfree.atlas.atlas import Atlas, Band
 from slipfree.core.errors import ModelError
 from slipfree.core.facts import Fact
 from slipfree.core.records import Array, Mask
-from slipfree.core.trajectory import OFFSET
+from slipfree.core.trajectory import heading_column
 from slipfree.problem.build_ground import GroundMap
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.atlas import AtlasKeys, AtlasTable, build_atlas
@@ -156,7 +156,7 @@ def stand(problem: Problem[Any], grid: Grid) -> Stand:
         return Stand({}, facts)
     tilt = np.where(allowed, np.hypot(poses["roll"], poses["pitch"]), np.inf)
     k, i, j = np.unravel_index(tilt.argmin(), tilt.shape)
-    turned = float(heading[k]) + OFFSET[problem.spec.frame]
+    turned = float(heading_column(heading[k], spec.frame).values)
     tilts = {name: float(poses[name][k, i, j]) for name in ("roll", "pitch")}
     shown = ", ".join(f"{name} {degrees(value):.3g} deg" for name, value in tilts.items())
     start = f'x = {x[i]:.9g}, y = {y[j]:.9g}, heading = "{degrees(turned):.4g} deg"'

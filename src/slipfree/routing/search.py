@@ -18,7 +18,6 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, field_overview
 from slipfree.routing.reachability import no_route_words
 from slipfree.routing.smoothing import (
-    along,
     path_cost,
     polyline_length,
     resample_polyline,
@@ -209,7 +208,7 @@ def routes(
         points = smooth(layers, rough, turning_radius)
         kind = homotopy_class(points, obstacles)
         if kind not in by_class:
-            cost = path_cost(along(layers, rough), points)
+            cost = path_cost(layers, points)
             by_class[kind] = Route(points, cost, polyline_length(points))
         further = crossed_rays(layers, rough, obstacles)
         pending += [(detour, (*closed, ray)) for detour, ray in further]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -85,12 +85,17 @@ class Traversability(NamedTuple):
         """Distances between neighbouring nodes along x and along y [m]."""
         return axis_step(self.x), axis_step(self.y)
 
-    def cost_toward(self, direction: float) -> Array:
-        """Return the cost in a direction [rad], interpolated between headings, (n_x, n_y)."""
-        turn = direction / (2 * math.pi) * self.heading.size
-        k, part = math.floor(turn + 1e-9), turn - math.floor(turn + 1e-9)
-        first, second = (self.cost[m % self.heading.size] for m in (k, k + 1))
-        return np.asarray(first if part < 1e-6 else (1 - part) * first + part * second)
+    def cost_toward(self, direction: Array | float, *at: Any) -> Array:
+        """Return the cost in a direction [rad], interpolated between headings.
+
+        It has the shape (n_x, n_y), or that of the indices ``at`` of nodes and of the directions.
+        """
+        turn = np.asarray(direction) / (2 * math.pi) * self.heading.size
+        k = np.floor(turn + 1e-9).astype(np.intp)
+        first, second = (self.cost[(m % self.heading.size, *at)] for m in (k, k + 1))
+        part = np.where(turn - k < 1e-6, 0.0, turn - k)
+        # without the second one if its share is zero, since it may be infinite
+        return np.asarray((1 - part) * first + part * np.where(part > 0, second, 0.0))
 
 
 def free_space(
