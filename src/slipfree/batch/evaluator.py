@@ -27,6 +27,7 @@ FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off", "-fno-math-errno")
 LANES = (("__AVX512F__", 8), ("__AVX__", 4))  # doubles in a register, by macro of the compiler
 PORTABLE_LANES = 2  # on other machines
 PROBE_TIMEOUT = 20.0  # [s]
+MAX_CALL = 200_000  # steps of all lanes in a call of compiled code, which takes less than a second
 BINARY = {
     ca.OP_ADD: "+",
     ca.OP_SUB: "-",
@@ -218,6 +219,14 @@ class _Compiled(Generic[G]):
         if self._steps is None:
             return None
         n = states.shape[1]
+        # signals are served between calls
+        ends = 1 + np.flatnonzero(np.diff(np.cumsum(count) // MAX_CALL))
+        if len(parts := np.split(np.arange(n), ends)) > 1:
+            results = [
+                self.advance(states[:, k], rates[:, k], h[k], count[k], bounds) for k in parts
+            ]
+            moved, solved = zip(*results, strict=True)
+            return np.concatenate(moved, axis=1), np.concatenate(solved)
         states, rates, h, counts = (
             np.ascontiguousarray(each, dtype=float) for each in (states, rates, h, count)
         )

@@ -31,7 +31,7 @@ FIRST_STEP, LEAST_STEP, MAX_RELAXATIONS = 0.005, 1e-3, 300  # of the relaxation 
 STEP_GROWTH, STEP_LOSS, GROWING = 1.4, 0.5, 0.02  # after steps below and above GROWING [size]
 MAX_RELAXATION = 0.1  # longest step of the relaxation [size]
 AT_REST = 1e-11  # last step of the relaxation, of more than a second [size]
-MAX_STEPS = 1_000_000  # in an interval
+MAX_STEPS = 10_000  # in an interval, as many as an integrator takes between two samples
 MAX_CANDIDATE_STEPS = 64  # in an interval of a candidate, at the first of several attempts
 CANDIDATE_TRIES, CANDIDATE_REFINEMENT = 5, 2
 MAX_BISECTIONS = 90
@@ -277,7 +277,14 @@ class _Run:
             if not lanes.size:
                 break
             span = self.t[k + 1] - now
-            number = _numbers(speed * span / self.step) if counts is None else counts[k, lanes]
+            if limited:
+                least = speed * span / self.step
+                slow = least <= MAX_STEPS  # not for NaN
+                self._leave_unsolved(_of(~slow, lanes), _of(~slow, states))
+                lanes, states, rates, least = (_of(slow, v) for v in (lanes, states, rates, least))
+                if not lanes.size:
+                    break
+            number = _numbers(least) if counts is None else counts[k, lanes]
             if np.ptp(number):  # lanes of a vector take as many steps as the slowest one
                 order = np.argsort(number, kind="stable")
                 lanes, number, states, rates = (
@@ -310,7 +317,7 @@ class _Run:
         self._enter(states, lanes, k)
         rates, good, speed, margin = self._checked(states)
         while before is not None and self.interval is not None:
-            again = ~good & (self.tries[lanes] < MAX_TRIES)
+            again = ~good & self._may_repeat(lanes)
             if not again.any():
                 break
             some = _of(again, lanes)
@@ -384,6 +391,17 @@ class _Run:
             step = _Step(states, _of(kept, rates), _of(kept, step.h))
         return np.isin(every, np.concatenate(failed))
 
+    def _may_repeat(self, lanes: Indices) -> Mask:
+        """Return which lanes may start again from the last sample, in shorter steps."""
+        if self.interval is None:
+            return np.zeros(lanes.size, dtype=bool)
+        is_short = self.interval.number[lanes] * REFINEMENT <= MAX_STEPS
+        return np.asarray(is_short & (self.tries[lanes] < MAX_TRIES))
+
+    def _leave_unsolved(self, lanes: Indices, states: Array) -> None:
+        self.reason[lanes] = UNSOLVED
+        self._close(lanes, states, states)
+
     def _checked(self, states: Array) -> tuple[Array, Mask, Array, Array]:
         """Return the results of `derivatives`, and the least distances to the limits."""
         rates, good, speed, distances = _checked(self.evaluate, states)
@@ -396,16 +414,14 @@ class _Run:
 
         Of the latter, those are returned instead that may start again in shorter steps.
         """
-        again = ~good & (self.tries[lanes] < MAX_TRIES)
-        unsolved, limited = ~good & ~again, good & ~kept
+        limited = good & ~kept
         if before is None:
             self.reason[lanes[~good]], self.reason[lanes[limited]] = UNSOLVED, INVALID_START
             self._close(_of(~kept, lanes), _of(~kept, states), _of(~kept, states))
             return lanes[:0]
-        if unsolved.any():
-            which, step = _of(unsolved, lanes), before.of(unsolved)
-            self.reason[which] = UNSOLVED
-            self._close(which, step.states, step.states)
+        again = ~good & self._may_repeat(lanes)
+        unsolved = ~good & ~again
+        self._leave_unsolved(_of(unsolved, lanes), before.of(unsolved).states)
         if limited.any():
             which = _of(limited, lanes)
             graph, bounds = self.evaluate.graphs.checked, np.array(self.evaluate.graphs.bounds)

@@ -17,6 +17,7 @@ import math
 import re
 import sys
 import time
+import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
@@ -28,7 +29,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn, TextIO, 
 import typer
 
 from slipfree.core.errors import DataError, ModelError, SlipfreeError, WriteError
-from slipfree.system.interrupt import check_interrupt, held_interrupt
+from slipfree.core.version import __version__
+from slipfree.system.interrupt import check_interrupt, held_interrupt, interrupted
 from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
@@ -65,6 +67,8 @@ NO_MEMORY = (
     "'time.step', or use fewer intervals of the plan"
 )
 MAX_PROCESSES = 1000  # more need hundreds of gigabytes
+UNEXPECTED = "expected a result or a message about the input, found an error in slipfree"
+MAX_UNEXPECTED = 300  # characters of an unexpected error in a message
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Problem file (TOML).")]
 Settings = Annotated[
@@ -156,7 +160,8 @@ def with_output_options(command: Callable[..., None]) -> Callable[..., None]:
             if options.quiet and options.verbose:
                 print_error("expected --quiet or --verbose, found both; remove one of them")
                 raise typer.Exit(BAD_INPUT)
-            command(**values)
+            with _unexpected_reported(values.get("file")):
+                command(**values)
             if _current_output().is_failed:
                 raise typer.Exit(STOPPED)
 
@@ -185,6 +190,30 @@ def _collecting(name: str, options: OutputOptions) -> Iterator[None]:
         _running.pop()
         if options.json:
             print_json(name, code, output.content)
+
+
+@contextmanager
+def _unexpected_reported(file: Path | None) -> Iterator[None]:
+    """Print an error that no code of the package expects in one line, and exit.
+
+    The line names the input file of the command; ``--verbose`` adds the traceback.
+    """
+    try:
+        yield
+    except (typer.Exit, OSError):  # the command ends, or nobody reads its output
+        raise
+    except Exception as error:
+        if interrupted():  # extension modules raise errors of other classes then
+            raise
+        if _current_output().options.verbose:
+            print_line(traceback.format_exc(), err=True)
+        words = " ".join(f"{type(error).__name__}: {error}".split())
+        words = words if len(words) <= MAX_UNEXPECTED else f"{words[:MAX_UNEXPECTED]}..."
+        print_error(
+            f"{file or 'command'}: {UNEXPECTED} {__version__} ({words}); report it to the "
+            "developers of slipfree, with the file and the traceback that --verbose prints"
+        )
+        raise typer.Exit(BAD_INPUT) from error
 
 
 def _check_folder() -> None:

@@ -65,10 +65,16 @@ OPERATORS = {
     "vmax": "fmax({0},{1})",
     "vabs": "fabs({0})",
 }
-KEYWORDS = re.compile(  # of C and, for the header, of C++
-    "auto|break|case|char|class|const|continue|default|delete|do|double|else|enum|extern|float|for"
-    "|goto|if|inline|int|long|new|private|public|register|restrict|return|short|signed|sizeof"
-    "|static|struct|switch|template|this|typedef|union|unsigned|void|volatile|while"
+RESERVED = re.compile(  # keywords of C and, for the header, of C++; macros of compilers; constants
+    "alignas|alignof|and|and_eq|asm|auto|bitand|bitor|bool|break|case|catch|char|char16_t|char32_t"
+    "|char8_t|class|co_await|co_return|co_yield|compl|concept|const|const_cast|consteval|constexpr"
+    "|constinit|continue|decltype|default|delete|do|double|dynamic_cast|else|enum|explicit|export"
+    "|extern|false|float|for|friend|goto|if|inline|int|long|mutable|namespace|new|noexcept|not"
+    "|not_eq|nullptr|operator|or|or_eq|private|protected|public|register|reinterpret_cast|requires"
+    "|restrict|return|short|signed|sizeof|static|static_assert|static_cast|struct|switch|template"
+    "|this|thread_local|throw|true|try|typedef|typeid|typename|typeof|typeof_unqual|union|unsigned"
+    "|using|virtual|void|volatile|wchar_t|while|xor|xor_eq|linux|unix|i386|errno|math_errhandling"
+    "|[A-Z0-9_]*"
 )
 MET = {
     True: "The motion is met exactly, with the least slip of the wheels.",
@@ -303,7 +309,7 @@ def _fields(model: _Model, frame: Frame) -> _Fields:
 
 def _c_name(name: str) -> str:
     name = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
-    return f"{name}_" if KEYWORDS.fullmatch(name) else re.sub(r"^(?=\d|$)", "_", name)
+    return f"{name}_" if RESERVED.fullmatch(name) else re.sub(r"^(?=\d|$)", "_", name)
 
 
 class _PlainCode(CodeWriter):

@@ -308,7 +308,9 @@ class File(NamedTuple):
         def who(place: Place) -> str:  # name of the element, as in " (joint 'boom')"
             if len(place) < 2 or not isinstance(place[1], int):
                 return ""
-            element = self.data[str(place[0])][place[1]]
+            elements = self.data.get(str(place[0]))
+            listed = isinstance(elements, list) and place[1] < len(elements)
+            element = elements[place[1]] if listed else None  # a missing element has no name
             name = element.get("name") if isinstance(element, dict) else None
             return f" ({str(place[0])[:-1]} {name!r})" if name else ""
 

@@ -295,7 +295,17 @@ def check_formula(function: Formula, owner: str, value: str) -> None:
     ModelError.
     """
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    found = ca.SX(function(x, y))
+    try:
+        found = ca.SX(function(x, y))
+        if found.is_constant() and not found.is_regular():  # as of math.sin(x)
+            raise ValueError(f"the result is {found}")
+    except Exception as error:  # of the user's function
+        raise ModelError(
+            f"{owner}: expected a function of x and y that returns one {value}, built from "
+            f"operators and CasADi functions, found that it cannot be evaluated with symbols "
+            f"({type(error).__name__}: {str(error).partition(chr(10))[0][:200]}); use casadi.fmax, "
+            "casadi.if_else and casadi.sin instead of max, if and math.sin"
+        ) from error
     if found.shape != (1, 1):
         raise ModelError(
             f"{owner}: function must return one {value}, found shape {found.shape}; return a scalar"

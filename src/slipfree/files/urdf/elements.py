@@ -52,7 +52,7 @@ def read_tree(
     """Return the links and joints of a URDF file; an UnfitError has all errors of its elements."""
     robot, findings = parse_robot(data, file), Findings(file)
     check_macro_calls(robot, file, macros)
-    notes = substitute(robot, arguments)
+    notes = substitute(robot, file, arguments)
     actuated = frozenset(_actuated(robot))
     robot, omitted = without_xacro(robot, file, findings)
     for tag in ("link", "joint"):

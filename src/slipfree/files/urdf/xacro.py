@@ -7,7 +7,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
@@ -22,11 +22,12 @@ from slipfree.files.urdf.tree import Findings
 from slipfree.files.urdf.xml import Element
 from slipfree.system.processes import ProcessDiedError, bounded_call
 from slipfree.system.regular_files import regular_file, resolve_links
-from slipfree.vehicle.formula import evaluate
+from slipfree.vehicle.formula import evaluate, names_in
 
 FINDER = "ament_index_python"  # package of ROS that xacro asks for the folders of packages
 MAX_SECONDS = 6.0  # largest duration of an expansion [s]
 MAX_BYTES = 20_000_000  # size of the largest accepted URDF
+MAX_REPLACED = 20_000  # expressions that are replaced in a file that is not expanded
 PREFIX = "xacro:"
 NAMESPACE = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
 # tags without links or joints
@@ -167,30 +168,59 @@ def _find_packages_above(path: Path) -> None:
 
 
 class _Values:
-    """Values of the properties and arguments of a robot, and variables of the environment."""
+    """Values of the properties and arguments of a robot, and variables of the environment.
 
-    def __init__(self, arguments: Mapping[str, str]) -> None:
+    Properties may multiply: a few lines describe more text than the memory holds. The number of
+    replacements and the length of their results are therefore limited, for the whole file.
+    """
+
+    def __init__(self, file: str, arguments: Mapping[str, str]) -> None:
+        self.file, self.line = file, 0  # line of the element in which texts are replaced
         self.arguments = dict(arguments)
         self.given = frozenset(arguments)
         self.properties: dict[str, str] = {}
         self.variables: dict[str, str] = {}
+        self._numbers: dict[str, ca.SX] = {}  # properties that are finite numbers
+        self._count = self._length = 0
 
     def text(self, text: str) -> str:
         """Return a text with the expressions replaced that have a value."""
         if "$" not in text:
             return text
         text = PACKAGE.sub(r"package://\1", text)
-        return EXPRESSION.sub(self._expression, COMMAND.sub(self._command, text))
+        text = COMMAND.sub(self._limited(self._command), text)
+        return EXPRESSION.sub(self._limited(self._expression), text)
 
     def define(self, element: Element) -> None:
         """Add a property or an argument; a property with several values has none."""
+        self.line = element.line
         name, default = (element.attributes.get(key, "") for key in ("name", "default"))
         if element.tag == "xacro:arg" and name not in self.given:
             self.arguments[name] = self.text(default)
         if element.tag == "xacro:property":
             value = self.text(element.attributes.get("value", "${}"))
             same = self.properties.setdefault(name, value) == value
-            self.properties[name] = value if same else "${}"
+            self.properties[name] = value = value if same else "${}"
+            self._numbers.pop(name, None)
+            with suppress(ValueError):
+                if math.isfinite(number := float(value)):
+                    self._numbers[name] = ca.SX(number)
+
+    def _limited(self, value: Callable[[re.Match[str]], str]) -> Callable[[re.Match[str]], str]:
+        """Return a function of a match that raises DataError beyond the limits of the file."""
+
+        def limited(match: re.Match[str]) -> str:
+            text = value(match)
+            self._count, self._length = self._count + 1, self._length + len(text)
+            if self._count > MAX_REPLACED or self._length > MAX_BYTES:
+                raise DataError(
+                    f"{self.file}:{self.line}: expected at most {MAX_REPLACED} expressions, whose "
+                    f"values have at most {MAX_BYTES / 1e6:g} million characters, found more; "
+                    "correct properties that multiply, or expand the file with xacro"
+                )
+            return text
+
+        return limited
 
     def _command(self, match: re.Match[str]) -> str:
         name, *words = match[1].split() or [""]
@@ -205,13 +235,10 @@ class _Values:
         text = match[1].strip().replace("math.pi", "pi")
         if text in self.properties and "$" not in self.properties[text]:
             return self.properties[text]
-        values = {}
-        for name, value in self.properties.items():
-            with suppress(ValueError):
-                if math.isfinite(number := float(value)):
-                    values[name] = ca.SX(number)
         try:
-            number = float(ca.evalf(evaluate(text, values)))
+            if not names_in(text) <= self._numbers.keys():
+                return match[0]
+            number = float(ca.evalf(evaluate(text, self._numbers)))
         except ModelError:
             return match[0]
         if not math.isfinite(number):
@@ -220,20 +247,22 @@ class _Values:
         return str(int(number)) if is_whole and abs(number) < 1e15 else repr(number)
 
 
-def substitute(robot: Element, arguments: Mapping[str, str]) -> tuple[str, ...]:
+def substitute(robot: Element, file: str, arguments: Mapping[str, str]) -> tuple[str, ...]:
     """Replace simple expressions of xacro in a robot by their values; return notes on them.
 
     ``$(arg NAME)`` takes the value of ``arguments`` or the default in the file; ``$(optenv NAME
     DEFAULT)`` takes its default, since variables of the environment are not read; ``$(find NAME)``
     at the beginning becomes ``package://NAME``; ``${...}`` is replaced if it is a property, or a
     formula (`slipfree.vehicle.formula`) of properties that are numbers. Nothing is executed.
+    DataError is raised for more than `MAX_REPLACED` expressions, or `MAX_BYTES` of their values.
     """
-    values = _Values(arguments)
+    values = _Values(file, arguments)
     for part in robot.children:
         values.define(part)
         if part.tag.startswith(PREFIX):
             continue
         for element in part.everything():
+            values.line = element.line
             for key, text in element.attributes.items():
                 element.attributes[key] = values.text(text)
     pairs = ", ".join(f"{name} = {value!r}" for name, value in values.variables.items())
@@ -277,8 +306,13 @@ def without_xacro(robot: Element, file: str, findings: Findings) -> tuple[Elemen
     raw = [part for part in parts if any(map(_xacro_in, part.everything()))]
     joints = [part for part in parts if part.tag == "joint"]
     left_out = {_link_of(part) for part in raw}
-    while more := {_link_of(j) for j in joints if link_at(j, "parent") in left_out} - left_out:
-        left_out |= more
+    below: dict[str, list[str]] = {}
+    for joint in joints:
+        below.setdefault(link_at(joint, "parent"), []).append(_link_of(joint))
+    reached = [*left_out]
+    for link in reached:  # the list grows
+        reached += below.pop(link, ())
+    left_out |= {*reached}
     dropped = [each for each in joints if _link_of(each) in left_out]
     turning = any(each.attributes.get("type") == "continuous" for each in dropped)
     if raw and (turning or "" in left_out or len(dropped) < len(left_out)):

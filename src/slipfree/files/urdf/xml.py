@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
@@ -60,6 +61,7 @@ FORMATS = {
     **dict.fromkeys(("model", "package", ".config"), PACKAGE),
 }
 ROBOTS = (".urdf", ".xacro", ".xml")  # endings of robot descriptions
+MAX_ELEMENTS = 50_000  # robots have at most some thousands
 HEAD = 200  # bytes that decide whether a file is XML
 
 
@@ -91,13 +93,23 @@ class Element:
 
 
 def parse(data: bytes, name: str) -> Element:
-    """Return the root element of an XML file; document types, which define entities, are errors."""
+    """Return the root element of an XML file; document types, which define entities, are errors.
+
+    So are more than `MAX_ELEMENTS` elements.
+    """
     _check_contents(data, name)
     parser = expat.ParserCreate()
     top = Element("", {}, 0)
     stack = [top]
 
+    count = itertools.count(1)
+
     def start(tag: str, attributes: dict[str, str]) -> None:
+        if next(count) > MAX_ELEMENTS:
+            raise DataError(
+                f"{name}:{parser.CurrentLineNumber}: expected a robot of at most {MAX_ELEMENTS} "
+                "elements, found more; remove those that do not belong to the vehicle"
+            )
         element = Element(tag, attributes, parser.CurrentLineNumber)
         stack[-1].children.append(element)
         stack.append(element)
