@@ -107,6 +107,8 @@ def _stamp(path: Path) -> tuple[int, int] | None:
         found = path.stat()
         return found.st_mtime_ns, found.st_size
     return None
+
+
 def digests(problem: Problem[Any]) -> dict[str, str]:
     """Return the SHA-256 of the input files of a problem by name."""
     files = input_files(problem)
