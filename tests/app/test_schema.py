@@ -49,5 +49,12 @@ def test_every_key_says_what_it_means_and_in_which_unit(table: type[schema.Recor
 
 def test_all_tables_are_looked_at() -> None:
     names = {table.__name__ for table in TABLES}
-    assert names >= {"TerrainTable", "PowerLaw", "DriverTable", "GuideTable", "KeepOut", "Noise"}
+    assert names >= {
+        "TerrainTable",
+        "PowerLaw",
+        "DriverTable",
+        "GuideTable",
+        "KeepOut",
+        "StepClimbing",
+    }
     assert len(names) > 35
