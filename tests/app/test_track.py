@@ -58,6 +58,12 @@ def test_four_ways_to_follow_a_plan_meet_the_same_world(folder: Path) -> None:
     assert found["replan"]["end_distance"] < found["inputs"]["end_distance"] / 3
     assert found["sampling"]["end_distance"] < 0.05
     assert found["replan"]["cycles"] == 8
+    (folder / "alone").mkdir()
+    alone = out.rename(folder / "alone" / "t.nc")
+    assert "ground friction" not in printed("info", alone)
+    assert "figures: " not in printed("report", alone)
+    drawn = printed("show", alone, "--html", folder / "t.html")
+    assert "apart" not in drawn  # the disturbed ground is that of the motion
     assert found["replan"]["failed_cycles"] == 0
     assert read(out).t[-1] == pytest.approx(4.0)
     assert out.with_suffix(".png").stat().st_size > 10_000

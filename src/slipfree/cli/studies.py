@@ -552,8 +552,8 @@ def track(
                 progress=lambda name, seed, t: detail(f"{name}, seed {seed}: {t:.4g} s"),
             )
             motions = [each.motion.run for each in test.motions if each.motion is not None]
-            if out is not None and motions:
-                out = save(out, lambda path: write(path, motions[-1]))
+            if out is not None and (last := test.last) is not None:
+                out = save(out, lambda path: write(path, last.trajectory, last.arrays))
             is_interrupted = interrupt_requested()
         rows = tracking_rows(test)
         print_line("\n".join(tracking_lines(rows)))

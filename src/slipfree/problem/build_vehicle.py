@@ -159,22 +159,16 @@ def build_vehicle(spec: schema.VehicleSource, problem: Problem[Any]) -> Vehicle:
     of the catalogue is not allowed, or a joint has no free coordinate to actuate; ProblemError if
     the gravity is not valid.
     """
-    if spec.file is not None:
-        vehicle = vehicle_file(spec.file, problem).vehicle
-    else:
-        vehicle = CATALOG[str(spec.catalog)](**spec.keywords)
-    vehicle = actuated(vehicle, *spec.actuated)
+    vehicle = actuated(vehicle_file(spec, problem).vehicle, *spec.actuated)
     with at(problem, ("gravity",)):
         return in_gravity(vehicle, problem.spec.gravity)
 
 
-def read_robot(spec: schema.VehicleSource, problem: Problem[Any]) -> Robot | None:
-    """Return the URDF of the vehicle of a problem; None if it has another source."""
-    return None if spec.file is None else vehicle_file(spec.file, problem).robot
-
-
-def vehicle_file(name: str, problem: Problem[Any]) -> VehicleFile:
+def vehicle_file(spec: schema.VehicleSource, problem: Problem[Any]) -> VehicleFile:
     """Return the contents of a vehicle file of a problem, which is read once."""
+    name = spec.file
+    if name is None:
+        return VehicleFile(CATALOG[str(spec.catalog)](**spec.keywords), None)
     if name not in problem.vehicles:
         path, trusted = problem.folder / name, problem.trusted
         problem.vehicles[name] = shared(
@@ -184,16 +178,14 @@ def vehicle_file(name: str, problem: Problem[Any]) -> VehicleFile:
     return contents
 
 
-def visual_meshes(contents: VehicleFile | None) -> Mapping[str, TriangleMesh]:
+def visual_meshes(contents: VehicleFile) -> Mapping[str, TriangleMesh]:
     """Return the meshes of the links of a URDF by name, those that can be read."""
-    visuals: dict[str, TriangleMesh] = {}
-    if contents is None or contents.robot is None:
-        return visuals
-    if contents.visuals is not None:
-        return contents.visuals
-    links = contents.robot.tree.links.values()
-    meshes = (mesh for link in links for mesh in link.visuals)
-    files = MeshFiles(meshes, Path(contents.robot.tree.file).parent)
+    _, robot, visuals = contents
+    if robot is None or visuals is not None:
+        return visuals or {}
+    links, visuals = robot.tree.links.values(), dict[str, TriangleMesh]()
+    folder = Path(robot.tree.file).parent
+    files = MeshFiles((mesh for link in links for mesh in link.visuals), folder)
     for link in links:
         with suppress(DataError):  # the vehicle is then drawn with simple bodies
             if link.visuals:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
 from contextlib import suppress
@@ -18,6 +19,7 @@ from slipfree.system.regular_files import read_bytes, regular_file
 
 TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # tables with input files
 MISSING = "missing"
+DIGESTS = "input_sha256"  # attribute of a result: digests of the input files by name, as JSON
 SIDES = (".prj", ".aux.xml", ".hdr", ".tfw", ".wld", ".ovr", ".msk")  # endings beside maps
 URDF = (".urdf", ".xacro", ".xml")
 # name in a package, as in package://NAME/meshes/a.stl and $(find NAME)/a.xacro, or a path
@@ -110,10 +112,13 @@ def _stamp(path: Path) -> tuple[int, int] | None:
 
 
 def digests(problem: Problem[Any]) -> dict[str, str]:
-    """Return the SHA-256 of the input files of a problem by name."""
+    """Return the attribute of a result with the SHA-256 of its input files; empty without files."""
     files = input_files(problem)
-    key = tuple(files.values())
-    return shared("digests", key, lambda: {name: digest(files[name]) for name in files})
+
+    def text() -> str:
+        return json.dumps({name: digest(path) for name, path in files.items()})
+
+    return {DIGESTS: shared("digests", tuple(files.values()), text)} if files else {}
 
 
 def _named_urdf(folder: Path, name: str) -> list[str]:

@@ -29,7 +29,6 @@ from slipfree.models.records import is_determinate
 from slipfree.models.samples import closest_fact
 from slipfree.problem.atlas_tiles import AtlasOverview, overview_of_file, summary_lines
 from slipfree.problem.build_vehicle import (
-    VehicleFile,
     is_vehicle_file,
     read_vehicle,
     read_vehicle_file,
@@ -152,7 +151,8 @@ def _drawn(result: Result, count: int) -> _ReportFigures:
         shown = result.trajectory.t.size
         note = f"The figures show {shown} of {count} samples, including the extremes of all "
         note += "quantities; the tables use all samples."
-        figures = verb_of(result.problem).figures(result)
+        verb = find_motion_verb(result.kind) or verb_of(result.problem)
+        figures = verb.figures(result)
         return _ReportFigures(figures, note if shown < count else "")
     except DataError as error:
         return _ReportFigures((), f"No figures: {error}")
@@ -201,17 +201,15 @@ def vehicle_plot(path: Path, settings: Sequence[str] = (), trust: Sequence[Path]
     """Return the picture of a vehicle, on level ground or on the ground of its problem."""
     if is_vehicle_file(path):
         contents = read_vehicle_file(path, trusted_paths(trust))
-        stored: VehicleFile | None = contents
         vehicle = contents.vehicle
         axis = np.linspace(-LEVEL, LEVEL, 9) * extents(vehicle)[2]
         terrain = Bicubic(Grid(axis, axis, np.zeros((axis.size, axis.size))))
         start = settle(direct_kinematics(vehicle, terrain))
     else:
         problem: Problem[Any] = load_problem(path, settings, command="vehicle", trust=trust)
-        setup, name = build(problem), problem.spec.vehicle.file
-        stored = None if name is None else vehicle_file(name, problem)
+        setup, contents = build(problem), vehicle_file(problem.spec.vehicle, problem)
         vehicle, terrain, start = setup.vehicle, setup.terrain, setup.start
-    robot, visuals = stored and stored.robot, visual_meshes(stored)
+    robot, visuals = contents.robot, visual_meshes(contents)
     drive = Driven(vehicle.name, start, terrain, vehicle, robot=robot, visuals=visuals)
     return picture(drive_scene([drive]), vehicle.name)
 

@@ -21,7 +21,7 @@ from slipfree.files.netcdf import read, read_arrays
 from slipfree.files.toml.source import ProblemError
 from slipfree.plan.polynomial_motion import SavedPlan
 from slipfree.problem.build_ground import at, ground_table
-from slipfree.problem.inputs import digests
+from slipfree.problem.inputs import DIGESTS, digests
 from slipfree.problem.load import check_option, find_motion_verb, load_again, verb_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import MotionKeys, Runnable
@@ -40,8 +40,6 @@ from slipfree.problem.verbs.base import (
 )
 from slipfree.system.forks import computing
 from slipfree.system.regular_files import escape_name, unescape_name
-
-DIGESTS = "input_sha256"  # attribute of a result: digests of the input files by name, as JSON
 
 
 @computing
@@ -97,7 +95,7 @@ def run_problem(
     verb, kept = verb_of(problem), list[Result]()
 
     def store(solution: VerbSolution) -> None:
-        kept[:] = [_result(problem, verb, solution, files)]
+        kept[:] = [result_of(problem, verb, solution, files)]
         keep(kept[-1])
 
     setup = build(problem)
@@ -105,7 +103,7 @@ def run_problem(
     try:
         with at(problem, ("start",)):
             solution = verb.solve(problem, setup, Watch(progress, tell, path, store), resume)
-        return _result(problem, verb, solution, files)
+        return result_of(problem, verb, solution, files)
     except KeyboardInterrupt:
         if not kept:
             raise
@@ -116,13 +114,14 @@ def run_problem(
     return kept[-1]
 
 
-def _result(
-    problem: Problem[Any], verb: MotionVerb, solution: VerbSolution, files: dict[str, str]
+def result_of(
+    problem: Problem[Any], verb: MotionVerb, solution: VerbSolution, further: dict[str, str]
 ) -> Result:
+    """Return the result of a problem with all that its file contains, and further attributes."""
     run, setup, arrays = solution
-    own = _attributes(problem, verb, setup) | ({DIGESTS: json.dumps(files)} if files else {})
     world, world_arrays = store_world(problem, solution)
-    run = replace(run, attributes={**run.attributes, **own, STORED: world})
+    own = _attributes(problem, verb, setup) | {STORED: world} | further
+    run = replace(run, attributes={**run.attributes, **own})
     table, friction = ground_table(problem.spec.terrain), problem.spec.terrain.friction
     problem = replace(problem, grounds={table: (friction, setup.ground)})
     arrays = {**arrays, **world_arrays}
@@ -238,14 +237,14 @@ def export_mcap(file: Path, out: Path) -> None:
         vehicle, or if ``out`` cannot be written.
     """
     from slipfree.files.mcap import write_mcap
-    from slipfree.problem.build_vehicle import read_robot
+    from slipfree.problem.build_vehicle import vehicle_file
     from slipfree.problem.verbs.driving import vehicle_of
 
     check_name(out, file, (".mcap",))
     check_motion(file, read(file, lazy=True), ("x", "y", "z", "wheel_angle", "slip_along"))
     result = open_result(file)
     vehicle, problem = vehicle_of(result), result.problem
-    robot = read_robot(problem.spec.vehicle, problem)
+    robot = vehicle_file(problem.spec.vehicle, problem).robot
     write_mcap(out, result.trajectory, vehicle, robot)
 
 

@@ -71,10 +71,11 @@ def store_world(problem: Problem[Any], solution: VerbSolution) -> tuple[str, dic
     if isinstance(ground.mu, Grid):
         arrays |= _arrays(FRICTION, ground.mu, solution)
     if (name := spec.vehicle.file) is not None:
+        contents = vehicle_file(spec.vehicle, problem)
         key = problem.folder / name, problem.trusted
-        contents = shared("visuals", key, lambda: _with_visuals(vehicle_file(name, problem)))
-        built, robot, visuals = problem.vehicles[name] = contents
-        if robot is not None and visuals is not None:
+        visuals = shared("visuals", key, lambda: reduced(visual_meshes(contents), MAX_FACES))
+        built, robot, _ = problem.vehicles[name] = contents._replace(visuals=visuals)
+        if robot is not None:
             robot = robot._replace(tree=replace(robot.tree, file=Path(robot.tree.file).name))
             for k, link in enumerate(robot.tree.links):
                 if link in visuals:
@@ -90,10 +91,6 @@ def store_world(problem: Problem[Any], solution: VerbSolution) -> tuple[str, dic
         vehicle=vehicle,
     )
     return stored.model_dump_json(), arrays
-
-
-def _with_visuals(contents: VehicleFile) -> VehicleFile:
-    return contents._replace(visuals=reduced(visual_meshes(contents), MAX_FACES))
 
 
 def _arrays(name: str, grid: Grid, solution: VerbSolution) -> dict[str, Array]:
@@ -124,8 +121,9 @@ def read_world(
         vehicle, vehicles = stored.vehicle, dict[str, VehicleFile]()
         friction = stored.friction
         mu = _grid(FRICTION, arrays) if isinstance(friction, str) else friction
+        words = "" if friction is None else str(friction)
         place = stored.coordinates, stored.crs
-        ground = GroundMap(_grid(GROUND, arrays), str(file), None, mu, str(friction), [], *place)
+        ground = GroundMap(_grid(GROUND, arrays), str(file), None, mu, words, [], *place)
         if vehicle is not None:
             built = replace(read_toml(file_of(file, vehicle.text)).vehicle(), notes=vehicle.notes)
             visuals = {} if vehicle.robot is None else _visuals(vehicle.robot, arrays)

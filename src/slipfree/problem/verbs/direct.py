@@ -34,7 +34,7 @@ from slipfree.problem.build import (
     solver_options,
 )
 from slipfree.problem.build_ground import at
-from slipfree.problem.build_vehicle import read_robot
+from slipfree.problem.build_vehicle import vehicle_file
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import (
     FILE,
@@ -75,7 +75,7 @@ def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dic
     raised if the file cannot be used, or its first positions are not those of the start.
     """
     spec: MotionKeys = problem.spec
-    robot = read_robot(spec.vehicle, problem)
+    robot = vehicle_file(spec.vehicle, problem).robot
     actuators, inputs = _actuators(vehicle, robot), dict[str, Piecewise]()
     with at(problem, ("inputs", FILE)):
         if not is_mcap(Path(file)):

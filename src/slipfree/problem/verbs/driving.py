@@ -172,9 +172,8 @@ class DriveVerb(MotionVerb):
         run, problem = result.trajectory, result.problem
         terrain, vehicle = build_terrain(problem, build_ground(result.problem)), vehicle_of(result)
         prisms = build_solids(problem, terrain)
-        file = problem.spec.vehicle.file
-        contents = None if file is None else vehicle_file(file, problem)
-        robot, visuals = contents and contents.robot, visual_meshes(contents)
+        contents = vehicle_file(problem.spec.vehicle, problem)
+        robot, visuals = contents.robot, visual_meshes(contents)
         return Driven(name, run, terrain, vehicle, prisms=prisms, robot=robot, visuals=visuals)
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:

@@ -31,8 +31,10 @@ from slipfree.plan.tracking import (
     track_plan,
 )
 from slipfree.problem.build import build_model, build_start, build_world, solver_options
+from slipfree.problem.build_ground import GroundMap
 from slipfree.problem.problem import Problem
-from slipfree.problem.result import problem_of
+from slipfree.problem.result import problem_of, result_of
+from slipfree.problem.verbs.base import VERB_ATTRIBUTE, Result, VerbSolution
 from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed
 from slipfree.problem.verbs.plan_search import find_plan
 from slipfree.problem.verbs.plan_setup import build_planning
@@ -76,6 +78,7 @@ class TrackingTest(NamedTuple):
 
     plan: Trajectory
     motions: tuple[Followed, ...]
+    last: Result | None  # of the last motion, on its disturbed ground
 
 
 def follow_plan(
@@ -126,9 +129,9 @@ def follow_plan(
     options = _world_options(real)
     frame = horizon(plan, span=window)
     task = _sampling_task(plan, setup.vehicle, window, compiled=options.compiled)
-    motions = list[Followed]()
+    motions, last = list[Followed](), None
     for seed in range(1, seeds + 1):
-        world = _disturbed_world(real, plan, setup.vehicle, disturb, seed)
+        world, ground = _disturbed_world(real, plan, setup.vehicle, disturb, seed)
         for name in by:
             report = partial(progress, name, seed) if progress else None
             try:
@@ -153,9 +156,11 @@ def follow_plan(
                     raise
             else:
                 motions.append(Followed(name, seed, tracked, ""))
+                solution = VerbSolution(tracked.run, replace(setup, ground=ground), saved.arrays)
+                last = result_of(real, PlanVerb(), solution, {VERB_ATTRIBUTE: "direct"})
             if interrupt_requested():
-                return TrackingTest(plan.replay, tuple(motions))
-    return TrackingTest(plan.replay, tuple(motions))
+                return TrackingTest(plan.replay, tuple(motions), last)
+    return TrackingTest(plan.replay, tuple(motions), last)
 
 
 def _check_names(by: Sequence[str], disturb: Mapping[str, float]) -> None:
@@ -182,14 +187,17 @@ def _world_options(problem: Problem[Any]) -> SolverOptions:
 
 def _disturbed_world(
     problem: Problem[Any], plan: Plan, vehicle: Vehicle, sizes: Mapping[str, float], seed: int
-) -> TrackingWorld:
-    """Return the world of a changed problem with disturbances; ``vehicle`` is that of the plan."""
+) -> tuple[TrackingWorld, GroundMap]:
+    """Return the world of a changed problem with disturbances, and its ground.
+
+    ``vehicle`` is that of the plan.
+    """
     built, rng = build_world(problem), np.random.default_rng(seed)
     dae = plan.program.task.dae
     sign = rng.choice([-1.0, 1.0])
     radii = 1 + sizes.get("radii", 0.0) * rng.standard_normal(len(built.vehicle.wheels))
     factors = 1 + sizes.get("inputs", 0.0) * rng.standard_normal(len(list(leaves(dae.u))))
-    grid, mu = built.terrain.grid, built.terrain.mu
+    grid, mu = built.ground.grid, built.ground.mu
     if sizes.get("heights"):
         grid = disturbed(grid, sizes["heights"], CORRELATION * dae.size, seed)
     if sizes.get("friction"):
@@ -214,7 +222,8 @@ def _disturbed_world(
         driven = commanded(real, vehicle, speed=_mean_speed(plan))
     except ModelError:  # `_controller` reports it
         driven = None
-    return TrackingWorld(real, driven, start, sizes.get("latency", 0.0))
+    world = TrackingWorld(real, driven, start, sizes.get("latency", 0.0))
+    return world, built.ground._replace(grid=grid, mu=mu)
 
 
 def _changed_friction(mu: Any, factor: float) -> Any:
