@@ -18,13 +18,6 @@ def test_it_is_short():
 
 
 @pytest.mark.slow
-def test_the_python_example_runs(capsys):
-    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    exec(compile(code, "README.md", "exec"), {})
-    assert capsys.readouterr().out
-
-
-@pytest.mark.slow
 @pytest.mark.usefixtures("folder")
 def test_the_problem_file_runs():
     (text,) = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)

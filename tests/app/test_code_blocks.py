@@ -1,0 +1,216 @@
+"""Tests of every block of code in README and docs, by its language.
+
+- ``python`` blocks and code cells are executed in the order of the page, in one namespace. What a
+  page takes as given is in `given`. Pages of code cells alone are executed when they are built.
+- ``toml`` is read: a problem, a vehicle, a wheel test, or keys that complete one of them.
+- ``bash`` has commands of slipfree with arguments and options that exist.
+- ``c`` is compiled with the code that it includes.
+- ``console`` is only in the pages that `test_transcripts.py` plays, with their other blocks.
+- ``text`` is no code. A block without a language is refused.
+"""
+
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from functools import partial
+from itertools import count
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+import typer
+
+import slipfree as sf
+from helpers.commands import printed
+from slipfree.cli import app
+from slipfree.files.atlas_files import Site, write_atlas
+from slipfree.files.toml.source import load_toml
+from slipfree.files.vehicle_toml import file_of, validated
+from slipfree.fit.windows import Log, cut
+from slipfree.problem.build_vehicle import UrdfTable
+from slipfree.problem.load import load_problem
+from slipfree.problem.wheel_test import read_wheel_file
+
+ROOT = Path(__file__).parents[2]
+PAGES = [
+    ROOT / "README.md",
+    *(page for page in sorted((ROOT / "docs").rglob("*.md")) if "_build" not in page.parts),
+]
+FENCE = re.compile(r"^(```+)([^\n]*)\n(.*?)^\1$", re.MULTILINE | re.DOTALL)
+LANGUAGES = {"python", "toml", "bash", "console", "c", "text"}
+PLAYED = {"tutorial.md", "errors.md"}  # by test_transcripts.py
+PLAIN = {"x": [-5, 5], "y": [-5, 5], "spacing": 0.5}
+PROBLEMS = {  # shipped problems that the keys of a verb complete
+    "direct": "paper_direct",
+    "inverse": "paper_inverse",
+    "plan": "plan_rigid_hills",
+    "fit": "fit_skid_steer",
+    "atlas": "jacksboro_atlas",
+}
+VERBS = {"inverse": "inverse", "plan": "plan"}  # of blocks without one, by page
+EXCLUSIVE = {"driver": "inputs", "inputs": "driver", "path": "given", "given": "path"}
+VEHICLE, WHEEL = {"wheels", "shapes"}, {"wheel", "soil", "test"}  # keys of other files
+NODE = {  # names that a node of ROS 2 imports; the node is only defined
+    "rclpy": (),
+    "rclpy.node": ("Node",),
+    "geometry_msgs": (),
+    "geometry_msgs.msg": ("Twist",),
+    "nav_msgs": (),
+    "nav_msgs.msg": ("Odometry",),
+}
+
+
+def blocks_of(page, *languages):
+    """Return the texts of the blocks of languages in a page."""
+    return [text for _, words, text in FENCE.findall(page.read_text()) if words in languages]
+
+
+def pages_with(language):
+    """Return the pages with blocks of a language, except those that are played, as parameters."""
+    pages = [page for page in PAGES if page.name not in PLAYED and blocks_of(page, language)]
+    return [pytest.param(page, id=page.stem) for page in pages]
+
+
+def test_every_block_has_a_language():
+    for page in PAGES:
+        for _, language, text in FENCE.findall(page.read_text()):
+            assert language in LANGUAGES or language.startswith("{"), (page.name, text)
+            assert language != "console" or page.name in PLAYED, page.name
+
+
+def given(page: str) -> dict[str, Any]:
+    """Return the names that a page takes as given; write the files that it reads."""
+    axis = np.linspace(-4.0, 4.0, 17)
+    ground = sf.Bicubic(sf.Grid(axis, axis, np.zeros((17, 17))), mu=0.6)
+    vehicle = sf.catalog.skid_steer() if page in ("soil", "fit") else sf.catalog.three_wheeler()
+    model = sf.direct_kinematics(vehicle, ground)
+    names = {"ground": ground, "vehicle": vehicle, "model": model, "Cost": sf.Cost}
+    if page == "atlas":
+        poses = sf.atlas(model, ground, headings=2, compiled=False)
+        write_atlas("poses.nc", poses, Site(ground.grid.z, 0.6))
+    if page == "speed":
+        found = sf.plan(
+            model, sf.settle(model), goal={"y": 1.2}, costs={"effort": 1}, duration=10.0
+        )
+        names |= {"found": found}
+        names |= {"measured": partial(next, (model.rows("x", found.replay, k) for k in count()))}
+    if page == "fit":
+        names["windows"] = cut(_log(sf.quasi_statics(vehicle, ground), vehicle))
+    return names
+
+
+def _log(model, vehicle):
+    """Return a log of eight short motions of a skid-steered vehicle."""
+    t, windows = np.linspace(0, 2, 21), []
+    for k, (left, right) in enumerate(((0.5, 0.5), (0.6, 0.3), (0.2, 0.6), (-0.4, 0.5)) * 2):
+        rates = [right if "right" in wheel.name else left for wheel in vehicle.wheels]
+        names = [f"{wheel.name}_rate" for wheel in vehicle.wheels]
+        inputs = model.inputs(**dict(zip(names, rates, strict=True)))
+        run = sf.simulate(model, sf.settle(model), inputs, t)
+        pose = np.column_stack([run[name] for name in ("x", "y", "heading")])
+        windows.append((t, np.tile(rates, (t.size, 1)), pose, np.full(t.size, k)))
+    return Log(*map(np.concatenate, zip(*windows, strict=True)))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("page", pages_with("python"))
+def test_python_runs(page, monkeypatch):
+    for name, members in NODE.items():
+        module = ModuleType(name)
+        vars(module).update({member: type(member, (), {}) for member in members})
+        monkeypatch.setitem(sys.modules, name, module)
+    names = {"__name__": "page"} | given(page.stem)
+    for text in blocks_of(page, "python", "{code-cell} ipython3"):
+        exec(compile(text, page.name, "exec"), names)
+
+
+def inline(value: Any) -> str:
+    """Return a value of TOML in one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(k)} = {inline(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(inline, value)) + "]"
+    return repr(value) if isinstance(value, float) else json.dumps(value)
+
+
+def write(file, keys):
+    file.write_text("\n".join(f"{name} = {inline(value)}" for name, value in keys.items()))
+    return file
+
+
+def shipped(name):
+    return load_toml((ROOT / "problems" / f"{name}.toml").read_text())
+
+
+def completed(keys, before):
+    """Return a problem with the keys of a block, whose tables replace those before."""
+    rest = {k: v for k, v in before.items() if k not in {EXCLUSIVE.get(key) for key in keys}}
+    terrain = keys.get("terrain", {})
+    if "obstacles" in terrain and "synthetic" not in terrain:
+        rest |= {"model": "dynamics", "terrain": {"friction": 0.9, "synthetic": PLAIN}}
+    if "longitude" in keys.get("start", {}):
+        rest |= {"model": "kinematics", "terrain": {"file": "site.tif"}}
+    if "terrain" in keys and not terrain.keys() & {"file", "sample", "synthetic"}:
+        keys = keys | {"terrain": rest["terrain"] | terrain}
+    return rest | keys
+
+
+@pytest.mark.parametrize("page", pages_with("toml"))
+def test_toml_is_accepted(page, folder):
+    """A block without verb completes the last one of the page that has one."""
+    (folder / "points.csv").write_text("slip,pull\n0.1,2.0\n0.4,9.0\n")
+    place = rasterio.Affine(10, 0, 440_000, 0, -10, 5_101_000)
+    profile = {"width": 200, "height": 200, "count": 1, "dtype": "float32", "crs": "EPSG:32633"}
+    with rasterio.open(
+        folder / "site.tif", "w", driver="GTiff", transform=place, **profile
+    ) as file:
+        file.write(np.zeros((1, 200, 200), "f4"))
+    verb, before = VERBS.get(page.stem, "direct"), None
+    for text in blocks_of(page, "toml"):
+        keys = load_toml(text)
+        if "urdf" in keys:
+            validated(UrdfTable, file_of(folder / "p.toml", text))
+        elif keys.keys() & VEHICLE:
+            base = {} if "wheels" in keys else shipped("vehicles/trike")
+            assert sf.read_vehicle(write(folder / "vehicle.toml", base | keys)).wheels
+        elif keys.keys() & WHEEL:
+            before = (before if before and "wheel" in before else {}) | keys
+            read_wheel_file(write(folder / "wheel.toml", before), [])
+        else:
+            if "verb" in keys or before is None or "wheel" in before:
+                verb, before = keys.get("verb", verb), None
+            shown = shipped(PROBLEMS[verb]) if verb in PROBLEMS else {}
+            before = completed(keys, before or shown)
+            command = "run" if verb in ("direct", "inverse", "plan") else verb.split("-")[0]
+            load_problem(write(folder / "p.toml", before), command=command)
+
+
+@pytest.mark.parametrize("page", pages_with("bash"))
+def test_commands_have_known_options(page):
+    commands = typer.main.get_command(app).commands
+    text = "".join(blocks_of(page, "bash")).replace("\\\n", "")
+    found = [shlex.split(line, comments=True) for line in text.splitlines()]
+    for _, name, *words in (line for line in found if line[:1] == ["slipfree"]):
+        with commands[name].make_context(name, words, resilient_parsing=False):
+            pass
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
+@pytest.mark.parametrize("page", pages_with("c"))
+def test_c_compiles_with_the_exported_code(page, folder):
+    for text in blocks_of(page, "bash"):
+        for line in text.splitlines():
+            printed(*shlex.split(line)[1:])
+    for text in blocks_of(page, "c"):
+        (folder / "main.c").write_text(text)
+        (source,) = (f for f in (folder / "onboard").glob("*.c") if not f.stem.endswith("_test"))
+        subprocess.run(["cc", "-std=c99", "-o", "main", "main.c", source, "-lm"], check=True)
+        subprocess.run(["./main"], check=True)
