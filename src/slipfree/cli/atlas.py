@@ -158,7 +158,7 @@ def _solve(
     )
 
     folder = TileFolder(tiles, setup)
-    with held_interrupt():
+    with held_interrupt(from_first_poll=True):
         _compute(setup, folder, *workers)
         files = [save(each, lambda path: write_file(path, setup, folder)) for each in outs]
         overview = overview_of_tiles(setup, folder)
