@@ -27,7 +27,7 @@ if __name__ == "__main__":
 
 import signal  # noqa: E402
 
-from slipfree.system.interrupt import interrupt_at_signals, interrupted  # noqa: E402
+from slipfree.system.interrupt import interrupt_arrived, interrupt_at_signals, interrupted  # noqa: E402
 from slipfree.system.threads import single  # noqa: E402
 
 INTERRUPTED = 130  # exit code; equal to that of `slipfree.core.outcome`, whose import would be slow
@@ -39,6 +39,7 @@ def main() -> None:
         try:
             _run()
         finally:
+            interrupt_arrived()
             for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # no traceback from a signal at exit
                 if hasattr(signal, name):
                     signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -46,6 +47,7 @@ def main() -> None:
         # An extension module whose import is interrupted raises another error.
         if not isinstance(error, KeyboardInterrupt) and not interrupted():
             raise
+        interrupt_arrived()
         sys.stderr.write("interrupted\n")
         sys.exit(INTERRUPTED)
 

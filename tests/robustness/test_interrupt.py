@@ -47,6 +47,7 @@ from slipfree.system.interrupt import (
     check_interrupt,
     ended_by_interrupt,
     held_interrupt,
+    interrupt_arrived,
     interrupt_at_signals,
     with_interrupt_guard,
 )
@@ -486,6 +487,7 @@ def signals():
     former = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
     interrupt_at_signals()
     yield
+    interrupt_arrived()
     for number, handler in {**former, signal.SIGINT: signal.default_int_handler}.items():
         signal.signal(number, handler)
 

@@ -37,6 +37,7 @@ from slipfree.cli.run import run
 from slipfree.cli.show import edit, report, show
 from slipfree.cli.studies import compare, fit, pareto, track, wheel
 from slipfree.cli.sweep import sweep
+from slipfree.system.interrupt import interrupt_arrived
 
 # class of click, or of the copy of click in typer
 UsageError: Any = typer.BadParameter.__bases__[0]
@@ -59,6 +60,7 @@ class _CommandGroup(TyperGroup):
         try:
             yield
         except KeyboardInterrupt as error:  # before or after the command
+            interrupt_arrived()
             print_error("interrupted")
             raise typer.Exit(INTERRUPTED) from error
         except OSError as error:  # of stdout or stderr

@@ -155,7 +155,7 @@ def _solve(
 ) -> None:
     from slipfree.problem.atlas_tiles import overview_of_tiles, summary_lines, write_file
 
-    with held_interrupt():
+    with held_interrupt(from_first_poll=True):
         _compute(setup, folder, *workers)
         files = [save(each, lambda path: write_file(path, setup, folder)) for each in outs]
         overview = overview_of_tiles(setup, folder)

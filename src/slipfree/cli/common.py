@@ -30,7 +30,12 @@ import typer
 
 from slipfree.core.errors import DataError, ModelError, SlipfreeError, WriteError
 from slipfree.core.version import __version__
-from slipfree.system.interrupt import check_interrupt, held_interrupt, interrupted
+from slipfree.system.interrupt import (
+    check_interrupt,
+    held_interrupt,
+    interrupt_arrived,
+    interrupted,
+)
 from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
@@ -374,7 +379,7 @@ def reporting(duration: float | None) -> Iterator[Reports]:
     def as_lines(show: Callable[[str, str], None]) -> Callable[[float], None]:
         return lambda t: show(INTEGRATION, f"{INTEGRATION} to {t:.4g}{of} s")
 
-    with held_interrupt():
+    with held_interrupt(from_first_poll=True):
         if _current_output().options.verbose:
             yield _reports(as_lines(_detailed()), lambda _, line: detail(line))
         elif not has_bar():
@@ -475,6 +480,7 @@ def reported() -> Iterator[None]:
         print_error(NO_MEMORY)
         raise typer.Exit(STOPPED) from error
     except KeyboardInterrupt as error:
+        interrupt_arrived()
         print_error("; ".join(["interrupted", *map(str, error.args), *written()]))
         raise typer.Exit(INTERRUPTED) from error
 

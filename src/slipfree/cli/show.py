@@ -9,7 +9,6 @@ import tempfile
 import threading
 import webbrowser
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -29,6 +28,7 @@ from slipfree.cli.common import (
 )
 from slipfree.cli.outputs import Picture, check_outputs, check_page, check_picture, save_picture
 from slipfree.core.errors import DataError
+from slipfree.system.interrupt import interrupt_arrived
 from slipfree.system.regular_files import escape_name, regular_file, replace_file
 
 if TYPE_CHECKING:
@@ -245,9 +245,10 @@ def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
     thread.start()
     try:
         open_page(gate.url(server.server_port), browser, "edits the plan")
-        with suppress(KeyboardInterrupt):
-            while True:
-                desk.step(STEP)
+        while True:
+            desk.step(STEP)
+    except KeyboardInterrupt:
+        interrupt_arrived()
     finally:
         desk.close()
         server.shutdown()

@@ -63,7 +63,7 @@ def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
             detail(f"vehicle {name}")
 
         problem = read_problem(file, settings, trust, "compare")
-        with held_interrupt():
+        with held_interrupt(from_first_poll=True):
             ground, rows = solve(problem, print_progress)
             is_interrupted = interrupt_requested()
         print_facts(ground_facts(ground))
@@ -192,7 +192,7 @@ def fit(
         others = table.with_name(f"{table.stem}_{work.rows_name}.csv")
         picture = table.with_suffix(".png") if draw else None
         check_outputs([table, others, picture, write], work.inputs)
-        with held_interrupt():
+        with held_interrupt(from_first_poll=True):
             result = work.solve()
             estimate, lost = result.estimate, result.estimate.undetermined
             files = [
@@ -540,7 +540,7 @@ def track(
         with regular_file(file, "a result file of slipfree"):
             picture = out.with_suffix(".png") if out is not None and draw else None
             check_outputs([out, picture], result_files(file))
-        with held_interrupt():
+        with held_interrupt(from_first_poll=True):
             test = follow_plan(
                 file,
                 settings or [],

@@ -182,7 +182,7 @@ def _run_all(
     from slipfree.sweep.log import FAILED, LOST
     from slipfree.sweep.run import run_sweep
 
-    with held_interrupt(), counted("runs") as show:
+    with held_interrupt(from_first_poll=True), counted("runs") as show:
 
         def progress(rows: Rows) -> None:
             wrong = rows.outcomes[FAILED] + rows.outcomes[LOST]

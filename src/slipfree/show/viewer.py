@@ -27,6 +27,7 @@ from slipfree.show.scene import (
     SceneGround,
     scale_words,
 )
+from slipfree.system.interrupt import interrupt_arrived
 
 if TYPE_CHECKING:
     import viser
@@ -69,7 +70,7 @@ def serve(
             time.sleep(1 / RATE)
             panel.advance(1 / RATE)
     except KeyboardInterrupt:
-        pass
+        interrupt_arrived()
     finally:
         stop(server)
 

@@ -10,13 +10,14 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
 from types import FrameType, TracebackType
 from typing import Any, ParamSpec, Self, TypeVar
 
-REPEAT = 0.02  # time after which a lost interruption is repeated [s]
+REPEAT = 0.3  # time after which an interruption that has not ended the command is repeated [s]
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -100,31 +101,37 @@ class InterruptGuard:
 
 
 class _Hold:
-    """Ctrl-C held back by `held_interrupt`, and whether the computation has asked for it."""
+    """Ctrl-C held back by `held_interrupt`, and whether the computation asks and has asked for it.
 
-    def __init__(self) -> None:
+    ``is_held`` is false as long as Ctrl-C is not held back.
+    """
+
+    def __init__(self, *, is_held: bool) -> None:
         self.pressed = self.delivered = False
+        self.is_held = is_held
 
 
 _holds: list[_Hold] = []
 
 
 @contextmanager
-def held_interrupt() -> Iterator[None]:
+def held_interrupt(*, from_first_poll: bool = False) -> Iterator[None]:
     """Hold back the first Ctrl-C, so that a computation can end where its results are consistent.
 
     Computations inside the context ask for it with `interrupt_requested` or `check_interrupt`. If
-    none has, the end of the context raises KeyboardInterrupt. A second Ctrl-C is not held back. The
-    context has no effect outside the main thread or without a Python handler of SIGINT.
+    none has, the end of the context raises KeyboardInterrupt. A second Ctrl-C is not held back, and
+    with ``from_first_poll`` neither is one before the computation asks for the first time: it has
+    no results yet, and its preparations may take long. The context has no effect outside the main
+    thread or without a Python handler of SIGINT.
     """
     former = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(former):
         yield
         return
-    hold = _Hold()
+    hold = _Hold(is_held=not from_first_poll)
 
     def remember(number: int, frame: FrameType | None) -> None:
-        if hold.pressed:
+        if hold.pressed or not hold.is_held:
             former(number, frame)
             raise KeyboardInterrupt  # an outer context may have held it back
         hold.pressed = True
@@ -143,6 +150,8 @@ def held_interrupt() -> Iterator[None]:
 def interrupt_requested() -> bool:
     """Return whether Ctrl-C was pressed inside the contexts `held_interrupt` around the caller."""
     pressed = [hold for hold in _holds if hold.pressed]
+    for hold in _holds:
+        hold.is_held = True
     for hold in pressed:
         hold.delivered = True
     return bool(pressed)
@@ -155,6 +164,7 @@ def check_interrupt() -> None:
 
 
 _received: list[int] = []  # signals that raised KeyboardInterrupt
+_ended: list[bool] = []  # not empty as soon as one of them has ended the command
 
 
 def interrupted() -> bool:
@@ -162,12 +172,30 @@ def interrupted() -> bool:
     return bool(_received)
 
 
+def interrupt_arrived() -> None:
+    """Note that a KeyboardInterrupt has ended the command: no signal raises another one."""
+    _ended.append(True)
+
+
+def _repeat_signal() -> None:
+    """Repeat the last signal until its exception has ended the command.
+
+    CasADi and the garbage collector drop exceptions that are raised while they call Python.
+    """
+    while time.sleep(REPEAT) or not _ended:
+        os.kill(os.getpid(), _received[-1])
+
+
 def interrupt_at_signals() -> None:
     """Let SIGTERM and SIGHUP interrupt this process as Ctrl-C does, even if it ignores Ctrl-C."""
     is_ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    _received.clear()
+    _ended.clear()
 
     def interrupt(number: int, _frame: FrameType | None) -> None:
-        if number != signal.SIGINT or not is_ignored:
+        if not _ended and (number != signal.SIGINT or not is_ignored):
+            if not _received:
+                threading.Thread(target=_repeat_signal, daemon=True).start()
             _received.append(number)
             raise KeyboardInterrupt
 
@@ -177,16 +205,11 @@ def interrupt_at_signals() -> None:
 
     former = sys.unraisablehook
 
-    def again(lost: sys.UnraisableHookArgs) -> None:
-        if lost.exc_type is not KeyboardInterrupt or not _received:
+    def report(lost: sys.UnraisableHookArgs) -> None:
+        if lost.exc_type is not KeyboardInterrupt or not _received:  # else it is repeated
             former(lost)
-            return
-        # raised in a callback of the garbage collector, which drops it; not from here, as well
-        repeat = threading.Timer(REPEAT, os.kill, (os.getpid(), _received[-1]))
-        repeat.daemon = True
-        repeat.start()
 
-    sys.unraisablehook = again
+    sys.unraisablehook = report
     signal.signal(signal.SIGINT, interrupt)
     for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
         number = getattr(signal, name, None)
