@@ -243,12 +243,23 @@ class _Coordinates:
             other = toml_line("joints", leader.name, kind="commanded", lower=-1.5, upper=1.5)
             self._findings.guess("joints", leader.name, values, reason, other)
             return repr(offset + multiplier * leader.lower)
-        if role is None and leader.moves and leader.name not in self._tree.actuated:
-            guess = self._kinds.get(leader.name, NO_WHEEL)
+        guess = self._kinds.get(leader.name)
+        if (
+            role is None
+            and leader.moves
+            and guess is None
+            and leader.name not in self._tree.actuated
+        ):
+            guess = NO_WHEEL
+        if role is None and leader.moves and guess is not None:
             role = JointRole(guess.kind or "fixed")
-            other = toml_line("joints", leader.name, kind=guess.other)
-            reason = f"{role.kind}: {guess.reason}"
-            self._findings.guess("joints", leader.name, {"kind": role.kind}, reason, other)
+            if guess.alike:
+                self._ask(leader, guess)
+            else:
+                other = toml_line("joints", leader.name, kind=guess.other)
+                reason = f"{role.kind}: {guess.reason}"
+                values: dict[str, Value] = {"kind": role.kind}
+                self._findings.guess("joints", leader.name, values, reason, other)
         if not leader.moves or (role is not None and role.kind == "fixed"):
             return repr(offset)
         name = self._coordinate(leader, role)
@@ -257,6 +268,18 @@ class _Coordinates:
             return name
         scaled = f"-{name}" if multiplier == -1 else f"{multiplier!r}*{name}"
         return scaled + (f" + {offset!r}" if offset else "")
+
+    def _ask(self, joint: UrdfJoint, guess: KindGuess) -> None:
+        """Add an error with the lines for each kind of joints whose evidence is contradictory."""
+        if joint.name == guess.alike[0]:
+            kinds = dict.fromkeys((guess.kind or "fixed", guess.other))
+            lines = (f"joints = {toml_value(dict.fromkeys(guess.alike, kind))}" for kind in kinds)
+            names = f" (also {', '.join(guess.alike[1:])})" if guess.alike[1:] else ""
+            self._findings.wrong(
+                joint,
+                f"expected evidence for one kind of joint, found {guess.reason}{names}"
+                f"; {self._tree.completion}, write {' or '.join(lines)}",
+            )
 
     def _leader(self, joint: UrdfJoint) -> tuple[UrdfJoint, float, float]:
         """Return the joint that a joint follows through its mimics, with factor and offset."""
