@@ -24,7 +24,8 @@ INTERFACES = {  # weights of the interfaces of actuators; springs in simulators 
     "posvel": COMMAND,
     "effort": USUAL,
 }
-TRACK = re.compile(r"(?<![a-z])(tracks?|belts?|crawlers?|caterpillars?)(?![a-z])", re.IGNORECASE)
+TRACK = re.compile(r"(left|right)?(track|belt|crawler|caterpillar|tread)(s|ed)?(left|right)?")
+LEG = re.compile("(left|right)?(leg|hip|thigh|knee|shin|calf|ankle|foot|femur|tibia|coxa)")
 
 
 class Evidence(NamedTuple):
@@ -70,12 +71,19 @@ def weigh(pieces: Iterable[Evidence], default: str = "") -> Choice:
     rival = others[0] if others else ""
     reason = ", ".join(piece.words for piece in pieces if piece.choice == best)
     against = ", ".join(
-        f"{piece.words} ({piece.choice or 'no choice'})" for piece in pieces if piece.choice != best
+        f"{piece.words} ({piece.choice})" if piece.choice else piece.words
+        for piece in pieces
+        if piece.choice != best
     )
     if against:
         reason = f"{reason}; against it: {against}" if reason else against
     is_open = bool(rival) and sums[rival] >= CONTRADICTORY * sums[best]
     return Choice(best, reason, rival, is_open)
+
+
+def words_of(name: str) -> list[str]:
+    """Return the words of a name in lower case, such as "front" and "left" of "frontLeft_2"."""
+    return re.findall("[a-z]+", re.sub("([a-z0-9])([A-Z])", r"\1 \2", name).lower())
 
 
 def names_of(element: Element) -> list[str]:

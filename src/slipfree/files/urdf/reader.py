@@ -12,12 +12,13 @@ from slipfree.files.urdf.collisions import body_shapes
 from slipfree.files.urdf.joint_guesses import NO_WHEEL, Joints, KindGuess
 from slipfree.files.urdf.roles import NO_ROLES, JointRole, Roles, completed, coupled
 from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint, facing_forward
-from slipfree.files.urdf.wheel_guesses import forward_guess
+from slipfree.files.urdf.wheel_guesses import TRACKS, forward_guess, tracks, wheel_remedy
 from slipfree.files.urdf.wheels import Wheels
 from slipfree.files.vehicle_draft import (
     MAX_LENGTH,
     Draft,
     UnfitError,
+    Value,
     degrees_words,
     from_rep103,
     is_symbol,
@@ -32,7 +33,6 @@ from slipfree.vehicle.shapes import BodyShape
 from slipfree.vehicle.tree import Body, Coordinate, Joint
 
 MIN_WHEELS = 3
-MAX_NAMES = 12  # more joints are not listed
 
 
 def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
@@ -46,23 +46,22 @@ def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
     draft = from_rep103(_draft(tree, roles, findings))
     if findings.errors:
         raise UnfitError(findings.lines, draft)
-    remedy = _wheel_remedy(tree, draft) if len(draft.wheels) < MIN_WHEELS else ""
-    wrong = [f"{tree.file}:1: expected {e}, found {f}{remedy}" for e, f in misfits(draft)]
+    few = _wheel_remedy(tree, roles, draft) if len(draft.wheels) < MIN_WHEELS else ""
+    wrong = [f"{tree.file}:1: expected {e}, found {f}" for e, f in misfits(draft, few)]
     wrong += [f"{tree.file}:{element}" for element in tree.unknown if wrong]
     if wrong:
         raise UnfitError(wrong, draft)
     return draft
 
 
-def _wheel_remedy(tree: Tree, draft: Draft) -> str:
-    """Return how to declare wheels, with the names of the last joints that carry none."""
-    known = [wheel.name for wheel in draft.wheels]
-    ends = [j.name for j in tree.joints.values() if tree.is_last(j) and j.name not in known]
-    names = ", ".join(ends[:MAX_NAMES]) + (", ..." if len(ends) > MAX_NAMES else "")
-    if not ends:
-        return ", such as a link with a sphere at a fixed joint, as of a caster"
-    line = toml_line("wheels", ends[0], radius=0.1)
-    return f" {tree.completion}, such as {line}; joints without a wheel: {names}"
+def _wheel_remedy(tree: Tree, roles: Roles, draft: Draft) -> str:
+    """Return what to do about too few wheels, with a line that adds wheels if one does."""
+    words, wheels = wheel_remedy(tree, [wheel.name for wheel in draft.wheels])
+    findings, more = Findings(tree.file), replace(roles, wheels={**roles.wheels, **wheels})
+    if not wheels or [*misfits(_draft(tree, more, findings))] or findings.errors:
+        return words
+    sizes = {name: {"radius": role.radius} if role.radius else {} for name, role in wheels.items()}
+    return f"{words}; or {tree.completion}, write wheels = {toml_value(sizes)}"
 
 
 def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
@@ -207,6 +206,8 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
         alike = [guess for guess in findings.guesses if guess.reason == reason]
         listed = ": " + ", ".join(guess.name for guess in alike) if alike[0].table else ""
         notes.append(f"guessed {reason}{listed}; otherwise write {alike[0].other}")
+    if found := tracks(wheels.tree, [wheel.name for wheel in wheels.joints]):
+        notes.append(TRACKS.format(", ".join(found)))
     wheels.add_notes()
 
 
