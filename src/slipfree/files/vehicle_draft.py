@@ -40,7 +40,7 @@ class Guess(NamedTuple):
     name: str  # of the joint, or of the top-level key
     values: Mapping[str, Value]  # guessed values by key
     reason: str  # guessed property, and the reason for the guessed values
-    other: str  # line of the vehicle file, at its top level, that states the other choice
+    other: str  # line of the vehicle file, at its top level, for the other choice; empty if none
 
     @property
     def toml(self) -> str:

@@ -25,7 +25,6 @@ CASTER = re.compile("cast[eo]r|ball_?wheel|omni_?ball", re.IGNORECASE)
 TRAILER = re.compile("cast[eo]r|trailer|hitch|drawbar|swivel", re.IGNORECASE)
 SUSPENSION = re.compile("suspension|rocker|bogie|spring|shock|damper|strut|swing", re.IGNORECASE)
 LIFT = re.compile("lift|leg|hip|knee|flipper|arm|elbow", re.IGNORECASE)
-OTHER_KINDS = {"passive": "commanded", "commanded": "passive", "suspension": "fixed"}
 STEERING = re.compile("steer|ackerman|knuckle", re.IGNORECASE)
 TRAIL, MAX_TRAIL = 0.2, 2.0  # trail of wheels that swivel freely [radii]; longer ones articulate
 SMALL = 0.8  # largest radius of casters without a name or a swivel [radii of the other wheels]
@@ -355,8 +354,8 @@ class Joints:
             for name, each in self._choices.items()
             if each == choice and name not in known and not self._leaders(name)
         )
-        other = choice.rival or OTHER_KINDS.get(choice.choice, "fixed")
-        if SLIDES.words in choice.reason or (other == "suspension" and len(alike) > left):
+        other = choice.rival or ("commanded" if choice.choice == "passive" else "fixed")
+        if other == "suspension" and len(alike) > left:
             other = "fixed"
         kind: Any = choice.choice
         return KindGuess(kind, choice.reason, other, alike if choice.is_open else ())

@@ -44,13 +44,16 @@ def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
     """
     findings = Findings(tree.file)
     draft = from_rep103(_draft(tree, roles, findings))
+    # the other choice of a guess does not correct an error
+    notes = tuple(note.partition("; otherwise write ")[0] for note in draft.notes)
+    refused = replace(draft, notes=notes)
     if findings.errors:
-        raise UnfitError(findings.lines, draft)
+        raise UnfitError(findings.lines, refused)
     few = _wheel_remedy(tree, roles, draft) if len(draft.wheels) < MIN_WHEELS else ""
     wrong = [f"{tree.file}:1: expected {e}, found {f}" for e, f in misfits(draft, few)]
     wrong += [f"{tree.file}:{element}" for element in tree.unknown if wrong]
     if wrong:
-        raise UnfitError(wrong, draft)
+        raise UnfitError(wrong, refused)
     return draft
 
 
@@ -205,7 +208,8 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
     for reason in dict.fromkeys(guess.reason for guess in findings.guesses):
         alike = [guess for guess in findings.guesses if guess.reason == reason]
         listed = ": " + ", ".join(guess.name for guess in alike) if alike[0].table else ""
-        notes.append(f"guessed {reason}{listed}; otherwise write {alike[0].other}")
+        other = f"; otherwise write {alike[0].other}" if alike[0].other else ""
+        notes.append(f"{'guessed ' if other else ''}{reason}{listed}{other}")
     if found := tracks(wheels.tree, [wheel.name for wheel in wheels.joints]):
         notes.append(TRACKS.format(", ".join(found)))
     wheels.add_notes()

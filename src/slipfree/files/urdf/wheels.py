@@ -523,8 +523,11 @@ class Wheels:
         choice = weigh(pieces)
         is_driven = choice.choice == "driven"
         if choice.rival or not self._has_actuator(joint):
-            other, reason = toml_line("wheels", joint.name, driven=not is_driven), choice.reason
-            reason = f"{choice.choice}: {reason}"
+            rolling = {wheel.name for wheel in self.joints} - self.balls - self._casters
+            other = toml_line("wheels", joint.name, driven=not is_driven)
+            if is_driven and len(rolling) < 3:  # one wheel alone cannot drive
+                other = ""
+            reason = f"{choice.choice}: {choice.reason}"
             self._findings.guess("wheels", joint.name, {"driven": is_driven}, reason, other)
         return is_driven
 
