@@ -18,7 +18,7 @@ from slipfree.problem.result import build
 
 
 def facts(found):
-    return dict(found.facts)
+    return dict([*found.facts, *found.details])
 
 
 def test_a_vehicle_file_by_itself():

@@ -82,7 +82,7 @@ def test_mesh_wheels_have_the_least_height_above_the_footprint_as_radius(tmp_pat
     foot, wheels = mesh_robot()
     vehicle = read_vehicle(written(tmp_path, foot + wheels))
     assert [each.radius for each in vehicle.wheels] == pytest.approx([0.1] * 3)
-    assert any("its name, without a round shape" in note for note in notes(vehicle))
+    assert any("its name, without a round shape" in note for note in vehicle.notes)
 
 
 def test_one_line_gives_the_radius_of_mesh_wheels(tmp_path):

@@ -243,7 +243,7 @@ class Wheels:
             values = {"radius": shape.radius, **values}
         if shape is not None and shape.tube and "tube" in keys:
             values = {"tube": shape.tube, **values}
-        other = toml_line("joints", name, kind="fixed")
+        other = toml_line("joints", name, kind="fixed") if len(self.joints) > 3 else ""
         if role.rollers is not None:
             other = toml_line("wheels", name, rollers=False if role.rollers else OMNI_ANGLE)
         if values.get("rollers"):
@@ -525,7 +525,7 @@ class Wheels:
         if choice.rival or not self._has_actuator(joint):
             rolling = {wheel.name for wheel in self.joints} - self.balls - self._casters
             other = toml_line("wheels", joint.name, driven=not is_driven)
-            if is_driven and len(rolling) < 3:  # one wheel alone cannot drive
+            if is_driven and (len(rolling) < 3 or self._role(joint).rollers):  # none can be free
                 other = ""
             reason = f"{choice.choice}: {choice.reason}"
             self._findings.guess("wheels", joint.name, {"driven": is_driven}, reason, other)
