@@ -12,16 +12,17 @@ from math import pi, sin
 from typing import NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
-from slipfree.geometry.frame import Pose
+from slipfree.geometry.frame import Pose, platform
 from slipfree.terrain.base import Terrain
+from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 ROOT_OFFSET = 1e-30  # keeps a quotient finite [1]
-
 MIN_PART = 0.05  # smallest entry of a free motion that is named
 FREE = 1e-9  # smaller singular values are those of free motions [largest one]
 
@@ -57,7 +58,7 @@ def check_couplings(vehicle: Vehicle) -> None:
     suspension coordinates of a vehicle with exact closure. Two rockers that turn alike leave the
     pitch of the platform between them free.
     """
-    suspension = [c for c in vehicle.of("suspension")]
+    suspension = vehicle.of("suspension")
     moved = {
         c.name: [joint.name for joint in vehicle.joints if c.name in joint.coordinates]
         for c in suspension
@@ -69,7 +70,8 @@ def check_couplings(vehicle: Vehicle) -> None:
     q = ca.SX.sym("q", len(names))
     zero = {c.name: ca.SX(0) for c in vehicle.coordinates}
     values = zero | dict(zip(moved, ca.vertsplit(q)[3:], strict=True))
-    parts = vehicle.parts(platform(0, 0, q[0], 0, q[1], q[2]), values)
+    level = ca.SX(0)
+    parts = vehicle.parts(platform(level, level, q[0], level, q[1], q[2]), values)
     heights = [(parts[wheel.parent] @ wheel.mount).origin[2] for wheel in vehicle.wheels]
     slopes = ca.Function("slopes", [q], [ca.jacobian(ca.vertcat(*heights), q)])
     _, sizes, right = np.linalg.svd(np.array(slopes(0)))

@@ -256,7 +256,7 @@ def wheel_rows(vehicle: Vehicle) -> list[Mapping[str, str]]:
     places, wheels = _places(vehicle), vehicle.wheels
     joints = {joint.name: joint for joint in vehicle.joints}
     kinds = {c.name: c.kind for c in vehicle.coordinates}
-    rows = []
+    rows = list[Mapping[str, str]]()
     for wheel, place in zip(wheels, places, strict=True):
         part, turned = joints.get(wheel.parent), set[str]()
         while part is not None:

@@ -18,7 +18,6 @@ from slipfree.files.vehicle_draft import (
     MAX_LENGTH,
     Draft,
     UnfitError,
-    Value,
     degrees_words,
     from_rep103,
     is_symbol,
@@ -263,8 +262,8 @@ class _Coordinates:
             else:
                 other = toml_line("joints", leader.name, kind=guess.other)
                 reason = f"{role.kind}: {guess.reason}"
-                values: dict[str, Value] = {"kind": role.kind}
-                self._findings.guess("joints", leader.name, values, reason, other)
+                kind = {"kind": role.kind}
+                self._findings.guess("joints", leader.name, kind, reason, other)
         if not leader.moves or (role is not None and role.kind == "fixed"):
             return repr(offset)
         name = self._coordinate(leader, role)

@@ -313,7 +313,7 @@ def facing_forward(tree: Tree, forward: str) -> Tree:
     return replace(tree, links=tree.links | {tree.root: root}, joints=joints)
 
 
-def _rotated(collision: G, back: Array) -> G:
+def _rotated(collision: Geometry, back: Array) -> Geometry:
     """Return a collision shape in rotated axes."""
     turned = angles_of(back @ rotation_of(collision.turned))
     return collision._replace(at=vector_of(back @ collision.at), turned=turned)
