@@ -352,10 +352,13 @@ class Joints:
         alike = tuple(
             name
             for name, each in self._choices.items()
-            if each == choice and name not in known and not self._leaders(name)
+            if each.is_open
+            and each.choice == choice.choice
+            and name not in known
+            and not self._leaders(name)
         )
         other = choice.rival or ("commanded" if choice.choice == "passive" else "fixed")
-        if other == "suspension" and len(alike) > left:
+        if other == "suspension" and left < 1:
             other = "fixed"
         kind: Any = choice.choice
         return KindGuess(kind, choice.reason, other, alike if choice.is_open else ())
@@ -395,5 +398,6 @@ class Joints:
         if not all(self._own[leader] and leader in self._free for leader in self._leaders(name)):
             return False
         if role is None:
-            return self._choices[name].choice == "suspension"
+            choice = self._choices[name]
+            return choice.choice == "suspension" and not choice.is_open
         return role.kind == "suspension" and not role.keywords

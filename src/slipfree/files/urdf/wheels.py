@@ -429,7 +429,7 @@ class Wheels:
             choice = weigh(
                 [
                     Evidence("fixed", USUAL, "its shape ends far above the lowest wheel"),
-                    *[Evidence("wheel", HINT, "radius of other wheels")] * alike,
+                    *[Evidence("wheel", USUAL, "radius of other wheels")] * alike,
                     *[Evidence("wheel", HINT, "its name")] * bool(WHEEL.search(joint.names)),
                 ]
             )
