@@ -18,7 +18,7 @@ from slipfree.problem.result import build
 
 
 def facts(found):
-    return dict(found.facts)
+    return dict([*found.facts, *found.details])
 
 
 def test_a_vehicle_file_by_itself():
@@ -38,6 +38,13 @@ def test_a_vehicle_file_by_itself():
     assert facts(found)["condition of rates"].endswith(
         "at the start, least determined: caster_rate"
     )
+    assert dict(found.wheels[0]) == {
+        "wheel": "left_drive", "place (m)": "-0.25, 0, 0", "radius (m)": "0.15",
+        "width (m)": "0.04", "driven": "yes", "steered": "no", "mass (kg)": "1.5",
+        "partner": "right_drive",
+    }  # fmt: skip
+    assert found.wheels[2]["steered"] == "free"
+    assert facts(found)["track"] == "0.5 m"
     notes = [words for name, words in found.facts if name == "vehicle file"]
     assert notes[0] == "omitted, since they carry no wheel and no mass: lidar_mount"
     assert notes[1].startswith("wheel right_drive: its rate is positive forward, opposite")
@@ -61,6 +68,13 @@ def test_conditions_on_level_ground(build, position, rates, weakest):
         assert_allclose(float(found[f"condition of {name}"].split()[0]), value, rtol=0.2)
     assert weakest in found["condition of rates"]
     assert "multiplier" not in found["condition of rates"]
+
+
+def test_numbers_of_unknowns_are_printed_with_verbose():
+    for more, is_shown in (([], False), (["--verbose"], True)):
+        out = invoke("vehicle", DATA / "cart.toml", *more, code=0).stdout
+        assert ("no-slip conditions" in out) == is_shown
+        assert "partner" in out
 
 
 BROKEN = """\

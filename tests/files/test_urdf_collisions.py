@@ -45,6 +45,16 @@ def test_the_clearance_is_that_of_the_drawing(shape, kind, expected, tmp_path):
     assert_allclose(clearance(vehicle), expected, atol=5e-3)  # wheels press in by 2 mm
 
 
+@pytest.mark.parametrize("pitch", [0.0, np.pi / 2])
+def test_a_capsule_has_round_ends(pitch, tmp_path):
+    """Its length is that between the centres of its ends."""
+    shape = '<capsule radius="0.03" length="0.1"/>'
+    vehicle = on_base(tmp_path, collision(shape, rpy=f"0 {pitch!r} 0"))
+    length = 0.1 / 2 if pitch == 0 else 0.0
+    assert [type(found) for _, found in vehicle.shapes] == [Ball, Ball, Hull]
+    assert_allclose(clearance(vehicle), 0.2 - 0.03 - length, atol=5e-3)
+
+
 def test_origins_and_moving_joints_place_the_shapes(tmp_path):
     """A box on an arm: its centre is where the frames of the URDF say."""
     box = collision('<box size="0.2 0.1 0.05"/>', "0.1 0.02 0.3", "0 0 1.5707963267948966")

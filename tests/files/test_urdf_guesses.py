@@ -8,7 +8,19 @@ import numpy as np
 import pytest
 
 from helpers.commands import invoke, refused
-from helpers.urdf import FOUR, MASS, MESH, ROUND, TWO, joint, link, rocker_bogie, wheel, written
+from helpers.urdf import (
+    FOUR,
+    MASS,
+    MESH,
+    ROUND,
+    TWO,
+    joint,
+    link,
+    offered,
+    rocker_bogie,
+    wheel,
+    written,
+)
 from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.control.path_following import straight
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
@@ -70,15 +82,16 @@ def test_mesh_wheels_have_the_least_height_above_the_footprint_as_radius(tmp_pat
     foot, wheels = mesh_robot()
     vehicle = read_vehicle(written(tmp_path, foot + wheels))
     assert [each.radius for each in vehicle.wheels] == pytest.approx([0.1] * 3)
-    assert any("its name, without a round shape" in note for note in notes(vehicle))
+    assert any("its name, without a round shape" in note for note in vehicle.notes)
 
 
 def test_one_line_gives_the_radius_of_mesh_wheels(tmp_path):
     _, wheels = mesh_robot()
-    with pytest.raises(VehicleError, match=r"write radius = \.\.\. for all wheels"):
+    with pytest.raises(VehicleError) as caught:
         read_vehicle(written(tmp_path, wheels))
-    vehicle = read_vehicle(written(tmp_path, wheels, "radius = 0.15"))
-    assert [each.radius for each in vehicle.wheels] == [0.15] * 3
+    (line,) = offered(str(caught.value))
+    vehicle = read_vehicle(written(tmp_path, wheels, line))
+    assert [f"radius = {each.radius}" for each in vehicle.wheels] == [line] * 3
 
 
 ROVER = (

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from helpers.commands import invoke
-from helpers.urdf import FOUR, WHEEL, wheel, written
+from helpers.urdf import FOUR, WHEEL, offered, wheel, written
 from slipfree.core.errors import DataError
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.vehicle.sections import Disc, Sphere, Torus
@@ -119,7 +119,8 @@ def test_a_mesh_that_is_no_wheel_is_named(name, data, words, tmp_path):
     with pytest.raises(VehicleError) as found:
         read_vehicle(written(tmp_path, parts))
     assert words in str(found.value)
-    assert "or write radius = ... for all wheels" in str(found.value)
+    (line,) = offered(str(found.value))
+    assert len(read_vehicle(written(tmp_path, parts, line)).wheels) == 3
     given = read_vehicle(written(tmp_path, parts, "radius = 0.12"))
     assert [each.radius for each in given.wheels] == [0.12] * 3
 
@@ -142,8 +143,10 @@ def test_wheels_that_do_not_suit_their_distances_are_refused(unit, scale, words,
     assert "suits the distances between the wheels, found a radius of" in str(found.value)
     assert "in link 'front_left'; mesh 'wheel.stl': " in str(found.value)
     assert words in str(found.value)
-    given = read_vehicle(written(tmp_path, parts, "radius = 0.033"))
-    assert [each.radius for each in given.wheels] == [0.033] * 4
+    (line,) = offered(str(found.value))
+    given = read_vehicle(written(tmp_path, parts, line))
+    if "correct its scale" not in words:
+        assert [each.radius for each in given.wheels] == [0.033] * 4
 
 
 @pytest.mark.parametrize(

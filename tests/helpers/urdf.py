@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -96,6 +97,17 @@ def rocker_bogie(bogies=True, axes=("0 1 0", "0 1 0"), mounts=False):
         for end, x in (("mid", 0.15), ("rear", -0.15)):
             parts += wheel(f"{side}_{end}", f"{x} 0 -0.1", parent=f"{side}_bogie")
     return parts
+
+
+KEY = "(?:forward|radius|tube|couple|joints|wheels)"
+LINE = re.compile(
+    rf"(?:write|or) ({KEY}[^ ]* = .+?)(?= or {KEY}|; |, the |, in a |$)", re.MULTILINE
+)
+
+
+def offered(text: str) -> list[str]:
+    """Return the lines of vehicle files that messages and notes offer."""
+    return LINE.findall(text)
 
 
 def written(folder: Path, parts: str, completion: str | None = None) -> Path:

@@ -18,6 +18,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.core.records import leaves
+from slipfree.files.vehicle_toml import VehicleError
 from slipfree.models.given_rates import COMMANDS
 from slipfree.solve.replay import replay, round_trip, trim_states
 
@@ -50,6 +51,15 @@ def rover(tmp, left=1.0, right=1.0, x=0.0, y=0.05):
     path = tmp / "rover.toml"
     path.write_text(ROVER.format(left=left, right=right, x=x, y=y, wheels=WHEELS))
     return read_vehicle(path)
+
+
+def test_a_coupling_that_leaves_an_angle_free_is_named(tmp_path):
+    """Rockers that turn alike about one axis turn as one body, against the platform."""
+    words = r"pitch and a are free, .* write couple = \{ left = 1, right = 1 \}"
+    with pytest.raises(VehicleError, match=words):
+        rover(tmp_path, 1.0, -1.0)
+    for right in (1.0, -2.0):
+        assert rover(tmp_path, 1.0, right).coordinates
 
 
 def bump(side):

@@ -19,7 +19,7 @@ import sys
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from functools import wraps
@@ -275,17 +275,26 @@ def add_json(name: str, make: Callable[[], Any]) -> None:
         output.content[name] = make()
 
 
-def print_facts(facts: list[tuple[str, str]]) -> None:
+def print_facts(facts: list[tuple[str, str]], details: Sequence[tuple[str, str]] = ()) -> None:
     """Print facts (pairs of name and text), and add them to the JSON output of the command.
 
-    The key of an indented name is "NAME: INDENTED", where NAME is the last name without indent.
+    ``details`` are added, but printed only with ``--verbose``. The key of an indented name is
+    "NAME: INDENTED", where NAME is the last name without indent.
     """
-    values, above = _current_output().content.setdefault("facts", {}), ""
-    for name, text in facts:
+    output = _current_output()
+    values, above = output.content.setdefault("facts", {}), ""
+    for name, text in (*facts, *details):
         above = above if name.startswith(" ") else name
         key = f"{above}: {name.strip()}" if name.startswith(" ") and above else name.strip()
         values[key] = f"{values[key]}\n{text}" if key in values else text
-    show(facts)
+    show([*facts, *details] if output.options.verbose else facts)
+
+
+def as_columns(rows: Sequence[Mapping[str, str]]) -> list[str]:
+    """Return the lines of a table in columns, with the keys of its first row as headings."""
+    table = [[*rows[0]], *([*row.values()] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in table]
 
 
 def add_json_file(file: object) -> None:

@@ -20,6 +20,7 @@ from slipfree.cli.common import (
     about,
     add_json,
     add_json_file,
+    as_columns,
     detail,
     print_error,
     print_facts,
@@ -138,8 +139,8 @@ def vehicle(
 ) -> None:
     """Describe the vehicle of a problem or of a vehicle file.
 
-    Print parts, unknowns, equations, rolling conditions and condition numbers of the vehicle, and
-    the errors of an invalid one.
+    Print parts, wheels, inputs, dimensions and mass of the vehicle, and the errors of an invalid
+    one. With --verbose, also print numbers of unknowns and equations, and condition numbers.
     """
     with reported():
         from slipfree.problem.build_vehicle import guessed_completion
@@ -151,12 +152,15 @@ def vehicle(
             check_outputs([write], [file, *files_named_in(file)])
             write_new_file(guessed_completion(file, write.parent, trust or []), write, force)
             print_line(f"wrote {write}\n")
-        tree, facts, faults = describe(file, settings or [], trust or [])
-        print_line("\n".join([*tree, ""]))
-        add_json("tree", lambda: tree)
-        print_facts(facts)
-        if faults:
-            print_error("\n".join(faults))
+        found = describe(file, settings or [], trust or [])
+        print_line("\n".join([*found.tree, ""]))
+        add_json("tree", lambda: found.tree)
+        add_json("wheels", lambda: found.wheels)
+        if found.wheels:
+            print_line("\n".join([*as_columns(found.wheels), ""]))
+        print_facts(found.facts, found.details)
+        if found.faults:
+            print_error("\n".join(found.faults))
             raise typer.Exit(BAD_INPUT)
         if picture is not None:
             save_picture(vehicle_plot(file, settings or [], trust or []), picture)

@@ -12,15 +12,19 @@ from math import pi, sin
 from typing import NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
-from slipfree.geometry.frame import Pose
+from slipfree.geometry.frame import Pose, platform
 from slipfree.terrain.base import Terrain
+from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 ROOT_OFFSET = 1e-30  # keeps a quotient finite [1]
+MIN_PART = 0.05  # smallest entry of a free motion that is named
+FREE = 1e-9  # smaller singular values are those of free motions [largest one]
 
 
 class ContactFrame(NamedTuple):
@@ -45,6 +49,47 @@ def has_exact_closure(vehicle: Vehicle) -> bool:
     locked to a plane.
     """
     return not vehicle.planar and len(vehicle.of("suspension")) == len(vehicle.wheels) - 3
+
+
+def check_couplings(vehicle: Vehicle) -> None:
+    """Raise ModelError if a suspension coordinate that moves several joints leaves an angle free.
+
+    On level ground, the heights of the wheels' centres determine height, roll, pitch and all
+    suspension coordinates of a vehicle with exact closure. Two rockers that turn alike leave the
+    pitch of the platform between them free.
+    """
+    suspension = vehicle.of("suspension")
+    moved = {
+        c.name: [joint.name for joint in vehicle.joints if c.name in joint.coordinates]
+        for c in suspension
+    }
+    is_sprung = any(c.stiffness for c in suspension)
+    if not has_exact_closure(vehicle) or is_sprung or max(map(len, moved.values()), default=0) < 2:
+        return
+    names = ["z", "roll", "pitch", *moved]
+    q = ca.SX.sym("q", len(names))
+    zero = {c.name: ca.SX(0) for c in vehicle.coordinates}
+    values = zero | dict(zip(moved, ca.vertsplit(q)[3:], strict=True))
+    level = ca.SX(0)
+    parts = vehicle.parts(platform(level, level, q[0], level, q[1], q[2]), values)
+    heights = [(parts[wheel.parent] @ wheel.mount).origin[2] for wheel in vehicle.wheels]
+    slopes = ca.Function("slopes", [q], [ca.jacobian(ca.vertcat(*heights), q)])
+    _, sizes, right = np.linalg.svd(np.array(slopes(0)))
+    free = [name for name, part in zip(names, right[-1], strict=True) if abs(part) > MIN_PART]
+    coupled = [name for name in free if len(moved.get(name, ())) > 1]
+    if sizes[-1] > FREE * sizes[0] or not coupled:
+        return
+    first, second, *_ = moved[coupled[0]]
+    turning = [joint.value for joint in vehicle.joints if joint.name in (first, second)]
+    symbol = ca.SX.sym("q")
+    formulas = (evaluate(value, {**zero, coupled[0]: symbol}) for value in turning)
+    ahead, behind = (float(ca.evalf(ca.jacobian(each, symbol))) for each in formulas)
+    raise ModelError(
+        f"{vehicle.name!r}: expected coupled joints with which the ground determines all angles, "
+        f"found that {' and '.join(free)} are free, since {first!r} and {second!r} turn so that no "
+        f"wheel moves against the others; write couple = {{ {first} = {behind / ahead:g}, "
+        f"{second} = 1 }}, with which {second!r} turns the other way"
+    )
 
 
 def support_fault(vehicle: Vehicle) -> str:

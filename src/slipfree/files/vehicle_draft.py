@@ -40,7 +40,7 @@ class Guess(NamedTuple):
     name: str  # of the joint, or of the top-level key
     values: Mapping[str, Value]  # guessed values by key
     reason: str  # guessed property, and the reason for the guessed values
-    other: str  # line of the vehicle file, at its top level, that states the other choice
+    other: str  # line of the vehicle file, at its top level, for the other choice; empty if none
 
     @property
     def toml(self) -> str:
@@ -105,9 +105,10 @@ class UnfitError(DataError):
         self.faults, self.draft = tuple(faults), draft
 
 
-def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
+def misfits(draft: Draft, few: str = "add wheels") -> Iterator[tuple[str, str]]:
     """Yield expected and found numbers for too few wheels or too many suspension coordinates.
 
+    ``few`` is what to do about too few wheels.
     With springs at all suspension coordinates, any number of them is valid, since the springs
     determine the pose of the vehicle.
     """
@@ -115,7 +116,7 @@ def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
     if draft.planar:
         return
     if count < 3:
-        yield "at least three wheels, so that the vehicle can stand", f"{count}; add wheels"
+        yield "at least three wheels, so that the vehicle can stand", f"{count}; {few}"
         return
     if all(c.stiffness for c in draft.of("suspension")):
         return

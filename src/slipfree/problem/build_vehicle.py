@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field
 
+from slipfree.contact.closure import check_couplings
 from slipfree.core.errors import DataError, ModelError
 from slipfree.files.toml.source import Fault, Place, name_errors
 from slipfree.files.toml.types import NonNegative, Positive, Record
@@ -222,7 +223,9 @@ def read_vehicle_file(path: Path, trusted: frozenset[str]) -> VehicleFile:
     """Return the contents of a vehicle file; errors as in `read_vehicle`."""
     draft, robot = _draft(path, trusted)
     try:
-        return VehicleFile(draft.vehicle(), robot)
+        vehicle = draft.vehicle()
+        check_couplings(vehicle)
+        return VehicleFile(vehicle, robot)
     except ModelError as error:
         raise VehicleError(f"{path}:1: {error}", draft=draft) from error
 

@@ -22,7 +22,7 @@ from slipfree.files.netcdf import ORIGIN, read
 from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.files.vehicle_draft import Draft
 from slipfree.files.vehicle_toml import VehicleError
-from slipfree.geometry.frame import AXES, unit_vector
+from slipfree.geometry.frame import AXES, Pose, unit_vector
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.records import is_determinate
@@ -63,6 +63,8 @@ ELSEWHERE = (  # attributes reported in other sections
 )
 LEVEL = 6.0  # half the width of the level ground in a picture [reach of the vehicle]
 MIN_SHARE = 0.3  # smallest named entry of a singular vector, relative to the largest
+SAME_PLACE = 0.05  # largest distance from a mirror image [distance from the platform's origin]
+STEEP = 0.5  # least vertical component of a steering axis
 MAX_TREE_DEPTH = 40  # largest printed depth of the tree of parts
 
 
@@ -159,11 +161,16 @@ def _drawn(result: Result, count: int) -> _ReportFigures:
 
 
 class Description(NamedTuple):
-    """Description of a vehicle: lines of the tree of its parts, facts, and errors if it has any."""
+    """Description of a vehicle: tree of its parts, wheels, facts, and errors if it has any.
+
+    ``details`` are facts about the numbers of unknowns and equations.
+    """
 
     tree: list[str]
+    wheels: list[Mapping[str, str]]
     facts: Lines
     faults: tuple[str, ...]
+    details: Sequence[tuple[str, str]] = ()
 
 
 def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = ()) -> Description:
@@ -185,16 +192,17 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
     except VehicleError as error:
         if error.draft is None:
             raise
-        return Description(_drawn_tree(error.draft), _shares(error.draft), error.faults)
-    level, facts = Analytic(lambda x, _: 0 * x, mu=1.0), _shares(vehicle)
+        return Description(_drawn_tree(error.draft), [], _shares(error.draft), error.faults)
+    level, facts, details = Analytic(lambda x, _: 0 * x, mu=1.0), _shares(vehicle), Lines()
     try:
         dae: Dae = dynamics(vehicle, level) if vehicle.planar else direct_kinematics(vehicle, level)
-        facts = [*counts(vehicle, dae), *_notes(vehicle)]
+        inputs, *details = counts(vehicle, dae)
+        facts = [inputs, *dimensions(vehicle), *_notes(vehicle)]
         check_driven(vehicle)
         return _description(vehicle, dae, level, settle(dae))
     except ModelError as error:
         faults = (f"{path}: on level ground: {error}",)
-        return Description(_drawn_tree(vehicle), facts, faults)
+        return Description(_drawn_tree(vehicle), wheel_rows(vehicle), facts, faults, details)
 
 
 def vehicle_plot(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = ()) -> Plot:
@@ -217,8 +225,65 @@ def vehicle_plot(path: Path, settings: Sequence[str] = (), trust: Sequence[Path]
 def _description(vehicle: Vehicle, dae: Dae, terrain: Terrain, start: Trajectory) -> Description:
     solved = conditioning(dae, start) if dae.labels.z else []
     clear = clearance_lines(closest_fact(vehicle, terrain, start))
-    facts = [*counts(vehicle, dae), *solved, *clear, *_notes(vehicle)]
-    return Description(_drawn_tree(vehicle), facts, ())
+    inputs, *details = counts(vehicle, dae)
+    facts = [inputs, *dimensions(vehicle), *clear, *_notes(vehicle)]
+    return Description(_drawn_tree(vehicle), wheel_rows(vehicle), facts, (), [*details, *solved])
+
+
+def _places(vehicle: Vehicle) -> Array:
+    """Return the centres of the wheels with all coordinates at zero, shape (n_wheels, 3) [m]."""
+    zero = {c.name: ca.SX(0) for c in vehicle.coordinates}
+    parts = vehicle.parts(Pose(ca.SX.eye(3), ca.SX.zeros(3)), zero)
+    centers = [(parts[wheel.parent] @ wheel.mount).origin for wheel in vehicle.wheels]
+    return np.array([np.array(ca.evalf(center)).ravel() for center in centers])
+
+
+def wheel_rows(vehicle: Vehicle) -> list[Mapping[str, str]]:
+    """Return the rows of the table of a vehicle's wheels: values by the heading of the column.
+
+    Places are those with all coordinates at zero. The partner is the wheel at the mirror image.
+    """
+    places, wheels = _places(vehicle), vehicle.wheels
+    joints = {joint.name: joint for joint in vehicle.joints}
+    kinds = {c.name: c.kind for c in vehicle.coordinates}
+    rows = list[Mapping[str, str]]()
+    for wheel, place in zip(wheels, places, strict=True):
+        part, turned = joints.get(wheel.parent), set[str]()
+        while part is not None:
+            if part.motion == "turn" and abs(unit_vector(part.axis)[2]) > STEEP:
+                turned |= {kinds[name] for name in part.coordinates}
+            part = joints.get(part.parent)
+        away = np.linalg.norm(places - place * (-1, 1, 1), axis=1)
+        near = int(away.argmin())
+        is_pair = away[near] < SAME_PLACE * np.linalg.norm(place) and wheels[near] is not wheel
+        tube, _ = wheel.section.torus_radii or (0.0, 0.0)
+        rows.append(
+            {
+                "wheel": wheel.name,
+                "place (m)": ", ".join(f"{0.0 + round(each, 4):g}" for each in place),
+                "radius (m)": f"{wheel.radius:.4g}",
+                "width (m)": f"{2 * tube:.4g}" if tube else "thin",
+                "driven": "yes" if wheel.driven else "no",
+                "steered": "yes" if "commanded" in turned else "free" if turned else "no",
+                "mass (kg)": f"{wheel.mass:.4g}",
+                "partner": wheels[near].name if is_pair else "none",
+            }
+        )
+    return rows
+
+
+def dimensions(vehicle: Vehicle) -> Lines:
+    """Return track, wheelbase, and total mass with its centre, with all coordinates at zero."""
+    across, along, _ = np.ptp(_places(vehicle), axis=0)
+    zero = {c.name: ca.SX(0) for c in vehicle.coordinates}
+    masses = vehicle.masses(Pose(ca.SX.eye(3), ca.SX.zeros(3)), zero)
+    total = sum(mass for _, mass, _ in masses)
+    center = "no mass"
+    if total:
+        sums = sum((mass * np.array(ca.evalf(at)).ravel() for _, mass, at in masses), np.zeros(3))
+        at = ", ".join(f"{0.0 + round(each, 4):g}" for each in sums / total)
+        center = f"{total:.4g} kg, centre of mass at ({at}) m"
+    return [("track", f"{across:.4g} m"), ("wheelbase", f"{along:.4g} m"), ("total mass", center)]
 
 
 def _drawn_tree(vehicle: Vehicle | Draft) -> list[str]:

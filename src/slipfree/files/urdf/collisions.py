@@ -17,7 +17,7 @@ import scipy  # scipy.optimize and scipy.spatial are imported when they are used
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.urdf.meshes import MeshFiles
-from slipfree.files.urdf.tree import Collision, Tree, UrdfJoint
+from slipfree.files.urdf.tree import Geometry, MeshFile, Shape, Tree, UrdfBox, UrdfJoint
 from slipfree.files.vehicle_draft import angles_of, rotation_of, vector_of
 from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
 
@@ -41,7 +41,8 @@ def body_shapes(
     """
     on_wheels = {j.child for wheel in wheels for j in [wheel, *tree.below(wheel.child)]}
     links = [link for link in tree.links.values() if link.name not in on_wheels]
-    meshes = [each.mesh for link in links for each in link.collisions if each.mesh]
+    every = [each for link in links for each in link.collisions]
+    meshes = [each for each in every if isinstance(each, MeshFile)]
     files = MeshFiles(meshes, Path(tree.file).parent)
     places = [tree.frames[wheel.child][1] for wheel in wheels]
     centers = np.array(places or [np.full(3, np.inf)])
@@ -52,7 +53,7 @@ def body_shapes(
         owner = link.name
         while owner not in parts:
             owner = parent[owner]
-        for collision in link.collisions:
+        for collision in (part for each in link.collisions for part in _parts(each)):
             try:
                 shape, reduction = _shape(collision, tree.frames[link.name][0], files)
             except DataError as error:
@@ -87,24 +88,35 @@ def _notes(
         yield f"clearance without {', '.join(dict.fromkeys(unread.values()))}: {why}{others}"
 
 
-def _shape(collision: Collision, rotation: Array, files: MeshFiles) -> tuple[BodyShape, str]:
+def _parts(collision: Geometry) -> Iterator[Geometry]:
+    """Yield a collision shape; of a capsule, its cylinder and the spheres at its ends."""
+    if not isinstance(collision, Shape) or collision.kind != "capsule":
+        yield collision
+        return
+    half = collision.length / 2 * rotation_of(collision.turned)[:, 2]
+    for end in (half, -half):
+        yield collision._replace(kind="sphere", at=vector_of(collision.at + end))
+    if collision.length > 0:
+        yield collision._replace(kind="cylinder")
+
+
+def _shape(collision: Geometry, rotation: Array, files: MeshFiles) -> tuple[BodyShape, str]:
     """Return the shape of a collision element in its link, and how a hull was reduced.
 
     ``rotation`` is that of the link in the root's frame. A DataError says why a mesh is not read.
     """
-    at, size = collision.at, collision.size
-    if collision.kind == "sphere":
-        return Ball(size[0], at), ""
-    if collision.kind == "box":
-        return Box(size, at, collision.turned), ""
-    if collision.mesh is not None:
-        corners, shrink = reduced_hull(files.triangles(collision.mesh).vertices)
+    if isinstance(collision, UrdfBox):
+        return Box(*collision), ""
+    if isinstance(collision, MeshFile):
+        corners, shrink = reduced_hull(files.triangles(collision).vertices)
+    elif collision.kind == "sphere":
+        return Ball(collision.radius, collision.at), ""
     else:
-        radius, length, _ = size
+        radius, half = collision.radius, collision.length / 2
         angles = 2 * np.pi * np.arange(2 * RIM_POINTS) / RIM_POINTS
-        ends = np.repeat((-length / 2, length / 2), RIM_POINTS)
+        ends = np.repeat((-half, half), RIM_POINTS)
         rims = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), ends])
-        corners = rims @ rotation_of(collision.turned).T + at
+        corners = rims @ rotation_of(collision.turned).T + collision.at
         shrink = radius * (1 - np.cos(np.pi / RIM_POINTS))
     points = np.vstack([corners, _on_lower_faces(corners, rotation[2])])
     return Hull(tuple(map(vector_of, points))), f"({len(points)} points, {1e3 * shrink:.2g} mm)"

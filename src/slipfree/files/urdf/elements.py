@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Iterator, Mapping
-from typing import TypeVar
+from collections.abc import Mapping
+from typing import Any, cast
 
 import numpy as np
 
+from slipfree.files.urdf.evidence import actuators, plugins
 from slipfree.files.urdf.joint_guesses import with_separate_balls
 from slipfree.files.urdf.tree import (
-    Collision,
     Findings,
+    G,
+    Geometry,
     Link,
     MeshFile,
     Mimic,
     Shape,
     Tree,
+    UrdfBox,
     UrdfJoint,
 )
 from slipfree.files.urdf.xacro import (
@@ -32,14 +34,12 @@ from slipfree.files.vehicle_draft import MAX_LENGTH, degrees_words, in_order, ro
 from slipfree.geometry.frame import Elements, Vector, in_axes, tensor
 from slipfree.vehicle.wheel import ORIGIN
 
-DRIVE = re.compile("drive|steer|ackerman|joint.?controller", re.IGNORECASE)  # plugins of Gazebo
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 DUMMY_MASS = 0.01  # largest mass of links that only place the robot, in masses of the robot
 MAX_LIMIT = 1e3  # larger limits are ignored [rad, m, rad/s or m/s]
 FORWARD = (1.0, 0.0, 0.0)  # default axis of a joint
 NOTHING: Mapping[str, str] = {}
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-T = TypeVar("T")
 TRIANGLE = 1e-3  # relative error of the triangle inequality from rounded moments of inertia
 
 
@@ -53,11 +53,13 @@ def read_tree(
     robot, findings = parse_robot(data, file), Findings(file)
     check_macro_calls(robot, file, macros)
     notes = substitute(robot, file, arguments)
-    actuated = frozenset(_actuated(robot))
+    whole = robot
     robot, omitted = without_xacro(robot, file, findings)
     for tag in ("link", "joint"):
         _check_names(robot, tag, findings)
-    links = {link.name: link for link in (_link(each, findings) for each in robot.all("link"))}
+    unread: list[str] = []
+    read = (_link(each, findings, unread) for each in robot.all("link"))
+    links = {link.name: link for link in read}
     joints = {
         joint.name: joint for joint in (_joint(each, findings) for each in robot.all("joint"))
     }
@@ -75,9 +77,11 @@ def read_tree(
     if world:
         moving = ", ".join(joint.name for joint in world)
         notes = (*notes, f"omitted, since they move the robot as a whole: {moving}")
-    unknown = unknown_elements(robot)
-    tree = Tree(file, name, root, links, ordered, actuated, omitted, notes, unknown)
-    return with_separate_balls(tree)
+    unknown = (*unknown_elements(robot), *unread)
+    control = actuators(whole), plugins(whole)
+    return with_separate_balls(
+        Tree(file, name, root, links, ordered, *control, omitted, notes, unknown)
+    )
 
 
 def _world(links: dict[str, Link], joints: dict[str, UrdfJoint], root: str) -> list[UrdfJoint]:
@@ -109,7 +113,7 @@ def _check_names(robot: Element, tag: str, findings: Findings) -> None:
             )
 
 
-def _link(element: Element, findings: Findings) -> Link:
+def _link(element: Element, findings: Findings, unread: list[str]) -> Link:
     name = _text(element, "name", findings, "link")
     inertial, who = element.first("inertial"), f"link {name!r}"
     mass, center, inertia = None, ORIGIN, None
@@ -123,31 +127,19 @@ def _link(element: Element, findings: Findings) -> Link:
                 message = f"{who}: expected a mass of at least 0 kg, found {mass:g}; correct it"
                 findings.add(weighed.line, message)
 
-    def shapes_of(read: Callable[[Element, Findings, str], T | None], *tags: str) -> tuple[T, ...]:
-        for tag in tags:
-            read_shapes = [read(shape, findings, who) for shape in element.all(tag)]
-            if shapes := tuple(shape for shape in read_shapes if shape is not None):
-                return shapes
-        return ()
+    found: dict[str, list[Geometry]] = {"collision": [], "visual": []}
+    for shape in (child for child in element.children if child.tag in found):
+        if (geometry := _geometry(shape, findings, who, unread)) is not None:
+            found[shape.tag].append(geometry)
 
-    tags = "collision", "visual"
-    shapes, meshes, boxes = (
-        shapes_of(_shape, *tags),
-        shapes_of(_mesh, *tags),
-        shapes_of(_box, *tags),
-    )
-    collisions = (_collision(each, findings.file) for each in element.all("collision"))
-    return Link(
-        name,
-        mass,
-        center,
-        shapes,
-        meshes,
-        boxes,
-        inertia,
-        shapes_of(_mesh, "visual"),
-        tuple(each for each in collisions if each is not None),
-    )
+    def of(kind: type[G]) -> tuple[G, ...]:
+        every = ([each for each in group if isinstance(each, kind)] for group in found.values())
+        return tuple(next(filter(None, every), ()))
+
+    visuals = tuple(each for each in found["visual"] if isinstance(each, MeshFile))
+    shapes, meshes, boxes = of(Shape), of(MeshFile), of(UrdfBox)
+    collisions = tuple(found["collision"])
+    return Link(name, mass, center, shapes, meshes, boxes, inertia, visuals, collisions)
 
 
 def _inertia(inertial: Element, turned: Vector, findings: Findings, who: str) -> Elements | None:
@@ -162,16 +154,38 @@ def _inertia(inertial: Element, turned: Vector, findings: Findings, who: str) ->
     return in_axes(rotation_of(turned), moments)
 
 
-def _solid(element: Element, kind: str) -> Element | None:
-    geometry = element.first("geometry")
-    return None if geometry is None else geometry.first(kind)
-
-
-def _mesh(element: Element, findings: Findings, who: str) -> MeshFile | None:
-    mesh = _solid(element, "mesh")
-    if mesh is None:
-        return None
+def _geometry(element: Element, findings: Findings, who: str, unread: list[str]) -> Geometry | None:
+    """Return the shape of a collision or visual element; add one that is not read to ``unread``."""
     at, turned = _origin(element, findings, f"{who}: {element.tag}")
+    geometry = element.first("geometry")
+    solid = None if geometry is None else next(iter(geometry.children), None)
+    kind = "" if solid is None else solid.tag.rpartition(":")[2]  # as in <drake:capsule>
+    if solid is not None and kind == "mesh":
+        return _mesh(solid, at, turned, findings, who)
+    if solid is not None and kind == "box":
+        size = _vector(solid, "size", ORIGIN, findings, f"{who}: box")
+        if min(size) > 0:
+            return UrdfBox(size, at, turned)
+        kind = "box without size"
+    if solid is None or kind not in ("cylinder", "sphere", "capsule"):
+        shape = f"a <{kind}>" if kind else "no shape"
+        read = "<box>, <sphere>, <cylinder>, <capsule> and <mesh> are read"
+        unread.append(f"{element.line}: {who}: {shape} as <{element.tag}>; {read}")
+        return None
+    radius = _number(solid, "radius", None, findings, f"{who}: {kind}")
+    if not 0 < radius <= MAX_LENGTH:
+        findings.add(
+            solid.line,
+            f"{who}: expected the radius of a {kind} in metres, greater than 0 and at most "
+            f"{MAX_LENGTH:g}, found {radius:g}; correct it",
+        )
+    length = _number(solid, "length", 0.0, findings, f"{who}: {kind}")
+    return Shape(cast(Any, kind), radius, at, turned, length=length)
+
+
+def _mesh(
+    mesh: Element, at: Vector, turned: Vector, findings: Findings, who: str
+) -> MeshFile | None:
     # three factors, one for all axes, or a fourth that is ignored
     factors = mesh.attributes.get("scale", "1").replace(",", " ").split()
     factors = factors * 3 if len(factors) == 1 else factors[:3] if len(factors) == 4 else factors
@@ -181,52 +195,9 @@ def _mesh(element: Element, findings: Findings, who: str) -> MeshFile | None:
         text = mesh.attributes["scale"]
         message = f"expected factors other than zero in 'scale', found {text!r}; correct them"
         findings.add(mesh.line, f"{who}: mesh: {message}")
-    return MeshFile(mesh.attributes.get("filename", ""), scale, at, turned)
-
-
-def _box(element: Element, findings: Findings, who: str) -> Collision | None:
-    box = _solid(element, "box")
-    if box is None:
-        return None
-    at, turned = _origin(element, findings, f"{who}: {element.tag}")
-    size = _vector(box, "size", ORIGIN, findings, f"{who}: box")
-    return Collision("box", at, turned, size)
-
-
-def _collision(element: Element, file: str) -> Collision | None:
-    """Return the shape of a collision element; None without a valid shape.
-
-    Errors in the numbers of shapes are found by the other readers.
-    """
-    unused = Findings(file)
-    if (box := _box(element, unused, "")) is not None:
-        return box if min(box.size) > 0 else None
-    if (mesh := _mesh(element, unused, "")) is not None:
-        return Collision("mesh", mesh.at, mesh.turned, mesh=mesh)
-    shape = _shape(element, unused, "")
-    if shape is None or not shape.radius > 0:
-        return None
-    cylinder = _solid(element, "cylinder")
-    if cylinder is None:
-        return Collision("sphere", shape.at, shape.turned, (shape.radius, 0.0, 0.0))
-    length = _number(cylinder, "length", 0.0, unused, "")
-    return Collision("cylinder", shape.at, shape.turned, (shape.radius, length, 0.0))
-
-
-def _shape(element: Element, findings: Findings, who: str) -> Shape | None:
-    at, turned = _origin(element, findings, f"{who}: {element.tag}")
-    for kind in ("cylinder", "sphere"):
-        solid = _solid(element, kind)
-        if solid is not None:
-            radius = _number(solid, "radius", None, findings, f"{who}: {kind}")
-            if not 0 < radius <= MAX_LENGTH:
-                findings.add(
-                    solid.line,
-                    f"{who}: expected the radius of a {kind} in metres, greater than 0 and at most "
-                    f"{MAX_LENGTH:g}, found {radius:g}; correct it",
-                )
-            return Shape("cylinder" if kind == "cylinder" else "sphere", radius, at, turned)
-    return None
+    return MeshFile(
+        mesh.attributes.get("filename", mesh.attributes.get("uri", "")), scale, at, turned
+    )
 
 
 def _joint(element: Element, findings: Findings) -> UrdfJoint:
@@ -383,17 +354,3 @@ def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], findings: Findin
         wrong = f"links in a loop: {', '.join(map(repr, loose))}" if loose else "no link"
         findings.add(line, f"expected a tree of links, found {wrong}; correct the joints")
     return root
-
-
-def _actuated(robot: Element) -> Iterator[str]:
-    for transmission in robot.all("transmission"):
-        yield from (joint.attributes.get("name", "") for joint in transmission.all("joint"))
-    for control in robot.all("ros2_control"):
-        for joint in control.all("joint"):
-            if joint.first("command_interface") is not None:
-                yield joint.attributes.get("name", "")
-    for gazebo in robot.all("gazebo"):
-        for plugin in gazebo.all("plugin"):
-            if DRIVE.search(plugin.attributes.get("filename", "")):
-                parts = (part for part in plugin.everything() if "encoder" not in part.tag.lower())
-                yield from ("".join(part.texts).strip() for part in parts)

@@ -7,12 +7,13 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
+from slipfree.files.urdf.evidence import HINT, STRONG, USUAL, Choice, Evidence, weigh
 from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.roles import Roles
 from slipfree.files.urdf.tree import Link, Mimic, Shape, Tree, UrdfJoint, lowest
@@ -22,6 +23,8 @@ from slipfree.vehicle.wheel import ORIGIN
 
 CASTER = re.compile("cast[eo]r|ball_?wheel|omni_?ball", re.IGNORECASE)
 TRAILER = re.compile("cast[eo]r|trailer|hitch|drawbar|swivel", re.IGNORECASE)
+SUSPENSION = re.compile("suspension|rocker|bogie|spring|shock|damper|strut|swing", re.IGNORECASE)
+LIFT = re.compile("lift|leg|hip|knee|flipper|arm|elbow", re.IGNORECASE)
 STEERING = re.compile("steer|ackerman|knuckle", re.IGNORECASE)
 TRAIL, MAX_TRAIL = 0.2, 2.0  # trail of wheels that swivel freely [radii]; longer ones articulate
 SMALL = 0.8  # largest radius of casters without a name or a swivel [radii of the other wheels]
@@ -148,7 +151,8 @@ def _swivels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
         trails = not STEERING.search(joint.names) and (
             TRAIL < _trail(tree, joint, carried) < MAX_TRAIL
         )
-        is_free = joint.name not in tree.actuated and joint.mimic is None
+        commands = [e for e in tree.evidence.get(joint.name, ()) if e.choice == "commanded"]
+        is_free = joint.mimic is None and not any(each.weight > USUAL for each in commands)
         if is_free and (TRAILER.search(joint.names) or trails):
             swivelling[joint.name] = {wheel.name for wheel in carried}
     names = {wheel.name for wheel in wheels}  # if each wheel swivels, none does so freely
@@ -214,22 +218,26 @@ def _trail(tree: Tree, joint: UrdfJoint, wheels: Sequence[UrdfJoint]) -> float:
 
 
 class KindGuess(NamedTuple):
-    """Probable kind of a joint (None if it does not move), the reason, and the other choice."""
+    """Probable kind of a joint (None if it does not move), the reason, and the other choice.
+
+    ``alike`` are the joints whose evidence is contradictory, so that their kind must be given.
+    """
 
     kind: Kind | None
     reason: str
     other: str
+    alike: tuple[str, ...] = ()
 
 
 NO_WHEEL = KindGuess(None, "it carries no wheel", "commanded")
 BALLS = KindGuess(None, "it carries only balls, which slide freely", "commanded")
-SWIVEL = KindGuess("passive", "a caster or a trailer swivels", "commanded")
-STEERS = KindGuess("commanded", "a steep axis above a wheel steers it", "passive")
-SLIDES = KindGuess("commanded", "it slides a wheel sideways", "fixed")
-FOLLOWS = KindGuess("suspension", "it lets wheels follow the ground", "fixed")
 TOO_MANY = KindGuess(
     None, "with so few wheels, it and its counterpart cannot follow the ground", "commanded"
 )
+LEVEL = Evidence("suspension", USUAL, "it lets wheels follow the ground")
+SLIDES = Evidence("commanded", USUAL, "it slides a wheel sideways")
+STEEP = Evidence("commanded", USUAL, "a steep axis above a wheel steers it")
+SWIVEL = Evidence("passive", STRONG, "a caster or a trailer swivels")
 
 
 class Joints:
@@ -249,7 +257,7 @@ class Joints:
             name: joint
             for name, joint in tree.joints.items()
             if joint.moves
-            and name not in {*names, *on_wheels, *tree.actuated}
+            and name not in {*names, *on_wheels}
             and joint.type not in ("floating", "planar")
             and joint.lower != joint.upper
         }
@@ -261,6 +269,10 @@ class Joints:
         for name in tree.joints:  # a joint also moves the wheels of the joints that mimic it
             for leader in self._leaders(name):
                 self._carried[leader] = self._carried[leader] | self._carried[name]
+        rolling = [wheel for wheel in self._wheels if wheel.name not in balls]
+        self._swivelling = _swivels(tree, rolling)
+        carrying = [each for name, each in self._free.items() if self._carried[name]]
+        self._choices = {joint.name: self._choice(joint, carrying) for joint in carrying}
 
     def _leaders(self, name: str) -> list[str]:
         """Return the joints that a joint follows through its mimics."""
@@ -283,9 +295,27 @@ class Joints:
             for mover in followers or [joint]
         )
 
+    def _choice(self, joint: UrdfJoint, carrying: Sequence[UrdfJoint]) -> Choice:
+        """Return the kind of a joint by the evidence for it and its counterpart."""
+        other = self._tree.mirror_image(joint, carrying)
+        both = [joint] if other is None or other.mimic else [joint, other]
+        return weigh(piece for each in both for piece in self._evidence(each))
+
+    def _evidence(self, joint: UrdfJoint) -> Iterator[Evidence]:
+        if self._rocks(joint):
+            yield LEVEL
+            for words in SUSPENSION.findall(joint.names)[:1]:
+                yield Evidence("suspension", USUAL, f"{words!r} in its name")
+            for words in LIFT.findall(joint.names)[:1]:
+                yield Evidence("commanded", HINT, f"{words!r} in its name")
+        else:
+            yield SLIDES if joint.type == "prismatic" else STEEP
+        if joint.name in self._swivelling:
+            yield SWIVEL
+        yield from self._tree.evidence.get(joint.name, ())
+
     def kinds(self) -> dict[str, KindGuess]:
-        """Return the probable kinds of the joints without a role and without an actuator."""
-        swivelling = _swivels(self._tree, [w for w in self._wheels if w.name not in self._balls])
+        """Return the probable kinds of the joints without a role, unless actuators agree."""
         declared = [role.kind for role in self._roles.joints.values()].count("suspension")
         left = len(self._wheels) - 3 - declared
         kinds: dict[str, KindGuess] = {}
@@ -293,23 +323,45 @@ class Joints:
         for name, joint in self._free.items():
             if name in self._roles.joints or self._leaders(name):
                 continue
-            if not self._carried[name]:
+            choice = self._choices.get(name)
+            if name in self._tree.actuated and (choice is None or choice.choice == "commanded"):
+                if choice is not None and choice.rival:
+                    kinds[name] = self._guess(choice, left)
+            elif choice is None:
                 kinds[name] = NO_WHEEL
             elif self._carried[name] <= self._balls:
                 kinds[name] = BALLS
-            elif self._rocks(joint):
+            elif choice.choice == "suspension":
                 candidates[name] = joint
-            elif joint.type == "prismatic":
-                kinds[name] = SLIDES
             else:
-                kinds[name] = SWIVEL if name in swivelling else STEERS
+                kinds[name] = self._guess(choice, left)
         for name, joint in candidates.items():
             other = self._tree.mirror_image(joint, candidates.values())
             pair = {name} if other is None else {name, other.name}
             if name not in kinds:
-                kinds |= dict.fromkeys(pair, FOLLOWS if len(pair) <= left else TOO_MANY)
+                guess = self._guess(self._choices[name], left)
+                if len(pair) > left:
+                    guess = TOO_MANY._replace(alike=guess.alike)
                 left -= len(pair) if len(pair) <= left else 0
+                kinds |= dict.fromkeys(pair, guess)
         return kinds
+
+    def _guess(self, choice: Choice, left: int) -> KindGuess:
+        """Return the guess of a choice; ``left`` suspension coordinates are possible."""
+        known = self._roles.joints
+        alike = tuple(
+            name
+            for name, each in self._choices.items()
+            if each.is_open
+            and each.choice == choice.choice
+            and name not in known
+            and not self._leaders(name)
+        )
+        other = choice.rival or ("commanded" if choice.choice == "passive" else "fixed")
+        if other == "suspension" and left < 1:
+            other = "fixed"
+        kind: Any = choice.choice
+        return KindGuess(kind, choice.reason, other, alike if choice.is_open else ())
 
     def differential(self) -> tuple[str, Mimic] | None:
         """Return the name of a rocker, and the opposite rocker that it follows; None without them.
@@ -320,10 +372,7 @@ class Joints:
         rockers = [
             joint
             for name, joint in self._free.items()
-            if self._own[name]
-            and self._rocks(joint)
-            and joint.type != "prismatic"
-            and self._may_follow(name)
+            if self._own[name] and joint.type != "prismatic" and self._may_follow(name)
         ]
         everything = {wheel.name for wheel in self._wheels}
         for first in rockers:
@@ -344,8 +393,11 @@ class Joints:
         return None
 
     def _may_follow(self, name: str) -> bool:
-        """Return whether a joint has no role but suspension, and follows only such joints."""
+        """Return whether a joint is a suspension without own keys, and follows only such joints."""
         role = self._roles.joints.get(name)
         if not all(self._own[leader] and leader in self._free for leader in self._leaders(name)):
             return False
-        return role is None or (role.kind == "suspension" and not role.keywords)
+        if role is None:
+            choice = self._choices[name]
+            return choice.choice == "suspension" and not choice.is_open
+        return role.kind == "suspension" and not role.keywords

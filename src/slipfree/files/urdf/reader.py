@@ -12,7 +12,7 @@ from slipfree.files.urdf.collisions import body_shapes
 from slipfree.files.urdf.joint_guesses import NO_WHEEL, Joints, KindGuess
 from slipfree.files.urdf.roles import NO_ROLES, JointRole, Roles, completed, coupled
 from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint, facing_forward
-from slipfree.files.urdf.wheel_guesses import forward_guess
+from slipfree.files.urdf.wheel_guesses import TRACKS, forward_guess, tracks, wheel_remedy
 from slipfree.files.urdf.wheels import Wheels
 from slipfree.files.vehicle_draft import (
     MAX_LENGTH,
@@ -32,7 +32,6 @@ from slipfree.vehicle.shapes import BodyShape
 from slipfree.vehicle.tree import Body, Coordinate, Joint
 
 MIN_WHEELS = 3
-MAX_NAMES = 12  # more joints are not listed
 
 
 def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
@@ -44,25 +43,27 @@ def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
     """
     findings = Findings(tree.file)
     draft = from_rep103(_draft(tree, roles, findings))
+    # the other choice of a guess does not correct an error
+    notes = tuple(note.partition("; otherwise write ")[0] for note in draft.notes)
+    refused = replace(draft, notes=notes)
     if findings.errors:
-        raise UnfitError(findings.lines, draft)
-    remedy = _wheel_remedy(tree, draft) if len(draft.wheels) < MIN_WHEELS else ""
-    wrong = [f"{tree.file}:1: expected {e}, found {f}{remedy}" for e, f in misfits(draft)]
+        raise UnfitError(findings.lines, refused)
+    few = _wheel_remedy(tree, roles, draft) if len(draft.wheels) < MIN_WHEELS else ""
+    wrong = [f"{tree.file}:1: expected {e}, found {f}" for e, f in misfits(draft, few)]
     wrong += [f"{tree.file}:{element}" for element in tree.unknown if wrong]
     if wrong:
-        raise UnfitError(wrong, draft)
+        raise UnfitError(wrong, refused)
     return draft
 
 
-def _wheel_remedy(tree: Tree, draft: Draft) -> str:
-    """Return how to declare wheels, with the names of the last joints that carry none."""
-    known = [wheel.name for wheel in draft.wheels]
-    ends = [j.name for j in tree.joints.values() if tree.is_last(j) and j.name not in known]
-    names = ", ".join(ends[:MAX_NAMES]) + (", ..." if len(ends) > MAX_NAMES else "")
-    if not ends:
-        return ", such as a link with a sphere at a fixed joint, as of a caster"
-    line = toml_line("wheels", ends[0], radius=0.1)
-    return f" {tree.completion}, such as {line}; joints without a wheel: {names}"
+def _wheel_remedy(tree: Tree, roles: Roles, draft: Draft) -> str:
+    """Return what to do about too few wheels, with a line that adds wheels if one does."""
+    words, wheels = wheel_remedy(tree, [wheel.name for wheel in draft.wheels])
+    findings, more = Findings(tree.file), replace(roles, wheels={**roles.wheels, **wheels})
+    if not wheels or [*misfits(_draft(tree, more, findings))] or findings.errors:
+        return words
+    sizes = {name: {"radius": role.radius} if role.radius else {} for name, role in wheels.items()}
+    return f"{words}; or {tree.completion}, write wheels = {toml_value(sizes)}"
 
 
 def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
@@ -206,7 +207,10 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
     for reason in dict.fromkeys(guess.reason for guess in findings.guesses):
         alike = [guess for guess in findings.guesses if guess.reason == reason]
         listed = ": " + ", ".join(guess.name for guess in alike) if alike[0].table else ""
-        notes.append(f"guessed {reason}{listed}; otherwise write {alike[0].other}")
+        other = f"; otherwise write {alike[0].other}" if alike[0].other else ""
+        notes.append(f"{'guessed ' if other else ''}{reason}{listed}{other}")
+    if found := tracks(wheels.tree, [wheel.name for wheel in wheels.joints]):
+        notes.append(TRACKS.format(", ".join(found)))
     wheels.add_notes()
 
 
@@ -243,12 +247,23 @@ class _Coordinates:
             other = toml_line("joints", leader.name, kind="commanded", lower=-1.5, upper=1.5)
             self._findings.guess("joints", leader.name, values, reason, other)
             return repr(offset + multiplier * leader.lower)
-        if role is None and leader.moves and leader.name not in self._tree.actuated:
-            guess = self._kinds.get(leader.name, NO_WHEEL)
+        guess = self._kinds.get(leader.name)
+        if (
+            role is None
+            and leader.moves
+            and guess is None
+            and leader.name not in self._tree.actuated
+        ):
+            guess = NO_WHEEL
+        if role is None and leader.moves and guess is not None:
             role = JointRole(guess.kind or "fixed")
-            other = toml_line("joints", leader.name, kind=guess.other)
-            reason = f"{role.kind}: {guess.reason}"
-            self._findings.guess("joints", leader.name, {"kind": role.kind}, reason, other)
+            if guess.alike:
+                self._ask(leader, guess)
+            else:
+                other = toml_line("joints", leader.name, kind=guess.other)
+                reason = f"{role.kind}: {guess.reason}"
+                kind = {"kind": role.kind}
+                self._findings.guess("joints", leader.name, kind, reason, other)
         if not leader.moves or (role is not None and role.kind == "fixed"):
             return repr(offset)
         name = self._coordinate(leader, role)
@@ -257,6 +272,18 @@ class _Coordinates:
             return name
         scaled = f"-{name}" if multiplier == -1 else f"{multiplier!r}*{name}"
         return scaled + (f" + {offset!r}" if offset else "")
+
+    def _ask(self, joint: UrdfJoint, guess: KindGuess) -> None:
+        """Add an error with the lines for each kind of joints whose evidence is contradictory."""
+        if joint.name == guess.alike[0]:
+            kinds = dict.fromkeys((guess.kind or "fixed", guess.other))
+            lines = (f"joints = {toml_value(dict.fromkeys(guess.alike, kind))}" for kind in kinds)
+            names = f" (also {', '.join(guess.alike[1:])})" if guess.alike[1:] else ""
+            self._findings.wrong(
+                joint,
+                f"expected evidence for one kind of joint, found {guess.reason}{names}"
+                f"; {self._tree.completion}, write {' or '.join(lines)}",
+            )
 
     def _leader(self, joint: UrdfJoint) -> tuple[UrdfJoint, float, float]:
         """Return the joint that a joint follows through its mimics, with factor and offset."""

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import PurePath
-from typing import Literal, NamedTuple, NoReturn
+from typing import Literal, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 
 from slipfree.core.records import Array
+from slipfree.files.urdf.evidence import Evidence, Plugin
 from slipfree.files.vehicle_draft import (
     Guess,
     UnfitError,
@@ -35,14 +36,24 @@ class Shape(NamedTuple):
     """A round shape in the frame of its link: a sphere, or a body of revolution about its z axis.
 
     The radius of a mesh is the largest distance of its points from the axis; ``tube`` is the radius
-    of its rounded tread. Position [m], roll, pitch, yaw [rad] and radii [m].
+    of its rounded tread. ``length`` is that of a cylinder, or of a capsule between the centres of
+    its ends. Position [m], roll, pitch, yaw [rad], radii and length [m].
     """
 
-    kind: Literal["cylinder", "sphere", "mesh"]
+    kind: Literal["cylinder", "sphere", "capsule", "mesh"]
     radius: float
     at: Vector
     turned: Vector
     tube: float = 0.0
+    length: float = 0.0
+
+
+class UrdfBox(NamedTuple):
+    """A box in the frame of its link: edges [m], position [m], and roll, pitch, yaw [rad]."""
+
+    size: Vector
+    at: Vector
+    turned: Vector
 
 
 class MeshFile(NamedTuple):
@@ -54,18 +65,8 @@ class MeshFile(NamedTuple):
     turned: Vector
 
 
-class Collision(NamedTuple):
-    """A collision shape in the frame of its link.
-
-    ``size`` are the edges of a box, or the radius of a sphere, or radius and length of a cylinder,
-    followed by zeros. Position [m], roll, pitch, yaw [rad] and sizes [m].
-    """
-
-    kind: Literal["box", "cylinder", "sphere", "mesh"]
-    at: Vector
-    turned: Vector
-    size: Vector = ORIGIN
-    mesh: MeshFile | None = None
+Geometry = Shape | UrdfBox | MeshFile
+G = TypeVar("G", Shape, UrdfBox, MeshFile)
 
 
 class Link(NamedTuple):
@@ -76,10 +77,10 @@ class Link(NamedTuple):
     center: Vector = ORIGIN  # centre of mass in the frame of the link [m]
     shapes: tuple[Shape, ...] = ()  # collision shapes; visual ones if there are none
     meshes: tuple[MeshFile, ...] = ()
-    boxes: tuple[Collision, ...] = ()
+    boxes: tuple[UrdfBox, ...] = ()
     inertia: Elements | None = None  # ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz`` about the centre [kg m^2]
     visuals: tuple[MeshFile, ...] = ()  # meshes among the visual shapes
-    collisions: tuple[Collision, ...] = ()
+    collisions: tuple[Geometry, ...] = ()
 
 
 class Mimic(NamedTuple):
@@ -126,10 +127,29 @@ class Tree:
     root: str
     links: dict[str, Link]
     joints: dict[str, UrdfJoint]  # joints by name, parents before children
-    actuated: frozenset[str]  # joints with a transmission, command interface or Gazebo drive
+    evidence: Mapping[str, Sequence[Evidence]] = field(
+        default_factory=dict
+    )  # of actuators and springs, by joint
+    plugins: tuple[Plugin, ...] = ()  # of simulators
     omitted: tuple[str, ...] = ()  # links with unexpanded xacro, and the links below them
     notes: tuple[str, ...] = ()  # notes on values that replace expressions of xacro
     unknown: tuple[str, ...] = ()  # elements of the robot that URDF does not have, with their lines
+
+    @cached_property
+    def actuated(self) -> frozenset[str]:
+        """Names of the joints with a transmission, a command interface or a drive of Gazebo."""
+        pairs = self.evidence.items()
+        return frozenset(n for n, each in pairs if any(e.choice == "commanded" for e in each))
+
+    @cached_property
+    def drives(self) -> dict[str, Plugin]:
+        """Plugins of the wheels that drives of simulators turn, by the name of the joint."""
+        return {
+            word: plugin
+            for plugin in self.plugins
+            for word, tag in plugin.words.items()
+            if plugin.drives and word in self.joints and "steer" not in tag
+        }
 
     @cached_property
     def frames(self) -> dict[str, tuple[Array, Array]]:
@@ -255,10 +275,11 @@ class Findings:
 
 def lowest(shape: Shape, rotation: Array) -> float:
     """Return the height of a shape's lowest point above its link's origin [m]."""
-    upward = 0.0
-    if shape.kind != "sphere":
-        upward = min(1.0, abs(float((rotation @ rotation_of(shape.turned))[2, 2])))
-    return float(rotation[2] @ shape.at) - shape.radius * math.sqrt(1 - upward**2)
+    upward = min(1.0, abs(float((rotation @ rotation_of(shape.turned))[2, 2])))
+    depth = shape.radius + upward * shape.length / 2  # of a capsule; a sphere has no length
+    if shape.kind in ("cylinder", "mesh"):
+        depth = shape.radius * math.sqrt(1 - upward**2)
+    return float(rotation[2] @ shape.at) - depth
 
 
 def eccentricity(shape: Shape, axis: Vector) -> float:
@@ -292,10 +313,7 @@ def facing_forward(tree: Tree, forward: str) -> Tree:
     return replace(tree, links=tree.links | {tree.root: root}, joints=joints)
 
 
-def _rotated(collision: Collision, back: Array) -> Collision:
+def _rotated(collision: Geometry, back: Array) -> Geometry:
     """Return a collision shape in rotated axes."""
-    mesh = collision.mesh
     turned = angles_of(back @ rotation_of(collision.turned))
-    at = vector_of(back @ collision.at)
-    moved = None if mesh is None else mesh._replace(at=at, turned=turned)
-    return collision._replace(at=at, turned=turned, mesh=moved)
+    return collision._replace(at=vector_of(back @ collision.at), turned=turned)

@@ -5,13 +5,32 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 from math import atan2, degrees, radians
 from typing import NamedTuple
 
 import numpy as np
 
 from slipfree.core.records import Array
-from slipfree.files.urdf.joint_guesses import CASTER, PARALLEL, axle_of, caster_wheels, casters
+from slipfree.files.urdf.evidence import (
+    CONVENTION,
+    HINT,
+    LEG,
+    NAMES,
+    TRACK,
+    USUAL,
+    Evidence,
+    weigh,
+    words_of,
+)
+from slipfree.files.urdf.joint_guesses import (
+    CASTER,
+    PARALLEL,
+    STEERING,
+    axle_of,
+    caster_wheels,
+    casters,
+)
 from slipfree.files.urdf.meshes import angles_to
 from slipfree.files.urdf.roles import Roles, WheelRole
 from slipfree.files.urdf.tree import WHEEL, Shape, Tree, UrdfJoint, is_about
@@ -38,7 +57,21 @@ SIDES = {
     "left": re.compile(f"{END}left{END}|l|[frbmc]l|l[frbmc]"),
     "right": re.compile(f"{END}right{END}|r|[frbmc]r|r[fbmc]"),
 }
-NAMES = 10  # weight of names, which exceeds the sum of all other weights
+
+
+PARTS = (
+    "wheels to the URDF: joints of type 'continuous' about a level axis to links with a cylinder, "
+    "or links with a sphere at a fixed joint, as of a caster"
+)
+TRACKS = (
+    "tracks are not modelled ({}): describe each as a row of wheels, each with a link with a "
+    "cylinder at a joint of type 'continuous' about the axis to the left in the URDF, or an entry "
+    "in [[wheels]] of a vehicle file (TOML)"
+)
+LEGS = (
+    "legs are not modelled ({}): describe the robot with wheels in their place, each with a link "
+    "with a cylinder at a joint of type 'continuous' about a level axis"
+)
 
 
 class WheelGuess(NamedTuple):
@@ -104,7 +137,15 @@ def mecanum_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[st
     """
     links = {joint.name: tree.links[joint.child] for joint in wheels}
     meshes = {name: [m.name for m in (*link.meshes, *link.visuals)] for name, link in links.items()}
-    named = [j for j in wheels if MECANUM.search(" ".join([j.names, *meshes[j.name]]))]
+    words = {
+        j.name: [
+            j.names,
+            *meshes[j.name],
+            *[each.name for each in [tree.drives.get(j.name)] if each],
+        ]
+        for j in wheels
+    }
+    named = [j for j in wheels if MECANUM.search(" ".join(words[j.name]))]
     if not named:
         return
     places = np.array([tree.frames[joint.child][1][:2] for joint in named])
@@ -157,9 +198,11 @@ def _named_wheels(
             continue
         turns = joint.type == "revolute" and joint.upper - joint.lower >= FULL_TURN
         height = float(frames[joint.child][1][2] - grounds[0]) if grounds else 0.0
-        role, reason = WheelRole(), ""
+        role, reason, drive = WheelRole(), "", tree.drives.get(joint.name)
         if joint.type == "continuous" and roles.radius and link.meshes and not link.shapes:
             role, reason = WheelRole(radius=roles.radius), "a mesh, its given radius"
+        elif drive is not None and drive.radius and joint.moves and not link.shapes:
+            role, reason = WheelRole(radius=drive.radius), "its radius in a plugin of a simulator"
         elif turns and any(is_about(shape, unit_vector(joint.axis)) for shape in link.shapes):
             reason = "a round shape and a full turn, in spite of its limits"
         elif is_named and link.shapes:
@@ -233,12 +276,64 @@ def unused_wheel_names(
     ]
 
 
-class Evidence(NamedTuple):
-    """Evidence for a forward axis of the root link, empty if it contradicts the axles."""
+def tracks(tree: Tree, wheels: Collection[str]) -> list[str]:
+    """Return the names of links called tracks that carry no wheels, and of plugins for tracks."""
+    plugins = (plugin.name.split() for plugin in tree.plugins)
+    names = [word for words in plugins for word in words[:1] if "track" in word.lower()]
+    for joint in tree.joints.values():
+        parts = {joint.name, *(below.name for below in tree.below(joint.child))}
+        if parts.isdisjoint(wheels) and any(map(TRACK.fullmatch, words_of(joint.child))):
+            names.append(joint.child)
+    return names
 
-    reason: str
-    direction: str
-    weight: int
+
+def wheel_remedy(tree: Tree, wheels: Collection[str]) -> tuple[str, dict[str, WheelRole]]:
+    """Return what to do about too few wheels: words, and the wheels that names or axes suggest."""
+    ends = [j for j in tree.joints.values() if tree.is_last(j) and j.name not in wheels]
+    if found := tracks(tree, wheels):
+        return TRACKS.format(", ".join(found)), {}
+    steering = [
+        j.name
+        for j in ends
+        if j.moves
+        and j.type != "prismatic"
+        and not tree.is_level(j)
+        and (tree.links[j.child].shapes or STEERING.search(j.names))
+    ]
+    if len(steering) + len(wheels) > 2:
+        return (
+            f"the axles of the wheels are missing: {', '.join(steering)} turn about steep axes, "
+            "which steers wheels; add to the link of each a joint of type 'continuous' about a "
+            "level axis, whose child is the wheel",
+            {},
+        )
+    chains = {
+        end.name: [j for j in tree.joints.values() if j.moves and end in tree.below(j.child)]
+        for end in ends
+    }
+    legs = [
+        e.name
+        for e in ends
+        if any(map(LEG.fullmatch, words_of(e.names))) or (e.moves and len(chains[e.name]) > 1)
+    ]
+    if len(legs) > 2:
+        return LEGS.format(", ".join(legs)), {}
+    named = [j for j in ends if WHEEL.search(j.names) or CASTER.search(j.names)]
+    level = [j for j in ends if j.type == "continuous" and tree.is_level(j)]
+    radius = usual_radius(tree, named or level)
+    return f"add {PARTS}", {
+        joint.name: WheelRole(radius=None if tree.links[joint.child].shapes else radius)
+        for joint in named or level
+    }
+
+
+def usual_radius(tree: Tree, joints: Sequence[UrdfJoint]) -> float:
+    """Return an example of a radius: of wheels with a shape, or a quarter of the least distance."""
+    radii = [tree.radius_of(j) for j in tree.joints.values() if j.type == "continuous"]
+    known = [radius for radius in radii if 0 < radius < 1]
+    places = [tree.frames[joint.child][1] for joint in joints]
+    apart = min((float(np.linalg.norm(a - b)) for a, b in combinations(places, 2)), default=0.0)
+    return float(f"{max(known, default=apart / 4 or 0.1):.2g}")
 
 
 class Forward(NamedTuple):
@@ -251,8 +346,7 @@ class Forward(NamedTuple):
 
 
 def _sides(name: str) -> set[str]:
-    spaced = re.sub("([a-z0-9])([A-Z])", r"\1 \2", name)
-    words = re.findall("[a-z]+", spaced.lower())
+    words = words_of(name)
     return {side for side, pattern in SIDES.items() if any(map(pattern.fullmatch, words))}
 
 
@@ -263,24 +357,16 @@ def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Forward:
     excluded = {*excluded, *caster_wheels(tree, rolling)}
     wheels = [joint for joint in rolling if joint.name not in excluded]
     line = _along(tree, wheels)
-    evidence = [*_evidence(tree, wheels, line)]
-    named = {each.direction for each in evidence if each.weight == NAMES}
-    reasons = "; ".join(
-        f"{each.reason}: {each.direction or 'along the axles'}" for each in evidence
-    )
-    if len(named) > 1 or "" in named:
-        first = min(named - {""}, default=line[0])
-        return Forward(first, f"the evidence disagrees ({reasons})", OPPOSITE[first], True)
-    scores = {
-        name: sum(each.weight for each in evidence if each.direction == name) for name in line
-    }
-    best = max(line, key=lambda name: scores[name])
-    rivals = [name for name in line if name != best and scores[name]]
-    if best != "x" and scores[best] == max((scores[name] for name in rivals), default=0):
-        reason = "the axles point along x, and no name distinguishes front from rear"
-        return Forward(best, reasons or reason, OPPOSITE[best], True)
-    other = max(rivals, key=lambda name: scores[name]) if rivals else OPPOSITE[best]
-    return Forward(best, reasons if best != "x" or rivals else "", other)
+    pieces = [*_evidence(tree, wheels, line)]
+    best, reason, rival, is_open = weigh(pieces, line[0])
+    if "x" not in line and not any(piece.weight for piece in pieces):
+        words = "the axles point along x, and no name distinguishes front from rear"
+        return Forward(best, reason or words, OPPOSITE[best], True)
+    if best == "along the axles":
+        best, rival, is_open = line[0], "", True
+    is_noted = best != "x" or any(piece.choice != "x" for piece in pieces)
+    other = rival if rival in OPPOSITE else OPPOSITE[best]
+    return Forward(best, reason if is_noted else "", other, is_open)
 
 
 def _turning(tree: Tree) -> list[UrdfJoint]:
@@ -312,31 +398,36 @@ def _along(tree: Tree, wheels: Sequence[UrdfJoint]) -> tuple[str, ...]:
 
 def _evidence(tree: Tree, wheels: Sequence[UrdfJoint], line: tuple[str, ...]) -> Iterator[Evidence]:
     """Yield the evidence for directions among those in which the wheels roll."""
+    names = [*_named_vectors(tree, wheels)]
+    misfits = [*_misplaced(tree, wheels, line, names)]
     vectors = [
-        *_named_vectors(tree, wheels),
-        ("steered wheels", _to_steered(tree, wheels), 2),
-        ("views of cameras", _view(tree), 1),
+        *((words, vector, HINT if misfits else weight) for words, vector, weight in names),
+        ("steered wheels", _to_steered(tree, wheels), USUAL),
+        ("views of cameras", _view(tree), HINT),
     ]
     if "x" not in line:
         x, y = np.sum([tree.axis(joint)[:2] for joint in wheels], axis=0)
-        vectors.append(("signs of the wheels' axes", np.array([y, -x]), 1))
-    for reason, vector, weight in vectors:
+        vectors.append(("signs of the wheels' axes", np.array([y, -x]), HINT))
+    for words, vector, weight in vectors:
         size = float(np.linalg.norm(vector))
         along = {name: float(vector @ DIRECTIONS[name]) for name in line}
         best = max(line, key=lambda name: along[name])
-        if size > SMALL and (along[best] > CLEAR * size or weight == NAMES):
-            yield Evidence(reason, best if along[best] > CLEAR * size else "", weight)
+        if size > SMALL and along[best] > CLEAR * size:
+            yield Evidence(best, weight, words)
+        elif weight == NAMES and size > SMALL:
+            yield Evidence("along the axles", weight, f"{words}: along the axles")
+    yield from misfits
     if "x" in line:
-        yield Evidence("the frame convention of URDF", "x", 2)
+        yield Evidence("x", CONVENTION, "the frame convention of URDF")
 
 
-def _named_vectors(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, Array, int]]:
+def _named_vectors(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, Array, float]]:
     """Yield the forward vectors by names of front and rear, left and right, with their weights."""
     rolling = [j for j in tree.joints.values() if WHEEL.search(j.names)]
     for first, second in (("front", "rear"), ("left", "right")):
         group, weight = [*wheels, *rolling], NAMES
         if not any({first, second} & _sides(j.names) for j in group):
-            group, weight = [*tree.joints.values()], 1
+            group, weight = [*tree.joints.values()], HINT
         ahead, behind = ([j for j in group if s in _sides(j.names)] for s in (first, second))
         vector = np.zeros(2)
         if (ahead or behind) and (wheels or (ahead and behind)):
@@ -348,6 +439,43 @@ def _named_vectors(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[st
         if first == "left":
             vector = np.array([vector[1], -vector[0]])
         yield f"names of {first} and {second}", vector, weight
+
+
+def _misplaced(
+    tree: Tree,
+    wheels: Sequence[UrdfJoint],
+    line: Sequence[str],
+    names: Sequence[tuple[str, Array, float]],
+) -> Iterator[Evidence]:
+    """Yield evidence without a choice for names of wheels that contradict each other's places."""
+    places = {wheel.name: tree.frames[wheel.child][1][:2] for wheel in wheels}
+    along = {
+        name: sum(float(vector @ axis) for _, vector, _ in names)
+        for name, axis in DIRECTIONS.items()
+    }
+    ahead = max(along, key=lambda name: along[name])
+    ahead = ahead if along[ahead] > SMALL else line[0]
+    x, y = DIRECTIONS[ahead]
+    for first, second, axis in (("front", "rear", (x, y)), ("left", "right", (-y, x))):
+        of = {
+            side: {
+                wheel: float(places[wheel.name] @ axis)
+                for wheel in wheels
+                if _sides(wheel.names) & {first, second} == {side}
+            }
+            for side in (first, second)
+        }
+        if not all(of.values()):
+            continue
+        middle = sum(float(np.mean([*each.values()])) for each in of.values()) / 2
+        wrong = [wheel.name for wheel, at in of[first].items() if at < middle - SMALL]
+        wrong += [wheel.name for wheel, at in of[second].items() if at > middle + SMALL]
+        if wrong and len(wrong) < sum(map(len, of.values())):
+            yield Evidence(
+                "",
+                0.0,
+                f"names of {first} and {second} disagree with the places of {', '.join(wrong)}",
+            )
 
 
 def _to_steered(tree: Tree, wheels: Sequence[UrdfJoint]) -> Array:

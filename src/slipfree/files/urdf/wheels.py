@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
@@ -14,6 +14,7 @@ import numpy as np
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
+from slipfree.files.urdf.evidence import COMMAND, HINT, USUAL, Evidence, weigh
 from slipfree.files.urdf.joint_guesses import CASTER, caster_wheels
 from slipfree.files.urdf.links import wheel_name
 from slipfree.files.urdf.meshes import MeshFiles, mesh_shape, unit_factor, unit_words
@@ -36,6 +37,7 @@ from slipfree.files.urdf.wheel_guesses import (
     mecanum_wheels,
     sliding_wheels,
     unused_wheel_names,
+    usual_radius,
     wheel_guesses,
     with_fixed_rollers,
 )
@@ -44,8 +46,8 @@ from slipfree.files.vehicle_draft import (
     angle_text,
     angles_of,
     rotation_of,
-    toml_key,
     toml_line,
+    toml_value,
     vector_of,
 )
 from slipfree.geometry.frame import Vector, tensor, unit_vector
@@ -58,6 +60,8 @@ OMNI_ANGLE = "90 deg"  # angle of the rollers of omni wheels
 MIN_AXLE_LEFT = 1e-6  # a wheel with a smaller leftward component of its axle rolls sideways
 MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass from its centre are reported [m]
 RIGHT = (0.0, -1.0, 0.0)
+ALIKE = 0.2  # largest relative difference of the radii of opposite wheels
+NEARLY = 0.02  # largest such difference that is not reported
 T = TypeVar("T", Shape, MeshFile)
 
 
@@ -83,15 +87,16 @@ class Wheels:
             for joint in self.tree.joints.values()
             if joint in shaped or joint.name in {*guesses, *roles.wheels}
         ]
-        high = self._high([joint for joint in joints if joint.name not in roles.wheels])
-        reason = "no wheel but fixed: its shape ends far above the lowest wheel"
-        gears: dict[str, tuple[str, dict[str, Value], str]]
-        gears = {name: ("wheels", {"driven": True}, reason) for name in high}
+        undeclared = [joint for joint in joints if joint.name not in roles.wheels]
+        paired = self._compare_counterparts(joints)
+        gears: dict[str, tuple[str, dict[str, Value], str]] = {}
+        for name, reason in self._high(undeclared, paired):
+            gears[name] = "wheels", {"driven": True}, f"no wheel but fixed: {reason}"
         for joint in self.tree.joints.values():
             if joint.type == "continuous" and self.tree.is_level(joint):
                 beside = [wheel for wheel in joints if wheel in self.tree.below(joint.child)]
                 if beside and self.tree.is_last(joint):
-                    reason = "fixed: a gear, with wheels beside its axis"
+                    reason = "fixed: wheels are fixed to it"
                     gears[joint.name] = "joints", {"kind": "commanded"}, reason
         self.gears = {name: gear for name, gear in gears.items() if name not in roles.joints}
         self.joints = [joint for joint in joints if joint.name not in self.gears]
@@ -172,7 +177,7 @@ class Wheels:
                 f"without rollers, in spite of their names: {', '.join(bare)}; otherwise write "
                 f"{toml_line('wheels', bare[0], rollers=OMNI_ANGLE)}"
             )
-        radii = [shape.radius for shape in map(self._shape, self.joints) if shape is not None]
+        radii = [radius for radius in map(self._rolling_radius, self.joints) if radius]
         known = {*self._roles.joints, *self.gears}
         if unused := unused_wheel_names(self.tree, self.joints, known):
             line = toml_line("wheels", unused[0], radius=max(radii, default=0.1))
@@ -238,7 +243,7 @@ class Wheels:
             values = {"radius": shape.radius, **values}
         if shape is not None and shape.tube and "tube" in keys:
             values = {"tube": shape.tube, **values}
-        other = toml_line("joints", name, kind="fixed")
+        other = toml_line("joints", name, kind="fixed") if len(self.joints) > 3 else ""
         if role.rollers is not None:
             other = toml_line("wheels", name, rollers=False if role.rollers else OMNI_ANGLE)
         if values.get("rollers"):
@@ -254,19 +259,20 @@ class Wheels:
                 values = {"radius": shape.radius, "tube": shape.tube or self._roles.tube}
                 other = toml_line("joints", joint.name, kind="fixed")
                 self._findings.guess("wheels", joint.name, values, "a wheel: a round mesh", other)
+        alike: dict[str, list[UrdfJoint]] = {}
         for name, message in self._unread.items():
             joint = self.tree.joints[name]
             if joint not in self.joints and joint.moves:
-                self._findings.wrong(
-                    joint,
-                    f"{message}; or write radius = ... for all wheels that are meshes, or the kind "
-                    f'of the joint in "joints" if it carries no wheel, {self.tree.completion}',
-                )
+                alike.setdefault(message, []).append(joint)
+        for message, joints in alike.items():
+            line = self._radius_line(joints, usual_radius(self.tree, joints))
+            self._ask(joints, f"{message}; or, {self.tree.completion}, write {line}")
 
     def _check_guessed_radii(self) -> None:
-        """Add an error for each guessed radius that does not suit the distances of the wheels."""
+        """Add an error for the guessed radii that do not suit the distances of the wheels."""
         radii = np.array([self._rolling_radius(joint) or 0.0 for joint in self.joints])
         centers = np.array([self.tree.frames[joint.child][1] for joint in self.joints])
+        alike: dict[tuple[str, str, float], list[UrdfJoint]] = {}
         for k, joint in enumerate(self.joints):
             shape, role = self._shape(joint), self._roles.wheels.get(joint.name, WheelRole())
             is_mesh = shape is not None and shape.kind == "mesh"
@@ -280,15 +286,30 @@ class Wheels:
                 continue
             mesh = self.tree.links[joint.child].meshes[0] if is_mesh else None
             unit = f"mesh {mesh.name!r}: {unit_words(mesh, factor)}, or " if mesh else ""
-            self._findings.wrong(
-                joint,
+            radius = float(factor * radii[k]) if factor != 1 else usual_radius(self.tree, [joint])
+            alike.setdefault((f"{radii[k]:.3g} m", unit, radius), []).append(joint)
+        for (found, unit, radius), joints in alike.items():
+            self._ask(
+                joints,
                 "expected a wheel that suits the distances between the wheels, found a radius of "
-                f"{radii[k]:.3g} m in link {joint.child!r}; {unit}{self._write_radius(joint)}",
+                f"{found} in link {joints[0].child!r}; {unit}{self.tree.completion}, write "
+                f"{self._radius_line(joints, radius)}",
             )
 
-    def _write_radius(self, joint: UrdfJoint) -> str:
-        key = toml_key(joint.name)
-        return f"write wheels = {{ {key} = {{ radius = ... }} }}, {self.tree.completion}"
+    def _ask(self, joints: Sequence[UrdfJoint], message: str) -> None:
+        """Add an error of several joints at the first of them."""
+        also = f"(also {', '.join(joint.name for joint in joints[1:])}) " if joints[1:] else ""
+        self._findings.wrong(joints[0], f"{also}{message}")
+
+    def _radius_line(self, joints: Sequence[UrdfJoint], radius: float) -> str:
+        """Return the line of the vehicle file that gives the radius of wheels, to 3 digits."""
+        shapes, radius = map(self._shape, joints), float(f"{radius:.3g}")
+        if all(shape is None or shape.kind == "mesh" for shape in shapes) and all(
+            self.tree.links[joint.child].meshes and joint.type == "continuous" for joint in joints
+        ):
+            return f"radius = {radius!r}, the radius of all wheels that are meshes"
+        wheels = {joint.name: {"radius": radius} for joint in joints}
+        return f"wheels = {toml_value(wheels)}, the radius in metres"
 
     def _rolling_radius(self, joint: UrdfJoint) -> float | None:
         shape, radius = self._shape(joint), self._role(joint).radius
@@ -321,17 +342,108 @@ class Wheels:
         ]
         return min(bottoms, default=-np.inf)
 
-    def _high(self, joints: Sequence[UrdfJoint]) -> list[str]:
-        """Return the joints whose round shapes end far above the lowest one."""
-        lows: dict[str, float] = {}
-        radius = 0.0
-        for joint in joints:
-            shape, (rotation, origin) = self._shape(joint), self.tree.frames[joint.child]
-            if shape is not None:
-                lows[joint.name] = float(origin[2]) + lowest(shape, rotation)
-                radius = max(radius, shape.radius)
+    def _compare_counterparts(self, joints: Sequence[UrdfJoint]) -> set[str]:
+        """Guess radii of opposite wheels with different shapes, and return the names of these."""
+        shapes = {joint.name: shape for joint in joints if (shape := self._shape(joint))}
+        sized = [joint for joint in joints if joint.name in shapes]
+        unlike: list[tuple[UrdfJoint, UrdfJoint]] = []
+        for joint in sized:
+            other = self.tree.mirror_image(joint, sized)
+            if other is None or joint.name in self._roles.wheels:
+                continue
+            large, small = shapes[joint.name].radius, shapes[other.name].radius
+            if (small < (1 - ALIKE) * large) and other.name not in self._roles.wheels:
+                unlike.append((joint, other))
+            elif small < (1 - NEARLY) * large:
+                self._findings.notes.append(
+                    f"opposite wheels with different radii: {joint.name}, {large:g} m, and "
+                    f"{other.name}, {small:g} m; otherwise write "
+                    f"{toml_line('wheels', other.name, radius=large)}"
+                )
+        names = {joint.name for pair in unlike for joint in pair}
+        bottoms = (self._bottom(j, shapes[j.name]) for j in sized if j.name not in names)
+        ground = min(bottoms, default=None)
+        for pair in unlike:
+            every = [joint.name for joint in pair]
+            self._choose_radius(every, [shapes[name].radius for name in every], ground)
+        return names
+
+    def _choose_radius(
+        self, names: Sequence[str], radii: Sequence[float], ground: float | None
+    ) -> None:
+        """Guess the radius of two opposite wheels, or add an error if the evidence disagrees."""
+        large, small = radii
+        pieces: list[tuple[float, float, str]] = []
+        if ground is not None:
+            height = float(self.tree.frames[self.tree.joints[names[0]].child][1][2]) - ground
+            pieces.append((height, USUAL, "height above the ground of the other wheels"))
+        pieces += [
+            (drive.radius, COMMAND, "plugin of a simulator")
+            for name in names
+            if (drive := self.tree.drives.get(name)) and drive.radius
+        ]
+        pieces.append((large, USUAL, f"shape of {names[0]}"))
+        pieces.append((small, USUAL if 2 * small > large else HINT, f"shape of {names[1]}"))
+        known: list[float] = []  # equal choices have one text
+        evidence: list[Evidence] = []
+        for radius, weight, words in (each for each in pieces if each[0] > 0):
+            same = (one for one in known if math.isclose(one, radius, rel_tol=ALIKE))
+            known.append(next(same, round(radius, 6)))
+            evidence.append(Evidence(f"{known[-1]:g} m", weight, words))
+        choice = weigh(evidence)
+        sizes = [float(each.split()[0]) for each in (choice.choice, choice.rival)]
+        wheels = [{name: {"radius": size} for name in names} for size in sizes]
+        if choice.is_open:
+            lines = " or ".join(f"wheels = {toml_value(each)}" for each in wheels)
+            self._findings.wrong(
+                self.tree.joints[names[1]],
+                f"expected the radius of its counterpart {names[0]}, {large:g} m, found "
+                f"{small:g} m (radius {choice.choice}: {choice.reason}); "
+                f"{self.tree.completion}, write {lines}",
+            )
+        for name, radius in zip(names, radii, strict=True):
+            given = self._given.get(name, WheelRole())
+            if not math.isclose(radius, sizes[0], rel_tol=ALIKE) and not choice.is_open:
+                reason = f"of radius {choice.choice}: {choice.reason}"
+                other = toml_line("joints", name, kind="fixed")
+                if 2 * radius > sizes[0]:
+                    other = toml_line("wheels", name, radius=radius)
+                self._findings.guess("wheels", name, {"radius": sizes[0]}, reason, other)
+            self._given[name] = replace(given, radius=given.radius or sizes[0])
+
+    def _bottom(self, joint: UrdfJoint, shape: Shape) -> float:
+        rotation, origin = self.tree.frames[joint.child]
+        return float(origin[2]) + lowest(shape, rotation)
+
+    def _high(
+        self, joints: Sequence[UrdfJoint], paired: Collection[str]
+    ) -> Iterator[tuple[str, str]]:
+        """Yield the joints whose round shapes end far above the lowest one, with the reason."""
+        shapes = {j: shape for j in joints if j.name not in paired and (shape := self._shape(j))}
+        lows = {joint: self._bottom(joint, shape) for joint, shape in shapes.items()}
+        radius = max((shape.radius for shape in shapes.values()), default=0.0)
         most = min(lows.values(), default=0.0) + radius / 2
-        return [name for name, low in lows.items() if low > most]
+        low = [shapes[joint].radius for joint in shapes if lows[joint] <= most]
+        for joint in (joint for joint in shapes if lows[joint] > most):
+            alike = any(math.isclose(shapes[joint].radius, r, rel_tol=ALIKE) for r in low)
+            choice = weigh(
+                [
+                    Evidence("fixed", USUAL, "its shape ends far above the lowest wheel"),
+                    *[Evidence("wheel", USUAL, "radius of other wheels")] * alike,
+                    *[Evidence("wheel", HINT, "its name")] * bool(WHEEL.search(joint.names)),
+                ]
+            )
+            if choice.is_open:
+                lines = (
+                    toml_line("wheels", joint.name),
+                    toml_line("joints", joint.name, kind="fixed"),
+                )
+                self._findings.wrong(
+                    joint,
+                    f"expected a wheel near the ground of the others, found {choice.reason}; "
+                    f"{self.tree.completion}, write {' or '.join(lines)}",
+                )
+            yield joint.name, choice.reason
 
     def _shape(self, joint: UrdfJoint) -> Shape | None:
         """Return the lowest round shape of a wheel's link, if possible about a moving joint."""
@@ -339,7 +451,11 @@ class Wheels:
         if joint.moves:
             axis = unit_vector(joint.axis)
             shapes = tuple(shape for shape in shapes if is_about(shape, axis)) or shapes
-        return min(shapes, key=lambda shape: lowest(shape, rotation), default=None)
+        chosen = min(shapes, key=lambda shape: lowest(shape, rotation), default=None)
+        if chosen is None or not joint.moves or not is_about(chosen, axis):
+            return chosen
+        twins = [shape.at for shape in shapes if shape.radius == chosen.radius]
+        return chosen._replace(at=vector_of(np.mean(twins, axis=0)))  # the middle of twin tyres
 
     def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
         """Return radius, tube radius and position in the link [m]; None with an error."""
@@ -347,7 +463,8 @@ class Wheels:
         if radius is None:
             wanted = "expected a cylinder, a sphere or a mesh as its wheel, found none"
             message = self._unread.get(joint.name, wanted)
-            self._findings.wrong(joint, f"{message}; {self._write_radius(joint)}")
+            line = self._radius_line([joint], usual_radius(self.tree, [joint]))
+            self._ask([joint], f"{message}; {self.tree.completion}, write {line}")
             return None
         default = self._roles.tube
         if shape is not None:
@@ -392,17 +509,26 @@ class Wheels:
         return mass, (axial, float(np.trace(total) - axial) / 2) if heavy else None
 
     def _is_driven(self, joint: UrdfJoint) -> bool:
-        """Return whether a wheel is driven, and record a guess if the URDF does not specify it."""
-        is_driven, reason = self._has_actuator(joint), "free: other wheels have an actuator"
-        if is_driven:
-            return True
-        if not any(map(self._has_actuator, self.joints)):
-            is_passive = PASSIVE.search(joint.names)
-            is_driven = joint.name not in self._casters and not is_passive
-            reason = "free: its name" if is_passive else "free: a caster"
-            reason = "driven: no wheel has an actuator" if is_driven else reason
-        other = toml_line("wheels", joint.name, driven=not is_driven)
-        self._findings.guess("wheels", joint.name, {"driven": is_driven}, reason, other)
+        """Return whether a wheel is driven, and record a guess if the evidence is incomplete."""
+        pieces: list[Evidence] = []
+        if self._has_actuator(joint):
+            pieces.append(Evidence("driven", COMMAND, "it has an actuator"))
+        elif any(map(self._has_actuator, self.joints)):
+            pieces.append(Evidence("free", USUAL, "other wheels have an actuator"))
+        if PASSIVE.search(joint.names):
+            pieces.append(Evidence("free", USUAL, "its name"))
+        if joint.name in self._casters:
+            pieces.append(Evidence("free", USUAL, "a caster"))
+        pieces = pieces or [Evidence("driven", HINT, "no wheel has an actuator")]
+        choice = weigh(pieces)
+        is_driven = choice.choice == "driven"
+        if choice.rival or not self._has_actuator(joint):
+            rolling = {wheel.name for wheel in self.joints} - self.balls - self._casters
+            other = toml_line("wheels", joint.name, driven=not is_driven)
+            if is_driven and (len(rolling) < 3 or self._role(joint).rollers):  # none can be free
+                other = ""
+            reason = f"{choice.choice}: {choice.reason}"
+            self._findings.guess("wheels", joint.name, {"driven": is_driven}, reason, other)
         return is_driven
 
     def _has_actuator(self, joint: UrdfJoint) -> bool:
