@@ -44,8 +44,11 @@ def depends_on_rounding(test):
             return True
         if any(isinstance(value, float) and 0 < value <= 1e-11 for value in values):
             return True
-        for name in names & function.__globals__.keys():
-            value = getattr(function.__globals__[name], "__wrapped__", function.__globals__[name])
-            if isinstance(value, FunctionType) and value.__code__.co_filename.startswith(TESTS):
-                functions += [value] if value not in functions else []
+        called = [function.__globals__.get(name) for name in names]
+        kinds = [value for value in called if isinstance(value, type)]
+        called += [each for kind in kinds for each in vars(kind).values()]
+        called = [getattr(value, "__wrapped__", value) for value in called]
+        called = [value for value in called if isinstance(value, FunctionType)]
+        own = [each for each in called if each.__code__.co_filename.startswith(TESTS)]
+        functions += [each for each in own if each not in functions]
     return False
