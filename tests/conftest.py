@@ -12,10 +12,19 @@ import matplotlib
 import numpy as np
 import pytest
 
+from helpers.rounding import depends_on_rounding
+
 matplotlib.use("Agg")
 # Jobs of a shell in the background ignore Ctrl-C, and so would all that they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 os.environ["SLIPFREE_CACHE"] = ""  # nothing that was compiled before
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if depends_on_rounding(item.function):
+            item.add_marker("rounding")
 
 
 @pytest.fixture(autouse=True)

@@ -9,9 +9,10 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import brentq, fsolve
+from scipy.optimize import brentq
 
 from helpers.dynamics import four_wheels, moved, states
+from helpers.rounding import root
 from slipfree import (
     Analytic,
     Compliant,
@@ -84,7 +85,7 @@ def rest_loads(place, rise, gravity):
     start = (
         [lean * LENGTH / (LENGTH - place), -lean / (LENGTH - place)] if up else [0, lean / place]
     )
-    return forces_and_arms(fsolve(unbalance, start - np.array([0.1, 0]), xtol=1e-12))[0]
+    return forces_and_arms(root(unbalance, start - np.array([0.1, 0]))[0])[0]
 
 
 @pytest.mark.parametrize("gravity", [EARTH, MOON])
