@@ -6,10 +6,11 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from annotated_types import Unit
 
 from slipfree.atlas.friction import (
     FrictionGraphs,
@@ -33,9 +34,11 @@ from slipfree.batch.many import (
 )
 from slipfree.batch.motion import COMPLETE, relax
 from slipfree.contact.clearance import CLEARANCE
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, Mask, leaves
+from slipfree.core.schema import Count
 from slipfree.terrain.base import Terrain
 
 TOLERANCE = 1e-3  # largest width of the bounds of the least friction coefficient
@@ -211,11 +214,12 @@ class PoseEvaluator(NamedTuple):
         return self.quantities is None or name in self.quantities
 
 
+@checked
 def atlas(
     model: Dae,
     terrain: Terrain,
     *,
-    headings: int | Sequence[float] = HEADINGS,
+    headings: Count | Annotated[Sequence[float], Unit("rad")] = HEADINGS,
     x: Array | None = None,
     y: Array | None = None,
     error: float | None = None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from slipfree.batch.motion import (
     smallest,
     solve_forces,
 )
+from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
@@ -69,12 +70,13 @@ class Source(NamedTuple):
     wheels: tuple[str, ...]
 
 
+@checked
 def settle_many(
     model: Dae,
     *,
     quantities: Sequence[str] | None = None,
     compiled: bool = True,
-    **start: float | Array,
+    **start: Annotated[float | Array, BY_NAME],
 ) -> xarray.Dataset:
     """Return the vehicle at rest at many positions.
 
@@ -308,14 +310,12 @@ def run_lanes(
     The states (n_rows, n) at the start are those of `start_states` or, if ``placed``, have
     consistent positions; the inputs have the shape (n_u, m - 1, n). The largest length of a step is
     by default half the size of the vehicle [m]. ``quantities`` are the names of those to keep, by
-    default all. ModelError is raised for a step that is not positive and for unknown quantities.
+    default all. ModelError is raised for unknown quantities.
     """
     sources = sources_of(evaluate.graphs, quantities)
     dae = evaluate.graphs.dae
     if step is None:
         step = dae.size * (STEP if dae.lag is None else RELAXING_STEP)
-    if not step > 0:
-        raise ModelError(f"step: expected a positive number of metres, found {step}; correct it")
     size = min(CHUNK, max(8, LARGEST // (len(states) * t.size)))
     parts = [
         _run(

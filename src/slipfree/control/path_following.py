@@ -10,8 +10,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError, check_type
+from slipfree.core.errors import ModelError
 from slipfree.core.rearrange import substitute, with_outputs
 from slipfree.core.records import Array, Label, Record, leaves, unpack
 from slipfree.core.trajectory import Trajectory
@@ -64,6 +65,7 @@ class _PlanarGeometry(NamedTuple):
     gain: float
 
 
+@checked
 def straight(dae: Dae, vehicle: Vehicle, start: Trajectory, *, speed: float) -> Record:
     """Return inputs that drive a vehicle straight along its heading at the start.
 
@@ -76,6 +78,7 @@ def straight(dae: Dae, vehicle: Vehicle, start: Trajectory, *, speed: float) -> 
     return follow(dae, vehicle, Path(np.array([(x, y), ahead])), speed=speed)
 
 
+@checked
 def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Record:
     """Return inputs that keep the platform's centre on a path.
 
@@ -121,7 +124,6 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Record:
     >>> print(f"ends at ({run['x'][-1]:.2f}, {run['y'][-1]:.2f})")
     ends at (-0.01, 3.98)
     """
-    check_type("path", path, Path, "make one of points: Path(np.array([[0.0, 0.0], [1.0, 2.0]]))")
     if not np.isfinite(speed) or speed == 0:
         raise ModelError(
             f"speed: expected a finite speed other than zero, found {speed} m/s; give a positive "
@@ -144,6 +146,7 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Record:
     return _planar_inputs(dae, vehicle, states, plan, (v, turning, speed))
 
 
+@checked
 def commanded(dae: Dae, vehicle: Vehicle, *, speed: float) -> Dae:
     """Return a model whose inputs are the commands of a robot: forward velocity and yaw rate.
 

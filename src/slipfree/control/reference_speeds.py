@@ -31,7 +31,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Lt, Unit, doc
 
 from slipfree.catalog.step_climber import Climber
-from slipfree.core.schema import check_bounds
+from slipfree.core.arguments import checked
 from slipfree.terrain.solids import Profile
 
 MIN_MIDDLE_SPEED = 1e-3  # lower bound of the middle axle's relative speed as a divisor
@@ -161,6 +161,7 @@ def _direction(profile: Profile, radius: float, axle: ca.SX) -> ca.SX:
     return up + down * free
 
 
+@checked
 @dataclass(frozen=True)
 class Noise:
     """Root mean squares, frequency band and seed of the sensor noise.
@@ -181,9 +182,6 @@ class Noise:
     ] = 0.0
     band: Annotated[float, Gt(0), Lt(math.inf), Unit("Hz"), doc("largest frequency")] = 50.0
     seed: Annotated[int, Ge(0), doc("seed of the random numbers")] = 0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 def measured(

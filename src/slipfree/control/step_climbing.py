@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, NamedTuple, Protocol, get_args
+from typing import Annotated, Any, Literal, NamedTuple, Protocol
 
 import casadi as ca
 import numpy as np
@@ -27,10 +27,10 @@ from slipfree.control.reference_speeds import (
     measured,
     reference,
 )
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Labels, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Label, leaves, pack, symbols, unpack
-from slipfree.core.schema import check_bounds
 from slipfree.models.limits import UPRIGHT
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.tree import Vehicle
@@ -201,6 +201,7 @@ class WheelControl(Protocol):
         """Return reference rates, torques and the rates of the states for a speed [m/s]."""
 
 
+@checked
 @dataclass(frozen=True)
 class StepClimbing:
     """PID controller of the wheel rates, whose references follow from axle speeds without slip.
@@ -259,13 +260,6 @@ class StepClimbing:
     noise: Noise | None = None
 
     def __post_init__(self) -> None:
-        for name, known in (("law", Law), ("directions", Directions)):
-            if getattr(self, name) not in get_args(known):
-                raise ModelError(
-                    f"step-climbing: expected one of {', '.join(get_args(known))} for {name!r}, "
-                    f"found {getattr(self, name)!r}; choose one of these names"
-                )
-        check_bounds(self)
         if min(self.motors) < 1:
             raise ModelError(
                 "step-climbing: expected one motor or more per axle as 'motors', found "

@@ -22,17 +22,6 @@ class WriteError(DataError):
     """File that cannot be written, for example because its disk is full."""
 
 
-def check_type(name: str, value: object, kinds: type | tuple[type, ...], remedy: str) -> None:
-    """Raise ModelError for an argument of another type; ``remedy`` names the right one."""
-    if isinstance(value, kinds):
-        return
-    names = [kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,))]
-    shown = f" {value!r}" if isinstance(value, str | int | float) else ""
-    raise ModelError(
-        f"{name}: expected {' or '.join(names)}, found {type(value).__name__}{shown}; {remedy}"
-    )
-
-
 def similar(name: str, known: Iterable[str]) -> str:
     """Return a question with the most similar known name; empty without a similar one."""
     nearest = get_close_matches(name, [*known], n=1)

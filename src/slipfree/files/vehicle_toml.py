@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, ValidationError
 
+from slipfree.core.arguments import WithUnit
 from slipfree.core.errors import ModelError, similar
 from slipfree.files.toml.source import (
     PIECE,
@@ -35,7 +36,6 @@ from slipfree.files.toml.types import (
     Positive,
     Quantity,
     Record,
-    WithUnit,
     bare_words,
     expected_error,
     given_values,

@@ -44,6 +44,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.rearrange import (
@@ -58,7 +59,6 @@ from slipfree.core.records import Label, leaves, pack
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.least_slip import LeastSlip, slip_unit
 from slipfree.laws.rolling import Rolling, rolling_counts
-from slipfree.models.base import check_arguments
 from slipfree.models.determinacy import (
     angle_slopes,
     command_determinacy,
@@ -89,6 +89,7 @@ MIN_STEERABLE_SPEED = 1e-6  # speed below which a steering angle has no effect [
 ERROR_WEIGHT = 10.0  # weight of the errors of given rates relative to slip along the wheels [1]
 
 
+@checked
 def inverse_kinematics(
     vehicle: Vehicle,
     terrain: Terrain,
@@ -164,7 +165,6 @@ def inverse_kinematics(
     >>> run["wheel_rate"][-1].round(3)
     array([1.498, 1.164, 2.025])
     """
-    check_arguments(vehicle, terrain)
     check_inverse(vehicle, given, solve_for, exact=exact)
     direct = direct_kinematics(vehicle, terrain, slip=slip_law(given))
     return invert(

@@ -38,6 +38,7 @@ from slipfree.contact.closure import (
     has_exact_closure,
     support_fault,
 )
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Holding, Labels
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
@@ -50,7 +51,6 @@ from slipfree.models.base import (
     Quantities,
     body_checks,
     carriers,
-    check_arguments,
     extent,
     joint_rates,
     level_heights,
@@ -393,6 +393,7 @@ def _relaxation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
     return tuple(Label(f"relaxation_{name}", unit, f"relaxation of {name}") for name, unit in names)
 
 
+@checked
 @computing
 def direct_kinematics(
     vehicle: Vehicle,
@@ -451,7 +452,6 @@ def direct_kinematics(
       inputs: right_rate, left_rate, steer_rate
       outputs: wheel_angle, work, contact_z, center_x, center_y, center_z, slip_along, ...
     """
-    check_arguments(vehicle, terrain)
     check_slip_law(vehicle, slip)
     check_rollers(vehicle)
     if not smoothing > 0:

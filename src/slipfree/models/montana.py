@@ -24,6 +24,7 @@ import numpy as np
 from slipfree.contact.certify import second_contacts
 from slipfree.contact.closure import ContactFrame, check_exact_closure, contact_frame
 from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Labels, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
@@ -37,7 +38,6 @@ from slipfree.models.base import (
     at_rest,
     body_checks,
     carriers,
-    check_arguments,
     extent,
     joint_rates,
     outputs,
@@ -132,6 +132,7 @@ class RollingWheel(NamedTuple):
     rotation: ca.SX
 
 
+@checked
 def montana_kinematics(
     vehicle: Vehicle,
     terrain: Terrain,
@@ -180,7 +181,6 @@ def montana_kinematics(
       inputs: right_rate, left_rate, steer_rate
       outputs: wheel_angle, work, contact_z, center_x, center_y, center_z, slip_along, ...
     """
-    check_arguments(vehicle, terrain)
     check_slip_law(vehicle, slip)
     _check(vehicle, kappa)
     labels = _assembly_labels(
@@ -374,6 +374,7 @@ class Difference(NamedTuple):
         return f"Difference: {self.label.full} {self.size:.2e} {unit} at t = {self.t:.6g} s"
 
 
+@checked
 def cross_check(first: Trajectory, second: Trajectory) -> tuple[Difference, ...]:
     """Return the largest difference of every quantity that two motions share.
 

@@ -16,10 +16,11 @@ from functools import cached_property
 
 import numpy as np
 
-from slipfree.core.dae import Dae, Limit
-from slipfree.core.errors import check_type
+from slipfree.core.arguments import checked
+from slipfree.core.dae import Dae
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Record, leaves, overview
+from slipfree.core.schema import NonNegative, Positive
 from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Stop, Trajectory, path_length
 from slipfree.plan.explanation import explanation
 from slipfree.plan.guess import initial_guess
@@ -34,6 +35,7 @@ from slipfree.plan.polynomial_motion import (
     save_plan,
 )
 from slipfree.plan.problem import (
+    Conditions,
     Range,
     duration_of,
     free_durations,
@@ -150,6 +152,7 @@ class Plan:
         return limit_prices(self.program, self.solution) if self.success else ()
 
 
+@checked
 @computing
 @with_interrupt_guard
 def plan(
@@ -157,15 +160,15 @@ def plan(
     start: Trajectory,
     guess: Trajectory | Sequence[Trajectory] | None = None,
     *,
-    goal: Mapping[str, float | Range] | Sequence[Limit],
-    costs: Mapping[str, float] | Sequence[Cost],
+    goal: Conditions,
+    costs: Mapping[str, NonNegative] | Sequence[Cost],
     duration: float | Range | None = None,
-    smooth: float = 0.0,
-    limits: Mapping[str, Range] | Sequence[Limit] = (),
-    way_points: Mapping[float, Mapping[str, float | Range]] | None = None,
+    smooth: NonNegative = 0.0,
+    limits: Conditions = (),
+    way_points: Mapping[float, Conditions] | None = None,
     inputs: Mapping[str, Range] | None = None,
     accelerations: Mapping[str, Range] | None = None,
-    cost_limits: Mapping[str, float] | None = None,
+    cost_limits: Mapping[str, Positive] | None = None,
     initial_inputs: Mapping[str, float] | None = None,
     mesh: Mesh = Mesh(),
     search: Search = Search(),
@@ -265,17 +268,8 @@ def plan(
     True
     """
     clock = time.process_time()
-    check_type("model", dae, Dae, "build a model, for example with direct_kinematics")
-    check_type("start", start, Trajectory, "give the result of settle(model)")
-    check_type("mesh", mesh, Mesh, "give a record, as in Mesh(intervals=20)")
-    check_type("search", search, Search, "give a record, as in Search(starts=4)")
-    check_type("options", options, SolverOptions, "give a record, as in SolverOptions(1e-6)")
-    remedy = "give the result of simulate, or no guess"
     guess = () if guess is None else guess
-    check_type("guess", guess, (Trajectory, Sequence), remedy)
     motions = [guess] if isinstance(guess, Trajectory) else list(guess)
-    for motion in motions:
-        check_type("guess", motion, Trajectory, remedy)
     task = task_of(
         dae,
         start,

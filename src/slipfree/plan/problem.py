@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
-from typing import Any
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import BY_NAME
 from slipfree.core.dae import Dae, Limit
-from slipfree.core.errors import ModelError, check_type
+from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask, leaves
 from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import LIMITED_SUFFIX, conflicts
@@ -22,18 +23,11 @@ from slipfree.solve.sampling import TURN, periodic_states
 DURATIONS = (0.5, 2.0)  # default range of the duration, relative to that of the initial guess
 HALF_TURN = np.pi + 1e-3  # such as a goal of 3.1416: both ways are short [rad]
 Range = tuple[float, float]
+# values or ranges by name, or limits in the symbols of the model
+Conditions = Annotated[Mapping[str, float | Range], BY_NAME] | Sequence[Limit]
 MIN_CLEARANCE = 1e-3  # clearances below this all have about the same cost [m]
 BLENDED_POWER = 0.1  # width of the smooth transition between work and braking [W]
 ROUNDED_FRACTION = 0.01  # rounding of a square root at zero, relative to its bound
-
-
-def _check_terms(name: str, values: Any, kind: type, example: str) -> None:
-    """Raise ModelError unless an argument is a mapping, or a sequence of records of a kind."""
-    if isinstance(values, Mapping):
-        return
-    check_type(name, values, (Mapping, Sequence), f"give values by name, as in {example}")
-    for value in values:
-        check_type(name, value, kind, f"give values by name, as in {example}")
 
 
 def range_of(name: str, value: float | Range) -> Range:
@@ -65,7 +59,6 @@ def duration_of(value: float | Range) -> Range:
 
 def costs_of(dae: Dae, costs: Mapping[str, float] | Sequence[Cost]) -> tuple[Cost, ...]:
     """Return the terms of the cost from weights by name, or terms unchanged."""
-    _check_terms("costs", costs, Cost, '{"slip": 1e3}')
     if not isinstance(costs, Mapping):
         return tuple(costs)
     terms = list[Cost]()
@@ -150,9 +143,8 @@ def _squared_unit(dae: Dae, name: str) -> str:
     return "s" if unit == "1" else f"({unit})2 s"
 
 
-def limits_of(dae: Dae, limits: Mapping[str, float | Range] | Sequence[Limit]) -> tuple[Limit, ...]:
+def limits_of(dae: Dae, limits: Conditions) -> tuple[Limit, ...]:
     """Return limits from values or ranges by name, in map coordinates, or limits unchanged."""
-    _check_terms("goal and limits", limits, Limit, '{"x": 2.0, "y": (0.0, 1.0)}')
     if not isinstance(limits, Mapping):
         return tuple(limits)
     return tuple(limit for name, value in limits.items() for limit in _conditions(dae, name, value))
@@ -205,8 +197,8 @@ def _smooth_limit(limit: Limit) -> Limit:
 
 def timed_conditions(
     dae: Dae,
-    goal: Mapping[str, float | Range] | Sequence[Limit],
-    way_points: Mapping[float, Mapping[str, float | Range] | Sequence[Limit]],
+    goal: Conditions,
+    way_points: Mapping[float, Conditions],
 ) -> Iterator[TimedCondition]:
     """Yield the conditions at the way-points in order of time, then those at the goal."""
     for fraction, wanted in sorted(way_points.items()):
@@ -223,8 +215,6 @@ def bounds_of(dae: Dae, ranges: Mapping[str, Range]) -> Array:
     """Return the bounds of all inputs, infinite for inputs without bounds, shape (n_u, 2)."""
     names = [label.full for label in leaves(dae.labels.u)]
     bounds = np.tile([-np.inf, np.inf], (len(names), 1))
-    remedy = 'give ranges by name, as in {"left_rate": (-2.0, 2.0)}'
-    check_type("bounds of inputs", ranges, Mapping, remedy)
     for name, value in ranges.items():
         if name not in names:
             raise ModelError(
@@ -257,13 +247,13 @@ def task_of(
     dae: Dae,
     start: Trajectory,
     *,
-    goal: Mapping[str, float | Range] | Sequence[Limit],
+    goal: Conditions,
     costs: Mapping[str, float] | Sequence[Cost],
     duration: float | Range,
     smooth: float = 0.0,
     continuous: bool = True,
-    limits: Mapping[str, Range] | Sequence[Limit] = (),
-    way_points: Mapping[float, Mapping[str, float | Range] | Sequence[Limit]] | None = None,
+    limits: Conditions = (),
+    way_points: Mapping[float, Conditions] | None = None,
     inputs: Mapping[str, Range] | None = None,
     accelerations: Mapping[str, Range] | None = None,
     cost_limits: Mapping[str, float] | None = None,

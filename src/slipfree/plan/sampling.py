@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -35,10 +35,11 @@ from slipfree.batch.motion import (
     smallest,
     solve_forces,
 )
+from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, leaves
-from slipfree.core.schema import is_number
+from slipfree.core.schema import Count, Positive
 from slipfree.core.trajectory import SolverError
 from slipfree.geometry.regions import Region
 from slipfree.plan.problem import Range, costs_of, range_of
@@ -64,6 +65,7 @@ class _ForcedCost(NamedTuple):
         return tuple(self)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class SamplingTask:
     """Costs, goal and ranges of a sampling controller, and parameters of the method.
@@ -104,28 +106,18 @@ class SamplingTask:
 
     model: Dae
     costs: Mapping[str, float] | Sequence[Cost]
-    goal: Mapping[str, float]
-    span: float
+    goal: Annotated[Mapping[str, float], BY_NAME]
+    span: Positive
     ranges: Mapping[str, Range]
-    goal_weight: float = 1.0
-    intervals: int = field(default=10, kw_only=True)
-    candidates: int = field(default=512, kw_only=True)
-    spread: float = field(default=0.2, kw_only=True)
-    threads: int = field(default=1, kw_only=True)
+    goal_weight: Positive = 1.0
+    intervals: Count = field(default=10, kw_only=True)
+    candidates: Count = field(default=512, kw_only=True)
+    spread: Positive = field(default=0.2, kw_only=True)
+    threads: Count = field(default=1, kw_only=True)
     seed: int = field(default=0, kw_only=True)
     compiled: bool = field(default=True, kw_only=True)
 
     def __post_init__(self) -> None:
-        for name in ("span", "goal_weight", "spread"):
-            value = getattr(self, name)
-            if not (is_number(value) and 0 < value < np.inf):
-                raise ModelError(f"{name}: expected a positive number, found {value!r}; correct it")
-        for name in ("intervals", "candidates", "threads"):
-            value = getattr(self, name)
-            if not (isinstance(value, int | np.integer) and value >= 1):
-                raise ModelError(
-                    f"{name}: expected a whole number of at least 1, found {value!r}; correct it"
-                )
         names = [label.full for label in leaves(self.model.labels.u)]
         if sorted(names) != sorted(self.ranges):
             raise ModelError(
@@ -209,13 +201,14 @@ class SampledPlan(NamedTuple):
     cycle: int
 
 
+@checked
 def sample_plan(
     task: SamplingTask,
     x: Array,
     former: SampledPlan | None = None,
     *,
     elapsed: float | None = None,
-    goal: Mapping[str, float | Array] | None = None,
+    goal: Annotated[Mapping[str, float | Array], BY_NAME] | None = None,
     keep_out: Sequence[Region] = (),
 ) -> SampledPlan:
     """Return inputs of low cost from a state on, by sampling.

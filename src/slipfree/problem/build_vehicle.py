@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError
 from slipfree.files.toml.source import Fault, Place, name_errors
 from slipfree.files.toml.types import NonNegative, Positive, Record
@@ -180,6 +181,7 @@ def vehicle_file(name: str, problem: Problem[Any]) -> VehicleFile:
     return contents
 
 
+@checked
 def read_vehicle(
     path: str | Path, *, trust: Sequence[str | os.PathLike[str]] | bool = ()
 ) -> Vehicle:

@@ -11,6 +11,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.facts import Fact
 from slipfree.core.outcome import Outcome
@@ -56,6 +57,7 @@ def build(problem: Problem[Runnable]) -> Any:
     return verb_of(problem).build(problem)
 
 
+@checked
 @computing
 def run_problem(
     problem: Problem[Runnable],
@@ -168,6 +170,7 @@ def _attributes(problem: Problem[Any], verb: MotionVerb, setup: VerbSetup) -> di
     return {name: escape_name(text) for name, text in attributes.items()}
 
 
+@checked
 def open_result(
     path: str | os.PathLike[str], folder: Path | None = None, *, samples: int | None = None
 ) -> Result:

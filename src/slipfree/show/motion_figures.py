@@ -21,7 +21,8 @@ from matplotlib.ticker import ScalarFormatter
 from matplotlib.transforms import Bbox
 
 from slipfree.atlas.atlas import Atlas
-from slipfree.core.errors import ModelError, check_type, similar
+from slipfree.core.arguments import checked
+from slipfree.core.errors import ModelError, similar
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.models.samples import CLOSEST
@@ -279,6 +280,7 @@ def motion_plots(
     return tuple(plot for compose in FIGURES if (plot := compose(drive)) is not None)
 
 
+@checked
 def plot(result: Trajectory | Plan | Atlas, terrain: Bicubic, name: str | None = None) -> Figure:
     """Draw a motion, a plan or a mobility map.
 
@@ -303,12 +305,10 @@ def plot(result: Trajectory | Plan | Atlas, terrain: Bicubic, name: str | None =
     ModelError
         If the result has no figure of this name.
     """
-    check_type("terrain", terrain, Bicubic, "make one from a map: Bicubic(read_map(path).grid)")
     if isinstance(result, Atlas):
         plots = atlas_plots(view_of(result, terrain))
     else:
         run = result.replay if isinstance(result, Plan) else result
-        check_type("result", run, Trajectory, "give the result of simulate, plan or atlas")
         plots = motion_plots(run, terrain.grid, terrain)
     known = {plot.name: plot for plot in plots}
     name = plots[0].name if name is None else name

@@ -19,6 +19,7 @@ from typing import NamedTuple, Protocol
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, Mask, overview
@@ -165,6 +166,7 @@ class Terrain(Protocol):
         """Return the heights in map coordinates at map points of equal shape [m]."""
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Grid:
     """Heights or friction coefficients on a uniform grid, ``z[i, j]`` at ``(x[i], y[j])``.
@@ -223,7 +225,6 @@ class Grid:
     def __post_init__(self) -> None:
         for name in ("x", "y", "z"):
             array = getattr(self, name)
-            _check_type(name, array)
             # A read-only view: the checks below stay true for the life of the grid.
             view = array.view()
             view.flags.writeable = False
@@ -306,19 +307,6 @@ def check_formula(function: Formula, owner: str, value: str) -> None:
             f"{owner}: the {value} may depend only on x and y, found the symbols {foreign}; "
             "replace them by numbers"
         )
-
-
-def _check_type(name: str, array: Array) -> None:
-    """Raise DataError unless an array is an unmasked array of float64."""
-    if not isinstance(array, np.ndarray):
-        found, remedy = type(array).__name__, f"np.asarray({name}, dtype=float)"
-    elif np.ma.isMaskedArray(array):
-        found, remedy = "a masked array", f"{name}.filled(...) with heights for the masked nodes"
-    elif array.dtype != np.float64:
-        found, remedy = f"an array of {array.dtype}", f"{name}.astype(float)"
-    else:
-        return
-    raise DataError(f"grid: {name} must be an array of float64, found {found}; pass {remedy}")
 
 
 def _check_axis(name: str, axis: Array) -> None:

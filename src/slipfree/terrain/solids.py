@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from annotated_types import Ge, Gt, Le, Unit, doc
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 from slipfree.core.schema import Length
@@ -435,6 +436,7 @@ def section_of(prisms: Sequence[Prism], floor: float = 0.0) -> Profile:
     return Profile(tuple(found))
 
 
+@checked
 @dataclass(frozen=True)
 class Solids:
     """A ground with convex solids on it, for `slipfree.dynamics`.

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array, field_overview
 from slipfree.files.foreign_formats import check_contents, check_ending
@@ -89,6 +90,7 @@ class Map(NamedTuple):
         return field_overview(self)
 
 
+@checked
 def read_map(
     path: str | Path,
     *,
