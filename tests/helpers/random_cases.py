@@ -403,7 +403,7 @@ FAULTS = {
     "no height": Fault(
         _set("map", gap=True), r"all values of z must be finite, .* z\[3, 5\] = nan"
     ),
-    "kappa": Fault(_set("build", kappa=-1.0), r"kappa: expected a finite rate of zero or more"),
+    "kappa": Fault(_set("build", kappa=-1.0), r"kappa: expected a number >= 0, found -1.0"),
 }
 CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
     r"no solution was found at the start: \w+\[\w+\], .* residual of [\d.e+-]+ m": "cannot stand",

@@ -320,7 +320,7 @@ def test_steering_angle_needs_motion():
         ({"given": ("velocity_x", "velocity_y", "turn")}, "expected three of vel.*, found 'turn'"),
         ({"given": ("velocity_x", "omega_z", "roll_rate")}, "or Euler rates .*, not both"),
         ({"solve_for": "torques"}, "expected 'rates' or 'angles', found 'torques'"),
-        ({"least_margin": -1.0}, "least_margin: expected zero or a positive"),
+        ({"least_margin": -1.0}, "least_margin: expected a number >= 0"),
     ],
 )
 def test_choices_are_checked(options, words):

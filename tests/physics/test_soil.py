@@ -371,7 +371,7 @@ def test_wheels_have_a_width_and_do_not_sink_to_the_axle():
             single_wheel(SAND, SIZE, *bad)
     with pytest.raises(ModelError, match="found Soil; use another law"):
         rigid_dynamics(vehicle, level_ground(0.5), law=SAND)
-    with pytest.raises(ModelError, match=r"law: expected a law of dynamics such as Compliant"):
+    with pytest.raises(ModelError, match=r"law: expected ContactLaw, found"):
         dynamics(vehicle, ground, law=Soil)
 
 

@@ -786,7 +786,7 @@ passive = partial(Coordinate, "c", "passive", "c")
         (lambda: passive(rest=np.inf), "coordinate 'c': rest: expected a finite"),
         (
             lambda: Coordinate("c", "commanded", "c", max_rate=0.0),
-            "coordinate 'c': max_rate: expected a positive number, found 0.0",
+            "coordinate 'c': max_rate: expected a number > 0, found 0.0",
         ),
         (
             lambda: Coordinate("c", "commanded", "c", stiffness=1.0),

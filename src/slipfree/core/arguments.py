@@ -40,6 +40,7 @@ MAX_NUMBER = 1e300  # largest accepted number
 MAX_SHOWN = 60  # characters of a value in a message
 PACKAGE = "slipfree."  # of callers whose angles are not asked about
 BY_NAME = "values by name of a quantity of the model, in its unit"  # mark of an annotation
+ASCENDING = "a smallest and a largest value"  # mark of an annotation
 F = TypeVar("F", bound=Callable[..., Any])
 WORDS: dict[Any, str] = {
     float: "a number",
@@ -222,6 +223,7 @@ def _converted(hint: Any, value: Any, place: str, context: _Context) -> Any:
     if not _is_instance(kind, parts, value, context):
         similar_one = similar(value, parts) if kind is Literal and isinstance(value, str) else ""
         remedy = "correct it" if kind is float and isinstance(value, Real) else ""
+        remedy = f"call it: {value.__name__}()" if isinstance(value, type) else remedy
         remedy = f"{similar_one}correct it" if similar_one else remedy
         raise _Wrong(place, _words(hint), _shown(value), remedy)
     if kind is Mapping:
@@ -259,7 +261,8 @@ def _is_instance(kind: Any, parts: tuple[Any, ...], value: Any, context: _Contex
     if isinstance(kind, type) and is_protocol(kind):
         missing = object()
         names = get_protocol_members(kind)
-        return all(inspect.getattr_static(value, each, missing) is not missing for each in names)
+        has = (inspect.getattr_static(value, each, missing) is not missing for each in names)
+        return not isinstance(value, type) and all(has)
     return kind is Any or not isinstance(kind, type) or isinstance(value, kind)
 
 
@@ -304,11 +307,16 @@ def _check_note(note: Any, value: Any, place: str, context: _Context) -> None:
                 _check_radians(each, place if name == place else f"{place}[{name!r}]")
     elif isinstance(note, Unit) and note.unit == "rad" and context.units is not None:
         _check_radians(value, place)
+    elif note is ASCENDING and value[0] > value[-1]:
+        raise _Wrong(place, "ascending bounds", f"{value[0]} to {value[-1]}", "exchange them")
     for name, (sign, holds) in BOUNDS.items():
-        edge = getattr(note, name, None)
-        if edge is not None and isinstance(value, Real) and not holds(float(value), edge):
+        edge, numbers = getattr(note, name, None), np.ravel(value)
+        if edge is None or not isinstance(value, np.ndarray | Real):
+            continue
+        for k in np.flatnonzero(~holds(numbers, edge))[:1]:
             words = "a finite number" if abs(edge) == inf else f"a number {sign} {edge:g}"
-            raise _Wrong(place, words, f"{value}")
+            at = f"{place}[{k}]" if isinstance(value, np.ndarray) else place
+            raise _Wrong(at, words, f"{numbers[k]}")
 
 
 def _check_radians(value: Any, place: str) -> None:
@@ -352,6 +360,8 @@ def _shown(value: Any) -> str:
         return f"an array of shape {value.shape}" if value.size else "an empty array"
     if isinstance(value, list | tuple) and not value:
         return f"an empty {type(value).__name__}"
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
     if not isinstance(value, str | Real | list | dict):
         return "None" if value is None else type(value).__name__
     text = f"{value}" if isinstance(value, Real) else repr(value)

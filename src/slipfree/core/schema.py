@@ -28,7 +28,7 @@ Factor = Annotated[Positive, Unit("1")]
 Stiffness = Annotated[Positive, Unit("N/m")]
 JointConstant = NonNegative  # of springs, dampers and stops: units depend on the joint
 
-BOUNDS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
+BOUNDS: dict[str, tuple[str, Callable[[Any, float], Any]]] = {
     "gt": (">", lambda value, edge: value > edge),
     "ge": (">=", lambda value, edge: value >= edge),
     "lt": ("<", lambda value, edge: value < edge),

@@ -30,7 +30,7 @@ from slipfree.core.lookups import LookupTable
 from slipfree.core.records import leaves, pack, symbols
 from slipfree.geometry.frame import Pose, rotation_of, turn
 from slipfree.laws.compliant import Compliant
-from slipfree.laws.protocols import BodyLaw, ContactLaw, WheelContact, check_law
+from slipfree.laws.protocols import BodyLaw, ContactLaw, WheelContact
 from slipfree.models.base import body_checks, extent, raised_poses, sizes
 from slipfree.models.body_contact import BodyContact, body_contacts
 from slipfree.models.dynamic_outputs import (
@@ -132,7 +132,6 @@ def dynamics(
     None
     """
     terrain, prisms = (ground.base, ground.prisms) if isinstance(ground, Solids) else (ground, ())
-    check_law(law, ContactLaw, "law: expected a law of dynamics such as Compliant() or Soil()")
     check_dynamic(vehicle)
     law.check(vehicle, terrain)
     vehicle = _with_depths_of(law, with_depths(vehicle))

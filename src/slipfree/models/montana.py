@@ -29,6 +29,7 @@ from slipfree.core.dae import Dae, Labels, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, Label, leaves, pack, symbols
+from slipfree.core.schema import NonNegative
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose, Twist
 from slipfree.laws.least_slip import LeastSlip
@@ -138,7 +139,7 @@ def montana_kinematics(
     terrain: Terrain,
     *,
     slip: SlipLaw = LeastSlip(),  # noqa: B008 - a frozen record
-    kappa: float = 10.0,
+    kappa: NonNegative = 10.0,
 ) -> Dae:
     """Return the kinematic model of a vehicle by Montana's contact equations.
 
@@ -182,7 +183,7 @@ def montana_kinematics(
       outputs: wheel_angle, work, contact_z, center_x, center_y, center_z, slip_along, ...
     """
     check_slip_law(vehicle, slip)
-    _check(vehicle, kappa)
+    _check(vehicle)
     labels = _assembly_labels(
         labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle))), vehicle
     )
@@ -220,7 +221,7 @@ def montana_kinematics(
     )
 
 
-def _check(vehicle: Vehicle, kappa: float) -> None:
+def _check(vehicle: Vehicle) -> None:
     remedy = "use formulation = 'closure' with least slip, which presses the wheels into the ground"
     check_exact_closure(vehicle, "Montana's form", remedy)
     rollers = [wheel.name for wheel in vehicle.wheels if wheel.rollers]
@@ -228,11 +229,6 @@ def _check(vehicle: Vehicle, kappa: float) -> None:
         raise ModelError(
             "Montana's form: expected wheels without rollers, found rollers on "
             f"{', '.join(map(repr, rollers))}; use formulation = 'closure', the default"
-        )
-    if not (np.isfinite(kappa) and kappa >= 0):
-        raise ModelError(
-            f"kappa: expected a finite rate of zero or more, found {kappa} 1/s; the default is "
-            "10 1/s"
         )
     for wheel in vehicle.wheels:
         if float(wheel.section.tread_radius(ca.SX(0), ca.SX(1))) == 0:

@@ -47,7 +47,7 @@ from slipfree.core.records import Array, Label, leaves, symbols
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.linear_creep import LinearCreep
-from slipfree.laws.protocols import GroundForce, GroundLaw, Reaction, SlidingContacts, check_law
+from slipfree.laws.protocols import GroundForce, GroundLaw, Reaction, SlidingContacts
 from slipfree.models.base import at_rest, body_checks, extent, raised_poses, sizes
 from slipfree.models.dynamic_outputs import (
     Contact,
@@ -134,7 +134,6 @@ def rigid_dynamics(
     >>> print(f"{start['load_share'].sum():.2f}")
     4.00
     """
-    check_law(law, GroundLaw, "law: expected a wheel-ground law such as LinearCreep()")
     check_dynamic(vehicle)
     contact.check(vehicle, terrain)
     law.check(vehicle, terrain)

@@ -288,7 +288,7 @@ def plan(
     former = search.resume
     nominal = [float(motion.t[-1] - motion.t[0]) for motion in motions]
     if not motions and former is None:
-        ranges = {name: range_of(name, value) for name, value in (inputs or {}).items()}
+        ranges = {name: range_of(value) for name, value in (inputs or {}).items()}
         motion, length = initial_guess(task, start, ranges, options)
         motions, nominal = [motion], [length]
     if duration is None:

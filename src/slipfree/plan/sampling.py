@@ -39,7 +39,7 @@ from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, leaves
-from slipfree.core.schema import Count, Positive
+from slipfree.core.schema import Count, NonNegative, Positive
 from slipfree.core.trajectory import SolverError
 from slipfree.geometry.regions import Region
 from slipfree.plan.problem import Range, costs_of, range_of
@@ -105,7 +105,7 @@ class SamplingTask:
     """
 
     model: Dae
-    costs: Mapping[str, float] | Sequence[Cost]
+    costs: Mapping[str, NonNegative] | Sequence[Cost]
     goal: Annotated[Mapping[str, float], BY_NAME]
     span: Positive
     ranges: Mapping[str, Range]
@@ -124,12 +124,6 @@ class SamplingTask:
                 f"ranges: expected one for each input, {', '.join(names)}, found "
                 f"{', '.join(self.ranges) or 'none'}; correct them"
             )
-        for name, limits in self.ranges.items():
-            low, high = range_of(name, limits)
-            if not low <= high:
-                raise ModelError(
-                    f"ranges: {name}: expected an ascending range, found {low}, {high}; correct it"
-                )
         self.model.start(**self.goal)  # names
 
     @cached_property
@@ -169,7 +163,7 @@ class SamplingTask:
     def limits(self) -> tuple[Array, Array]:
         """Smallest and largest inputs, shape (n_u, 1)."""
         names = [label.full for label in leaves(self.model.labels.u)]
-        pairs = [range_of(name, self.ranges[name]) for name in names]
+        pairs = [range_of(self.ranges[name]) for name in names]
         low, high = np.array(pairs, dtype=float).T[..., None]
         return low, high
 

@@ -21,7 +21,7 @@ from annotated_types import Ge, Gt, Le, Unit, doc
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
-from slipfree.core.schema import Length
+from slipfree.core.schema import Finite, Length
 from slipfree.terrain.base import Terrain
 
 Point = tuple[float, float]
@@ -226,6 +226,7 @@ class Profile:
         return tuple(found)
 
 
+@checked
 @dataclass(frozen=True)
 class Prism:
     """A convex polygon in a vertical plane, extruded horizontally to both sides.
@@ -248,23 +249,11 @@ class Prism:
     """
 
     section: Solid
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
-    heading: float = 0.0
-    half_width: float = math.inf
-
-    def __post_init__(self) -> None:
-        for name in ("x", "y", "z", "heading"):
-            if not math.isfinite(getattr(self, name)):
-                raise ModelError(
-                    f"prism: expected a finite number for {name!r}, found {getattr(self, name)}; "
-                    "correct it"
-                )
-        if not self.half_width > 0:
-            raise ModelError(
-                f"prism: expected a positive half-width, found {self.half_width} m; increase it"
-            )
+    x: Finite = 0.0
+    y: Finite = 0.0
+    z: Finite = 0.0
+    heading: Finite = 0.0
+    half_width: Annotated[float, Gt(0)] = math.inf
 
     @property
     def axes(self) -> Array:
