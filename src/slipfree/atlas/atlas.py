@@ -39,6 +39,7 @@ from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, Mask, leaves
 from slipfree.core.schema import Count
+from slipfree.core.trajectory import Drawable
 from slipfree.terrain.base import Terrain
 
 TOLERANCE = 1e-3  # largest width of the bounds of the least friction coefficient
@@ -82,7 +83,7 @@ class Band(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Atlas:
+class Atlas(Drawable):
     """Poses of a vehicle at the nodes of a map, for several headings.
 
     Attributes
@@ -95,6 +96,8 @@ class Atlas:
         Quantities by name; NaN where the vehicle does not stand.
     reasons : tuple of str
         Meanings of the values of the band ``reason``.
+    ground : Terrain or None
+        The ground, for `plot`.
     """
 
     x: Array
@@ -102,6 +105,7 @@ class Atlas:
     heading: Array
     bands: Mapping[str, Band]
     reasons: tuple[str, ...]
+    ground: Any = None
 
     def __getitem__(self, name: str) -> Array:
         """Return the values of a band, shape (n_headings, n_x, n_y)."""
@@ -312,7 +316,7 @@ def atlas(
         if progress is not None:
             progress((k + 1) / len(tiles))
     bands = {name: Band(label, values[name]) for name, label in labels.items()}
-    return Atlas(x, y, heading, bands, evaluator.reasons)
+    return Atlas(x, y, heading, bands, evaluator.reasons, terrain)
 
 
 def tiles_of(n_x: int, n_y: int) -> Iterator[tuple[slice, slice]]:

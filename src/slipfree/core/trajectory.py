@@ -17,6 +17,7 @@ from slipfree.core.records import Array, Label, field_overview, overview
 if TYPE_CHECKING:
     import pandas
     import xarray
+    from matplotlib.figure import Figure
 
 TIME = {"units": "s", "long_name": "time", "standard_name": "time", "axis": "T"}
 WHEELS = {"long_name": "name of the wheel"}
@@ -95,8 +96,37 @@ class Column(NamedTuple):
         return {"units": self.label.unit, "long_name": self.label.words}
 
 
+class Drawable:
+    """A result that is drawn over its ground."""
+
+    ground: Any
+
+    def plot(self, name: str | None = None) -> Figure:
+        """Draw the result over its ground.
+
+        Parameters
+        ----------
+        name : str, optional
+            Name of the figure, as in `slipfree.plot`, such as ``"slip"``; by default the first one.
+
+        Returns
+        -------
+        Figure
+            A figure of Matplotlib, which notebooks show.
+
+        Raises
+        ------
+        ModelError
+            If there is no figure of this name, or the ground is unknown, as in a result from a
+            file: use `slipfree.plot` then.
+        """
+        import slipfree  # its public function: figures are above this package
+
+        return slipfree.plot(self, self.ground, name)  # type: ignore[arg-type]
+
+
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Drawable):
     """Samples of a motion, by name of the quantity.
 
     ``run["heading"]`` is an array over time, shape (n,). ``run["slip_along"]`` has one column per
@@ -121,6 +151,8 @@ class Trajectory:
         Descriptions of the motion, such as its problem file and versions, by name.
     events : mapping of str to ndarray
         Times of the events passed to `simulate`, by name; result files do not contain them. [s]
+    ground : Terrain, Solids or None
+        Ground of the motion, for `plot`; None for motions from files and other processes.
 
     Examples
     --------
@@ -142,6 +174,11 @@ class Trajectory:
     attributes: Mapping[str, str] = field(default_factory=dict)
     facts: Mapping[str, Fact] = field(default_factory=dict)
     events: Mapping[str, Array] = field(default_factory=dict)
+    ground: Any = field(default=None, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields for pickling, without the ground: a formula may not be pickled."""
+        return self.__dict__ | {"ground": None}
 
     def __repr__(self) -> str:
         span = f" from {self.t[0]:.6g} to {self.t[-1]:.6g} s" if self.t.size else ""

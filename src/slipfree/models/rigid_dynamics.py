@@ -385,7 +385,7 @@ def dynamic_guess(model: Dae, vehicle: Vehicle, start: Trajectory, run: Trajecto
         count = len(run.wheels)
         column = columns.setdefault(label.name, Column(label, np.zeros((t.size, count))))
         column.values[:, run.wheels.index(label.wheel)] = values
-    return Trajectory(t, columns, run.wheels)
+    return Trajectory(t, columns, run.wheels, ground=run.ground)
 
 
 def _resampled(values: Array, t: Array, at: Array) -> Array:

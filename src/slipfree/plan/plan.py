@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from slipfree.core.dae import Dae
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Record, leaves, overview
 from slipfree.core.schema import NonNegative, Positive
-from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Stop, Trajectory, path_length
+from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Drawable, Stop, Trajectory, path_length
 from slipfree.plan.explanation import explanation
 from slipfree.plan.guess import initial_guess
 from slipfree.plan.ipopt import STOPPED_STATUS, NlpSolution
@@ -67,7 +68,7 @@ INTERVAL_SIZES = 2.0  # largest length of a default interval, in sizes of the ve
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(Drawable):
     """A plan and its verification by simulation.
 
     Attributes
@@ -133,6 +134,11 @@ class Plan:
             violations=(f"{name} {size:.1e}" for name, size in self.violation.items() if size),
             inputs=(label.full for label in leaves(self.program.task.dae.labels.u)),
         )
+
+    @property
+    def ground(self) -> Any:
+        """Ground of the plan."""
+        return self.program.task.dae.ground
 
     @property
     def compiled(self) -> bool:

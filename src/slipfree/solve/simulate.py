@@ -272,7 +272,7 @@ def _unfilled(chunk: Trajectory, t: Array) -> Trajectory:
         name: Column(label, np.empty((t.size, *values.shape[1:])))
         for name, (label, values) in chunk.columns.items()
     }
-    return Trajectory(t, columns, chunk.wheels)
+    return Trajectory(t, columns, chunk.wheels, ground=chunk.ground)
 
 
 def _cut_at_crossing(

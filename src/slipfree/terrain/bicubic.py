@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -111,12 +111,7 @@ class Bicubic:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields for pickling; an unpickled copy computes the coefficients again."""
-        return {
-            "grid": self.grid,
-            "center": self.center,
-            "mu": self.mu,
-            "through": self.through,
-        }
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @cached_property
     def origin(self) -> tuple[float, float, float]:
