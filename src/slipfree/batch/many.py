@@ -12,6 +12,8 @@ from slipfree.batch.graph import Graphs
 from slipfree.batch.motion import (
     COMPLETE,
     INVALID_START,
+    MAX_STEPS,
+    TOO_FAST,
     UNSOLVED,
     clearances,
     integrate_lanes,
@@ -371,6 +373,12 @@ def _run(
         reasons[k] = (
             "start: expected a sample within the limits of the model, found a violation: "
             f"{words}; choose another start or other inputs"
+        )
+    for k in np.flatnonzero(found & (motions.reason == TOO_FAST)):
+        outcomes[k] = Outcome.SOLVER_FAILURE.name.lower()
+        reasons[k] = (
+            f"expected a motion of at most {MAX_STEPS} steps of {step:.3g} m between two samples, "
+            "found a faster one; correct the inputs, or give more times"
         )
     for k in np.flatnonzero(motions.reason >= 0):
         outcomes[k], reasons[k] = _end(graphs, int(motions.reason[k]), motions.beyond[:, k])

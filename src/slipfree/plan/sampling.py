@@ -51,7 +51,7 @@ BISECTIONS = 60  # of the temperature
 STEP = 0.75  # longest step [size of the vehicle]
 CHECKED_POINTS = 4  # of an interval, for keep-out regions
 LEAST_WEIGHT = 1e-4  # of a candidate that is certified
-IN_REGION = -5  # reason of an end, beside those of the batch
+IN_REGION = -6  # reason of an end, beside those of the batch
 
 
 class _ForcedCost(NamedTuple):

@@ -104,7 +104,9 @@ class Bicubic:
 
     def __repr__(self) -> str:
         friction = "from a map" if isinstance(self.mu, Grid) else self.mu
-        return f"{self.grid!r}".replace("Grid", "Bicubic", 1) + f"\n  friction: {friction}"
+        return (
+            f"{self.grid!r}".replace("Grid", type(self).__name__, 1) + f"\n  friction: {friction}"
+        )
 
     def __post_init__(self) -> None:
         check_friction(self.mu)

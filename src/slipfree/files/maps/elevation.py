@@ -62,7 +62,7 @@ class Frame(NamedTuple):
     ky: float = 1.0
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Map(Bicubic):
     """A ground from a height map in metres, and facts about its file.
 
