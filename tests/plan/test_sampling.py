@@ -224,7 +224,7 @@ def test_inputs_are_shifted_by_the_time_since_the_last_cycle(task):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"span": 0.0}, "span: expected a positive number"),
+        ({"span": 0.0}, "span: expected a number > 0"),
         ({"candidates": 0}, "candidates: expected a number >= 1, found 0"),
         ({"candidates": "9"}, "candidates: expected an integer, found str '9'"),
         ({"ranges": {"right_rate": (0, 1)}}, "ranges: expected one for each input"),

@@ -24,10 +24,10 @@ from slipfree.batch.motion import (
 )
 from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, require
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Indices, Label, Mask, leaves
-from slipfree.core.trajectory import WHEELS, Column, Trajectory, require
+from slipfree.core.trajectory import WHEELS, Column, Trajectory
 
 if TYPE_CHECKING:
     import xarray
@@ -123,6 +123,7 @@ def settle_many(
     >>> print(f"roll from {poses['roll'].values.min():.3f} to {poses['roll'].values.max():.3f} rad")
     roll from -0.070 to 0.069 rad
     """
+    require("xarray")
     evaluate = evaluator_of(model, compiled=compiled)
     graphs = evaluate.graphs
     names = [label.full for label in leaves((model.labels.x, model.labels.z[0]))]

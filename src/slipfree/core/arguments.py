@@ -56,8 +56,8 @@ REMEDIES = {  # by expected value
     "Dae": "build a model, for example with direct_kinematics",
     "Trajectory": "give the result of settle(model) or simulate",
     "Vehicle": "choose one of slipfree.catalog, or read_vehicle(path)",
-    "Terrain": "make one of a map, Bicubic(read_map(path).grid), or of a formula, Analytic",
-    "Bicubic": "make one from a map: Bicubic(read_map(path).grid)",
+    "Terrain": "read_map(path), or make one: Bicubic(grid), Analytic(formula); solids: dynamics",
+    "Bicubic": "make one from a map: read_map(path), or Bicubic(grid)",
     "Grid": "pass the grid of a map, read_map(path).grid, or Grid(x, y, z) of arrays",
     "Path": "make one of points: Path(np.array([[0.0, 0.0], [1.0, 2.0]]))",
     "Mesh": "give a record, as in Mesh(intervals=20)",
@@ -109,7 +109,7 @@ def checked(target: F) -> F:
     """
     new: Any = target
     if isinstance(target, type):
-        new.__init__ = _checked_call(new.__init__, target.__name__, target)
+        new.__init__ = _checked_call(new.__init__, target.__name__.lstrip("_"), target)
     else:
         new = _checked_call(target, target.__name__)
     return new  # type: ignore[no-any-return]
@@ -147,11 +147,11 @@ def _checked_call(
             except _Wrong as wrong:
                 who = f"{name.lower()} {given['name']!r}" if owner and "name" in given else name
                 default = signature.parameters[parameter].default
-                usual = f"the default is {default}" if isinstance(default, Real) else "correct it"
+                usual = isinstance(default, int | float) and f"the default is {default:g}"
                 remedy = _exchange(parameter, given, hints()) or wrong.remedy or usual
                 raise ModelError(
                     f"{who}: {wrong.place}: expected {wrong.expected}, found {wrong.found}; "
-                    f"{remedy}"
+                    f"{remedy or 'correct it'}"
                 ) from None
         if is_outer:
             _check_model(name, given)
@@ -211,7 +211,7 @@ def _converted(hint: Any, value: Any, place: str, context: _Context) -> Any:
     kind, parts = get_origin(hint) or hint, get_args(hint)
     if kind is Annotated:
         value = _converted(parts[0], value, place, context)
-        for note in parts[1:]:
+        for note in sorted(parts[1:], key=lambda each: not isinstance(each, Unit)):
             _check_note(note, value, place, context)
         return value
     if kind in (Union, UnionType):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from importlib import import_module
+from typing import Any
 
 
 class SlipfreeError(Exception):
@@ -34,3 +36,14 @@ def missing_package(package: str, extra: str) -> str:
         f"expected the package {package!r}, found that it is not installed; install it from the "
         f"source folder of slipfree: python -m pip install '.[{extra}]'"
     )
+
+
+def require(package: str, extra: str = "xarray", place: str = "") -> Any:
+    """Return an optional package; raise DataError if it is not installed.
+
+    Functions ask for it before they compute. ``place`` begins the message.
+    """
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise DataError(place + missing_package(package.partition(".")[0], extra)) from error

@@ -12,12 +12,12 @@ from dataclasses import MISSING, fields, is_dataclass
 from math import inf
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
-from annotated_types import DocInfo, Ge, Gt, Lt, Unit
+from annotated_types import DocInfo, Ge, Gt, Le, Lt, Unit
 
 Finite = Annotated[float, Gt(-inf), Lt(inf)]
 Positive = Annotated[float, Gt(0), Lt(inf)]
 NonNegative = Annotated[float, Ge(0), Lt(inf)]
-Count = Annotated[int, Ge(1)]
+Count = Annotated[int, Ge(1), Le(1_000_000)]
 Length = Annotated[Positive, Unit("m")]
 Radius = Annotated[NonNegative, Unit("m")]
 Position = Annotated[Finite, Unit("m")]

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from slipfree.core.errors import ModelError, SlipfreeError, missing_package, similar
+from slipfree.core.errors import ModelError, SlipfreeError, require, similar
 from slipfree.core.facts import Fact, Facts, encode
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Label, field_overview, overview
@@ -343,14 +342,6 @@ class Trajectory(Drawable):
             frame.attrs[key] = {name: c.metadata[key] for name, c in self.columns.items()}
         frame.attrs |= self.metadata
         return frame
-
-
-def require(package: str) -> Any:
-    """Return an optional package; raise SlipfreeError if it is not installed."""
-    try:
-        return import_module(package)
-    except ImportError as error:
-        raise SlipfreeError(missing_package(package, "xarray")) from error
 
 
 class SolverError(SlipfreeError, RuntimeError):

@@ -157,7 +157,7 @@ class _Polygon(Region):
     points: tuple[tuple[Finite, Finite], ...]
 
     def __post_init__(self) -> None:
-        points = np.array(self.points)
+        points = np.array(self.points, dtype=float)
         if len(points) < 3:
             raise ModelError(
                 f"polygon: expected at least three points (x, y), found {len(points)}; give one "

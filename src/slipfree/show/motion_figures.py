@@ -313,7 +313,8 @@ def plot(
         plots = atlas_plots(view_of(result, terrain))
     else:
         run = result.replay if isinstance(result, Plan) else result
-        base, prisms = terrain, tuple[Prism, ...]()
+        base: Any = terrain
+        prisms = tuple[Prism, ...]()
         if isinstance(terrain, Solids):
             base, prisms = terrain.base, terrain.prisms
         plots = motion_plots(run, _grid_around(run, base), base, prisms)

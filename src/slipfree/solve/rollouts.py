@@ -18,10 +18,10 @@ from slipfree.batch.graph import graphs_of
 from slipfree.batch.many import run_lanes, start_states, states_of
 from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae, InputValue, PiecewiseLinear
-from slipfree.core.errors import ModelError, SlipfreeError
+from slipfree.core.errors import ModelError, SlipfreeError, require
 from slipfree.core.records import Array, leaves
 from slipfree.core.schema import Count, Positive
-from slipfree.core.trajectory import TIME, WHEELS, Column, SolverError, Trajectory, require
+from slipfree.core.trajectory import TIME, WHEELS, Column, SolverError, Trajectory
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import check_times, simulate
@@ -126,6 +126,7 @@ def rollouts(
     >>> found["outcome"].values.tolist()
     ['complete', 'complete', 'complete']
     """
+    require("xarray")
     t = check_times(t)
     states, values = _check_kinds(model, starts, inputs, processes)
     parameters = {name: np.asarray(each) for name, each in (p or {}).items()}

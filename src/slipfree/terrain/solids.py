@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
@@ -443,15 +443,6 @@ class Solids:
 
     base: Terrain
     prisms: tuple[Prism, ...]
-
-    def __getattr__(self, name: str) -> Any:
-        """Raise ModelError for the attributes of a `Terrain`, which solids do not have."""
-        if name in ("origin", "domain", "has_friction", "height", "jet", "friction"):
-            raise ModelError(
-                "ground: expected a ground given by its height, found solids, which only dynamics "
-                "supports; use slipfree.dynamics, or the base of the solids"
-            )
-        raise AttributeError(name)
 
     def elevation(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """Return the heights of the highest surface at map points, of broadcastable shapes [m]."""
