@@ -19,7 +19,6 @@ from numpy.testing import assert_allclose
 
 from helpers.commands import printed, sets
 from slipfree.core.records import Label
-from slipfree.core.schema import check_bounds
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import read
 from slipfree.laws.least_slip import LeastSlip, Multipliers, stationarity
@@ -41,9 +40,6 @@ class WeightedSlip:
     """Least slip with a weight for the slip across the wheels."""
 
     across: Annotated[float, Gt(0), Unit("1"), doc("weight of squared slip across the wheels")]
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     def check(self, vehicle: Vehicle) -> None:
         """Accept every vehicle."""
@@ -72,9 +68,6 @@ class Viscous:
     """Force against the slip, in proportion to slip and load."""
 
     drag: Annotated[float, Gt(0), Unit("s/m"), doc("force for each newton of load and m/s")] = 100.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:
         """Accept every vehicle and ground."""

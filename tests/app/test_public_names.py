@@ -80,7 +80,7 @@ def test_wrong_arguments_get_a_remedy():
         (lambda: start["heding"], "did you mean 'heading'"),
         (lambda: simulate(model, (0, 0, 0), model.inputs(**rates), t), "start: .*tuple.*settle"),
         (lambda: simulate(model, start, rates, t), "model.inputs"),
-        (lambda: slipfree.rollouts(model, start, np.zeros(3), t), "inputs: expected Mapping"),
+        (lambda: slipfree.rollouts(model, start, np.zeros(3), t), "inputs: expected a mapping"),
         (lambda: slipfree.follow(model, vehicle, [(0, 0)], speed=1.0), "path: expected Path"),
     ):
         with pytest.raises(slipfree.ModelError, match=words):

@@ -389,13 +389,13 @@ FAULTS = {
     "times": Fault(
         _set("call", t=np.array([0.0, 2.0, 1.0])), r"t: expected finite, increasing times"
     ),
-    "wheel size": Fault(_set("build", r1=-0.1), r"r1: expected a finite radius of zero or more"),
+    "wheel size": Fault(_set("build", r1=-0.1), r"r1: expected a number >= 0"),
     "track": Fault(
-        _set("build", half_track=np.nan), r"half_track: expected a finite positive length"
+        _set("build", half_track=np.nan), r"half_track: expected a number, found float nan"
     ),
     "stops": Fault(
         _set("build", tilt_stop=-0.1),
-        r"the lower stop must be below the upper one, found lower = 0.1 and upper = -0.1",
+        r"tilt_stop: expected a number > 0, found -0.1",
     ),
     "spacing": Fault(
         _set("map", shortest=0.1), r"power_law: expected shortest >= .* twice the spacing"
@@ -403,7 +403,7 @@ FAULTS = {
     "no height": Fault(
         _set("map", gap=True), r"all values of z must be finite, .* z\[3, 5\] = nan"
     ),
-    "kappa": Fault(_set("build", kappa=-1.0), r"kappa: expected a finite rate of zero or more"),
+    "kappa": Fault(_set("build", kappa=-1.0), r"kappa: expected a number >= 0, found -1.0"),
 }
 CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
     r"no solution was found at the start: \w+\[\w+\], .* residual of [\d.e+-]+ m": "cannot stand",

@@ -312,10 +312,10 @@ def test_a_plan_drives_around_the_ridge():
 
 def test_invalid_shapes_are_refused():
     for make, words in (
-        (lambda: Box((0.1, 0.0, 0.1)), "three positive edges"),
-        (lambda: Ball(-1.0), "positive, finite number"),
+        (lambda: Box((0.1, 0.0, 0.1)), r"size\[1\]: expected a number > 0, found 0.0"),
+        (lambda: Ball(-1.0), "radius: expected a number > 0, found -1.0"),
         (lambda: Hull(()), "at least one point"),
-        (lambda: Hull(((0.0, 0.0),)), "three finite numbers"),
+        (lambda: Hull(((0.0, 0.0),)), r"points\[0\]: expected 3 numbers"),
     ):
         with pytest.raises(ModelError, match=words):
             make()

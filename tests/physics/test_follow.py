@@ -149,7 +149,7 @@ def test_laws_name_what_they_need():
     vehicle = three_wheeler()
     dae = closure_model(vehicle, FLAT)
     for speed in (0.0, np.inf):
-        with pytest.raises(ModelError, match="a finite speed other than zero"):
+        with pytest.raises(ModelError, match="speed: expected a finite"):
             straight(dae, vehicle, settle(dae), speed=speed)
     trailer = skid_steered()
     wheels = tuple(replace(wheel, driven=False) for wheel in trailer.wheels)
@@ -169,5 +169,5 @@ def test_commands_are_met_on_a_plane():
         speed = np.hypot(np.diff(run["x"]), np.diff(run["y"])) / 0.2
         assert_allclose(speed[25:], 0.5, rtol=0.02)
     for value in (0.0, -1.0, np.inf):
-        with pytest.raises(ModelError, match="speed: expected a positive, finite speed"):
+        with pytest.raises(ModelError, match="speed: expected a"):
             commanded(direct_kinematics(vehicle, FLAT), vehicle, speed=value)

@@ -316,11 +316,11 @@ def test_steering_angle_needs_motion():
     [
         ({"given": ("velocity_x", "velocity_y")}, "expected a list of three different names"),
         ({"given": ("velocity_x", "velocity_y", "velocity_x")}, "give each name once"),
-        ({"given": ("v_x", "v_y")}, r"one or more names from forward, right, yaw_rate, found \('v"),
+        ({"given": ("v_x", "v_y")}, r"one or more names from forward, right, yaw_rate, found .'v"),
         ({"given": ("velocity_x", "velocity_y", "turn")}, "expected three of vel.*, found 'turn'"),
         ({"given": ("velocity_x", "omega_z", "roll_rate")}, "or Euler rates .*, not both"),
-        ({"solve_for": "torques"}, "expected 'rates' or 'angles', found 'torques'"),
-        ({"least_margin": -1.0}, "least_margin: expected zero or a positive"),
+        ({"solve_for": "torques"}, "expected 'rates' or 'angles', found str 'torques'"),
+        ({"least_margin": -1.0}, "least_margin: expected a number >= 0"),
     ],
 )
 def test_choices_are_checked(options, words):

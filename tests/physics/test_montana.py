@@ -260,7 +260,7 @@ def test_what_is_no_montana_model_is_refused():
     words = r"wheel 'right': .* with r1 > 0, found the edge of disc radius 0.3 m"
     with pytest.raises(ModelError, match=words):
         montana_model(three_wheeler(r1=0.0, r2=0.3), ground)
-    with pytest.raises(ModelError, match="kappa: expected a finite rate of zero or more"):
+    with pytest.raises(ModelError, match="kappa: expected a"):
         montana_model(three_wheeler(), ground, kappa=np.nan)
     dae, stand = (
         montana_model(three_wheeler(), ground),

@@ -148,7 +148,7 @@ def test_radii_name_the_torus_or_its_limits():
 
 def test_dimensions_that_are_not_positive_are_refused():
     for value in (0.0, np.nan):
-        with pytest.raises(ModelError, match="torus: r1: expected a finite positive length, found"):
+        with pytest.raises(ModelError, match=r"Torus: r1: expected a (finite )?number"):
             Torus(value, 0.25)
 
 

@@ -289,13 +289,16 @@ def test_a_start_that_touches_a_solid_is_refused():
 )
 def test_models_without_inertia_refuse_solids(model):
     ground = Solids(FLAT, placed(step(0.1), y=2.0))
-    with pytest.raises(ModelError, match="found solids, which only dynamics supports"):
+    with pytest.raises(ModelError, match=r"expected Terrain, found Solids; .*dynamics"):
         model(catalog.three_wheeler(), ground)
 
 
 @pytest.mark.parametrize(
     ("words", "numbers"),
-    [("a finite number for 'heading'", {"heading": np.nan}), ("half-width", {"half_width": 0.0})],
+    [
+        ("heading: expected a number", {"heading": np.nan}),
+        ("half_width: expected a number > 0", {"half_width": 0.0}),
+    ],
 )
 def test_a_prism_of_invalid_numbers_is_refused(words, numbers):
     with pytest.raises(ModelError, match=words):

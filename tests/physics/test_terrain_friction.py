@@ -202,10 +202,10 @@ def test_formulas_are_compared_with_their_friction():
 @pytest.mark.parametrize(
     ("mu", "words"),
     [
-        (0.0, "friction: mu must be positive and finite, found 0.0; for ice"),
-        (math.nan, "friction: mu must be positive and finite, found nan"),
-        (True, "friction: mu must be a number, .* found bool"),
-        ("mu.npz", r"a Grid, found str; pass float\(mu\), or read_map\(path\).grid for a file"),
+        (0.0, "mu: expected a number > 0, found 0.0"),
+        (math.nan, "mu: expected a number or a function or Grid, found float nan"),
+        (True, "mu: expected a number or a function or Grid, found bool True"),
+        ("mu.npz", "mu: expected a number or a function or Grid, found str 'mu.npz'"),
         (lambda x, y: ca.vertcat(x, y), r"friction: .* one coefficient, found shape \(2, 1\)"),
         (lambda x, _y: x + ca.SX.sym("wet"), r"coefficient .*only on x and y, found .*wet"),
     ],

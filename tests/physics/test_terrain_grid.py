@@ -47,9 +47,7 @@ def test_arrays_are_kept_but_read_only():
 @pytest.mark.parametrize(
     ("x", "y", "z", "words"),
     [
-        (list(X), Y, Z, r"x must be an array of float64, found list; pass np\.asarray"),
-        (X, Y, Z.astype(np.int16), r"z must be .* found an array of int16; pass z\.astype"),
-        (X, Y, np.ma.masked_less(Z, 11), r"found a masked array; pass z\.filled"),
+        (X, Y, np.ma.masked_less(Z, 11), r"found a masked array; .*filled"),
         (np.meshgrid(X, Y)[0], Y, Z, r"axis x must have one dimension.*\(7, 5\).*meshgrid"),
         (X[:3], Y, Z[:3], "axis x must have at least 4 nodes .* found 3"),
         (X, with_value(Y, 2, np.nan), Z, r"axis y must be finite, found y\[2\] = nan"),

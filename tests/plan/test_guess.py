@@ -96,24 +96,24 @@ def test_a_model_without_vehicle_needs_a_guess(model):
     [
         (
             {"goal": (1.0, 2.0)},
-            r"goal and limits: expected Limit, found float 1.0; give values by name",
+            r"goal\[0\]: expected Limit, found float 1.0; give values by name",
         ),
-        ({"goal": {"y": "1"}}, r"y: expected a number or a range \(smallest, largest\), found '1'"),
-        ({"costs": ["slip"]}, r"costs: expected Cost, found str 'slip'; give values by name"),
-        ({"costs": {"slip": "1"}}, "costs: expected a weight of at least 0 for 'slip', found '1'"),
-        ({"guess": 1.0}, "guess: expected Trajectory or Sequence, found float"),
+        ({"goal": {"y": "1"}}, r"goal\['y'\]: expected a number or 2 numbers, found str '1'"),
+        ({"costs": ["slip"]}, r"costs\[0\]: expected Cost, found str 'slip'; give weights by name"),
+        ({"costs": {"slip": "1"}}, r"costs\['slip'\]: expected a number, found str '1'"),
+        ({"guess": 1.0}, "guess: expected Trajectory or a sequence of Trajectory, found float"),
         (
             {"mesh": 20},
             r"mesh: expected Mesh, found int 20; give a record, as in Mesh\(intervals=20\)",
         ),
-        ({"duration": "9 s"}, "duration: expected a number or a range"),
+        ({"duration": "9 s"}, "duration: expected a number or 2 numbers, found str '9 s'"),
         (
             {"goal": {"x": 100.0}},
             "x: expected a goal and way-points on the map, which extends from",
         ),
-        ({"smooth": "a"}, "smooth: expected a weight of at least 0, found 'a'"),
-        ({"inputs": [1]}, "bounds of inputs: expected Mapping, found list"),
-        ({"dae": VEHICLE}, "model: expected Dae, found Vehicle; build a model"),
+        ({"smooth": "a"}, "smooth: expected a number, found str 'a'"),
+        ({"inputs": [1]}, "inputs: expected a mapping, found list"),
+        ({"dae": VEHICLE}, "dae: expected Dae, found Vehicle; build a model"),
     ],
 )
 def test_arguments_of_wrong_types_are_refused_with_a_remedy(model, change, words):

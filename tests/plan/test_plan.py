@@ -136,10 +136,13 @@ def test_a_pose_a_way_point_and_a_range_of_durations():
     [
         ({"goal": {"z_": 1.0}}, "found 'z_'; did you mean"),
         ({"costs": {"slop": 1.0}}, "found 'slop'; use one of"),
-        ({"costs": {"slip": -1.0}}, "expected a weight of at least 0 for 'slip', found -1"),
-        ({"cost_limits": {"effort": 0.0}}, "cost_limits: expected a positive, finite limit of 'ef"),
+        ({"costs": {"slip": -1.0}}, "costs.'slip'.: expected a number >= 0, found -1"),
+        ({"cost_limits": {"effort": 0.0}}, "cost_limits.'effort'.: expected a number > 0"),
         ({"duration": 0.0}, "expected a positive, finite duration"),
-        ({"limits": {"steer": (1.0, -1.0)}}, "ascending bounds of 'steer'"),
+        (
+            {"limits": {"steer": (1.0, -1.0)}},
+            "steer.*: expected ascending bounds, found 1.0 to -1.0",
+        ),
         ({"way_points": {1.0: {"x": 0.0}}}, "way_points: expected fractions of the duration above"),
         ({"accelerations": {"x": (0, 1)}}, "inputs: expected one of right_rate, .* found 'x'"),
     ],

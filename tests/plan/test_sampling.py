@@ -224,11 +224,11 @@ def test_inputs_are_shifted_by_the_time_since_the_last_cycle(task):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"span": 0.0}, "span: expected a positive number"),
-        ({"candidates": 0}, "candidates: expected a whole number of at least 1"),
-        ({"candidates": "9"}, "candidates: expected a whole number of at least 1, found '9'"),
+        ({"span": 0.0}, "span: expected a number > 0"),
+        ({"candidates": 0}, "candidates: expected a number >= 1, found 0"),
+        ({"candidates": "9"}, "candidates: expected an integer, found str '9'"),
         ({"ranges": {"right_rate": (0, 1)}}, "ranges: expected one for each input"),
-        ({"ranges": RANGES | {"left_rate": (1, 0)}}, "left_rate: expected an ascending range"),
+        ({"ranges": RANGES | {"left_rate": (1, 0)}}, "left_rate.*: expected ascending bounds"),
         ({"goal": {"speed": 1.0}}, "unknown 'speed'"),
     ],
 )

@@ -319,10 +319,10 @@ def test_starts_from_trajectories_and_formulas_of_the_ground():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"method": "fast"}, "method: expected 'simulate' or 'batch', found 'fast'"),
+        ({"method": "fast"}, "method: expected 'simulate' or 'batch', found str 'fast'"),
         ({"quantities": ["works"]}, "quantities: expected names of states"),
         ({"quantities": ["work"]}, "method='simulate', which also has"),
-        ({"step": -0.1}, "step: expected a positive number"),
+        ({"step": -0.1}, "step: expected a number > 0"),
     ],
 )
 def test_wrong_arguments_are_named(model, arguments, message):

@@ -126,7 +126,7 @@ def test_what_a_method_cannot_do_is_refused():
         simulate(dae, start, given, t, options=SolverOptions(method="cvodes"))
     with pytest.raises(ModelError, match=r"sampled controller, found \d+"):
         simulate_sampled(dae, start, given, t)
-    with pytest.raises(ModelError, match="expected one of idas, cvodes, explicit, found 'rk'"):
+    with pytest.raises(ModelError, match="'cvodes' or 'explicit', found str 'rk'"):
         SolverOptions(method="rk")
     dae = model(lambda _t, _x, u: u)
     slope, idas = (

@@ -99,12 +99,15 @@ def test_trajectories_and_expressions_are_starts_and_inputs(dae):
     [
         ({"starts": {"x": np.zeros((2, 2))}}, r"starts\['x'\]: expected .*found shape \(2, 2\)"),
         ({"starts": {"x": np.zeros(3)}}, r"starts\['x'\]: expected values for 1 run or for 4 runs"),
-        ({"starts": 1.0}, "starts: expected a trajectory, a sequence of trajectories or a mapping"),
+        (
+            {"starts": 1.0},
+            "starts: expected Trajectory or a sequence of Trajectory or a mapping, found float",
+        ),
         ({"inputs": rates(4) | {"steer_rate": np.zeros(3)}}, r"steer_rate.*found shape \(3,\)"),
         ({"inputs": {"right_rate": 0.1}}, "inputs: expected values for .*no value for"),
         ({"p": {"trail": [0.0]}}, "p: expected a function that takes the parameters"),
         ({"processes": 2}, "model: expected a function for 2 processes, found a model"),
-        ({"processes": 0}, "processes: expected a positive integer, found 0"),
+        ({"processes": 0}, "processes: expected a number >= 1, found 0"),
         ({"quantities": ["speed"]}, "expected a quantity of the trajectory, found 'speed'"),
         (
             {"model": lambda: None, "processes": 2},

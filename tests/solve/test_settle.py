@@ -59,7 +59,7 @@ PIT = Analytic(lambda x, y: -0.4 * ca.exp(-((x - 1) ** 2 + (y + 0.5) ** 2) / 0.0
     [
         ({"azimuth": 0.1}, "start: expected values only for 'x', 'y', .*, found the unknown 'azim"),
         ({"guess": {"height": 1.0}}, "guess: expected names of unknowns of the model, z, roll"),
-        ({"x": np.nan}, "start: expected a finite number for 'x'"),
+        ({"x": np.nan}, "x: expected a number, found float nan"),
         ({"tilt_left": 0.3}, r"tilt_left .* reaches its stop: 0.3, allowed -0.2 to 0.2 rad"),
         ({"x": 4.5}, r"wheel right leaves the map.*-0\.49\d*, allowed at least 0 m"),
     ],

@@ -6,10 +6,11 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from annotated_types import Unit
 
 from slipfree.atlas.friction import (
     FrictionGraphs,
@@ -33,9 +34,12 @@ from slipfree.batch.many import (
 )
 from slipfree.batch.motion import COMPLETE, relax
 from slipfree.contact.clearance import CLEARANCE
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, Mask, leaves
+from slipfree.core.schema import Count
+from slipfree.core.trajectory import Drawable
 from slipfree.terrain.base import Terrain
 
 TOLERANCE = 1e-3  # largest width of the bounds of the least friction coefficient
@@ -79,7 +83,7 @@ class Band(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Atlas:
+class Atlas(Drawable):
     """Poses of a vehicle at the nodes of a map, for several headings.
 
     Attributes
@@ -92,6 +96,8 @@ class Atlas:
         Quantities by name; NaN where the vehicle does not stand.
     reasons : tuple of str
         Meanings of the values of the band ``reason``.
+    ground : Terrain or None
+        The ground, for `plot`.
     """
 
     x: Array
@@ -99,6 +105,7 @@ class Atlas:
     heading: Array
     bands: Mapping[str, Band]
     reasons: tuple[str, ...]
+    ground: Any = None
 
     def __getitem__(self, name: str) -> Array:
         """Return the values of a band, shape (n_headings, n_x, n_y)."""
@@ -211,11 +218,12 @@ class PoseEvaluator(NamedTuple):
         return self.quantities is None or name in self.quantities
 
 
+@checked
 def atlas(
     model: Dae,
     terrain: Terrain,
     *,
-    headings: int | Sequence[float] = HEADINGS,
+    headings: Count | Annotated[Sequence[float], Unit("rad")] = HEADINGS,
     x: Array | None = None,
     y: Array | None = None,
     error: float | None = None,
@@ -308,7 +316,7 @@ def atlas(
         if progress is not None:
             progress((k + 1) / len(tiles))
     bands = {name: Band(label, values[name]) for name, label in labels.items()}
-    return Atlas(x, y, heading, bands, evaluator.reasons)
+    return Atlas(x, y, heading, bands, evaluator.reasons, terrain)
 
 
 def tiles_of(n_x: int, n_y: int) -> Iterator[tuple[slice, slice]]:

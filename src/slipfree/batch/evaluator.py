@@ -27,7 +27,7 @@ FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off", "-fno-math-errno")
 LANES = (("__AVX512F__", 8), ("__AVX__", 4))  # doubles in a register, by macro of the compiler
 PORTABLE_LANES = 2  # on other machines
 PROBE_TIMEOUT = 20.0  # [s]
-MAX_CALL = 200_000  # steps of all lanes in a call of compiled code, which takes less than a second
+BLOCK = 64  # lanes of a call of compiled steps, of less than a second; divisible by all of LANES
 BINARY = {
     ca.OP_ADD: "+",
     ca.OP_SUB: "-",
@@ -219,20 +219,13 @@ class _Compiled(Generic[G]):
         if self._steps is None:
             return None
         n = states.shape[1]
-        # signals are served between calls
-        ends = 1 + np.flatnonzero(np.diff(np.cumsum(count) // MAX_CALL))
-        if len(parts := np.split(np.arange(n), ends)) > 1:
-            results = [
-                self.advance(states[:, k], rates[:, k], h[k], count[k], bounds) for k in parts
-            ]
-            moved, solved = zip(*results, strict=True)
-            return np.concatenate(moved, axis=1), np.concatenate(solved)
         states, rates, h, counts = (
             np.ascontiguousarray(each, dtype=float) for each in (states, rates, h, count)
         )
         results = np.empty((len(states) + 1, n))
-        self._steps.advance(
-            ctypes.c_long(n),
+        self._in_blocks(
+            self._steps.advance,
+            n,
             ctypes.c_void_p(states.ctypes.data),
             ctypes.c_long(states.strides[0] // 8),
             ctypes.c_void_p(rates.ctypes.data),
@@ -240,8 +233,6 @@ class _Compiled(Generic[G]):
             ctypes.c_void_p(counts.ctypes.data),
             *(ctypes.c_double(each) for each in bounds),
             ctypes.c_void_p(results.ctypes.data),
-            ctypes.c_void_p(self._constants.ctypes.data),
-            self._cells,
         )
         return results[:-1], results[-1] > 0
 
@@ -263,8 +254,9 @@ class _Compiled(Generic[G]):
             np.ascontiguousarray(each, dtype=float) for each in (states, inputs, t)
         )
         ends = np.empty((2, states.shape[1]))
-        self._steps.drive(
-            ctypes.c_long(states.shape[1]),
+        self._in_blocks(
+            self._steps.drive,
+            states.shape[1],
             ctypes.c_void_p(states.ctypes.data),
             ctypes.c_void_p(inputs.ctypes.data),
             ctypes.c_long(t.size),
@@ -272,10 +264,15 @@ class _Compiled(Generic[G]):
             *(ctypes.c_double(each) for each in numbers),
             ctypes.c_void_p(samples.ctypes.data),
             ctypes.c_void_p(ends.ctypes.data),
-            ctypes.c_void_p(self._constants.ctypes.data),
-            self._cells,
         )
         return ends
+
+    def _in_blocks(self, function: Any, n: int, *arguments: Any) -> None:
+        """Call a compiled function for blocks of lanes; signals are served between the calls."""
+        constants = ctypes.c_void_p(self._constants.ctypes.data)
+        for begin in range(0, n, BLOCK):
+            lanes = (ctypes.c_long(each) for each in (begin, min(begin + BLOCK, n), n))
+            function(*lanes, *arguments, constants, self._cells)
 
 
 class _Cells(ctypes.Structure):

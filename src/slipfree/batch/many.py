@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from slipfree.batch.graph import Graphs
 from slipfree.batch.motion import (
     COMPLETE,
     INVALID_START,
+    MAX_STEPS,
+    TOO_FAST,
     UNSOLVED,
     clearances,
     integrate_lanes,
@@ -20,11 +22,12 @@ from slipfree.batch.motion import (
     smallest,
     solve_forces,
 )
+from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, require
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Indices, Label, Mask, leaves
-from slipfree.core.trajectory import WHEELS, Column, Trajectory, require
+from slipfree.core.trajectory import WHEELS, Column, Trajectory
 
 if TYPE_CHECKING:
     import xarray
@@ -69,12 +72,13 @@ class Source(NamedTuple):
     wheels: tuple[str, ...]
 
 
+@checked
 def settle_many(
     model: Dae,
     *,
     quantities: Sequence[str] | None = None,
     compiled: bool = True,
-    **start: float | Array,
+    **start: Annotated[float | Array, BY_NAME],
 ) -> xarray.Dataset:
     """Return the vehicle at rest at many positions.
 
@@ -119,6 +123,7 @@ def settle_many(
     >>> print(f"roll from {poses['roll'].values.min():.3f} to {poses['roll'].values.max():.3f} rad")
     roll from -0.070 to 0.069 rad
     """
+    require("xarray")
     evaluate = evaluator_of(model, compiled=compiled)
     graphs = evaluate.graphs
     names = [label.full for label in leaves((model.labels.x, model.labels.z[0]))]
@@ -308,14 +313,12 @@ def run_lanes(
     The states (n_rows, n) at the start are those of `start_states` or, if ``placed``, have
     consistent positions; the inputs have the shape (n_u, m - 1, n). The largest length of a step is
     by default half the size of the vehicle [m]. ``quantities`` are the names of those to keep, by
-    default all. ModelError is raised for a step that is not positive and for unknown quantities.
+    default all. ModelError is raised for unknown quantities.
     """
     sources = sources_of(evaluate.graphs, quantities)
     dae = evaluate.graphs.dae
     if step is None:
         step = dae.size * (STEP if dae.lag is None else RELAXING_STEP)
-    if not step > 0:
-        raise ModelError(f"step: expected a positive number of metres, found {step}; correct it")
     size = min(CHUNK, max(8, LARGEST // (len(states) * t.size)))
     parts = [
         _run(
@@ -371,6 +374,12 @@ def _run(
         reasons[k] = (
             "start: expected a sample within the limits of the model, found a violation: "
             f"{words}; choose another start or other inputs"
+        )
+    for k in np.flatnonzero(found & (motions.reason == TOO_FAST)):
+        outcomes[k] = Outcome.SOLVER_FAILURE.name.lower()
+        reasons[k] = (
+            f"expected a motion of at most {MAX_STEPS} steps of {step:.3g} m between two samples, "
+            "found a faster one; correct the inputs, or give more times"
         )
     for k in np.flatnonzero(motions.reason >= 0):
         outcomes[k], reasons[k] = _end(graphs, int(motions.reason[k]), motions.beyond[:, k])

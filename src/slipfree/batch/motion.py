@@ -31,7 +31,7 @@ FIRST_STEP, LEAST_STEP, MAX_RELAXATIONS = 0.005, 1e-3, 300  # of the relaxation 
 STEP_GROWTH, STEP_LOSS, GROWING = 1.4, 0.5, 0.02  # after steps below and above GROWING [size]
 MAX_RELAXATION = 0.1  # longest step of the relaxation [size]
 AT_REST = 1e-11  # last step of the relaxation, of more than a second [size]
-MAX_STEPS = 10_000  # in an interval, as many as an integrator takes between two samples
+MAX_STEPS = 20_000  # in an interval; faster lanes end there
 MAX_CANDIDATE_STEPS = 64  # in an interval of a candidate, at the first of several attempts
 CANDIDATE_TRIES, CANDIDATE_REFINEMENT = 5, 2
 MAX_BISECTIONS = 90
@@ -44,7 +44,7 @@ POSITION_CHANGE = 1e-6  # change that needs another step: the error is its squar
 FORCE_STEPS = 4  # Newton steps of the forces at a start, and repeated ones of a sample
 FORCE_CHANGE = 1e-12  # last one at a start [sum of the forces]
 RATES, CHANGE, ERROR, FORCES, DOUBT, DISTANCES = 2, 3, 4, 6, 7, 8  # parts of the graph "checked"
-COMPLETE, UNSOLVED, INVALID_START, LOST = -1, -2, -3, -4  # ends without a limit
+COMPLETE, UNSOLVED, INVALID_START, LOST, TOO_FAST = -1, -2, -3, -4, -5  # ends without a limit
 
 
 class Motions(NamedTuple):
@@ -54,7 +54,8 @@ class Motions(NamedTuple):
     samples: Array
     end: Array  # time of the end, shape (n,) [s]
     # index of the limit or, after the limits, of the check that ended the lane; `COMPLETE`, or
-    # `UNSOLVED` if corrections of the positions stay too large in short steps, shape (n,)
+    # `UNSOLVED` if corrections of the positions stay too large in short steps, or `TOO_FAST`;
+    # one for each of the n lanes
     reason: Array
     # states just beyond the limit; the states at the end for other lanes, shape (n_rows, n)
     beyond: Array
@@ -88,6 +89,7 @@ def integrate_lanes(
                 break
             chosen = states[:, again], inputs[..., again]
             finer = _integrate(evaluate, *chosen, t, step / REFINEMENT**k, certify=certify)
+            finer.reason[finer.reason == TOO_FAST] = LOST  # only for such short steps
             for values, new in zip(motions, finer, strict=True):
                 values[..., again] = new
     motions.reason[motions.reason == LOST] = UNSOLVED
@@ -277,14 +279,16 @@ class _Run:
             if not lanes.size:
                 break
             span = self.t[k + 1] - now
-            if limited:
-                least = speed * span / self.step
-                slow = least <= MAX_STEPS  # not for NaN
-                self._leave_unsolved(_of(~slow, lanes), _of(~slow, states))
-                lanes, states, rates, least = (_of(slow, v) for v in (lanes, states, rates, least))
+            needed = speed * span / self.step
+            if limited and (fast := ~(needed <= MAX_STEPS)).any():
+                self.reason[lanes[fast]] = TOO_FAST
+                self._close(_of(fast, lanes), _of(fast, states), _of(fast, states))
+                lanes, states, rates, needed = (
+                    _of(~fast, each) for each in (lanes, states, rates, needed)
+                )
                 if not lanes.size:
                     break
-            number = _numbers(least) if counts is None else counts[k, lanes]
+            number = _numbers(needed) if counts is None else counts[k, lanes]
             if np.ptp(number):  # lanes of a vector take as many steps as the slowest one
                 order = np.argsort(number, kind="stable")
                 lanes, number, states, rates = (
@@ -533,7 +537,7 @@ def _numbers(least: Array) -> Indices:
 
     Few different numbers occur then, and lanes with the same one are computed together.
     """
-    power = 2.0 ** np.ceil(np.log2(np.clip(np.ceil(least - 1e-9), 1, MAX_STEPS)))
+    power = 2.0 ** np.ceil(np.log2(np.maximum(np.ceil(least - 1e-9), 1)))
     power *= np.where((least <= 0.75 * power) & (power > 2), 0.75, 1.0)
     return np.asarray(power, dtype=int)
 

@@ -3,7 +3,7 @@
  * The macros are rows of the states and of the results of the graph "motion".
  *
  * `rates` are the derivatives at the states. After `counts` steps of length `h`, the positions are
- * predicted, not yet corrected. The last row of `out` is 1 for lanes whose corrections stayed small.
+ * predicted, not yet corrected. Lanes `from` to `to` of n are computed. The last row of `out` is 1 for lanes whose corrections stayed small.
  */
 static void moved(vd *s, const vd *start, const vd *k, vd h) {
   for (int i = 0; i < MOVING; i++) s[i] = start[i] + h * k[i];
@@ -64,10 +64,10 @@ static vl stepped(vd *s, const vd *a, const vd *k1, vd h, vd *r, double most, do
 }
 #endif
 
-void advance(long n, const double *in, long stride, const double *rates, const double *lengths,
+void advance(long from, long to, long n, const double *in, long stride, const double *rates, const double *lengths,
              const double *counts, double most, double worst, double *out, const double *K, const Cells *cells) {
   vd a[ROWS], s[ROWS], r[RESULTS], k1[MOVING];
-  for (long g = 0; g < n; g += LANES) {
+  for (long g = from; g < to; g += LANES) {
     vd h = load(lengths + g, n - g);
     vl good = ~(vl)SPLAT(0.0);
     for (int i = 0; i < ROWS; i++) a[i] = load(in + i * stride + g, n - g);
@@ -133,12 +133,12 @@ static vl inside(vl lanes, vl solved, const vd *r, vd time, double rounding, End
  *
  * An interval in which a lane is not solved begins once more in shorter steps.
  */
-void drive(long n, const double *in, const double *inputs, long m, const double *t, double length,
+void drive(long from, long to, long n, const double *in, const double *inputs, long m, const double *t, double length,
            double longest, double most, double worst, double rounding, double repeats, double tries,
            double finer, double *samples, double *out, const double *K, const Cells *cells) {
   vd a[ROWS], b[ROWS], s[ROWS], r[CHECKED_RESULTS], rates[MOVING], first[MOVING], k1[MOVING];
   vd nothing = SPLAT(0.0) / SPLAT(0.0), speed = SPLAT(0.0);
-  for (long g = 0; g < n; g += LANES) {
+  for (long g = from; g < to; g += LANES) {
     vl every = ~(vl)SPLAT(0.0), alive = every;
     Ends ends = {splat(t[m - 1]), SPLAT(-1.0)};
     for (int i = 0; i < ROWS; i++) b[i] = load(in + i * n + g, n - g);

@@ -6,11 +6,12 @@ The platform's axes are x right, y forward, z up. Masses are rounded values; wit
 
 from __future__ import annotations
 
-from math import inf, pi
+from math import pi
 from typing import Annotated
 
 from annotated_types import Unit
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.schema import Angle, Factor, Length, Mass, Position, Radius
 from slipfree.geometry.frame import Vector
@@ -22,6 +23,7 @@ SIDES = {"right": 1.0, "left": -1.0}
 AXLE_NAMES = {2: ("front", "rear"), 3: ("front", "middle", "rear")}
 
 
+@checked
 def differential_drive(
     *,
     half_track: Length = 0.25,
@@ -59,7 +61,6 @@ def differential_drive(
     ModelError
         If ``half_track`` or ``caster_ahead`` is not positive, or another number is out of range.
     """
-    _positive("differential_drive", half_track=half_track, caster_ahead=caster_ahead)
     section, drop = section_of_radii(r1, r2), -(r1 + r2) * (1 - caster_scale)
     caster = Wheel(
         "caster",
@@ -79,6 +80,7 @@ def differential_drive(
     )
 
 
+@checked
 def ackermann(
     *,
     half_track: Length = 0.3,
@@ -116,7 +118,6 @@ def ackermann(
     ModelError
         If ``half_track`` or ``wheelbase`` is not positive, or another number is out of range.
     """
-    _positive("ackermann", half_track=half_track, wheelbase=wheelbase)
     turned = "atan2({0}*tan(steer), {0} {2} {1}*tan(steer))"
     knuckles = tuple(
         Joint(
@@ -161,6 +162,7 @@ def ackermann(
     )
 
 
+@checked
 def skid_steer(
     *,
     half_track: Length = 0.3,
@@ -192,7 +194,6 @@ def skid_steer(
     ModelError
         If ``half_track`` or ``wheelbase`` is not positive, or another number is out of range.
     """
-    _positive("skid_steer", half_track=half_track, wheelbase=wheelbase)
     wheels = tuple(
         Wheel(
             f"{end}_{side}",
@@ -218,6 +219,7 @@ def skid_steer(
     )
 
 
+@checked
 def rigid_skid_steer(
     *,
     axles: int = 2,
@@ -256,7 +258,6 @@ def rigid_skid_steer(
     ModelError
         If the number of axles is not 2 or 3, or another number is out of range.
     """
-    _positive("rigid_skid_steer", half_track=half_track, wheelbase=wheelbase)
     if axles not in AXLE_NAMES:
         raise ModelError(f"rigid_skid_steer: expected axles = 2 or 3, found {axles}; use 2 or 3")
     names, section = AXLE_NAMES[axles], section_of_radii(r1, r2)
@@ -276,6 +277,7 @@ def rigid_skid_steer(
     return Vehicle("rigid_skid_steer", (), (), tuple(wheels), Body(mass, center_of_mass))
 
 
+@checked
 def mecanum(
     *,
     half_track: Length = 0.15,
@@ -321,7 +323,6 @@ def mecanum(
     .. [1] Configuration of the youBot's driver, youbot/youbot_driver, ``config/youbot-base.cfg``.
     .. [2] a2s-institute/youbot_description, ``urdf/youbot_base/base.urdf.xacro``.
     """
-    _positive("mecanum", half_track=half_track, wheelbase=wheelbase)
     wheels = tuple(
         Wheel(
             f"{end}_{side}",
@@ -347,6 +348,7 @@ def mecanum(
     )
 
 
+@checked
 def articulated(
     *,
     half_track: Length = 0.35,
@@ -386,7 +388,6 @@ def articulated(
     ModelError
         If ``half_track``, ``front`` or ``rear`` is not positive, or another number is out of range.
     """
-    _positive("articulated", half_track=half_track, front=front, rear=rear)
     section, (x, y, z) = section_of_radii(r1, r2), center_of_mass
     return Vehicle(
         "articulated",
@@ -431,11 +432,3 @@ def _pair(
         )
         for side, sign in SIDES.items()
     )
-
-
-def _positive(name: str, **lengths: float) -> None:
-    for key, length in lengths.items():
-        if not 0 < length < inf:
-            raise ModelError(
-                f"{name}: {key}: expected a finite positive length, found {length} m; change it"
-            )

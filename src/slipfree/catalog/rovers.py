@@ -11,7 +11,7 @@ from math import cos, radians, sin
 from typing import Literal, NamedTuple
 
 from slipfree.catalog.carts import SIDES
-from slipfree.core.errors import ModelError
+from slipfree.core.arguments import checked
 from slipfree.core.schema import Factor, Mass, Radius
 from slipfree.geometry.frame import Vector
 from slipfree.vehicle.sections import section_of_radii
@@ -103,6 +103,7 @@ def rocker_bogie(
     return Vehicle(name, tuple(coordinates), tuple(joints), tuple(wheels), body)
 
 
+@checked
 def rocky7(
     *,
     steered: Literal["front", "corners"] = "front",
@@ -145,10 +146,6 @@ def rocky7(
     .. [3] N. Seegmiller, github.com/nealseegmiller/wmrde, ``MATLAB/demo/model/rocky.m`` (Lb, Wb,
            Hb).
     """
-    if steered not in ("front", "corners"):
-        raise ModelError(
-            f"rocky7: steered: expected 'front' or 'corners', found {steered!r}; change it"
-        )
     ahead, above, down, half_track = 0.12075, 0.105, 0.125, 0.2
     arm, angle, half, drop = 0.16, radians(49), 0.069, 0.02
     bogie = (ahead - arm * sin(angle), above - arm * cos(angle))
@@ -176,6 +173,7 @@ def rocky7(
     return replace(rover, body=replace(rover.body, inertia=inertia))
 
 
+@checked
 def open_source_rover(
     *,
     r1: Radius = 0.02,

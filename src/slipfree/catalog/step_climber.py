@@ -7,11 +7,10 @@ of the joint, along the body, and above the joint.
 
 from __future__ import annotations
 
-from math import inf
-
-from slipfree.catalog.carts import SIDES, _positive
+from slipfree.catalog.carts import SIDES
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
-from slipfree.core.schema import Factor, Force, JointConstant, Length, Mass, Position
+from slipfree.core.schema import Factor, Force, Length, Mass, Position, Stiffness
 from slipfree.geometry.frame import Axis, Vector
 from slipfree.vehicle.drives import Torque
 from slipfree.vehicle.sections import Disc, Omni
@@ -66,11 +65,12 @@ def _misfit(vehicle: Vehicle) -> str:
 FRONT_MASS, REAR_MASS = 7.8, 13.8  # of the bodies, wheels included [kg]
 
 
+@checked
 def seven_wheels(
     *,
     joint: Position = 0.0,
     half_track: Length = 0.235,
-    stiffness: JointConstant = 2e3,
+    stiffness: Stiffness = 2e3,
     preload: Force = 20.0,
     grip: Factor = 1.0,
     wheel_mass: Mass = 0.0,
@@ -112,12 +112,6 @@ def seven_wheels(
     .. [1] D. Chugo et al., "Body configuration and control reference of a wheeled vehicle with
            passive linkages", 2009: table I and figures 1 and 8.
     """
-    _positive("seven_wheels", half_track=half_track)
-    if not 0 < stiffness < inf:
-        raise ModelError(
-            "seven_wheels: expected a positive, finite stiffness of the springs, since seven rigid "
-            f"contacts are too many for five degrees of freedom, found {stiffness} N/m; change it"
-        )
     if not 0 <= 3 * wheel_mass < FRONT_MASS:
         raise ModelError(
             f"seven_wheels: expected a mass of wheels of at least 0 and below {FRONT_MASS / 3:g} "
@@ -178,7 +172,8 @@ def seven_wheels(
     )
 
 
-def step_climber(*, joint: Position = 0.0, stiffness: JointConstant = 1.5e5) -> Vehicle:
+@checked
+def step_climber(*, joint: Position = 0.0, stiffness: Stiffness = 1.5e5) -> Vehicle:
     """Return the step climber of Chugo et al. (2009), locked to the plane of its motion.
 
     It is the side view of `seven_wheels`, with one driven disc for the wheels of an axle; the
@@ -198,7 +193,6 @@ def step_climber(*, joint: Position = 0.0, stiffness: JointConstant = 1.5e5) -> 
     ModelError
         If the stiffness is not positive.
     """
-    _positive("step_climber", stiffness=stiffness)
     height, lengths = 0.25, (0.400, 0.195)
     whole = seven_wheels(joint=joint)
     front = next(each.body for each in whole.joints if each.name == "twist")

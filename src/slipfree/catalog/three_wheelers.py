@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from math import inf
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
+from annotated_types import Gt, Unit
+
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.schema import Angle, Factor, JointConstant, Length, Mass, Radius
 from slipfree.vehicle.sections import section_of_radii
@@ -19,6 +22,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 MAX_TILT = 1.5  # a wheel with a larger tilt lies on its side [rad]
 
 
+@checked
 def three_wheeler(
     *,
     axle: Axle = "tilting",
@@ -27,7 +31,7 @@ def three_wheeler(
     r1: Radius = 0.05,
     r2: Radius = 0.25,
     tilt_stop: Angle = MAX_TILT,
-    slide_stop: Length = inf,
+    slide_stop: Annotated[float, Gt(0), Unit("m")] = inf,
     stiffness: JointConstant = 0.0,
     damping: JointConstant = 0.0,
     bump: JointConstant = 0.0,
@@ -83,17 +87,6 @@ def three_wheeler(
     .. [1] N. Chakraborty and A. Ghosal, "Kinematics of wheeled mobile robots on uneven terrain",
            sections 3 and 4.
     """
-    for key, length in (("half_track", half_track), ("wheelbase", wheelbase)):
-        if not 0 < length < inf:
-            raise ModelError(
-                f"three_wheeler: {key}: expected a finite positive length, found {length} m; "
-                "change it"
-            )
-    if axle not in get_args(Axle):
-        raise ModelError(
-            f"three_wheeler: axle: expected one of {', '.join(get_args(Axle))}, found {axle!r}; "
-            "choose one of these names"
-        )
     rear, front, section = -wheelbase / 3, 2 * wheelbase / 3, section_of_radii(r1, r2)
     ends = {"right": (half_track, rear, 0.0), "left": (-half_track, rear, 0.0)}
     coordinates, joints = _rear(axle, ends, tilt_stop, slide_stop)

@@ -250,8 +250,11 @@ def export(
     """
     with reported(), about(file):
         from slipfree.files.export import export_path, export_rates
+        from slipfree.files.mcap import ros_package
         from slipfree.problem.result import export_mcap, result_files
 
+        if mcap is not None:
+            ros_package()
         outputs = path, rates, mcap
         if (code is None) == (outputs == (None, None, None)):
             raise DataError(

@@ -27,7 +27,7 @@ from slipfree.cli.common import (
     warn,
 )
 from slipfree.cli.outputs import Picture, check_outputs, check_page, check_picture, save_picture
-from slipfree.core.errors import DataError
+from slipfree.core.errors import DataError, require
 from slipfree.system.interrupt import interrupt_arrived
 from slipfree.system.regular_files import escape_name, regular_file, replace_file
 
@@ -77,6 +77,8 @@ def show(
     with reported():
         _check_outputs(files, html, animation)
         check_picture(picture, files)
+        if html is not None or (animation is None and picture is None):
+            require("viser", "view", "show: ")
         from slipfree.show.drive_scene import drive_scene
 
         motions = _read(files)

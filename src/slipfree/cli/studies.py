@@ -425,6 +425,7 @@ def pareto(
         from slipfree.files.tables import write_rows
         from slipfree.problem.inputs import files_read
         from slipfree.problem.pareto import (
+            GIVEN,
             front_facts,
             front_plot,
             front_rows,
@@ -434,11 +435,12 @@ def pareto(
 
         problem = read_problem(file, settings, trust)
         folder = out or Path(f"{problem.source.path.stem}_pareto")
-        outputs = [TABLE, FIGURE, *(_plan_name(k) for k in range(points))]
+        files = {k: f"point_{k + 1:02}.nc" for k in range(points)} | {GIVEN: "plan.nc"}
+        outputs = [TABLE, FIGURE, *files.values()]
         check_outputs([], files_read(problem), folder=folder, names=outputs)
 
         def keep(number: int, point: FrontPoint) -> None:
-            result, path = point.solution.result, folder / _plan_name(number)
+            result, path = point.solution.result, folder / files[number]
             folder.mkdir(parents=True, exist_ok=True)
             save(path, lambda path: write(path, result.trajectory, result.arrays))
             detail(f"wrote {path}")
@@ -466,10 +468,6 @@ def pareto(
                 f"column of {folder / TABLE}"
             )
             raise typer.Exit(INTERRUPTED if is_interrupted else front.outcome.exit_code)
-
-
-def _plan_name(number: int) -> str:
-    return f"point_{number + 1:02}.nc"
 
 
 def track(

@@ -46,7 +46,6 @@ from slipfree.control.step_climbing import Commands, ControlState, Motors, Sense
 from slipfree.core.errors import ModelError
 from slipfree.core.nlp import Nlp
 from slipfree.core.records import Array
-from slipfree.core.schema import check_bounds
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.tree import Vehicle
 
@@ -283,9 +282,6 @@ class Tracking:
     lead: Annotated[float, Gt(0)] = 1e-3
     torque: Annotated[float, Gt(0)] = inf
     motors: Motors = (2, 1, 2)
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     def labels(self, wheels: Sequence[str]) -> ControlState:  # noqa: ARG002 - of the protocol
         """Return empty labels: the controller has no states."""

@@ -10,10 +10,12 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError, check_type
+from slipfree.core.errors import ModelError
 from slipfree.core.rearrange import substitute, with_outputs
 from slipfree.core.records import Array, Label, Record, leaves, unpack
+from slipfree.core.schema import Finite, Positive
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose
 from slipfree.geometry.path import Path
@@ -64,7 +66,8 @@ class _PlanarGeometry(NamedTuple):
     gain: float
 
 
-def straight(dae: Dae, vehicle: Vehicle, start: Trajectory, *, speed: float) -> Record:
+@checked
+def straight(dae: Dae, vehicle: Vehicle, start: Trajectory, *, speed: Finite) -> Record:
     """Return inputs that drive a vehicle straight along its heading at the start.
 
     The law, its parameters and its errors are those of `follow`. The path is the line ahead of the
@@ -76,7 +79,8 @@ def straight(dae: Dae, vehicle: Vehicle, start: Trajectory, *, speed: float) -> 
     return follow(dae, vehicle, Path(np.array([(x, y), ahead])), speed=speed)
 
 
-def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Record:
+@checked
+def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: Finite) -> Record:
     """Return inputs that keep the platform's centre on a path.
 
     A reference point moves along the path at the given speed, from its beginning at t = 0. The
@@ -121,8 +125,7 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Record:
     >>> print(f"ends at ({run['x'][-1]:.2f}, {run['y'][-1]:.2f})")
     ends at (-0.01, 3.98)
     """
-    check_type("path", path, Path, "make one of points: Path(np.array([[0.0, 0.0], [1.0, 2.0]]))")
-    if not np.isfinite(speed) or speed == 0:
+    if speed == 0:
         raise ModelError(
             f"speed: expected a finite speed other than zero, found {speed} m/s; give a positive "
             "speed, or a negative one to drive backwards"
@@ -144,7 +147,8 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Record:
     return _planar_inputs(dae, vehicle, states, plan, (v, turning, speed))
 
 
-def commanded(dae: Dae, vehicle: Vehicle, *, speed: float) -> Dae:
+@checked
+def commanded(dae: Dae, vehicle: Vehicle, *, speed: Positive) -> Dae:
     """Return a model whose inputs are the commands of a robot: forward velocity and yaw rate.
 
     The wheel rates are those of planar motion with the current steering angles, and the steering
@@ -183,8 +187,6 @@ def commanded(dae: Dae, vehicle: Vehicle, *, speed: float) -> Dae:
     >>> print(f"turns by {run['heading'][-1]:.2f} rad")
     turns by 0.50 rad
     """
-    if not 0 < speed < np.inf:
-        raise ModelError(f"speed: expected a positive, finite speed, found {speed} m/s; correct it")
     states, plan = _steerable(dae, vehicle, "commanded")
     forward, yaw_rate = ca.SX.sym("forward"), ca.SX.sym("yaw_rate")
     inputs = _planar_inputs(dae, vehicle, states, plan, (forward, yaw_rate, speed))

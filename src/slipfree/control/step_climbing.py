@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, NamedTuple, Protocol, get_args
+from typing import Annotated, Any, Literal, NamedTuple, Protocol
 
 import casadi as ca
 from annotated_types import Ge, Gt, Lt, Unit, doc
@@ -25,6 +25,7 @@ from slipfree.control.reference_speeds import (
     estimated_directions,
     reference,
 )
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.rearrange import (
@@ -37,7 +38,6 @@ from slipfree.core.rearrange import (
     with_outputs,
 )
 from slipfree.core.records import Label, leaves, symbols
-from slipfree.core.schema import check_bounds
 from slipfree.models.limits import UPRIGHT
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.tree import Vehicle
@@ -144,6 +144,7 @@ class WheelControl(Protocol):
         """Return reference rates, torques and the rates of the states for a speed [m/s]."""
 
 
+@checked
 @dataclass(frozen=True)
 class StepClimbing:
     """PI controller of the wheel rates, whose references follow from axle speeds without slip.
@@ -186,13 +187,6 @@ class StepClimbing:
     ] = (2, 1, 2)
 
     def __post_init__(self) -> None:
-        for name, known in (("law", Law), ("directions", Directions)):
-            if getattr(self, name) not in get_args(known):
-                raise ModelError(
-                    f"step-climbing: expected one of {', '.join(get_args(known))} for {name!r}, "
-                    f"found {getattr(self, name)!r}; choose one of these names"
-                )
-        check_bounds(self)
         if min(self.motors) < 1:
             raise ModelError(
                 "step-climbing: expected one motor or more per axle as 'motors', found "

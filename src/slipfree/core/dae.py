@@ -444,6 +444,13 @@ class Dae(Generic[X, Z, U, Y]):
         """Return the scale of a quantity: ``size`` raised to the exponent of metres in its unit."""
         return float(self.size ** power_of_length(label.unit))
 
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Units of the variables, limits and states of a start by name, also with the wheel."""
+        labels = [*leaves(tuple(self.labels[:5])), *(limit.label for limit in self.all_limits)]
+        labels += leaves(self.standing.model.labels.x) if self.standing else ()
+        return {name: label.unit for label in labels for name in (label.name, label.full)}
+
     @property
     def residuals(self) -> tuple[ca.SX, ...]:
         """Blocks of ``alg`` divided by their scales, dimensionless."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from importlib import import_module
+from typing import Any
 
 
 class SlipfreeError(Exception):
@@ -22,17 +24,6 @@ class WriteError(DataError):
     """File that cannot be written, for example because its disk is full."""
 
 
-def check_type(name: str, value: object, kinds: type | tuple[type, ...], remedy: str) -> None:
-    """Raise ModelError for an argument of another type; ``remedy`` names the right one."""
-    if isinstance(value, kinds):
-        return
-    names = [kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,))]
-    shown = f" {value!r}" if isinstance(value, str | int | float) else ""
-    raise ModelError(
-        f"{name}: expected {' or '.join(names)}, found {type(value).__name__}{shown}; {remedy}"
-    )
-
-
 def similar(name: str, known: Iterable[str]) -> str:
     """Return a question with the most similar known name; empty without a similar one."""
     nearest = get_close_matches(name, [*known], n=1)
@@ -45,3 +36,14 @@ def missing_package(package: str, extra: str) -> str:
         f"expected the package {package!r}, found that it is not installed; install it from the "
         f"source folder of slipfree: python -m pip install '.[{extra}]'"
     )
+
+
+def require(package: str, extra: str = "xarray", place: str = "") -> Any:
+    """Return an optional package; raise DataError if it is not installed.
+
+    Functions ask for it before they compute. ``place`` begins the message.
+    """
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise DataError(place + missing_package(package.partition(".")[0], extra)) from error

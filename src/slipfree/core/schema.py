@@ -9,24 +9,26 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
-from numbers import Real
+from math import inf
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
-import casadi as ca
-from annotated_types import DocInfo, Ge, Gt, Unit
+from annotated_types import DocInfo, Ge, Gt, Le, Lt, Unit
 
-from slipfree.core.errors import ModelError
-
-Length = Annotated[float, Gt(0), Unit("m")]
-Radius = Annotated[float, Ge(0), Unit("m")]
-Position = Annotated[float, Unit("m")]
+Finite = Annotated[float, Gt(-inf), Lt(inf)]
+Positive = Annotated[float, Gt(0), Lt(inf)]
+NonNegative = Annotated[float, Ge(0), Lt(inf)]
+Count = Annotated[int, Ge(1), Le(1_000_000)]
+Length = Annotated[Positive, Unit("m")]
+Radius = Annotated[NonNegative, Unit("m")]
+Position = Annotated[Finite, Unit("m")]
 Angle = Annotated[float, Gt(0), Unit("rad")]
-Mass = Annotated[float, Ge(0), Unit("kg")]
-Force = Annotated[float, Unit("N")]
-Factor = Annotated[float, Gt(0), Unit("1")]
-JointConstant = Annotated[float, Ge(0)]  # of springs, dampers and stops: units depend on the joint
+Mass = Annotated[NonNegative, Unit("kg")]
+Force = Annotated[Finite, Unit("N")]
+Factor = Annotated[Positive, Unit("1")]
+Stiffness = Annotated[Positive, Unit("N/m")]
+JointConstant = NonNegative  # of springs, dampers and stops: units depend on the joint
 
-BOUNDS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
+BOUNDS: dict[str, tuple[str, Callable[[Any, float], Any]]] = {
     "gt": (">", lambda value, edge: value > edge),
     "ge": (">=", lambda value, edge: value >= edge),
     "lt": ("<", lambda value, edge: value < edge),
@@ -66,25 +68,3 @@ def _key(name: str, hint: Any, default: Any) -> Key:
     unit = next((note.unit for note in notes if isinstance(note, Unit)), "")
     meaning = next((note.documentation for note in notes if isinstance(note, DocInfo)), "")
     return Key(name, hint, default, unit, meaning)
-
-
-def is_number(value: object) -> bool:
-    """Return whether a value is a real number, also one of NumPy."""
-    return isinstance(value, Real)
-
-
-def check_bounds(record: Any) -> None:
-    """Raise ModelError if a field of a dataclass violates its annotated bound."""
-    for key in keys_of(type(record)):
-        value = getattr(record, key.name)
-        remedy = "change it" if key.default is MISSING else f"the default is {key.default}"
-        if value is None or isinstance(value, ca.SX):  # a parameter
-            continue
-        for bound in key.hint.__metadata__:
-            for name, (sign, holds) in BOUNDS.items():
-                edge = getattr(bound, name, None)
-                if edge is not None and not (is_number(value) and holds(value, edge)):
-                    raise ModelError(
-                        f"{type(record).__name__}: {key.name!r}: expected a number {sign} "
-                        f"{edge:g}, found {value!r}; {remedy}"
-                    )

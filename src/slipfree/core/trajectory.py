@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from slipfree.core.errors import ModelError, SlipfreeError, missing_package, similar
+from slipfree.core.errors import ModelError, SlipfreeError, require, similar
 from slipfree.core.facts import Fact, Facts, encode
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Label, field_overview, overview
@@ -17,6 +16,7 @@ from slipfree.core.records import Array, Label, field_overview, overview
 if TYPE_CHECKING:
     import pandas
     import xarray
+    from matplotlib.figure import Figure
 
 TIME = {"units": "s", "long_name": "time", "standard_name": "time", "axis": "T"}
 WHEELS = {"long_name": "name of the wheel"}
@@ -108,8 +108,37 @@ def heading_column(heading: Array | float, frame: str, *, own: str = "paper") ->
     return Column(Label("heading", "rad", words), values)
 
 
+class Drawable:
+    """A result that is drawn over its ground."""
+
+    ground: Any
+
+    def plot(self, name: str | None = None) -> Figure:
+        """Draw the result over its ground.
+
+        Parameters
+        ----------
+        name : str, optional
+            Name of the figure, as in `slipfree.plot`, such as ``"slip"``; by default the first one.
+
+        Returns
+        -------
+        Figure
+            A figure of Matplotlib, which notebooks show.
+
+        Raises
+        ------
+        ModelError
+            If there is no figure of this name, or the ground is unknown, as in a result from a
+            file: use `slipfree.plot` then.
+        """
+        import slipfree  # its public function: figures are above this package
+
+        return slipfree.plot(self, self.ground, name)  # type: ignore[arg-type]
+
+
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Drawable):
     """Samples of a motion, by name of the quantity.
 
     ``run["heading"]`` is an array over time, shape (n,). ``run["slip_along"]`` has one column per
@@ -134,6 +163,8 @@ class Trajectory:
         Descriptions of the motion, such as its problem file and versions, by name.
     events : mapping of str to ndarray
         Times of the events passed to `simulate`, by name; result files do not contain them. [s]
+    ground : Terrain, Solids or None
+        Ground of the motion, for `plot`; None for motions from files and other processes.
 
     Examples
     --------
@@ -155,6 +186,11 @@ class Trajectory:
     attributes: Mapping[str, str] = field(default_factory=dict)
     facts: Mapping[str, Fact] = field(default_factory=dict)
     events: Mapping[str, Array] = field(default_factory=dict)
+    ground: Any = field(default=None, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields for pickling, without the ground: a formula may not be pickled."""
+        return self.__dict__ | {"ground": None}
 
     def __repr__(self) -> str:
         span = f" from {self.t[0]:.6g} to {self.t[-1]:.6g} s" if self.t.size else ""
@@ -318,14 +354,6 @@ class Trajectory:
             frame.attrs[key] = {name: c.metadata[key] for name, c in self.columns.items()}
         frame.attrs |= self.metadata
         return frame
-
-
-def require(package: str) -> Any:
-    """Return an optional package; raise SlipfreeError if it is not installed."""
-    try:
-        return import_module(package)
-    except ImportError as error:
-        raise SlipfreeError(missing_package(package, "xarray")) from error
 
 
 class SolverError(SlipfreeError, RuntimeError):

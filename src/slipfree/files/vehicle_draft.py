@@ -14,9 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomlkit
 
+from slipfree.core.arguments import WithUnit, degrees_question
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.records import Array
-from slipfree.files.toml.types import FULL_TURN, WithUnit, parse_unit
+from slipfree.files.toml.types import parse_unit
 from slipfree.geometry.frame import Vector, in_axes, unit_vector
 from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS
@@ -149,9 +150,7 @@ def length_words(value: float) -> str:
 
 def degrees_words(angle: float) -> str:
     """Return a hint for an angle beyond a full turn, which may be degrees; empty for others."""
-    if abs(angle) <= FULL_TURN:
-        return ""
-    return f"did you mean {angle:.6g} degrees? write {math.radians(angle):.6g}"
+    return degrees_question(angle, f"{math.radians(angle):.6g}")
 
 
 def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, ValidationError
 
+from slipfree.core.arguments import WithUnit
 from slipfree.core.errors import ModelError, similar
 from slipfree.files.toml.source import (
     PIECE,
@@ -35,7 +36,6 @@ from slipfree.files.toml.types import (
     Positive,
     Quantity,
     Record,
-    WithUnit,
     bare_words,
     expected_error,
     given_values,
@@ -309,8 +309,8 @@ class File(NamedTuple):
             if len(place) < 2 or not isinstance(place[1], int):
                 return ""
             elements = self.data.get(str(place[0]))
-            listed = isinstance(elements, list) and place[1] < len(elements)
-            element = elements[place[1]] if listed else None  # a missing element has no name
+            is_there = isinstance(elements, list) and place[1] < len(elements)
+            element: Any = elements[place[1]] if elements and is_there else None
             name = element.get("name") if isinstance(element, dict) else None
             return f" ({str(place[0])[:-1]} {name!r})" if name else ""
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import hypot, inf, isfinite
+from math import hypot, inf
 from typing import NamedTuple
 
 import casadi as ca
@@ -11,8 +10,9 @@ import numpy as np
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
+from slipfree.core.schema import Finite
 
-Vector = tuple[float, float, float]
+Vector = tuple[Finite, Finite, Finite]
 Axis = str | Vector
 AXES: dict[str, Vector] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -32,15 +32,6 @@ def unit_vector(axis: Axis) -> Vector:
         )
     x, y, z = (each / size for each in given)
     return x, y, z
-
-
-def check_vector(name: str, vector: Sequence[float]) -> None:
-    """Raise ModelError, with ``name`` in the message, if a vector is not three finite numbers.
-
-    Components may also be expressions in parameters.
-    """
-    if len(vector) != 3 or not all(isinstance(v, ca.SX) or isfinite(v) for v in vector):
-        raise ModelError(f"{name}: expected three finite numbers, found {vector}; correct them")
 
 
 class Twist(NamedTuple):
@@ -135,7 +126,7 @@ def quaternion(rotation: ca.SX) -> ca.SX:
     return q * ca.if_else(q[3] < 0, -1, 1)
 
 
-Elements = tuple[float, float, float, float, float, float]
+Elements = tuple[Finite, Finite, Finite, Finite, Finite, Finite]
 
 
 def tensor(elements: Elements) -> Array:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 
@@ -27,6 +28,7 @@ class PathPoint(NamedTuple):
     curvature: Any
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Path:
     """Cubic spline through way-points, parametrised by arc length; two points give a straight line.
@@ -59,7 +61,7 @@ class Path:
         return f"Path: {len(self.points)} way-points, {self.length:.6g} m, {' to '.join(ends)}"
 
     def __post_init__(self) -> None:
-        points = np.asarray(self.points, dtype=float)
+        points = self.points
         if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 2:
             raise ModelError(
                 f"path: expected at least two way-points (x, y), shape (n, 2), found shape "
@@ -77,7 +79,6 @@ class Path:
             raise ModelError(
                 f"path: way-points {k + 1} and {k + 2} coincide at {points[k]}; remove one of them"
             )
-        object.__setattr__(self, "points", points)
 
     @property
     def length(self) -> float:

@@ -11,8 +11,10 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
+from slipfree.core.schema import Finite, Positive
 
 TIP_ROUNDING = 1e-3  # rounding of the distance at the centre of a disc, in radii
 CORNER_ROUNDING = 1e-12  # rounding of the distance at a corner of a polygon, relative to its size
@@ -104,24 +106,14 @@ class Region(ABC):
         """Return the signed distances of points to the border, negative inside [m]."""
 
 
+@checked
 @dataclass(frozen=True, repr=False)
 class _Disc(Region):
     """Disc with a centre ``(x, y)`` and a radius, in map coordinates [m]."""
 
-    x: float
-    y: float
-    radius: float
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.x) and math.isfinite(self.y)):
-            raise ModelError(
-                "disc: expected finite coordinates of the centre, found "
-                f"({self.x}, {self.y}); correct them"
-            )
-        if not 0 < self.radius < math.inf:
-            raise ModelError(
-                f"disc: expected a positive, finite radius, found {self.radius} m; correct it"
-            )
+    x: Finite
+    y: Finite
+    radius: Positive
 
     @property
     def words(self) -> str:
@@ -157,27 +149,20 @@ class _Disc(Region):
         return distance
 
 
+@checked
 @dataclass(frozen=True, repr=False)
 class _Polygon(Region):
     """Interior of a simple polygon with ``points`` in map coordinates [m]."""
 
-    points: tuple[tuple[float, float], ...]
+    points: tuple[tuple[Finite, Finite], ...]
 
     def __post_init__(self) -> None:
-        points = np.asarray(self.points, dtype=float)
-        if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 3:
+        points = np.array(self.points, dtype=float)
+        if len(points) < 3:
             raise ModelError(
-                "polygon: expected at least three points (x, y), found an array of shape "
-                f"{points.shape}; give one pair for each corner"
+                f"polygon: expected at least three points (x, y), found {len(points)}; give one "
+                "pair for each corner"
             )
-        if not np.isfinite(points).all():
-            k = int(np.argmin(np.isfinite(points).all(axis=1)))
-            raise ModelError(
-                f"polygon: expected finite coordinates of point {k + 1}, found "
-                f"{tuple(points[k].tolist())}; correct them"
-            )
-        # tuples make equal polygons compare equal and have the same hash
-        object.__setattr__(self, "points", tuple((float(x), float(y)) for x, y in points))
         _check_simple(points - points[0])
 
     @property

@@ -15,8 +15,8 @@ from typing import Annotated
 import casadi as ca
 from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
-from slipfree.core.schema import check_bounds
 from slipfree.laws.protocols import BodyTouch, GroundForce, WheelContact
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
@@ -25,6 +25,7 @@ from slipfree.vehicle.wheel import Wheel
 SMALLEST_SPEED = 1e-12  # added to speeds under a root, whose derivative is then finite [m/s]
 
 
+@checked
 @dataclass(frozen=True)
 class Compliant:
     """Compliant contact of wheels with the ground, for dynamics.
@@ -72,9 +73,6 @@ class Compliant:
         Unit("m"),
         doc("depth of a point of a body under the vehicle's weight; 0: a touch ends the motion"),
     ] = 0.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
         """Raise ModelError if the ground has no friction coefficient."""

@@ -15,11 +15,11 @@ import casadi as ca
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Continuation, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
-from slipfree.core.schema import check_bounds
 from slipfree.laws.protocols import (
     NORMAL,
     Equations,
@@ -43,6 +43,7 @@ class FrictionUnknowns(NamedTuple):
     across: tuple[Any, ...]
 
 
+@checked
 @dataclass(frozen=True)
 class Coulomb:
     """Coulomb friction with creep.
@@ -79,9 +80,6 @@ class Coulomb:
         Unit("s/m"),
         doc("viscous friction per newton of normal force"),
     ] = 0.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
         """Raise ModelError if the ground has no friction coefficient."""

@@ -15,9 +15,9 @@ import casadi as ca
 import numpy as np
 from annotated_types import Gt, Le, Unit, doc
 
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
-from slipfree.core.schema import check_bounds
 from slipfree.laws.coulomb import (
     MAX_CREEP,
     FrictionUnknowns,
@@ -30,6 +30,7 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
 
+@checked
 @dataclass(frozen=True)
 class LinearCreep:
     """Linear creep up to the friction limit.
@@ -52,9 +53,6 @@ class LinearCreep:
     creep: Annotated[
         float, Gt(0), Le(MAX_CREEP), Unit("m/s"), doc("slip velocity at the friction limit")
     ] = 1e-3
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
         """Raise ModelError if the ground has no friction coefficient."""

@@ -10,7 +10,6 @@ import casadi as ca
 from slipfree.contact.closure import ContactFrame
 from slipfree.contact.touch import Touch
 from slipfree.core.dae import Continuation, Limit
-from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Label
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
@@ -210,14 +209,3 @@ def component_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tupl
         for wheel in vehicle.wheels
         for axis in "xyz"
     )
-
-
-def check_law(law: object, protocol: type, expected: str) -> None:
-    """Raise ModelError if an argument does not implement the protocol of a law.
-
-    The message begins with ``expected``, the name of the argument and the expected object.
-    """
-    if not isinstance(law, protocol):
-        raise ModelError(f"{expected}, found {law!r}; give an instance of such a class")
-    if isinstance(law, type):
-        raise ModelError(f"{expected}, found the class {law.__name__}; call it: {law.__name__}()")

@@ -57,10 +57,10 @@ import casadi as ca
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Label
-from slipfree.core.schema import check_bounds
 from slipfree.laws.coulomb import creep_continuation, no_equilibrium
 from slipfree.laws.protocols import (
     ACROSS,
@@ -146,6 +146,7 @@ class SoilForces(NamedTuple):
     torque: Any
 
 
+@checked
 @dataclass(frozen=True)
 class Soil:
     """Loose soil under rigid wheels, for dynamics and quasi-statics.
@@ -255,7 +256,6 @@ class Soil:
     regions: tuple[SoilRegion, ...] = ()
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         shape: Any = self.peak + self.peak_rate
         if isinstance(shape, ca.SX):  # a parameter
             return

@@ -11,7 +11,6 @@ import numpy as np
 from slipfree.contact.clearance import BodyClearance, body_clearance
 from slipfree.contact.closure import ContactFrame, wheel_coordinates
 from slipfree.core.dae import Labels
-from slipfree.core.errors import ModelError, check_type
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, leaves, pack
 from slipfree.geometry.frame import Pose, platform, quaternion
@@ -75,17 +74,6 @@ class Quantities(NamedTuple):
     mechanics: Mechanics
     tip_over_margin: ca.SX
     lookups: LookupTable
-
-
-def check_arguments(vehicle: object, terrain: object) -> None:
-    """Raise ModelError for another thing than a vehicle or a ground, with the way to get one."""
-    remedy = "read it by read_vehicle(path), or take one of the catalogue: catalog.rocky7()"
-    check_type("vehicle", vehicle, Vehicle, remedy)
-    if not callable(getattr(terrain, "elevation", None)):
-        raise ModelError(
-            "terrain: expected a ground such as Bicubic or Analytic, found "
-            f"{type(terrain).__name__}; make one from a map: Bicubic(read_map(path).grid)"
-        )
 
 
 def carriers(vehicle: Vehicle, x: Configuration, position: Dependent) -> tuple[Pose, ...]:

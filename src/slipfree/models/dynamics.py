@@ -23,14 +23,15 @@ import numpy as np
 from slipfree.contact.certify import SecondContact, second_contacts
 from slipfree.contact.closure import has_exact_closure, support_fault, without_rolling
 from slipfree.contact.touch import Touch, plane_of, search_function, solid_touch, touch
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, HeldTerms, Labels, Standing
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import leaves, pack, symbols
 from slipfree.geometry.frame import Pose, rotation_of, turn
 from slipfree.laws.compliant import Compliant
-from slipfree.laws.protocols import BodyLaw, ContactLaw, WheelContact, check_law
-from slipfree.models.base import body_checks, check_arguments, extent, raised_poses, sizes
+from slipfree.laws.protocols import BodyLaw, ContactLaw, WheelContact
+from slipfree.models.base import body_checks, extent, raised_poses, sizes
 from slipfree.models.body_contact import BodyContact, body_contacts
 from slipfree.models.dynamic_outputs import (
     Contact,
@@ -73,6 +74,7 @@ STEP_SHARE = 1 / 8  # largest distance that a wheel travels in a step of the int
 EXACT_DEPTH = 1 / 250  # default static depth of vehicles with exact closure [rolling radii]
 
 
+@checked
 @computing
 def dynamics(
     vehicle: Vehicle,
@@ -129,9 +131,7 @@ def dynamics(
     >>> print(run.stop)
     None
     """
-    check_arguments(vehicle, ground)
     terrain, prisms = (ground.base, ground.prisms) if isinstance(ground, Solids) else (ground, ())
-    check_law(law, ContactLaw, "law: expected a law of dynamics such as Compliant() or Soil()")
     check_dynamic(vehicle)
     law.check(vehicle, terrain)
     vehicle = _with_depths_of(law, with_depths(vehicle))

@@ -44,6 +44,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.rearrange import (
@@ -55,10 +56,10 @@ from slipfree.core.rearrange import (
     with_outputs,
 )
 from slipfree.core.records import Label, leaves, pack
+from slipfree.core.schema import NonNegative
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.least_slip import LeastSlip, slip_unit
 from slipfree.laws.rolling import Rolling, rolling_counts
-from slipfree.models.base import check_arguments
 from slipfree.models.determinacy import (
     angle_slopes,
     command_determinacy,
@@ -89,6 +90,7 @@ MIN_STEERABLE_SPEED = 1e-6  # speed below which a steering angle has no effect [
 ERROR_WEIGHT = 10.0  # weight of the errors of given rates relative to slip along the wheels [1]
 
 
+@checked
 def inverse_kinematics(
     vehicle: Vehicle,
     terrain: Terrain,
@@ -96,7 +98,7 @@ def inverse_kinematics(
     given: Sequence[str],
     solve_for: SolveFor = "angles",
     exact: bool = True,
-    least_margin: float = LEAST_MARGIN,
+    least_margin: NonNegative = LEAST_MARGIN,
 ) -> Dae:
     """Return the model of a vehicle's motion under given rates of its platform.
 
@@ -164,7 +166,6 @@ def inverse_kinematics(
     >>> run["wheel_rate"][-1].round(3)
     array([1.498, 1.164, 2.025])
     """
-    check_arguments(vehicle, terrain)
     check_inverse(vehicle, given, solve_for, exact=exact)
     direct = direct_kinematics(vehicle, terrain, slip=slip_law(given))
     return invert(
@@ -185,10 +186,6 @@ def check_inverse(
     vehicle: Vehicle, given: Sequence[str], solve_for: str, *, exact: bool = True
 ) -> None:
     """Raise ModelError if inverse kinematics is impossible with these arguments."""
-    if solve_for not in ("rates", "angles"):
-        raise ModelError(
-            f"solve_for: expected 'rates' or 'angles', found {solve_for!r}; choose one of them"
-        )
     if _are_commands(given):
         check_commands(vehicle, tuple(given), exact=exact)
         if solve_for != "angles":
@@ -243,11 +240,6 @@ def invert(
 
     Arguments are those of `inverse_kinematics`, after `check_inverse`.
     """
-    if not least_margin >= 0:
-        raise ModelError(
-            f"least_margin: expected zero or a positive number, found {least_margin}; the default "
-            f"is {LEAST_MARGIN:g}"
-        )
     if _are_commands(given):
         return _commanded(vehicle, direct, tuple(given), exact=exact)
     build = _solved_for_angles if solve_for == "angles" else _solved_for_rates

@@ -38,19 +38,20 @@ from slipfree.contact.closure import (
     has_exact_closure,
     support_fault,
 )
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Holding, Labels
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Label, leaves, pack, symbols
+from slipfree.core.schema import Positive
 from slipfree.geometry.frame import Pose
 from slipfree.laws.least_slip import LeastSlip, linear_form
-from slipfree.laws.protocols import Equations, Motion, SlipLaw, check_law, wheel_labels
+from slipfree.laws.protocols import Equations, Motion, SlipLaw, wheel_labels
 from slipfree.models.base import (
     Mechanics,
     Quantities,
     body_checks,
     carriers,
-    check_arguments,
     extent,
     joint_rates,
     level_heights,
@@ -393,13 +394,14 @@ def _relaxation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
     return tuple(Label(f"relaxation_{name}", unit, f"relaxation of {name}") for name, unit in names)
 
 
+@checked
 @computing
 def direct_kinematics(
     vehicle: Vehicle,
     terrain: Terrain,
     *,
     slip: SlipLaw = LeastSlip(),  # noqa: B008 - a frozen record
-    smoothing: float = SMOOTHING,
+    smoothing: Positive = SMOOTHING,
 ) -> KinematicDae:
     """Return the kinematic model of a vehicle on a ground for given rates.
 
@@ -451,14 +453,8 @@ def direct_kinematics(
       inputs: right_rate, left_rate, steer_rate
       outputs: wheel_angle, work, contact_z, center_x, center_y, center_z, slip_along, ...
     """
-    check_arguments(vehicle, terrain)
     check_slip_law(vehicle, slip)
     check_rollers(vehicle)
-    if not smoothing > 0:
-        raise ModelError(
-            f"direct_kinematics: smoothing: expected a positive number, found {smoothing}; "
-            "increase it"
-        )
     if not has_exact_closure(vehicle):
         return pressed_dae(vehicle, terrain, slip, smoothing)
     return exact_dae(vehicle, terrain, slip)
@@ -523,7 +519,6 @@ def check_driven(vehicle: Vehicle) -> None:
 
 def check_slip_law(vehicle: Vehicle, slip: SlipLaw) -> None:
     """Raise ModelError if ``slip`` is not a slip law, or cannot be used with the vehicle."""
-    check_law(slip, SlipLaw, "slip: expected a slip law such as LeastSlip() or Rolling()")
     slip.check(vehicle)
 
 

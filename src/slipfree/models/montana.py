@@ -24,10 +24,12 @@ import numpy as np
 from slipfree.contact.certify import second_contacts
 from slipfree.contact.closure import ContactFrame, check_exact_closure, contact_frame
 from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Labels, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, Label, leaves, pack, symbols
+from slipfree.core.schema import NonNegative
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose, Twist
 from slipfree.laws.least_slip import LeastSlip
@@ -37,7 +39,6 @@ from slipfree.models.base import (
     at_rest,
     body_checks,
     carriers,
-    check_arguments,
     extent,
     joint_rates,
     outputs,
@@ -132,12 +133,13 @@ class RollingWheel(NamedTuple):
     rotation: ca.SX
 
 
+@checked
 def montana_kinematics(
     vehicle: Vehicle,
     terrain: Terrain,
     *,
     slip: SlipLaw = LeastSlip(),  # noqa: B008 - a frozen record
-    kappa: float = 10.0,
+    kappa: NonNegative = 10.0,
 ) -> Dae:
     """Return the kinematic model of a vehicle by Montana's contact equations.
 
@@ -180,9 +182,8 @@ def montana_kinematics(
       inputs: right_rate, left_rate, steer_rate
       outputs: wheel_angle, work, contact_z, center_x, center_y, center_z, slip_along, ...
     """
-    check_arguments(vehicle, terrain)
     check_slip_law(vehicle, slip)
-    _check(vehicle, kappa)
+    _check(vehicle)
     labels = _assembly_labels(
         labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle))), vehicle
     )
@@ -220,7 +221,7 @@ def montana_kinematics(
     )
 
 
-def _check(vehicle: Vehicle, kappa: float) -> None:
+def _check(vehicle: Vehicle) -> None:
     remedy = "use formulation = 'closure' with least slip, which presses the wheels into the ground"
     check_exact_closure(vehicle, "Montana's form", remedy)
     rollers = [wheel.name for wheel in vehicle.wheels if wheel.rollers]
@@ -228,11 +229,6 @@ def _check(vehicle: Vehicle, kappa: float) -> None:
         raise ModelError(
             "Montana's form: expected wheels without rollers, found rollers on "
             f"{', '.join(map(repr, rollers))}; use formulation = 'closure', the default"
-        )
-    if not (np.isfinite(kappa) and kappa >= 0):
-        raise ModelError(
-            f"kappa: expected a finite rate of zero or more, found {kappa} 1/s; the default is "
-            "10 1/s"
         )
     for wheel in vehicle.wheels:
         if float(wheel.section.tread_radius(ca.SX(0), ca.SX(1))) == 0:
@@ -374,6 +370,7 @@ class Difference(NamedTuple):
         return f"Difference: {self.label.full} {self.size:.2e} {unit} at t = {self.t:.6g} s"
 
 
+@checked
 def cross_check(first: Trajectory, second: Trajectory) -> tuple[Difference, ...]:
     """Return the largest difference of every quantity that two motions share.
 

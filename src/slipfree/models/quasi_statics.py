@@ -9,11 +9,12 @@ from __future__ import annotations
 import casadi as ca
 
 from slipfree.contact.closure import check_exact_closure
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import pack
 from slipfree.laws.coulomb import Coulomb
-from slipfree.laws.protocols import Equations, GroundLaw, SlidingContacts, check_law
-from slipfree.models.base import Mechanics, Quantities, check_arguments
+from slipfree.laws.protocols import Equations, GroundLaw, SlidingContacts
+from slipfree.models.base import Mechanics, Quantities
 from slipfree.models.closure_model import closure_dae, closure_quantities
 from slipfree.models.friction_feasibility import diagnosis, equilibrium
 from slipfree.models.kinematics import check_rollers
@@ -31,6 +32,7 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
 
+@checked
 @computing
 def quasi_statics(
     vehicle: Vehicle,
@@ -75,8 +77,6 @@ def quasi_statics(
     >>> print(f"{run['utilisation'].max():.2f}")
     0.33
     """
-    check_arguments(vehicle, terrain)
-    check_law(law, GroundLaw, "law: expected a wheel-ground law such as Coulomb()")
     if not vehicle.mass:
         raise ModelError(
             f"quasi-statics: expected a vehicle with mass, found none in {vehicle.name!r}; give "

@@ -38,6 +38,7 @@ import numpy as np
 from slipfree.contact.certify import second_contacts
 from slipfree.contact.closure import contact_frame
 from slipfree.contact.touch import Touch
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Labels, Limit, Replay
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
@@ -46,8 +47,8 @@ from slipfree.core.records import Array, Label, leaves, symbols
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.linear_creep import LinearCreep
-from slipfree.laws.protocols import GroundForce, GroundLaw, Reaction, SlidingContacts, check_law
-from slipfree.models.base import at_rest, body_checks, check_arguments, extent, raised_poses, sizes
+from slipfree.laws.protocols import GroundForce, GroundLaw, Reaction, SlidingContacts
+from slipfree.models.base import at_rest, body_checks, extent, raised_poses, sizes
 from slipfree.models.dynamic_outputs import (
     Contact,
     DynamicOutputs,
@@ -88,6 +89,7 @@ class RigidUnknowns(NamedTuple):
 RigidDae = Dae[DynamicState[ca.SX], RigidUnknowns, Inputs[ca.SX], DynamicOutputs[ca.SX]]
 
 
+@checked
 @computing
 def rigid_dynamics(
     vehicle: Vehicle,
@@ -132,8 +134,6 @@ def rigid_dynamics(
     >>> print(f"{start['load_share'].sum():.2f}")
     4.00
     """
-    check_arguments(vehicle, terrain)
-    check_law(law, GroundLaw, "law: expected a wheel-ground law such as LinearCreep()")
     check_dynamic(vehicle)
     contact.check(vehicle, terrain)
     law.check(vehicle, terrain)
@@ -385,7 +385,7 @@ def dynamic_guess(model: Dae, vehicle: Vehicle, start: Trajectory, run: Trajecto
         count = len(run.wheels)
         column = columns.setdefault(label.name, Column(label, np.zeros((t.size, count))))
         column.values[:, run.wheels.index(label.wheel)] = values
-    return Trajectory(t, columns, run.wheels)
+    return Trajectory(t, columns, run.wheels, ground=run.ground)
 
 
 def _resampled(values: Array, t: Array, at: Array) -> Array:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate, run_buffered
 from slipfree.core.outcome import ipopt_words
@@ -184,6 +185,7 @@ def first_cycle(window: Horizon) -> Cycle:
     return replan(patient, blank, 0.0, first[layout.first])
 
 
+@checked
 @computing
 @with_interrupt_guard
 def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:

@@ -13,14 +13,16 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from slipfree.core.dae import Dae, Limit
-from slipfree.core.errors import check_type
+from slipfree.core.arguments import checked
+from slipfree.core.dae import Dae
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Record, leaves, overview
-from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Stop, Trajectory, path_length
+from slipfree.core.schema import NonNegative, Positive
+from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Drawable, Stop, Trajectory, path_length
 from slipfree.plan.explanation import explanation
 from slipfree.plan.guess import initial_guess
 from slipfree.plan.ipopt import STOPPED_STATUS, NlpSolution
@@ -34,6 +36,7 @@ from slipfree.plan.polynomial_motion import (
     save_plan,
 )
 from slipfree.plan.problem import (
+    Conditions,
     Range,
     duration_of,
     free_durations,
@@ -65,7 +68,7 @@ INTERVAL_SIZES = 2.0  # largest length of a default interval, in sizes of the ve
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(Drawable):
     """A plan and its verification by simulation.
 
     Attributes
@@ -133,6 +136,11 @@ class Plan:
         )
 
     @property
+    def ground(self) -> Any:
+        """Ground of the plan."""
+        return self.program.task.dae.ground
+
+    @property
     def compiled(self) -> bool:
         """Whether the functions of the program are compiled."""
         return self.program.compiled
@@ -150,6 +158,7 @@ class Plan:
         return limit_prices(self.program, self.solution) if self.success else ()
 
 
+@checked
 @computing
 @with_interrupt_guard
 def plan(
@@ -157,15 +166,15 @@ def plan(
     start: Trajectory,
     guess: Trajectory | Sequence[Trajectory] | None = None,
     *,
-    goal: Mapping[str, float | Range] | Sequence[Limit],
-    costs: Mapping[str, float] | Sequence[Cost],
+    goal: Conditions,
+    costs: Mapping[str, NonNegative] | Sequence[Cost],
     duration: float | Range | None = None,
-    smooth: float = 0.0,
-    limits: Mapping[str, Range] | Sequence[Limit] = (),
-    way_points: Mapping[float, Mapping[str, float | Range]] | None = None,
+    smooth: NonNegative = 0.0,
+    limits: Conditions = (),
+    way_points: Mapping[float, Conditions] | None = None,
     inputs: Mapping[str, Range] | None = None,
     accelerations: Mapping[str, Range] | None = None,
-    cost_limits: Mapping[str, float] | None = None,
+    cost_limits: Mapping[str, Positive] | None = None,
     initial_inputs: Mapping[str, float] | None = None,
     mesh: Mesh = Mesh(),
     search: Search = Search(),
@@ -265,17 +274,8 @@ def plan(
     True
     """
     clock = time.process_time()
-    check_type("model", dae, Dae, "build a model, for example with direct_kinematics")
-    check_type("start", start, Trajectory, "give the result of settle(model)")
-    check_type("mesh", mesh, Mesh, "give a record, as in Mesh(intervals=20)")
-    check_type("search", search, Search, "give a record, as in Search(starts=4)")
-    check_type("options", options, SolverOptions, "give a record, as in SolverOptions(1e-6)")
-    remedy = "give the result of simulate, or no guess"
     guess = () if guess is None else guess
-    check_type("guess", guess, (Trajectory, Sequence), remedy)
     motions = [guess] if isinstance(guess, Trajectory) else list(guess)
-    for motion in motions:
-        check_type("guess", motion, Trajectory, remedy)
     task = task_of(
         dae,
         start,
@@ -294,7 +294,7 @@ def plan(
     former = search.resume
     nominal = [float(motion.t[-1] - motion.t[0]) for motion in motions]
     if not motions and former is None:
-        ranges = {name: range_of(name, value) for name, value in (inputs or {}).items()}
+        ranges = {name: range_of(value) for name, value in (inputs or {}).items()}
         motion, length = initial_guess(task, start, ranges, options)
         motions, nominal = [motion], [length]
     if duration is None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from numbers import Real
-from typing import Any
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import ASCENDING, BY_NAME
 from slipfree.core.dae import Dae, Limit
-from slipfree.core.errors import ModelError, check_type
+from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask, leaves
 from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import LIMITED_SUFFIX, conflicts
@@ -21,29 +21,17 @@ from slipfree.solve.sampling import TURN, periodic_states
 
 DURATIONS = (0.5, 2.0)  # default range of the duration, relative to that of the initial guess
 HALF_TURN = np.pi + 1e-3  # such as a goal of 3.1416: both ways are short [rad]
-Range = tuple[float, float]
+Range = Annotated[tuple[float, float], ASCENDING]
+# values or ranges by name, or limits in the symbols of the model
+Conditions = Annotated[Mapping[str, float | Range], BY_NAME] | Sequence[Limit]
 MIN_CLEARANCE = 1e-3  # clearances below this all have about the same cost [m]
 BLENDED_POWER = 0.1  # width of the smooth transition between work and braking [W]
 ROUNDED_FRACTION = 0.01  # rounding of a square root at zero, relative to its bound
 
 
-def _check_terms(name: str, values: Any, kind: type, example: str) -> None:
-    """Raise ModelError unless an argument is a mapping, or a sequence of records of a kind."""
-    if isinstance(values, Mapping):
-        return
-    check_type(name, values, (Mapping, Sequence), f"give values by name, as in {example}")
-    for value in values:
-        check_type(name, value, kind, f"give values by name, as in {example}")
-
-
-def range_of(name: str, value: float | Range) -> Range:
-    """Return the bounds of a number or of a range; ``name`` is that of the argument."""
-    ends = np.array(value, dtype=object).ravel().tolist()
-    if not 1 <= len(ends) <= 2 or not all(isinstance(each, Real) for each in ends):
-        raise ModelError(
-            f"plan: {name}: expected a number or a range (smallest, largest), found {value!r}; "
-            "correct it"
-        )
+def range_of(value: float | Range) -> Range:
+    """Return the bounds of a number or of a range."""
+    ends = np.ravel(value)
     return float(ends[0]), float(ends[-1])
 
 
@@ -54,7 +42,7 @@ def free_durations(durations: Sequence[float]) -> Range:
 
 def duration_of(value: float | Range) -> Range:
     """Return the smallest and the largest duration in s, from a number or a range."""
-    low, high = range_of("duration", value)
+    low, high = range_of(value)
     if not 0 < low <= high < np.inf:
         raise ModelError(
             "plan: duration: expected a positive, finite duration or an ascending range of such "
@@ -65,16 +53,10 @@ def duration_of(value: float | Range) -> Range:
 
 def costs_of(dae: Dae, costs: Mapping[str, float] | Sequence[Cost]) -> tuple[Cost, ...]:
     """Return the terms of the cost from weights by name, or terms unchanged."""
-    _check_terms("costs", costs, Cost, '{"slip": 1e3}')
     if not isinstance(costs, Mapping):
         return tuple(costs)
     terms = list[Cost]()
     for name, weight in costs.items():
-        if not (isinstance(weight, Real) and weight >= 0):
-            raise ModelError(
-                f"plan: costs: expected a weight of at least 0 for {name!r}, found {weight!r}; "
-                "correct it"
-            )
         terms.append(_cost_term(dae, name)._replace(weight=weight))
     return tuple(terms)
 
@@ -86,11 +68,6 @@ def cost_limits_of(
     names, terms = [cost.name for cost in costs], list(costs)
     limits = list[tuple[int, float]]()
     for name, highest in highest_of.items():
-        if not (isinstance(highest, Real) and 0 < highest < np.inf):
-            raise ModelError(
-                f"plan: cost_limits: expected a positive, finite limit of {name!r}, found "
-                f"{highest}; correct or remove it"
-            )
         if name not in names:
             names.append(name)
             terms.append(_cost_term(dae, name)._replace(weight=0.0))
@@ -151,9 +128,8 @@ def _squared_unit(dae: Dae, name: str) -> str:
     return "s" if unit == "1" else f"({unit})2 s"
 
 
-def limits_of(dae: Dae, limits: Mapping[str, float | Range] | Sequence[Limit]) -> tuple[Limit, ...]:
+def limits_of(dae: Dae, limits: Conditions) -> tuple[Limit, ...]:
     """Return limits from values or ranges by name, in map coordinates, or limits unchanged."""
-    _check_terms("goal and limits", limits, Limit, '{"x": 2.0, "y": (0.0, 1.0)}')
     if not isinstance(limits, Mapping):
         return tuple(limits)
     return tuple(limit for name, value in limits.items() for limit in _conditions(dae, name, value))
@@ -161,8 +137,7 @@ def limits_of(dae: Dae, limits: Mapping[str, float | Range] | Sequence[Limit]) -
 
 def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
     """Yield limits on a quantity, given in map coordinates; one per wheel for wheel quantities."""
-    low, high = range_of(name, bounds)
-    _check_ascending(name, low, high)
+    low, high = range_of(bounds)
     is_known = False
     for record, shift in (("x", dae.shift[0]), ("z", dae.shift[1]), ("u", None), ("y", None)):
         labels = list(leaves(getattr(dae.labels, record)))
@@ -184,13 +159,6 @@ def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
         dae.named(name)  # raises an error with the known names
 
 
-def _check_ascending(name: str, low: float, high: float) -> None:
-    if not low <= high:
-        raise ModelError(
-            f"plan: expected ascending bounds of {name!r}, found {low} to {high}; exchange them"
-        )
-
-
 def _smooth_limit(limit: Limit) -> Limit:
     """Return a limit on a square root that is differentiable where its argument vanishes.
 
@@ -206,8 +174,8 @@ def _smooth_limit(limit: Limit) -> Limit:
 
 def timed_conditions(
     dae: Dae,
-    goal: Mapping[str, float | Range] | Sequence[Limit],
-    way_points: Mapping[float, Mapping[str, float | Range] | Sequence[Limit]],
+    goal: Conditions,
+    way_points: Mapping[float, Conditions],
 ) -> Iterator[TimedCondition]:
     """Yield the conditions at the way-points in order of time, then those at the goal."""
     for fraction, wanted in sorted(way_points.items()):
@@ -224,17 +192,13 @@ def bounds_of(dae: Dae, ranges: Mapping[str, Range]) -> Array:
     """Return the bounds of all inputs, infinite for inputs without bounds, shape (n_u, 2)."""
     names = [label.full for label in leaves(dae.labels.u)]
     bounds = np.tile([-np.inf, np.inf], (len(names), 1))
-    remedy = 'give ranges by name, as in {"left_rate": (-2.0, 2.0)}'
-    check_type("bounds of inputs", ranges, Mapping, remedy)
     for name, value in ranges.items():
         if name not in names:
             raise ModelError(
                 f"plan: bounds of inputs: expected one of {', '.join(names)}, found {name!r}; "
                 "correct the name"
             )
-        low, high = range_of(name, value)
-        _check_ascending(name, low, high)
-        bounds[names.index(name)] = low, high
+        bounds[names.index(name)] = range_of(value)
     return bounds
 
 
@@ -244,7 +208,7 @@ def _initial_bounds(dae: Dae, ranges: Mapping[str, Range], initial: Mapping[str,
     values = bounds_of(dae, {name: (value, value) for name, value in initial.items()})
     fixed = np.clip(values, bounds[:, :1], bounds[:, 1:])
     for name, value in initial.items():
-        low, high = range_of(name, ranges.get(name, (-np.inf, np.inf)))
+        low, high = range_of(ranges.get(name, (-np.inf, np.inf)))
         if not low <= value <= high:
             raise ModelError(
                 f"plan: initial_inputs: expected an initial value of {name!r} from {low:g} to "
@@ -258,13 +222,13 @@ def task_of(
     dae: Dae,
     start: Trajectory,
     *,
-    goal: Mapping[str, float | Range] | Sequence[Limit],
+    goal: Conditions,
     costs: Mapping[str, float] | Sequence[Cost],
     duration: float | Range,
     smooth: float = 0.0,
     continuous: bool = True,
-    limits: Mapping[str, Range] | Sequence[Limit] = (),
-    way_points: Mapping[float, Mapping[str, float | Range] | Sequence[Limit]] | None = None,
+    limits: Conditions = (),
+    way_points: Mapping[float, Conditions] | None = None,
     inputs: Mapping[str, Range] | None = None,
     accelerations: Mapping[str, Range] | None = None,
     cost_limits: Mapping[str, float] | None = None,
@@ -274,10 +238,6 @@ def task_of(
     if not goal:
         raise ModelError(
             "plan: goal: expected values or ranges by name, found none; give at least one"
-        )
-    if not (isinstance(smooth, Real) and smooth >= 0):
-        raise ModelError(
-            f"plan: smooth: expected a weight of at least 0, found {smooth!r}; correct it"
         )
     terms, highest = cost_limits_of(dae, costs_of(dae, costs), cost_limits or {})
     begin = dae.rows("x", start, -1)

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -35,10 +35,11 @@ from slipfree.batch.motion import (
     smallest,
     solve_forces,
 )
+from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, leaves
-from slipfree.core.schema import is_number
+from slipfree.core.schema import Count, NonNegative, Positive
 from slipfree.core.trajectory import SolverError
 from slipfree.geometry.regions import Region
 from slipfree.plan.problem import Range, costs_of, range_of
@@ -50,7 +51,7 @@ BISECTIONS = 60  # of the temperature
 STEP = 0.75  # longest step [size of the vehicle]
 CHECKED_POINTS = 4  # of an interval, for keep-out regions
 LEAST_WEIGHT = 1e-4  # of a candidate that is certified
-IN_REGION = -5  # reason of an end, beside those of the batch
+IN_REGION = -6  # reason of an end, beside those of the batch
 
 
 class _ForcedCost(NamedTuple):
@@ -64,6 +65,7 @@ class _ForcedCost(NamedTuple):
         return tuple(self)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class SamplingTask:
     """Costs, goal and ranges of a sampling controller, and parameters of the method.
@@ -103,41 +105,25 @@ class SamplingTask:
     """
 
     model: Dae
-    costs: Mapping[str, float] | Sequence[Cost]
-    goal: Mapping[str, float]
-    span: float
+    costs: Mapping[str, NonNegative] | Sequence[Cost]
+    goal: Annotated[Mapping[str, float], BY_NAME]
+    span: Positive
     ranges: Mapping[str, Range]
-    goal_weight: float = 1.0
-    intervals: int = field(default=10, kw_only=True)
-    candidates: int = field(default=512, kw_only=True)
-    spread: float = field(default=0.2, kw_only=True)
-    threads: int = field(default=1, kw_only=True)
+    goal_weight: Positive = 1.0
+    intervals: Count = field(default=10, kw_only=True)
+    candidates: Count = field(default=512, kw_only=True)
+    spread: Positive = field(default=0.2, kw_only=True)
+    threads: Count = field(default=1, kw_only=True)
     seed: int = field(default=0, kw_only=True)
     compiled: bool = field(default=True, kw_only=True)
 
     def __post_init__(self) -> None:
-        for name in ("span", "goal_weight", "spread"):
-            value = getattr(self, name)
-            if not (is_number(value) and 0 < value < np.inf):
-                raise ModelError(f"{name}: expected a positive number, found {value!r}; correct it")
-        for name in ("intervals", "candidates", "threads"):
-            value = getattr(self, name)
-            if not (isinstance(value, int | np.integer) and value >= 1):
-                raise ModelError(
-                    f"{name}: expected a whole number of at least 1, found {value!r}; correct it"
-                )
         names = [label.full for label in leaves(self.model.labels.u)]
         if sorted(names) != sorted(self.ranges):
             raise ModelError(
                 f"ranges: expected one for each input, {', '.join(names)}, found "
                 f"{', '.join(self.ranges) or 'none'}; correct them"
             )
-        for name, limits in self.ranges.items():
-            low, high = range_of(name, limits)
-            if not low <= high:
-                raise ModelError(
-                    f"ranges: {name}: expected an ascending range, found {low}, {high}; correct it"
-                )
         self.model.start(**self.goal)  # names
 
     @cached_property
@@ -177,7 +163,7 @@ class SamplingTask:
     def limits(self) -> tuple[Array, Array]:
         """Smallest and largest inputs, shape (n_u, 1)."""
         names = [label.full for label in leaves(self.model.labels.u)]
-        pairs = [range_of(name, self.ranges[name]) for name in names]
+        pairs = [range_of(self.ranges[name]) for name in names]
         low, high = np.array(pairs, dtype=float).T[..., None]
         return low, high
 
@@ -209,13 +195,14 @@ class SampledPlan(NamedTuple):
     cycle: int
 
 
+@checked
 def sample_plan(
     task: SamplingTask,
     x: Array,
     former: SampledPlan | None = None,
     *,
     elapsed: float | None = None,
-    goal: Mapping[str, float | Array] | None = None,
+    goal: Annotated[Mapping[str, float | Array], BY_NAME] | None = None,
     keep_out: Sequence[Region] = (),
 ) -> SampledPlan:
     """Return inputs of low cost from a state on, by sampling.

@@ -12,9 +12,9 @@ import casadi as ca
 import numpy as np
 from annotated_types import Ge, Le, doc
 
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.records import Array, field_overview, leaves
-from slipfree.core.schema import check_bounds
 from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.ipopt import (
@@ -63,6 +63,7 @@ LIMIT_CLEARANCE = 1e-5  # distance of plans from limits of the model, in their u
 PlanProgress = Callable[[str, Iterate], bool]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Search:
     """Initial guesses of a search for a plan, and its observation.
@@ -105,9 +106,6 @@ class Search:
     resume: SavedPlan | None = None
     progress: PlanProgress | None = None
     keep: Callable[..., None] | None = None
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 class LocalOptimum(NamedTuple):

@@ -16,12 +16,12 @@ import casadi as ca
 import numpy as np
 from annotated_types import Ge, Gt, Le, Unit, doc
 
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import found_column, needed_lookups, substitute_lookups
 from slipfree.core.records import Array, Label, Mask, field_overview, leaves
-from slipfree.core.schema import check_bounds
 from slipfree.plan.sparse_assembly import Index as Index
 from slipfree.plan.sparse_assembly import NlpBlock, ProgramFunctions, assemble, nlp_block
 from slipfree.plan.stage import Cost, StageFunctions, stage_functions
@@ -61,6 +61,7 @@ class PlanTask:
         return field_overview(self)
 
 
+@checked
 @dataclass(frozen=True)
 class Mesh:
     """First mesh of a plan, and the accuracy to which it is refined.
@@ -104,9 +105,6 @@ class Mesh:
         doc("largest deviation of the simulation from the plan and its limits"),
     ] = 1e-3
     step: Annotated[float, Gt(0), Unit("s")] = SAMPLE_STEP
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 class CollocationMesh(NamedTuple):

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import BeforeValidator, Field
 
 from slipfree.contact.closure import check_couplings
+from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError
 from slipfree.files.toml.source import Fault, Place, name_errors
 from slipfree.files.toml.types import NonNegative, Positive, Record
@@ -194,6 +195,7 @@ def visual_meshes(contents: VehicleFile) -> Mapping[str, TriangleMesh]:
     return visuals
 
 
+@checked
 def read_vehicle(
     path: str | Path, *, trust: Sequence[str | os.PathLike[str]] | bool = ()
 ) -> Vehicle:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
+from slipfree.core.arguments import checked
 from slipfree.files.toml.source import (
     Fault,
     ProblemError,
@@ -75,6 +76,7 @@ def check_option(problem: Problem[Any], option: str) -> None:
     )
 
 
+@checked
 def load_problem(
     path: str | Path,
     settings: Sequence[str] = (),

@@ -38,6 +38,7 @@ USUAL = (DURATION, "effort", ENERGY)  # second objectives of every planning prob
 SHORTEST = 0.01  # lower bound of the least duration, relative to the largest duration
 LineCallback = Callable[[str, str], None]
 SettingTexts = tuple[str, ...]
+GIVEN = -1  # number of the plan of the problem, with its own costs
 MISSING = "-"  # number of a point that is not solved
 
 
@@ -95,7 +96,7 @@ def plan_front(
     *,
     processes: int = 1,
     report: LineCallback | None = None,
-    keep: Callable[[int, FrontPoint], None] | None = None,
+    keep: Callable[[int, FrontPoint], None] = lambda *_: None,
 ) -> PlanFront:
     """Return the Pareto front of slip against the duration or a term of the cost.
 
@@ -106,13 +107,14 @@ def plan_front(
 
     ``report`` is called with the phase of the search and a line; it may raise KeyboardInterrupt,
     after which unsolved points are ``INTERRUPTED``. ``keep`` is called with the number of a point
-    (from 0) and the point, for each solution that is better than earlier ones.
+    (from 0; `GIVEN` for the plan of the problem) and the point, for each solution that is better
+    than earlier ones.
 
     ProblemError is raised if the problem cannot be built, is not a planning problem, or has no
     weight of the slip; DataError if the second objective is unknown; ModelError if fewer than two
     points are requested; SolverError if the plan of the problem, the plan of least slip or that of
-    least second objective is not solved; KeyboardInterrupt if ``report`` raises it before the first
-    point.
+    least second objective is not solved; KeyboardInterrupt if ``report`` raises it before the plan
+    of the problem is solved.
     """
     check_count(count)
     unit = _checked(problem, against)
@@ -120,19 +122,25 @@ def plan_front(
     weight = f"{_key('costs', against)}={problem.spec.costs.get(against, 0.0)!r}"
     measured = () if against == DURATION else (weight,)  # by which the plan reports the objective
     given = begin("plan of the problem", measured, None)
+    keep(GIVEN, given)
     durations = _durations(problem, given)
-    least = begin(f"least {against}", _least_settings(problem, against, durations), given)
-    slip = _slip_settings(problem, against, durations[1] if against == DURATION else None)
-    best = begin("least slip", slip, given)
-    other = begin("least slip from the initial guess", slip, None, is_needed=False)
-    best = other if is_better(other, best) else best
-    if keep is not None:
+    least = best = FrontPoint(np.nan)
+    try:
+        least = begin(f"least {against}", _least_settings(problem, against, durations), given)
         keep(0, least)
+        slip = _slip_settings(problem, against, durations[1] if against == DURATION else None)
+        best = begin("least slip", slip, given)
+        keep(count - 1, best)
+        other = begin("least slip from the initial guess", slip, None, is_needed=False)
+    except KeyboardInterrupt:
+        points = (least, *[FrontPoint(np.nan)] * (count - 2), best)
+        return PlanFront(against, unit, given, least, points)
+    if is_better(other, best):
+        best = other
         keep(count - 1, best)
     with closing(_PointSolver(problem, against, count, processes, report, keep)) as solver:
         points = pareto_front(solver.solve, least, best, count)
-    if keep is not None:
-        keep(len(points) - 1, points[-1])
+    keep(len(points) - 1, points[-1])
     return PlanFront(against, unit, given, least, points)
 
 
@@ -306,7 +314,7 @@ class _PointSolver:
         count: int,
         processes: int,
         report: LineCallback | None,
-        keep: Callable[[int, FrontPoint], None] | None,
+        keep: Callable[[int, FrontPoint], None],
     ) -> None:
         self._problem, self._against, self._count = problem, against, count
         self._report, self._keep = report, keep
@@ -356,8 +364,7 @@ class _PointSolver:
         """Keep the solution of a point, and pass it to ``keep``, if it is the best one so far."""
         if point.is_solved and is_better(point, self._kept.get(number, FrontPoint(point.bound))):
             self._kept[number] = point
-            if self._keep is not None:
-                self._keep(number, point)
+            self._keep(number, point)
 
 
 def front_facts(front: PlanFront) -> Lines:

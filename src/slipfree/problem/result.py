@@ -11,6 +11,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.facts import Fact
 from slipfree.core.outcome import Outcome
@@ -48,6 +49,7 @@ def build(problem: Problem[Runnable]) -> Any:
     return verb_of(problem).build(problem)
 
 
+@checked
 @computing
 def run_problem(
     problem: Problem[Runnable],
@@ -165,6 +167,7 @@ def _attributes(problem: Problem[Any], verb: MotionVerb, setup: VerbSetup) -> di
     return {name: escape_name(text) for name, text in attributes.items()}
 
 
+@checked
 def open_result(path: str | os.PathLike[str], *, samples: int | None = None) -> Result:
     """Return the result in a file of ``slipfree run``; no other file is read.
 

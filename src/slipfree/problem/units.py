@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from slipfree.core.arguments import FULL_TURN
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError
-from slipfree.core.records import Array, leaves
+from slipfree.core.records import Array
 from slipfree.files.toml.source import Fault, key_path
-from slipfree.files.toml.types import FULL_TURN, unit_faults
+from slipfree.files.toml.types import unit_faults
 from slipfree.problem import schema
 from slipfree.problem.schema import CommonKeys
 
@@ -47,20 +48,13 @@ def unit_of(spec: CommonKeys, key: str) -> str:
 
 def check_units(spec: schema.TerrainKeys, dae: Dae) -> Iterator[Fault]:
     """Yield an error for each value whose unit differs from that of the model's quantity."""
-    units = _units(dae)
+    units = dae.units
     for name in TABLES:
         yield from unit_faults((name,), getattr(spec, name, None) or {}, units, bare=name in BARE)
     for index, wanted in enumerate(getattr(spec, "way_points", ())):
         yield from unit_faults(("way_points", index), wanted, units, bare=True)
     rates = {name: _rate(unit) for name, unit in units.items()}
     yield from unit_faults(("accelerations",), getattr(spec, "accelerations", {}), rates)
-
-
-def _units(dae: Dae) -> dict[str, str]:
-    labels = [label for record in dae.labels[:5] for label in leaves(record)]
-    labels += [limit.label for limit in dae.all_limits]
-    labels += leaves(dae.standing.model.labels.x) if dae.standing else ()
-    return {name: label.unit for label in labels for name in (label.name, label.full)}
 
 
 def _rate(unit: str) -> str:

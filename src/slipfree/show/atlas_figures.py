@@ -27,7 +27,6 @@ from slipfree.show.ground_drawing import LEVEL, brightness
 from slipfree.show.plots import Plot
 from slipfree.show.style import MM, PAGE
 from slipfree.terrain.base import Grid
-from slipfree.terrain.bicubic import Bicubic
 
 SHARE = "RdYlBu"  # colours of the share of headings
 FRICTION = "viridis"
@@ -52,7 +51,7 @@ class AtlasView(NamedTuple):
     site: Site  # conditions
 
 
-def view_of(poses: Atlas, terrain: Bicubic) -> AtlasView:
+def view_of(poses: Atlas, terrain: Any) -> AtlasView:
     """Return the contents of the figures of a mobility map on a ground."""
     friction = terrain.mu
     if friction is not None and not isinstance(friction, float | int):

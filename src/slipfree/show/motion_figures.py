@@ -10,7 +10,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,7 +19,8 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import ScalarFormatter
 
 from slipfree.atlas.atlas import Atlas
-from slipfree.core.errors import ModelError, check_type, similar
+from slipfree.core.arguments import checked
+from slipfree.core.errors import ModelError, similar
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.models.samples import CLOSEST
@@ -38,7 +39,7 @@ from slipfree.show.plots import Panel, Plot, PlottedDrive, draw, stack
 from slipfree.show.style import COLUMN, FLAT, MM, PAGE, PLATFORM, STOPPED
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.terrain.solids import Prism
+from slipfree.terrain.solids import Prism, Solids
 
 HEIGHTS = "cividis"
 FILLED = "#D60093"  # hatching of filled holes
@@ -50,6 +51,8 @@ DISTINCT = 0.01  # smallest distance of distinguishable lines [width of the axes
 NEAR = 0.6  # a path with a smaller extent is drawn again, enlarged [extent of the map]
 POSE = ("heading", "roll", "pitch", "yaw", "tip_over_margin", "tip_over")  # not joints
 STEEP = 40.0  # end of the colour scale of slopes [deg]
+AROUND = 0.5  # margin of the ground drawn around a motion [extent of the motion]
+NODES = 101  # of an axis of the ground of a formula
 CHECK_COLUMNS = 3  # panels side by side
 CHECKS = {
     "closure_residual": "log",
@@ -215,14 +218,17 @@ def motion_plots(
     return tuple(plot for compose in FIGURES if (plot := compose(drive)) is not None)
 
 
-def plot(result: Trajectory | Plan | Atlas, terrain: Bicubic, name: str | None = None) -> Figure:
+@checked
+def plot(
+    result: Trajectory | Plan | Atlas, terrain: Terrain | Solids, name: str | None = None
+) -> Figure:
     """Draw a motion, a plan or a mobility map.
 
     Parameters
     ----------
     result : Trajectory, Plan or Atlas
         What is drawn; of a plan, the simulated motion.
-    terrain : Bicubic
+    terrain : Terrain or Solids
         The ground.
     name : str, optional
         Name of the figure, as of the files of ``slipfree run --figures-all`` and ``slipfree
@@ -239,13 +245,15 @@ def plot(result: Trajectory | Plan | Atlas, terrain: Bicubic, name: str | None =
     ModelError
         If the result has no figure of this name.
     """
-    check_type("terrain", terrain, Bicubic, "make one from a map: Bicubic(read_map(path).grid)")
     if isinstance(result, Atlas):
         plots = atlas_plots(view_of(result, terrain))
     else:
         run = result.replay if isinstance(result, Plan) else result
-        check_type("result", run, Trajectory, "give the result of simulate, plan or atlas")
-        plots = motion_plots(run, terrain.grid, terrain)
+        base: Any = terrain
+        prisms = tuple[Prism, ...]()
+        if isinstance(terrain, Solids):
+            base, prisms = terrain.base, terrain.prisms
+        plots = motion_plots(run, _grid_around(run, base), base, prisms)
     known = {plot.name: plot for plot in plots}
     name = plots[0].name if name is None else name
     if name not in known:
@@ -254,6 +262,18 @@ def plot(result: Trajectory | Plan | Atlas, terrain: Bicubic, name: str | None =
             f"{similar(name, known)}correct the name"
         )
     return draw([known[name]])[name]
+
+
+def _grid_around(run: Trajectory, ground: Any) -> Grid:
+    """Return the grid of a ground, or the heights of a formula around a motion."""
+    if isinstance(getattr(ground, "grid", None), Grid):
+        return cast(Grid, ground.grid)
+    margin = 1.0 + AROUND * float(max(np.ptp(run["x"]), np.ptp(run["y"])))
+    x, y = (
+        np.linspace(max(run[n].min() - margin, low), min(run[n].max() + margin, high), NODES)
+        for n, low, high in zip("xy", ground.domain[::2], ground.domain[1::2], strict=True)
+    )
+    return Grid(x, y, ground.elevation(x[:, None], y))
 
 
 def map_plot(drive: PlottedDrive) -> Plot:

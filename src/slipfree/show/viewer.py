@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from slipfree.core.errors import DataError, missing_package
 from slipfree.core.records import Array
 from slipfree.show.html_page import legend, page_script, swatch, warned, with_legend
 from slipfree.show.local_server import Guard, stop, taken
@@ -99,10 +98,7 @@ def _server(
     port: int, warn: Callable[[str], None] = lambda _: None
 ) -> tuple[viser.ViserServer, str]:
     guard = Guard(warn, page_script("viewer_keys.js"))
-    try:
-        server = guard.start(port)
-    except ImportError as error:
-        raise DataError(f"show: {missing_package('viser', 'view')}") from error
+    server = guard.start(port)
     if port and server.get_port() != port:
         stop(server)
         raise taken(port)

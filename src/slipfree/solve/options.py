@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
-from slipfree.core.errors import ModelError
+from annotated_types import Ge, Le
+
+from slipfree.core.arguments import checked
 
 MIN_TOLERANCE = 1e-14  # rounding dominates below it
 MAX_TOLERANCE = 1e-2  # errors do not grow with the tolerance beyond it: steps are uncontrolled
 Method = Literal["idas", "cvodes", "explicit"]
 
 
+@checked
 @dataclass(frozen=True)
 class SolverOptions:
     """Options of starts, simulations and plans.
@@ -41,18 +44,6 @@ class SolverOptions:
         If the tolerance is not between 1e-14 and 0.01, or the method is unknown.
     """
 
-    tolerance: float = 1e-8
+    tolerance: Annotated[float, Ge(MIN_TOLERANCE), Le(MAX_TOLERANCE)] = 1e-8
     method: Method | None = None
     compiled: bool = False
-
-    def __post_init__(self) -> None:
-        if not MIN_TOLERANCE <= self.tolerance <= MAX_TOLERANCE:
-            raise ModelError(
-                f"tolerance: expected a number from {MIN_TOLERANCE:g} to {MAX_TOLERANCE:g}, "
-                f"found {self.tolerance}; choose a number in this range"
-            )
-        if self.method is not None and self.method not in get_args(Method):
-            raise ModelError(
-                f"method: expected one of {', '.join(get_args(Method))}, found {self.method!r}; "
-                "choose one of these or omit the method"
-            )

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from functools import lru_cache
 from math import ceil
 from multiprocessing.shared_memory import SharedMemory
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast
 
 import casadi as ca
 import numpy as np
@@ -16,10 +16,12 @@ import numpy as np
 from slipfree.batch.evaluator import evaluator_of
 from slipfree.batch.graph import graphs_of
 from slipfree.batch.many import run_lanes, start_states, states_of
+from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae, InputValue, PiecewiseLinear
-from slipfree.core.errors import ModelError, SlipfreeError, check_type
+from slipfree.core.errors import ModelError, SlipfreeError, require
 from slipfree.core.records import Array, leaves
-from slipfree.core.trajectory import TIME, WHEELS, Column, SolverError, Trajectory, require
+from slipfree.core.schema import Count, Positive
+from slipfree.core.trajectory import TIME, WHEELS, Column, SolverError, Trajectory
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import check_times, simulate
@@ -37,18 +39,19 @@ ALIGNMENT = 64  # of arrays in shared memory [byte]
 Model = Dae | Callable[..., Dae]
 
 
+@checked
 def rollouts(
     model: Model,
-    starts: Trajectory | Sequence[Trajectory] | Mapping[str, float | Array],
+    starts: Trajectory | Sequence[Trajectory] | Annotated[Mapping[str, float | Array], BY_NAME],
     inputs: Mapping[str, InputValue],
     t: Array,
     *,
     p: Mapping[str, Sequence[object] | Array] | None = None,
     quantities: Sequence[str] | None = None,
     options: SolverOptions = SolverOptions(),
-    processes: int = 1,
+    processes: Count = 1,
     method: Literal["simulate", "batch"] = "simulate",
-    step: float | None = None,
+    step: Positive | None = None,
 ) -> xarray.Dataset:
     """Simulate a model for many starts, inputs and parameters.
 
@@ -123,11 +126,8 @@ def rollouts(
     >>> found["outcome"].values.tolist()
     ['complete', 'complete', 'complete']
     """
+    require("xarray")
     t = check_times(t)
-    if method not in ("simulate", "batch"):
-        raise ModelError(
-            f"method: expected 'simulate' or 'batch', found {method!r}; choose one of these"
-        )
     states, values = _check_kinds(model, starts, inputs, processes)
     parameters = {name: np.asarray(each) for name, each in (p or {}).items()}
     count = _count_runs(parameters, states, values, t.size - 1)
@@ -210,16 +210,11 @@ def _check_kinds(
     model: Model, starts: Any, inputs: Mapping[str, Any], processes: int
 ) -> tuple[list[Trajectory] | dict[str, Array], dict[str, Any]]:
     """Return starts and inputs as a list or dictionaries; raise ModelError for other types."""
-    if not isinstance(processes, int) or processes < 1:
-        raise ModelError(
-            f"processes: expected a positive integer, found {processes!r}; correct the number"
-        )
     if processes > 1 and isinstance(model, Dae):
         raise ModelError(
             f"model: expected a function for {processes} processes, found a model, which cannot be "
             "sent to other processes; give a function at the level of a module that returns it"
         )
-    check_type("inputs", inputs, Mapping, "give numbers or arrays by name: {'left_rate': 0.5}")
     values = {
         name: each if isinstance(each, ca.SX | PiecewiseLinear) else np.asarray(each, dtype=float)
         for name, each in inputs.items()
@@ -227,10 +222,9 @@ def _check_kinds(
     if isinstance(starts, Mapping):
         return {name: np.asarray(each, dtype=float) for name, each in starts.items()}, values
     states = [*starts] if isinstance(starts, Sequence) else [starts]
-    if not states or not all(isinstance(each, Trajectory) for each in states):
+    if not states:
         raise ModelError(
-            "starts: expected a trajectory, a sequence of trajectories or a mapping of values, "
-            f"found {starts!r}; give the result of settle"
+            "starts: expected a trajectory for each run, found none; give at least one"
         )
     return states, values
 

@@ -250,7 +250,7 @@ def to_trajectory(system: System, samples: Samples, report: dict[str, Array]) ->
         )
         for one in groups
     }
-    return Trajectory(samples.t, columns, wheels)
+    return Trajectory(samples.t, columns, wheels, ground=dae.ground)
 
 
 def _check_margins(check: SampledCheck, samples: Samples) -> Array:

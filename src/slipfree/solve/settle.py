@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae, Standing
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import check_order, needed_lookups
@@ -34,13 +35,14 @@ SPEED = "speed"  # name of the initial speed of a dynamic model
 REST_RATE = 1e-5  # largest rate of the relaxing states at rest [size/s]
 
 
+@checked
 @computing
 def settle(
     dae: Dae,
     *,
-    guess: Mapping[str, float] | None = None,
+    guess: Annotated[Mapping[str, float], BY_NAME] | None = None,
     options: SolverOptions = SolverOptions(),
-    **start: float,
+    **start: Annotated[float, BY_NAME],
 ) -> Trajectory:
     """Return the vehicle at rest at a position, as a trajectory of one sample.
 

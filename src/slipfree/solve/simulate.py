@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError, check_type
+from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Record
 from slipfree.core.trajectory import Column, SolverError, Stop, Trajectory, joined
@@ -55,6 +56,7 @@ RESIDUAL_FACTOR = 100.0  # residual allowed at samples of models with a continua
 CHUNK_SIZE = 2000  # samples checked together, to bound the memory
 
 
+@checked
 @computing
 def simulate(
     dae: Dae,
@@ -123,12 +125,6 @@ def simulate(
     >>> print(f"{run['y'][-1]:.4f} m, heading {run['heading'][-1]:.4f} rad")
     0.2703 m, heading 0.0300 rad
     """
-    check_type("start", start, Trajectory, "settle the vehicle: settle(model, x=0.0, y=0.0)")
-    if isinstance(inputs, Mapping):
-        raise ModelError(
-            "inputs: expected the record of inputs of the model, found a mapping; make one: "
-            "model.inputs(**inputs)"
-        )
     t = check_times(t)
     watched = watch_events(dae, events)
     stops = tuple(each for each in watched if each.event.stop)
@@ -276,7 +272,7 @@ def _unfilled(chunk: Trajectory, t: Array) -> Trajectory:
         name: Column(label, np.empty((t.size, *values.shape[1:])))
         for name, (label, values) in chunk.columns.items()
     }
-    return Trajectory(t, columns, chunk.wheels)
+    return Trajectory(t, columns, chunk.wheels, ground=chunk.ground)
 
 
 def _cut_at_crossing(

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any, Generic, TypeVar
 
-from slipfree.core.errors import DataError, SlipfreeError, missing_package
+from slipfree.core.errors import DataError, SlipfreeError, require
 from slipfree.core.version import __version__
 from slipfree.system.processes import Pool, ProcessDiedError, Processes, available_cores
 
@@ -108,14 +108,11 @@ class DaskPool(Generic[T, D]):
 
 def _connect(address: str) -> Any:
     """Return a Dask client of a scheduler after a check of its workers."""
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise DataError(f"--scheduler: {missing_package('distributed', 'cluster')}") from error
+    distributed = require("distributed", "cluster", "--scheduler: ")
     try:
         with ThreadPoolExecutor(1) as alone:  # a notebook already runs an event loop
             alone.submit(asyncio.run, _reach(address)).result()
-        client = Client(address, timeout=CONNECT, set_as_default=False)
+        client = distributed.Client(address, timeout=CONNECT, set_as_default=False)
     except Exception as error:  # its class depends on the transport
         reason = f"{type(error).__name__}: {error}".removesuffix(": ")
         raise DataError(

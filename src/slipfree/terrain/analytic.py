@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, field_overview
@@ -32,6 +33,7 @@ CHUNK = 4096  # points per call of a mapped function, which has a fixed number o
 EVERYWHERE = (-math.inf, math.inf, -math.inf, math.inf)
 
 
+@checked
 @dataclass(frozen=True)
 class Analytic:
     """A ground whose height is a formula.

@@ -10,7 +10,6 @@ values instead of interpolating them: a jump between two nodes becomes a rise ov
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -19,9 +18,11 @@ from typing import NamedTuple, Protocol
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, Mask, overview
+from slipfree.core.schema import Positive
 
 MAX_HEIGHT = 1e9  # largest absolute height of a ground [m]
 UNIFORMITY = 1e-9  # largest deviation of a node from a uniform axis, relative to its length
@@ -165,6 +166,7 @@ class Terrain(Protocol):
         """Return the heights in map coordinates at map points of equal shape [m]."""
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Grid:
     """Heights or friction coefficients on a uniform grid, ``z[i, j]`` at ``(x[i], y[j])``.
@@ -223,7 +225,6 @@ class Grid:
     def __post_init__(self) -> None:
         for name in ("x", "y", "z"):
             array = getattr(self, name)
-            _check_type(name, array)
             # A read-only view: the checks below stay true for the life of the grid.
             view = array.view()
             view.flags.writeable = False
@@ -318,19 +319,6 @@ def check_formula(function: Formula, owner: str, value: str) -> None:
         )
 
 
-def _check_type(name: str, array: Array) -> None:
-    """Raise DataError unless an array is an unmasked array of float64."""
-    if not isinstance(array, np.ndarray):
-        found, remedy = type(array).__name__, f"np.asarray({name}, dtype=float)"
-    elif np.ma.isMaskedArray(array):
-        found, remedy = "a masked array", f"{name}.filled(...) with heights for the masked nodes"
-    elif array.dtype != np.float64:
-        found, remedy = f"an array of {array.dtype}", f"{name}.astype(float)"
-    else:
-        return
-    raise DataError(f"grid: {name} must be an array of float64, found {found}; pass {remedy}")
-
-
 def _check_axis(name: str, axis: Array) -> None:
     """Raise DataError unless an axis is increasing and uniform, with at least four nodes."""
     if axis.ndim != 1:
@@ -405,7 +393,7 @@ def _check_heights(x: Array, y: Array, z: Array) -> None:
 
 
 # number, function of two SX scalars in map coordinates, or map; None if not given [1]
-Friction = float | Formula | Grid | None
+Friction = Positive | Formula | Grid | None
 REPEATED = 2  # repeated rows of nodes around a map that make it constant outside
 
 
@@ -422,15 +410,6 @@ def check_friction(mu: Friction) -> None:
         _check_map(mu)
     elif callable(mu):
         check_formula(mu, "friction", "coefficient")
-    elif not isinstance(mu, float | int) or isinstance(mu, bool):
-        raise ModelError(
-            "friction: mu must be a number, a function of x and y, or a Grid, found "
-            f"{type(mu).__name__}; pass float(mu), or read_map(path).grid for a file"
-        )
-    elif not 0 < mu < math.inf:
-        raise ModelError(
-            f"friction: mu must be positive and finite, found {mu}; for ice give a small number"
-        )
 
 
 def coefficient(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from slipfree.core.errors import check_type
+from slipfree.core.arguments import checked
 from slipfree.core.lookups import Cells, LookupTable
 from slipfree.core.records import Array, Indices
 from slipfree.terrain.base import (
@@ -37,6 +37,7 @@ MAX_FOURFOLD_SIZE = 2**21  # larger tables of coefficients are stored once, not 
 COLUMNS_AT_ONCE = 64  # splines solved together; their values stay in the processor's cache
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Bicubic:
     """The bicubic not-a-knot spline through the heights of a grid.
@@ -103,21 +104,16 @@ class Bicubic:
 
     def __repr__(self) -> str:
         friction = "from a map" if isinstance(self.mu, Grid) else self.mu
-        return f"{self.grid!r}".replace("Grid", "Bicubic", 1) + f"\n  friction: {friction}"
+        return (
+            f"{self.grid!r}".replace("Grid", type(self).__name__, 1) + f"\n  friction: {friction}"
+        )
 
     def __post_init__(self) -> None:
-        remedy = "pass the grid of a map, read_map(path).grid, or Grid(x, y, z) of arrays"
-        check_type("grid", self.grid, Grid, remedy)
         check_friction(self.mu)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields for pickling; an unpickled copy computes the coefficients again."""
-        return {
-            "grid": self.grid,
-            "center": self.center,
-            "mu": self.mu,
-            "through": self.through,
-        }
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @cached_property
     def origin(self) -> tuple[float, float, float]:

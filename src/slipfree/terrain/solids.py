@@ -11,16 +11,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 from annotated_types import Ge, Gt, Le, Unit, doc
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
-from slipfree.core.schema import Length
+from slipfree.core.schema import Finite, Length
 from slipfree.terrain.base import Terrain
 
 Point = tuple[float, float]
@@ -225,6 +226,7 @@ class Profile:
         return tuple(found)
 
 
+@checked
 @dataclass(frozen=True)
 class Prism:
     """A convex polygon in a vertical plane, extruded horizontally to both sides.
@@ -247,23 +249,11 @@ class Prism:
     """
 
     section: Solid
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
-    heading: float = 0.0
-    half_width: float = math.inf
-
-    def __post_init__(self) -> None:
-        for name in ("x", "y", "z", "heading"):
-            if not math.isfinite(getattr(self, name)):
-                raise ModelError(
-                    f"prism: expected a finite number for {name!r}, found {getattr(self, name)}; "
-                    "correct it"
-                )
-        if not self.half_width > 0:
-            raise ModelError(
-                f"prism: expected a positive half-width, found {self.half_width} m; increase it"
-            )
+    x: Finite = 0.0
+    y: Finite = 0.0
+    z: Finite = 0.0
+    heading: Finite = 0.0
+    half_width: Annotated[float, Gt(0)] = math.inf
 
     @property
     def axes(self) -> Array:
@@ -435,6 +425,7 @@ def section_of(prisms: Sequence[Prism], floor: float = 0.0) -> Profile:
     return Profile(tuple(found))
 
 
+@checked
 @dataclass(frozen=True)
 class Solids:
     """A ground with convex solids on it, for `slipfree.dynamics`.
@@ -452,15 +443,6 @@ class Solids:
 
     base: Terrain
     prisms: tuple[Prism, ...]
-
-    def __getattr__(self, name: str) -> Any:
-        """Raise ModelError for the attributes of a `Terrain`, which solids do not have."""
-        if name in ("origin", "domain", "has_friction", "height", "jet", "friction"):
-            raise ModelError(
-                "ground: expected a ground given by its height, found solids, which only dynamics "
-                "supports; use slipfree.dynamics, or the base of the solids"
-            )
-        raise AttributeError(name)
 
     def elevation(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """Return the heights of the highest surface at map points, of broadcastable shapes [m]."""

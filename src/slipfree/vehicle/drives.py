@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 import casadi as ca
 from annotated_types import Ge, Gt, Lt, Unit, doc
 
-from slipfree.core.schema import check_bounds
+from slipfree.core.arguments import checked
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,7 @@ class Torque(Drive):
         return wanted, ca.SX(0)
 
 
+@checked
 @dataclass(frozen=True)
 class Motor(Drive):
     """Direct-current motor with a speed controller: the input is the reference rate.
@@ -111,9 +112,6 @@ class Motor(Drive):
     rotor_inertia: Annotated[
         float, Ge(0), Lt(inf), Unit("kg m^2"), doc("inertia of the rotor, behind the gear")
     ] = 0.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     @property
     def added_inertia(self) -> float:

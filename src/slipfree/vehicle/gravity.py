@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, similar
 from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle
 
@@ -83,6 +84,7 @@ def foreign_map_words(gravity: float, radius: float) -> str:
     return f"; but the map is of a body with a radius of {radius / 1e3:.6g} km: {key}"
 
 
+@checked
 def in_gravity(vehicle: Vehicle, gravity: float | str) -> Vehicle:
     """Return the vehicle in another gravity.
 

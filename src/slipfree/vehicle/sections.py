@@ -15,6 +15,7 @@ from math import degrees, inf, pi
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 from slipfree.core.schema import Length
@@ -53,15 +54,6 @@ class Section(ABC):
         A torus with ``r1 = 0`` is a disc, one with ``r2 = 0`` a sphere.
         """
         return None
-
-    def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if isinstance(value, float | int) and not 0 < value < inf:
-                raise ModelError(
-                    f"{type(self).__name__.lower()}: {each.name}: expected a finite positive "
-                    f"length, found {value} m; change it"
-                )
 
     def __str__(self) -> str:
         """Return the kind of section and its dimensions [m], as in ``torus r1 0.05, r2 0.25 m``."""
@@ -207,6 +199,7 @@ def _curve(section: Section, count: int) -> ca.Function:
     return ca.Function("profile", [u], [*point]).map(count)
 
 
+@checked
 @dataclass(frozen=True)
 class Disc(Section):
     """A thin disc.
@@ -229,6 +222,7 @@ class Disc(Section):
         return 0 * axial, self.radius + 0 * axial  # SX or MX, as the normal
 
 
+@checked
 @dataclass(frozen=True)
 class Sphere(Section):
     """Spherical wheel that rotates about an axle through its centre.
@@ -259,6 +253,7 @@ class Sphere(Section):
         return self.radius + 0 * axial  # SX or MX, as the normal
 
 
+@checked
 @dataclass(frozen=True)
 class Torus(Section):
     """Torus: a wheel with a circular tread section.
@@ -296,6 +291,7 @@ class Torus(Section):
         return self.r1 + 0 * axial  # SX or MX, as the normal
 
 
+@checked
 @dataclass(frozen=True)
 class Omni(Section):
     """Omni or mecanum wheel: free rollers whose common envelope has the shape of a wheel.

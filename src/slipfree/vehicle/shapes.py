@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from math import inf
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import field_overview
-from slipfree.geometry.frame import Pose, Vector, check_vector, translation, turn
+from slipfree.core.schema import Positive
+from slipfree.geometry.frame import Pose, Vector, translation, turn
 from slipfree.vehicle.wheel import ORIGIN
 
 
+@checked
 @dataclass(frozen=True)
 class Box:
     """A box.
@@ -32,20 +34,12 @@ class Box:
         If an edge is not positive, or a number is not finite.
     """
 
-    size: Vector
+    size: tuple[Positive, Positive, Positive]
     at: Vector = ORIGIN
     turned: Vector = ORIGIN
 
     def __repr__(self) -> str:
         return field_overview(self)
-
-    def __post_init__(self) -> None:
-        for key in ("size", "at", "turned"):
-            check_vector(f"box: {key}", getattr(self, key))
-        if not min(self.size) > 0:
-            raise ModelError(
-                f"box: size: expected three positive edges, found {self.size} m; increase them"
-            )
 
     def __str__(self) -> str:
         """Return edges, centre and orientation, for lists of parts."""
@@ -66,6 +60,7 @@ class Box:
         return tuple((i * a, j * b, k * c) for i, j, k in product((-1, 1), repeat=3))
 
 
+@checked
 @dataclass(frozen=True)
 class Ball:
     """A ball.
@@ -83,25 +78,18 @@ class Ball:
         If the radius is not positive and finite, or the centre not finite.
     """
 
-    radius: float
+    radius: Positive
     at: Vector = ORIGIN
 
     def __repr__(self) -> str:
         return field_overview(self)
-
-    def __post_init__(self) -> None:
-        check_vector("ball: at", self.at)
-        if not 0 < self.radius < inf:
-            raise ModelError(
-                f"ball: radius: expected a positive, finite number, found {self.radius} m; "
-                "correct it"
-            )
 
     def __str__(self) -> str:
         """Return radius and centre, for lists of parts."""
         return f"ball of radius {self.radius:.4g} m at {_listed(self.at)} m"
 
 
+@checked
 @dataclass(frozen=True)
 class Hull:
     """The convex hull of points; its clearance is that of the points.
@@ -126,8 +114,6 @@ class Hull:
     def __post_init__(self) -> None:
         if not self.points:
             raise ModelError("hull: points: expected at least one point, found none; add points")
-        for point in self.points:
-            check_vector("hull: points", point)
 
     def __str__(self) -> str:
         """Return the number of points and their extent, for lists of parts."""

@@ -5,19 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import casadi as ca
 import numpy as np
+from annotated_types import Gt
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, field_overview, overview
+from slipfree.core.schema import Finite, NonNegative
 from slipfree.geometry.frame import (
     Axis,
     Elements,
     Pose,
     Vector,
-    check_vector,
     tensor,
     translation,
     turn,
@@ -33,6 +35,7 @@ EARTH_GRAVITY = 9.81  # [m/s^2]
 MAX_WHEELS = 100  # with more, preparing the models takes minutes
 
 
+@checked
 @dataclass(frozen=True)
 class Body:
     """Mass, centre of mass, inertia and shapes of a part of a vehicle, without its wheels.
@@ -58,8 +61,8 @@ class Body:
         length, or if a principal moment of inertia is not positive.
     """
 
-    mass: float = 0.0
-    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mass: NonNegative = 0.0
+    at: Vector = ORIGIN
     inertia: Elements | None = None
     shapes: tuple[BodyShape, ...] = ()
 
@@ -67,16 +70,11 @@ class Body:
         return field_overview(self)
 
     def __post_init__(self) -> None:
-        if not 0 <= self.mass < math.inf:
-            raise ModelError(
-                f"body: mass: expected a finite number of zero or more, found {self.mass} kg; "
-                "change it"
-            )
-        check_vector("body: at (centre of mass)", self.at)
         if self.inertia is not None:
             _check_inertia(self.inertia)
 
 
+@checked
 @dataclass(frozen=True)
 class Coordinate:
     """Coordinate of a vehicle: an angle or length on which the values of joints depend.
@@ -121,11 +119,11 @@ class Coordinate:
     words: str
     lower: float = -math.inf
     upper: float = math.inf
-    stiffness: float = 0.0
-    rest: float = 0.0
-    damping: float = 0.0
-    bump: float = 0.0
-    max_rate: float = math.inf
+    stiffness: NonNegative = 0.0
+    rest: Finite = 0.0
+    damping: NonNegative = 0.0
+    bump: NonNegative = 0.0
+    max_rate: Annotated[float, Gt(0)] = math.inf
     drive: Drive = RATE
 
     def __repr__(self) -> str:
@@ -137,27 +135,10 @@ class Coordinate:
                 f"coordinate {self.name!r}: the lower stop must be below the upper one, "
                 f"found lower = {self.lower} and upper = {self.upper}; exchange or correct them"
             )
-        for key in ("stiffness", "damping", "bump"):
-            value = getattr(self, key)
-            if not 0 <= value < math.inf:
-                raise ModelError(
-                    f"coordinate {self.name!r}: {key}: expected a finite number of zero or more, "
-                    f"found {value}; change it"
-                )
-        if not self.max_rate > 0:
-            raise ModelError(
-                f"coordinate {self.name!r}: max_rate: expected a positive number, found "
-                f"{self.max_rate}; increase it"
-            )
         if self.bump and not (math.isfinite(self.lower) or math.isfinite(self.upper)):
             raise ModelError(
                 f"coordinate {self.name!r}: bump, the stiffness of the stops, needs a lower or an "
                 "upper stop, found none; give 'lower' or 'upper', or remove 'bump'"
-            )
-        if not math.isfinite(self.rest):
-            raise ModelError(
-                f"coordinate {self.name!r}: rest: expected a finite number, found {self.rest}; "
-                "change it"
             )
         if self.kind != "commanded" and self.drive != RATE:
             raise ModelError(
@@ -192,6 +173,7 @@ class Coordinate:
         return energy
 
 
+@checked
 @dataclass(frozen=True)
 class Joint:
     """A part that rotates about an axis or slides along it.
@@ -237,8 +219,6 @@ class Joint:
         return field_overview(self)
 
     def __post_init__(self) -> None:
-        for key in ("at", "turned"):
-            check_vector(f"joint {self.name!r}: {key}", getattr(self, key))
         try:
             unit_vector(self.axis)
         except ModelError as error:
@@ -265,6 +245,7 @@ class Joint:
         return place @ translation(*(value * along for along in unit_vector(self.axis)))
 
 
+@checked
 @dataclass(frozen=True)
 class Vehicle:
     """A vehicle: platform, joints and wheels.
@@ -433,6 +414,7 @@ class Vehicle:
         return parts
 
 
+@checked
 def planar(vehicle: Vehicle) -> Vehicle:
     """Return a vehicle whose platform moves only in the plane x = 0 of the map, for dynamics.
 
@@ -475,12 +457,7 @@ def actuated(vehicle: Vehicle, *names: str) -> Vehicle:
 
 
 def _check_inertia(inertia: Elements) -> None:
-    """Raise ModelError unless six numbers are the elements of an inertia tensor."""
-    if len(inertia) != 6 or not all(map(math.isfinite, inertia)):
-        raise ModelError(
-            "body: inertia: expected six finite numbers Ixx, Iyy, Izz, Ixy, Ixz, Iyz in kg m^2, "
-            f"found {inertia}; correct the inertia"
-        )
+    """Raise ModelError unless the principal moments of inertia are positive."""
     least = float(np.linalg.eigvalsh(tensor(inertia))[0])
     if least <= 0:
         raise ModelError(

@@ -11,15 +11,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import field_overview
-from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
+from slipfree.core.schema import NonNegative, Positive
+from slipfree.geometry.frame import Axis, Pose, Vector, translation, turn, unit_vector
 from slipfree.vehicle.drives import NO_DRIVE, RATE, Drive
 from slipfree.vehicle.sections import Section
 
 ORIGIN = (0.0, 0.0, 0.0)
 
 
+@checked
 @dataclass(frozen=True)
 class Wheel:
     """A wheel, a body of revolution about its axle.
@@ -65,11 +68,11 @@ class Wheel:
     at: Vector
     section: Section
     driven: bool
-    grip: float = 1.0
-    mass: float = 0.0
+    grip: Positive = 1.0
+    mass: NonNegative = 0.0
     axle: Axis = "x"
-    static_depth: float | None = None
-    inertia: tuple[float, float] | None = None
+    static_depth: Positive | None = None
+    inertia: tuple[Positive, Positive] | None = None
     drive: Drive = RATE
 
     def __repr__(self) -> str:
@@ -80,29 +83,6 @@ class Wheel:
             raise ModelError(
                 f"wheel {self.name!r}: expected a name of letters, digits, _ and -, since it is "
                 "part of names in results; rename the wheel"
-            )
-        check_vector(f"wheel {self.name!r}: at", self.at)
-        if not (isinstance(self.grip, ca.SX) or 0 < self.grip < math.inf):
-            raise ModelError(
-                f"wheel {self.name!r}: grip: expected a finite positive number, found {self.grip}; "
-                "change it"
-            )
-        if self.static_depth is not None and not 0 < self.static_depth < math.inf:
-            raise ModelError(
-                f"wheel {self.name!r}: static_depth: expected a finite positive length or None, "
-                f"found {self.static_depth} m; change it"
-            )
-        if not 0 <= self.mass < math.inf:
-            raise ModelError(
-                f"wheel {self.name!r}: mass: expected a finite number of zero or more, found "
-                f"{self.mass} kg; change it"
-            )
-        if self.inertia is not None and not (
-            len(self.inertia) == 2 and all(0 < each < math.inf for each in self.inertia)
-        ):
-            raise ModelError(
-                f"wheel {self.name!r}: inertia: expected two finite positive numbers in kg m^2, "
-                f"found {self.inertia}; change them"
             )
         try:
             unit_vector(self.axle)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import warnings
 import zipfile
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError
-from slipfree.core.records import Array, field_overview
+from slipfree.core.records import Array
 from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.points import read_point_cloud, read_points
@@ -25,7 +27,8 @@ from slipfree.files.maps.raster import (
 )
 from slipfree.files.maps.reference_systems import metric_system, refuse
 from slipfree.system.regular_files import regular_file
-from slipfree.terrain.base import Grid
+from slipfree.terrain.base import Friction, Grid
+from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import (
     MAX_NODES,
     Heights,
@@ -59,13 +62,14 @@ class Frame(NamedTuple):
     ky: float = 1.0
 
 
-class Map(NamedTuple):
-    """A height map in metres, and facts about its file.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Map(Bicubic):
+    """A ground from a height map in metres, and facts about its file.
 
     Attributes
     ----------
-    grid : Grid
-        Heights of the ground. [m]
+    grid, center, mu, through
+        Heights of the ground, and other attributes of `Bicubic`.
     frame : Frame
         Relation between the coordinates of the grid and of the file.
     crs : str
@@ -78,17 +82,14 @@ class Map(NamedTuple):
         Whether the heights are gray levels of a picture, not metres.
     """
 
-    grid: Grid
-    frame: Frame = Frame()
+    frame: Frame = field(default_factory=Frame)
     crs: str = ""
     geographic: bool = False
     facts: Facts = ()
     gray: bool = False
 
-    def __repr__(self) -> str:
-        return field_overview(self)
 
-
+@checked
 def read_map(
     path: str | Path,
     *,
@@ -99,8 +100,9 @@ def read_map(
     geographic: Literal["local"] | Frame | None = None,
     fill: Literal["linear"] | None = None,
     vertical_scale: float | None = None,
+    friction: Friction = None,
 ) -> Map:
-    """Return the height map in a file.
+    """Return the ground of a height map in a file.
 
     Parameters
     ----------
@@ -128,6 +130,13 @@ def read_map(
     vertical_scale : float, optional
         Metres per unit of the heights, if they are not metres: they are not converted, but markers
         of missing heights are recognized by their distance from the others in metres.
+    friction : float, callable or Grid, optional
+        Coefficient of friction, as ``mu`` of `slipfree.Bicubic`. [1]
+
+    Returns
+    -------
+    Map
+        A ground, as `slipfree.Bicubic`, with the frame that leads back to the file.
 
     Raises
     ------
@@ -153,7 +162,7 @@ def read_map(
         with regular_file(path, "a map"):
             heights = _reader(ending).read(path, reading)
         check_degrees(heights, local=geographic is not None)
-        return _mapped(heights, geographic, fill)
+        return _mapped(heights, geographic, fill, friction)
 
 
 def takes_key(ending: str, key: str) -> bool:
@@ -208,7 +217,10 @@ def check_degrees(heights: Heights, *, local: bool) -> None:
 
 
 def _mapped(
-    heights: Heights, geographic: Literal["local"] | Frame | None, fill: Literal["linear"] | None
+    heights: Heights,
+    geographic: Literal["local"] | Frame | None,
+    fill: Literal["linear"] | None,
+    friction: Friction,
 ) -> Map:
     facts: Facts = heights.facts
     mask, missing = None, np.isnan(heights.z)
@@ -227,7 +239,7 @@ def _mapped(
         heights = heights._replace(z=continue_over_holes(heights.z))
     if geographic is None:
         grid = Grid(heights.x, heights.y, heights.z, mask, holes)
-        return Map(grid, crs=heights.crs, facts=facts, gray=heights.gray)
+        return Map(grid, mu=friction, crs=heights.crs, facts=facts, gray=heights.gray)
     frame = local_frame(heights.x, heights.y) if geographic == "local" else geographic
     x, y = (heights.x - frame.x0) / frame.kx, (heights.y - frame.y0) / frame.ky
     facts += (("ground degrees", _degrees_words(heights.y, frame)),)
@@ -238,7 +250,8 @@ def _mapped(
             "border; set a window, or reproject it to metres: gdalwarp -t_srs "
             f"{metric_system(float(heights.x.mean()), float(heights.y.mean()))} in out.tif"
         )
-    return Map(Grid(x, y, heights.z, mask, holes), frame, heights.crs, geographic=True, facts=facts)
+    grid = Grid(x, y, heights.z, mask, holes)
+    return Map(grid, mu=friction, frame=frame, crs=heights.crs, geographic=True, facts=facts)
 
 
 def hole_words(count: int, size: int) -> str:

@@ -11,7 +11,7 @@ from dataclasses import MISSING
 from functools import cache
 from itertools import pairwise
 from math import pi
-from typing import Annotated, Any, ClassVar, get_origin
+from typing import Annotated, Any, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -27,15 +27,14 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from slipfree.core.arguments import MAX_NUMBER, WithUnit, degrees_question
 from slipfree.core.schema import Key, keys_of
 from slipfree.files.toml.source import Fault, format_value
 from slipfree.files.toml.source import Place as KeyPath
 
-FULL_TURN = 2 * pi * 1.001  # larger bare angles are probably degrees; the margin allows rounding
 EXAMPLE = 'a number, or text with an angular unit, as in "30 deg" or "5 deg/s"'
 PAIRS = "a number, or an array of [time, value] pairs"
 TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*(deg|rad)(/s2?)?\s*")
-MAX_NUMBER = 1e300  # largest accepted number
 Piecewise = tuple[tuple[float, float], ...]
 
 
@@ -65,13 +64,6 @@ class Record(BaseModel):
 def expected_error(text: str) -> PydanticCustomError:
     """Return a validation error of pydantic with a description of the expected value."""
     return PydanticCustomError("expected", "{words}", {"words": text})
-
-
-class WithUnit(float):
-    """A number that was written with a unit, converted to SI units."""
-
-    unit: ClassVar[str]
-    words: ClassVar[str]
 
 
 class AngleWithUnit(WithUnit):
@@ -156,9 +148,8 @@ def unit_faults(
 
 def bare_words(value: float) -> str:
     """Return the expected value for an angle above a full turn without unit, in words; else ""."""
-    if isinstance(value, WithUnit) or abs(value) <= FULL_TURN:
-        return ""
-    return f'radians (did you mean {value:.6g} degrees? write "{value:.6g} deg")'
+    question = degrees_question(value, f'"{value:.6g} deg"')
+    return question and f"radians ({question})"
 
 
 def in_radians(value: float) -> float:
