@@ -183,6 +183,14 @@ def test_a_clear_choice_is_read_with_a_note(name, tmp_path):
         assert [each.radius for each in vehicle.wheels[1:]] == [0.1] * 3
         assert np.allclose([abs(each.at[0]) for each in vehicle.wheels], 0.15)
     for line in offered("\n".join(vehicle.notes)):
+        assert read_vehicle(written(tmp_path, parts, line)).wheels
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", READ)
+def test_vehicles_of_offered_lines_stand_on_level_ground(name, tmp_path):
+    parts, _, _ = READ[name]
+    for line in offered("\n".join(read_vehicle(written(tmp_path, parts)).notes)):
         assert not describe(written(tmp_path, parts, line)).faults, line
 
 
