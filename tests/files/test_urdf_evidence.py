@@ -69,6 +69,36 @@ def arms(word):
 
 
 PIVOTS = {word: [f"{word}_{k}_pivot" for k in range(2)] for word in ("part", "leg")}
+
+
+def car():
+    """Return a car whose springs, steering and wheels all have effort transmissions."""
+    parts = ""
+    for name, x, y in (
+        (f"{end}_{side}", x, y)
+        for end, x in (("front", 0.5), ("rear", -0.5))
+        for side, y in (("left", 0.15), ("right", -0.15))
+    ):
+        post = f"{name}_shock"
+        at = f"{x} {y} 0"
+        parts += link(post)
+        parts += joint(f"{post}_joint", "prismatic", "base", post, at, "0 0 -1", more=LIMIT)
+        parts += transmission(f"{post}_joint", "Effort") + transmission(f"{name}_joint", "Effort")
+        if x > 0:
+            knuckle = f"{name}_steer"
+            parts += link(knuckle) + transmission(knuckle, "Effort")
+            parts += joint(knuckle, "revolute", post, knuckle, axis="0 0 1", more=LIMIT)
+            post = knuckle
+        parts += wheel(name, "0 0 0", parent=post)
+    return parts
+
+
+SWIVEL = (
+    TWO + each(["left_wheel_joint", "right_wheel_joint"], command, "velocity") + link("caster")
+    + joint("swivel", "continuous", "base", "caster", "-0.3 0 0", "0 0 1")
+    + transmission("swivel", "Effort")
+    + wheel("roll", "-0.04 0 -0.06", ROUND.format(0.04), parent="caster")
+)  # fmt: skip
 FREE_ROCKERS = {name: "suspension" for name in ROCKERS if name != "right_rocker_joint"}
 SWAPPED = FOUR.replace("front_left", "old").replace("front_right", "front_left")
 SPRING = '<gazebo reference="{}"><springStiffness>9</springStiffness></gazebo>'
@@ -98,6 +128,12 @@ READ = {
     "one side with an effort": (
         rocker_bogie() + each(ROCKERS[:2], transmission, "Effort"), FREE_ROCKERS, "differential"
     ),
+    "car with efforts": (
+        car(),
+        dict.fromkeys(("front_left_steer", "front_right_steer"), "commanded"),
+        "with so few wheels, it and its counterpart cannot follow the ground",
+    ),
+    "caster with an effort": (SWIVEL, {"swivel": "passive"}, "a caster or a trailer swivels"),
     "actuated arms": (
         arms("leg") + each(PIVOTS["leg"], command, "position"),
         dict.fromkeys(PIVOTS["leg"], "commanded"),
@@ -147,6 +183,14 @@ def test_a_clear_choice_is_read_with_a_note(name, tmp_path):
         assert [each.radius for each in vehicle.wheels[1:]] == [0.1] * 3
         assert np.allclose([abs(each.at[0]) for each in vehicle.wheels], 0.15)
     for line in offered("\n".join(vehicle.notes)):
+        assert read_vehicle(written(tmp_path, parts, line)).wheels
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", READ)
+def test_vehicles_of_offered_lines_stand_on_level_ground(name, tmp_path):
+    parts, _, _ = READ[name]
+    for line in offered("\n".join(read_vehicle(written(tmp_path, parts)).notes)):
         assert not describe(written(tmp_path, parts, line)).faults, line
 
 

@@ -6,6 +6,7 @@ choices of about the same weight is contradictory, and leaves the choice open.
 
 from __future__ import annotations
 
+import math
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -103,11 +104,19 @@ def plugins(robot: Element) -> tuple[Plugin, ...]:
                 if "encoder" not in tag:
                     words |= dict.fromkeys(names_of(part), tag)
                 if tag in RADIUS:
-                    with_unit = re.fullmatch(r"[\d.e+-]*\d[\d.e+-]*", names_of(part)[0])
-                    radius = RADIUS[tag] * float(with_unit[0]) if with_unit else radius
+                    radius = RADIUS[tag] * _number("".join(part.texts)) or radius
             name = " ".join(plugin.attributes.get(key, "") for key in ("filename", "name"))
             found.append(Plugin(name, words, radius))
     return tuple(found)
+
+
+def _number(text: str) -> float:
+    """Return a positive number in a text; zero without one."""
+    try:
+        value = float(text)
+    except ValueError:
+        return 0.0
+    return value if 0 < value < math.inf else 0.0
 
 
 def actuators(robot: Element) -> dict[str, list[Evidence]]:
@@ -125,8 +134,9 @@ def actuators(robot: Element) -> dict[str, list[Evidence]]:
     springs = [(each.attributes.get("reference", ""), each) for each in robot.all("gazebo")]
     springs += [(each.attributes.get("name", ""), each) for each in robot.all("joint")]
     for name, element in springs:
-        keys = {key.lower() for part in element.children for key in (part.tag, *part.attributes)}
-        if any("spring" in key and "reference" not in key for key in keys):
+        values = [(part.tag, "".join(part.texts)) for part in element.children]
+        values += [pair for part in element.children for pair in part.attributes.items()]
+        if any("springstiff" in key.lower().replace("_", "") and _number(v) for key, v in values):
             evidence[name].append(Evidence("suspension", COMMAND, "a spring in the simulator"))
     return evidence
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
-from slipfree.files.urdf.evidence import HINT, STRONG, USUAL, Choice, Evidence, weigh
+from slipfree.files.urdf.evidence import COMMAND, HINT, USUAL, Choice, Evidence, weigh
 from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.roles import Roles
 from slipfree.files.urdf.tree import Link, Mimic, Shape, Tree, UrdfJoint, lowest
@@ -237,7 +237,7 @@ TOO_MANY = KindGuess(
 LEVEL = Evidence("suspension", USUAL, "it lets wheels follow the ground")
 SLIDES = Evidence("commanded", USUAL, "it slides a wheel sideways")
 STEEP = Evidence("commanded", USUAL, "a steep axis above a wheel steers it")
-SWIVEL = Evidence("passive", STRONG, "a caster or a trailer swivels")
+SWIVEL = Evidence("passive", COMMAND + HINT, "a caster or a trailer swivels")
 
 
 class Joints:
@@ -297,7 +297,9 @@ class Joints:
 
     def _choice(self, joint: UrdfJoint, carrying: Sequence[UrdfJoint]) -> Choice:
         """Return the kind of a joint by the evidence for it and its counterpart."""
-        other = self._tree.mirror_image(joint, carrying)
+        kind = self._rocks(joint), joint.type == "prismatic"
+        alike = [o for o in carrying if (self._rocks(o), o.type == "prismatic") == kind]
+        other = self._tree.mirror_image(joint, alike)
         both = [joint] if other is None or other.mimic else [joint, other]
         return weigh(piece for each in both for piece in self._evidence(each))
 
@@ -341,7 +343,8 @@ class Joints:
             if name not in kinds:
                 guess = self._guess(self._choices[name], left)
                 if len(pair) > left:
-                    guess = TOO_MANY._replace(alike=guess.alike)
+                    also = f"; {guess.reason}" if guess.alike else ""
+                    guess = TOO_MANY._replace(reason=TOO_MANY.reason + also, alike=guess.alike)
                 left -= len(pair) if len(pair) <= left else 0
                 kinds |= dict.fromkeys(pair, guess)
         return kinds

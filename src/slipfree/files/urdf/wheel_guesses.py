@@ -51,11 +51,21 @@ SMALL = 1e-3  # smaller vectors between places have no direction [m]
 CAMERA = re.compile("camera|kinect|realsense", re.IGNORECASE)
 END = r"(front|rear|back|hind|mid|middle|center|centre)?"
 # words of names: front, left_front, leftFront, FL, lf, ...
-SIDES = {
-    "front": re.compile("front|fore|(left|right)front|front(left|right)|f|[fl]f|f[lr]|rf"),
-    "rear": re.compile("(left|right)?(rear|back|hind)(left|right)?|[rb][lr]|[lr]b|lr"),
-    "left": re.compile(f"{END}left{END}|l|[frbmc]l|l[frbmc]"),
-    "right": re.compile(f"{END}right{END}|r|[frbmc]r|r[fbmc]"),
+SIDES = {  # also in German, French, Italian, Spanish and Portuguese
+    "front": re.compile(
+        "front|fore|(left|right)front|front(left|right)|f|[fl]f|f[lr]|rf|v[lr]|vorne?|vorder.*|"
+        "avant|anteriore?|delanter[ao]|dianteir[ao]"
+    ),
+    "rear": re.compile(
+        "(left|right)?(rear|back|hind)(left|right)?|[rb][lr]|[lr]b|lr|h[lr]|hinten|hinter.*|"
+        "arriere|posteriore?|traser[ao]|traseir[ao]"
+    ),
+    "left": re.compile(
+        f"{END}left{END}|l|[frbmcvh]l|l[frbmc]|links?|gauche|sinistr[ao]|izquierd[ao]|esquerd[ao]"
+    ),
+    "right": re.compile(
+        f"{END}right{END}|r|[frbmcvh]r|r[fbmc]|rechts?|droite?|destr[ao]|derech[ao]|direit[ao]"
+    ),
 }
 
 
