@@ -64,6 +64,12 @@ def test_further_columns_are_ignored(tmp_path, text):
     assert ("x, y, z are the first 3 of 4" in dict(found.facts)["ground points"]) == is_guessed
 
 
+def test_a_matrix_of_heights_is_not_read_as_points(tmp_path, rng):
+    np.savetxt(tmp_path / "m.csv", rng.normal(100, 3, (40, 40)), fmt="%.3f", delimiter=",")
+    with pytest.raises(DataError, match=r"40 columns without names, probably a matrix.*\.asc"):
+        read_map(tmp_path / "m.csv", spacing=1.0)
+
+
 def test_points_on_a_grid_keep_their_values(tmp_path):
     """At coordinates whose steps are not exact, no node is lost at the border."""
     x, y = 500000.3 + 0.1 * np.arange(30), 4.5e6 + 0.1 * np.arange(20)

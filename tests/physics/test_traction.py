@@ -36,7 +36,7 @@ from slipfree import (
     settle,
     simulate,
 )
-from slipfree.catalog import three_wheeler
+from slipfree.catalog import rigid_skid_steer, three_wheeler
 from slipfree.core.outcome import Outcome
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.montana import montana_kinematics
@@ -276,3 +276,9 @@ def test_what_does_not_suit_is_refused():
     for of in (direct_kinematics, montana_kinematics):
         with pytest.raises(ModelError, match=r"expected a slip law such as LeastSlip\(\) or"):
             of(FIXED, ground, slip=Coulomb())
+
+
+def test_a_rigid_vehicle_is_refused_with_the_models_that_answer():
+    words = "found 0 in 'rigid_skid_steer'; use the model 'dynamics'.*'kinematics'"
+    with pytest.raises(ModelError, match=words):
+        quasi_statics(rigid_skid_steer(), Analytic(lambda x, _: 0 * x, mu=0.8))

@@ -34,7 +34,7 @@ import numpy as np
 
 from slipfree.contact.touch import Plane, jet_function, plane_of
 from slipfree.core.evaluation import evaluate
-from slipfree.core.records import Array, Indices, Mask
+from slipfree.core.records import Array, Indices
 from slipfree.geometry.frame import Pose, translation
 from slipfree.terrain.base import Jet, Terrain
 from slipfree.terrain.bicubic import Bicubic
@@ -272,11 +272,14 @@ class NearestPoints:
             np.abs(np.diff(height, axis=k + 1)).max(axis=(1, 2)) / steps[:, k] for k in (0, 1)
         )
         upright = 1 / np.sqrt(1 + sum(slope**2 for slope in slopes))  # least component n_z
-        own, corner, place, gap = self._low_corners(center, axes, half, below)
-        lowest_gap = np.full(n, np.inf)
-        np.minimum.at(lowest_gap, own, gap)
-        lone = ~_is_near(chosen, own, (corner[:, :2] + reach[own]) / steps[own])
-        own, corner, place, gap = own[lone], corner[lone], place[lone], gap[lone]
+        # corners of the lowest face with almost the least vertical gaps
+        signs = CORNERS[: 4 if half.any() else 1]
+        corners = np.stack([np.column_stack([a * half[:, :2], below]) for a in signs], axis=1)
+        places = np.einsum("nij,nkj->nki", axes, corners) + center[:, None]
+        gaps = places[..., 2] - self._heights(places[..., 0], places[..., 1])
+        low_gap = gaps.min(axis=1, keepdims=True)
+        own, k = np.nonzero(gaps <= low_gap + SIMILAR * np.abs(low_gap))
+        corner, place, gap = corners[own, k], places[own, k, :2], gaps[own, k]
         pose, i, j = np.nonzero(chosen)
         at = np.stack([each[pose, i, j] for each in seen], axis=1)
         start = np.clip(at, -half[pose], half[pose])
@@ -296,22 +299,7 @@ class NearestPoints:
             np.column_stack([center, axes.transpose(0, 2, 1).reshape(-1, 9)])[pose],
             np.column_stack([half, steps, half[:, 2]])[pose],
         )
-        return np.minimum(least, lowest_gap) - radius, starts
-
-    def _low_corners(
-        self, center: Array, axes: Array, half: Array, below: Array
-    ) -> tuple[Indices, Array, Array, Array]:
-        """Return the corners of the lowest face with almost the least vertical gaps.
-
-        Poses (m,), corners in the axes of the box (m, 3), horizontal positions (m, 2), gaps (m,).
-        """
-        signs = CORNERS[: 4 if half.any() else 1]
-        corners = np.stack([np.column_stack([a * half[:, :2], below]) for a in signs], axis=1)
-        places = np.einsum("nij,nkj->nki", axes, corners) + center[:, None]
-        gaps = places[..., 2] - self._heights(places[..., 0], places[..., 1])
-        least = gaps.min(axis=1, keepdims=True)
-        pose, k = np.nonzero(gaps <= least + SIMILAR * np.abs(least))
-        return pose, corners[pose, k], places[pose, k, :2], gaps[pose, k]
+        return np.minimum(least, low_gap[:, 0]) - radius, starts
 
     def _hull_starts(self, shape: Hull, placed: Array) -> tuple[Array, _Starts]:
         """Return the least vertical gap of a hull's points, and the points with the least gaps."""
@@ -351,19 +339,6 @@ class NearestPoints:
             if not left.size:
                 break
         return gap, ground.T
-
-
-def _is_near(chosen: Mask, pose: Indices, cell: Array) -> Mask:
-    """Return whether a chosen node of the grid of a pose is next to a point, in cells (m, 2)."""
-    is_near = np.zeros(pose.size, dtype=bool)
-    i, j = (
-        np.clip(np.rint(each).astype(np.intp), 1, count - 2)
-        for each, count in zip(cell.T, chosen.shape[1:], strict=True)
-    )
-    for a in (-1, 0, 1):
-        for b in (-1, 0, 1):
-            is_near |= chosen[pose, i + a, j + b]
-    return is_near
 
 
 def _coarse_bound(ground: Sequence[Array], center: Array, radius: float, lowest: Array) -> Array:

@@ -125,8 +125,15 @@ def geotiff_writer(path: Path, x: Array, y: Array, site: Site) -> Iterator[Write
     """
     import rasterio
     from rasterio import Affine
-    from rasterio.errors import RasterioError
+    from rasterio.crs import CRS as SYSTEM
+    from rasterio.errors import CRSError, RasterioError
 
+    try:
+        system = SYSTEM.from_user_input(site.crs) if site.crs else None
+    except CRSError as error:
+        raise DataError(
+            f"atlas: expected a known reference system, found {site.crs!r}; correct that of the map"
+        ) from error
     for name, axis in (("x", x), ("y", y)):
         if axis.size < 2 or not np.allclose(np.diff(axis), axis[1] - axis[0]):
             raise DataError(
@@ -141,7 +148,7 @@ def geotiff_writer(path: Path, x: Array, y: Array, site: Site) -> Iterator[Write
         "height": y.size,
         "dtype": "float32",
         "nodata": np.nan,
-        "crs": _system(site.crs),
+        "crs": system,
         "transform": Affine(d_x, 0, east[0] - d_x / 2, 0, -d_y, north[-1] + d_y / 2),
         "tiled": True,
         "blockxsize": TILE,
@@ -158,7 +165,13 @@ def geotiff_writer(path: Path, x: Array, y: Array, site: Site) -> Iterator[Write
             nonlocal file
             if file is None:  # the first tile has the bands
                 file = stack.enter_context(rasterio.open(part, "w", count=len(maps), **profile))
-                _describe(file, [band.label for band in maps.values()], site)
+                labels = [band.label for band in maps.values()]
+                file.descriptions = tuple(f"{label.name} [{label.unit}]" for label in labels)
+                file.units = tuple(label.unit for label in labels)
+                for k, label in enumerate(labels, 1):
+                    file.update_tags(k, long_name=label.words)
+                own = {"TIFFTAG_SOFTWARE": f"slipfree {__version__}", FRAME: site.frame}
+                file.update_tags(AREA_OR_POINT="Point", **own, **site.attributes)
             window = (y.size - j.stop, y.size - j.start), (i.start, i.stop)
             for k, band in enumerate(maps.values(), 1):
                 image = np.ascontiguousarray(band.values.T[::-1], dtype=np.float32)
@@ -174,27 +187,6 @@ def geotiff_writer(path: Path, x: Array, y: Array, site: Site) -> Iterator[Write
             raise WriteError(
                 f"{path}: cannot be written ({error}); free disk space or choose another folder"
             ) from error
-
-
-def _system(crs: str) -> Any:
-    from rasterio.crs import CRS as SYSTEM
-    from rasterio.errors import CRSError
-
-    try:
-        return SYSTEM.from_user_input(crs) if crs else None
-    except CRSError as error:
-        raise DataError(
-            f"atlas: expected a known reference system, found {crs!r}; correct that of the map"
-        ) from error
-
-
-def _describe(file: Any, labels: Sequence[Label], site: Site) -> None:
-    file.descriptions = tuple(f"{label.name} [{label.unit}]" for label in labels)
-    file.units = tuple(label.unit for label in labels)
-    for k, label in enumerate(labels, 1):
-        file.update_tags(k, long_name=label.words)
-    own = {"TIFFTAG_SOFTWARE": f"slipfree {__version__}", FRAME: site.frame}
-    file.update_tags(AREA_OR_POINT="Point", **own, **site.attributes)
 
 
 def write_atlas(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:

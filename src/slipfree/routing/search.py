@@ -17,12 +17,7 @@ import scipy
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, field_overview
 from slipfree.routing.reachability import no_route_words
-from slipfree.routing.smoothing import (
-    path_cost,
-    polyline_length,
-    resample_polyline,
-    smooth,
-)
+from slipfree.routing.smoothing import path_cost, polyline_length, resample_polyline, smooth
 from slipfree.routing.traversability import (
     Point,
     Traversability,

@@ -43,6 +43,7 @@ GROUND, NOISE = 2, (7, 18)  # classes of points in LAS files
 POINTS_PER_CELL = 4.0  # default mean number; with random points, one cell in 55 is empty
 COARSE = 64.0  # mean number of points in the cells that measure the covered area
 MARGIN = 4.0  # width of the border around a window that is also read, in cells
+MAX_UNNAMED = 16  # largest number of columns without names
 MAX_POINTS = 1e8  # largest number of points in memory, 25 bytes each
 VERTICAL_UNIT, VERTICAL_SYSTEM, LINEAR_UNIT = 4099, 4096, 3076  # keys of GeoTIFF
 UNITS = {9001: "metre", 9002: "foot", 9003: "US survey foot"}  # codes of EPSG
@@ -58,8 +59,12 @@ def read_points(path: Path, ask: Reading) -> Heights:
 
     The first node is at the smallest x and y of all points.
     """
-    names = {name.lower() for name in read_names(path, "points")}
-    geographic = any("longitude" in same and names & same for same in ALIASES)
+    names = [name.lower() for name in read_names(path, "points")]
+    if len(names) > MAX_UNNAMED and names[0] == "1":
+        remedy = "name it .asc, after the lines ncols, nrows, xllcorner, yllcorner and cellsize"
+        found = f"{len(names)} columns without names, probably a matrix of heights"
+        refuse(f"points, with x, y, z in the first of at most {MAX_UNNAMED} columns", found, remedy)
+    geographic = any("longitude" in same and same.intersection(names) for same in ALIASES)
     unit = "deg" if geographic else "m"
     columns = {"x": "longitude", "y": "latitude", "z": "z"} if geographic else NAMES
     values, notes = read_columns(path, columns, "points", others=True)

@@ -329,9 +329,15 @@ def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heigh
         _check_numbers(path, file.shape, rows)
     crs = place.crs or ("CRS not given" if place.placed else "placed by cell and registration")
     source = f"{NAMES.get(file.driver, file.driver)} of {file.dtypes[0]}"
+    scale, offset, unit = file.scales[0], file.offsets[0], file.units[0]
+    words = "in metres" if unit else "unit not stated: taken as metres"
+    if _unit(file) != 1:
+        words = f"converted from {unit} ({_unit(file):.9g} m)"
+    if (scale, offset) != (1, 0):
+        words = f"values of the file x {scale:.9g} + {offset:.9g}, {words}"
     facts = (
         ("ground map", f"{source}, {crs}, {WORDS[place.registration]}"),
-        *_scale_facts(file),
+        ("ground map heights", words),
         *scale_facts(file.crs, x.mean(), y.mean(), TO_METRES),
     )
     values = file.read(1, window=window, masked=True, out_dtype=np.float64)
@@ -350,13 +356,13 @@ def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heigh
             raw,
             lambda k: f"x = {x[k[0]]:.9g}, y = {y[k[1]]:.9g}",
             partial(_declaration, file, path.name),
-            metres=abs(file.scales[0]) * _unit(file) * (ask.vertical_scale or 1.0),
+            metres=abs(scale) * _unit(file) * (ask.vertical_scale or 1.0),
             steps=(degree * place.x.step, degree * place.y.step),
         )
     return Heights(
         x,
         y,
-        (raw * file.scales[0] + file.offsets[0]) * _unit(file),
+        (raw * scale + offset) * _unit(file),
         facts,
         place.crs,
         place.geographic,
@@ -425,17 +431,6 @@ def _wrong_word(words: list[bytes]) -> bytes | None:
     return None
 
 
-def _scale_facts(file: Any) -> tuple[tuple[str, str], ...]:
-    """Return the unit of the heights as facts, with scale and offset if the file has them."""
-    scale, offset, unit = file.scales[0], file.offsets[0], file.units[0]
-    words = "in metres" if unit else "unit not stated: taken as metres"
-    if _unit(file) != 1:
-        words = f"converted from {unit} ({_unit(file):.9g} m)"
-    if (scale, offset) != (1, 0):
-        words = f"values of the file x {scale:.9g} + {offset:.9g}, {words}"
-    return (("ground map heights", words),)
-
-
 def _unit(file: Any) -> float:  # of the heights [m]
     return LENGTHS[(file.units[0] or "").lower()]
 
@@ -482,7 +477,19 @@ def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
             "resample it: gdalwarp in.tif out.tif",
         )
     if not is_placed:
-        return _place_by_user(file.width, file.height, ask)
+        if ask.cell is None or ask.registration is None:
+            missing = [key for key in ("cell", "registration") if getattr(ask, key) is None]
+            refuse(
+                f"{' and '.join(missing)} for a raster without coordinates",
+                "none",
+                'set cell, the width of a cell in metres, and registration: "area" if values '
+                'are at centres of cells, "point" if the outermost values are on the border; '
+                "world files (such as .tfw) are not read: write their contents into the raster by "
+                "gdal_translate in.tif out.tif",
+            )
+        first = ask.cell / 2 if ask.registration == "area" else 0.0
+        x, y = UniformAxis(first, ask.cell, file.width), UniformAxis(first, ask.cell, file.height)
+        return _Place(x, y, False, ask.registration, "", False, placed=False)
     for name in ("cell", "registration"):
         if (value := getattr(ask, name)) is not None:
             refuse(
@@ -497,22 +504,6 @@ def _place(file: Any, ask: Reading, is_placed: bool) -> _Place:
     middle = (axis.first + axis.step * (axis.size - 1) / 2 for axis in (x, y))
     name, geographic = system_name(crs, TO_METRES, *middle)
     return _Place(x, y, upward, registration, name, geographic, placed=True)
-
-
-def _place_by_user(width: int, height: int, ask: Reading) -> _Place:
-    if ask.cell is None or ask.registration is None:
-        missing = [key for key in ("cell", "registration") if getattr(ask, key) is None]
-        refuse(
-            f"{' and '.join(missing)} for a raster without coordinates",
-            "none",
-            'set cell, the width of a cell in metres, and registration: "area" if the values '
-            'belong to the centres of cells, "point" if the outermost values are on the border; '
-            "world files (such as .tfw) are not read: write their contents into the raster by "
-            "gdal_translate in.tif out.tif",
-        )
-    first = ask.cell / 2 if ask.registration == "area" else 0.0
-    x, y = UniformAxis(first, ask.cell, width), UniformAxis(first, ask.cell, height)
-    return _Place(x, y, False, ask.registration, "", False, placed=False)
 
 
 def _axes(file: Any) -> tuple[UniformAxis, UniformAxis, bool]:

@@ -20,18 +20,12 @@ from slipfree.atlas.atlas import (
 )
 from slipfree.core.dae import Dae
 from slipfree.core.records import Array, Label, leaves
-from slipfree.core.trajectory import Frame
+from slipfree.core.trajectory import Frame, heading_column
 from slipfree.files.atlas_files import EMPTY, Site
 from slipfree.files.toml.source import Fault, name_errors, problem_error
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import Positive, Range, Record
-from slipfree.problem.build import (
-    build_model,
-    build_vehicle,
-    heading_offset,
-    law_name,
-    vehicle_facts,
-)
+from slipfree.problem.build import build_model, build_vehicle, law_name, vehicle_facts
 from slipfree.problem.build_ground import (
     Extremes,
     GroundMap,
@@ -290,7 +284,7 @@ def build_atlas(problem: Problem[AtlasKeys], known: Mapping[str, Extremes] = EMP
     inputs = {name: rates[name] for name in names if is_moving and name in rates}
     x, y = grid.x[:: table.every], grid.y[:: table.every]
     count = table.headings
-    heading = 2 * np.pi * np.arange(count) / count + heading_offset(generic)
+    heading = heading_column(2 * np.pi * np.arange(count) / count, "paper", own=spec.frame).values
     setup = AtlasSetup(problem, ground, vehicle, terrain, model, x, y, heading, inputs, extremes)
     if table.within:
         bands = setup.labels(compiled=False)
