@@ -1,6 +1,7 @@
 """Tests of ``slipfree track``: a plan in a changed world, on the command line."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -59,11 +60,11 @@ def test_four_ways_to_follow_a_plan_meet_the_same_world(folder: Path) -> None:
     assert found["sampling"]["end_distance"] < 0.05
     assert found["replan"]["cycles"] == 8
     (folder / "alone").mkdir()
-    alone = out.rename(folder / "alone" / "t.nc")
+    alone = Path(shutil.copy(out, folder / "alone"))
     assert "ground friction" not in printed("info", alone)
     assert "figures: " not in printed("report", alone)
-    drawn = printed("show", alone, "--html", folder / "t.html")
-    assert "apart" not in drawn  # the disturbed ground is that of the motion
+    # the ground is the disturbed one, so that no wheel is above or below it
+    assert "warning" not in printed("show", alone, "--html", folder / "t.html")
     assert found["replan"]["failed_cycles"] == 0
     assert read(out).t[-1] == pytest.approx(4.0)
     assert out.with_suffix(".png").stat().st_size > 10_000

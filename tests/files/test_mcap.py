@@ -57,10 +57,10 @@ def _exported(folder, text):
     """Return the motion of a problem whose result and MCAP file are in a folder."""
     _ground(folder)
     (folder / "p.toml").write_text(text)
-    run = run_problem(load_problem(folder / "p.toml")).trajectory
-    netcdf.write(folder / "out.nc", run)
+    result = run_problem(load_problem(folder / "p.toml"))
+    netcdf.write(folder / "out.nc", result.trajectory, result.arrays)
     export_mcap(folder / "out.nc", folder / "out.mcap")
-    return run
+    return result.trajectory
 
 
 @pytest.fixture(scope="module")

@@ -156,12 +156,9 @@ def _visuals(robot: Robot, arrays: Mapping[str, Array]) -> dict[str, TriangleMes
         raise DataError("links without a joint")
     for k, link in enumerate(robot.tree.links):
         if f"link{k}_vertices" in arrays:
-            vertices, faces = arrays[f"link{k}_vertices"], arrays[f"link{k}_faces"]
-            if (
-                vertices.shape[1:] != (3,)
-                or faces.shape[1:] != (3,)
-                or not faces.max() < len(vertices)
-            ):
+            vertices, faces = (arrays[f"link{k}_{each}"] for each in ("vertices", "faces"))
+            shapes = vertices.shape[1:], faces.shape[1:]
+            if shapes != ((3,), (3,)) or not 0 <= faces.min() <= faces.max() < len(vertices):
                 raise DataError(f"an invalid mesh of the link {link!r}")
             visuals[link] = TriangleMesh(vertices, faces.astype(np.uint32))
     return visuals
