@@ -1,14 +1,18 @@
 """Roots that tests compute on their own, and the tests that need results to rounding."""
 
-from pathlib import Path
-from types import CodeType, FunctionType
+import inspect
+import re
+from functools import cache
+from types import FunctionType
 
 import numpy as np
 from scipy.optimize import fsolve
 
-SCIPY = {"brentq", "fsolve", "linprog", "minimize", "null_space", "quad", "solve_ivp"}
-NUMPY = {"eigvalsh", "inv", "lstsq", "pinv", "solve", "svd"}  # of `np.linalg`
-TESTS = str(Path(__file__).parents[1])
+SENSITIVE = re.compile(
+    r"\de-1[1-9]\b|\b(brentq|fsolve|linprog|minimize|null_space|quad|solve_ivp)\("
+    r"|linalg\.(eigvalsh|inv|lstsq|pinv|solve|svd)\("
+)
+SOURCE = cache(inspect.getsource)
 EPS = np.finfo(float).eps
 
 
@@ -21,34 +25,23 @@ def root(residual, start):
     """
     at, size = fsolve(residual, start), np.inf
     steps = np.sqrt(EPS) * np.diag(1 + np.abs(at))
-    rows = [
-        np.subtract(residual(at + step), residual(at - step)) / (2 * step.max()) for step in steps
-    ]
-    inverse = np.linalg.inv(np.transpose(rows))
+    changes = [np.subtract(residual(at + step), residual(at - step)) for step in steps]
+    jacobian = np.transpose(changes) / (2 * np.diag(steps))
+    inverse = np.linalg.inv(jacobian)
     while (correction := np.abs(step := inverse @ residual(at)).max()) < size / 2:
         at, size = at - step, correction
-    return at, EPS * np.abs(inverse) @ np.abs(np.transpose(rows)) @ np.abs(at)
+    return at, EPS * np.abs(inverse) @ np.abs(jacobian) @ np.abs(at)
 
 
 def depends_on_rounding(test):
-    """Return whether a test, or a function of the tests that it calls, solves or asks for 1e-11."""
-    functions = [test]
-    for function in functions:
-        codes = [function.__code__]
-        for code in codes:  # with the functions inside
-            codes += [value for value in code.co_consts if isinstance(value, CodeType)]
-        names = {name for code in codes for name in code.co_names}
-        values = [value for code in codes for value in code.co_consts]
-        values += [inner for value in values if isinstance(value, tuple) for inner in value]
-        if names & SCIPY or ("linalg" in names and names & NUMPY):
+    """Return whether a test, or what it calls of the tests, solves by itself or names 1e-11."""
+    found = [test]
+    for each in found:
+        text, names = SOURCE(each), vars(inspect.getmodule(each))
+        if SENSITIVE.search(text):
             return True
-        if any(isinstance(value, float) and 0 < value <= 1e-11 for value in values):
-            return True
-        called = [function.__globals__.get(name) for name in names]
-        kinds = [value for value in called if isinstance(value, type)]
-        called += [each for kind in kinds for each in vars(kind).values()]
-        called = [getattr(value, "__wrapped__", value) for value in called]
-        called = [value for value in called if isinstance(value, FunctionType)]
-        own = [each for each in called if each.__code__.co_filename.startswith(TESTS)]
-        functions += [each for each in own if each not in functions]
+        called = [inspect.unwrap(names[n]) for n in names.keys() & set(re.findall(r"\w+", text))]
+        called = [value for value in called if isinstance(value, FunctionType | type)]
+        own = [value for value in called if value.__module__.startswith(("helpers.", "test_"))]
+        found += [value for value in own if value not in found]
     return False

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import block_diag
 from scipy.optimize import linprog
 
 from slipfree import (
@@ -204,14 +205,11 @@ def test_a_rigid_vehicle_is_held_by_its_own_loads():
 def least_by_polygons(matrix, load, normal, sides=128):
     """Return the least coefficient with circles replaced by polygons around them."""
     turns = 2 * np.pi * np.arange(sides) / sides
-    rows = np.zeros((normal.size, sides, 2 * normal.size + 1))
-    for i, each in enumerate(normal):
-        rows[i, :, 2 * i : 2 * i + 2] = np.column_stack([np.cos(turns), np.sin(turns)])
-        rows[i, :, -1] = -each
+    disc = np.column_stack([np.cos(turns), np.sin(turns)])
+    rows = np.column_stack([block_diag(*[disc] * normal.size), np.repeat(-normal, sides)])
     equal = np.column_stack([matrix.T, np.zeros(load.size)])
     cost = np.append(np.zeros(2 * normal.size), 1.0)
     bounds = [(None, None)] * (2 * normal.size) + [(0, None)]
-    rows = rows.reshape(-1, cost.size)
     return linprog(cost, rows, np.zeros(len(rows)), equal, -load, bounds).fun
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from scipy.optimize import linprog
 
 from slipfree.core.errors import ModelError
@@ -75,13 +76,9 @@ def room_in_polygons(matrix, load, friction, utilisation, force):
     crowd = 2.0 ** -np.arange(1, 16)
     spread = np.concatenate([np.linspace(-np.pi, np.pi, 48, endpoint=False), crowd, -crowd])
     angles = np.arctan2(force[1::3], force[0::3])[:, None] + spread
-    facets = np.zeros((m, spread.size, 3 * m + 1))
-    for k in range(m):
-        facets[k, :, 3 * k] = np.cos(angles[k])
-        facets[k, :, 3 * k + 1] = np.sin(angles[k])
-        facets[k, :, 3 * k + 2] = -utilisation * friction[k]
-    facets[..., -1] = 1.0
-    facets = facets.reshape(-1, 3 * m + 1)
+    limits = np.broadcast_to(-utilisation * friction[:, None], angles.shape)
+    cones = block_diag(*np.stack([np.cos(angles), np.sin(angles), limits], axis=-1))
+    facets = np.column_stack([cones, np.ones(len(cones))])
     found = linprog(
         -np.eye(3 * m + 1)[-1],
         A_ub=facets,

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.optimize import linprog
+from scipy.optimize import bisect, linprog
 from scipy.spatial.transform import Rotation
 
 from helpers.cases import hills
@@ -186,6 +186,8 @@ def test_rollers_along_the_axle_are_refused():
 
 
 MIRRORED = {"half_track": 0.2, "wheelbase": 0.4, "angle": -pi / 4}
+ALIKE = [replace(w, section=Omni(w.section.rim, radians(30))) for w in VEHICLE.wheels]
+PARALLEL = replace(VEHICLE, wheels=tuple(ALIKE))
 
 
 def test_rollers_that_permit_a_motion_are_refused():
@@ -198,9 +200,8 @@ def test_rollers_that_permit_a_motion_are_refused():
             model(square, FLAT)
     with pytest.raises(ModelError, match="none that resists its motion about a point 0 m"):
         inverse_kinematics(square, hills_ground(), given=("forward", "right", "yaw_rate"))
-    alike = (replace(w, section=Omni(w.section.rim, radians(30))) for w in VEHICLE.wheels)
     with pytest.raises(ModelError, match="its motion 30 degrees to the left of forward, across"):
-        direct_kinematics(replace(VEHICLE, wheels=tuple(alike)), FLAT)
+        direct_kinematics(PARALLEL, FLAT)
     direct_kinematics(platform(pi / 4, half_track=0.2, wheelbase=0.4), FLAT)
     direct_kinematics(platform(-pi / 4), FLAT)
 
@@ -273,11 +274,26 @@ def slope(degrees, across, mu=0.6):
     return Analytic(lambda x, y: rise * (x if across else y) + 0 * (x + y), mu=mu)
 
 
+def roller_axles(angle):
+    """Directions of the axles of the rollers on the ground, one row each."""
+    angles = angle * SIGNS
+    return np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=-1)
+
+
+def resultant(forces):
+    """Force, moment, and moment about the front axle, which turns about y, of forces on wheels."""
+    axle = np.cross(CONTACTS[:2] - [0, HALF_BASE, 0], forces[:2])[:, 1].sum()
+    return np.array([*forces.sum(axis=0), *np.cross(CONTACTS, forces).sum(axis=0), axle])
+
+
+def gravity(found):
+    """Resultant of the weight, which acts at the origin, in the platform's axes."""
+    return np.append(attitude(found).T @ [0, 0, -EARTH_GRAVITY * (22 + 4 * 1.4)], [0, 0, 0, 0])
+
+
 def own_balance(found, rates, angle, mu, eps):
     """Slip and forces along the rollers' axles, from an own balance in the platform's axes."""
-    down = attitude(found).T @ [0, 0, -EARTH_GRAVITY]
-    angles = angle * SIGNS
-    axles = np.stack([np.cos(angles), np.sin(angles), 0 * angles], -1)  # of rollers
+    axles = roller_axles(angle)
 
     def forces(unknown):
         right, forward, turning, *loads = unknown
@@ -288,16 +304,12 @@ def own_balance(found, rates, angle, mu, eps):
 
     def balance(unknown):
         _, friction = forces(unknown)
-        force = friction[:, None] * axles + np.array(unknown[3:])[:, None] * [0, 0, 1]
-        total = force.sum(axis=0) + (22 + 4 * 1.4) * down
-        moments = np.cross(CONTACTS, force).sum(axis=0)  # of gravity: zero, by symmetry
-        pivot = np.array([0, HALF_BASE, 0])  # of the front axle, which turns about y
-        axle = np.cross(CONTACTS[:2] - pivot, force[:2]).sum(axis=0)[1]
-        return [*total, *moments, axle]
+        force = friction[:, None] * axles + unknown[3:, None] * [0, 0, 1]
+        return resultant(force) + gravity(found)
 
     start = [0.0, 0.0, 0.0, *[27.6 * EARTH_GRAVITY / 4] * 4]
     solved, rounding = root(balance, start)
-    return (*forces(solved), solved[3:], angles, rounding)
+    return (*forces(solved), solved[3:], angle * SIGNS, rounding)
 
 
 @pytest.mark.parametrize("across", [False, True])
@@ -335,28 +347,18 @@ def test_the_least_utilisation_against_a_linear_programme(heading):
     ground, mu = slope(12, across=False, mu=0.5), 0.5
     dae = direct_kinematics(VEHICLE, ground)
     found = best_utilisation(VEHICLE, ground, settle(dae, heading=heading))
-    down = attitude({name: found[name][0] for name in ("heading", "roll", "pitch")}).T
-    down = down @ [0, 0, -EARTH_GRAVITY * 27.6]
-    angles = pi / 4 * SIGNS
-    axles = np.stack([np.cos(angles), np.sin(angles), 0 * angles], -1)
-    up, pivot = np.array([0.0, 0.0, 1.0]), np.array([0, HALF_BASE, 0])
-    columns = []
-    for k, place in enumerate(CONTACTS):
-        for direction in (axles[k], up):
-            axle = np.cross(place - pivot, direction)[1] if k < 2 else 0.0
-            columns.append([*direction, *np.cross(place, direction), axle])
-    equal, right = np.array(columns).T, np.array([*-down, 0, 0, 0, 0])
+    axles, up = roller_axles(pi / 4), np.array([0.0, 0.0, 1.0])
+    sides = [np.outer(np.eye(4)[k], side) for k in range(4) for side in (axles[k], up)]
+    equal = np.stack([resultant(side) for side in sides], axis=-1)
+    weight = gravity({name: found[name][0] for name in ("heading", "roll", "pitch")})
 
     def holds(level):
         rows = np.kron(np.eye(4), [[1, -level * mu], [-1, -level * mu]])
         bounds = [(None, None), (0, None)] * 4
-        return linprog(np.zeros(8), rows, np.zeros(8), equal, right, bounds).status == 0
+        return linprog(np.zeros(8), rows, np.zeros(8), equal, -weight, bounds).status == 0
 
-    low, high = 0.0, 4.0
-    for _ in range(40):
-        middle = (low + high) / 2
-        low, high = (low, middle) if holds(middle) else (middle, high)
-    assert found["utilisation_best"][0] == pytest.approx(high, rel=1e-5)
+    least = bisect(lambda level: 0.5 - holds(level), 0, 4, xtol=1e-9)
+    assert found["utilisation_best"][0] == pytest.approx(least, rel=1e-5)
 
 
 def test_forces_of_a_motion_act_along_the_rollers():
@@ -420,8 +422,7 @@ def test_momentum_of_free_motions_is_kept():
     model = dynamics(square, FLAT)
     run = moved(model, standing_states(model, omega_z=0.5), np.linspace(0, 2, 11))
     assert_allclose(run["omega_z"], 0.5, rtol=0, atol=1e-9)
-    alike = (replace(w, section=Omni(w.section.rim, radians(30))) for w in VEHICLE.wheels)
-    model = dynamics(replace(VEHICLE, wheels=tuple(alike)), FLAT)
+    model = dynamics(PARALLEL, FLAT)
     free = 0.3 * np.array([-sin(radians(30)), cos(radians(30))])
     start = standing_states(model, velocity_x=free[0], velocity_y=free[1])
     run = moved(model, start, np.linspace(0, 2, 11))
