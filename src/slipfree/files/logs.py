@@ -53,6 +53,7 @@ OF_POSES = {
 class MotionLog(NamedTuple):
     """A log: times, columns by name, notes, and what was left out or held."""
 
+    path: Path
     t: Array  # shape (n,): times from the first row or date [s]
     values: dict[str, Array]  # shape (n,) each, without gaps
     notes: tuple[str, ...]  # on units
@@ -68,7 +69,7 @@ class MotionLog(NamedTuple):
     def hold(self) -> str:
         """How long an input was held at most."""
         longest, start = self.held
-        return f"inputs held for at most {longest:.3g} s, from t = {start:.6g} s"
+        return f"inputs not given for at most {longest:.3g} s, from t = {start:.6g} s"
 
 
 def read_log(
@@ -79,6 +80,7 @@ def read_log(
     where: str = "the first line",
     kind: str = "a log",
     units: Mapping[str, str] | None = None,
+    is_linear: bool = False,
     timeout: float | None = None,
     max_error: float = np.inf,
 ) -> MotionLog:
@@ -86,7 +88,8 @@ def read_log(
 
     ``columns`` are as in `read_columns`, with the time ``t``. Rows without a pose, or with a stated
     ``error`` of the position above ``max_error`` [m], are left out. Inputs are held until they are
-    given again, for at most ``timeout`` [s], and zero after it. DataError is raised for times that
+    given again, for at most ``timeout`` [s], and zero after it; with ``is_linear``, they are linear
+    between rows that are not farther apart than a gap. DataError is raised for times that
     decrease, jump or belong to two poses, and for positions that alternate between two drives.
     """
     names = dict(columns) if isinstance(columns, Mapping) else {name: name for name in columns}
@@ -100,7 +103,7 @@ def read_log(
         table = read_columns(path, columns, kind, where=where, units=known, optional=free)
     for name in ("x", "y"):
         if any(split_unit(names.get(name, ""))[0].lower() in group for group in ALIASES[-2:]):
-            raise _degrees(path, table, [names["x"], names["y"]])
+            raise _degrees(path, table.values, [names["x"], names["y"]])
     values = dict(table.values)
     t = values.pop("t")
     is_apart = np.diff(values.get("window", 0 * t)) != 0
@@ -109,13 +112,20 @@ def read_log(
     longest, start, given = 0.0, 0.0, np.ones(t.size, bool)
     for name in inputs:
         rows = np.flatnonzero(np.isfinite(values[name]))
+        if not t.size:
+            break
         if not rows.size:
             raise DataError(f"{path}: expected numbers in the column {names[name]!r}, found none")
         last = rows[np.maximum(np.searchsorted(rows, np.arange(t.size), side="right") - 1, 0)]
         age = t - t[last]
         given &= age >= 0
         is_late = age > (np.inf if timeout is None else timeout)
-        values[name] = np.where(is_late, 0.0, values[name][last])
+        held = values[name][last]
+        if is_linear:
+            following = np.minimum(np.searchsorted(rows, np.arange(t.size)), rows.size - 1)
+            is_near = t[rows[following]] - t[last] <= longest_gap(t[rows])
+            held = np.where(is_near, np.interp(t, t[rows], values[name][rows]), held)
+        values[name] = np.where(is_late, 0.0, held)
         waits = np.where(is_apart[rows[1:] - 1], 0.0, np.diff(t[rows]))
         if waits.max(initial=0.0) > longest:
             longest, start = float(waits.max()), float(t[rows[waits.argmax()]])
@@ -136,6 +146,7 @@ def read_log(
     if not good.any() and t.size:
         raise DataError(f"{path}: expected rows with positions and inputs, found {+left_out!r}")
     return MotionLog(
+        path,
         t[good],
         {name: column[good] for name, column in values.items()},
         table.notes,
@@ -268,136 +279,137 @@ def check_motion(
     """
     t, values = log.t, log.values
     place = values["x"] + 1j * values["y"]
-    step = max(
-        1, min(round(CHORD / max(float(np.median(np.diff(t))), CHORD / t.size)), t.size // 4)
-    )
-    follows = is_continuous(t, place, values.get("window", np.zeros(t.size)))
-    breaks = np.append(0, np.cumsum(~follows))
-    rows = np.flatnonzero(breaks[step:] == breaks[:-step])
-    chords, size = place[rows + step] - place[rows], np.abs(place[rows + step] - place[rows])
-    if speed is not None:
-        rolled = np.append(0.0, np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(t)))
-        travel = rolled[rows + step] - rolled[rows]
-        if ratios is not None:
-            _check_travel(size, travel, np.abs(speed[rows + step] - speed[rows]), ratios)
-    has_course = size > 0
-    if has_course.sum() < LEAST_CHORDS:
+    step = max(1, min(round(CHORD * t.size / max(np.ptp(t), CHORD)), t.size // 4))
+    part = np.append(0, np.cumsum(~is_continuous(t, place, values.get("window", 0 * t))))
+    rows = np.flatnonzero((part[step:] == part[:-step]) & (place[step:] != place[:-step]))
+    if rows.size < LEAST_CHORDS:
         return
-    rows, chords, size = rows[has_course], chords[has_course], size[has_course]
-    sign = 2 if speed is None else 1  # courses are known up to the direction of travel
-    course = np.angle(chords if speed is None else chords * np.sign(travel[has_course] + 1e-300))
-    turns = None
+    chords = place[rows + step] - place[rows]
+    size, turns, sign = np.abs(chords), None, 2  # courses are known up to the direction of travel
+
+    def change(rate: Array) -> Array:
+        sums = np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(t)))
+        return np.asarray(sums[rows + step] - sums[rows])
+
+    if speed is not None:
+        travel, sign = change(speed), 1
+        if ratios is not None:
+            steps = np.abs(speed[rows + step] - speed[rows])
+            _check_travel(log, size, np.abs(travel), steps, ratios)
+        chords = chords * np.where(travel < 0, -1, 1)
     if turn is not None:
-        angle = np.append(0.0, np.cumsum((turn[1:] + turn[:-1]) / 2 * np.diff(t)))
-        turns = angle[rows + step] - angle[rows]
-    if "heading" not in values:
+        turns = change(turn)
+    if "heading" in values:
+        first, middle, last = (values["heading"][rows + k] for k in (0, step // 2, step))
+        bent = np.angle(np.exp(1j * (last - first)))
+        by_wheels = 0.0 if turns is None else _correlation(bent, turns)
+        course = np.angle(chords) - zero
+        _check_headings(log, sign, course, middle, size, by_wheels, is_aligned, may_turn)
+    elif turns is not None:
         later = np.isin(rows + step, rows)
         at = np.searchsorted(rows, rows[later] + step)
-        bent = np.angle(np.exp(1j * sign * (course[at] - course[later]))) / sign
-        if turns is not None and _correlation(bent, turns[later]) < -OPPOSITE:
+        bent = np.angle((chords[at] / chords[later]) ** sign) / sign
+        if _correlation(bent, turns[later]) < -OPPOSITE:
             raise DataError(
-                "expected turns to the left where the right side is faster, found a course that "
-                "turns the other way; exchange the columns of the left and the right side if they "
-                "are swapped, or those of x and y if they are north and east"
+                f"{log.path}: expected turns to the left where the right side is faster, found a "
+                "course that turns the other way; exchange the columns of the left and the right "
+                "side if they are swapped, or those of x and y if they are north and east"
             )
-    else:
-        heading = values["heading"]
-        turned = np.angle(np.exp(1j * (heading[rows + step] - heading[rows])))
-        by_wheels = 0.0 if turns is None else _correlation(turned, turns)
-        unit = np.exp(1j * sign * (course - zero))
-        middle = heading[rows + step // 2]
-        alike = {  # mean direction of courses from headings that are read in this way
-            factor: complex(np.average(unit * np.exp(-1j * sign * factor * middle), weights=size))
-            for factor in (1.0, -1.0, np.pi / 180, -np.pi / 180)
-        }
-        _check_headings(alike, sign, by_wheels, middle, is_aligned=is_aligned, may_turn=may_turn)
 
 
 def _correlation(one: Array, other: Array) -> float:
-    return float(one @ other / max(np.linalg.norm(one) * np.linalg.norm(other), 1e-300))
+    size = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return float(one @ other) / max(size, 1e-300)
 
 
 def _check_headings(
-    alike: Mapping[float, complex],
+    log: MotionLog,
     sign: int,
-    by_wheels: float,
+    course: Array,
     heading: Array,
-    *,
+    size: Array,
+    by_wheels: float,
     is_aligned: bool,
     may_turn: bool,
 ) -> None:
-    """Raise DataError if headings are degrees, clockwise, or turned against the course.
+    """Raise DataError if headings are degrees, clockwise, or turned against the courses.
 
-    ``alike`` are mean directions of courses from multiples of the headings, of twice the angle if
-    ``sign`` is 2. ``by_wheels`` is the correlation of the turns of headings and wheels.
+    Courses are known up to half a turn if ``sign`` is 2; their weights are the sizes of chords.
+    ``by_wheels`` is the correlation of the turns of headings and wheels.
     """
+    alike = {  # mean direction of courses from headings that are read in this way
+        factor: complex(np.average(np.exp(1j * sign * (course - factor * heading)), weights=size))
+        for factor in (1.0, -1.0, np.pi / 180, -np.pi / 180)
+    }
     best = max(alike, key=lambda factor: abs(alike[factor]))
     is_other = abs(alike[best]) > max(CLEAR, abs(alike[1.0]) + CLEARER)
-    largest = float(np.abs(heading).max())
+    offset, mirrored = (np.rad2deg(np.angle(alike[factor]) / sign) for factor in (1.0, -1.0))
+    largest = float(np.abs(log.values["heading"]).max())
     if is_other and abs(best) < 1 and (is_aligned or largest > FULL_TURN):
-        raise DataError(
-            f"expected headings in rad, found values up to {largest:g} that agree with the direction "
-            "of motion as degrees; name their unit with the column, as in 'heading [deg]'"
-        )
-    if not is_aligned:
+        expected = "in rad"
+        found = f"values up to {largest:g} that agree with the direction of motion as degrees"
+        remedy = "name their unit with the column, as in 'heading [deg]'"
+    elif not is_aligned:
         return
-    angle = np.rad2deg(np.angle(alike[best]) / sign)
-    if is_other and by_wheels <= OPPOSITE:
-        also = "" if by_wheels < -OPPOSITE else ", or exchange x and y if they are north and east"
-        raise DataError(
-            "expected headings that turn counter-clockwise, found headings that turn against the "
-            f"course: clockwise from north? Write {angle % (360 / sign):.0f} deg minus the heading"
-            f"{also}"
+    elif is_other and by_wheels > OPPOSITE:
+        expected, found = "that turn with the course", "that it turns against headings and wheels"
+        remedy = "exchange the columns of x, to the east, and y, to the north"
+    elif is_other:
+        expected, found = "that turn with the course", "the opposite: clockwise from north?"
+        remedy = f"write {mirrored % (360 / sign):.0f} deg minus the heading"
+        if not by_wheels < -OPPOSITE:
+            remedy += ", or exchange the columns of x and y if they are north and east"
+    elif by_wheels < -OPPOSITE:
+        expected, found = "that turn to the left where right wheels are faster", "the opposite"
+        remedy = (
+            "exchange the rates of the sides if they are swapped, or change their sign if they are "
+            "positive backward"
         )
-    if is_other:
-        raise DataError(
-            "expected x to the east and y to the north, found positions that turn against headings "
-            "and wheels; exchange the columns of x and y"
+    elif not may_turn and abs(alike[1.0]) > ALIKE and abs(offset) > OFFSET:
+        expected, found = "along the course", f"a constant difference of {offset:.0f} deg"
+        remedy = (
+            f"add {offset:.0f} deg to the heading if it counts from another axis (key 'frame') or "
+            "is clockwise from north, or give an unknown 'sensor_heading'"
         )
-    if by_wheels < -OPPOSITE:
-        raise DataError(
-            "expected headings that turn to the left where the right wheels are faster, found the "
-            "opposite; exchange the rates of the left and the right side if they are swapped, or "
-            "change their sign if they are positive backward"
-        )
-    if not may_turn and abs(alike[1.0]) > ALIKE and abs(angle) > OFFSET:
-        raise DataError(
-            f"expected headings along the course, found a constant difference of {angle:.0f} deg: "
-            "from another axis (key 'frame'), clockwise from north, or of a turned sensor? "
-            f"Add {angle:.0f} deg to the heading, or give an unknown 'sensor_heading'"
-        )
+    else:
+        return
+    k = int((size * np.abs(np.exp(1j * sign * (course - heading)) - 1)).argmax())
+    raise DataError(
+        f"{log.path}: expected headings {expected}, found {found} (heading {heading[k]:.4g} rad at "
+        f"the course {course[k]:.4g} rad); {remedy}"
+    )
 
 
-def _check_travel(moved: Array, travel: Array, change: Array, ratios: Mapping[str, float]) -> None:
+def _check_travel(
+    log: MotionLog, moved: Array, travel: Array, change: Array, ratios: Mapping[str, float]
+) -> None:
     """Raise DataError if the motion is as far from that of the wheels as other units are from SI.
 
     ``moved`` are lengths of chords [m], ``travel`` the paths of the wheels, and ``change`` the
     changes of their speed.
     """
-    likeness = _correlation(moved, np.abs(travel))
+    likeness, ratio = _correlation(moved, travel), float(moved.sum() / max(travel.sum(), 1e-300))
     if _correlation(moved, change) > max(COUNTS, likeness):
         raise DataError(
-            "expected rates of wheels, found values that change with the path, probably angles or "
-            "counts of an encoder; write the change over the time between rows, counts times 2 pi "
-            "over the counts of a turn"
+            f"{log.path}: expected rates of wheels, found values that change with the path, "
+            "probably angles or counts of an encoder; write their change over the time between "
+            "rows, times 2 pi over the counts of a turn"
         )
-    ratio = float(moved @ np.abs(travel) / max(travel @ travel, 1e-300))
     words = min(ratios, key=lambda words: abs(ratio / ratios[words] - 1))
     if likeness > ALIKE and ratio < DEGREE:
-        words = "positions in degrees of longitude and latitude"
-    elif not likeness > ALIKE or abs(ratio / ratios[words] - 1) > NEAR:
-        return
-    raise DataError(
-        "expected times in s, positions in m and rates in rad/s, found a motion of "
-        f"{ratio:.3g} times the travel of the wheels, probably {words}; name the unit with "
-        "the column in [data.columns] or [data.rates]; if the slip is so large, name "
-        "'[rad/s]' with the rates"
-    )
+        raise _degrees(log.path, log.values, ["x", "y"])
+    if likeness > ALIKE and abs(ratio / ratios[words] - 1) < NEAR:
+        raise DataError(
+            f"{log.path}: expected times in s, positions in m and rates in SI units, found a "
+            f"motion of {ratio:.3g} times the travel of the wheels, probably {words}; name the "
+            "unit with the column in [data.columns] or [data.rates]; if the slip is so large, name "
+            "the SI unit with the rates"
+        )
 
 
-def _degrees(path: Path, table: Columns, names: Sequence[str]) -> DataError:
+def _degrees(path: Path, values: Mapping[str, Array], names: Sequence[str]) -> DataError:
     """Return the error of positions in degrees, with a line that projects them."""
-    place = [float(np.nanmedian(table.values[name])) for name in ("x", "y")]
+    place = [float(np.nanmedian(values[name])) for name in ("x", "y")]
     x, y = (split_unit(name)[0] for name in names)
     is_swapped = x.lower() in ALIASES[-1]
     system = metric_system(*place[:: -1 if is_swapped else 1])

@@ -204,7 +204,8 @@ def read_columns(
     values, start = {}, 0.0
     for name in names:
         index, unit = chosen[name]
-        title = layout.names[index] if layout.names else name
+        is_own = layout.names and not any(key.startswith(f"{name}:") for key in chosen)
+        title = layout.names[index] if is_own else name
         _check_unit(path, title, unit, (QUANTITIES | dict(units or {})).get(name))
         values[name], conversions, first = _converted(path, title, name, unit, read[name], where)
         notes, start = [*notes, *conversions], first or start

@@ -286,6 +286,7 @@ def _read_log(
         columns,
         where="[data.columns] or [data.rates]",
         units={f"{wheel.name}_rate": "rad/s" for wheel in wheels},
+        is_linear=True,
         timeout=data.timeout,
         max_error=data.max_error,
     )

@@ -32,6 +32,7 @@ from slipfree.fit.ground_motion import (
     DriveLog,
     MotionModel,
     Slopes,
+    conditions,
     windows_of,
     with_drives_and_sensors,
 )
@@ -305,30 +306,22 @@ def _read_log(spec: FitOverMap, grid: Grid, rows: Lines, path: Path, group: str)
     if vx:
         bad["at positions against the velocities"] = _jumps(place, speed, data.step)
     good = ~np.logical_or.reduce([*bad.values()])
-    words = [
-        f"{even.size} samples",
-        *(f"{n} {why}" for why, each in bad.items() if (n := each.sum())),
-    ]
-    rows.append(
-        (
-            f"log {path.stem}",
-            "; ".join([", ".join(words), *log.notes, *log.rows_left_out, log.hold]),
-        )
-    )
     mean = sides.mean(axis=1)
-    return DriveLog(
-        path.stem,
-        group,
-        data.step,
-        place,
-        velocity,
-        speed,
-        good,
-        np.where(np.abs(mean) > LEAST_SPEED, np.sign(mean), 0.0),
-        sides,
-        vx is not None,
+    direction = np.where(np.abs(mean) > LEAST_SPEED, np.sign(mean), 0.0)
+    is_measured = vx is not None
+    drive = DriveLog(
+        *(path.stem, group, data.step, place, velocity, speed, good, direction, sides),
+        is_measured,
         heading,
     )
+    no_end = {reason: ~each for reason, each in conditions(drive).items()}
+    counts = [
+        ", ".join([words, *(f"{each.sum()} {why}" for why, each in masks.items() if each.any())])
+        for words, masks in ((f"{even.size} samples", bad), ("no ends of windows", no_end))
+    ]
+    words = "; ".join([*counts, *log.rows_left_out, log.hold, *log.notes])
+    rows.append((f"log {path.stem}", words))
+    return drive
 
 
 def _jumps(place: Array, speed: Array, step: float) -> Mask:
