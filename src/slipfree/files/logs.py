@@ -27,7 +27,7 @@ MAX_INTERVAL, JUMP = 10.0, 3600.0  # largest median time, and largest time, betw
 REPEATED = 1e-3  # of poses at one time: larger differences are those of two poses [m, rad]
 FAR = 0.3  # least distance of a row that is away from both of its neighbours [m]
 RETURN, MIXED = 0.1, 0.03  # distance of these over it, and share of such rows in mixed drives [1]
-CHORD = 1.0  # time of chords that have a course [s]
+CHORD, CHORDS = 1.0, 50  # time of chords that have a course [s], and least number of them in a log
 LEAST_CHORDS = 5
 ALIKE, NEAR = 0.9, 0.25  # least cosine of similar speeds, and tolerance of the ratio of units [1]
 CLEAR, CLEARER = 0.8, 0.3  # least concentration of courses about headings, and least difference
@@ -123,7 +123,7 @@ def read_log(
         held = values[name][last]
         if is_linear:
             following = np.minimum(np.searchsorted(rows, np.arange(t.size)), rows.size - 1)
-            is_near = t[rows[following]] - t[last] <= longest_gap(t[rows])
+            is_near = (t[rows[following]] - t[last] <= longest_gap(t[rows])) & (age > 0)
             held = np.where(is_near, np.interp(t, t[rows], values[name][rows]), held)
         values[name] = np.where(is_late, 0.0, held)
         waits = np.where(is_apart[rows[1:] - 1], 0.0, np.diff(t[rows]))
@@ -279,7 +279,7 @@ def check_motion(
     """
     t, values = log.t, log.values
     place = values["x"] + 1j * values["y"]
-    step = max(1, min(round(CHORD * t.size / max(np.ptp(t), CHORD)), t.size // 4))
+    step = max(1, min(round(CHORD * t.size / max(np.ptp(t), CHORD)), t.size // CHORDS))
     part = np.append(0, np.cumsum(~is_continuous(t, place, values.get("window", 0 * t))))
     rows = np.flatnonzero((part[step:] == part[:-step]) & (place[step:] != place[:-step]))
     if rows.size < LEAST_CHORDS:
