@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,15 +17,16 @@ from numpy.testing import assert_allclose
 from helpers.commands import invoke, printed
 from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
 from slipfree.core.errors import DataError
+from slipfree.files.logs import MotionLog, check_motion, rate_ratios
 from slipfree.files.mcap import write_mcap
 from slipfree.files.netcdf import write
 from slipfree.files.tables import write_rows
 from slipfree.files.vehicle_draft import vehicle_text
+from slipfree.fit.windows import Windows, cut
 from slipfree.geometry.frame import unit_vector
 from slipfree.problem.build_vehicle import read_vehicle
 from slipfree.problem.load import load_problem
-from slipfree.problem.units import check_travel
-from slipfree.problem.verbs.fit import _read_windows
+from slipfree.problem.verbs.fit import _read_log
 from slipfree.vehicle.tree import Vehicle
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "fit_skid_steer.toml"
@@ -233,10 +235,19 @@ def test_units_by_the_travel_of_the_wheels(factors: dict[int, float], words: str
     log[:, 1:3] *= 100
     for column, factor in factors.items():
         log[:, column] *= factor
-    check = partial(check_travel, log[:, 0], log[:, 3], log[:, 4])
+    values = {"x": log[:, 3], "y": log[:, 4]}
+    read = MotionLog(Path("log.csv"), log[:, 0], values, (), Counter(), (0.0, 0.0))
+    check = partial(check_motion, read, ratios=rate_ratios([0.15, 0.15]))
     with pytest.raises(DataError, match=re.escape(words)):
-        check(0.15 * log[:, 1:3].mean(axis=1))
-    check(np.where(TIMES < 10, 1.0, -0.2) * log[:, 1])  # the wheels slip
+        check(speed=0.15 * log[:, 1:3].mean(axis=1))
+    check(speed=np.where(TIMES < 10, 1.0, -0.2) * log[:, 1])  # the wheels slip
+
+
+def _read_windows() -> tuple[Windows, list[str]]:
+    names, vehicle = ("left_rate", "right_rate"), catalog.differential_drive()
+    problem = load_problem("fit.toml", command="fit")
+    log, notes, _ = _read_log(problem, Path("log.csv"), names, vehicle)
+    return cut(log), notes
 
 
 def _write_circle(time: float, heading: float, header: str, columns: str) -> None:
@@ -250,11 +261,10 @@ def _write_circle(time: float, heading: float, header: str, columns: str) -> Non
 @pytest.mark.parametrize("kind", UNITS)
 def test_units_of_a_log(kind: str) -> None:
     """One log with times and headings in several units has the same windows."""
-    names = ("left_rate", "right_rate")
     _write_circle(*UNITS["as it is"])
-    wanted, _ = _read_windows(load_problem("fit.toml", command="fit"), names, [], {})
+    wanted, _ = _read_windows()
     _write_circle(*UNITS[kind])
-    found, notes = _read_windows(load_problem("fit.toml", command="fit"), names, [], {})
+    found, notes = _read_windows()
     for part, other in zip(found, wanted, strict=True):
         assert_allclose(part, other, rtol=1e-6, atol=1e-6)
     assert bool(notes) == (kind != "as it is")

@@ -75,6 +75,10 @@ LAYOUTS = {
     .replace("\n0.0", "\n12:00:59.5")
     .replace("\n0.5", "\n12:01:00")
     .replace("\n1.0", "\n12:01:00.500"),
+    "seconds and nanoseconds": _text(head="stamp.sec,stamp.nanosec,x,heading")
+    .replace("\n0.0", "\n1700000000,0")
+    .replace("\n0.5", "\n1700000000,500000000")
+    .replace("\n1.0", "\n1700000001,0"),
     "nanoseconds since 1970": _text(head="stamp [ns],x,heading")
     .replace("\n0.0", "\n1700000000000000000")
     .replace("\n0.5", "\n1700000000500000000")
@@ -114,7 +118,14 @@ def test_rows_as_long_as_the_first_line(tmp_path, row):
     ("text", "words"),
     [
         ("t,x\n0,1\n", "expected the columns t, x, heading, found no column 'heading' among t, x;"),
-        ("stamp.sec,stamp.nanosec,x,yaw\n17,5,0,0\n", "add a column 't' with seconds"),
+        (
+            "t,x [deg],yaw\n0,1,2\n",
+            "expected a unit of m of the column 'x .deg.', found deg; project",
+        ),
+        (
+            "a.sec,a.nsec,b.sec,b.nsec,x,yaw\n1,2,3,4,0,0\n",
+            "no column 't' among a.sec, a",
+        ),
         ("x,t,x,yaw\n0,1,2,3\n", "found 2 columns 'x' among x, t, x, yaw; name the columns in"),
         ("1.234,5;2,5;3\n1.234,5;2,5;3\n", ":1: expected .* found '1.234,5;2,5;3'"),
         ("1.5;2,5;3\n", ":1: expected one decimal sign, found 1.5 and 2,5; write all numbers"),

@@ -145,9 +145,9 @@ def fit(
         list[Path] | None,
         typer.Option(
             metavar="LOG",
-            help="Another log, to be predicted with constants that are fitted to all logs of the "
-            "file, for verb = 'fit-over-map'; may be repeated. By default, the logs of each folder "
-            "are predicted with constants that are fitted to the others.",
+            help="Another log, to be predicted with numbers that are fitted to all logs of the "
+            "file; may be repeated. By default, windows that are left out are predicted, or over a "
+            "map the logs of each folder.",
         ),
     ] = None,
     draw: Draw = True,
@@ -182,11 +182,10 @@ def fit(
                 table = out or default_table(file, "fit", inputs)
                 _fit_over_map(problem, predict or [], inputs, table, draw, (write, force))
                 return
-            work = _log_fit(problem)
-        if predict:
+            work = _log_fit(problem, predict or [])
+        if predict and work.rows_name == "points":
             raise ModelError(
-                f"{file}: expected verb = 'fit-over-map' for --predict, found another file; omit "
-                "--predict: what is not used for the fit is predicted"
+                f"{file}: expected a problem file for --predict, found a wheel file; omit --predict"
             )
         table = out or default_table(file, "fit", work.inputs)
         others = table.with_name(f"{table.stem}_{work.rows_name}.csv")
@@ -246,14 +245,14 @@ class _FitWork(NamedTuple):
     solve: Callable[[], _FitResult]
 
 
-def _log_fit(problem: Any) -> _FitWork:
+def _log_fit(problem: Any, predict: Sequence[Path]) -> _FitWork:
     from slipfree.files.vehicle_draft import vehicle_text
     from slipfree.problem.inputs import files_read
     from slipfree.problem.verbs import fit as verb
     from slipfree.show.fit_figures import fit_plot
 
     def solve() -> _FitResult:
-        fitted = verb.fit(problem)
+        fitted = verb.fit(problem, predict)
         estimate = fitted.calibration.estimate
         return _FitResult(
             estimate,
@@ -268,7 +267,7 @@ def _log_fit(problem: Any) -> _FitWork:
         )
 
     return _FitWork(
-        files_read(problem),
+        [*files_read(problem), *predict],
         "windows",
         "vehicle",
         "a log that determines",

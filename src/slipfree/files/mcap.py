@@ -6,7 +6,7 @@ import io
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from math import atan2, nan
+from math import nan
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -244,11 +244,15 @@ def _rows(messages: list[tuple[int, Any]]) -> Iterator[tuple[int, float, float, 
         if kind in ("Odometry", "PoseStamped"):
             pose = message.pose.pose if kind == "Odometry" else message.pose
             q = pose.orientation
-            yaw = atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
-            yield time, pose.position.x, pose.position.y, yaw
+            yield time, pose.position.x, pose.position.y, float(yaw_of(q.x, q.y, q.z, q.w))
         else:
             twist = message.twist if kind == "TwistStamped" else message
             yield time, twist.linear.x, twist.linear.y, twist.angular.z
+
+
+def yaw_of(x: Any, y: Any, z: Any, w: Any) -> Any:
+    """Return the yaw of unit quaternions, numbers or arrays [rad]."""
+    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def _time(message: Any, recorded: int) -> int:

@@ -8,10 +8,13 @@ from __future__ import annotations
 import csv
 import io
 import math
+import operator as op
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple, TextIO
 
@@ -20,7 +23,7 @@ import numpy as np
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.foreign_formats import check_contents, check_ending
-from slipfree.files.mcap import is_mcap, read_mcap
+from slipfree.files.mcap import is_mcap, read_mcap, yaw_of
 from slipfree.system.regular_files import read_bytes, replace_file
 
 SHOWN, LONG = 60, 300  # longest line, and longest list of names, in messages
@@ -74,7 +77,22 @@ ALIASES = (  # names of the same quantity
 HEAD = 1 << 16  # bytes from which the encoding is inferred
 COUNTS = {2: "two", 3: "three", 4: "four"}
 EPOCH = 1e8  # smallest time that counts from a fixed date, not from the start of a log [s]
-PART_OF_TIME = ("nsec", "nsecs", "nanosec")  # ends of names of columns beside seconds
+MISSING = ("", "nan", "na", "n/a", "null", "none", "-")  # cells without a number, in small letters
+PARTS = {  # columns from which a quantity follows: pattern of stem and part, and required parts
+    "t": (re.compile(r"(.*?)((?:nano|n)?sec(?:s|onds)?)$", re.IGNORECASE), "sn"),
+    "heading": (
+        re.compile(r"(.*(?:q|quat|quaternion|orientation|rotation)[._]?)([xyzw])$", re.IGNORECASE),
+        "zw",
+    ),
+}
+UNIT_LENGTH = 0.1  # largest error of the square of a quaternion's length
+DATES = "write dates as in 2026-03-01T12:00:00.5, or times in s"
+QUANTITIES = {"t": "s", "x": "m", "y": "m", "heading": "rad"}  # SI units by name in the result
+REMEDIES = {  # by the units that were expected and found
+    ("m", "rad"): "project the positions to metres",
+    ("rad/s", "m/s"): "divide the speeds by the radius of the wheels",
+    ("m/s", "rad/s"): "multiply the rates by the radius of the wheels",
+}
 LARGE_TIMES = (
     ("nanoseconds", 1e17, "ns"),
     ("microseconds", 1e14, "us"),
@@ -102,6 +120,7 @@ class Columns(NamedTuple):
 
     values: dict[str, Array]  # shape (n,): values by requested name
     notes: tuple[str, ...] = ()  # conversions and choices that were made
+    start: float = 0.0  # first time, if times since a date count from it [s]
 
     def rows(self) -> list[tuple[float, ...]]:
         """Return the rows of the table."""
@@ -136,12 +155,17 @@ def read_columns(
     *,
     where: str = "the first line",
     others: bool = False,
+    units: Mapping[str, str] | None = None,
+    optional: Collection[str] = (),
 ) -> Columns:
     """Return columns of a table of numbers, in SI units.
 
     A mapping ``columns`` has the name in the file of each name in the result: it may have a unit,
     which replaces that of the file, and may be the number of the column if the table has no names.
-    Without names, the table must have exactly these columns, or more if ``others``.
+    Without names, the table must have exactly these columns, or more if ``others``. ``units`` are
+    SI units of further quantities by name in the result. Cells of the ``optional`` columns without
+    a number are NaN. Times follow from columns of seconds and nanoseconds, headings from a
+    quaternion, if there is no column of them.
     """
     names = dict(columns) if isinstance(columns, Mapping) else {name: name for name in columns}
     if is_mcap(path):
@@ -167,13 +191,35 @@ def read_columns(
     if width > count:
         wanted = f"{width} values as in the first row, with numbers for {','.join(names)}"
     file.seek(0)
-    numbers = _read_numbers(path, file, layout, chosen, wanted)
-    values = {}
-    for column, (name, (index, unit)) in zip(numbers.T, chosen.items(), strict=True):
-        title = layout.names[index] if layout.names else name
-        values[name], conversions = _converted(path, title, name, unit, column, where)
-        notes += conversions
-    return Columns(values, tuple(notes))
+    free = {key for key in chosen if key.split(":")[0] in optional}
+    numbers = _read_numbers(path, file, layout, chosen, wanted, free)
+    read = dict(zip(chosen, numbers.T, strict=True))
+    if "t:s" in read:
+        read["t"], chosen["t"] = 1e9 * read["t:s"] + read["t:n"], (chosen["t:s"][0], "ns")
+    if "heading:z" in read:
+        q = [read.get(f"heading:{part}", 0 * read["heading:z"]) for part in "xyzw"]
+        is_turn = np.abs(np.square(q).sum(axis=0) - 1) < UNIT_LENGTH
+        read["heading"] = np.where(is_turn, yaw_of(*q), np.nan)
+        chosen["heading"] = chosen["heading:z"][0], "rad"
+    values, start = {}, 0.0
+    for name in names:
+        index, unit = chosen[name]
+        is_own = layout.names and not any(key.startswith(f"{name}:") for key in chosen)
+        title = layout.names[index] if is_own else name
+        _check_unit(path, title, unit, (QUANTITIES | dict(units or {})).get(name))
+        values[name], conversions, first = _converted(path, title, name, unit, read[name], where)
+        notes, start = [*notes, *conversions], first or start
+    return Columns(values, tuple(notes), start)
+
+
+def line_of(path: Path, row: int) -> int:
+    """Return the number of the line of a row of a table, which counts from zero."""
+    if is_mcap(path):
+        return row + 1
+    file = _opened(path, "a table")
+    layout = _table_layout(path, file)
+    file.seek(0)
+    return next(islice(_lines(path, file, layout, "numbers"), row, None))[0]
 
 
 def known_unit(text: str) -> tuple[str, float] | None:
@@ -386,7 +432,7 @@ def _choose(
 ) -> dict[str, tuple[int, str]]:
     names = layout.columns
     bases = [split_unit(name) for name in names]
-    chosen = {}
+    chosen = dict[str, tuple[int, str]]()
     for key, name in requested.items():
         base, unit = (part.lower() for part in split_unit(name))
         same = next((aliases for aliases in ALIASES if base in aliases), {base})
@@ -394,27 +440,60 @@ def _choose(
             [k for k, title in enumerate(names) if title == name],
             [k for k, (title, _) in enumerate(bases) if title.lower() == base],
             [k for k, (title, _) in enumerate(bases) if title.lower() in same],
+            [k for k, (title, _) in enumerate(bases) if title.lower().endswith(f"position.{base}")],
         )
         indices = next((rank for rank in ranks if rank), [])
+        if len(indices) != 1 and (parts := _parts(key, name, names)):
+            chosen |= parts
+            continue
         if len(indices) != 1:
             columns = ", ".join(dict.fromkeys(requested.values()))
             fault = f"{len(indices)} columns {name!r}" if indices else f"no column {name!r}"
-            remedy = f"name the columns in {where}"
-            if key in ALIASES[0] and any(title.lower().endswith(PART_OF_TIME) for title in names):
-                remedy = f"add a column {key!r} with seconds + 1e-9 nanoseconds"
             raise DataError(
                 f"{path}: expected the columns {columns}, found {fault} among "
-                f"{', '.join(names)[:LONG]}; {remedy}"
+                f"{', '.join(names)[:LONG]}; name the columns in {where}"
             )
         k = indices[0]
         chosen[key] = k, unit or bases[k][1] or (layout.units[k] if layout.units else "")
     return chosen
 
 
+def _parts(key: str, name: str, names: Sequence[str]) -> dict[str, tuple[int, str]]:
+    """Return the columns from which a quantity follows, by its name and part, if they are clear."""
+    pattern, required = PARTS.get(key, (None, ""))
+    stems = dict[str, dict[str, tuple[int, str]]]()
+    for k, title in enumerate(names):
+        if (
+            pattern
+            and (match := pattern.match(title))
+            and match[1].startswith(name * (name != key))
+        ):
+            stems.setdefault(match[1], {})[f"{key}:{match[2][0].lower()}"] = k, ""
+    found = [
+        parts for parts in stems.values() if {f"{key}:{part}" for part in required} <= {*parts}
+    ]
+    return found[0] if len(found) == 1 else {}
+
+
+def _check_unit(path: Path, title: str, unit: str, expected: str | None) -> None:
+    """Raise DataError if the unit of a column is that of another quantity."""
+    found = (unit and known_unit(unit)) or (expected, 1.0)
+    if expected and found[0] != expected:
+        remedy = REMEDIES.get((expected, str(found[0])), "correct the column or its unit")
+        raise DataError(
+            f"{path}: expected a unit of {expected} of the column {title!r}, found {unit}; {remedy}"
+        )
+
+
 def _read_numbers(
-    path: Path, file: TextIO, layout: _Layout, chosen: Mapping[str, tuple[int, str]], wanted: str
+    path: Path,
+    file: TextIO,
+    layout: _Layout,
+    chosen: Mapping[str, tuple[int, str]],
+    wanted: str,
+    free: Collection[str],
 ) -> Array:
-    """Return the numbers of the chosen columns, shape (n, n_chosen)."""
+    """Return the numbers of the chosen columns, shape (n, n_chosen); NaN if missing and free."""
     if not layout.row:
         return np.empty((0, len(chosen)))
     separator, indices = layout.separator, [index for index, _ in chosen.values()]
@@ -423,6 +502,7 @@ def _read_numbers(
         for k in indices
         if not _is_number(layout.row[k], separator) and _converts(_timestamp, layout.row[k])
     }
+    optional = [key in free for key in chosen]
     lines = (text for _, text in _lines(path, file, layout, wanted))
     try:
         numbers: Array = np.loadtxt(
@@ -442,15 +522,23 @@ def _read_numbers(
     rows = []
     for number, text in _lines(path, file, layout, wanted):
         cells = _line_cells(text, separator)
+        is_missing = [
+            may and cells[k].lower() in MISSING for k, may in zip(indices, optional, strict=True)
+        ]
         try:
             values = [
-                converters[k](cells[k]) if k in converters else _number(cells[k], separator)
-                for k in indices
+                math.nan
+                if missing
+                else converters.get(k, partial(_number, separator=separator))(cells[k])
+                for k, missing in zip(indices, is_missing, strict=True)
             ]
         except ValueError:
-            values = [math.nan]
-        if not all(map(math.isfinite, values)):
-            raise _line_error(path, number, text, wanted)
+            values = [math.inf]
+        if not all(map(op.or_, map(math.isfinite, values), is_missing)):
+            remedy = (
+                DATES if re.match(r"\d+[-/.]\d+[-/.]\d{2}", text) else "correct or remove the line"
+            )
+            raise _line_error(path, number, text, wanted, remedy)
         rows.append(values)
     return np.array(rows)
 
@@ -463,13 +551,11 @@ def _lines(path: Path, file: TextIO, layout: _Layout, wanted: str) -> Iterator[t
             continue
         count = 0 if separator is None or '"' in text else text.count(separator) + 1
         if count != width and not _has_width(_line_cells(text, separator), width):
-            raise _line_error(path, number, text, wanted)
+            raise _line_error(path, number, text, wanted, "correct or remove the line")
         yield number, text
 
 
-def _line_error(
-    path: Path, number: int, text: str, wanted: str, remedy: str = "correct or remove the line"
-) -> DataError:
+def _line_error(path: Path, number: int, text: str, wanted: str, remedy: str) -> DataError:
     return DataError(f"{path}:{number}: expected {wanted}, found {text[:SHOWN]!r}; {remedy}")
 
 
@@ -482,10 +568,11 @@ def _timestamp(text: str) -> float:
 
 def _converted(
     path: Path, title: str, name: str, unit: str, values: Array, where: str
-) -> tuple[Array, list[str]]:
-    """Return a column in SI units, times from a date relative to the first one, and notes."""
+) -> tuple[Array, list[str], float]:
+    """Return a column in SI units, notes, and the first time if times count from a date [s]."""
     symbol, factor = (unit and known_unit(unit)) or ("", 1.0)
     notes = [f"{title} converted from {unit} to {symbol}"] if factor != 1 else []
+    start = 0.0
     if name in ALIASES[0] and values.size:
         largest = float(np.abs(values).max())
         for word, smallest, short in LARGE_TIMES:
@@ -495,6 +582,7 @@ def _converted(
                     f"{title!r}, probably {word}; name it {f'{title} [{short}]'!r} in {where}"
                 )
         if factor * values.min() >= EPOCH:
-            notes.append(f"{title} counts from the first time, {factor * values[0]:.10g} s")
+            start = factor * float(values[0])
+            notes.append(f"{title} counts from the first time, {start:.10g} s")
             values = values - values[0]  # before the conversion: less rounding
-    return factor * values, notes
+    return factor * values, notes, start

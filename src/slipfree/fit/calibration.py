@@ -48,23 +48,29 @@ def calibrate(
     law: Any,
     unknowns: Sequence[Unknown],
     windows: Windows,
+    predicted: Windows | None = None,
     *,
     train: float = 0.7,
     seed: int = 0,
     loss: Loss = "soft_l1",
 ) -> Calibration:
-    """Fit unknowns to a random part of the windows, a share ``train``, and predict the others."""
+    """Fit unknowns to a random part of the windows, a share ``train``, and predict the others.
+
+    With windows to be ``predicted``, such as those of another log, fit to all and predict these.
+    """
     if not 0 < train < 1:
         raise ModelError(f"calibrate: train: expected a share between 0 and 1, found {train:g}")
     order = np.random.default_rng(seed).permutation(len(windows.end))
     count = round(train * len(order))
-    if count == len(order):
+    if count == len(order) and predicted is None:
         raise ModelError(
             "calibrate: expected windows for training and for testing, found only "
             f"{len(order)}; use a longer log or shorter windows"
         )
     dae = parametric_model(build, vehicle, law, unknowns)
-    learnt, other = windows.take(np.sort(order[:count])), windows.take(np.sort(order[count:]))
+    learnt, other = windows, predicted
+    if other is None:
+        learnt, other = windows.take(np.sort(order[:count])), windows.take(np.sort(order[count:]))
     fitted = estimate(dae, vehicle, law, unknowns, learnt, loss)
     errors = [_errors(dae, unknowns, part, fitted) for part in (learnt, other)]
     return Calibration(fitted, *errors)

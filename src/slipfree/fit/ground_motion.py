@@ -128,10 +128,7 @@ def windows_of(logs: Sequence[DriveLog], length: float = 0.0, duration: float = 
         if count < 2 * half + 10:  # no sample has a chord before and after, with a margin
             continue
         s = np.append(0.0, np.cumsum(log.speed[1:] * (log.speed[1:] > 0.1)) * log.dt)
-        wide = half + 2  # of commands, which precede the motion
-        calm = _throughout(log.speed > 0.25, half) & _throughout(log.good, half)
-        steady = _throughout(log.direction > 0, wide) | _throughout(log.direction < 0, wide)
-        ends = calm & steady
+        ends = np.logical_and.reduce([*conditions(log).values()])
         ends[: half + 5] = ends[count - half - 5 :] = False
         i = 0
         while i < count - 1:
@@ -155,6 +152,18 @@ def windows_of(logs: Sequence[DriveLog], length: float = 0.0, duration: float = 
     table = np.array(rows)
     log, first, last = table[:, :3].T.astype(int)
     return PathWindows(log, first, last, table[:, 3])
+
+
+def conditions(log: DriveLog) -> dict[str, Mask]:
+    """Return where a window may begin or end, by the reason for which it may not elsewhere."""
+    half = round(CHORD / log.dt)
+    wide = half + 2  # of commands, which precede the motion
+    one_way = _throughout(log.direction > 0, wide) | _throughout(log.direction < 0, wide)
+    return {
+        "near positions that are not good": _throughout(log.good, half),
+        "slower than 0.25 m/s": _throughout(log.speed > 0.25, half),
+        "commands to stand or to turn back": one_way,
+    }
 
 
 def _throughout(mask: Mask, half: int) -> Mask:

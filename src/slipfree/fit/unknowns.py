@@ -113,11 +113,17 @@ def _section(section: Section, radius: Any, name: str) -> Section:
     return Disc(radius) if circle else Sphere(radius)
 
 
-def track(vehicle: Vehicle) -> float:
-    """Return the lateral distance between the outermost wheels' centres, joints at zero [m]."""
+def lateral_places(vehicle: Vehicle) -> list[tuple[Wheel, float]]:
+    """Return the wheels and the lateral places of their centres, joints at zero [m]."""
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
     poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
     places = [float(ca.evalf(pose.origin)[0]) for pose in poses]
+    return [*zip(vehicle.wheels, places, strict=True)]
+
+
+def track(vehicle: Vehicle) -> float:
+    """Return the lateral distance between the outermost wheels' centres, joints at zero [m]."""
+    places = [place for _, place in lateral_places(vehicle)]
     return max(places) - min(places)
 
 

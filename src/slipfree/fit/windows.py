@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -10,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, Mask
+from slipfree.core.records import Array, Indices, Mask
 from slipfree.fit.body_motion import evaluate
 
 POINTS, WEIGHTS = np.polynomial.legendre.leggauss(8)  # quadrature over the time between samples
+TIME_SLACK = 1e-6  # of window ends [window]
 MAX_SAMPLES = 1_000_000  # windows times samples of the longest one; an estimate takes 2 kB for each
 
 
@@ -42,6 +44,31 @@ class Log(NamedTuple):
     # which changes by less than half a turn between samples [rad]
     pose: Array
     window: Array | npt.NDArray[np.int64]  # shape (n,): number of each sample's window
+
+
+def divide(t: Array, duration: float) -> tuple[Indices, Array]:
+    """Return rows and numbers of windows of a duration [s] from the first time; they share ends."""
+    since, slack = t - t[0], TIME_SLACK * duration
+    numbers = np.unique(np.floor((since + slack) / duration))
+    numbers = numbers[duration * (numbers + 1) <= since[-1] + slack]
+    if not numbers.size:
+        raise ModelError(
+            f"expected a log of at least one window, {duration:g} s, found {since[-1]:g} s; reduce "
+            "data.window"
+        )
+    first = np.searchsorted(since, duration * numbers - slack)
+    last = np.searchsorted(since, duration * (numbers + 1) + slack)
+    rows = np.concatenate([np.arange(a, b) for a, b in zip(first, last, strict=True)])
+    return rows, np.repeat(numbers, last - first)
+
+
+def joined(logs: Sequence[Log]) -> Log:
+    """Return several logs as one, whose windows are numbered on from log to log."""
+    numbered, first = list[Log](), 0.0
+    for log in logs:
+        numbered.append(log._replace(window=log.window - log.window.min(initial=0.0) + first))
+        first = float(numbered[-1].window.max(initial=first - 1)) + 1
+    return Log(*map(np.concatenate, zip(*numbered, strict=True)))
 
 
 def cut(log: Log) -> Windows:
@@ -73,7 +100,7 @@ def cut(log: Log) -> Windows:
         if steps.min() < 0:
             raise ModelError(
                 "windows: expected times that do not decrease, found a decrease after "
-                f"{log.t[part][steps.argmin()]:g} s; sort the log"
+                f"{log.t[part][steps.argmin()]:g} s; divide the log there"
             )
         dt[k, : count - 1] = steps
         given[k, :count], given[k, count:] = log.given[part], log.given[part.stop - 1]

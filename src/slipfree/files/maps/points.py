@@ -67,7 +67,7 @@ def read_points(path: Path, ask: Reading) -> Heights:
     geographic = any("longitude" in same and same.intersection(names) for same in ALIASES)
     unit = "deg" if geographic else "m"
     columns = {"x": "longitude", "y": "latitude", "z": "z"} if geographic else NAMES
-    values, notes = read_columns(path, columns, "points", others=True)
+    values, notes, _ = read_columns(path, columns, "points", others=True)
     table = np.column_stack([values[name] for name in NAMES])
     if (farthest := float(np.abs(table).max(initial=0.0))) > MAX_COORDINATE:
         wanted = f"coordinates with absolute values of at most {MAX_COORDINATE:g} m"

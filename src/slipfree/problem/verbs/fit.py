@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf
@@ -13,13 +14,18 @@ import numpy as np
 from pydantic import Field
 
 from slipfree.core.dae import Dae
-from slipfree.core.errors import DataError, ModelError
+from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import Array
 from slipfree.core.trajectory import Frame
-from slipfree.files.mcap import is_mcap, read_motion_log
-from slipfree.files.netcdf import read as read_result
-from slipfree.files.tables import Columns, read_columns, split_unit
+from slipfree.files.logs import (
+    GAP,
+    check_motion,
+    is_continuous,
+    longest_gap,
+    rate_ratios,
+    read_log,
+)
+from slipfree.files.tables import split_unit
 from slipfree.files.toml.source import name_errors, problem_error
 from slipfree.files.toml.types import Positive, Quantity, Record
 from slipfree.fit.body_motion import body_motion
@@ -29,12 +35,13 @@ from slipfree.fit.unknowns import (
     QUANTITIES,
     Unknown,
     label_of,
+    lateral_places,
     law_with_unknowns,
     parametric_model,
     value_of,
     with_unknowns,
 )
-from slipfree.fit.windows import Log, Windows, cut
+from slipfree.fit.windows import Log, Windows, cut, divide, joined
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.problem.build import model_law
@@ -42,15 +49,16 @@ from slipfree.problem.build_ground import at
 from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import MODEL, VERB, CommonKeys, LawKeys, VehicleSource
-from slipfree.problem.units import check_heading_unit, check_sampling, check_travel
+from slipfree.problem.units import moves_sideways
 from slipfree.problem.verbs.base import Lines, Verb
 from slipfree.terrain.analytic import Analytic
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
-TIME_SLACK = 1e-6  # of window ends [window]
 SHOWN_WEIGHT = 0.2  # smallest weight of an unknown that is named in a direction
-OWN_COLUMNS = {"t": "t", "x": "x", "y": "y", "heading": "heading"}  # of results of slipfree
+
+
+Name = Annotated[str, Field(min_length=1)]
 
 
 class PoseColumns(Record):
@@ -62,15 +70,33 @@ class PoseColumns(Record):
     heading: str = Field(
         default="heading", description="column of the heading, from the axis of frame, in rad"
     )
+    error: Name | None = Field(
+        default=None, description="column of the stated error of the position, in m"
+    )
 
 
-class Data(Record):
+class LogKeys(Record):
+    """What of a log is used."""
+
+    timeout: Positive | None = Field(
+        default=None,
+        description="time after which a command or rate that is not given again counts as zero; by "
+        "default it is held [s]",
+    )
+    max_error: Positive = Field(
+        default=0.1,
+        description="largest stated error of a position, if a column has it; other rows are left "
+        "out [m]",
+    )
+
+
+class Data(LogKeys):
     """The log, and its windows."""
 
-    file: Annotated[str, Field(min_length=1)] = Field(
-        description="the log: a table as text, MCAP, or a result of slipfree (.nc)"
+    file: Name | Annotated[tuple[Name, ...], Field(strict=False, min_length=1)] = Field(
+        description="the log, or several: tables as text, MCAP, or results of slipfree (.nc)"
     )
-    window: Positive | Annotated[str, Field(min_length=1)] = Field(
+    window: Positive | Name = Field(
         description="duration of the windows, or the column with the number of the window [s]"
     )
     columns: PoseColumns = Field(
@@ -150,8 +176,8 @@ class Fit(LawKeys, CommonKeys):
 
     @property
     def named_files(self) -> tuple[str, ...]:
-        """Name of the log."""
-        return (self.data.file,)
+        """Names of the logs."""
+        return (self.data.file,) if isinstance(self.data.file, str) else self.data.file
 
 
 class FitVerb(Verb):
@@ -162,13 +188,14 @@ class FitVerb(Verb):
 
 
 class Fitted(NamedTuple):
-    """Result of a fit, with notes on conversions of units in the log."""
+    """Result of a fit, with notes on units and rows of the logs."""
 
     calibration: Calibration
     vehicle: Vehicle  # with fitted values
     constants: dict[str, float]  # of the law
     sensor: dict[str, float]  # pose of the sensor [m, rad]
     notes: tuple[str, ...]
+    left_out: Counter[str]  # numbers of windows, by reason
 
 
 def build_model(
@@ -180,11 +207,24 @@ def build_model(
     return quasi_statics(vehicle, ground, law=law)
 
 
-def fit(problem: Problem[Fit]) -> Fitted:
+def log_paths(problem: Problem[Any], predict: Sequence[Path] = ()) -> list[Path]:
+    """Return the paths of the fitted logs; ModelError is raised if one is also to be predicted."""
+    paths = [problem.folder / name for name in problem.spec.named_files]
+    if again := {path.resolve() for path in paths} & {path.resolve() for path in predict}:
+        raise ModelError(
+            "expected logs to predict that are not fitted, found "
+            f"{', '.join(sorted(path.name for path in again))} in both; remove them from one"
+        )
+    return paths
+
+
+def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> Fitted:
     """Return the result of a fit.
 
-    ProblemError is raised if the vehicle, the law, an unknown or the log is not valid; ModelError
-    if the log has too few windows, or the model has no motion at its rates.
+    The logs ``predict`` are predicted with numbers that are estimated from all windows of the
+    others; by default, a part of these windows is left out and predicted. ProblemError is raised if
+    the vehicle, the law, an unknown or the log is not valid; ModelError if the log has too few
+    windows, or the model has no motion at its rates.
     """
     spec = problem.spec
     with at(problem, ("vehicle",)):
@@ -200,10 +240,16 @@ def fit(problem: Problem[Fit]) -> Fitted:
             with_unknowns(vehicle, unknowns[-1:], [value_of(unknowns[-1], vehicle, law)])
     dae = parametric_model(build, vehicle, law, unknowns)
     names = body_motion(dae).names
-    radii = {f"{wheel.name}_rate": wheel.radius for wheel in vehicle.wheels if wheel.driven}
-    windows, notes = _read_windows(problem, names, [c.name for c in vehicle.of("passive")], radii)
+    notes, left_out, windows = list[str](), Counter[str](), list[Windows]()
+    with at(problem, ("data",)):
+        for paths in filter(None, (log_paths(problem, predict), predict)):
+            logs = [_read_log(problem, path, names, vehicle) for path in paths]
+            windows.append(cut(joined([log for log, *_ in logs])))
+            for path, (_, words, counts) in zip(paths, logs, strict=True):
+                notes += [f"{path.name}: {each}" if len(paths) > 1 else each for each in words]
+                left_out += counts
     choice: dict[str, Any] = {"train": spec.train, "seed": spec.seed, "loss": spec.loss}
-    calibration = calibrate(build, vehicle, law, unknowns, windows, **choice)
+    calibration = calibrate(build, vehicle, law, unknowns, *windows, **choice)
     values = calibration.estimate.values.tolist()
     new = law_with_unknowns(law, unknowns, values)
     pairs = list(zip(unknowns, values, strict=True))
@@ -212,129 +258,87 @@ def fit(problem: Problem[Fit]) -> Fitted:
         with_unknowns(vehicle, unknowns, values),
         {u.quantity: getattr(new, u.quantity) for u, _ in pairs if hasattr(new, u.quantity)},
         {u.quantity: value for u, value in pairs if u.quantity.startswith("sensor_")},
-        notes,
+        tuple(notes),
+        left_out,
     )
 
 
-def _read_windows(
-    problem: Problem[Fit], names: tuple[str, ...], passive: list[str], radii: Mapping[str, float]
-) -> tuple[Windows, tuple[str, ...]]:
-    """Return the windows of the log, and notes on its units; passive joints are at zero.
+def _read_log(
+    problem: Problem[Fit], path: Path, names: tuple[str, ...], vehicle: Vehicle
+) -> tuple[Log, list[str], Counter[str]]:
+    """Return a log, notes on its rows, and numbers of windows that are left out, by reason.
 
-    The ``radii`` of the driven wheels, by the names of their rates, are for a check of units [m].
+    Passive joints are at zero.
     """
-    data = problem.spec.data
+    spec, data = problem.spec, problem.spec.data
+    passive = {each.name for each in vehicle.of("passive")}
     measured = [name for name in names if name not in passive]
     if faults := list(name_errors(("data", "rates"), data.rates, measured)):
         raise problem_error(problem.source, faults)
     columns = {name: data.rates.get(name, name) for name in measured}
-    with at(problem, ("data",)):
-        path = problem.folder / data.file
-        notes: tuple[str, ...] = ()
-        if path.suffix == ".nc":
-            table, frame = _read_result(path, columns), "paper"
-        elif is_mcap(path):
-            table, frame = _read_mcap(path, columns), "rep103"
-        else:
-            (table, notes), frame = _read_table(path, data, columns), problem.spec.frame
-        t, x, y, heading = (table[key] for key in OWN_COLUMNS)
-        place = (x, y) if frame == "paper" else (-y, x)
-        check_sampling(t)
-        check_heading_unit(*place, heading)
-        wheels = [name for name in measured if name in radii]
-        if wheels and not any(split_unit(columns[name])[1] for name in wheels):
-            check_travel(t, x, y, np.mean([table[name] * radii[name] for name in wheels], axis=0))
-        inputs = [table[name] if name in table else np.zeros_like(t) for name in names]
-        log = Log(t, np.column_stack(inputs), np.column_stack([*place, heading]), table["window"])
-        if isinstance(data.window, float):
-            log = _divided(log, data.window)
-        return cut(log), notes
-
-
-def _read_table(path: Path, data: Data, columns: Mapping[str, str]) -> Columns:
-    """Return the columns of a log in a text file, by name in this module; a column of windows."""
-    wanted = {**dict(data.columns), **columns}
-    if isinstance(data.window, str):
-        wanted["window"] = data.window
-    values, notes = read_columns(path, wanted, "a log", where="[data.columns] or [data.rates]")
-    return Columns({"window": np.zeros(values["t"].size), **values}, notes)
-
-
-def _read_result(path: Path, columns: Mapping[str, str]) -> dict[str, Array]:
-    """Return the columns of a result of slipfree, with rates and values by name."""
-    run = read_result(path).in_frame("paper")
-    table = {"t": run.t, **{key: run[key] for key in ("x", "y", "heading")}}
-    table["window"] = np.zeros(run.t.size)
-    for name, column in columns.items():
-        wheel = column.removesuffix("_rate")
-        if wheel in run.wheels:
-            table[name] = run["wheel_rate", wheel]
-        elif wheel in run.columns and column.endswith("_rate"):
-            table[name] = np.gradient(run[wheel], run.t)
-        elif column in run.columns:
-            table[name] = run[column]
-        else:
-            raise DataError(
-                f"{path}: expected the rates of the wheels and joints of the vehicle, found none "
-                f"for {column!r}; name another quantity in [data.rates]"
-            )
-    return table
-
-
-def _read_mcap(path: Path, columns: Mapping[str, str]) -> dict[str, Array]:
-    """Return poses, and rates and values of joints at their times, of an MCAP file by name.
-
-    A column is the name of a joint, with ``_rate`` for its velocity.
-    """
-    pose, joints = read_motion_log(path)
-    t = pose["t"]
-    table = {**pose, "window": np.zeros(t.size)}
-    for name, column in columns.items():
-        joint = column.removesuffix("_rate")
-        if joint not in joints:
-            raise DataError(
-                f"{path}: expected the rates of the wheels and joints of the vehicle, found no "
-                f"joint {joint!r} among {', '.join(joints)}; name the joints in [data.rates]"
-            )
-        states = joints[joint]
-        values = states.velocities if name.endswith("_rate") else states.positions
-        if not np.isfinite(values).all():
-            raise DataError(
-                f"{path}: expected values of joint {joint!r} in each message, found messages "
-                "without them; record positions and velocities"
-            )
-        table[name] = np.interp(t, states.t, values)
-    return table
-
-
-def _divided(log: Log, duration: float) -> Log:
-    t, slack = log.t - log.t[0], TIME_SLACK * duration
-    if np.diff(t).min(initial=0.0) < 0:
-        raise ModelError("expected times that do not decrease, found a decrease; sort the log")
-    numbers = np.unique(np.floor((t + slack) / duration))
-    numbers = numbers[duration * (numbers + 1) <= t[-1] + slack]
-    if not numbers.size:
+    sides = [each for each in lateral_places(vehicle) if f"{each[0].name}_rate" in columns]
+    wheels = [wheel for wheel, _ in sides if wheel.driven]
+    wanted = {name: column for name, column in data.columns if column} | columns
+    wanted |= {"window": data.window} if isinstance(data.window, str) else {}
+    log = read_log(
+        path,
+        wanted,
+        columns,
+        where="[data.columns] or [data.rates]",
+        units={f"{wheel.name}_rate": "rad/s" for wheel in wheels},
+        is_linear=True,
+        timeout=data.timeout,
+        max_error=data.max_error,
+    )
+    frame = {".nc": "paper", ".mcap": "rep103"}.get(path.suffix.lower(), spec.frame)
+    t, values = log.t, log.values
+    speeds = np.array([values[f"{wheel.name}_rate"] * wheel.radius for wheel in wheels])
+    places = np.array([place for wheel, place in sides if wheel.driven])
+    is_named = any(split_unit(columns[f"{wheel.name}_rate"])[1] for wheel in wheels)
+    check_motion(
+        log,
+        zero=0.0 if frame == "rep103" else np.pi / 2,
+        speed=speeds.mean(axis=0) if wheels else None,
+        turn=(places - places.mean()) @ speeds if len(measured) == len(wheels) else None,
+        ratios=None if is_named else rate_ratios([wheel.radius for wheel in wheels]),
+        is_aligned=not moves_sideways(vehicle),
+        may_turn="sensor_heading" in {u.quantity or name for name, u in spec.unknowns.items()},
+    )
+    window = values.get("window", np.zeros(t.size))
+    steps = np.append(0.0, np.diff(t))
+    is_first = np.append(True, ~is_continuous(t, values["x"] + 1j * values["y"], window))
+    rows = np.arange(t.size)
+    if isinstance(data.window, float):
+        rows, window = divide(t, data.window)
+    inside = is_first[rows] & np.append(False, np.diff(window) == 0)
+    is_gap = inside & (steps[rows] > longest_gap(t))
+    left_out = Counter({"with a gap": np.unique(window[is_gap]).size})
+    lost = np.unique(window[inside])
+    left_out["with a leap of the position"] = lost.size - left_out["with a gap"]
+    kept = ~np.isin(window, lost)
+    if not kept.any():
         raise ModelError(
-            f"expected a log of at least one window, {duration:g} s, found {t[-1]:g} s; reduce "
-            "data.window"
+            f"expected windows without gaps and leaps, found none of {np.unique(window).size}; use "
+            "a longer log or shorter windows"
         )
-    first = np.searchsorted(t, duration * numbers - slack)
-    last = np.searchsorted(t, duration * (numbers + 1) + slack)
-    rows = [np.arange(a, b) for a, b in zip(first, last, strict=True)]
-    window = np.repeat(numbers, [each.size for each in rows])
-    at_rows = np.concatenate(rows)
-    return Log(log.t[at_rows], log.given[at_rows], log.pose[at_rows], window)
+    place = (values["x"], values["y"]) if frame == "paper" else (-values["y"], values["x"])
+    inputs = [values.get(name, np.zeros(t.size)) for name in names]
+    given, pose = np.column_stack(inputs), np.column_stack([*place, values["heading"]])
+    notes = [*log.notes, *log.rows_left_out, *([log.hold] if log.held[0] > GAP else [])]
+    rows = rows[kept]
+    return Log(t[rows], given[rows], pose[rows], window[kept]), notes, +left_out
 
 
 def facts(fitted: Fitted) -> Lines:
     """Return the facts of a fit: estimates, identifiable directions, and errors of predictions."""
     calibration = fitted.calibration
     train, test = (len(part.measured) for part in (calibration.train, calibration.test))
+    left_out = [f"{count} left out {reason}" for reason, count in fitted.left_out.items()]
     outcome = Outcome.INTERRUPTED if calibration.estimate.is_interrupted else Outcome.COMPLETE
     return [
         ("outcome", outcome.title),
         *([("log", "; ".join(fitted.notes))] if fitted.notes else []),
-        ("windows", f"{train} for training, {test} others"),
+        ("windows", "; ".join([f"{train} for training, {test} others", *left_out])),
         *estimate_lines(calibration.estimate),
         *direction_lines(calibration.estimate),
         *map(_error_line, error_rows(fitted)),

@@ -12,7 +12,8 @@ from pydantic import Field
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask
-from slipfree.files.tables import read_columns
+from slipfree.files.logs import OF_POSES, OF_SPEEDS, check_motion, is_continuous, read_log
+from slipfree.files.tables import split_unit
 from slipfree.files.toml.source import Fault, problem_error
 from slipfree.files.toml.types import Pair, Positive, Quantity, Record
 from slipfree.fit.ground_fit import (
@@ -31,6 +32,7 @@ from slipfree.fit.ground_motion import (
     DriveLog,
     MotionModel,
     Slopes,
+    conditions,
     windows_of,
     with_drives_and_sensors,
 )
@@ -50,16 +52,21 @@ from slipfree.problem.schema import (
     VehicleSource,
 )
 from slipfree.problem.verbs.base import Lines, Verb
-from slipfree.problem.verbs.fit import UnknownTable, build_model, vehicle_comments
+from slipfree.problem.verbs.fit import (
+    LogKeys,
+    Name,
+    UnknownTable,
+    build_model,
+    log_paths,
+    vehicle_comments,
+)
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import disturbed
 from slipfree.vehicle.tree import Vehicle
 
-GAP = 1.5  # longest time between positions that count as good [s]
 JUMP = 0.25  # of positions against measured velocities over a second [m/s]
 LEAST_SPEED = 0.1  # commanded speed from which the vehicle drives in one direction [m/s]
 FURTHER_MAPS = 4  # with further errors
-Name = Annotated[str, Field(min_length=1)]
 VEHICLE = "vehicle"  # name of the model of the vehicle
 
 
@@ -81,9 +88,12 @@ class DriveColumns(Record):
         description="column of the vehicle's heading from x, by a compass or an inertial unit, in "
         "rad; by default, courses follow from positions and velocities",
     )
+    error: Name | None = Field(
+        default=None, description="column of the stated error of the position, in m"
+    )
 
 
-class DriveData(Record):
+class DriveData(LogKeys):
     """Logs of commands and positions."""
 
     files: Annotated[tuple[Name, ...], Field(strict=False, min_length=2)] = Field(
@@ -158,6 +168,7 @@ class FittedModels(NamedTuple):
     scores: dict[str, dict[Kind, Score]]
     fits: dict[str, GroundFit]
     predicted: list[DriveLog]
+    rows: Lines  # of each log: what is used of it
 
 
 def fit_over_map(problem: Problem[FitOverMap], predict: Sequence[Path] = ()) -> FittedModels:
@@ -177,15 +188,11 @@ def fit_over_map(problem: Problem[FitOverMap], predict: Sequence[Path] = ()) -> 
             for seed in range(FURTHER_MAPS)
         ]
     with at(problem, ("data", "files")):
-        paths = [problem.folder / name for name in spec.data.files]
-        if again := {path.resolve() for path in paths} & {path.resolve() for path in predict}:
-            raise ModelError(
-                "expected logs to predict that are not fitted, found "
-                f"{', '.join(sorted(path.name for path in again))} in both; remove them from one"
-            )
+        paths = log_paths(problem, predict)
         alone = len({path.parent for path in paths}) == 1
         groups = [path.name if alone else str(path.parent) for path in paths]
-        read = partial(_read_log, spec, ground.grid)
+        rows: Lines = []
+        read = partial(_read_log, spec, ground.grid, rows)
         logs = [read(*each) for each in zip(paths, groups, strict=True)]
         others = [read(path, path.stem) for path in predict]
         kinds = [*((length, 0.0) for length in spec.lengths), (0.0, spec.duration)]
@@ -197,7 +204,7 @@ def fit_over_map(problem: Problem[FitOverMap], predict: Sequence[Path] = ()) -> 
             else fit_on_uncertain_map(model, logs, windows, (slopes, further))
             for name, model in models.items()
         }
-        return FittedModels(models, scores, fits, others or logs)
+        return FittedModels(models, scores, fits, others or logs, rows)
 
 
 def models_of(
@@ -239,27 +246,39 @@ def models_of(
     }
 
 
-def _read_log(spec: FitOverMap, grid: Grid, path: Path, group: str) -> DriveLog:
+def _read_log(spec: FitOverMap, grid: Grid, rows: Lines, path: Path, group: str) -> DriveLog:
     """Return a log at equal intervals; positions are linear between samples, commands are held.
 
-    Samples beyond the map are not good.
+    Samples beyond the map, in gaps, and at leaps of the position are not good; a line on them is
+    added to ``rows``.
     """
     data, columns = spec.data, dict(spec.data.columns)
     vx, vy = columns.pop("velocity") or (None, None)
     wanted = {name: each for name, each in (columns | {"vx": vx, "vy": vy}).items() if each}
-    table, _ = read_columns(path, wanted, "a log", where="[data.columns]")
-    t = table["t"]
-    if (np.diff(t) <= 0).any():
-        k = int(np.argmax(np.diff(t) <= 0))
-        raise ModelError(
-            f"{path}: expected times that increase, found {t[k + 1]:g} s after {t[k]:g} s; sort "
-            "the log"
-        )
+    speeds = dict.fromkeys(("left", "right", "vx", "vy"), "m/s")
+    log = read_log(
+        path,
+        wanted,
+        ("left", "right"),
+        where="[data.columns]",
+        units=speeds,
+        timeout=data.timeout,
+        max_error=data.max_error,
+    )
+    t, table = log.t, log.values
     even = np.arange(t[0], t[-1], data.step)
     if even.size < 2:
         raise ModelError(
             f"{path}: expected a log longer than {data.step:g} s, found {t[-1] - t[0]:g} s; omit it"
         )
+    is_named = any(split_unit(columns[side])[1] for side in ("left", "right"))
+    check_motion(
+        log,
+        speed=(table["left"] + table["right"]) / 2,
+        turn=table["right"] - table["left"],
+        ratios=None if is_named else OF_SPEEDS | OF_POSES,
+        may_turn="sensor_heading" in {u.quantity or name for name, u in spec.unknowns.items()},
+    )
 
     def between(*names: str) -> Array:
         return np.column_stack([np.interp(even, t, table[name]) for name in names])
@@ -269,7 +288,8 @@ def _read_log(spec: FitOverMap, grid: Grid, path: Path, group: str) -> DriveLog:
     heading = np.interp(even, t, np.unwrap(table["heading"])) if "heading" in table else None
     held = np.searchsorted(t, np.maximum(even - data.delay, t[0]) + 1e-9, side="right") - 1
     sides = np.column_stack([table["left"], table["right"]])[held]
-    later = np.clip(np.searchsorted(t, even, side="right"), 1, t.size - 1)
+    if data.timeout is not None:
+        sides[even - data.delay - t[held] > data.timeout] = 0
     corners = np.array([[grid.x[0], grid.y[0]], [grid.x[-1], grid.y[-1]]])
     on_map = ((place >= corners[0]) & (place <= corners[1])).all(axis=1)
     if not on_map.any():
@@ -279,23 +299,29 @@ def _read_log(spec: FitOverMap, grid: Grid, path: Path, group: str) -> DriveLog:
             f"{south:g} to {north:g} m, found none, the first at x = {place[0, 0]:g}, "
             f"y = {place[0, 1]:g} m; correct 'shift' or the columns"
         )
-    good = on_map & (t[later] - t[later - 1] < GAP)
-    mean, speed = sides.mean(axis=1), np.hypot(*velocity.T)
+    follows = is_continuous(t, table["x"] + 1j * table["y"], np.zeros(t.size))
+    later = np.clip(np.searchsorted(t, even, side="right"), 1, t.size - 1)
+    speed = np.hypot(*velocity.T)
+    bad = {"beyond the map": ~on_map, "in gaps or at leaps of the position": ~follows[later - 1]}
     if vx:
-        good &= ~_jumps(place, speed, data.step)
-    return DriveLog(
-        path.stem,
-        group,
-        data.step,
-        place,
-        velocity,
-        speed,
-        good,
-        np.where(np.abs(mean) > LEAST_SPEED, np.sign(mean), 0.0),
-        sides,
-        vx is not None,
+        bad["at positions against the velocities"] = _jumps(place, speed, data.step)
+    good = ~np.logical_or.reduce([*bad.values()])
+    mean = sides.mean(axis=1)
+    direction = np.where(np.abs(mean) > LEAST_SPEED, np.sign(mean), 0.0)
+    is_measured = vx is not None
+    drive = DriveLog(
+        *(path.stem, group, data.step, place, velocity, speed, good, direction, sides),
+        is_measured,
         heading,
     )
+    no_end = {reason: ~each for reason, each in conditions(drive).items()}
+    counts = [
+        ", ".join([words, *(f"{each.sum()} {why}" for why, each in masks.items() if each.any())])
+        for words, masks in ((f"{even.size} samples", bad), ("no ends of windows", no_end))
+    ]
+    words = "; ".join([*counts, *log.rows_left_out, log.hold, *log.notes])
+    rows.append((f"log {path.stem}", words))
+    return drive
 
 
 def _jumps(place: Array, speed: Array, step: float) -> Mask:
@@ -313,7 +339,7 @@ def _jumps(place: Array, speed: Array, step: float) -> Mask:
 
 def facts(fitted: FittedModels) -> Lines:
     """Return constants and errors of all models as lines."""
-    return [*_constants(fitted), *_errors(fitted.scores)]
+    return [*fitted.rows, *_constants(fitted), *_errors(fitted.scores)]
 
 
 def _constants(fitted: FittedModels) -> Iterator[tuple[str, str]]:

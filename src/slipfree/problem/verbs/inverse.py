@@ -16,9 +16,9 @@ from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.core.facts import Fact, starting_with
 from slipfree.core.records import Array, Mask, leaves
 from slipfree.core.trajectory import Trajectory
+from slipfree.files.logs import check_motion, read_log
 from slipfree.files.mcap import is_mcap
 from slipfree.files.netcdf import NOTHING
-from slipfree.files.tables import read_columns
 from slipfree.files.toml.source import Fault, name_errors, problem_error
 from slipfree.files.toml.types import unit_faults
 from slipfree.models.determinacy import check_authority
@@ -52,7 +52,7 @@ from slipfree.problem.build import (
 )
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.problem import Problem
-from slipfree.problem.units import check_heading_unit, check_time_unit
+from slipfree.problem.units import check_time_unit, moves_sideways
 from slipfree.problem.verbs.base import (
     Extremes,
     Result,
@@ -137,9 +137,9 @@ class InverseVerb(DriveVerb):
     def build(self, problem: Problem[Inverse]) -> Setup:
         """Return the models, the start and the inputs of a problem."""
         spec = problem.spec
-        points, notes = _points(problem)
         with at(problem, ("vehicle",)):
             vehicle = build_vehicle(spec.vehicle, problem)
+        points, notes = _points(problem, vehicle)
         given, description = _given_rates(problem, vehicle, points)
         description = "; ".join([description, *notes])
         place = ("given",) if points is None else ("path",)
@@ -329,7 +329,7 @@ def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
             )
 
 
-def _points(problem: Problem[Inverse]) -> tuple[Array | None, tuple[str, ...]]:
+def _points(problem: Problem[Inverse], vehicle: Vehicle) -> tuple[Array | None, tuple[str, ...]]:
     """Return the way-points, None without path, and notes on the units of their file.
 
     Way-points are t, x, y, heading [s, m, m, rad], shape (4, n), with headings from the y axis.
@@ -348,10 +348,13 @@ def _points(problem: Problem[Inverse]) -> tuple[Array | None, tuple[str, ...]]:
                     "expected frame = 'rep103' for a path in MCAP, with headings from the x axis, "
                     f"found frame = {spec.frame!r}; set frame = 'rep103'"
                 )
-            columns, notes = read_columns(problem.folder / path.file, COLUMNS)
-            points = np.array([columns[name] for name in COLUMNS])
+            log = read_log(problem.folder / path.file, COLUMNS, kind="way-points")
+            notes = (*log.notes, *log.rows_left_out)
+            points = np.array([log.t, *(log.values[name] for name in COLUMNS[1:])])
+            points[3] = np.unwrap(points[3], discont=1.5 * np.pi)
             check_time_unit(points[0], spec.time.duration)
-            check_heading_unit(*points[1:], zero=heading_offset(problem))
+            zero = heading_offset(problem) + np.pi / 2
+            check_motion(log, zero=zero, is_aligned=not moves_sideways(vehicle))
     with at(problem, place):
         check_way_points(*points)
     if faults := [*_path_faults(points, place, problem.spec)]:

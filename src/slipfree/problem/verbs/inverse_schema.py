@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -12,7 +11,8 @@ import numpy as np
 from pydantic import Field
 
 from slipfree.core.errors import DataError, ModelError
-from slipfree.files.tables import read_columns, read_names
+from slipfree.files.logs import read_log
+from slipfree.files.tables import read_names
 from slipfree.files.toml.source import Fault, format_value, problem_error
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import Angles, Column, Piecewise, Record, TimeFunction, bare_words
@@ -23,6 +23,8 @@ from slipfree.problem.schema import FILE, VERB, MotionKeys, TerrainKeys, Time
 from slipfree.problem.units import check_time_unit
 from slipfree.solve.sampling import input_samples
 from slipfree.vehicle.formula import evaluate
+
+TIMEOUT = "timeout"  # key of [given] beside 'file'
 
 
 class PathTable(Record):
@@ -41,8 +43,9 @@ class Inverse(MotionKeys):
     verb: Literal["inverse"] = Field(description=VERB)
     given: dict[str, TimeFunction] | None = Field(
         default=None,
-        description="rates of the platform by name, or 'file', a CSV file of rates over time "
-        "[m/s, rad/s]",
+        description="rates of the platform by name, or 'file', a CSV file of rates over time, with "
+        "'timeout', the time after which a rate that is not given again is zero; by default it is "
+        "held [m/s, rad/s, s]",
     )
     exact: bool | None = Field(
         default=None,
@@ -96,6 +99,7 @@ def are_commands(given: Collection[str]) -> bool:
 def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], str]:
     """Return the commands of a problem by the names of `COMMANDS`, and their description."""
     given, columns, descriptions = dict(spec.given or {}), dict[str, Any](), []
+    timeout = given.pop(TIMEOUT, None)
     if (file := given.pop(FILE, None)) is not None:
         with at(problem, ("given", FILE)):
             if not isinstance(file, str):
@@ -103,7 +107,7 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
                     "expected the name of a CSV file in quotes, found "
                     f"{format_value(file)}; put the name in quotes"
                 )
-            columns, notes = _read_file(problem.folder / file, spec.time.duration)
+            columns, notes = _read_file(problem.folder / file, spec.time.duration, timeout)
         descriptions = ["; ".join([f"{', '.join(columns)} of {file}", *notes])]
     if faults := [*_faults(spec, given, columns)]:
         raise problem_error(problem.source, faults)
@@ -120,8 +124,13 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
     }, ", ".join(descriptions)
 
 
-def _read_file(file: Path, duration: float) -> tuple[dict[str, Piecewise], tuple[str, ...]]:
-    """Return the commands of a table by name, constant until the next row, and notes on units."""
+def _read_file(
+    file: Path, duration: float, timeout: float | None
+) -> tuple[dict[str, Piecewise], list[str]]:
+    """Return the commands of a table by name, constant until the next row, and notes on them.
+
+    A command that is not followed by another one within ``timeout`` is zero after it [s].
+    """
     names = read_names(file, "commands")
     rates = [name for name in names if name != "t"]
     if len(set(names)) < len(names) or "t" not in names or not are_commands(rates) or FILE in rates:
@@ -130,20 +139,34 @@ def _read_file(file: Path, duration: float) -> tuple[dict[str, Piecewise], tuple
             f"more of {', '.join(COMMANDS)} or one or more of {', '.join(ROBOT)}, found "
             f"{','.join(names)!r}; correct the first line"
         )
-    table = read_columns(file, ["t", *rates], "commands")
-    if not table.values["t"].size:
+    units = {name: COMMANDS[ROBOT.get(name, name)].unit.replace(" s-1", "/s") for name in rates}
+    log = read_log(file, ["t", *rates], rates, kind="commands", units=units)
+    t = log.t
+    if not t.size:
         raise DataError(f"{file}: expected one or more rows of numbers, found only names; add rows")
-    t, *columns = (column.tolist() for column in table.values.values())
     if t[0] != 0:
         raise DataError(f"{file}: expected 0 as the first time, found {t[0]:g} s; shift the times")
-    for before, after in pairwise(t):
-        if after <= before:
-            found = f"{after:g} s after {before:g} s"
-            remedy = "sort the rows" if after < before else "keep one row for each time"
-            raise DataError(f"{file}: expected increasing times, found {found}; {remedy}")
-    check_time_unit(table.values["t"], duration)
-    pairs = zip(rates, columns, strict=True)
-    return {name: tuple(zip(t, rate, strict=True)) for name, rate in pairs}, table.notes
+    kept = np.append(np.diff(t) > 0, True)
+    values = np.column_stack([log.values[name] for name in rates])
+    if (values[:-1][~kept[:-1]] != values[1:][~kept[:-1]]).any():
+        k = int(kept.argmin())
+        raise DataError(
+            f"{file}: expected increasing times, found {t[k]:g} s after {t[k]:g} s with other "
+            "values; keep one row for each time"
+        )
+    t, values = t[kept], values[kept]
+    check_time_unit(t, duration)
+    waits = np.diff(t, append=max(duration, t[-1]))
+    k = int(waits.argmax())
+    notes = [*log.notes, *log.rows_left_out, f"held for at most {waits[k]:.3g} s, from {t[k]:g} s"]
+    if timeout is not None:
+        late = waits > timeout
+        order = np.argsort(np.append(t, t[late] + timeout), kind="stable")
+        t = np.append(t, t[late] + timeout)[order]
+        values = np.vstack([values, 0 * values[late]])[order]
+        notes[-1] = f"held for at most {min(waits[k], timeout):.3g} s"
+    columns = zip(rates, values.T.tolist(), strict=True)
+    return {name: tuple(zip(t.tolist(), rate, strict=True)) for name, rate in columns}, notes
 
 
 def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -> Iterator[Fault]:

@@ -1,0 +1,468 @@
+"""Logs of motions: one reader for fits, commands and paths, and checks of what columns mean.
+
+Times must increase, positions must be metres of one drive, headings must follow the course, and
+the travel of wheels must be near that of the positions. What is left out is counted by its reason.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.core.errors import DataError
+from slipfree.core.records import Array, Mask
+from slipfree.files.maps.reference_systems import metric_system
+from slipfree.files.mcap import is_mcap, read_motion_log
+from slipfree.files.netcdf import read as read_result
+from slipfree.files.tables import ALIASES, Columns, line_of, read_columns, split_unit
+from slipfree.files.toml.types import FULL_TURN
+
+POSE = ("x", "y", "heading", "vx", "vy", "window")  # columns that rows of a log must have
+GAP = 1.5  # longest time between rows whose positions count as continuous [s], or 1.5 medians
+MAX_INTERVAL, JUMP = 10.0, 3600.0  # largest median time, and largest time, between rows [s]
+REPEATED = 1e-3  # of poses at one time: larger differences are those of two poses [m, rad]
+FAR = 0.3  # least distance of a row that is away from both of its neighbours [m]
+RETURN, MIXED = 0.1, 0.03  # distance of these over it, and share of such rows in mixed drives [1]
+CHORD, CHORDS = 1.0, 50  # time of chords that have a course [s], and least number of them in a log
+LEAST_CHORDS = 5
+ALIKE, NEAR = 0.9, 0.25  # least cosine of similar speeds, and tolerance of the ratio of units [1]
+CLEAR, CLEARER = 0.8, 0.3  # least concentration of courses about headings, and least difference
+OPPOSITE, COUNTS = 0.5, 0.95  # least correlations of turns, and of counts with the path [1]
+OFFSET = 25.0  # least constant difference of course and heading that is refused [deg]
+DEGREE = 1e-4  # motion over travel of wheels below which positions are degrees [1]
+OF_RATES = {  # motion relative to the travel of the wheels if units are not named [1]
+    "rates in rpm, as in 'left [rpm]'": np.pi / 30,
+    "rates in deg/s, as in 'left [deg/s]'": np.pi / 180,
+}
+OF_SPEEDS = {
+    "speeds in km/h, as in 'left [km/h]'": 1 / 3.6,
+    "speeds in cm/s, as in 'left [cm/s]'": 1e-2,
+    "rates of wheels in rad/s, which must be multiplied by the radius": 0.15,
+}
+OF_POSES = {
+    "times in ms, as in 't [ms]'": 1e-3,
+    "positions in cm, as in 'x [cm]'": 1e2,
+    "positions in mm, as in 'x [mm]'": 1e3,
+}
+
+
+class MotionLog(NamedTuple):
+    """A log: times, columns by name, notes, and what was left out or held."""
+
+    path: Path
+    t: Array  # shape (n,): times from the first row or date [s]
+    values: dict[str, Array]  # shape (n,) each, without gaps
+    notes: tuple[str, ...]  # on units
+    left_out: Counter[str]  # numbers of rows by reason
+    held: tuple[float, float]  # longest time for which an input was held, and its start [s]
+
+    @property
+    def rows_left_out(self) -> list[str]:
+        """Numbers of rows that were left out, with the reasons."""
+        return [f"{count} rows left out: {reason}" for reason, count in self.left_out.items()]
+
+    @property
+    def hold(self) -> str:
+        """How long an input was held at most."""
+        longest, start = self.held
+        return f"inputs not given for at most {longest:.3g} s, from t = {start:.6g} s"
+
+
+def read_log(
+    path: Path,
+    columns: Sequence[str] | Mapping[str, str],
+    inputs: Collection[str] = (),
+    *,
+    where: str = "the first line",
+    kind: str = "a log",
+    units: Mapping[str, str] | None = None,
+    is_linear: bool = False,
+    timeout: float | None = None,
+    max_error: float = np.inf,
+) -> MotionLog:
+    """Return a log as text, as MCAP or as a result of slipfree.
+
+    ``columns`` are as in `read_columns`, with the time ``t``. Rows without a pose, or with a stated
+    ``error`` of the position above ``max_error`` [m], are left out. Inputs are held until they are
+    given again, for at most ``timeout`` [s], and zero after it; with ``is_linear``, they are linear
+    between rows that are not farther apart than a gap. DataError is raised for times that
+    decrease, jump or belong to two poses, and for positions that alternate between two drives.
+    """
+    names = dict(columns) if isinstance(columns, Mapping) else {name: name for name in columns}
+    if path.suffix == ".nc":
+        table = _read_result(path, {name: names[name] for name in inputs})
+    elif is_mcap(path) and "x" in names and inputs:
+        table = _read_joints(path, {name: names[name] for name in inputs})
+    else:
+        known = {name: "m" for name in ("error",) if name in names} | dict(units or {})
+        free = {*names} - {"t"}
+        table = read_columns(path, columns, kind, where=where, units=known, optional=free)
+    for name in ("x", "y"):
+        if any(split_unit(names.get(name, ""))[0].lower() in group for group in ALIASES[-2:]):
+            raise _degrees(path, table.values, [names["x"], names["y"]])
+    values = dict(table.values)
+    t = values.pop("t")
+    is_apart = np.diff(values.get("window", 0 * t)) != 0
+    is_fit = bool(inputs) and "x" in names
+    _check_times(path, table, is_apart, is_fit=is_fit)
+    longest, start, given = 0.0, 0.0, np.ones(t.size, bool)
+    for name in inputs:
+        rows = np.flatnonzero(np.isfinite(values[name]))
+        if not t.size:
+            break
+        if not rows.size:
+            raise DataError(f"{path}: expected numbers in the column {names[name]!r}, found none")
+        last = rows[np.maximum(np.searchsorted(rows, np.arange(t.size), side="right") - 1, 0)]
+        age = t - t[last]
+        given &= age >= 0
+        is_late = age > (np.inf if timeout is None else timeout)
+        held = values[name][last]
+        if is_linear:
+            following = np.minimum(np.searchsorted(rows, np.arange(t.size)), rows.size - 1)
+            is_near = (t[rows[following]] - t[last] <= longest_gap(t[rows])) & (age > 0)
+            held = np.where(is_near, np.interp(t, t[rows], values[name][rows]), held)
+        values[name] = np.where(is_late, 0.0, held)
+        waits = np.where(is_apart[rows[1:] - 1], 0.0, np.diff(t[rows]))
+        if waits.max(initial=0.0) > longest:
+            longest, start = float(waits.max()), float(t[rows[waits.argmax()]])
+    reasons = dict[str, Mask]()
+    if "x" in values:
+        poses = [np.isfinite(values[name]) for name in POSE if name in values]
+        reasons["no position or heading"] = ~np.logical_and.reduce(poses)
+        reasons[f"stated error above {max_error:g} m"] = values.get("error", 0 * t) > max_error
+    reasons["before the first command or rate"] = ~given
+    good, left_out = np.ones(t.size, bool), Counter[str]()
+    for reason, bad in reasons.items():
+        left_out[reason] = int((good & bad).sum())
+        good &= ~bad
+    if "x" in values:
+        place = values["x"] + 1j * values["y"]
+        _check_repeated(path, t, values, good)
+        good = _without_excursions(path, table, good, place, left_out)
+    if not good.any() and t.size:
+        raise DataError(f"{path}: expected rows with positions and inputs, found {+left_out!r}")
+    return MotionLog(
+        path,
+        t[good],
+        {name: column[good] for name, column in values.items()},
+        table.notes,
+        +left_out,
+        (longest, start),
+    )
+
+
+def rate_ratios(radii: Sequence[float]) -> dict[str, float]:
+    """Return the ratios of `check_motion` for rates of wheels with radii [m]."""
+    of_speeds = "speeds of the wheels in m/s, which must be divided by the radius"
+    return OF_RATES | OF_POSES | {of_speeds: len(radii) / sum(radii)}
+
+
+def longest_gap(t: Array) -> float:
+    """Return the longest time between rows whose positions count as continuous [s]."""
+    return max(GAP, GAP * float(np.median(np.diff(t)))) if t.size > 1 else GAP
+
+
+def _check_times(path: Path, table: Columns, is_apart: Mask, *, is_fit: bool) -> None:
+    """Raise DataError for times that decrease, jump or are not in seconds."""
+    t = table.values["t"]
+    steps = np.where(is_apart, 0.0, np.diff(t))
+    interval = float(np.median(np.diff(t)[~is_apart])) if not is_apart.all() else 0.0
+    if is_fit and interval > MAX_INTERVAL:
+        raise DataError(
+            f"expected samples of a log at most {MAX_INTERVAL:g} s apart, found {interval:g} s "
+            "(median); if the times are in other units, name them in [data.columns], as in "
+            "t = 't [ms]'"
+        )
+    is_jump = (steps < 0) | (steps > max(JUMP, 100 * interval))
+    if is_jump.any():
+        k = int(is_jump.argmax())
+        raise DataError(
+            f"{path}: expected increasing times, found {_time(table, k + 1)} after "
+            f"{_time(table, k)} in line {line_of(path, k + 1)}: the clock "
+            f"{'starts again' if steps[k] < 0 else 'jumps'}; divide the log before this line into "
+            "two files"
+        )
+
+
+def _time(table: Columns, row: int) -> str:
+    return f"{table.start + table.values['t'][row]:.12g} s"
+
+
+def _check_repeated(path: Path, t: Array, values: Mapping[str, Array], good: Mask) -> None:
+    """Raise DataError if rows of a window have the same time and different poses."""
+    rows = np.flatnonzero(good)
+    same = np.diff(t[rows]) == 0
+    if "window" in values:
+        same &= np.diff(values["window"][rows]) == 0
+    poses = [values[name][rows] for name in POSE[:3] if name in values]
+    change = np.abs(np.diff(poses)).max(axis=0)
+    if (same & (change > REPEATED)).any():
+        k = int((same & (change > REPEATED)).argmax())
+        places = (
+            f"x = {values['x'][row]:.6g}, y = {values['y'][row]:.6g} m in line {line_of(path, row)}"
+            for row in rows[k : k + 2].tolist()
+        )
+        raise DataError(
+            f"{path}: expected one pose at a time, found {' and '.join(places)} at "
+            f"t = {t[rows[k]]:.6g} s; if two drives were sorted into one file, use a file for "
+            "each; if the times are rounded, write them with more digits"
+        )
+
+
+def _without_excursions(
+    path: Path, table: Columns, good: Mask, place: Array, left_out: Counter[str]
+) -> Mask:
+    """Return the good rows without those that are far from both of their neighbours."""
+    rows = np.flatnonzero(good)
+    steps, over = np.abs(np.diff(place[rows])), np.abs(place[rows][2:] - place[rows][:-2])
+    least = np.minimum(steps[1:], steps[:-1])
+    is_away = (least > FAR) & (over < RETURN * least)
+    if is_away.sum() > MIXED * is_away.size:
+        k = rows[int(is_away.argmax())]
+        raise DataError(
+            f"{path}: expected positions of one drive, found {int(is_away.sum())} rows that are "
+            f"away from those before and after, the first by {least[is_away][0]:.3g} m at "
+            f"t = {_time(table, k + 1)} in line {line_of(path, int(k) + 1)}: two drives were "
+            "probably sorted by time into one file; use a file for each"
+        )
+    left_out.update({"position away from those before and after": int(is_away.sum())})
+    good = good.copy()
+    good[rows[1:-1][is_away]] = False
+    return good
+
+
+def is_continuous(t: Array, place: Array, window: Array) -> Mask:
+    """Return whether a position follows from the one before, without a gap or leap, shape (n - 1,).
+
+    A leap is farther than three times the distance at the speed that 95 % of the rows do not
+    exceed, and farther than 0.3 m.
+    """
+    steps, moved = np.diff(t), np.abs(np.diff(place))
+    inside = (np.diff(window) == 0) & (steps <= longest_gap(t))
+    speeds = moved[inside & (steps > 0)] / steps[inside & (steps > 0)]
+    fast = float(np.quantile(speeds, 0.95)) if speeds.size else 0.0
+    return np.asarray(inside & (moved <= 3 * fast * steps + FAR))
+
+
+def check_motion(
+    log: MotionLog,
+    *,
+    zero: float = 0.0,
+    speed: Array | None = None,
+    turn: Array | None = None,
+    ratios: Mapping[str, float] | None = None,
+    is_aligned: bool = True,
+    may_turn: bool = False,
+) -> None:
+    """Raise DataError if the columns of a log contradict each other.
+
+    Parameters
+    ----------
+    log : MotionLog
+        Log with x and y, and possibly the heading.
+    zero : float
+        Angle from the x axis from which headings count. [rad]
+    speed, turn : array, optional
+        Mean speed of the driven wheels' treads [m/s], and a number of the sign of their turning
+        rate, shape (n,) each.
+    ratios : mapping, optional
+        Motion over the travel of the wheels if columns have other units, by a description; None if
+        units are named.
+    is_aligned : bool
+        Whether the vehicle moves along its heading.
+    may_turn : bool
+        Whether headings may have a constant difference from the course, as of a sensor.
+    """
+    t, values = log.t, log.values
+    place = values["x"] + 1j * values["y"]
+    step = max(1, min(round(CHORD * t.size / max(np.ptp(t), CHORD)), t.size // CHORDS))
+    part = np.append(0, np.cumsum(~is_continuous(t, place, values.get("window", 0 * t))))
+    rows = np.flatnonzero((part[step:] == part[:-step]) & (place[step:] != place[:-step]))
+    if rows.size < LEAST_CHORDS:
+        return
+    chords = place[rows + step] - place[rows]
+    size, turns, sign = np.abs(chords), None, 2  # courses are known up to the direction of travel
+
+    def change(rate: Array) -> Array:
+        sums = np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(t)))
+        return np.asarray(sums[rows + step] - sums[rows])
+
+    if speed is not None:
+        travel, sign = change(speed), 1
+        if ratios is not None:
+            steps = np.abs(speed[rows + step] - speed[rows])
+            _check_travel(log, size, np.abs(travel), steps, ratios)
+        chords = chords * np.where(travel < 0, -1, 1)
+    if turn is not None:
+        turns = change(turn)
+    if "heading" in values:
+        first, middle, last = (values["heading"][rows + k] for k in (0, step // 2, step))
+        bent = np.angle(np.exp(1j * (last - first)))
+        by_wheels = 0.0 if turns is None else _correlation(bent, turns)
+        course = np.angle(chords) - zero
+        _check_headings(log, sign, course, middle, size, by_wheels, is_aligned, may_turn)
+    elif turns is not None:
+        later = np.isin(rows + step, rows)
+        at = np.searchsorted(rows, rows[later] + step)
+        bent = np.angle((chords[at] / chords[later]) ** sign) / sign
+        if _correlation(bent, turns[later]) < -OPPOSITE:
+            raise DataError(
+                f"{log.path}: expected turns to the left where the right side is faster, found a "
+                "course that turns the other way; exchange the columns of the left and the right "
+                "side if they are swapped, or those of x and y if they are north and east"
+            )
+
+
+def _correlation(one: Array, other: Array) -> float:
+    size = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return float(one @ other) / max(size, 1e-300)
+
+
+def _check_headings(
+    log: MotionLog,
+    sign: int,
+    course: Array,
+    heading: Array,
+    size: Array,
+    by_wheels: float,
+    is_aligned: bool,
+    may_turn: bool,
+) -> None:
+    """Raise DataError if headings are degrees, clockwise, or turned against the courses.
+
+    Courses are known up to half a turn if ``sign`` is 2; their weights are the sizes of chords.
+    ``by_wheels`` is the correlation of the turns of headings and wheels.
+    """
+    alike = {  # mean direction of courses from headings that are read in this way
+        factor: complex(np.average(np.exp(1j * sign * (course - factor * heading)), weights=size))
+        for factor in (1.0, -1.0, np.pi / 180, -np.pi / 180)
+    }
+    best = max(alike, key=lambda factor: abs(alike[factor]))
+    is_other = abs(alike[best]) > max(CLEAR, abs(alike[1.0]) + CLEARER)
+    offset, mirrored = (np.rad2deg(np.angle(alike[factor]) / sign) for factor in (1.0, -1.0))
+    largest = float(np.abs(log.values["heading"]).max())
+    if is_other and abs(best) < 1 and (is_aligned or largest > FULL_TURN):
+        expected = "in rad"
+        found = f"values up to {largest:g} that agree with the direction of motion as degrees"
+        remedy = "name their unit with the column, as in 'heading [deg]'"
+    elif not is_aligned:
+        return
+    elif is_other and by_wheels > OPPOSITE:
+        expected, found = "that turn with the course", "that it turns against headings and wheels"
+        remedy = "exchange the columns of x, to the east, and y, to the north"
+    elif is_other:
+        expected, found = "that turn with the course", "the opposite: clockwise from north?"
+        remedy = f"write {mirrored % (360 / sign):.0f} deg minus the heading"
+        if not by_wheels < -OPPOSITE:
+            remedy += ", or exchange the columns of x and y if they are north and east"
+    elif by_wheels < -OPPOSITE:
+        expected, found = "that turn to the left where right wheels are faster", "the opposite"
+        remedy = (
+            "exchange the rates of the sides if they are swapped, or change their sign if they are "
+            "positive backward"
+        )
+    elif not may_turn and abs(alike[1.0]) > ALIKE and abs(offset) > OFFSET:
+        expected, found = "along the course", f"a constant difference of {offset:.0f} deg"
+        remedy = (
+            f"add {offset:.0f} deg to the heading if it counts from another axis (key 'frame') or "
+            "is clockwise from north, or give an unknown 'sensor_heading'"
+        )
+    else:
+        return
+    k = int((size * np.abs(np.exp(1j * sign * (course - heading)) - 1)).argmax())
+    raise DataError(
+        f"{log.path}: expected headings {expected}, found {found} (heading {heading[k]:.4g} rad at "
+        f"the course {course[k]:.4g} rad); {remedy}"
+    )
+
+
+def _check_travel(
+    log: MotionLog, moved: Array, travel: Array, change: Array, ratios: Mapping[str, float]
+) -> None:
+    """Raise DataError if the motion is as far from that of the wheels as other units are from SI.
+
+    ``moved`` are lengths of chords [m], ``travel`` the paths of the wheels, and ``change`` the
+    changes of their speed.
+    """
+    likeness, ratio = _correlation(moved, travel), float(moved.sum() / max(travel.sum(), 1e-300))
+    if _correlation(moved, change) > max(COUNTS, likeness):
+        raise DataError(
+            f"{log.path}: expected rates of wheels, found values that change with the path, "
+            "probably angles or counts of an encoder; write their change over the time between "
+            "rows, times 2 pi over the counts of a turn"
+        )
+    words = min(ratios, key=lambda words: abs(ratio / ratios[words] - 1))
+    if likeness > ALIKE and ratio < DEGREE:
+        raise _degrees(log.path, log.values, ["x", "y"])
+    if likeness > ALIKE and abs(ratio / ratios[words] - 1) < NEAR:
+        raise DataError(
+            f"{log.path}: expected times in s, positions in m and rates in SI units, found a "
+            f"motion of {ratio:.3g} times the travel of the wheels, probably {words}; name the "
+            "unit with the column in [data.columns] or [data.rates]; if the slip is so large, name "
+            "the SI unit with the rates"
+        )
+
+
+def _degrees(path: Path, values: Mapping[str, Array], names: Sequence[str]) -> DataError:
+    """Return the error of positions in degrees, with a line that projects them."""
+    place = [float(np.nanmedian(values[name])) for name in ("x", "y")]
+    x, y = (split_unit(name)[0] for name in names)
+    is_swapped = x.lower() in ALIASES[-1]
+    system = metric_system(*place[:: -1 if is_swapped else 1])
+    longitude, latitude = (y, x) if is_swapped else (x, y)
+    return DataError(
+        f"{path}: expected positions in m, found degrees of longitude and latitude; project them "
+        f"to the map's system, {system} for example, and use the columns x and y: python -c "
+        f"\"import pandas, rasterio.warp as w; t = pandas.read_csv('{path}', sep=None, "
+        f"engine='python'); t['x'], t['y'] = w.transform('EPSG:4326', '{system}', "
+        f"t['{longitude}'], t['{latitude}']); t.to_csv('{path.stem}_m.csv', index=False)\""
+    )
+
+
+def _read_result(path: Path, columns: Mapping[str, str]) -> Columns:
+    """Return pose, rates and values of a result of slipfree, with headings from the y axis."""
+    run = read_result(path).in_frame("paper")
+    table = {"t": run.t, **{key: run[key] for key in POSE[:3]}}
+    for name, column in columns.items():
+        wheel = column.removesuffix("_rate")
+        if wheel in run.wheels:
+            table[name] = run["wheel_rate", wheel]
+        elif wheel in run.columns and column.endswith("_rate"):
+            table[name] = np.gradient(run[wheel], run.t)
+        elif column in run.columns:
+            table[name] = run[column]
+        else:
+            raise DataError(
+                f"{path}: expected the rates of the wheels and joints of the vehicle, found none "
+                f"for {column!r}; name another quantity in [data.rates]"
+            )
+    return Columns(table)
+
+
+def _read_joints(path: Path, columns: Mapping[str, str]) -> Columns:
+    """Return poses, and rates and values of joints at their times, of an MCAP file.
+
+    A column is the name of a joint, with ``_rate`` for its velocity.
+    """
+    pose, joints = read_motion_log(path)
+    table = dict(pose)
+    for name, column in columns.items():
+        joint = column.removesuffix("_rate")
+        if joint not in joints:
+            raise DataError(
+                f"{path}: expected the rates of the wheels and joints of the vehicle, found no "
+                f"joint {joint!r} among {', '.join(joints)}; name the joints in [data.rates]"
+            )
+        states = joints[joint]
+        values = states.velocities if name.endswith("_rate") else states.positions
+        if not np.isfinite(values).all():
+            raise DataError(
+                f"{path}: expected values of joint {joint!r} in each message, found messages "
+                "without them; record positions and velocities"
+            )
+        table[name] = np.interp(pose["t"], states.t, values)
+    return Columns(table)

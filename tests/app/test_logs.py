@@ -1,0 +1,282 @@
+"""Logs as others write them: each is read as it is meant, or refused with a remedy that works."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from helpers.commands import printed
+from slipfree import DataError, catalog
+from slipfree.core.records import Array
+from slipfree.fit.windows import cut
+from slipfree.problem.load import load_problem
+from slipfree.problem.verbs.fit import _read_log
+
+pytestmark = pytest.mark.usefixtures("folder")
+
+RADIUS, TRACK, HEAD = 0.153, 0.52, "t,left,right,x,y,heading"
+PROBLEM = """
+verb = "fit"
+frame = "rep103"
+[vehicle]
+catalog = "differential_drive"
+[data]
+file = "log.csv"
+window = 2.0
+[data.rates]
+left_rate = "left"
+right_rate = "right"
+[unknowns.radius]
+wheels = ["left", "right"]
+[unknowns.track]
+[data.columns]
+"""
+
+
+def drive(seed: int = 0, start: complex = 0j) -> Array:
+    """Return times, rates of the sides and poses of a differential drive, shape (400, 6)."""
+    rng, fine = np.random.default_rng(seed), 20
+    t = np.linspace(0, 39.9, 399 * fine + 1)
+    knots = rng.uniform(1.5, 5, (2, 21))
+    left, right = (np.interp(t, np.linspace(0, 40, 21), each) for each in knots)
+    speed, yaw_rate = RADIUS * (left + right) / 2, RADIUS * (right - left) / TRACK
+
+    def integral(rate: Array) -> Array:
+        return np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2) * t[1])
+
+    heading = 0.1 + integral(yaw_rate)
+    place = start + integral(speed * np.exp(1j * heading).real)
+    place = place + 1j * integral(speed * np.exp(1j * heading).imag)
+    return np.column_stack([t, left, right, place.real, place.imag, heading])[::fine]
+
+
+DRIVE, OTHER = drive(), drive(1, 9 - 10j)
+
+
+def table(rows: Array, head: str = HEAD, separator: str = ",") -> str:
+    """Return rows as text."""
+    lines = (separator.join(f"{value:.9f}" for value in row) for row in rows.tolist())
+    return "\n".join([head.replace(",", separator), *lines, ""])
+
+
+def changed(columns: dict[int, Callable[[Array], Array]], head: str = HEAD) -> str:
+    """Return the drive with changes of some columns."""
+    rows = DRIVE.copy()
+    for k, change in columns.items():
+        rows[:, k] = change(rows[:, k])
+    return table(rows, head)
+
+
+def stamped(stamp: Callable[[float], str], head: str = HEAD) -> str:
+    """Return the drive with other times."""
+    rest = (",".join(f"{value:.9f}" for value in row[1:]) for row in DRIVE.tolist())
+    return "\n".join(
+        [head, *(f"{stamp(t)},{row}" for t, row in zip(DRIVE[:, 0], rest, strict=True))]
+    )
+
+
+def mixed(rows: Array) -> str:
+    """Return rows sorted by time."""
+    return table(rows[np.argsort(rows[:, 0], kind="stable")])
+
+
+def merged() -> str:
+    """Return poses and rates in rows of their own, as topics that were joined."""
+    lines = [
+        line
+        for t, left, right, *pose in DRIVE.tolist()
+        for line in (
+            f"{t:.6f},{left:.9f},{right:.9f},,,",
+            f"{t + 1e-5:.6f},,," + ",".join(f"{each:.9f}" for each in pose),
+        )
+    ]
+    return "\n".join([HEAD, *lines, ""])
+
+
+def quaternions(names: str, count: int) -> str:
+    """Return the drive with quaternions in place of headings."""
+    half, zero = DRIVE[:, 5] / 2, 0 * DRIVE[:, 0]
+    parts = [zero, zero, np.sin(half), np.cos(half)][4 - count :]
+    return table(np.column_stack([DRIVE[:, :5], *parts]), names)
+
+
+ROS = "t,left,right,pose.position.x,pose.position.y," + ",".join(
+    f"pose.orientation.{part}" for part in "xyzw"
+)
+READ = {  # text, further columns in the problem
+    "headings that wrap": (changed({5: lambda h: (h + np.pi) % (2 * np.pi) - np.pi}), ""),
+    "degrees, named": (changed({5: np.rad2deg}, HEAD + "_deg"), ""),
+    "semicolons and decimal commas": (table(DRIVE, separator=";").replace(".", ","), ""),
+    "tabs": (table(DRIVE, separator="\t"), ""),
+    "a header again": (table(DRIVE).replace("\n20.000000000", f"\n{HEAD}\n20.000000000"), ""),
+    "dates": (stamped(lambda t: f"2024-05-01 12:00:{t:09.6f}"), ""),
+    "microseconds, named": (stamped(lambda t: f"{1e6 * (1.7e9 + t):.0f}"), 't = "t [us]"'),
+    "seconds and nanoseconds": (
+        stamped(lambda t: f"1700000000,{1e9 * t:.0f}", "h.secs,h.nsecs" + HEAD[1:]),
+        "",
+    ),
+    "quaternions": (quaternions("t,left,right,x,y,qx,qy,qz,qw", 4), ""),
+    "quaternions of a plane": (quaternions("t,left,right,x,y,qz,qw", 2), ""),
+    "names of messages": (quaternions(ROS, 4), ""),
+    "topics in rows of their own": (merged(), ""),
+    "repeated rows": (table(np.repeat(DRIVE, 2, axis=0)), ""),
+}
+
+
+def windows_of(text: str, columns: str = "") -> tuple[tuple[Array, ...], list[str], dict[str, int]]:
+    """Return the windows of a log, notes, and numbers of windows that are left out."""
+    Path("log.csv").write_text(text)
+    Path("fit.toml").write_text(PROBLEM + columns)
+    problem = load_problem("fit.toml", command="fit")
+    names = ("right_rate", "left_rate")
+    log, notes, left_out = _read_log(problem, Path("log.csv"), names, catalog.differential_drive())
+    return cut(log), notes, dict(left_out)
+
+
+@pytest.mark.parametrize("kind", READ)
+def test_logs_that_are_read_as_they_are_meant(kind: str) -> None:
+    wanted, _, _ = windows_of(table(DRIVE))
+    found, _, left_out = windows_of(*READ[kind])
+    assert not left_out
+    for name in ("start", "end"):
+        assert_allclose(getattr(found, name), getattr(wanted, name), atol=2e-5)
+    given = found.given[:, :: found.given.shape[1] // wanted.given.shape[1]]
+    assert_allclose(given[:, : wanted.given.shape[1]], wanted.given, atol=1e-3)
+
+
+COMPASS = {5: lambda heading: np.pi / 2 - heading}
+TICKS = np.append(0.0, np.cumsum(DRIVE[1:, 1]))
+REFUSED = {
+    "a clock that starts again": (
+        table(np.vstack([DRIVE[:200], OTHER[:200]])),
+        "found 0 s after 19.9 s in line 202: the clock starts again; divide the log before this",
+    ),
+    "a clock that jumps": (
+        changed({0: lambda t: t + 1.7e9 * (t > 19.95)}),
+        "found 1700000020 s after 19.9 s in line 202: the clock jumps; divide the log",
+    ),
+    "drives sorted by time": (
+        mixed(np.vstack([DRIVE, OTHER])),
+        "x = 0, y = 0 m in line 2 and x = 9, y = -10 m in line 3 at t = 0 s; if two drives were",
+    ),
+    "drives sorted, with other times": (
+        mixed(np.vstack([DRIVE, OTHER[::3] + 0.03 * np.eye(6)[0]])),
+        "in line 3: two drives were probably sorted by time into one file; use a file for each",
+    ),
+    "times in whole seconds": (
+        stamped(lambda t: f"2024-05-01 12:00:{int(t + 1e-9):02d}"),
+        "in line 3 at t = 0 s; .* if the times are rounded, write them with more digits",
+    ),
+    "dates of another form": (
+        stamped(lambda t: f"05/01/2024 12:00:{t:06.3f}"),
+        r"log.csv:2: .* found '05/01/2024.*; write dates as in 2026-03-01T12:00:00.5",
+    ),
+    "degrees of latitude": (
+        changed({3: lambda x: -4.5 + x / 89e3, 4: lambda y: 36.7 + y / 111e3}),
+        "found degrees of longitude and latitude; project them to the map's system, EPSG:32630",
+    ),
+    "headings in degrees": (changed({5: np.rad2deg}), "as degrees .*as in 'heading \\[deg\\]'"),
+    "headings clockwise from north": (
+        changed(COMPASS),
+        "found the opposite: clockwise from north.* rad at the course .* rad.; write "
+        "90 deg minus the heading$",
+    ),
+    "headings from another axis": (
+        changed({5: lambda heading: heading - np.pi / 2}),
+        "found a constant difference of 90 deg .*; add 90 deg to the heading .*'frame'",
+    ),
+    "north and east exchanged": (
+        table(DRIVE[:, [0, 1, 2, 4, 3, 5]]),
+        "turns against headings and wheels .*; exchange the columns of x, to the east",
+    ),
+    "sides exchanged": (
+        table(DRIVE[:, [0, 2, 1, 3, 4, 5]]),
+        "to the left where right wheels are faster, .*; exchange the rates of the sides",
+    ),
+    "rates positive backward": (
+        changed(dict.fromkeys((1, 2), np.negative)),
+        "or change their sign if they are positive backward",
+    ),
+    "counts of encoders": (
+        table(np.column_stack([DRIVE[:, 0], TICKS, TICKS, DRIVE[:, 3:]])),
+        "probably angles or counts of an encoder; write their change over the time",
+    ),
+    "speeds of wheels": (
+        changed(dict.fromkeys((1, 2), lambda rate: 0.15 * rate)),
+        "probably speeds of the wheels in m/s, which must be divided by the radius",
+    ),
+    "speeds of wheels, named": (
+        table(DRIVE, "t,left [m/s],right [m/s],x,y,heading"),
+        "expected a unit of rad/s .* found m/s; divide the speeds by the radius of the wheels",
+    ),
+    "no rates": (table(DRIVE[:, [0, 3, 4, 5]], "t,x,y,heading"), "found no column 'right'"),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_logs_that_are_refused(kind: str) -> None:
+    text, words = REFUSED[kind]
+    with pytest.raises(DataError, match=words):
+        windows_of(text)
+
+
+def test_a_drive_to_one_side_has_no_sense_of_turning() -> None:
+    """A straight drive along its heading is accepted, also in other units than in others."""
+    rows = DRIVE.copy()
+    rows[:, 1] = rows[:, 2] = 2.0
+    rows[:, 3:] = np.column_stack([2 * RADIUS * rows[:, 0], 0 * rows[:, 0], 0 * rows[:, 0]])
+    assert windows_of(table(rows))[2] == {}
+
+
+def test_remedies_work() -> None:
+    """Parts of a divided log are one fit or a test; degrees are projected; a compass is turned."""
+    for name, rows in (("a.csv", DRIVE), ("b.csv", OTHER)):
+        Path(name).write_text(table(rows))
+    Path("fit.toml").write_text(PROBLEM.replace('"log.csv"', '["a.csv", "b.csv"]'))
+    shown = json.loads(printed("--json", "fit", "fit.toml", "--no-draw"))
+    assert shown["facts"]["windows"] == "27 for training, 11 others"
+    for each, true in zip(shown["estimates"], (RADIUS, TRACK), strict=True):
+        assert each["value"] == pytest.approx(true, rel=1e-4)
+
+    Path("fit.toml").write_text(PROBLEM.replace("log.csv", "a.csv"))
+    own = ("fit", "fit.toml", "--no-draw", "--predict")
+    shown = json.loads(printed("--json", *own, "b.csv"))
+    assert shown["facts"]["windows"] == "19 for training, 19 others"
+    error = {(row["set"], row["when"]): row["position_rms"]["value"] for row in shown["errors"]}
+    assert error["test", "after"] < 1e-3 < error["test", "before"]
+    assert "found a.csv in both" in printed(*own, "a.csv", code=2)
+
+    degrees = changed({3: lambda x: -4.5 + x / 89e3, 4: lambda y: 36.7 + y / 111e3})
+    with pytest.raises(DataError) as refused:
+        windows_of(degrees.replace("x,y", "lon,lat"), 'x = "lon"\ny = "lat"')
+    command = re.search(r'python -c "(.*)"', str(refused.value))
+    assert command is not None
+    subprocess.run([sys.executable, "-c", command[1]], check=True)
+    # the scale of the projection, and its north
+    ends = windows_of(Path("log_m.csv").read_text())[0].end
+    assert_allclose(ends, windows_of(table(DRIVE))[0].end, atol=0.02)
+
+
+def test_rows_and_windows_are_left_out_by_reason() -> None:
+    rows = np.column_stack([DRIVE, np.full(400, 0.01)])
+    rows[50:60, 6], rows[50:60, 3] = 3.0, 100.0
+    rows[205, 3] += 5
+    rows[300:, 3:5] += 4
+    text = table(np.delete(rows, np.arange(102, 119), axis=0), HEAD + ",sigma")
+    text = text.replace(f",{rows[350, 5]:.9f},", ",nan,")
+    _, notes, left_out = windows_of(text, 'error = "sigma"')
+    assert notes == [
+        "1 rows left out: no position or heading",
+        "10 rows left out: stated error above 0.1 m",
+        "1 rows left out: position away from those before and after",
+        "inputs not given for at most 1.8 s, from t = 10.1 s",
+    ]
+    assert left_out == {"with a gap": 1, "with a leap of the position": 1}
