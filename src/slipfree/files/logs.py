@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slipfree.core.arguments import FULL_TURN
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array, Mask
 from slipfree.files.maps.reference_systems import metric_system
 from slipfree.files.mcap import is_mcap, read_motion_log
 from slipfree.files.netcdf import read as read_result
 from slipfree.files.tables import ALIASES, Columns, line_of, read_columns, split_unit
-from slipfree.files.toml.types import FULL_TURN
 
 POSE = ("x", "y", "heading", "vx", "vy", "window")  # columns that rows of a log must have
 GAP = 1.5  # longest time between rows whose positions count as continuous [s], or 1.5 medians
