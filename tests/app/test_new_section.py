@@ -15,11 +15,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.commands import invoke, sets
+from helpers.commands import invoke, sets, shown
 from slipfree.core.schema import Length
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import read
-from slipfree.problem.result import shown
 from slipfree.show.drive_scene import Driven, drive_scene
 from slipfree.vehicle.sections import SECTIONS, Section
 

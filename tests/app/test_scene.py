@@ -14,14 +14,12 @@ from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 from PIL import Image
 
-from helpers.commands import invoke, refused, sets
+from helpers.commands import invoke, refused, sets, shown
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import Stop, Trajectory
 from slipfree.files import netcdf
 from slipfree.models.samples import measured_slip, part_poses, wheel_poses
-from slipfree.problem.load import verb_of
-from slipfree.problem.result import open_result
 from slipfree.show import motion_figures
 from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
 from slipfree.show.film import film_writer
@@ -79,12 +77,6 @@ def solved(folder: Path, name: str, text: str, *settings: str) -> Path:
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return solved(tmp_path_factory.mktemp("scene"), "hills", PROBLEM)
-
-
-def shown(file: Path, name: str) -> Any:
-    """Return the motion of a result file as input of the viewer."""
-    result = open_result(file)
-    return verb_of(result.problem).shown(result, name)
 
 
 @pytest.fixture(scope="module")

@@ -247,7 +247,7 @@ def test_a_saved_page_plays_from_disk(files: list[Path], browser: Any, tmp_path:
 
 
 def scene_of(files: list[Path]) -> Scene:
-    from slipfree.problem.result import shown
+    from helpers.commands import shown
     from slipfree.show.drive_scene import Driven, drive_scene
 
     found = [shown(file, file.stem) for file in files]

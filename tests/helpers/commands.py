@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 from slipfree.cli import app
 from slipfree.files.toml.source import ProblemError
-from slipfree.problem.load import load_problem
-from slipfree.problem.result import build
+from slipfree.problem.load import load_problem, verb_of
+from slipfree.problem.result import build, open_result
 
 
 def invoke(*words: object, code: int | None = None) -> Any:
@@ -36,6 +36,12 @@ def refused(*words: object) -> str:
 def sets(*settings: str) -> list[str]:
     """Return the words of the options ``--set``."""
     return [word for setting in settings for word in ("--set", setting)]
+
+
+def shown(file: Path, name: str) -> Any:
+    """Return the motion of a result file as input of the viewer."""
+    result = open_result(file)
+    return verb_of(result.problem).shown(result, name)
 
 
 def build_errors(file: Path, settings: Sequence[str] = ()) -> str:
