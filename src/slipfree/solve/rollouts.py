@@ -343,7 +343,13 @@ def _input_array(dae: Dae, common: _Common, numbers: Array) -> Array:
 
 @lru_cache(maxsize=1)
 def _built(model: Callable[..., Dae], parameters: tuple[tuple[str, Any], ...]) -> Dae:
-    return model(**dict(parameters))
+    built = model(**dict(parameters))
+    if not isinstance(built, Dae):
+        raise ModelError(
+            f"model: expected a function that returns a model, found {type(built).__name__} from "
+            f"{model!r}; return the result of direct_kinematics, for example"
+        )
+    return built
 
 
 def _simulated(common: _Common, k: int) -> _Results:

@@ -296,7 +296,13 @@ def check_formula(function: Formula, owner: str, value: str) -> None:
     ModelError.
     """
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    found = ca.SX(function(x, y))
+    try:
+        found = ca.SX(function(x, y))
+    except (NotImplementedError, TypeError) as error:
+        raise ModelError(
+            f"{owner}: expected a function of two SX scalars x and y that returns one {value}, "
+            f"found {error}; correct the function"
+        ) from error
     if found.shape != (1, 1):
         raise ModelError(
             f"{owner}: function must return one {value}, found shape {found.shape}; return a scalar"
