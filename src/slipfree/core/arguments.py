@@ -316,11 +316,20 @@ def _check_note(note: Any, value: Any, place: str, context: _Context) -> None:
         edge = getattr(note, name, None)
         if edge is None or not isinstance(value, np.ndarray | Real):
             continue
-        numbers = np.ravel(value)
+        numbers = np.ravel(np.asarray(value))
         for k in np.flatnonzero(~holds(numbers, edge))[:1]:
             words = "a finite number" if abs(edge) == inf else f"a number {sign} {edge:g}"
             at = f"{place}[{k}]" if isinstance(value, np.ndarray) else place
             raise _Wrong(at, words, f"{numbers[k]}")
+
+
+def check_angles(name: str, values: Mapping[str, Any], units: Mapping[str, str]) -> None:
+    """Raise ModelError if a value in rad by name of a quantity is probably in degrees."""
+    try:
+        _check_note(BY_NAME, values, name, _Context(False, units))
+    except _Wrong as wrong:
+        words = f"{wrong.place}: expected {wrong.expected}, found {wrong.found}; {wrong.remedy}"
+        raise ModelError(words) from None
 
 
 def _check_radians(value: Any, place: str) -> None:
