@@ -257,7 +257,7 @@ def drive(found: Plan, window: Horizon, start: dict[str, float]) -> Driven:
     dae, cycle = found.program.task.dae, first_cycle(window)
     here, seconds, runs, violations = settle(dae, **start), [], [], []
     for t, end in pairwise(np.linspace(0, DURATION, CYCLES + 1)):
-        x, clock = dae.rows("x", here, -1), time.process_time()
+        x, clock = dae.rows("x", here, -1) + dae.shift[0], time.process_time()
         cycle = replan(window, cycle, t, x)
         seconds.append(time.process_time() - clock)
         violations.append(cycle.violation)
@@ -307,7 +307,7 @@ def horizon_growth(found: Plan) -> None:
     for size in WINDOWS:
         window = horizon(found, span=DURATION, intervals=size)
         cycle, seconds = first_cycle(window), []
-        x = found.program.task.start
+        x = found.program.task.start + found.program.task.dae.shift[0]
         for number in range(20):
             moved = x + 0.01 * (-1) ** number  # [m, rad]: else there would be nothing to do
             clock = time.process_time()

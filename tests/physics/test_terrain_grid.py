@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.interpolate import RectBivariateSpline
 
 from helpers.cases import function_of
-from slipfree.core.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.terrain.analytic import Analytic
 from slipfree.terrain.base import Grid
 
@@ -42,12 +42,13 @@ def test_arrays_are_kept_but_read_only():
     assert Z.flags.writeable
     with pytest.raises(ValueError, match="read-only"):
         grid.z[0, 0] = 1.0
+    assert Grid(list(X), Y, Z.astype(np.int16)).z.dtype == np.float64
 
 
 @pytest.mark.parametrize(
     ("x", "y", "z", "words"),
     [
-        (X, Y, np.ma.masked_less(Z, 11), r"found a masked array; .*filled"),
+        (X, Y, np.ma.masked_less(Z, 11), r"found a masked array; .*\.filled"),
         (np.meshgrid(X, Y)[0], Y, Z, r"axis x must have one dimension.*\(7, 5\).*meshgrid"),
         (X[:3], Y, Z[:3], "axis x must have at least 4 nodes .* found 3"),
         (X, with_value(Y, 2, np.nan), Z, r"axis y must be finite, found y\[2\] = nan"),
@@ -65,7 +66,7 @@ def test_arrays_are_kept_but_read_only():
     ],
 )
 def test_grid_refuses(x, y, z, words):
-    with pytest.raises(DataError, match=words):
+    with pytest.raises(SlipfreeError, match=words):
         Grid(x, y, z)
 
 

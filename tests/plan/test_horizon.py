@@ -65,10 +65,15 @@ def traverse(found, window, **start):
     dae, cycle = found.program.task.dae, first_cycle(window)
     here, cycles, times = sf.settle(dae, **start), [], found.motion.ends
     for t, end in pairwise(times):
-        cycle = replan(window, cycle, t, dae.rows("x", here, -1))
+        cycle = replan(window, cycle, t, dae.rows("x", here, -1) + dae.shift[0])
         here = sf.simulate(dae, here, *cycle_inputs(window, cycle, t, end))
         cycles.append(cycle)
     return here, cycles
+
+
+def state_at_start(task):
+    """Return the state at the start of a plan, in map coordinates."""
+    return task.start + task.dae.shift[0]
 
 
 def away(run):
@@ -78,7 +83,7 @@ def away(run):
 def test_where_nothing_disturbs_a_step_stays_on_the_plan(found):
     window = horizon(found, span=DURATION, intervals=COUNT)
     first, count = first_cycle(window), found.motion.layout.duration
-    start = found.program.task.start
+    start = state_at_start(found.program.task)
     cycle = replan(window, first, 0.0, start)
     for one in (first, cycle):
         assert_allclose(one.motion.unknowns[:count], found.motion.unknowns[:count], atol=1e-6)
@@ -90,7 +95,7 @@ def test_steps_converge(found):
     window, many = (
         horizon(found, span=DURATION, intervals=COUNT, iterations=count) for count in (1, 50)
     )
-    start = found.program.task.start + np.array([0.02, -0.02, 0.03, 0.0])
+    start = state_at_start(found.program.task) + np.array([0.02, -0.02, 0.03, 0.0])
     cycle, misses = first_cycle(window), []
     whole = replan(many, cycle, 0.0, start)
     for _ in range(8):
@@ -112,7 +117,7 @@ def test_steps_lead_back_to_the_plan_and_end_at_its_goal(found, window):
 
 
 def test_inputs_keep_to_their_bounds(found, window):
-    start = found.program.task.start.copy()
+    start = state_at_start(found.program.task)
     start[1] -= 0.5  # metres behind
     cycle = first_cycle(window)
     for _ in range(8):
@@ -143,12 +148,19 @@ def test_on_a_wrong_ground_and_beside_the_start_replanning_ends_nearer(window):
 
 def test_a_cycle_far_from_the_equations_is_repeated_with_a_line_search(window):
     idle = warm_solver(window.program, 0)  # stays at the guess
-    first, away = first_cycle(window), window.program.task.start + np.array([0.3, 0.0, 0.0, 0.0])
+    first, away = (
+        first_cycle(window),
+        state_at_start(window.program.task) + np.array([0.3, 0, 0, 0]),
+    )
     with pytest.raises(sf.SolverError, match="the inputs of the previous cycle may still be used"):
         replan(replace(window, solver=idle, careful=idle), first, 0.0, away)
     cycle = replan(replace(window, solver=idle), first, 0.0, away)
     assert cycle.violation < 0.02
-    assert_allclose(cycle.motion.states(np.array([0.0]))[:, 0], away, atol=1e-12)
+    assert_allclose(
+        cycle.motion.states(np.array([0.0]))[:, 0] + window.program.task.dae.shift[0],
+        away,
+        atol=1e-12,
+    )
 
 
 def test_the_velocities_of_a_plan_with_a_cusp_are_followed_backwards_and_forwards():
@@ -211,7 +223,7 @@ def test_a_limit_of_the_world_ends_the_motion(window):
 
 def test_what_is_no_window_period_world_or_state_is_refused(found, window):
     task, first = found.program.task, first_cycle(window)
-    start = task.start
+    start = state_at_start(task)
     for given, words in (
         ({"span": 9.0}, "at most 8 s, the duration of the plan, found 9"),
         ({"span": 4.0, "intervals": 0}, "intervals: expected 1 or more, found 0"),

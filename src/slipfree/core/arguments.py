@@ -253,7 +253,7 @@ def _is_instance(kind: Any, parts: tuple[Any, ...], value: Any, context: _Contex
     if kind is float:
         if isinstance(value, ca.SX):
             return context.symbolic
-        is_scalar = np.ndim(value) == 0 and getattr(value, "dtype", np.dtype("O")).kind in "fiu"
+        is_scalar = isinstance(value, np.ndarray) and not value.ndim and value.dtype.kind in "fiu"
         is_number = isinstance(value, Real) or is_scalar
         return is_number and not is_logical and (abs(value) <= MAX_NUMBER or abs(value) == inf)
     if kind in (int, bool):
@@ -263,6 +263,8 @@ def _is_instance(kind: Any, parts: tuple[Any, ...], value: Any, context: _Contex
         names = get_protocol_members(kind)
         has = (inspect.getattr_static(value, each, missing) is not missing for each in names)
         return not isinstance(value, type) and all(has)
+    if kind is Callable:
+        return callable(value) and not isinstance(value, type)
     return kind is Any or not isinstance(kind, type) or isinstance(value, kind)
 
 
@@ -275,7 +277,8 @@ def _array(hint: Any, value: Any, place: str) -> Any:
     if np.ma.isMaskedArray(value):
         remedy = "replace masked values by numbers: .filled(...)"
         raise _Wrong(place, _words(hint), "a masked array", remedy)
-    if hasattr(value, "_fields") or not array.size or array.dtype.kind not in "fiub":
+    is_numeric = array.dtype.kind in ("b" if is_mask else "fiu") and array.size and array.ndim
+    if hasattr(value, "_fields") or not is_numeric:
         raise _Wrong(place, _words(hint), _shown(value))
     return array.astype(bool if is_mask else np.float64, copy=False)
 
@@ -310,13 +313,23 @@ def _check_note(note: Any, value: Any, place: str, context: _Context) -> None:
     elif note is ASCENDING and value[0] > value[-1]:
         raise _Wrong(place, "ascending bounds", f"{value[0]} to {value[-1]}", "exchange them")
     for name, (sign, holds) in BOUNDS.items():
-        edge, numbers = getattr(note, name, None), np.ravel(value)
+        edge = getattr(note, name, None)
         if edge is None or not isinstance(value, np.ndarray | Real):
             continue
+        numbers = np.ravel(np.asarray(value))
         for k in np.flatnonzero(~holds(numbers, edge))[:1]:
             words = "a finite number" if abs(edge) == inf else f"a number {sign} {edge:g}"
             at = f"{place}[{k}]" if isinstance(value, np.ndarray) else place
             raise _Wrong(at, words, f"{numbers[k]}")
+
+
+def check_angles(name: str, values: Mapping[str, Any], units: Mapping[str, str]) -> None:
+    """Raise ModelError if a value in rad by name of a quantity is probably in degrees."""
+    try:
+        _check_note(BY_NAME, values, name, _Context(False, units))
+    except _Wrong as wrong:
+        words = f"{wrong.place}: expected {wrong.expected}, found {wrong.found}; {wrong.remedy}"
+        raise ModelError(words) from None
 
 
 def _check_radians(value: Any, place: str) -> None:

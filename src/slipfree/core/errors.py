@@ -46,4 +46,4 @@ def require(package: str, extra: str = "xarray", place: str = "") -> Any:
     try:
         return import_module(package)
     except ImportError as error:
-        raise DataError(place + missing_package(package.partition(".")[0], extra)) from error
+        raise DataError(place + missing_package(package, extra)) from error

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from slipfree.core.errors import DataError, require
+from slipfree.core.errors import DataError, missing_package
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.urdf.links import (
@@ -84,9 +84,12 @@ class MotionLog(NamedTuple):
 
 def ros_package() -> ModuleType:
     """Return the package ``mcap_ros2``; raise DataError if it is not installed."""
-    for part in ("decoder", "writer"):
-        require(f"mcap_ros2.{part}", "ros")
-    return require("mcap_ros2", "ros")  # type: ignore[no-any-return]
+    try:
+        import mcap_ros2.decoder
+        import mcap_ros2.writer
+    except ImportError as error:
+        raise DataError(missing_package("mcap-ros2-support", "ros")) from error
+    return mcap_ros2
 
 
 def is_mcap(path: Path) -> bool:

@@ -182,7 +182,7 @@ def first_cycle(window: Horizon) -> Cycle:
         np.inf,
     )
     patient = replace(window, solver=warm_solver(program, MAX_ITERATIONS))
-    return replan(patient, blank, 0.0, first[layout.first])
+    return replan(patient, blank, 0.0, first[layout.first] + program.task.dae.shift[0])
 
 
 @checked
@@ -200,7 +200,7 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     t : float
         Time of the measurement since the beginning of the plan. [s]
     x : ndarray, shape (n_x,)
-        Measured states, in local coordinates. Height, roll and pitch of a vehicle with pressed
+        Measured states, in map coordinates. Height, roll and pitch of a vehicle with pressed
         wheels must be those of rest on the ground of the plan: see `slipfree.settle_many`.
 
     Returns
@@ -228,13 +228,12 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     >>> start = settle(model)
     >>> wish = {"goal": {"y": 1.0}, "costs": {"effort": 1.0}, "duration": 4.0, "mesh": Mesh(4)}
     >>> window = horizon(plan(model, start, **wish), span=2.0, intervals=2)
-    >>> measured = window.plan.states(np.array([0.1])).ravel() + 1e-3  # at 0.4 s, local
-    >>> cycle = replan(window, first_cycle(window), 0.4, measured)
+    >>> measured = window.plan.states(np.array([0.1])).ravel() + model.shift[0]  # at 0.4 s
+    >>> cycle = replan(window, first_cycle(window), 0.4, measured + 1e-3)
     >>> cycle.violation < 1e-3
     True
     """
     program, plan = window.program, window.plan
-    x = np.asarray(x, dtype=float)
     if x.shape != program.layout.first.shape or not np.isfinite([t, *x]).all():
         raise ModelError(
             f"replan: expected a time and {program.layout.first.size} states, all finite, found "
@@ -250,7 +249,9 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
         return former
     first = _sample_motions(window, [(former.motion, former.t), (plan, 0.0)], t, span)
     near = first[program.layout.first]
-    x = same_turn(x[:, None], near[:, None], program.task.periodic)[:, 0]
+    x = same_turn((x - program.task.dae.shift[0])[:, None], near[:, None], program.task.periodic)[
+        :, 0
+    ]
     first[program.layout.first] = x
     first = completed(program, first)
     rows, bounds = _shift_multipliers(program, former, t, span)

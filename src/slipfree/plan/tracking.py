@@ -72,7 +72,7 @@ class Replanning:
         failed = False
         try:
             if self._updated:
-                self._cycle = replan(self._window, self._cycle, t, x - self._dae.shift[0])
+                self._cycle = replan(self._window, self._cycle, t, x)
         except SolverError:
             failed = True
         begun = t < self._cycle.t + self._cycle.motion.duration - TIME_TOLERANCE

@@ -16,7 +16,7 @@ import numpy as np
 from slipfree.batch.evaluator import evaluator_of
 from slipfree.batch.graph import graphs_of
 from slipfree.batch.many import run_lanes, start_states, states_of
-from slipfree.core.arguments import BY_NAME, checked
+from slipfree.core.arguments import BY_NAME, check_angles, checked
 from slipfree.core.dae import Dae, InputValue, PiecewiseLinear
 from slipfree.core.errors import ModelError, SlipfreeError, require
 from slipfree.core.records import Array, leaves
@@ -138,6 +138,8 @@ def rollouts(
         )
     kept = None if quantities is None else tuple(quantities)
     common = _Common(model, t, kept, options, states, values, parameters, step)
+    if isinstance(starts, Mapping) and not isinstance(model, Dae):
+        check_angles("starts", starts, common.model_of(0).units)
     table = _Table(count, t)
     # models with equal parameters are built once
     order = (
@@ -343,7 +345,13 @@ def _input_array(dae: Dae, common: _Common, numbers: Array) -> Array:
 
 @lru_cache(maxsize=1)
 def _built(model: Callable[..., Dae], parameters: tuple[tuple[str, Any], ...]) -> Dae:
-    return model(**dict(parameters))
+    built = model(**dict(parameters))
+    if not isinstance(built, Dae):
+        raise ModelError(
+            f"model: expected a function that returns a model, found {type(built).__name__} from "
+            f"{model!r}; return the result of direct_kinematics, for example"
+        )
+    return built
 
 
 def _simulated(common: _Common, k: int) -> _Results:
