@@ -38,10 +38,9 @@ NOISE_GROWTH = 3.0  # growth of the difference of degrees that shows amplified n
 MAX_VAIN_REFINEMENTS = 2  # maximum number of consecutive refinements without improvement
 MAX_NEWTON_STEPS = 20  # maximum number of Newton steps per element
 CONVERGED_RESIDUAL = 1e-13  # residual of an element's equations, without unit
-ROUNDING_RESIDUAL = 1e-10  # residual that is accepted if further steps do not reduce it
-WEAK_SINGULAR_VALUE = (
-    1e-2  # relative singular value below which a rate stays out of the first guess
-)
+ROUNDING_RESIDUAL = 1e-10  # residual that is accepted if further steps do not halve it
+# relative singular value below which a rate stays out of the first guess
+WEAK_SINGULAR_VALUE = 1e-2
 
 
 class RadauBasis(NamedTuple):
@@ -318,10 +317,11 @@ def drive(
 def _refine_elements(
     system: System, free_states: Mask, start: Trajectory, t: Array, tolerance: float
 ) -> tuple[CollocationScheme, list[CollocationElement], float]:
-    """Return the scheme and elements at which two degrees agree best, and their difference.
+    """Return the scheme and elements at which two degrees agree best, and an error estimate.
 
-    The degrees are those of the polynomials on the elements. The difference is the largest one of
-    the free states, divided by their sizes.
+    The degrees are those of the polynomials on the elements. The estimate is the largest difference
+    of the free states, divided by their sizes, and at least what the geometric decrease of the
+    differences from degree to degree predicts: a smaller difference is due to chance.
     """
     x = system.dae.rows("x", start, -1)
     z = _guess_unknowns(system, float(t[0]), x, system.dae.rows("z", start, -1))[
@@ -334,7 +334,7 @@ def _refine_elements(
     while count <= MAX_ELEMENTS and vain < MAX_VAIN_REFINEMENTS:
         ends, vain = np.linspace(t[0], t[-1], count + 1), vain + (best is not None)
         former: tuple[CollocationScheme, list[CollocationElement], Array] | None = None
-        least = np.inf
+        least, trend = np.inf, 0.0
         for each in tried:
             try:
                 elements = each.march(ends, x, z)
@@ -345,14 +345,15 @@ def _refine_elements(
                 each.samples(elements, t).x[free_states] / system.dae.sizes.x[free_states, None]
             )
             if former is not None:
-                error = float(np.abs(values - former[2]).max(initial=0.0))
+                difference = float(np.abs(values - former[2]).max(initial=0.0))
+                error = max(difference, trend)  # noise of the higher degree may cancel the error
                 if best is None or error < best[2]:
                     best, vain = (former[0], former[1], error), 0  # lower degree, less noise
                 if error < tolerance:
                     return best
-                if error > NOISE_GROWTH * least:
+                if difference > NOISE_GROWTH * least:
                     break
-                least = error
+                least, trend = difference, min(difference, difference**2 / (least or 1.0))
             former = each, elements, values
         count += (count + 1) // 2
     if best is None:
