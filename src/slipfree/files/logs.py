@@ -358,7 +358,7 @@ def _check_headings(
         remedy = "exchange the columns of x, to the east, and y, to the north"
     elif is_other:
         expected, found = "that turn with the course", "the opposite: clockwise from north?"
-        remedy = f"write {mirrored % (360 / sign):.0f} deg minus the heading"
+        remedy = f"write {round(mirrored) % (360 // sign)} deg minus the heading"
         if not by_wheels < -OPPOSITE:
             remedy += ", or exchange the columns of x and y if they are north and east"
     elif by_wheels < -OPPOSITE:
@@ -377,8 +377,8 @@ def _check_headings(
         return
     k = int((size * np.abs(np.exp(1j * sign * (course - heading[0])) - 1)).argmax())
     raise DataError(
-        f"{log.path}: expected headings {expected}, found {found} (heading {heading[0, k]:.4g} rad at "
-        f"the course {course[k]:.4g} rad); {remedy}"
+        f"{log.path}: expected headings {expected}, found {found} (heading {heading[0, k]:.4g} rad "
+        f"at the course {course[k]:.4g} rad); {remedy}"
     )
 
 
