@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,12 @@ from numpy.testing import assert_allclose
 from helpers.commands import printed
 from helpers.hillside import AXIS, HILL, TRUE, drive
 from slipfree import read_vehicle
+from slipfree.core.records import Array
 from slipfree.fit.ground_fit import judge
 from slipfree.fit.ground_motion import MODELS, Slopes
 from slipfree.fit.unknowns import track
 from slipfree.problem.load import load_problem
-from slipfree.problem.verbs.fit_over_map import fit_over_map, models_of
+from slipfree.problem.verbs.fit_over_map import _read_log, fit_over_map, models_of
 from slipfree.system import codegen_cache
 
 PROBLEM = """\
@@ -211,3 +213,72 @@ def test_jumps_of_positions_are_left_out(folder: Path) -> None:
     fitted = fit_over_map(load_problem(folder / "hill.toml", command="fit"), [Path("jump.csv")])
     bad = np.flatnonzero(~fitted.predicted[0].good)
     assert set(range(at - 2, at + 2)) <= set(bad.tolist()) <= set(range(at - 6, at + 6))
+
+
+def _changed(change: Callable[[Array], object], head: str = "t,x,y,left,right,yaw") -> None:
+    """Write a log with a change of its columns, as the first one of the problem."""
+    log = drive(0, "a")
+    course = np.unwrap(np.arctan2(log.velocity[:, 1], log.velocity[:, 0]))
+    rows = np.column_stack([log.dt * np.arange(700), log.place, log.sides, course])
+    changed = change(rows)
+    rows = rows if changed is None else np.asarray(changed)
+    np.savetxt("a/0.csv", rows, delimiter=",", header=head, comments="", fmt="%.9f")
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda a: a[:, [0, 1, 2, 4, 3, 5]],
+            "found a course that turns the other way; ex",
+        ),
+        (lambda a: a[:, [0, 2, 1, 3, 4, 5]], "turns against headings and wheels"),
+        (lambda a: a * [1, 1, 1, 1, 1, -1], "write 0 deg minus the heading"),
+        (lambda a: a + np.eye(6)[5], "a constant difference of -57 deg"),
+        (lambda a: a * [1, 1, 1, 3.6, 3.6, 1], "probably speeds in km/h, as in 'left [km/h]'"),
+        (lambda a: a / [1, 1, 1, 0.15, 0.15, 1], "rates of wheels in rad/s, which must be multi"),
+        (lambda a: a / [1, 1e5, 1e5, 1, 1, 1], "found degrees of longitude and latitude; project"),
+        (
+            lambda a: np.vstack([a, a]),
+            "found 0 s after 139.8 s in line 702: the clock start",
+        ),
+        (lambda a: a * [1e3, 1, 1, 1, 1, 1], "at most 10 s apart, found 200 s (median)"),
+    ],
+)
+def test_columns_that_contradict_each_other(change: Callable[[Array], Array], words: str) -> None:
+    _changed(change)
+    heading = "" if "course that" in words else 'heading = "yaw"\n'
+    Path("hill.toml").write_text(f"{PROBLEM}[data.columns]\n{heading}")
+    assert words in printed("fit", "hill.toml", "--no-draw", code=2)
+
+
+@pytest.mark.usefixtures("folder")
+def test_what_is_left_out_is_counted() -> None:
+    """Half of a log beyond the map, a gap, a leap, bad positions, and commands that stop."""
+
+    def change(rows: Array) -> Array:
+        rows[:, 1] += 40 - np.median(rows[:, 1])
+        rows[600:, 2] += 3
+        rows[300:390, 3:5] = np.nan
+        rows = np.column_stack([rows, np.full(700, 0.01)])
+        rows[500:510, 6] = 2.0
+        return np.delete(rows, np.arange(100, 120), axis=0)
+
+    _changed(change, "t,x,y,left,right,yaw,sigma")
+    settings = 'timeout = 2.0\n[data.columns]\nerror = "sigma"\n'
+    Path("hill.toml").write_text(PROBLEM + settings)
+    problem = load_problem(Path("hill.toml"), command="fit")
+    lines: list[tuple[str, str]] = []
+    log = _read_log(problem.spec, HILL, lines, Path("a/0.csv"), "a")
+    ((name, words),) = lines
+    assert name == "log 0"
+    for part in (
+        "699 samples, 350 beyond the map, 33 in gaps or at leaps of the position; ",
+        "not begin or end at 396 near positions that are not good, 10 slower than",
+        "10 rows left out: stated error above 0.1 m; inputs not given for at most 18.2 s, from",
+    ):
+        assert part in words, words
+    assert (~log.good).sum() >= 350
+    assert not log.sides[312:389].any()  # zero after 2 s
+    assert log.sides[299:309].all()

@@ -16,9 +16,12 @@ from numpy.testing import assert_allclose
 from helpers.commands import printed
 from slipfree import DataError, catalog
 from slipfree.core.records import Array
+from slipfree.files.toml.source import ProblemError
 from slipfree.fit.windows import cut
 from slipfree.problem.load import load_problem
 from slipfree.problem.verbs.fit import _read_log
+from slipfree.problem.verbs.inverse import _points
+from slipfree.problem.verbs.inverse_schema import _read_file
 
 pytestmark = pytest.mark.usefixtures("folder")
 
@@ -280,3 +283,44 @@ def test_rows_and_windows_are_left_out_by_reason() -> None:
         "inputs not given for at most 1.8 s, from t = 10.1 s",
     ]
     assert left_out == {"with a gap": 1, "with a leap of the position": 1}
+
+
+def test_commands_that_stop() -> None:
+    """Commands are held, or zero after a time-out; the longest hold is reported."""
+    t = np.append(np.arange(0, 1.05, 0.1), np.arange(19, 20.05, 0.1)).round(1)
+    rows = [f"{each},{1 + each},{'' if k % 2 else 0.1}" for k, each in enumerate(t.tolist())]
+    file = Path("cmd.csv")
+    file.write_text("\n".join(["t,v_x,omega_z", *rows]))
+    columns, notes = _read_file(file, 25.0, None)
+    assert notes == ["held for at most 18 s, from 1 s"]
+    assert [value for _, value in columns["omega_z"]] == [0.1] * 22
+    columns, notes = _read_file(file, 25.0, 0.5)
+    zeros = [time for time, value in columns["v_x"] if value == 0]
+    assert_allclose(zeros, [1.5, 20.5])
+    assert notes == ["zero 0.5 s after the last command, for at most 17.5 s, from 1.5 s"]
+    for row, words in (
+        ("0.5,1,1", "found 0.5 s after 20 s in line 24: the clock starts again; divide the log"),
+        ("20,2,1", "found 20 s after 20 s with other values; keep one row for each time"),
+    ):
+        file.write_text("\n".join(["t,v_x,omega_z", *rows, row]))
+        with pytest.raises(DataError, match=words):
+            _read_file(file, 25.0, None)
+
+
+def test_headings_of_a_path() -> None:
+    """They are read across half a turn, and refused if they turn against the path."""
+    t = np.arange(21.0)
+    angle = 3.0 + 0.1 * t
+    rows = np.column_stack([t, np.sin(angle), -np.cos(angle), np.angle(np.exp(1j * angle))])
+    problem = 'verb = "inverse"\nframe = "rep103"\npath.file = "way.csv"\nstart = {}\n'
+    problem += "terrain.synthetic = { x = [-3, 3], y = [-3, 3], spacing = 0.5 }\n"
+    problem += 'vehicle.catalog = "differential_drive"\ntime = { duration = 20, step = 1 }\n'
+    Path("p.toml").write_text(problem)
+    Path("way.csv").write_text(table(rows, "t,x,y,heading"))
+    vehicle = catalog.differential_drive()
+    points, _ = _points(load_problem("p.toml"), vehicle)
+    assert points is not None
+    assert_allclose(points[3], angle - np.pi / 2)
+    Path("way.csv").write_text(table(rows * [1, 1, 1, -1], "t,x,y,heading"))
+    with pytest.raises(ProblemError, match=r"clockwise from north.*; write 0 deg minus the"):
+        _points(load_problem("p.toml"), vehicle)

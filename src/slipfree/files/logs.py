@@ -300,11 +300,12 @@ def check_motion(
     if turn is not None:
         turns = change(turn)
     if "heading" in values:
-        first, middle, last = (values["heading"][rows + k] for k in (0, step // 2, step))
+        near = (0, step // 2, (step + 1) // 2, step)  # two rows in the middle if the step is odd
+        first, *middle, last = (values["heading"][rows + k] for k in near)
         bent = np.angle(np.exp(1j * (last - first)))
         by_wheels = 0.0 if turns is None else _correlation(bent, turns)
         course = np.angle(chords) - zero
-        _check_headings(log, sign, course, middle, size, by_wheels, is_aligned, may_turn)
+        _check_headings(log, sign, course, np.array(middle), size, by_wheels, is_aligned, may_turn)
     elif turns is not None:
         later = np.isin(rows + step, rows)
         at = np.searchsorted(rows, rows[later] + step)
@@ -337,8 +338,9 @@ def _check_headings(
     Courses are known up to half a turn if ``sign`` is 2; their weights are the sizes of chords.
     ``by_wheels`` is the correlation of the turns of headings and wheels.
     """
+    weight = size / size.sum()
     alike = {  # mean direction of courses from headings that are read in this way
-        factor: complex(np.average(np.exp(1j * sign * (course - factor * heading)), weights=size))
+        factor: complex(np.exp(1j * sign * (course - factor * heading)).mean(axis=0) @ weight)
         for factor in (1.0, -1.0, np.pi / 180, -np.pi / 180)
     }
     best = max(alike, key=lambda factor: abs(alike[factor]))
@@ -356,7 +358,7 @@ def _check_headings(
         remedy = "exchange the columns of x, to the east, and y, to the north"
     elif is_other:
         expected, found = "that turn with the course", "the opposite: clockwise from north?"
-        remedy = f"write {mirrored % (360 / sign):.0f} deg minus the heading"
+        remedy = f"write {round(mirrored) % (360 // sign)} deg minus the heading"
         if not by_wheels < -OPPOSITE:
             remedy += ", or exchange the columns of x and y if they are north and east"
     elif by_wheels < -OPPOSITE:
@@ -373,10 +375,10 @@ def _check_headings(
         )
     else:
         return
-    k = int((size * np.abs(np.exp(1j * sign * (course - heading)) - 1)).argmax())
+    k = int((size * np.abs(np.exp(1j * sign * (course - heading[0])) - 1)).argmax())
     raise DataError(
-        f"{log.path}: expected headings {expected}, found {found} (heading {heading[k]:.4g} rad at "
-        f"the course {course[k]:.4g} rad); {remedy}"
+        f"{log.path}: expected headings {expected}, found {found} (heading {heading[0, k]:.4g} rad "
+        f"at the course {course[k]:.4g} rad); {remedy}"
     )
 
 

@@ -315,11 +315,12 @@ def _read_log(spec: FitOverMap, grid: Grid, rows: Lines, path: Path, group: str)
         heading,
     )
     no_end = {reason: ~each for reason, each in conditions(drive).items()}
-    counts = [
-        ", ".join([words, *(f"{each.sum()} {why}" for why, each in masks.items() if each.any())])
-        for words, masks in ((f"{even.size} samples", bad), ("no ends of windows", no_end))
-    ]
-    words = "; ".join([*counts, *log.rows_left_out, log.hold, *log.notes])
+    used, ends = (
+        ", ".join(f"{each.sum()} {reason}" for reason, each in masks.items() if each.any())
+        for masks in ({"samples": even >= 0} | bad, no_end)
+    )
+    ends = f"windows do not begin or end at {ends}" if ends else ""
+    words = "; ".join(filter(None, [used, ends, *log.rows_left_out, log.hold, *log.notes]))
     rows.append((f"log {path.stem}", words))
     return drive
 

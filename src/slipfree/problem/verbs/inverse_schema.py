@@ -158,13 +158,17 @@ def _read_file(
     check_time_unit(t, duration)
     waits = np.diff(t, append=max(duration, t[-1]))
     k = int(waits.argmax())
-    notes = [*log.notes, *log.rows_left_out, f"held for at most {waits[k]:.3g} s, from {t[k]:g} s"]
-    if timeout is not None:
+    words = f"held for at most {waits[k]:.3g} s, from {t[k]:g} s"
+    if timeout is not None and waits[k] > timeout:
         late = waits > timeout
+        words = (
+            f"zero {timeout:g} s after the last command, for at most {waits[k] - timeout:.3g} s, "
+            f"from {t[k] + timeout:g} s"
+        )
         order = np.argsort(np.append(t, t[late] + timeout), kind="stable")
         t = np.append(t, t[late] + timeout)[order]
         values = np.vstack([values, 0 * values[late]])[order]
-        notes[-1] = f"held for at most {min(waits[k], timeout):.3g} s"
+    notes = [*log.notes, *log.rows_left_out, words]
     columns = zip(rates, values.T.tolist(), strict=True)
     return {name: tuple(zip(t.tolist(), rate, strict=True)) for name, rate in columns}, notes
 
