@@ -133,16 +133,38 @@ def test_a_killed_map_continues_and_gives_equal_files(monkeypatch):
 
 
 @pytest.mark.usefixtures("small_tiles")
-def test_tiles_of_another_problem_are_not_used(monkeypatch):
+def test_tiles_of_another_problem_and_damaged_ones_are_not_used(monkeypatch):
     words = "atlas", "site.tif", "three_wheeler", *QUICK, "-o", "a.tif"
-    monkeypatch.setattr(atlas_tiles.TileFolder, "remove", lambda _: None)
+    with monkeypatch.context() as kept:
+        kept.setattr(atlas_tiles.TileFolder, "remove", lambda _: None)
+        printed(*words)
+        (tile,), own = Path("a_tiles").iterdir(), Path("a_tiles/tile_of_mine.bin")
+        before, whole, result = (
+            tile.stat().st_mtime_ns,
+            tile.read_bytes(),
+            Path("a.tif").read_bytes(),
+        )
+        printed(*words)
+        assert tile.stat().st_mtime_ns == before
+        other = "atlas", "site.tif", "ackermann", *QUICK, "-o", "a.tif"
+        printed(*other)
+        foreign = tile.read_bytes()
+        zeros = whole[:32] + bytes(len(whole) - 32)
+        for data in (foreign, zeros, whole[:-1], whole + b"x", b""):
+            tile.write_bytes(data)
+            Path("a.tif").write_bytes(data)  # outputs are replaced, too
+            printed(*words)
+            assert (tile.read_bytes(), Path("a.tif").read_bytes()) == (whole, result)
+    own.write_bytes(b"mine")
     printed(*words)
-    (tile,) = Path("a_tiles").glob("*.npy")
-    before = tile.stat().st_mtime_ns
-    printed(*words)
-    assert tile.stat().st_mtime_ns == before
-    printed(*words, "--headings", "1")
-    assert tile.stat().st_mtime_ns != before
+    assert [*Path("a_tiles").iterdir()] == [own]
+
+
+def test_a_pipe_in_the_place_of_a_tile_is_named():
+    Path("a_tiles").mkdir()
+    os.mkfifo("a_tiles/tile_000000.bin")
+    words = "atlas", "site.tif", "three_wheeler", *QUICK, "-o", "a.tif"
+    assert "tile_000000.bin: expected the name of a file to write" in refused(*words)
 
 
 def test_windows_of_a_large_map_give_the_same(monkeypatch):

@@ -116,8 +116,9 @@ def test_a_dry_run_says_what_would_be_run(file):
     assert not (file.parent / "out").exists()
     sweep = sweep_of(file, ["time.step=0.05:0.3:11"], repeat=2)
     with RunLog(file.parent / "out" / "runs.jsonl", sweep.head) as log:
-        log.append(ROW._replace(seconds=6.0))
-        log.append(ROW._replace(run=2, seconds=8.0))
+        for run, seconds in ((1, 6.0), (2, 8.0)):
+            settings = sweep.settings_of(run)
+            log.append(ROW._replace(run=run, settings=settings, seconds=seconds))
     result = sweep_in(file.parent, *words, "--dry-run")
     assert "about 2.3 min: 7 s per run on 1 process\n" in result.stdout
 
@@ -342,17 +343,23 @@ def test_places_of_figures_are_checked_before_anything_runs(file):
         b"[" * 100_000 + b"\n",
         b'{"run": Infinity, "settings": [], "outcome": "complete", "words": "", "t": 1.0, '
         b'"figures": {}, "seconds": 1.0}\n',
+        b'{"run": 2, "settings": ["a=1"], "outcome": "complete", "words": "", "t": 1.0, '
+        b'"figures": {}, "seconds": 1.0}\n',
+        b'{"run": 9, "settings": ["a=9"], "outcome": "complete", "words": "", "t": 1.0, '
+        b'"figures": {}, "seconds": 1.0}\n',
+        b'{"run": 2, "settings": ["a=2"], "outcome": "complete", "words": "", "t": "x", '
+        b'"figures": {}, "seconds": 1.0}\n',
     ],
 )
 def test_a_damaged_log_is_refused_by_line(tmp_path, line):
-    path = tmp_path / "runs.jsonl"
+    path, settings = tmp_path / "runs.jsonl", {1: ("a=1",), 2: ("a=2",)}
     with RunLog(path, HEAD) as log:
         log.append(ROW)
     path.write_bytes(path.read_bytes() + line)
     with pytest.raises(
         DataError, match=r"runs.jsonl:3: expected one line of JSON .* remove the line"
     ):
-        RunLog(path, HEAD)
+        RunLog(path, HEAD, lambda run: settings.get(run, ()))
 
 
 @pytest.mark.slow

@@ -224,13 +224,14 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
     assert (done.row.outcome, done.row.t) == ("lost", None)
     assert done.row.words == "OSError: [Errno 28] No space left on device"
     sweep = sweep_of(file, ["time.step=0.1,0.05"])
-    failed = done.row._replace(run=2, outcome="failed", words="by chance")
+    own = {"run": 2, "settings": ("time.step=0.05",)}
+    failed = done.row._replace(outcome="failed", words="by chance", **own)
     with RunLog(file.parent / "out" / "runs.jsonl", sweep.head) as log:
         log.append(done.row)
         log.append(failed)
         told = dict(sweep_facts(sweep, log.rows, {}, ()))
     assert told["  run 1 lost"] == "OSError: [Errno 28] No space left on device (time.step=0.1)"
-    assert told["  run 2 failed"] == "by chance (time.step=0.1)"
+    assert told["  run 2 failed"] == "by chance (time.step=0.05)"
     assert told["  ..."] == "the same command repeats lost runs"
     words = ["--vary", "time.step=0.1,0.05", "--processes", "1", "--no-draw"]
     result = sweep_in(file.parent, *words, code=1)

@@ -222,10 +222,8 @@ class _Compiled(Generic[G]):
         # signals are served between calls
         ends = 1 + np.flatnonzero(np.diff(np.cumsum(count) // MAX_CALL))
         if len(parts := np.split(np.arange(n), ends)) > 1:
-            results = [
-                self.advance(states[:, k], rates[:, k], h[k], count[k], bounds) for k in parts
-            ]
-            moved, solved = zip(*results, strict=True)
+            done = (self.advance(states[:, k], rates[:, k], h[k], count[k], bounds) for k in parts)
+            moved, solved = zip(*filter(None, done), strict=True)
             return np.concatenate(moved, axis=1), np.concatenate(solved)
         states, rates, h, counts = (
             np.ascontiguousarray(each, dtype=float) for each in (states, rates, h, count)

@@ -139,7 +139,7 @@ def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
     facts, log = plan_facts(plan), folder / NAME
     left, words = plan.count, "not known before the first run"
     if log.is_file():
-        with RunLog(log, plan.head) as opened:
+        with RunLog(log, plan.head, plan.settings_of) as opened:
             rows = opened.rows
             left -= len(rows)
             facts.append(("finished", f"{len(rows)} in {folder}"))

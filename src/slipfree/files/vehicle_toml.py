@@ -308,9 +308,8 @@ class File(NamedTuple):
         def who(place: Place) -> str:  # name of the element, as in " (joint 'boom')"
             if len(place) < 2 or not isinstance(place[1], int):
                 return ""
-            elements = self.data.get(str(place[0]))
-            listed = isinstance(elements, list) and place[1] < len(elements)
-            element = elements[place[1]] if listed else None  # a missing element has no name
+            elements = self.data[str(place[0])]
+            element = elements[place[1]] if place[1] < len(elements) else None  # a missing one
             name = element.get("name") if isinstance(element, dict) else None
             return f" ({str(place[0])[:-1]} {name!r})" if name else ""
 

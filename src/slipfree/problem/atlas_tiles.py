@@ -7,8 +7,8 @@ computation continues where it was, with equal files. Files are written tile by 
 from __future__ import annotations
 
 import hashlib
-import io
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, suppress
 from functools import lru_cache
@@ -20,6 +20,7 @@ import scipy
 
 from slipfree.atlas.atlas import Atlas, Band, least_bounds, tiles_of
 from slipfree.atlas.summary import ALLOWED, STANDING
+from slipfree.core.errors import DataError, WriteError
 from slipfree.core.facts import Fact
 from slipfree.core.records import Array
 from slipfree.core.version import __version__
@@ -39,9 +40,9 @@ from slipfree.problem.verbs.atlas import AtlasSetup, build_atlas
 from slipfree.problem.verbs.base import Lines
 from slipfree.show.atlas_figures import AtlasView, friction_maps
 from slipfree.system.processes import Poll, Pool, finish_tasks, local_tasks
-from slipfree.system.regular_files import replace_file
+from slipfree.system.regular_files import regular_file, replace_file
 
-KEY = "atlas.json"  # file in the folder of the tiles that identifies their problem
+DIGEST_SIZE = 32  # of SHA-256 [bytes]
 DRAWN = 1000  # largest number of nodes along an axis of a figure
 WIDE = 0.01  # difference of bounds of the least friction that is reported [1]
 DETAIL = 24  # nodes along the side of the detail of a figure
@@ -91,44 +92,67 @@ def _tile(setup: AtlasSetup, number: int) -> Tile:
 
 
 class TileFolder:
-    """Folder with the finished tiles of a mobility map.
+    """Folder with the finished tiles of a mobility map; it is made if it is missing.
 
-    It is made if it is missing; tiles of another problem in it are removed.
+    The file of a tile begins with a digest of the problem, the number of the tile, and its values.
+    A file that has another one is that of another problem or damaged: its tile is not finished.
     """
 
     def __init__(self, path: Path, setup: AtlasSetup) -> None:
         self.path, self._setup = path, setup
         self._labels = setup.labels()
         self._reasons = setup.poses().reasons
-        key = _key(setup.problem)
-        with suppress(OSError, ValueError):
-            if json.loads((path / KEY).read_text("utf-8")) == key:
-                return
-        for tile in path.glob("tile_*.npy"):
-            tile.unlink()
-        path.mkdir(parents=True, exist_ok=True)
-        (path / KEY).write_text(json.dumps(key), encoding="utf-8")
+        self._key = problem_key(setup.problem)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise WriteError(
+                f"{path}: expected a folder for the tiles, found that it cannot be made "
+                f"({error.strerror}); choose another output with -o"
+            ) from error
+        numbers = range(len(setup.tiles))
+        self._finished = {k for k in numbers if self._read(k) is not None}
 
     @property
     def missing(self) -> list[int]:
         """Numbers of the tiles that are not finished."""
-        return [k for k in range(len(self._setup.tiles)) if not self._file(k).is_file()]
+        return [k for k in range(len(self._setup.tiles)) if k not in self._finished]
 
     def add(self, tile: Tile) -> None:
         """Store a tile; it is complete even if this process is killed."""
-        stream = io.BytesIO()
-        np.save(stream, tile.values)
-        replace_file(self._file(tile.number), lambda part: part.write_bytes(stream.getvalue()))
+        data = np.ascontiguousarray(tile.values).tobytes()
+        data = self._digest(tile.number, data) + data
+        replace_file(self._file(tile.number), lambda part: part.write_bytes(data))
+        self._finished.add(tile.number)
 
     def poses(self, number: int) -> Atlas:
-        """Return the poses of a finished tile."""
+        """Return the poses of a finished tile; raise DataError if its file has changed."""
+        if (values := self._read(number)) is None:
+            raise DataError(
+                f"{self._file(number)}: expected the tile that was written, found another file; "
+                "repeat the command to compute it again"
+            )
         i, j = self._setup.tiles[number]
-        values = np.load(self._file(number))
         bands = {
             name: Band(label, each)
             for (name, label), each in zip(self._labels.items(), values, strict=True)
         }
         return Atlas(self._setup.x[i], self._setup.y[j], self._setup.heading, bands, self._reasons)
+
+    def _read(self, number: int) -> Array | None:
+        """Return the values of a tile, None without a file that has the digest of this tile."""
+        i, j = self._setup.tiles[number]
+        sizes = self._setup.heading.size, i.stop - i.start, j.stop - j.start
+        shape = len(self._labels), *sizes
+        length = DIGEST_SIZE + 4 * math.prod(shape)
+        with suppress(DataError), regular_file(self._file(number), "a tile") as size:
+            data = self._file(number).read_bytes() if size == length else b""
+            if data[:DIGEST_SIZE] == self._digest(number, data[DIGEST_SIZE:]):
+                return np.frombuffer(data, np.float32, offset=DIGEST_SIZE).reshape(shape)
+        return None
+
+    def _digest(self, number: int, data: bytes) -> bytes:
+        return hashlib.sha256(f"{self._key} {number} ".encode() + data).digest()
 
     def window(self, i: slice, j: slice) -> Atlas:
         """Return the poses of a window of nodes, which may span several tiles."""
@@ -147,13 +171,13 @@ class TileFolder:
 
     def remove(self) -> None:
         """Remove the tiles and the folder, unless it has other files."""
-        for file in (*self.path.glob("tile_*.npy"), self.path / KEY):
-            file.unlink(missing_ok=True)
+        for number in self._finished:
+            self._file(number).unlink(missing_ok=True)
         with suppress(OSError):
             self.path.rmdir()
 
     def _file(self, number: int) -> Path:
-        return self.path / f"tile_{number:06}.npy"
+        return self.path / f"tile_{number:06}.bin"
 
 
 def _overlap(tile: slice, window: slice) -> tuple[slice, slice] | None:
@@ -164,11 +188,12 @@ def _overlap(tile: slice, window: slice) -> tuple[slice, slice] | None:
     return tuple(slice(start - each.start, stop - each.start) for each in (tile, window))  # type: ignore[return-value]
 
 
-def _key(problem: Problem[Any]) -> dict[str, str]:
+def problem_key(problem: Problem[Any]) -> str:
+    """Return a digest of the version, the values of a problem and the contents of its files."""
     values = problem.spec.model_dump_json(exclude={"title"}, serialize_as_any=True)
     files = [file for file in files_read(problem)[1:] if file.is_file()]
-    text = json.dumps([values, [(str(file), digest(file)) for file in files]])
-    return {"slipfree": __version__, "problem": hashlib.sha256(text.encode()).hexdigest()}
+    text = json.dumps([__version__, values, [(str(file), digest(file)) for file in files]])
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def run_tiles(
@@ -193,13 +218,12 @@ def run_tiles(
         poll()
         folder.add(_tile(setup, missing.pop(0)))
         progress(count - len(missing), count)
-    key = _key(problem)["problem"]
     head = (
         str(source.path.absolute()),
         source.text,
         settings,
         problem.trusted,
-        key,
+        problem_key(problem),
         tuple(setup.known.items()),
     )
     tasks = [TileTask(*head, number) for number in missing]
@@ -228,10 +252,14 @@ def write_file(path: Path, setup: AtlasSetup, folder: TileFolder) -> None:
         poses = folder.window(slice(0, setup.x.size), slice(0, setup.y.size))
         write_atlas(path, poses, site)
         return
-    with geotiff_writer(path, setup.x, setup.y, site) as write:
-        for k, (i, j) in enumerate(setup.tiles):
-            maps, found = site.summary_of(folder.poses(k), i, j)
-            write(i, j, with_reasons(maps, found))
+
+    def fill(part: Path) -> None:
+        with geotiff_writer(part, setup.x, setup.y, site) as write:
+            for k, (i, j) in enumerate(setup.tiles):
+                maps, found = site.summary_of(folder.poses(k), i, j)
+                write(i, j, with_reasons(maps, found))
+
+    replace_file(path, fill)
 
 
 class AtlasOverview(NamedTuple):

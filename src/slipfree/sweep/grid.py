@@ -7,7 +7,6 @@ import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -80,16 +79,23 @@ class Sweep:
 
     def runs(self) -> Iterator[Run]:
         """Yield all runs; the seeds vary fastest, then the last key."""
-        number = 0
-        for values in product(*(axis.values for axis in self.axes)):
-            for k in range(self.repeat):
-                number += 1
-                # each key has seeds of its own: equal seeds would correlate, for example, the
-                # random ground and its elevation error
-                seeds = tuple(self.seed + k + self.repeat * i for i in range(len(self.seeds)))
-                pairs = zip(self.keys, (*values, *map(str, seeds)), strict=True)
-                own = tuple(f"{key}={value}" for key, value in pairs)
-                yield Run(number, values, seeds, (*self.settings, *own))
+        return map(self.run, range(1, self.count + 1))
+
+    def run(self, number: int) -> Run:
+        """Return the run with a number; raise ValueError for a number without a run."""
+        point, k = divmod(number - 1, self.repeat)
+        places = np.unravel_index(point, [len(axis.values) for axis in self.axes])
+        values = tuple(axis.values[i] for axis, i in zip(self.axes, places, strict=True))
+        # each key has seeds of its own: equal seeds would correlate, for example, the random
+        # ground and its elevation error
+        seeds = tuple(self.seed + k + self.repeat * i for i in range(len(self.seeds)))
+        pairs = zip(self.keys, (*values, *map(str, seeds)), strict=True)
+        own = tuple(f"{key}={value}" for key, value in pairs)
+        return Run(number, values, seeds, (*self.settings, *own))
+
+    def settings_of(self, number: int) -> tuple[str, ...]:
+        """Return the settings of a run that are specific to it; errors are those of `run`."""
+        return self.run(number).settings[len(self.settings) :]
 
     @property
     def head(self) -> dict[str, Any]:

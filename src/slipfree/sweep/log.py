@@ -10,7 +10,7 @@ import json
 import os
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -20,6 +20,7 @@ from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import NOTHING
+from slipfree.system.regular_files import regular_file
 
 try:
     import fcntl
@@ -122,22 +123,36 @@ def row_of(line: Mapping[str, Any]) -> RunRow:
     if not all(isinstance(each, str) for each in (row.outcome, row.words, *row.settings)):
         raise TypeError("outcome, words and settings are not texts")
     figures = {name: (float(value), str(unit)) for name, (value, unit) in row.figures.items()}
-    return row._replace(run=int(row.run), settings=tuple(row.settings), figures=figures)
+    t = None if row.t is None else float(row.t)
+    head = RunRow(int(row.run), tuple(row.settings), row.outcome, row.words, t, figures, 0.0)
+    return head._replace(seconds=float(row.seconds))
 
 
 class RunLog:
     """The open log of a sweep; a context manager."""
 
-    def __init__(self, path: Path, head: Mapping[str, Any], *, again: bool = False) -> None:
+    def __init__(
+        self,
+        path: Path,
+        head: Mapping[str, Any],
+        settings_of: Callable[[int], tuple[str, ...]] | None = None,
+        *,
+        again: bool = False,
+    ) -> None:
         """Open or create a log.
 
-        Lost runs do not count as finished; with ``again``, neither do failed runs. DataError is
-        raised if the file cannot be written, is used by another process, is damaged, or belongs to
-        another sweep.
+        ``settings_of`` returns the settings that the line of a run must have, and raises ValueError
+        for a number without a run. Lost runs do not count as finished; with
+        ``again``, neither do failed runs. DataError is raised if the file cannot be written, is not
+        a regular file, is used by another process, is damaged, or belongs to another sweep.
         """
+        self._settings_of = settings_of
         self.path, self._open = path, {LOST, *([FAILED] if again else [])}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            if path.exists():
+                with regular_file(path, "the log of a sweep"):  # not a pipe, which does not open
+                    pass
             self._file: IO[bytes] = path.open("a+b")
         except OSError as error:
             raise self._unwritable(error) from error
@@ -213,6 +228,8 @@ class RunLog:
     def _add(self, number: int, line: Mapping[str, Any], offset: int) -> None:
         try:
             row = row_of(line)
+            if self._settings_of is not None and row.settings != self._settings_of(row.run):
+                raise ValueError("the settings are those of another run")
         except (TypeError, ValueError, AttributeError, OverflowError) as error:
             raise self._damaged(number) from error
         if row.outcome in self._open:
@@ -227,8 +244,9 @@ class RunLog:
                 "else; choose another folder with -o"
             )
         return DataError(
-            f"{self.path}:{number}: expected one line of JSON for a run, found something else; "
-            "remove the line, and repeat the command to repeat the run"
+            f"{self.path}:{number}: expected one line of JSON for a run of this sweep, with its "
+            "settings, found something else; remove the line, and repeat the command to repeat the "
+            "run"
         )
 
     def _check(self, found: Mapping[str, Any], head: Mapping[str, Any]) -> None:

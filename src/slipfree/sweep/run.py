@@ -219,7 +219,7 @@ def run_sweep(
             f"{folder}: expected a folder for the sweep, found a file; choose another folder with "
             "-o"
         )
-    with RunLog(folder / NAME, sweep.head, again=again) as log:
+    with RunLog(folder / NAME, sweep.head, sweep.settings_of, again=again) as log:
         try:
             progress(log.rows)
             if len(log.rows) < sweep.count:

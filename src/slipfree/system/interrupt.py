@@ -182,8 +182,10 @@ def _repeat_signal() -> None:
 
     CasADi and the garbage collector drop exceptions that are raised while they call Python.
     """
-    while time.sleep(REPEAT) or not _ended:
+    time.sleep(REPEAT)
+    while not _ended:
         os.kill(os.getpid(), _received[-1])
+        time.sleep(REPEAT)
 
 
 def interrupt_at_signals() -> None:
