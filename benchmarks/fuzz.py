@@ -30,15 +30,18 @@ from helpers.fuzz_checks import READ, REFUSED, Verdict, judged
 from helpers.fuzz_files import KINDS, drawn
 from helpers.fuzz_libraries import LIBRARY_KINDS
 from helpers.fuzz_mutants import MUTANTS, judged_silently
+from helpers.fuzz_written import WRITTEN_KINDS
 
 SHARES = {"direct": 4, "inverse": 2, "plan": 2, "vehicle": 3, "result": 2}  # others: 2
-ALL_KINDS = KINDS | LIBRARY_KINDS
+ALL_KINDS = KINDS | LIBRARY_KINDS | WRITTEN_KINDS
 MEMORY = 6 * 2**30  # of addresses that a process may have [B]
 LONGEST = 60.0  # that a case may take, on a busy machine [s]
+MAX_SECONDS = 20.0  # CPU time of a case, with the processes that it starts [s]
+MAX_RESIDENT = 2**30  # memory of a process [B]
 BEGIN = 60.0  # that a process may take to start [s]
 BATCH = 100  # cases of a process
 DEEP = 0.04  # part of the cases that are solved as well, for a short time
-FAULTS = ("traceback", "warning", "unclear", "hang", "death", "print")
+FAULTS = ("traceback", "warning", "unclear", "hang", "death", "print", "slow", "memory")
 HEAD = f"{'kind':15}{'cases':>7}{'read':>7}{'refused':>9}" + "".join(
     f"{n + 's':>12}" for n in FAULTS
 )
@@ -88,14 +91,25 @@ def run_cases(kind: str, first: int, last: int, seed: int) -> list[list[object]]
         for stream in (1, 2):  # libraries print there
             os.dup2(nothing.fileno(), stream)
         for number in range(first, last):
-            begin = time.perf_counter()
+            begin, before, above = time.perf_counter(), *_used()
             with tempfile.TemporaryDirectory() as folder:
                 verdict = one(kind, number, seed, Path(folder))
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+            cpu, peak = _used()
+            if cpu - before > MAX_SECONDS:
+                verdict = Verdict("slow", f"{cpu - before:.1f} s of CPU time")
+            elif peak > MAX_RESIDENT > above:
+                verdict = Verdict("memory", f"{peak / 1e9:.2f} GB")
             found.append([number, *verdict, time.perf_counter() - begin, peak])
         for stream, kept in zip((1, 2), printed, strict=True):
             os.dup2(kept, stream)
     return found
+
+
+def _used() -> tuple[float, int]:
+    """Return the CPU time [s] and the largest memory [B] of this process and its children."""
+    both = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    seconds = sum(each.ru_utime + each.ru_stime for each in both)
+    return seconds, 1024 * max(each.ru_maxrss for each in both)
 
 
 def run_batch(kind: str, first: int, last: int, seed: int, tally: Tally) -> None:

@@ -8,12 +8,15 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 from typing import Any, NamedTuple
 
 from typer.testing import CliRunner
 
 from helpers.fuzz_damage import Case
+from helpers.fuzz_written import WRITTEN_KINDS, use_written
 from slipfree.cli import app
+from slipfree.cli.common import UNEXPECTED
 from slipfree.core.errors import SlipfreeError
 from slipfree.files.maps.elevation import read_map
 from slipfree.files.mcap import read_joint_commands, read_mcap
@@ -131,6 +134,8 @@ def _use_result(file: Path, deep: bool) -> None:
         result = CliRunner().invoke(app, command)
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
+        if UNEXPECTED in result.stderr:
+            raise RuntimeError(result.stderr)
         if result.exit_code:
             refused.append(result.stderr)
     if refused:
@@ -138,7 +143,12 @@ def _use_result(file: Path, deep: bool) -> None:
     read_arrays(file)
 
 
+def _use_written(kind: str) -> Callable[[Path, bool], None]:
+    return lambda file, _: use_written(kind, file, Random(file.lstat().st_size))
+
+
 USES: dict[str, Callable[[Path, bool], None]] = {
+    **{kind: _use_written(kind) for kind in WRITTEN_KINDS},
     **dict.fromkeys(("direct", "inverse", "plan"), _use_problem),
     **dict.fromkeys(("vehicle", "urdf", "mesh"), _use_vehicle),
     "laz": _use_cloud,

@@ -50,9 +50,11 @@ class Case(NamedTuple):
         """Write the files to a folder."""
         for name, data in self.files.items():
             if name not in self.odd:
+                (folder / name).parent.mkdir(exist_ok=True)
                 (folder / name).write_bytes(data)
         for name, kind in self.odd.items():
             path = folder / name
+            path.parent.mkdir(exist_ok=True)
             if kind == "pipe":
                 os.mkfifo(path)
             elif kind == "folder":

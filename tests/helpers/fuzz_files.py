@@ -21,6 +21,7 @@ from pydantic import BaseModel, PlainValidator
 from helpers.fuzz_damage import NUMBERS, ODD, WORDS, Case, damaged, grown, shuffled
 from helpers.fuzz_libraries import LIBRARY_KINDS
 from helpers.fuzz_maps import archive, ascii_grid, beside, cloud, picture, points
+from helpers.fuzz_written import WRITTEN_KINDS
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Stop, Trajectory
@@ -40,7 +41,7 @@ Table = dict[str, Any]
 
 def drawn(kind: str, rng: Random) -> Case:
     """Return a case of a kind."""
-    return (KINDS | LIBRARY_KINDS)[kind](kind, rng)
+    return (KINDS | LIBRARY_KINDS | WRITTEN_KINDS)[kind](kind, rng)
 
 
 # -------------------------------------------------------------------------------------------- TOML

@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 from helpers.fuzz_checks import READ, REFUSED, judged
 from helpers.fuzz_damage import Case
 from helpers.fuzz_files import KINDS, bases, document, drawn, results
+from helpers.fuzz_written import WRITTEN_KINDS
 from slipfree.cli import app
 from slipfree.core.errors import DataError, ModelError
 from slipfree.files import netcdf
@@ -56,7 +57,7 @@ def _sound(case: Case, folder: Path) -> None:
     assert found.name in (READ, REFUSED), found
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, *WRITTEN_KINDS])
 @CAREFUL
 @given(seed=st.integers(0, 2**32))
 def test_every_drawn_file_is_read_or_refused(kind: str, seed: int, tmp_path: Path) -> None:

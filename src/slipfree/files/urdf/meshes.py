@@ -31,6 +31,7 @@ UNITS = {  # factors that correct the scale of a mesh, and their reasons
     1e3: "is its scale that of millimetres?",
 }
 SAME_PLANE = 0.05  # smaller offsets along the axle, in radii, are of wheels in one plane
+MAX_COORDINATE = 1e6  # of a mesh, also in a wrong unit [m]
 OVERLAP = 0.9  # wheels in one plane overlap if closer than this, in sums of their radii
 MIN_RADIUS = 0.002  # smallest plausible radius, in largest distances between wheels
 USUAL_RADII = 0.05, 0.35  # in largest distances between wheels
@@ -88,7 +89,14 @@ class MeshFiles:
         read = self._read[mesh.name]
         if isinstance(read, DataError):
             raise read
-        vertices: Array = read.vertices * mesh.scale @ rotation_of(mesh.turned).T + mesh.at
+        with np.errstate(over="ignore", invalid="ignore"):
+            vertices: Array = read.vertices * mesh.scale @ rotation_of(mesh.turned).T + mesh.at
+        if not np.abs(vertices).max() <= MAX_COORDINATE:  # not for NaN
+            raise DataError(
+                f"expected a mesh with coordinates from -{MAX_COORDINATE:g} to "
+                f"{MAX_COORDINATE:g} m, found others in {mesh.name!r}; correct its scale, or "
+                "export it again"
+            )
         is_mirrored = np.prod(mesh.scale) < 0
         return TriangleMesh(vertices, read.faces[:, ::-1] if is_mirrored else read.faces)
 
@@ -162,8 +170,8 @@ def _read_file(path: Path) -> TriangleMesh:
         ) from error
     if not vertices.size or not np.isfinite(vertices).all():
         raise DataError(
-            f"expected a mesh of points with finite coordinates, found none in {path.name!r}; "
-            "export it again"
+            f"expected a mesh of points with finite coordinates, found others or none in "
+            f"{path.name!r}; export it again"
         )
     return TriangleMesh(vertices, faces)
 
