@@ -239,13 +239,16 @@ def is_continuous(t: Array, place: Array, window: Array) -> Mask:
     """Return whether a position follows from the one before, without a gap or leap, shape (n - 1,).
 
     A leap is farther than three times the distance at the speed that 95 % of the rows do not
-    exceed, and farther than 0.3 m.
+    exceed, and farther than 0.3 m. Positions may be repeated until a new one is measured.
     """
-    steps, moved = np.diff(t), np.abs(np.diff(place))
-    inside = (np.diff(window) == 0) & (steps <= longest_gap(t))
-    speeds = moved[inside & (steps > 0)] / steps[inside & (steps > 0)]
+    moved = np.abs(np.diff(place))
+    inside = (np.diff(window) == 0) & (np.diff(t) <= longest_gap(t))
+    is_new = (moved > 0) & inside
+    since = np.maximum.accumulate(np.where(np.append(True, is_new | ~inside), np.arange(t.size), 0))
+    waits = t[1:] - t[since[:-1]]
+    speeds = moved[is_new] / np.maximum(waits[is_new], 1e-9)
     fast = float(np.quantile(speeds, 0.95)) if speeds.size else 0.0
-    return np.asarray(inside & (moved <= 3 * fast * steps + FAR))
+    return np.asarray(inside & (moved <= 3 * fast * waits + FAR))
 
 
 def check_motion(

@@ -100,6 +100,11 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
     """Return the commands of a problem by the names of `COMMANDS`, and their description."""
     given, columns, descriptions = dict(spec.given or {}), dict[str, Any](), []
     timeout = given.pop(TIMEOUT, None)
+    if timeout is not None and not (FILE in given and isinstance(timeout, float) and timeout > 0):
+        fault = Fault(
+            ("given", TIMEOUT), "a positive time in s, beside 'file'", format_value(timeout)
+        )
+        raise problem_error(problem.source, [fault])
     if (file := given.pop(FILE, None)) is not None:
         with at(problem, ("given", FILE)):
             if not isinstance(file, str):
