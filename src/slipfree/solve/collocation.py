@@ -320,8 +320,8 @@ def _refine_elements(
     """Return the scheme and elements at which two degrees agree best, and an error estimate.
 
     The degrees are those of the polynomials on the elements. The estimate is the largest difference
-    of the free states, divided by their sizes, and at least what the geometric decrease of the
-    differences from degree to degree predicts: a smaller difference is due to chance.
+    of the free states, divided by their sizes. If the differences decrease from degree to degree,
+    it is at least what this decrease predicts: a smaller difference is due to chance.
     """
     x = system.dae.rows("x", start, -1)
     z = _guess_unknowns(system, float(t[0]), x, system.dae.rows("z", start, -1))[
@@ -353,7 +353,8 @@ def _refine_elements(
                     return best
                 if difference > NOISE_GROWTH * least:
                     break
-                least, trend = difference, min(difference, difference**2 / (least or 1.0))
+                trend = difference**2 / least if difference < least else 0.0
+                least = difference
             former = each, elements, values
         count += (count + 1) // 2
     if best is None:
