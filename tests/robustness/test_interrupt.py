@@ -395,6 +395,18 @@ def test_a_held_interrupt_comes_once(calls):
         _held(*calls)
 
 
+def test_preparations_before_the_first_poll_are_ended_at_once():
+    reached = []
+    with pytest.raises(KeyboardInterrupt), held_interrupt(from_first_poll=True):
+        press()
+        reached.append("preparations")
+    with pytest.raises(KeyboardInterrupt), held_interrupt(from_first_poll=True):
+        check_interrupt()
+        press()
+        reached.append("computation")
+    assert reached == ["computation"]
+
+
 @pytest.fixture
 def folder(folder):
     (folder / "p.toml").write_text(PROBLEM)
