@@ -344,5 +344,5 @@ def test_many_properties_with_expressions_take_linear_time():
 
 
 def test_more_elements_than_of_a_robot_are_refused():
-    with pytest.raises(DataError, match="r.urdf:1: expected a robot of at most 50000 elements"):
+    with pytest.raises(DataError, match=r"r.urdf:1: expected a robot of at most 50000 elements"):
         read_tree(b"<robot>" + 50_001 * b"<a/>" + b"</robot>", "r.urdf")

@@ -396,14 +396,16 @@ def test_a_held_interrupt_comes_once(calls):
 
 
 def test_preparations_before_the_first_poll_are_ended_at_once():
+    @held_interrupt(from_first_poll=True)
+    def run(*calls):
+        for call in calls:
+            call()
+
     reached = []
-    with pytest.raises(KeyboardInterrupt), held_interrupt(from_first_poll=True):
-        press()
-        reached.append("preparations")
-    with pytest.raises(KeyboardInterrupt), held_interrupt(from_first_poll=True):
-        check_interrupt()
-        press()
-        reached.append("computation")
+    with pytest.raises(KeyboardInterrupt):
+        run(press, lambda: reached.append("preparations"))
+    with pytest.raises(KeyboardInterrupt):
+        run(check_interrupt, press, lambda: reached.append("computation"))
     assert reached == ["computation"]
 
 
