@@ -207,6 +207,19 @@ def test_the_version_in_json() -> None:
     assert json.loads(result.stdout)["version"] == slipfree.__version__
 
 
+def test_an_unexpected_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slipfree.problem.load.load_problem", lambda *_, **__: [][1])
+    error = refused("check", "p.toml")
+    assert re.fullmatch(
+        rf"p.toml: {common.UNEXPECTED} {re.escape(slipfree.__version__)} \(IndexError: list index "
+        r"out of range\); report it to the developers of slipfree, .*--verbose prints\n",
+        error,
+    )
+    assert "Traceback (most recent call last)" in refused("check", "p.toml", "--verbose")
+    found = json.loads(invoke("check", "p.toml", "--json", code=2).stdout)
+    assert found["errors"] == [error.strip()]
+
+
 def test_interruption_in_json(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt

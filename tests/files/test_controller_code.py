@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from helpers.commands import printed, refused
 from slipfree import Bicubic, Grid, ModelError, catalog, inverse_kinematics, settle, simulate
-from slipfree.files.controller import controller_code, export_controller
+from slipfree.files.controller import _c_name, controller_code, export_controller
 from slipfree.system import codegen_cache
 from slipfree.vehicle.sections import section_of_radii
 from slipfree.vehicle.tree import Vehicle
@@ -256,3 +256,9 @@ def test_names_that_are_equal_in_c_are_refused():
     )
     with pytest.raises(ModelError, match=r"'contact_x\[a-b\]' and 'contact_x\[a_b\]'; rename"):
         controller_code(twins)
+
+
+@pytest.mark.parametrize("name", ["NULL", "M_PI", "bool", "linux", "operator"])
+def test_names_of_macros_and_keywords_are_no_names_in_c(name):
+    assert _c_name(name) == f"{name}_"
+    assert _c_name("left") == "left"

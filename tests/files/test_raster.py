@@ -363,6 +363,8 @@ def test_more_geotiffs_refused(tmp_path):
         "expected a map in degrees, found EPSG:32633",
         geographic="local",
     )
+    words = "expected geographic of 'local', a Frame or None, found True"
+    refuses(geotiff(tmp_path / "map.tif"), words, geographic=True)
 
 
 def test_damaged_tiffs_lead_to_one_error(tmp_path):

@@ -106,6 +106,7 @@ def test_a_package_is_found_in_a_folder_above(tmp_path, monkeypatch):
             exported(trimesh.creation.box((0.1, 0.2, 0.3)), "wheel.stl"),
             "expected a mesh that is round about the axis of its joint, found 'wheel.stl'",
         ),
+        ("wheel.obj", b"v 0 0 1e200\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "from -1e+06 to 1e+06 m"),
         (
             "wheel.stl",
             exported(trimesh.creation.cylinder(200, 50), "wheel.stl"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -309,3 +310,39 @@ def test_the_expansion_prints_nothing(robot, capfd):
     assert len(read_vehicle(robot, trust=True).wheels) == 3
     assert expanded(robot, {}).macros == {"wheel"}
     assert capfd.readouterr() == ("", "")
+
+
+DOUBLED = "".join(
+    f'<xacro:property name="p{i + 1}" value="${{p{i}}}${{p{i}}}"/>' for i in range(24)
+)
+ADDED = "".join(
+    f'<xacro:property name="q{i}" value="{i}"/><link name="${{q{i} + 0}}"/>' for i in range(900)
+)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        f'<xacro:property name="p0" value="{"x" * 100}"/>{DOUBLED}',
+        f'<xacro:property name="p0" value="{"x" * 10_000}"/><link name="{"${p0}" * 2100}"/>',
+        f'<link name="{"${1}" * 20_001}"/>',
+        f'<link name="{"$(optenv A)" * 20_001}"/>',
+    ],
+)
+def test_expressions_that_multiply_are_refused_at_once(parts):
+    begin = time.process_time()
+    with pytest.raises(DataError, match=r"r.urdf:1: expected at most 20000 expressions"):
+        read_tree(f'<robot name="r" {NAMES}>{parts}</robot>'.encode(), "r.urdf")
+    assert time.process_time() - begin < 10
+
+
+def test_many_properties_with_expressions_take_linear_time():
+    begin = time.process_time()
+    with pytest.raises(DataError, match="expected one root link"):
+        read_tree(f'<robot name="r" {NAMES}>{ADDED}</robot>'.encode(), "r.urdf")
+    assert time.process_time() - begin < 3
+
+
+def test_more_elements_than_of_a_robot_are_refused():
+    with pytest.raises(DataError, match=r"r.urdf:1: expected a robot of at most 50000 elements"):
+        read_tree(b"<robot>" + 50_001 * b"<a/>" + b"</robot>", "r.urdf")

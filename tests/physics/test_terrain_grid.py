@@ -106,6 +106,9 @@ def test_analytic_height_and_elevation_agree():
     ("function", "domain", "words"),
     [
         (hills, (1, -1, 0, 1), "with x_min < x_max"),
+        (lambda x, y: max(x, y), (0, 1, 0, 1), r"RuntimeError: .*use casadi.fmax"),
+        (lambda x, _y: math.sin(x), (0, 1, 0, 1), r"result is nan.*casadi.sin"),
+        (lambda _x, _y: None, (0, 1, 0, 1), r"cannot be evaluated with symbols \(NotImpl"),
         (lambda x, y: ca.vertcat(x, y), (0, 1, 0, 1), r"one height, found shape \(2, 1\)"),
         (lambda x, _y: x + ca.SX.sym("mu"), (0, 1, 0, 1), r"only on x and y, found .*mu"),
     ],

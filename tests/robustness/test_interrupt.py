@@ -395,6 +395,20 @@ def test_a_held_interrupt_comes_once(calls):
         _held(*calls)
 
 
+def test_preparations_before_the_first_poll_are_ended_at_once():
+    @held_interrupt(from_first_poll=True)
+    def run(*calls):
+        for call in calls:
+            call()
+
+    reached = []
+    with pytest.raises(KeyboardInterrupt):
+        run(press, lambda: reached.append("preparations"))
+    with pytest.raises(KeyboardInterrupt):
+        run(check_interrupt, press, lambda: reached.append("computation"))
+    assert reached == ["computation"]
+
+
 @pytest.fixture
 def folder(folder):
     (folder / "p.toml").write_text(PROBLEM)

@@ -286,7 +286,7 @@ def open_atlas(path: str | os.PathLike[str]) -> StoredAtlas:
             raise result_fault(file.path, "a result without an atlas", NO_ATLAS)
         try:
             return _stored(file)
-        except (ValueError, LookupError, TypeError) as error:
+        except (ValueError, LookupError, TypeError, ArithmeticError, RecursionError) as error:
             raise result_fault(file.path, f"a damaged atlas ({error})", NO_ATLAS) from error
 
 
@@ -301,7 +301,7 @@ def is_atlas(path: str | os.PathLike[str]) -> bool:
 
 
 def _stored(file: NetcdfFile) -> StoredAtlas:
-    """Return the atlas in an open file; raise ValueError, LookupError or TypeError without one."""
+    """Return the atlas in an open file; raise an error of one of many classes without one."""
     conditions = json.loads(str(file.attributes[ATLAS]))
     bands = {}
     for name in conditions["bands"]:
@@ -309,8 +309,15 @@ def _stored(file: NetcdfFile) -> StoredAtlas:
         label = Label(name, str(words["units"]), str(words["long_name"]))
         bands[name] = Band(label, file.values(name).swapaxes(1, 2).astype(np.float32))
     heading, y, x = (file.values(name).astype(float) for name in DIMENSIONS)
+    shape = heading.size, x.size, y.size
+    if wrong := [name for name, band in bands.items() if band.values.shape != shape]:
+        raise ValueError(f"expected the shape {shape} of the band {wrong[0]!r}")
+    if not all(np.isfinite(axis).all() and (np.diff(axis) > 0).all() for axis in (heading, y, x)):
+        raise ValueError("expected ascending headings and places")
     reasons = json.loads(str(file.variables[REASON.name].attributes[REASONS]))
     frame = str(file.attributes[FRAME])
+    if not np.isin(bands[REASON.name].values, np.arange(len(reasons))).all():
+        raise ValueError(f"expected numbers of {len(reasons)} reasons in {REASON.name!r}")
     site = Site(
         file.values(ELEVATION.name).T.astype(float),
         None if conditions["friction"] is None else float(conditions["friction"]),

@@ -170,8 +170,8 @@ def _read_file(path: Path) -> TriangleMesh:
         ) from error
     if not vertices.size or not np.isfinite(vertices).all():
         raise DataError(
-            f"expected a mesh of points with finite coordinates, found others or none in "
-            f"{path.name!r}; export it again"
+            f"expected a mesh of points with finite coordinates, found none in {path.name!r}; "
+            "export it again"
         )
     return TriangleMesh(vertices, faces)
 
