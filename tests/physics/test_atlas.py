@@ -272,7 +272,7 @@ def test_a_moving_rigid_vehicle_has_the_energy_of_its_motion():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"headings": 0}, "headings: expected at least one, found 0"),
+        ({"headings": 0}, "headings: expected a number >= 1, found 0"),
         ({"inputs": {"left": 1.0}}, "inputs: expected names among right_rate, .* found 'left'"),
     ],
 )
