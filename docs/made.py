@@ -45,6 +45,7 @@ TAKES = {
     "tuple[str, ...]": "`[names]`",
     "tuple[Name, ...]": "`[names]`",
     "tuple[Name, Name]": "`[name, name]`",
+    "Name | tuple[Name, ...]": "text, or `[names]`",
     "tuple[Rock, ...]": "`[[x, y, diameter, height], ...]`",
     "dict[str, str]": "a table of names by name",
     "Positive | str": "a positive number, or a name",

@@ -195,7 +195,7 @@ def test_a_full_disk_keeps_the_earlier_file_and_the_tiles():
     )
     words = "atlas", "site.tif", "three_wheeler", *QUICK, "--headings", "1", "-o", "a.tif"
     done = subprocess.run(
-        [sys.executable, "-c", code, *words], capture_output=True, text=True, check=False
+        [sys.executable, "-B", "-c", code, *words], capture_output=True, text=True, check=False
     )
     assert done.returncode == 1, done.stderr
     assert "a.tif: cannot be written" in done.stderr

@@ -92,7 +92,7 @@ def test_a_vehicle_file_climbs_as_the_catalogue():
     Path("p.toml").write_text(text)
     run = run_problem(load_problem(Path("p.toml"), brief)).trajectory
     np.testing.assert_allclose(run["center_z"], same["center_z"], atol=1e-9)
-    assert "states  11: y, z, pitch, fold" in invoke("vehicle", "climber.toml", "--verbose").output
+    assert "11: y, z, pitch, fold" in invoke("vehicle", "climber.toml", "--verbose").output
 
 
 def test_the_side_view_shows_vehicle_and_solids():

@@ -155,6 +155,6 @@ def test_a_wheel_ground_law_decides_how_fast_a_vehicle_slides() -> None:
     assert run["force_normal"].sum(axis=1) == pytest.approx(36 * 9.81 * cosine)
     assert run.attributes["law"] == "viscous"
     assert "a quasi-static prediction by the wheel-ground law 'viscous'" in printed("info", "p.nc")
-    facts = printed("vehicle", "p.toml")
+    facts = printed("vehicle", "p.toml", "--verbose")
     assert "force_normal[right]" in facts
     assert "9: the wheel-ground law determines them" in facts

@@ -200,10 +200,10 @@ def test_largest_period_of_a_sampled_controller():
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"law": "best"}, "expected one of projective, .* for 'law'"),
-        ({"directions": "eyes"}, "expected one of contact, sensors for 'directions'"),
-        ({"cap": 0.9}, "'cap': expected a number >= 1, found 0.9"),
-        ({"share": np.inf}, "'share': expected a number < inf"),
+        ({"law": "best"}, "law: expected 'projective' or .*, found str 'best'"),
+        ({"directions": "eyes"}, "directions: expected 'contact' or 'sensors', found str 'eyes'"),
+        ({"cap": 0.9}, "cap: expected a number >= 1, found 0.9"),
+        ({"share": np.inf}, "share: expected a finite number, found inf"),
         ({"motors": (2, 0, 2)}, "expected one motor or more per axle as 'motors', found"),
     ],
 )

@@ -611,7 +611,7 @@ def test_unusable_trackings_are_refused():
     with pytest.raises(ModelError, match=r"mean of x . z.*decrease at -?0\.\d+ m"):
         tracked_plan([(backwards, unknowns)])
     for name in ("proportional", "spare", "lead"):
-        with pytest.raises(ModelError, match=f"Tracking: '{name}': expected a number > 0, found 0"):
+        with pytest.raises(ModelError, match=f"Tracking: {name}: expected a number > 0, found 0"):
             Tracking(tracked_plan(plans()), **{name: 0.0})
 
 

@@ -105,7 +105,7 @@ class Atlas(Drawable):
     heading: Array
     bands: Mapping[str, Band]
     reasons: tuple[str, ...]
-    ground: Any = None
+    ground: object = None
 
     def __getitem__(self, name: str) -> Array:
         """Return the values of a band, shape (n_headings, n_x, n_y)."""

@@ -43,6 +43,7 @@ from slipfree.climb.contact_path import (
 )
 from slipfree.control.reference_speeds import PerAxle
 from slipfree.control.step_climbing import Commands, ControlState, Motors, Sensed, limited
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.nlp import Nlp
 from slipfree.core.records import Array
@@ -265,6 +266,7 @@ class TrackedPlan:
     torques: Array
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Tracking:
     """Controller that tracks a planned climb, for `slipfree.control.step_climbing.climbing`.

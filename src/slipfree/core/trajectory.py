@@ -111,7 +111,11 @@ def heading_column(heading: Array | float, frame: str, *, own: str = "paper") ->
 class Drawable:
     """A result that is drawn over its ground."""
 
-    ground: Any
+    if TYPE_CHECKING:
+
+        @property
+        def ground(self) -> object:
+            """Ground of the result; None if it is unknown."""
 
     def plot(self, name: str | None = None) -> Figure:
         """Draw the result over its ground.
@@ -186,7 +190,7 @@ class Trajectory(Drawable):
     attributes: Mapping[str, str] = field(default_factory=dict)
     facts: Mapping[str, Fact] = field(default_factory=dict)
     events: Mapping[str, Array] = field(default_factory=dict)
-    ground: Any = field(default=None, repr=False, compare=False)
+    ground: object = field(default=None, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields for pickling, without the ground: a formula may not be pickled."""

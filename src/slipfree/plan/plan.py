@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -136,7 +135,7 @@ class Plan(Drawable):
         )
 
     @property
-    def ground(self) -> Any:
+    def ground(self) -> object:
         """Ground of the plan."""
         return self.program.task.dae.ground
 
