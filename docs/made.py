@@ -46,6 +46,7 @@ TAKES = {
     "tuple[Name, ...]": "`[names]`",
     "tuple[Name, Name]": "`[name, name]`",
     "Name | tuple[Name, ...]": "text, or `[names]`",
+    "Positive | Name": "a positive number, or a name",
     "tuple[Rock, ...]": "`[[x, y, diameter, height], ...]`",
     "dict[str, str]": "a table of names by name",
     "Positive | str": "a positive number, or a name",

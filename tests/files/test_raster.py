@@ -21,7 +21,7 @@ from rasterio.warp import transform
 
 from helpers import rasters
 from helpers.rasters import from_origin
-from slipfree import DataError
+from slipfree import DataError, ModelError
 from slipfree.files.maps.elevation import read_map
 
 UTM = "EPSG:32633"
@@ -363,8 +363,9 @@ def test_more_geotiffs_refused(tmp_path):
         "expected a map in degrees, found EPSG:32633",
         geographic="local",
     )
-    words = "expected geographic of 'local', a Frame or None, found True"
-    refuses(geotiff(tmp_path / "map.tif"), words, geographic=True)
+    words = "geographic: expected 'local' or Frame, found bool True"
+    with pytest.raises(ModelError, match=words):
+        read_map(geotiff(tmp_path / "map.tif"), geographic=True)
 
 
 def test_damaged_tiffs_lead_to_one_error(tmp_path):

@@ -265,16 +265,16 @@ def test_what_does_not_suit_is_refused():
     for words, vehicle, terrain, make in (
         ("a vehicle with mass", three_wheeler(mass=0.0, wheel_mass=0.0), ground, Coulomb),
         ("a ground with a coefficient of friction, found none", FIXED, slope(0.0), Coulomb),
-        ("'creep': expected a number > 0, found nan", FIXED, ground, lambda: Coulomb(np.nan)),
-        ("'creep': expected a number <= 0.3, found 1", FIXED, ground, lambda: Coulomb(1.0)),
-        ("'reserve': expected a number >= 0, found -1", FIXED, ground, lambda: Coulomb(0.1, -1.0)),
-        ("expected a wheel-ground law such as", FIXED, ground, LeastSlip),
-        ("expected a wheel-ground law such as", FIXED, ground, lambda: Coulomb),
+        ("creep: expected a number, found float nan", FIXED, ground, lambda: Coulomb(np.nan)),
+        ("creep: expected a number <= 0.3, found 1", FIXED, ground, lambda: Coulomb(1.0)),
+        ("reserve: expected a number >= 0, found -1", FIXED, ground, lambda: Coulomb(0.1, -1.0)),
+        ("give a wheel-ground law, such as Coulomb", FIXED, ground, LeastSlip),
+        (r"call it: Coulomb\(\)", FIXED, ground, lambda: Coulomb),
     ):
         with pytest.raises(ModelError, match=words):
             quasi_statics(vehicle, terrain, law=make())
     for of in (direct_kinematics, montana_kinematics):
-        with pytest.raises(ModelError, match=r"expected a slip law such as LeastSlip\(\) or"):
+        with pytest.raises(ModelError, match=r"give a slip law, such as LeastSlip\(\) or"):
             of(FIXED, ground, slip=Coulomb())
 
 

@@ -64,6 +64,8 @@ REMEDIES = {  # by expected value
     "Search": "give a record, as in Search(starts=4)",
     "SolverOptions": "give a record, as in SolverOptions(1e-6)",
     "a record of inputs": "give the inputs by name: model.inputs(**inputs)",
+    "GroundLaw": "give a wheel-ground law, such as Coulomb()",
+    "SlipLaw": "give a slip law, such as LeastSlip() or Rolling()",
     "Limit": 'give values by name, as in {"x": 2.0, "y": (0.0, 1.0)}',
     "Cost": 'give weights by name, as in {"slip": 1e3}',
     "a mapping": 'give values by name, as in {"x": 2.0}',

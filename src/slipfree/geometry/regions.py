@@ -229,7 +229,7 @@ class _Polygon(Region):
         Corners (n, 2) are relative to the first point [m], without points on straight edges; the
         sign is 1 for a convex corner, -1 for a concave one.
         """
-        local = np.asarray(self.points) - self.points[0]
+        local = np.asarray(self.points, dtype=float) - self.points[0]
         turns = _turns(local)
         # omit points on straight edges: rounding would decide their sign
         corner = np.abs(turns) > MIN_TURN_SINE
