@@ -30,7 +30,7 @@ SETTINGS = {
     "inverse": ["time.duration=1", "time.step=0.1"],
     "plan": ["plan.intervals=8", "time.step=0.5"],
 }
-FIGURES = {"direct": 0, "inverse": 11, "plan": 0}
+FIGURES = {"direct": 0, "inverse": 9, "plan": 0}
 VOID = {"meta", "link", "img"}
 
 
@@ -79,7 +79,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_page_holds_all_of_a_result(kind, tmp_path, monkeypatch):
     file = _result(kind, tmp_path)
     if kind == "plan":
-        assert len(report(file).figures) == 15
+        assert len(report(file).figures) == 12
     if not FIGURES[kind]:  # they are drawn as those of an inverse motion, and in test_plot_plan.py
         for verb in ("driving.DriveVerb", "plan.PlanVerb"):
             monkeypatch.setattr(f"slipfree.problem.verbs.{verb}.figures", lambda *_: ())

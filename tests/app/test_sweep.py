@@ -33,7 +33,8 @@ from slipfree.show import sweep_figures as show
 from slipfree.show.swept import Swept, Varied
 from slipfree.sweep import pools
 from slipfree.sweep.grid import axis_of, sweep_of
-from slipfree.sweep.log import Rows, RunRow, RunTask, run_task
+from slipfree.sweep.log import Rows, RunRow, RunTask
+from slipfree.sweep.pools import run_task
 from slipfree.sweep.run import drawn_grids, grids
 from slipfree.sweep.worker import work
 from slipfree.system import processes

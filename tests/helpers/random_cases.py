@@ -12,6 +12,7 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import remainder
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -297,7 +298,11 @@ def start_of(case: Case, ground: Any, vehicle: Vehicle) -> dict[str, Any]:
     place = rng.uniform(-0.5, 0.5, 2) if case.ground == "small" else rng.uniform(-2, 2, 2)
     if case.start == "outside":
         place = place + 2 * SIDE
-    start: dict[str, Any] = {"x": x + place[0], "y": y + place[1], "heading": rng.uniform(-9, 9)}
+    start: dict[str, Any] = {
+        "x": x + place[0],
+        "y": y + place[1],
+        "heading": remainder(rng.uniform(-9, 9), 2 * np.pi),
+    }
     if case.start in ("posed", "extreme"):
         size = 0.15 if case.start == "posed" else 1.5
         names = [c.name for c in vehicle.coordinates if c.kind != "suspension"]
@@ -365,9 +370,7 @@ def _first_input(value: Any) -> Callable[[dict[str, Any]], Any]:
 
 
 FAULTS = {
-    "start not finite": Fault(
-        _set("start", x=np.nan), "start: expected a finite number for 'x', found nan"
-    ),
+    "start not finite": Fault(_set("start", x=np.nan), "x: expected a number, found float nan"),
     "unknown start": Fault(
         _set("start", yaw=0.1), r"start: expected values only for 'x', .*, found the unknown 'yaw'"
     ),

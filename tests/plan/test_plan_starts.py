@@ -121,7 +121,7 @@ def test_further_guesses_depend_on_the_seed_alone_and_keep_to_bounds(model):
 
 
 def test_no_starts_and_starts_that_cannot_be_simulated_are_an_error(model, monkeypatch):
-    with pytest.raises(sf.ModelError, match="Search: 'starts': expected a number >= 1, found 0"):
+    with pytest.raises(sf.ModelError, match="Search: starts: expected a number >= 1, found 0"):
         planned(model, led(model, 1), search=sf.Search(starts=0))
     monkeypatch.setattr("slipfree.system.processes.available_cores", lambda: 1)
 

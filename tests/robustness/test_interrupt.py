@@ -608,7 +608,7 @@ def test_a_fit_keeps_its_last_accepted_estimate(folder, monkeypatch, at, rows):
     t = np.linspace(0, 12, 13)
     turned = -0.2 * t
     names = ["front_right", "front_left", "rear_right", "rear_left"]
-    columns = [t, 5 * np.cos(turned), 5 * np.sin(turned), turned]
+    columns = [t, 5 * np.cos(turned), 5 * np.sin(turned), turned + np.pi]
     columns += [np.full(t.size, 6.0 if "left" in name else 3.0) for name in names]
     head = ["time", "x", "y", "heading", *(f"{name}_rate" for name in names)]
     write_rows(folder / "log.csv", head, np.column_stack(columns).tolist())

@@ -30,8 +30,8 @@ from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.version import __version__
 from slipfree.sweep import pools
 from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.log import Rows, lost_run, run_task
-from slipfree.sweep.pools import DaskPool
+from slipfree.sweep.log import Rows, lost_run
+from slipfree.sweep.pools import DaskPool, run_task
 from slipfree.sweep.run import sweep_facts
 from slipfree.sweep.worker import work
 from slipfree.system.parts import LOG

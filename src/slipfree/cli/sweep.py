@@ -100,8 +100,8 @@ def sweep(
     with reported():
         from slipfree.problem.inputs import files_read
         from slipfree.sweep.grid import sweep_of
-        from slipfree.sweep.log import FAILED, LOST, run_task
-        from slipfree.sweep.pools import pool_of
+        from slipfree.sweep.log import FAILED, LOST
+        from slipfree.sweep.pools import pool_of, run_task
         from slipfree.sweep.run import TABLE, choose_figures, drawn_grids, grids, sweep_facts
         from slipfree.system.codegen_cache import obstacle
         from slipfree.system.processes import available_cores

@@ -156,13 +156,6 @@ def lost_run(task: RunTask, words: str) -> Done:
     return without_motion(task, LOST, words)
 
 
-def run_task(task: RunTask) -> Done:
-    """Execute a task with `slipfree.sweep.worker.work`, and return its result."""
-    from slipfree.sweep.worker import work  # imports the solvers, which the parent does not need
-
-    return work(task)
-
-
 def own_settings(task: RunTask) -> tuple[str, ...]:
     """Return the settings of a task that are specific to its run."""
     return task.settings[len(task.settings) - task.own :]

@@ -30,7 +30,6 @@ from slipfree.system.interrupt import check_interrupt
 if TYPE_CHECKING:
     from slipfree.models.montana import Difference
     from slipfree.plan.polynomial_motion import SavedPlan
-    from slipfree.problem.build_ground import GroundMap
     from slipfree.show.plots import Plot
     from slipfree.vehicle.tree import Vehicle
 
@@ -92,7 +91,7 @@ class VerbSetup(Protocol):
     """Common attributes of the set-ups of all verbs."""
 
     @property
-    def ground(self) -> GroundMap:
+    def ground(self) -> Any:
         """Ground on a grid."""
 
     @property
