@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slipfree.core.arguments import checked
-from slipfree.core.errors import DataError
+from slipfree.core.errors import DataError, ModelError
 from slipfree.core.records import Array
 from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.maps.missing_values import check_values
@@ -331,7 +331,10 @@ def jacksboro(scale: float = 1.0) -> Grid:
 
 def _read_npz(path: Path, ask: Reading) -> Heights:
     x, y, z = _arrays(path)
-    grid = Grid(x, y, np.where(np.isnan(z), 0.0, z))  # checks axes and shapes
+    try:
+        grid = Grid(x, y, np.where(np.isnan(z), 0.0, z))  # checks axes and shapes
+    except ModelError as error:
+        raise DataError(str(error).removeprefix("Grid: ")) from error
     axes = axes_of(x, y)
     i, j = parts(*axes, ask.window)
     check_values(
