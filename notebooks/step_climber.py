@@ -331,10 +331,14 @@ for law, settings in LAWS.items():
 # %%
 figure = style.figure(7.2, 4.6)
 upper, lower = figure.subplots(2, 1, sharex=True)
+legs = [leg for *_, leg in plan.parts]
+begins = np.cumsum([0.0, *(leg.duration for leg in legs[:-1])])
+t = np.concatenate([begin + leg.t for begin, leg in zip(begins, legs, strict=True)])
+ratio = np.concatenate([np.abs(leg.friction) / leg.load for leg in legs])
+rates = np.concatenate([leg.wheel_rate for leg in legs])
 for k, axle in enumerate(AXLES):
-    color, run = style.PALETTE[k], plan.run
-    upper.plot(run.t, np.abs(run["friction", axle]) / run["load", axle], color=color, label=axle)
-    lower.plot(run.t, radius * run["wheel_rate", axle], color=color)
+    upper.plot(t, ratio[:, k], color=style.PALETTE[k], label=axle)
+    lower.plot(t, radius * rates[:, k], color=style.PALETTE[k])
 upper.set(ylabel="|T| / N of the plan [1]", ylim=(0, 0.8))
 lower.set(xlabel="time of the plan [s]", ylabel="rim speed of the plan [m/s]")
 figure.legend(loc="outside lower center", ncols=3)
