@@ -127,12 +127,7 @@ class TileFolder(Parts):
     def store(self, tile: Tile) -> None:
         """Store a tile; raise DataError if an input file has changed since the start."""
         self.states.check()
-
-        def fill(part: Path) -> None:
-            with part.open("wb") as stream:
-                np.save(stream, tile.values)
-
-        self.add(tile.number + 1, {}, fill)
+        self.add(tile.number + 1, {}, lambda part: np.save(part, tile.values))
 
     def poses(self, number: int) -> Atlas:
         """Return the poses of a finished tile."""
