@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from helpers.commands import invoke, sets
 from slipfree.cli import app
+from slipfree.core.errors import DataError
 from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
 from slipfree.plan.polynomial_motion import from_arrays
@@ -60,6 +61,18 @@ def test_a_file_keeps_what_a_plan_leaves(solved):
     assert saved.motion.duration == 20.0
     assert saved.motion.continuous
     assert_array_equal(saved.arrays["plan_unknowns"], saved.unknowns)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("sizes", [3, 0, 2, 3, 1]), ("sizes", [3, 4e8, 2, 3, 1]), ("ends", [0, 2])]
+)
+def test_a_damaged_plan_is_refused(name, value):
+    sizes, ends = np.array([1.0, 1, 1, 1, 0]), np.array([0.0, 1.0])
+    plan = {"sizes": sizes, "ends": ends, "unknowns": np.zeros(5), "shift": np.zeros(2)}
+    plan = {f"plan_{key}": each for key, each in (plan | {"model": np.ones(1)}).items()}
+    assert from_arrays(plan, "a.nc").motion.duration == 0
+    with pytest.raises(DataError, match=r"a\.nc: .*the file is damaged"):
+        from_arrays(plan | {f"plan_{name}": np.array(value, dtype=float)}, "a.nc")
 
 
 def interrupt_search(monkeypatch, calls):

@@ -176,7 +176,7 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float6
     """Return the arrays that `write` stored in addition to the trajectory, by name."""
     file = open_netcdf(Path(path))
     names = [k for k, each in file.variables.items() if each.dimensions[:1] == (f"{k}{SIZE}",)]
-    with file.stream:
+    with file.stream, np.errstate(invalid="ignore"):  # NaN in a damaged file
         return {name: file.values(name).astype(np.float64) for name in names}
 
 

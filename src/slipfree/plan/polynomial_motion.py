@@ -355,4 +355,31 @@ def from_arrays(arrays: Mapping[str, Array], where: str) -> SavedPlan:
             f"{where}: expected the result of a plan, found no plan in it; give a file that "
             'slipfree run wrote for a problem with verb = "plan"'
         )
-    return SavedPlan(*(np.zeros(0) if value is None else value for value in fields.values()))
+    saved = SavedPlan(*(np.zeros(0) if value is None else value for value in fields.values()))
+    if not _is_consistent(saved):
+        raise DataError(
+            f"{where}: expected the arrays of one plan, found sizes or values that contradict each "
+            "other: the file is damaged; use another result, or plan without it"
+        )
+    return saved
+
+
+def _is_consistent(saved: SavedPlan) -> bool:
+    """Return whether the arrays of a file are finite and have the sizes of one plan."""
+    known = [*saved[:3], *saved[5:]]
+    if not all(value.ndim == 1 and np.isfinite(value).all() for value in known):
+        return False
+    sizes = saved.sizes.tolist()
+    if len(sizes) != 5 or any(size < 0 or size != round(size) for size in sizes):
+        return False
+    degree, n_x, n_z, n_u, continuous = sizes
+    count, ends = saved.ends.size - 1, saved.ends
+    block = n_u + degree * (n_x + n_z)
+    return (
+        min(degree, n_x, count) > 0
+        and continuous <= 1
+        and bool((ends[0], ends[-1]) == (0, 1) and (np.diff(ends) > 0).all())
+        and saved.unknowns.size > n_x + block * count + n_u * continuous
+        and saved.shift.size >= n_x + n_z
+        and saved.model.size == 1
+    )
