@@ -245,8 +245,7 @@ def test_what_is_no_window_period_world_or_state_is_refused(found, window):
     with pytest.raises(sf.ModelError, match=r"expected 'begin' from 0 to below 4 s"):
         cycle_inputs(window, first, 8.5, 9.0)
     for state in (start[:-1], start * np.nan, start[0]):
-        words = r"expected a time and 4 states, all finite|x: expected an array"
-        with pytest.raises(sf.ModelError, match=words):
+        with pytest.raises(sf.ModelError, match=r"expected (finite values|an array)"):
             replan(window, first, 0.0, state)
     with pytest.raises(sf.ModelError, match="t: expected a number, found float nan"):
         replan(window, first, np.nan, start)

@@ -61,8 +61,6 @@ REMEDIES = {  # by expected value
     "Grid": "pass the grid of a map, read_map(path).grid, or Grid(x, y, z) of arrays",
     "Path": "make one of points: Path(np.array([[0.0, 0.0], [1.0, 2.0]]))",
     "Mesh": "give a record, as in Mesh(intervals=20)",
-    "Search": "give a record, as in Search(starts=4)",
-    "SolverOptions": "give a record, as in SolverOptions(1e-6)",
     "a record of inputs": "give the inputs by name: model.inputs(**inputs)",
     "GroundLaw": "give a wheel-ground law, such as Coulomb()",
     "SlipLaw": "give a slip law, such as LeastSlip() or Rolling()",
@@ -224,9 +222,9 @@ def _converted(hint: Any, value: Any, place: str, context: _Context) -> Any:
         return _sequence(hint, value, place, context)
     if not _is_instance(kind, parts, value, context):
         similar_one = similar(value, parts) if kind is Literal and isinstance(value, str) else ""
-        remedy = "correct it" if kind is float and isinstance(value, Real) else ""
+        is_known = similar_one or (kind is float and isinstance(value, Real))
+        remedy = f"{similar_one}correct it" if is_known else ""
         remedy = f"call it: {value.__name__}()" if isinstance(value, type) else remedy
-        remedy = f"{similar_one}correct it" if similar_one else remedy
         raise _Wrong(place, _words(hint), _shown(value), remedy)
     if kind is Mapping:
         pairs = ((k, _converted(parts[0], k, f"{place}, name", context)) for k in value)
@@ -322,7 +320,7 @@ def _check_note(note: Any, value: Any, place: str, context: _Context) -> None:
         for k in np.flatnonzero(~holds(numbers, edge))[:1]:
             words = "a finite number" if abs(edge) == inf else f"a number {sign} {edge:g}"
             at = f"{place}[{k}]" if isinstance(value, np.ndarray) else place
-            raise _Wrong(at, words, f"{numbers[k]}")
+            raise _Wrong(at, words, _shown(numbers[k]).removeprefix("float64 "))
 
 
 def check_angles(name: str, values: Mapping[str, Any], units: Mapping[str, str]) -> None:
@@ -379,5 +377,7 @@ def _shown(value: Any) -> str:
         return f"the class {value.__name__}"
     if not isinstance(value, str | Real | list | dict):
         return "None" if value is None else type(value).__name__
+    if isinstance(value, int) and value.bit_length() > MAX_SHOWN:  # may be too long for text
+        return f"int of {value.bit_length()} bits"
     text = f"{value}" if isinstance(value, Real) else repr(value)
     return f"{type(value).__name__} {text if len(text) <= MAX_SHOWN else '...'}"

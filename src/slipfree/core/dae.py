@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import TypeVar  # with a default
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, similar
 from slipfree.core.lookups import Lookup, lookup_function
 from slipfree.core.outcome import Outcome
@@ -28,6 +29,7 @@ from slipfree.core.records import (
     quantity_names,
     unpack,
 )
+from slipfree.core.schema import Finite
 from slipfree.core.trajectory import Trajectory
 
 LIMIT_ROUNDING = (
@@ -458,6 +460,7 @@ class Dae(Generic[X, Z, U, Y]):
         sizes = [self.sizes.alg[begin:end] for begin, end in pairwise(ends)]
         return tuple(rows / ca.DM(size) for rows, size in zip(self.alg, sizes, strict=True))
 
+    @checked
     def inputs(self, **values: InputValue) -> Record:
         """Return the record of inputs from values by name.
 
@@ -507,7 +510,8 @@ class Dae(Generic[X, Z, U, Y]):
         shift = {"x": self.shift[0], "z": self.shift[1]}.get(record, np.zeros(len(values)))
         return np.array(values) - shift
 
-    def start(self, **values: float) -> Array:
+    @checked
+    def start(self, **values: Finite) -> Array:
         """Return a state vector in local coordinates, shape (n_x,), from map values by name.
 
         States that are not named have the map value zero.
@@ -519,12 +523,23 @@ class Dae(Generic[X, Z, U, Y]):
         """
         names = [label.full for label in leaves(self.labels.x)]
         _same_names("start", names, values, all_needed=False)
-        for name, value in values.items():
-            if not np.isfinite(value):
-                raise ModelError(
-                    f"start: expected a finite number for {name!r}, found {value}; correct it"
-                )
         return np.array([values.get(name, 0.0) for name in names]) - self.shift[0]
+
+    def local_state(self, x: Array) -> Array:
+        """Return states in local coordinates, shape (n_x,), from map coordinates in their order.
+
+        Raises
+        ------
+        ModelError
+            If a state is missing or not finite.
+        """
+        names = [label.full for label in leaves(self.labels.x)]
+        if np.shape(x) != (len(names),) or not np.isfinite(x).all():
+            raise ModelError(
+                f"expected finite values of the states {', '.join(names)}, in map coordinates, "
+                f"found {x}; give all of them in this order"
+            )
+        return x - self.shift[0]
 
     def named(self, name: str) -> list[ca.SX]:
         """Return the expressions of a quantity: one, or one per wheel.

@@ -21,6 +21,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate, run_buffered
 from slipfree.core.outcome import ipopt_words
 from slipfree.core.records import Array, Record, field_overview, leaves
+from slipfree.core.schema import Finite
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.plan.ipopt import MAX_ITERATIONS, largest_violation, warm_solver
 from slipfree.plan.plan import Plan
@@ -188,7 +189,7 @@ def first_cycle(window: Horizon) -> Cycle:
 @checked
 @computing
 @with_interrupt_guard
-def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
+def replan(window: Horizon, former: Cycle, t: Finite, x: Array) -> Cycle:
     """Update a plan from a measured state while the vehicle moves.
 
     Parameters
@@ -234,11 +235,7 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     True
     """
     program, plan = window.program, window.plan
-    if x.shape != program.layout.first.shape or not np.isfinite([t, *x]).all():
-        raise ModelError(
-            f"replan: expected a time and {program.layout.first.size} states, all finite, found "
-            f"t = {t} and {x}; check the measurement"
-        )
+    x = program.task.dae.local_state(x)
     if t < former.t - TIME_TOLERANCE:
         raise ModelError(
             f"replan: expected a time t of at least {former.t:g} s, the time of the previous "
@@ -249,9 +246,7 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
         return former
     first = _sample_motions(window, [(former.motion, former.t), (plan, 0.0)], t, span)
     near = first[program.layout.first]
-    x = same_turn((x - program.task.dae.shift[0])[:, None], near[:, None], program.task.periodic)[
-        :, 0
-    ]
+    x = same_turn(x[:, None], near[:, None], program.task.periodic)[:, 0]
     first[program.layout.first] = x
     first = completed(program, first)
     rows, bounds = _shift_multipliers(program, former, t, span)

@@ -241,7 +241,6 @@ def sample_plan(
     SolverError
         If the vehicle cannot stand at ``x``, or a limit is violated there.
     """
-    _check_state(task, x)
     if goal is not None:
         task.model.start(**dict.fromkeys(goal, 0.0))  # names
         for name, value in goal.items():
@@ -276,15 +275,6 @@ def sample_plan(
         _ends(task, motions),
         number,
     )
-
-
-def _check_state(task: SamplingTask, x: Array) -> None:
-    names = [label.full for label in leaves(task.model.labels.x)]
-    if np.shape(x) != (len(names),) or not np.isfinite(x).all():
-        raise ModelError(
-            f"sampling: expected finite values of the states {', '.join(names)}, found {x}; give "
-            "all of them in this order"
-        )
 
 
 class _Aims(NamedTuple):
@@ -326,7 +316,7 @@ def _first_state(task: SamplingTask, x: Array) -> Array:
     """Return the rows of the vehicle at a state, shape (n_rows, 1)."""
     rows = task.evaluate.graphs.rows
     first = np.zeros((rows.t.stop, 1))
-    first[rows.x, 0] = x - task.model.shift[0]
+    first[rows.x, 0] = task.model.local_state(x)
     first[rows.c] = np.reshape([each.value for each in task.model.p], (-1, 1))
     first[rows.stage] = np.reshape(task.evaluate.graphs.stages[-1:], (-1, 1))
     if not solve_positions(task.evaluate, first).all():

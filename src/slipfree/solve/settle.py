@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
+from annotated_types import Ge
 
 from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae, Standing
@@ -17,6 +18,7 @@ from slipfree.core.lookups import check_order, needed_lookups
 from slipfree.core.outcome import ipopt_words
 from slipfree.core.rearrange import blocks, rearrange, variables
 from slipfree.core.records import Array, leaves, unpack
+from slipfree.core.schema import Finite
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.options import SolverOptions
@@ -334,14 +336,15 @@ def _settle_at(dae: Dae, found: Trajectory, options: SolverOptions) -> Trajector
     return settle(dae, guess=pose, options=options, **states)
 
 
+@checked
 @computing
 @with_interrupt_guard
 def settle_nearest(
     dae: Dae,
     *,
-    weights: Mapping[str, float] | None = None,
+    weights: Mapping[str, Annotated[float, Ge(0)]] | None = None,
     options: SolverOptions = SolverOptions(),
-    **pose: float,
+    **pose: Annotated[Finite, BY_NAME],
 ) -> Trajectory:
     """Return the vehicle at rest in the pose nearest to a given pose.
 
@@ -417,17 +420,6 @@ def _check_pose(
             raise ModelError(
                 f"settle_nearest: expected names of states and pose coordinates, "
                 f"{', '.join(names)}, found {name!r}; correct the name"
-            )
-    for name, value in pose.items():
-        if not np.isfinite(value):
-            raise ModelError(
-                f"settle_nearest: {name}: expected a finite value, found {value}; correct the value"
-            )
-    for name, weight in weights.items():
-        if not weight >= 0:
-            raise ModelError(
-                f"settle_nearest: weights: expected a weight of at least 0 for {name!r}, found "
-                f"{weight}; correct it"
             )
 
 

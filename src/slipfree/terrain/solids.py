@@ -456,6 +456,7 @@ def flat() -> Profile:
     return Profile((_block(-FLOOR_LENGTH, 0.0, FLOOR_LENGTH),))
 
 
+@checked
 def ramp(
     angle: Annotated[float, Gt(0), Le(math.pi / 2), Unit("rad"), doc("angle of the ramp")],
     height: Annotated[Length, doc("height of the plateau")],
@@ -474,12 +475,6 @@ def ramp(
     ModelError
         If the angle or the height is out of range.
     """
-    _positive(height=height)
-    if not 0 < angle <= math.pi / 2:
-        raise ModelError(
-            f"ramp: expected an angle above 0 and at most pi/2 rad, found {angle} rad; give a "
-            "positive angle in radians"
-        )
     slope = math.cos(angle) / math.sin(angle)
     if ROOT_DEPTH * slope > FLOOR_LENGTH / 2 or height * slope > FLOOR_LENGTH / 2:
         least = math.degrees(math.atan(2 * max(height, ROOT_DEPTH) / FLOOR_LENGTH))
@@ -499,6 +494,7 @@ def ramp(
     return Profile((*flat().solids, wedge))
 
 
+@checked
 def step(height: Annotated[Length, doc("height of the plateau")]) -> Profile:
     """Return a floor with a step to a plateau of a given height [m], at x = 0.
 
@@ -507,10 +503,10 @@ def step(height: Annotated[Length, doc("height of the plateau")]) -> Profile:
     ModelError
         If the height is not positive and finite.
     """
-    _positive(height=height)
     return Profile((*flat().solids, _block(0.0, height, FLOOR_LENGTH)))
 
 
+@checked
 def kerb(
     height: Annotated[Length, doc("height of the block")],
     length: Annotated[Length, doc("length of the block along x")],
@@ -522,10 +518,10 @@ def kerb(
     ModelError
         If the height or the length is not positive and finite.
     """
-    _positive(height=height, length=length)
     return Profile((*flat().solids, _block(0.0, height, length)))
 
 
+@checked
 def stairs(
     height: Annotated[Length, doc("height of a step")],
     depth: Annotated[Length, doc("depth of a step along x")],
@@ -545,7 +541,6 @@ def stairs(
     ModelError
         If a number is not positive.
     """
-    _positive(height=height, depth=depth, count=count)
     blocks = (_block(k * depth, (k + 1) * height, FLOOR_LENGTH) for k in range(count))
     return Profile((*flat().solids, *blocks))
 
@@ -553,15 +548,6 @@ def stairs(
 def _block(start: float, height: float, length: float) -> Solid:
     end = start + length if length < FLOOR_LENGTH else FLOOR_LENGTH
     return Solid(((start, -ROOT_DEPTH), (end, -ROOT_DEPTH), (end, height), (start, height)))
-
-
-def _positive(**sizes: float) -> None:
-    for name, value in sizes.items():
-        if not (value > 0 and math.isfinite(value)):
-            raise ModelError(
-                f"profile: expected a positive and finite number for {name!r}, found {value}; "
-                "change it"
-            )
 
 
 def _counter_clockwise(points: Array) -> Sequence[Array]:

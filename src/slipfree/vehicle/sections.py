@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from math import degrees, inf, pi
+from math import degrees, pi
 
 import casadi as ca
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
-from slipfree.core.schema import Length
+from slipfree.core.schema import Length, Radius
 from slipfree.geometry.mesh import TriangleMesh, sheet
 
 AXLE = ca.SX(ca.DM([1, 0, 0]))  # direction of the axle in the wheel's axes
@@ -380,18 +380,14 @@ SECTIONS: dict[str, type[Section]] = {
 }
 
 
-def section_of_radii(r1: float, r2: float, *, rollers: float | None = None) -> Section:
+@checked
+def section_of_radii(r1: Radius, r2: Radius, *, rollers: float | None = None) -> Section:
     """Return the torus of two radii; a disc for ``r1 = 0``, a sphere for ``r2 = 0``.
 
     ``r1`` is the radius of the tube, ``r2`` that of the circle of tube centres [m]; ``rollers`` the
     angle of free rollers, as in `Omni`, None without rollers. ModelError is raised for negative or
     infinite radii, if both are zero, and for invalid angles.
     """
-    for key, radius in (("r1", r1), ("r2", r2)):
-        if not 0 <= radius < inf:
-            raise ModelError(
-                f"{key}: expected a finite radius of zero or more, found {radius} m; change it"
-            )
     if r1 + r2 <= 0:
         raise ModelError("r1, r2: expected a positive radius, found two zeros; increase r1 or r2")
     section = Disc(r2) if r1 == 0 else Sphere(r1) if r2 == 0 else Torus(r1, r2)

@@ -14,7 +14,7 @@ from annotated_types import Gt
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, field_overview, overview
-from slipfree.core.schema import Finite, NonNegative
+from slipfree.core.schema import Finite, NonNegative, Positive
 from slipfree.geometry.frame import (
     Axis,
     Elements,
@@ -292,7 +292,7 @@ class Vehicle:
     notes: tuple[str, ...] = ()
     planar: bool = False
     nominal: Vehicle | None = field(default=None, compare=False)
-    gravity: float = EARTH_GRAVITY
+    gravity: Positive = EARTH_GRAVITY
 
     def __repr__(self) -> str:
         driven = sum(wheel.driven for wheel in self.wheels)
@@ -333,11 +333,6 @@ class Vehicle:
             raise ModelError(
                 f"vehicle {self.name!r}: expected 1 to {MAX_WHEELS} wheels, found "
                 f"{len(self.wheels)}; {'remove' if self.wheels else 'add'} wheels"
-            )
-        if not 0 < self.gravity < math.inf:
-            raise ModelError(
-                f"vehicle {self.name!r}: gravity: expected a positive, finite number in m/s^2, "
-                f"found {self.gravity}; change it"
             )
 
     @property
