@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -39,7 +40,6 @@ from slipfree.system.interrupt import held_interrupt, interrupt_requested
 from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
-    from slipfree.fit.estimate import Estimate
     from slipfree.plan.pareto import FrontPoint
     from slipfree.problem.verbs.base import Lines
     from slipfree.problem.verbs.compare import ComparedMotion, ComparedVehicle
@@ -165,11 +165,15 @@ def fit(
     """
     with reported(), about(file):
         from slipfree.files.tables import write_rows
-        from slipfree.problem.inputs import files_read
         from slipfree.problem.wheel_test import is_wheel_file
 
         if is_wheel_file(file):
             work = _soil_fit(file, settings or [])
+            if predict:
+                raise ModelError(
+                    f"{file}: expected a problem file for --predict, found a wheel file; omit "
+                    "--predict"
+                )
         else:
             problem: Any = read_problem(file, settings, trust, "fit")
             if problem.spec.verb == "fit-over-map":
@@ -178,46 +182,38 @@ def fit(
                         f"{file}: expected the table [vehicle] for --write, found none; add it, or "
                         "omit --write: the constants are in a table"
                     )
-                inputs = [*files_read(problem), *(predict or [])]
-                table = out or default_table(file, "fit", inputs)
-                _fit_over_map(problem, predict or [], inputs, table, draw, (write, force))
-                return
-            work = _log_fit(problem, predict or [])
-        if predict and work.rows_name == "points":
-            raise ModelError(
-                f"{file}: expected a problem file for --predict, found a wheel file; omit --predict"
-            )
+                work = _fit_over_map(problem, predict or [])
+            else:
+                work = _log_fit(problem, predict or [])
         table = out or default_table(file, "fit", work.inputs)
-        others = table.with_name(f"{table.stem}_{work.rows_name}.csv")
+        tables = [table, *(table.with_name(f"{table.stem}_{end}.csv") for end in work.ends)]
         picture = table.with_suffix(".png") if draw else None
-        check_outputs([table, others, picture, write], work.inputs)
-        with held_interrupt(from_first_poll=True):
+        check_outputs([*tables, picture, write], work.inputs)
+        with held_interrupt(from_first_poll=True) if work.is_held else nullcontext():
             result = work.solve()
-            estimate, lost = result.estimate, result.estimate.undetermined
             files = [
-                save(table, lambda path: write_rows(path, *result.estimates)),
-                save(others, lambda path: write_rows(path, *result.rows)),
+                save(path, partial(write_rows, names=rows[0], rows=rows[1]))
+                for path, rows in zip(tables, result.tables, strict=True)
             ]
-            if write is not None and not lost:
+            if write is not None and not result.undetermined:
                 write_new_file(result.text(), write, force)
                 files.append(write)
-            is_interrupted = interrupt_requested() or estimate.is_interrupted
+            is_interrupted = work.is_held and (interrupt_requested() or result.is_interrupted)
         print_facts(result.facts)
-        names, rows = result.estimates
-        add_json("errors", lambda: result.errors)
-        add_json("estimates", lambda: [dict(zip(names, row, strict=True)) for row in rows])
+        for key, objects in result.objects.items():
+            add_json(key, partial(list, objects))
         if picture is not None and not is_interrupted:
             files += draw_plots([result.plot(picture.stem)], picture.parent)
         print_line(f"wrote {' and '.join(map(str, files))}")
         if is_interrupted:
             print_error(f"interrupted; {files[0]} contains the estimates so far")
             raise typer.Exit(INTERRUPTED)
-        if lost:
+        if result.undetermined:
             unwritten = f"; no {work.subject} was written" if write else ""
             print_error(
                 f"{file}: expected {work.data} all unknowns, found no information on "
-                f"{', '.join(lost)}{unwritten}; give priors, fit fewer unknowns, or use "
-                f"{work.remedy}"
+                f"{', '.join(result.undetermined)}{unwritten}; give priors, fit fewer unknowns, or "
+                f"use {work.remedy}"
             )
             raise typer.Exit(STOPPED)
 
@@ -225,24 +221,29 @@ def fit(
 class _FitResult(NamedTuple):
     """Result of a fit, for the output of the command."""
 
-    estimate: Estimate
     facts: Lines
-    estimates: tuple[list[str], list[list[Any]]]
-    rows: tuple[list[str], list[list[Any]]]
-    errors: list[dict[str, Any]]
+    tables: list[tuple[list[str], list[list[Any]]]]
+    objects: dict[str, list[dict[str, Any]]]  # of the JSON output
     text: Callable[[], str]
     plot: Callable[[str], Plot]
+    undetermined: tuple[str, ...] = ()
+    is_interrupted: bool = False
 
 
 class _FitWork(NamedTuple):
     """A fit to be solved, with the files that it reads."""
 
     inputs: list[Path]
-    rows_name: str  # end of the name of the table of windows or points
-    subject: str  # what is fitted
-    data: str
-    remedy: str
+    ends: tuple[str, ...]  # of the names of further tables
     solve: Callable[[], _FitResult]
+    subject: str = ""  # what is fitted
+    data: str = ""
+    remedy: str = ""
+    is_held: bool = True  # whether an interrupted fit has a result
+
+
+def _objects(table: tuple[list[str], list[list[Any]]]) -> list[dict[str, Any]]:
+    return [dict(zip(table[0], row, strict=True)) for row in table[1]]
 
 
 def _log_fit(problem: Any, predict: Sequence[Path]) -> _FitWork:
@@ -254,26 +255,20 @@ def _log_fit(problem: Any, predict: Sequence[Path]) -> _FitWork:
     def solve() -> _FitResult:
         fitted = verb.fit(problem, predict)
         estimate = fitted.calibration.estimate
+        estimates = verb.estimate_rows(estimate)
+        comments = verb.vehicle_comments(fitted.constants | fitted.sensor)
         return _FitResult(
-            estimate,
             verb.facts(fitted),
-            verb.estimate_rows(estimate),
-            verb.window_rows(fitted),
-            verb.error_rows(fitted),
-            lambda: vehicle_text(
-                fitted.vehicle, verb.vehicle_comments(fitted.constants | fitted.sensor)
-            ),
-            lambda name: fit_plot(name, fitted.calibration),
+            [estimates, verb.window_rows(fitted)],
+            {"errors": verb.error_rows(fitted), "estimates": _objects(estimates)},
+            partial(vehicle_text, fitted.vehicle, comments),
+            partial(fit_plot, calibration=fitted.calibration),
+            estimate.undetermined,
+            estimate.is_interrupted,
         )
 
-    return _FitWork(
-        [*files_read(problem), *predict],
-        "windows",
-        "vehicle",
-        "a log that determines",
-        "a log with other manoeuvres",
-        solve,
-    )
+    words = "vehicle", "a log that determines", "a log with other manoeuvres"
+    return _FitWork([*files_read(problem), *predict], ("windows",), solve, *words)
 
 
 def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
@@ -284,59 +279,41 @@ def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
 
     def solve() -> _FitResult:
         fitted = wheel_test.fit_wheel_file(contents)
+        fit = fitted.fit
+        constants = wheel_test.constant_rows(fit)
         return _FitResult(
-            fitted.fit.estimate,
             wheel_test.fit_facts(fitted),
-            wheel_test.constant_rows(fitted.fit),
-            wheel_test.point_rows(fitted),
-            wheel_test.error_rows(fitted.fit),
-            lambda: wheel_test.soil_text(fitted),
-            lambda name: soil_plot(name, fitted.runs.values, fitted.fit),
+            [constants, wheel_test.point_rows(fitted)],
+            {"errors": wheel_test.error_rows(fit), "estimates": _objects(constants)},
+            partial(wheel_test.soil_text, fitted),
+            lambda name: soil_plot(name, fitted.runs.values, fit),
+            fit.estimate.undetermined,
+            fit.estimate.is_interrupted,
         )
 
-    return _FitWork(
-        contents.files,
-        "points",
-        "soil",
-        "runs that determine",
-        "runs at other slip ratios, slip angles or loads",
-        solve,
-    )
+    words = "soil", "runs that determine", "runs at other slip ratios, slip angles or loads"
+    return _FitWork(contents.files, ("points",), solve, *words)
 
 
-def _fit_over_map(
-    problem: Any,
-    predict: list[Path],
-    inputs: Sequence[Path],
-    table: Path,
-    draw: bool,
-    vehicle: tuple[Path | None, bool],  # file to write, and whether to replace it
-) -> None:
-    from slipfree.files.tables import write_rows
+def _fit_over_map(problem: Any, predict: Sequence[Path]) -> _FitWork:
     from slipfree.files.vehicle_draft import vehicle_text
+    from slipfree.problem.inputs import files_read
     from slipfree.problem.verbs import fit_over_map as verb
     from slipfree.show.fit_figures import ground_plot
 
-    write, force = vehicle
-    picture = table.with_suffix(".png") if draw else None
-    more = (table.with_name(f"{table.stem}_{end}.csv") for end in ("constants", "windows"))
-    names = [table, *more]
-    check_outputs([*names, picture, write], list(inputs))
-    fitted = verb.fit_over_map(problem, predict)
-    tables = verb.error_rows(fitted.scores), verb.constant_rows(fitted), verb.window_rows(fitted)
-    files = [
-        save(name, partial(write_rows, names=rows[0], rows=rows[1]))
-        for name, rows in zip(names, tables, strict=True)
-    ]
-    if write is not None:
-        write_new_file(vehicle_text(*verb.fitted_vehicle(problem, fitted)), write, force)
-        files.append(write)
-    print_facts(verb.facts(fitted))
-    for key, (columns, rows) in zip(("errors", "estimates"), tables[:2], strict=True):
-        add_json(key, partial(list, [dict(zip(columns, row, strict=True)) for row in rows]))
-    if picture is not None:
-        files += draw_plots([ground_plot(picture.stem, fitted.scores)], picture.parent)
-    print_line(f"wrote {' and '.join(map(str, files))}")
+    def solve() -> _FitResult:
+        fitted = verb.fit_over_map(problem, predict)
+        errors, constants = verb.error_rows(fitted.scores), verb.constant_rows(fitted)
+        return _FitResult(
+            verb.facts(fitted),
+            [errors, constants, verb.window_rows(fitted)],
+            {"errors": _objects(errors), "estimates": _objects(constants)},
+            lambda: vehicle_text(*verb.fitted_vehicle(problem, fitted)),
+            partial(ground_plot, scores=fitted.scores),
+        )
+
+    inputs, ends = [*files_read(problem), *predict], ("constants", "windows")
+    return _FitWork(inputs, ends, solve, is_held=False)
 
 
 def wheel(

@@ -144,7 +144,10 @@ def read_log(
         _check_repeated(path, t, values, good)
         good = _without_excursions(path, table, good, place, left_out)
     if not good.any() and t.size:
-        raise DataError(f"{path}: expected rows with positions and inputs, found {+left_out!r}")
+        found = ", ".join(f"{count} with {reason}" for reason, count in (+left_out).items())
+        raise DataError(
+            f"{path}: expected rows with positions and inputs, found {found}; correct them"
+        )
     return MotionLog(
         path,
         t[good],
@@ -218,9 +221,10 @@ def _without_excursions(
 ) -> Mask:
     """Return the good rows without those that are far from both of their neighbours."""
     rows = np.flatnonzero(good)
+    window = table.values.get("window", np.zeros(good.size))[rows]
     steps, over = np.abs(np.diff(place[rows])), np.abs(place[rows][2:] - place[rows][:-2])
     least = np.minimum(steps[1:], steps[:-1])
-    is_away = (least > FAR) & (over < RETURN * least)
+    is_away = (least > FAR) & (over < RETURN * least) & (window[2:] == window[:-2])
     if is_away.sum() > MIXED * is_away.size:
         k = rows[int(is_away.argmax())]
         raise DataError(

@@ -172,7 +172,7 @@ def _joint_commands(path: Path, first: int | None = None) -> dict[str, JointComm
     if any(np.diff(joint.t, prepend=-1.0).min() <= 0 for joint in joints.values()):
         raise DataError(
             f"{path}: expected increasing times of each joint in topic {topic!r}, found equal or "
-            "decreasing ones; sort the messages, and keep one per time"
+            "decreasing ones; divide the recording where they decrease, and keep one per time"
         )
     return joints
 

@@ -214,7 +214,7 @@ def read_columns(
 
 def line_of(path: Path, row: int) -> int:
     """Return the number of the line of a row of a table, which counts from zero."""
-    if is_mcap(path):
+    if path.suffix.lower() in (".mcap", ".nc"):
         return row + 1
     file = _opened(path, "a table")
     layout = _table_layout(path, file)
