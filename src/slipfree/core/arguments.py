@@ -145,7 +145,8 @@ def _checked_call(
                 else:
                     given[parameter] = _converted(hint, value, parameter, context)
             except _Wrong as wrong:
-                who = f"{name.lower()} {given['name']!r}" if owner and "name" in given else name
+                is_named = owner and isinstance(given.get("name"), str)
+                who = f"{name.lower()} {given['name']!r}" if is_named else name
                 default = signature.parameters[parameter].default
                 usual = isinstance(default, int | float) and f"the default is {default:g}"
                 remedy = _exchange(parameter, given, hints()) or wrong.remedy or usual
@@ -320,7 +321,7 @@ def _check_note(note: Any, value: Any, place: str, context: _Context) -> None:
         for k in np.flatnonzero(~holds(numbers, edge))[:1]:
             words = "a finite number" if abs(edge) == inf else f"a number {sign} {edge:g}"
             at = f"{place}[{k}]" if isinstance(value, np.ndarray) else place
-            raise _Wrong(at, words, _shown(numbers[k]).removeprefix("float64 "))
+            raise _Wrong(at, words, _text(numbers[k]))
 
 
 def check_angles(name: str, values: Mapping[str, Any], units: Mapping[str, str]) -> None:
@@ -377,7 +378,12 @@ def _shown(value: Any) -> str:
         return f"the class {value.__name__}"
     if not isinstance(value, str | Real | list | dict):
         return "None" if value is None else type(value).__name__
-    if isinstance(value, int) and value.bit_length() > MAX_SHOWN:  # may be too long for text
-        return f"int of {value.bit_length()} bits"
-    text = f"{value}" if isinstance(value, Real) else repr(value)
-    return f"{type(value).__name__} {text if len(text) <= MAX_SHOWN else '...'}"
+    return f"{type(value).__name__} {_text(value)}"
+
+
+def _text(value: Any) -> str:
+    try:
+        text = f"{value}" if isinstance(value, Real) else repr(value)
+    except ValueError:  # of integers with thousands of digits
+        return "..."
+    return text if len(text) <= MAX_SHOWN else "..."
