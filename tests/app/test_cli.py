@@ -153,7 +153,7 @@ def test_run_in_json() -> None:
     found = _json("run", "p.toml", "--no-draw", "--csv", "p.csv")
     assert found["files"] == ["p.nc", "p.csv"]
     assert found["facts"]["vehicle"].startswith("three_wheeler")
-    assert "largest along" in found["facts"]["least slip: wheel front"]
+    assert "largest along" in found["facts"]["slip: wheel front"]
     result, motion = found["result"], netcdf.read("p.nc")
     assert result["stop"] is None
     assert result["wheels"] == ["right", "left", "front"]
@@ -384,7 +384,7 @@ def test_a_result_is_no_problem():
 def test_info(folder):
     invoke("run", "p.toml", "--no-draw")
     result = invoke("info", "p.nc", code=0)
-    for words in ("Überfahrt", f"slipfree version       {slipfree.__version__}", "slip_along "):
+    for words in ("Überfahrt", f"slipfree version     {slipfree.__version__}", "slip_along "):
         assert words in result.stdout
     assert PROBLEM not in result.stdout
     assert invoke("info", "p.nc", "--problem").stdout == PROBLEM

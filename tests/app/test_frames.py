@@ -46,11 +46,11 @@ def problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_heading_comes_back_as_it_was_given(problem):
     assert "start                x 0.5, heading 0.3, z" in printed("check", str(problem))
-    assert "heading 0.3 rad" in printed("run", str(problem), "--no-draw", "--csv", "p.csv")
+    assert "heading 17.19 deg" in printed("run", str(problem), "--no-draw", "--csv", "p.csv")
     table = np.genfromtxt("p.csv", delimiter=",", names=True, deletechars="")
     assert_allclose(table["heading"], 0.3, atol=1e-9)
     assert_allclose(np.diff(table["y"]) / np.diff(table["x"]), np.tan(0.3), atol=1e-6)
-    assert "heading 0.3 rad" in printed("info", "p.nc")
+    assert "heading 17.19 deg" in printed("info", "p.nc")
     found = json.loads(printed("info", "p.nc", "--json"))["result"]["quantities"]["heading"]
     assert found["last"] == pytest.approx(0.3, abs=1e-9)
     printed("export", "p.nc", "--path", "path.csv")
@@ -98,7 +98,7 @@ def test_every_file_of_a_motion_has_the_headings_of_its_frame(problem, frame, ax
     for name, values in found.items():
         assert_allclose(values, 0.3 + turn, atol=1e-9, err_msg=name)
     assert_allclose(read_mcap(Path("path.mcap"), "heading")["heading"], 0.3, atol=1e-9)
-    assert f"heading {0.3 + turn:.5g} rad" in Path("p.html").read_text()
+    assert f"heading {np.rad2deg(0.3 + turn):.4g} deg" in Path("p.html").read_text()
 
 
 def test_a_start_without_heading_faces_along_the_x_axis(problem):

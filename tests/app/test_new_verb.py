@@ -1,6 +1,6 @@
 """Add a verb of problem files: one module and one entry of `VERBS`.
 
-`Stand` and `StandVerb` are the module ``problem/verbs/stand.py`` (28 lines without docstrings and
+`Stand` and `StandVerb` are the module ``problem/verbs/stand.py`` (29 lines without docstrings and
 imports), and ``StandVerb()`` is the entry of ``VERBS`` in ``problem/load.py``: two files.
 Problem files, commands, sweeps, reports and result files accept the verb without other changes.
 """
@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from pydantic import Field
 
 from helpers.commands import printed
-from slipfree.core.facts import Fact
+from slipfree.core.facts import Fact, rows
 from slipfree.core.records import leaves
 from slipfree.files.netcdf import NOTHING
 from slipfree.models.kinematics import direct_kinematics
@@ -40,6 +40,7 @@ class StandVerb(DriveVerb):
 
     schema = Stand
     metrics_shown = ("load_least",)
+    rows = rows("load on wheel {name}: <loads> {fact:.4g} N")
 
     def build(self, problem: Any) -> Setup:
         """Return the model and the settled start."""
@@ -56,13 +57,11 @@ class StandVerb(DriveVerb):
         """Return the start."""
         return setup.start, NOTHING
 
-    def own_lines(self, run: Any) -> Any:
-        """Return the load on each wheel."""
-        return [(f"load on wheel {w}", f"{run['force_normal', w][0]:.4g} N") for w in run.wheels]
-
     def facts(self, run: Any) -> dict[str, Fact]:
-        """Return the least load beside the facts of every motion."""
-        return super().facts(run) | {"load_least": Fact(float(run["force_normal"].min()), "N")}
+        """Return the loads and the least load beside the facts of every motion."""
+        loads = dict(zip(run.wheels, run["force_normal"][0].tolist(), strict=True))
+        least = Fact(min(loads.values()), "N")
+        return super().facts(run) | {"loads": Fact(loads), "load_least": least}
 
     def figures(self, result: Any) -> tuple[Plot, ...]:
         """Return a bar for each wheel."""

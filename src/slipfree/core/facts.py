@@ -1,14 +1,21 @@
-"""Facts: what a computation found out, by name, with units.
+"""Facts: what a computation found out, by name, with units, and the lines that show them.
 
 Summaries, JSON output, sweeps, reports and figures render the same facts. A result file stores
-those that cannot be computed from its samples.
+those that cannot be computed from its samples. The lines of a summary are tables of `Row`.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
+from math import pi
+from string import Formatter
 from typing import Any, NamedTuple
+
+# factors from SI units to the units that people read; those of slip per path length are mm/m
+SCALES = {"deg": 180 / pi, "mm": 1e3, "mm/s": 1e3, "mm/m": 1e3, "%": 100.0}
+MAX_LISTED = 5  # largest number of table rows in one line
 
 
 class Fact(NamedTuple):
@@ -20,8 +27,88 @@ class Fact(NamedTuple):
     unit: str = ""
     words: str = ""  # description, where the name does not say all
 
+    def __format__(self, spec: str) -> str:
+        """Return value and unit as text; ``.3g>mm`` converts to the unit behind the sign."""
+        spec, _, shown = spec.partition(">")
+        value = self.value * SCALES[shown] if shown else self.value
+        unit = shown or ("" if self.unit in ("", "1") else printed_unit(self.unit))
+        return f"{value:{spec}} {unit}".rstrip()
+
 
 Facts = Mapping[str, Fact]
+
+
+class Row(NamedTuple):
+    """A line of a summary; its texts name facts and other values in braces, as in `str.format`."""
+
+    name: str
+    parts: tuple[str, ...]  # of the text; those that mention unknown values are left out
+    is_check: bool  # whether the line is about accuracy or validity
+    table: str  # name of a table, whose entries are further values; empty without one
+    lead: str  # text before the rows of the table
+
+
+def rows(text: str) -> tuple[Row, ...]:
+    """Return the rows of a summary, in lines of the form ``NAME: TEXT``.
+
+    A row is left out if it mentions values that a computation does not have, and so is a part of it
+    in brackets. A row about accuracy or validity begins with an exclamation mark. ``NAME: LEAD
+    <TABLE> TEXT`` shows the rows of a table: a line for each one if the name depends on it,
+    otherwise all in one line. The rows of ``gap_*`` are the facts whose names begin with ``gap_``:
+    ``name`` is the rest of the name, ``fact`` the fact.
+    """
+    found = []
+    for line in text.splitlines():
+        name, _, words = line.removeprefix("!").partition(": ")
+        *before, words = re.split(r"<([\w*]+)> ", words)
+        lead, table = before or ["", ""]
+        parts = tuple(filter(None, re.split(r"[\[\]]", words)))
+        found.append(Row(name, parts, line.startswith("!"), table, lead))
+    return tuple(found)
+
+
+def printed_unit(unit: str) -> str:
+    """Return a printed unit: ``m/s`` for ``m s-1``."""
+    parts = unit.split()
+    over = "".join(p for p in parts if not p.endswith("-1")) or "1"
+    return "/".join([over, *(p.removesuffix("-1") for p in parts if p.endswith("-1"))])
+
+
+def lines(rows: Iterable[Row], values: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the lines of a summary, pairs of name and text, from facts and other values."""
+    found = list[tuple[str, str]]()
+    for name, parts, _, table, lead in rows:
+        entries = [{**values, **entry} for entry in _table(table, values)] if table else [values]
+        if not table or "{" in name:
+            known = (each for each in entries if _has(name + parts[0], each))
+            found += [(name.format_map(each), _text(parts, each)) for each in known]
+            continue
+        texts = [_text(parts, each) for each in entries]
+        if len(texts) > MAX_LISTED + 1:
+            texts[MAX_LISTED:] = [f"{len(texts) - MAX_LISTED} more"]
+        if texts and _has(lead, values):
+            found.append((name, lead.format_map(values) + ", ".join(texts)))
+    return found
+
+
+def _table(name: str, values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    if name.endswith("*"):
+        found = starting_with(name[:-1], values)
+        return [{"name": rest, "fact": fact} for rest, fact in found.items()]
+    table = values[name].value if name in values else []
+    if isinstance(table, dict):
+        return [{"name": rest, "fact": value} for rest, value in table.items()]
+    return [{"fact": each} if isinstance(each, str) else each for each in table]
+
+
+def _text(parts: Iterable[str], values: Mapping[str, Any]) -> str:
+    return "".join(part.format_map(values) for part in parts if _has(part, values))
+
+
+def _has(text: str, values: Mapping[str, Any]) -> bool:
+    """Return whether all names in the braces of a text are known."""
+    fields = (name for _, name, _, _ in Formatter().parse(text) if name)
+    return all(name.partition(".")[0] in values for name in fields)
 
 
 def encode(facts: Facts) -> str:
@@ -45,7 +132,7 @@ def numbers(facts: Facts) -> dict[str, Fact]:
     return {name: fact for name, fact in facts.items() if isinstance(fact.value, int | float)}
 
 
-def starting_with(prefix: str, facts: Facts) -> dict[str, Fact]:
+def starting_with(prefix: str, facts: Mapping[str, Any]) -> dict[str, Any]:
     """Return the facts whose names begin with a prefix, by the rest of their names."""
     return {
         name.removeprefix(prefix): fact for name, fact in facts.items() if name.startswith(prefix)

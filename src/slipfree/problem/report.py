@@ -13,6 +13,7 @@ import numpy as np
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
+from slipfree.core.facts import lines, printed_unit
 from slipfree.core.records import Array, leaves, unpack
 from slipfree.core.trajectory import FIGURE_SAMPLES, Trajectory, outcome_words
 from slipfree.core.version import __version__
@@ -40,15 +41,14 @@ from slipfree.problem.load import find_motion_verb, load_problem, verb_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import build, motion_facts, open_result
 from slipfree.problem.stored_world import STORED
-from slipfree.problem.verbs.base import Lines, Result, outcome_fact, ranges
-from slipfree.problem.verbs.drive_facts import clearance_lines
+from slipfree.problem.verbs.base import Lines, MotionVerb, Result, outcome_fact, ranges
+from slipfree.problem.verbs.drive_facts import START_ROWS
 from slipfree.routing.traversability import extents
 from slipfree.show.atlas_figures import atlas_plots
 from slipfree.show.drive_scene import Driven, drive_scene
 from slipfree.show.film import picture
 from slipfree.show.html_page import Report
 from slipfree.show.plots import Plot
-from slipfree.show.style import unit
 from slipfree.solve.settle import settle
 from slipfree.solve.system import with_inputs
 from slipfree.terrain.analytic import Analytic
@@ -81,7 +81,8 @@ def report(file: Path) -> Report:
         return _atlas_report(file)
     result = open_result(file, samples=FIGURE_SAMPLES)
     run, verb = read(file, lazy=True), find_motion_verb(result.kind)
-    facts, names = [outcome_fact(run), *motion_facts(run)], verb.checks if verb else ()
+    facts = [outcome_fact(run), *motion_facts(run)]
+    names = {row.name for row in (verb or MotionVerb).rows if row.is_check}
     attributes = run.attributes
     tables: dict[str, Sequence[tuple[str, ...]]] = {
         "Result": [fact for fact in facts if fact[0] not in names],
@@ -118,7 +119,9 @@ def _atlas_report(file: Path) -> Report:
     tables: dict[str, Sequence[tuple[str, ...]]] = {
         "Result": summary,
         "Set-up": set_up,
-        "Maps": [(name, unit(label.unit), label.words) for name, (label, _) in view.maps.items()],
+        "Maps": [
+            (name, printed_unit(label.unit), label.words) for name, (label, _) in view.maps.items()
+        ],
         "Versions": _versions(file, attributes),
     }
     texts = {"Problem": attributes["problem"]} if "problem" in attributes else {}
@@ -224,7 +227,7 @@ def vehicle_plot(path: Path, settings: Sequence[str] = (), trust: Sequence[Path]
 
 def _description(vehicle: Vehicle, dae: Dae, terrain: Terrain, start: Trajectory) -> Description:
     solved = conditioning(dae, start) if dae.labels.z else []
-    clear = clearance_lines(closest_fact(vehicle, terrain, start))
+    clear = lines(START_ROWS, closest_fact(vehicle, terrain, start))
     inputs, *details = counts(vehicle, dae)
     facts = [inputs, *dimensions(vehicle), *clear, *_notes(vehicle)]
     return Description(_drawn_tree(vehicle), wheel_rows(vehicle), facts, (), [*details, *solved])

@@ -13,7 +13,7 @@ from typing import Any
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, SlipfreeError
-from slipfree.core.facts import Fact
+from slipfree.core.facts import Fact, lines
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Stop, Trajectory, thin
@@ -37,7 +37,7 @@ from slipfree.problem.verbs.base import (
     VerbSetup,
     VerbSolution,
     Watch,
-    plain_facts,
+    values_of,
 )
 from slipfree.system.forks import computing
 from slipfree.system.regular_files import escape_name, unescape_name
@@ -200,7 +200,9 @@ def motion_facts(run: Trajectory) -> Lines:
     """
     verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
     with _readable_facts():
-        return plain_facts(run) if verb is None else verb.summary(run)
+        if verb is None:
+            return lines(MotionVerb.rows, values_of(run, run.facts))
+        return verb.summary(run)
 
 
 def facts_of(run: Trajectory) -> Mapping[str, Fact]:

@@ -21,6 +21,7 @@ from matplotlib.ticker import ScalarFormatter
 from slipfree.atlas.atlas import Atlas
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, similar
+from slipfree.core.facts import printed_unit
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.models.samples import CLOSEST
@@ -148,7 +149,7 @@ def tracks(run: Trajectory, ax: Axes) -> Axes:
 def history(run: Trajectory, name: str, ax: Axes) -> Axes:
     """Draw a quantity over time, with one line per wheel for quantities of wheels."""
     values = run[name]
-    unit = style.unit(run.columns[name].label.unit)
+    unit = printed_unit(run.columns[name].label.unit)
     if values.ndim == 2:
         style.by_wheel(run, values, ax)
     else:
@@ -320,7 +321,7 @@ def clearance(run: Trajectory, ax: Axes) -> Axes:
     words = run.facts[CLOSEST].words.partition(", t =")[0] if CLOSEST in run.facts else "least"
     ax.plot(run.t[k], values[k], "o", color=PLATFORM, ms=4, label=f"least: {words}")
     ax.axhline(0, color="0.6", lw=0.6)
-    ax.set_ylabel(f"clearance of the body [{style.unit('m')}]")
+    ax.set_ylabel(f"clearance of the body [{printed_unit('m')}]")
     return style.time_axis(run, ax)
 
 
@@ -399,7 +400,7 @@ def _tracks_differ(run: Trajectory, width: float) -> bool:
 
 def _joint_rates(run: Trajectory, names: Sequence[str], ax: Axes) -> Axes:
     style.over_time(run, names, ax, first=len(run.wheels))
-    units = dict.fromkeys(style.unit(run.columns[name].label.unit) for name in names)
+    units = dict.fromkeys(printed_unit(run.columns[name].label.unit) for name in names)
     ax.set_ylabel(f"joint rate [{', '.join(units)}]")
     return style.time_axis(run, ax)
 

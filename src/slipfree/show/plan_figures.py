@@ -18,7 +18,7 @@ from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
-from slipfree.core.facts import starting_with
+from slipfree.core.facts import printed_unit, starting_with
 from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.regions import Region
@@ -146,7 +146,7 @@ def inputs(run: Trajectory, bounds: Mapping[str, Range], ax: Axes) -> Axes:
     for value, colors in ends.items():
         # a bound of several inputs is grey
         _bound(value, ax, colors[0] if len(colors) == 1 else "0.4", "bound")
-    units = dict.fromkeys(style.unit(run.columns[name].label.unit) for name in bounds)
+    units = dict.fromkeys(printed_unit(run.columns[name].label.unit) for name in bounds)
     ax.set_ylabel(f"inputs [{', '.join(units)}]")
     return style.time_axis(run, ax)
 
@@ -298,7 +298,7 @@ def _deviation_note(run: Trajectory) -> str:
     missed = [
         f"{style.words(name)} {gap.value:.1e} {unit}"
         for name, gap in starting_with("plan_difference_", run.facts).items()
-        if (unit := style.unit(gap.unit))
+        if (unit := printed_unit(gap.unit))
     ]
     return (
         f"Simulated with the planned inputs; deviates from the plan by {', '.join(missed)}."

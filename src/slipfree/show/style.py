@@ -101,13 +101,6 @@ def words(name: str) -> str:
     return printed.get(name, name.replace("_", " "))
 
 
-def unit(unit: str) -> str:
-    """Return a printed unit: ``m/s`` for ``m s-1``."""
-    parts = unit.split()
-    over = "".join(p for p in parts if not p.endswith("-1")) or "1"
-    return "/".join([over, *(p.removesuffix("-1") for p in parts if p.endswith("-1"))])
-
-
 def position_axis(axis: Any, name: str, low: float) -> None:
     """Label an axis of x, y or z; large coordinates are drawn relative to a round number."""
     start = 1000 * np.floor(low / 1000) if abs(low) >= LARGE else 0.0

@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slipfree.core.errors import ModelError
+from slipfree.core.facts import printed_unit
 from slipfree.core.records import Array, Mask
 from slipfree.show import style
 from slipfree.show.plots import MARGIN, PANEL, Plot, save
@@ -179,7 +180,7 @@ def _write_values(mean: Array, drawn: Any, ax: Axes) -> None:
 
 
 def _labelled(name: str, unit: str) -> str:
-    return f"{name} [{style.unit(unit)}]" if unit else name
+    return f"{name} [{printed_unit(unit)}]" if unit else name
 
 
 class DrawnFront(NamedTuple):
@@ -205,7 +206,7 @@ def front_figure(front: DrawnFront) -> Figure:
     upper.set_ylabel("squared slip and\nsmoothness [mm$^2$/s]")
     _draw_points(front, 1e3 * front.slip, 1e3 * front.given[2], lower)
     lower.set_ylabel("slip [mm per\nwheel and metre]")
-    lower.set_xlabel(f"{style.words(front.name)} [{style.unit(front.unit)}]")
+    lower.set_xlabel(f"{style.words(front.name)} [{printed_unit(front.unit)}]")
     handles, labels = upper.get_legend_handles_labels()
     made.legend(handles, labels, loc="outside upper center", ncols=3)
     return style.stacked(made, [upper, lower])

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, 
 import numpy as np
 from typing_extensions import TypeVar
 
-from slipfree.core.facts import Fact
+from slipfree.core.facts import Fact, Facts, Row, lines, rows
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.core.trajectory import SolverError, Stop, Trajectory, outcome_words
@@ -37,6 +37,12 @@ if TYPE_CHECKING:
 Lines = list[tuple[str, str]]
 VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
 FAILED_DIAGNOSTICS = "failed_diagnostics"  # fact with names and errors of diagnostics
+PLAIN_ROWS = rows(
+    """\
+duration: {duration:g}, {samples} samples
+!integrator: {steps:.0f} steps, {residuals:.0f} evaluations, {cpu_seconds:.3g} s CPU, tolerance \
+{tolerance:g}"""
+)
 CROSS_CHECK, RESUME = "cross-check", "resume"  # options of slipfree run
 P = TypeVar("P", bound=CommonKeys, default=Any)  # record of a problem
 D = TypeVar("D", default=Any)  # its set-up, or None
@@ -60,31 +66,20 @@ def ranges(run: Trajectory) -> Lines:
     return facts
 
 
-def plain_facts(run: Trajectory) -> Lines:
-    """Return the facts about duration and cost of a motion."""
-    return [duration_fact(run), integrator_fact(run)]
-
-
 def outcome_fact(run: Trajectory) -> tuple[str, str]:
     """Return the fact about the outcome of a motion, the first line of every summary."""
     return "outcome", outcome_words(run)
 
 
-def duration_fact(run: Trajectory) -> tuple[str, str]:
-    """Return the fact about duration and number of samples of a motion."""
-    return "duration", f"{run.t[-1] - run.t[0]:g} s, {run.t.size} samples"
-
-
-def integrator_fact(run: Trajectory) -> tuple[str, str]:
-    """Return the fact about the cost of the integration."""
-    counts = run.statistics
-    if "steps" not in counts:
-        return "integrator", "not used"
-    return (
-        "integrator",
-        f"{counts['steps']:.0f} steps, {counts['residuals']:.0f} evaluations, "
-        f"{counts['cpu_seconds']:.3g} s CPU, tolerance {counts['tolerance']:g}",
-    )
+def values_of(run: Trajectory, facts: Facts) -> dict[str, Any]:
+    """Return the values in the rows of summaries: facts, attributes, statistics, samples."""
+    duration, share = Fact(float(run.t[-1] - run.t[0]), "s"), ""
+    # the integrator's error test ignores the unknowns of pressed wheels
+    if "newton_step_largest" in facts and "steps" in run.statistics and "depth" not in run:
+        error = facts["newton_step_largest"].value / run.statistics["tolerance"]
+        share = f", {error:.3g} x the tolerance"
+    counted = {"samples": run.t.size, "duration": duration, "of_tolerance": share}
+    return {**counted, **run.attributes, **run.statistics, **facts}
 
 
 class VerbSetup(Protocol):
@@ -257,7 +252,7 @@ class MotionVerb(Verb):
 
     options: ClassVar[tuple[str, ...]] = ()  # of slipfree run: CROSS_CHECK, RESUME
     is_timed: ClassVar[bool] = True  # whether the solver proceeds along the time, as integrators do
-    checks: ClassVar[tuple[str, ...]] = ()  # facts that reports list separately
+    rows: ClassVar[tuple[Row, ...]] = PLAIN_ROWS  # of the summary of a motion
     metrics_shown: ClassVar[tuple[str, ...]] = ()  # those that a sweep shows by default
     verified: ClassVar[tuple[str, ...]] = ()  # beginnings of the facts of `verification`
 
@@ -283,9 +278,9 @@ class MotionVerb(Verb):
     def facts(self, run: Trajectory) -> dict[str, Fact]:
         """Return the facts of a motion, those stored in it included, by name."""
 
-    @abstractmethod
     def summary(self, run: Trajectory) -> Lines:
         """Return the summary of a motion, pairs of name and text, which show its facts."""
+        return lines(self.rows, values_of(run, self.facts(run)))
 
     def describe_end(self, run: Trajectory) -> str:
         """Return a description of the end of a complete motion; empty by default."""
@@ -314,29 +309,3 @@ class MotionVerb(Verb):
     def cross_check(self, result: Result) -> CrossCheck:
         """Return the differences from the other formulation of contact, if the verb offers them."""
         raise NotImplementedError(CROSS_CHECK)
-
-
-class Extremes(NamedTuple):
-    """Names of the quantities whose last values, extremes or changes are facts."""
-
-    end: tuple[str, ...] = ()  # last values, such as end_x
-    largest: tuple[str, ...] = ()  # absolute values, such as pitch_largest
-    least: tuple[str, ...] = ()  # such as clearance_least
-    greatest: tuple[str, ...] = ()  # such as z_greatest
-    gained: tuple[str, ...] = ()  # changes from start to end, such as work
-
-    def of(self, run: Trajectory) -> dict[str, Fact]:
-        """Return the facts of a motion; those of quantities that it does not have are omitted."""
-        rules: tuple[tuple[tuple[str, ...], str, Callable[[Array], Any]], ...] = (
-            (self.end, "end_{}", lambda values: values[-1]),
-            (self.largest, "{}_largest", lambda values: np.abs(values).max()),
-            (self.least, "{}_least", np.fmin.reduce),
-            (self.greatest, "{}_greatest", np.fmax.reduce),
-            (self.gained, "{}", lambda values: values[-1] - values[0]),
-        )
-        return {
-            form.format(name): Fact(float(rule(run[name].ravel())), run.columns[name].label.unit)
-            for names, form, rule in rules
-            for name in names
-            if name in run.columns
-        }

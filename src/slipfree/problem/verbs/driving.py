@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -11,14 +11,14 @@ import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.errors import DataError
-from slipfree.core.facts import Fact
+from slipfree.core.facts import Fact, Row, lines
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.cf import MAP_TRANSFORM, encode_map_coordinates
 from slipfree.laws.soil import Soil
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.records import is_determinate
-from slipfree.models.samples import CLOSEST, closest_fact, obstacle_ending
+from slipfree.models.samples import CLOSEST, closest_fact, has_pressed_wheels, obstacle_ending
 from slipfree.models.single_wheel import RESERVE, drawbar_reserve
 from slipfree.problem.build import (
     Setup,
@@ -38,24 +38,16 @@ from slipfree.problem.verbs.base import (
     Result,
     VerbSolution,
     Watch,
-    integrator_fact,
     with_diagnostics,
 )
 from slipfree.problem.verbs.drive_facts import (
-    CHECKS,
     FILLED,
+    MOTION_ROWS,
     OBSTACLES,
-    angle_lines,
-    certificate,
-    clearance_lines,
-    contact_lines,
+    PATH_ROWS,
+    START_ROWS,
     drive_facts,
-    force_lines,
-    path_lines,
-    slip_lines,
-    soil_lines,
-    start_lines,
-    trust_lines,
+    pose_row,
 )
 from slipfree.solve.settle import stable_poses
 from slipfree.terrain.base import Grid
@@ -73,7 +65,7 @@ class DriveVerb(MotionVerb):
     """Base class of the verbs for the motion of one vehicle over terrain."""
 
     commands = ("run", "check", "vehicle")
-    checks: ClassVar[tuple[str, ...]] = CHECKS
+    rows: ClassVar[tuple[Row, ...]] = (*PATH_ROWS, *MOTION_ROWS)
     metrics_shown = ("slip_rms", "tilt_largest", "utilisation_largest")
 
     @abstractmethod
@@ -107,11 +99,13 @@ class DriveVerb(MotionVerb):
         own = [name for name in spec.start if name in start.columns]
         names = dict.fromkeys([*own, "z", "pitch", "roll"])
         pose = ", ".join(f"{name} {start[name][0]:.6g}" for name in names)
+        facts = drive_facts(start) | closest_fact(setup.vehicle, setup.terrain, setup.start)
+        if has_pressed_wheels(start):
+            poses = _stable_poses(problem, setup)
+            facts["stable_poses"] = Fact([pose_row(pose) for pose in poses])
         return start, [
             ("start", f"{pose} (m, rad)"),
-            *start_lines(_stable_poses(problem, setup)),
-            ("contact certificate", certificate(start)),
-            *clearance_lines(closest_fact(setup.vehicle, setup.terrain, setup.start)),
+            *lines(START_ROWS, facts),
             ("samples", self.describe_samples(problem, setup)),
         ]
 
@@ -127,34 +121,6 @@ class DriveVerb(MotionVerb):
     def facts(self, run: Trajectory) -> dict[str, Fact]:
         """Return last values, extremes, path length, slip and stored facts of a motion."""
         return {**drive_facts(run), **run.facts}
-
-    def summary(self, run: Trajectory) -> Lines:
-        """Return the summary of a motion, pairs of name and text."""
-        facts = self.facts(run)
-        return [
-            *path_lines(run, facts),
-            *self.own_lines(run),
-            *contact_lines(run, facts),
-            *soil_lines(run, facts),
-            *slip_lines(run, facts),
-            *angle_lines(run, facts),
-            *clearance_lines(facts),
-            *force_lines(run, facts),
-            *trust_lines(run, facts, self.tolerance(run)),
-            *self.cost_lines(run),
-        ]
-
-    def own_lines(self, run: Trajectory) -> Iterable[tuple[str, str]]:
-        """Return the lines of the summary that are specific to this verb; none by default."""
-        return []
-
-    def tolerance(self, run: Trajectory) -> float | None:
-        """Return the tolerance of the integrator; None if a motion was not integrated."""
-        return run.statistics.get("tolerance")
-
-    def cost_lines(self, run: Trajectory) -> Iterable[tuple[str, str]]:
-        """Return the lines about the computational cost."""
-        return [integrator_fact(run)]
 
     def figures(self, result: Result) -> tuple[Plot, ...]:
         """Return the figures of a motion, the most important first."""

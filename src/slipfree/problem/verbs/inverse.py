@@ -13,8 +13,8 @@ import numpy as np
 from slipfree.control.path_following import check_way_points, path_inputs, track_path
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
-from slipfree.core.facts import Fact, starting_with
-from slipfree.core.records import Array, Mask, leaves
+from slipfree.core.facts import Fact, printed_unit, rows
+from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.logs import check_motion, read_log
 from slipfree.files.mcap import is_mcap
@@ -54,13 +54,12 @@ from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.problem import Problem
 from slipfree.problem.units import check_time_unit, moves_sideways
 from slipfree.problem.verbs.base import (
-    Extremes,
     Result,
     Watch,
     integrate,
-    integrator_fact,
     with_diagnostics,
 )
+from slipfree.problem.verbs.drive_facts import MOTION_ROWS, PATH_ROWS, extremes
 from slipfree.problem.verbs.driving import DriveVerb
 from slipfree.problem.verbs.inverse_schema import Inverse, are_commands, read_commands
 from slipfree.solve.collocation import drive
@@ -78,13 +77,24 @@ if TYPE_CHECKING:
 ROUND_TRIP, REPLAY = "round_trip_", "replay_"  # beginnings of the names of differences
 METHOD, COLLOCATION = "solved_by", "collocation"  # attribute of a result, and one of its values
 STEERED = 0.02  # largest error of a steering coordinate at its target [rad, m]
-CHECKS = (
-    "margin",
-    "round trip",
-    "replay by the direct model",
-    "replay stopped early",
-    "collocation",
-)  # facts about accuracy and validity
+ROWS = rows(
+    """\
+rate of wheel {wheel}: <wheel_rates> {first:.6g} at the start, {last:.6g} rad/s at the end
+steering {name}: <steering> {least:.6g} to {greatest:.6g} {unit}{words}
+!margin: {inverse_margin_least:.4g} at least ({inverse_margin_least.words}): {margin_meaning}
+error of {name}: <command_errors> {largest:.1e} {unit} at most (t = {t:.4g} s), {words}
+steering slip: {steering_slip_largest:.2e} at most (steering lever times steering rate)
+warning: {steering_warning}"""
+)
+CHECK_ROWS = rows(
+    """\
+!round trip: differences of the platform rates from those of the direct model at the same wheel \
+and joint rates: <round_trip_*> {name} {fact:.1e}
+!collocation: {elements:.0f} elements of degree {degree:.0f}, {cpu_seconds:.3g} s CPU, steering \
+error {sought_error:.1e} rad
+!replay by the direct model: differs by at most <replay_*> {name} {fact:.1e}
+!replay stopped early: {stopped_replay}"""
+)
 KNOWN = (*VELOCITY, *OMEGA, *EULER)
 COLUMNS = ("t", "x", "y", "heading")
 MIN_SAMPLES = 4  # smallest number of samples between jumps of the given rates, for a replay
@@ -103,29 +113,53 @@ def steering_warning(run: Trajectory) -> str:
     return steering_note(run)
 
 
-def _largest_error(run: Trajectory, name: str, is_turning: Mask | None = None) -> str:
-    """Return a text about the largest error of a command or path, and its time.
-
-    For a path, where errors accumulate, it adds the error at the end; for a command, whose samples
-    ``is_turning`` have the steering off its target, the largest error at the others.
-    """
-    error, unit = np.abs(run[name]), run.columns[name].label.unit.replace(" s-1", "/s")
-    worst = int(error.argmax())
-    words = f"{error[worst]:.1e} {unit} at most (t = {run.t[worst]:.4g} s)"
-    if is_turning is None:
-        return f"{words}, {error[-1]:.1e} {unit} at the end"
-    if is_turning.all():
-        return f"{words}; the steering is never within {STEERED:g} rad of its target"
-    if is_turning.any():
-        return f"{words}, {error[~is_turning].max():.1e} {unit} while the steering is at its target"
-    return words
+def _inverse_facts(run: Trajectory) -> dict[str, Fact]:
+    """Return the facts about rates of wheels and steering, and errors of commands or of a path."""
+    facts = extremes(run, {"steering_slip": "largest", "inverse_margin": "least"})
+    if "inverse_margin" in run:
+        facts["margin_meaning"] = Fact(run.columns["inverse_margin"].label.words)
+    if warning := steering_warning(run):
+        facts["steering_warning"] = Fact(warning)
+    rates = [
+        {"wheel": wheel, "first": float(run[name][0]), "last": float(run[name][-1])}
+        for wheel in run.wheels
+        if (name := f"{wheel}_rate") in run
+    ]
+    known = {*COMMANDS, "path", "heading"}
+    steered = [name for name in run if f"{name}_error" in run and name not in known]
+    at_stops = run.facts["held_at_stop"].value if "held_at_stop" in run.facts else ()
+    ranges = list[dict[str, Any]]()
+    for name in [each for each in ("steer", "steer_rate") if each in run] + steered:
+        unit, words = printed_unit(run.columns[name].label.unit), ""
+        if name in steered:
+            words = f", off by {np.abs(run[f'{name}_error']).max():.1e} {unit} at most"
+            words += "; reaches its stop" if name in at_stops else ""
+        low, high = float(run[name].min()), float(run[name].max())
+        shown = {"steer": "angle", "steer_rate": "rate"}.get(name, name)
+        ranges.append({"name": shown, "least": low, "greatest": high, "unit": unit, "words": words})
+    off = [np.abs(run[f"{name}_error"]) for name in steered]
+    is_turning = np.max([np.zeros(run.t.size), *off], axis=0) > STEERED
+    errors = list[dict[str, Any]]()
+    for name in (each for each in (*COMMANDS, "path", "heading") if f"{each}_error" in run):
+        error, unit = np.abs(run[f"{name}_error"]), run.columns[f"{name}_error"].label.unit
+        unit, worst = printed_unit(unit), int(error.argmax())
+        if name not in COMMANDS:  # errors of a path accumulate
+            words = f"{error[-1]:.1e} {unit} at the end"
+        elif is_turning.all():
+            words = f"the steering is never within {STEERED:g} rad of its target"
+        else:
+            words = f"{error[~is_turning].max():.1e} {unit} while the steering is at its target"
+        row = {"largest": float(error[worst]), "t": float(run.t[worst])}
+        errors.append({"name": name, **row, "unit": unit, "words": words})
+    tables = {"wheel_rates": rates, "steering": ranges, "command_errors": errors}
+    return facts | {name: Fact(rows) for name, rows in tables.items()}
 
 
 class InverseVerb(DriveVerb):
     """Inverse kinematics: wheel and steering rates for a given motion of the platform."""
 
     schema = Inverse
-    checks = (*DriveVerb.checks, *CHECKS)
+    rows = (*PATH_ROWS, *ROWS, *MOTION_ROWS, *CHECK_ROWS)
     metrics_shown = ("inverse_margin_least", "slip_rms", "utilisation_largest")
     verified = (ROUND_TRIP, REPLAY)
 
@@ -191,78 +225,8 @@ class InverseVerb(DriveVerb):
         return super().attributes(problem, setup) | {METHOD: method, "inputs": inputs}
 
     def facts(self, run: Trajectory) -> dict[str, Fact]:
-        """Return the facts of a motion, including least margin and largest steering slip."""
-        own = Extremes(largest=("steering_slip",), least=("inverse_margin",))
-        return super().facts(run) | own.of(run)
-
-    def own_lines(self, run: Trajectory) -> Iterator[tuple[str, str]]:
-        """Yield the lines of an inverse motion: rates, steering, margin and errors."""
-        commanded = [name for name in COMMANDS if f"{name}_error" in run.columns]
-        for wheel in run.wheels:
-            if (name := f"{wheel}_rate") in run.columns:
-                first, last = run[name][[0, -1]]
-                yield (
-                    f"rate of wheel {wheel}",
-                    f"{first:.6g} at the start, {last:.6g} rad/s at the end",
-                )
-        for name in ("steer", "steer_rate"):
-            if name in run.columns:
-                low, high, unit = run[name].min(), run[name].max(), run.columns[name].label.unit
-                words = "steering angle" if unit == "rad" else "steering rate"
-                yield words, f"{low:.6g} to {high:.6g} {unit.replace(' s-1', '/s')}"
-        if "inverse_margin" in run.columns:
-            margin = run["inverse_margin"]
-            worst = int(margin.argmin())
-            words = run.columns["inverse_margin"].label.words
-            yield "margin", f"{margin[worst]:.4g} at least (t = {run.t[worst]:.4g} s): {words}"
-        known = {*COMMANDS, "path", "heading"}
-        at_stops = run.facts["held_at_stop"].value if "held_at_stop" in run.facts else ()
-        steered = [name for name in run if f"{name}_error" in run.columns and name not in known]
-        for name in steered:
-            low, high, off = run[name].min(), run[name].max(), np.abs(run[f"{name}_error"]).max()
-            unit = run.columns[name].label.unit
-            at_stop = "; reaches its stop" if name in at_stops else ""
-            words = f"{low:.6g} to {high:.6g} {unit}, off by {off:.1e} {unit} at most{at_stop}"
-            yield f"steering {name}", words
-        errors = [np.abs(run[f"{name}_error"]) for name in steered]
-        is_turning = np.max([np.zeros(run.t.size), *errors], axis=0) > STEERED
-        for name in commanded:
-            yield f"error of {name}", _largest_error(run, f"{name}_error", is_turning)
-        for name in ("path_error", "heading_error"):
-            if name in run.columns:
-                yield name.replace("_", " "), _largest_error(run, name)
-        if "steering_slip" in run.columns:
-            most = f"{run['steering_slip'].max():.2e} m/s at most"
-            yield "steering slip", f"{most} (steering lever times steering rate)"
-        if warning := steering_warning(run):
-            yield "warning", warning
-        trip = [gap.value for gap in starting_with(ROUND_TRIP, run.facts).values()]
-        if trip:
-            words = "difference of the platform rates from those of the direct model at the same"
-            yield "round trip", f"{max(trip):.1e} at most: {words} wheel and joint rates"
-
-    def tolerance(self, run: Trajectory) -> float | None:
-        """Return the tolerance of the integrator; None under collocation."""
-        return None if is_collocated(run) else super().tolerance(run)
-
-    def cost_lines(self, run: Trajectory) -> Iterator[tuple[str, str]]:
-        """Yield lines about the computational cost, and differences from a replay of the rates."""
-        counts = run.statistics
-        if is_collocated(run):
-            yield (
-                "collocation",
-                f"{counts['elements']:.0f} elements of degree {counts['degree']:.0f}, "
-                f"{counts['cpu_seconds']:.3g} s CPU, "
-                f"steering error {counts['sought_error']:.1e} rad",
-            )
-        else:
-            yield integrator_fact(run)
-        gaps = starting_with(REPLAY, run.facts)
-        listed = ", ".join(f"{name} {gap.value:.1e} {gap.unit}" for name, gap in gaps.items())
-        if gaps:
-            yield "replay by the direct model", f"differs by at most {listed}"
-        if "stopped_replay" in run.facts:
-            yield "replay stopped early", run.facts["stopped_replay"].value
+        """Return the facts of a motion, including rates, least margin and errors."""
+        return super().facts(run) | _inverse_facts(run)
 
     def warnings(self, run: Trajectory) -> Sequence[str]:
         """Return a warning if the steering is unstable, unless the message of the stop has it."""

@@ -11,7 +11,7 @@ import numpy as np
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.dae import Dae
 from slipfree.core.errors import SlipfreeError
-from slipfree.core.facts import Fact, Facts, starting_with
+from slipfree.core.facts import Fact, Facts
 from slipfree.core.outcome import Outcome, ipopt_words
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import (
@@ -43,7 +43,14 @@ from slipfree.problem.build import Setup, build_terrain, model_law, wheel_angles
 from slipfree.problem.build_ground import GroundMap, at, build_ground
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs import plan_schema
-from slipfree.problem.verbs.base import RESUME, Lines, Result, VerbSolution, Watch, with_diagnostics
+from slipfree.problem.verbs.base import (
+    RESUME,
+    Result,
+    VerbSolution,
+    Watch,
+    with_diagnostics,
+)
+from slipfree.problem.verbs.drive_facts import MOTION_ROWS, PATH_ROWS
 from slipfree.problem.verbs.driving import (
     Diagnostic,
     DriveVerb,
@@ -51,12 +58,12 @@ from slipfree.problem.verbs.driving import (
     vehicle_of,
 )
 from slipfree.problem.verbs.plan_facts import (
-    CHECKS,
     DIFFERENCE,
+    ROWS,
     VIOLATION,
+    described,
     facts_of,
     optimality_facts,
-    plan_lines,
 )
 from slipfree.problem.verbs.plan_over_solids import OverSolids, build_over_solids, drive_over_solids
 from slipfree.problem.verbs.plan_schema import areas_of, places_of, regions, way_points_of
@@ -101,7 +108,7 @@ class PlanVerb(DriveVerb):
     schema = plan_schema.PlanKeys
     options = (RESUME,)
     is_timed = False
-    checks = (*DriveVerb.checks, *CHECKS)
+    rows = (*PATH_ROWS, *ROWS, *MOTION_ROWS)
     verified = (DIFFERENCE, VIOLATION)
     metrics_shown = ("within_limits", "plan_violation", "slip_rms")
 
@@ -132,14 +139,14 @@ class PlanVerb(DriveVerb):
             guesses = [] if resume else [guess_motion(setup, start) for start in setup.starts]
         duration = resume.motion.duration if resume else setup.duration
 
-        def described(plan: Plan, run: Trajectory) -> tuple[Trajectory, Mapping[str, Array]]:
+        def with_plan(plan: Plan, run: Trajectory) -> tuple[Trajectory, Mapping[str, Array]]:
             run, arrays = _described(setup, plan, run, facts)
             lines = [np.stack([guess["x"], guess["y"]], axis=1) for guess in guesses]
             drawn = _lines_as_arrays("guess", lines) | _lines_as_arrays("route", setup.guide.paths)
             return run, {**arrays, **drawn}
 
         def keep(plan: Plan) -> None:
-            run, arrays = described(plan, plan.replay)
+            run, arrays = with_plan(plan, plan.replay)
             watch.keep(VerbSolution(run, setup, arrays))
 
         plan = find_plan(problem, setup, guesses, resume, progress, duration, keep=keep)
@@ -152,7 +159,7 @@ class PlanVerb(DriveVerb):
         if stop is not None and (tested.stop or not plan.success):
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))
         facts |= tested.facts
-        run, arrays = described(plan, run)
+        run, arrays = with_plan(plan, run)
         diagnostics: dict[str, Diagnostic] = {
             "optimality": lambda run: run.with_facts(optimality_facts(plan)),
             "by_friction": lambda run: run.with_facts(_by_friction(setup, plan)),
@@ -172,16 +179,16 @@ class PlanVerb(DriveVerb):
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the simulated motion of a plan in windows, and the plan as arrays."""
 
-        def described(plan: LongPlan) -> tuple[Trajectory, Mapping[str, Array]]:
+        def with_plan(plan: LongPlan) -> tuple[Trajectory, Mapping[str, Array]]:
             windows = Fact([window._asdict() for window in plan.windows])
             return _described(setup, plan, plan.replay, {"plan_windows": windows})
 
         def keep(plan: LongPlan) -> None:
-            run, arrays = described(plan)
+            run, arrays = with_plan(plan)
             watch.keep(VerbSolution(run, setup, arrays))
 
         plan = long_plan(problem, setup, resume, progress, keep)
-        run, arrays = described(plan)
+        run, arrays = with_plan(plan)
         diagnostics = {"by_friction": lambda run: run.with_facts(_by_friction(setup, plan))}
         return with_diagnostics(run, diagnostics, watch, setup, arrays), arrays
 
@@ -193,20 +200,9 @@ class PlanVerb(DriveVerb):
         """Return the description of the sampling, without the duration, which may be unknown."""
         return f"{problem.spec.time.step:g} s apart or less, depending on the intervals of the plan"
 
-    def own_lines(self, run: Trajectory) -> Lines:
-        """Return the lines about the plan: costs, simulation, optimality, slip and friction."""
-        return [*plan_lines(run)]
-
     def facts(self, run: Trajectory) -> dict[str, Fact]:
         """Return the facts of a motion, including its largest violation of limits."""
-        sizes = [fact.value for fact in starting_with(VIOLATION, run.facts).values()]
-        violation = max(sizes, default=0.0)
-        is_kept = run.stop is None and violation <= run.facts["plan_accuracy"].value
-        return {
-            **super().facts(run),
-            "plan_violation": Fact(violation),
-            "within_limits": Fact(float(is_kept), "1"),
-        }
+        return super().facts(run) | described(run)
 
     def figures(self, result: Result) -> tuple[Plot, ...]:
         """Return the figures of a plan and of its motion, the most important first."""

@@ -1,16 +1,16 @@
-"""Facts of a plan, and the lines of its summary that show them."""
+"""Facts of a plan, and the rows of its summary that show them."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from slipfree.core.facts import Fact, Facts, starting_with
+from slipfree.core.facts import Fact, Facts, rows, starting_with
 from slipfree.core.records import leaves
-from slipfree.core.trajectory import PLAN, Trajectory, path_length
+from slipfree.core.trajectory import PLAN, Trajectory
 from slipfree.plan.constraints import COST, DURATION, missed_words
 from slipfree.plan.optimality import Optimality, price_rows, prices_words
 from slipfree.plan.plan import Plan
@@ -19,38 +19,49 @@ from slipfree.problem.verbs.plan_schema import spelled
 from slipfree.problem.verbs.plan_setup import Planning
 from slipfree.solve.sampling import TURN
 
-ROBUST = "robust plan"
-IN_SOIL = "simulated with inertia"
-MOMENTUM, SLOWLY = "simulated with compliant contacts", "driven slowly"
-CHECKS = (
-    "simulated",
-    "optimality",
-    ROBUST,
-    MOMENTUM,
-    SLOWLY,
-    "simulated with friction",
-    IN_SOIL,
-    "with wheels ten times stiffer",
-)  # lines about accuracy and validity
 DIFFERENCE, VIOLATION, PLAN_COST = "plan_difference_", "plan_violation_", "plan_cost_"
 ROUNDING = 1e-6  # smaller violations count as rounding, in the unit of the limit
-SLIDING = 0.95  # wheels with a larger utilisation count as sliding
-SIMULATED = {  # further simulations of a plan, by the prefix of their facts
-    "friction": (
-        "simulated with friction",
-        "ends {end_distance:.3g} m from the plan, slips {slip_per_path:.3g} mm per wheel and "
-        "metre, utilisation at most {utilisation_largest:.3g}{slides}",
-    ),
-    "soil": (
-        IN_SOIL,
-        "ends {end_distance:.3g} m from the plan, slip ratio {slip_ratio_largest:.3g} at most, "
-        "sinkage {sinkage_largest:.3g} mm at most, work {work:.4g} J (plan: "
-        "{slip_ratio_largest_plan:.3g}, {sinkage_largest_plan:.3g} mm, {work_plan:.4g} J)",
-    ),
-    "stiff": ("with wheels ten times stiffer", "ends {end_distance:.3g} m from the plan"),
-}
-MILLIMETRES = re.compile("slip_per_path|sinkage_")  # numbers that a summary shows in mm
-MAX_LISTED = 4  # largest number of bounds in a line of the summary
+ROWS = rows(
+    """\
+plan: {plan_iterations:.0f} iterations, {plan_seconds:.3g}, of which {plan_seconds_functions:.3g} \
+in functions; <plan_cost_*> {name} {fact:.6g}
+whole turns: <whole_turns> {fact}
+windows: {windows}
+starts: {plan_optima:.0f} local optima from {start_count} starts
+  {start}: <plan_starts> {outcome}, cost {cost:.6g}, duration {duration:.4g} s, path up to \
+{distance:.2g} m from the best one; {seconds:.2g} s of search
+!simulated: {simulated}
+!optimality: {optimality}
+prices of limits: {prices}
+!robust plan: holds in {plan_share:.3g>%} of {plan_share_draws:.0f} drawn worlds \
+({plan_share_low.words} {plan_share_low:.3g>%} to {plan_share_high:.3g>%}), before tightening in \
+{plan_share_first:.3g>%}
+  tightened: <plan_tightened> {bound} by {size:.3g}{unit}
+  cost of this: total {plan_total_cost:.6g}; without tightening <plan_untightened_*> {name} \
+{fact:.6g}
+  violated: <plan_violated> {bound} in {draws}
+  tighter limits: not solved: {plan_tightening_failure}
+  end: {plan_share_distance:.3g} from that of the plan at the median, \
+{plan_share_distance_95:.3g} at 95 %
+!simulated with compliant contacts: on compliant contacts the platform stays within \
+{momentum_distance:.2g>mm} of the plan; least normal force of a wheel \
+{momentum_force_normal_plan:.3g} ({momentum_force_normal_plan.words}) in the plan, \
+{momentum_force_normal:.3g} ({momentum_force_normal.words}) in the simulation
+!driven slowly: without inertia the same path needs torques of {slow_torque:.3g} in all (at x = \
+{slow_x:.2f}, y = {slow_y:.2f}); the plan needs at most {slow_torque_plan:.3g}
+!driven slowly: {slow_failure}
+!simulated with friction: ends {friction_end_distance:.3g} from the plan, slips \
+{friction_slip_per_path:.3g>mm/m} per wheel, utilisation at most \
+{friction_utilisation_largest:.3g}
+!simulated with friction: {friction_failure}
+!simulated with inertia: ends {soil_end_distance:.3g} from the plan, slip ratio \
+{soil_slip_ratio_largest:.3g} at most, sinkage {soil_sinkage_largest:.3g>mm} at most, work \
+{soil_work:.4g} (plan: {soil_slip_ratio_largest_plan:.3g}, {soil_sinkage_largest_plan:.3g>mm}, \
+{soil_work_plan:.4g})
+!simulated with inertia: {soil_failure}
+!with wheels ten times stiffer: ends {stiff_end_distance:.3g} from the plan
+!with wheels ten times stiffer: {stiff_failure}"""
+)
 
 
 def facts_of(plan: Plan | LongPlan, setup: Planning) -> dict[str, Fact]:
@@ -120,50 +131,28 @@ def optimality_facts(plan: Plan) -> dict[str, Fact]:
     return {**facts, **checked, "plan_prices": Fact(price_rows(plan.prices))}
 
 
-def plan_lines(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the lines of a plan: costs, differences of its simulation, slip, friction."""
+def described(run: Trajectory) -> dict[str, Fact]:
+    """Return the facts of a plan in words, and its largest violation of limits."""
     facts = run.facts
-    solved = run.stop is None or run.stop.name != PLAN
-    plan = "plan" if solved else "iterate"
-    costs = starting_with(PLAN_COST, facts)
-    yield (
-        plan,
-        ", ".join(f"{name} {cost.value:.6g}" for name, cost in costs.items())
-        + f"; {facts['plan_iterations'].value:.0f} iterations, {facts['plan_seconds'].value:.3g} "
-        f"s, of which {facts['plan_seconds_functions'].value:.3g} s in functions",
-    )
-    if "plan_turns" in facts:
-        yield "whole turns", "; ".join(map(_turn_words, facts["plan_turns"].value))
+    sizes = [fact.value for fact in starting_with(VIOLATION, facts).values()]
+    violation = max(sizes, default=0.0)
+    is_kept = run.stop is None and violation <= facts["plan_accuracy"].value
+    is_solved = run.stop is None or run.stop.name != PLAN
+    texts = {"simulated": _simulated_words(facts, is_solved=is_solved)}
     if "plan_windows" in facts:
-        yield "windows", _windows_words(facts["plan_windows"].value)
+        texts["windows"] = _windows_words(facts["plan_windows"].value)
     if "plan_starts" in facts:
-        yield from _starts_lines(facts)
-    yield "simulated", _simulated_words(facts, plan, solved=solved)
+        texts["start_count"] = str(len(facts["plan_starts"].value))
     if "plan_curvature" in facts:
         checked = Optimality(*(facts[f"plan_{name}"].value for name in Optimality._fields))
-        yield "optimality", checked.words
-        yield "prices of limits", prices_words(facts["plan_prices"].value)
-    if "plan_share" in facts:
-        yield from _robust_lines(facts)
-    slip = np.hypot(run["slip_along"], run["slip_across"])
-    duration, length = run.t[-1] - run.t[0], path_length(run)
-    total = np.trapezoid(slip, run.t, axis=0)
-    squares = np.trapezoid(slip**2, run.t, axis=0)
-    yield (
-        f"slip of the {plan}",
-        f"rms {np.sqrt(squares.mean() / duration):.3g} m/s per wheel, "
-        f"{1e3 * total.mean() / length:.3g} mm per wheel and metre",
-    )
-    yield from _momentum_lines(facts)
-    for prefix, (name, template) in SIMULATED.items():
-        numbers = {key: fact.value for key, fact in starting_with(f"{prefix}_", facts).items()}
-        if "failure" in numbers:
-            yield name, numbers["failure"]
-        elif "end_distance" in numbers:
-            slides = numbers.get("utilisation_largest", 0.0) > SLIDING
-            in_mm = {key: 1e3 * numbers[key] for key in numbers if MILLIMETRES.match(key)}
-            words = template.format(**numbers | in_mm, slides=" (a wheel slides)" * slides)
-            yield name, words
+        texts |= {"optimality": checked.words, "prices": prices_words(facts["plan_prices"].value)}
+    turns = facts["plan_turns"].value if "plan_turns" in facts else []
+    return {
+        **{name: Fact(text) for name, text in texts.items()},
+        "whole_turns": Fact([_turn_words(row) for row in turns]),
+        "plan_violation": Fact(violation),
+        "within_limits": Fact(float(is_kept), "1"),
+    }
 
 
 def _turn_words(row: Mapping[str, Any]) -> str:
@@ -181,31 +170,22 @@ def _turn_words(row: Mapping[str, Any]) -> str:
     )
 
 
-def violations_words(facts: Facts) -> str:
-    """Return the violations of limits in the simulation of a plan; empty if there are none."""
-    sizes = {
-        fact.words: fact
-        for fact in starting_with(VIOLATION, facts).values()
-        if fact.value > ROUNDING
-    }
-    if not sizes:
-        return ""
-    missed = missed_words(
-        {name: fact.value for name, fact in sizes.items()},
-        {name: fact.unit for name, fact in sizes.items()},
-    )
-    return f"{missed}; plan.accuracy allows {facts['plan_accuracy'].value:g}"
-
-
-def _simulated_words(facts: Facts, plan: str, *, solved: bool) -> str:
+def _simulated_words(facts: Facts, *, is_solved: bool) -> str:
     gaps = starting_with(DIFFERENCE, facts)
     if not gaps:
         return "not yet; the motion is that of the plan"
-    listed = ", ".join(f"{name} {gap.value:.1e} {gap.unit}" for name, gap in gaps.items())
-    violated = violations_words(facts)
-    kept = f"; violates {violated}" if violated else "; meets all constraints"
-    # without a solution, the outcome names the violations
-    return f"differs from the {plan} by at most {listed}{kept if solved else ''}"
+    listed = ", ".join(f"{name} {gap:.1e}" for name, gap in gaps.items())
+    words = f"differs from the {'plan' if is_solved else 'iterate'} by at most {listed}"
+    if not is_solved:  # the outcome names the violations
+        return words
+    violations = [f for f in starting_with(VIOLATION, facts).values() if f.value > ROUNDING]
+    if not violations:
+        return f"{words}; meets all constraints"
+    missed = missed_words(
+        {fact.words: fact.value for fact in violations},
+        {fact.words: fact.unit for fact in violations},
+    )
+    return f"{words}; violates {missed}; plan.accuracy allows {facts['plan_accuracy'].value:g}"
 
 
 def _windows_words(rows: list[dict[str, Any]]) -> str:
@@ -219,78 +199,3 @@ def _windows_words(rows: list[dict[str, Any]]) -> str:
         "kilometre"
         + (f"; not accurate: those that begin at {', '.join(inaccurate)}" if inaccurate else "")
     )
-
-
-def _starts_lines(facts: Facts) -> Iterator[tuple[str, str]]:
-    rows, optima = facts["plan_starts"].value, facts["plan_optima"].value
-    noun, starts = "optimum" if optima == 1 else "optima", f"start{'s' * (len(rows) != 1)}"
-    yield "starts", f"{optima} local {noun} from {len(rows)} {starts}"
-    for row in rows:
-        terms = ", ".join(f"{name} {value:.4g}" for name, value in row["terms"].items())
-        yield (
-            f"  {row['start']}",
-            f"{row['outcome']}, cost {row['cost']:.6g} ({terms}), duration {row['duration']:.4g} "
-            f"s, path up to {row['distance']:.2g} m from the best one; {row['seconds']:.2g} s of "
-            "search",
-        )
-
-
-def _robust_lines(facts: Facts) -> Iterator[tuple[str, str]]:
-    names = ("", "_first", "_draws", "_rounds", "_low", "_high", "_distance", "_distance_95")
-    values = (facts[f"plan_share{name}"].value for name in names)
-    share, first, draws, rounds, low, high, half, most = values
-    earlier = f"; without tightening in {first * draws:.0f}" if rounds else "; no limit tightened"
-    yield (
-        ROBUST,
-        f"holds in {share * draws:.0f} of {draws:.0f} drawn worlds ({100 * share:.3g} %, "
-        f"{facts['plan_share_low'].words} {100 * low:.3g} to {100 * high:.3g} %){earlier}",
-    )
-    if tightened := facts["plan_tightened"].value:
-        yield (
-            "  tightened",
-            _listed(f"{row['bound']} by {row['size']:.3g}{row['unit']}" for row in tightened),
-        )
-        before, after = (starting_with(name, facts) for name in ("plan_untightened_", PLAN_COST))
-        total = _change(before.pop("total").value, facts["plan_total_cost"].value)
-        terms = (f"{k} {_change(cost.value, after[k].value)}" for k, cost in before.items())
-        yield "  cost of this", f"{total}: {', '.join(terms)}"
-    if violated := facts["plan_violated"].value:
-        yield "  violated", _listed(f"{row['bound']} in {row['draws']}" for row in violated)
-    if "plan_tightening_failure" in facts:
-        yield "  tighter limits", f"not solved: {facts['plan_tightening_failure'].value}"
-    yield "  end", f"{half:.3g} m from that of the plan at the median, {most:.3g} m at 95 %"
-
-
-def _listed(items: Iterator[str]) -> str:
-    texts = list(items)
-    rest = len(texts) - MAX_LISTED
-    return ", ".join(texts[:MAX_LISTED]) + (f" and {rest} more" if rest > 0 else "")
-
-
-def _change(before: float, after: float) -> str:
-    return f"{100 * (after / before - 1):+.3g} %" if before else f"{after:.3g}"
-
-
-def _momentum_lines(facts: Facts) -> Iterator[tuple[str, str]]:
-    if "momentum_distance" in facts:
-        planned, simulated = (
-            f"{fact.value:.3g} N ({fact.words})"
-            for fact in (facts["momentum_force_normal_plan"], facts["momentum_force_normal"])
-        )
-        yield (
-            MOMENTUM,
-            "on compliant contacts the platform stays within "
-            f"{1e3 * facts['momentum_distance'].value:.2g} mm of the plan; least normal force of a "
-            f"wheel {planned} in the plan, {simulated} in the simulation",
-        )
-    slow = {key: fact.value for key, fact in starting_with("slow_", facts).items()}
-    if "torque" in slow:
-        stopped = f"; {slow['failure']}" if "failure" in slow else ""
-        yield (
-            SLOWLY,
-            f"without inertia the same path needs torques of {slow['torque']:.3g} N m in all (at x "
-            f"= {slow['x']:.2f} m, y = {slow['y']:.2f} m); the plan needs at most "
-            f"{slow['torque_plan']:.3g} N m{stopped}",
-        )
-    elif slow:
-        yield SLOWLY, slow["failure"]
