@@ -31,26 +31,6 @@ STANDARD_NAMES = {
     "pitch": "platform_pitch_fore_up",
     "roll": "platform_roll_starboard_down",
 }
-# Names of the CF conventions for methods and parameters of projections, by their EPSG codes. The
-# second entry of a method is the CF name of its longitude of natural origin, if it has one.
-METHODS = {
-    9807: ("transverse_mercator", "longitude_of_central_meridian"),
-    9820: ("lambert_azimuthal_equal_area", "longitude_of_projection_origin"),
-    9802: ("lambert_conformal_conic", ""),
-    9822: ("albers_conical_equal_area", ""),
-}
-PARAMETERS = {
-    8801: "latitude_of_projection_origin",
-    8805: "scale_factor_at_central_meridian",
-    8806: "false_easting",
-    8807: "false_northing",
-    8821: "latitude_of_projection_origin",
-    8822: "longitude_of_central_meridian",
-    8826: "false_easting",
-    8827: "false_northing",
-}
-LONGITUDE, PARALLELS = 8802, (8823, 8824)
-UNITS = {"degree", "metre", "unity"}  # units of CF attributes
 
 
 class MapCoordinate(NamedTuple):
@@ -122,35 +102,13 @@ def coordinate_attributes(run: Trajectory, on_map: Sequence[str], name: str) -> 
 
 def grid_mapping(crs: str) -> dict[str, Any]:
     """Return the attributes of the variable ``crs``: WKT for CF and GDAL, and the CF projection."""
-    import rasterio.crs
-    from rasterio.errors import CRSError
+    import pyproj
 
     try:
-        system = rasterio.crs.CRS.from_user_input(crs)
-    except CRSError as error:
+        system = pyproj.CRS.from_user_input(crs)
+    except pyproj.exceptions.CRSError as error:
         raise DataError(
             f"attribute {MAP_CRS!r} of the result: expected an EPSG code or WKT, found {crs!r}; "
             "run the problem again"
         ) from error
-    wkt = {"crs_wkt": system.to_wkt(version="WKT2_2019"), "spatial_ref": system.to_wkt()}
-    if system.is_geographic:
-        return {"grid_mapping_name": "latitude_longitude", **wkt}
-    return _projection(system.to_dict(projjson=True)) | wkt
-
-
-def _projection(system: dict[str, Any]) -> dict[str, Any]:
-    """Return the CF attributes of a projection from PROJJSON; empty if CF does not define them."""
-    conversion = system.get("conversion", {})
-    code = conversion.get("method", {}).get("id", {}).get("code")
-    rows = conversion.get("parameters", ())
-    values = {row.get("id", {}).get("code"): row["value"] for row in rows}
-    if code not in METHODS or not {str(row["unit"]) for row in rows} <= UNITS:
-        return {}
-    name, longitude = METHODS[code]
-    known = {**PARAMETERS, LONGITUDE: longitude}
-    parameters: dict[str, Any] = {
-        known[key]: float(value) for key, value in values.items() if key in known
-    }
-    if PARALLELS[0] in values:
-        parameters["standard_parallel"] = tuple(float(values[key]) for key in PARALLELS)
-    return {"grid_mapping_name": name, **parameters}
+    return system.to_cf() | {"spatial_ref": system.to_wkt("WKT1_GDAL")}

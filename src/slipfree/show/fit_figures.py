@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import combinations
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -38,33 +39,50 @@ def fit_plot(name: str, calibration: Calibration) -> Plot:
 
 def fit_figure(calibration: Calibration) -> Figure:
     """Return the figure of a calibration."""
-    pairs = _pairs(calibration.estimate)
-    rows = 1 + -(-len(pairs) // COLUMNS)
+    units = {"to the right [m]": 1.0, "ahead [m]": 1.0, "heading [deg]": float(np.rad2deg(1.0))}
+    test = calibration.test
+    panels = [
+        Compared(
+            words,
+            factor * test.measured[:, k],
+            {
+                name: factor * (test.measured + errors)[:, k]
+                for name, errors in (("nominal", test.nominal), ("fitted", test.fitted))
+            },
+        )
+        for k, (words, factor) in enumerate(units.items())
+    ]
+    return _compared(panels, calibration.estimate)
+
+
+class Compared(NamedTuple):
+    """Contents of a panel: computed over measured values."""
+
+    words: str  # quantity and unit
+    measured: Array  # shape (n,)
+    computed: Mapping[str, Array]  # shape (n,), by name of the model
+
+
+def _compared(panels: Sequence[Compared], estimate: Estimate) -> Figure:
+    """Return the figure of computed over measured values and of ellipses of an estimate."""
+    pairs = _pairs(estimate)
+    rows = -(-(len(panels) + len(pairs)) // COLUMNS)
     made = style.figure(PAGE, rows * ROW_HEIGHT * MM)
-    axes = made.subplots(rows, COLUMNS, squeeze=False).ravel()
-    for k, (words, factor) in enumerate(
-        (("to the right [m]", 1.0), ("ahead [m]", 1.0), ("heading [deg]", np.rad2deg(1.0)))
-    ):
-        _draw_ends(axes[k], calibration, k, words, float(factor))
-    axes[0].legend()
-    for ax, pair in zip(axes[COLUMNS:], pairs, strict=False):
-        _draw_ellipse(ax, calibration.estimate, *pair)
-    for ax in axes[COLUMNS + len(pairs) :]:
+    axes = iter(made.subplots(rows, COLUMNS, squeeze=False).ravel())
+    for (words, measured, computed), ax in zip(panels, axes, strict=False):
+        for k, (name, values) in enumerate(computed.items()):
+            look: dict[str, Any] = {"ms": 2, "mew": 0, "alpha": 0.6, "color": style.PALETTE[k]}
+            ax.plot(measured, values, "o", label=name, **look)
+        known = measured[np.isfinite(measured)]
+        ends = known.min(initial=np.inf), known.max(initial=-np.inf)
+        ax.plot(ends, ends, color="black", lw=0.6)
+        ax.set(xlabel=f"measured {words}", ylabel="computed")
+    made.axes[0].legend()
+    for pair, ax in zip(pairs, axes, strict=False):
+        _draw_ellipse(ax, estimate, *pair)
+    for ax in axes:
         ax.set_axis_off()
     return made
-
-
-def _draw_ends(ax: Axes, calibration: Calibration, axis: int, words: str, factor: float) -> None:
-    measured = factor * calibration.test.measured[:, axis]
-    for k, name in enumerate(("nominal", "fitted")):
-        predicted = measured + factor * getattr(calibration.test, name)[:, axis]
-        ax.plot(
-            measured, predicted, "o", ms=2, mew=0, alpha=0.6, color=style.PALETTE[k], label=name
-        )
-    ends = measured.min(initial=0.0), measured.max(initial=0.0)
-    ax.plot(ends, ends, color="black", lw=0.6)
-    ax.set_xlabel(f"measured, {words}")
-    ax.set_ylabel("predicted")
 
 
 def _pairs(estimate: Estimate) -> list[tuple[int, int]]:
@@ -103,30 +121,13 @@ def soil_plot(name: str, measured: Array, fit: SoilFit) -> Plot:
 
 def soil_figure(measured: Array, fit: SoilFit) -> Figure:
     """Return the figure of a fit of a soil to measured quantities, shape (n, 4)."""
-    known = [k for k in range(len(QUANTITIES)) if np.isfinite(measured[:, k]).any()]
-    pairs = _pairs(fit.estimate)
-    count = len(known) + len(pairs)
-    rows = -(-count // COLUMNS)
-    made = style.figure(PAGE, rows * ROW_HEIGHT * MM)
-    axes = made.subplots(rows, COLUMNS, squeeze=False).ravel()
-    for ax, k in zip(axes, known, strict=False):
-        name, unit = list(QUANTITIES.items())[k]
-        values = measured[:, k]
-        for j, (label, computed) in enumerate(
-            (("before", fit.nominal), ("fitted to others", fit.validated))
-        ):
-            look = {"ms": 2, "mew": 0, "alpha": 0.6, "color": style.PALETTE[j], "label": label}
-            ax.plot(values, computed[:, k], "o", **look)
-        ends = np.nanmin(values), np.nanmax(values)
-        ax.plot(ends, ends, color="black", lw=0.6)
-        ax.set_xlabel(f"measured {name} [{unit}]")
-        ax.set_ylabel("computed")
-    axes[0].legend()
-    for ax, pair in zip(axes[len(known) :], pairs, strict=False):
-        _draw_ellipse(ax, fit.estimate, *pair)
-    for ax in axes[count:]:
-        ax.set_axis_off()
-    return made
+    models = {"before": fit.nominal, "fitted to others": fit.validated}
+    panels = [
+        Compared(f"{name} [{unit}]", values, {k: each[:, at] for k, each in models.items()})
+        for at, (name, unit) in enumerate(QUANTITIES.items())
+        if np.isfinite(values := measured[:, at]).any()
+    ]
+    return _compared(panels, fit.estimate)
 
 
 def ground_plot(name: str, scores: Mapping[str, Mapping[Kind, Score]]) -> Plot:

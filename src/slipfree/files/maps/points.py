@@ -174,7 +174,7 @@ def read_point_cloud(path: Path, ask: Reading) -> Heights:
     z, and heights are interpolated linearly between these averages: a plane is exact.
     """
     if path.suffix.lower() not in OWN_READERS:
-        for name in ("laspy", "lazrs", "pyproj"):
+        for name in ("laspy", "lazrs"):
             if find_spec(name) is None:
                 raise DataError(missing_package(name, "points"))
     # lazrs aborts the process for some damaged files; gridding there keeps the points there
