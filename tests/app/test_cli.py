@@ -318,7 +318,7 @@ def test_run_writes_the_result_and_draws(folder):
     for words in (
         *("ground height ", "three_wheeler: right 0.3 m driven", "path length ", "end position "),
         *("a lower bound, not a prediction", "wheel front", "contact error", "x the tolerance"),
-        *("certificate  ", "; samples at most ", "steps, ", "outcome                complete\n"),
+        *("certificate  ", "; samples at most ", "steps, ", "outcome               complete\n"),
         "wrote p.nc",
     ):
         assert words in result.stdout, words

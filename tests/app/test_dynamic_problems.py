@@ -43,7 +43,7 @@ def test_a_car_jumps_from_a_ledge(tmp_path):
     flying = (run["depth"] < 0).all(axis=1)
     t = run.t[flying]
     assert f"{t[-1] - t[0] + 0.005:.3g} s in all" in done.output
-    assert "4, counted per wheel" in done.output
+    assert "4 lift-offs, counted per wheel" in done.output
     lifted = run["depth"] < 0
     for quantity in ("slip_along", "slip_across", "slip_ratio", "force_normal"):
         assert np.abs(run[quantity][lifted]).max() == 0
