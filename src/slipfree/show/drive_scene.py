@@ -20,15 +20,14 @@ from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing
 from slipfree.show.ground_drawing import Window
 from slipfree.show.meshes import (
-    Refined,
-    clipped,
+    Surface,
     extruded,
     joined,
-    refined,
     rod,
     roller_axles,
     shape_mesh,
     spokes,
+    surface,
 )
 from slipfree.show.scene import (
     BLOCKED,
@@ -95,10 +94,13 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
     else:
         drawn = Grid(x, y, z)
     ways = [np.stack([run["x"], run["y"]], axis=1) for run in _runs(drives)]
-    fine = refined(drawn, first.terrain, ways, NEXT * reach, FINE * reach)
+    fine = surface(drawn, first.terrain, ways, NEXT * reach, FINE * reach)
     origin = np.round([x.mean(), y.mean(), drawn.values.mean()])
     layers = [*_layers(drawn), *(_pose_layers(drawn, first, window) if with_poses else ())]
-    layers = [each._replace(colors=fine.spread(each.colors)) for each in layers]
+    layers = [
+        each._replace(colors=np.rint(fine.interpolated(each.colors)).astype(np.uint8))
+        for each in layers
+    ]
     warnings = [*_off(drives, fine, SEEN), *_others(drives)]
     notes = [_cropped(grid, fine), *_off(drives, fine, 0.0)]
     solids = [solid_mesh(each, window, drawn.values.min(), origin) for each in first.prisms]
@@ -136,21 +138,13 @@ def actors_of(drives: Sequence[Driven], origin: Array) -> list[Actor]:
 
 def solid_mesh(prism: Prism, window: Window, bottom: float, origin: Array) -> TriangleMesh:
     """Return the mesh of a prism above ``bottom``, relative to an origin, in the drawn part [m]."""
-    west, east, south, north = window
-    reach = np.hypot(east - west, north - south) / 2
-    center = np.array([(west + east) / 2, (south + north) / 2, 0.0])
-    place, axes = np.array([prism.x, prism.y, prism.z]), prism.axes
-    along, right, _ = (center - place) @ axes
-    low = along - reach, bottom - prism.z
-    corners = clipped(prism.section.points, low, (along + reach, np.inf))
-    sides = [
-        float(np.clip(right + sign * reach, -prism.half_width, prism.half_width))
-        for sign in (-1, 1)
-    ]
-    if len(corners) < 3 or sides[0] == sides[1]:
+    found = ground_drawing.in_window(prism, window, bottom)
+    if found is None:
         return TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint32))
-    outline = np.insert(corners, 1, sides[0], axis=1) @ axes.T + place - origin
-    return extruded(outline, (sides[1] - sides[0]) * axes[:, 1])
+    corners, (right, left) = found
+    place = np.array([prism.x, prism.y, prism.z])
+    outline = np.insert(corners, 1, right, axis=1) @ prism.axes.T + place - origin
+    return extruded(outline, (left - right) * prism.axes[:, 1])
 
 
 def _with_solids(ground: SceneGround, solids: Sequence[TriangleMesh]) -> SceneGround:
@@ -204,19 +198,10 @@ def _window(drives: Sequence[Driven], grid: Grid, reach: float) -> Window:
         for name in "xy"
     )
     around = ground_drawing.about(x, y, grid, MARGIN)
-    least = [
-        x.min() - NEXT * reach,
-        x.max() + NEXT * reach,
-        y.min() - NEXT * reach,
-        y.max() + NEXT * reach,
-    ]
-    low, high = slice(0, None, 2), slice(1, None, 2)
-    whole = np.array(ground_drawing.whole(grid))
-    ends = np.empty(4)
-    ends[low] = np.maximum(np.minimum(around[low], least[low]), whole[low])
-    ends[high] = np.minimum(np.maximum(around[high], least[high]), whole[high])
-    west, east, south, north = (float(each) for each in ends)
-    return west, east, south, north
+    path = float(x.min()), float(x.max()), float(y.min()), float(y.max())
+    near = ground_drawing.padded(path, (NEXT * reach, NEXT * reach), grid)
+    (west, south), (east, north) = np.minimum(around, near)[::2], np.maximum(around, near)[1::2]
+    return float(west), float(east), float(south), float(north)
 
 
 def _layers(drawn: Grid) -> Iterator[Layer]:
@@ -231,14 +216,7 @@ def _pose_layers(drawn: Grid, drive: Driven, window: Window) -> Iterator[Layer]:
     """Yield the colourings by the poses of a vehicle, grey where no heading is possible."""
     terrain, reach = drive.terrain, extents(drive.vehicle)[2]
     wide_x, wide_y = (2 * reach + 3 * cell for cell in terrain.grid.spacing)
-    wide = (window[0] - wide_x, window[1] + wide_x, window[2] - wide_y, window[3] + wide_y)
-    whole = ground_drawing.whole(terrain.grid)
-    near = (
-        max(wide[0], whole[0]),
-        min(wide[1], whole[1]),
-        max(wide[2], whole[2]),
-        min(wide[3], whole[3]),
-    )
+    near = ground_drawing.padded(window, (wide_x, wide_y), terrain.grid)
     part = Bicubic(cut(terrain.grid, near), terrain.center, terrain.mu)
     layers = traversability(part, drive.vehicle, keep_out=drive.keep_out)
     places = np.stack(np.meshgrid(drawn.x, drawn.y, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -413,17 +391,17 @@ def ground_normals(terrain: Bicubic, points: Array) -> Array:
     return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
 
 
-def _cropped(grid: Grid, fine: Refined) -> str:
+def _cropped(grid: Grid, fine: Surface) -> str:
     (h_x, h_y), (d_x, d_y) = grid.spacing, fine.grid.spacing
     sizes = [f"{np.ptp(each.x):.4g} x {np.ptp(each.y):.4g} m" for each in (fine.grid, grid)]
-    near = f" ({fine.spacing:.3g} m near the paths)" if fine.parts > 1 else ""
+    near = f" ({fine.spacing:.3g} m near the paths)" if fine.spacing < max(d_x, d_y) else ""
     return (
         f"Drawn ground: {sizes[0]} of {sizes[1]}, node spacing {d_x:.3g} x {d_y:.3g} m{near}; "
         f"node spacing of the map {h_x:.3g} x {h_y:.3g} m."
     )
 
 
-def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]:
+def _off(drives: Sequence[Driven], fine: Surface, least: float) -> Iterable[str]:
     """Yield a note on the vertical distance of the drawn ground from the contact points."""
     off = max(
         float(np.abs(fine.height(x, y) - drive.terrain.elevation(x, y)).max())

@@ -101,24 +101,34 @@ def contours(grid: Grid, ax: Axes, window: Window) -> Axes:
 
 def solids(prisms: Sequence[Prism], ax: Axes) -> Axes:
     """Draw the outlines of solids and of their faces above the ground, in plan view."""
-    (west, east), (south, north) = ax.get_xlim(), ax.get_ylim()
-    reach = float(np.hypot(east - west, north - south)) / 2
-    middle = np.array([(west + east) / 2, (south + north) / 2])
+    window = *ax.get_xlim(), *ax.get_ylim()
     for prism in prisms:
-        axes, place = prism.axes[:2, :2], np.array([prism.x, prism.y])
-        along, right = (middle - place) @ axes
-        corners = clipped(prism.section.points, (along - reach, 0.0), (along + reach, np.inf))
-        sides = np.clip(
-            [right - reach, right + reach], -prism.half_width, prism.half_width
-        ).tolist()
-        if len(corners) < 3 or sides[0] == sides[1]:
+        if (found := in_window(prism, window, prism.z)) is None:
             continue
+        corners, sides = found
+        axes, place = prism.axes[:2, :2], np.array([prism.x, prism.y])
         for first, last in pairwise(np.unique(np.round(corners[:, 0], DIGITS)).tolist()):
             face = np.array([(u, v) for u in (first, last) for v in sides])[[0, 1, 3, 2]]
             outline = Polygon(face @ axes.T + place, label="solids", **SOLID)
             outline.set_path_effects(style.halo(2.0))
             ax.add_patch(outline)
     return ax
+
+
+def in_window(
+    prism: Prism, window: Window, bottom: float
+) -> tuple[Array, tuple[float, float]] | None:
+    """Return corners of the section above ``bottom``, and sides, of the part near a window [m]."""
+    west, east, south, north = window
+    reach = float(np.hypot(east - west, north - south)) / 2
+    away = (west + east) / 2 - prism.x, (south + north) / 2 - prism.y
+    along, right = away @ prism.axes[:2, :2]
+    low = along - reach, bottom - prism.z
+    corners = clipped(prism.section.points, low, (along + reach, np.inf))
+    sides = np.clip([right - reach, right + reach], -prism.half_width, prism.half_width)
+    if len(corners) < 3 or sides[0] == sides[1]:
+        return None
+    return corners, (float(sides[0]), float(sides[1]))
 
 
 def hatch(grid: Grid, nodes: Mask | None, window: Window, words: str, color: str, ax: Axes) -> Axes:
@@ -136,6 +146,17 @@ def hatch(grid: Grid, nodes: Mask | None, window: Window, words: str, color: str
 def whole(grid: Grid) -> Window:
     """Return the window of a whole ground [m]."""
     return float(grid.x[0]), float(grid.x[-1]), float(grid.y[0]), float(grid.y[-1])
+
+
+def padded(window: Window, by: tuple[float, float], grid: Grid) -> Window:
+    """Return a window with margins along x and y on the ground [m]."""
+    x_min, x_max, y_min, y_max = whole(grid)
+    return (
+        max(window[0] - by[0], x_min),
+        min(window[1] + by[0], x_max),
+        max(window[2] - by[1], y_min),
+        min(window[3] + by[1], y_max),
+    )
 
 
 def around(run: Trajectory, grid: Grid, pad: float) -> Window:

@@ -1,4 +1,4 @@
-"""Meshes of vehicles and solids, and of a ground that is finer near the paths of vehicles."""
+"""Meshes of vehicles and solids, and of a ground with more points near the paths of vehicles."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-import scipy  # scipy.spatial is imported when it is used
+import scipy  # scipy.spatial and scipy.interpolate are imported when they are used
+from matplotlib.path import Path
+from matplotlib.transforms import Bbox
 
 from slipfree.core.records import Array
 from slipfree.geometry.mesh import TriangleMesh, sheet
@@ -23,7 +25,7 @@ SPOKES, SPOKE = 4, 0.06  # number of spokes of a wheel, and their radius [wheel 
 ROLLERS, ROLLER = 9, 0.25  # number of rollers of a wheel, and half their length [wheel radius]
 FINEST = 1e-3  # smallest cells of simplified meshes [extent]
 NEAR = 1e-9  # smaller lengths count as zero [m]
-MOST = 60_000  # maximum number of added nodes
+MOST = 60_000  # maximum number of added points
 
 
 def joined(*meshes: TriangleMesh) -> TriangleMesh:
@@ -144,142 +146,72 @@ def clipped(
     points: Sequence[tuple[float, float]], low: tuple[float, float], high: tuple[float, float]
 ) -> Array:
     """Return the corners of the part of a convex polygon inside a box, shape (n, 2)."""
-    corners = np.array(points, dtype=float)
-    for axis in (0, 1):
-        for bound, sign in ((low[axis], 1.0), (high[axis], -1.0)):
-            corners = _cut(corners, axis, bound, sign)
-    return corners
+    found = np.asarray(Path(points).clip_to_bbox(Bbox([low, high])).vertices)
+    is_last = np.all(np.isclose(found, found[:1], rtol=0, atol=NEAR), axis=1)
+    return np.concatenate([found[:1], found[~is_last]])
 
 
-def _cut(points: Array, axis: int, bound: float, sign: float) -> Array:
-    """Return the part of a convex polygon where ``sign * (coordinate - bound) >= 0`` on an axis."""
-    heights = sign * (points[:, axis] - bound)
-    kept: list[Array] = []
-    for k in range(len(points)):
-        before, here = heights[k - 1], heights[k]
-        if (before < 0) != (here < 0):
-            kept.append(points[k - 1] + before / (before - here) * (points[k] - points[k - 1]))
-        if here >= 0:
-            kept.append(points[k])
-    return np.array(kept).reshape(-1, 2)
-
-
-class Refined(NamedTuple):
-    """A grid with divided cells."""
+class Surface(NamedTuple):
+    """Drawn ground: triangles through the nodes of a grid, and through more points near paths."""
 
     grid: Grid
-    near: npt.NDArray[np.bool_]  # shape (n_x - 1, n_y - 1): mask of the divided cells
-    parts: int  # number of intervals on each side of a divided cell; 1 if no cell is divided
-    terrain: Terrain  # ground that gives the heights inside divided cells
-
-    @property
-    def spacing(self) -> float:
-        """Distance between nodes in divided cells, the larger of x and y [m]."""
-        return float(max(self.grid.spacing)) / self.parts
+    points: Array  # shape (n, 3): nodes of the grid, then other points [m]
+    triangles: scipy.spatial.Delaunay  # of x and y relative to the first node
+    spacing: float  # distance between points near paths, the larger of x and y [m]
 
     def mesh(self, origin: Array) -> TriangleMesh:
-        """Return the surface relative to an origin: nodes of the grid, then of divided cells."""
-        x, y, z = self.grid.x, self.grid.y, self.grid.z
-        points = np.stack(np.broadcast_arrays(x[:, None], y[None, :], z), axis=-1)
-        whole, empty = sheet(points - origin), self._empty()
-        kept = np.repeat(~(self.near | empty).ravel(), 2)  # a cell has two faces
-        if not self.near.any():
-            return TriangleMesh(whole.vertices, whole.faces[kept])
-        x, y = self._places()
-        tiles = np.stack([x, y, self._sealed(self.terrain.elevation(x, y))], axis=-1) - origin
-        return joined(TriangleMesh(whole.vertices, whole.faces[kept]), *map(sheet, tiles))
-
-    def spread(self, colors: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-        """Return colours of all nodes of the mesh, interpolated from those of the grid."""
-        return np.asarray(np.rint(self.interpolated(colors.astype(float))), dtype=np.uint8)
+        """Return the surface relative to an origin, without cells between four holes."""
+        faces, holes = self.triangles.simplices, self.grid.holes
+        if holes is not None:
+            empty = holes[:-1, :-1] & holes[1:, :-1] & holes[:-1, 1:] & holes[1:, 1:]
+            middle = self.points[faces, :2].mean(axis=1)
+            faces = faces[~empty[cells(self.grid, middle)]]
+        return TriangleMesh(self.points - origin, faces.astype(np.uint32))
 
     def interpolated(self, values: Array) -> Array:
-        """Return values, shape (n, k), at all nodes, interpolated from those of the grid."""
-        whole = values.reshape(*self.grid.z.shape, -1)
-        i, j = np.nonzero(self.near)
-        a, b = self._shares()
-        corners = [
-            (whole[i + p, j + q], (a if p else 1 - a) * (b if q else 1 - b))
-            for p, q in product((0, 1), repeat=2)
-        ]
-        parts = [value[:, None, None, :] * share[None, :, :, None] for value, share in corners]
-        mixed = np.sum(parts, axis=0)
-        return np.concatenate([values, mixed.reshape(-1, whole.shape[-1])])
+        """Return values at the nodes of the grid, shape (n, k), interpolated at all points."""
+        whole = values.reshape(*self.grid.z.shape, -1).astype(float)
+        nodes = self.grid.x, self.grid.y
+        found = scipy.interpolate.RegularGridInterpolator(nodes, whole)(self.points[:, :2])
+        return np.asarray(found)
 
     def height(self, x: Array, y: Array) -> Array:
-        """Return the height of the drawn surface, bilinear between its nodes [m]."""
-        at, (h_x, h_y) = self._cells(x, y), self.grid.spacing
-        i, j = at
-        k = np.where(self.near[i, j], self.parts, 1)
-        u, v = (x - self.grid.x[i]) * k / h_x, (y - self.grid.y[j]) * k / h_y
-        s, t = (np.clip(np.floor(each), 0, k - 1) for each in (u, v))
-        total = np.zeros(np.shape(x))
-        for p, q in product((0, 1), repeat=2):
-            fine = self.terrain.elevation(
-                self.grid.x[i] + (s + p) * h_x / k, self.grid.y[j] + (t + q) * h_y / k
-            )
-            corner = np.where(k > 1, fine, self.grid.z[i + p, j + q])
-            share = (u - s if p else 1 - u + s) * (v - t if q else 1 - v + t)
-            total += share * corner
-        return total
-
-    def _empty(self) -> npt.NDArray[np.bool_]:
-        holes = self.grid.holes
-        if holes is None:
-            return np.zeros_like(self.near)
-        return np.asarray(holes[:-1, :-1] & holes[1:, :-1] & holes[:-1, 1:] & holes[1:, 1:])
-
-    def _sealed(self, heights: Array) -> Array:
-        """Return the heights of divided cells, linear along edges to undivided cells."""
-        i, j = np.nonzero(self.near)
-        beside, share = np.pad(self.near, 1), np.arange(self.parts + 1) / self.parts
-        for along, last in product((0, 1), repeat=2):
-            there = (i + 1 + (2 * last - 1), j + 1) if along else (i + 1, j + 1 + (2 * last - 1))
-            edge = ~beside[there]
-            ends = [self.grid.z[(i + last, j + k) if along else (i + k, j + last)] for k in (0, 1)]
-            line = ends[0][:, None] * (1 - share) + ends[1][:, None] * share
-            side = (edge, -last) if along else (edge, slice(None), -last)
-            heights[side] = line[edge]
-        return heights
-
-    def _cells(self, x: Array, y: Array) -> tuple[npt.NDArray[np.int_], npt.NDArray[np.int_]]:
-        """Return the indices, along x and along y, of the cells nearest to points."""
-        h_x, h_y = self.grid.spacing
-        i, j = np.floor((x - self.grid.x[0]) / h_x), np.floor((y - self.grid.y[0]) / h_y)
-        n, m = self.near.shape
-        return np.clip(i, 0, n - 1).astype(int), np.clip(j, 0, m - 1).astype(int)
-
-    def _shares(self) -> tuple[Array, Array]:
-        """Return x and y of a cell's nodes, from 0 to 1, shape (parts + 1, parts + 1) each."""
-        share = np.arange(self.parts + 1) / self.parts
-        a, b = np.meshgrid(share, share, indexing="ij")
-        return a, b
-
-    def _places(self) -> tuple[Array, Array]:
-        """Return x and y of the divided cells' nodes, shape (n, parts + 1, parts + 1) [m]."""
-        (i, j), (a, b), (h_x, h_y) = np.nonzero(self.near), self._shares(), self.grid.spacing
-        return (self.grid.x[i][:, None, None] + a * h_x, self.grid.y[j][:, None, None] + b * h_y)
+        """Return the height of the surface, NaN outside [m]."""
+        heights = scipy.interpolate.LinearNDInterpolator(self.triangles, self.points[:, 2])
+        return np.asarray(heights(x - self.points[0, 0], y - self.points[0, 1]))
 
 
-def refined(
+def cells(grid: Grid, points: Array) -> tuple[npt.NDArray[np.int_], npt.NDArray[np.int_]]:
+    """Return the indices, along x and along y, of the cells nearest to points, shape (n, 2)."""
+    found = (points - (grid.x[0], grid.y[0])) / grid.spacing
+    i, j = np.clip(np.floor(found), 0, (grid.x.size - 2, grid.y.size - 2)).astype(int).T
+    return i, j
+
+
+def surface(
     grid: Grid, terrain: Terrain, paths: Iterable[Array], margin: float, spacing: float
-) -> Refined:
-    """Return a grid whose cells near paths are divided to a desired spacing.
+) -> Surface:
+    """Return the surface of a grid whose cells near paths are divided to a desired spacing.
 
-    At most about 60 000 nodes are added: the spacing becomes larger, or no cell is divided.
+    At most about 60 000 points are added: the spacing becomes larger, or no cell is divided.
     """
-    whole = Refined(grid, np.zeros((grid.x.size - 1, grid.y.size - 1), bool), 1, terrain)
-    cell = float(max(grid.spacing))
-    if cell <= spacing:
-        return whole
-    near = whole.near.copy()
-    aside = np.linspace(-margin, margin, 2 * ceil(margin / min(grid.spacing)) + 1)
-    for path in paths:
-        points = _dense(path, min(cell, margin) / 2)
-        for dx, dy in product(aside, repeat=2):
-            near[whole._cells(points[:, 0] + dx, points[:, 1] + dy)] = True
-    parts = min(ceil(cell / spacing), int(np.sqrt(MOST / near.sum())) - 1)
-    return whole._replace(near=near, parts=parts) if parts > 1 else whole
+    nodes = np.stack(np.meshgrid(grid.x, grid.y, indexing="ij"), axis=-1).reshape(-1, 2)
+    places, parts, cell = [nodes], 1, float(max(grid.spacing))
+    if cell > spacing:
+        near = np.zeros((grid.x.size - 1, grid.y.size - 1), bool)
+        aside = np.linspace(-margin, margin, 2 * ceil(margin / min(grid.spacing)) + 1)
+        for path in paths:
+            points = _dense(path, min(cell, margin) / 2)
+            for away in product(aside, repeat=2):
+                near[cells(grid, points + away)] = True
+        parts = max(1, min(ceil(cell / spacing), int(np.sqrt(MOST / near.sum() + 1))))
+        corners = nodes.reshape(*grid.z.shape, 2)[:-1, :-1][near]
+        shares = list(product(np.arange(parts) / parts, repeat=2))[1:]
+        places += [corners + np.multiply(share, grid.spacing) for share in shares]
+    x, y = np.concatenate(places).T
+    heights = np.append(grid.z.ravel(), terrain.elevation(x[len(nodes) :], y[len(nodes) :]))
+    triangles = scipy.spatial.Delaunay(np.stack([x - x[0], y - y[0]], axis=1))
+    return Surface(grid, np.stack([x, y, heights], axis=1), triangles, cell / parts)
 
 
 def _dense(path: Array, step: float) -> Array:
