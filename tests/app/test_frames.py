@@ -23,7 +23,7 @@ from slipfree.files.mcap import read_mcap
 from slipfree.plan.problem import costs_of
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build
-from slipfree.show import motion_figures
+from slipfree.show import style
 from slipfree.sweep.worker import figures_of
 
 PROBLEM = """\
@@ -66,7 +66,7 @@ def test_results_hold_headings_in_the_frame_of_the_problem_and_say_so(problem):
     assert_allclose(run.in_frame("paper")["heading"], 0.3 - pi / 2, atol=1e-9)
     assert run.in_frame("rep103") is run
     assert figures_of(run, load_problem(problem))["end_heading"][0] == pytest.approx(0.3, abs=1e-9)
-    axes = motion_figures.history(run, "heading", Figure().subplots())
+    axes = style.history(run, "heading", Figure().subplots())
     assert_allclose(np.asarray(axes.lines[0].get_ydata()), 0.3, atol=1e-9)
 
 
@@ -88,7 +88,7 @@ def test_every_file_of_a_motion_has_the_headings_of_its_frame(problem, frame, ax
     assert line["properties"]["frame"] == frame
     shown = json.loads(printed("info", "p.nc", "--json"))["result"]["quantities"]["heading"]
     assert shown["words"] == words
-    axes = motion_figures.history(netcdf.read("p.nc"), "heading", Figure().subplots())
+    axes = style.history(netcdf.read("p.nc"), "heading", Figure().subplots())
     found |= {"GeoJSON": line["properties"]["heading_rad"], "JSON": shown["last"]}
     found |= {"figure": axes.lines[0].get_ydata()}
     for name in ("run.csv", "path.csv"):

@@ -183,24 +183,21 @@ def test_arrows_point_the_way(run, ax, way, angle):
     assert [arrow.get_marker()[2] for arrow in arrows] == pytest.approx([angle] * 3)
 
 
-def test_tilts_and_moving_joints_are_drawn_with_degrees(run, ax):
-    assert labels(motion_figures.tilts(run, ax)) == ["tilt right", "tilt left", "steer"]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("time $t$ [s]", "joint angle [rad]")
+def test_tilts_and_moving_joints_are_drawn_with_degrees(run, grid):
+    figure = drawn(figures(run, grid, "tilts")["tilts"])
+    (ax,) = figure.axes
+    assert labels(ax) == ["tilt right", "tilt left", "steer"]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("time $t$ [s]", "angle [rad]")
     second = ax.child_axes[0]
-    drawn(ax.figure)
     assert second.get_ylabel() == "[deg]"
     assert second.get_ylim() == pytest.approx(np.rad2deg(ax.get_ylim()))
 
 
-def test_other_joints_are_found_but_not_their_stops(stopped, ax):
+def test_other_joints_are_found_but_not_their_stops(stopped, grid):
     assert "tilt_left_stop" in stopped
     stopped = changed(stopped, "rocker", np.sin(stopped.t))
-    assert labels(motion_figures.tilts(stopped, ax)) == [
-        "tilt right",
-        "tilt left",
-        "steer",
-        "rocker",
-    ]
+    (ax,) = figures(stopped, grid, "tilts")["tilts"].axes
+    assert labels(ax) == ["tilt right", "tilt left", "steer", "rocker"]
 
 
 def test_a_vehicle_without_joints_has_no_figure_of_them(run, grid):
@@ -240,10 +237,11 @@ def test_slope_is_that_of_a_formula_to_rounding(run, grid, ax):
     np.testing.assert_allclose(lower.lines[0].get_ydata(), analytic_slope(run), atol=1e-15)
 
 
-def test_slip_is_drawn_in_millimetres_per_second(run, ax):
+def test_slip_is_drawn_in_millimetres_per_second(run, grid):
     values = np.outer(np.sin(run.t), [1e-3, 2e-3, 3e-3])
-    motion_figures.slip(changed(run, "slip_across", values), "across", ax)
+    (ax,) = figures(changed(run, "slip_across", values), grid, "slip")["slip"].axes
     assert labels(ax) == ["right", "left", "front"]
+    assert ax.get_ylabel() == "slip across [mm/s]"
     np.testing.assert_allclose(ax.lines[1].get_ydata(), 2 * np.sin(run.t))
 
 
@@ -334,8 +332,8 @@ def test_unknown_formats_are_refused_before_anything_is_drawn(run, grid, tmp_pat
 
 
 def test_missing_quantities_are_named(run, grid):
-    columns = {k: c for k, c in run.columns.items() if k != "slip_across"}
-    with pytest.raises(sf.ModelError, match="quantity of the trajectory, found 'slip_across'"):
+    columns = {k: c for k, c in run.columns.items() if k != "contact_z"}
+    with pytest.raises(sf.ModelError, match="quantity of the trajectory, found 'contact_z'"):
         figures(replace(run, columns=columns), grid)
 
 
@@ -345,11 +343,12 @@ def test_a_motion_on_another_ground_is_refused(run, grid):
 
 
 def test_forces_have_a_line_a_wheel(loaded, grid):
-    plot = force_figures.forces_plot(plots.PlottedDrive(loaded, grid, sf.Bicubic(grid)))
-    ax = plots.draw([plot])["forces"].axes[0]
+    axes = figures(loaded, grid, "forces")["forces"].axes
+    ax, shown = axes[0], [each.get_ylabel() for each in axes]
+    assert shown[3:] == ["drive torque [N m]", "steer torque [N m]"]  # that of the tilt is zero
     assert labels(ax) == ["right", "left", "front"]
     np.testing.assert_array_equal(ax.lines[2].get_ydata(), loaded["force_normal", "front"])
-    assert ax.get_ylabel() == "normal force [N]"
+    assert ax.get_ylabel() == "force normal [N]"
 
 
 def test_utilisation_is_measured_against_all_that_friction_gives(loaded, ax):
@@ -389,8 +388,8 @@ def test_without_the_friction_of_the_ground_it_is_the_friction_needed(loaded, gr
     assert bar.get_ylabel() == "friction needed $|f_t|/N$ [1]"
 
 
-def test_tip_over_margin_has_degrees(loaded, ax):
-    force_figures.tip_over(loaded, ax)
+def test_tip_over_margin_has_degrees(loaded, grid):
+    ax = figures(loaded, grid, "utilisation")["utilisation"].axes[1]
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), loaded["tip_over_margin"])
     assert ax.get_ylabel().endswith("[rad]")
     drawn(ax.figure)
@@ -421,9 +420,11 @@ def test_tracks_are_coloured_by_utilisation(loaded, grid, ax):
     ]
 
 
-def test_energy_lost_is_what_height_does_not_hold(loaded, ax):
-    assert labels(force_figures.energy(loaded, ax)) == ["drives", "potential energy", "losses"]
+def test_energies_and_powers_have_panels_of_their_own(loaded, grid):
+    energy, power = figures(loaded, grid, "energy")["energy"].axes
+    assert labels(energy) == ["work", "potential energy"]
+    assert labels(power) == ["power", "dissipation"]
     s = np.linspace(0, 1, loaded.t.size)
-    for line, expected in zip(ax.lines, (9 * s, 4 * s, 5 * s), strict=False):
+    for line, expected in zip(energy.lines, (9 * s, 4 * s), strict=False):
         np.testing.assert_allclose(line.get_ydata(), expected, atol=1e-12)
-    assert ax.get_ylabel() == "energy since the start [J]"
+    assert energy.get_ylabel().split() == ["energy", "since", "the", "start", "[J]"]

@@ -21,7 +21,7 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.models.samples import has_friction
 from slipfree.show import ground_drawing, style
 from slipfree.show.plots import Panel, Plot, PlottedDrive, stack
-from slipfree.show.style import COLUMN, MM, PALETTE, PLATFORM
+from slipfree.show.style import COLUMN, MM
 from slipfree.terrain.base import Grid
 
 COLOURS = "viridis"
@@ -33,29 +33,11 @@ EDGES = 0.3  # text at a smaller distance from an edge points away from it [axes
 CASING = "0.15"  # colour of the edge of coloured tracks
 
 
-def of_wheels(run: Trajectory, values: Array, words: str, ax: Axes, *, zeros: bool = True) -> Axes:
-    """Draw a quantity of every wheel over time, and zero; see `style.by_wheel`."""
-    style.by_wheel(run, values, ax, zeros=zeros)
-    ax.set_ylabel(words)
-    return style.time_axis(run, style.with_zero(ax))
-
-
-def drives(run: Trajectory, ax: Axes, unit: str = "N m") -> Axes:
-    """Draw the nonzero torques, or with ``unit="N"`` forces, of wheels and joints over time."""
-    if unit == "N m":
-        style.by_wheel(run, run["drive_torque"], ax, zeros=False)
-    for k, name in enumerate(_joints(run), start=len(run.wheels)):
-        if run.columns[name].label.unit == unit:
-            ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
-    what = "torque" if unit == "N m" else "joint force"
-    ax.set_ylabel(f"{what} [{unit}]")
-    return style.time_axis(run, style.with_zero(ax))
-
-
 def utilisation(run: Trajectory, ax: Axes) -> Axes:
     """Draw the utilisation of friction of every wheel over time, and its largest value."""
     values = run["utilisation"]
-    style.by_wheel(run, _finite(values), ax)
+    for k, wheel in enumerate(run.wheels):
+        ax.plot(run.t, _finite(values[:, k]), label=style.words(wheel), **style.look(k))
     if "utilisation_best" in run:
         best = _finite(run["utilisation_best"])
         ax.plot(run.t, best, color="black", ls=":", lw=0.8, label="optimal distribution of forces")
@@ -77,13 +59,6 @@ def utilisation(run: Trajectory, ax: Axes) -> Axes:
         ax.text(1.0, 1.03, f"not drawn above {CEILING:g}{words}", **place)
     _mark_worst(run, ax)
     return ax
-
-
-def tip_over(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the tip-over margin over time; at zero the vehicle tips over."""
-    ax.plot(run.t, run["tip_over_margin"], color=PLATFORM, label="tip-over margin")
-    ax.set_ylabel("tip-over\nmargin [rad]")
-    return style.time_axis(run, style.degrees(style.with_zero(ax)))
 
 
 def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
@@ -119,31 +94,6 @@ def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
     return ax
 
 
-def energy(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the work of the drives since the start, the energies, and the losses."""
-    work = run["work"] - run["work"][0]
-    height = run["potential_energy"] - run["potential_energy"][0]
-    lost = work - height
-    if "kinetic_energy" in run:
-        moving = run["kinetic_energy"] - run["kinetic_energy"][0]
-        ax.plot(run.t, moving, label="kinetic energy", color=PALETTE[3])
-        lost = run["lost_energy"] - run["lost_energy"][0]
-    ax.plot(run.t, work, label="drives", color=PALETTE[0])
-    # long gaps: without losses this line would hide that of the drives
-    ax.plot(run.t, height, label="potential energy", color=PALETTE[2], ls=(0, (6, 6)))
-    ax.plot(run.t, lost, label="losses", color=PALETTE[1])
-    ax.set_ylabel("energy since the start [J]")
-    return style.time_axis(run, style.with_zero(ax))
-
-
-def power(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the power of the drives and the losses over time, coloured as in `energy`."""
-    ax.plot(run.t, run["power"], label="drives", color=PALETTE[0])
-    ax.plot(run.t, run["dissipation"], label="losses", color=PALETTE[1])
-    ax.set_ylabel("power [W]")
-    return style.time_axis(run, style.with_zero(ax))
-
-
 def utilisation_plot(scene: PlottedDrive) -> Plot | None:
     """Return the figure of the friction that the wheels need; None for a vehicle without mass."""
     run = scene.run
@@ -151,46 +101,10 @@ def utilisation_plot(scene: PlottedDrive) -> Plot | None:
         return None
     panels = [Panel(partial(utilisation, run), 60)]
     if "tip_over_margin" in run:
-        panels.append(Panel(partial(tip_over, run), 26, has_legend=False))
+        margin = partial(style.history, run, "tip_over_margin", has_zero=True)
+        panels.append(Panel(margin, 26, has_legend=False))
     caption = "Friction that every wheel needs over time, and the margin to tipping over."
     return Plot("utilisation", caption, lambda: stack(run, panels))
-
-
-def forces_plot(scene: PlottedDrive) -> Plot | None:
-    """Return the figure of the forces on wheels and in drives; None for a vehicle without mass."""
-    run = scene.run
-    if "force_normal" not in run:
-        return None
-    tangential = np.hypot(run["force_along"], run["force_across"])
-    panels = [
-        Panel(partial(of_wheels, run, run["force_normal"], "normal force [N]")),
-        Panel(partial(of_wheels, run, tangential, "tangential force [N]")),
-    ]
-    units = {run.columns[name].label.unit for name in _joints(run)}
-    if "N m" in units or run["drive_torque"].any():
-        panels.append(Panel(partial(drives, run)))
-    if "N" in units:
-        panels.append(Panel(partial(drives, run, unit="N")))
-    caption = "Forces between wheels and ground, and torques of the drives."
-    return Plot("forces", caption, lambda: stack(run, panels))
-
-
-def contact_plot(scene: PlottedDrive) -> Plot | None:
-    """Return the figure of depth, slip ratio and reserve; None for wheels on rigid ground."""
-    run = scene.run
-    if "slip_ratio" not in run or not {"depth", "sinkage"} & {*run}:
-        return None
-    depth = run["sinkage" if "sinkage" in run else "depth"]  # in soil, or in a compliant ground
-    ratio = np.where(depth > 0, run["slip_ratio"], np.nan)  # while the wheel is on the ground
-    panels = [
-        Panel(partial(of_wheels, run, 1e3 * depth, "depth [mm]")),
-        Panel(partial(of_wheels, run, ratio, "slip ratio [1]")),
-    ]
-    if "drawbar_reserve" in run:
-        reserve, words = run["drawbar_reserve"], "pull reserve [N]"
-        panels.append(Panel(partial(of_wheels, run, reserve, words, zeros=False)))
-    caption = "Depth and slip ratio of every wheel over time."
-    return Plot("contact", caption, lambda: stack(run, panels))
 
 
 def utilisation_map_plot(scene: PlottedDrive) -> Plot | None:
@@ -199,16 +113,6 @@ def utilisation_map_plot(scene: PlottedDrive) -> Plot | None:
         return None
     caption = "Friction needed along the tracks."
     return Plot("utilisation_map", caption, lambda: _utilisation_map(scene))
-
-
-def energy_plot(scene: PlottedDrive) -> Plot | None:
-    """Return the figure of work, energy and losses; None for a vehicle without mass."""
-    run = scene.run
-    if "work" not in run:
-        return None
-    panels = [Panel(partial(energy, run), 48), Panel(partial(power, run), 32)]
-    caption = "Work of the drives, energy of the vehicle, and losses."
-    return Plot("energy", caption, lambda: stack(run, panels))
 
 
 def _utilisation_map(scene: PlottedDrive) -> Figure:
@@ -220,15 +124,6 @@ def _utilisation_map(scene: PlottedDrive) -> Figure:
     style.finished(figure, run, [ground_drawing.solids(scene.prisms, ax)])
     figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
     return figure
-
-
-def _joints(run: Trajectory) -> list[str]:
-    """Return the names of joint efforts that are not identically zero."""
-    ends, columns = {"N m": "_torque", "N": "_force"}, run.columns.items()
-    ours = [
-        n for u, end in ends.items() for n, c in columns if c.label.unit == u and n.endswith(end)
-    ]
-    return [name for name in ours if run[name].ndim == 1 and run[name].any()]
 
 
 def _finite(values: Array) -> Array:

@@ -21,7 +21,6 @@ from matplotlib.ticker import ScalarFormatter
 from slipfree.atlas.atlas import Atlas
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, similar
-from slipfree.core.facts import printed_unit
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.models.samples import CLOSEST
@@ -29,9 +28,6 @@ from slipfree.plan.plan import Plan
 from slipfree.show import ground_drawing, style
 from slipfree.show.atlas_figures import atlas_plots, view_of
 from slipfree.show.force_figures import (
-    contact_plot,
-    energy_plot,
-    forces_plot,
     utilisation_map_plot,
     utilisation_plot,
 )
@@ -146,24 +142,6 @@ def tracks(run: Trajectory, ax: Axes) -> Axes:
     return ax
 
 
-def history(run: Trajectory, name: str, ax: Axes) -> Axes:
-    """Draw a quantity over time, with one line per wheel for quantities of wheels."""
-    values = run[name]
-    unit = printed_unit(run.columns[name].label.unit)
-    if values.ndim == 2:
-        style.by_wheel(run, values, ax)
-    else:
-        ax.plot(run.t, values, color=PLATFORM, label=style.words(name))
-    ax.set_ylabel(f"{style.words(name)} [{unit}]")
-    return style.time_axis(run, ax)
-
-
-def tilts(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the angles of the joints over time: all tilts, and other moving joints."""
-    style.over_time(run, _moving_joints(run), ax).set_ylabel("joint angle [rad]")
-    return style.time_axis(run, style.degrees(ax))
-
-
 def elevation(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
     """Draw heights over the distance driven: platform, contacts, ground below the platform."""
     s, z = _distance(run), run["z"]
@@ -187,16 +165,9 @@ def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
     return style.degrees(ax)
 
 
-def slip(run: Trajectory, direction: str, ax: Axes) -> Axes:
-    """Draw the slip of every wheel over time in mm/s, ``"along"`` or ``"across"`` its direction."""
-    style.by_wheel(run, 1e3 * run[f"slip_{direction}"], ax)
-    ax.set_ylabel(f"slip {direction}\nthe wheel [mm/s]")
-    return style.time_axis(run, ax)
-
-
 def check(run: Trajectory, name: str, ax: Axes) -> Axes:
     """Draw a residual with the tolerance, or a margin with zero, over time."""
-    history(run, name, ax)
+    style.history(run, name, ax)
     ax.set_ylabel(textwrap.fill(ax.get_ylabel(), 22))
     if CHECKS.get(name) == "log":
         for line in ax.lines:
@@ -296,74 +267,86 @@ def elevation_plot(drive: PlottedDrive) -> Plot:
     return Plot("elevation", "Heights and slopes along the path.", make)
 
 
-def slip_plot(drive: PlottedDrive) -> Plot | None:
-    """Return the figure of the slip; None if the wheels do not slip."""
-    run = drive.run
-    panels = [Panel(partial(slip, run, direction)) for direction in slipping_directions(run)]
-    caption = "Slip of every wheel over time."
-    return Plot("slip", caption, lambda: stack(run, panels, _law(run))) if panels else None
-
-
-def tilts_plot(drive: PlottedDrive) -> Plot | None:
-    """Return the figure of the joints' angles; None if no joint moves."""
-    if not _moving_joints(drive.run):
-        return None
-    panels = [Panel(partial(tilts, drive.run), 50)]
-    caption = "Angles of the joints over time."
-    return Plot("tilts", caption, lambda: stack(drive.run, panels, width=COLUMN))
-
-
-def clearance(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the clearance of the body over time, and mark its least value with body and place."""
-    values = run["clearance_body"]
-    ax.plot(run.t, values, color=PLATFORM, label="clearance of the body")
-    k = int(np.nanargmin(values))
-    words = run.facts[CLOSEST].words.partition(", t =")[0] if CLOSEST in run.facts else "least"
-    ax.plot(run.t[k], values[k], "o", color=PLATFORM, ms=4, label=f"least: {words}")
-    ax.axhline(0, color="0.6", lw=0.6)
-    ax.set_ylabel(f"clearance of the body [{printed_unit('m')}]")
-    return style.time_axis(run, ax)
-
-
-def clearance_plot(drive: PlottedDrive) -> Plot | None:
-    """Return the figure of the clearance of the body; None for a vehicle without shapes."""
-    run = drive.run
-    if "clearance_body" not in run:
-        return None
-    caption = "Least distance of the vehicle's bodies from the ground over time."
-    return Plot("clearance", caption, lambda: stack(run, [Panel(partial(clearance, run), 50)]))
-
-
 def checks_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of residuals and margins."""
     caption = "Accuracy and validity: residuals and margins over time."
     return Plot("checks", caption, lambda: _checks(drive.run))
 
 
-def rates_plot(drive: PlottedDrive) -> Plot:
-    """Return the figure of the rates of wheels and joints."""
-    run, caption = drive.run, "Rates of wheels and joints over time."
-    joints = [f"{name}_rate" for name in _moving_joints(run) if f"{name}_rate" in run]
-    panels = [Panel(partial(history, run, "wheel_rate"))]
-    if joints:
-        panels.append(Panel(partial(_joint_rates, run, joints)))
-    return Plot("rates", caption, lambda: stack(run, panels))
+def over_time(name: str, caption: str, quantities: str) -> Callable[[PlottedDrive], Plot | None]:
+    """Return a function for a figure of quantities over time; None for motions without them.
+
+    Parameters
+    ----------
+    name, caption : str
+        Name and caption of the figure.
+    quantities : str
+        Names, separated by blanks; ``*`` for moving joints, ``*_rate`` for their rates, otherwise
+        all that end so.
+    """
+
+    def compose(drive: PlottedDrive) -> Plot | None:
+        run = drive.run
+        drawn = [
+            Panel(partial(style.history, run, names, has_zero=True))
+            for names in panels(run, quantities.split())
+        ]
+        note = _law(run) if name == "slip" else ""
+        return Plot(name, caption, lambda: stack(run, drawn, note)) if drawn else None
+
+    return compose
+
+
+def panels(run: Trajectory, patterns: Sequence[str]) -> list[list[str]]:
+    """Return the quantities in each panel: one of wheels, or others with the same unit."""
+    names, moving = list[str](), _moving_joints(run)
+    for pattern in patterns:
+        end = pattern.removeprefix("*")
+        of_moving = [f"{name}{end}" for name in moving] if end in ("", "_rate") else run
+        names += [name for name in of_moving if name.endswith(end)] if "*" in pattern else [pattern]
+    found, last = list[list[str]](), ""
+    for name in (each for each in dict.fromkeys(names) if each in run):
+        values, unit = run[name], run.columns[name].label.unit
+        if np.abs(np.nan_to_num(values)).max() < ROUNDING and name not in moving:
+            continue
+        if values.ndim == 1 and unit == last:
+            found[-1].append(name)
+        else:
+            found.append([name])
+        last = unit if values.ndim == 1 else ""
+    return found
 
 
 FIGURES: tuple[Callable[[PlottedDrive], Plot | None], ...] = (
     side_plot,
     map_plot,
     elevation_plot,
-    slip_plot,
-    contact_plot,
+    over_time("slip", "Slip of every wheel over time.", "slip_along slip_across"),
+    over_time(
+        "contact",
+        "Depth and slip ratio of every wheel over time.",
+        "sinkage depth slip_ratio drawbar_reserve",
+    ),
     utilisation_plot,
-    clearance_plot,
-    tilts_plot,
+    over_time(
+        "clearance",
+        "Least distance of the vehicle's bodies from the ground over time.",
+        "clearance_body",
+    ),
+    over_time("tilts", "Angles of the joints over time.", "*"),
     checks_plot,
-    rates_plot,
-    forces_plot,
+    over_time("rates", "Rates of wheels and joints over time.", "wheel_rate *_rate"),
+    over_time(
+        "forces",
+        "Forces between wheels and ground, and torques of the drives.",
+        "force_normal force_along force_across drive_torque *_torque *_force",
+    ),
     utilisation_map_plot,
-    energy_plot,
+    over_time(
+        "energy",
+        "Work of the drives, energy of the vehicle, and losses.",
+        "work lost_energy potential_energy kinetic_energy power dissipation",
+    ),
 )  # of a motion over terrain, the most important first
 
 
@@ -396,18 +379,6 @@ def _tracks_differ(run: Trajectory, width: float) -> bool:
     """Return whether tracks and path are distinguishable on a map with a width in metres."""
     away = [run[f"contact_{axis}"] - run[axis][:, None] for axis in "xy"]
     return bool(np.hypot(*away).max() > DISTINCT * width)
-
-
-def _joint_rates(run: Trajectory, names: Sequence[str], ax: Axes) -> Axes:
-    style.over_time(run, names, ax, first=len(run.wheels))
-    units = dict.fromkeys(printed_unit(run.columns[name].label.unit) for name in names)
-    ax.set_ylabel(f"joint rate [{', '.join(units)}]")
-    return style.time_axis(run, ax)
-
-
-def slipping_directions(run: Trajectory) -> tuple[str, ...]:
-    """Return the directions ("along", "across") in which slip exceeds rounding."""
-    return tuple(d for d in ("along", "across") if np.abs(run[f"slip_{d}"]).max() >= ROUNDING)
 
 
 def _law(run: Trajectory) -> str:

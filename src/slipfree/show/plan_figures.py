@@ -139,22 +139,20 @@ def motion(
 def inputs(run: Trajectory, bounds: Mapping[str, Range], ax: Axes) -> Axes:
     """Draw the planned inputs over time, and their bounds, which are infinite if there are none."""
     ends: dict[float, list[str]] = {}
-    for k, (name, pair) in enumerate(bounds.items()):
-        ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
+    style.history(run, [*bounds], ax)
+    for k, pair in enumerate(bounds.values()):
         for value in filter(np.isfinite, pair):
             ends.setdefault(value, []).append(style.look(k)["color"])
     for value, colors in ends.items():
         # a bound of several inputs is grey
         _bound(value, ax, colors[0] if len(colors) == 1 else "0.4", "bound")
-    units = dict.fromkeys(printed_unit(run.columns[name].label.unit) for name in bounds)
-    ax.set_ylabel(f"inputs [{', '.join(units)}]")
-    return style.time_axis(run, ax)
+    return ax
 
 
 def limited(run: Trajectory, name: str, pair: Range, ax: Axes) -> Axes:
     """Draw a quantity, or that of a wheel as in ``slip_along[left]``, over time with its limits."""
     quantity, _, wheel = name.removesuffix("]").partition("[")
-    motion_figures.history(run, quantity, ax)
+    style.history(run, quantity, ax)
     for line in list(ax.lines) if wheel else []:
         if line.get_label() != style.words(wheel):
             line.remove()
@@ -274,8 +272,8 @@ def _panels(
     if layers.limits.keep_out:
         drawings.append((1.0, partial(keep_out_distance, run, layers)))
     drawings += [
-        (1.0, partial(motion_figures.slip, run, direction))
-        for direction in motion_figures.slipping_directions(run)
+        (1.0, partial(style.history, run, names))
+        for names in motion_figures.panels(run, ["slip_along", "slip_across"])
     ]
     return [Panel(_beside(draw), ROW * height, has_legend=False) for height, draw in drawings]
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-from slipfree.core.records import Array
+from slipfree.core.facts import SCALES, printed_unit
 from slipfree.core.trajectory import Trajectory, stop_words
 
 MM = 1 / 25.4  # [in]
@@ -38,6 +38,11 @@ DASHES = ("-", "--", ":", "-.")  # for lines beyond the palette
 PLATFORM = "black"
 STOPPED = "#D55E00"
 LARGE = 1e4  # larger map coordinates are drawn relative to a round number [m]
+SHOWN = {"slip_along": "mm/s", "slip_across": "mm/s", "depth": "mm", "sinkage": "mm"}
+KINDS = {
+    **{"rad": "angle", "rad s-1": "rate", "m s-1": "rate", "m": "length"},
+    **{"N m": "torque", "N": "force", "J": "energy since the start", "W": "power"},
+}  # of several quantities in one panel, by their unit
 FLAT = 1e-3  # smallest drawn range of heights and angles [m, rad]
 
 
@@ -116,19 +121,29 @@ def ticks(count: int) -> MaxNLocator:
     return MaxNLocator(count, steps=[1, 2, 2.5, 5, 10])
 
 
-def by_wheel(run: Trajectory, values: Array, ax: Axes, *, zeros: bool = True, **looks: Any) -> Axes:
-    """Draw a line per wheel over time, with ``zeros`` also for values that are identically zero."""
-    for k, wheel in enumerate(run.wheels):
-        if zeros or values[:, k].any():
-            ax.plot(run.t, values[:, k], label=words(wheel), **look(k) | looks)
-    return ax
-
-
-def over_time(run: Trajectory, names: Sequence[str], ax: Axes, first: int = 0) -> Axes:
-    """Draw quantities over time; the first one looks like the line with the number `first`."""
-    for k, name in enumerate(names, first):
-        ax.plot(run.t, run[name], label=words(name), **look(k))
-    return ax
+def history(
+    run: Trajectory, names: str | Sequence[str], ax: Axes, *, has_zero: bool = False
+) -> Axes:
+    """Draw quantities over time: one of wheels with a line per wheel, or others; and zero."""
+    names, k = [names] if isinstance(names, str) else list(names), 0
+    for name in names:
+        values = SCALES[SHOWN[name]] * run[name] if name in SHOWN else run[name]
+        if run.columns[name].label.unit == "J":
+            values = values - values[0]
+        lines = dict(zip(run.wheels, values.T, strict=True)) if values.ndim == 2 else {name: values}
+        for line, own in lines.items():
+            alone = {"color": PLATFORM} if values.ndim == 1 and len(names) == 1 else {}
+            ax.plot(run.t, own, label=words(line), **look(k) | alone)
+            k += 1
+    units = dict.fromkeys(run.columns[name].label.unit for name in names)
+    what = words(names[0]) if len(names) == 1 else KINDS.get(next(iter(units)), "value")
+    shown = SHOWN.get(names[0], ", ".join(map(printed_unit, units)))
+    ax.set_ylabel(f"{textwrap.fill(what, 16)} [{shown}]")
+    if has_zero:
+        with_zero(ax)
+    if [*units] == ["rad"]:
+        degrees(ax)
+    return time_axis(run, ax)
 
 
 def with_zero(ax: Axes) -> Axes:
