@@ -25,7 +25,7 @@ from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
 from slipfree.show.film import film_writer
 from slipfree.show.html_page import with_legend
 from slipfree.show.meshes import MOST, clipped, extruded, plate, rod, roller_axles, spokes
-from slipfree.show.scene import BLOCKED, scale_words
+from slipfree.show.scene import BLOCKED
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.sections import Disc, Torus
@@ -143,7 +143,8 @@ def test_arrows_are_slip_and_forces(drive: Driven) -> None:
     assert_allclose(force.vectors.sum(axis=1), weight, atol=2e-3)
     longest = np.linalg.norm(force.vectors, axis=-1).max() * scene.scales["force"]
     assert 0.4 * scene.reach < longest < 0.65 * scene.reach
-    assert scale_words(scene, "force") == "1 m of arrow length represents 150 N"
+    labels = {entry.name: entry.label for entry in scene.entries}
+    assert labels["force"] == "force: 1 m of arrow length represents 150 N"
 
 
 def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:

@@ -218,7 +218,7 @@ def test_the_page_shows_what_moves(files: list[Path], browser: Any) -> None:
         finally:
             process.kill()
     assert "Over <hills> & back" in text
-    for words in ("height: ", "slip (1 m of arrow length represents", "tilting", "fixed"):
+    for words in ("height: ", "slip: 1 m of arrow length represents", "tilting", "fixed"):
         assert words in text
     addresses = {
         each.split("://")[1].split("/")[0]

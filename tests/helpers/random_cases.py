@@ -49,16 +49,6 @@ SIDE = 12.0  # of a map, in the middle of which the vehicles start [m]
 UTM = (431_250.0, 5_312_740.0, 812.0)  # where maps with large coordinates lie [m]
 STENCIL = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12  # first derivative, fourth order
 AXES = {"x": np.eye(3)[0], "y": np.eye(3)[1], "z": np.eye(3)[2]}
-SOUND = {  # what a planted fault is planted in
-    "ground": "flat",
-    "rolled": False,
-    "vehicle": "tilting",
-    "wheels": "torus",
-    "formulation": "closure",
-    "slip": "least",
-    "start": "level",
-    "inputs": "even",
-}
 
 
 class Case(NamedTuple):
@@ -75,7 +65,6 @@ class Case(NamedTuple):
     start: str
     inputs: str
     tolerance: float
-    fault: str  # planted, or empty
 
     def rng(self, part: str) -> np.random.Generator:
         """Return the random numbers of one part, whatever the other parts draw."""
@@ -126,14 +115,11 @@ def draw(seed: int, **changes: Any) -> Case:
         one(START_SHARES),
         one(INPUT_SHARES),
         float(10 ** -rng.uniform(4, 10)),
-        str(rng.choice(list(FAULTS))) if rng.random() < 0.08 else "",
     )
     if case.vehicle not in ("tilting", "sliding") and rng.random() < 0.8:
         case = case._replace(slip="least")  # few others can roll
     if case.wheels == "disc" and rng.random() < 0.8:
         case = case._replace(formulation="closure")  # the other refuses discs
-    if case.fault:
-        case = case._replace(**SOUND)
     return case._replace(**changes)
 
 
@@ -354,61 +340,7 @@ def inputs_of(case: Case, dae: Any, vehicle: Vehicle, start: Any, count: int) ->
     return dict(zip(names, values[case.inputs], strict=True))
 
 
-class Fault(NamedTuple):
-    """Something wrong in a request, and what its refusal must say."""
-
-    plant: Callable[[dict[str, Any]], Any]
-    words: str
-
-
-def _set(part: str, **values: Any) -> Callable[[dict[str, Any]], Any]:
-    return lambda request: request[part].update(values)
-
-
-def _first_input(value: Any) -> Callable[[dict[str, Any]], Any]:
-    return lambda r: r["inputs"].update({next(iter(r["inputs"])): value})
-
-
-FAULTS = {
-    "start not finite": Fault(_set("start", x=np.nan), "x: expected a number, found float nan"),
-    "unknown start": Fault(
-        _set("start", yaw=0.1), r"start: expected values only for 'x', .*, found the unknown 'yaw'"
-    ),
-    "unknown guess": Fault(
-        _set("start", guess={"height": 1.0}), r"guess: expected names .*found 'height'"
-    ),
-    "input not finite": Fault(_first_input(np.inf), r"input \w+_rate: expected finite numbers"),
-    "short input": Fault(_first_input(np.ones(2)), r"input \w+: expected .* found shape \(2,\)"),
-    "missing input": Fault(
-        lambda r: r["inputs"].pop(next(iter(r["inputs"]))), r"found no value for '\w+'"
-    ),
-    "unknown input": Fault(
-        _set("inputs", thrust=1.0), r"inputs: expected .* found the unknown 'thrust'"
-    ),
-    "tolerance": Fault(
-        lambda r: r["call"].update(options=SolverOptions(tolerance=0.0)),
-        r"tolerance: expected a number .*, found 0.0",
-    ),
-    "times": Fault(
-        _set("call", t=np.array([0.0, 2.0, 1.0])), r"t: expected finite, increasing times"
-    ),
-    "wheel size": Fault(_set("build", r1=-0.1), r"r1: expected a number >= 0"),
-    "track": Fault(
-        _set("build", half_track=np.nan), r"half_track: expected a number, found float nan"
-    ),
-    "stops": Fault(
-        _set("build", tilt_stop=-0.1),
-        r"tilt_stop: expected a number > 0, found -0.1",
-    ),
-    "spacing": Fault(
-        _set("map", shortest=0.1), r"power_law: expected shortest >= .* twice the spacing"
-    ),
-    "no height": Fault(
-        _set("map", gap=True), r"all values of z must be finite, .* z\[3, 5\] = nan"
-    ),
-    "kappa": Fault(_set("build", kappa=-1.0), r"kappa: expected a number >= 0, found -1.0"),
-}
-CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
+CAUSES = {  # what a refusal says, and what it is counted as
     r"no solution was found at the start: \w+\[\w+\], .* residual of [\d.e+-]+ m": "cannot stand",
     r"(found a violation|residual .*): wheel \w+ leaves the map, .* to its edge\): .* allowed": (
         "off the map"
@@ -444,21 +376,15 @@ def outcome(case: Case) -> Outcome:
             found.faults.append("the error of the solver carries no trajectory that says why")
             return found
     found.measures["cpu"] = time.process_time() - begin
-    if case.fault and found.kind != "refused":
-        found.faults.append(f"{case.fault} was planted and not noticed")
-    elif found.kind != "refused" and problem is not None:
+    if found.kind != "refused" and problem is not None:
         _check(case, problem, run, found)
     return found
 
 
 def refusal(case: Case, words: str) -> Outcome:
     """Return a refusal, and whether it names its cause."""
-    found = Outcome("refused", case.fault, words)
-    if case.fault:
-        if not re.search(FAULTS[case.fault].words, words):
-            found.faults.append(f"{case.fault} was planted, and the refusal says: {words}")
-        return found
-    found.cause = next((name for each, name in CAUSES.items() if re.search(each, words)), "")
+    cause = next((name for each, name in CAUSES.items() if re.search(each, words)), "")
+    found = Outcome("refused", cause, words)
     if not found.cause:
         found.faults.append(f"the refusal names no known cause: {words}")
     elif re.search(r"\b(nan|inf)\b", words):
@@ -470,45 +396,22 @@ def refusal(case: Case, words: str) -> Outcome:
 
 def build(case: Case) -> tuple[Any, ...]:
     """Return vehicle, ground, and the arguments of ``simulate``."""
-    rng, fault = case.rng("times"), FAULTS.get(case.fault)
+    rng = case.rng("times")
     count = int(rng.choice([10, 50, 100]))
     begin = rng.choice([0.0, 100.0]) if case.inputs not in ("straight", "follow") else 0.0
     t = begin + np.linspace(0, rng.uniform(1, 8), count + 1)
     call = {"t": t, "options": SolverOptions(tolerance=case.tolerance)}
-    request = {"build": {}, "map": {}, "start": {}, "inputs": {"": 0.0}, "call": call}
-    if fault:
-        fault.plant(request)
-    if request["build"] or request["map"]:
-        _refused(request)
     vehicle = VEHICLES[case.vehicle](case.rng("vehicle"), case.wheels)
     ground = ground_of(case, max(wheel.radius for wheel in vehicle.wheels))
     closure = direct_kinematics(vehicle, ground, slip=SLIP_LAWS[case.slip]())
     dae = closure
     if case.formulation == "montana":
         dae = montana_kinematics(vehicle, ground, slip=SLIP_LAWS[case.slip]())
-    start = settle(closure, **(start_of(case, ground, vehicle) | request["start"]))
+    start = settle(closure, **start_of(case, ground, vehicle))
     inputs = inputs_of(case, dae, vehicle, start, count)
     if isinstance(inputs, dict):
-        if fault:
-            fault.plant(request | {"inputs": inputs})
         inputs = dae.inputs(**inputs)
     return vehicle, ground, dae, start, inputs, call
-
-
-def _refused(request: dict[str, Any]) -> None:
-    """Build what must be refused."""
-    values = dict(request["build"])
-    kappa = values.pop("kappa", 10.0)
-    grid = power_law(
-        _map(),
-        **{"rms": 0.1, "hurst": 0.8, "longest": 4.0, "shortest": 1.0, "seed": 1}
-        | {k: v for k, v in request["map"].items() if k != "gap"},
-    )
-    if "gap" in request["map"]:
-        z = grid.z.copy()
-        z[3, 5] = np.nan
-        grid = Grid(grid.x, grid.y, z)
-    montana_kinematics(three_wheeler(**values), Bicubic(grid), kappa=kappa)
 
 
 # --- checks ---------------------------------------------------------------------------------------

@@ -55,7 +55,7 @@ from slipfree.system.interrupt import (
 pytestmark = pytest.mark.slow
 
 HILLS = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
-SMALL = sets("plan.intervals=8", "costs.slip=1e3", "time.step=0.5")
+PLAN = (str(HILLS), *sets("plan.intervals=8", "costs.slip=1e3", "time.step=0.5"))
 T = np.linspace(0, 2, 21)
 OLD = b"what was here before"
 
@@ -77,14 +77,15 @@ def lost():
         press()
 
 
-def pressing(function, at=1):
+def pressing(function, at=1, times=1):
     """Return a function before whose call of that number Ctrl-C is pressed, and those calls."""
     calls = []
 
     def pressed(*args, **more):
         calls.append(args)
         if len(calls) == at:
-            press()
+            for _ in range(times):
+                press()
         return function(*args, **more)
 
     return pressed, calls
@@ -203,8 +204,7 @@ def test_at_the_entry_of_a_step(monkeypatch):
     ("where", "name"), [(integrator._Relay, "has_eval_buffer"), (simulate, "to_trajectory")]
 )
 def test_while_it_is_made_and_looked_at(where, name, monkeypatch):
-    pressed, _ = pressing(getattr(where, name))
-    monkeypatch.setattr(where, name, pressed)
+    monkeypatch.setattr(where, name, pressing(getattr(where, name))[0])
     with pytest.raises(KeyboardInterrupt):
         moved()
 
@@ -286,8 +286,7 @@ def planned(progress=None):
     ("where", "name"), [(ipopt._IterateWatcher, "get_sparsity_in"), (ipopt, "largest_violation")]
 )
 def test_in_a_search(where, name, monkeypatch):
-    pressed, _ = pressing(getattr(where, name), at=2)
-    monkeypatch.setattr(where, name, pressed)
+    monkeypatch.setattr(where, name, pressing(getattr(where, name), at=2)[0])
     seen = []
     with pytest.raises(KeyboardInterrupt):
         planned(lambda _, iterate: not seen.append(iterate))
@@ -420,80 +419,78 @@ def run(*words):
     return invoke("run", *words, "--no-draw")
 
 
-def test_a_run_interrupted_in_its_diagnostics_is_kept(folder, monkeypatch):
-    pressed, _ = pressing(runner._with_filled)
-    monkeypatch.setattr(runner, "_with_filled", pressed)
-    found = run("p.toml", "-o", "p.nc")
-    assert (found.exit_code, found.stderr) == (
-        130,
-        "interrupted at t = 0.5 s; p.nc contains the result so far\n",
-    )
-    kept = netcdf.read(folder / "p.nc")
-    assert kept.t[-1] == 0.5
-    assert "not all diagnostics" in kept.stop.words
+GRIP = ("p.toml", *sets("terrain.friction=0.8"))
+SO_FAR = r"interrupted at t = \S+ s.*; p.nc contains the result so far\n"
+RUNS = {  # function, its call, words of the command, what is told, and the kept stop or file
+    "diagnostics": (
+        (runner, "_with_filled"),
+        GRIP[:1],
+        r"interrupted at t = 0.5 s; p.nc contains the result so far\n",
+        "interrupted",
+    ),
+    "while written": (
+        (os, "fsync"),
+        GRIP[:1],
+        r"interrupted; p.nc contains the result, which is complete\n",
+        None,
+    ),
+    "while written, twice": (
+        (os, "fsync", 1, 2),
+        GRIP[:1],
+        r"interrupted; p.nc is not written: the earlier file is unchanged\n",
+        OLD,
+    ),
+    "kinematics": ((integrator, "_doubles", 9), GRIP, SO_FAR, "interrupted"),
+    "kinematics, twice": ((integrator, "_doubles", 1, 2), GRIP[:1], "interrupted\n", OLD),
+    "dynamics": (
+        (integrator, "_doubles", 200),
+        (*GRIP, *sets("model=dynamics")),
+        SO_FAR,
+        "interrupted",
+    ),
+    "sampled": (
+        (zero_order_hold, "run_buffered", 61),
+        (*GRIP, *sets("model=dynamics", "driver.period=0.01")),
+        SO_FAR,
+        "interrupted",
+    ),
+    "plan that is compiled": ((planning, "transcribe"), PLAN, "interrupted\n", OLD),
+    "plan behind its first iteration": (
+        (ipopt, "largest_violation", 2),
+        PLAN,
+        r".*to resume: slipfree run .*--resume p.nc.*",
+        "plan",
+    ),
+}
 
 
-def test_a_run_interrupted_while_it_is_written_is_whole(folder, monkeypatch):
-    pressed, _ = pressing(os.fsync)
-    monkeypatch.setattr(os, "fsync", pressed)
-    found = run("p.toml", "-o", "p.nc")
-    assert (found.exit_code, found.stderr) == (
-        130,
-        "interrupted; p.nc contains the result, which is complete\n",
-    )
-    assert netcdf.read(folder / "p.nc").stop is None
-
-
-def test_a_second_ctrl_c_while_a_result_is_written_leaves_the_old_one(folder, monkeypatch):
-    def twice(*_):
-        press()
-        press()
-
-    monkeypatch.setattr(os, "fsync", twice)
-    found = run("p.toml", "-o", "p.nc")
-    assert (found.exit_code, found.stderr) == (
-        130,
-        "interrupted; p.nc is not written: the earlier file is unchanged\n",
-    )
-    assert (folder / "p.nc").read_bytes() == OLD
-    assert not [*folder.glob(".*.part*")]
-
-
-@pytest.mark.parametrize(
-    ("where", "name", "at", "settings"),
-    [
-        (integrator, "_doubles", 9, ()),
-        (integrator, "_doubles", 200, ("model=dynamics",)),
-        (zero_order_hold, "run_buffered", 61, ("model=dynamics", "driver.period=0.01")),
-    ],
-    ids=["kinematics", "dynamics", "sampled"],
-)
-def test_a_run_interrupted_in_its_integration_keeps_its_samples(
-    folder, monkeypatch, where, name, at, settings
-):
-    pressed, _ = pressing(getattr(where, name), at)
-    monkeypatch.setattr(where, name, pressed)
-    words = sets("terrain.friction=0.8", *settings)
-    found = run("p.toml", "-o", "p.nc", *words)
+@pytest.mark.parametrize("name", RUNS)
+def test_an_interrupted_run_keeps_what_it_has(folder, monkeypatch, name):
+    (where, function, *at), words, told, stop = RUNS[name]
+    monkeypatch.setattr(where, function, pressing(getattr(where, function), *at)[0])
+    found = run(*words, "-o", "p.nc")
     assert found.exit_code == 130, found.output
-    assert re.match(r"interrupted at t = \S+ s.*; p.nc contains the result so far\n", found.stderr)
+    assert re.fullmatch(told, found.stderr, re.DOTALL)
+    if stop == OLD:
+        assert (folder / "p.nc").read_bytes() == OLD
+        assert not [*folder.glob(".*.part*")]
+        return
     kept = netcdf.read(folder / "p.nc")
-    assert (kept.outcome.name, kept.stop.name) == ("INTERRUPTED", "interrupted")
-    assert 0 < kept.t[-1] < 0.5
-    for name, *options in (["info"], ["export", "--path", "p.csv"], ["export", "--mcap", "p.mcap"]):
-        invoke(name, "p.nc", *options, code=0)
-
-
-def test_a_run_interrupted_twice_in_its_integration_writes_nothing(folder, monkeypatch):
-    def pressed(memory):
-        press()
-        press()
-        return memory
-
-    monkeypatch.setattr(integrator, "_doubles", pressed)
-    found = run("p.toml", "-o", "p.nc")
-    assert (found.exit_code, found.stderr) == (130, "interrupted\n")
-    assert (folder / "p.nc").read_bytes() == OLD
+    assert (kept.stop and kept.stop.name) == stop
+    if stop == "plan":
+        assert kept.facts["plan_iterations"].value == 1
+    if name == "diagnostics":
+        assert kept.t[-1] == 0.5
+        assert "not all diagnostics" in kept.stop.words
+    if told == SO_FAR:
+        assert kept.outcome.name == "INTERRUPTED"
+        assert 0 < kept.t[-1] < 0.5
+        for command, *options in (
+            ("info",),
+            ("export", "--path", "p.csv"),
+            ("export", "--mcap", "p.mcap"),
+        ):
+            invoke(command, "p.nc", *options, code=0)
 
 
 @pytest.fixture
@@ -537,27 +534,6 @@ def test_an_interrupted_import_prints_no_traceback(pressed, monkeypatch, capsys)
         assert (ended.value.code, capsys.readouterr().err) == (130, "interrupted\n")
 
 
-def test_a_plan_before_its_first_iteration_writes_nothing(folder, monkeypatch):
-    """As while its functions are compiled."""
-    pressed, _ = pressing(planning.transcribe)
-    monkeypatch.setattr(planning, "transcribe", pressed)
-    found = run(str(HILLS), "-o", "p.nc", *SMALL)
-    assert (found.exit_code, found.stderr) == (130, "interrupted\n")
-    assert (folder / "p.nc").read_bytes() == OLD
-
-
-def test_a_plan_behind_its_first_iteration_is_kept(folder, monkeypatch):
-    pressed, _ = pressing(ipopt.largest_violation, at=2)
-    monkeypatch.setattr(ipopt, "largest_violation", pressed)
-    found = run(str(HILLS), "-o", "p.nc", *SMALL)
-    assert found.exit_code == 130, found.output
-    assert "to resume: slipfree run" in found.stderr
-    assert "--resume p.nc" in found.stderr
-    kept = netcdf.read(folder / "p.nc")
-    assert kept.facts["plan_iterations"].value == 1
-    assert kept.stop.name == "plan"
-
-
 @pytest.mark.parametrize("where", ["verification", "by_friction"])
 def test_a_plan_interrupted_after_its_search_is_kept(folder, monkeypatch, where):
     """Also on disk while it is verified, in case that the process is killed."""
@@ -571,7 +547,7 @@ def test_a_plan_interrupted_after_its_search_is_kept(folder, monkeypatch, where)
     module = verification if where == "verification" else plan_verb
     monkeypatch.setattr(module, "simulate_plan", pressed)
     settings = ("--set", "terrain.friction=0.8") if where == "by_friction" else ()
-    found = run(str(HILLS), "-o", "p.nc", *SMALL, *settings)
+    found = run(*PLAN, "-o", "p.nc", *settings)
     assert found.exit_code == 130, found.output
     kept, arrays = netcdf.read(folder / "p.nc"), netcdf.read_arrays(folder / "p.nc")
     assert seen == ["plan_unverified"]
@@ -587,7 +563,7 @@ def test_a_plan_whose_verification_fails_is_kept(folder, monkeypatch):
         raise SolverError("IDA_CONV_FAIL")
 
     monkeypatch.setattr(verification, "simulate_plan", fail)
-    found = run(str(HILLS), "-o", "p.nc", *SMALL)
+    found = run(*PLAN, "-o", "p.nc")
     kept = netcdf.read(folder / "p.nc")
     assert found.exit_code == 1
     assert kept.outcome.name == "SOLVER_FAILURE"

@@ -23,6 +23,7 @@ from slipfree.show.meshes import (
     Surface,
     extruded,
     joined,
+    plate,
     rod,
     roller_axles,
     shape_mesh,
@@ -31,8 +32,6 @@ from slipfree.show.meshes import (
 )
 from slipfree.show.scene import (
     BLOCKED,
-    ROD,
-    TYRE,
     Actor,
     Arrows,
     Backdrop,
@@ -42,11 +41,11 @@ from slipfree.show.scene import (
     Scene,
     SceneBody,
     SceneGround,
-    chassis,
     color_of,
-    framed,
     layer,
     map_lines,
+    reason_without_arrows,
+    scales,
 )
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
@@ -63,6 +62,9 @@ SEEN = 0.1  # larger distances of wheels from the drawn ground cause a warning [
 AROUND = 1.6  # half the width of the ground around the vehicle in a film [reach of the vehicle]
 CELLS = 24  # nodes of the ground around the vehicle in a film, per side
 CLOSEST_COLOR = (120, 0, 160)  # of the place where a body came closest to the ground
+ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform [wheel radius]
+NARROW = 0.55  # width of the platform [width of the vehicle]
+TYRE = (90, 90, 90)
 SAME = 1e-9  # smaller differences of grounds are rounding [m]
 
 
@@ -111,7 +113,16 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
     )
     ground = _with_solids(SceneGround(fine.mesh(origin), tuple(layers), shade, lines), solids)
     backdrop = _backdrop(first, window, origin, reach, solids)
-    return framed(ground, actors_of(drives, origin), origin, reach, backdrop, notes, warnings)
+    actors = actors_of(drives, origin)
+    sizes = scales(actors, reach)
+    place = ", ".join(f"{value + 0.0:.10g}" for value in origin)  # no minus zero
+    notes.append(f"The origin of the scene is ({place}) m in map coordinates.")
+    for name, size in sizes.items():
+        if not size:
+            notes.append(f"No {name} is drawn: {reason_without_arrows(name, actors)}.")
+    return Scene(
+        ground, tuple(actors), origin, reach, backdrop, sizes, tuple(notes), tuple(warnings)
+    )
 
 
 def _closest(drives: Sequence[Driven], origin: Array, reach: float) -> Iterable[Lines]:
@@ -288,7 +299,8 @@ def _part_bodies(
         meshes += map(shape_mesh, shapes)
         if name in spans and not shapes:
             away = wheels.origins[0] - origins[0]
-            meshes.append(chassis(away @ rotations[0], spans[name], radius))
+            half = NARROW * float(np.abs((away @ rotations[0])[:, 0]).max())
+            meshes.append(plate(half, *spans[name], PLATE * radius))
         if meshes:
             yield SceneBody(name, ((joined(*meshes), color),), origins, rotations)
 

@@ -25,7 +25,7 @@ from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.show import style
 from slipfree.show.plots import Plot
-from slipfree.show.scene import ARROWS, Actor, Color, Scene, layer, scale_words
+from slipfree.show.scene import ARROWS, Actor, Color, Scene, layer
 from slipfree.show.style import MM, PAGE, STYLE
 from slipfree.system.regular_files import replace_file
 
@@ -281,7 +281,7 @@ def _draw_faces(
 
 
 def _told(scene: Scene) -> list[str]:
-    return [f"{name}: {words}" for name in scene.scales if (words := scale_words(scene, name))]
+    return [each.label for each in scene.entries if each.group == "arrows"]
 
 
 def arrow_lines(starts: Array, vectors: Array, sight: Array) -> Array:
@@ -309,9 +309,9 @@ def _draw_paths(ax: Axes, scene: Scene) -> list[Any]:
         look: dict[str, Any] = {"lw": 1, "ls": "--" if actor.ghost else "-", "zorder": 3}
         ax.plot(*path.T[:2], color=color, label=actor.name, **look)
         markers += ax.plot([], [], "o", mfc=color, mec="white", ms=5, zorder=4)
-    for name in scene.scales:
-        if scene.scales[name]:
-            ax.plot([], [], color=_shares(ARROWS[name]), label=f"{name} (arrows)")
+    for each in scene.entries:
+        if each.group == "arrows":
+            ax.plot([], [], color=_shares(each.color), label=f"{each.name} (arrows)")
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return markers
 

@@ -17,7 +17,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from slipfree.show.plots import Plot, draw
-from slipfree.show.scene import ARROWS, Color, Layer, Scene, scale_words
+from slipfree.show.scene import Color, Entry, Layer, Scene
 from slipfree.show.style import DPI, STYLE
 
 BOX = (
@@ -71,30 +71,11 @@ def warned(scene: Scene) -> str:
 
 def with_legend(html: str, scene: Scene, title: str, color: str, words: Iterable[str]) -> str:
     """Return a page exported by viser with title, legend and notes; ``color`` names a layer."""
-    runs = "".join(
-        _switch(
-            swatch(actor.color, actor.name, ghost=actor.ghost)
-            + (f'<div style="{WARNING}">{escape(actor.stop)}</div>' if actor.stop else ""),
-            [f"/world/run {k}"],
-        )
-        for k, actor in enumerate(scene.actors, 1)
-    )
-    arrows = "".join(
-        _switch(
-            swatch(ARROWS[name], f"{name}: {each}"),
-            [f"/world/run {k}/here/{name}" for k, _ in enumerate(scene.actors, 1)],
-        )
-        for name in scene.scales
-        if (each := scale_words(scene, name))
-    )
-    lines = "".join(
-        _switch(swatch(each.color, f"{each.name}: {each.legend}"), [f"/world/{each.name}"])
-        for each in scene.ground.lines
-    )
+    switches = "".join(map(_switch, scene.entries))
     notes = "".join(f"<p>{escape(note)}</p>" for note in (*scene.notes, *words, SAVED_KEYS))
     box = (
-        f'<div id="slipfree" style="{BOX}"><b>{escape(title)}</b>{_layers(scene, color)}{lines}'
-        f"{runs}{arrows}{warned(scene)}<details><summary>notes</summary>{notes}</details></div>"
+        f'<div id="slipfree" style="{BOX}"><b>{escape(title)}</b>{_layers(scene, color)}'
+        f"{switches}{warned(scene)}<details><summary>notes</summary>{notes}</details></div>"
         f"<script>{page_script('viewer_keys.js')}{page_script('viewer_saved.js')}</script>"
     )
     html = html.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
@@ -121,9 +102,12 @@ def _layers(scene: Scene, color: str) -> str:
     return f'<div>ground <select data-layer="">{options}</select></div>{legends}'
 
 
-def _switch(words: str, nodes: Sequence[str]) -> str:
-    names = escape("|".join(nodes))
+def _switch(entry: Entry) -> str:
+    names = escape("|".join(entry.nodes))
     box = f'<input type="checkbox" checked data-node="{names}" style="{CHECK}">'
+    words = swatch(entry.color, entry.label, ghost=entry.ghost)
+    if entry.stop:
+        words += f'<div style="{WARNING}">{escape(entry.stop)}</div>'
     return f'<label style="display:flex;align-items:baseline">{box}<span>{words}</span></label>'
 
 

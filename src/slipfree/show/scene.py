@@ -21,13 +21,9 @@ from slipfree.core.records import Array
 from slipfree.geometry.mesh import TriangleMesh
 from slipfree.show import style
 from slipfree.show.ground_drawing import Window
-from slipfree.show.meshes import plate
 from slipfree.show.style import FLAT, LARGE
 from slipfree.terrain.base import Grid, Terrain
 
-ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform [wheel radius]
-NARROW = 0.55  # width of the platform [width of the vehicle]
-TYRE = (90, 90, 90)
 BLOCKED = (120, 120, 120)  # colour of blocked nodes
 LONGEST = 0.6  # length of the longest arrows [reach of the vehicle]
 ROUND = (1, 1.5, 2, 3, 4, 5, 6, 8, 10)  # round scales of arrows, times a power of ten
@@ -37,6 +33,7 @@ UNITS = {"slip": "m/s", "force": "N"}
 MAPS = {"height": "viridis", "slope": "cividis", "traversability": "YlGnBu_r", "headings": "YlGnBu"}
 ARROWS = {"slip": (0, 0, 0), "force": (255, 0, 255)}  # different from the colours of runs
 FAR = 20.0  # the camera follows vehicles on longer paths [reach of the vehicle]
+WORLD = "/world"  # node with the scene; it moves when the camera follows a vehicle
 Color = tuple[int, int, int]
 Colors = npt.NDArray[np.uint8]
 LIFT = 0.01  # height of lines above the ground, so that it does not hide them [reach]
@@ -128,6 +125,23 @@ class Backdrop(NamedTuple):
     half: float  # half the width of the surroundings in the view of the vehicle [m]
 
 
+class Entry(NamedTuple):
+    """Entry of the legend: a part of the scene that can be hidden."""
+
+    group: str  # "ground", "arrows" or "runs"
+    name: str
+    color: Color
+    nodes: tuple[str, ...]  # names of its nodes in a page
+    words: str = ""  # scale of arrows, distance of lines, or empty
+    ghost: bool = False  # whether it is drawn as wireframe
+    stop: str = ""  # time and reason of an early stop
+
+    @property
+    def label(self) -> str:
+        """Name and words."""
+        return f"{self.name}: {self.words}" if self.words else self.name
+
+
 class Scene(NamedTuple):
     """Ground, motions and notes of a drawing."""
 
@@ -139,6 +153,31 @@ class Scene(NamedTuple):
     scales: dict[str, float]  # length of an arrow per unit; zero without [m s/m, m/N]
     notes: tuple[str, ...]
     warnings: tuple[str, ...] = ()  # notes that are always shown
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """Legend of lines on the ground, arrows with their scales, and motions."""
+        runs = [f"{WORLD}/run {k}" for k, _ in enumerate(self.actors, 1)]
+        lines = (
+            Entry("ground", each.name, each.color, (f"{WORLD}/{each.name}",), each.legend)
+            for each in self.ground.lines
+        )
+        arrows = (
+            Entry(
+                "arrows",
+                name,
+                ARROWS[name],
+                tuple(f"{run}/here/{name}" for run in runs),
+                f"1 m of arrow length represents {1 / scale:.4g} {UNITS[name]}",
+            )
+            for name, scale in self.scales.items()
+            if scale
+        )
+        motions = (
+            Entry("runs", each.name, each.color, (run,), ghost=each.ghost, stop=each.stop)
+            for each, run in zip(self.actors, runs, strict=True)
+        )
+        return (*lines, *arrows, *motions)
 
     @property
     def paths(self) -> Array:
@@ -159,25 +198,10 @@ class Scene(NamedTuple):
         )
 
 
-def framed(
-    ground: SceneGround,
-    actors: Iterable[Actor],
-    origin: Array,
-    reach: float,
-    backdrop: Backdrop,
-    notes: Iterable[str],
-    warnings: Iterable[str] = (),
-) -> Scene:
-    """Return a scene of the given contents with the scales of its arrows; see `Scene`."""
-    actors = tuple(actors)
+def scales(actors: Sequence[Actor], reach: float) -> dict[str, float]:
+    """Return the lengths of arrows per unit, zero without arrows; see `Scene`."""
     least = {**LEAST, "slip": max(LEAST["slip"], NOTABLE * max(map(_top_speed, actors)))}
-    scales = {name: _scale(name, actors, LONGEST * reach, least[name]) for name in LEAST}
-    place = ", ".join(f"{value + 0.0:.10g}" for value in origin)  # no minus zero
-    all_notes = [*notes, f"The origin of the scene is ({place}) m in map coordinates."]
-    for name, scale in scales.items():
-        if not scale:
-            all_notes.append(f"No {name} is drawn: {_reason_without_arrows(name, actors)}.")
-    return Scene(ground, actors, origin, reach, backdrop, scales, tuple(all_notes), tuple(warnings))
+    return {name: _scale(name, actors, LONGEST * reach, least[name]) for name in LEAST}
 
 
 def color_of(k: int) -> Color:
@@ -197,12 +221,6 @@ def layer(name: str, values: Array, legend: str, low: float, high: float) -> Lay
     parts = np.clip((values - low) / max(high - low, style.FLAT), 0, 1)
     ends = tuple(rgb(scale(part)) for part in np.linspace(0, 1, 9))
     return Layer(name, legend, ends, scale(parts, bytes=True)[:, :3])
-
-
-def chassis(positions: Array, span: tuple[float, float], radius: float) -> TriangleMesh:
-    """Return the plate of a part from rear to front, in the part's frame, x right [m]."""
-    half = NARROW * float(np.abs(positions[:, 0]).max())
-    return plate(half, *span, PLATE * radius)
 
 
 def _vector_lengths(name: str, actors: Iterable[Actor]) -> Array:
@@ -232,17 +250,12 @@ def _scale(name: str, actors: Iterable[Actor], longest: float, least: float) -> 
     return float(1 / (power * min(step for step in ROUND if step * power >= wanted * 0.999)))
 
 
-def _reason_without_arrows(name: str, actors: Iterable[Actor]) -> str:
+def reason_without_arrows(name: str, actors: Iterable[Actor]) -> str:
+    """Return why a quantity is not drawn: it is missing, or too small."""
     sizes = _vector_lengths(name, actors)
     if not sizes.size:
         return f"the results contain no {name}"
     return f"it is at most {sizes.max():.1e} {UNITS[name]}"
-
-
-def scale_words(scene: Scene, name: str) -> str:
-    """Return the scale of the arrows of a quantity as text; empty without arrows."""
-    scale = scene.scales[name]
-    return f"1 m of arrow length represents {1 / scale:.4g} {UNITS[name]}" if scale else ""
 
 
 def map_lines(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,13 +18,13 @@ from slipfree.show.html_page import legend, page_script, swatch, warned, with_le
 from slipfree.show.local_server import Guard, stop, taken
 from slipfree.show.scene import (
     ARROWS,
+    WORLD,
     Actor,
     Arrows,
     Colors,
     Lines,
     Scene,
     SceneGround,
-    scale_words,
 )
 from slipfree.system.interrupt import interrupt_arrived
 
@@ -45,7 +45,6 @@ SKY = 0.5  # ambient light, in addition to viser's two lamps
 FAR = 1000.0  # far plane of the camera, unless the ground is larger [m]
 CLOSE, NEAREST = 3.5, 0.05  # distance of the following camera, and near plane [reach]
 LINES = {"north": 4.0}  # thickness of lines on the ground, by default 1 [pixels]
-WORLD = "/world"  # node with the scene; it moves when the camera follows a vehicle
 
 
 def serve(
@@ -119,7 +118,8 @@ class Stage:
         server.scene.add_light_hemisphere("/sky", intensity=SKY)
         self.world = server.scene.add_frame(WORLD, show_axes=False)
         self.grounds: dict[str, Any] = {}
-        self.lines = {each.name: _add_lines(server, each) for each in scene.ground.lines}
+        for lines in scene.ground.lines:
+            _add_lines(server, lines)
         self.paint(color, shaded=True)
         for layer in scene.ground.layers if others else ():
             if layer.name != color:
@@ -172,6 +172,12 @@ class Stage:
             for each, node in self.grounds.items():
                 node.visible = each == name
 
+    def switch(self, nodes: Sequence[str], visible: bool) -> None:
+        """Show or hide nodes; those that the scene does not have are ignored."""
+        for name in nodes:
+            if node := self.server.scene.get_handle_by_name(name):
+                node.visible = visible
+
 
 class _RunNodes:
     """Nodes of the motion with index ``k`` of a scene in viser."""
@@ -216,7 +222,6 @@ class _RunNodes:
             for each in actor.arrows
             if scene.scales[each.name]
         ]
-        self.shown = {each.name: True for each in actor.arrows}
         _add_tracks(server, root, actor, LIFT * (1 + k) * scene.reach)
 
     @property
@@ -242,12 +247,9 @@ class _RunNodes:
         if touching.any():
             points = actor.contacts[k, touching] - self.position
             self.contacts.points = points.astype(np.float32)
-        self.point(k)
-
-    def point(self, k: int) -> None:
         for node, each in self.arrows:
             lines = _lines(each, k, self.scales[each.name], self.position)
-            node.visible = self.shown[each.name] and len(lines) > 0
+            node.visible = len(lines) > 0
             if len(lines):
                 node.points = lines
 
@@ -276,9 +278,9 @@ def _add_ground(
     return server.scene.add_glb(f"{WORLD}/ground {name}", data, visible=visible)
 
 
-def _add_lines(server: viser.ViserServer, lines: Lines) -> Any:
+def _add_lines(server: viser.ViserServer, lines: Lines) -> None:
     root = f"{WORLD}/{lines.name}"
-    node = server.scene.add_frame(root, show_axes=False)
+    server.scene.add_frame(root, show_axes=False)
     server.scene.add_line_segments(
         f"{root}/lines",
         lines.segments.astype(np.float32),
@@ -290,7 +292,6 @@ def _add_lines(server: viser.ViserServer, lines: Lines) -> Any:
         server.scene.add_label(
             f"{root}/{k + 1}", words, position=place, anchor="center-center", font_screen_scale=0.8
         )
-    return node
 
 
 def _matt(tree: dict[str, Any]) -> None:
@@ -310,8 +311,9 @@ def linear(colors: Colors) -> Colors:
 
 def _add_arrows(server: viser.ViserServer, scene: Scene, root: str, arrows: Arrows) -> Any:
     sizes = {name: SIZES[name] * scene.reach for name in ("shaft", "head", "tip")}
+    server.scene.add_frame(f"{root}/{arrows.name}", show_axes=False)  # to hide them at all times
     return server.scene.add_arrows(
-        f"{root}/{arrows.name}",
+        f"{root}/{arrows.name}/arrows",
         np.zeros((1, 2, 3)),
         ARROWS[arrows.name],
         shaft_radius=sizes["shaft"],
@@ -365,7 +367,8 @@ class _Controls:
     def __init__(
         self, server: viser.ViserServer, stage: Stage, scene: Scene, title: str, color: str
     ) -> None:
-        gui, (first, last) = server.gui, scene.span
+        gui: Any = server.gui
+        first, last = scene.span
         gui.configure_theme(
             show_logo=False, show_share_button=False
         )  # sharing would contact another host
@@ -377,20 +380,31 @@ class _Controls:
         self.time.on_update(lambda _: stage.show(self.time.value))
         self.playing: Any = gui.add_checkbox("play", False)
         self.speed: Any = gui.add_dropdown("speed", SPEEDS, initial_value="1x")
-        self._add_buttons(gui)
-        self._add_keys(gui)
+        actions = self._actions()
+        buttons = gui.add_button_group("", tuple(each.button for each in actions if each.button))
+        by_button = {each.button: each.act for each in actions}
+        buttons.on_click(lambda _: by_button[buttons.value]())
+        for each in actions:  # the page also lists them in its command palette
+            command = gui.add_command(each.label, hotkey=each.key)
+            command.on_trigger(lambda _, act=each.act: act())
         self.following = gui.add_checkbox(f"follow {scene.actors[0].name}", scene.is_far)
         self.following.on_update(lambda _: stage.follow(self.following.value))
         if scene.warnings:
             gui.add_html(warned(scene))
-        self._choose_ground(gui, scene)
-        self._choose_arrows(gui, scene)
-        with gui.add_folder("runs"):
-            for k, actor in enumerate(scene.actors):
-                self._choose_run(gui, k, actor)
-            if sum(not actor.ghost for actor in scene.actors) > 1:
-                spread = gui.add_checkbox("side by side (off the ground)", False)
-                spread.on_update(lambda _: stage.spread(spread.value))
+        for group in dict.fromkeys(["ground", *(entry.group for entry in scene.entries)]):
+            with gui.add_folder(group):
+                if group == "ground":
+                    self._choose_ground(gui, scene)
+                for entry in scene.entries:
+                    if entry.group == group:
+                        gui.add_html(swatch(entry.color, entry.stop, ghost=entry.ghost))
+                        box = gui.add_checkbox(entry.label, True)
+                        box.on_update(
+                            lambda _, box=box, nodes=entry.nodes: stage.switch(nodes, box.value)
+                        )
+                if group == "runs" and sum(not actor.ghost for actor in scene.actors) > 1:
+                    spread = gui.add_checkbox("side by side (off the ground)", False)
+                    spread.on_update(lambda _, box=spread: stage.spread(box.value))
         with gui.add_folder("notes", expand_by_default=False):
             notes = (*scene.notes, f"Keys: {KEYS}.")
             gui.add_html("".join(f"<p>{escape(note)}</p>" for note in notes))
@@ -417,18 +431,6 @@ class _Controls:
     def toggle(self) -> None:
         self.playing.value = not self.playing.value
 
-    def _add_buttons(self, gui: Any) -> None:
-        actions = self._actions()
-        buttons = gui.add_button_group("", tuple(each.button for each in actions if each.button))
-        by_button = {each.button: each.act for each in actions}
-        buttons.on_click(lambda _: by_button[buttons.value]())
-
-    def _add_keys(self, gui: Any) -> None:
-        """Add the keyboard shortcuts, which the page also lists in its command palette."""
-        for each in self._actions():
-            command = gui.add_command(each.label, hotkey=each.key)
-            command.on_trigger(lambda _, act=each.act: act())
-
     def _actions(self) -> tuple[_Action, ...]:
         return (
             _Action("first time", "home", "|<", lambda: self.jump(-np.inf)),
@@ -442,36 +444,13 @@ class _Controls:
 
     def _choose_ground(self, gui: Any, scene: Scene) -> None:
         layers = {layer.name: layer for layer in scene.ground.layers}
-        with gui.add_folder("ground"):
-            chosen = gui.add_dropdown("color", tuple(layers), initial_value=self.color)
-            words = gui.add_html(legend(layers[chosen.value]))
-            shading = gui.add_checkbox("hillshade", True, visible=scene.ground.shade is not None)
+        chosen = gui.add_dropdown("color", tuple(layers), initial_value=self.color)
+        words = gui.add_html(legend(layers[chosen.value]))
+        shading = gui.add_checkbox("hillshade", True, visible=scene.ground.shade is not None)
 
-            def paint(_: Any) -> None:
-                self.stage.paint(chosen.value, shaded=shading.value)
-                words.content = legend(layers[chosen.value])
+        def paint(_: Any) -> None:
+            self.stage.paint(chosen.value, shaded=shading.value)
+            words.content = legend(layers[chosen.value])
 
-            chosen.on_update(paint)
-            shading.on_update(paint)
-            for lines in scene.ground.lines:
-                box = gui.add_checkbox(f"{lines.name}: {lines.legend}", True)
-                node = self.stage.lines[lines.name]
-                box.on_update(lambda _, box=box, node=node: setattr(node, "visible", box.value))
-
-    def _choose_arrows(self, gui: Any, scene: Scene) -> None:
-        with gui.add_folder("arrows"):
-            for name in scene.scales:
-                if words := scale_words(scene, name):
-                    gui.add_html(swatch(ARROWS[name]))
-                    box = gui.add_checkbox(f"{name} ({words})", True)
-                    box.on_update(lambda _, box=box, name=name: self._point(name, box.value))
-
-    def _point(self, name: str, visible: bool) -> None:
-        for actor in self.stage.actors:
-            actor.shown[name] = visible
-            actor.point(actor.last)
-
-    def _choose_run(self, gui: Any, k: int, actor: Actor) -> None:
-        gui.add_html(swatch(actor.color, actor.stop, ghost=actor.ghost))
-        box = gui.add_checkbox(actor.name, True)
-        box.on_update(lambda _: setattr(self.stage.actors[k].root, "visible", box.value))
+        chosen.on_update(paint)
+        shading.on_update(paint)
