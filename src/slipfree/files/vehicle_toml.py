@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
@@ -160,7 +161,7 @@ Name = Annotated[str, Field(min_length=1)]
 Inertia = Annotated[tuple[float, float, float, float, float, float], Field(strict=False)]
 WheelInertia = Annotated[tuple[Positive, Positive], Field(strict=False)]
 Length = Annotated[Positive, AfterValidator(_meters)]
-DriveTable = Annotated[DriveKind | Any, PlainValidator(_drive)]
+DriveTable: Any = Annotated[DriveKind | Any, PlainValidator(_drive)]
 
 
 class AnyShapeTable(Record):
@@ -324,6 +325,7 @@ def open_file(path: Path) -> File:
     return file_of(path, read_text(path, "a vehicle file"))
 
 
+@lru_cache(maxsize=4)  # a command asks several times for the file of its vehicle
 def file_of(path: Path, text: str) -> File:
     """Return the contents of a text, with ``path`` as its file; errors as in `open_file`."""
     data = parse_toml(path, text)

@@ -18,7 +18,7 @@ from slipfree.contact.closure import check_couplings
 from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError
 from slipfree.files.toml.source import Fault, Place, name_errors
-from slipfree.files.toml.types import NonNegative, Positive, Record
+from slipfree.files.toml.types import NonNegative, Record, decoded
 from slipfree.files.urdf.elements import read_tree
 from slipfree.files.urdf.links import Robot
 from slipfree.files.urdf.meshes import MeshFiles
@@ -37,21 +37,14 @@ from slipfree.files.urdf.xml import check_ending, is_description, parse_robot
 from slipfree.files.vehicle_draft import Draft, Guess, UnfitError
 from slipfree.files.vehicle_toml import (
     PARTS,
-    At,
-    Axis,
-    DriveTable,
     File,
-    Inertia,
     Length,
-    Rollers,
     VehicleError,
-    WheelInertia,
     couple_errors,
     open_file,
     read_toml,
     validated,
 )
-from slipfree.geometry.frame import unit_vector
 from slipfree.geometry.mesh import TriangleMesh
 from slipfree.problem import schema
 from slipfree.problem.build_ground import at
@@ -59,61 +52,18 @@ from slipfree.problem.problem import Problem, shared
 from slipfree.problem.schema import CATALOG
 from slipfree.show.meshes import joined
 from slipfree.system.regular_files import read_bytes, regular_file
-from slipfree.vehicle.drives import RATE
 from slipfree.vehicle.gravity import in_gravity
 from slipfree.vehicle.tree import Vehicle, actuated
-from slipfree.vehicle.wheel import ORIGIN
 
 # values of arguments of xacro that cannot contain programs or names of files in other folders
 HARMLESS = re.compile(r"[\w .,+-]*", re.ASCII)
 
 
-class UrdfJointTable(Record):
-    """Table of a joint in a file that completes a URDF: its kind, and keys of its coordinate.
-
-    A joint that is not in the URDF has the key ``carries``.
-    """
-
-    kind: Literal["commanded", "passive", "suspension", "fixed"]
-    axis: Axis | None = None
-    motion: Literal["turn", "slide"] | None = None
-    carries: Annotated[tuple[str, ...], Field(strict=False)] = ()
-    at: At = ORIGIN
-    words: str | None = None
-    lower: float | None = None
-    upper: float | None = None
-    stiffness: NonNegative | None = None
-    rest: float | None = None
-    damping: NonNegative | None = None
-    bump: NonNegative | None = None
-    max_rate: Positive | None = None
-    drive: DriveTable = None
-
-
-class UrdfWheelTable(Record):
-    """Table of a wheel in a file that completes a URDF: added or overriding properties."""
-
-    driven: bool | None = None
-    radius: Length | None = None
-    tube: NonNegative | None = None
-    grip: Positive = 1.0
-    rollers: Rollers | None = None
-    mass: NonNegative | None = None
-    inertia: WheelInertia | None = None
-    static_depth: Length | None = None
-    drive: DriveTable = RATE
-
-
-class LinkTable(Record):
-    """Table of a link in a file that completes a URDF: mass properties that override the URDF's."""
-
-    mass: NonNegative | None = None
-    center_of_mass: At | None = None
-    inertia: Inertia | None = None
-
-
 # a text is the kind of the joint
 EXPANDED = BeforeValidator(lambda value: {"kind": value} if isinstance(value, str) else value)
+JointTable: Any = Annotated[decoded(JointRole), EXPANDED]
+WheelTable: Any = decoded(WheelRole)
+LinkTable: Any = decoded(LinkRole)
 
 
 class UrdfTable(Record):
@@ -125,24 +75,17 @@ class UrdfTable(Record):
     tube: NonNegative = 0.0
     radius: Length | None = None
     forward: Literal["x", "-x", "y", "-y"] | None = None
-    joints: dict[str, Annotated[UrdfJointTable, EXPANDED]] = Field(default_factory=dict)
-    wheels: dict[str, UrdfWheelTable] = Field(default_factory=dict)
+    joints: dict[str, JointTable] = Field(default_factory=dict)
+    wheels: dict[str, WheelTable] = Field(default_factory=dict)
     links: dict[str, LinkTable] = Field(default_factory=dict)
     couple: dict[str, float] = Field(default_factory=dict)
 
     @property
     def roles(self) -> Roles:
         """Roles of the joints, wheels and links."""
-        own = {"kind", "axis", "motion", "carries", "at"}  # no keys of the coordinate
-        joints = dict[str, JointRole]()
-        for name, joint in self.joints.items():
-            keywords = {k: value for k, value in joint if k not in own and value is not None}
-            axis = None if joint.axis is None else unit_vector(joint.axis)
-            placed = joint.motion, joint.carries, joint.at
-            joints[name] = JointRole(joint.kind, keywords, axis, *placed)
-        wheels = {name: WheelRole(**dict(table)) for name, table in self.wheels.items()}
-        links = {name: LinkRole(**dict(table)) for name, table in self.links.items()}
-        return Roles(joints, wheels, links, self.couple, self.tube, self.radius, self.forward)
+        return Roles(
+            self.joints, self.wheels, self.links, self.couple, self.tube, self.radius, self.forward
+        )
 
 
 class VehicleFile(NamedTuple):
@@ -371,9 +314,10 @@ def _check(table: UrdfTable, tree: Tree, file: File) -> None:
             )
         if index == 0:
             continue
-        if role is not None and role.model_fields_set - {"kind", "axis"}:
+        keys = set() if role is None else {*role.keywords} | ({"motion"} if role.motion else set())
+        if keys:
             expected = "the keys of the common coordinate at the first of the coupled joints"
-            found = ", ".join(sorted(role.model_fields_set - {"kind", "axis"}))
+            found = ", ".join(sorted(keys))
             faults.append(Fault(("joints", name), expected, f"{found}; move them"))
     for name in set(table.joints) & set(table.wheels):
         place: Place = ("joints", name)
@@ -390,7 +334,7 @@ def _check(table: UrdfTable, tree: Tree, file: File) -> None:
 
 
 def _new_joint_errors(
-    name: str, joint: UrdfJointTable, tree: Tree, carried: Sequence[str]
+    name: str, joint: JointRole, tree: Tree, carried: Sequence[str]
 ) -> Iterator[tuple[str, str]]:
     """Yield expected and found value for each error of a joint that is not in the URDF."""
     if name in tree.joints or name in tree.links:

@@ -190,6 +190,12 @@ def record_of(
     return create_model(name, __base__=base, __doc__=meaning, **keys)
 
 
+def decoded(kind: Callable[..., Any]) -> Any:
+    """Return the type of a table that is decoded into a dataclass with annotated fields."""
+    made = AfterValidator(lambda table: kind(**given_values(table)))
+    return Annotated[record_of(kind), made]
+
+
 def _toml_type(key: Key) -> Any:
     plain = getattr(key.hint, "__origin__", key.hint)
     if tuple in (plain, get_origin(plain)):

@@ -3,51 +3,84 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from dataclasses import dataclass, field, fields, replace
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import doc
+from pydantic import AfterValidator
 
+from slipfree.files.toml.types import NonNegative, Positive
 from slipfree.files.urdf.tree import Link, Mimic, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import vector_of
-from slipfree.geometry.frame import Elements, Vector
-from slipfree.vehicle.drives import RATE, Drive
+from slipfree.files.vehicle_toml import (
+    At,
+    Axis,
+    DriveTable,
+    Inertia,
+    Length,
+    Rollers,
+    WheelInertia,
+)
+from slipfree.geometry.frame import unit_vector
+from slipfree.vehicle.drives import RATE
 from slipfree.vehicle.tree import Kind
 from slipfree.vehicle.wheel import ORIGIN
 
+COORDINATE = doc("as in `slipfree.vehicle.tree.Coordinate`")
 
-class JointRole(NamedTuple):
-    """Properties of a joint that complete or override those in the URDF."""
 
-    kind: Kind | Literal["fixed"]  # kind of its coordinate; ``"fixed"`` if it does not move
-    keywords: Mapping[str, Any] = {}  # keyword arguments of `slipfree.vehicle.tree.Coordinate`
-    axis: Vector | None = None  # axis in the joint's frame; None for that of the URDF
-    motion: Literal["turn", "slide"] | None = None  # None for that of its type in the URDF
-    carries: tuple[str, ...] = ()  # joints that a new joint carries; empty for joints of the URDF
-    at: Vector = ORIGIN  # position of a new joint in the link that carried these joints [m]
+@dataclass(frozen=True)
+class JointRole:
+    """Table of a joint in a file that completes a URDF: its kind, and keys of its coordinate.
+
+    A joint that is not in the URDF has the key ``carries``.
+    """
+
+    kind: Annotated[Literal[Kind, "fixed"], doc("kind of its coordinate, if it moves")]
+    axis: Annotated[Axis, AfterValidator(unit_vector), doc("None for that of the URDF")] = None
+    motion: Annotated[Literal["turn", "slide"] | None, doc("None for that of its type")] = None
+    carries: Annotated[tuple[str, ...], doc("joints that a new joint carries")] = ()
+    at: Annotated[At, doc("of a new joint in the link that carried these joints [m]")] = ORIGIN
+    words: Annotated[str | None, COORDINATE] = None
+    lower: Annotated[float | None, COORDINATE] = None
+    upper: Annotated[float | None, COORDINATE] = None
+    stiffness: Annotated[NonNegative | None, COORDINATE] = None
+    rest: Annotated[float | None, COORDINATE] = None
+    damping: Annotated[NonNegative | None, COORDINATE] = None
+    bump: Annotated[NonNegative | None, COORDINATE] = None
+    max_rate: Annotated[Positive | None, COORDINATE] = None
+    drive: Annotated[DriveTable, COORDINATE] = None
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Given keyword arguments of `slipfree.vehicle.tree.Coordinate`."""
+        given = ((each.name, getattr(self, each.name)) for each in fields(self)[5:])
+        return {name: value for name, value in given if value is not None}
 
 
 @dataclass(frozen=True)
 class WheelRole:
-    """Properties of a wheel that complete or override those in the URDF; None keeps them."""
+    """Table of a wheel in a file that completes a URDF; None keeps a property of the URDF."""
 
-    driven: bool | None = None  # None to derive it from actuators of the URDF, or guess it
-    radius: float | None = None  # rolling radius; None for that of the shape, or `Roles` [m]
-    tube: float | None = None  # tube radius; None for that of the shape, or of `Roles` [m]
-    grip: float = 1.0  # factor that multiplies the ground's coefficient of friction [1]
-    rollers: float | bool | None = None  # their angle [rad]; False without; None for a guess
-    mass: float | None = None
-    inertia: tuple[float, float] | None = None  # moments about the axle and across it [kg m^2]
-    static_depth: float | None = None  # under an equal share of the weight; None: default [m]
-    drive: Drive = RATE  # for dynamics
+    driven: Annotated[bool | None, doc("None to derive it from actuators, or guess it")] = None
+    radius: Annotated[Length | None, doc("rolling radius; None for that of the shape [m]")] = None
+    tube: Annotated[NonNegative | None, doc("tube radius; None for that of the shape [m]")] = None
+    grip: Annotated[Positive, doc("factor of the ground's coefficient of friction [1]")] = 1.0
+    rollers: Annotated[Rollers, doc("angle [rad]; False without; None for a guess")] = None
+    mass: Annotated[NonNegative | None, doc("[kg]")] = None
+    inertia: Annotated[WheelInertia | None, doc("about the axle and across it [kg m^2]")] = None
+    static_depth: Annotated[Length | None, doc("as in `slipfree.vehicle.wheel.Wheel` [m]")] = None
+    drive: Annotated[DriveTable, doc("drive, for dynamics")] = RATE
 
 
-class LinkRole(NamedTuple):
-    """Mass properties of a link as in `Link` that override those in the URDF; None keeps them."""
+@dataclass(frozen=True)
+class LinkRole:
+    """Table of a link in a file that completes a URDF: mass properties that override the URDF's."""
 
-    mass: float | None = None
-    center_of_mass: Vector | None = None
-    inertia: Elements | None = None
+    mass: Annotated[NonNegative | None, doc("[kg]")] = None
+    center_of_mass: Annotated[At | None, doc("[m]")] = None
+    inertia: Annotated[Inertia | None, doc("elements of the tensor [kg m^2]")] = None
 
 
 @dataclass(frozen=True)
