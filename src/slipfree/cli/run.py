@@ -45,7 +45,8 @@ if TYPE_CHECKING:
     from slipfree.cli.common import Reports
     from slipfree.plan.polynomial_motion import SavedPlan
     from slipfree.problem.problem import Problem
-    from slipfree.problem.verbs.base import MotionVerb, Result
+    from slipfree.problem.verbs.base import Result
+    from slipfree.problem.verbs.driving import DriveVerb
     from slipfree.show.plots import Plot
 
 
@@ -221,7 +222,7 @@ def _cross_check(result: Result) -> None:
     show([(f"  {row['name']}", line.format(**row)) for row in rows[:8]])
 
 
-def _print_summary(result: Result, verb: MotionVerb) -> None:
+def _print_summary(result: Result, verb: DriveVerb) -> None:
     from slipfree.problem.verbs.base import outcome_fact
 
     motion = result.trajectory

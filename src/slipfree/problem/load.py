@@ -20,12 +20,13 @@ from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.problem.build_ground import convert_places
 from slipfree.problem.problem import Problem, validated_problem
 from slipfree.problem.schema import CommonKeys, Runnable
-from slipfree.problem.verbs.atlas import AtlasVerb
-from slipfree.problem.verbs.base import MotionVerb, Verb
-from slipfree.problem.verbs.compare import CompareVerb
+from slipfree.problem.verbs.atlas import AtlasKeys
+from slipfree.problem.verbs.base import Verb
+from slipfree.problem.verbs.compare import Compare
 from slipfree.problem.verbs.direct import DirectVerb
-from slipfree.problem.verbs.fit import FitVerb
-from slipfree.problem.verbs.fit_over_map import FitOverMapVerb
+from slipfree.problem.verbs.driving import DriveVerb
+from slipfree.problem.verbs.fit import Fit
+from slipfree.problem.verbs.fit_over_map import FitOverMap
 from slipfree.problem.verbs.inverse import InverseVerb
 from slipfree.problem.verbs.plan import PlanVerb
 
@@ -33,10 +34,10 @@ VERBS: tuple[Verb, ...] = (
     DirectVerb(),
     InverseVerb(),
     PlanVerb(),
-    CompareVerb(),
-    FitVerb(),
-    AtlasVerb(),
-    FitOverMapVerb(),
+    Verb(Compare, "compare"),
+    Verb(Fit, "fit"),
+    Verb(AtlasKeys, "atlas", "check"),
+    Verb(FitOverMap, "fit"),
 )
 
 
@@ -50,26 +51,22 @@ def find_verb(name: object) -> Verb | None:
     return next((verb for verb in VERBS if verb.name == name), None)
 
 
-def motion_verbs() -> tuple[MotionVerb, ...]:
-    """Return the verbs of the problems that ``slipfree run`` solves."""
-    return cast("tuple[MotionVerb, ...]", verbs_of("run"))
-
-
-def find_motion_verb(name: object) -> MotionVerb | None:
+def find_motion_verb(name: object) -> DriveVerb | None:
     """Return the verb with a name if ``slipfree run`` solves its problems, otherwise None."""
-    return next((verb for verb in motion_verbs() if verb.name == name), None)
+    verb = find_verb(name)
+    return verb if isinstance(verb, DriveVerb) else None
 
 
-def verb_of(problem: Problem[Runnable]) -> MotionVerb:
+def verb_of(problem: Problem[Runnable]) -> DriveVerb:
     """Return the verb of a problem that ``slipfree run`` solves."""
-    return cast("MotionVerb", find_verb(problem.spec.verb))
+    return cast("DriveVerb", find_verb(problem.spec.verb))
 
 
 def check_option(problem: Problem[Any], option: str) -> None:
     """Raise ProblemError, with the verbs that do, if a verb does not support an option of run."""
     if option in verb_of(problem).options:
         return
-    able = [verb.name for verb in motion_verbs() if option in verb.options]
+    able = [v.name for v in VERBS if isinstance(v, DriveVerb) and option in v.options]
     raise ProblemError(
         f"{problem.source.where(('verb',))}: expected {' or '.join(map(repr, able))} for "
         f"--{option}, found {problem.spec.verb!r}; omit --{option}"
@@ -109,8 +106,7 @@ def load_problem(
         If a file of ``trust`` does not exist.
     """
     path = Path(path)
-    problem = _from_text(verbs_of(command), path, read_text(path), settings)
-    return replace(problem, trusted=trusted_paths(trust))
+    return load_again(path, read_text(path), settings, trusted_paths(trust), command=command)
 
 
 def load_variants(
@@ -123,7 +119,7 @@ def load_variants(
     """
     text = read_text(Path(path))
     for varied in variants:
-        yield _from_text(verbs_of("run"), Path(path), text, settings, varied)
+        yield load_again(Path(path), text, settings, varied=varied)
 
 
 def load_again(
@@ -133,32 +129,20 @@ def load_again(
     trusted: frozenset[str] = frozenset(),
     *,
     command: str = "run",
+    varied: Sequence[str] = (),
     grounds: Mapping[str, Any] = {},
 ) -> Problem[Any]:
     """Return the problem in a text, with ``path`` as its file; errors as in `load_problem`.
 
     ``trusted`` are the paths of xacro files that the command line trusts (`Problem.trusted`),
-    ``grounds`` the ground in a result (`Problem.grounds`).
+    ``varied`` settings of ``--vary``, ``grounds`` the ground in a result (`Problem.grounds`).
     """
-    problem = _from_text(verbs_of(command), path, text, settings, grounds=grounds)
-    return replace(problem, trusted=trusted)
-
-
-def _from_text(
-    verbs: Sequence[Verb],
-    path: Path,
-    text: str,
-    settings: Sequence[str],
-    varied: Sequence[str] = (),
-    grounds: Mapping[str, Any] = {},
-) -> Problem[Any]:
-    """Return the problem in the text of a TOML file; ``varied`` are settings of ``--vary``."""
 
     def schema_of(data: Mapping[str, Any], source: Source) -> type[CommonKeys]:
-        return _by_verb(verbs, data, source).schema
+        return _by_verb(verbs_of(command), data, source).schema
 
     problem = validated_problem(schema_of, path, text, settings, varied)
-    return convert_places(replace(problem, grounds=grounds))
+    return convert_places(replace(problem, trusted=trusted, grounds=grounds))
 
 
 def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> Verb:

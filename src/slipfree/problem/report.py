@@ -41,7 +41,7 @@ from slipfree.problem.load import find_motion_verb, load_problem, verb_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import build, motion_facts, open_result
 from slipfree.problem.stored_world import STORED
-from slipfree.problem.verbs.base import Lines, MotionVerb, Result, outcome_fact, ranges
+from slipfree.problem.verbs.base import PLAIN_ROWS, Lines, Result, outcome_fact, ranges
 from slipfree.problem.verbs.drive_facts import START_ROWS
 from slipfree.routing.traversability import extents
 from slipfree.show.atlas_figures import atlas_plots
@@ -82,7 +82,7 @@ def report(file: Path) -> Report:
     result = open_result(file, samples=FIGURE_SAMPLES)
     run, verb = read(file, lazy=True), find_motion_verb(result.kind)
     facts = [outcome_fact(run), *motion_facts(run)]
-    names = {row.name for row in (verb or MotionVerb).rows if row.is_check}
+    names = {row.name for row in (verb.rows if verb else PLAIN_ROWS) if row.is_check}
     attributes = run.attributes
     tables: dict[str, Sequence[tuple[str, ...]]] = {
         "Result": [fact for fact in facts if fact[0] not in names],

@@ -21,6 +21,7 @@ from slipfree.files.export import check_motion, check_name
 from slipfree.files.netcdf import read, read_arrays
 from slipfree.files.toml.source import ProblemError
 from slipfree.plan.polynomial_motion import SavedPlan
+from slipfree.problem.build import Setup
 from slipfree.problem.build_ground import at, ground_table
 from slipfree.problem.inputs import DIGESTS, digests
 from slipfree.problem.load import check_option, find_motion_verb, load_again, verb_of
@@ -29,16 +30,16 @@ from slipfree.problem.schema import MotionKeys, Runnable
 from slipfree.problem.stored_world import STORED, read_world, store_world
 from slipfree.problem.verbs.base import (
     CROSS_CHECK,
+    PLAIN_ROWS,
     VERB_ATTRIBUTE,
     CrossCheck,
     Lines,
-    MotionVerb,
     Result,
-    VerbSetup,
     VerbSolution,
     Watch,
     values_of,
 )
+from slipfree.problem.verbs.driving import DriveVerb
 from slipfree.system.forks import computing
 from slipfree.system.regular_files import escape_name, unescape_name
 
@@ -117,7 +118,7 @@ def run_problem(
 
 
 def result_of(
-    problem: Problem[Any], verb: MotionVerb, solution: VerbSolution, further: dict[str, str]
+    problem: Problem[Any], verb: DriveVerb, solution: VerbSolution, further: dict[str, str]
 ) -> Result:
     """Return the result of a problem with all that its file contains, and further attributes."""
     run, setup, arrays = solution
@@ -151,7 +152,7 @@ def cross_check(result: Result) -> CrossCheck:
     return verb_of(problem).cross_check(result)
 
 
-def _attributes(problem: Problem[Any], verb: MotionVerb, setup: VerbSetup) -> dict[str, str]:
+def _attributes(problem: Problem[Any], verb: DriveVerb, setup: Setup) -> dict[str, str]:
     source = problem.source
     settings = {"settings": "\n".join(dict.fromkeys(source.settings.values()))}
     attributes = {
@@ -201,7 +202,7 @@ def motion_facts(run: Trajectory) -> Lines:
     verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
     with _readable_facts():
         if verb is None:
-            return lines(MotionVerb.rows, values_of(run, run.facts))
+            return lines(PLAIN_ROWS, values_of(run, run.facts))
         return verb.summary(run)
 
 

@@ -42,7 +42,7 @@ from slipfree.problem.schema import (
     TerrainTable,
     VehicleSource,
 )
-from slipfree.problem.verbs.base import Lines, Verb
+from slipfree.problem.verbs.base import Lines
 from slipfree.routing.traversability import extents
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
@@ -113,13 +113,6 @@ class AtlasKeys(LawKeys, CommonKeys):
         if self.terrain.obstacles:
             expected, found = "no obstacles with verb = 'atlas'", "some; remove them"
             yield Fault(("terrain", "obstacles"), expected, found)
-
-
-class AtlasVerb(Verb):
-    """Where and how a vehicle stands on a map."""
-
-    schema = AtlasKeys
-    commands = ("atlas", "check")
 
 
 @dataclass(frozen=True, eq=False)

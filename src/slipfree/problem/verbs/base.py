@@ -6,15 +6,14 @@ interface and `slipfree.problem.load`; everything specific to a verb is in the m
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, get_args
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, get_args
 
 import numpy as np
 from typing_extensions import TypeVar
 
-from slipfree.core.facts import Fact, Facts, Row, lines, rows
+from slipfree.core.facts import Fact, Facts, rows
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.core.trajectory import SolverError, Stop, Trajectory, outcome_words
@@ -29,9 +28,7 @@ from slipfree.system.interrupt import check_interrupt
 
 if TYPE_CHECKING:
     from slipfree.models.montana import Difference
-    from slipfree.plan.polynomial_motion import SavedPlan
-    from slipfree.show.plots import Plot
-    from slipfree.vehicle.tree import Vehicle
+    from slipfree.problem.build import Setup
 
 
 Lines = list[tuple[str, str]]
@@ -82,30 +79,6 @@ def values_of(run: Trajectory, facts: Facts) -> dict[str, Any]:
     return {**counted, **run.attributes, **run.statistics, **facts}
 
 
-class VerbSetup(Protocol):
-    """Common attributes of the set-ups of all verbs."""
-
-    @property
-    def ground(self) -> Any:
-        """Ground on a grid."""
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """The vehicle."""
-
-    @property
-    def start(self) -> Trajectory:
-        """One sample: the vehicle at its start."""
-
-    @property
-    def t(self) -> Array:
-        """Times of the samples [s]."""
-
-    @property
-    def facts(self) -> Lines:
-        """Facts about ground, vehicle and inputs: pairs of name and text."""
-
-
 class Watch(NamedTuple):
     """Callbacks during the solution of a problem; the first three may raise KeyboardInterrupt."""
 
@@ -120,7 +93,7 @@ class VerbSolution(NamedTuple):
     """Solution of a problem: a motion, its set-up, and further arrays for the result file."""
 
     trajectory: Trajectory  # complete or up to its stop
-    setup: VerbSetup
+    setup: Setup
     arrays: Mapping[str, Array] = NOTHING
 
 
@@ -197,7 +170,7 @@ class Result(Generic[P, D]):
     verification : mapping of str to Fact
         Largest differences of the motion from an independent computation, and violations of
         limits, by name; empty for verbs without verification.
-    setup : VerbSetup or None
+    setup : Setup or None
         Model, start and inputs of the motion; None if it was read from a file.
     arrays : mapping of str to ndarray
         Arrays of the result file besides the samples, such as the plan for a warm start.
@@ -234,78 +207,17 @@ class Result(Generic[P, D]):
         return self.load()
 
 
-class Verb(ABC):
-    """Interface of a verb: the record of its problem files, and the commands that accept it."""
+class Verb:
+    """A kind of problem: the record of its files, and the commands that accept them."""
 
-    schema: ClassVar[type[CommonKeys]]
-    commands: ClassVar[tuple[str, ...]] = ("run", "check")  # the first one solves the problems
+    schema: type[CommonKeys]
+    commands: tuple[str, ...]  # the first one solves the problems
+
+    def __init__(self, schema: type[CommonKeys], *commands: str) -> None:
+        self.schema, self.commands = schema, commands
 
     @property
     def name(self) -> str:
         """Value of the key ``verb``."""
         (name,) = get_args(self.schema.model_fields["verb"].annotation)
         return str(name)
-
-
-class MotionVerb(Verb):
-    """Interface of a verb whose solution is the motion of one vehicle."""
-
-    options: ClassVar[tuple[str, ...]] = ()  # of slipfree run: CROSS_CHECK, RESUME
-    is_timed: ClassVar[bool] = True  # whether the solver proceeds along the time, as integrators do
-    rows: ClassVar[tuple[Row, ...]] = PLAIN_ROWS  # of the summary of a motion
-    metrics_shown: ClassVar[tuple[str, ...]] = ()  # those that a sweep shows by default
-    verified: ClassVar[tuple[str, ...]] = ()  # beginnings of the facts of `verification`
-
-    @abstractmethod
-    def build(self, problem: Problem[Any]) -> VerbSetup:
-        """Return model, start and inputs of a problem; raise ProblemError for an invalid one."""
-
-    @abstractmethod
-    def solve(
-        self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
-    ) -> VerbSolution:
-        """Return the motion of a problem; ``setup`` is the result of `build`.
-
-        ``watch`` reports the progress, ``resume`` is a plan for a warm start. SolverError is raised
-        if the solver fails before the first sample; a later failure is the stop of the trajectory.
-        """
-
-    @abstractmethod
-    def describe_start(self, problem: Problem[Any], setup: Any) -> tuple[Trajectory, Lines]:
-        """Return the start, with headings in the frame of the problem, and facts about it."""
-
-    @abstractmethod
-    def facts(self, run: Trajectory) -> dict[str, Fact]:
-        """Return the facts of a motion, those stored in it included, by name."""
-
-    def summary(self, run: Trajectory) -> Lines:
-        """Return the summary of a motion, pairs of name and text, which show its facts."""
-        return lines(self.rows, values_of(run, self.facts(run)))
-
-    def describe_end(self, run: Trajectory) -> str:
-        """Return a description of the end of a complete motion; empty by default."""
-        return ""
-
-    @abstractmethod
-    def figures(self, result: Result) -> tuple[Plot, ...]:
-        """Return the figures of a result, the most important first."""
-
-    @abstractmethod
-    def shown(self, result: Result, name: str) -> Any:
-        """Return the motion of a result with ground and vehicle, as input of the viewer."""
-
-    def attributes(self, problem: Problem[Any], setup: Any) -> dict[str, str]:
-        """Return the attributes of the result file that only this verb has; none by default."""
-        return {}
-
-    def warnings(self, run: Trajectory) -> Sequence[str]:
-        """Return warnings about a motion; none by default."""
-        return ()
-
-    def verification(self, run: Trajectory) -> dict[str, Fact]:
-        """Return differences from an independent computation and violations of limits, by name."""
-        return {name: fact for name, fact in run.facts.items() if name.startswith(self.verified)}
-
-    def cross_check(self, result: Result) -> CrossCheck:
-        """Return the differences from the other formulation of contact, if the verb offers them."""
-        raise NotImplementedError(CROSS_CHECK)

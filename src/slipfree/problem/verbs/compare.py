@@ -24,7 +24,6 @@ from slipfree.problem.build import (
 from slipfree.problem.build_ground import GroundMap, at, build_ground
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import INPUTS, VERB, DriverTable, TerrainKeys, VehicleSource
-from slipfree.problem.verbs.base import Verb
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import input_samples
 from slipfree.solve.simulate import simulate
@@ -50,13 +49,6 @@ class Compare(TerrainKeys):
     )
     inputs: dict[str, Quantity] = Field(description=INPUTS)
     driver: DriverTable = Field(description="the driving law")
-
-
-class CompareVerb(Verb):
-    """Comparison of several vehicles on one ground."""
-
-    schema = Compare
-    commands = ("compare",)
 
 
 class ComparedMotion(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -33,11 +33,14 @@ from slipfree.problem.build_vehicle import vehicle_file, visual_meshes
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Modelled, MotionKeys
 from slipfree.problem.verbs.base import (
+    CROSS_CHECK,
+    CrossCheck,
     Lines,
-    MotionVerb,
     Result,
+    Verb,
     VerbSolution,
     Watch,
+    values_of,
     with_diagnostics,
 )
 from slipfree.problem.verbs.drive_facts import (
@@ -61,22 +64,32 @@ if TYPE_CHECKING:
 Diagnostic = Callable[[Trajectory], Trajectory]
 
 
-class DriveVerb(MotionVerb):
-    """Base class of the verbs for the motion of one vehicle over terrain."""
+class DriveVerb(Verb, ABC):
+    """Base class of the verbs whose solution is the motion of one vehicle over terrain."""
 
     commands = ("run", "check", "vehicle")
-    rows: ClassVar[tuple[Row, ...]] = (*PATH_ROWS, *MOTION_ROWS)
-    metrics_shown = ("slip_rms", "tilt_largest", "utilisation_largest")
+    options: ClassVar[tuple[str, ...]] = ()  # of slipfree run: CROSS_CHECK, RESUME
+    is_timed: ClassVar[bool] = True  # whether the solver proceeds along the time, as integrators do
+    rows: ClassVar[tuple[Row, ...]] = (*PATH_ROWS, *MOTION_ROWS)  # of the summary of a motion
+    metrics_shown: ClassVar[tuple[str, ...]] = ("slip_rms", "tilt_largest", "utilisation_largest")
+    verified: ClassVar[tuple[str, ...]] = ()  # beginnings of the facts of `verification`
+
+    def __init__(self) -> None:
+        super().__init__(self.schema, *self.commands)
 
     @abstractmethod
     def build(self, problem: Problem[Any]) -> Setup:
-        """Return model, start and inputs of a problem."""
+        """Return model, start and inputs of a problem; raise ProblemError for an invalid one."""
 
     @abstractmethod
     def drive(
         self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the motion without diagnostics, and further arrays for the result file by name."""
+        """Return the motion without diagnostics, and further arrays for the result file by name.
+
+        ``watch`` reports the progress, ``resume`` is a plan for a warm start. SolverError is raised
+        if the solver fails before the first sample; a later failure is the stop of the trajectory.
+        """
 
     def solve(
         self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
@@ -121,6 +134,22 @@ class DriveVerb(MotionVerb):
     def facts(self, run: Trajectory) -> dict[str, Fact]:
         """Return last values, extremes, path length, slip and stored facts of a motion."""
         return {**drive_facts(run), **run.facts}
+
+    def summary(self, run: Trajectory) -> Lines:
+        """Return the summary of a motion, pairs of name and text, which show its facts."""
+        return lines(self.rows, values_of(run, self.facts(run)))
+
+    def warnings(self, run: Trajectory) -> Sequence[str]:
+        """Return warnings about a motion; none by default."""
+        return ()
+
+    def verification(self, run: Trajectory) -> dict[str, Fact]:
+        """Return differences from an independent computation and violations of limits, by name."""
+        return {name: fact for name, fact in run.facts.items() if name.startswith(self.verified)}
+
+    def cross_check(self, result: Result) -> CrossCheck:
+        """Return the differences from the other formulation of contact, if the verb offers them."""
+        raise NotImplementedError(CROSS_CHECK)
 
     def figures(self, result: Result) -> tuple[Plot, ...]:
         """Return the figures of a motion, the most important first."""

@@ -50,7 +50,7 @@ from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import MODEL, VERB, CommonKeys, LawKeys, VehicleSource
 from slipfree.problem.units import moves_sideways
-from slipfree.problem.verbs.base import Lines, Verb
+from slipfree.problem.verbs.base import Lines
 from slipfree.terrain.analytic import Analytic
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
@@ -178,13 +178,6 @@ class Fit(LawKeys, CommonKeys):
     def named_files(self) -> tuple[str, ...]:
         """Names of the logs."""
         return (self.data.file,) if isinstance(self.data.file, str) else self.data.file
-
-
-class FitVerb(Verb):
-    """Calibration on a log."""
-
-    schema = Fit
-    commands = ("fit",)
 
 
 class Fitted(NamedTuple):

@@ -51,7 +51,7 @@ from slipfree.problem.schema import (
     TerrainTable,
     VehicleSource,
 )
-from slipfree.problem.verbs.base import Lines, Verb
+from slipfree.problem.verbs.base import Lines
 from slipfree.problem.verbs.fit import (
     LogKeys,
     Name,
@@ -152,13 +152,6 @@ class FitOverMap(LawKeys, CommonKeys):
     def named_files(self) -> tuple[str, ...]:
         """Names of the logs."""
         return self.data.files
-
-
-class FitOverMapVerb(Verb):
-    """Fit of models of motion over a map."""
-
-    schema = FitOverMap
-    commands = ("fit",)
 
 
 class FittedModels(NamedTuple):
