@@ -14,7 +14,7 @@ import numpy as np
 
 from slipfree.core.errors import DataError, missing_package
 from slipfree.core.records import Array, Mask
-from slipfree.files.maps.clouds import CHUNK, MAX_RECORD, Points, pcd_points, ply_points
+from slipfree.files.maps.clouds import Points, pcd_points, ply_points
 from slipfree.files.maps.missing_values import check_values
 from slipfree.files.maps.raster import Reading
 from slipfree.files.maps.reference_systems import (
@@ -38,7 +38,10 @@ from slipfree.terrain.grid_ops import (
 
 NAMES = ("x", "y", "z")
 BLOCK = 2**20  # number of nodes interpolated at once; limits the memory
-OWN_READERS = {".ply": ply_points, ".pcd": pcd_points}
+PACKAGES = {".ply": ("plyfile",), ".pcd": ("pypcd4",)}
+READERS = {".ply": ply_points, ".pcd": pcd_points}  # of endings other than those of LAS
+CHUNK = 200_000  # number of points of a LAS file read at once
+MAX_RECORD = 4096  # largest size of a point [bytes]
 GROUND, NOISE = 2, (7, 18)  # classes of points in LAS files
 POINTS_PER_CELL = 4.0  # default mean number; with random points, one cell in 55 is empty
 COARSE = 64.0  # mean number of points in the cells that measure the covered area
@@ -173,10 +176,9 @@ def read_point_cloud(path: Path, ask: Reading) -> Heights:
     Points classified as ground are used if there are any. Those of a cell are averaged in x, y and
     z, and heights are interpolated linearly between these averages: a plane is exact.
     """
-    if path.suffix.lower() not in OWN_READERS:
-        for name in ("laspy", "lazrs"):
-            if find_spec(name) is None:
-                raise DataError(missing_package(name, "points"))
+    for name in PACKAGES.get(path.suffix.lower(), ("laspy", "lazrs")):
+        if find_spec(name) is None:
+            raise DataError(missing_package(name, "points"))
     # lazrs aborts the process for some damaged files; gridding there keeps the points there
     return bounded_read(_heights, path, ask.spacing, ask.window, rate=1e5, growth=50.0)
 
@@ -244,7 +246,7 @@ def _read(path: Path, near: Window | None) -> _Cloud:
     ending = path.suffix.lower()
     try:
         with path.open("rb") as stream:
-            file = OWN_READERS.get(ending, _las_points)(stream)
+            file = READERS.get(ending, _las_points)(stream)
             for places, kind in file.chunks:
                 known = np.isfinite(places).all(axis=1)
                 good = known & ~np.isin(kind, NOISE)
@@ -263,8 +265,8 @@ def _read(path: Path, near: Window | None) -> _Cloud:
             return _Cloud(cloud, np.concatenate(ground), omitted, file)
     except (DataError, OSError):
         raise
-    except Exception as error:  # laspy, lazrs and pyproj raise many kinds for damaged files
-        name = ending[1:].upper() if ending in OWN_READERS else "LAS or LAZ"
+    except Exception as error:  # the packages raise many kinds for damaged files
+        name = ending[1:].upper() if ending in READERS else "LAS or LAZ"
         raise DataError(
             f"expected a readable {name} file, found {str(error).rstrip('.')}; copy, export or "
             "download it again: it may be truncated or damaged"
