@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -17,8 +17,8 @@ from slipfree.plan.transcription import (
     Index,
     PlanTask,
     Program,
-    RowBlock,
     TimedCondition,
+    bounded_rates,
     rate_of,
     variable_of,
 )
@@ -53,121 +53,78 @@ class Violation(NamedTuple):
     role: str  # "equation", "limit", "input", "cost", "goal" or name of a way-point
 
 
-class ConstraintGroup(NamedTuple):
-    """One constraint of a program: its rows (constraint functions) or unknowns at all n points."""
+class Constraint(NamedTuple):
+    """One constraint of a plan: ``lower <= expression <= upper``.
+
+    Before transcription, ``parts`` is empty if it applies at all times. In a program, it has rows
+    (constraint functions) or unknowns at n points.
+    """
 
     label: Label  # constrained quantity and kind of constraint, as in `Violation`
     role: str
-    where: Index  # shape (n,): indices into the column of all rows followed by all unknowns
-    intervals: Index  # shape (n,): index of the mesh interval of each point
-    parts: Array  # shape (n,): time of each point as a fraction of the duration, 0 to 1
+    expression: ca.SX
     lower: float  # bounds, in the label's unit and in local coordinates
     upper: float
     shift: float  # reported value minus local value; zero for quantities that are not coordinates
+    parts: Array = np.zeros(0)  # shape (n,): time of each point as a fraction of the duration
+    intervals: Index = np.zeros(0, np.intp)  # shape (n,): mesh interval of each point
+    where: Index = np.zeros(0, np.intp)  # shape (n,): indices of all rows, then all unknowns
     typical: float = 0.0  # of the terms of an equation, in the label's unit; else zero
 
 
-def constraint_groups(program: Program) -> Iterator[ConstraintGroup]:
+def constraint(task: PlanTask, limit: Limit, role: str, *places: Any) -> Constraint:
+    """Return a limit as a constraint of a plan; ``places`` are the fields after ``shift``."""
+    label = replace(limit.label, name=limit.label.name.removesuffix("_limit"))
+    shift = shift_of(task, limit.expression)
+    return Constraint(label, role, *limit[1:4], shift, *places)
+
+
+def constraints_of(program: Program) -> Iterator[Constraint]:
     """Yield the constraints of a program, each with all its rows or unknowns."""
     task, mesh, layout = program.task, program.mesh, program.layout
-    n_g, count = program.g_lower.size, mesh.ends.size - 1
-    yield from _interval_groups(program, program.row_blocks[0])
-    begin = count * len(program.row_blocks[0].labels)
+    rows, n_g, count = program.row_blocks[0], program.g_lower.size, mesh.ends.size - 1
+    each, every, dae = len(rows.labels), np.arange(count), task.dae
+    points = mesh.nodes[1:], np.repeat(every, mesh.degree)
+    inputs, jumps = [*zip(leaves(dae.labels.u), leaves(dae.u), strict=True)], bounded_rates(task)
+    size = (each - len(jumps)) // mesh.degree
+    limits = [limit for limit in task.limits if variable_of(task, limit.expression) is None]
+    n_x, n_z, n_r = (part.shape[-1] for part in (layout.first, layout.unknowns, layout.roots))
+    typical = np.concatenate([np.ones(n_x), dae.scale[:n_z], np.ones(n_r)])
+    for r, label in enumerate(rows.labels[:size]):
+        where = (each * every[:, None] + size * np.arange(mesh.degree) + r).ravel()
+        if r < size - len(limits):
+            equation = Limit(label, ca.SX(0), 0.0, 0.0)
+            yield constraint(task, equation, EQUATION, *points, where, typical[r])
+        else:
+            yield constraint(task, limits[r - size + len(limits)], LIMIT, *points, where)
+    for r, k in enumerate(jumps, each - len(jumps)):
+        rate = Limit(replace(rate_of(inputs[k][0]), wheel=None), ca.SX(0), *task.accelerations[k])
+        yield constraint(task, rate, INPUT, mesh.ends[1:], every, each * every + r)
+    begin = each * count
     for condition, row_block in zip(task.conditions, program.row_blocks[1:], strict=True):
         k = int(np.flatnonzero(np.isin(layout.states[:, -1, 0], row_block.where))[0])
-        for r, limit in enumerate(condition.limits):
-            yield ConstraintGroup(
-                quantity_label(limit.label),
-                role_of(condition.fraction),
-                np.array([begin + r]),
-                np.array([k]),
-                mesh.ends[[k + 1]],
-                limit.lower,
-                limit.upper,
-                shift_of(task, limit.expression),
-            )
-        begin += len(row_block.labels)
-    for r, (k, highest) in enumerate(task.cost_limits):
-        at, last, end = np.array([begin + r]), np.array([count - 1]), mesh.ends[-1:]
-        yield ConstraintGroup(task.costs[k].label, COST, at, last, end, -np.inf, highest, 0.0)
-    intervals, parts = np.repeat(np.arange(count), mesh.degree), mesh.nodes[1:]
+        for limit in condition.limits:
+            place = mesh.ends[[k + 1]], np.array([k]), np.array([begin])
+            yield constraint(task, limit, role_of(condition.fraction), *place)
+            begin += 1
+    for k, highest in task.cost_limits:
+        limit = Limit(task.costs[k].label, ca.SX(0), -np.inf, highest)
+        yield constraint(task, limit, COST, mesh.ends[-1:], every[-1:], np.array([begin]))
+        begin += 1
     for limit in task.limits:
         plain = variable_of(task, limit.expression)
         if plain is not None:
-            record, k = plain
-            where = (layout.states if record == "x" else layout.unknowns)[:, :, k].ravel()
-            yield ConstraintGroup(
-                quantity_label(limit.label),
-                LIMIT,
-                n_g + where,
-                intervals,
-                parts,
-                limit.lower,
-                limit.upper,
-                shift_of(task, limit.expression),
-            )
-    for k, label in enumerate(leaves(task.dae.labels.u)):
-        low, high = task.inputs[k]
-        where = layout.inputs[:, k]
-        yield ConstraintGroup(
-            label,
-            INPUT,
-            n_g + where,
-            np.arange(where.size).clip(max=count - 1),
-            mesh.ends[: where.size],
-            low,
-            high,
-            0.0,
-        )
-
-
-def _interval_groups(program: Program, row_block: RowBlock) -> Iterator[ConstraintGroup]:
-    """Yield the constraints that are rows of the intervals: equations, limits and input rates."""
-    task, mesh = program.task, program.mesh
-    each, every = len(row_block.labels), np.arange(len(row_block.where))
-    rates = int(np.isfinite(task.accelerations).any(axis=1).sum())
-    size = (each - rates) // mesh.degree
-    limits = [limit for limit in task.limits if variable_of(task, limit.expression) is None]
-    intervals, parts = np.repeat(every, mesh.degree), mesh.nodes[1:]
-    points = each * every[:, None] + size * np.arange(mesh.degree)
-    n_x, n_z, n_r = (
-        part.shape[-1]
-        for part in (program.layout.first, program.layout.unknowns, program.layout.roots)
-    )
-    typical = np.concatenate([np.ones(n_x), task.dae.scale[:n_z], np.ones(n_r)])
-    for r in range(size):
-        where, limit = (points + r).ravel(), r - (size - len(limits))
-        label, role = row_block.labels[r], EQUATION if limit < 0 else LIMIT
-        shift = 0.0 if limit < 0 else shift_of(task, limits[limit].expression)
-        yield ConstraintGroup(
-            quantity_label(label),
-            role,
-            where,
-            intervals,
-            parts,
-            row_block.lower[r],
-            row_block.upper[r],
-            shift,
-            typical[r] if limit < 0 else 0.0,
-        )
-    for r in range(each - rates, each):
-        label = replace(row_block.labels[r], wheel=None)
-        yield ConstraintGroup(
-            label,
-            INPUT,
-            each * every + r,
-            every,
-            mesh.ends[1:],
-            row_block.lower[r],
-            row_block.upper[r],
-            0.0,
-        )
+            where = (layout.states if plain[0] == "x" else layout.unknowns)[:, :, plain[1]]
+            yield constraint(task, limit, LIMIT, *points, n_g + where.ravel())
+    for where, (label, u), bounds in zip(layout.inputs.T, inputs, task.inputs, strict=True):
+        place = mesh.ends[: where.size], np.arange(where.size).clip(max=count - 1), n_g + where
+        yield constraint(task, Limit(label, u, *bounds), INPUT, *place)
 
 
 def worst_violations(program: Program, values: Array) -> Iterator[tuple[float, Violation]]:
     """Yield the largest violation of each violated bound, with its relative size first."""
     duration = values[program.g_lower.size + program.layout.duration]
-    for group in constraint_groups(program):
+    for group in constraints_of(program):
         size = size_of(group, values)
         for sign in (1.0, -1.0):
             bound, here = bound_of(group, sign), values[group.where]
@@ -191,12 +148,12 @@ def worst_violations(program: Program, values: Array) -> Iterator[tuple[float, V
             )
 
 
-def bound_of(group: ConstraintGroup, sign: float) -> float:
+def bound_of(group: Constraint, sign: float) -> float:
     """Return the lower bound of a constraint if ``sign`` is positive, otherwise the upper bound."""
     return group.lower if sign > 0 else group.upper
 
 
-def size_of(group: ConstraintGroup, values: Array) -> float:
+def size_of(group: Constraint, values: Array) -> float:
     """Return the divisor that makes violations of a constraint comparable with others.
 
     It is the typical size of the quantity if known, else the width of the range between the bounds,
@@ -226,11 +183,6 @@ def shift_of(task: PlanTask, expression: ca.SX) -> float:
 def role_of(fraction: float) -> str:
     """Return ``"goal"`` for the fraction 1 of the duration, otherwise ``"way-point at ..."``."""
     return GOAL if fraction == 1 else f"{WAY_POINT} at {fraction:g}"
-
-
-def quantity_label(label: Label) -> Label:
-    """Return the label of a limit without the suffix ``_limit`` of its name."""
-    return replace(label, name=label.name.removesuffix("_limit"))
 
 
 def subject(label: Label, role: str) -> str:
@@ -286,26 +238,10 @@ def unit_words(unit: str) -> str:
     return "/".join([" ".join(over) or "1", *under]) if under else " ".join(over)
 
 
-class _Bounds(NamedTuple):
-    """Bounds of an expression before transcription: ``lower <= expression <= upper``.
-
-    ``fraction`` of the duration is nan if they apply at all times; ``shift`` is the reported minus
-    the local value.
-    """
-
-    label: Label
-    role: str
-    expression: ca.SX
-    lower: float
-    upper: float
-    shift: float
-    fraction: float
-
-
 def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
     """Return one sentence for each pair of contradictory bounds; without a start only of states."""
     asked = list(_all_bounds(task))
-    along = [bounds for bounds in asked if np.isnan(bounds.fraction)]
+    along = [bounds for bounds in asked if not bounds.parts.size]
     begin = np.full(len(task.dae.scale), np.nan) if start is None else task.dae.rows("z", start, -1)
     sentences = [
         *_input_conflicts(task),
@@ -318,7 +254,7 @@ def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
         )
     for one, other in combinations(asked, 2):
         apart = max(one.lower - other.upper, other.lower - one.upper)
-        together = np.isnan([one.fraction, other.fraction]).any() or one.fraction == other.fraction
+        together = not (one.parts.size and other.parts.size) or one.parts == other.parts
         if apart > BOUND_TOLERANCE and together and ca.is_equal(one.expression, other.expression):
             remedies = dict.fromkeys([_remedy_words(one.role), _remedy_words(other.role)])
             both = f"{_bound_words(one)}, but {_bound_words(other)}"
@@ -326,36 +262,24 @@ def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
     return sentences
 
 
-def _all_bounds(task: PlanTask) -> Iterator[_Bounds]:
+def _all_bounds(task: PlanTask) -> Iterator[Constraint]:
     """Yield the bounds of way-points, goal, limits, model and inputs, but not of input rates."""
     for condition in task.conditions:
         for limit in condition.limits:
-            yield _to_bounds(task, limit, role_of(condition.fraction), condition.fraction)
+            fraction = np.array([condition.fraction])
+            yield constraint(task, limit, role_of(condition.fraction), fraction)
     for limit in task.limits:
-        yield _to_bounds(task, limit, LIMIT)
+        yield constraint(task, limit, LIMIT)
     for limit in task.dae.all_limits:
         if not any(
             ca.is_equal(limit.expression, own.expression) and limit.label == own.label
             for own in task.limits
         ):
-            yield _to_bounds(task, limit, MODEL)
+            yield constraint(task, limit, MODEL)
     for label, u, (low, high) in zip(
         leaves(task.dae.labels.u), leaves(task.dae.u), task.inputs, strict=True
     ):
-        yield _to_bounds(task, Limit(label, u, low, high), INPUT)
-
-
-def _to_bounds(task: PlanTask, limit: Limit, role: str, fraction: float = np.nan) -> _Bounds:
-    shift = shift_of(task, limit.expression)
-    return _Bounds(
-        quantity_label(limit.label),
-        role,
-        limit.expression,
-        limit.lower,
-        limit.upper,
-        shift,
-        fraction,
-    )
+        yield constraint(task, Limit(label, u, low, high), INPUT)
 
 
 def _input_conflicts(task: PlanTask) -> Iterator[str]:
@@ -388,7 +312,7 @@ def _condition_values(task: PlanTask, condition: TimedCondition) -> Array:
 
 
 def _value_conflicts(
-    task: PlanTask, along: list[_Bounds], role: str, known: Array
+    task: PlanTask, along: list[Constraint], role: str, known: Array
 ) -> Iterator[str]:
     """Yield a message for each bound that ``known`` values of x and z violate; NaN if not known."""
     x, z, u = task.dae.columns()
@@ -410,7 +334,7 @@ def _value_conflicts(
             )
 
 
-def _bound_words(bounds: _Bounds) -> str:
+def _bound_words(bounds: Constraint) -> str:
     low, high = bounds.lower + bounds.shift, bounds.upper + bounds.shift
     return f"{subject(bounds.label, bounds.role)} must be {bounds_words(bounds.label, low, high)}"
 

@@ -16,17 +16,17 @@ from slipfree.plan.constraints import (
     DURATION,
     EQUATION,
     VIOLATION_TOLERANCE,
-    ConstraintGroup,
+    Constraint,
     Violation,
     bound_of,
-    constraint_groups,
+    constraints_of,
     number,
     size_of,
     subject,
     worst_violations,
 )
 from slipfree.plan.ipopt import INFEASIBLE_STATUS, STOPPED_STATUS, NlpSolution, solve_program
-from slipfree.plan.transcription import Index, Program, completed
+from slipfree.plan.transcription import Program, completed
 
 MAX_RELAXATION_ITERATIONS = 200  # of each of the two searches for a relaxation
 MIN_SHARE = 0.05  # smallest reported effect of a bound on the relaxation, per unit of the bound
@@ -69,7 +69,7 @@ def relax(program: Program, first: Array) -> Relaxation:
     values = np.append(_row_values(program, first, weights), first)
     soft = [
         (group, sign)
-        for group in constraint_groups(program)
+        for group in constraints_of(program)
         if group.role != EQUATION
         for sign in (1.0, -1.0)
         if np.isfinite(bound_of(group, sign))
@@ -117,7 +117,7 @@ def _least_cost(elastic: Program, solution: NlpSolution, weights: Array, count: 
 
 
 def _opposing_bounds(
-    program: Program, soft: list[tuple[ConstraintGroup, float]], solution: NlpSolution
+    program: Program, soft: list[tuple[Constraint, float]], solution: NlpSolution
 ) -> Iterator[OpposingBound]:
     """Yield each relaxable bound and the duration, with shares computed from multipliers."""
     counts = [group.where.size for group, _ in soft]
@@ -144,11 +144,11 @@ def _opposing_bounds(
 
 
 def _elastic_program(
-    program: Program, soft: list[tuple[ConstraintGroup, float]], sizes: Array
+    program: Program, soft: list[tuple[Constraint, float]], sizes: Array
 ) -> Program:
     """Return the program with a scaled slack for each bound in ``soft``, whose sum is a cost."""
     hard = np.concatenate(
-        [group.where for group in constraint_groups(program) if group.role == EQUATION]
+        [group.where for group in constraints_of(program) if group.role == EQUATION]
     )
     rows = np.concatenate([hard, *(group.where for group, _ in soft)])
     counts = [group.where.size for group, _ in soft]
@@ -159,8 +159,13 @@ def _elastic_program(
         for part in zip(*((sign, bound_of(group, sign)) for group, sign in soft), strict=True)
     )
     n_all = program.g_lower.size + program.scale.size
-    pick = _sparse_matrix(np.ones(rows.size), np.arange(rows.size), rows, (rows.size, n_all))
-    move = _sparse_matrix(signs * sizes[which], own, which, (rows.size, len(soft)))
+    pick, move = (
+        ca.DM(scipy.sparse.csc_matrix((values, at), (rows.size, columns)))
+        for values, at, columns in (
+            (np.ones(rows.size), (np.arange(rows.size), rows), n_all),
+            (signs * sizes[which], (own, which), len(soft)),
+        )
+    )
     problem, gradient, jacobian, hessian = _elastic_functions(program, pick, move)
     lower, upper = (
         _start_bounds(program, side, free)
@@ -217,12 +222,6 @@ def _start_bounds(program: Program, bounds: Array, free: float) -> Array:
     for where in (program.layout.first, program.layout.duration):
         kept[where] = bounds[where]
     return kept
-
-
-def _sparse_matrix(values: Array, rows: Index, columns: Index, shape: tuple[int, int]) -> ca.DM:
-    matrix = scipy.sparse.csc_matrix((values, (rows, columns)), shape)
-    starts, inside = matrix.indptr.tolist(), matrix.indices.tolist()
-    return ca.DM(ca.Sparsity(*shape, starts, inside), matrix.data)
 
 
 def _row_values(program: Program, unknowns: Array, weights: Array) -> Array:

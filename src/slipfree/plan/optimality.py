@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
+from slipfree.core.dae import Limit
 from slipfree.core.records import Array, Label, Mask, field_overview
 from slipfree.plan.constraints import (
     COST,
@@ -28,8 +29,9 @@ from slipfree.plan.constraints import (
     EQUATION,
     INPUT,
     LIMIT,
-    ConstraintGroup,
-    constraint_groups,
+    Constraint,
+    constraint,
+    constraints_of,
     number,
     subject,
 )
@@ -131,7 +133,10 @@ def check_optimality(program: Program, solution: NlpSolution, weights: Array) ->
     """Check the second-order sufficient conditions at a solution."""
     active = active_set(program, solution)
     free = ~active.bounds
-    hessian, jacobian = _derivatives(program, solution, weights)
+    w = solution.unknowns / program.scale
+    upper = program.hessian(w, weights, 1.0, solution.row_multipliers).sparse()
+    hessian = (upper + scipy.sparse.triu(upper, 1).T).tocsc()
+    jacobian = program.jacobian(w, weights)[1].sparse().tocsr()
     h, a = hessian[free][:, free], jacobian[active.rows][:, free]
     n, m = h.shape[0], a.shape[0]
     if n <= m:
@@ -165,22 +170,6 @@ def check_optimality(program: Program, solution: NlpSolution, weights: Array) ->
     curvature = 1 / weakest if weakest < 0 else strongest if strongest < 0 else positive
     is_flat = abs(curvature) < REGULARISATION * float(abs(h).max())
     return Optimality(n - m, 0.0 if is_flat else curvature, active.weak)
-
-
-def _derivatives(
-    program: Program, solution: NlpSolution, weights: Array
-) -> tuple[scipy.sparse.csc_matrix, scipy.sparse.csr_matrix]:
-    """Return the Hessian of the Lagrangian and the Jacobian of the rows, for scaled unknowns."""
-    w = solution.unknowns / program.scale
-    upper = _sparse(program.hessian(w, weights, 1.0, solution.row_multipliers))
-    _, jacobian = program.jacobian(w, weights)
-    whole = upper + scipy.sparse.triu(upper, 1).T
-    return whole.tocsc(), _sparse(jacobian).tocsr()
-
-
-def _sparse(matrix: ca.DM) -> scipy.sparse.csc_matrix:
-    columns, rows = matrix.sparsity().get_ccs()
-    return scipy.sparse.csc_matrix((np.array(matrix.nonzeros()), rows, columns), matrix.shape)
 
 
 def _kkt_solver(h: scipy.sparse.spmatrix, a: scipy.sparse.spmatrix) -> Operator:
@@ -326,18 +315,18 @@ def prices_words(rows: Sequence[Mapping[str, Any]]) -> str:
     return "; ".join(named[:MAX_NAMED_PRICES]) + rest
 
 
-def _limit_groups(program: Program) -> Iterator[ConstraintGroup]:
+def _limit_groups(program: Program) -> Iterator[Constraint]:
     """Yield the constraints of a program except equations, and the bounds of its duration."""
-    for group in constraint_groups(program):
+    for group in constraints_of(program):
         if group.role != EQUATION:
             yield group
-    at = np.array([program.g_lower.size + program.layout.duration])
-    label, none = Label(DURATION, "s", "duration"), np.zeros(1, dtype=np.intp)
-    yield ConstraintGroup(label, DURATION, at, none, np.ones(1), *program.task.duration, 0.0)
+    at, label = program.g_lower.size + program.layout.duration, Label(DURATION, "s", "duration")
+    bounds = Limit(label, ca.SX(0), *program.task.duration)
+    yield constraint(program.task, bounds, DURATION, np.ones(1), np.zeros(1, int), np.array([at]))
 
 
 def _sides(
-    program: Program, group: ConstraintGroup, multipliers: Array
+    program: Program, group: Constraint, multipliers: Array
 ) -> Iterator[tuple[str, float, Index]]:
     """Yield side, bound and indices into rows and unknowns, except where others are narrower."""
     lower = np.append(program.g_lower, program.lower)[group.where]

@@ -25,6 +25,14 @@ from slipfree.system.codegen_cache import compiled_functions
 Index = npt.NDArray[np.intp]
 DERIVATIVE_ORDER = 4  # of the ground height: two in the model, two more in the Hessian
 Columns = Sequence[ca.MX]
+# results of the functions of a block, by rows and columns: unknowns "v", rows "g", or one
+RESULTS = {
+    "cost": [("", "")],
+    "gradient": [("", ""), ("v", "")],
+    "rows": [("g", "")],
+    "jacobian": [("g", ""), ("g", "v")],
+    "hessian": [("v", "v")],
+}
 
 
 class BlockLookup(NamedTuple):
@@ -122,36 +130,56 @@ def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunct
     w, p = ca.MX.sym("w", scale.size), ca.MX.sym("p", n_p)
     sigma, multipliers = ca.MX.sym("sigma"), ca.MX.sym("lambda", n_g)
     v = w * scale
-    f, g = _total_cost(blocks, v, p), _all_rows(blocks, v, p)
+
+    def together(name: str, *of_hessian: ca.MX) -> list[ca.MX]:
+        """Return the results of a function of all blocks, as matrices of the program."""
+        # values, entries and factors of each block
+        parts: list[list[tuple[ca.MX, tuple[Index, Index], Array]]] = [[] for _ in RESULTS[name]]
+        for each in blocks:
+            count, function = len(each.variable_indices), getattr(each, name)
+            own = [_gather(v, each.variable_indices), ca.MX(ca.DM(each.constants)), p.T]
+            lookups = ca.MX(count, 0)
+            for argument, lookup in each.lookups:
+                by_columns = _evaluate_by_columns(argument, [*map(_split_columns, [*own, lookups])])
+                asked = ca.reshape(_repeat_constants(by_columns, count)[0], count, -1)
+                lookups = ca.horzcat(lookups, lookup.map(count)(asked.T).T)
+            own.append(lookups)
+            if of_hessian:
+                own += [of_hessian[0], _gather(of_hessian[1], each.row_indices)]
+            values = _evaluate_everywhere(function, each, own)
+            none = np.zeros((count, 1), dtype=np.intp)
+            at = {"": none, "v": each.variable_indices, "g": each.row_indices}
+            for k, axes in enumerate(RESULTS[name]):
+                inside = function.sparsity_out(k).get_triplet()
+                row, column = (np.array(part, dtype=np.intp) for part in inside)
+                rows, columns = at[axes[0]].T[row].ravel(), at[axes[1]].T[column].ravel()
+                factor = sizes[axes[0]][rows] * sizes[axes[1]][columns]
+                if axes == ("v", "v"):
+                    # If two unknowns of a block are one unknown of the program, both triangles
+                    # count.
+                    twice = np.repeat(row != column, count) & (rows == columns)
+                    rows, columns = np.minimum(rows, columns), np.maximum(rows, columns)
+                    factor = factor * (1 + twice)
+                parts[k].append((values[k], (rows, columns), factor))
+        return [
+            sum((ca.sum1(value) for value, *_ in own), ca.MX(0))
+            if axes == ("", "")
+            else _sum_entries(own, (sizes[axes[0]].size, sizes[axes[1]].size))
+            for axes, own in zip(RESULTS[name], parts, strict=True)
+        ]
+
+    sizes = {"": np.ones(1), "v": scale, "g": np.ones(n_g)}
+    of = [w, p, sigma, multipliers]
+    (f,), (g,) = together("cost"), together("rows")
     return ProgramFunctions(
         w,
         p,
         f,
-        g,
-        ca.Function("gradient", [w, p], [*_cost_and_gradient(blocks, v, p, scale)]),
-        ca.Function("jacobian", [w, p], [*_rows_and_jacobian(blocks, v, p, scale)]),
-        ca.Function(
-            "hessian",
-            [w, p, sigma, multipliers],
-            [_lagrangian_hessian(blocks, v, p, scale, (sigma, multipliers))],
-        ),
+        ca.densify(g),
+        ca.Function("gradient", of[:2], [ca.densify(each) for each in together("gradient")]),
+        ca.Function("jacobian", of[:2], together("jacobian")),
+        ca.Function("hessian", of, together("hessian", sigma, multipliers)),
     )
-
-
-def _arguments(each: NlpBlock, v: ca.MX, p: ca.MX) -> list[ca.MX]:
-    """Return the arguments ``v, q, p, c`` of the functions of a block; ``c`` are lookup results."""
-    count = len(each.variable_indices)
-    own, lookups = (
-        [_gather(v, each.variable_indices), ca.MX(ca.DM(each.constants)), p.T],
-        ca.MX(count, 0),
-    )
-    for argument, function in each.lookups:
-        asked = _repeat_constants(
-            _evaluate_by_columns(argument, [*map(_split_columns, [*own, lookups])]), count
-        )[0]
-        results = function.map(count)(ca.reshape(asked, count, -1).T)
-        lookups = ca.horzcat(lookups, results.T)
-    return [*own, lookups]
 
 
 def _evaluate_by_columns(function: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]]:
@@ -202,96 +230,6 @@ def _evaluate_everywhere(f: ca.Function, each: NlpBlock, arguments: Sequence[ca.
     return [ca.vec(ca.reshape(part.nz[:], -1, count).T) for part in results]
 
 
-def _total_cost(blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX) -> ca.MX:
-    return sum(
-        (
-            ca.sum1(_evaluate_everywhere(each.cost, each, _arguments(each, v, p))[0])
-            for each in blocks
-        ),
-        ca.MX(0),
-    )
-
-
-def _all_rows(blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX) -> ca.MX:
-    return _sum_rows(
-        blocks,
-        [_evaluate_everywhere(each.rows, each, _arguments(each, v, p))[0] for each in blocks],
-    )
-
-
-def _cost_and_gradient(
-    blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array
-) -> tuple[ca.MX, ca.MX]:
-    """Return the cost of the program and its gradient with respect to scaled unknowns."""
-    cost, values, entries, factors = ca.MX(0), [], [], []
-    for each in blocks:
-        own, gradient = _evaluate_everywhere(each.gradient, each, _arguments(each, v, p))
-        which, _ = _row_column(each.gradient.sparsity_out(1))
-        rows = each.variable_indices.T[which].ravel()
-        cost += ca.sum1(own)
-        values.append(gradient)
-        entries.append((rows, np.zeros_like(rows)))
-        factors.append(scale[rows])
-    return cost, ca.densify(_sum_entries(values, entries, factors, (scale.size, 1)))
-
-
-def _sum_rows(blocks: Sequence[NlpBlock], rows: Sequence[ca.MX]) -> ca.MX:
-    """Return the rows of the program from the rows of all blocks."""
-    where = np.concatenate([each.row_indices.T.ravel() for each in blocks])
-    if np.unique(where).size == where.size:
-        return ca.vertcat(*rows)[np.argsort(where).tolist()]
-    entries = [(where, np.zeros_like(where))]
-    shape = (int(where.max()) + 1, 1)
-    return ca.densify(_sum_entries([ca.vertcat(*rows)], entries, [np.ones(where.size)], shape))
-
-
-def _rows_and_jacobian(
-    blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array
-) -> tuple[ca.MX, ca.MX]:
-    """Return the rows of the program and their Jacobian with respect to scaled unknowns."""
-    own_rows, values, entries, factors = [], [], [], []
-    for each in blocks:
-        own, jacobian = _evaluate_everywhere(each.jacobian, each, _arguments(each, v, p))
-        row, column = _row_column(each.jacobian.sparsity_out(1))
-        rows, columns = each.row_indices.T[row].ravel(), each.variable_indices.T[column].ravel()
-        own_rows.append(own)
-        values.append(jacobian)
-        entries.append((rows, columns))
-        factors.append(scale[columns])
-    g = _sum_rows(blocks, own_rows)
-    return g, _sum_entries(values, entries, factors, (g.numel(), scale.size))
-
-
-def _lagrangian_hessian(
-    blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array, multipliers: tuple[ca.MX, ca.MX]
-) -> ca.MX:
-    """Return the upper triangle of the Hessian of the Lagrangian for scaled unknowns."""
-    values, entries, factors = [], [], []
-    for each in blocks:
-        own = [
-            *_arguments(each, v, p),
-            multipliers[0],
-            _gather(multipliers[1], each.row_indices),
-        ]
-        (hessian,) = _evaluate_everywhere(each.hessian, each, own)
-        row, column = _row_column(each.hessian.sparsity_out(0))
-        rows, columns = (
-            each.variable_indices.T[row].ravel(),
-            each.variable_indices.T[column].ravel(),
-        )
-        # If two unknowns of a block are one unknown of the program, both triangles count.
-        twice = np.repeat(row != column, len(each.variable_indices)) & (rows == columns)
-        values.append(hessian)
-        entries.append((np.minimum(rows, columns), np.maximum(rows, columns)))
-        factors.append(scale[rows] * scale[columns] * (1 + twice))
-    return _sum_entries(values, entries, factors, (scale.size, scale.size))
-
-
-def _row_column(sparsity: ca.Sparsity) -> tuple[Index, Index]:
-    row, column = (np.array(part, dtype=np.intp) for part in sparsity.get_triplet())
-    return row, column
-
-
 def _repeat_constants(results: Sequence[Columns], count: int) -> list[ca.MX]:
     """Return each result as one column, with scalar entries repeated for all ``count`` points."""
     return [
@@ -304,18 +242,14 @@ def _repeat_constants(results: Sequence[Columns], count: int) -> list[ca.MX]:
 
 
 def _sum_entries(
-    values: Sequence[ca.MX],
-    entries: Sequence[tuple[Index, Index]],
-    factors: Sequence[Array],
-    shape: tuple[int, int],
+    parts: Sequence[tuple[ca.MX, tuple[Index, Index], Array]], shape: tuple[int, int]
 ) -> ca.MX:
     """Return the sparse matrix of values times factors, summed where entries coincide."""
+    values, entries, factors = zip(*parts, strict=True)
     rows, columns = (np.concatenate(part) for part in zip(*entries, strict=True))
     weights = np.concatenate(factors)
     key, where = np.unique(columns.astype(np.int64) * shape[0] + rows, return_inverse=True)
     at = (key % shape[0]).tolist(), (key // shape[0]).tolist()
     pattern = ca.Sparsity.triplet(shape[0], shape[1], *at)
     total = scipy.sparse.csc_matrix((weights, (where, np.arange(where.size))))
-    starts, inside = total.indptr.tolist(), total.indices.tolist()
-    gather = ca.DM(ca.Sparsity(key.size, where.size, starts, inside), total.data)
-    return ca.MX(pattern, gather @ ca.vertcat(*values))
+    return ca.MX(pattern, ca.DM(total) @ ca.vertcat(*values))

@@ -305,7 +305,7 @@ def _interval_rows(
     task: PlanTask, point: StageFunctions, mesh: CollocationMesh, layout: VariableLayout
 ) -> RowBlock:
     """Return the rows of the intervals: those of the points, then the bounded input rates."""
-    inputs, jumps = list(leaves(task.dae.labels.u)), _bounded(task)
+    inputs, jumps = list(leaves(task.dae.labels.u)), bounded_rates(task)
     rates = [rate_of(inputs[k]) for k in jumps]
     low, high = (
         np.append(np.tile(bounds, mesh.degree), task.accelerations[jumps, side])
@@ -314,7 +314,7 @@ def _interval_rows(
     return RowBlock(_whole(layout, mesh), (*(point.labels * mesh.degree), *rates), low, high)
 
 
-def _bounded(task: PlanTask) -> list[int]:
+def bounded_rates(task: PlanTask) -> list[int]:
     """Return the indices of the inputs whose rates are bounded."""
     return [k for k, bounds in enumerate(task.accelerations) if np.isfinite(bounds).any()]
 
@@ -375,7 +375,7 @@ def _stage_block(
         ]
     )
     each = len(point.labels)
-    jumps = inner[:, None] * len(_bounded(task))
+    jumps = inner[:, None] * len(bounded_rates(task))
     row_indices = each * np.arange(inner.size)[:, None] + jumps + np.arange(each)
     limited = [k for k, _ in task.cost_limits]
     shared = np.tile(first_limit + np.arange(len(limited)), (inner.size, 1))
@@ -408,7 +408,7 @@ def _rate_block(
     task: PlanTask, mesh: CollocationMesh, layout: VariableLayout, each: int
 ) -> NlpBlock:
     """Return the block of input rates: smoothness cost, and rows after those of the points."""
-    n_u, jumps = layout.inputs.shape[1], _bounded(task)
+    n_u, jumps = layout.inputs.shape[1], bounded_rates(task)
     u, after, duration = ca.SX.sym("u", n_u), ca.SX.sym("after", n_u), ca.SX.sym("duration")
     length, p = ca.SX.sym("length"), ca.SX.sym("p", len(task.costs) + 1)
     h = length * duration

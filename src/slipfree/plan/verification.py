@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -13,14 +13,13 @@ import numpy as np
 from slipfree.core.dae import Dae, Limit, PiecewiseLinear
 from slipfree.core.records import Array, Mask, Record, leaves
 from slipfree.core.trajectory import SolverError, Trajectory
-from slipfree.plan.constraints import quantity_label, role_of, shift_of
+from slipfree.plan.constraints import constraint, role_of, shift_of
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
 from slipfree.plan.transcription import (
     CollocationMesh,
     Index,
     PlanTask,
     Program,
-    TimedCondition,
 )
 from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 from slipfree.solve.sampling import TURN, same_turn
@@ -68,46 +67,61 @@ def verify_plan(
     """Simulate the inputs of a plan and compare the simulation with the plan.
 
     ``accuracy`` is the largest admissible difference and violation, each in its unit; for a limit
-    at most 1 % of its range (`tolerated_excess`).
+    at most 1 % of its range (`tolerated_excess`). If another model simulates the plan
+    (``dae.replay``), only positions and angles must agree.
     """
-    motion = motion_of(program, unknowns)
-    if program.task.dae.replay is not None:
-        return _verify_on_replay(program, motion, start, accuracy=accuracy, step=step)
-    dae, limits = program.task.dae, program.task.limits
-    replay = simulate_plan(dae, start, motion, step=step, options=_precise(program))
+    task, motion = program.task, motion_of(program, unknowns)
+    dae, limits, other = task.dae, task.limits, task.dae.replay
+    model, options = dae if other is None else other.model, program.options
+    tolerance = max(options.tolerance * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
+    precise = replace(options, tolerance=tolerance)
+    replay = simulate_plan(model, start, motion, step=step, options=precise)
     fractions = np.minimum(replay.t / motion.duration, 1.0)
-    x, z, u = (local_rows(dae, record, replay) for record in "xzu")
-    x, gaps = _compare(x, motion.states(fractions), program.task.periodic, accuracy)
-    samples = replay.t, x, z, u
-    over, allowed = _limit_excess(dae, limits, samples), tolerated_excess(limits, accuracy)[:, None]
-    where, count = _intervals(program, fractions), program.mesh.ends.size - 1
-    worse = np.zeros(count, dtype=bool)
-    if (over > allowed).any():  # refinement moves violations to neighbours
-        worse[where[(over > allowed * REFINED_FRACTION).any(axis=0)]] = True
-    worse |= _error_sources(gaps, where, accuracy, count)
-    if replay.stop is not None:
-        # A finer mesh helps only if the simulation ended at a limit that the program contains.
-        worse[where[-1]] |= replay.stop.name in {limit.label.full for limit in limits}
-    missed = dict[str, float]()
-    for condition, k in _met_conditions(program.task, fractions):
-        one = slice(k, k + 1)
-        at = replay.t[one], x[:, one], z[:, one], u[:, one]
-        missed |= {
-            f"{name} at the {role_of(condition.fraction)}": size
-            for name, size in _excess_by_name(
-                condition.limits, _limit_excess(dae, condition.limits, at)[:, 0]
-            ).items()
-        }
-    violation = _excess_by_name(limits, over.max(axis=1)) | missed
-    names = [label.full for label in leaves(dae.labels.x)]
-    met = max(missed.values(), default=0.0) <= accuracy
+    planned, states = motion.states(fractions), list(leaves(dae.labels.x))
+    x, gaps = _compare(local_rows(model, "x", replay), planned, task.periodic, accuracy)
+    over = _excess(task, limits, replay, x)
+    sizes = {"": over}
+    for condition in task.conditions:
+        k = int(np.abs(fractions - condition.fraction).argmin())
+        if abs(fractions[k] - condition.fraction) <= 1e-6:  # the simulation reaches it
+            one = slice(k, k + 1)
+            own = _excess(task, condition.limits, replay.part(one), x[:, one])
+            sizes[f" at the {role_of(condition.fraction)}"] = own
+    units, violation = {label.full: label.unit for label in states}, dict[str, float]()
+    conditions = {f" at the {role_of(each.fraction)}": each.limits for each in task.conditions}
+    for suffix, asked in ({"": limits} | conditions).items():
+        own = sizes.get(suffix, np.zeros((len(asked), 1)))
+        for limit, most in zip(asked, own.max(axis=1).tolist(), strict=True):
+            name = limit_name(limit) + suffix
+            units[name] = limit.label.unit
+            if most > 0:
+                violation[name] = max(violation.get(name, 0.0), most)
+    ends, count = program.mesh.ends, program.mesh.ends.size - 1
+    where = np.clip(np.searchsorted(ends, fractions - FRACTION_TOLERANCE) - 1, 0, count - 1)
+    if other is not None:
+        # Speeds differ by vibrations that the planned model omits; they are only reported.
+        placed = gaps[[label.unit in POSITION_UNITS for label in states]]
+        worse = _error_sources(placed, where, accuracy, count)
+        met = bool(np.abs(placed).max() <= accuracy)
+    else:
+        worse = _error_sources(gaps, where, accuracy, count)
+        allowed = tolerated_excess(limits, accuracy)[:, None]
+        if (over > allowed).any():  # refinement moves violations to neighbours
+            worse[where[(over > allowed * REFINED_FRACTION).any(axis=0)]] = True
+        if replay.stop is not None:
+            # A finer mesh helps only if the simulation ended at a limit that the program contains.
+            worse[where[-1]] |= replay.stop.name in {limit.label.full for limit in limits}
+        met = not worse.any() and all(
+            own.max(initial=0.0) <= accuracy for suffix, own in sizes.items() if suffix
+        )
+    differences = np.abs(gaps).max(axis=1).tolist()
     return Verification(
         replay,
-        dict(zip(names, np.abs(gaps).max(axis=1).tolist(), strict=True)),
+        dict(zip((label.full for label in states), differences, strict=True)),
         violation,
-        _units(program.task),
+        units,
         worse,
-        met and replay.stop is None and not worse.any(),
+        met and replay.stop is None,
     )
 
 
@@ -130,47 +144,6 @@ def _compare(x: Array, planned: Array, periodic: Mask, accuracy: float) -> tuple
     return near, gaps
 
 
-def _precise(program: Program) -> SolverOptions:
-    tolerance = max(program.options.tolerance * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
-    return replace(program.options, tolerance=tolerance)
-
-
-def _verify_on_replay(
-    program: Program, motion: PolynomialMotion, start: Trajectory, *, accuracy: float, step: float
-) -> Verification:
-    """Compare a plan with the simulation of its inputs by another model, ``dae.replay``.
-
-    Positions and angles must agree within the accuracy. Speeds differ by vibrations that the
-    planned model omits; their differences are only reported.
-    """
-    task, dae = program.task, program.task.dae
-    model = dae if dae.replay is None else dae.replay.model
-    replay = simulate_plan(model, start, motion, step=step, options=_precise(program))
-    fractions = np.minimum(replay.t / motion.duration, 1.0)
-    planned = motion.states(fractions)
-    x, gaps = _compare(local_rows(model, "x", replay), planned, task.periodic, accuracy)
-    labels = list(leaves(dae.labels.x))
-    placed = gaps[[label.unit in POSITION_UNITS for label in labels]]
-    over = np.array([_replay_excess(task, limit, replay, x) for limit in task.limits])
-    violation = _excess_by_name(task.limits, over)
-    missed = dict[str, float]()
-    for condition, k in _met_conditions(task, fractions):
-        for limit in condition.limits:
-            excess = _replay_excess(task, limit, replay.part(slice(k, k + 1)), x[:, k : k + 1])
-            if excess > 0:
-                missed[f"{limit_name(limit)} at the {role_of(condition.fraction)}"] = excess
-    return Verification(
-        replay,
-        dict(zip((label.full for label in labels), np.abs(gaps).max(axis=1).tolist(), strict=True)),
-        violation | missed,
-        _units(task),
-        _error_sources(
-            placed, _intervals(program, fractions), accuracy, program.mesh.ends.size - 1
-        ),
-        bool(np.abs(placed).max() <= accuracy) and replay.stop is None,
-    )
-
-
 def largest_error(program: Program, verification: Verification) -> float:
     """Return the largest difference or violation, in its unit; speeds only of the plan's model."""
     is_same = program.task.dae.replay is None
@@ -183,64 +156,9 @@ def largest_error(program: Program, verification: Verification) -> float:
     return max((*differences, *violations), default=0.0)
 
 
-def _intervals(program: Program, fractions: Array) -> Index:
-    """Return the index of the mesh interval of each sample, at fractions of the duration."""
-    ends = program.mesh.ends
-    where = np.searchsorted(ends, fractions - FRACTION_TOLERANCE) - 1
-    return np.asarray(np.clip(where, 0, ends.size - 2))
-
-
-def _replay_excess(task: PlanTask, limit: Limit, run: Trajectory, x: Array) -> float:
-    """Return the largest violation of a limit in a simulation with another model, with states x.
-
-    A limit on unknowns of the planned model applies to the quantity of the same name, if any.
-    """
-    dae, label = task.dae, quantity_label(limit.label)
-    if not ca.depends_on(limit.expression, dae.columns()[1]):
-        u = local_rows(dae, "u", run)
-        unknowns = np.zeros((dae.scale.size, run.t.size))
-        values = limit_values(dae, [limit], (run.t, x, unknowns, u))[0]
-    elif label.name in run.columns:
-        shift = shift_of(task, limit.expression) - task.dae.reported.get(label.full, 0.0)
-        values = run.of(label) - shift
-    else:
-        return 0.0
-    return float(np.maximum(np.maximum(limit.lower - values, values - limit.upper), 0.0).max())
-
-
-def _units(task: PlanTask) -> dict[str, str]:
-    return (
-        {label.full: label.unit for label in leaves(task.dae.labels.x)}
-        | {limit_name(limit): limit.label.unit for limit in task.limits}
-        | {
-            f"{limit_name(limit)} at the {role_of(condition.fraction)}": limit.label.unit
-            for condition in task.conditions
-            for limit in condition.limits
-        }
-    )
-
-
 def limit_name(limit: Limit) -> str:
     """Return the name of the limited quantity with its wheel, such as ``utilisation[left]``."""
     return limit.label.full.replace("_limit", "")
-
-
-def _excess_by_name(limits: Sequence[Limit], most: Array) -> dict[str, float]:
-    """Return the positive violations by name of the limit, the largest for each name."""
-    sizes: dict[str, float] = {}
-    for limit, size in zip(limits, most, strict=True):
-        if size > 0:
-            name = limit_name(limit)
-            sizes[name] = max(sizes.get(name, 0.0), float(size))
-    return sizes
-
-
-def _met_conditions(task: PlanTask, fractions: Array) -> Iterator[tuple[TimedCondition, int]]:
-    """Yield the conditions whose time a simulation reaches, and the index of their sample."""
-    for condition in task.conditions:
-        k = int(np.abs(fractions - condition.fraction).argmin())
-        if abs(fractions[k] - condition.fraction) <= 1e-6:
-            yield condition, k
 
 
 def tolerated_excess(limits: Sequence[Limit], accuracy: float) -> Array:
@@ -258,15 +176,26 @@ def local_rows(dae: Dae, record: str, run: Trajectory) -> Array:
     return rows if shift is None else rows - shift[:, None]
 
 
-def _limit_excess(
-    dae: Dae, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]
-) -> Array:
-    values = limit_values(dae, limits, samples)
+def _excess(task: PlanTask, limits: Sequence[Limit], run: Trajectory, x: Array) -> Array:
+    """Return violations of limits in a simulation with n states x, shape (n_limits, n).
+
+    In a simulation with another model, a limit on unknowns of the planned model applies to the
+    quantity of the same name, if any.
+    """
+    dae, u = task.dae, local_rows(task.dae, "u", run)
+    is_same, z = dae.replay is None, np.zeros((dae.scale.size, run.t.size))
+    z = local_rows(dae, "z", run) if is_same else z
+    values = limit_values(dae, limits, (run.t, x, z, u))
+    for row, limit in zip(values, limits, strict=True):
+        if not is_same and ca.depends_on(limit.expression, dae.columns()[1]):
+            label = constraint(task, limit, "").label
+            shift = shift_of(task, limit.expression) - dae.reported.get(label.full, 0.0)
+            row[:] = run.of(label) - shift if label.name in run.columns else np.nan
     low, high = (
         np.array([getattr(limit, side) for limit in limits]).reshape(-1, 1)
         for side in ("lower", "upper")
     )
-    return np.asarray(np.maximum(np.maximum(low - values, values - high), 0.0))
+    return np.asarray(np.fmax(np.maximum(low - values, values - high), 0.0))
 
 
 def limit_values(
