@@ -17,9 +17,11 @@ from codecs import BOM_UTF8
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import tomlkit
+from annotated_types import Gt, Len
+from pydantic import AfterValidator, ConfigDict, Strict, TypeAdapter, ValidationError
 from tomlkit.exceptions import TOMLKitError
 
 from slipfree.core.errors import DataError
@@ -30,7 +32,7 @@ from slipfree.problem.build_ground import at
 from slipfree.problem.load import load_again
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import region_of
-from slipfree.problem.verbs.plan_schema import PlanKeys, way_points_of
+from slipfree.problem.verbs.plan_schema import PlanKeys, wanted_places
 from slipfree.system.regular_files import replace_file
 
 SAME = 1e-9  # smaller changes are rounding [m, rad]
@@ -39,7 +41,9 @@ MAX_REGIONS, MAX_CORNERS = 500, 500  # largest numbers of regions, and of corner
 MAX_IDENTITY = 50  # largest number of characters of the identity of a region
 LINE = re.compile(r"[^\n]*\n|[^\n]+")
 HEADER = re.compile(r"\s*\[[^,#]*\]\s*(#|$)")  # of a table; not a corner of a polygon
-Point = tuple[float, float]
+FINITE = ConfigDict(allow_inf_nan=False)
+Number = Annotated[float, Strict()]  # an integer is one, true is none
+Point = tuple[Number, Number]
 PLACES = ("start", "goal", "keep_out")  # keys that the page changes
 
 
@@ -49,18 +53,30 @@ class EditedRegion(NamedTuple):
     Its identity remains when other regions are added or removed.
     """
 
-    identity: str
-    points: tuple[Point, ...]
-    radius: float | None = None
+    identity: Annotated[str, Len(0, MAX_IDENTITY)]
+    points: Annotated[tuple[Point, ...], Len(1, MAX_CORNERS)]
+    radius: Annotated[Number, Gt(0)] | None = None
+
+
+def _as_they_can_be(regions: tuple[EditedRegion, ...]) -> tuple[EditedRegion, ...]:
+    """Return regions of a page; raise ValueError for equal identities or numbers of points."""
+    if len({each.identity for each in regions}) < len(regions):
+        raise ValueError
+    for each in regions:
+        if len(each.points) < 3 if each.radius is None else len(each.points) > 1:
+            raise ValueError
+    return regions
 
 
 class Places(NamedTuple):
     """Start, goal and keep-out regions of a planning problem, in map coordinates."""
 
-    start: tuple[float, float, float]  # x, y and heading in the problem's frame [m, m, rad]
+    start: tuple[Number, Number, Number]  # x, y and heading in the problem's frame [m, m, rad]
     goal: Point | None  # x and y, the middles of ranges; None without both [m]
-    goal_heading: float | None  # None without a heading, and for a range [rad]
-    regions: tuple[EditedRegion, ...]
+    goal_heading: Number | None  # None without a heading, and for a range [rad]
+    regions: Annotated[
+        tuple[EditedRegion, ...], Len(0, MAX_REGIONS), AfterValidator(_as_they_can_be)
+    ]
 
 
 def places_in(problem: Problem[PlanKeys]) -> Places:
@@ -87,8 +103,8 @@ def places_in(problem: Problem[PlanKeys]) -> Places:
 def way_points_in(problem: Problem[PlanKeys]) -> tuple[tuple[str, float, float], ...]:
     """Return name, x and y of the way-points that have both, the middles of ranges [m]."""
     return tuple(
-        (f"way-point at {part:g}", sum(wanted["x"]) / 2, sum(wanted["y"]) / 2)
-        for part, wanted in way_points_of(problem).items()
+        (name, sum(wanted["x"]) / 2, sum(wanted["y"]) / 2)
+        for name, wanted in wanted_places(problem)[:-1]
         if {"x", "y"} <= wanted.keys()
     )
 
@@ -96,45 +112,12 @@ def way_points_in(problem: Problem[PlanKeys]) -> tuple[tuple[str, float, float],
 def places_from(data: object) -> Places:
     """Return the places in a JSON object of the page; raise DataError if it has another form."""
     try:
-        if not isinstance(data, Mapping):
-            raise TypeError
-        x, y, heading = map(_number, data["start"])
-        goal = None if data["goal"] is None else _point(data["goal"])
-        turn = None if data["goal_heading"] is None else _number(data["goal_heading"])
-        if len(data["regions"]) > MAX_REGIONS:
-            raise ValueError
-        regions = tuple(map(_region, data["regions"]))
-        if len({each.identity for each in regions}) < len(regions):
-            raise ValueError
-        return Places((x, y, heading), goal, turn, regions)
-    except (KeyError, TypeError, ValueError) as error:
+        return TypeAdapter(Places, config=FINITE).validate_python(data)
+    except ValidationError as error:
         raise DataError(
             "expected start, goal, goal_heading and regions with finite numbers, found other "
             "values; reload the page"
         ) from error
-
-
-def _region(data: Mapping[str, Any]) -> EditedRegion:
-    identity, points = data["identity"], tuple(map(_point, data["points"]))
-    radius = None if data["radius"] is None else _number(data["radius"])
-    if not isinstance(identity, str) or len(identity) > MAX_IDENTITY:
-        raise ValueError
-    if radius is None and not 3 <= len(points) <= MAX_CORNERS:
-        raise ValueError
-    if radius is not None and (len(points) != 1 or radius <= 0):
-        raise ValueError
-    return EditedRegion(identity, points, radius)
-
-
-def _point(data: Sequence[Any]) -> Point:
-    x, y = map(_number, data)
-    return x, y
-
-
-def _number(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError
-    return float(value)
 
 
 def edited_text(text: str, old: Places, new: Places) -> str:

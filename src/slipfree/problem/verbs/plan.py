@@ -11,7 +11,7 @@ import numpy as np
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.dae import Dae
 from slipfree.core.errors import SlipfreeError
-from slipfree.core.facts import Fact, Facts
+from slipfree.core.facts import Fact
 from slipfree.core.outcome import Outcome, ipopt_words
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import (
@@ -36,7 +36,6 @@ from slipfree.plan.ipopt import (
 )
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import ARRAY_PREFIX, SavedPlan, from_arrays, motion_of
-from slipfree.plan.search import PlanProgress
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.windows import LongPlan
 from slipfree.problem.build import Setup, build_terrain, model_law, wheel_angles_at
@@ -66,7 +65,7 @@ from slipfree.problem.verbs.plan_facts import (
     optimality_facts,
 )
 from slipfree.problem.verbs.plan_over_solids import OverSolids, build_over_solids, drive_over_solids
-from slipfree.problem.verbs.plan_schema import areas_of, places_of, regions, way_points_of
+from slipfree.problem.verbs.plan_schema import areas_of, places_of, regions
 from slipfree.problem.verbs.plan_search import (
     UNTESTED,
     Tested,
@@ -130,25 +129,38 @@ class PlanVerb(DriveVerb):
             return drive_over_solids(problem, setup, watch)
         spec = problem.spec
         progress, facts = _iterate_reporter(watch, setup), dict[str, Fact]()
-        if spec.plan.window is not None:
-            return self._drive_windows(problem, setup, watch, progress, resume)
         if resume is None and spec.plan.starts > 1:
             resume, facts, is_interrupted = best_start(problem, setup, watch.line)
             progress = (lambda *_: False) if is_interrupted else progress
-        with at(problem, ("driver" if spec.driver else "inputs",)):
-            guesses = [] if resume else [guess_motion(setup, start) for start in setup.starts]
-        duration = resume.motion.duration if resume else setup.duration
+        guesses: list[Trajectory] = []
+        if not resume and not spec.plan.window:
+            with at(problem, ("driver" if spec.driver else "inputs",)):
+                guesses = [guess_motion(setup, start) for start in setup.starts]
 
-        def with_plan(plan: Plan, run: Trajectory) -> tuple[Trajectory, Mapping[str, Array]]:
-            run, arrays = _described(setup, plan, run, facts)
+        def with_plan(
+            plan: Plan | LongPlan, run: Trajectory
+        ) -> tuple[Trajectory, Mapping[str, Array]]:
+            """Return a run with facts and, if inaccurate, a stop; the plan as arrays."""
+            if run.stop is None and not plan.accurate:
+                run = replace(run, stop=_inaccurate(spec, plan))
+            run = run.with_facts({**facts_of(plan, setup), **facts})
+            if isinstance(plan, LongPlan):
+                windows = Fact([window._asdict() for window in plan.windows])
+                return run.with_facts({"plan_windows": windows}), plan.saved.arrays
             lines = [np.stack([guess["x"], guess["y"]], axis=1) for guess in guesses]
             drawn = _lines_as_arrays("guess", lines) | _lines_as_arrays("route", setup.guide.paths)
-            return run, {**arrays, **drawn}
+            return run, {**plan.saved.arrays, **drawn}
 
-        def keep(plan: Plan) -> None:
+        def keep(plan: Plan | LongPlan) -> None:
             run, arrays = with_plan(plan, plan.replay)
             watch.keep(VerbSolution(run, setup, arrays))
 
+        if spec.plan.window is not None:
+            long = long_plan(problem, setup, resume, progress, keep)
+            run, arrays = with_plan(long, long.replay)
+            checks = {"by_friction": lambda run: run.with_facts(_by_friction(setup, long))}
+            return with_diagnostics(run, checks, watch, setup, arrays), arrays
+        duration = resume.motion.duration if resume else setup.duration
         plan = find_plan(problem, setup, guesses, resume, progress, duration, keep=keep)
         tested = Tested(plan)
         if spec.plan.robust is not None and plan.accurate:
@@ -167,29 +179,6 @@ class PlanVerb(DriveVerb):
             "in_soil": lambda run: run.with_facts(_in_soil(problem, setup, plan)),
             "momentum": lambda run: run.with_facts(_momentum(setup, plan)),
         }
-        return with_diagnostics(run, diagnostics, watch, setup, arrays), arrays
-
-    def _drive_windows(
-        self,
-        problem: Problem[plan_schema.PlanKeys],
-        setup: Planning,
-        watch: Watch,
-        progress: PlanProgress,
-        resume: SavedPlan | None,
-    ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the simulated motion of a plan in windows, and the plan as arrays."""
-
-        def with_plan(plan: LongPlan) -> tuple[Trajectory, Mapping[str, Array]]:
-            windows = Fact([window._asdict() for window in plan.windows])
-            return _described(setup, plan, plan.replay, {"plan_windows": windows})
-
-        def keep(plan: LongPlan) -> None:
-            run, arrays = with_plan(plan)
-            watch.keep(VerbSolution(run, setup, arrays))
-
-        plan = long_plan(problem, setup, resume, progress, keep)
-        run, arrays = with_plan(plan)
-        diagnostics = {"by_friction": lambda run: run.with_facts(_by_friction(setup, plan))}
         return with_diagnostics(run, diagnostics, watch, setup, arrays), arrays
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
@@ -221,15 +210,6 @@ class PlanVerb(DriveVerb):
         return driven._replace(keep_out=regions(problem), plan=planned)
 
 
-def _described(
-    setup: Planning, plan: Plan | LongPlan, run: Trajectory, facts: Facts
-) -> tuple[Trajectory, Mapping[str, Array]]:
-    """Return the simulation of a plan with facts and, if inaccurate, a stop; the plan as arrays."""
-    if run.stop is None and not plan.accurate:
-        run = replace(run, stop=_inaccurate(setup.spec, plan))
-    return run.with_facts({**facts_of(plan, setup), **facts}), plan.saved.arrays
-
-
 def _lines_as_arrays(name: str, lines: Sequence[Array]) -> dict[str, Array]:
     """Return lines in map coordinates [m] as arrays for a file, with NaN between them."""
     gap = np.full((1, 2), np.nan)
@@ -249,7 +229,7 @@ def layers_of(result: Result, ground: GroundMap) -> Traversability:
         layers: Traversability = result.setup.layers
         return layers
     problem, terrain = result.problem, build_terrain(result.problem, ground)
-    places, _ = places_of(problem, way_points_of(problem), terrain.domain)
+    places, _ = places_of(problem, terrain.domain)
     return build_layers(problem, terrain, vehicle_of(result), places)
 
 
@@ -261,8 +241,8 @@ def figure_options(result: Result) -> dict[str, Any]:
     routes, grid = _line_points("route", arrays), build_ground(result.problem).grid
     ends = np.flatnonzero(np.isnan(routes[:, 0]))
     return {
-        "places": places_of(problem, way_points_of(problem), grid.domain)[0],
-        "areas": areas_of(problem, way_points_of(problem), grid.domain),
+        "places": places_of(problem, grid.domain)[0],
+        "areas": areas_of(problem, grid.domain),
         "found": [line[~np.isnan(line[:, 0])] for line in np.split(routes, ends)[:-1]],
         "guess": _line_points("guess", arrays),
         "bounds": unbounded | spec.bounds,
@@ -327,17 +307,22 @@ def _path_of(iterate: Iterate, setup: Planning) -> Array:
 
 def _simulated(
     prefix: str,
+    setup: Planning,
     plan: Plan | LongPlan,
-    drive: Callable[[], Trajectory],
+    build: Callable[[], tuple[Dae, Trajectory]],
+    options: SolverOptions,
     more: Callable[[Trajectory], dict[str, Fact]] = lambda _: {},
 ) -> dict[str, Fact]:
-    """Return the facts of a further simulation of a plan, which is valid without it.
+    """Return the facts of a simulation of a plan with another model; the plan is valid without it.
 
-    Their names begin with the prefix: ``end_distance``, the distance from the end of the plan's own
-    simulation, and those of ``more``; or ``failure``.
+    ``build`` returns the model and its start. The names of the facts begin with the prefix:
+    ``end_distance``, the distance from the end of the plan's own simulation, and those of ``more``;
+    or ``failure``.
     """
     try:
-        run = drive()
+        model, start = build()
+        step = setup.spec.time.step
+        run = simulate_plan(model, start, plan.motion, step=step, options=options)
     except (SlipfreeError, np.linalg.LinAlgError) as error:
         return {f"{prefix}_failure": Fact(f"not simulated: {error}")}
     if run.stop is not None:
@@ -358,10 +343,9 @@ def _by_friction(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
     options = setup.spec.solver.options
     options = replace(options, tolerance=max(options.tolerance, FRICTION_TOLERANCE))
 
-    def drive() -> Trajectory:
+    def build() -> tuple[Dae, Trajectory]:
         model: Dae = quasi_statics(setup.vehicle, setup.terrain)
-        start = settle(model, options=options, **_start_values(setup))
-        return simulate_plan(model, start, plan.motion, step=setup.spec.time.step, options=options)
+        return model, settle(model, options=options, **_start_values(setup))
 
     def slip(run: Trajectory) -> dict[str, Fact]:
         slip = np.hypot(run["slip_along"], run["slip_across"])
@@ -371,7 +355,7 @@ def _by_friction(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
             "utilisation_largest": Fact(float(run["utilisation"].max()), "1"),
         }
 
-    return _simulated("friction", plan, drive, slip)
+    return _simulated("friction", setup, plan, build, options, slip)
 
 
 def _start_values(setup: Planning) -> dict[str, Any]:
@@ -387,13 +371,12 @@ def _by_stiffness(
     wheels = tuple(replace(w, static_depth=w.depth / STIFFER) for w in setup.vehicle.wheels)
     stiff, slip = replace(setup.vehicle, wheels=wheels), model_law(problem)
     model: Dae = direct_kinematics(stiff, setup.terrain, slip=slip)
-    step, options = setup.spec.time.step, setup.spec.solver.options
+    options = setup.spec.solver.options
 
-    def drive() -> Trajectory:
-        start = settled_start(model, setup.start, setup.spec.solver.options)
-        return simulate_plan(model, start, plan.motion, step=step, options=options)
+    def build() -> tuple[Dae, Trajectory]:
+        return model, settled_start(model, setup.start, options)
 
-    return _simulated("stiff", plan, drive)
+    return _simulated("stiff", setup, plan, build, options)
 
 
 def _in_soil(
@@ -406,13 +389,12 @@ def _in_soil(
     law = model_law(problem)
     if not (plan.success and setup.spec.model == "quasi-static" and isinstance(law, Soil)):
         return {}
-    step, options = setup.spec.time.step, setup.spec.solver.options
+    options = setup.spec.solver.options
 
-    def drive() -> Trajectory:
+    def build() -> tuple[Dae, Trajectory]:
         model: Dae = dynamics(setup.vehicle, setup.terrain, law=law)
         values = _start_values(setup) | {SPEED: initial_speed(plan.replay)}
-        start = settle(model, options=options, **values)
-        return simulate_plan(model, start, plan.motion, step=step, options=options)
+        return model, settle(model, options=options, **values)
 
     def compared(run: Trajectory) -> dict[str, Fact]:
         return {
@@ -425,7 +407,7 @@ def _in_soil(
             }.items()
         }
 
-    return _simulated("soil", plan, drive, compared)
+    return _simulated("soil", setup, plan, build, options, compared)
 
 
 def _momentum(setup: Planning, plan: Plan) -> dict[str, Fact]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from math import inf
 from typing import Annotated, Any, Literal
 
@@ -42,6 +42,7 @@ from slipfree.problem.schema import (
 )
 from slipfree.routing.traversability import Traversability
 
+OVERLAP = 1 / 3  # default overlap, relative to the window
 MAX_INTERVALS = 2000  # a plan with more needs gigabytes and hours; windows divide it
 
 GuideName = Literal["straight", "follow", "route", "reeds-shepp", "step-climbing"]
@@ -153,6 +154,11 @@ class PlanTable(Options):  # type: ignore[misc]
         "skid-steered vehicle; otherwise they roll within the limits of friction",
     )
 
+    @property
+    def shared_length(self) -> float:
+        """Length that two windows share [m]."""
+        return OVERLAP * (self.window or 0.0) if self.overlap is None else float(self.overlap)
+
 
 class PlanKeys(Modelled):
     """Planning problem: the inputs that reach a goal at least cost."""
@@ -222,6 +228,7 @@ class PlanKeys(Modelled):
         if (search.intervals or 0) > MAX_INTERVALS:
             found = f"{search.intervals}; reduce it, or divide a long plan with 'window'"
             yield Fault(("plan", "intervals"), f"at most {MAX_INTERVALS} intervals", found)
+        yield from self._search_faults()
         if self.model != "dynamics":
             if search.sliding:
                 found = f"model = {self.model!r}; set model = 'dynamics', or remove the key"
@@ -236,15 +243,48 @@ class PlanKeys(Modelled):
             expected = f"no {name!r} with model = 'dynamics'"
             yield Fault(("plan", name), expected, "it; remove it, or plan without inertia")
 
+    def _search_faults(self) -> Iterator[Fault]:
+        """Yield the errors of options that do not suit windows or drawn worlds."""
+        search, robust, window = self.plan, self.plan.robust, self.plan.window
+        if robust is not None:
+            if robust.map is None and not (robust.friction or robust.inputs):
+                expected = "an uncertainty ('map', 'friction' or 'inputs')"
+                yield Fault(("plan", "robust"), expected, "none; add one")
+            if robust.friction > 0 and self.terrain.friction is None:
+                expected = "a ground with friction for the key 'friction'"
+                found = "no friction; add 'friction' to [terrain], or remove it from [plan.robust]"
+                yield Fault(("plan", "robust"), expected, found)
+        if window is None:
+            if search.overlap is not None:
+                found = "no 'window'; add it to [plan], or remove 'overlap'"
+                yield Fault(("plan", "overlap"), "this key only with 'window'", found)
+            return
+        if self.plan.shared_length >= window:
+            found = f"{self.plan.shared_length:g} m; reduce the overlap"
+            yield Fault(("plan", "overlap"), f"less than the window, {window:g} m", found)
+        for place, is_set, advice in (
+            (("plan", "duration"), search.duration is not None, "remove one of them"),
+            (("plan", "starts"), search.starts > 1, "remove one of them"),
+            (("plan", "robust"), robust is not None, "remove one of them"),
+            (("way_points",), self.way_points, "remove the way-points, or lead the path there"),
+            (("cost_limits",), self.cost_limits, "remove 'cost_limits'"),
+        ):
+            if is_set:
+                yield Fault(place, f"no {place[-1]!r} with plan.window", f"both; {advice}")
+
 
 Place = tuple[str, float, float]
 Ranges = dict[str, tuple[float, float]]
 Domain = tuple[float, float, float, float]
 
 
-def places_of(
-    problem: Problem[PlanKeys], between: Mapping[float, Ranges], domain: Domain
-) -> tuple[tuple[Place, ...], set[str]]:
+def wanted_places(problem: Problem[PlanKeys]) -> list[tuple[str, Ranges]]:
+    """Return names and ranges of the way-points, in order of time, and of the goal."""
+    between = way_points_of(problem).items()
+    return [*((f"way-point at {at:g}", each) for at, each in between), ("goal", problem.spec.goal)]
+
+
+def places_of(problem: Problem[PlanKeys], domain: Domain) -> tuple[tuple[Place, ...], set[str]]:
     """Return start, way-points and goal in map coordinates [m], and the names of exact points.
 
     An exact point has values for x and y, not ranges. A range is represented by the middle of its
@@ -253,8 +293,7 @@ def places_of(
     spec = problem.spec
     places = [("start", spec.start.get("x", 0.0), spec.start.get("y", 0.0))]
     exact = {"start"}
-    named = [(f"way-point at {part:g}", wanted) for part, wanted in between.items()]
-    for name, wanted in (*named, ("goal", spec.goal)):
+    for name, wanted in wanted_places(problem):
         at = {}
         for axis, low, high in (("x", *domain[:2]), ("y", *domain[2:])):
             if axis not in wanted:
@@ -276,15 +315,14 @@ def places_of(
 
 
 def areas_of(
-    problem: Problem[PlanKeys], between: Mapping[float, Ranges], domain: Domain
+    problem: Problem[PlanKeys], domain: Domain
 ) -> dict[str, tuple[float, float, float, float]]:
     """Return the areas of way-points and goal that are no points, by name, on the map [m].
 
     An area is x_min, x_max, y_min, y_max; a coordinate without a value extends over the map.
     """
-    named = [(f"way-point at {part:g}", wanted) for part, wanted in between.items()]
     areas = {}
-    for name, wanted in (*named, ("goal", problem.spec.goal)):
+    for name, wanted in wanted_places(problem):
         (west, east), (south, north) = (
             np.clip(wanted.get(axis, (-np.inf, np.inf)), *ends).tolist()
             for axis, ends in (("x", domain[:2]), ("y", domain[2:]))

@@ -6,12 +6,12 @@ holds in this world if its simulation satisfies all limits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from operator import itemgetter
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -113,8 +113,7 @@ def find_plan(
         is_same = dae is setup.dae or dae.replay is not None  # creep does not change the start
         options = solver_options(problem)
         start = setup.start if is_same else settled_start(dae, setup.start, options)
-        model = (dae, setup.vehicle, setup.terrain)
-        arguments = plan_arguments(spec, setup.keep_out, model, setup.between)
+        arguments = plan_arguments(problem, dae, setup.vehicle)
         is_last = dae is setup.dae or not dae.replay  # only the last creep speed is accurate
         keep_own = keep if keep is None or dae is setup.dae else partial(_keep_smoothed, keep)
         with at(problem, ("plan",)):
@@ -286,16 +285,6 @@ class ReplayTask(NamedTuple):
     draw: Draw
 
 
-class DrawnWorld(NamedTuple):
-    """A drawn world: model of the plan, and model, start and arguments of `plan` in the world."""
-
-    problem: Problem[PlanKeys]  # its robust plan draws the world
-    planned: Dae  # model of the plan
-    dae: Dae
-    start: Trajectory
-    arguments: Mapping[str, Any]
-
-
 def make_robust(
     problem: Problem[PlanKeys],
     setup: Planning,
@@ -360,52 +349,35 @@ def make_robust(
 
 def replay_draw(task: ReplayTask) -> tuple[Draw, tuple[DisturbedRun, ...]]:
     """Simulate plans in a drawn world; return the draw and comparisons with the bounds."""
-    robust = _planning(task.source)[0].spec.plan.robust or Robust()
+    problem, setup = _planning(task.source)
+    spec, robust = problem.spec, problem.spec.plan.robust or Robust()
     is_drawn = robust.map is not None or robust.friction > 0
-    try:
-        world = _drawn_world(task.source, task.draw if is_drawn else None)
-    except SlipfreeError as error:
-        return task.draw, (_without_motion(error),) * len(task.motions)
-    return task.draw, tuple(_replay_in(world, robust, motion, task.draw) for motion in task.motions)
+    tolerance = max(spec.plan.accuracy * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
+    options = replace(spec.solver.options, tolerance=tolerance)
+
+    def replayed(planned: PolynomialMotion) -> DisturbedRun:
+        try:
+            dae, start = _drawn_world(task.source, task.draw if is_drawn else None)
+            motion = drawn_motion(planned, task.draw, robust.inputs)
+            run = simulate_plan(dae, start, motion, step=spec.time.step, options=options)
+        except SlipfreeError as error:
+            return DisturbedRun({Bound(f"no motion ({error})"): np.inf}, np.nan)
+        arguments, plan = plan_arguments(problem, dae, setup.vehicle), (setup.dae, planned)
+        accuracy, goal = spec.plan.accuracy, robust.goal
+        return replay_of(dae, arguments, plan, run, accuracy=accuracy, goal=goal)
+
+    return task.draw, tuple(map(replayed, task.motions))
 
 
 @lru_cache(1)
-def _drawn_world(source: PlanSource, draw: Draw | None) -> DrawnWorld:
-    """Return a drawn world, or the world of the problem if there is no draw."""
+def _drawn_world(source: PlanSource, draw: Draw | None) -> tuple[Dae, Trajectory]:
+    """Return model and start in a drawn world, or that of the problem if there is no draw."""
     problem, setup = _planning(source)
-    spec = problem.spec
     terrain = setup.terrain
     if draw is not None:
-        terrain = drawn_terrain(setup, draw, spec.plan.robust or Robust())
+        terrain = drawn_terrain(setup, draw, problem.spec.plan.robust or Robust())
     dae = build_model(problem, setup.vehicle, terrain)
-    model = (dae, setup.vehicle, terrain)
-    arguments = plan_arguments(spec, setup.keep_out, model, setup.between)
-    return DrawnWorld(problem, setup.dae, dae, build_start(problem, dae), arguments)
-
-
-def _replay_in(
-    world: DrawnWorld, robust: Robust, planned: PolynomialMotion, draw: Draw
-) -> DisturbedRun:
-    spec = world.problem.spec
-    tolerance = max(spec.plan.accuracy * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
-    options = replace(spec.solver.options, tolerance=tolerance)
-    motion = drawn_motion(planned, draw, robust.inputs)
-    try:
-        run = simulate_plan(world.dae, world.start, motion, step=spec.time.step, options=options)
-    except SlipfreeError as error:
-        return _without_motion(error)
-    return replay_of(
-        world.dae,
-        world.arguments,
-        (world.planned, planned),
-        run,
-        accuracy=spec.plan.accuracy,
-        goal=robust.goal,
-    )
-
-
-def _without_motion(error: SlipfreeError) -> DisturbedRun:
-    return DisturbedRun({Bound(f"no motion ({error})"): np.inf}, np.nan)
+    return dae, build_start(problem, dae)
 
 
 def drawn_terrain(setup: Planning, draw: Draw, robust: Robust) -> Bicubic:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
@@ -15,10 +15,9 @@ from slipfree.contact.closure import has_exact_closure
 from slipfree.control.path_following import follow, turning_radius
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, Label
+from slipfree.core.records import Label
 from slipfree.files.toml.source import ProblemError
 from slipfree.geometry.path import Path
-from slipfree.geometry.regions import Region
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import GroundLaw
@@ -53,7 +52,6 @@ from slipfree.problem.problem import Problem, validated_problem
 from slipfree.problem.verbs.plan_schema import (
     Place,
     PlanKeys,
-    Ranges,
     guide_paths,
     key_of,
     places_of,
@@ -73,66 +71,28 @@ from slipfree.solve.sampling import input_samples
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
 
-OVERLAP = 1 / 3  # default overlap, relative to the window
 SLIDING_CREEPS = (0.3, 0.1, 0.03)  # creep speeds of consecutive searches of wheels that slide [m/s]
 HOLE_MARGIN = "hole_margin"  # name of the limits that keep wheels off holes
 HOLE_CLEARANCE = 2.0  # additional distance of plans from holes, in units of plan.accuracy
 RUNS = count()
 
 
-def check_windows(problem: Problem[PlanKeys], vehicle: Vehicle, paths: tuple[Array, ...]) -> None:
-    """Raise ProblemError if a problem with windows has keys or a vehicle that do not suit them."""
-    spec, window = problem.spec, problem.spec.plan.window
-    if window is None:
-        if spec.plan.overlap is not None:
-            with at(problem, ("plan", "overlap")):
-                raise ModelError(
-                    "expected this key only with 'window', found no 'window'; add it to [plan], or "
-                    "remove 'overlap'"
-                )
+def _check_windows(problem: Problem[PlanKeys], vehicle: Vehicle, count: int) -> None:
+    """Raise ProblemError if the vehicle or the number of paths does not suit windows."""
+    if problem.spec.plan.window is None:
         return
-    for key, words in _contradictions(spec, vehicle, paths, window):
-        with at(problem, key):
-            raise ModelError(words)
-
-
-def _contradictions(
-    spec: PlanKeys, vehicle: Vehicle, paths: tuple[Array, ...], window: float
-) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield key and message of each reason why a problem cannot be planned in windows."""
-    if len(paths) != 1:
-        yield (
-            ("plan", "window"),
-            "expected a driver that follows one path (name = 'route' with count = 1, or 'follow' "
-            f"with 'path' or 'file'), found {len(paths) or 'no'} paths; use such a driver, or "
-            "remove 'window'",
-        )
-        return
-    if _overlap(spec, window) >= window:
-        yield (
-            ("plan", "overlap"),
-            f"expected less than the window, {window:g} m, found {_overlap(spec, window):g} m; "
-            "reduce the overlap",
-        )
-    conflicts = {"duration": spec.plan.duration is not None, "starts": spec.plan.starts > 1}
-    for name in (name for name, is_set in conflicts.items() if is_set):
-        yield ("plan", name), f"expected no '{name}' with 'window', found both; remove one of them"
-    for name, advice in (
-        ("way_points", "remove the way-points, or lead the driver's path through them"),
-        ("cost_limits", "remove 'cost_limits'"),
-    ):
-        if getattr(spec, name):
-            yield (name,), f"expected no {name!r} with plan.window, found both; {advice}"
-    if not has_exact_closure(vehicle):
-        yield (
-            ("plan", "window"),
-            "expected a vehicle with exact contact of all wheels, found "
-            f"{vehicle.name}, whose wheels press into the ground; remove 'window'",
-        )
-
-
-def _overlap(spec: PlanKeys, window: float) -> float:
-    return OVERLAP * window if spec.plan.overlap is None else spec.plan.overlap
+    with at(problem, ("plan", "window")):
+        if count != 1:
+            raise ModelError(
+                "expected a driver that follows one path (name = 'route' with count = 1, or "
+                f"'follow' with 'path' or 'file'), found {count or 'no'} paths; use such a driver, "
+                "or remove 'window'"
+            )
+        if not has_exact_closure(vehicle):
+            raise ModelError(
+                f"expected a vehicle with exact contact of all wheels, found {vehicle.name}, whose "
+                "wheels press into the ground; remove 'window'"
+            )
 
 
 def mesh_of(spec: PlanKeys, accuracy: float | None = None) -> Mesh:
@@ -154,16 +114,26 @@ def long_plan(
     limits are not valid, or ``resume`` is a plan of another model; SolverError if no motion along
     the route can be simulated from the start.
     """
-    spec, guide, model = problem.spec, setup.guide, (setup.dae, setup.vehicle, setup.terrain)
-    window = spec.plan.window or 0.0
-    arguments = plan_arguments(spec, setup.keep_out, model, {})
-    options = {k: v for k, v in arguments.items() if k not in ("way_points", "cost_limits")}
-    options |= {"mesh": mesh_of(spec), "options": spec.solver.options}
-    options |= {"speed": abs(guide.speed), "length": window, "overlap": _overlap(spec, window)}
-    options |= {"resume": resume, "progress": progress, "keep": keep}
+    spec, guide = problem.spec, setup.guide
+    arguments = plan_arguments(problem, setup.dae, setup.vehicle)
+    del arguments["way_points"], arguments["cost_limits"]
     law = partial(follow, setup.dae, setup.vehicle, speed=guide.speed)
     with at(problem, ("plan",)):
-        return plan_windows(setup.dae, law, setup.start, Path(guide.paths[0]), **options)
+        return plan_windows(
+            setup.dae,
+            law,
+            setup.start,
+            Path(guide.paths[0]),
+            speed=abs(guide.speed),
+            length=spec.plan.window or 0.0,
+            overlap=spec.plan.shared_length,
+            mesh=mesh_of(spec),
+            options=spec.solver.options,
+            resume=resume,
+            progress=progress,
+            keep=keep,
+            **arguments,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,10 +142,8 @@ class Planning(Setup):
 
     layers: Traversability
     places: tuple[Place, ...]  # start, way-points, goal on the map [m]
-    keep_out: tuple[Region, ...]
     starts: tuple[Drive, ...]  # inputs and sample times of each guess [s]
     spec: PlanKeys
-    between: Mapping[float, Ranges]  # ranges at the way-points, by fraction of the duration
     trip: Trip  # its model moves along the guesses: a kinematic one for plans with inertia
     guide: Guide  # driving law of the guesses; without a name for guesses by [inputs]
     duration: tuple[float, float]  # smallest and largest one of the plan [s]
@@ -200,9 +168,8 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     )
     driven: Dae = direct_kinematics(vehicle, terrain) if is_dynamic else dae
     check_names(problem, dae, spec.inputs, driven)
-    keep_out, between = regions(problem), way_points_of(problem)
-    places, exact = places_of(problem, between, terrain.domain)
-    space = free_space(terrain, vehicle, keep_out=keep_out)
+    places, exact = places_of(problem, terrain.domain)
+    space = free_space(terrain, vehicle, keep_out=regions(problem))
     wrong = [each for each in unreachable(space, places) if each.name in exact]
     if wrong:
         where = problem.source.where((key_of(wrong[0].name),))
@@ -217,15 +184,13 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     start = build_start(problem, dae)
     _check_quantities(problem, dae)
     with at(problem, ("plan",)):
-        model = dae, vehicle, terrain
-        arguments = plan_arguments(spec, keep_out, model, between)
+        arguments = plan_arguments(problem, dae, vehicle)
         task = task_of(dae, start, **arguments, duration=spec.duration or 1.0)
     begin = settled_start(driven, start, spec.solver.options) if is_dynamic else start
     trip = trip_of(task, driven, begin, vehicle, terrain)
     layers = build_layers(problem, terrain, vehicle, places)
     guide = _guide(problem, trip, layers, places)
-    check_windows(problem, vehicle, guide.paths)
-    check_robust(problem, terrain.has_friction)
+    _check_windows(problem, vehicle, len(guide.paths))
     starts = _starts(problem, trip, guide)
     duration = duration_of(spec.duration or free_durations([t[-1] for _, t in starts]))
     goal = ", ".join(f"{name} {spelled(value)}" for name, value in spec.goal.items())
@@ -233,7 +198,7 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     if guide.name:
         words += f"; initial guess: {guide.name} at {guide.speed:.3g} m/s"
     setup = ground, terrain, vehicle, dae, dae, start, *starts[0], words
-    search = layers, places, keep_out, starts, spec, between, trip, guide, duration
+    search = layers, places, starts, spec, trip, guide, duration
     return Planning(*setup, *search)
 
 
@@ -261,28 +226,6 @@ def momentum_models(problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicub
             laws = [Coulomb(creep) for creep in SLIDING_CREEPS]
         models = (rigid_dynamics(vehicle, terrain, law=law, contact=contact) for law in laws)
         return [in_frame(problem, model) for model in models]
-
-
-def check_robust(problem: Problem[PlanKeys], has_friction: bool) -> None:
-    """Raise ProblemError for a table ``plan.robust`` that cannot be used."""
-    spec, robust = problem.spec, problem.spec.plan.robust
-    if robust is None:
-        return
-    with at(problem, ("plan", "robust")):
-        if robust.map is None and not (robust.friction or robust.inputs):
-            raise ModelError(
-                "expected an uncertainty ('map', 'friction' or 'inputs'), found none; add one"
-            )
-        if robust.friction > 0 and not has_friction:
-            raise ModelError(
-                "expected a ground with friction for the key 'friction', found no friction; add "
-                "'friction' to [terrain], or remove it from [plan.robust]"
-            )
-        if spec.plan.window is not None:
-            raise ModelError(
-                "expected a plan without windows, found the key plan.window; remove it, or remove "
-                "[plan.robust]"
-            )
 
 
 def _check_quantities(problem: Problem[PlanKeys], dae: Dae) -> None:
@@ -320,55 +263,30 @@ def _starts(problem: Problem[PlanKeys], trip: Trip, guide: Guide) -> tuple[Drive
         return guide_drives(trip, guide, step=time.step, longest=time.duration)
 
 
-def plan_arguments(
-    spec: PlanKeys,
-    keep_out: tuple[Region, ...],
-    model: tuple[Dae, Vehicle, Bicubic],
-    between: Mapping[float, Ranges],
-) -> dict[str, Any]:
+def plan_arguments(problem: Problem[PlanKeys], dae: Dae, vehicle: Vehicle) -> dict[str, Any]:
     """Return goal, costs, limits, way-points and bounds of a problem as arguments of `plan`."""
-    limits = (
-        *limits_of(model[0], spec.limits),
-        *_kept_out(keep_out, *model),
-        *_kept_off_holes(spec, model[0]),
-    )
-    return {
-        "goal": spec.goal,
-        "costs": spec.costs,
-        "smooth": spec.plan.smooth,
-        "limits": limits,
-        "way_points": between,
-        "inputs": spec.bounds,
-        "accelerations": spec.accelerations,
-        "cost_limits": spec.cost_limits,
-    }
-
-
-def _kept_out(
-    keep_out: tuple[Region, ...], dae: Dae, vehicle: Vehicle, terrain: Bicubic
-) -> list[Limit]:
-    """Return the limits that keep the circle around the wheels out of regions."""
-    x, y = dae.x.x, dae.x.y
-    o_x, o_y, _ = terrain.origin
-    _, _, reach = extents(vehicle)
-    return [
-        Limit(
-            Label(f"keep_out_{k}", "m", f"the circle around the wheels touches {region.words}"),
-            region.outside(x + o_x, y + o_y),
-            reach,
-            np.inf,
-        )
-        for k, region in enumerate(keep_out)
-    ]
-
-
-def _kept_off_holes(spec: PlanKeys, dae: Dae) -> Iterator[Limit]:
-    """Yield the limits that keep wheels off holes of the map, unless the problem has its own."""
+    spec, reach, place = problem.spec, extents(vehicle)[2], dae.shift[0]
+    limits = [*limits_of(dae, spec.limits)]
+    for k, region in enumerate(regions(problem)):
+        label = Label(f"keep_out_{k}", "m", f"the circle around the wheels touches {region.words}")
+        away = region.outside(dae.x.x + place[0], dae.x.y + place[1])
+        limits.append(Limit(label, away, reach, np.inf))
     # from the beginning: a first plan that crosses a hole leads the later searches across it, too
     for limit in dae.limits:
         own = {limit.label.name, limit.label.full} & {*spec.limits}
         if limit.label.name == HOLE_MARGIN and not own:
-            yield limit._replace(lower=limit.lower + HOLE_CLEARANCE * spec.plan.accuracy)
+            lower = limit.lower + HOLE_CLEARANCE * spec.plan.accuracy
+            limits.append(limit._replace(lower=lower))
+    return {
+        "goal": spec.goal,
+        "costs": spec.costs,
+        "smooth": spec.plan.smooth,
+        "limits": tuple(limits),
+        "way_points": way_points_of(problem),
+        "inputs": spec.bounds,
+        "accelerations": spec.accelerations,
+        "cost_limits": spec.cost_limits,
+    }
 
 
 class PlanSource(NamedTuple):
