@@ -20,7 +20,7 @@ from slipfree.files.netcdf import NOTHING
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.problem import load
 from slipfree.problem.build import Setup, build_start, build_terrain, build_vehicle
-from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.build_ground import build_ground
 from slipfree.problem.result import open_result
 from slipfree.problem.schema import VERB, MotionKeys, Time
 from slipfree.problem.verbs.driving import DriveVerb
@@ -45,8 +45,7 @@ class StandVerb(DriveVerb):
     def build(self, problem: Any) -> Setup:
         """Return the model and the settled start."""
         ground = build_ground(problem)
-        with at(problem, ("vehicle",)):
-            vehicle = build_vehicle(problem.spec.vehicle, problem)
+        vehicle = build_vehicle(problem)
         terrain = build_terrain(problem, ground)
         dae = direct_kinematics(vehicle, terrain)
         start = build_start(problem, dae)

@@ -20,7 +20,7 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
@@ -63,7 +63,6 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instea
 FIRST_LINE = 2.0  # time before the first line of a computation [s]
 NEW_PHASE = 1.0  # shortest time between lines of different phases [s]
 SAME_PHASE = 10.0  # shortest time between lines of the same phase [s]
-REFRESH = 0.1  # shortest time between updates of the progress bar [s]
 LINES_APART = 60.0  # longest time between lines that count [s]
 INTEGRATION = "integrated"
 RESULT = b"CDF"  # first bytes of a netCDF file
@@ -384,48 +383,41 @@ def reporting(duration: float | None) -> Iterator[Reports]:
     ``--quiet`` and ``--json`` nothing is printed.
     """
     of = "" if duration is None else f" of {duration:g}"
+    stderr, is_shown = sys.stderr, has_bar()  # the current stderr: integrators redirect it
+    is_verbose, begun = _current_output().options.verbose, False
+    seldom = _sparse(lambda line: print_line(line, file=stderr), SAME_PHASE)
+    seldom = _sparse(detail, NEW_PHASE) if is_verbose else seldom
 
-    def as_lines(show: Callable[[str, str], None]) -> Callable[[float], None]:
-        return lambda t: show(INTEGRATION, f"{INTEGRATION} to {t:.4g}{of} s")
-
-    with held_interrupt(from_first_poll=True):
-        if _current_output().options.verbose:
-            yield _reports(as_lines(_detailed()), lambda _, line: detail(line))
-        elif not has_bar():
-            yield _reports(lambda _: None, lambda *_: None)
-        elif sys.stderr.isatty():
-            with _bar(duration) as reports:
-                yield reports
-        else:
-            stderr = sys.stderr  # the current one: integrators redirect sys.stderr
-            show = _sparse(lambda line: print_line(line, file=stderr), SAME_PHASE)
-            yield _reports(as_lines(show), show)
-
-
-def _reports(at: Callable[[float], None], search: Callable[[str, str], None]) -> Reports:
     def show_time(t: float) -> None:
+        nonlocal begun
         check_interrupt()
-        at(t)
+        if is_verbose and not begun:
+            detail("settled the vehicle at the start; integrating")
+        begun = True
+        if bar is not None:
+            bar.update(task, completed=t)
+        elif is_verbose or is_shown:
+            seldom(INTEGRATION, f"{INTEGRATION} to {t:.4g}{of} s")
 
     def show_search(phase: str, line: str) -> None:
         check_interrupt()
-        search(phase, line)
+        if bar is not None:
+            bar.update(task, description=escape(visible(line)))
+        elif is_verbose:
+            detail(line)
+        elif is_shown:
+            seldom(phase, line)
 
-    return Reports(show_time, show_search)
+    with held_interrupt(from_first_poll=True), ExitStack() as stack:
+        bar: Progress | None = None
+        if is_shown and stderr.isatty():
+            from rich.console import Console
+            from rich.markup import escape
+            from rich.progress import Progress
 
-
-def _detailed() -> Callable[[str, str], None]:
-    """Return a callback for ``--verbose`` that prints the start of the integration, then times."""
-    seldom, begun = _sparse(detail, NEW_PHASE), False
-
-    def integrated(phase: str, line: str) -> None:
-        nonlocal begun
-        if not begun:
-            begun = True
-            detail("settled the vehicle at the start; integrating")
-        seldom(phase, line)
-
-    return integrated
+            bar = stack.enter_context(Progress(console=Console(file=stderr), transient=True))
+            task = bar.add_task("solving", total=duration)
+        yield Reports(show_time, show_search)
 
 
 def _sparse(show: Callable[[str], None], apart: float) -> Callable[[str, str], None]:
@@ -443,35 +435,6 @@ def _sparse(show: Callable[[str], None], apart: float) -> Callable[[str, str], N
             show(line)
 
     return seldom
-
-
-@contextmanager
-def _bar(duration: float | None) -> Iterator[Reports]:
-    """Yield callables that update a progress bar."""
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import Progress
-
-    with Progress(console=Console(file=sys.stderr), transient=True) as bar:
-        task = bar.add_task("solving", total=duration)
-        move = throttled(lambda t: bar.update(task, completed=t))
-        describe = throttled(lambda line: bar.update(task, description=escape(visible(line))))
-
-        yield _reports(move, lambda _, line: describe(line))
-
-
-def throttled(show: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Return a callback that calls ``show`` at most once per `REFRESH` seconds."""
-    last = 0.0
-
-    def throttle(value: Any) -> None:
-        nonlocal last
-        now = time.monotonic()
-        if now - last > REFRESH:
-            last = now
-            show(value)
-
-    return throttle
 
 
 @contextmanager

@@ -140,7 +140,7 @@ def _own_tables(
     place = {name: round(pose[name], 3) for name in "xy"}
     tables["start"] = {**place, "heading": f"{math.degrees(heading) % 360:g} deg"}
     if kind is Kind.plan:
-        reach = extents(build_vehicle(spec.vehicle, problem))[2]
+        reach = extents(build_vehicle(problem))[2]
         tables["goal"] = _goal(surface.grid, place, heading, reach)
     return tables
 

@@ -259,7 +259,7 @@ def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
 
 def _page_drawer() -> Callable[[Document], PlanPage]:
     """Return a function that draws the page of a document, again only if other keys changed."""
-    from slipfree.problem.build_ground import at, build_ground
+    from slipfree.problem.build_ground import build_ground
     from slipfree.problem.build_vehicle import build_vehicle
     from slipfree.problem.plan_edit import PLACES, way_points_in
     from slipfree.show.plan_page import PlanMap, plan_page
@@ -273,8 +273,7 @@ def _page_drawer() -> Callable[[Document], PlanPage]:
         others = spec.model_dump(exclude={*PLACES})
         if last is None or last[0] != others:
             ground = build_ground(problem)
-            with at(problem, ("vehicle",)):
-                vehicle = build_vehicle(spec.vehicle, problem)
+            vehicle = build_vehicle(problem)
             title, way_points = spec.title or file.stem, way_points_in(problem)
             plan_map = PlanMap(title, file, spec.frame, ground.grid, vehicle, way_points)
             last = others, plan_page(plan_map)

@@ -326,8 +326,7 @@ def build_world(problem: Problem[M]) -> World:
 
 def _built(problem: Problem[M]) -> World:
     ground = build_ground(problem)
-    with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(problem.spec.vehicle, problem)
+    vehicle = build_vehicle(problem)
     terrain = build_terrain(problem, ground)
     prisms = build_solids(problem, terrain)
     dae = build_model(problem, vehicle, terrain, prisms)

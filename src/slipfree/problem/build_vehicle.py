@@ -96,15 +96,21 @@ class VehicleFile(NamedTuple):
     visuals: Mapping[str, TriangleMesh] | None = None  # of links, by name; None: not read yet
 
 
-def build_vehicle(spec: schema.VehicleSource, problem: Problem[Any]) -> Vehicle:
-    """Return the vehicle of a problem in its gravity; files and trust in xacro are the problem's.
+def build_vehicle(
+    problem: Problem[Any],
+    spec: schema.VehicleSource | None = None,
+    place: Place = ("vehicle",),
+) -> Vehicle:
+    """Return the vehicle of a problem, or of its table ``spec`` at ``place``, in its gravity.
 
-    VehicleError is raised if its file does not contain a valid vehicle; DataError if its file
-    cannot be read, is not a vehicle file, or is xacro that is not trusted; ModelError if a keyword
-    of the catalogue is not allowed, or a joint has no free coordinate to actuate; ProblemError if
-    the gravity is not valid.
+    VehicleError is raised if its file does not contain a valid vehicle; ProblemError if its file
+    cannot be read, is not a vehicle file, or is xacro that is not trusted, if a keyword of the
+    catalogue is not allowed, a joint has no free coordinate to actuate, or the gravity is not
+    valid.
     """
-    vehicle = actuated(vehicle_file(spec, problem).vehicle, *spec.actuated)
+    spec = spec or problem.spec.vehicle
+    with at(problem, place):
+        vehicle = actuated(vehicle_file(spec, problem).vehicle, *spec.actuated)
     with at(problem, ("gravity",)):
         return in_gravity(vehicle, problem.spec.gravity)
 

@@ -9,7 +9,6 @@ from typing import Any
 from slipfree.core.errors import ModelError
 from slipfree.files.controller import ControllerCode, export_controller
 from slipfree.models.given_rates import COMMANDS, ROBOT
-from slipfree.problem.build_ground import at
 from slipfree.problem.build_vehicle import build_vehicle, is_vehicle_file, read_vehicle
 from slipfree.problem.load import load_problem
 from slipfree.problem.problem import Problem
@@ -43,8 +42,7 @@ def export_code(file: Path, folder: Path, trust: Sequence[Path] = ()) -> Control
         return export_controller(read_vehicle(file, trust=trust), folder)
     problem: Problem[Any] = load_problem(file, command="vehicle", trust=trust)
     spec, given, exact = problem.spec, tuple(COMMANDS), False
-    with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(spec.vehicle, problem)
+    vehicle = build_vehicle(problem)
     if isinstance(spec, Inverse) and spec.given:
         if not are_commands(spec.given):
             raise ModelError(

@@ -29,7 +29,6 @@ from slipfree.problem.build import build_model, build_vehicle, law_name, vehicle
 from slipfree.problem.build_ground import (
     Extremes,
     GroundMap,
-    at,
     build_ground,
     ground_facts,
 )
@@ -256,8 +255,7 @@ def build_atlas(problem: Problem[AtlasKeys], known: Mapping[str, Extremes] = EMP
     generic: Problem[Any] = problem
     extremes = dict(known)
     ground = build_ground(generic, extremes)
-    with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(spec.vehicle, problem)
+    vehicle = build_vehicle(problem)
     grid = ground.grid
     most = min(grid.x.size, grid.y.size) - 1
     if table.every > most:

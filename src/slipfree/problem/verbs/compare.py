@@ -21,7 +21,7 @@ from slipfree.problem.build import (
     build_vehicle,
     check_names,
 )
-from slipfree.problem.build_ground import GroundMap, at, build_ground
+from slipfree.problem.build_ground import GroundMap, build_ground
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import INPUTS, VERB, DriverTable, TerrainKeys, VehicleSource
 from slipfree.solve.options import SolverOptions
@@ -87,8 +87,7 @@ def compare(
     terrain = build_terrain(problem, ground)
     for index, spec in enumerate(problem.spec.vehicles):
         progress(spec.name)
-        with at(problem, ("vehicles", index)):
-            vehicle = build_vehicle(spec, problem)
+        vehicle = build_vehicle(problem, spec, ("vehicles", index))
         try:
             rows.append(_compared(problem, spec.name, vehicle, direct_kinematics(vehicle, terrain)))
         except KeyboardInterrupt:

@@ -28,7 +28,7 @@ from slipfree.problem.build import (
     law_name,
     model_law,
 )
-from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.build_ground import build_ground
 from slipfree.problem.build_vehicle import vehicle_file, visual_meshes
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Modelled, MotionKeys
@@ -201,8 +201,7 @@ def model_attributes(spec: Modelled) -> dict[str, str]:
 def vehicle_of(result: Result) -> Vehicle:
     """Return the vehicle of a result; raise DataError if it does not match the motion."""
     problem = result.problem
-    with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(problem.spec.vehicle, problem)
+    vehicle = build_vehicle(problem)
     run, names = result.trajectory, tuple(wheel.name for wheel in vehicle.wheels)
     if names != run.wheels or not {c.name for c in vehicle.coordinates} <= {*run.columns}:
         raise DataError(

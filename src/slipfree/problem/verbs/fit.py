@@ -220,8 +220,7 @@ def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> Fitted:
     windows, or the model has no motion at its rates.
     """
     spec = problem.spec
-    with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(spec.vehicle, problem)
+    vehicle = build_vehicle(problem)
     law: Any = model_law(problem)
     unknowns, ground = list[Unknown](), Analytic(lambda x, _: 0 * x, mu=spec.friction)
     build = partial(build_model, spec.model, ground)

@@ -209,8 +209,7 @@ def models_of(
     known = dict.fromkeys(DRIVES_AND_SENSORS)
     vehicle, law = None, None
     if spec.vehicle is not None:
-        with at(problem, ("vehicle",)):
-            vehicle = build_vehicle(spec.vehicle, problem)
+        vehicle = build_vehicle(problem)
         law = model_law(problem)
         known |= dict.fromkeys([*QUANTITIES, *law_constants(law)])
     for name, table in spec.unknowns.items():
@@ -364,7 +363,7 @@ def fitted_vehicle(problem: Problem[FitOverMap], fitted: FittedModels) -> tuple[
     values = dict(fitted.fits[VEHICLE].values)
     unknowns = [table.unknown(name) for name, table in problem.spec.unknowns.items()]
     own = [each for each in unknowns if each.quantity in QUANTITIES]
-    vehicle = build_vehicle(cast("Any", problem.spec.vehicle), problem)
+    vehicle = build_vehicle(problem)
     changed = with_unknowns(vehicle, own, [values.pop(each.name) for each in own])
     return changed, vehicle_comments(values)
 

@@ -171,8 +171,7 @@ class InverseVerb(DriveVerb):
     def build(self, problem: Problem[Inverse]) -> Setup:
         """Return the models, the start and the inputs of a problem."""
         spec = problem.spec
-        with at(problem, ("vehicle",)):
-            vehicle = build_vehicle(spec.vehicle, problem)
+        vehicle = build_vehicle(problem)
         points, notes = _points(problem, vehicle)
         given, description = _given_rates(problem, vehicle, points)
         description = "; ".join([description, *notes])

@@ -157,8 +157,7 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     """
     spec = problem.spec
     ground = build_ground(problem)
-    with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(spec.vehicle, problem)
+    vehicle = build_vehicle(problem)
     terrain = build_terrain(problem, ground)
     is_dynamic = spec.model == "dynamics"
     dae: Dae = (
