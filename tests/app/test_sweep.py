@@ -557,8 +557,6 @@ def test_figures_that_cannot_be_drawn():
         show.figure(_swept([SPEEDS, AXLES, AXLES], np.ones((3, 2, 2, 1))))
     with pytest.raises(ModelError, match="a value in at least one run"):
         show.figure(_swept([AXLES], [[np.nan], [np.nan]]))
-    with pytest.raises(ModelError, match="expected 1 varied key, found 2"):
-        show.curve(_swept([SPEEDS, AXLES], np.ones((3, 2, 1))), Figure().subplots())
 
 
 def test_a_scheduler_that_does_not_answer(file, monkeypatch):

@@ -7,7 +7,6 @@ Angles are drawn in radians, with degrees on a second axis.
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, cast
@@ -41,7 +40,6 @@ from slipfree.terrain.solids import Prism, Solids
 HEIGHTS = "cividis"
 FILLED = "#D60093"  # hatching of filled holes
 ROUNDING = 1e-9  # smaller slip is rounding [m/s]
-TINY = 1e-16  # floor of logarithmic axes, in the quantity's unit
 STILL = 1e-9  # a joint that moves less counts as fixed [rad]
 BELOW: dict[str, Any] = {"color": "0.75", "lw": 2.6, "zorder": 1}  # visible below other lines
 DISTINCT = 0.01  # smallest distance of distinguishable lines [width of the axes]
@@ -50,14 +48,6 @@ POSE = ("heading", "roll", "pitch", "yaw", "tip_over_margin", "tip_over")  # not
 STEEP = 40.0  # end of the colour scale of slopes [deg]
 AROUND = 0.5  # margin of the ground drawn around a motion [extent of the motion]
 NODES = 101  # of an axis of the ground of a formula
-CHECK_COLUMNS = 3  # panels side by side
-CHECKS = {
-    "closure_residual": "log",
-    "newton_step": "log",
-    "singular_value": "linear",
-    "clearance": "linear",
-    "relative_curvature": "linear",
-}
 
 
 def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
@@ -165,23 +155,6 @@ def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
     return style.degrees(ax)
 
 
-def check(run: Trajectory, name: str, ax: Axes) -> Axes:
-    """Draw a residual with the tolerance, or a margin with zero, over time."""
-    style.history(run, name, ax)
-    ax.set_ylabel(textwrap.fill(ax.get_ylabel(), 22))
-    if CHECKS.get(name) == "log":
-        for line in ax.lines:
-            line.set_linewidth(0.8)
-            line.set_ydata(np.maximum(np.asarray(line.get_ydata(), dtype=float), TINY))
-        ax.relim()
-        ax.set_yscale("log")
-        if "tolerance" in run.statistics:
-            ax.axhline(run.statistics["tolerance"], color="0.4", lw=0.8, ls="--", label="tolerance")
-    else:
-        style.with_zero(ax)
-    return ax
-
-
 def motion_plots(
     run: Trajectory, grid: Grid, surface: Terrain | None = None, prisms: tuple[Prism, ...] = ()
 ) -> tuple[Plot, ...]:
@@ -267,12 +240,6 @@ def elevation_plot(drive: PlottedDrive) -> Plot:
     return Plot("elevation", "Heights and slopes along the path.", make)
 
 
-def checks_plot(drive: PlottedDrive) -> Plot:
-    """Return the figure of residuals and margins."""
-    caption = "Accuracy and validity: residuals and margins over time."
-    return Plot("checks", caption, lambda: _checks(drive.run))
-
-
 def over_time(name: str, caption: str, quantities: str) -> Callable[[PlottedDrive], Plot | None]:
     """Return a function for a figure of quantities over time; None for motions without them.
 
@@ -307,13 +274,14 @@ def panels(run: Trajectory, patterns: Sequence[str]) -> list[list[str]]:
     found, last = list[list[str]](), ""
     for name in (each for each in dict.fromkeys(names) if each in run):
         values, unit = run[name], run.columns[name].label.unit
-        if np.abs(np.nan_to_num(values)).max() < ROUNDING and name not in moving:
+        largest = np.abs(np.nan_to_num(values, posinf=0.0)).max()
+        if largest < ROUNDING and name not in (*moving, *style.RESIDUALS):
             continue
         if values.ndim == 1 and unit == last:
             found[-1].append(name)
         else:
             found.append([name])
-        last = unit if values.ndim == 1 else ""
+        last = unit if values.ndim == 1 and name not in style.RESIDUALS else ""
     return found
 
 
@@ -334,7 +302,11 @@ FIGURES: tuple[Callable[[PlottedDrive], Plot | None], ...] = (
         "clearance_body",
     ),
     over_time("tilts", "Angles of the joints over time.", "*"),
-    checks_plot,
+    over_time(
+        "checks",
+        "Accuracy and validity: residuals and margins over time.",
+        "closure_residual newton_step singular_value clearance relative_curvature",
+    ),
     over_time("rates", "Rates of wheels and joints over time.", "wheel_rate *_rate"),
     over_time(
         "forces",
@@ -387,20 +359,6 @@ def _law(run: Trajectory) -> str:
     if run.attributes.get("model") == "quasi-static":
         return "Slip of quasi-static equilibrium under friction, without inertia."
     return "Least slip that the kinematics allows, a lower bound; real slip depends on friction."
-
-
-def _checks(run: Trajectory) -> Figure:
-    names = [name for name in CHECKS if name in run and np.isfinite(run[name]).any()]
-    rows = -(-len(names) // CHECK_COLUMNS)
-    figure = style.figure(PAGE, rows * 52.5 * MM)
-    panels = list(np.ravel(figure.subplots(rows, CHECK_COLUMNS)))
-    for ax, name in zip(panels, names, strict=False):
-        check(run, name, ax)
-        if run[name].ndim == 1:
-            ax.lines[0].set_label("_")  # the label of the axis names the quantity
-    for ax in panels[len(names) :]:
-        ax.set_axis_off()
-    return style.finished(figure, run, panels[1:])
 
 
 def _colours(z: Array) -> dict[str, Any]:

@@ -39,6 +39,8 @@ PLATFORM = "black"
 STOPPED = "#D55E00"
 LARGE = 1e4  # larger map coordinates are drawn relative to a round number [m]
 SHOWN = {"slip_along": "mm/s", "slip_across": "mm/s", "depth": "mm", "sinkage": "mm"}
+RESIDUALS = ("closure_residual", "newton_step")  # on a logarithmic axis
+TINY = 1e-16  # smallest drawn residual, in its unit
 KINDS = {
     **{"rad": "angle", "rad s-1": "rate", "m s-1": "rate", "m": "length"},
     **{"N m": "torque", "N": "force", "J": "energy since the start", "W": "power"},
@@ -130,6 +132,7 @@ def history(
         values = SCALES[SHOWN[name]] * run[name] if name in SHOWN else run[name]
         if run.columns[name].label.unit == "J":
             values = values - values[0]
+        values = np.maximum(values, TINY) if name in RESIDUALS else values
         lines = dict(zip(run.wheels, values.T, strict=True)) if values.ndim == 2 else {name: values}
         for line, own in lines.items():
             alone = {"color": PLATFORM} if values.ndim == 1 and len(names) == 1 else {}
@@ -139,7 +142,11 @@ def history(
     what = words(names[0]) if len(names) == 1 else KINDS.get(next(iter(units)), "value")
     shown = SHOWN.get(names[0], ", ".join(map(printed_unit, units)))
     ax.set_ylabel(f"{textwrap.fill(what, 16)} [{shown}]")
-    if has_zero:
+    if names[0] in RESIDUALS:
+        ax.set_yscale("log")
+        if "tolerance" in run.statistics:
+            ax.axhline(run.statistics["tolerance"], color="0.4", lw=0.8, ls="--", label="tolerance")
+    elif has_zero:
         with_zero(ax)
     if [*units] == ["rad"]:
         degrees(ax)

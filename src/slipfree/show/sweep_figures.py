@@ -54,7 +54,7 @@ def distribution(swept: Swept, ax: Axes) -> Axes:
 
 def curve(swept: Swept, ax: Axes) -> Axes:
     """Draw mean and range over repetitions, and the value of every run, over one varied key."""
-    (varied,) = _axes(swept, 1)
+    (varied,) = swept.axes
     x, values = _positions(varied), swept.values
     order = np.argsort(x)
     x, values = x[order], values[order]
@@ -78,7 +78,7 @@ def curve(swept: Swept, ax: Axes) -> Axes:
 
 def heat_map(swept: Swept, ax: Axes) -> Axes:
     """Draw a heat map of the mean over repetitions against two keys, grey without value."""
-    across, up = _axes(swept, 2)
+    across, up = swept.axes
     mean = _over(np.nanmean, swept.values)
     orders = [np.argsort(_positions(each)) for each in (across, up)]
     mean = mean[np.ix_(*orders)]
@@ -122,16 +122,6 @@ def save_sweep_figures(
     return save(
         [Plot(each.name, "", partial(figure, each)) for each in quantities], folder, formats
     )
-
-
-def _axes(swept: Swept, count: int) -> tuple[Varied, ...]:
-    if len(swept.axes) != count:
-        raise ModelError(
-            f"{swept.name}: expected {count} varied {'key' if count == 1 else 'keys'}, found "
-            f"{len(swept.axes)}; use slipfree.show.sweep_figures.figure, "
-            "which chooses the diagram"
-        )
-    return swept.axes
 
 
 def _over(reduce: Any, values: Array) -> Array:

@@ -189,13 +189,11 @@ def _simulated_words(facts: Facts, *, is_solved: bool) -> str:
 
 
 def _windows_words(rows: list[dict[str, Any]]) -> str:
-    metres, counts = rows[-1]["end"], [row["iterations"] for row in rows]
-    seconds = sum(row["seconds"] for row in rows)
-    inaccurate = [f"{row['t']:.6g} s" for row in rows if not row["accurate"]]
-    number = "one window" if len(rows) == 1 else f"{len(rows)} windows"
+    metres, seconds = rows[-1]["end"], sum(row["seconds"] for row in rows)
+    inaccurate = ", ".join(f"{row['t']:.6g} s" for row in rows if not row["accurate"])
     return (
-        f"{number} up to {metres:.6g} m of the route, {min(counts)} to {max(counts)} iterations "
-        f"each (median {np.median(counts):.0f}), {1e3 * seconds / metres:.3g} s of search per "
-        "kilometre"
-        + (f"; not accurate: those that begin at {', '.join(inaccurate)}" if inaccurate else "")
+        f"{len(rows)} windows up to {metres:.6g} m of the route, "
+        f"{max(row['iterations'] for row in rows)} iterations at most, "
+        f"{1e3 * seconds / metres:.3g} s of search per kilometre"
+        + (f"; not accurate: those that begin at {inaccurate}" if inaccurate else "")
     )
