@@ -274,9 +274,9 @@ def test_the_colors_of_a_page_are_those_asked_for(files: list[Path], tmp_path: P
 @pytest.fixture
 def server() -> Iterator[Any]:
     pytest.importorskip("viser")
-    from slipfree.show import local_server, viewer
+    from slipfree.show import local_server
 
-    found, _ = viewer._server(0)
+    found = local_server.Guard(print).start(0)
     yield found
     local_server.stop(found)
 

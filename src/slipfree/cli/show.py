@@ -75,7 +75,13 @@ def show(
     The page shows ground, vehicles, contact points, slip and forces in three dimensions.
     """
     with reported():
-        _check_outputs(files, html, animation)
+        if html is not None:
+            check_page(html, files)
+        if animation is not None:
+            from slipfree.show.film import FRAMES, film_writer
+
+            check_outputs([html, animation], files)
+            film_writer(animation, FRAMES)
         check_picture(picture, files)
         if html is not None or (animation is None and picture is None):
             require("viser", "view", "show: ")
@@ -85,7 +91,14 @@ def show(
         title = motions[0].run.attributes.get("title", motions[0].name)
         with about(files[0]):
             scene = drive_scene(motions, with_poses=color in POSE_LAYERS)
-        _check_time(time, scene.span, picture)
+        first, last = scene.span
+        if time is not None and picture is None:
+            raise DataError("--at: expected --picture with it, found none; add it, or omit --at")
+        if time is not None and not first <= time <= last:
+            raise DataError(
+                f"--at: expected a time from {first:g} to {last:g} s, those of the motions, found "
+                f"{time:g} s; choose a time in this range"
+            )
         for words in scene.warnings:
             warn(words)
         if animation is not None:
@@ -111,28 +124,6 @@ def show(
             serve(scene, title, color, port, warn, lambda url: open_page(url, browser))
 
 
-def _check_time(time: float | None, span: tuple[float, float], picture: Path | None) -> None:
-    if time is None:
-        return
-    if picture is None:
-        raise DataError("--at: expected --picture with it, found none; add it, or omit --at")
-    if not span[0] <= time <= span[1]:
-        raise DataError(
-            f"--at: expected a time from {span[0]:g} to {span[1]:g} s, those of the motions, found "
-            f"{time:g} s; choose a time in this range"
-        )
-
-
-def _check_outputs(files: Sequence[Path], html: Path | None, animation: Path | None) -> None:
-    if html is not None:
-        check_page(html, files)
-    if animation is not None:
-        from slipfree.show.film import FRAMES, film_writer
-
-        check_outputs([html, animation], files)
-        film_writer(animation, FRAMES)
-
-
 def _write_page(file: Path, text: str) -> None:
     def write(part: Path) -> None:  # file names in the text may have invalid characters
         part.write_text(text, encoding="utf-8", errors="backslashreplace")
@@ -151,20 +142,16 @@ def _read(files: Sequence[Path]) -> list[Any]:
         with about(file):
             results.append(open_result(file, samples=SCENE_SAMPLES))
     models = [str(each.trajectory.attributes.get("model", "")) for each in results]
-    names = _names(files)
+    names = [file.stem for file in files]
+    if len({*names}) < len(names):
+        names = [str(file) for file in files]
+    names = [escape_name(name) for name in names]
     if len({*models}) > 1:
         names = [f"{n} ({model})" if model else n for n, model in zip(names, models, strict=True)]
     for file, name, result in zip(files, names, results, strict=True):
         with about(file):
             motions.append(verb_of(result.problem).shown(result, name))
     return motions
-
-
-def _names(files: Sequence[Path]) -> list[str]:
-    """Return the file names without suffix, or the whole paths if names coincide."""
-    names = [file.stem for file in files]
-    names = names if len({*names}) == len(names) else [str(file) for file in files]
-    return [escape_name(name) for name in names]
 
 
 def open_page(url: str, browser: bool, does: str = "shows the motions") -> None:

@@ -12,7 +12,6 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import Trajectory, stop_words
 from slipfree.files.urdf.links import Robot, poses_on_map, wheel_name
-from slipfree.files.urdf.tree import UrdfJoint
 from slipfree.geometry.mesh import TriangleMesh
 from slipfree.geometry.regions import Region
 from slipfree.models.samples import CLOSEST, FramePoses, part_poses, wheel_poses
@@ -41,11 +40,10 @@ from slipfree.show.scene import (
     Scene,
     SceneBody,
     SceneGround,
+    arrow_scales,
     color_of,
     layer,
     map_lines,
-    reason_without_arrows,
-    scales,
 )
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
@@ -105,23 +103,31 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
     ]
     warnings = [*_off(drives, fine, SEEN), *_others(drives)]
     notes = [_cropped(grid, fine), *_off(drives, fine, 0.0)]
-    solids = [solid_mesh(each, window, drawn.values.min(), origin) for each in first.prisms]
+    solids = [*_solid_meshes(first.prisms, window, drawn.values.min(), origin)]
     shade = fine.interpolated(ground_drawing.brightness(drawn)).ravel()
     lines = (
         *map_lines(drawn, first.terrain, window, origin, reach),
         *_closest(drives, origin, reach),
     )
-    ground = _with_solids(SceneGround(fine.mesh(origin), tuple(layers), shade, lines), solids)
+    gray = np.tile(np.array(BLOCKED, np.uint8), (sum(len(each.vertices) for each in solids), 1))
+    ground = SceneGround(
+        joined(fine.mesh(origin), *solids),
+        tuple(each._replace(colors=np.concatenate([each.colors, gray])) for each in layers),
+        np.append(shade, np.ones(len(gray))),
+        lines,
+    )
     backdrop = _backdrop(first, window, origin, reach, solids)
-    actors = actors_of(drives, origin)
-    sizes = scales(actors, reach)
+    actors = []
+    for k, drive in enumerate(drives):
+        actors.append(_actor(drive, drive.run, drive.name, k, origin))
+        if drive.plan is not None:
+            name = f"{drive.name}: plan"
+            actors.append(_actor(drive, drive.plan, name, k + len(drives), origin, ghost=True))
+    scales, missing = arrow_scales(actors, reach)
     place = ", ".join(f"{value + 0.0:.10g}" for value in origin)  # no minus zero
-    notes.append(f"The origin of the scene is ({place}) m in map coordinates.")
-    for name, size in sizes.items():
-        if not size:
-            notes.append(f"No {name} is drawn: {reason_without_arrows(name, actors)}.")
+    notes += [f"The origin of the scene is ({place}) m in map coordinates.", *missing]
     return Scene(
-        ground, tuple(actors), origin, reach, backdrop, sizes, tuple(notes), tuple(warnings)
+        ground, tuple(actors), origin, reach, backdrop, scales, tuple(notes), tuple(warnings)
     )
 
 
@@ -136,38 +142,16 @@ def _closest(drives: Sequence[Driven], origin: Array, reach: float) -> Iterable[
         yield Lines("closest", legend, CLOSEST_COLOR, np.stack([feet, tops], axis=1), labels)
 
 
-def actors_of(drives: Sequence[Driven], origin: Array) -> list[Actor]:
-    """Return the actors of motions and of their plans, relative to the scene's origin [m]."""
-    actors = []
-    for k, drive in enumerate(drives):
-        actors.append(_actor(drive, drive.run, drive.name, k, origin))
-        if drive.plan is not None:
-            name = f"{drive.name}: plan"
-            actors.append(_actor(drive, drive.plan, name, k + len(drives), origin, ghost=True))
-    return actors
-
-
-def solid_mesh(prism: Prism, window: Window, bottom: float, origin: Array) -> TriangleMesh:
-    """Return the mesh of a prism above ``bottom``, relative to an origin, in the drawn part [m]."""
-    found = ground_drawing.in_window(prism, window, bottom)
-    if found is None:
-        return TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint32))
-    corners, (right, left) = found
-    place = np.array([prism.x, prism.y, prism.z])
-    outline = np.insert(corners, 1, right, axis=1) @ prism.axes.T + place - origin
-    return extruded(outline, (left - right) * prism.axes[:, 1])
-
-
-def _with_solids(ground: SceneGround, solids: Sequence[TriangleMesh]) -> SceneGround:
-    """Return a ground with meshes of solids, which are gray in every layer."""
-    if not solids:
-        return ground
-    count = sum(len(each.vertices) for each in solids)
-    gray = np.tile(np.array(BLOCKED, np.uint8), (count, 1))
-    layers = (each._replace(colors=np.concatenate([each.colors, gray])) for each in ground.layers)
-    shade = None if ground.shade is None else np.append(ground.shade, np.ones(count))
-    mesh = joined(ground.mesh, *solids)
-    return ground._replace(mesh=mesh, layers=tuple(layers), shade=shade)
+def _solid_meshes(
+    prisms: Iterable[Prism], window: Window, bottom: float, origin: Array
+) -> Iterator[TriangleMesh]:
+    """Yield the meshes of prisms above ``bottom`` in the drawn part, relative to an origin [m]."""
+    for prism in prisms:
+        if found := ground_drawing.in_window(prism, window, bottom):
+            corners, (right, left) = found
+            place = np.array([prism.x, prism.y, prism.z]) - origin
+            outline = np.insert(corners, 1, right, axis=1) @ prism.axes.T + place
+            yield extruded(outline, (left - right) * prism.axes[:, 1])
 
 
 def _backdrop(
@@ -251,11 +235,11 @@ def _actor(
 ) -> Actor:
     vehicle, color = drive.vehicle, color_of(k)
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], axis=-1)
-    bodies = vehicle_bodies(vehicle, run, color)
+    parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
+    bodies = [*_part_bodies(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]
     if drive.robot is not None and drive.visuals and not ghost:
-        bodies = [*_hidden(bodies, drive), *_link_bodies(drive, drive.robot, color)]
-    axles = wheel_poses(vehicle, run).rotations[..., 0]
-    arrows = [] if ghost else _arrows(run, drive, contacts, axles)
+        bodies = [*_with_visuals(bodies, drive, drive.robot, color)]
+    arrows = [] if ghost else _arrows(run, drive, contacts, wheels.rotations[..., 0])
     return Actor(
         name,
         color,
@@ -266,12 +250,6 @@ def _actor(
         ghost,
         stop_words(run),
     )
-
-
-def vehicle_bodies(vehicle: Vehicle, run: Trajectory, color: Color) -> list[SceneBody]:
-    """Return the bodies of a vehicle and its wheels, with their motion in map coordinates."""
-    parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
-    return [*_part_bodies(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]
 
 
 def _part_bodies(
@@ -348,22 +326,19 @@ def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[Scen
         yield SceneBody(wheel.name, tuple(looks), wheels.origins[:, k], wheels.rotations[:, k])
 
 
-def _hidden(bodies: Iterable[SceneBody], drive: Driven) -> Iterable[SceneBody]:
-    """Yield the simple bodies that no mesh of the URDF replaces; the platform has no mesh."""
-    shown = {wheel_name(joint.name) for joint in _joints_with_visuals(drive)}
-    names = {wheel.name for wheel in drive.vehicle.wheels} - shown
+def _with_visuals(
+    bodies: Iterable[SceneBody], drive: Driven, robot: Robot, color: Color
+) -> Iterable[SceneBody]:
+    """Yield bodies that no mesh of the URDF replaces, without that of the platform, and links."""
+    replaced = {
+        wheel_name(joint.name)
+        for joint in robot.tree.joints.values()
+        if joint.child in drive.visuals
+    }
+    names = {wheel.name for wheel in drive.vehicle.wheels} - replaced
     for body in bodies:
         if body.name == "platform" or body.name in names:
             yield body._replace(meshes=body.meshes if body.name in names else ())
-
-
-def _joints_with_visuals(drive: Driven) -> Iterable[UrdfJoint]:
-    joints = drive.robot.tree.joints.values() if drive.robot else ()
-    return (joint for joint in joints if joint.child in drive.visuals)
-
-
-def _link_bodies(drive: Driven, robot: Robot, color: Color) -> Iterable[SceneBody]:
-    """Yield the links of a URDF that have meshes."""
     for link in poses_on_map(drive.run, drive.vehicle, robot):
         if mesh := drive.visuals.get(link.child):
             yield SceneBody(link.child, ((mesh, color),), link.origins, link.rotation.as_matrix())

@@ -25,7 +25,7 @@ from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.show import style
 from slipfree.show.plots import Plot
-from slipfree.show.scene import ARROWS, Actor, Color, Scene, layer
+from slipfree.show.scene import ARROWS, Color, Scene, layer
 from slipfree.show.style import MM, PAGE, STYLE
 from slipfree.system.regular_files import replace_file
 
@@ -170,7 +170,7 @@ class Film:
     def show(self, t: float) -> None:
         """Draw the scene at a time [s]."""
         for actor, marker in zip(self.scene.actors, self.markers, strict=True):
-            x, y, _ = actor.bodies[0].origins[_sample(actor, t)] + self.scene.origin
+            x, y, _ = actor.bodies[0].origins[actor.sample(t)] + self.scene.origin
             marker.set_data([x], [y])
         self.view.show(self.scene, t)
         self.clock.set_text(f"t = {t:.2f} s")
@@ -208,7 +208,7 @@ class View:
     def show(self, scene: Scene, t: float, ground: tuple[Array, Array] | None = None) -> None:
         """Draw the first vehicle of a scene at a time [s], by default on gray ground."""
         actor = scene.actors[0]
-        k = _sample(actor, t)
+        k = actor.sample(t)
         middle = actor.bodies[0].origins[k]
         if ground is None:
             faces = scene.backdrop.near(middle, self.half)
@@ -235,7 +235,7 @@ class View:
     def coloured(self, scene: Scene, t: float) -> tuple[Array, Array]:
         """Return the faces of the ground around the first vehicle, and colours of heights."""
         actor, ground = scene.actors[0], scene.ground
-        away = ground.mesh.vertices - actor.bodies[0].origins[_sample(actor, t)]
+        away = ground.mesh.vertices - actor.bodies[0].origins[actor.sample(t)]
         near = (np.abs(away[:, :2]) < self.half).all(axis=1)
         faces = ground.mesh.faces[near[ground.mesh.faces].all(axis=1)]
         heights = ground.mesh.vertices[faces, 2].mean(axis=1)
@@ -295,10 +295,6 @@ def arrow_lines(starts: Array, vectors: Array, sight: Array) -> Array:
     aside = aside * HEAD[1] * np.linalg.norm(back, axis=1, keepdims=True)
     sides = [np.stack([tips, tips + back + sign * aside], axis=1) for sign in (-1, 1)]
     return np.concatenate([np.stack([starts, tips], axis=1), *sides])
-
-
-def _sample(actor: Actor, t: float) -> int:
-    return int(np.clip(np.searchsorted(actor.t, t), 0, actor.t.size - 1))
 
 
 def _draw_paths(ax: Axes, scene: Scene) -> list[Any]:

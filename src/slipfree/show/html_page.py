@@ -9,13 +9,13 @@ from __future__ import annotations
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from html import escape
-from importlib.resources import files
 from io import BytesIO
 from typing import NamedTuple
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from slipfree.show.local_server import page_script
 from slipfree.show.plots import Plot, draw
 from slipfree.show.scene import Color, Entry, Layer, Scene
 from slipfree.show.style import DPI, STYLE
@@ -81,11 +81,6 @@ def with_legend(html: str, scene: Scene, title: str, color: str, words: Iterable
     html = html.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
     end = html.rindex("</body>")
     return html[:end] + box + html[end:]
-
-
-def page_script(name: str) -> str:
-    """Return the text of a script of this package."""
-    return files("slipfree.show").joinpath(name).read_text("utf-8")
 
 
 def _layers(scene: Scene, color: str) -> str:

@@ -19,6 +19,7 @@ import secrets
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slipfree.core.errors import DataError, SlipfreeError
@@ -83,10 +84,10 @@ class Gate:
 class Guard:
     """Factory of viser servers that accept only requests and values from their own page."""
 
-    def __init__(self, report: Callable[[str], None], script: str = "") -> None:
+    def __init__(self, report: Callable[[str], None]) -> None:
         self._show, self._shown, self._is_used = report, set[str](), False
         self.gate = Gate("slipfree show", report)
-        self._script = f"<script>{script}</script>".encode()
+        self._script = f"<script>{page_script('viewer_keys.js')}</script>".encode()
 
     def start(self, port: int) -> viser.ViserServer:
         """Return a server on this machine; port zero selects a free port."""
@@ -121,6 +122,9 @@ class Guard:
                 "show: expected a version of viser whose requests slipfree can check, found "
                 f"{viser.__version__}; install one: python -m pip install 'viser>=1.1,<1.2'"
             )
+        if port and server.get_port() != port:
+            stop(server)
+            raise taken(port)
         self._check_values(server)
         return server
 
@@ -192,6 +196,11 @@ def is_own_request(hosts: Sequence[str], origins: Sequence[str], port: int) -> b
     lower = [each.lower() for each in hosts]
     is_same = [each.lower() for each in origins] == [f"http://{each}" for each in lower]
     return len(lower) == 1 and lower[0] in own and (is_same or not origins)
+
+
+def page_script(name: str) -> str:
+    """Return the text of a script of this package."""
+    return files("slipfree.show").joinpath(name).read_text("utf-8")
 
 
 def stop(server: viser.ViserServer) -> None:

@@ -115,6 +115,10 @@ class Actor(NamedTuple):
     ghost: bool = False  # whether the motion is a plan, which is drawn as wireframe
     stop: str = ""  # time and reason of an early stop, or outcome of an incomplete plan
 
+    def sample(self, t: float) -> int:
+        """Return the index of the sample nearest to a time [s]."""
+        return int(np.abs(self.t - t).argmin())
+
 
 class Backdrop(NamedTuple):
     """Ground of a film: plan view with all paths, and the surroundings of a vehicle."""
@@ -198,10 +202,35 @@ class Scene(NamedTuple):
         )
 
 
-def scales(actors: Sequence[Actor], reach: float) -> dict[str, float]:
-    """Return the lengths of arrows per unit, zero without arrows; see `Scene`."""
-    least = {**LEAST, "slip": max(LEAST["slip"], NOTABLE * max(map(_top_speed, actors)))}
-    return {name: _scale(name, actors, LONGEST * reach, least[name]) for name in LEAST}
+def arrow_scales(actors: Sequence[Actor], reach: float) -> tuple[dict[str, float], list[str]]:
+    """Return the lengths of arrows per unit, zero without arrows, and notes on missing arrows.
+
+    Scales are round, and keep nearly all arrows below a length.
+    """
+    scales, notes = dict.fromkeys(LEAST, 0.0), []
+    for name, least in LEAST.items():
+        sizes = np.concatenate(
+            [
+                np.linalg.norm(each.vectors, axis=-1).ravel()
+                for actor in actors
+                for each in actor.arrows
+                if each.name == name
+            ]
+            or [np.zeros(0)]
+        )
+        sizes = sizes[np.isfinite(sizes)]
+        if not sizes.size:
+            notes.append(f"No {name} is drawn: the results contain no {name}.")
+        elif sizes.max() < least:
+            notes.append(f"No {name} is drawn: it is at most {sizes.max():.1e} {UNITS[name]}.")
+        else:
+            fast = NOTABLE * max(map(_top_speed, actors)) if name == "slip" else 0.0
+            longest = max(float(np.percentile(sizes, 99)), least, fast)
+            wanted = longest / (LONGEST * reach)  # per metre of arrow
+            power = 10.0 ** np.floor(np.log10(wanted))
+            step = min(step for step in ROUND if step * power >= wanted * 0.999)
+            scales[name] = float(1 / (power * step))
+    return scales, notes
 
 
 def color_of(k: int) -> Color:
@@ -223,39 +252,10 @@ def layer(name: str, values: Array, legend: str, low: float, high: float) -> Lay
     return Layer(name, legend, ends, scale(parts, bytes=True)[:, :3])
 
 
-def _vector_lengths(name: str, actors: Iterable[Actor]) -> Array:
-    lengths = [
-        np.linalg.norm(each.vectors, axis=-1).ravel()
-        for actor in actors
-        for each in actor.arrows
-        if each.name == name
-    ]
-    sizes = np.concatenate([*lengths, np.zeros(0)])
-    return np.asarray(sizes[np.isfinite(sizes)])
-
-
 def _top_speed(actor: Actor) -> float:
     steps = np.linalg.norm(np.diff(actor.bodies[0].origins, axis=0), axis=1)
     times = np.diff(actor.t)
     return float((steps[times > 0] / times[times > 0]).max(initial=0.0))
-
-
-def _scale(name: str, actors: Iterable[Actor], longest: float, least: float) -> float:
-    """Return a round scale that keeps nearly all arrows below a length; zero without arrows."""
-    sizes = _vector_lengths(name, actors)
-    if not sizes.size or sizes.max() < LEAST[name]:
-        return 0.0
-    wanted = max(float(np.percentile(sizes, 99)), least) / longest  # per metre of arrow
-    power = 10.0 ** np.floor(np.log10(wanted))
-    return float(1 / (power * min(step for step in ROUND if step * power >= wanted * 0.999)))
-
-
-def reason_without_arrows(name: str, actors: Iterable[Actor]) -> str:
-    """Return why a quantity is not drawn: it is missing, or too small."""
-    sizes = _vector_lengths(name, actors)
-    if not sizes.size:
-        return f"the results contain no {name}"
-    return f"it is at most {sizes.max():.1e} {UNITS[name]}"
 
 
 def map_lines(

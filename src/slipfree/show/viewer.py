@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from slipfree.core.records import Array
-from slipfree.show.html_page import legend, page_script, swatch, warned, with_legend
-from slipfree.show.local_server import Guard, stop, taken
+from slipfree.show.html_page import legend, swatch, warned, with_legend
+from slipfree.show.local_server import Guard, stop
 from slipfree.show.scene import (
     ARROWS,
     WORLD,
@@ -39,7 +39,8 @@ LIFT = 0.006  # height of the first track above the ground; others are higher [r
 SPREAD = 1.8  # distance of motions side by side [reach]
 STEP = 0.02  # step of the arrow keys [duration]
 KEYS = "space: play or pause; left, right: step; up, down: speed; home, end: first and last time"
-SIZES = {"contact": 0.05, "shaft": 0.014, "head": 0.035, "tip": 0.08}  # [reach of the vehicle]
+CONTACT_SIZE = 0.05  # [reach of the vehicle]
+ARROW = {"shaft_radius": 0.014, "head_radius": 0.035, "head_length": 0.08}  # [reach]
 CONTACT = (255, 255, 255)
 SKY = 0.5  # ambient light, in addition to viser's two lamps
 FAR = 1000.0  # far plane of the camera, unless the ground is larger [m]
@@ -59,11 +60,12 @@ def serve(
 
     ``warn`` is called, from any thread, with warnings, ``ready`` with the address of the page.
     """
-    server, url = _server(port, warn)
+    guard = Guard(warn)
+    server = guard.start(port)
     try:
         stage = Stage(server, scene, color)
         panel = _Controls(server, stage, scene, title, color)
-        ready(url)
+        ready(guard.gate.url(server.get_port()))
         while True:
             time.sleep(1 / RATE)
             panel.advance(1 / RATE)
@@ -75,7 +77,7 @@ def serve(
 
 def page(scene: Scene, title: str, color: str) -> str:
     """Return a self-contained HTML page that plays a scene, with an initial layer of the ground."""
-    server, _ = _server(0)
+    server = Guard(lambda _: None).start(0)
     try:
         stage = Stage(server, scene, color, others=True)
         first, last = scene.span
@@ -91,17 +93,6 @@ def page(scene: Scene, title: str, color: str) -> str:
     words = [f"Played at {speed:.3g} times real speed."] if speed > 1 else []
     words += [f"The view follows {scene.actors[0].name}."] if scene.is_far else []
     return with_legend(html, scene, title, color, words)
-
-
-def _server(
-    port: int, warn: Callable[[str], None] = lambda _: None
-) -> tuple[viser.ViserServer, str]:
-    guard = Guard(warn, page_script("viewer_keys.js"))
-    server = guard.start(port)
-    if port and server.get_port() != port:
-        stop(server)
-        raise taken(port)
-    return server, guard.gate.url(server.get_port())
 
 
 class Stage:
@@ -120,11 +111,8 @@ class Stage:
         self.grounds: dict[str, Any] = {}
         for lines in scene.ground.lines:
             _add_lines(server, lines)
-        self.paint(color, shaded=True)
-        for layer in scene.ground.layers if others else ():
-            if layer.name != color:
-                colors = scene.ground.colors(layer.name, shaded=True)
-                _add_ground(server, scene.ground, layer.name, colors, visible=False)
+        for name in (*(layer.name for layer in scene.ground.layers if others), color):
+            self.paint(name, shaded=True)
         self.actors = [_RunNodes(server, scene, k) for k in range(len(scene.actors))]
         self.anchor: Array | None = None
         _set_camera(server, scene)
@@ -206,22 +194,30 @@ class _RunNodes:
         self.above = np.array(
             [0.0, 0.0, (0.6 + 0.25 * k) * scene.reach]
         )  # names at distinct heights
-        size = SIZES["contact"] * scene.reach
         # Browsers cull point clouds by their initial position: this node moves with the vehicle.
         self.here = server.scene.add_frame(f"{root}/here", show_axes=False)
         self.contacts = server.scene.add_point_cloud(
             f"{root}/here/contacts",
             np.zeros((1, 3)),
             CONTACT,
-            point_size=size,
+            point_size=CONTACT_SIZE * scene.reach,
             point_shape="circle",
             precision="float32",
         )
-        self.arrows = [
-            (_add_arrows(server, scene, f"{root}/here", each), each)
-            for each in actor.arrows
-            if scene.scales[each.name]
-        ]
+        sizes: dict[str, Any] = {name: size * scene.reach for name, size in ARROW.items()}
+        self.arrows: list[tuple[Any, Arrows]] = []
+        for each in actor.arrows:
+            if scene.scales[each.name]:
+                node = f"{root}/here/{each.name}"
+                server.scene.add_frame(node, show_axes=False)  # to hide the arrows at all times
+                self.arrows.append(
+                    (
+                        server.scene.add_arrows(
+                            f"{node}/arrows", np.zeros((1, 2, 3)), ARROWS[each.name], **sizes
+                        ),
+                        each,
+                    )
+                )
         _add_tracks(server, root, actor, LIFT * (1 + k) * scene.reach)
 
     @property
@@ -230,10 +226,7 @@ class _RunNodes:
 
     def show(self, t: float) -> None:
         actor = self.actor
-        k = int(np.clip(np.searchsorted(actor.t, t), 0, actor.t.size - 1))
-        if k > 0 and t - actor.t[k - 1] < actor.t[k] - t:
-            k -= 1
-        if k == self.last:
+        if (k := actor.sample(t)) == self.last:
             return
         self.last = k
         for node, origins, quaternions in self.frames:
@@ -260,14 +253,7 @@ def _lines(arrows: Arrows, k: int, scale: float, origin: Array) -> Array:
     return np.asarray(np.stack([starts, starts + vectors], axis=1)[kept], dtype=np.float32)
 
 
-def _add_ground(
-    server: viser.ViserServer,
-    ground: SceneGround,
-    name: str,
-    colors: Colors,
-    *,
-    visible: bool = True,
-) -> Any:
+def _add_ground(server: viser.ViserServer, ground: SceneGround, name: str, colors: Colors) -> Any:
     import trimesh
 
     # glTF expects colours in linear light, not in sRGB
@@ -275,7 +261,7 @@ def _add_ground(
         ground.mesh.vertices, ground.mesh.faces, vertex_colors=linear(colors), process=False
     )
     data: Any = mesh.export(file_type="glb", tree_postprocessor=_matt)
-    return server.scene.add_glb(f"{WORLD}/ground {name}", data, visible=visible)
+    return server.scene.add_glb(f"{WORLD}/ground {name}", data)
 
 
 def _add_lines(server: viser.ViserServer, lines: Lines) -> None:
@@ -307,20 +293,6 @@ def linear(colors: Colors) -> Colors:
     parts = colors / 255
     light = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
     return np.asarray(np.rint(255 * light), dtype=np.uint8)
-
-
-def _add_arrows(server: viser.ViserServer, scene: Scene, root: str, arrows: Arrows) -> Any:
-    sizes = {name: SIZES[name] * scene.reach for name in ("shaft", "head", "tip")}
-    server.scene.add_frame(f"{root}/{arrows.name}", show_axes=False)  # to hide them at all times
-    return server.scene.add_arrows(
-        f"{root}/{arrows.name}/arrows",
-        np.zeros((1, 2, 3)),
-        ARROWS[arrows.name],
-        shaft_radius=sizes["shaft"],
-        head_radius=sizes["head"],
-        head_length=sizes["tip"],
-        visible=False,
-    )
 
 
 def _add_tracks(server: viser.ViserServer, root: str, actor: Actor, lift: float) -> None:
