@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from multiprocessing import active_children
 from pathlib import Path
+from typing import Any
 
 import distributed
 import psutil
@@ -49,16 +50,21 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "p.toml"
 
 
+def cluster(workers: int, **options: Any) -> Any:
+    """Return a cluster on this machine, with one thread per worker."""
+    return distributed.LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        dashboard_address="127.0.0.1:0",
+        host="127.0.0.1",
+        **options,
+    )
+
+
 @pytest.fixture(scope="module")
 def dask() -> Iterator[str]:
     """The address of a cluster of two processes."""
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=True,
-        dashboard_address="127.0.0.1:0",
-        host="127.0.0.1",
-    ) as local:
+    with cluster(2, processes=True) as local:
         yield local.scheduler_address
 
 
@@ -71,35 +77,32 @@ def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_killed_sweep_goes_on(slow: Path, file: Path) -> None:
-    process = begin_sweep(file.parent, *SLOW, "--processes", "2")
-    kill_sweep(process)
+@pytest.mark.parametrize("pool", ["processes", "cluster"])
+def test_a_killed_sweep_goes_on(
+    slow: Path, file: Path, pool: str, request: pytest.FixtureRequest
+) -> None:
+    """Finished runs stay as they were, none is there twice, and the table is the same."""
+    words = ["--processes", "2"]
+    if pool == "cluster":
+        words = ["--scheduler", request.getfixturevalue("dask")]
+    process = begin_sweep(file.parent, *SLOW, *words)
+    if pool == "cluster":
+        process.kill()
+        process.communicate()
+    else:
+        kill_sweep(process)
     kept = [line for line in log_lines(file.parent) if line.endswith(b"\n")]
     assert 3 <= len(kept) < RUNS + 1
-    with (file.parent / "out" / LOG).open("ab") as log:
-        log.write(b'{"part": 11, "settings": ["dri')  # as if it had been killed while it wrote
-    sweep_in(file.parent, *SLOW, "--processes", "2", "--no-draw", code=0)
-    _check_resumed(file.parent, kept, slow)
-
-
-def test_a_killed_sweep_goes_on_through_a_cluster(slow: Path, file: Path, dask: str) -> None:
-    process = begin_sweep(file.parent, *SLOW, "--scheduler", dask)
-    process.kill()
-    process.communicate()
-    kept = [line for line in log_lines(file.parent) if line.endswith(b"\n")]
-    assert 3 <= len(kept) < RUNS + 1
-    sweep_in(file.parent, *SLOW, "--scheduler", dask, "--no-draw", code=0)
-    _check_resumed(file.parent, kept, slow)
-
-
-def _check_resumed(folder: Path, kept: list[bytes], whole: Path) -> None:
-    """Check that finished runs are as they were, none is there twice, and the table is the same."""
-    lines = log_lines(folder)
+    if pool == "processes":
+        with (file.parent / "out" / LOG).open("ab") as log:
+            log.write(b'{"part": 11, "settings": ["dri')  # as if it had been killed while it wrote
+    sweep_in(file.parent, *SLOW, *words, "--no-draw", code=0)
+    lines = log_lines(file.parent)
     assert lines[: len(kept)] == kept
     numbers = [json.loads(line)["part"] for line in lines[1:]]
     assert sorted(numbers) == list(range(1, RUNS + 1))
     table = "out/table.csv"
-    assert (folder / table).read_bytes() == (whole / table).read_bytes()
+    assert (file.parent / table).read_bytes() == (slow / table).read_bytes()
 
 
 def test_a_process_that_dies_costs_one_run(file: Path) -> None:
@@ -128,19 +131,8 @@ def test_a_process_that_dies_costs_one_run(file: Path) -> None:
 
 
 def test_processes_end_in_the_middle_of_a_run_if_the_sweep_is_killed(file: Path) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "slipfree",
-        "sweep",
-        str(file),
-        "-o",
-        str(file.parent / "out"),
-        "--set",
-        "time.step=0.000001",
-        "--processes",
-        "1",
-    ]
+    words = f"-m slipfree sweep p.toml --set time.step=0.000001 --processes 1 -o {file.parent}/out"
+    command = [sys.executable, *words.split()]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
         seen, end = psutil.Process(process.pid), time.monotonic() + 60
         while not any(each.cpu_times().user > 2 for each in seen.children(recursive=True)):
@@ -167,14 +159,7 @@ def test_ctrl_c_keeps_what_is_finished(file: Path) -> None:
 def test_workers_that_go_away_and_come_back(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pools, "PATIENCE", 0.05)
     said: list[str] = []
-    with distributed.LocalCluster(
-        n_workers=1,
-        threads_per_worker=1,
-        processes=False,
-        dashboard_address="127.0.0.1:0",
-        host="127.0.0.1",
-        protocol="tcp://",
-    ) as local:
+    with cluster(1, processes=False, protocol="tcp://") as local:
 
         def poll() -> None:
             if len(local.workers) and not said:
@@ -195,14 +180,7 @@ def test_workers_that_go_away_and_come_back(file: Path, monkeypatch: pytest.Monk
 
 
 def test_a_scheduler_that_goes_away(file: Path) -> None:
-    local = distributed.LocalCluster(
-        n_workers=1,
-        threads_per_worker=1,
-        processes=False,
-        dashboard_address="127.0.0.1:0",
-        host="127.0.0.1",
-        protocol="tcp://",
-    )
+    local = cluster(1, processes=False, protocol="tcp://")
     looked = []
 
     def poll() -> None:
