@@ -16,7 +16,7 @@ from slipfree.geometry.mesh import TriangleMesh
 from slipfree.geometry.regions import Region
 from slipfree.models.samples import CLOSEST, FramePoses, part_poses, wheel_poses
 from slipfree.routing.traversability import extents, nodes_at, traversability
-from slipfree.show import ground_drawing
+from slipfree.show import ground_drawing, style
 from slipfree.show.ground_drawing import Window
 from slipfree.show.meshes import (
     Surface,
@@ -41,9 +41,9 @@ from slipfree.show.scene import (
     SceneBody,
     SceneGround,
     arrow_scales,
-    color_of,
     layer,
     map_lines,
+    rgb,
 )
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
@@ -233,7 +233,7 @@ def _gray(colored: Layer, part: Mask) -> Layer:
 def _actor(
     drive: Driven, run: Trajectory, name: str, k: int, origin: Array, ghost: bool = False
 ) -> Actor:
-    vehicle, color = drive.vehicle, color_of(k)
+    vehicle, color = drive.vehicle, rgb(style.PALETTE[k % len(style.PALETTE)])
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], axis=-1)
     parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
     bodies = [*_part_bodies(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]

@@ -131,7 +131,8 @@ def page(report: Report, progress: Callable[[int, int], object] | None = None) -
         figures.append(_figure(plot))
         if progress is not None:
             progress(len(figures), len(report.figures))
-    shown = _note(report.note) + "".join(figures)
+    note = f"<p>{escape(report.note)}</p>\n" if report.note else ""
+    shown = note + "".join(figures)
     sections = {
         first: parts[first],
         **({"Figures": shown} if shown else {}),
@@ -164,10 +165,6 @@ def _table(rows: Sequence[tuple[str, ...]]) -> str:
         values = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
         lines.append(f'<tr><th scope="row"{below}>{escape(name.strip())}</th>{values}</tr>')
     return "<table>\n" + "\n".join(lines) + "\n</table>"
-
-
-def _note(words: str) -> str:
-    return f"<p>{escape(words)}</p>\n" if words else ""
 
 
 def _figure(plot: Plot) -> str:

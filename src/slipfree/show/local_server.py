@@ -61,7 +61,11 @@ class Gate:
         has_secret = hmac.compare_digest(
             prefix.encode(errors="backslashreplace"), self._prefix.encode()
         )
-        is_own = is_own_request(hosts, origins, port)
+        # the headers Host and Origin must address this machine from its own page
+        own = {f"{name}:{port}" for name in NAMES} | ({*NAMES} if port == DEFAULT_PORT else set())
+        lower = [each.lower() for each in hosts]
+        is_same = [each.lower() for each in origins] == [f"http://{each}" for each in lower]
+        is_own = len(lower) == 1 and lower[0] in own and (is_same or not origins)
         if is_own and has_secret:
             return f"/{rest}", ""
         expected = f"expected the address that {self._command} printed, with its secret"
@@ -96,6 +100,10 @@ class Guard:
 
         serve = web.serve
 
+        logger, handler = logging.Logger("slipfree.show", logging.WARNING), logging.Handler()
+        handler.emit = self._log  # type: ignore[method-assign]
+        logger.addHandler(handler)
+
         def guarded(*words: Any, **options: Any) -> Any:
             self._is_used = True
             asyncio.get_running_loop().set_exception_handler(self._report)
@@ -107,7 +115,7 @@ class Guard:
                     del request.headers["Accept-Encoding"]
                 return refusal or _with_script(answer(connection, request), self._script)
 
-            options |= {"process_request": check, "logger": self._logger()}
+            options |= {"process_request": check, "logger": logger}
             return serve(*words, **options)
 
         web.serve = guarded  # type: ignore[assignment, misc]  # viser has no option for it
@@ -164,14 +172,8 @@ class Guard:
     def _report(self, _loop: object, context: Mapping[str, Any]) -> None:
         self.warn(f"ignored a message: {_short(context.get('exception', context['message']))}")
 
-    def _logger(self) -> logging.Logger:
-        """Return a logger that reports errors of connections without tracebacks."""
-        logger, handler = logging.Logger("slipfree.show", logging.WARNING), logging.Handler()
-        handler.emit = self._log  # type: ignore[method-assign]
-        logger.addHandler(handler)
-        return logger
-
     def _log(self, record: logging.LogRecord) -> None:
+        """Report an error of a connection without its traceback."""
         from websockets.exceptions import InvalidStatus
 
         error = record.exc_info[1] if record.exc_info else ""
@@ -188,14 +190,6 @@ def _with_script(response: Any, script: bytes) -> Any:
         del response.headers["Content-Length"]
         response.headers["Content-Length"] = str(len(response.body))
     return response
-
-
-def is_own_request(hosts: Sequence[str], origins: Sequence[str], port: int) -> bool:
-    """Return whether the headers ``Host`` and ``Origin`` address this machine from its own page."""
-    own = {f"{name}:{port}" for name in NAMES} | ({*NAMES} if port == DEFAULT_PORT else set())
-    lower = [each.lower() for each in hosts]
-    is_same = [each.lower() for each in origins] == [f"http://{each}" for each in lower]
-    return len(lower) == 1 and lower[0] in own and (is_same or not origins)
 
 
 def page_script(name: str) -> str:

@@ -233,13 +233,8 @@ def arrow_scales(actors: Sequence[Actor], reach: float) -> tuple[dict[str, float
     return scales, notes
 
 
-def color_of(k: int) -> Color:
-    """Return the colour of the k-th run (red, green, blue), from a palette for the colour-blind."""
-    return rgb(style.PALETTE[k % len(style.PALETTE)])
-
-
 def rgb(name: str) -> Color:
-    """Return red, green and blue, from 0 to 255, of a colour name of Matplotlib."""
+    """Return red, green and blue, from 0 to 255, of a colour of Matplotlib."""
     red, green, blue = (round(255 * part) for part in to_rgb(name))
     return red, green, blue
 

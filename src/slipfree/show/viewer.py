@@ -19,10 +19,8 @@ from slipfree.show.local_server import Guard, stop
 from slipfree.show.scene import (
     ARROWS,
     WORLD,
-    Actor,
     Arrows,
     Colors,
-    Lines,
     Scene,
     SceneGround,
 )
@@ -110,12 +108,39 @@ class Stage:
         self.world = server.scene.add_frame(WORLD, show_axes=False)
         self.grounds: dict[str, Any] = {}
         for lines in scene.ground.lines:
-            _add_lines(server, lines)
+            root = f"{WORLD}/{lines.name}"
+            server.scene.add_frame(root, show_axes=False)
+            server.scene.add_line_segments(
+                f"{root}/lines",
+                lines.segments.astype(np.float32),
+                np.array(lines.color),
+                thickness=LINES.get(lines.name, 1.0),
+                thickness_units="screen",
+            )
+            for k, (words, at) in enumerate(lines.labels):
+                server.scene.add_label(
+                    f"{root}/{k + 1}",
+                    words,
+                    position=at,
+                    anchor="center-center",
+                    font_screen_scale=0.8,
+                )
         for name in (*(layer.name for layer in scene.ground.layers if others), color):
             self.paint(name, shaded=True)
         self.actors = [_RunNodes(server, scene, k) for k in range(len(scene.actors))]
         self.anchor: Array | None = None
-        _set_camera(server, scene)
+        low, high = scene.paths.min(axis=0), scene.paths.max(axis=0)
+        middle, away = (
+            (low + high) / 2,
+            max(0.7 * float(np.linalg.norm(high - low)), 2.5 * scene.reach),
+        )
+        if scene.is_far:
+            middle, away = scene.actors[0].bodies[0].origins[0], CLOSE * scene.reach
+        camera = server.initial_camera
+        camera.look_at = middle
+        camera.position = middle + away * np.array([0.75, -0.75, 0.65])
+        size = float(np.linalg.norm(np.ptp(scene.ground.mesh.vertices, axis=0)))
+        camera.near, camera.far = NEAREST * scene.reach, max(FAR, 10 * size)
         self.show(scene.span[0])
         self.follow(scene.is_far)
 
@@ -218,7 +243,20 @@ class _RunNodes:
                         each,
                     )
                 )
-        _add_tracks(server, root, actor, LIFT * (1 + k) * scene.reach)
+        # tracks of contact points, raised against flicker; those of plans are dashed
+        every = max(1, actor.t.size // MOST)
+        points = actor.contacts[::every] + np.array([0.0, 0.0, LIFT * (1 + k) * scene.reach])
+        lines = np.stack([points[:-1], points[1:]], axis=2)[:: 2 if actor.ghost else 1]
+        lines = lines.reshape(-1, 2, 3)
+        lines = lines[np.isfinite(lines).all(axis=(1, 2))]
+        if len(lines):
+            server.scene.add_line_segments(
+                f"{root}/tracks",
+                lines.astype(np.float32),
+                np.array(actor.color),
+                thickness=2.0,
+                thickness_units="screen",
+            )
 
     @property
     def position(self) -> Array:
@@ -241,16 +279,13 @@ class _RunNodes:
             points = actor.contacts[k, touching] - self.position
             self.contacts.points = points.astype(np.float32)
         for node, each in self.arrows:
-            lines = _lines(each, k, self.scales[each.name], self.position)
+            vectors = each.vectors[k] * self.scales[each.name]
+            lines = np.stack([each.starts[k], each.starts[k] + vectors], axis=1) - self.position
+            kept = np.isfinite(lines).all(axis=(1, 2)) & (np.linalg.norm(vectors, axis=-1) > 0)
+            lines = lines[kept].astype(np.float32)
             node.visible = len(lines) > 0
             if len(lines):
                 node.points = lines
-
-
-def _lines(arrows: Arrows, k: int, scale: float, origin: Array) -> Array:
-    starts, vectors = arrows.starts[k] - origin, arrows.vectors[k] * scale
-    kept = np.isfinite(starts).all(axis=-1) & (np.linalg.norm(vectors, axis=-1) > 0)
-    return np.asarray(np.stack([starts, starts + vectors], axis=1)[kept], dtype=np.float32)
 
 
 def _add_ground(server: viser.ViserServer, ground: SceneGround, name: str, colors: Colors) -> Any:
@@ -262,22 +297,6 @@ def _add_ground(server: viser.ViserServer, ground: SceneGround, name: str, color
     )
     data: Any = mesh.export(file_type="glb", tree_postprocessor=_matt)
     return server.scene.add_glb(f"{WORLD}/ground {name}", data)
-
-
-def _add_lines(server: viser.ViserServer, lines: Lines) -> None:
-    root = f"{WORLD}/{lines.name}"
-    server.scene.add_frame(root, show_axes=False)
-    server.scene.add_line_segments(
-        f"{root}/lines",
-        lines.segments.astype(np.float32),
-        np.array(lines.color),
-        thickness=LINES.get(lines.name, 1.0),
-        thickness_units="screen",
-    )
-    for k, (words, place) in enumerate(lines.labels):
-        server.scene.add_label(
-            f"{root}/{k + 1}", words, position=place, anchor="center-center", font_screen_scale=0.8
-        )
 
 
 def _matt(tree: dict[str, Any]) -> None:
@@ -293,35 +312,6 @@ def linear(colors: Colors) -> Colors:
     parts = colors / 255
     light = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
     return np.asarray(np.rint(255 * light), dtype=np.uint8)
-
-
-def _add_tracks(server: viser.ViserServer, root: str, actor: Actor, lift: float) -> None:
-    """Add the tracks of contact points, raised against flicker; those of plans are dashed."""
-    every = max(1, actor.t.size // MOST)
-    points = actor.contacts[::every] + np.array([0.0, 0.0, lift])
-    lines = np.stack([points[:-1], points[1:]], axis=2)[:: 2 if actor.ghost else 1]
-    lines = lines.reshape(-1, 2, 3)
-    lines = lines[np.isfinite(lines).all(axis=(1, 2))]
-    if len(lines):
-        server.scene.add_line_segments(
-            f"{root}/tracks",
-            lines.astype(np.float32),
-            np.array(actor.color),
-            thickness=2.0,
-            thickness_units="screen",
-        )
-
-
-def _set_camera(server: viser.ViserServer, scene: Scene) -> None:
-    low, high = scene.paths.min(axis=0), scene.paths.max(axis=0)
-    middle, away = (low + high) / 2, max(0.7 * float(np.linalg.norm(high - low)), 2.5 * scene.reach)
-    if scene.is_far:
-        middle, away = scene.actors[0].bodies[0].origins[0], CLOSE * scene.reach
-    camera = server.initial_camera
-    camera.look_at = middle
-    camera.position = middle + away * np.array([0.75, -0.75, 0.65])
-    size = float(np.linalg.norm(np.ptp(scene.ground.mesh.vertices, axis=0)))
-    camera.near, camera.far = NEAREST * scene.reach, max(FAR, 10 * size)
 
 
 class _Action(NamedTuple):
