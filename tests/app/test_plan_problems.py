@@ -18,7 +18,7 @@ from slipfree.problem.result import build, motion_facts, open_result, run_proble
 from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan import PlanVerb, figure_options
 from slipfree.problem.verbs.plan_schema import regions
-from slipfree.problem.verbs.plan_search import guess_motion
+from slipfree.problem.verbs.plan_search import start_motion
 from slipfree.show.plan_figures import plan_plots
 from slipfree.show.plots import draw
 
@@ -297,7 +297,7 @@ def test_parking_has_cusps():
 @pytest.mark.parametrize("goal", ["{x=-1.0, y=-3.0, heading=0.5}", "{x=-1.0, y=-3.0}"])
 def test_guess_with_cusps_ends_at_the_goal_on_even_ground(goal):
     setup = build(load_problem(PARKING, ("terrain.synthetic.power_law=", f"goal={goal}")))
-    run = guess_motion(setup, setup.starts[0])
+    run = start_motion(setup, 0)
     assert (run["x"][-1], run["y"][-1]) == pytest.approx((-1.0, -3.0), abs=1e-3)
     assert setup.guide.paths == ()
 

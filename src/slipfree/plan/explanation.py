@@ -167,10 +167,9 @@ def _elastic_program(
         )
     )
     problem, gradient, jacobian, hessian = _elastic_functions(program, pick, move)
-    lower, upper = (
-        _start_bounds(program, side, free)
-        for side, free in ((program.lower, -np.inf), (program.upper, np.inf))
-    )
+    lower, upper = np.full(program.lower.size, -np.inf), np.full(program.upper.size, np.inf)
+    for kept in (program.layout.first, program.layout.duration):
+        lower[kept], upper[kept] = program.lower[kept], program.upper[kept]
     zeros = np.zeros(hard.size)
     return replace(
         program,
@@ -214,14 +213,6 @@ def _elastic_functions(
         ca.Function("jacobian", [x, p], [rows, ca.horzcat(slopes, ca.MX(move))]),
         ca.Function("hessian", [x, p, sigma, multipliers], [ca.diagcat(curved, ca.MX(n_s, n_s))]),
     )
-
-
-def _start_bounds(program: Program, bounds: Array, free: float) -> Array:
-    """Return bounds of the unknowns: kept for start and duration, ``free`` for all others."""
-    kept = np.full(bounds.size, free)
-    for where in (program.layout.first, program.layout.duration):
-        kept[where] = bounds[where]
-    return kept
 
 
 def _row_values(program: Program, unknowns: Array, weights: Array) -> Array:

@@ -32,7 +32,7 @@ from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.rigid_dynamics import dynamic_guess
 from slipfree.plan.problem import Range
 from slipfree.plan.transcription import SAMPLE_STEP, PlanTask
-from slipfree.plan.verification import simulate_to_failure
+from slipfree.plan.verification import GUESS_TOLERANCE, simulate_to_failure
 from slipfree.routing.reeds_shepp import reeds_shepp
 from slipfree.routing.search import route, routes
 from slipfree.routing.smoothing import path_cost
@@ -50,7 +50,6 @@ BOUND_SHARE = 0.5  # default speed relative to that at the bounds of the wheel r
 AHEAD = 3.0  # distance driven to a goal without a place, in sizes of the vehicle
 DETOUR = 1.1  # cost of a direct path, relative to a route, up to which it is preferred
 SAME_PLACE = 1e-6  # distance of places that count as one [m]
-GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,19 +243,21 @@ def _cusp_drive(trip: Trip, guide: Guide, step: float) -> Drive:
     return trip.dae.inputs(**rates), t
 
 
-def drive_guess(trip: Trip, drive: Drive, options: SolverOptions, *, is_path: bool) -> Trajectory:
-    """Return the motion of a guess, simulated with a loose tolerance.
+def guess_motion(
+    dae: Dae, start: Trajectory, trip: Trip, guide: Guide, drive: Drive, options: SolverOptions
+) -> Trajectory:
+    """Return the motion of a guess with a model from its start, simulated with a loose tolerance.
 
     Along a path to a goal, it ends at its sample nearest to the goal. If the integrator fails after
     the first sample, it ends there.
     """
     rough = replace(options, tolerance=GUESS_TOLERANCE)
     run = simulate_to_failure(trip.dae, trip.start, *drive, rough)
-    if is_path and len(trip.places) > 1:
+    if guide.paths and len(trip.places) > 1:
         x, y = trip.places[-1]
         away = np.hypot(run["x"] - x, run["y"] - y)
         run = run.part(slice(max(int(away.argmin()), 1) + 1))
-    return run
+    return run if trip.dae is dae else dynamic_guess(dae, trip.vehicle, start, run)
 
 
 def settled_start(dae: Dae, start: Trajectory, options: SolverOptions) -> Trajectory:
@@ -291,6 +292,4 @@ def initial_guess(
         layers = traversability(ground, vehicle, places=trip.places)
     guide = choose_guide(trip, bounds, layers)
     drive = guide_drives(trip, guide, step=SAMPLE_STEP)[0]
-    run = drive_guess(trip, drive, options, is_path=bool(guide.paths))
-    run = run if driven is dae else dynamic_guess(dae, vehicle, start, run)
-    return run, float(drive[1][-1])
+    return guess_motion(dae, start, trip, guide, drive, options), float(drive[1][-1])

@@ -10,8 +10,9 @@ becomes shorter.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -384,24 +385,18 @@ def _sample_motions(
     window: Horizon, motions: list[tuple[PolynomialMotion, float]], t: float, span: float
 ) -> Array:
     """Return unknowns of the window at time ``t``, of the first motion that has not ended yet."""
-    nodes, ends = t + span * window.program.mesh.nodes, t + span * input_fractions(window.program)
-    x = _join_values(motions, nodes, PolynomialMotion.states)
-    z = _join_values(motions, nodes, PolynomialMotion.algebraic)
-    u = _join_values(motions, ends, PolynomialMotion.inputs)
-    return unknowns_of(window.program, x, z, u, span)
+    program, (first, begin), (last, since) = window.program, motions[0], motions[-1]
 
+    def values(fractions: Array, read: Callable[[PolynomialMotion, Array], Array]) -> Array:
+        at = t + span * fractions
+        k = np.searchsorted(at, begin + first.duration, side="right")
+        parts = (first, (at[:k] - begin) / first.duration), (last, (at[k:] - since) / last.duration)
+        return np.hstack([read(motion, np.clip(part, 0.0, 1.0)) for motion, part in parts])
 
-def _join_values(motions: list[tuple[PolynomialMotion, float]], at: Array, read: Any) -> Array:
-    """Return values at ascending times, after the end of the first motion those of the last."""
-    first, last = motions[0], motions[-1]
-    k = np.searchsorted(at, first[1] + first[0].duration, side="right")
-    parts = zip((first, last), (at[:k], at[k:]), strict=True)
-    return np.hstack([read(motion[0], _to_fractions(motion, times)) for motion, times in parts])
-
-
-def _to_fractions(motion: tuple[PolynomialMotion, float], at: Array) -> Array:
-    """Return times as fractions of the duration of a motion, clipped to 0 and 1."""
-    return np.clip((at - motion[1]) / motion[0].duration, 0.0, 1.0)
+    nodes = program.mesh.nodes
+    x, z = values(nodes, PolynomialMotion.states), values(nodes, PolynomialMotion.algebraic)
+    u = values(input_fractions(program), PolynomialMotion.inputs)
+    return unknowns_of(program, x, z, u, span)
 
 
 def _row_bounds(window: Horizon, end: float) -> tuple[Array, Array]:

@@ -100,13 +100,24 @@ def first_intervals(motion: PolynomialMotion, count: int) -> PolynomialMotion:
     own = mesh._replace(ends=mesh.ends[: count + 1] / mesh.ends[count])
     sizes = old.first.size, old.unknowns.shape[2], n_u
     layout = variable_layout(own, sizes, continuous=motion.continuous)
-    unknowns = np.zeros(layout.duration + 1)
-    unknowns[layout.first] = values[old.first]
-    unknowns[layout.states] = values[old.states[:count]]
-    unknowns[layout.unknowns] = values[old.unknowns[:count]]
-    unknowns[layout.inputs] = values[old.inputs[: len(layout.inputs)]]
-    unknowns[layout.duration] = mesh.ends[count] * motion.duration
-    return PolynomialMotion(own, layout, unknowns)
+    duration = mesh.ends[count] * motion.duration
+    where = old.first, old.states[:count], old.unknowns[:count], old.inputs[: len(layout.inputs)]
+    parts = (values[each] for each in where)
+    return PolynomialMotion(own, layout, _filled(layout, layout.duration + 1, duration, *parts))
+
+
+def _filled(layout: VariableLayout, size: int, duration: float, *parts: Array) -> Array:
+    """Return the column of all unknowns, with roots of zero.
+
+    The parts are the states at the beginning and at the points, the algebraic unknowns and the
+    inputs.
+    """
+    values = np.zeros(size)
+    places = layout.first, layout.states, layout.unknowns, layout.inputs
+    for where, part in zip(places, parts, strict=True):
+        values[where] = part
+    values[layout.duration] = duration
+    return values
 
 
 def joined_motions(motions: Sequence[PolynomialMotion]) -> PolynomialMotion:
@@ -117,17 +128,16 @@ def joined_motions(motions: Sequence[PolynomialMotion]) -> PolynomialMotion:
     first = motions[0].layout
     sizes = first.first.size, first.unknowns.shape[2], first.inputs.shape[1]
     layout = variable_layout(mesh, sizes, continuous=motions[0].continuous)
-    unknowns = np.zeros(layout.duration + 1)
-    unknowns[layout.first] = motions[0].unknowns[first.first]
-    for where, name in ((layout.states, "states"), (layout.unknowns, "unknowns")):
-        values = [each.unknowns[getattr(each.layout, name)] for each in motions]
-        unknowns[where] = np.concatenate(values)
+    states, unknowns = (
+        np.concatenate([each.unknowns[getattr(each.layout, name)] for each in motions])
+        for name in ("states", "unknowns")
+    )
     skipped = int(motions[0].continuous)  # inputs at a junction belong to both motions
     inputs = [each.unknowns[each.layout.inputs[skipped:]] for each in motions]
     start = motions[0].unknowns[first.inputs[:skipped]]
-    unknowns[layout.inputs] = np.concatenate([start, *inputs])
-    unknowns[layout.duration] = times[-1]
-    return PolynomialMotion(mesh, layout, unknowns)
+    parts = motions[0].unknowns[first.first], states, unknowns, np.concatenate([start, *inputs])
+    values = _filled(layout, layout.duration + 1, times[-1], *parts)
+    return PolynomialMotion(mesh, layout, values)
 
 
 def transfer_motion(former: PolynomialMotion, program: Program, after: float = 0.0) -> Array:
@@ -159,13 +169,9 @@ def input_fractions(program: Program) -> Array:
 def unknowns_of(program: Program, x: Array, z: Array, u: Array, duration: float) -> Array:
     """Return unknowns for states and algebraic unknowns at the nodes, inputs and duration [s]."""
     layout = program.layout
-    unknowns = np.zeros(program.scale.size)
-    unknowns[layout.first] = x[:, 0]
-    unknowns[layout.states] = x[:, 1:].T.reshape(layout.states.shape)
-    unknowns[layout.unknowns] = z[: layout.unknowns.shape[2], 1:].T.reshape(layout.unknowns.shape)
-    unknowns[layout.inputs] = u.T
-    unknowns[layout.duration] = duration
-    return unknowns
+    states = x[:, 1:].T.reshape(layout.states.shape)
+    unknowns = z[: layout.unknowns.shape[2], 1:].T.reshape(layout.unknowns.shape)
+    return _filled(layout, program.scale.size, duration, x[:, 0], states, unknowns, u.T)
 
 
 def _within_task(program: Program, unknowns: Array) -> Array:

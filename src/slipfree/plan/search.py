@@ -37,6 +37,7 @@ from slipfree.plan.polynomial_motion import (
 )
 from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, transcribe
 from slipfree.plan.verification import (
+    GUESS_TOLERANCE,
     Verification,
     largest_error,
     refine_mesh,
@@ -48,7 +49,6 @@ PERTURBATION = 0.3  # standard deviation of a perturbation, relative to the rms 
 MODES = 4  # number of cosines in a perturbation
 MAX_HALVINGS = 4  # of a perturbation whose motion ends early
 SHORTEST = 0.5  # shortest motion that is used as a guess, relative to the duration
-GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
 PATH_SAMPLES = 201  # samples at which the paths of two plans are compared
 SAME_PATH = 1e-3  # largest distance of paths that count as one optimum [m]
 VERIFIED, INACCURATE, SOLVED, NOT_SOLVED = "verified", "inaccurate", "solved", "not solved"

@@ -23,7 +23,7 @@ from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import found_column, needed_lookups, substitute_lookups
 from slipfree.core.records import Array, Label, Mask, field_overview, leaves
 from slipfree.plan.sparse_assembly import Index as Index
-from slipfree.plan.sparse_assembly import NlpBlock, ProgramFunctions, assemble, nlp_block
+from slipfree.plan.sparse_assembly import NlpBlock, assemble, nlp_block
 from slipfree.plan.stage import Cost, StageFunctions, stage_functions
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.system import with_inputs
@@ -190,33 +190,36 @@ def transcribe(
         *(limit for condition in task.conditions for limit in condition.limits),
     ]
     point = stage_functions(system, task.costs, limits, [each.expression for each in conditions])
-    layout = _with_roots(variable_layout(mesh, point.sizes, continuous=task.continuous), point)
-    row_blocks = (
-        _interval_rows(task, point, mesh, layout),
-        *(_condition_rows(task, condition, mesh, layout) for condition in task.conditions),
-    )
-    begins = np.cumsum([0, *(len(each.where) * len(each.labels) for each in row_blocks)]).tolist()
+    layout = variable_layout(mesh, point.sizes, continuous=task.continuous)
+    shape = *layout.states.shape[:2], point.roots
+    roots = layout.duration + 1 + np.arange(np.prod(shape)).reshape(shape)
+    layout = layout._replace(roots=roots)
+    scale = np.ones(layout.duration + 1 + layout.roots.size)
+    scale[layout.unknowns] = task.dae.scale[: layout.unknowns.shape[2]]
+    row_blocks = [_interval_rows(task, point, mesh, layout)]
+    begin, at_conditions = len(row_blocks[0].where) * len(row_blocks[0].labels), list[NlpBlock]()
+    for condition in task.conditions:
+        rows, block = _condition_block(task, condition, mesh, layout, begin)
+        row_blocks.append(rows)
+        at_conditions.append(block)
+        begin += len(rows.labels)
+    points = _stage_block(task, point, mesh, layout, begin, compiled=options.compiled)
+    rates = _rate_block(task, mesh, layout, len(row_blocks[0].labels))
+    made = assemble([points, rates, *at_conditions], scale, len(task.costs) + 1)
+    # Roots are their values plus the residuals of their rows.
+    first_root = layout.first.size + layout.unknowns.shape[2]
+    of_roots = points.row_indices[:, first_root : first_root + point.roots].ravel().tolist()
+    all_rows = ca.Function("rows", [made.w, made.p], [made.g])(made.w, 0)
+    root_values = made.w[layout.roots.ravel().tolist()] + all_rows[of_roots]
+    lower, upper = _variable_bounds(task, layout, bounds, scale.size)
     highest = np.array([value for _, value in task.cost_limits])
     lowest = np.full(highest.size, -np.inf)
-    blocks = [
-        _stage_block(task, point, mesh, layout, begins[-1], compiled=options.compiled),
-        _rate_block(task, mesh, layout, len(row_blocks[0].labels)),
-        *(
-            _condition_block(task, condition, mesh, row_block, begin)
-            for condition, row_block, begin in zip(
-                task.conditions, row_blocks[1:], begins[1:-1], strict=True
-            )
-        ),
-    ]
-    scale = _variable_scale(task, layout)
-    made = assemble(blocks, scale, len(task.costs) + 1)
-    lower, upper = _variable_bounds(task, layout, bounds, scale.size)
     return Program(
         task,
         mesh,
         layout,
         options,
-        row_blocks,
+        tuple(row_blocks),
         {"x": made.w, "p": made.p, "f": made.f, "g": made.g},
         made.gradient,
         made.jacobian,
@@ -226,8 +229,8 @@ def transcribe(
         upper,
         np.concatenate([*(np.tile(each.lower, len(each.where)) for each in row_blocks), lowest]),
         np.concatenate([*(np.tile(each.upper, len(each.where)) for each in row_blocks), highest]),
-        _root_function(blocks[0], made, layout),
-        not blocks[0].rows.is_a("SXFunction"),
+        ca.Function("roots", [made.w], [root_values]),
+        not points.rows.is_a("SXFunction"),
     )
 
 
@@ -237,15 +240,6 @@ def completed(program: Program, unknowns: Array) -> Array:
     (roots,) = evaluate(program.roots, (unknowns[:n_w] / program.scale[:n_w])[:, None])
     full[program.layout.roots.ravel()] = roots.ravel()
     return full
-
-
-def _root_function(points: NlpBlock, made: ProgramFunctions, layout: VariableLayout) -> ca.Function:
-    """Return the function that computes the roots: their values plus residuals of their rows."""
-    n_x, n_r = layout.first.size, layout.roots.shape[2]
-    begin = n_x + layout.unknowns.shape[2]
-    rows = points.row_indices[:, begin : begin + n_r].ravel().tolist()
-    all_rows = ca.Function("rows", [made.w, made.p], [made.g])(made.w, 0)
-    return ca.Function("roots", [made.w], [made.w[layout.roots.ravel().tolist()] + all_rows[rows]])
 
 
 def variable_layout(
@@ -293,12 +287,6 @@ def variable_of(task: PlanTask, expression: ca.SX) -> tuple[str, int] | None:
 def rate_of(label: Label) -> Label:
     """Return the label of the rate of an input, in 1/s2."""
     return Label(f"{label.full}_change", "s-2", f"rate of {label.full}")
-
-
-def _with_roots(layout: VariableLayout, point: StageFunctions) -> VariableLayout:
-    count, degree, _ = layout.states.shape
-    shape = count, degree, point.roots
-    return layout._replace(roots=layout.duration + 1 + np.arange(np.prod(shape)).reshape(shape))
 
 
 def _interval_rows(
@@ -426,62 +414,41 @@ def _rate_block(
     )
 
 
-def _condition_rows(
-    task: PlanTask, condition: TimedCondition, mesh: CollocationMesh, layout: VariableLayout
-) -> RowBlock:
-    """Return the rows of a goal or a way-point: conditions on inputs, states and unknowns."""
-    k = _nearest_interval(condition, mesh)
-    where = np.concatenate(
-        [
-            layout.states[k, -1],
-            layout.unknowns[k, -1],
-            layout.inputs[k + task.continuous],
-            [layout.duration],
-        ]
-    )
-    low, high = (
-        np.array([getattr(limit, side) for limit in condition.limits])
-        for side in ("lower", "upper")
-    )
-    return RowBlock(where[None], tuple(limit.label for limit in condition.limits), low, high)
-
-
-def _nearest_interval(condition: TimedCondition, mesh: CollocationMesh) -> int:
-    """Return the index of the interval whose end is nearest to a condition."""
-    return max(int(np.abs(mesh.ends - condition.fraction).argmin()) - 1, 0)
-
-
 def _condition_block(
     task: PlanTask,
     condition: TimedCondition,
     mesh: CollocationMesh,
-    row_block: RowBlock,
+    layout: VariableLayout,
     begin: int,
-) -> NlpBlock:
-    """Return the block of a goal or a way-point, whose first row has the index ``begin``."""
+) -> tuple[RowBlock, NlpBlock]:
+    """Return rows and block of a goal or a way-point, whose first row has the index ``begin``.
+
+    The conditions are on inputs, states and unknowns at the end of the nearest interval.
+    """
+    k = max(int(np.abs(mesh.ends - condition.fraction).argmin()) - 1, 0)
+    parts = layout.states[k, -1], layout.unknowns[k, -1], layout.inputs[k + task.continuous]
+    where = np.concatenate([*parts, [layout.duration]])[None]
+    limits = condition.limits
+    low, high = (
+        np.array([getattr(limit, side) for limit in limits]) for side in ("lower", "upper")
+    )
     x, z, u = task.dae.columns()
     p, duration = ca.SX.sym("p", len(task.costs) + 1), ca.SX.sym("duration")
-    rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in condition.limits))
-    time = mesh.ends[_nearest_interval(condition, mesh) + 1] * duration
+    rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
+    time = mesh.ends[k + 1] * duration
     lookups, before, after = substitute_lookups(
         needed_lookups(task.dae.lookups, [rows]), [task.dae.t], [time]
     )
     (rows,) = ca.substitute([rows], before, after)
-    n_z = row_block.where.size - x.numel() - u.numel() - 1
-    return nlp_block(
-        (ca.vertcat(x, z[:n_z], u, duration), ca.SX.sym("q", 0), p),
+    block = nlp_block(
+        (ca.vertcat(x, z[: layout.unknowns.shape[2]], u, duration), ca.SX.sym("q", 0), p),
         ca.SX(0),
         rows,
         lookups,
-        (row_block.where, begin + np.arange(len(row_block.labels))[None]),
+        (where, begin + np.arange(len(limits))[None]),
         np.zeros((1, 0)),
     )
-
-
-def _variable_scale(task: PlanTask, layout: VariableLayout) -> Array:
-    scale = np.ones(layout.duration + 1 + layout.roots.size)
-    scale[layout.unknowns] = task.dae.scale[: layout.unknowns.shape[2]]
-    return scale
+    return RowBlock(where, tuple(limit.label for limit in limits), low, high), block
 
 
 def _variable_bounds(

@@ -25,6 +25,7 @@ from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 from slipfree.solve.sampling import TURN, same_turn
 from slipfree.solve.simulate import simulate
 
+GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
 LIMIT_WIDTH_FRACTION = 0.01  # largest tolerance of a limit, relative to its range
 REFINED_FRACTION = 0.25  # neighbours with this fraction of a violation are also refined
 VERIFICATION_TOLERANCE = 0.01  # tolerance of the simulation, relative to the plan's accuracy

@@ -33,12 +33,11 @@ from slipfree.plan.polynomial_motion import (
 from slipfree.plan.problem import Range, bounds_of
 from slipfree.plan.search import PlanProgress, Search, SolvedStage, cost_terms
 from slipfree.plan.transcription import Mesh, PlanTask, transcribe
-from slipfree.plan.verification import simulate_plan
+from slipfree.plan.verification import GUESS_TOLERANCE, simulate_plan
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.system.forks import computing
 
-GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
 WINDOW_POINTS = 400  # points of the route in a guess
 POINTS_PER_METRE = 4  # points per metre of the route among which the nearest one is searched
 ASIDE = 0.25  # largest distance from the route at the end of a window, relative to overlap

@@ -127,9 +127,9 @@ def _position_objection(layers: Traversability, name: str, x: float, y: float) -
 
 def _keep_out_words(layers: Traversability, start: Point, goal: Point) -> str:
     ends = node_at(layers, *start), node_at(layers, *goal)
-    if _are_connected(~out_of_bounds(layers)["keep_out"], ends):
-        return ""
     regions = layers.limits.keep_out
+    if not _divides(layers, regions, ends):
+        return ""
     alone = [region for region in regions if _divides(layers, (region,), ends)]
     if alone:
         words = " and ".join(region.words for region in alone)
@@ -154,16 +154,12 @@ def _keep_out_words(layers: Traversability, start: Point, goal: Point) -> str:
 def _divides(layers: Traversability, regions: tuple[Region, ...], ends: Ends) -> bool:
     """Return whether keep-out regions separate two nodes."""
     limits = layers.limits._replace(keep_out=regions)
-    return not _are_connected(~out_of_bounds(layers._replace(limits=limits))["keep_out"], ends)
+    free = ~out_of_bounds(layers._replace(limits=limits))["keep_out"]
+    free[ends[0]] = free[ends[1]] = True
+    labels = _labels(free)
+    return bool(labels[ends[0]] != labels[ends[1]])
 
 
 def _labels(free: Mask) -> Array:
     """Return labels of the connected regions of free nodes, from 1; 0 for blocked nodes."""
     return np.asarray(scipy.ndimage.label(free)[0])
-
-
-def _are_connected(free: Mask, ends: Ends) -> bool:
-    free = free.copy()
-    free[ends[0]] = free[ends[1]] = True
-    labels = _labels(free)
-    return bool(labels[ends[0]] == labels[ends[1]])

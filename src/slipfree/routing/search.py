@@ -148,12 +148,7 @@ def route(
     route's length if that is more. The cubic spline through them (`Path`) avoids blocked nodes if
     possible.
     """
-    _check_ends(layers, start, goal, turning_radius)
-    ends = np.asarray(start, float), np.asarray(goal, float)
-    rough = _search(layers, *ends)
-    if not len(rough):
-        raise ModelError(f"route: {no_route_words(layers, *ends)}")
-    return smooth(layers, rough, turning_radius)
+    return routes(layers, start, goal, 1, turning_radius=turning_radius)[0].points
 
 
 def routes(

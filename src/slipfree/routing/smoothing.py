@@ -64,8 +64,8 @@ def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array
     for weight in PENALTIES:
         clear = CLEARANCE * max(layers.spacing)
         aim = _Objective(half, clear, sharpest, weight, polyline_length(points) / (len(points) - 1))
-        points = _resample_spline(_minimise(field, points, aim), step)
-        candidate = _resample_spline(points, half)
+        points = resample_polyline(_minimise(field, points, aim), step, spline=True)
+        candidate = resample_polyline(points, half, spline=True)
         is_free, curvature = _check_path(layers, candidate)
         # where a turn is too narrow for the radius, a wide one may cross what the route avoids
         is_free = is_free and path_cost(layers, candidate) <= dearest
@@ -271,25 +271,20 @@ def polyline_length(points: Array) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def resample_polyline(points: Array, step: float) -> Array:
-    """Return equally spaced points along a polyline with the same ends, about ``step`` apart."""
+def resample_polyline(points: Array, step: float, *, spline: bool = False) -> Array:
+    """Return equally spaced points along a polyline or the spline through its points.
+
+    They have the same ends and are about ``step`` apart.
+    """
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     at = np.concatenate([[0], np.cumsum(gaps)])
     count = max(round(float(at[-1]) / step), 1)
     s = np.linspace(0, at[-1], count + 1)
-    even = np.stack([np.interp(s, at, column) for column in points.T], axis=1)
-    even[0], even[-1] = points[0], points[-1]
-    return even
+    if spline:
+        from scipy.interpolate import CubicSpline  # imported here: the import takes 0.2 s
 
-
-def _resample_spline(points: Array, step: float) -> Array:
-    """Return equally spaced points along the spline through points, about ``step`` apart."""
-    from scipy.interpolate import CubicSpline  # imported here: the import takes 0.2 s
-
-    gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    at = np.concatenate([[0], np.cumsum(gaps)])
-    count = max(round(float(at[-1]) / step), 1)
-    even = np.asarray(CubicSpline(at, points - points[0])(np.linspace(0, at[-1], count + 1)))
-    even += points[0]
+        even = np.asarray(CubicSpline(at, points - points[0])(s) + points[0])
+    else:
+        even = np.stack([np.interp(s, at, column) for column in points.T], axis=1)
     even[0], even[-1] = points[0], points[-1]
     return even

@@ -71,8 +71,8 @@ from slipfree.problem.verbs.plan_search import (
     Tested,
     best_start,
     find_plan,
-    guess_motion,
     make_robust,
+    start_motion,
 )
 from slipfree.problem.verbs.plan_setup import (
     Planning,
@@ -135,7 +135,7 @@ class PlanVerb(DriveVerb):
         guesses: list[Trajectory] = []
         if not resume and not spec.plan.window:
             with at(problem, ("driver" if spec.driver else "inputs",)):
-                guesses = [guess_motion(setup, start) for start in setup.starts]
+                guesses = [start_motion(setup, k) for k in range(len(setup.starts))]
 
         def with_plan(
             plan: Plan | LongPlan, run: Trajectory

@@ -22,8 +22,7 @@ from slipfree.core.facts import Fact, Facts
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import PLAN, PLAN_SHARE, Stop, Trajectory
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.models.rigid_dynamics import dynamic_guess
-from slipfree.plan.guess import Drive, drive_guess, settled_start
+from slipfree.plan.guess import guess_motion, settled_start
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.polynomial_motion import PolynomialMotion, SavedPlan
 from slipfree.plan.problem import Range, bounds_of
@@ -79,13 +78,10 @@ UNTESTED = Stop(
 )
 
 
-def guess_motion(setup: Planning, drive: Drive) -> Trajectory:
+def start_motion(setup: Planning, number: int) -> Trajectory:
     """Return the motion of an initial guess with the model of the plan."""
-    is_path = bool(setup.guide.paths)
-    run = drive_guess(setup.trip, drive, setup.spec.solver.options, is_path=is_path)
-    if setup.trip.dae is setup.dae:
-        return run
-    return dynamic_guess(setup.dae, setup.vehicle, setup.start, run)
+    drive, options = setup.starts[number], setup.spec.solver.options
+    return guess_motion(setup.dae, setup.start, setup.trip, setup.guide, drive, options)
 
 
 def find_plan(
@@ -224,12 +220,12 @@ def solve_start(task: tuple[PlanSource, int]) -> StartResult:
     source, number = task
     try:
         problem, setup = _planning(source)
-        first = guess_motion(setup, setup.starts[0])
+        first = start_motion(setup, 0)
         missing = problem.spec.plan.starts - len(setup.starts)
         if number < len(setup.starts):
             law = setup.guide.name or "inputs"
             name = law if len(setup.starts) == 1 else f"{law} {number + 1}"
-            guess = guess_motion(setup, setup.starts[number])
+            guess = start_motion(setup, number)
         else:
             bounds = bounds_of(setup.dae, problem.spec.bounds)
             seed = problem.spec.plan.seed
