@@ -123,36 +123,9 @@ def pcd(points: Any, kind: str, *, real: str = "F 4") -> bytes:
 
 
 def compress_lzf(plain: bytes) -> bytes:
-    """Return LZF: a copy of what was written before wherever three bytes are the same."""
-    out, seen, kept, i = bytearray(), dict[bytes, int](), bytearray(), 0
-
-    def flush() -> None:
-        for k in range(0, len(kept), 32):
-            part = kept[k : k + 32]
-            out.extend([len(part) - 1, *part])
-        kept.clear()
-
-    while i < len(plain):
-        key = plain[i : i + 3]
-        start = seen.get(key, -1)
-        seen[key] = i
-        if len(key) < 3 or start < 0 or i - start > 2**13:
-            kept.append(plain[i])
-            i += 1
-            continue
-        length = 3
-        while length < 264 and i + length < len(plain):
-            if plain[start + length] != plain[i + length]:
-                break
-            length += 1
-        flush()
-        back, code = i - start - 1, length - 2
-        out.append(min(code, 7) << 5 | back >> 8)
-        out.extend([code - 7] * (code >= 7))
-        out.append(back & 255)
-        i += length
-    flush()
-    return bytes(out)
+    """Return LZF without copies: literals of at most 32 bytes, after their number less one."""
+    parts = (plain[k : k + 32] for k in range(0, len(plain), 32))
+    return b"".join(bytes([len(part) - 1]) + part for part in parts)
 
 
 def cloud(kind: str, rng: Random) -> Case:

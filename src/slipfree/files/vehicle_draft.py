@@ -205,18 +205,20 @@ def turned_right(vector: Vector) -> Vector:
 
 def _body(body: Body) -> Body:
     inertia = None if body.inertia is None else in_axes(FORWARD_UP, body.inertia)
-    return Body(body.mass, turned_right(body.at), inertia, tuple(map(_shape, body.shapes)))
+    # a box keeps its own axes: x forward, y left
+    shapes = tuple(placed(shape, FORWARD_UP, np.zeros(3)) for shape in body.shapes)
+    return Body(body.mass, turned_right(body.at), inertia, shapes)
 
 
-def _shape(shape: BodyShape) -> BodyShape:
-    """Return a shape converted from axes x forward, y left to axes x right, y forward."""
+def placed(shape: BodyShape, rotation: Array, origin: Array) -> BodyShape:
+    """Return a shape in another frame, in which its frame has a rotation and an origin [m]."""
+    points = [vector_of(rotation @ np.asarray(point) + origin) for point in shape.points]
     if isinstance(shape, Hull):
-        return Hull(tuple(map(turned_right, shape.points)))
+        return Hull(tuple(points))
     if isinstance(shape, Ball):
-        return Ball(shape.radius, turned_right(shape.at))
-    # the box keeps its own axes: x forward, y left
-    turned = angles_of(FORWARD_UP @ rotation_of(shape.turned))
-    return Box(shape.size, turned_right(shape.at), turned)
+        return Ball(shape.radius, points[0])
+    at = vector_of(rotation @ np.asarray(shape.at) + origin)
+    return Box(shape.size, at, angles_of(rotation @ rotation_of(shape.turned)))
 
 
 def angles_of(rotation: Array) -> Vector:

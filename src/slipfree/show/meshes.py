@@ -7,7 +7,6 @@ from itertools import product
 from math import ceil
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 import scipy  # scipy.spatial and scipy.interpolate are imported when they are used
@@ -18,7 +17,7 @@ from slipfree.core.records import Array
 from slipfree.geometry.mesh import TriangleMesh, sheet
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.vehicle.sections import Sphere
-from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
+from slipfree.vehicle.shapes import Ball, BodyShape
 
 ROD = 8  # faces around a rod
 SPOKES, SPOKE = 4, 0.06  # number of spokes of a wheel, and their radius [wheel radius]
@@ -111,10 +110,7 @@ def shape_mesh(shape: BodyShape) -> TriangleMesh:
     if isinstance(shape, Ball):
         ball = Sphere(shape.radius).mesh()
         return ball._replace(vertices=ball.vertices + shape.at)
-    points = np.array(shape.points if isinstance(shape, Hull) else shape.support_points)
-    if isinstance(shape, Box):
-        rotation, origin = (np.array(ca.evalf(each)) for each in shape.pose)
-        points = points @ rotation.T + origin.T
+    points = np.array(shape.points)
     if np.linalg.matrix_rank(points - points[0], tol=NEAR) < 3:  # no surface
         return TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.uint32))
     hull = scipy.spatial.ConvexHull(points)

@@ -14,6 +14,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from annotated_types import Ge, Gt, Le, Unit, doc
 
+from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 from slipfree.core.schema import Factor, Length, Position
@@ -43,7 +44,8 @@ class Rock(NamedTuple):
     height: float
 
 
-def blank(x_range: tuple[float, float], y_range: tuple[float, float], spacing: float) -> Grid:
+@checked
+def blank(x_range: tuple[float, float], y_range: tuple[float, float], spacing: Length) -> Grid:
     """Return a flat grid at height zero.
 
     Parameters
@@ -59,8 +61,6 @@ def blank(x_range: tuple[float, float], y_range: tuple[float, float], spacing: f
         If the spacing is not positive, or a range is empty or not a multiple of the spacing.
     """
     axes = []
-    if not spacing > 0:
-        raise ModelError(f"blank: expected a positive spacing, found {spacing:g} m; increase it")
     for name, (first, last) in (("x", x_range), ("y", y_range)):
         cells = (last - first) / spacing
         if not (cells > 0 and abs(cells - round(cells)) < 1e-6):
@@ -73,6 +73,7 @@ def blank(x_range: tuple[float, float], y_range: tuple[float, float], spacing: f
     return Grid(axes[0], axes[1], np.zeros((axes[0].size, axes[1].size)))
 
 
+@checked
 def power_law(
     grid: Grid,
     *,
@@ -124,10 +125,6 @@ def power_law(
             f"power_law: expected shortest >= {finest:g} m, twice the spacing, found "
             f"{shortest:g} m; refine the grid or raise shortest"
         )
-    if not 0 < hurst <= 1:
-        raise ModelError(f"power_law: expected hurst in (0, 1], found {hurst}; change it")
-    if not rms >= 0:
-        raise ModelError(f"power_law: expected rms >= 0, found {rms} m; change its sign")
     rng = np.random.default_rng(seed)
     octave = (np.arange(WAVES) + rng.random(WAVES)) / WAVES
     k = 2 * np.pi / longest * (longest / shortest) ** octave
@@ -141,6 +138,7 @@ def power_law(
     return Grid(grid.x, grid.y, grid.z + rough * (rms / math.sqrt(np.mean(rough**2))))
 
 
+@checked
 def craters(
     grid: Grid,
     *,
@@ -198,6 +196,7 @@ def craters(
     return Grid(grid.x, grid.y, z)
 
 
+@checked
 def rocks(
     grid: Grid,
     *,
@@ -328,6 +327,7 @@ def ramp(
     return Grid(grid.x, grid.y, grid.z + rise * profile)
 
 
+@checked
 def ridge(
     grid: Grid,
     *,
@@ -353,8 +353,6 @@ def ridge(
     ModelError
         If the width is not positive.
     """
-    if not width > 0:
-        raise ModelError(f"ridge: expected a positive width, found {width:g} m; increase it")
     profile = np.exp(-(((grid.y - middle) / width) ** 2))
     return Grid(grid.x, grid.y, grid.z + height * profile)
 
@@ -375,8 +373,6 @@ def _scatter(
     ``name`` is the name of the disks in messages.
     """
     smallest, largest = diameters
-    if not count >= 0:
-        raise ModelError(f"{name}: expected count >= 0, found {count}; increase it")
     if not 0 < smallest <= largest:
         raise ModelError(
             f"{name}: expected diameters with 0 < smallest <= largest, found "

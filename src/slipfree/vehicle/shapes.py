@@ -1,9 +1,16 @@
-"""Shapes of the bodies of a vehicle: boxes, balls, and convex hulls given by their points."""
+"""Shapes of the bodies of a vehicle: boxes, balls, and convex hulls given by their points.
+
+Every shape is the convex hull of ``points`` in the part's frame, widened by ``radius``. [m]
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
@@ -34,6 +41,7 @@ class Box:
         If an edge is not positive, or a number is not finite.
     """
 
+    radius: ClassVar[float] = 0.0
     size: tuple[Positive, Positive, Positive]
     at: Vector = ORIGIN
     turned: Vector = ORIGIN
@@ -54,10 +62,11 @@ class Box:
         return translation(*self.at) @ turn("z", z) @ turn("y", y) @ turn("x", x)
 
     @property
-    def support_points(self) -> tuple[Vector, ...]:
-        """Corners in the box's axes, relative to its centre [m]."""
-        a, b, c = (edge / 2 for edge in self.size)
-        return tuple((i * a, j * b, k * c) for i, j, k in product((-1, 1), repeat=3))
+    def points(self) -> tuple[Vector, ...]:
+        """Corners in the part's frame [m]."""
+        rotation, origin = (np.array(ca.evalf(each)) for each in self.pose)
+        corners = np.array([*product((-0.5, 0.5), repeat=3)]) * self.size
+        return tuple((x, y, z) for x, y, z in (corners @ rotation.T + origin.T).tolist())
 
 
 @checked
@@ -88,6 +97,11 @@ class Ball:
         """Return radius and centre, for lists of parts."""
         return f"ball of radius {self.radius:.4g} m at {_listed(self.at)} m"
 
+    @property
+    def points(self) -> tuple[Vector]:
+        """The centre in the part's frame [m]."""
+        return (self.at,)
+
 
 @checked
 @dataclass(frozen=True)
@@ -106,6 +120,7 @@ class Hull:
         If there is no point, or a number is not finite.
     """
 
+    radius: ClassVar[float] = 0.0
     points: tuple[Vector, ...]
 
     def __repr__(self) -> str:

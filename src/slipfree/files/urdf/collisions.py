@@ -18,7 +18,7 @@ from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.tree import Geometry, MeshFile, Shape, Tree, UrdfBox, UrdfJoint
-from slipfree.files.vehicle_draft import angles_of, rotation_of, vector_of
+from slipfree.files.vehicle_draft import placed, rotation_of, vector_of
 from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
 
 MAX_CORNERS = 32  # largest number of corners that represent a hull
@@ -59,15 +59,15 @@ def body_shapes(
             except DataError as error:
                 unread[str(error)] = link.name
                 continue
-            placed = _placed(shape, *tree.frames[link.name])
-            if isinstance(placed, Ball) and np.abs(centers - placed.at).max(axis=1).min() < SAME:
+            in_root = placed(shape, *tree.frames[link.name])
+            if isinstance(in_root, Ball) and np.abs(centers - in_root.at).max(axis=1).min() < SAME:
                 continue  # the ball of a caster, which is a wheel
-            if _lowest(placed) < ground + CLEAR:
+            if min(z for _, _, z in in_root.points) - in_root.radius < ground + CLEAR:
                 touching.append(link.name)
                 continue
             reduced += [f"{link.name} {reduction}"] if reduction else []
             rotation, origin = tree.frames[owner]
-            shapes[owner].append(_placed(placed, rotation.T, -rotation.T @ origin))
+            shapes[owner].append(placed(in_root, rotation.T, -rotation.T @ origin))
     by_link = {owner: tuple(of_link) for owner, of_link in shapes.items()}
     return by_link, [*_notes(touching, reduced, unread)]
 
@@ -167,23 +167,3 @@ def _on_lower_faces(corners: Array, up: Array) -> Array:
     # height at which a vertical line enters the hull: that of the highest lower face
     heights = -(grid @ lower[:, :3].T + lower[:, 3]) / (lower[:, :3] @ up)
     return np.asarray(grid + heights.max(axis=1)[:, None] * up)
-
-
-def _placed(shape: BodyShape, rotation: Array, origin: Array) -> BodyShape:
-    def moved(point: tuple[float, float, float]) -> tuple[float, float, float]:
-        return vector_of(rotation @ np.asarray(point) + origin)
-
-    if isinstance(shape, Hull):
-        return Hull(tuple(map(moved, shape.points)))
-    if isinstance(shape, Ball):
-        return Ball(shape.radius, moved(shape.at))
-    return Box(shape.size, moved(shape.at), angles_of(rotation @ rotation_of(shape.turned)))
-
-
-def _lowest(shape: BodyShape) -> float:
-    if isinstance(shape, Hull):
-        return min(point[2] for point in shape.points)
-    if isinstance(shape, Ball):
-        return shape.at[2] - shape.radius
-    half = np.abs(rotation_of(shape.turned)[2]) @ shape.size / 2
-    return float(shape.at[2] - half)

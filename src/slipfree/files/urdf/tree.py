@@ -67,6 +67,7 @@ class MeshFile(NamedTuple):
 
 Geometry = Shape | UrdfBox | MeshFile
 G = TypeVar("G", Shape, UrdfBox, MeshFile)
+Placed = TypeVar("Placed", Shape, MeshFile, Geometry)
 
 
 class Link(NamedTuple):
@@ -308,12 +309,12 @@ def facing_forward(tree: Tree, forward: str) -> Tree:
     root = root._replace(
         center=vector_of(back @ root.center),
         inertia=inertia,
-        collisions=tuple(_rotated(each, back) for each in root.collisions),
+        collisions=tuple(moved(each, back, np.zeros(3)) for each in root.collisions),
     )
     return replace(tree, links=tree.links | {tree.root: root}, joints=joints)
 
 
-def _rotated(collision: Geometry, back: Array) -> Geometry:
-    """Return a collision shape in rotated axes."""
-    turned = angles_of(back @ rotation_of(collision.turned))
-    return collision._replace(at=vector_of(back @ collision.at), turned=turned)
+def moved(shape: Placed, turn: Array, at: Array) -> Placed:
+    """Return a shape in another frame, in which its frame has a rotation and an origin [m]."""
+    turned = angles_of(turn @ rotation_of(shape.turned))
+    return shape._replace(at=vector_of(turn @ shape.at + at), turned=turned)

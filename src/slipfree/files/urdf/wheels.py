@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -31,6 +30,7 @@ from slipfree.files.urdf.tree import (
     eccentricity,
     is_about,
     lowest,
+    moved,
 )
 from slipfree.files.urdf.wheel_guesses import (
     WheelGuess,
@@ -44,7 +44,6 @@ from slipfree.files.urdf.wheel_guesses import (
 from slipfree.files.vehicle_draft import (
     Value,
     angle_text,
-    angles_of,
     rotation_of,
     toml_line,
     toml_value,
@@ -62,7 +61,6 @@ MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass from its cent
 RIGHT = (0.0, -1.0, 0.0)
 ALIKE = 0.2  # largest relative difference of the radii of opposite wheels
 NEARLY = 0.02  # largest such difference that is not reported
-T = TypeVar("T", Shape, MeshFile)
 
 
 class Wheels:
@@ -617,13 +615,7 @@ def _with_fixed_shapes(tree: Tree) -> Tree:
         for below in (part for part in tree.below(joint.child) if part.name in turning):
             turn, at = tree.frames[below.child]
             pose = rotation.T @ turn, rotation.T @ (at - origin)
-            shapes += [_moved(shape, *pose) for shape in links[below.child].shapes]
-            meshes += [_moved(mesh, *pose) for mesh in links[below.child].meshes]
+            shapes += [moved(shape, *pose) for shape in links[below.child].shapes]
+            meshes += [moved(mesh, *pose) for mesh in links[below.child].meshes]
         links[joint.child] = hub._replace(shapes=tuple(shapes), meshes=tuple(meshes))
     return replace(tree, links=links)
-
-
-def _moved(shape: T, turn: Array, at: Array) -> T:
-    """Return a shape or mesh in another frame, in which its frame has a rotation and position."""
-    turned = angles_of(turn @ rotation_of(shape.turned))
-    return shape._replace(at=vector_of(turn @ shape.at + at), turned=turned)

@@ -46,7 +46,6 @@ from slipfree.routing.traversability import extents
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.paged import Elevation, Outline, PagedBicubic, parts_of
-from slipfree.vehicle.shapes import Ball, BodyShape, Hull
 from slipfree.vehicle.tree import Vehicle
 
 MAX_HEADINGS = 360
@@ -233,17 +232,13 @@ class AtlasSetup:
 
 def load_around(ground: PagedBicubic, x: Array, y: Array, vehicle: Vehicle) -> None:
     """Load the ground around places, with room for the search of poses."""
-    bodies = max((_reach(shape) for _, shape in vehicle.shapes), default=0.0)
+    reaches = (
+        float(np.linalg.norm(shape.points, axis=1).max()) + shape.radius
+        for _, shape in vehicle.shapes
+    )
+    bodies = max(reaches, default=0.0)
     room = ROOM * (extents(vehicle)[2] + bodies) + 8 * max(ground.grid.spacing)
     ground.load((x[0] - room, x[-1] + room, y[0] - room, y[-1] + room))
-
-
-def _reach(shape: BodyShape) -> float:
-    """Return the distance of the farthest point of a shape from the origin of its part [m]."""
-    if isinstance(shape, Ball):
-        return float(np.linalg.norm(shape.at)) + shape.radius
-    points = shape.points if isinstance(shape, Hull) else shape.support_points
-    return float(np.linalg.norm(points, axis=1).max())
 
 
 def build_atlas(problem: Problem[AtlasKeys], known: Mapping[str, Extremes] = EMPTY) -> AtlasSetup:
