@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing
 from dataclasses import replace
 from functools import partial
-from multiprocessing import parent_process
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -22,12 +19,12 @@ from slipfree.plan.constraints import unit_words
 from slipfree.plan.pareto import FrontPoint, FrontTask, check_count, is_better, pareto_front
 from slipfree.plan.polynomial_motion import SavedPlan, from_arrays
 from slipfree.plan.problem import costs_of
-from slipfree.problem.load import load_again, verb_of
+from slipfree.problem.load import Recipe, recipe_of, verb_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import build, run_problem
 from slipfree.problem.verbs.base import Lines, Result
 from slipfree.problem.verbs.plan_schema import PlanKeys
-from slipfree.system.processes import Processes, finish_tasks
+from slipfree.system.processes import local_tasks
 
 if TYPE_CHECKING:
     from slipfree.show.plots import Plot
@@ -76,17 +73,14 @@ class PlanFront(NamedTuple):
 
 
 class _PointTask(NamedTuple):
-    """Search for the plan of a point, for a process."""
+    """Search for the plan of a point, for this process or another one."""
 
-    path: Path
-    text: str
-    settings: tuple[str, ...]
+    recipe: Recipe
     against: str
-    number: int  # of the point in the front
+    name: str  # of the point, in reports
     order: int  # of the task in its batch
     bound: float  # on the second objective; NaN without one
     resume: SavedPlan | None
-    trusted: frozenset[str]
 
 
 def plan_front(
@@ -138,8 +132,42 @@ def plan_front(
     if is_better(other, best):
         best = other
         keep(count - 1, best)
-    with closing(_PointSolver(problem, against, count, processes, report, keep)) as solver:
-        points = pareto_front(solver.solve, least, best, count)
+    kept, is_interrupted = dict[int, FrontPoint](), False
+
+    def poll() -> None:
+        if report is not None:  # with the point of least slip
+            report("points", f"{len(kept) + 1} of {count} points are solved")
+
+    def solve(tasks: Sequence[FrontTask]) -> list[FrontPoint]:
+        """Return the points of tasks in their order; ``INTERRUPTED`` points after Ctrl-C."""
+        nonlocal is_interrupted
+        found = dict[int, FrontPoint]()
+        searches = [
+            _PointTask(
+                recipe_of(problem, *_slip_settings(problem, against, task.bound)),
+                against,
+                f"point {task.number + 1} of {count}",
+                order,
+                task.bound,
+                task.start.solution.saved,
+            )
+            for order, task in enumerate(tasks)
+        ]
+        try:
+            for order, point in () if is_interrupted else execute(searches, poll):
+                if point.outcome is Outcome.INTERRUPTED:
+                    raise KeyboardInterrupt
+                found[order], number = point, tasks[order].number
+                if is_better(point, kept.get(number, FrontPoint(point.bound))):
+                    kept[number] = point
+                    keep(number, point)
+        except KeyboardInterrupt:
+            is_interrupted = True
+        return [found.get(k, FrontPoint(task.bound)) for k, task in enumerate(tasks)]
+
+    here = partial(_solve_point, report=report)
+    with local_tasks(_solve_point, processes, here) as execute:
+        points = pareto_front(solve, least, best, count)
     keep(len(points) - 1, points[-1])
     return PlanFront(against, unit, given, least, points)
 
@@ -230,8 +258,9 @@ def _solve_one(
     is_needed: bool = True,
 ) -> FrontPoint:
     """Return one of the points that a front needs before its own points."""
-    task = _task(problem, against, settings, FrontTask(0, np.nan, start or FrontPoint(np.nan)))
-    _, point = _solve_point(task, _named(name, report))
+    resume = start and start.solution.saved
+    task = _PointTask(recipe_of(problem, *settings), against, name, 0, np.nan, resume)
+    _, point = _solve_point(task, report)
     if point.outcome is Outcome.INTERRUPTED:
         raise KeyboardInterrupt
     if is_needed and not point.is_solved:
@@ -242,32 +271,17 @@ def _solve_one(
     return point
 
 
-def _named(name: str, report: LineCallback | None) -> LineCallback | None:
-    if report is None:
-        return None
-    return lambda phase, line: report(f"{name}, {phase}", f"{name}, {line}")
-
-
-def _task(
-    problem: Problem[PlanKeys],
-    against: str,
-    settings: SettingTexts,
-    task: FrontTask,
-    index: int = 0,
-) -> _PointTask:
-    source, plan = problem.source, task.start.solution
-    settings = (*dict.fromkeys(source.settings.values()), *settings)
-    point = against, task.number, index, task.bound, plan and plan.saved
-    return _PointTask(source.path, source.text, settings, *point, problem.trusted)
-
-
 def _solve_point(task: _PointTask, report: LineCallback | None = None) -> tuple[int, FrontPoint]:
-    return task.order, _planned(task, report)
+    def named(phase: str, line: str) -> None:
+        if report is not None:
+            report(f"{task.name}, {phase}", f"{task.name}, {line}")
+
+    return task.order, _planned(task, report and named)
 
 
 def _planned(task: _PointTask, report: LineCallback | None) -> FrontPoint:
     try:
-        problem = load_again(task.path, task.text, task.settings, task.trusted)
+        problem = task.recipe.load()
         result = run_problem(problem, None, report, task.resume)
     except SolverError as error:
         return FrontPoint(task.bound, outcome=Outcome.SOLVER_FAILURE, words=str(error))
@@ -275,7 +289,7 @@ def _planned(task: _PointTask, report: LineCallback | None) -> FrontPoint:
         return FrontPoint(task.bound, outcome=Outcome.INFEASIBLE, words=str(error))
     run, spec = result.trajectory, problem.spec
     # The set-up and the problem's loader do not fit into a pipe; the set-up is rebuilt on request.
-    result = replace(result, setup=None, load=partial(load_again, *task[:3], task.trusted))
+    result = replace(result, setup=None, load=task.recipe.load)
     costs, verb = {name: fact.value for name, fact in run.facts.items()}, verb_of(problem)
     duration = float(run.t[-1] - run.t[0])
     if result.outcome is not Outcome.COMPLETE:
@@ -286,7 +300,7 @@ def _planned(task: _PointTask, report: LineCallback | None) -> FrontPoint:
     second = duration if task.against == DURATION else costs[f"plan_cost_{task.against}"]
     plan = FrontPlan(
         result,
-        from_arrays(result.arrays, str(task.path)),
+        from_arrays(result.arrays, str(task.recipe.path)),
         verb.facts(run).get("slip_per_path", Fact(np.nan)).value,
         squared,
         duration,
@@ -299,72 +313,6 @@ def _planned(task: _PointTask, report: LineCallback | None) -> FrontPoint:
         result.outcome,
         solution=plan,
     )
-
-
-class _PointSolver:
-    """Solver of the points of a front, in this process or in others.
-
-    After Ctrl-C it solves no further point; the remaining points are ``INTERRUPTED``.
-    """
-
-    def __init__(
-        self,
-        problem: Problem[PlanKeys],
-        against: str,
-        count: int,
-        processes: int,
-        report: LineCallback | None,
-        keep: Callable[[int, FrontPoint], None],
-    ) -> None:
-        self._problem, self._against, self._count = problem, against, count
-        self._report, self._keep = report, keep
-        self._kept: dict[int, FrontPoint] = {}
-        self._is_interrupted = False
-        is_serial = processes == 1 or parent_process() is not None
-        self._pool = None if is_serial else Processes(processes, _solve_point)
-
-    def solve(self, tasks: Sequence[FrontTask]) -> list[FrontPoint]:
-        """Return the points of tasks in their order; ``INTERRUPTED`` points after Ctrl-C."""
-        points: dict[int, FrontPoint] = {}
-        if not self._is_interrupted:
-            try:
-                for index, point in self._points(tasks):
-                    points[index] = point
-                    self._store(tasks[index].number, point)
-            except KeyboardInterrupt:
-                self._is_interrupted = True
-        return [points.get(k, FrontPoint(task.bound)) for k, task in enumerate(tasks)]
-
-    def close(self) -> None:
-        if self._pool is not None:
-            self._pool.close()
-
-    def _points(self, tasks: Sequence[FrontTask]) -> Iterator[tuple[int, FrontPoint]]:
-        """Yield indices of tasks and their points in the order of completion."""
-        front, point_tasks = (self._problem, self._against), list[_PointTask]()
-        for index, task in enumerate(tasks):
-            settings = _slip_settings(*front, task.bound)
-            point_tasks.append(_task(*front, settings, task, index))
-        if self._pool is not None:
-            yield from finish_tasks(point_tasks, self._pool, self._poll)
-            return
-        for each in point_tasks:
-            name = f"point {each.number + 1} of {self._count}"
-            index, point = _solve_point(each, _named(name, self._report))
-            if point.outcome is Outcome.INTERRUPTED:
-                raise KeyboardInterrupt
-            yield index, point
-
-    def _poll(self) -> None:
-        if self._report is not None:
-            solved = len(self._kept) + 1  # and the point of least slip
-            self._report("points", f"{solved} of {self._count} points are solved")
-
-    def _store(self, number: int, point: FrontPoint) -> None:
-        """Keep the solution of a point, and pass it to ``keep``, if it is the best one so far."""
-        if point.is_solved and is_better(point, self._kept.get(number, FrontPoint(point.bound))):
-            self._kept[number] = point
-            self._keep(number, point)
 
 
 def front_facts(front: PlanFront) -> Lines:
@@ -386,33 +334,38 @@ def front_facts(front: PlanFront) -> Lines:
 def table_lines(front: PlanFront) -> Iterator[str]:
     """Yield the lines of the table of a front."""
     unit = unit_words(front.unit)
-    heads = [("point", ""), (front.against, unit), ("at most", unit), ("slip*", "mm/m")]
-    heads += [("slip^2", "mm2/s"), ("smoothing", "%"), ("slope", f"mm2/s per {unit}")]
-    widths = [max(10, *(len(word) + 4 for word in head)) for head in heads]
-    yield _line((name for name, _ in heads), widths) + "outcome"
-    yield _line((unit and f"[{unit}]" for _, unit in heads), widths)
-    for number, point in enumerate(front.points, 1):
+    heads = {  # units, and factors of the numbers of `front_rows`
+        "point": ("", 1.0),
+        front.against: (unit, 1.0),
+        "at most": (unit, 1.0),
+        "slip*": ("mm/m", 1e3),
+        "slip^2": ("mm2/s", 1e6),
+        "smoothing": ("%", 100.0),
+        "slope": (f"mm2/s per {unit}", 1e6),
+    }
+    widths = [max(10, len(name) + 4, len(unit) + 4) for name, (unit, _) in heads.items()]
+    factors = [factor for _, factor in heads.values()]
+
+    def line(cells: Iterable[str]) -> str:
+        return "".join(f"{cell:{width}}" for cell, width in zip(cells, widths, strict=True))
+
+    yield line(heads) + "outcome"
+    yield line(unit and f"[{unit}]" for unit, _ in heads.values())
+    for point, row in zip(front.points, front_rows(front)[1], strict=True):
         words = "dominated" if point.is_dominated else "solved"
-        values = [point.second, point.bound, np.nan, np.nan, np.nan, np.nan]
-        if point.is_solved:
-            plan = point.solution
-            share = 100 * (1 - plan.squared_slip / point.first)
-            values[2:] = 1e3 * plan.slip, 1e6 * plan.squared_slip, share, 1e6 * point.slope
-        else:
+        if not point.is_solved:
             words = (point.words or point.outcome.title).splitlines()[0]
-        cells = (f"{value:.4g}" if np.isfinite(value) else MISSING for value in values)
-        yield _line([str(number), *cells], widths) + words
+        number, bound, second, *more = row
+        pairs = zip(factors, (number, second, bound, *more), strict=False)
+        values = [factor * value for factor, value in pairs]
+        yield line(f"{each:.4g}" if np.isfinite(each) else MISSING for each in values) + words
     yield "* per wheel and metre of path"
 
 
-def _line(cells: Iterable[str], widths: Sequence[int]) -> str:
-    return "".join(f"{cell:{width}}" for cell, width in zip(cells, widths, strict=True))
-
-
-def front_rows(front: PlanFront) -> tuple[list[str], list[list[object]]]:
+def front_rows(front: PlanFront) -> tuple[list[str], list[list[Any]]]:
     """Return column names and rows of the table of a front, with numbers in SI units."""
     names = ["point", "bound", front.against, "slip_per_path", "squared_slip", "smoothness_share"]
-    rows = list[list[object]]()
+    rows = list[list[Any]]()
     for number, point in enumerate(front.points, 1):
         slip = squared = share = np.nan
         if plan := point.solution if point.is_solved else None:
@@ -420,24 +373,13 @@ def front_rows(front: PlanFront) -> tuple[list[str], list[list[object]]]:
             share = 1 - squared / point.first
         row = [number, point.bound, point.second, slip, squared, share, point.slope]
         rows.append([*row, point.outcome.name.lower(), int(point.is_dominated), point.words])
-    return [*dict.fromkeys([*names, "slope", "outcome", "dominated", "reason"])], rows
+    return [*names, "slope", "outcome", "dominated", "reason"], rows
 
 
 def front_plot(front: PlanFront) -> Plot:
     """Return the figure of a front."""
     from slipfree.show.plots import Plot
-    from slipfree.show.sweep_figures import DrawnFront, front_figure
+    from slipfree.show.sweep_figures import front_figure
 
-    points, given = front.points, front.given
-    drawn = DrawnFront(
-        front.against,
-        front.unit,
-        np.array([each.bound for each in points]),
-        np.array([each.second for each in points]),
-        np.array([each.first for each in points]),
-        np.array([each.slope for each in points]),
-        np.array([each.solution.slip if each.is_solved else np.nan for each in points]),
-        np.array([each.is_dominated for each in points]),
-        (given.second, given.first, given.solution.slip),
-    )
-    return Plot("pareto", "Pareto front", partial(front_figure, drawn))
+    drawn = partial(front_figure, front.against, front.unit, front.points, front.given)
+    return Plot("pareto", "Pareto front", drawn)

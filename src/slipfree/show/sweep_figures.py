@@ -7,7 +7,7 @@ the distribution over the runs without varied keys, a curve for one key, a heat 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +18,8 @@ from matplotlib.figure import Figure
 
 from slipfree.core.errors import ModelError
 from slipfree.core.facts import printed_unit
-from slipfree.core.records import Array, Mask
+from slipfree.core.records import Array
+from slipfree.plan.pareto import FrontPoint
 from slipfree.show import style
 from slipfree.show.plots import MARGIN, PANEL, Plot, save
 from slipfree.show.style import COLUMN, MM, PALETTE, STOPPED
@@ -173,76 +174,63 @@ def _labelled(name: str, unit: str) -> str:
     return f"{name} [{printed_unit(unit)}]" if unit else name
 
 
-class DrawnFront(NamedTuple):
-    """Data for the figure of a Pareto front of n points."""
+def front_figure(
+    against: str, unit: str, points: Sequence[FrontPoint], given: FrontPoint
+) -> Figure:
+    """Return the figure of a front: minimised objective with tangents, and slip per metre.
 
-    name: str  # name and unit of the second objective
-    unit: str
-    bounds: Array  # shape (n,), in the unit of the second objective
-    second: Array  # shape (n,): second objective, NaN for unsolved points
-    objective: Array  # shape (n,): minimised objective [m2/s]
-    slopes: Array  # shape (n,): its derivative with respect to the bound
-    slip: Array  # shape (n,): slip per wheel and metre of path [m/m]
-    is_dominated: Mask  # shape (n,): whether another point of the front dominates the point
-    given: tuple[float, float, float]  # both objectives and slip with the costs of the problem
-
-
-def front_figure(front: DrawnFront) -> Figure:
-    """Return the figure of a front: minimised objective with tangents, and slip per metre."""
+    ``against`` and ``unit`` are those of the second objective. Solutions of ``points``, and of the
+    plan ``given`` with the costs of the problem, have the slip per wheel and metre in ``slip``.
+    """
     made = style.figure(COLUMN, (2 * PANEL + MARGIN) * MM)
     upper, lower = made.subplots(2, 1, sharex=True)
-    _draw_points(front, 1e6 * front.objective, 1e6 * front.given[1], upper)
-    _draw_tangents(front, upper)
+    _draw_points(points, given, lambda point: 1e6 * point.first, upper)
+    _draw_tangents(points, upper)
     upper.set_ylabel("squared slip and\nsmoothness [mm$^2$/s]")
-    _draw_points(front, 1e3 * front.slip, 1e3 * front.given[2], lower)
+    _draw_points(points, given, lambda point: 1e3 * point.solution.slip, lower)
     lower.set_ylabel("slip [mm per\nwheel and metre]")
-    lower.set_xlabel(f"{style.words(front.name)} [{printed_unit(front.unit)}]")
+    lower.set_xlabel(f"{style.words(against)} [{printed_unit(unit)}]")
     handles, labels = upper.get_legend_handles_labels()
     made.legend(handles, labels, loc="outside upper center", ncols=3)
     return style.stacked(made, [upper, lower])
 
 
-def _draw_points(front: DrawnFront, values: Array, given: float, ax: Axes) -> None:
-    solved = np.isfinite(values)
-    kept = solved & ~front.is_dominated
-    shown = np.append(values[solved], given)
-    if shown.min() > 0 and shown.max() > WIDE * shown.min():
+def _draw_points(
+    points: Sequence[FrontPoint],
+    given: FrontPoint,
+    value: Callable[[FrontPoint], float],
+    ax: Axes,
+) -> None:
+    solved = [point for point in points if point.is_solved]
+    shown = [value(point) for point in (*solved, given)]
+    if min(shown) > 0 and max(shown) > WIDE * min(shown):
         ax.set_yscale("log")
-    ax.plot(front.second[kept], values[kept], "o-", ms=4, color=PALETTE[0], label="front")
-    worse = solved & front.is_dominated
-    if worse.any():
-        ax.plot(
-            front.second[worse],
-            values[worse],
-            "o",
-            ms=4,
-            mfc="none",
-            color=PALETTE[0],
-            label="dominated",
-        )
-    if not solved.all():
-        heights = np.full((~solved).sum(), FAILED_HEIGHT)
-        ax.plot(
-            front.bounds[~solved],
-            heights,
-            "x",
-            color=STOPPED,
-            label="not solved",
-            transform=ax.get_xaxis_transform(),
-        )
-    ax.plot(
-        front.given[0], given, "*", ms=8, color=PALETTE[1], label="costs of the problem", zorder=3
-    )
+    kept = [point for point in solved if not point.is_dominated]
+    look: dict[str, Any] = {"ms": 4, "color": PALETTE[0]}
+    ax.plot([point.second for point in kept], [*map(value, kept)], "o-", label="front", **look)
+    if worse := [point for point in solved if point.is_dominated]:
+        at = [point.second for point in worse]
+        ax.plot(at, [*map(value, worse)], "o", mfc="none", label="dominated", **look)
+    if missed := [point.bound for point in points if not point.is_solved]:
+        heights, across = [FAILED_HEIGHT] * len(missed), ax.get_xaxis_transform()
+        ax.plot(missed, heights, "x", color=STOPPED, label="not solved", transform=across)
+    star: dict[str, Any] = {
+        "ms": 8,
+        "color": PALETTE[1],
+        "label": "costs of the problem",
+        "zorder": 3,
+    }
+    ax.plot(given.second, value(given), "*", **star)
 
 
-def _draw_tangents(front: DrawnFront, ax: Axes) -> None:
+def _draw_tangents(points: Sequence[FrontPoint], ax: Axes) -> None:
     """Draw a short tangent at each solved point, by the derivative with respect to the bound."""
     label = "slope (price)"
-    for k in np.flatnonzero(np.isfinite(front.objective) & (front.slopes < 0)):
-        away = TANGENT * front.second[k] * np.array([-1.0, 1.0])
-        values = 1e6 * (front.objective[k] + front.slopes[k] * away)
-        if values.min() > 0:
-            ax.plot(front.second[k] + away, values, lw=2.5, alpha=0.5, color="0.4", label=label)
+    for point in points:
+        away = TANGENT * point.second * np.array([-1.0, 1.0])
+        values = 1e6 * (point.first + point.slope * away)
+        if point.slope < 0 and values.min() > 0:
+            ax.plot(point.second + away, values, lw=2.5, alpha=0.5, color="0.4", label=label)
             label = ""
 
 

@@ -147,20 +147,21 @@ class Processes(Generic[T, D]):
 
 @contextmanager
 def local_tasks(
-    function: Callable[[T], D], most: int
+    function: Callable[[T], D], most: int, here: Callable[[T], D] | None = None
 ) -> Iterator[Callable[[Iterable[T], Poll], Iterator[D]]]:
     """Yield a function that executes tasks in at most ``most`` processes, for several calls.
 
     The function takes tasks and ``poll`` as `finish_tasks` does, and yields the results in the
     order of completion. If this process is itself one of a pool, or if only one process may be
-    used, it executes the tasks one after the other. ``function`` is at module level.
+    used, it executes the tasks one after the other, by ``here`` if it is given. ``function`` is at
+    module level.
     """
     count = min(available_cores(), most)
 
     def one_by_one(tasks: Iterable[T], poll: Poll) -> Iterator[D]:
         for task in tasks:
             poll()
-            yield function(task)
+            yield (here or function)(task)
 
     if parent_process() is not None or count == 1:
         yield one_by_one
