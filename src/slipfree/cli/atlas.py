@@ -25,7 +25,6 @@ from slipfree.cli.common import (
     print_facts,
     print_line,
     read_problem,
-    reported,
     warn,
 )
 from slipfree.cli.outputs import check_outputs, draw, save
@@ -115,35 +114,33 @@ def atlas(
     that are finished are kept in a folder beside the output until all files are written: repeat the
     command to continue.
     """
-    with reported():
-        from slipfree.problem.atlas_tiles import TileFolder, input_states, tile_folder
-        from slipfree.problem.inputs import files_read
-        from slipfree.problem.verbs.atlas import build_atlas
+    from slipfree.problem.atlas_tiles import TileFolder, input_states, tile_folder
+    from slipfree.problem.inputs import files_read
+    from slipfree.problem.verbs.atlas import build_atlas
 
-        check_workers(processes, scheduler)
-        own = _own_settings(headings, every, friction, error, within or [])
-        with as_arguments():
-            problem = _read(file, vehicle, [*own, *(settings or [])], trust)
-        outs = out or [Path(f"{file.stem}.tif" if vehicle is None else f"{file.stem}_atlas.tif")]
-        for each in outs:
-            if each.suffix.lower() not in ENDINGS:
-                raise DataError(
-                    f"{each}: expected a name that ends in {', '.join(ENDINGS)}; choose another "
-                    "name"
-                )
-        states = input_states(problem)
-        tiles = tile_folder(outs[0], problem, states)
-        figures = outs[0].with_name(f"{outs[0].stem}_figures")
-        inputs = files_read(problem)
-        check_outputs(outs, inputs, folder=figures if draw else None)
-        check_outputs([], inputs, folder=tiles, names=("*",))
-        with as_arguments():
-            setup = build_atlas(problem)
-        print_facts(setup.facts)
-        for words in setup.warnings:
-            warn(words)
-        with TileFolder(tiles, setup, states) as folder:
-            _solve(setup, outs, folder, figures if draw else None, (processes, scheduler))
+    check_workers(processes, scheduler)
+    own = _own_settings(headings, every, friction, error, within or [])
+    with as_arguments():
+        problem = _read(file, vehicle, [*own, *(settings or [])], trust)
+    outs = out or [Path(f"{file.stem}.tif" if vehicle is None else f"{file.stem}_atlas.tif")]
+    for each in outs:
+        if each.suffix.lower() not in ENDINGS:
+            raise DataError(
+                f"{each}: expected a name that ends in {', '.join(ENDINGS)}; choose another name"
+            )
+    states = input_states(problem)
+    tiles = tile_folder(outs[0], problem, states)
+    figures = outs[0].with_name(f"{outs[0].stem}_figures")
+    inputs = files_read(problem)
+    check_outputs(outs, inputs, folder=figures if draw else None)
+    check_outputs([], inputs, folder=tiles, names=("*",))
+    with as_arguments():
+        setup = build_atlas(problem)
+    print_facts(setup.facts)
+    for words in setup.warnings:
+        warn(words)
+    with TileFolder(tiles, setup, states) as folder:
+        _solve(setup, outs, folder, figures if draw else None, (processes, scheduler))
 
 
 def _solve(

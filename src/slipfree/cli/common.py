@@ -164,7 +164,7 @@ def with_output_options(command: Callable[..., None]) -> Callable[..., None]:
             if options.quiet and options.verbose:
                 print_error("expected --quiet or --verbose, found both; remove one of them")
                 raise typer.Exit(BAD_INPUT)
-            with _unexpected_reported(values.get("file")):
+            with _unexpected_reported(values.get("file")), reported():
                 command(**values)
             if _current_output().is_failed:
                 raise typer.Exit(STOPPED)

@@ -27,7 +27,6 @@ from slipfree.cli.common import (
     print_line,
     read_problem,
     refuse_result,
-    reported,
     show,
     visible,
 )
@@ -49,22 +48,21 @@ def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
 
     Print facts about ground, vehicle and start; the motion, or the mobility map, is not computed.
     """
-    with reported():
-        from slipfree.problem.load import verb_of
-        from slipfree.problem.result import build
-        from slipfree.problem.verbs.atlas import AtlasKeys, build_atlas
+    from slipfree.problem.load import verb_of
+    from slipfree.problem.result import build
+    from slipfree.problem.verbs.atlas import AtlasKeys, build_atlas
 
-        problem = read_problem(file, settings, trust, "check")
-        if isinstance(problem.spec, AtlasKeys):
-            print_facts(build_atlas(problem).facts)
-            print_line("ok")
-            return
-        setup = build(problem)
-        detail("settled the vehicle at the start")
-        start, facts = verb_of(problem).describe_start(problem, setup)
-        add_json("start", lambda: quantities(start))
-        print_facts([*setup.facts, *facts])
+    problem = read_problem(file, settings, trust, "check")
+    if isinstance(problem.spec, AtlasKeys):
+        print_facts(build_atlas(problem).facts)
         print_line("ok")
+        return
+    setup = build(problem)
+    detail("settled the vehicle at the start")
+    start, facts = verb_of(problem).describe_start(problem, setup)
+    add_json("start", lambda: quantities(start))
+    print_facts([*setup.facts, *facts])
+    print_line("ok")
 
 
 def ground(
@@ -89,36 +87,35 @@ def ground(
     Print size, reference system, slopes, holes and doubtful heights. Maps in degrees are converted
     as by --set terrain.geographic=local. The figure shows heights, slopes and the start.
     """
-    with reported():
-        from slipfree.problem.build_ground import ground_facts
-        from slipfree.problem.ground_survey import stand, survey, survey_lines
-        from slipfree.problem.inputs import files_read
+    from slipfree.problem.build_ground import ground_facts
+    from slipfree.problem.ground_survey import stand, survey, survey_lines
+    from slipfree.problem.inputs import files_read
 
-        with as_arguments():
-            problem, ground = ground_of(file, vehicle, settings or [], trust)
-        with about(file):
-            facts = survey(ground)
-        add_json("ground", lambda: {name: fact._asdict() for name, fact in facts.items()})
-        lines = [*ground_facts(ground), *survey_lines(facts)]
-        pose: Mapping[str, float] = {}
-        try:
-            if vehicle is not None or file.suffix.lower() == ".toml":
-                with as_arguments():
-                    pose, standing = stand(problem, ground.grid)
-                lines += standing
-                add_json("start", lambda: pose)
-        finally:  # also if the vehicle has errors
-            print_facts(lines)
-        if draw:
-            from slipfree.show.motion_figures import ground_plot
-            from slipfree.show.plots import save
+    with as_arguments():
+        problem, ground = ground_of(file, vehicle, settings or [], trust)
+    with about(file):
+        facts = survey(ground)
+    add_json("ground", lambda: {name: fact._asdict() for name, fact in facts.items()})
+    lines = [*ground_facts(ground), *survey_lines(facts)]
+    pose: Mapping[str, float] = {}
+    try:
+        if vehicle is not None or file.suffix.lower() == ".toml":
+            with as_arguments():
+                pose, standing = stand(problem, ground.grid)
+            lines += standing
+            add_json("start", lambda: pose)
+    finally:  # also if the vehicle has errors
+        print_facts(lines)
+    if draw:
+        from slipfree.show.motion_figures import ground_plot
+        from slipfree.show.plots import save
 
-            folder = Path(f"{file.stem}_figures")
-            check_outputs([], files_read(problem), folder=folder, names=("ground.png",))
-            place = (pose["x"], pose["y"]) if pose else None
-            (path,) = save([ground_plot(ground.grid, place)], folder)
-            add_json_file(path)
-            print_line(f"drew {path}")
+        folder = Path(f"{file.stem}_figures")
+        check_outputs([], files_read(problem), folder=folder, names=("ground.png",))
+        place = (pose["x"], pose["y"]) if pose else None
+        (path,) = save([ground_plot(ground.grid, place)], folder)
+        add_json_file(path)
+        print_line(f"drew {path}")
 
 
 def vehicle(
@@ -142,28 +139,27 @@ def vehicle(
     Print parts, wheels, inputs, dimensions and mass of the vehicle, and the errors of an invalid
     one. With --verbose, also print numbers of unknowns and equations, and condition numbers.
     """
-    with reported():
-        from slipfree.problem.build_vehicle import guessed_completion
-        from slipfree.problem.inputs import files_named_in
-        from slipfree.problem.report import describe, vehicle_plot
+    from slipfree.problem.build_vehicle import guessed_completion
+    from slipfree.problem.inputs import files_named_in
+    from slipfree.problem.report import describe, vehicle_plot
 
-        check_picture(picture, [file, *files_named_in(file)])
-        if write is not None:
-            check_outputs([write], [file, *files_named_in(file)])
-            write_new_file(guessed_completion(file, write.parent, trust or []), write, force)
-            print_line(f"wrote {write}\n")
-        found = describe(file, settings or [], trust or [])
-        print_line("\n".join([*found.tree, ""]))
-        add_json("tree", lambda: found.tree)
-        add_json("wheels", lambda: found.wheels)
-        if found.wheels:
-            print_line("\n".join([*as_columns(found.wheels), ""]))
-        print_facts(found.facts, found.details)
-        if found.faults:
-            print_error("\n".join(found.faults))
-            raise typer.Exit(BAD_INPUT)
-        if picture is not None:
-            save_picture(vehicle_plot(file, settings or [], trust or []), picture)
+    check_picture(picture, [file, *files_named_in(file)])
+    if write is not None:
+        check_outputs([write], [file, *files_named_in(file)])
+        write_new_file(guessed_completion(file, write.parent, trust or []), write, force)
+        print_line(f"wrote {write}\n")
+    found = describe(file, settings or [], trust or [])
+    print_line("\n".join([*found.tree, ""]))
+    add_json("tree", lambda: found.tree)
+    add_json("wheels", lambda: found.wheels)
+    if found.wheels:
+        print_line("\n".join([*as_columns(found.wheels), ""]))
+    print_facts(found.facts, found.details)
+    if found.faults:
+        print_error("\n".join(found.faults))
+        raise typer.Exit(BAD_INPUT)
+    if picture is not None:
+        save_picture(vehicle_plot(file, settings or [], trust or []), picture)
 
 
 def info(
@@ -173,7 +169,7 @@ def info(
     ] = False,
 ) -> None:
     """Print the outcome of a result and ranges of its quantities."""
-    with reported(), about(file):
+    with about(file):
         from slipfree.files.atlas_files import is_atlas
         from slipfree.files.netcdf import read
         from slipfree.problem.result import facts_of, motion_facts
@@ -248,7 +244,7 @@ def export(
     Foxglove and RViz. The C code is for the controller of a robot: it returns the rates of wheels
     and joints for velocities of the platform, and the pose on the ground.
     """
-    with reported(), about(file):
+    with about(file):
         from slipfree.files.export import export_path, export_rates
         from slipfree.files.mcap import ros_package
         from slipfree.problem.result import export_mcap, result_files

@@ -17,7 +17,7 @@ import tomlkit
 import typer
 
 from slipfree.cli.atlas import as_arguments, ground_of
-from slipfree.cli.common import Settings, Trust, add_json, add_json_file, print_line, reported
+from slipfree.cli.common import Settings, Trust, add_json, add_json_file, print_line
 from slipfree.cli.outputs import check_outputs
 from slipfree.core.errors import DataError, similar
 from slipfree.system.regular_files import check_name, replace_file
@@ -75,30 +75,29 @@ def new(
     With --ground and --vehicle it has your map and vehicle, with a start at which the vehicle
     stands; --set gives further keys of [terrain] or [vehicle], such as terrain.vertical_scale=0.01.
     """
-    with reported():
-        if not (name.name and str(name).isprintable()):
+    if not (name.name and str(name).isprintable()):
+        raise DataError(
+            f"NAME: expected a file name of printable characters, found {str(name)!r}; choose "
+            "another name"
+        )
+    out = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
+    word = shlex.quote(str(out))
+    text = (_folder(STARTERS) / f"{kind}.toml").read_text(encoding="utf-8")
+    text = text.replace(f" {HOLE}", f" {word}")
+    if ground is not None or vehicle is not None or settings:
+        if ground is None or vehicle is None or kind is Kind.inverse:
             raise DataError(
-                f"NAME: expected a file name of printable characters, found {str(name)!r}; choose "
-                "another name"
+                "new: expected --ground and --vehicle together, for direct, plan or atlas, "
+                f"found {kind} with one of them or --set alone; add the other one"
+                if kind is not Kind.inverse
+                else "new: expected direct, plan or atlas with --ground and --vehicle, found "
+                "inverse; omit them, and enter map and vehicle in the file"
             )
-        out = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
-        word = shlex.quote(str(out))
-        text = (_folder(STARTERS) / f"{kind}.toml").read_text(encoding="utf-8")
-        text = text.replace(f" {HOLE}", f" {word}")
-        if ground is not None or vehicle is not None or settings:
-            if ground is None or vehicle is None or kind is Kind.inverse:
-                raise DataError(
-                    "new: expected --ground and --vehicle together, for direct, plan or atlas, "
-                    f"found {kind} with one of them or --set alone; add the other one"
-                    if kind is not Kind.inverse
-                    else "new: expected direct, plan or atlas with --ground and --vehicle, found "
-                    "inverse; omit them, and enter map and vehicle in the file"
-                )
-            tables = _own_tables(kind, out.parent, ground, vehicle, settings or [], trust)
-            text = _with_tables(text, kind, f"{Path(vehicle).stem} on {ground.stem}", tables)
-        write_new_file(text, out, force)
-        solve = "atlas" if kind is Kind.atlas else "run"
-        print_line(f"wrote {out}: slipfree check {word} && slipfree {solve} {word}")
+        tables = _own_tables(kind, out.parent, ground, vehicle, settings or [], trust)
+        text = _with_tables(text, kind, f"{Path(vehicle).stem} on {ground.stem}", tables)
+    write_new_file(text, out, force)
+    solve = "atlas" if kind is Kind.atlas else "run"
+    print_line(f"wrote {out}: slipfree check {word} && slipfree {solve} {word}")
 
 
 def _own_tables(
@@ -210,16 +209,15 @@ def examples(
 
     Copies include the input files that the problems need.
     """
-    with reported():
-        shipped = _shipped()
-        if not names and to is None:
-            _list(shipped)
-            return
-        wanted = dict.fromkeys(name.removesuffix(".toml") for name in names or shipped)
-        for name in wanted:
-            if name not in shipped:
-                raise DataError(_unknown(name, list(shipped)))
-        _copy([*wanted], shipped, Path() if to is None else to, force)
+    shipped = _shipped()
+    if not names and to is None:
+        _list(shipped)
+        return
+    wanted = dict.fromkeys(name.removesuffix(".toml") for name in names or shipped)
+    for name in wanted:
+        if name not in shipped:
+            raise DataError(_unknown(name, list(shipped)))
+    _copy([*wanted], shipped, Path() if to is None else to, force)
 
 
 def _shipped() -> dict[str, Traversable]:

@@ -21,7 +21,6 @@ from slipfree.cli.common import (
     print_facts,
     print_line,
     read_problem,
-    reported,
     reporting,
     show,
     warn,
@@ -100,44 +99,43 @@ def run(
 
     Print a summary and draw figures.
     """
-    with reported():
-        from slipfree.files.netcdf import read_arrays, write, write_csv
-        from slipfree.plan.polynomial_motion import from_arrays
-        from slipfree.problem.inputs import files_read
-        from slipfree.problem.load import check_option, verb_of
-        from slipfree.problem.verbs.base import CROSS_CHECK, RESUME
+    from slipfree.files.netcdf import read_arrays, write, write_csv
+    from slipfree.plan.polynomial_motion import from_arrays
+    from slipfree.problem.inputs import files_read
+    from slipfree.problem.load import check_option, verb_of
+    from slipfree.problem.verbs.base import CROSS_CHECK, RESUME
 
-        problem = read_problem(file, settings, trust)
-        verb = verb_of(problem)
-        options = [] if out is None else ["-o", str(out)]
-        options += [] if draw else ["--no-draw"]
-        options += [word for each in trust or () for word in ("--trust", str(each))]
-        out, folder = _output_paths(problem, out, figures, draw=draw)
-        # the search may go on in the file from which it resumes
-        check_outputs([csv], [*files_read(problem), *([resume] if resume else [])])
-        check_outputs([out, csv], files_read(problem), folder=folder)
-        for option, value in ((CROSS_CHECK, cross_check), (RESUME, resume)):
-            if value:
-                check_option(problem, option)
-        former = None if resume is None else from_arrays(read_arrays(resume), str(resume))
-        with reporting(problem.spec.time.duration if verb.is_timed else None) as reports:
-            result = _solve(problem, reports, former, out)
-            files = [save(out, lambda path: write(path, result.trajectory, result.arrays))]
-            if csv is not None:
-                files.append(save(csv, lambda path: write_csv(path, result.trajectory)))
-            is_interrupted = interrupt_requested() or result.outcome.exit_code == INTERRUPTED
-        with _after(files[0], "summary"):
-            _print_summary(result, verb)
-        names = ", ".join(map(str, files))
-        print_line(f"wrote {names}")
-        detail(f"wrote {names}")
-        if cross_check and not is_interrupted:
-            with _after(files[0], "cross-check"):
-                _cross_check(result)
-        if folder is not None and not is_interrupted:
-            with _after(files[0], "figures"):
-                _draw(verb.figures(result), folder, every=figures_all)
-        _exit(result, files[0], options, is_interrupted=is_interrupted)
+    problem = read_problem(file, settings, trust)
+    verb = verb_of(problem)
+    options = [] if out is None else ["-o", str(out)]
+    options += [] if draw else ["--no-draw"]
+    options += [word for each in trust or () for word in ("--trust", str(each))]
+    out, folder = _output_paths(problem, out, figures, draw=draw)
+    # the search may go on in the file from which it resumes
+    check_outputs([csv], [*files_read(problem), *([resume] if resume else [])])
+    check_outputs([out, csv], files_read(problem), folder=folder)
+    for option, value in ((CROSS_CHECK, cross_check), (RESUME, resume)):
+        if value:
+            check_option(problem, option)
+    former = None if resume is None else from_arrays(read_arrays(resume), str(resume))
+    with reporting(problem.spec.time.duration if verb.is_timed else None) as reports:
+        result = _solve(problem, reports, former, out)
+        files = [save(out, lambda path: write(path, result.trajectory, result.arrays))]
+        if csv is not None:
+            files.append(save(csv, lambda path: write_csv(path, result.trajectory)))
+        is_interrupted = interrupt_requested() or result.outcome.exit_code == INTERRUPTED
+    with _after(files[0], "summary"):
+        _print_summary(result, verb)
+    names = ", ".join(map(str, files))
+    print_line(f"wrote {names}")
+    detail(f"wrote {names}")
+    if cross_check and not is_interrupted:
+        with _after(files[0], "cross-check"):
+            _cross_check(result)
+    if folder is not None and not is_interrupted:
+        with _after(files[0], "figures"):
+            _draw(verb.figures(result), folder, every=figures_all)
+    _exit(result, files[0], options, is_interrupted=is_interrupted)
 
 
 def _output_paths(

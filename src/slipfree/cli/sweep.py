@@ -25,7 +25,6 @@ from slipfree.cli.common import (
     output_option,
     print_facts,
     print_line,
-    reported,
     warn,
 )
 from slipfree.cli.outputs import check_outputs
@@ -97,44 +96,43 @@ def sweep(
     Write one table, print a summary and draw figures. Repeat the command to continue a sweep that
     was interrupted or killed.
     """
-    with reported():
-        from slipfree.problem.inputs import files_read
-        from slipfree.sweep.grid import sweep_of
-        from slipfree.sweep.log import FAILED, LOST
-        from slipfree.sweep.pools import pool_of, run_task
-        from slipfree.sweep.run import TABLE, choose_figures, drawn_grids, grids, sweep_facts
-        from slipfree.system.codegen_cache import obstacle
-        from slipfree.system.processes import available_cores
+    from slipfree.problem.inputs import files_read
+    from slipfree.sweep.grid import sweep_of
+    from slipfree.sweep.log import FAILED, LOST
+    from slipfree.sweep.pools import pool_of, run_task
+    from slipfree.sweep.run import TABLE, choose_figures, drawn_grids, grids, sweep_facts
+    from slipfree.system.codegen_cache import obstacle
+    from slipfree.system.processes import available_cores
 
-        with counted("checking values") as checked:
-            plan = sweep_of(file, vary or [], settings or [], repeat, seed, checked, trust or [])
-        folder = out or Path(f"{plan.problem.source.path.stem}_sweep")
-        if dry_run:
-            _print_plan(plan, folder, processes or available_cores())
-            return
-        reads = [*plan.files.stamps, *files_read(plan.problem)]
-        check_outputs([], reads, folder=folder, names=("table.csv", "run_*.nc", LOG))
-        if draw:
-            check_outputs([], reads, folder=folder / FIGURES, names=("*",))
-        if plan.problem.spec.solver.compiled and (why := obstacle()):
-            warn(
-                f"solver.compiled is true, but functions cannot be compiled: {why}; until then, "
-                "equations that are not in the cache are interpreted, which is slower"
-            )
-        check_workers(processes, scheduler)
-        pool = partial(pool_of, run_task, processes, scheduler, warn)
-        rows = _run_all(plan, folder, pool, keep, again)
-        names = choose_figures(plan, rows, figures or [])
-        found = grids(plan, rows, names)
-        print_facts(sweep_facts(plan, rows, found, names))
-        add_json_file(folder / TABLE)
-        print_line(f"wrote {folder / TABLE}")
-        if keep:
-            _warn_missing(plan, rows, folder)
-        if draw:
-            _draw(plan, drawn_grids(rows, found, names), folder / FIGURES)
-        if rows.ended(FAILED, LOST):
-            raise typer.Exit(STOPPED)
+    with counted("checking values") as checked:
+        plan = sweep_of(file, vary or [], settings or [], repeat, seed, checked, trust or [])
+    folder = out or Path(f"{plan.problem.source.path.stem}_sweep")
+    if dry_run:
+        _print_plan(plan, folder, processes or available_cores())
+        return
+    reads = [*plan.files.stamps, *files_read(plan.problem)]
+    check_outputs([], reads, folder=folder, names=("table.csv", "run_*.nc", LOG))
+    if draw:
+        check_outputs([], reads, folder=folder / FIGURES, names=("*",))
+    if plan.problem.spec.solver.compiled and (why := obstacle()):
+        warn(
+            f"solver.compiled is true, but functions cannot be compiled: {why}; until then, "
+            "equations that are not in the cache are interpreted, which is slower"
+        )
+    check_workers(processes, scheduler)
+    pool = partial(pool_of, run_task, processes, scheduler, warn)
+    rows = _run_all(plan, folder, pool, keep, again)
+    names = choose_figures(plan, rows, figures or [])
+    found = grids(plan, rows, names)
+    print_facts(sweep_facts(plan, rows, found, names))
+    add_json_file(folder / TABLE)
+    print_line(f"wrote {folder / TABLE}")
+    if keep:
+        _warn_missing(plan, rows, folder)
+    if draw:
+        _draw(plan, drawn_grids(rows, found, names), folder / FIGURES)
+    if rows.ended(FAILED, LOST):
+        raise typer.Exit(STOPPED)
 
 
 def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
