@@ -122,11 +122,23 @@ def with_joint(k, **parts):
             "expected 1 to 100 wheels, found 101; remove",
         ),
         (changed(wheels=(VEHICLE.wheels[0], *VEHICLE.wheels[:2])), "two wheels have the name 'rig"),
-        (changed(wheels=(replace(VEHICLE.wheels[0], parent="hub"),)), "as parent, found 'hub'"),
+        (
+            changed(wheels=(replace(VEHICLE.wheels[0], parent="hub"),)),
+            "fork, found 'hub'",
+        ),
         (changed(joints=VEHICLE.joints[::-1][:1] * 2), "two parts have the name 'fork'"),
-        (with_joint(2, value="tilt_left"), "coordinate 'steer' moves no joint"),
-        (with_joint(0, parent="boom"), "joint 'right_hub': expected one of platform as parent, fo"),
-        (with_joint(0, value="lean"), "as coordinate, found 'lean'"),
+        (
+            with_joint(2, value="tilt_left"),
+            "coordinate 'steer': expected a joint whose",
+        ),
+        (
+            with_joint(0, parent="fork"),
+            "right_hub': parent: expected one of platform, found",
+        ),
+        (
+            with_joint(0, value="lean"),
+            "right_hub': value: expected a formula of the coordin",
+        ),
         (with_joint(0, axis=(0, 0, 0)), "axis: expected 'x', 'y', 'z' or a nonzero vector of thre"),
         (
             with_joint(0, at=(0, 0, np.nan)),
@@ -136,7 +148,7 @@ def with_joint(k, **parts):
         (with_joint(0, value="a b"), "joint 'right_hub': formula 'a b'"),
         (
             changed(joints=(*VEHICLE.joints, replace(VEHICLE.joints[2], name="x", motion="slide"))),
-            "coordinate 'steer' is used in the values of both a turning",
+            "coordinate 'steer': expected only turning or only sliding joints",
         ),
         (
             lambda: replace(VEHICLE.wheels[0], axle=(0, 0, 0)),

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from importlib import import_module
 from typing import Any
+
+MAX_LISTED = 60  # largest number of names in a message
 
 
 class SlipfreeError(Exception):
@@ -28,6 +30,12 @@ def similar(name: str, known: Iterable[str]) -> str:
     """Return a question with the most similar known name; empty without a similar one."""
     nearest = get_close_matches(name, [*known], n=1)
     return f"did you mean {nearest[0]!r}? " if nearest else ""
+
+
+def listed(known: Sequence[str]) -> str:
+    """Return names separated by commas: at most 60, then the number of further names."""
+    more = len(known) - MAX_LISTED
+    return ", ".join(known[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def missing_package(package: str, extra: str) -> str:

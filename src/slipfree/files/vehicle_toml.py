@@ -7,13 +7,14 @@ import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import lru_cache
+from itertools import starmap
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, ValidationError
 
 from slipfree.core.arguments import WithUnit
-from slipfree.core.errors import ModelError, similar
+from slipfree.core.errors import ModelError
 from slipfree.files.toml.source import (
     PIECE,
     Fault,
@@ -21,7 +22,6 @@ from slipfree.files.toml.source import (
     ProblemError,
     Source,
     key_lines,
-    listed,
     name_errors,
     parse_toml,
     read_text,
@@ -61,13 +61,13 @@ from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import names_in
 from slipfree.vehicle.sections import SECTIONS, Omni, Section, section_of_radii
 from slipfree.vehicle.shapes import SHAPES
-from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind
+from slipfree.vehicle.tree import PARENT, Body, Coordinate, Joint, Kind, part_faults
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 PARTS = ("coordinates", "joints", "wheels")
 FRAMES = "'paper' (x right, y forward, z up) or 'rep103' (x forward, y left, z up)"
 SIDEWAYS = {"paper": (1.0, 0.0, 0.0), "rep103": (0.0, -1.0, 0.0)}
-PARENT = "the name of the joint that carries it, or 'platform'"
+ADD = '{{ name = "{}", kind = "passive" }} to "coordinates"'  # a coordinate with a name
 T = TypeVar("T")
 
 
@@ -377,8 +377,8 @@ def read_toml(file: File) -> Draft:
     table: VehicleTable = validated(VehicleTable, file)
     faults = [
         *_name_errors(table),
-        *_parent_errors(table),
-        *_value_errors(table),
+        *starmap(Fault, part_faults(table.coordinates, table.joints, table.wheels, ADD)),
+        *_loop_errors(table),
         *_dimension_errors(table),
         *couple_errors(table.couple, [joint.name for joint in table.joints]),
     ]
@@ -459,15 +459,9 @@ def _name_errors(table: VehicleTable) -> Iterator[Fault]:
                 yield Fault(place, expected, f"{row.name!r}; rename it")
 
 
-def _parent_errors(table: VehicleTable) -> Iterator[Fault]:
-    """Yield an error for each unknown parent and for each loop of parents."""
+def _loop_errors(table: VehicleTable) -> Iterator[Fault]:
+    """Yield an error for each loop of parents."""
     parents = {joint.name: joint.parent for joint in table.joints}
-    known = ["platform", *parents]
-    for part in ("joints", "wheels"):
-        for index, row in enumerate(getattr(table, part)):
-            if row.parent not in known:
-                found = f"{row.parent!r}; {similar(row.parent, known)}correct the name"
-                yield Fault((part, index, "parent"), f"{PARENT}: {listed(known)}", found)
     reported: set[str] = set()
     for index, joint in enumerate(table.joints):
         loop = loop_of(joint.name, parents)
@@ -475,35 +469,6 @@ def _parent_errors(table: VehicleTable) -> Iterator[Fault]:
             reported |= set(loop)
             found = f"a loop: {' on '.join((*loop, loop[0]))}; cut the loop at one joint"
             yield Fault(("joints", index, "parent"), "a tree with the root 'platform'", found)
-
-
-def _value_errors(table: VehicleTable) -> Iterator[Fault]:
-    """Yield errors in the formulas of joints, and an error for each coordinate without a joint."""
-    known = [c.name for c in table.coordinates]
-    motions: dict[str, set[str]] = {name: set() for name in known}
-    for index, joint in enumerate(table.joints):
-        place = ("joints", index, "value")
-        try:
-            used = names_in(joint.value)
-        except ModelError as error:
-            yield Fault(place, "a formula of coordinates, '0' for a rigid joint", str(error))
-            continue
-        for name in sorted(used):
-            if name not in motions:
-                expected = f"a formula of the coordinates ({', '.join(known) or 'none'})"
-                add = f'{{ name = "{name}", kind = "passive" }} to "coordinates"'
-                yield Fault(
-                    place, expected, f"{name!r}; {similar(name, known)}correct it, or add {add}"
-                )
-            motions.setdefault(name, set()).add(joint.motion)
-    for index, c in enumerate(table.coordinates):
-        if not motions[c.name]:
-            expected = "a joint whose value uses the coordinate"
-            found = "none; remove the coordinate, or add such a joint"
-            yield Fault(("coordinates", index), expected, found)
-        if len(motions[c.name]) > 1:
-            expected = "only turning or only sliding joints whose value uses the coordinate"
-            yield Fault(("coordinates", index), expected, "both; use two coordinates")
 
 
 def _dimension_errors(table: VehicleTable) -> Iterator[Fault]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import casadi as ca
 import numpy as np
 from annotated_types import Gt
 
 from slipfree.core.arguments import checked
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, listed, similar
 from slipfree.core.records import Array, field_overview, overview
 from slipfree.core.schema import Finite, NonNegative, Positive
 from slipfree.geometry.frame import (
@@ -32,6 +32,7 @@ from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 Kind = Literal["commanded", "passive", "suspension"]
 EARTH_GRAVITY = 9.81  # [m/s^2]
+PARENT = "the name of the joint that carries it, or 'platform'"
 MAX_WHEELS = 100  # with more, preparing the models takes minutes
 
 
@@ -308,27 +309,18 @@ class Vehicle:
         _check_unique("coordinate", (c.name for c in self.coordinates))
         _check_unique("part", ["platform", *(j.name for j in self.joints)])
         _check_unique("wheel", (w.name for w in self.wheels))
-        known, names = {"platform"}, {c.name for c in self.coordinates}
+        parts = self.coordinates, self.joints, self.wheels
+        for (part, index, *key), expected, found in part_faults(*parts):
+            where = ": ".join([f"{part[:-1]} {getattr(self, part)[index].name!r}", *key])
+            raise ModelError(f"{where}: expected {expected}, found {found}")
+        known = {"platform"}
         for joint in self.joints:
-            _check_known("joint", joint.name, "parent", joint.parent, known)
-            for used in sorted(joint.coordinates):
-                _check_known("joint", joint.name, "coordinate", used, names)
+            if joint.parent not in known:
+                raise ModelError(
+                    f"joint {joint.name!r}: parent: expected one of {', '.join(sorted(known))}, "
+                    f"found {joint.parent!r}; define the parent before the joint"
+                )
             known.add(joint.name)
-        for wheel in self.wheels:
-            _check_known("wheel", wheel.name, "parent", wheel.parent, known)
-        turning = {c for j in self.joints if j.motion == "turn" for c in j.coordinates}
-        sliding = {c for j in self.joints if j.motion == "slide" for c in j.coordinates}
-        if turning & sliding:
-            raise ModelError(
-                f"coordinate {min(turning & sliding)!r} is used in the values of both a turning "
-                "and a sliding joint; use two coordinates"
-            )
-        unused = names - turning - sliding
-        if unused:
-            raise ModelError(
-                f"coordinate {min(unused)!r} moves no joint; remove it, or use it in the value of "
-                "a joint"
-            )
         if not 1 <= len(self.wheels) <= MAX_WHEELS:
             raise ModelError(
                 f"vehicle {self.name!r}: expected 1 to {MAX_WHEELS} wheels, found "
@@ -471,16 +463,45 @@ def _check_unique(kind: str, names: Iterable[str]) -> None:
         seen.add(name)
 
 
-def _check_known(kind: str, name: str, role: str, wanted: str, known: set[str]) -> None:
-    if wanted not in known:
-        is_parent = (kind, role) == ("joint", "parent")
-        thing = "joint" if role == "parent" else role
-        expected = f"one of {', '.join(sorted(known))}" if known else "no name"
-        raise ModelError(
-            f"{kind} {name!r}: expected {expected} as {role}, found "
-            f"{wanted!r}; correct the name, or "
-            + ("define the parent before the joint" if is_parent else f"add a {thing} of this name")
-        )
+def part_faults(
+    coordinates: Sequence[Any],
+    joints: Sequence[Any],
+    wheels: Sequence[Any],
+    add: str = "a coordinate {!r}",
+) -> Iterator[tuple[tuple[Any, ...], str, str]]:
+    """Yield place, expected and found value for each part of a vehicle that does not fit others.
+
+    A place is the kind of the part, its index and the name of a field. Parts are records, or tables
+    of a file, with these fields; ``add`` says how to add a coordinate with a name.
+    """
+    carriers = ["platform", *(joint.name for joint in joints)]
+    for part, rows in (("joints", joints), ("wheels", wheels)):
+        for index, row in enumerate(rows):
+            if row.parent not in carriers:
+                found = f"{row.parent!r}; {similar(row.parent, carriers)}correct the name"
+                yield (part, index, "parent"), f"{PARENT}: {listed(carriers)}", found
+    known = [c.name for c in coordinates]
+    motions: dict[str, set[str]] = {name: set() for name in known}
+    for index, joint in enumerate(joints):
+        place = ("joints", index, "value")
+        try:
+            used = names_in(joint.value)
+        except ModelError as error:
+            yield place, "a formula of coordinates, '0' for a rigid joint", str(error)
+            continue
+        for name in sorted(used):
+            if name not in motions:
+                expected = f"a formula of the coordinates ({', '.join(known) or 'none'})"
+                hint = f"{similar(name, known)}correct it, or add {add.format(name)}"
+                yield place, expected, f"{name!r}; {hint}"
+            motions.setdefault(name, set()).add(joint.motion)
+    for index, name in enumerate(known):
+        if not motions[name]:
+            found = "none; remove the coordinate, or add such a joint"
+            yield ("coordinates", index), "a joint whose value uses the coordinate", found
+        if len(motions[name]) > 1:
+            expected = "only turning or only sliding joints whose value uses the coordinate"
+            yield ("coordinates", index), expected, "both; use two coordinates"
 
 
 def body_inertia(vehicle: Vehicle, part: str) -> Array:

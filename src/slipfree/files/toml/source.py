@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel
 
-from slipfree.core.errors import DataError, similar
+from slipfree.core.errors import DataError, listed, similar
 from slipfree.system.regular_files import escape_name, read_bytes, regular_file
 
 Place = tuple[str | int, ...]
@@ -37,7 +37,6 @@ KEY = re.compile(r"""\s*((?:"(?:\\.|[^"\\])*"|'[^']*'|[^"'=\]])+)""")
 MAX_ERRORS = 50  # largest number of errors in a message
 MAX_SHOWN_NUMBER = 1e300  # larger integers are described by their number of bits
 MAX_VALUE = 1e100  # largest quantity; its squares and cubes are finite
-MAX_LISTED = 60  # largest number of names in a message
 MAX_SHOWN_DEPTH = 3  # nesting up to which arrays are shown
 EXPECTED = {
     "float_type": "a number",
@@ -271,12 +270,6 @@ def _unknown(place: Place, known: Sequence[str]) -> Fault:
     name = str(place[-1])
     expected = f"one of {listed(known)}" if known else "no key"
     return Fault(place, expected, f"the unknown key {_cut(name)!r}", similar(name, known))
-
-
-def listed(known: Sequence[str]) -> str:
-    """Return names separated by commas: at most 60, then the number of further names."""
-    more = len(known) - MAX_LISTED
-    return ", ".join(known[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def record_at(schema: type[Any], place: Place, data: Any) -> type[Any]:
