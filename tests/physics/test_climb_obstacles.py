@@ -48,16 +48,6 @@ def test_the_distance_is_that_to_the_nearest_point():
             assert (distance[0] < 0) == (np.diag(inside) < 0).all()
 
 
-def test_numbers_and_expressions_agree():
-    rng = np.random.default_rng(1)
-    places = rng.uniform(-1.5, 2.5, (400, 2))
-    for solid in (SQUARE, KITE, *ramp(np.pi / 4, 0.09).solids):
-        distance, normal = symbolic(solid).map(400)(places.T)
-        found = solid.distance(places[:, 0].reshape(20, 20), places[:, 1].reshape(20, 20))
-        assert_allclose(found[0].ravel(), np.array(distance).ravel(), atol=1e-13)
-        assert_allclose(found[1].reshape(-1, 2), np.array(normal).T, atol=1e-12)
-
-
 def test_the_normal_is_the_gradient_and_continuous():
     place = ca.SX.sym("place", 2)
     distance, normal = KITE.gap(place[0], place[1])

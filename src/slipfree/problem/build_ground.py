@@ -33,10 +33,10 @@ from slipfree.problem.problem import A, Problem, S, shared
 from slipfree.problem.schema import TerrainKeys
 from slipfree.problem.verbs.base import Lines
 from slipfree.terrain.base import MAX_HEIGHT, Grid, check_friction
-from slipfree.terrain.grid_ops import MAX_NODES, Heights, Window, cut, disturbed, smoothed
+from slipfree.terrain.grid_ops import MAX_NODES, Changed, Heights, Window, cut, disturbed, smoothed
 from slipfree.terrain.kernel import library
 from slipfree.terrain.paged import Outline, outline, parts_of
-from slipfree.terrain.rolled import NODES, Rolled, rolled
+from slipfree.terrain.rolled import NODES, rolled
 from slipfree.terrain.synthetic import Rock, blank, place_rocks
 
 OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys of map files only
@@ -51,7 +51,7 @@ class GroundMap(NamedTuple):
 
     grid: Grid  # heights under the wheels, after all changes [m]
     source: str  # origin of the heights: file name, synthetic or sample
-    rolled: Rolled | None  # change by the key rolled
+    rolled: Changed | None  # change by the key rolled
     mu: float | Grid | None  # coefficient of friction, or a map of it [1]
     friction: str  # its description; empty without friction
     facts: Lines  # about map file, changes and map coordinates

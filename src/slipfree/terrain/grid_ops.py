@@ -6,7 +6,7 @@ The functions return new maps and do not change their arguments.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -61,12 +61,22 @@ class Filled(NamedTuple):
     largest: tuple[float, float]  # extents of the hole with the most nodes; or zero [m or deg]
 
 
-class Smoothed(NamedTuple):
-    """A smoothed ground, and the size of the change."""
+@dataclass(frozen=True, eq=False)
+class Changed:
+    """A ground with other heights, and the change of its heights."""
 
     grid: Grid
-    rms: float  # root mean square of the change of height [m]
-    largest: float
+    change: Grid  # new minus old heights at the same nodes [m]
+
+    @property
+    def largest(self) -> float:
+        """Largest absolute change of height [m]."""
+        return float(np.abs(self.change.values).max())
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the change of height [m]."""
+        return math.sqrt(np.mean(self.change.values**2))
 
 
 def parts(
@@ -241,7 +251,7 @@ def continue_over_holes(z: Array) -> Array:
     return found
 
 
-def smoothed(grid: Grid, deviation: float) -> Smoothed:
+def smoothed(grid: Grid, deviation: float) -> Changed:
     """Return a ground averaged with Gaussian weights, and the size of the change.
 
     Outside the grid the ground continues by point reflection about the border node, which preserves
@@ -267,8 +277,7 @@ def smoothed(grid: Grid, deviation: float) -> Smoothed:
             f"eighth of the ground, found {deviation:g} m; choose a value in this range"
         )
     z = averaged(grid.z, grid.spacing, deviation)
-    change = (z - grid.z)[~np.zeros_like(z, bool) if grid.holes is None else ~grid.holes]
-    return Smoothed(replace(grid, z=z), math.sqrt(np.mean(change**2)), float(np.abs(change).max()))
+    return Changed(replace(grid, z=z), Grid(grid.x, grid.y, z - grid.z, holes=grid.holes))
 
 
 def averaged(z: Array, steps: tuple[float, float], deviation: float) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -12,35 +11,18 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.terrain.grid_ops import averaged
+from slipfree.terrain.grid_ops import Changed, averaged
 
 NODES = 8  # nodes per wheel radius
 BALL = 1.5  # radius of the closing ball, in wheel radii
 BLUR = 0.25  # standard deviation of the Gaussian, in wheel radii
 
 
-@dataclass(frozen=True, eq=False)
-class Rolled:
-    """A ground filled for a wheel, and the change of its heights."""
-
-    grid: Grid  # on nodes at most an eighth of the wheel's radius apart [m]
-    change: Grid  # new minus old heights at the same nodes [m]
-
-    @property
-    def largest(self) -> float:
-        """Largest absolute change of height [m]."""
-        return float(np.abs(self.change.values).max())
-
-    @property
-    def rms(self) -> float:
-        """Root mean square of the change of height [m]."""
-        return math.sqrt(np.mean(self.change.values**2))
-
-
-def rolled(grid: Grid, radius: float) -> Rolled:
+def rolled(grid: Grid, radius: float) -> Changed:
     """Return a ground whose hollows are filled for a wheel of the given radius.
 
-    The wheel then has a single contact point almost everywhere.
+    The wheel then has a single contact point almost everywhere. The nodes of the result are at most
+    an eighth of the radius apart.
 
     The bicubic surface of the grid is sampled on nodes at most ``radius / 8`` apart, closed by a
     ball of radius ``1.5 radius``, and smoothed by a Gaussian of standard deviation
@@ -89,7 +71,7 @@ def rolled(grid: Grid, radius: float) -> Rolled:
         None if nodes is None else grid.touches(nodes, x[:, None], y[None, :])
         for nodes in (grid.filled, grid.holes)
     )
-    return Rolled(Grid(x, y, new, filled, holes), Grid(x, y, new - old, holes=holes))
+    return Changed(Grid(x, y, new, filled, holes), Grid(x, y, new - old, holes=holes))
 
 
 def _refine_axis(axis: Array, spacing: float) -> Array:
@@ -108,12 +90,4 @@ def _close_by_ball(z: Array, steps: tuple[float, float], radius: float) -> Array
     pad = [(2 * r, 2 * r) for r in reach]
     wide = np.pad(z, pad, mode="reflect", reflect_type="odd")
     closed = scipy.ndimage.grey_closing(wide, footprint=below >= 0, structure=ball)
-    return _crop(closed, pad)
-
-
-def _crop(wide: Array, pad: list[tuple[int, int]]) -> Array:
-    """Return an array without its margins."""
-    parts = tuple(
-        slice(low, size - high) for (low, high), size in zip(pad, wide.shape, strict=True)
-    )
-    return np.ascontiguousarray(wide[parts])
+    return np.ascontiguousarray(closed[tuple(slice(low, -high) for low, high in pad)])

@@ -8,7 +8,7 @@ same equations hold on a floor, on a floor and against a wall together, and over
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated
@@ -20,6 +20,7 @@ from annotated_types import Ge, Gt, Le, Unit, doc
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
+from slipfree.core.evaluation import evaluate
 from slipfree.core.records import Array
 from slipfree.core.schema import Finite, Length
 from slipfree.terrain.base import Terrain
@@ -157,24 +158,16 @@ class Solid:
         normal : ndarray, shape (..., 2)
             Outward unit vectors.
         """
-        place = np.stack(np.broadcast_arrays(np.asarray(x, float), np.asarray(z, float)), axis=-1)
-        points, previous = self._corners
-        from_corners = place[..., None, :] - points
-        faces = (from_corners * self.normals).sum(axis=-1)
-        past = (from_corners * previous).sum(axis=-1) > 0
-        before = (from_corners * self.edges).sum(axis=-1) < 0
-        away = np.sqrt((from_corners**2).sum(axis=-1))
-        corners = np.where(past & before, away, -np.inf)
-        all_of_them = np.concatenate([faces, corners], axis=-1)
-        nearest, distance = all_of_them.argmax(axis=-1), all_of_them.max(axis=-1)
-        at_corner, k = np.divmod(nearest, len(points))
-        from_corner = (place - points[k]) / np.maximum(distance, math.sqrt(ROOT_OFFSET))[..., None]
-        return distance, np.where(at_corner[..., None] > 0, from_corner, self.normals[k])
+        points = np.stack(np.broadcast_arrays(np.asarray(x, float), np.asarray(z, float)), axis=-1)
+        return _gaps(lambda place: self.gap(place[0], place[1]), points)
 
-    @cached_property
-    def _corners(self) -> tuple[Array, Array]:
-        """Corners, and unit vectors along the faces that end there, shape (n, 2)."""
-        return np.array(self.points), np.roll(self.edges, 1, axis=0)
+
+def _gaps(gap: Callable[[ca.SX], tuple[ca.SX, ca.SX]], points: Array) -> tuple[Array, Array]:
+    """Return distances, shape (...), and normals, shape (..., n), at points, shape (..., n)."""
+    place = ca.SX.sym("place", points.shape[-1])
+    function = ca.Function("gap", [place], [ca.densify(each) for each in gap(place)])
+    distance, normal = evaluate(function, points.reshape(-1, points.shape[-1]).T)
+    return distance.reshape(points.shape[:-1]), normal.T.reshape(points.shape)
 
 
 @dataclass(frozen=True)
@@ -339,11 +332,7 @@ class Prism:
         normal : ndarray, shape (..., 3)
             Outward unit vectors.
         """
-        place = ca.SX.sym("place", 3)
-        gap = ca.Function("gap", [place], [ca.densify(each) for each in self.gap(place)])
-        flat = points.reshape(-1, 3)
-        distance, normal = (np.array(each) for each in gap.map(len(flat))(flat.T))
-        return distance.reshape(points.shape[:-1]), normal.T.reshape(points.shape)
+        return _gaps(self.gap, points)
 
     def top(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """Return the heights of the top of the prism at map points; minus infinity beside it [m].
