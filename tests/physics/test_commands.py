@@ -371,8 +371,8 @@ def test_a_path_in_a_problem():
     east = "[1.5707963267948966, 1.57, 1.56, 1.55, 1.54, 1.53]}"
     words, run = _run("given=", PATH + east)
     assert "path of 6 way-points in 5 s" in words
-    assert re.search(r"path error  .* m at the end", words)
-    assert re.search(r"heading error  .* rad at the end", words)
+    assert re.search(r"error of path  .* m at the end", words)
+    assert re.search(r"error of heading  .* rad at the end", words)
     assert run["path_error"].max() < 3e-3
     assert np.abs(run["heading_error"]).max() < 3e-3
     assert_allclose([run["x"][-1], run["y"][-1]], [-0.1, 0.1], atol=3e-3)

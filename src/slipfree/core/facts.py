@@ -49,13 +49,19 @@ class Row(NamedTuple):
 
 
 def rows(text: str) -> tuple[Row, ...]:
-    """Return the rows of a summary, in lines of the form ``NAME: TEXT``.
+    r"""Return the rows of a summary, in lines of the form ``NAME: TEXT``.
 
     A row is left out if it mentions values that a computation does not have, and so is a part of it
     in brackets. A row about accuracy or validity begins with an exclamation mark. ``NAME: LEAD
     <TABLE> TEXT`` shows the rows of a table: a line for each one if the name depends on it,
     otherwise all in one line. The rows of ``gap_*`` are the facts whose names begin with ``gap_``:
     ``name`` is the rest of the name, ``fact`` the fact.
+
+    Examples
+    --------
+    >>> table = rows("path: {length:.3g>mm}[, up to {z:.2f}]\ngaps: <gap_*> {name} {fact:.1e}")
+    >>> lines(table, {"length": Fact(0.15, "m"), "gap_x": Fact(2e-6, "m")})
+    [('path', '150 mm'), ('gaps', 'x 2.0e-06 m')]
     """
     found = []
     for line in text.splitlines():

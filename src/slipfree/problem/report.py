@@ -68,13 +68,6 @@ STEEP = 0.5  # least vertical component of a steering axis
 MAX_TREE_DEPTH = 40  # largest printed depth of the tree of parts
 
 
-class _ReportFigures(NamedTuple):
-    """Figures of a result, and a note on omitted samples or the reason for missing figures."""
-
-    figures: Sequence[Plot]
-    note: str
-
-
 def report(file: Path) -> Report:
     """Return the report of a result file; raise DataError if it cannot be read."""
     if is_atlas(file):
@@ -87,11 +80,7 @@ def report(file: Path) -> Report:
     tables: dict[str, Sequence[tuple[str, ...]]] = {
         "Result": [fact for fact in facts if fact[0] not in names],
         "Checks": [fact for fact in facts if fact[0] in names],
-        "Set-up": [
-            (name.replace("_", " "), text)
-            for name, text in attributes.items()
-            if name not in ELSEWHERE and not name.endswith(VERSION)
-        ],
+        "Set-up": _set_up(attributes),
         "Quantities": [(name, span, run.columns[name].label.words) for name, span in ranges(run)],
         "Versions": _versions(file, attributes),
     }
@@ -105,11 +94,16 @@ def report(file: Path) -> Report:
 def atlas_lines(file: Path) -> tuple[Lines, Lines, AtlasOverview]:
     """Return summary, set-up, and the contents of the figures of a mobility map."""
     overview = overview_of_file(open_atlas(file))
-    attributes = overview.view.site.attributes
-    set_up = [
-        (name.replace("_", " "), text) for name, text in attributes.items() if name not in ELSEWHERE
+    return summary_lines(overview.facts), _set_up(overview.view.site.attributes), overview
+
+
+def _set_up(attributes: Mapping[str, str]) -> Lines:
+    """Return the attributes of a result that other sections do not report."""
+    return [
+        (name.replace("_", " "), text)
+        for name, text in attributes.items()
+        if name not in ELSEWHERE and not name.endswith(VERSION)
     ]
-    return summary_lines(overview.facts), set_up, overview
 
 
 def _atlas_report(file: Path) -> Report:
@@ -151,16 +145,17 @@ def _texts(file: Path, attributes: Mapping[str, str]) -> dict[str, str]:
     return {"Problem": attributes["problem"], "To repeat the run": again}
 
 
-def _drawn(result: Result, count: int) -> _ReportFigures:
+def _drawn(result: Result, count: int) -> tuple[Sequence[Plot], str]:
+    """Return the figures, and a note on omitted samples or the reason for missing figures."""
     try:
         shown = result.trajectory.t.size
         note = f"The figures show {shown} of {count} samples, including the extremes of all "
         note += "quantities; the tables use all samples."
         verb = find_motion_verb(result.kind) or verb_of(result.problem)
         figures = verb.figures(result)
-        return _ReportFigures(figures, note if shown < count else "")
+        return figures, note if shown < count else ""
     except DataError as error:
-        return _ReportFigures((), f"No figures: {error}")
+        return (), f"No figures: {error}"
 
 
 class Description(NamedTuple):

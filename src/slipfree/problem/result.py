@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -195,28 +195,23 @@ def open_result(path: str | os.PathLike[str], *, samples: int | None = None) -> 
 
 
 def motion_facts(run: Trajectory) -> Lines:
-    """Return the summary of a stored motion, pairs of name and text.
-
-    DataError is raised if facts of the result file have other types than those of its verb.
-    """
-    verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
-    with _readable_facts():
-        if verb is None:
-            return lines(PLAIN_ROWS, values_of(run, run.facts))
-        return verb.summary(run)
+    """Return the summary of a stored motion, pairs of name and text; see `facts_of` for errors."""
+    return _facts_and_summary(run)[1]
 
 
 def facts_of(run: Trajectory) -> Mapping[str, Fact]:
-    """Return the facts of a stored motion, by name; errors are those of `motion_facts`."""
+    """Return the facts of a stored motion, by name.
+
+    DataError is raised if facts of the result file have other types than those of its verb.
+    """
+    return _facts_and_summary(run)[0]
+
+
+def _facts_and_summary(run: Trajectory) -> tuple[Mapping[str, Fact], Lines]:
     verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
-    with _readable_facts():
-        return run.facts if verb is None else verb.facts(run)
-
-
-@contextmanager
-def _readable_facts() -> Iterator[None]:
     try:
-        yield
+        facts = verb.facts(run) if verb else run.facts
+        return facts, lines(verb.rows if verb else PLAIN_ROWS, values_of(run, facts))
     except (AttributeError, TypeError, ValueError) as error:
         if isinstance(error, SlipfreeError):
             raise

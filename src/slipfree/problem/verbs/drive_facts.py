@@ -50,8 +50,8 @@ vehicle in the air: {time_in_air:.3g} in all, the longest flight {longest_flight
 wheels in the air: <wheels_in_air> {wheel} at {share_of_samples:.0%} of the samples, up to \
 {height:.2g} m high
 body on the ground: at {body_on_ground:.0%} of the samples, with up to {body_load_largest:.4g}
-least loaded wheel: {least_loaded}
-  changes: <rocks> {before} to {after} at {t:.4g} s
+least loaded wheel: {least_loaded} at the start
+  changes: {load_changes}: <rocks> {before} to {after} at {t:.4g} s
 soil: drawbar-pull reserve {drawbar_least:.3g} at least ({drawbar_least.words})[, slip ratio \
 {slip_ratio_least:.3g} to {slip_ratio_greatest:.3g}][, sinkage {sinkage_largest:.3g>mm} at most \
 ({sinkage_largest.words})]
@@ -209,8 +209,11 @@ def _pressed_facts(run: Trajectory) -> dict[str, Fact]:
     }
     if run.attributes.get("model") == "dynamics":
         return facts
-    loaded = f"{lightest_wheel(run, 0)[0]} at the start, {len(changes)} changes"
-    return facts | {"wheel_contact": Fact("pressed wheels"), "least_loaded": Fact(loaded)}
+    return facts | {
+        "wheel_contact": Fact("pressed wheels"),
+        "least_loaded": Fact(lightest_wheel(run, 0)[0]),
+        "load_changes": Fact(str(len(changes))),
+    }
 
 
 def _friction(run: Trajectory, used: Fact) -> str:
