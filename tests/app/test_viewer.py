@@ -360,20 +360,19 @@ def test_play_goes_on_from_the_end_to_the_start(files: list[Path], server: Any) 
 def test_keys_step_through_the_time_and_change_the_speed(files: list[Path], server: Any) -> None:
     panel = controls(server, scene_of(files[:1]))
     by_key = {each.key: each.act for each in panel._actions()}
-    by_key["arrowright"]()
-    assert panel.time.value == pytest.approx(0.08)
-    by_key["end"]()
-    assert panel.time.value == pytest.approx(4.0)
-    by_key["arrowleft"]()
-    assert panel.time.value == pytest.approx(3.92)
-    by_key["home"]()
-    assert panel.time.value == 0
-    by_key["space"]()
-    assert panel.playing.value
-    by_key["arrowright"]()
-    assert not panel.playing.value
-    by_key["arrowup"]()
-    assert panel.speed.value == "2x"
+    presses = (
+        ("arrowright", 0.08, False, "1x"),
+        ("end", 4.0, False, "1x"),
+        ("arrowleft", 3.92, False, "1x"),
+        ("home", 0.0, False, "1x"),
+        ("space", 0.0, True, "1x"),
+        ("arrowright", 0.08, False, "1x"),
+        ("arrowup", 0.08, False, "2x"),
+    )
+    for key, t, playing, speed in presses:
+        by_key[key]()
+        assert panel.time.value == pytest.approx(t)
+        assert (panel.playing.value, panel.speed.value) == (playing, speed)
     for _ in range(9):
         by_key["arrowdown"]()
     assert panel.speed.value == "0.1x"
