@@ -14,10 +14,12 @@ from scipy.spatial.transform import Rotation
 from helpers.cases import hills
 from helpers.commands import invoke
 from slipfree import Analytic, direct_kinematics, settle, simulate
+from slipfree.files import vehicle_toml
 from slipfree.files.toml.source import ProblemError
 from slipfree.files.vehicle_draft import Draft, from_rep103, rotation_of, vehicle_text
 from slipfree.files.vehicle_toml import CoordinateTable, JointTable, VehicleTable, WheelTable
 from slipfree.geometry.frame import Pose, unit_vector
+from slipfree.problem import build_ground
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.problem.schema import CATALOG
 from slipfree.vehicle.drives import Motor, Torque
@@ -420,6 +422,25 @@ def test_a_problem_drives_a_vehicle_file():
     assert "caster 0.075 m free" in invoke("check", "p.toml", "--set", scaled).stdout
     lost = invoke("run", "p.toml", "-o", "v.toml")
     assert "found the input v.toml" in lost.stderr
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_run_parses_its_vehicle_and_reads_its_map_once(monkeypatch):
+    axis = np.linspace(-3, 3, 13)
+    np.savez("g.npz", x=axis, y=axis, z=np.zeros((13, 13)))
+    Path("v.toml").write_text(f"# parsed once\n{SHORT}")
+    files = []
+    for module, name in ((vehicle_toml, "parse_toml"), (build_ground, "read_map")):
+        original = getattr(module, name)
+
+        def counted(path, *rest, original=original, **options):
+            files.append(path.name)
+            return original(path, *rest, **options)
+
+        monkeypatch.setattr(module, name, counted)
+    ground = ["--set", "terrain={file='g.npz'}"]
+    assert "cart: left" in invoke("run", "p.toml", *ground, code=0).stdout
+    assert sorted(files) == ["g.npz", "v.toml"]
 
 
 @pytest.mark.parametrize(

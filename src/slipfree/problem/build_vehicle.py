@@ -193,7 +193,7 @@ def guessed_completion(path: Path, folder: Path, trust: Sequence[Path] = ()) -> 
             "name a URDF, or omit --write"
         )
     tables: dict[str, dict[str, Guess]] = {"": {}, "wheels": {}, "joints": {}}
-    for guess in _draft(path, trusted_paths(trust)).draft.guesses:
+    for guess in _draft(path, trusted_paths(trust))[0].guesses:
         known = tables[guess.table].get(guess.name)
         if known is not None:
             values, reason = {**known.values, **guess.values}, f"{known.reason}; {guess.reason}"
@@ -216,30 +216,24 @@ def is_vehicle_file(path: Path) -> bool:
     return "verb" not in data and not {*PARTS, "urdf"}.isdisjoint(data)
 
 
-class _Read(NamedTuple):
-    """Draft of a vehicle, and the URDF from which it was read or None."""
-
-    draft: Draft
-    robot: Robot | None
-
-
-def _draft(path: Path, trusted: frozenset[str]) -> _Read:
+def _draft(path: Path, trusted: frozenset[str]) -> tuple[Draft, Robot | None]:
+    """Return the draft of a vehicle, and the URDF from which it was read, if any."""
     if is_description(path):
         return _urdf(path, trusted)
     if path.suffix.lower() == ".toml":
         file = open_file(path)
-        return _completed(file, trusted) if "urdf" in file.data else _Read(read_toml(file), None)
+        return _completed(file, trusted) if "urdf" in file.data else (read_toml(file), None)
     raise DataError(
         f"{path}: expected a vehicle file that ends in .toml, .urdf or .xacro, found "
         f"{repr(path.suffix) if path.suffix else 'no ending'}; check the name"
     )
 
 
-def _completed(file: File, trusted: frozenset[str]) -> _Read:
+def _completed(file: File, trusted: frozenset[str]) -> tuple[Draft, Robot | None]:
     """Return the draft of the vehicle in a URDF that a vehicle file completes."""
     table: UrdfTable = validated(UrdfTable, file)
     draft, robot = _urdf(file.source.path.parent / table.urdf, trusted, (table, file))
-    return _Read(draft if table.name is None else replace(draft, name=table.name), robot)
+    return draft if table.name is None else replace(draft, name=table.name), robot
 
 
 def _tree(path: Path, trusted: frozenset[str], table: UrdfTable | None, file: File | None) -> Tree:
@@ -282,7 +276,7 @@ def _check_arguments(arguments: Mapping[str, str], file: File) -> None:
 
 def _urdf(
     path: Path, trusted: frozenset[str], completion: tuple[UrdfTable, File] | None = None
-) -> _Read:
+) -> tuple[Draft, Robot | None]:
     """Return the draft of the vehicle in a URDF, and the URDF."""
     table, file = completion or (None, None)
     try:
@@ -293,7 +287,7 @@ def _urdf(
         draft = read_urdf(tree, roles)
         whole = completed(tree, roles)
         forward = roles.forward or forward_guess(whole, roles.joints).direction
-        return _Read(draft, Robot(whole, forward))
+        return draft, Robot(whole, forward)
     except UnfitError as error:
         raise VehicleError(*error.faults, draft=error.draft) from error
     except DataError as error:

@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
 from slipfree.atlas.atlas import Atlas, Band
 from slipfree.core.errors import ModelError
-from slipfree.core.facts import Fact
+from slipfree.core.facts import Fact, lines, rows
 from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import heading_column
 from slipfree.problem.build_ground import GroundMap
@@ -30,6 +30,21 @@ WHOLE = 1e-6  # heights within this share of a step are multiples of it [1]
 PLACES, HEADINGS = 12, 4  # places along an axis, and headings, at which the vehicle is put
 LARGEST_RADIUS = 1e3  # of a wheel that is printed [m]
 TOUCHING = 0.99  # share of the nodes at which a wheel touches once
+
+SURVEY_ROWS = rows(
+    """\
+slope: median {slope_median.value:.3g} deg, 95 % below {slope_high.value:.3g} deg, largest \
+{slope_largest.value:.3g} deg; {share_above_20:.3g>%} above 20 deg, {share_above_30:.3g>%} above \
+30 deg
+hollows: wheels of {wheels} radius touch once at {touching} of the nodes; terrain.rolled \
+fills narrower hollows
+holes: {hole_share:.3g>%} of the nodes are in or beside holes, where a motion ends; terrain.fill = \
+'linear' fills those inside the map
+doubtful heights: {spikes.value} nodes are spikes or pits, the largest of {spike_size:.3g} at x = \
+{spike_x.value:.9g}, y = {spike_y.value:.9g}; correct the map, or reduce them with terrain.smooth
+rounded heights: to {rounded_to:g}, which makes steps in the ground; terrain.smooth of two to \
+three cells removes them"""
+)
 
 
 def survey(ground: GroundMap) -> dict[str, Fact]:
@@ -75,50 +90,10 @@ def survey(ground: GroundMap) -> dict[str, Fact]:
 
 def survey_lines(facts: dict[str, Fact]) -> Lines:
     """Return the lines of the summary that show the facts of `survey`."""
-    value = {name: fact.value for name, fact in facts.items()}
-    shares = ", ".join(
-        f"{100 * value[f'share_above_{each:.0f}']:.3g} % above {each:g} deg" for each in STEEP
-    )
-    radius = value["wheel_radius"]
-    words = f"up to {radius:.3g} m" if radius < LARGEST_RADIUS else "any"
-    lines = [
-        (
-            "slope",
-            f"median {value['slope_median']:.3g} deg, 95 % below {value['slope_high']:.3g} deg, "
-            f"largest {value['slope_largest']:.3g} deg; {shares}",
-        ),
-        (
-            "hollows",
-            f"wheels of {words} radius touch once at {100 * TOUCHING:g} % of the nodes; "
-            "terrain.rolled fills narrower hollows",
-        ),
-    ]
-    if value["hole_share"]:
-        lines.append(
-            (
-                "holes",
-                f"{100 * value['hole_share']:.3g} % of the nodes are in or beside holes, where a "
-                "motion ends; terrain.fill = 'linear' fills those inside the map",
-            )
-        )
-    if value["spikes"]:
-        lines.append(
-            (
-                "doubtful heights",
-                f"{value['spikes']} nodes are spikes or pits, the largest of "
-                f"{value['spike_size']:.3g} m at x = {value['spike_x']:.9g}, y = "
-                f"{value['spike_y']:.9g}; correct the map, or reduce them with terrain.smooth",
-            )
-        )
-    if "rounded_to" in value:
-        lines.append(
-            (
-                "rounded heights",
-                f"to {value['rounded_to']:g} m, which makes steps in the ground; terrain.smooth "
-                "of two to three cells removes them",
-            )
-        )
-    return lines
+    radius = facts["wheel_radius"].value
+    values: dict[str, Any] = {k: v for k, v in facts.items() if k != "hole_share" or v.value}
+    values["wheels"] = f"up to {radius:.3g} m" if radius < LARGEST_RADIUS else "any"
+    return lines(SURVEY_ROWS, values | {"touching": f"{100 * TOUCHING:g} %"})
 
 
 class Stand(NamedTuple):
