@@ -82,15 +82,17 @@ class Guide(NamedTuple):
 Drive = tuple[Record, Array]  # inputs, and times of the samples [s]
 
 
-def place_ranges(task: PlanTask) -> list[dict[str, Range]]:
-    """Return the ranges of x, y and heading at way-points and goal that have some, by name.
+def trip_of(task: PlanTask, dae: Dae, start: Trajectory, vehicle: Vehicle, ground: Terrain) -> Trip:
+    """Return the trip of a task, driven by a model ``dae`` from its own ``start``.
 
-    They are in map coordinates, the heading from the y axis [m, rad]; the last one is the goal.
+    A place is the middle of its ranges on the map. Way-points without x or y are omitted; at the
+    goal, a coordinate without a range is that of the place before.
     """
     labels = [label.full for label in leaves(task.dae.labels.x)]
     symbols = list(leaves(task.dae.x))
     where = {name: labels.index(name) for name in ("x", "y", "heading") if name in labels}
-    return [
+    # in map coordinates, the heading from the y axis
+    *passed, goal = (
         {
             name: (limit.lower + task.dae.shift[0][k], limit.upper + task.dae.shift[0][k])
             for limit in condition.limits
@@ -98,16 +100,7 @@ def place_ranges(task: PlanTask) -> list[dict[str, Range]]:
             if ca.is_equal(limit.expression, symbols[k])
         }
         for condition in task.conditions
-    ]
-
-
-def trip_of(task: PlanTask, dae: Dae, start: Trajectory, vehicle: Vehicle, ground: Terrain) -> Trip:
-    """Return the trip of a task, driven by a model ``dae`` from its own ``start``.
-
-    A place is the middle of its ranges on the map. Way-points without x or y are omitted; at the
-    goal, a coordinate without a range is that of the place before.
-    """
-    *passed, goal = place_ranges(task)
+    )
     places = [np.array([start[axis][-1] for axis in "xy"])]
     for ranges in (*(each for each in passed if {"x", "y"} <= each.keys()), goal):
         if {"x", "y"} & ranges.keys():

@@ -318,14 +318,19 @@ def plan(
         )
 
     best, verification, optima = best_verified(searches, verify, search.progress)
-    result = replace(_to_plan(best, verification), optima=optima)
+    program, solution = best.program, best.found
+    run = sample_plan(program, solution.unknowns) if best.run is None else best.run
+    if not solution.success:
+        why = explanation(program, solution, best.first)
+        run = replace(run, stop=Stop(PLAN, float(run.t[-1]), why.words, why.outcome))
     iterations = sum(stage.iterations for stage in best.stages)
     statistics = {
         "cpu_seconds": time.process_time() - clock,
         "iterations": float(iterations),
-        "compiled": float(best.program.compiled),
+        "compiled": float(program.compiled),
     }
-    return replace(result, run=replace(result.run, statistics=statistics))
+    run = replace(run, statistics=statistics)
+    return replace(_as_plan(best, run, verification), optima=optima)
 
 
 def _default_intervals(dae: Dae, guesses: Sequence[Trajectory], resume: SavedPlan | None) -> int:
@@ -356,15 +361,6 @@ def _with_near_conditions(
             )
         )
     return replace(task, conditions=near_conditions(dae, task.conditions, task.periodic, motions))
-
-
-def _to_plan(search: SearchState, verification: Verification) -> Plan:
-    program, solution, first, _, run, *_ = search
-    run = sample_plan(program, solution.unknowns) if run is None else run
-    if not solution.success:
-        why = explanation(program, solution, first)
-        run = replace(run, stop=Stop(PLAN, float(run.t[-1]), why.words, why.outcome))
-    return _as_plan(search, run, verification)
 
 
 def _unverified(search: SearchState) -> Plan:

@@ -93,16 +93,14 @@ class LongPlan:
 
 
 class _Part(NamedTuple):
-    """Part of a window before its hand-over, or an earlier plan; the last fields are of `Plan`."""
+    """Part of a window before its hand-over, or an earlier plan."""
 
     window: RouteWindow
     motion: PolynomialMotion
     replay: Trajectory
-    difference: dict[str, float]
-    violation: dict[str, float]
-    units: dict[str, str]
-    stages: tuple[SolvedStage, ...]
-    compiled: bool
+    stages: tuple[SolvedStage, ...] = ()
+    planned: Plan | None = None  # of the whole window; None for an earlier plan
+    violation: Mapping[str, float] = {}  # before the hand-over, as for `Plan`
 
 
 class _HandOver(NamedTuple):
@@ -111,93 +109,6 @@ class _HandOver(NamedTuple):
     run: Trajectory  # trajectory whose last sample is the state
     inputs: dict[str, float]  # inputs at this state; empty if they may jump
     reached: float  # arc length of the nearest point of the route [m]
-
-
-class _WindowSearch(NamedTuple):
-    """Search for the plans of the windows along a route; arguments as for `plan_windows`."""
-
-    dae: Dae
-    law: Callable[[Path], Any]
-    route: Path
-    speed: float
-    length: float
-    overlap: float
-    goal: Mapping[str, float | Range]
-    progress: PlanProgress | None
-    keep: Callable[[Plan, _HandOver, float], None]
-    mesh: Mesh
-    arguments: Mapping[str, Any]
-
-    def solve(self, here: _HandOver) -> tuple[Plan, float, tuple[SolvedStage, ...]]:
-        """Return the plan of a window, the arc length at its end, and all programs.
-
-        Other lengths are tried if the window has no solution. If none has, the plan is an iterate.
-        """
-        stages: tuple[SolvedStage, ...] = ()
-        for change in (0.0, *OTHER_LENGTHS):
-            end = here.reached + self.length + change * self.overlap
-            end = self.route.length if self.route.length - end < self.overlap else end
-            attempt = self.attempt(here, end)
-            stages += attempt.stages
-            if attempt.success or attempt.run.outcome is Outcome.INTERRUPTED:
-                break
-        return attempt, end, stages
-
-    def attempt(self, here: _HandOver, end: float) -> Plan:
-        """Return the plan of a window from a hand-over to an arc length in m."""
-        guess, progress = self.guess(here, end), self.progress
-        of = f"{here.reached:.0f} to {end:.0f} m of {self.route.length:.0f} m"
-        return plan(
-            self.dae,
-            here.run,
-            guess,
-            goal=self.goal if end == self.route.length else self.gate(guess),
-            duration=float(guess.t[-1]),
-            initial_inputs=here.inputs,
-            mesh=self.mesh,
-            search=Search(
-                progress=progress and (lambda words, iterate: progress(f"{of}: {words}", iterate)),
-                keep=lambda unverified: self.keep(unverified, here, end),
-            ),
-            **self.arguments,
-        )
-
-    def guess(self, here: _HandOver, end: float) -> Trajectory:
-        """Return the motion along the route, and towards it, from a hand-over to an arc length."""
-        s = np.linspace(here.reached, end, WINDOW_POINTS)
-        at = self.route.at(s)
-        points = np.column_stack([at.x, at.y])
-        away = np.array([float(here.run[name][-1]) for name in "xy"]) - points[0]
-        left = np.clip(1 - (s - here.reached) / min(self.overlap, end - here.reached), 0, 1)
-        path = Path(points + away * (left**2 * (3 - 2 * left))[:, None])
-        duration = (end - here.reached) / self.speed
-        t = np.linspace(0, duration, max(int(np.ceil(duration / self.mesh.step)), 1) + 1)
-        rough = SolverOptions(tolerance=GUESS_TOLERANCE)
-        try:
-            return simulate(self.dae, here.run, self.law(path), t, options=rough)
-        except SolverError as error:
-            if error.trajectory is None or error.trajectory.t.size < 2:
-                raise
-            return error.trajectory
-
-    def gate(self, guess: Trajectory) -> tuple[Limit, Limit]:
-        """Return the conditions at a window's end: the position is on a line across the guess."""
-        dae, half = self.dae, ASIDE * self.overlap
-        x, y, heading = (float(guess[name][-1]) for name in ("x", "y", "heading"))
-        right, forward = dae.x.x - (x - dae.shift[0][0]), dae.x.y - (y - dae.shift[0][1])
-        ahead = forward * np.cos(heading) - right * np.sin(heading)
-        aside = right * np.cos(heading) + forward * np.sin(heading)
-        return (
-            Limit(Label("ahead", "m", "distance beyond the end of the window"), ahead, 0.0, 0.0),
-            Limit(Label("aside", "m", "distance to the right of the route"), aside, -half, half),
-        )
-
-    def nearest(self, run: Trajectory, low: float, high: float) -> float:
-        """Return the arc length, in a range, of the route nearest to a motion's end [m]."""
-        x, y = (float(run[name][-1]) for name in "xy")
-        s = np.linspace(low, high, int((high - low) * POINTS_PER_METRE) + 2)
-        at = self.route.at(s)
-        return float(s[np.hypot(at.x - x, at.y - y).argmin()])
 
 
 @computing
@@ -238,36 +149,95 @@ def plan_windows(
             "expected a positive overlap shorter than the window, found an overlap "
             f"of {overlap:g} m and a window of {length:g} m; adjust one of them"
         )
-    own = {"options": options, **arguments}
-
-    def keep_first(planned: Plan, here: _HandOver, end: float) -> None:
-        if keep is not None and not parts:
-            part = _first_part(planned, (0.0, end), 0.0, 0.0, planned.stages)
-            keep(_join([part], None, _stop_of(planned, here, end), dae, options))
-
-    window = speed, length, overlap, goal, progress, keep_first, mesh, own
-    search = _WindowSearch(dae, law, route, *window)
-    bounds = bounds_of(dae, arguments.get("inputs") or {})
     here, parts, task, stop = _HandOver(start, {}, 0.0), list[_Part](), None, None
+    bounds = bounds_of(dae, arguments.get("inputs") or {})
+
+    def attempt(here: _HandOver, end: float) -> Plan:
+        """Return the plan of a window from a hand-over to an arc length in m."""
+        of = f"{here.reached:.0f} to {end:.0f} m of {route.length:.0f} m"
+
+        def keep_first(planned: Plan) -> None:
+            if keep is not None and not parts:
+                part = _first_part(planned, (0.0, end), 0.0, 0.0, planned.stages)
+                keep(_join([part], None, _stop_of(planned, here, end), dae, options))
+
+        # The guess leads along the route, and towards it.
+        s = np.linspace(here.reached, end, WINDOW_POINTS)
+        at = route.at(s)
+        points = np.column_stack([at.x, at.y])
+        away = np.array([float(here.run[name][-1]) for name in "xy"]) - points[0]
+        left = np.clip(1 - (s - here.reached) / min(overlap, end - here.reached), 0, 1)
+        path = Path(points + away * (left**2 * (3 - 2 * left))[:, None])
+        duration = (end - here.reached) / speed
+        t = np.linspace(0, duration, max(int(np.ceil(duration / mesh.step)), 1) + 1)
+        rough = SolverOptions(tolerance=GUESS_TOLERANCE)
+        try:
+            guess = simulate(dae, here.run, law(path), t, options=rough)
+        except SolverError as error:
+            if error.trajectory is None or error.trajectory.t.size < 2:
+                raise
+            guess = error.trajectory
+        return plan(
+            dae,
+            here.run,
+            guess,
+            goal=goal if end == route.length else _gate(dae, guess, ASIDE * overlap),
+            duration=float(guess.t[-1]),
+            initial_inputs=here.inputs,
+            mesh=mesh,
+            search=Search(
+                progress=progress and (lambda words, iterate: progress(f"{of}: {words}", iterate)),
+                keep=keep_first,
+            ),
+            options=options,
+            **arguments,
+        )
+
     if resume is not None:
         former = _former_part(dae, start, resume, mesh.step, options)
-        reached = search.nearest(former.replay, 0.0, route.length)
+        reached = _nearest(route, former.replay, 0.0, route.length)
         parts.append(former._replace(window=former.window._replace(end=reached)))
         here = _HandOver(former.replay, _end_inputs(dae, former.motion, bounds), reached)
     while stop is None and here.reached < route.length - MIN_REST:
         if keep is not None and parts:
             words = f"the plan from {here.reached:.4g} m of the route was interrupted"
             keep(_join(parts, None, Stop(PLAN, 0.0, words, Outcome.INTERRUPTED), dae, options))
-        planned, end, stages = search.solve(here)
+        stages: tuple[SolvedStage, ...] = ()
+        for change in (0.0, *OTHER_LENGTHS):
+            end = here.reached + length + change * overlap
+            end = route.length if route.length - end < overlap else end
+            planned = attempt(here, end)
+            stages += planned.stages
+            if planned.success or planned.run.outcome is Outcome.INTERRUPTED:
+                break
         stop, task = _stop_of(planned, here, end), planned.program.task
         if planned.success or not parts:
             t = sum(part.window.duration for part in parts)
             rest = 0.0 if end == route.length or stop else overlap / speed
             part = _first_part(planned, (here.reached, end), t, rest, stages)
             parts.append(part)
-            reached = search.nearest(part.replay, here.reached, end) if rest else end
+            reached = _nearest(route, part.replay, here.reached, end) if rest else end
             here = _HandOver(part.replay, _end_inputs(dae, part.motion, bounds), reached)
     return _join(parts, task, stop, dae, options)
+
+
+def _gate(dae: Dae, guess: Trajectory, half: float) -> tuple[Limit, Limit]:
+    """Return the conditions at a window's end: the position is on a line across the guess."""
+    x, y, heading = (float(guess[name][-1]) for name in ("x", "y", "heading"))
+    right, forward = dae.x.x - (x - dae.shift[0][0]), dae.x.y - (y - dae.shift[0][1])
+    ahead = forward * np.cos(heading) - right * np.sin(heading)
+    aside = right * np.cos(heading) + forward * np.sin(heading)
+    return (
+        Limit(Label("ahead", "m", "distance beyond the end of the window"), ahead, 0.0, 0.0),
+        Limit(Label("aside", "m", "distance to the right of the route"), aside, -half, half),
+    )
+
+
+def _nearest(route: Path, run: Trajectory, low: float, high: float) -> float:
+    """Return the arc length, in a range, of the route nearest to a motion's end [m]."""
+    s = np.linspace(low, high, int((high - low) * POINTS_PER_METRE) + 2)
+    at = route.at(s)
+    return float(s[np.hypot(at.x - run["x"][-1], at.y - run["y"][-1]).argmin()])
 
 
 def _stop_of(planned: Plan, here: _HandOver, end: float) -> Stop | None:
@@ -299,11 +269,9 @@ def _first_part(
         RouteWindow(*span, t, float(own.t[-1]), iterations, seconds, planned.accurate),
         first_intervals(motion, count),
         own,
-        planned.difference,
-        violation,
-        planned.units,
         stages,
-        planned.compiled,
+        planned,
+        violation,
     )
 
 
@@ -328,7 +296,7 @@ def _former_part(
             f"{replay.t[-1]:.6g} s: {replay.stop.words}; plan without the saved plan"
         )
     window = RouteWindow(0.0, 0.0, 0.0, motion.duration, 0, 0.0, True)
-    return _Part(window, motion, replay, {}, {}, {}, (), False)
+    return _Part(window, motion, replay)
 
 
 def _join(
@@ -338,19 +306,20 @@ def _join(
     replay = _chained([part.replay for part in parts])
     windows = tuple(part.window for part in parts)
     stop = stop and stop._replace(t=float(replay.t[-1]))
+    plans = [part.planned for part in parts if part.planned is not None]
     costs = [_costs(task, part.motion, options) for part in parts] if task else []
     return LongPlan(
         motion,
         replace(replay, stop=stop),
         windows,
-        _largest(part.difference for part in parts),
+        _largest(each.difference for each in plans),
         _largest(part.violation for part in parts),
-        {name: unit for part in parts for name, unit in part.units.items()},
+        {name: unit for each in plans for name, unit in each.units.items()},
         {name: sum(each[name] for each in costs) for name in (costs[0] if costs else ())},
         stop is None,
         stop is None and all(window.accurate for window in windows),
         tuple(stage for part in parts for stage in part.stages),
-        parts[-1].compiled,
+        parts[-1].planned is not None and parts[-1].planned.compiled,
         save_motion(motion, dae),
     )
 
@@ -368,7 +337,7 @@ def _costs(task: PlanTask, motion: PolynomialMotion, options: SolverOptions) -> 
     return cost_terms(program, transfer_motion(motion, program))
 
 
-def _largest(sizes: Iterable[dict[str, float]]) -> dict[str, float]:
+def _largest(sizes: Iterable[Mapping[str, float]]) -> dict[str, float]:
     largest: dict[str, float] = {}
     for each in sizes:
         largest |= {name: max(size, largest.get(name, 0.0)) for name, size in each.items()}

@@ -38,7 +38,6 @@ class PlanRequest(NamedTuple):
 
     path: Path  # for messages and input files
     text: str
-    settings: tuple[str, ...] = ()
     former: Mapping[str, Array] = {}  # arrays of a plan for a warm start
     trusted: frozenset[str] = frozenset()
 
@@ -59,13 +58,7 @@ class FoundPlan(NamedTuple):
     arrays: Mapping[str, Array]  # for a warm start
 
 
-class FoundError(NamedTuple):
-    """Message of an error that ended a search."""
-
-    words: str
-
-
-Message = FoundIterate | FoundPlan | FoundError
+Message = FoundIterate | FoundPlan | str  # a text is the error that ended a search
 
 
 class PlanWorker:
@@ -103,7 +96,7 @@ class PlanWorker:
                 message: Message = self._connection.recv()
             except (EOFError, OSError):
                 self.cancel()
-                yield FoundError(
+                yield (
                     "expected a running planning process, found that it ended, possibly out of "
                     "memory; plan again, with fewer intervals"
                 )
@@ -161,15 +154,13 @@ def _solve(request: PlanRequest, connection: Connection[Any, Any]) -> Message:
 
     begin = time.monotonic()
     try:
-        problem = load_again(request.path, request.text, request.settings, request.trusted)
+        problem = load_again(request.path, request.text, (), request.trusted)
         former = from_arrays(request.former, "the last plan") if request.former else None
         result = run_problem(problem, None, keep_line, former, send_path)
     except SlipfreeError as error:
-        return FoundError(str(error))
+        return str(error)
     except MemoryError:
-        return FoundError(
-            "expected enough memory for the plan, found none left; use fewer intervals"
-        )
+        return "expected enough memory for the plan, found none left; use fewer intervals"
     return _plan_of(result, time.monotonic() - begin)
 
 
@@ -224,22 +215,13 @@ class Command(NamedTuple):
     is_warm: bool = False  # whether the search begins with the last plan
 
 
-def command_from(name: str, data: object) -> Command:
-    """Return the command in the JSON value of a page; errors as in `places_from`."""
-    if name == "cancel":
-        return Command(name)
-    values = data if isinstance(data, dict) else {}
-    places = places_from(values.get("places"))
-    return Command(name, str(values.get("revision")), places, values.get("warm") is True)
-
-
 def reported(session: Session, message: Message) -> Session:
     """Return the session after a message of the search."""
     if isinstance(message, FoundIterate):
         iterates = (*session.iterates, message.path)[-SHOWN:]
         return session.changed(line=message.line, iterates=iterates)
-    if isinstance(message, FoundError):
-        return session.changed(phase=IDLE, line="no plan", error=message.words)
+    if isinstance(message, str):
+        return session.changed(phase=IDLE, line="no plan", error=message)
     words = "found a plan" if message.is_complete else "found no complete plan"
     plans = (message, *session.plans)[:KEPT]
     return session.changed(phase=IDLE, line=words, plans=plans, iterates=())
@@ -286,12 +268,17 @@ class Desk:
     def accept(self, name: str) -> Callable[[object], object]:
         """Return the function that executes a command of the page and returns the new state.
 
-        ConflictError is raised if the page was made from another revision of the file.
+        ConflictError is raised if the page was made from another revision of the file; DataError as
+        in `places_from`.
         """
 
         def put(data: object) -> object:
-            answer: Future[object] = Future()
-            self._commands.put((command_from(name, data), answer))
+            answer, command = Future[object](), Command(name)
+            if name != "cancel":
+                values = data if isinstance(data, dict) else {}
+                places, is_warm = places_from(values.get("places")), values.get("warm") is True
+                command = Command(name, str(values.get("revision")), places, is_warm)
+            self._commands.put((command, answer))
             return answer.result()
 
         return put
@@ -341,9 +328,7 @@ class Desk:
         else:
             text = document.text_with(command.places)
             former = session.plans[0].arrays if command.is_warm and session.plans else {}
-            self.worker.start(
-                PlanRequest(document.path, text, (), former, document.problem.trusted)
-            )
+            self.worker.start(PlanRequest(document.path, text, former, document.problem.trusted))
             line = "setting up the problem"
             self.session = session.changed(phase=PLANNING, line=line, error="", iterates=())
 

@@ -287,7 +287,11 @@ def _iterate_reporter(watch: Watch, setup: Planning) -> Callable[[str, Iterate],
             if watch.line is not None:
                 watch.line(words, line)
             if watch.path is not None:
-                watch.path(_path_of(iterate, setup))
+                motion, labels = motion_of(iterate.program, iterate.unknowns), setup.dae.labels
+                names = [label.full for label in leaves(labels.x)]
+                states = motion.states(np.linspace(0, 1, PATH_SAMPLES))
+                local = states[[names.index("x"), names.index("y")]].T
+                watch.path(local + setup.terrain.origin[:2])
         except KeyboardInterrupt:
             if not begun:
                 raise
@@ -296,13 +300,6 @@ def _iterate_reporter(watch: Watch, setup: Planning) -> Callable[[str, Iterate],
         return True
 
     return progress
-
-
-def _path_of(iterate: Iterate, setup: Planning) -> Array:
-    names = [label.full for label in leaves(setup.dae.labels.x)]
-    states = motion_of(iterate.program, iterate.unknowns).states(np.linspace(0, 1, PATH_SAMPLES))
-    local = np.stack([states[names.index("x")], states[names.index("y")]], axis=1)
-    return np.asarray(local + setup.terrain.origin[:2])
 
 
 def _simulated(

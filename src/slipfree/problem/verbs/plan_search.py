@@ -243,17 +243,11 @@ def starts_facts(results: Sequence[StartResult]) -> dict[str, Fact]:
     """Return the table of the starts, the best first, and the number of local optima."""
     optima = [each.optimum for each in results if each.optimum is not None]
     rows = [
-        {
-            "start": optimum.start,
-            "outcome": optimum.outcome,
-            "cost": optimum.cost,
-            "terms": optimum.terms,
-            "duration": optimum.duration,
-            "distance": distance,
-            "seconds": optimum.seconds,
-        }
+        {**optimum._asdict(), "distance": distance}
         for optimum, distance in zip(optima, distances(optima), strict=True)
     ]
+    for row in rows:
+        del row["path"]
     return {"plan_starts": Fact(rows), "plan_optima": Fact(count_distinct(optima), "1")}
 
 
