@@ -17,7 +17,6 @@ from slipfree.plan.transcription import (
     Index,
     PlanTask,
     Program,
-    TimedCondition,
     bounded_rates,
     rate_of,
     variable_of,
@@ -249,9 +248,14 @@ def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
     ]
     for condition in task.conditions:
         formulas = [bounds for bounds in along if variable_of(task, bounds.expression) is None]
-        sentences += _value_conflicts(
-            task, formulas, role_of(condition.fraction), _condition_values(task, condition)
-        )
+        # States and unknowns fixed by a condition, nan if not fixed, shape (n_x + n_z,).
+        n_x, n_z = task.start.size, task.dae.scale.size
+        known = np.full(n_x + n_z, np.nan)
+        for limit in condition.limits:
+            plain = variable_of(task, limit.expression)
+            if plain is not None and limit.lower == limit.upper:
+                known[plain[1] + (n_x if plain[0] == "z" else 0)] = limit.lower
+        sentences += _value_conflicts(task, formulas, role_of(condition.fraction), known)
     for one, other in combinations(asked, 2):
         apart = max(one.lower - other.upper, other.lower - one.upper)
         together = not (one.parts.size and other.parts.size) or one.parts == other.parts
@@ -298,17 +302,6 @@ def _input_conflicts(task: PlanTask) -> Iterator[str]:
                 f"{subject(rate, INPUT)} must be {bounds_words(rate, low, high)}, but all inputs "
                 "are constant on the last interval: widen the bounds so that they include 0"
             )
-
-
-def _condition_values(task: PlanTask, condition: TimedCondition) -> Array:
-    """Return states and unknowns fixed by a condition, nan if not fixed, shape (n_x + n_z,)."""
-    n_x, n_z = task.start.size, task.dae.scale.size
-    known = np.full(n_x + n_z, np.nan)
-    for limit in condition.limits:
-        plain = variable_of(task, limit.expression)
-        if plain is not None and limit.lower == limit.upper:
-            known[plain[1] + (n_x if plain[0] == "z" else 0)] = limit.lower
-    return known
 
 
 def _value_conflicts(

@@ -206,7 +206,18 @@ def guide_drives(
     or along a path [s].
     """
     if guide.name == "reeds-shepp":
-        return (_cusp_drive(trip, guide, step),)
+        goal = (*trip.places[-1].tolist(), trip.heading)
+        ahead = turning_axis_offset(trip.vehicle)
+        arcs = reeds_shepp(trip.pose, goal, guide.turning_radius, ahead)
+        if not arcs:
+            raise ModelError(
+                "driver: expected a goal apart from the start, found one at the start; move the "
+                "goal"
+            )
+        values = {c.name: float(trip.start[c.name][-1]) for c in trip.vehicle.of("commanded")}
+        pieces, duration = arc_inputs(trip.dae, trip.vehicle, arcs, values, speed=guide.speed)
+        t, rates = input_samples(duration, step, pieces)
+        return ((trip.dae.inputs(**rates), t),)
     if guide.name == "straight":
         length = np.hypot(*(trip.places[-1] - trip.places[0])) or AHEAD * trip.dae.size
         laws = [(straight(trip.dae, trip.vehicle, trip.start, speed=guide.speed), length)]
@@ -219,21 +230,6 @@ def guide_drives(
         (law, input_samples(min(length / abs(guide.speed), longest), step, {})[0])
         for law, length in laws
     )
-
-
-def _cusp_drive(trip: Trip, guide: Guide, step: float) -> Drive:
-    """Return inputs along the shortest path with cusps to the last place, and sample times [s]."""
-    goal = (*trip.places[-1].tolist(), trip.heading)
-    ahead = turning_axis_offset(trip.vehicle)
-    arcs = reeds_shepp(trip.pose, goal, guide.turning_radius, ahead)
-    if not arcs:
-        raise ModelError(
-            "driver: expected a goal apart from the start, found one at the start; move the goal"
-        )
-    values = {c.name: float(trip.start[c.name][-1]) for c in trip.vehicle.of("commanded")}
-    pieces, duration = arc_inputs(trip.dae, trip.vehicle, arcs, values, speed=guide.speed)
-    t, rates = input_samples(duration, step, pieces)
-    return trip.dae.inputs(**rates), t
 
 
 def guess_motion(

@@ -107,24 +107,21 @@ class _IterateWatcher(ca.Callback):
     def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
         """Record and report an iterate; return ``[1.0]`` to stop IPOPT, otherwise ``[0.0]``."""
         try:
-            goes_on = self.guard.call(self.on_iterate, self._record_iterate(arguments))
+            values = dict(
+                zip((ca.nlpsol_out(i) for i in range(self.get_n_in())), arguments, strict=True)
+            )
+            rows = np.array(values["g"]).ravel()
+            unknowns = np.array(values["x"]).ravel() * self.program.scale
+            over = largest_violation(self.program, rows)
+            iterate = Iterate(self.count, float(values["f"]), over, unknowns, self.program)
+            if self.best is None or over < self.best[0].violation:
+                self.best = iterate, rows
+            self.count += 1
+            goes_on = self.guard.call(self.on_iterate, iterate)
             return [0.0 if goes_on else 1.0]
         except BaseException as error:
             self.guard.keep(error)
             return [1.0]
-
-    def _record_iterate(self, arguments: Sequence[ca.DM]) -> Iterate:
-        values = dict(
-            zip((ca.nlpsol_out(i) for i in range(self.get_n_in())), arguments, strict=True)
-        )
-        rows = np.array(values["g"]).ravel()
-        unknowns = np.array(values["x"]).ravel() * self.program.scale
-        over = largest_violation(self.program, rows)
-        iterate = Iterate(self.count, float(values["f"]), over, unknowns, self.program)
-        if self.best is None or over < self.best[0].violation:
-            self.best = iterate, rows
-        self.count += 1
-        return iterate
 
 
 def largest_violation(program: Program, rows: Array) -> float:

@@ -94,9 +94,17 @@ def _cost_term(dae: Dae, name: str) -> Cost:
         return Cost(name, _driving_power(dae), "J", "work of the drives, without braking")
     away = dae.reported.get(name, 0.0)
     terms = (each + away if away else each for each in dae.named(name))
-    squares = ca.SX(sum(_squared(each) for each in terms))
+    # the square of a square root ``sqrt(e)`` is ``e``, which is differentiable at zero
+    squares = ca.SX(sum(each.dep(0) if each.op() == ca.OP_SQRT else each**2 for each in terms))
     meaning = f"squared {name}, integrated over time"
-    return Cost(name, squares, _squared_unit(dae, name), meaning)
+    records = (dae.labels.x, dae.labels.z, dae.labels.u, dae.labels.y)
+    unit = next(
+        label.unit
+        for record in records
+        for label in leaves(record)
+        if name in (label.name, label.full)
+    )
+    return Cost(name, squares, "s" if unit == "1" else f"({unit})2 s", meaning)
 
 
 def _driving_power(dae: Dae) -> ca.SX:
@@ -110,22 +118,6 @@ def _driving_power(dae: Dae) -> ca.SX:
         for torque, rate in zip(dae.named("drive_torque"), dae.named("wheel_rate"), strict=True)
     ]
     return ca.SX(sum(p * (1 + ca.tanh(p / BLENDED_POWER)) / 2 for p in powers))
-
-
-def _squared(expression: ca.SX) -> ca.SX:
-    """Return the square of an expression, simplified to ``e`` for a square root ``sqrt(e)``."""
-    return expression.dep(0) if expression.op() == ca.OP_SQRT else expression**2
-
-
-def _squared_unit(dae: Dae, name: str) -> str:
-    records = (dae.labels.x, dae.labels.z, dae.labels.u, dae.labels.y)
-    unit = next(
-        label.unit
-        for record in records
-        for label in leaves(record)
-        if name in (label.name, label.full)
-    )
-    return "s" if unit == "1" else f"({unit})2 s"
 
 
 def limits_of(dae: Dae, limits: Conditions) -> tuple[Limit, ...]:
@@ -202,22 +194,6 @@ def bounds_of(dae: Dae, ranges: Mapping[str, Range]) -> Array:
     return bounds
 
 
-def _initial_bounds(dae: Dae, ranges: Mapping[str, Range], initial: Mapping[str, float]) -> Array:
-    """Return the bounds of all inputs at the beginning, equal for given values, shape (n_u, 2)."""
-    bounds = bounds_of(dae, ranges)
-    values = bounds_of(dae, {name: (value, value) for name, value in initial.items()})
-    fixed = np.clip(values, bounds[:, :1], bounds[:, 1:])
-    for name, value in initial.items():
-        low, high = range_of(ranges.get(name, (-np.inf, np.inf)))
-        if not low <= value <= high:
-            raise ModelError(
-                f"plan: initial_inputs: expected an initial value of {name!r} from {low:g} to "
-                f"{high:g}, its bounds, found {value:g}; choose a value in this range or widen "
-                "the bounds"
-            )
-    return fixed
-
-
 def task_of(
     dae: Dae,
     start: Trajectory,
@@ -242,6 +218,19 @@ def task_of(
     terms, highest = cost_limits_of(dae, costs_of(dae, costs), cost_limits or {})
     begin = dae.rows("x", start, -1)
     own = limits_of(dae, limits)
+    # Bounds of all inputs at the beginning, equal for given values, shape (n_u, 2).
+    ranges, initial = inputs or {}, initial_inputs or {}
+    bounds = bounds_of(dae, ranges)
+    values = bounds_of(dae, {name: (value, value) for name, value in initial.items()})
+    fixed = np.clip(values, bounds[:, :1], bounds[:, 1:])
+    for name, value in initial.items():
+        low, high = range_of(ranges.get(name, (-np.inf, np.inf)))
+        if not low <= value <= high:
+            raise ModelError(
+                f"plan: initial_inputs: expected an initial value of {name!r} from {low:g} to "
+                f"{high:g}, its bounds, found {value:g}; choose a value in this range or widen "
+                "the bounds"
+            )
     task = PlanTask(
         dae,
         begin,
@@ -249,12 +238,12 @@ def task_of(
         terms,
         tuple(timed_conditions(dae, goal, way_points or {})),
         (*own, *(dae.replay.limits if dae.replay else ())),
-        bounds_of(dae, inputs or {}),
+        bounds,
         bounds_of(dae, accelerations or {}),
         smooth,
         continuous,
         highest,
-        _initial_bounds(dae, inputs or {}, initial_inputs or {}),
+        fixed,
         periodic_states(dae, begin, own),
     )
     if wrong := conflicts(task, start):

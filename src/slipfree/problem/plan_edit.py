@@ -127,7 +127,12 @@ def edited_text(text: str, old: Places, new: Places) -> str:
     moved as a whole. New regions follow the others in the file; see `in_order_of_file`. DataError
     is raised if the text has a form that cannot be edited.
     """
-    sections = _sections(text)
+    # Parts of a TOML text that begin with a table's header; each is TOML by itself.
+    sections = [""]
+    for line in LINE.findall(text):
+        if HEADER.match(line) and _is_toml(sections[-1]):  # else a line of an array or a string
+            sections.append("")
+        sections[-1] += line
     if old.start != new.start:
         with _edited(sections, "start") as start:
             _move_point(start, old.start[:2], new.start[:2])
@@ -150,16 +155,6 @@ def in_order_of_file(
     wanted, former = {each.identity: each for each in new}, {each.identity for each in old}
     kept = [wanted[each.identity] for each in old if each.identity in wanted]
     return (*kept, *(each for each in new if each.identity not in former))
-
-
-def _sections(text: str) -> list[str]:
-    """Return the parts of a TOML text that begin with a table's header; each is TOML by itself."""
-    sections = [""]
-    for line in LINE.findall(text):
-        if HEADER.match(line) and _is_toml(sections[-1]):  # else a line of an array or a string
-            sections.append("")
-        sections[-1] += line
-    return sections
 
 
 def _is_toml(text: str) -> bool:

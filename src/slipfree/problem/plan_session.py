@@ -76,7 +76,12 @@ class PlanWorker:
         """Start the process, which loads its packages, so that the first search begins sooner."""
         if self._connection is None or not self._process.is_alive():
             self.cancel()
-            self._launch()
+            context = get_context("spawn")  # CasADi is not safe in forked processes
+            self._connection, other = context.Pipe()
+            self._process = context.Process(target=_solve_requests, args=(other,), daemon=True)
+            with for_children():
+                self._process.start()
+            other.close()
 
     def start(self, request: PlanRequest) -> None:
         """Begin to solve a problem; a search that still runs is cancelled."""
@@ -112,14 +117,6 @@ class PlanWorker:
         if self._connection is not None:
             self._connection.close()
         self._process, self._connection, self.is_busy = None, None, False
-
-    def _launch(self) -> None:
-        context = get_context("spawn")  # CasADi is not safe in forked processes
-        self._connection, other = context.Pipe()
-        self._process = context.Process(target=_solve_requests, args=(other,), daemon=True)
-        with for_children():
-            self._process.start()
-        other.close()
 
 
 def _solve_requests(connection: Connection[Any, Any]) -> None:
@@ -293,7 +290,10 @@ class Desk:
             self._answer(command, answer)
         if time.monotonic() > self._next_watch:
             self._next_watch = time.monotonic() + WATCH
-            self._watch()
+            signature = _signature(self.session.document.path)
+            if signature != self._signature:
+                self._signature = signature
+                self._read_again()
         for message in self.worker.messages():
             self.session = reported(self.session, message)
 
@@ -331,12 +331,6 @@ class Desk:
             self.worker.start(PlanRequest(document.path, text, former, document.problem.trusted))
             line = "setting up the problem"
             self.session = session.changed(phase=PLANNING, line=line, error="", iterates=())
-
-    def _watch(self) -> None:
-        signature = _signature(self.session.document.path)
-        if signature != self._signature:
-            self._signature = signature
-            self._read_again()
 
     def _read_again(self) -> None:
         session, document = self.session, self.session.document
