@@ -1,6 +1,6 @@
 """Add a verb of problem files: one module and one entry of `VERBS`.
 
-`Stand` and `StandVerb` are the module ``problem/verbs/stand.py`` (29 lines without docstrings and
+`Stand` and `StandVerb` are the module ``problem/verbs/stand.py`` (28 lines without docstrings and
 imports), and ``StandVerb()`` is the entry of ``VERBS`` in ``problem/load.py``: two files.
 Problem files, commands, sweeps, reports and result files accept the verb without other changes.
 """
