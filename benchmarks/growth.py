@@ -56,10 +56,11 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.plan.ipopt import Iterate
+from slipfree.problem.load import Recipe
 from slipfree.show.sweep_figures import save_sweep_figures
 from slipfree.solve import integrator as module
 from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.log import Done, RunRow, RunTask, own_settings
+from slipfree.sweep.log import Done, RunRow, RunTask
 from slipfree.sweep.run import choose_figures, grids, run_sweep
 from slipfree.sweep.worker import work
 from slipfree.system.threads import NAMES
@@ -254,7 +255,7 @@ class Idle:
     def submit(self, task: RunTask) -> Future[Done]:
         """Return the finished future of a task."""
         future = Future[Done]()
-        future.set_result(Done(self.row._replace(run=task.run, settings=own_settings(task))))
+        future.set_result(Done(self.row._replace(run=task.run, settings=task.own)))
         return future
 
     def result(self, future: Future[Done], _task: RunTask) -> Done:
@@ -269,7 +270,7 @@ def of_sweep(points: int) -> Costs:
     """Return the costs of a sweep by number of points, without the runs."""
     sweep, checking = timed(lambda: sweep_of(PROBLEM, [f"start.heading=0:1:{points}"]))
     first = next(sweep.runs())
-    task = RunTask(1, str(PROBLEM), PROBLEM.read_text(), first.settings, 1, keep=False, files="")
+    task = RunTask(1, Recipe(PROBLEM, PROBLEM.read_text(), first.settings), first.settings)
     pool = Idle(work(task).row)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -24,6 +24,7 @@ from pathlib import Path
 
 from common import HERE, PROBLEMS
 
+from slipfree.problem.load import Recipe
 from slipfree.sweep.log import RunTask
 from slipfree.sweep.worker import KEPT, work
 
@@ -95,7 +96,7 @@ def shared(name: str, key: str, values: tuple[float, ...]) -> str:
     """Return the CPU time of runs that share their model, and whether results are identical."""
     file = PROBLEM.with_name(f"{name}.toml")
     tasks = [
-        RunTask(k, str(file), file.read_text(), (f"{key}={value}",), 1, keep=False, files="")
+        RunTask(k, Recipe(file, file.read_text(), (f"{key}={value}",)), ())
         for k, value in enumerate(values)
     ]
 

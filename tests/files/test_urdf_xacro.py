@@ -20,7 +20,7 @@ from slipfree.problem.build_vehicle import (
     is_vehicle_file,
     read_vehicle,
 )
-from slipfree.problem.load import load_problem
+from slipfree.problem.load import Recipe, load_problem
 from slipfree.problem.result import build, open_result
 from slipfree.problem.verbs.driving import vehicle_of
 from slipfree.problem.verbs.plan_setup import source_of
@@ -114,7 +114,9 @@ def test_programs_run_only_if_the_command_line_trusts_the_file():
             read_vehicle(name, trust=["cart.urdf.xacro"])
     for name in ("evil.xacro", "v.toml", "link.urdf"):
         assert "xacro is a program" in refused("check", f"{name}.p.toml")
-        task = RunTask(1, f"{name}.p.toml", Path(f"{name}.p.toml").read_text(), (), 0, True, "")
+        task = RunTask(
+            1, Recipe(Path(f"{name}.p.toml"), Path(f"{name}.p.toml").read_text(), ()), ()
+        )
         assert "xacro is a program" in work(task).row.words
     for words in (["run", "v.toml.p.toml"], ["vehicle", "evil.urdf"], ["vehicle", "v.toml.p.toml"]):
         assert "xacro is a program" in refused(*words)

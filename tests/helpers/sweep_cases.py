@@ -12,6 +12,7 @@ from typing import Any
 import psutil
 
 from helpers.commands import invoke
+from slipfree.problem.load import Recipe
 from slipfree.sweep.log import RunTask
 from slipfree.system.parts import LOG
 
@@ -72,6 +73,6 @@ def table_rows(folder: Path) -> list[dict[str, str]]:
 
 def tasks_of(file: Path, *settings: str) -> list[RunTask]:
     return [
-        RunTask(k, str(file), PROBLEM, (setting,), 1, False, "")
+        RunTask(k, Recipe(file, PROBLEM, (setting,)), (setting,))
         for k, setting in enumerate(settings, 1)
     ]

@@ -31,8 +31,8 @@ from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.version import __version__
 from slipfree.sweep import pools
 from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.log import Rows, lost_run
-from slipfree.sweep.pools import DaskPool, run_task
+from slipfree.sweep.log import Rows, without_motion
+from slipfree.sweep.pools import DaskPool
 from slipfree.sweep.run import sweep_facts
 from slipfree.sweep.worker import work
 from slipfree.system.parts import LOG
@@ -107,7 +107,7 @@ def test_a_killed_sweep_goes_on(
 
 def test_a_process_that_dies_costs_one_run(file: Path) -> None:
     before, aims = {each.pid for each in active_children()}, [False]
-    pool = Processes(1, run_task)
+    pool = Processes(1, work)
 
     def poll() -> None:
         if aims[0]:
@@ -117,7 +117,7 @@ def test_a_process_that_dies_costs_one_run(file: Path) -> None:
 
     slow = "time.step=0.00003"
     tasks = tasks_of(file, "time.step=0.1", slow, "time.step=0.05")
-    found = finish_tasks(tasks, pool, poll, lost_run)
+    found = finish_tasks(tasks, pool, poll, without_motion)
     assert next(found).row.outcome == "complete"
     aims[0] = True
     row = next(found).row
@@ -167,7 +167,7 @@ def test_workers_that_go_away_and_come_back(file: Path, monkeypatch: pytest.Monk
             elif len(said) == 1:
                 local.scale(1)
 
-        pool = DaskPool(run_task, local.scheduler_address, said.append)
+        pool = DaskPool(work, local.scheduler_address, said.append)
         tasks = tasks_of(file, "time.step=0.00003", "time.step=0.05")
         found = list(finish_tasks(tasks, pool, poll))
         pool.close()
@@ -190,7 +190,7 @@ def test_a_scheduler_that_goes_away(file: Path) -> None:
 
     tasks = tasks_of(file, "time.step=0.1", "time.step=0.05")
     with pytest.raises(SlipfreeError, match="to the scheduler is lost; what is finished is kept"):
-        list(finish_tasks(tasks, DaskPool(run_task, local.scheduler_address, print), poll))
+        list(finish_tasks(tasks, DaskPool(work, local.scheduler_address, print), poll))
 
 
 def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -224,4 +224,4 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
 def test_a_cluster_that_does_not_fit_is_refused(dask: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pools, "__version__", "9.9")
     with pytest.raises(DataError, match=f"that have slipfree 9.9, found {__version__};"):
-        DaskPool(run_task, dask, print)
+        DaskPool(work, dask, print)

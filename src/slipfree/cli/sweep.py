@@ -99,8 +99,9 @@ def sweep(
     from slipfree.problem.inputs import files_read
     from slipfree.sweep.grid import sweep_of
     from slipfree.sweep.log import FAILED, LOST
-    from slipfree.sweep.pools import pool_of, run_task
+    from slipfree.sweep.pools import pool_of
     from slipfree.sweep.run import TABLE, choose_figures, drawn_grids, grids, sweep_facts
+    from slipfree.sweep.worker import work
     from slipfree.system.codegen_cache import obstacle
     from slipfree.system.processes import available_cores
 
@@ -120,7 +121,7 @@ def sweep(
             "equations that are not in the cache are interpreted, which is slower"
         )
     check_workers(processes, scheduler)
-    pool = partial(pool_of, run_task, processes, scheduler, warn)
+    pool = partial(pool_of, work, processes, scheduler, warn)
     rows = _run_all(plan, folder, pool, keep, again)
     names = choose_figures(plan, rows, figures or [])
     found = grids(plan, rows, names)

@@ -11,9 +11,16 @@ class Varied(NamedTuple):
     """Key that a sweep varies, with its values."""
 
     name: str  # dotted name
-    unit: str  # of the values, as in ``m s-1``; empty if unknown
     values: tuple[str, ...]  # as TOML text, or words without quotes
-    numbers: tuple[float, ...] | None  # the values, if they are numbers
+    unit: str = ""  # of the values, as in ``m s-1``; empty if unknown
+
+    @property
+    def numbers(self) -> tuple[float, ...] | None:
+        """The values as numbers; None if one of them is not a number."""
+        try:
+            return tuple(map(float, self.values))
+        except ValueError:
+            return None
 
 
 class Swept(NamedTuple):

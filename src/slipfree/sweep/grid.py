@@ -21,6 +21,7 @@ from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.problem.inputs import FileStates, file_states, input_files, input_names
 from slipfree.problem.load import load_variants
 from slipfree.problem.problem import Problem
+from slipfree.show.swept import Varied
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 RANGE = re.compile(rf"\s*({NUMBER})\s*:\s*({NUMBER})\s*:\s*(\d+)\s*")
@@ -28,21 +29,6 @@ WHOLE = re.compile(r"\s*[+-]?\d+\s*")
 DIGITS = 12  # significant digits of the values of a range: 0.3, not 0.30000000000000004
 MAX_RUNS = 100_000
 SEED = "seed"  # last part of the keys that repetitions change
-
-
-class SweepAxis(NamedTuple):
-    """Varied key of a sweep, and its values."""
-
-    key: str  # dotted key such as ``inputs.left_rate``
-    values: tuple[str, ...]  # values as TOML text, or words without quotes
-
-    @property
-    def numbers(self) -> tuple[float, ...] | None:
-        """The values as numbers; None if one of them is not a number."""
-        try:
-            return tuple(map(float, self.values))
-        except ValueError:
-            return None
 
 
 class Run(NamedTuple):
@@ -61,7 +47,7 @@ class Sweep:
 
     problem: Problem[Any]  # of the first run
     settings: tuple[str, ...]  # settings of all runs
-    axes: tuple[SweepAxis, ...]
+    axes: tuple[Varied, ...]
     # keys of the seeds that every repetition changes; empty without repetitions
     seeds: tuple[str, ...]
     repeat: int  # number of repetitions of every point of the grid
@@ -71,7 +57,7 @@ class Sweep:
     @property
     def keys(self) -> tuple[str, ...]:
         """The varied keys, then the keys of the seeds."""
-        return (*(axis.key for axis in self.axes), *self.seeds)
+        return (*(axis.name for axis in self.axes), *self.seeds)
 
     @property
     def count(self) -> int:
@@ -100,7 +86,7 @@ class Sweep:
             "problem": {"": hashlib.sha256(text.encode()).hexdigest()},
             "files": self.files.digests,
             "settings": list(self.settings),
-            "vary": {axis.key: list(axis.values) for axis in self.axes},
+            "vary": {axis.name: list(axis.values) for axis in self.axes},
             "repeat": self.repeat,
             "seeds": dict.fromkeys(self.seeds, self.seed),
         }
@@ -159,16 +145,16 @@ def sweep_of(
     return replace(bare, seeds=seeds, repeat=repeat)
 
 
-def _checked_points(axes: Sequence[SweepAxis]) -> Iterator[list[str]]:
+def _checked_points(axes: Sequence[Varied]) -> Iterator[list[str]]:
     """Yield the first point of a grid, then those that differ from it in one value."""
-    first = [f"{axis.key}={axis.values[0]}" for axis in axes]
+    first = [f"{axis.name}={axis.values[0]}" for axis in axes]
     yield first
     for k, axis in enumerate(axes):
         for value in axis.values[1:]:
-            yield [*first[:k], f"{axis.key}={value}", *first[k + 1 :]]
+            yield [*first[:k], f"{axis.name}={value}", *first[k + 1 :]]
 
 
-def axis_of(text: str) -> SweepAxis:
+def axis_of(text: str) -> Varied:
     """Return the key and the values of ``key=a:b:n`` or ``key=v1,v2,...``.
 
     Raises DataError if the text has neither form, a value is empty or given twice, or a range is
@@ -198,7 +184,7 @@ def axis_of(text: str) -> SweepAxis:
             raise DataError(
                 f"--vary {text}: expected values that differ, found {same} {also}; remove one"
             )
-    return SweepAxis(spelled, values)
+    return Varied(spelled, values)
 
 
 def seed_keys(spec: Mapping[str, Any], above: str = "") -> tuple[str, ...]:
@@ -226,16 +212,16 @@ def _comparison_key(value: str) -> object:
     return found if isinstance(found, str) else repr(found)
 
 
-def _check_keys(axes: Sequence[SweepAxis], settings: Sequence[str]) -> None:
+def _check_keys(axes: Sequence[Varied], settings: Sequence[str]) -> None:
     """Raise DataError for varied keys that are repeated, set, or part of another varied key.
 
     A table may be set and one of its keys varied; the varied values then replace the key's value.
     """
-    paths = [key_path(axis.key) for axis in axes]
+    paths = [key_path(axis.name) for axis in axes]
     for k, path in enumerate(paths):
         for other in paths[:k]:
             if path == other:
-                key = axes[k].key
+                key = axes[k].name
                 raise DataError(
                     f"--vary {key}: expected every key once, found {key} twice; remove one"
                 )

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import NOTHING
+from slipfree.problem.load import Recipe
 from slipfree.system.parts import Identity, Parts
 
 COMPLETE = "complete"  # figure of every run: 1 if it reached its end
@@ -121,18 +122,15 @@ class Rows:
 
 
 class RunTask(NamedTuple):
-    """Task for a process: one run, with the text of the problem but not its input files."""
+    """Task for a process: one run."""
 
     run: int  # its number
-    file: str  # path of the problem file; input files are read relative to its folder
-    text: str  # of the problem file
-    settings: tuple[str, ...]  # settings as ``key=value``
-    own: int  # number of settings that are specific to this run; they are the last ones
-    keep: bool  # whether to return the motion
+    recipe: Recipe  # its problem
+    own: tuple[str, ...]  # settings of this run that are not settings of all runs
+    keep: bool = False  # whether to return the motion
     # identifier of the content of the input files. Runs of one process share maps and models if it
     # is the same
-    files: str
-    trusted: frozenset[str] = frozenset()  # paths of xacro files that the command line trusts
+    files: str = ""
 
 
 class Done(NamedTuple):
@@ -144,18 +142,6 @@ class Done(NamedTuple):
     arrays: Mapping[str, Array] = NOTHING
 
 
-def without_motion(task: RunTask, outcome: str, words: str, seconds: float = 0.0) -> Done:
+def without_motion(task: RunTask, words: str, outcome: str = LOST, seconds: float = 0.0) -> Done:
     """Return the result of a failed or lost run, with the reason; it has no motion."""
-    return Done(
-        RunRow(task.run, own_settings(task), outcome, words, None, {COMPLETE: (0.0, "1")}, seconds)
-    )
-
-
-def lost_run(task: RunTask, words: str) -> Done:
-    """Return the result of a run whose process died."""
-    return without_motion(task, LOST, words)
-
-
-def own_settings(task: RunTask) -> tuple[str, ...]:
-    """Return the settings of a task that are specific to its run."""
-    return task.settings[len(task.settings) - task.own :]
+    return Done(RunRow(task.run, task.own, outcome, words, None, {COMPLETE: (0.0, "1")}, seconds))

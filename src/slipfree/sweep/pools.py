@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from slipfree.core.errors import DataError, SlipfreeError, require
 from slipfree.core.version import __version__
@@ -21,18 +21,8 @@ BACK = "workers are available again; the computation continues"
 AHEAD = 2  # tasks per worker, so that it need not wait for the next one
 
 
-if TYPE_CHECKING:
-    from slipfree.sweep.log import Done, RunTask
-
 T = TypeVar("T")
 D = TypeVar("D")
-
-
-def run_task(task: RunTask) -> Done:
-    """Execute a task with `slipfree.sweep.worker.work`, and return its result."""
-    from slipfree.sweep.worker import work  # imports the solvers, which the parent does not need
-
-    return work(task)
 
 
 def pool_of(

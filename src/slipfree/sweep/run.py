@@ -14,11 +14,11 @@ from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.netcdf import write
 from slipfree.files.tables import write_rows
-from slipfree.problem.load import verb_of
+from slipfree.problem.load import recipe_of, verb_of
 from slipfree.problem.units import unit_of
-from slipfree.show.swept import Swept, Varied
+from slipfree.show.swept import Swept
 from slipfree.sweep.grid import Run, Sweep
-from slipfree.sweep.log import COMPLETE, FAILED, LOST, Done, Rows, RunRow, RunTask, lost_run
+from slipfree.sweep.log import COMPLETE, FAILED, LOST, Done, Rows, RunRow, RunTask, without_motion
 from slipfree.system.processes import Poll, Pool, finish_tasks
 from slipfree.system.regular_files import check_name
 
@@ -93,9 +93,7 @@ def grids(sweep: Sweep, rows: Rows, figures: Sequence[str]) -> dict[str, Swept]:
             values[name][row.run - 1] = row.figures[name][0]
     shape = (*(len(axis.values) for axis in sweep.axes), sweep.repeat)
     spec = sweep.problem.spec
-    axes = tuple(
-        Varied(axis.key, unit_of(spec, axis.key), axis.values, axis.numbers) for axis in sweep.axes
-    )
+    axes = tuple(axis._replace(unit=unit_of(spec, axis.name)) for axis in sweep.axes)
     return {k: Swept(k, units[k], axes, each.reshape(shape)) for k, each in values.items()}
 
 
@@ -183,7 +181,7 @@ def plan_facts(sweep: Sweep) -> Lines:
             else (*axis.values[:3], "...", axis.values[-1])
         )
         count = "1 value" if len(axis.values) == 1 else f"{len(axis.values)} values"
-        facts.append((f"  {axis.key}", f"{', '.join(few)} ({count})"))
+        facts.append((f"  {axis.name}", f"{', '.join(few)} ({count})"))
     return [*facts, *seed_facts(sweep)]
 
 
@@ -204,7 +202,7 @@ def run_sweep(
     when a run is finished, ``table.csv`` at the end and after an interruption, and with ``keep``
     the motion of every run, to ``run_0001.nc`` and so on.
 
-    ``pool`` returns the pool, such as ``lambda: Processes(2, run_task)``, and is called only if
+    ``pool`` returns the pool, such as ``lambda: Processes(2, work)``, and is called only if
     there are unfinished runs; with ``again``, runs that failed are repeated, as lost runs always
     are.
     ``poll`` is called several times per second, and interrupts the sweep by an exception;
@@ -214,17 +212,14 @@ def run_sweep(
     SlipfreeError if the pool fails.
     """
     check_name(folder)
-    if folder.exists() and not folder.is_dir():
-        raise DataError(
-            f"{folder}: expected a folder for the sweep, found a file; choose another folder with "
-            "-o"
-        )
     with Rows(folder, sweep.count, sweep.head, again=again) as rows:
         try:
             progress(rows)
             if len(rows) < sweep.count:
                 with closing(pool()) as opened:
-                    for done in finish_tasks(_tasks(sweep, rows, keep), opened, poll, lost_run):
+                    for done in finish_tasks(
+                        _tasks(sweep, rows, keep), opened, poll, without_motion
+                    ):
                         sweep.files.check()
                         if done.trajectory is not None:
                             file = result_path(folder, sweep, done.row.run)
@@ -237,12 +232,12 @@ def run_sweep(
 
 
 def _tasks(sweep: Sweep, rows: Rows, keep: bool) -> Iterator[RunTask]:
-    path, text = str(sweep.problem.source.path.resolve()), sweep.problem.source.text
-    files = json.dumps(sweep.files.digests)
+    recipe, files = recipe_of(sweep.problem), json.dumps(sweep.files.digests)
     for run in sweep.runs():
         if run.number not in rows:
-            own, trusted = len(sweep.keys), sweep.problem.trusted
-            yield RunTask(run.number, path, text, run.settings, own, keep, files, trusted)
+            own = run.settings[len(sweep.settings) :]
+            again = recipe._replace(path=recipe.path.resolve(), settings=run.settings)
+            yield RunTask(run.number, again, own, keep, files)
 
 
 def result_path(folder: Path, sweep: Sweep, number: int) -> Path:

@@ -6,13 +6,12 @@ import os
 import threading
 import time
 from math import isfinite
-from pathlib import Path
 from typing import Any
 
 from slipfree.core.errors import SlipfreeError
 from slipfree.core.facts import Fact, numbers
 from slipfree.core.trajectory import SolverError, Trajectory
-from slipfree.problem.load import load_again, verb_of
+from slipfree.problem.load import verb_of
 from slipfree.problem.problem import Problem, Shared, sharing
 from slipfree.problem.result import run_problem
 from slipfree.sweep.log import (
@@ -22,7 +21,6 @@ from slipfree.sweep.log import (
     Done,
     RunRow,
     RunTask,
-    own_settings,
     without_motion,
 )
 
@@ -48,13 +46,12 @@ def work(task: RunTask) -> Done:
         outcome, words = LOST, f"{type(error).__name__}: {error}"
     except Exception as error:  # a failed run must not end the sweep
         outcome, words = FAILED, f"{type(error).__name__}: {error}"
-    folder = str(Path(task.file).parent)
-    words = words.replace(f"{folder}{os.sep}", "")
-    return without_motion(task, outcome, words, time.perf_counter() - begin)
+    words = words.replace(f"{task.recipe.path.parent}{os.sep}", "")
+    return without_motion(task, words, outcome, time.perf_counter() - begin)
 
 
 def _worked(task: RunTask, begin: float) -> Done:
-    problem = load_again(Path(task.file), task.text, task.settings, task.trusted)
+    problem = task.recipe.load()
     try:
         result = run_problem(problem)
     except SolverError as error:
@@ -71,7 +68,7 @@ def _worked(task: RunTask, begin: float) -> Done:
         outcome, words, figures = FAILED, f"metrics: {type(error).__name__}: {error}", {}
     row = RunRow(
         task.run,
-        own_settings(task),
+        task.own,
         outcome,
         words,
         float(motion.t[-1]),
