@@ -31,11 +31,12 @@ from slipfree.cli.common import (
     visible,
     with_output_options,
 )
+from slipfree.cli.fit import fit, wheel
 from slipfree.cli.inspect import check, export, ground, info, vehicle
 from slipfree.cli.new import examples, new
 from slipfree.cli.run import run
 from slipfree.cli.show import edit, report, show
-from slipfree.cli.studies import compare, fit, pareto, track, wheel
+from slipfree.cli.studies import compare, pareto, track
 from slipfree.cli.sweep import sweep
 from slipfree.system.interrupt import interrupt_arrived
 
