@@ -39,8 +39,14 @@ from slipfree import (
     simulate,
 )
 from slipfree.fit.body_motion import body_motion
-from slipfree.fit.calibration import Calibration, bootstrap, calibrate, heading_rms, position_rms
-from slipfree.fit.estimate import estimate
+from slipfree.fit.estimate import (
+    Calibration,
+    bootstrap,
+    calibrate,
+    estimate,
+    heading_rms,
+    position_rms,
+)
 from slipfree.fit.unknowns import Unknown, parametric_model
 from slipfree.fit.wheel_soil import QUANTITIES, fit_soil, repeat_spread
 from slipfree.fit.windows import Log, Windows, cut

@@ -28,8 +28,7 @@ from slipfree.core.dae import PiecewiseLinear
 from slipfree.core.rearrange import with_values
 from slipfree.core.records import Array
 from slipfree.fit.body_motion import BodyMotion, body_motion, velocities
-from slipfree.fit.calibration import bootstrap, calibrate, position_rms
-from slipfree.fit.estimate import Estimate, Predictor, estimate
+from slipfree.fit.estimate import Estimate, Predictor, bootstrap, calibrate, estimate, position_rms
 from slipfree.fit.unknowns import Unknown, parametric_model, with_unknowns
 from slipfree.fit.windows import Log, Windows, cut, end_poses
 from slipfree.laws.soil import Soil
@@ -375,7 +374,7 @@ def test_a_search_that_ends_where_a_wheel_lifts_off_is_refused() -> None:
     dae = parametric_model(static, catalog.skid_steer(), Coulomb(0.1), unknowns)
     windows = _windows(body_motion(dae), np.zeros(1))
     predict = Predictor(dae, unknowns, windows)
-    ends = [predict(np.array([at])).end for at in (0.0, 0.1)]
+    ends = [predict(np.array([at])).values for at in (0.0, 0.1)]
     beyond = windows._replace(end=ends[0] + 3 * (ends[1] - ends[0]))
     with pytest.raises(
         ModelError, match=r"the log favours values beyond it: .*window \d+, t = .*lifts off"
@@ -397,7 +396,7 @@ def _predicted_end(times: Array) -> tuple[BodyMotion, Array, Array]:
     rates = {name: RATES[name.removesuffix("_rate")](times) for name in ("left_rate", "right_rate")}
     given = np.column_stack([rates.get(name, 0 * times) for name in motion.names])
     log = Log(times, given, np.zeros((times.size, 3)), np.zeros(times.size))
-    end = Predictor(_cart(), SKID[2:3], cut(log))(np.array([_cart().p[0].value])).end[0]
+    end = Predictor(_cart(), SKID[2:3], cut(log))(np.array([_cart().p[0].value])).values[0]
     return motion, given, end
 
 

@@ -1,4 +1,4 @@
-"""Estimates of unknowns from windows of a log, with covariance and identifiable directions.
+"""Estimates of unknowns, with covariance and identifiable directions; calibration on a log.
 
 The residuals are the differences between predicted and measured poses at the ends of the windows,
 divided by their standard deviations, which follow from the residuals themselves. The estimate
@@ -6,13 +6,14 @@ minimises a robust loss of the residuals and of the deviations from priors (Gaus
 region, `scipy.optimize.least_squares`, exact Jacobian). The covariance is the sandwich estimate for
 independent windows: ``B^-1 M B^-1`` with the Hessian ``B`` of the loss without second derivatives
 of the prediction, and ``M`` the sum over the windows of the products of their gradients (Huber,
-Robust Statistics, 1981, 6.3; Liang and Zeger, Biometrika 73, 1986).
+Robust Statistics, 1981, 6.3; Liang and Zeger, Biometrika 73, 1986). Fits of soils and of motions
+over a map minimise the same loss; their independent groups are the runs of a wheel, or whole logs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import scipy  # its parts are imported when they are used, since this takes 0.2 s
@@ -21,7 +22,14 @@ from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, Mask
 from slipfree.fit.body_motion import BodyMotion, MotionError, Velocities, body_motion, velocities
-from slipfree.fit.unknowns import SENSOR, Unknown, label_of, limits_of, value_of
+from slipfree.fit.unknowns import (
+    SENSOR,
+    Unknown,
+    label_of,
+    limits_of,
+    parametric_model,
+    value_of,
+)
 from slipfree.fit.windows import Windows, end_poses
 from slipfree.system.interrupt import check_interrupt, interrupt_requested
 from slipfree.vehicle.tree import Vehicle
@@ -34,7 +42,9 @@ SINGULAR = 1e-12  # smaller eigenvalues of the Hessian, over the largest, count 
 LOST_SHARE = 1e-6  # share of an undetermined direction from which an unknown is undetermined
 WEAK = 0.1  # deviation of a direction, relative to its scale, from which it is weakly determined
 CONFIDENCE = 0.95
+EDGES = 0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2  # of confidence intervals, as shares of draws
 EXTREMUM = 0.02  # ratio of derivatives, to that at the nominal value, at an extremum
+RESAMPLES = 2000  # of a bootstrap
 MIN_ACCEPTED = 2  # accepted values, with the start, from which an interrupted fit is kept
 EDGE = 1e-4  # distance of estimates from their bounds [scales]
 AT_BOUND = 1e-3  # distance from a bound that counts as zero [scales]
@@ -71,10 +81,20 @@ class Estimate(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """Predicted end poses of windows, and their derivatives."""
+    """Predicted quantities, such as end poses of windows, and their derivatives."""
 
-    end: Array  # shape (n, 3): as ``Windows.end`` [m, m, rad]
-    slopes: Array  # shape (n, 3, n_unknowns): derivatives with respect to the unknowns
+    values: Array  # shape (n, m): as those measured, for end poses ``Windows.end`` [m, m, rad]
+    slopes: Array  # shape (n, m, n_unknowns): derivatives with respect to the unknowns
+
+
+class Predicting(Protocol):
+    """Protocol of predictions as a function of the unknowns."""
+
+    def __call__(self, values: Array) -> Prediction:
+        """Return the prediction for values of the unknowns; MotionError if there is none."""
+
+    def accept(self, values: Array) -> Prediction:
+        """Return the prediction for values from which a search goes on, with derivatives."""
 
 
 class Predictor:
@@ -151,74 +171,49 @@ def estimate(
     ModelError is raised if the problem is not determined, the nominal values have no motion, or the
     search does not converge or ends at an edge or extremum of the prediction.
     """
-    labels = tuple(label_of(each, law) for each in unknowns)
-    nominal = np.array([value_of(each, vehicle, law) for each in unknowns])
-    scales = _scales(dae, unknowns, labels, nominal)
-    limits = np.array([limits_of(each, vehicle, law) for each in unknowns]).reshape(-1, 2)
-    bounds = _bounds(unknowns, limits, nominal, scales)
+    sought = _sought(dae, vehicle, law, unknowns)
     if len(windows.end) <= len(unknowns):
         raise ModelError(
             f"estimate: expected more windows than unknowns, found {len(windows.end)} windows and "
             f"{len(unknowns)} unknowns; use a longer log, shorter windows or fewer unknowns"
         )
     predict = Predictor(dae, unknowns, windows)
-    values = np.clip(nominal, *bounds)
-    priors = Priors.of(unknowns)
+    values = np.clip(sought.nominal, *sought.bounds)
     predict.accept(values)
     is_interrupted = False
     for k in range(REWEIGHTINGS):
-        deviations = _deviations(predict(values).end - windows.end)
-        search = _Estimation(predict, windows, deviations, priors)
+        deviations = _deviations(predict(values).values - windows.end)
+        search = Search(predict, windows.end, deviations, sought)
         try:
-            result = scipy.optimize.least_squares(
-                search.residual,
-                values,
-                search.jacobian,
-                bounds=bounds,
-                x_scale=scales,
-                loss=loss,
-                xtol=1e-10,
-            )
+            result = search.run(values, loss, xtol=1e-10)
         except KeyboardInterrupt:
             if not interrupt_requested() or k + len(search.accepted) < MIN_ACCEPTED:
                 raise
             values, is_interrupted = [values, *search.accepted][-1], True
             break
         values = np.asarray(result.x)
-    prediction = predict(values)
-    at_bound = are_at_bound(values, bounds, scales)
-    covariance, directions = _covariance(
-        prediction, windows, deviations, priors, scales, ~at_bound, loss
+    prediction, groups = predict(values), np.arange(len(windows.end))
+    found = search.estimate(values, prediction, groups, loss)._replace(
+        is_interrupted=is_interrupted
     )
     if not is_interrupted:
-        search.check(result, scales)
-        for k in np.flatnonzero(np.sqrt(np.diag(covariance)) > scales).tolist():
-            other = values.copy()
-            other[k] = nominal[k]
-            _check_extremum(predict, (prediction, predict(other)), labels[k], values[k], k)
-    return Estimate(
-        labels,
-        nominal,
-        values,
-        covariance,
-        intervals_of(values, covariance, len(windows.end)),
-        scales,
-        tuple(bool(each) for each in at_bound),
-        directions,
-        deviations,
-        is_interrupted,
-    )
+        search.check_inside(values)
+        if not result.status:
+            raise ModelError(
+                f"estimate: expected convergence, found none after {result.nfev} evaluations; give "
+                "bounds or priors of the unknowns, or fit fewer of them"
+            )
+        for k, label in enumerate(found.labels):
+            if label.name in found.undetermined:
+                other = values.copy()
+                other[k] = sought.nominal[k]
+                _check_extremum(predict, (prediction, predict(other)), label, values[k], k)
+    return found
 
 
-def are_at_bound(values: Array, bounds: tuple[Array, Array], scales: Array) -> Mask:
-    """Return whether estimates are at one of their bounds."""
-    edges = np.minimum(np.abs(values - bounds[0]), np.abs(values - bounds[1]))
-    return np.asarray(edges < AT_BOUND * scales)
-
-
-def intervals_of(values: Array, covariance: Array, count: int) -> Array:
-    """Return 95 % confidence intervals, shape (p, 2), of estimates from n independent windows."""
-    reach = float(scipy.special.stdtrit(count - values.size, 0.5 + CONFIDENCE / 2))
+def intervals_of(values: Array, covariance: Array, freedom: int) -> Array:
+    """Return 95 % confidence intervals of estimates, shape (p, 2), with degrees of freedom."""
+    reach = float(scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2))
     spread = reach * np.sqrt(np.diag(covariance))
     return np.column_stack([values - spread, values + spread])
 
@@ -238,7 +233,7 @@ def _check_extremum(
     if not here < EXTREMUM * there:
         return
     windows = predict.windows
-    turns, others = (np.abs(each.end[:, 2]) for each in predictions)
+    turns, others = (np.abs(each.values[:, 2]) for each in predictions)
     sign = 1 if turns.sum() > others.sum() else -1
     superlative, comparative = ("fastest", "faster") if sign > 0 else ("slowest", "slower")
     row = int(np.argmax(sign * (np.abs(windows.end[:, 2]) - turns)))
@@ -277,31 +272,41 @@ class Priors(NamedTuple):
         return np.asarray(np.eye(count)[self.rows] / self.deviation[:, None])
 
 
-def _scales(
-    dae: Dae, unknowns: Sequence[Unknown], labels: Sequence[Label], nominal: Array
-) -> Array:
-    """Return the sizes of unknowns: deviation of the prior, nominal value, or that of the unit."""
-    sizes = [
-        each.prior[1] if each.prior else abs(value) or dae.size_of(label)
-        for each, label, value in zip(unknowns, labels, nominal, strict=True)
-    ]
-    return np.array(sizes)
+class Sought(NamedTuple):
+    """Unknowns of a search, with bounds that leave out the ends of intervals, sizes and priors."""
+
+    labels: tuple[Label, ...]
+    nominal: Array  # shape (p,)
+    bounds: tuple[Array, Array]
+    scales: Array
+    priors: Priors
 
 
-def _bounds(
-    unknowns: Sequence[Unknown], limits: Array, nominal: Array, scales: Array
-) -> tuple[Array, Array]:
-    """Return lower and upper bounds, which leave out the ends of intervals."""
+def inner_bounds(limits: Array, scales: Array) -> tuple[Array, Array]:
+    """Return lower and upper bounds within limits, shape (p, 2), without their ends."""
+    margin = np.minimum(EDGE * scales, (limits[:, 1] - limits[:, 0]) / 4)
+    return limits[:, 0] + margin, limits[:, 1] - margin
+
+
+def _sought(dae: Dae, vehicle: Vehicle, law: object, unknowns: Sequence[Unknown]) -> Sought:
     if not unknowns:
         raise ModelError("estimate: expected at least one unknown, found none; add one")
+    labels = tuple(label_of(each, law) for each in unknowns)
+    nominal = [value_of(each, vehicle, law) for each in unknowns]
+    limits = [limits_of(each, vehicle, law) for each in unknowns]
     for unknown, value, (low, high) in zip(unknowns, nominal, limits, strict=True):
         if not low <= value <= high:
             raise ModelError(
                 f"unknown {unknown.name!r}: expected a nominal value within the bounds, {low:g} to "
                 f"{high:g}, found {value:g}; change the bounds, or the vehicle or the law"
             )
-    margin = np.minimum(EDGE * scales, (limits[:, 1] - limits[:, 0]) / 4)
-    return limits[:, 0] + margin, limits[:, 1] - margin
+    sizes = [
+        each.prior[1] if each.prior else abs(value) or dae.size_of(label)
+        for each, label, value in zip(unknowns, labels, nominal, strict=True)
+    ]
+    scales = np.array(sizes)
+    bounds = inner_bounds(np.array(limits), scales)
+    return Sought(labels, np.array(nominal), bounds, scales, Priors.of(unknowns))
 
 
 def _deviations(residual: Array) -> Array:
@@ -313,48 +318,96 @@ def _deviations(residual: Array) -> Array:
     )
 
 
-class _Estimation:
-    """Functions of residuals and of their Jacobian, without unit; accepted and rejected values.
+class Search:
+    """Search of unknowns: residuals and their Jacobian, without unit; accepted and rejected values.
 
     `scipy.optimize.least_squares` rejects a trial whose residuals are not finite, and requests the
-    Jacobian only where it accepts one.
+    Jacobian only where it accepts one. Measured values (n, m) may be NaN: not measured.
     """
 
     def __init__(
-        self, predict: Predictor, windows: Windows, deviations: Array, priors: Priors
+        self, predict: Predicting, measured: Array, deviations: Array, sought: Sought
     ) -> None:
-        self._predict, self._windows = predict, windows
-        self._deviations, self._priors = deviations, priors
+        self._predict, self._measured, self._known = predict, measured, np.isfinite(measured)
+        self._deviations, self._sought = deviations, sought
         self._rejected = list[tuple[Array, MotionError]]()
         self.accepted = list[Array]()  # the first is the start
 
-    def residual(self, values: Array) -> Array:
+    def run(self, start: Array, loss: Loss, **options: float) -> Any:
+        """Return the result of `scipy.optimize.least_squares`, with options of its tolerances."""
+        return scipy.optimize.least_squares(
+            self._residual,
+            np.clip(start, *self._sought.bounds),
+            self._jacobian,
+            bounds=self._sought.bounds,
+            x_scale=self._sought.scales,
+            loss=loss,
+            **options,
+        )
+
+    def _residual(self, values: Array) -> Array:
         check_interrupt()
         try:
-            missed = (self._predict(values).end - self._windows.end) / self._deviations
+            missed = (self._predict(values).values - self._measured) / self._deviations
         except MotionError as error:
             self._rejected.append((values.copy(), error))
-            missed = np.full(self._windows.end.shape, np.nan)
-        return np.append(missed, self._priors.missed(values))
+            missed = np.full(self._measured.shape, np.nan)
+        return np.append(missed[self._known], self._sought.priors.missed(values))
 
-    def jacobian(self, values: Array) -> Array:
+    def _jacobian(self, values: Array) -> Array:
         self.accepted.append(values.copy())
         slopes = self._predict.accept(values).slopes / self._deviations[:, None]
-        return np.concatenate([slopes.reshape(-1, values.size), self._priors.slopes(values.size)])
+        return np.concatenate([slopes[self._known], self._sought.priors.slopes(values.size)])
 
-    def check(self, result: Any, scales: Array) -> None:
-        """Raise ModelError if a search ended beside rejected values, or did not converge."""
+    def check_inside(self, found: Array) -> None:
+        """Raise ModelError if a search ended beside rejected values."""
         for values, error in self._rejected:
-            if np.abs((values - result.x) / scales).max() < AT_BOUND:
+            if np.abs((values - found) / self._sought.scales).max() < AT_BOUND:
                 raise ModelError(
                     "estimate: expected estimates within the range in which the vehicle can move, "
                     f"found that the log favours values beyond it: {error}"
                 ) from error
-        if not result.status:
-            raise ModelError(
-                f"estimate: expected convergence, found none after {result.nfev} evaluations; give "
-                "bounds or priors of the unknowns, or fit fewer of them"
-            )
+
+    def estimate(
+        self,
+        values: Array,
+        prediction: Prediction,
+        groups: Array | Indices,
+        loss: Loss,
+        spent: int = 0,
+    ) -> Estimate:
+        """Return the estimate for a prediction at its values.
+
+        The rows of a prediction belong to independent ``groups``, shape (n,); their number less the
+        ``spent`` one, by default that of the unknowns, is that of the degrees of freedom.
+        """
+        labels, nominal, bounds, scales, priors = self._sought
+        edges = np.minimum(np.abs(values - bounds[0]), np.abs(values - bounds[1]))
+        at_bound = edges < AT_BOUND * scales
+        missed = (prediction.values - self._measured) / self._deviations
+        slopes = prediction.slopes[..., ~at_bound] / self._deviations[:, None] * scales[~at_bound]
+        numbers, of_row = np.unique(groups, return_inverse=True)
+        covariance, directions = _sandwich(
+            np.where(self._known, missed, 0.0),
+            np.where(self._known[..., None], slopes, 0.0),
+            (of_row, max(numbers.size - (spent or int((~at_bound).sum())), 1)),
+            priors,
+            scales,
+            ~at_bound,
+            loss,
+        )
+        freedom = max(numbers.size - (spent or values.size), 1)
+        return Estimate(
+            labels,
+            nominal,
+            values,
+            covariance,
+            intervals_of(values, covariance, freedom),
+            scales,
+            tuple(at_bound.tolist()),
+            directions,
+            self._deviations,
+        )
 
 
 def _words(names: Sequence[str], values: Array) -> str:
@@ -362,34 +415,28 @@ def _words(names: Sequence[str], values: Array) -> str:
     return ", ".join(f"{name} = {each:.4g}" for name, each in zip(names, values, strict=True))
 
 
-def _covariance(
-    prediction: Prediction,
-    windows: Windows,
-    deviations: Array,
+def _sandwich(
+    missed: Array,
+    slopes: Array,
+    groups: tuple[Indices, int],
     priors: Priors,
     scales: Array,
     free: Mask,
     loss: Loss,
 ) -> tuple[Array, tuple[Direction, ...]]:
-    """Return the covariance of the estimates, and the principal directions of the free ones."""
-    missed = (prediction.end - windows.end) / deviations
-    slopes = prediction.slopes[..., free] / deviations[:, None] * scales[free]
-    return sandwich(missed, slopes, priors, scales, free, loss)
-
-
-def sandwich(
-    missed: Array, slopes: Array, priors: Priors, scales: Array, free: Mask, loss: Loss
-) -> tuple[Array, tuple[Direction, ...]]:
     """Return the covariance of estimates, and the principal directions of the free ones.
 
-    ``missed``, shape (n, m), are residuals of n independent windows without unit, ``slopes`` their
-    derivatives by the p free unknowns in units of their scales.
+    ``missed``, shape (n, m), are residuals without unit, ``slopes`` their derivatives by the p free
+    unknowns in units of their scales; ``groups`` are the index of the independent group of each
+    row, and the number of degrees of freedom of the groups.
     """
     size = 1 + missed**2 if loss == "soft_l1" else np.ones_like(missed)
-    scores = np.einsum("ni,nip->np", missed / np.sqrt(size), slopes)
+    of_row, freedom = groups
+    count, p = int(of_row.max()) + 1, int(free.sum())
+    scores = np.zeros((count, p))
+    np.add.at(scores, of_row, np.einsum("ni,nip->np", missed / np.sqrt(size), slopes))
     bread = np.einsum("nip,ni,niq->pq", slopes, size**-1.5, slopes)
-    n, p = len(missed), int(free.sum())
-    meat = scores.T @ scores * n / (n - p)
+    meat = scores.T @ scores * count / freedom
     known = priors.slopes(scales.size).sum(axis=0)
     prior = np.diag((known * scales)[free] ** 2)
     bread, meat = bread + prior, meat + prior
@@ -420,3 +467,88 @@ def _directions(scaled: Array, vectors: Array, lost: Mask) -> tuple[Direction, .
 def _signed(vector: Array) -> Array:
     """Return a vector with a positive largest component."""
     return np.asarray(vector * np.sign(vector[np.abs(vector).argmax()]))
+
+
+class EndErrors(NamedTuple):
+    """Predicted minus measured end poses of n windows."""
+
+    measured: Array  # shape (n, 3): measured end poses, as ``Windows.end`` [m, m, rad]
+    nominal: Array  # shape (n, 3): errors before and after the fit [m, m, rad]
+    fitted: Array
+
+
+class Calibration(NamedTuple):
+    """Result of a calibration."""
+
+    estimate: Estimate  # estimates from the windows for training
+    train: EndErrors  # errors in the windows for training and in those for testing
+    test: EndErrors
+
+
+class Interval(NamedTuple):
+    """A statistic, and its 95 % confidence interval."""
+
+    value: float
+    lower: float
+    upper: float
+
+
+def calibrate(
+    build: Callable[[Vehicle, Any], Dae],
+    vehicle: Vehicle,
+    law: Any,
+    unknowns: Sequence[Unknown],
+    windows: Windows,
+    predicted: Windows | None = None,
+    *,
+    train: float = 0.7,
+    seed: int = 0,
+    loss: Loss = "soft_l1",
+) -> Calibration:
+    """Fit unknowns to a random part of the windows, a share ``train``, and predict the others.
+
+    With windows to be ``predicted``, such as those of another log, fit to all and predict these.
+    """
+    if not 0 < train < 1:
+        raise ModelError(f"calibrate: train: expected a share between 0 and 1, found {train:g}")
+    order = np.random.default_rng(seed).permutation(len(windows.end))
+    count = round(train * len(order))
+    if count == len(order) and predicted is None:
+        raise ModelError(
+            "calibrate: expected windows for training and for testing, found only "
+            f"{len(order)}; use a longer log or shorter windows"
+        )
+    dae = parametric_model(build, vehicle, law, unknowns)
+    learnt, other = windows, predicted
+    if other is None:
+        learnt, other = windows.take(np.sort(order[:count])), windows.take(np.sort(order[count:]))
+    fitted = estimate(dae, vehicle, law, unknowns, learnt, loss)
+    errors = [_errors(dae, unknowns, part, fitted) for part in (learnt, other)]
+    return Calibration(fitted, *errors)
+
+
+def _errors(dae: Dae, unknowns: Sequence[Unknown], windows: Windows, fitted: Estimate) -> EndErrors:
+    """Return the errors of end poses with nominal and with fitted values."""
+    predict = Predictor(dae, unknowns, windows)
+    errors = [predict(values).values - windows.end for values in (fitted.nominal, fitted.values)]
+    return EndErrors(windows.end, *errors)
+
+
+def position_rms(errors: Array) -> float:
+    """Return the root mean square distance of predicted from measured positions [m]."""
+    return float(np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()))
+
+
+def heading_rms(errors: Array) -> float:
+    """Return the root mean square error of the heading [rad]."""
+    return float(np.sqrt((errors[:, 2] ** 2).mean()))
+
+
+def bootstrap(
+    rows: Array | Indices, statistic: Callable[[Any], float], draws: int = RESAMPLES
+) -> Interval:
+    """Return a statistic of rows, shape (n, ...), with its 95 % interval by resampling rows."""
+    rng = np.random.default_rng(0)
+    values = [statistic(rows[rng.integers(0, len(rows), len(rows))]) for _ in range(draws)]
+    low, high = np.quantile(values, EDGES)
+    return Interval(statistic(rows), float(low), float(high))

@@ -11,15 +11,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import scipy  # its parts are imported when they are used, since this takes 0.2 s
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, Mask
-from slipfree.fit.body_motion import MotionError
-from slipfree.fit.estimate import AT_BOUND, CONFIDENCE, NORMAL_MEDIAN, SINGULAR
+from slipfree.core.records import Array, Label, Mask
+from slipfree.fit.estimate import (
+    NORMAL_MEDIAN,
+    Interval,
+    Prediction,
+    Priors,
+    Search,
+    Sought,
+    bootstrap,
+)
 from slipfree.fit.ground_motion import (
     DriveLog,
     GroundPredictor,
@@ -67,40 +73,38 @@ def fit_ground(model: MotionModel, predict: GroundPredictor, where: str = "the l
             f"{len(predict.windows.log)}; use longer logs, shorter windows or a simpler model"
         )
 
-    errors = _Errors(model, predict, sizes, bounds)
-    result, deviations = _least_errors(errors, start)
+    labels = tuple(Label(name, model.units[name], "") for name in names)
+    sought = Sought(labels, start, (bounds[0], bounds[1]), sizes, Priors.of(()))
+    errors, values = _Errors(model, predict, sizes, bounds), start
+    none = np.zeros_like(errors(start).values)  # MotionError without a motion at the start values
+    deviations = np.array(FIRST_DEVIATIONS)
+    for _ in range(2):  # the second time with the deviations of the first one
+        search = Search(errors, none, deviations, sought)
+        result = search.run(values, "soft_l1", xtol=1e-5, ftol=1e-6, max_nfev=MAX_EVALUATIONS)
+        values = result.x
+        spread = np.median(np.abs(errors(values).values), axis=0) / NORMAL_MEDIAN
+        deviations = np.maximum(spread, LEAST_DEVIATION)
+    search.check_inside(values)
     if not result.status:
         raise ModelError(
             f"{where}: expected convergence of the fit of the model {model.words!r}, found none "
             f"after {result.nfev} evaluations; use longer logs or a simpler model"
         )
-    values = result.x
-    # the Jacobian of the search is weighted by the loss
-    missed, slopes = errors(values), errors.slopes(values)
-    free = (values - bounds[0] > AT_BOUND * sizes) & (bounds[1] - values > AT_BOUND * sizes)
-    covariance = _covariance(
-        missed / deviations,
-        slopes * sizes / deviations[:, None],
-        predict.windows.log,
-        free,
-    )
-    spread = np.sqrt(np.diag(covariance))
-    if lost := [name for name, each in zip(names, spread, strict=True) if not each <= 1]:
+    search = Search(errors, none, deviations, sought)
+    found = search.estimate(values, errors.accept(values), predict.windows.log, "soft_l1", spent=1)
+    if found.undetermined:
         raise ModelError(
-            f"{where}: expected windows that determine {', '.join(lost)} of the model "
-            f"{model.words!r}, found a standard deviation larger than the size of the constant; "
-            "use logs with other manoeuvres and slopes, or a model without them"
+            f"{where}: expected windows that determine {', '.join(found.undetermined)} of the "
+            f"model {model.words!r}, found a standard deviation larger than the size of the "
+            "constant; use logs with other manoeuvres and slopes, or a model without them"
         )
-    freedom = max(len(np.unique(predict.windows.log)) - 1, 1)
-    reach = float(scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2))
-    numbers = dict(zip(names, values.tolist(), strict=True))
-    deviation = dict(zip(names, (spread * sizes).tolist(), strict=True))
+    numbers, spread = dict(zip(names, values.tolist(), strict=True)), np.diag(found.covariance)
     return GroundFit(
         numbers,
-        deviation,
+        dict(zip(names, np.sqrt(spread).tolist(), strict=True)),
         {
-            name: (at - reach * deviation[name], at + reach * deviation[name])
-            for name, at in numbers.items()
+            name: (low, high)
+            for name, (low, high) in zip(names, found.intervals.tolist(), strict=True)
         },
         predict(model, numbers),
     )
@@ -114,55 +118,21 @@ class _Errors(NamedTuple):
     sizes: Array  # of the constants
     bounds: Array  # shape (2, n_constants)
 
-    def __call__(self, values: Array) -> Array:
+    def _at(self, values: Array) -> Array:
         """Return the errors, shape (n, 3), or (n, m, 3) for values of shape (m, n_constants)."""
         constants = dict(zip(self.model.start, values.T, strict=True))
         return np.stack(self.predict(self.model, constants)[:3], axis=-1)
 
-    def slopes(self, values: Array) -> Array:
-        """Return the derivatives by the constants, shape (n, 3, n_constants)."""
+    def __call__(self, values: Array) -> Prediction:
+        """Return the errors without derivatives, which take a motion for each constant."""
+        return Prediction(self._at(values), np.zeros(0))
+
+    def accept(self, values: Array) -> Prediction:
+        """Return the errors and their derivatives, by differences."""
         steps = STEP * self.sizes
         steps = np.where(values + steps > self.bounds[1], -steps, steps)
-        ends = self(values + np.vstack([np.zeros_like(steps), np.diag(steps)])).swapaxes(1, 2)
-        return np.asarray((ends[..., 1:] - ends[..., :1]) / steps)
-
-
-def _least_errors(errors: _Errors, start: Array) -> tuple[Any, Array]:
-    """Return the result of the last search, and the deviations of the errors."""
-    values, deviations = start, np.array(FIRST_DEVIATIONS)
-    count = errors(start).size  # MotionError without a motion at the start values
-    rejected = list[tuple[Array, MotionError]]()
-
-    def residual(at: Array, size: Array) -> Array:
-        try:
-            return np.asarray((errors(at) / size).ravel())
-        except MotionError as error:
-            rejected.append((at.copy(), error))
-            return np.full(count, np.nan)  # the search takes a shorter step
-
-    for _ in range(2):  # the second time with the deviations of the first one
-        result = scipy.optimize.least_squares(
-            residual,
-            values,
-            lambda at, size: (errors.slopes(at) / size[:, None]).reshape(-1, at.size),
-            bounds=errors.bounds,
-            loss="soft_l1",
-            x_scale=errors.sizes,
-            xtol=1e-5,
-            ftol=1e-6,
-            max_nfev=MAX_EVALUATIONS,
-            args=(deviations,),
-        )
-        values = result.x
-        spread = np.median(np.abs(errors(values)), axis=0) / NORMAL_MEDIAN
-        deviations = np.maximum(spread, LEAST_DEVIATION)
-    for at, error in rejected:
-        if np.abs((at - values) / errors.sizes).max() < AT_BOUND:
-            raise ModelError(
-                "expected constants within the range in which the vehicle can move, found that "
-                f"the logs favour values beyond it: {error}"
-            ) from error
-    return result, deviations
+        ends = self._at(values + np.vstack([np.zeros_like(steps), np.diag(steps)])).swapaxes(1, 2)
+        return Prediction(ends[..., 0], np.asarray((ends[..., 1:] - ends[..., :1]) / steps))
 
 
 def fit_on_uncertain_map(
@@ -198,24 +168,6 @@ def fit_on_uncertain_map(
         intervals[name] = values[name] - half, values[name] + half
     errors = GroundPredictor(logs, windows, given)(model, values)
     return GroundFit(values, deviation, intervals, errors)
-
-
-def _covariance(missed: Array, slopes: Array, log: Array, free: Mask) -> Array:
-    """Return the sandwich covariance in units of the sizes; infinite if undetermined."""
-    slopes = slopes[..., free]
-    scores = np.einsum("ni,nip->np", missed / np.sqrt(1 + missed**2), slopes)
-    hessian = np.einsum("nip,ni,niq->pq", slopes, (1 + missed**2) ** -1.5, slopes)
-    sums = np.array([scores[log == each].sum(axis=0) for each in np.unique(log)])
-    count, p = len(sums), int(free.sum())
-    meat = sums.T @ sums * count / max(count - 1, 1)
-    values, vectors = np.linalg.eigh(hessian)
-    lost = values <= SINGULAR * max(values.max(initial=0.0), 1e-300)
-    inverse = vectors[:, ~lost] / values[~lost] @ vectors[:, ~lost].T
-    part = inverse @ meat @ inverse
-    part[np.diag_indices(p)] += np.where((vectors[:, lost] ** 2).sum(axis=1) > SINGULAR, np.inf, 0)
-    covariance = np.zeros((free.size, free.size))
-    covariance[np.ix_(free, free)] = part
-    return covariance
 
 
 class Score(NamedTuple):
@@ -326,23 +278,20 @@ def grades(logs: Sequence[DriveLog], windows: PathWindows, slopes: Slopes) -> Ar
     return np.array(means)
 
 
-def by_logs(
-    values: Array, log: Array, statistic: Callable[[Array], float]
-) -> tuple[float, float, float]:
+def by_logs(values: Array, log: Array, statistic: Callable[[Array], float]) -> Interval:
     """Return a statistic of values, and its 95 % interval by resampling whole logs.
 
     A single log has no interval: its ends are NaN.
     """
-    rng, names = np.random.default_rng(0), np.unique(log)
+    names = np.unique(log)
     if names.size == 1:
-        return statistic(values), np.nan, np.nan
-    rows = {each: np.flatnonzero(log == each) for each in names.tolist()}
-    draws = [
-        statistic(values[np.concatenate([rows[k] for k in rng.choice(names, names.size).tolist()])])
-        for _ in range(RESAMPLES)
-    ]
-    low, high = np.quantile(draws, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
-    return statistic(values), float(low), float(high)
+        return Interval(statistic(values), np.nan, np.nan)
+    rows = [np.flatnonzero(log == each) for each in names]
+    return bootstrap(
+        np.arange(names.size),
+        lambda drawn: statistic(values[np.concatenate([rows[k] for k in drawn.tolist()])]),
+        RESAMPLES,
+    )
 
 
 def rms(values: Array) -> float:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from slipfree.batch.evaluator import Evaluator, evaluator_of
@@ -23,8 +22,14 @@ from slipfree.core.records import Array, leaves
 from slipfree.fit.body_motion import MotionError
 from slipfree.fit.ground_motion import DRIVES_AND_SENSORS, ComplexArray, MotionModel, Slopes, Tour
 from slipfree.fit.ground_motion import Values as LaneValues
-from slipfree.fit.unknowns import Unknown, label_of, limits_of, parametric_model, value_of
-from slipfree.geometry.frame import Pose
+from slipfree.fit.unknowns import (
+    Unknown,
+    label_of,
+    lateral_places,
+    limits_of,
+    parametric_model,
+    value_of,
+)
 from slipfree.terrain.base import Friction, Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
@@ -140,11 +145,9 @@ def _over(driven: _Driven, slopes: Slopes) -> tuple[Evaluator, list[tuple[bool, 
     vehicle, ground = driven.vehicle, Bicubic(slopes.grid, mu=driven.friction)
     build = partial(driven.build, ground)
     dae = parametric_model(build, vehicle, driven.law, driven.unknowns)
-    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
-    poses = vehicle.carriers(rest, {each.name: ca.SX(0) for each in vehicle.coordinates})
     wheels = {
-        f"{wheel.name}_rate": (float(ca.evalf(pose.origin)[0]) < 0, float(wheel.radius))
-        for wheel, pose in zip(vehicle.wheels, poses, strict=True)
+        f"{wheel.name}_rate": (place < 0, float(wheel.radius))
+        for wheel, place in lateral_places(vehicle)
     }
     names = [label.full for label in leaves(dae.labels.u)]
     if others := [name for name in names if name not in wheels]:

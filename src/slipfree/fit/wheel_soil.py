@@ -14,27 +14,27 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-import scipy  # its parts are imported when they are used
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices
-from slipfree.fit.calibration import Interval, bootstrap
 from slipfree.fit.estimate import (
-    CONFIDENCE,
-    EDGE,
+    EDGES,
     NORMAL_MEDIAN,
     REWEIGHTINGS,
     Estimate,
+    Interval,
     Loss,
+    Prediction,
     Priors,
-    are_at_bound,
-    intervals_of,
-    sandwich,
+    Search,
+    Sought,
+    bootstrap,
+    inner_bounds,
 )
 from slipfree.fit.unknowns import Unknown, label_of, law_constants, law_limits
 from slipfree.laws.soil import STEADY_CREEP, Soil, WheelSize, forces_at_speeds
 from slipfree.models.single_wheel import WheelRuns
-from slipfree.system.interrupt import check_interrupt, interrupt_requested
+from slipfree.system.interrupt import interrupt_requested
 from slipfree.vehicle.tree import EARTH_GRAVITY
 
 QUANTITIES = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
@@ -80,9 +80,9 @@ class WheelPredictor:
         count = runs.load.size
         self._normal, self._forces = model.normal.map(count), model.forces.map(count)
         self._runs, self._radius, self._depth = runs, model.radius, np.full(count, model.radius / 4)
-        self._last: tuple[Array, tuple[Array, Array]] | None = None
+        self._last: tuple[Array, Prediction] | None = None
 
-    def __call__(self, values: Array) -> tuple[Array, Array]:
+    def __call__(self, values: Array) -> Prediction:
         """Return pull, side, torque and sinkage, shape (n, 4), and derivatives (n, 4, p)."""
         if self._last is not None and np.array_equal(self._last[0], values):
             return self._last[1]
@@ -97,12 +97,11 @@ class WheelPredictor:
         sinking[depth >= self._radius] = 0
         direct = by_values.reshape(3, count, -1).transpose(1, 0, 2)
         slopes = direct + by_depth.T[..., None] * sinking[:, None]
-        predicted = np.column_stack([rows.T, depth])
-        self._last = (
-            values.copy(),
-            (predicted, np.concatenate([slopes, sinking[:, None]], axis=1)),
-        )
+        slopes = np.concatenate([slopes, sinking[:, None]], axis=1)
+        self._last = values.copy(), Prediction(np.column_stack([rows.T, depth]), slopes)
         return self._last[1]
+
+    accept = __call__
 
     def _solve_depth(self, many: Array) -> Array:
         """Return the depths at which the soil bears the loads; at most the radius [m]."""
@@ -121,29 +120,6 @@ class WheelPredictor:
             if done:
                 break
         return np.where(depth > (1 - 1e-9) * self._radius, self._radius, depth)
-
-
-class _Search:
-    """Residuals of a fit, without unit, and their Jacobian."""
-
-    def __init__(
-        self,
-        predict: WheelPredictor,
-        measured: Array,
-        deviations: Array,
-        priors: Priors,
-    ) -> None:
-        self._predict, self._measured, self._deviations = predict, measured, deviations
-        self._known, self._priors = np.isfinite(measured), priors
-
-    def residual(self, values: Array) -> Array:
-        check_interrupt()
-        missed = (self._predict(values)[0] - self._measured) / self._deviations
-        return np.append(missed[self._known], self._priors.missed(values))
-
-    def jacobian(self, values: Array) -> Array:
-        slopes = self._predict(values)[1] / self._deviations[:, None]
-        return np.concatenate([slopes[self._known], self._priors.slopes(values.size)])
 
 
 class QuantityErrors(NamedTuple):
@@ -248,11 +224,9 @@ def fit_soil(
         if not interrupt_requested():
             raise
         is_interrupted = True
-    found = problem.estimate(values, deviations, is_interrupted)
-    edges = [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2]
-    resampled = np.quantile(draws, edges, axis=0).T if draws else np.full((values.size, 2), np.nan)
+    resampled = np.quantile(draws, EDGES, axis=0).T if draws else np.full((values.size, 2), np.nan)
     return SoilFit(
-        found,
+        problem.estimate(values, deviations)._replace(is_interrupted=is_interrupted),
         replace(soil, **dict(zip(problem.names, values.tolist(), strict=True))),
         resampled,
         nominal,
@@ -295,8 +269,7 @@ class SoilProblem:
         loss: Loss = "soft_l1",
         gravity: float = EARTH_GRAVITY,
     ) -> None:
-        self._labels = tuple(label_of(each, soil) for each in unknowns)
-        self._runs, self._loss, self._priors = runs, loss, Priors.of(unknowns)
+        self._runs, self._loss = runs, loss
         self._spread = repeat_spread(runs)
         self.names = [unknown.quantity for unknown in unknowns]
         for unknown in unknowns:
@@ -315,38 +288,28 @@ class SoilProblem:
                     f"{low:.4g} and {high:.4g} with the limits of 'peak' and 'peak_rate'; change "
                     "the bounds, or fit only one of both"
                 )
-        self._scales = np.array(
-            [
-                _scale(unknown, value, *pair)
-                for unknown, value, pair in zip(unknowns, self.nominal, limits, strict=True)
-            ]
-        )
+        sizes = [
+            _scale(unknown, value, *pair)
+            for unknown, value, pair in zip(unknowns, self.nominal, limits, strict=True)
+        ]
+        scales, labels = np.array(sizes), tuple(label_of(each, soil) for each in unknowns)
+        bounds = inner_bounds(limits, scales)
+        self._sought = Sought(labels, self.nominal, bounds, scales, Priors.of(unknowns))
         self._model = WheelModel(soil, size, unknowns, gravity)
-        margin = np.minimum(EDGE * self._scales, (limits[:, 1] - limits[:, 0]) / 4)
-        self._bounds = limits[:, 0] + margin, limits[:, 1] - margin
 
-    def predict(self, runs: WheelRuns, values: Array) -> tuple[Array, Array]:
+    def predict(self, runs: WheelRuns, values: Array) -> Prediction:
         """Return computed quantities and their derivatives, as `WheelPredictor`."""
         return WheelPredictor(self._model, runs)(values)
 
     def search(self, runs: WheelRuns, start: Array, deviations: Array) -> Any:
         """Return the result of `least_squares` for given deviations of the quantities."""
         predict = WheelPredictor(self._model, runs)
-        search = _Search(predict, runs.values, deviations, self._priors)
-        return scipy.optimize.least_squares(
-            search.residual,
-            np.clip(start, *self._bounds),
-            search.jacobian,
-            bounds=self._bounds,
-            x_scale=self._scales,
-            loss=self._loss,
-            xtol=TOLERANCE,
-            ftol=TOLERANCE,
-        )
+        search = Search(predict, runs.values, deviations, self._sought)
+        return search.run(start, self._loss, xtol=TOLERANCE, ftol=TOLERANCE)
 
     def solve(self, runs: WheelRuns, start: Array) -> tuple[Array, Array, bool]:
         """Return estimates, deviations of the quantities, and whether the last search converged."""
-        values, converged = np.clip(start, *self._bounds), False
+        values, converged = np.clip(start, *self._sought.bounds), False
         # not the residuals of the nominal constants: a quantity far off would keep a small weight
         mean = np.nanmean(np.where(np.isfinite(runs.values).any(axis=0), runs.values, 0), axis=0)
         deviations = self._deviations(FIRST_SHARE * (runs.values - mean))
@@ -363,38 +326,12 @@ class SoilProblem:
         robust = np.nanmedian(np.abs(missed), axis=0) / NORMAL_MEDIAN
         return np.fmax(np.fmax(robust, self._spread), SMALLEST)
 
-    def estimate(self, values: Array, deviations: Array, is_interrupted: bool = False) -> Estimate:
+    def estimate(self, values: Array, deviations: Array) -> Estimate:
         """Return the estimate with its covariance, for independent runs."""
-        predicted, slopes = self.predict(self._runs, values)
-        known = np.isfinite(self._runs.values)
-        missed = np.where(known, (predicted - self._runs.values) / deviations, 0)
-        slopes = np.where(known[..., None], slopes / deviations[:, None], 0)
-        scales = np.maximum(self._scales, np.abs(values))
-        at_bound = are_at_bound(values, self._bounds, scales)
-        numbers = np.unique(self._runs.run)
-        longest = max(int((self._runs.run == number).sum()) for number in numbers)
-        grouped = np.zeros((numbers.size, longest * len(QUANTITIES)))
-        steep = np.zeros((*grouped.shape, int((~at_bound).sum())))
-        for k, number in enumerate(numbers):
-            rows = self._runs.run == number
-            count = int(rows.sum()) * len(QUANTITIES)
-            grouped[k, :count] = missed[rows].ravel()
-            steep[k, :count] = (slopes[rows][..., ~at_bound] * scales[~at_bound]).reshape(count, -1)
-        covariance, directions = sandwich(
-            grouped, steep, self._priors, scales, ~at_bound, self._loss
-        )
-        return Estimate(
-            self._labels,
-            self.nominal,
-            values,
-            covariance,
-            intervals_of(values, covariance, numbers.size),
-            scales,
-            tuple(bool(each) for each in at_bound),
-            directions,
-            deviations,
-            is_interrupted,
-        )
+        scales, runs = np.maximum(self._sought.scales, np.abs(values)), self._runs
+        predict = WheelPredictor(self._model, runs)
+        search = Search(predict, runs.values, deviations, self._sought._replace(scales=scales))
+        return search.estimate(values, predict(values), runs.run, self._loss)
 
 
 def check_constant(unknown: Unknown, soil: Soil) -> None:

@@ -19,7 +19,7 @@ from slipfree.core.records import Array
 from slipfree.files.tables import read_columns, read_names
 from slipfree.files.toml.source import Fault, problem_error, read_text
 from slipfree.files.toml.types import Angle, Positive, Record, given_values
-from slipfree.fit.calibration import Interval
+from slipfree.fit.estimate import Interval
 from slipfree.fit.unknowns import Unknown, law_constants
 from slipfree.fit.wheel_soil import QUANTITIES, SoilFit, check_constant, fit_soil
 from slipfree.laws.soil import Soil, WheelSize

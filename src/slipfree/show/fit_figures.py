@@ -14,8 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.stats import chi2
 
 from slipfree.core.records import Array
-from slipfree.fit.calibration import Calibration
-from slipfree.fit.estimate import CONFIDENCE, Estimate
+from slipfree.fit.estimate import CONFIDENCE, Calibration, Estimate
 from slipfree.fit.ground_fit import Kind, Score, by_logs, rms
 from slipfree.fit.wheel_soil import QUANTITIES, SoilFit
 from slipfree.show import style

@@ -29,8 +29,16 @@ from slipfree.files.tables import split_unit
 from slipfree.files.toml.source import name_errors, problem_error
 from slipfree.files.toml.types import Positive, Quantity, Record
 from slipfree.fit.body_motion import body_motion
-from slipfree.fit.calibration import Calibration, bootstrap, calibrate, heading_rms, position_rms
-from slipfree.fit.estimate import WEAK, Direction, Estimate
+from slipfree.fit.estimate import (
+    WEAK,
+    Calibration,
+    Direction,
+    Estimate,
+    bootstrap,
+    calibrate,
+    heading_rms,
+    position_rms,
+)
 from slipfree.fit.unknowns import (
     QUANTITIES,
     Unknown,
