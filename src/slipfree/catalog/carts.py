@@ -6,6 +6,7 @@ The platform's axes are x right, y forward, z up. Masses are rounded values; wit
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import pi
 from typing import Annotated
 
@@ -20,7 +21,36 @@ from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 SIDES = {"right": 1.0, "left": -1.0}
+Mounted = tuple[str, str, Vector, Section, bool]  # name, part, place, section, whether driven
 AXLE_NAMES = {2: ("front", "rear"), 3: ("front", "middle", "rear")}
+
+
+def assembled(
+    name: str,
+    coordinates: tuple[Coordinate, ...],
+    joints: tuple[Joint, ...],
+    wheels: Iterable[Mounted],
+    body: Body,
+    *,
+    wheel_mass: float,
+    grip: float,
+) -> Vehicle:
+    """Return a vehicle whose wheels have one mass [kg] and one grip [1]."""
+    made = tuple(
+        Wheel(wheel, part, at, section, driven=driven, mass=wheel_mass, grip=grip)
+        for wheel, part, at, section, driven in wheels
+    )
+    return Vehicle(name, coordinates, joints, made, body)
+
+
+def _pair(
+    prefix: str, part: str, half_track: float, ahead: float, section: Section
+) -> tuple[Mounted, ...]:
+    """Return the driven wheels on the right and on the left of a part."""
+    return tuple(
+        (f"{prefix}{side}", part, (sign * half_track, ahead, 0.0), section, True)
+        for side, sign in SIDES.items()
+    )
 
 
 @checked
@@ -62,21 +92,16 @@ def differential_drive(
         If ``half_track`` or ``caster_ahead`` is not positive, or another number is out of range.
     """
     section, drop = section_of_radii(r1, r2), -(r1 + r2) * (1 - caster_scale)
-    caster = Wheel(
-        "caster",
-        "fork",
-        (0.0, -trail, drop),
-        section_of_radii(r1 * caster_scale, r2 * caster_scale),
-        driven=False,
-        mass=wheel_mass,
-        grip=grip,
-    )
-    return Vehicle(
+    small = section_of_radii(r1 * caster_scale, r2 * caster_scale)
+    caster = "caster", "fork", (0.0, -trail, drop), small, False
+    return assembled(
         "differential_drive",
         (Coordinate("caster_angle", "passive", "angle of the caster, left positive"),),
         (Joint("fork", "platform", "z", (0.0, caster_ahead, 0.0), "caster_angle"),),
-        (*_pair("", "platform", half_track, 0.0, section, mass=wheel_mass, grip=grip), caster),
+        (*_pair("", "platform", half_track, 0.0, section), caster),
         Body(mass, center_of_mass),
+        wheel_mass=wheel_mass,
+        grip=grip,
     )
 
 
@@ -130,7 +155,7 @@ def ackermann(
         for side, sign in SIDES.items()
     )
     section = section_of_radii(r1, r2)
-    return Vehicle(
+    return assembled(
         "ackermann",
         (
             Coordinate("rock", "suspension", "rocking of the front axle, right side down positive"),
@@ -144,21 +169,12 @@ def ackermann(
         ),
         (Joint("axle", "platform", "y", (0.0, wheelbase, 0.0), "rock"), *knuckles),
         (
-            *_pair("rear_", "platform", half_track, 0.0, section, mass=wheel_mass, grip=grip),
-            *(
-                Wheel(
-                    f"front_{side}",
-                    f"{side}_knuckle",
-                    ORIGIN,
-                    section,
-                    driven=False,
-                    mass=wheel_mass,
-                    grip=grip,
-                )
-                for side in SIDES
-            ),
+            *_pair("rear_", "platform", half_track, 0.0, section),
+            *((f"front_{side}", f"{side}_knuckle", ORIGIN, section, False) for side in SIDES),
         ),
         Body(mass, center_of_mass),
+        wheel_mass=wheel_mass,
+        grip=grip,
     )
 
 
@@ -194,28 +210,21 @@ def skid_steer(
     ModelError
         If ``half_track`` or ``wheelbase`` is not positive, or another number is out of range.
     """
-    wheels = tuple(
-        Wheel(
-            f"{end}_{side}",
-            *(
-                ("rocker", (0.0, y, 0.0))
-                if side == "right"
-                else ("platform", (-half_track, y, 0.0))
-            ),
-            section_of_radii(r1, r2),
-            driven=True,
-            mass=wheel_mass,
-            grip=grip,
-        )
-        for side in SIDES
+    section = section_of_radii(r1, r2)
+    sides = {"right": ("rocker", 0.0), "left": ("platform", -half_track)}
+    wheels = (
+        (f"{end}_{side}", part, (x, y, 0.0), section, True)
+        for side, (part, x) in sides.items()
         for end, y in (("front", wheelbase / 2), ("rear", -wheelbase / 2))
     )
-    return Vehicle(
+    return assembled(
         "skid_steer",
         (Coordinate("rock", "suspension", "rocking of the right side, front up positive"),),
         (Joint("rocker", "platform", "x", (half_track, 0.0, 0.0), "rock"),),
         wheels,
         Body(mass, center_of_mass),
+        wheel_mass=wheel_mass,
+        grip=grip,
     )
 
 
@@ -270,11 +279,10 @@ def rigid_skid_steer(
             half_track,
             wheelbase / 2 - k * wheelbase / (axles - 1),
             section,
-            mass=wheel_mass,
-            grip=grip,
         )
     ]
-    return Vehicle("rigid_skid_steer", (), (), tuple(wheels), Body(mass, center_of_mass))
+    body = Body(mass, center_of_mass)
+    return assembled("rigid_skid_steer", (), (), wheels, body, wheel_mass=wheel_mass, grip=grip)
 
 
 @checked
@@ -323,28 +331,26 @@ def mecanum(
     .. [1] Configuration of the youBot's driver, youbot/youbot_driver, ``config/youbot-base.cfg``.
     .. [2] a2s-institute/youbot_description, ``urdf/youbot_base/base.urdf.xacro``.
     """
-    wheels = tuple(
-        Wheel(
+    ends = ("front", "axle", 1, 0.0), ("rear", "platform", -1, -wheelbase / 2)
+    wheels = (
+        (
             f"{end}_{side}",
             part,
             (right * half_track, y, 0.0),
             section_of_radii(r1, r2, rollers=-ahead * right * roller_angle),
-            driven=True,
-            mass=wheel_mass,
-            grip=grip,
+            True,
         )
-        for end, part, ahead, y in (
-            ("front", "axle", 1, 0.0),
-            ("rear", "platform", -1, -wheelbase / 2),
-        )
+        for end, part, ahead, y in ends
         for side, right in SIDES.items()
     )
-    return Vehicle(
+    return assembled(
         "mecanum",
         (Coordinate("rock", "suspension", "rocking of the front axle, right side down positive"),),
         (Joint("axle", "platform", "y", (0.0, wheelbase / 2, 0.0), "rock"),),
         wheels,
         Body(mass, center_of_mass),
+        wheel_mass=wheel_mass,
+        grip=grip,
     )
 
 
@@ -389,7 +395,7 @@ def articulated(
         If ``half_track``, ``front`` or ``rear`` is not positive, or another number is out of range.
     """
     section, (x, y, z) = section_of_radii(r1, r2), center_of_mass
-    return Vehicle(
+    return assembled(
         "articulated",
         (
             Coordinate(
@@ -402,33 +408,10 @@ def articulated(
             Joint("rear_half", "hinge", "y", ORIGIN, "twist", body=Body(mass, (x, y - rear, z))),
         ),
         (
-            *_pair("front_", "platform", half_track, 0.0, section, mass=wheel_mass, grip=grip),
-            *_pair("rear_", "rear_half", half_track, -rear, section, mass=wheel_mass, grip=grip),
+            *_pair("front_", "platform", half_track, 0.0, section),
+            *_pair("rear_", "rear_half", half_track, -rear, section),
         ),
         Body(mass, center_of_mass),
-    )
-
-
-def _pair(
-    prefix: str,
-    part: str,
-    half_track: float,
-    ahead: float,
-    section: Section,
-    *,
-    mass: float,
-    grip: float,
-) -> tuple[Wheel, ...]:
-    """Return the driven wheels on the right and on the left of a part."""
-    return tuple(
-        Wheel(
-            f"{prefix}{side}",
-            part,
-            (sign * half_track, ahead, 0.0),
-            section,
-            driven=True,
-            mass=mass,
-            grip=grip,
-        )
-        for side, sign in SIDES.items()
+        wheel_mass=wheel_mass,
+        grip=grip,
     )

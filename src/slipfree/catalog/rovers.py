@@ -10,13 +10,13 @@ from dataclasses import replace
 from math import cos, radians, sin
 from typing import Literal, NamedTuple
 
-from slipfree.catalog.carts import SIDES
+from slipfree.catalog.carts import SIDES, Mounted, assembled
 from slipfree.core.arguments import checked
 from slipfree.core.schema import Factor, Mass, Radius
 from slipfree.geometry.frame import Vector
 from slipfree.vehicle.sections import section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
-from slipfree.vehicle.wheel import ORIGIN, Wheel
+from slipfree.vehicle.wheel import ORIGIN
 
 
 class Station(NamedTuple):
@@ -56,7 +56,8 @@ def rocker_bogie(
             "angle of the right rocker, front up positive; the left rocker has the opposite angle",
         )
     ]
-    joints, wheels = [], []
+    joints, wheels = [], list[Mounted]()
+    section = section_of_radii(r1, radius - r1)
     side_of = stations["middle"].half_track
     for side, sign in SIDES.items():
         coordinates.append(
@@ -88,19 +89,16 @@ def rocker_bogie(
                 coordinates.append(Coordinate(steer, "commanded", words))
                 joints.append(Joint(steer, part, "z", at, steer))
                 part, at = steer, ORIGIN
-            wheels.append(
-                Wheel(
-                    f"{end}_{side}",
-                    part,
-                    at,
-                    section_of_radii(r1, radius - r1),
-                    driven=True,
-                    mass=wheel_mass,
-                    grip=grip,
-                )
-            )
-    body = Body(mass, center_of_mass)
-    return Vehicle(name, tuple(coordinates), tuple(joints), tuple(wheels), body)
+            wheels.append((f"{end}_{side}", part, at, section, True))
+    return assembled(
+        name,
+        tuple(coordinates),
+        tuple(joints),
+        wheels,
+        Body(mass, center_of_mass),
+        wheel_mass=wheel_mass,
+        grip=grip,
+    )
 
 
 @checked

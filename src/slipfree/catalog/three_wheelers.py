@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from math import inf
 from typing import Annotated, Literal
 
 from annotated_types import Gt, Unit
 
+from slipfree.catalog.carts import assembled
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.schema import Angle, Factor, JointConstant, Length, Mass, Radius
 from slipfree.vehicle.sections import section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
-from slipfree.vehicle.wheel import Wheel
 
 Axle = Literal["tilting", "sliding", "prismatic_undriven", "prismatic", "actuated", "fixed"]
 Ends = tuple[tuple[Coordinate, ...], tuple[Joint, ...]]
@@ -92,27 +91,26 @@ def three_wheeler(
     coordinates, joints = _rear(axle, ends, tilt_stop, slide_stop)
     coordinates = _add_springs(axle, coordinates, stiffness, damping, bump)
     steer = Coordinate("steer", "commanded", "steering angle of the front wheel, left positive")
-    return Vehicle(
-        "three_wheeler" if axle == "tilting" else f"three_wheeler with {axle} axle",
-        coordinates=(*coordinates, steer),
-        joints=(*joints, Joint("fork", "platform", "z", (0.0, front, 0.0), "steer")),
-        wheels=tuple(
-            Wheel(name, parent, at, section, driven=drives, grip=grip, mass=wheel_mass)
-            for name, parent, at, drives in _wheels(axle, ends, joints)
-        ),
-        body=Body(mass, center_of_mass),
-    )
-
-
-def _wheels(
-    axle: Axle, ends: dict[str, tuple[float, float, float]], joints: tuple[Joint, ...]
-) -> Iterator[tuple[str, str, tuple[float, float, float], bool]]:
-    """Yield name, carrier and position of the wheels, and whether they are driven."""
     hubs = {joint.name.partition("_")[0]: joint.name for joint in joints}
-    for side, at in ends.items():
-        drives = not (axle == "prismatic_undriven" and side == "right")
-        yield side, hubs.get(side, "platform"), ORIGIN if side in hubs else at, drives
-    yield "front", "fork", ORIGIN, False
+    wheels = [
+        (
+            side,
+            hubs.get(side, "platform"),
+            ORIGIN if side in hubs else at,
+            section,
+            not (axle == "prismatic_undriven" and side == "right"),
+        )
+        for side, at in ends.items()
+    ]
+    return assembled(
+        "three_wheeler" if axle == "tilting" else f"three_wheeler with {axle} axle",
+        (*coordinates, steer),
+        (*joints, Joint("fork", "platform", "z", (0.0, front, 0.0), "steer")),
+        [*wheels, ("front", "fork", ORIGIN, section, False)],
+        Body(mass, center_of_mass),
+        wheel_mass=wheel_mass,
+        grip=grip,
+    )
 
 
 def _add_springs(
@@ -139,37 +137,26 @@ def _rear(
     """Return the coordinates and joints of a rear axle with ends at given positions."""
     if axle == "fixed":
         return (), ()
-    if axle == "tilting":
-        return (
-            tuple(
-                Coordinate(
-                    f"tilt_{side}",
-                    "passive",
-                    f"lateral tilt of the {side} rear wheel",
-                    -tilt_stop,
-                    tilt_stop,
-                )
-                for side in ends
-            ),
-            tuple(
-                Joint(f"{side}_hub", "platform", "y", at, f"tilt_{side}")
-                for side, at in ends.items()
-            ),
-        )
-    sides = tuple(ends) if axle == "sliding" else ("right",)
+    tilts, kind = axle == "tilting", "commanded" if axle == "actuated" else "passive"
+    name, part, about, stop, words = (
+        ("tilt", "hub", "y", tilt_stop, "lateral tilt of the {} rear wheel")
+        if tilts
+        else ("slide", "half", "x", slide_stop, "sliding of the {} half of the axle to the right")
+    )
+    sides = tuple(ends) if axle in ("tilting", "sliding") else ("right",)
     return (
         tuple(
-            Coordinate(
-                f"slide_{side}",
-                "commanded" if axle == "actuated" else "passive",
-                f"sliding of the {side} half of the axle to the right",
-                -slide_stop,
-                slide_stop,
-            )
-            for side in sides
+            Coordinate(f"{name}_{side}", kind, words.format(side), -stop, stop) for side in sides
         ),
         tuple(
-            Joint(f"{side}_half", "platform", "x", ends[side], f"slide_{side}", "slide")
+            Joint(
+                f"{side}_{part}",
+                "platform",
+                about,
+                ends[side],
+                f"{name}_{side}",
+                "turn" if tilts else "slide",
+            )
             for side in sides
         ),
     )

@@ -171,7 +171,7 @@ def _log_fit(problem: Any, predict: Sequence[Path]) -> _FitWork:
         fitted = verb.fit(problem, predict)
         estimate = fitted.calibration.estimate
         estimates = verb.estimate_rows(estimate)
-        comments = verb.vehicle_comments(fitted.constants | fitted.sensor)
+        comments = verb.vehicle_comments(fitted.others)
         return _FitResult(
             verb.facts(fitted),
             [estimates, verb.window_rows(fitted)],
@@ -264,9 +264,9 @@ def wheel(
         )
 
         test = run_wheel_file(file, settings or [])
-        table = out or default_table(file, "wheel", test.files)
+        table = out or default_table(file, "wheel", test.file.files)
         picture = table.with_suffix(".png") if draw else None
-        check_outputs([table, picture], test.files)
+        check_outputs([table, picture], test.file.files)
         names, rows = wheel_rows(test.curves)
         files = [save(table, lambda path: write_rows(path, names, rows))]
         print_facts(wheel_facts(test))
@@ -274,6 +274,8 @@ def wheel(
             from slipfree.show.sweep_figures import DrawnWheel, wheel_plot
 
             values = {name: getattr(test.curves, name) for name in QUANTITIES}
-            drawn = DrawnWheel(*test.curves[:2], test.load, values, measured_points(test.measured))
+            points = measured_points(test.file.runs)
+            load = test.file.spec.wheel.load
+            drawn = DrawnWheel(*test.curves[:2], load, values, points)
             files += draw_plots([wheel_plot(picture.stem, drawn)], picture.parent)
         print_line(f"wrote {' and '.join(map(str, files))}")

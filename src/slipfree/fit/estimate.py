@@ -211,13 +211,6 @@ def estimate(
     return found
 
 
-def intervals_of(values: Array, covariance: Array, freedom: int) -> Array:
-    """Return 95 % confidence intervals of estimates, shape (p, 2), with degrees of freedom."""
-    reach = float(scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2))
-    spread = reach * np.sqrt(np.diag(covariance))
-    return np.column_stack([values - spread, values + spread])
-
-
 def _check_extremum(
     predict: Predictor,
     predictions: tuple[Prediction, Prediction],
@@ -397,12 +390,14 @@ class Search:
             loss,
         )
         freedom = max(numbers.size - (spent or values.size), 1)
+        quantile = float(scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2))
+        reach = quantile * np.sqrt(np.diag(covariance))
         return Estimate(
             labels,
             nominal,
             values,
             covariance,
-            intervals_of(values, covariance, freedom),
+            np.column_stack([values - reach, values + reach]),
             scales,
             tuple(at_bound.tolist()),
             directions,

@@ -124,42 +124,33 @@ class WheelFile(FileKeys):
             yield Fault(("test", "points"), expected, f"{count}; reduce the number of points")
 
 
-class WheelTest(NamedTuple):
-    """Result of a wheel file."""
+class WheelContents(NamedTuple):
+    """Contents of a wheel file."""
 
+    spec: WheelFile
     title: str  # by default the name of the file
     soil: Soil
     size: WheelSize
-    load: float  # vertical [N]
     gravity: float  # [m/s^2]
-    curves: WheelCurves
-    measured: WheelRuns | None
-    errors: dict[str, tuple[int, float, float]]  # points; computed minus measured: rms, mean
+    runs: WheelRuns | None
     files: list[Path]  # those read
+    problem: Problem[Any]
+
+
+class WheelTest(NamedTuple):
+    """Result of a wheel file."""
+
+    file: WheelContents
+    curves: WheelCurves
+    errors: dict[str, tuple[int, float, float]]  # points; computed minus measured: rms, mean
 
 
 class FittedWheel(NamedTuple):
     """Result of a fit of a soil to the measured points of a wheel file."""
 
-    title: str
-    size: WheelSize
-    gravity: float  # [m/s^2]
+    file: WheelContents
     runs: WheelRuns
     fit: SoilFit
-    files: list[Path]  # those read
-
-
-class WheelContents(NamedTuple):
-    """Contents of a wheel file."""
-
-    spec: WheelFile
-    title: str
-    soil: Soil
-    size: WheelSize
-    gravity: float
-    runs: WheelRuns | None
-    files: list[Path]
-    problem: Problem[Any]
 
 
 def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
@@ -184,9 +175,7 @@ def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
             if (known := np.isfinite(missed)).any():
                 rms = float(np.sqrt(np.mean(missed[known] ** 2)))
                 errors[name] = int(known.sum()), rms, float(missed[known].mean())
-    return WheelTest(
-        file.title, soil, size, spec.wheel.load, gravity, curves, file.runs, errors, file.files
-    )
+    return WheelTest(file, curves, errors)
 
 
 def fit_wheel_file(file: WheelContents) -> FittedWheel:
@@ -222,7 +211,7 @@ def fit_wheel_file(file: WheelContents) -> FittedWheel:
         loss=spec.loss,
         gravity=file.gravity,
     )
-    return FittedWheel(file.title, file.size, file.gravity, file.runs, fit, file.files)
+    return FittedWheel(file, file.runs, fit)
 
 
 def is_wheel_file(path: Path) -> bool:
@@ -286,11 +275,11 @@ def _read_measured(path: Path, load: float) -> WheelRuns:
 
 def wheel_facts(test: WheelTest) -> Lines:
     """Return the facts about a wheel test: wheel, soil, curves, and difference from measurement."""
-    curves, soil = test.curves, test.soil
-    size = f"radius {test.size.radius:g} m, width {test.size.width:g} m, load {test.load:g} N"
+    curves, file, soil = test.curves, test.file, test.file.soil
+    size = f"radius {file.size.radius:g} m, width {file.size.width:g} m"
     facts = [
-        ("wheel", size),
-        ("gravity", gravity_words(test.gravity)),
+        ("wheel", f"{size}, load {file.spec.wheel.load:g} N"),
+        ("gravity", gravity_words(file.gravity)),
         (
             "soil",
             f"cohesion {soil.cohesion:g} Pa, friction angle {np.rad2deg(soil.friction_angle):.4g} "
@@ -341,12 +330,12 @@ def measured_points(runs: WheelRuns | None) -> dict[str, tuple[Array, Array, Arr
 
 def fit_facts(fitted: FittedWheel) -> Lines:
     """Return the facts of a fit of a soil: constants, directions, and errors of the quantities."""
-    fit, runs = fitted.fit, fitted.runs
+    file, runs, fit = fitted
     outcome = Outcome.INTERRUPTED if fit.estimate.is_interrupted else Outcome.COMPLETE
     facts = [
         ("outcome", outcome.title),
-        ("wheel", f"radius {fitted.size.radius:g} m, width {fitted.size.width:g} m"),
-        ("gravity", gravity_words(fitted.gravity)),
+        ("wheel", f"radius {file.size.radius:g} m, width {file.size.width:g} m"),
+        ("gravity", gravity_words(file.gravity)),
         ("measured", f"{runs.load.size} points of {np.unique(runs.run).size} runs"),
         *estimate_lines(fit.estimate),
         *direction_lines(fit.estimate),
@@ -424,7 +413,7 @@ def soil_text(fitted: FittedWheel) -> str:
     estimate = fitted.fit.estimate
     intervals = dict(zip((x.name for x in estimate.labels), estimate.intervals, strict=True))
     lines = [
-        f"# {fitted.title}: soil fitted by slipfree fit",
+        f"# {fitted.file.title}: soil fitted by slipfree fit",
         "# of a problem file; in a wheel file, write [soil]",
         "[law.soil]",
     ]

@@ -41,6 +41,7 @@ from slipfree.fit.estimate import (
 )
 from slipfree.fit.unknowns import (
     QUANTITIES,
+    SENSOR,
     Unknown,
     label_of,
     lateral_places,
@@ -193,8 +194,7 @@ class Fitted(NamedTuple):
 
     calibration: Calibration
     vehicle: Vehicle  # with fitted values
-    constants: dict[str, float]  # of the law
-    sensor: dict[str, float]  # pose of the sensor [m, rad]
+    others: dict[str, float]  # constants of the law, and pose of the sensor [m, rad]
     notes: tuple[str, ...]
     left_out: Counter[str]  # numbers of windows, by reason
 
@@ -256,8 +256,8 @@ def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> Fitted:
     return Fitted(
         calibration,
         with_unknowns(vehicle, unknowns, values),
-        {u.quantity: getattr(new, u.quantity) for u, _ in pairs if hasattr(new, u.quantity)},
-        {u.quantity: value for u, value in pairs if u.quantity.startswith("sensor_")},
+        {u.quantity: getattr(new, u.quantity) for u, _ in pairs if hasattr(new, u.quantity)}
+        | {u.quantity: value for u, value in pairs if u.quantity in SENSOR},
         tuple(notes),
         left_out,
     )
