@@ -13,7 +13,7 @@ from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.schema import Angle, Factor, JointConstant, Length, Mass, Radius
 from slipfree.vehicle.sections import section_of_radii
-from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
+from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind, Vehicle
 
 Axle = Literal["tilting", "sliding", "prismatic_undriven", "prismatic", "actuated", "fixed"]
 Ends = tuple[tuple[Coordinate, ...], tuple[Joint, ...]]
@@ -137,7 +137,8 @@ def _rear(
     """Return the coordinates and joints of a rear axle with ends at given positions."""
     if axle == "fixed":
         return (), ()
-    tilts, kind = axle == "tilting", "commanded" if axle == "actuated" else "passive"
+    tilts = axle == "tilting"
+    kind: Kind = "commanded" if axle == "actuated" else "passive"
     name, part, about, stop, words = (
         ("tilt", "hub", "y", tilt_stop, "lateral tilt of the {} rear wheel")
         if tilts
