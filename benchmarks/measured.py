@@ -38,15 +38,8 @@ from slipfree import (
     settle,
     simulate,
 )
+from slipfree.fit import estimate as fits
 from slipfree.fit.body_motion import body_motion
-from slipfree.fit.estimate import (
-    Calibration,
-    bootstrap,
-    calibrate,
-    estimate,
-    heading_rms,
-    position_rms,
-)
 from slipfree.fit.unknowns import Unknown, parametric_model
 from slipfree.fit.wheel_soil import QUANTITIES, fit_soil, repeat_spread
 from slipfree.fit.windows import Log, Windows, cut
@@ -122,13 +115,15 @@ def synthetic() -> Iterator[str]:
     nominal, law = catalog.skid_steer(), Coulomb(0.1)
     dae = parametric_model(static, nominal, law, SKID_UNKNOWNS)
     windows = true_windows(body_motion(dae).names)
-    exact = estimate(dae, nominal, law, SKID_UNKNOWNS, windows, "linear")
+    exact = fits.estimate(dae, nominal, law, SKID_UNKNOWNS, windows, "linear")
     yield f"{WINDOWS} windows without errors: largest error {np.abs(exact.values - true).max():.1e}"
     rng, found = np.random.default_rng(SEED), []
     for _ in range(DRAWS):
         noise = rng.normal(size=windows.end.shape) * [0.01, 0.01, 0.005]
         found.append(
-            estimate(dae, nominal, law, SKID_UNKNOWNS, windows._replace(end=windows.end + noise))
+            fits.estimate(
+                dae, nominal, law, SKID_UNKNOWNS, windows._replace(end=windows.end + noise)
+            )
         )
     values = np.array([each.values for each in found])
     inside = np.mean(
@@ -208,7 +203,9 @@ def husky(folder: Path, figures: Path | None) -> Iterator[str]:
         dae = parametric_model(robot.build, robot.vehicle, robot.law, robot.unknowns)
         windows = cut(husky_log(folder, body_motion(dae).names, robot.rates))
         began = time.process_time()
-        found = calibrate(robot.build, robot.vehicle, robot.law, robot.unknowns, windows, seed=SEED)
+        found = fits.calibrate(
+            robot.build, robot.vehicle, robot.law, robot.unknowns, windows, seed=SEED
+        )
         took = time.process_time() - began
         for words, errors in (("nominal", found.test.nominal), ("fitted", found.test.fitted)):
             yield f"{robot.words:30} {words:8} {_accuracy(errors)}"
@@ -305,7 +302,10 @@ def _turning_by_ratio(
 
 def _accuracy(errors: np.ndarray) -> str:
     """Return the errors of end poses in words, with bootstrap intervals."""
-    place, turn = bootstrap(errors, position_rms), bootstrap(errors, heading_rms)
+    place, turn = (
+        fits.bootstrap(errors, fits.position_rms),
+        fits.bootstrap(errors, fits.heading_rms),
+    )
     low, high = np.rad2deg([turn.lower, turn.upper])
     away, off = np.median([np.hypot(*errors.T[:2]), np.abs(errors[:, 2])], axis=1)
     return (
@@ -315,7 +315,7 @@ def _accuracy(errors: np.ndarray) -> str:
     )
 
 
-def _estimates(found: Calibration, took: float) -> Iterator[str]:
+def _estimates(found: fits.Calibration, took: float) -> Iterator[str]:
     """Yield the estimates of a fit in words."""
     result = found.estimate
     parts = []
@@ -326,7 +326,7 @@ def _estimates(found: Calibration, took: float) -> Iterator[str]:
     yield (f"  {len(found.train.measured)} windows, {took:.1f} s CPU: {', '.join(parts)}")
 
 
-def _save_fit(found: Calibration, figures: Path) -> None:
+def _save_fit(found: fits.Calibration, figures: Path) -> None:
     """Save the figure of a fit."""
     from slipfree.show.fit_figures import fit_plot
     from slipfree.show.plots import save
