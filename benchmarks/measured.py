@@ -211,7 +211,10 @@ def husky(folder: Path, figures: Path | None) -> Iterator[str]:
             yield f"{robot.words:30} {words:8} {_accuracy(errors)}"
         yield from _estimates(found, took)
         if figures and robot.words == "quasi-static friction":
-            _save_fit(found, figures)
+            from slipfree.show.fit_figures import fit_plot
+            from slipfree.show.plots import save
+
+            save([fit_plot("measured_husky", found)], figures)
 
 
 def turning(folder: Path) -> Iterator[str]:
@@ -302,10 +305,8 @@ def _turning_by_ratio(
 
 def _accuracy(errors: np.ndarray) -> str:
     """Return the errors of end poses in words, with bootstrap intervals."""
-    place, turn = (
-        fits.bootstrap(errors, fits.position_rms),
-        fits.bootstrap(errors, fits.heading_rms),
-    )
+    statistics = fits.position_rms, fits.heading_rms
+    place, turn = (fits.bootstrap(errors, each) for each in statistics)
     low, high = np.rad2deg([turn.lower, turn.upper])
     away, off = np.median([np.hypot(*errors.T[:2]), np.abs(errors[:, 2])], axis=1)
     return (
@@ -324,14 +325,6 @@ def _estimates(found: fits.Calibration, took: float) -> Iterator[str]:
         edge = "at its bound" if result.at_bound[k] else f"{low:.4f} to {high:.4f}"
         parts.append(f"{label.name} {result.values[k]:.4f} ({edge})")
     yield (f"  {len(found.train.measured)} windows, {took:.1f} s CPU: {', '.join(parts)}")
-
-
-def _save_fit(found: fits.Calibration, figures: Path) -> None:
-    """Save the figure of a fit."""
-    from slipfree.show.fit_figures import fit_plot
-    from slipfree.show.plots import save
-
-    save([fit_plot("measured_husky", found)], figures)
 
 
 # ---------------------------------------------------------------------------------------------
