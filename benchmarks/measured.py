@@ -200,12 +200,11 @@ def husky(folder: Path, figures: Path | None) -> Iterator[str]:
         f"{'heading rms (95 %) [deg]':25} {'median':6}"
     )
     for robot in ROBOTS:
-        dae = parametric_model(robot.build, robot.vehicle, robot.law, robot.unknowns)
+        known = robot.build, robot.vehicle, robot.law, robot.unknowns
+        dae = parametric_model(*known)
         windows = cut(husky_log(folder, body_motion(dae).names, robot.rates))
         began = time.process_time()
-        found = fits.calibrate(
-            robot.build, robot.vehicle, robot.law, robot.unknowns, windows, seed=SEED
-        )
+        found = fits.calibrate(*known, windows, seed=SEED)
         took = time.process_time() - began
         for words, errors in (("nominal", found.test.nominal), ("fitted", found.test.fitted)):
             yield f"{robot.words:30} {words:8} {_accuracy(errors)}"
