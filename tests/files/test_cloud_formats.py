@@ -96,6 +96,13 @@ def test_comments_in_other_encodings_are_left_out(tmp_path):
     heights(tmp_path / "a.pcd")
 
 
+def test_counts_and_single_blanks_are_no_duty_of_a_pcd(tmp_path):
+    head, text = pcd(PLANE, "ascii").split(b"ascii\n")
+    data = cut(head, b"COUNT 1 1 1\n", b"") + b"ascii\n" + text.replace(b" ", b" \t ")
+    (tmp_path / "a.pcd").write_bytes(data)
+    heights(tmp_path / "a.pcd")
+
+
 @pytest.mark.bounded
 def test_a_window_reads_the_same_heights(tmp_path):
     path = tmp_path / "a.pcd"
@@ -131,6 +138,7 @@ PACKED = pcd(PLANE[:50], "binary_compressed")
         ("a.pcd", cut(PCD, b"SIZE 4 4 4", b"SIZE 4 4 3"), "'F', 3"),
         ("a.pcd", cut(PCD, b"TYPE F F F", b"TYPE F F Q"), "'F', 'U' or 'I'"),
         ("a.pcd", cut(TEXT_PCD, b"COUNT 1 1 1", b"COUNT 1 1 9"), "columns"),
+        ("a.pcd", cut(PCD, b"COUNT 1 1 1", b"COUNT 1 1 999999999"), "more values of a point"),
         ("a.pcd", cut(PCD, b"POINTS 50", b"POINTS 49"), "49 were announced, 50 times 1 in a grid"),
         ("a.pcd", cut(PCD, b"POINTS 50", b"").replace(b"WIDTH 50", b""), "points"),
         ("a.pcd", PCD[:-12], "49 points where 50 were announced"),

@@ -7,8 +7,8 @@ shape. On other grounds the search has two stages.
 
 1. A grid of ground points under the shape and around it is compared by the distance from the
    shape, which has a closed form. The grid finds ground that rises between the corners of a box.
-   Its spacing is that of the map, with at most `MAX_POINTS` points a side. Ground more than
-   `MAX_REACH` beside the shape is not searched, so that larger distances are upper bounds.
+   Its spacing suits the curvature of the ground. Ground more than `MAX_REACH` beside the shape is
+   not searched, so that larger distances are upper bounds.
 2. From each local minimum of the grid that may become the least, and from the lowest corners of a
    box or the lowest points of a hull, Newton's method improves the point of the shape and the foot
    of its perpendicular together. The point of a box moves in the directions in which it is not at a
@@ -17,7 +17,8 @@ shape. On other grounds the search has two stages.
 
 Between points with a spacing ``s``, the distance is lower than at the points by at most
 ``k s^2 / 4``, with the largest curvature ``k`` of the ground. Minima within `SLACK` of the least
-are improved, which covers curvatures up to ``1 / s``.
+are improved, which covers curvatures up to ``1 / s``. The spacing of the grid is therefore ``1 /
+k``, and not less than half that of the map, whose cells rarely have two minima each.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
 STEPS = 2  # Newton steps between tests of convergence
 ROUNDS = 12  # largest number of such tests
 STILL_LOWER = 1.0  # a search may still reduce the distance by this [last change]
-MAX_POINTS = 25  # largest number of grid points a side
+FEWEST_POINTS = 25  # number of grid points a side on smooth ground
+MAX_CELLS = 2_000_000  # number of grid points evaluated together, which limits the memory
 USUAL_SPACING = 1 / 12  # spacing of the grid on a ground without nodes [longest edge]
 MAX_REACH = 0.3  # largest distance of the grid's border from the sides of a shape [m]
 SLACK = 0.25  # local minima of the grid may be lower by this [spacing]
@@ -58,7 +60,7 @@ MIN_CURVATURE = 1e-9  # smaller convexity along a face counts as none [1/m]
 MIN_CONVEXITY = 1e-3  # determinant of a convex function [product of the diagonal]
 MIN_DETERMINANT = 1e-2  # of the equations of a foot; a smaller one means several feet [1]
 ROOT_OFFSET = 1e-24  # keeps the derivatives of square roots finite [m2]
-CHUNK = 256  # number of samples evaluated together, which limits the memory
+CHUNK = 256  # largest number of samples evaluated together
 
 
 class Nearest(NamedTuple):
@@ -90,7 +92,11 @@ class NearestPoints:
         Each column of ``placed`` (12 n_shapes, n) has origin and rotation matrix (by columns) of
         the frame of each shape, in local coordinates.
         """
-        parts = (placed[:, k : k + CHUNK] for k in range(0, placed.shape[1], CHUNK))
+        size, side = CHUNK, max(_radius(shape) for _, shape in self.shapes) + MAX_REACH
+        if isinstance(self.terrain, Bicubic):
+            cells = (4 * side / max(self.terrain.grid.spacing) + 4) ** 2
+            size = max(1, min(CHUNK, int(MAX_CELLS / cells)))
+        parts = (placed[:, k : k + size] for k in range(0, placed.shape[1], size))
         nearest = [self._nearest(part.reshape(len(self.shapes), 12, -1)) for part in parts]
         return Nearest(*(np.concatenate(each) for each in zip(*nearest, strict=True)))
 
@@ -230,13 +236,16 @@ class NearestPoints:
         below = -np.sign(axes[:, 2, 2]) * half[:, 2]
         lowest = center[:, 2] - (np.abs(axes[:, 2]) * half).sum(axis=1)
         above = lowest - self._heights(center[:, 0], center[:, 1])
-        spacing = (
-            max(self.terrain.grid.spacing)
-            if isinstance(self.terrain, Bicubic)
-            else USUAL_SPACING * 2 * max(half.max(), MAX_REACH)
-        )
-        reach = half[:, :2] + (spacing + np.clip(above, 0.0, MAX_REACH))[:, None]
-        counts = [min(MAX_POINTS, 2 + int(2 * reach[:, k].max() / spacing)) for k in (0, 1)]
+        reach = half[:, :2] + np.clip(above, 0.0, MAX_REACH)[:, None]
+        spacing = USUAL_SPACING * 2 * max(half.max(), MAX_REACH)
+        if isinstance(self.terrain, Bicubic):
+            ends = (center[:, k] + np.outer((-1, 1), reach.max(axis=1)) for k in (0, 1))
+            _, curvature = self._derivative_bounds(*ends)
+            cell = max(self.terrain.grid.spacing)
+            coarse = max(cell, 2 * reach.max() / FEWEST_POINTS)
+            spacing = float(np.clip(1 / max(curvature.max(), 1 / coarse), cell / 2, coarse))
+        reach += spacing
+        counts = [2 + int(2 * reach[:, k].max() / spacing) for k in (0, 1)]
         u = reach[:, 0, None, None] * np.linspace(-1, 1, counts[0])[:, None]
         v = reach[:, 1, None, None] * np.linspace(-1, 1, counts[1])
         x, y, z = (

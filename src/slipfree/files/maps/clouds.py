@@ -40,8 +40,19 @@ def pcd_points(stream: BinaryIO) -> Points:
     """Return the points of a PCD file; raise an exception if it is damaged."""
     from pypcd4.pypcd4 import PointCloud
 
-    data = io.BytesIO(_without_comments(stream, b"#", b"DATA"))
-    cloud = PointCloud.from_fileobj(io.BufferedReader(data))
+    head, data = _without_comments(stream, b"#", b"DATA").split(b"DATA", 1)
+    fields, counts = (
+        re.search(rb"^%b(.*)" % key, head, re.MULTILINE) for key in (b"FIELDS", b"COUNT")
+    )
+    if counts is None and fields:  # one value each, as older writers imply
+        head += b"COUNT" + b" 1" * len(fields[1].split()) + b"\n"
+    elif counts and sum(map(int, counts[1].split())) > len(data):
+        raise ValueError(
+            f"{counts[0].decode()[:80]}, more values of a point than the file has bytes"
+        )
+    if data.split(maxsplit=1)[0] == b"ascii":  # pypcd4 expects one blank between values
+        data = b"\n".join(b" ".join(line.split()) for line in data.split(b"\n"))
+    cloud = PointCloud.from_fileobj(io.BufferedReader(io.BytesIO(head + b"DATA " + data.lstrip())))
     about, found = cloud.metadata, cloud.pc_data
     if len(found) != about.points or about.points != about.width * about.height:
         raise ValueError(
