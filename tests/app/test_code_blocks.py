@@ -155,6 +155,8 @@ def completed(keys, before):
     terrain = keys.get("terrain", {})
     if "obstacles" in terrain and "synthetic" not in terrain:
         rest |= {"model": "dynamics", "terrain": {"friction": 0.9, "synthetic": PLAIN}}
+    if "friction" in keys.get("plan", {}).get("robust", {}):
+        rest |= {"terrain": rest["terrain"] | {"friction": 0.6}}
     if "longitude" in keys.get("start", {}):
         rest |= {"model": "kinematics", "terrain": {"file": "site.tif"}}
     if "terrain" in keys and not terrain.keys() & {"file", "sample", "synthetic"}:
