@@ -303,7 +303,7 @@ def test_seven_wheels_go_anywhere_on_level_ground():
         (differential_drive, {"half_track": 0.0}, "half_track: expected a number > 0, found 0.0"),
         (skid_steer, {"wheelbase": np.inf}, "skid_steer: wheelbase: expected a finite number"),
         (rocky7, {"steered": "all"}, "steered: expected 'front' or 'corners', found str 'all"),
-        (rocky7, {"r1": 0.1}, "r2: expected a finite radius of zero or more"),
+        (rocky7, {"r1": 0.1}, "r2: expected a number >= 0, found -0.035"),
         (seven_wheels, {"stiffness": 0.0}, "stiffness: expected a number > 0, found 0.0"),
     ],
 )
