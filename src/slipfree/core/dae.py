@@ -460,7 +460,6 @@ class Dae(Generic[X, Z, U, Y]):
         sizes = [self.sizes.alg[begin:end] for begin, end in pairwise(ends)]
         return tuple(rows / ca.DM(size) for rows, size in zip(self.alg, sizes, strict=True))
 
-    @checked
     def inputs(self, **values: InputValue) -> Record:
         """Return the record of inputs from values by name.
 
