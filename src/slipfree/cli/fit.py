@@ -33,7 +33,7 @@ from slipfree.core.errors import ModelError
 from slipfree.system.interrupt import held_interrupt, interrupt_requested
 
 if TYPE_CHECKING:
-    from slipfree.problem.verbs.base import Lines
+    from slipfree.core.facts import Lines
     from slipfree.show.plots import Plot
 
 

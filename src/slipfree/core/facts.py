@@ -36,6 +36,7 @@ class Fact(NamedTuple):
 
 
 Facts = Mapping[str, Fact]
+Lines = list[tuple[str, str]]  # names and texts of a summary
 
 
 class Row(NamedTuple):

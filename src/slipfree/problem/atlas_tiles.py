@@ -19,7 +19,7 @@ import numpy as np
 
 from slipfree.atlas.atlas import Atlas, Band, least_bounds, tiles_of
 from slipfree.core.errors import DataError
-from slipfree.core.facts import Fact
+from slipfree.core.facts import Fact, Lines
 from slipfree.core.records import Array
 from slipfree.core.version import __version__
 from slipfree.files.atlas_files import (
@@ -35,7 +35,6 @@ from slipfree.problem.inputs import FileStates, file_states, files_read
 from slipfree.problem.load import load_again
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.atlas import AtlasSetup, build_atlas
-from slipfree.problem.verbs.base import Lines
 from slipfree.show.atlas_figures import AtlasView, friction_maps
 from slipfree.system.parts import Identity, Parts
 from slipfree.system.processes import Poll, Pool, finish_tasks, local_tasks

@@ -15,6 +15,7 @@ from slipfree.control.path_following import follow, straight
 from slipfree.control.step_climbing import StepClimbing, check_period, climbing, held_torques
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
+from slipfree.core.facts import Lines
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import Column, Trajectory, heading_column
 from slipfree.files.maps.reference_systems import semi_major_axis
@@ -32,7 +33,6 @@ from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
 from slipfree.problem.problem import Problem, S, shared
 from slipfree.problem.schema import KINDS, OBSTACLES, DriverTable, LawKeys, Modelled, soil_of
 from slipfree.problem.units import check_units
-from slipfree.problem.verbs.base import Lines
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
 from slipfree.terrain.base import Terrain

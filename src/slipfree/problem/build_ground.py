@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from slipfree.core.errors import DataError, ModelError
+from slipfree.core.facts import Lines
 from slipfree.files.cf import DEGREES, MapCoordinate
 from slipfree.files.maps.elevation import (
     Frame,
@@ -31,7 +32,6 @@ from slipfree.files.toml.types import AngleWithUnit
 from slipfree.problem import schema
 from slipfree.problem.problem import A, Problem, S, shared
 from slipfree.problem.schema import TerrainKeys
-from slipfree.problem.verbs.base import Lines
 from slipfree.terrain.base import MAX_HEIGHT, Grid, check_friction
 from slipfree.terrain.grid_ops import MAX_NODES, Changed, Heights, Window, cut, disturbed, smoothed
 from slipfree.terrain.kernel import library

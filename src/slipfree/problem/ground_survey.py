@@ -12,13 +12,12 @@ from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
 from slipfree.atlas.atlas import Atlas, Band
 from slipfree.core.errors import ModelError
-from slipfree.core.facts import Fact, lines, rows
+from slipfree.core.facts import Fact, Lines, lines, rows
 from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import heading_column
 from slipfree.problem.build_ground import GroundMap
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.atlas import AtlasKeys, AtlasTable, build_atlas
-from slipfree.problem.verbs.base import Lines
 from slipfree.terrain.base import Grid
 
 STEEP = 20.0, 30.0  # slopes that are counted [deg]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from slipfree.core.errors import DataError, ModelError
-from slipfree.core.facts import Fact
+from slipfree.core.facts import Fact, Lines
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import SolverError, outcome_words
 from slipfree.files.toml.source import ProblemError
@@ -22,7 +22,7 @@ from slipfree.plan.problem import costs_of
 from slipfree.problem.load import Recipe, recipe_of, verb_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import build, run_problem
-from slipfree.problem.verbs.base import Lines, Result
+from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan_schema import PlanKeys
 from slipfree.system.processes import local_tasks
 

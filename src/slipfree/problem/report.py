@@ -13,7 +13,7 @@ import numpy as np
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
-from slipfree.core.facts import lines, printed_unit
+from slipfree.core.facts import Lines, lines, printed_unit
 from slipfree.core.records import Array, leaves, unpack
 from slipfree.core.trajectory import FIGURE_SAMPLES, Trajectory, outcome_words
 from slipfree.core.version import __version__
@@ -41,7 +41,7 @@ from slipfree.problem.load import find_motion_verb, load_problem, verb_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import build, motion_facts, open_result
 from slipfree.problem.stored_world import STORED
-from slipfree.problem.verbs.base import PLAIN_ROWS, Lines, Result, outcome_fact, ranges
+from slipfree.problem.verbs.base import PLAIN_ROWS, Result, outcome_fact, ranges
 from slipfree.problem.verbs.drive_facts import START_ROWS
 from slipfree.routing.traversability import extents
 from slipfree.show.atlas_figures import atlas_plots

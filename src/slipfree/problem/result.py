@@ -13,7 +13,7 @@ from typing import Any
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, SlipfreeError
-from slipfree.core.facts import Fact, lines
+from slipfree.core.facts import Fact, Lines, lines
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Stop, Trajectory, thin
@@ -33,7 +33,6 @@ from slipfree.problem.verbs.base import (
     PLAIN_ROWS,
     VERB_ATTRIBUTE,
     CrossCheck,
-    Lines,
     Result,
     VerbSolution,
     Watch,

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from slipfree.core.errors import DataError
+from slipfree.core.facts import Lines
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.files.tables import read_columns, read_names
@@ -35,7 +36,6 @@ from slipfree.models.single_wheel import (
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, validated_problem
 from slipfree.problem.schema import GRAVITY, FileKeys, Gravity, NamedSoil, soil_of
-from slipfree.problem.verbs.base import Lines
 from slipfree.problem.verbs.fit import direction_lines, estimate_lines, estimate_rows
 from slipfree.vehicle.gravity import gravity_of, gravity_words
 

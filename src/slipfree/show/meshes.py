@@ -10,8 +10,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy  # scipy.spatial and scipy.interpolate are imported when they are used
-from matplotlib.path import Path
-from matplotlib.transforms import Bbox
 
 from slipfree.core.records import Array
 from slipfree.geometry.mesh import TriangleMesh, sheet
@@ -142,6 +140,9 @@ def clipped(
     points: Sequence[tuple[float, float]], low: tuple[float, float], high: tuple[float, float]
 ) -> Array:
     """Return the corners of the part of a convex polygon inside a box, shape (n, 2)."""
+    from matplotlib.path import Path  # motions without figures do without Matplotlib
+    from matplotlib.transforms import Bbox
+
     found = np.asarray(Path(points).clip_to_bbox(Bbox([low, high])).vertices)
     is_last = np.all(np.isclose(found, found[:1], rtol=0, atol=NEAR), axis=1)
     return np.concatenate([found[:1], found[~is_last]])

@@ -23,7 +23,7 @@ from slipfree.system.processes import Poll, Pool, finish_tasks
 from slipfree.system.regular_files import check_name
 
 if TYPE_CHECKING:
-    from slipfree.problem.verbs.base import Lines
+    from slipfree.core.facts import Lines
 
 TABLE = "table.csv"
 MAX_FAILURES = 3  # number of printed failures

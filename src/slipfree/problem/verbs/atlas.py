@@ -19,6 +19,7 @@ from slipfree.atlas.atlas import (
     tiles_of,
 )
 from slipfree.core.dae import Dae
+from slipfree.core.facts import Lines
 from slipfree.core.records import Array, Label, leaves
 from slipfree.core.trajectory import Frame, heading_column
 from slipfree.files.atlas_files import EMPTY, Site
@@ -41,7 +42,6 @@ from slipfree.problem.schema import (
     TerrainTable,
     VehicleSource,
 )
-from slipfree.problem.verbs.base import Lines
 from slipfree.routing.traversability import extents
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, get_args
 import numpy as np
 from typing_extensions import TypeVar
 
-from slipfree.core.facts import Fact, Facts, rows
+from slipfree.core.facts import Fact, Facts, Lines, rows
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.core.trajectory import SolverError, Stop, Trajectory, outcome_words
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from slipfree.problem.build import Setup
 
 
-Lines = list[tuple[str, str]]
 VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
 FAILED_DIAGNOSTICS = "failed_diagnostics"  # fact with names and errors of diagnostics
 PLAIN_ROWS = rows(

@@ -11,7 +11,7 @@ import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.errors import DataError
-from slipfree.core.facts import Fact, Row, lines
+from slipfree.core.facts import Fact, Lines, Row, lines
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.cf import MAP_TRANSFORM, encode_map_coordinates
@@ -35,7 +35,6 @@ from slipfree.problem.schema import Modelled, MotionKeys
 from slipfree.problem.verbs.base import (
     CROSS_CHECK,
     CrossCheck,
-    Lines,
     Result,
     Verb,
     VerbSolution,

@@ -15,6 +15,7 @@ from pydantic import Field
 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
+from slipfree.core.facts import Lines
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import Frame
 from slipfree.files.logs import (
@@ -59,7 +60,6 @@ from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import MODEL, VERB, CommonKeys, LawKeys, VehicleSource
 from slipfree.problem.units import moves_sideways
-from slipfree.problem.verbs.base import Lines
 from slipfree.terrain.analytic import Analytic
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from slipfree.core.errors import ModelError
+from slipfree.core.facts import Lines
 from slipfree.core.records import Array, Mask
 from slipfree.files.logs import OF_POSES, OF_SPEEDS, check_motion, is_continuous, read_log
 from slipfree.files.tables import split_unit
@@ -51,7 +52,6 @@ from slipfree.problem.schema import (
     TerrainTable,
     VehicleSource,
 )
-from slipfree.problem.verbs.base import Lines
 from slipfree.problem.verbs.fit import (
     LogKeys,
     Name,

@@ -23,8 +23,9 @@ DIFFERENCE, VIOLATION, PLAN_COST = "plan_difference_", "plan_violation_", "plan_
 ROUNDING = 1e-6  # smaller violations count as rounding, in the unit of the limit
 ROWS = rows(
     """\
-plan: {plan_iterations:.0f} iterations, {plan_seconds:.3g}, of which {plan_seconds_functions:.3g} \
-in functions; <plan_cost_*> {name} {fact:.6g}
+iterate: {iterate}
+plan: {plan_iterations:.0f} iterations, {plan_seconds:.3g}, of which \
+{plan_seconds_functions:.3g} in functions; <plan_cost_*> {name} {fact:.6g}
 whole turns: <whole_turns> {fact}
 windows: {windows}
 starts: {plan_optima:.0f} local optima from {start_count} starts
@@ -139,6 +140,8 @@ def described(run: Trajectory) -> dict[str, Fact]:
     is_kept = run.stop is None and violation <= facts["plan_accuracy"].value
     is_solved = run.stop is None or run.stop.name != PLAN
     texts = {"simulated": _simulated_words(facts, is_solved=is_solved)}
+    if not is_solved:
+        texts["iterate"] = "the motion is that of an iterate, not of a solution"
     if "plan_windows" in facts:
         texts["windows"] = _windows_words(facts["plan_windows"].value)
     if "plan_starts" in facts:
