@@ -125,7 +125,7 @@ print(f"friction needed {needed.max():.2f}: wheel {run.wheels[worst]}, t = {run.
 print(f"drive torque {np.abs(run['drive_torque']).max():.0f} N m, ", end="")
 print(f"tip-over margin {run['tip_over_margin'].min():.2f} rad")
 figure = style.figure(6.4, 2.8)
-ax = motion_figures.history(run, "friction_needed", figure.subplots())
+ax = style.history(run, "friction_needed", figure.subplots())
 ax.axhline(ground.mu, color="black", ls=":", label="what the ground offers")
 figure.legend(loc="outside lower center", ncols=4)
 figure

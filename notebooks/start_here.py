@@ -100,7 +100,7 @@ print(f"friction needed {along['friction_needed'].max():.2f}")
 figure = style.figure(6.4, 2.6)
 left, right = figure.subplots(1, 2, sharey=True)
 for ax, motion, words in ((left, run, "constant rates"), (right, along, "driving law")):
-    motion_figures.history(motion, "friction_needed", ax).set_title(words)
+    style.history(motion, "friction_needed", ax).set_title(words)
 left.legend(frameon=False)
 right.set_ylabel("")
 figure

@@ -38,7 +38,7 @@ from slipfree.models.given_rates import PLANAR
 from slipfree.models.inverse import inverse_kinematics, steering_note
 from slipfree.models.montana import cross_check, montana_kinematics
 from slipfree.models.samples import measured_slip
-from slipfree.show import motion_figures
+from slipfree.show import motion_figures, style
 from slipfree.show.plots import draw
 from slipfree.terrain.synthetic import blank, power_law
 
@@ -159,7 +159,7 @@ print(back.stop.words if back.stop else f"ran to {back.t[-1]:g} s")
 
 # %%
 figure = Figure(figsize=(6, 3), layout="constrained")
-motion_figures.tilts(back, figure.subplots())
+style.history(back, ["tilt_right", "tilt_left"], figure.subplots())
 figure
 
 # %%
