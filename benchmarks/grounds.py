@@ -80,12 +80,12 @@ def called(
 
 def without_kernel(grid: Grid) -> Bicubic:
     """Return a ground that does not use the kernel."""
-    opened, bicubic.opened = bicubic.opened, lambda *_: None
+    register, bicubic.register_ground = bicubic.register_ground, lambda *_: None
     try:
         ground = Bicubic(grid)
         ground.jet(ca.SX.sym("x"), ca.SX.sym("y"), LookupTable())
     finally:
-        bicubic.opened = opened
+        bicubic.register_ground = register
     return ground
 
 

@@ -65,7 +65,7 @@ from slipfree.problem.result import motion_facts, run_problem
 from slipfree.problem.verbs.fit import estimate_rows, facts, fit
 from slipfree.show.html_page import page
 from slipfree.show.plots import save
-from slipfree.solve import simulate
+from slipfree.solve import integrator
 from slipfree.terrain.synthetic import blank, power_law
 
 SHIPPED = {  # problems that get a random ground, and their settings
@@ -347,7 +347,7 @@ def _row(process: psutil.Process, now: float, count: int) -> Row:
     cached = {word for word in maps if "slipfree/compiled" in word}
     print(
         f"{row.minutes:8.2f}{count:10}{memory:13.1f}{row.in_use:11.1f}{len(gc.get_objects()):16}"
-        f"{simulate.count_idle():13}{len(cached):11}{files:12}{process.num_threads():9}",
+        f"{integrator.count_idle():13}{len(cached):11}{files:12}{process.num_threads():9}",
         flush=True,
     )
     return row

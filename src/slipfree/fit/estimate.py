@@ -183,7 +183,7 @@ def estimate(
     is_interrupted = False
     for k in range(REWEIGHTINGS):
         deviations = _deviations(predict(values).values - windows.end)
-        search = Search(predict, windows.end, deviations, sought)
+        search = Residuals(predict, windows.end, deviations, sought)
         try:
             result = search.run(values, loss, xtol=1e-10)
         except KeyboardInterrupt:
@@ -311,8 +311,8 @@ def _deviations(residual: Array) -> Array:
     )
 
 
-class Search:
-    """Search of unknowns: residuals and their Jacobian, without unit; accepted and rejected values.
+class Residuals:
+    """Residuals and their Jacobian at sought values, without unit; accepted and rejected values.
 
     `scipy.optimize.least_squares` rejects a trial whose residuals are not finite, and requests the
     Jacobian only where it accepts one. Measured values (n, m) may be NaN: not measured.

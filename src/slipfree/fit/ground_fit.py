@@ -22,7 +22,7 @@ from slipfree.fit.estimate import (
     Interval,
     Prediction,
     Priors,
-    Search,
+    Residuals,
     Sought,
     bootstrap,
 )
@@ -79,7 +79,7 @@ def fit_ground(model: MotionModel, predict: GroundPredictor, where: str = "the l
     none = np.zeros_like(errors(start).values)  # MotionError without a motion at the start values
     deviations = np.array(FIRST_DEVIATIONS)
     for _ in range(2):  # the second time with the deviations of the first one
-        search = Search(errors, none, deviations, sought)
+        search = Residuals(errors, none, deviations, sought)
         result = search.run(values, "soft_l1", xtol=1e-5, ftol=1e-6, max_nfev=MAX_EVALUATIONS)
         values = result.x
         spread = np.median(np.abs(errors(values).values), axis=0) / NORMAL_MEDIAN
@@ -90,7 +90,7 @@ def fit_ground(model: MotionModel, predict: GroundPredictor, where: str = "the l
             f"{where}: expected convergence of the fit of the model {model.words!r}, found none "
             f"after {result.nfev} evaluations; use longer logs or a simpler model"
         )
-    search = Search(errors, none, deviations, sought)
+    search = Residuals(errors, none, deviations, sought)
     found = search.estimate(values, errors.accept(values), predict.windows.log, "soft_l1", spent=1)
     if found.undetermined:
         raise ModelError(

@@ -26,7 +26,7 @@ from slipfree.fit.estimate import (
     Loss,
     Prediction,
     Priors,
-    Search,
+    Residuals,
     Sought,
     bootstrap,
     inner_bounds,
@@ -304,7 +304,7 @@ class SoilProblem:
     def search(self, runs: WheelRuns, start: Array, deviations: Array) -> Any:
         """Return the result of `least_squares` for given deviations of the quantities."""
         predict = WheelPredictor(self._model, runs)
-        search = Search(predict, runs.values, deviations, self._sought)
+        search = Residuals(predict, runs.values, deviations, self._sought)
         return search.run(start, self._loss, xtol=TOLERANCE, ftol=TOLERANCE)
 
     def solve(self, runs: WheelRuns, start: Array) -> tuple[Array, Array, bool]:
@@ -330,7 +330,7 @@ class SoilProblem:
         """Return the estimate with its covariance, for independent runs."""
         scales, runs = np.maximum(self._sought.scales, np.abs(values)), self._runs
         predict = WheelPredictor(self._model, runs)
-        search = Search(predict, runs.values, deviations, self._sought._replace(scales=scales))
+        search = Residuals(predict, runs.values, deviations, self._sought._replace(scales=scales))
         return search.estimate(values, predict(values), runs.run, self._loss)
 
 

@@ -21,6 +21,7 @@ from slipfree.solve.sampling import TURN
 
 DIFFERENCE, VIOLATION, PLAN_COST = "plan_difference_", "plan_violation_", "plan_cost_"
 ROUNDING = 1e-6  # smaller violations count as rounding, in the unit of the limit
+SLIDING = 0.95  # wheels with a larger utilisation count as sliding
 ROWS = rows(
     """\
 iterate: {iterate}
@@ -53,7 +54,7 @@ prices of limits: {prices}
 !driven slowly: {slow_failure}
 !simulated with friction: ends {friction_end_distance:.3g} from the plan, slips \
 {friction_slip_per_path:.3g>mm/m} per wheel, utilisation at most \
-{friction_utilisation_largest:.3g}
+{friction_utilisation_largest:.3g}[ ({slides})]
 !simulated with friction: {friction_failure}
 !simulated with inertia: ends {soil_end_distance:.3g} from the plan, slip ratio \
 {soil_slip_ratio_largest:.3g} at most, sinkage {soil_sinkage_largest:.3g>mm} at most, work \
@@ -142,6 +143,8 @@ def described(run: Trajectory) -> dict[str, Fact]:
     texts = {"simulated": _simulated_words(facts, is_solved=is_solved)}
     if not is_solved:
         texts["iterate"] = "the motion is that of an iterate, not of a solution"
+    if facts.get("friction_utilisation_largest", Fact(0.0)).value > SLIDING:
+        texts["slides"] = "a wheel slides"
     if "plan_windows" in facts:
         texts["windows"] = _windows_words(facts["plan_windows"].value)
     if "plan_starts" in facts:
