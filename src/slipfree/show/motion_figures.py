@@ -290,12 +290,12 @@ FIGURES: tuple[Callable[[PlottedDrive], Plot | None], ...] = (
     map_plot,
     elevation_plot,
     over_time("slip", "Slip of every wheel over time.", "slip_along slip_across"),
+    utilisation_plot,
     over_time(
         "contact",
         "Depth and slip ratio of every wheel over time.",
         "sinkage depth slip_ratio drawbar_reserve",
     ),
-    utilisation_plot,
     over_time(
         "clearance",
         "Least distance of the vehicle's bodies from the ground over time.",
