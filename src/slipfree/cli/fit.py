@@ -24,7 +24,6 @@ from slipfree.cli.common import (
     print_facts,
     print_line,
     read_problem,
-    reported,
 )
 from slipfree.cli.new import write_new_file
 from slipfree.cli.outputs import check_outputs, default_table, save
@@ -78,7 +77,7 @@ def fit(
     determine an unknown, the exit code is 1 and no vehicle or soil is written. A wheel file, with
     the table [wheel], is fitted to the measured points that it names.
     """
-    with reported(), about(file):
+    with about(file):
         from slipfree.files.tables import write_rows
         from slipfree.problem.wheel_test import is_wheel_file
 
@@ -253,7 +252,7 @@ def wheel(
     slip angle as a table and a figure. Measured points of a CSV file are drawn over the curves,
     and compared with them.
     """
-    with reported(), about(file):
+    with about(file):
         from slipfree.files.tables import write_rows
         from slipfree.fit.wheel_soil import QUANTITIES
         from slipfree.problem.wheel_test import (

@@ -23,7 +23,6 @@ from slipfree.cli.common import (
     detail,
     output_option,
     print_line,
-    reported,
     warn,
 )
 from slipfree.cli.outputs import Picture, check_outputs, check_page, check_picture, save_picture
@@ -74,54 +73,53 @@ def show(
 
     The page shows ground, vehicles, contact points, slip and forces in three dimensions.
     """
-    with reported():
-        if html is not None:
-            check_page(html, files)
-        if animation is not None:
-            from slipfree.show.film import FRAMES, film_writer
+    if html is not None:
+        check_page(html, files)
+    if animation is not None:
+        from slipfree.show.film import FRAMES, film_writer
 
-            check_outputs([html, animation], files)
-            film_writer(animation, FRAMES)
-        check_picture(picture, files)
-        if html is not None or (animation is None and picture is None):
-            require("viser", "view", "show: ")
-        from slipfree.show.drive_scene import drive_scene
+        check_outputs([html, animation], files)
+        film_writer(animation, FRAMES)
+    check_picture(picture, files)
+    if html is not None or (animation is None and picture is None):
+        require("viser", "view", "show: ")
+    from slipfree.show.drive_scene import drive_scene
 
-        motions = _read(files)
-        title = motions[0].run.attributes.get("title", motions[0].name)
-        with about(files[0]):
-            scene = drive_scene(motions, with_poses=color in POSE_LAYERS)
-        first, last = scene.span
-        if time is not None and picture is None:
-            raise DataError("--at: expected --picture with it, found none; add it, or omit --at")
-        if time is not None and not first <= time <= last:
-            raise DataError(
-                f"--at: expected a time from {first:g} to {last:g} s, those of the motions, found "
-                f"{time:g} s; choose a time in this range"
-            )
-        for words in scene.warnings:
-            warn(words)
-        if animation is not None:
-            from slipfree.show.film import animate
+    motions = _read(files)
+    title = motions[0].run.attributes.get("title", motions[0].name)
+    with about(files[0]):
+        scene = drive_scene(motions, with_poses=color in POSE_LAYERS)
+    first, last = scene.span
+    if time is not None and picture is None:
+        raise DataError("--at: expected --picture with it, found none; add it, or omit --at")
+    if time is not None and not first <= time <= last:
+        raise DataError(
+            f"--at: expected a time from {first:g} to {last:g} s, those of the motions, found "
+            f"{time:g} s; choose a time in this range"
+        )
+    for words in scene.warnings:
+        warn(words)
+    if animation is not None:
+        from slipfree.show.film import animate
 
-            with counted("frames") as progress:
-                speed = animate(scene, animation, title, progress)
-            print_line(f"wrote {animation}, {speed}")
-            add_json_file(animation)
-        if html is not None:
-            from slipfree.show.viewer import page
+        with counted("frames") as progress:
+            speed = animate(scene, animation, title, progress)
+        print_line(f"wrote {animation}, {speed}")
+        add_json_file(animation)
+    if html is not None:
+        from slipfree.show.viewer import page
 
-            text = page(scene, title, color)
-            _write_page(html, text)
-            print_line(f"wrote {html}, {len(text) / 1e6:.1f} MB")
-        if picture is not None:
-            from slipfree.show.film import picture as drawn
+        text = page(scene, title, color)
+        _write_page(html, text)
+        print_line(f"wrote {html}, {len(text) / 1e6:.1f} MB")
+    if picture is not None:
+        from slipfree.show.film import picture as drawn
 
-            save_picture(drawn(scene, title, time), picture)
-        if html is None and animation is None and picture is None:
-            from slipfree.show.viewer import serve
+        save_picture(drawn(scene, title, time), picture)
+    if html is None and animation is None and picture is None:
+        from slipfree.show.viewer import serve
 
-            serve(scene, title, color, port, warn, lambda url: open_page(url, browser))
+        serve(scene, title, color, port, warn, lambda url: open_page(url, browser))
 
 
 def _write_page(file: Path, text: str) -> None:
@@ -183,7 +181,7 @@ def report(
 
     The page has facts, checks, figures, the problem file and versions.
     """
-    with reported(), about(file):
+    with about(file):
         from slipfree.problem.report import report as made
         from slipfree.show.html_page import page
 
@@ -211,8 +209,7 @@ def edit(
     Drag start, goal and keep-out regions. The page shows the search while it runs and compares the
     plan with the last one. It saves the start, goal and regions to the problem file.
     """
-    with reported():
-        _serve(file, port, trust or [], browser=browser)
+    _serve(file, port, trust or [], browser=browser)
 
 
 def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:

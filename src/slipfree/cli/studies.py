@@ -25,7 +25,6 @@ from slipfree.cli.common import (
     print_facts,
     print_line,
     read_problem,
-    reported,
     reporting,
     written,
 )
@@ -47,37 +46,36 @@ def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
 
     Print whether each vehicle can roll without slip, and the slip that remains otherwise.
     """
-    with reported():
-        from slipfree.problem.build_ground import ground_facts
-        from slipfree.problem.verbs.compare import compare as solve
+    from slipfree.problem.build_ground import ground_facts
+    from slipfree.problem.verbs.compare import compare as solve
 
-        def print_progress(name: str) -> None:
-            if sys.stderr.isatty() and has_bar():
-                print_line(f"  {name}", err=True)
-            detail(f"vehicle {name}")
+    def print_progress(name: str) -> None:
+        if sys.stderr.isatty() and has_bar():
+            print_line(f"  {name}", err=True)
+        detail(f"vehicle {name}")
 
-        problem = read_problem(file, settings, trust, "compare")
-        with held_interrupt(from_first_poll=True):
-            ground, rows = solve(problem, print_progress)
-            is_interrupted = interrupt_requested()
-        print_facts(ground_facts(ground))
-        add_json("vehicles", lambda: [row_json(row) for row in rows])
-        width = max(len(row.name) for row in rows)
-        for words, drives in (
-            ("at the same rates", [row.same for row in rows]),
-            ("at the rates of the driving law", [row.fitting for row in rows]),
-        ):
-            print_line(f"\n{words}: largest slip of the wheels {', '.join(rows[0].wheels)} [mm/s]")
-            head = f"{'rank':6}{'along':18}{'across':18}{'from the poses':27}"
-            print_line(f"{'':{width}}  {head}{'friction*':10}{'tilt [rad]':12}axle [m]")
-            for row, drive in zip(rows, drives, strict=True):
-                rank = f"{row.rank}/{row.conditions}"
-                print_line(f"{row.name:{width}}  {rank:6}{_drive_words(drive)}")
-        print_line("\n* largest friction coefficient that a wheel requires; forces load-weighted")
-        if is_interrupted:
-            count = f"{len(rows)} of {len(problem.spec.vehicles)}"
-            print_error(f"interrupted; the table contains {count} vehicles")
-            raise typer.Exit(INTERRUPTED)
+    problem = read_problem(file, settings, trust, "compare")
+    with held_interrupt(from_first_poll=True):
+        ground, rows = solve(problem, print_progress)
+        is_interrupted = interrupt_requested()
+    print_facts(ground_facts(ground))
+    add_json("vehicles", lambda: [row_json(row) for row in rows])
+    width = max(len(row.name) for row in rows)
+    for words, drives in (
+        ("at the same rates", [row.same for row in rows]),
+        ("at the rates of the driving law", [row.fitting for row in rows]),
+    ):
+        print_line(f"\n{words}: largest slip of the wheels {', '.join(rows[0].wheels)} [mm/s]")
+        head = f"{'rank':6}{'along':18}{'across':18}{'from the poses':27}"
+        print_line(f"{'':{width}}  {head}{'friction*':10}{'tilt [rad]':12}axle [m]")
+        for row, drive in zip(rows, drives, strict=True):
+            rank = f"{row.rank}/{row.conditions}"
+            print_line(f"{row.name:{width}}  {rank:6}{_drive_words(drive)}")
+    print_line("\n* largest friction coefficient that a wheel requires; forces load-weighted")
+    if is_interrupted:
+        count = f"{len(rows)} of {len(problem.spec.vehicles)}"
+        print_error(f"interrupted; the table contains {count} vehicles")
+        raise typer.Exit(INTERRUPTED)
 
 
 def _drive_words(drive: ComparedMotion) -> str:
@@ -148,54 +146,51 @@ def pareto(
 
     Print the Pareto front, and write its table, its figure and the plan of every point.
     """
-    with reported():
-        from slipfree.files.netcdf import write
-        from slipfree.files.tables import write_rows
-        from slipfree.problem.inputs import files_read
-        from slipfree.problem.pareto import (
-            GIVEN,
-            front_facts,
-            front_plot,
-            front_rows,
-            plan_front,
-            table_lines,
+    from slipfree.files.netcdf import write
+    from slipfree.files.tables import write_rows
+    from slipfree.problem.inputs import files_read
+    from slipfree.problem.pareto import (
+        GIVEN,
+        front_facts,
+        front_plot,
+        front_rows,
+        plan_front,
+        table_lines,
+    )
+
+    problem = read_problem(file, settings, trust)
+    folder = out or Path(f"{problem.source.path.stem}_pareto")
+    files = {k: f"point_{k + 1:02}.nc" for k in range(points)} | {GIVEN: "plan.nc"}
+    outputs = [TABLE, FIGURE, *files.values()]
+    check_outputs([], files_read(problem), folder=folder, names=outputs)
+
+    def keep(number: int, point: FrontPoint) -> None:
+        result, path = point.solution.result, folder / files[number]
+        folder.mkdir(parents=True, exist_ok=True)
+        save(path, lambda path: write(path, result.trajectory, result.arrays))
+        detail(f"wrote {path}")
+
+    with reporting(None) as reports:
+        report = reports.search
+        front = plan_front(problem, against, points, processes=processes, report=report, keep=keep)
+        names, rows = front_rows(front)
+        save(folder / TABLE, lambda path: write_rows(path, names, rows))
+        is_interrupted = interrupt_requested()
+    print_facts(front_facts(front))
+    print_line("\n".join(["", *table_lines(front)]))
+    add_json("points", lambda: [dict(zip(names, row, strict=True)) for row in rows])
+    draw = draw and not is_interrupted
+    if draw:
+        draw_plots([front_plot(front)], folder)
+    print_line(f"wrote table, plans{' and figure' if draw else ''} in {folder}")
+    if front.outcome.exit_code:
+        unsolved = sum(not each.is_solved for each in front.points)
+        verb, what = ("is", "the reason is") if unsolved == 1 else ("are", "the reasons are")
+        print_error(
+            f"{unsolved} of {len(front.points)} points {verb} not solved; {what} in the last "
+            f"column of {folder / TABLE}"
         )
-
-        problem = read_problem(file, settings, trust)
-        folder = out or Path(f"{problem.source.path.stem}_pareto")
-        files = {k: f"point_{k + 1:02}.nc" for k in range(points)} | {GIVEN: "plan.nc"}
-        outputs = [TABLE, FIGURE, *files.values()]
-        check_outputs([], files_read(problem), folder=folder, names=outputs)
-
-        def keep(number: int, point: FrontPoint) -> None:
-            result, path = point.solution.result, folder / files[number]
-            folder.mkdir(parents=True, exist_ok=True)
-            save(path, lambda path: write(path, result.trajectory, result.arrays))
-            detail(f"wrote {path}")
-
-        with reporting(None) as reports:
-            report = reports.search
-            front = plan_front(
-                problem, against, points, processes=processes, report=report, keep=keep
-            )
-            names, rows = front_rows(front)
-            save(folder / TABLE, lambda path: write_rows(path, names, rows))
-            is_interrupted = interrupt_requested()
-        print_facts(front_facts(front))
-        print_line("\n".join(["", *table_lines(front)]))
-        add_json("points", lambda: [dict(zip(names, row, strict=True)) for row in rows])
-        draw = draw and not is_interrupted
-        if draw:
-            draw_plots([front_plot(front)], folder)
-        print_line(f"wrote table, plans{' and figure' if draw else ''} in {folder}")
-        if front.outcome.exit_code:
-            unsolved = sum(not each.is_solved for each in front.points)
-            verb, what = ("is", "the reason is") if unsolved == 1 else ("are", "the reasons are")
-            print_error(
-                f"{unsolved} of {len(front.points)} points {verb} not solved; {what} in the last "
-                f"column of {folder / TABLE}"
-            )
-            raise typer.Exit(INTERRUPTED if is_interrupted else front.outcome.exit_code)
+        raise typer.Exit(INTERRUPTED if is_interrupted else front.outcome.exit_code)
 
 
 def track(
@@ -253,7 +248,7 @@ def track(
     --set, as in model=quasi-static, and drawn at random by --disturb; every way meets the same
     worlds.
     """
-    with reported(), about(file):
+    with about(file):
         from slipfree.files.netcdf import write
         from slipfree.problem.result import result_files
         from slipfree.problem.verbs.plan_tracking import (
