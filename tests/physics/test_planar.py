@@ -19,7 +19,7 @@ from slipfree import (
     settle,
     simulate,
 )
-from slipfree.control.step_climbing import Controller, controlled
+from slipfree.control.step_climbing import ControlLaw, controlled
 from slipfree.core.errors import ModelError
 from slipfree.core.rearrange import new_variable
 from slipfree.core.records import Label
@@ -83,7 +83,7 @@ def test_a_controller_of_torques_equals_the_motors_of_a_vehicle():
     sums = [new_variable(model, Label(f"sum_{name}", "N m", "integral")) for name in names]
     wanted = new_variable(model, Label("wanted", "rad s-1", "wanted rate"))
     errors = [wanted.symbol - rate for rate in model.y.common.wheel_rate]
-    controller = Controller(
+    controller = ControlLaw(
         tuple(replace(s, rate=20.0 * error) for s, error in zip(sums, errors, strict=True)),
         (wanted,),
         tuple(3.0 * error + s.symbol for error, s in zip(errors, sums, strict=True)),
@@ -104,4 +104,4 @@ FLAT = Analytic(lambda x, _y: 0 * x, mu=0.8)
 def test_a_controller_has_a_law_for_every_input():
     model = dynamics(driven(Torque()), FLAT)
     with pytest.raises(ModelError, match="expected 4 laws, one per input of the model, found 0"):
-        controlled(model, Controller((), (), (), ()))
+        controlled(model, ControlLaw((), (), (), ()))

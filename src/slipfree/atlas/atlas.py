@@ -24,7 +24,7 @@ from slipfree.batch.evaluator import Evaluator, EvaluatorOf, evaluator_of, evalu
 from slipfree.batch.graph import Graph, Graphs, graph_of
 from slipfree.batch.many import (
     CHUNK,
-    Source,
+    Wanted,
     columns_of,
     solve_positions,
     sources_of,
@@ -191,7 +191,7 @@ class AtlasGraphs(NamedTuple):
 class Reduction(NamedTuple):
     """A band: the rows of a quantity, its label, and the reduction over the rows."""
 
-    source: Source
+    source: Wanted
     label: Label
     reduce: Callable[..., Array]
 

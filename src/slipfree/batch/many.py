@@ -62,8 +62,8 @@ class LaneResults(NamedTuple):
     disputed: Mask
 
 
-class Source(NamedTuple):
-    """Label of a quantity and its rows: of the states, or of the outputs if ``is_output``."""
+class Wanted(NamedTuple):
+    """Label of a wanted quantity, and its rows: outputs if ``is_output``, otherwise states."""
 
     label: Label
     rows: list[int]
@@ -222,7 +222,7 @@ def stand_checked(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
     return codes
 
 
-def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, Source]) -> _Poses:
+def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, Wanted]) -> _Poses:
     graphs = evaluate.graphs
     codes = stand_checked(evaluate, states, stand(evaluate, states))
     outcomes, reasons = ["complete"] * codes.size, [""] * codes.size
@@ -235,7 +235,7 @@ def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, Source]) ->
     return _Poses({n: v[:, 0] for n, v in values.items()}, outcomes, reasons)
 
 
-def _pose_dataset(sources: Mapping[str, Source], parts: Sequence[_Poses]) -> xarray.Dataset:
+def _pose_dataset(sources: Mapping[str, Wanted], parts: Sequence[_Poses]) -> xarray.Dataset:
     variables: dict[str, Any] = {}
     wheels = tuple[str, ...]()
     for name, source in sources.items():
@@ -348,7 +348,7 @@ def _run(
     inputs: Array,
     t: Array,
     step: float,
-    sources: Mapping[str, Source],
+    sources: Mapping[str, Wanted],
     *,
     placed: bool,
 ) -> LaneResults:
@@ -420,7 +420,7 @@ def columns_of(graphs: Graphs, states: Array) -> tuple[Array, Array, Array]:
     return states[rows.x], z, states[rows.u]
 
 
-def sources_of(graphs: Graphs, names: Sequence[str] | None) -> dict[str, Source]:
+def sources_of(graphs: Graphs, names: Sequence[str] | None) -> dict[str, Wanted]:
     """Return the sources of quantities; by default of all that a lane has.
 
     Raises ModelError if a name is unknown.
@@ -435,14 +435,14 @@ def sources_of(graphs: Graphs, names: Sequence[str] | None) -> dict[str, Source]
         (leaves(dae.labels.u), range(rows.u.start, rows.u.stop), None, False),
         (leaves(dae.labels.y), range(len(list(leaves(dae.labels.y)))), None, True),
     )
-    known: dict[str, Source] = {}
+    known: dict[str, Wanted] = {}
     for labels, indices, shift, is_output in groups:
         for k, (label, row) in enumerate(zip(labels, indices, strict=True)):
             moved = 0.0 if shift is None else float(shift[k])
             old = known.get(label.name)
             if old is None:
                 text = label.words.replace(f"wheel {label.wheel}", "the wheel")
-                old = Source(Label(label.name, label.unit, text), [], is_output, np.zeros(0), ())
+                old = Wanted(Label(label.name, label.unit, text), [], is_output, np.zeros(0), ())
             wheels = (*old.wheels, label.wheel) if label.wheel is not None else ()
             known[label.name] = old._replace(
                 rows=[*old.rows, row], shift=np.append(old.shift, moved), wheels=wheels
@@ -458,7 +458,7 @@ def sources_of(graphs: Graphs, names: Sequence[str] | None) -> dict[str, Source]
     return {name: known[name] for name in names}
 
 
-def _values(evaluate: Evaluator, sources: Mapping[str, Source], samples: Array) -> dict[str, Array]:
+def _values(evaluate: Evaluator, sources: Mapping[str, Wanted], samples: Array) -> dict[str, Array]:
     outputs = samples
     if any(source.is_output for source in sources.values()):
         for states in samples:  # while driving, forces are only as exact as limits need them

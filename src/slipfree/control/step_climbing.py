@@ -43,8 +43,8 @@ from slipfree.terrain.solids import Profile
 from slipfree.vehicle.tree import Vehicle
 
 
-class Controller(NamedTuple):
-    """Controller of a model, in symbols of the model and of its own.
+class ControlLaw(NamedTuple):
+    """Control law of a model, in symbols of the model and of its own.
 
     States have rates; ``laws`` are the values of the model's inputs in their order.
     """
@@ -55,7 +55,7 @@ class Controller(NamedTuple):
     outputs: tuple[tuple[Label, ca.SX], ...]
 
 
-def controlled(model: Dae, controller: Controller, *, sampled: bool = False) -> Dae:
+def controlled(model: Dae, controller: ControlLaw, *, sampled: bool = False) -> Dae:
     """Return a model with a controller: states, inputs and outputs of the model, then its own.
 
     With ``sampled`` the inputs of the model remain inputs, which
@@ -297,7 +297,7 @@ def climbing(
         Label("torque_scale", "1", "factor by which the torque limit scales all torques"),
     )
     outputs = *command.references, *command.torques, command.scale
-    controller = Controller(
+    controller = ControlLaw(
         tuple(replace(s, rate=r) for s, r in zip(states, command.rates, strict=True)),
         (speed,),
         tuple(n * tau for n, tau in zip(control.motors, command.torques, strict=True)),

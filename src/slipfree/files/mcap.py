@@ -75,7 +75,7 @@ class JointCommands(NamedTuple):
     velocities: Array  # [rad/s or m/s], NaN where a message has none
 
 
-class MotionLog(NamedTuple):
+class RecordedMotion(NamedTuple):
     """Poses as in `read_mcap`, and joints by name, with times since the first pose [s]."""
 
     pose: Rows
@@ -117,7 +117,7 @@ def read_joint_commands(path: Path) -> dict[str, JointCommands]:
     return _bounded(_joint_commands, path)
 
 
-def read_motion_log(path: Path) -> MotionLog:
+def read_motion_log(path: Path) -> RecordedMotion:
     """Return poses and joint states in an MCAP file: one topic of poses, and one of JointState."""
     return _bounded(_motion_log, path)
 
@@ -128,9 +128,9 @@ def _bounded(read: Callable[..., T], path: Path, *arguments: Any) -> T:
         return bounded_read(read, path, *arguments)
 
 
-def _motion_log(path: Path) -> MotionLog:
+def _motion_log(path: Path) -> RecordedMotion:
     first, table = _table(path, ("x", "y", "heading"))
-    return MotionLog(table, _joint_commands(path, first))
+    return RecordedMotion(table, _joint_commands(path, first))
 
 
 def _table(path: Path, names: tuple[str, str, str]) -> tuple[int, Rows]:

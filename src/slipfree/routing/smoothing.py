@@ -29,7 +29,7 @@ MIN_RELATIVE_GAIN = 1e-6  # smoothing ends at a step with a smaller gain
 MIDDLE, EDGE, BEND = np.array([0.5, 0.5]), np.array([-1.0, 1.0]), np.array([1.0, -2.0, 1.0])
 
 
-class _Field(NamedTuple):
+class _CostField(NamedTuple):
     """Part of the map around a route: finite cost, and distance to the nearest blocked node."""
 
     cost: Array  # shape (n_x, n_y): smoothed cost per metre [1]
@@ -123,7 +123,7 @@ def _check_path(layers: Traversability, points: Array) -> tuple[bool, float]:
     return bool(np.isfinite(layers.least_cost[i, j]).all()), float(np.abs(place.curvature).max())
 
 
-def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Field:
+def _field(layers: Traversability, rough: Array, turning_radius: float) -> _CostField:
     """Return cost and clearance on the part of the map that smoothing can reach."""
     (x_min, y_min), (x_max, y_max) = rough.min(axis=0), rough.max(axis=0)
     room = 2 * turning_radius + 4 * layers.limits.half + 4 * max(layers.spacing)
@@ -141,7 +141,7 @@ def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Fiel
     cost = scipy.ndimage.gaussian_filter(cost, BLUR, mode="nearest")
     clearance = np.minimum(clearance, 2 * CLEARANCE * max(h))  # larger clearances have no effect
     origin = np.array([layers.x[part[0]][0], layers.y[part[1]][0]])
-    return _Field(cost, clearance, origin, np.array(h))
+    return _CostField(cost, clearance, origin, np.array(h))
 
 
 def _nearest(off: Mask, h: tuple[float, float]) -> tuple[Array, Array]:
@@ -149,7 +149,7 @@ def _nearest(off: Mask, h: tuple[float, float]) -> tuple[Array, Array]:
     return i, j
 
 
-def _minimise(field: _Field, points: Array, aim: _Objective) -> Array:
+def _minimise(field: _CostField, points: Array, aim: _Objective) -> Array:
     """Return the points that minimise the smoothing objective, with fixed ends.
 
     Newton's method uses a positive definite part of the Hessian. A gradient method would take
@@ -178,7 +178,7 @@ def _minimise(field: _Field, points: Array, aim: _Objective) -> Array:
     return np.concatenate([points[:1], p[1:-1] + field.origin, points[-1:]])
 
 
-def _objective(field: _Field, p: Array, aim: _Objective) -> tuple[float, Array, Array]:
+def _objective(field: _CostField, p: Array, aim: _Objective) -> tuple[float, Array, Array]:
     """Return the smoothing objective, its gradient, and an approximation of its Hessian.
 
     The objective is the integral along the route of ``cost + (stiff * curvature)**2 / 2 + 10 *
@@ -252,7 +252,7 @@ def _banded(terms: Iterable[tuple[Array, Array]], count: int) -> Array:
     return bands
 
 
-def _bilinear(values: Array, field: _Field, points: Array) -> tuple[Array, Array]:
+def _bilinear(values: Array, field: _CostField, points: Array) -> tuple[Array, Array]:
     """Return bilinearly interpolated values, shape (n,), and their gradients, shape (n, 2)."""
     cell = np.clip(points / field.spacing, 0, np.array(values.shape) - 1)
     first = np.minimum(cell.astype(np.intp), np.array(values.shape) - 2)

@@ -34,7 +34,7 @@ from slipfree.vehicle.tree import Vehicle
 RANK = 1e-9  # smaller singular values, relative to the largest, count as zero
 
 
-class Compared(VehicleSource):
+class NamedVehicle(VehicleSource):
     """A named vehicle of a comparison."""
 
     name: Annotated[str, Field(min_length=1)] = Field(description="name of the vehicle")
@@ -44,7 +44,7 @@ class Compare(TerrainKeys):
     """Several vehicles on one ground: at common rates, and at the rates of a driving law."""
 
     verb: Literal["compare"] = Field(description=VERB)
-    vehicles: Annotated[tuple[Compared, ...], Field(strict=False, min_length=1)] = Field(
+    vehicles: Annotated[tuple[NamedVehicle, ...], Field(strict=False, min_length=1)] = Field(
         description="the vehicles to compare"
     )
     inputs: dict[str, Quantity] = Field(description=INPUTS)
