@@ -60,9 +60,8 @@ from slipfree.problem.load import Recipe
 from slipfree.show.sweep_figures import save_sweep_figures
 from slipfree.solve import integrator as module
 from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.log import Done, RunRow, RunTask
 from slipfree.sweep.run import choose_figures, grids, run_sweep
-from slipfree.sweep.worker import work
+from slipfree.sweep.runs import Done, Rows, RunRow, RunTask, work
 from slipfree.system.threads import NAMES
 from slipfree.vehicle.sections import Torus
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
@@ -252,13 +251,14 @@ class Idle:
         """Return the number of tasks at a time."""
         return 1
 
-    def submit(self, task: RunTask) -> Future[Done]:
+    def submit(self, task: tuple[int, RunTask]) -> Future[tuple[int, Done]]:
         """Return the finished future of a task."""
-        future = Future[Done]()
-        future.set_result(Done(self.row._replace(run=task.run, settings=task.own)))
+        future = Future[tuple[int, Done]]()
+        row = self.row._replace(run=task[0], settings=task[1].own)
+        future.set_result((task[0], Done(row)))
         return future
 
-    def result(self, future: Future[Done], _task: RunTask) -> Done:
+    def result(self, future: Future[tuple[int, Done]], _task: object) -> tuple[int, Done]:
         """Return the result of a future."""
         return future.result()
 
@@ -269,13 +269,14 @@ class Idle:
 def of_sweep(points: int) -> Costs:
     """Return the costs of a sweep by number of points, without the runs."""
     sweep, checking = timed(lambda: sweep_of(PROBLEM, [f"start.heading=0:1:{points}"]))
-    first = next(sweep.runs())
+    first = sweep.run(1)
     task = RunTask(1, Recipe(PROBLEM, PROBLEM.read_text(), first.settings), first.settings)
     pool = Idle(work(task).row)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        _, running = timed(lambda: run_sweep(sweep, folder, lambda: pool))
-        rows, reading = timed(lambda: run_sweep(sweep, folder, lambda: pool))
+        with Rows(folder, sweep.count, sweep.head) as rows:
+            _, running = timed(lambda: run_sweep(sweep, rows, lambda _: pool))
+        rows, reading = timed(lambda: Rows(folder, sweep.count, sweep.head))
         names = choose_figures(sweep, rows, ())[:1]
         found = grids(sweep, rows, names)
         _, drawing = timed(lambda: save_sweep_figures([found[names[0]]], folder, ["png"]))

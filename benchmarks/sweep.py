@@ -25,8 +25,7 @@ from pathlib import Path
 from common import HERE, PROBLEMS
 
 from slipfree.problem.load import Recipe
-from slipfree.sweep.log import RunTask
-from slipfree.sweep.worker import KEPT, work
+from slipfree.sweep.runs import KEPT, RunTask, work
 
 PROBLEM = PROBLEMS / "paper_direct.toml"
 RUNS = 200

@@ -19,7 +19,7 @@ from slipfree import Bicubic, catalog, direct_kinematics, read_map
 from slipfree.atlas import atlas as core
 from slipfree.files.atlas_files import open_atlas
 from slipfree.problem import atlas_tiles, build_ground
-from slipfree.sweep import pools
+from slipfree.system import dask_pool
 from slipfree.terrain import paged
 
 INTERPRETED = sets("atlas.compiled=false")
@@ -156,11 +156,11 @@ def test_only_tiles_as_they_were_written_are_used(monkeypatch):
     monkeypatch.setattr(
         atlas_tiles.TileFolder,
         "store",
-        lambda folder, tile: computed.append(tile.number) or store(folder, tile),
+        lambda folder, *tile: computed.append(tile[0]) or store(folder, *tile),
     )
     kept.undo()
     printed(*words, "-o", "a.tif")
-    assert computed == [*range(6)]
+    assert computed == [*range(1, 7)]
     assert Path("a.tif").read_bytes() == whole
     assert [file.name for file in folder.iterdir()] == ["part_of_mine.npy"]
 
@@ -264,8 +264,8 @@ def test_workers_of_dask_give_the_same_file_if_one_is_killed(monkeypatch):
     with distributed.LocalCluster(n_workers=2, **more) as local:
         first, store, killed = local.workers[0].pid, atlas_tiles.TileFolder.store, []
 
-        def kills(folder, tile):
-            store(folder, tile)
+        def kills(folder, *tile):
+            store(folder, *tile)
             if not killed and len(folder.missing) < 4:  # a worker has finished a tile
                 killed.append(first)
                 os.kill(first, signal.SIGKILL)
@@ -364,7 +364,7 @@ def test_hostile_maps_are_refused(z, more, expected, most, monkeypatch):
     ],
 )
 def test_wrong_arguments_are_named(words, expected, monkeypatch):
-    monkeypatch.setattr(pools, "CONNECT", 0.3)
+    monkeypatch.setattr(dask_pool, "CONNECT", 0.3)
     assert expected in refused("atlas", "site.tif", *words)
 
 

@@ -24,7 +24,7 @@ from slipfree.plan.problem import costs_of
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build
 from slipfree.show import style
-from slipfree.sweep.worker import figures_of
+from slipfree.sweep.runs import figures_of
 
 PROBLEM = """\
 verb = "direct"

@@ -25,7 +25,6 @@ from slipfree.problem.result import open_result
 from slipfree.problem.schema import VERB, MotionKeys, Time
 from slipfree.problem.verbs.driving import DriveVerb
 from slipfree.show.plots import Plot
-from slipfree.sweep.worker import work
 
 
 class Stand(MotionKeys):
@@ -112,15 +111,15 @@ def test_its_results_are_of_its_kind() -> None:
 class InProcess:
     """A pool in this process: those of others do not have the verb."""
 
-    def __init__(self, *_: object) -> None:
-        """Take the number of processes and the function."""
+    def __init__(self, _: int, function: Any) -> None:
+        self.function = function
 
     def room(self) -> int:
         return 1
 
     def submit(self, task: Any) -> Future[Any]:
         future: Future[Any] = Future()
-        future.set_result(work(task))
+        future.set_result(self.function(task))
         return future
 
     def result(self, future: Future[Any], _: Any) -> Any:
@@ -132,7 +131,7 @@ class InProcess:
 
 @pytest.mark.slow
 def test_it_is_swept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slipfree.sweep.pools.Processes", InProcess)
+    monkeypatch.setattr("slipfree.sweep.run.Processes", InProcess)
     found = printed("sweep", "p.toml", "--vary", "vehicle.mass=20:40:3", "--no-draw")
     assert "load_least" in found
     assert len(Path("p_sweep/table.csv").read_text().splitlines()) == 4

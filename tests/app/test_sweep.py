@@ -32,12 +32,10 @@ from slipfree.files import netcdf
 from slipfree.problem.load import Recipe
 from slipfree.show import sweep_figures as show
 from slipfree.show.swept import Swept, Varied
-from slipfree.sweep import pools
 from slipfree.sweep.grid import axis_of, sweep_of
-from slipfree.sweep.log import Rows, RunRow, RunTask
 from slipfree.sweep.run import drawn_grids, grids
-from slipfree.sweep.worker import work
-from slipfree.system import processes
+from slipfree.sweep.runs import Rows, RunRow, RunTask, work
+from slipfree.system import dask_pool, processes
 from slipfree.system.parts import LOG
 from slipfree.system.processes import finish_tasks
 
@@ -94,7 +92,7 @@ def test_values_that_are_none(text, words):
 def test_a_grid_with_seeds(file):
     error = ["terrain.error={ rms = 0.01, correlation = 0.5, seed = 0 }"]
     sweep = sweep_of(file, [f"{SPEED}=1,2"], error, repeat=3, seed=10)
-    runs = list(sweep.runs())
+    runs = [sweep.run(number) for number in range(1, sweep.count + 1)]
     assert sweep.count == len(runs) == 6
     assert sweep.seeds == ("terrain.synthetic.power_law.seed", "terrain.error.seed")
     assert [run.values for run in runs] == [("1",)] * 3 + [("2",)] * 3
@@ -417,7 +415,7 @@ def test_an_error_that_nobody_expects_is_a_row(file, monkeypatch):
     def fail(_: object) -> None:
         raise ZeroDivisionError("by chance")
 
-    monkeypatch.setattr("slipfree.sweep.worker.run_problem", fail)
+    monkeypatch.setattr("slipfree.sweep.runs.run_problem", fail)
     (task,) = tasks_of(file, "time.step=0.1")
     assert work(task).row.words == "ZeroDivisionError: by chance"
 
@@ -433,7 +431,7 @@ def test_an_error_that_nobody_expects_is_a_row(file, monkeypatch):
 )
 def test_runs_share_a_model_unless_it_depends_on_the_key(file, monkeypatch, first, second, same):
     shared = dict[str, Any]()
-    monkeypatch.setattr("slipfree.sweep.worker.KEPT", shared)
+    monkeypatch.setattr("slipfree.sweep.runs.KEPT", shared)
     before, after = tasks_of(file, first, second)
     work(before)
     model = shared["world"][1].dae
@@ -447,7 +445,7 @@ def test_runs_share_a_model_unless_it_depends_on_the_key(file, monkeypatch, firs
 
 def test_runs_with_other_input_files_share_nothing(file, monkeypatch):
     shared = dict[str, Any]()
-    monkeypatch.setattr("slipfree.sweep.worker.KEPT", shared)
+    monkeypatch.setattr("slipfree.sweep.runs.KEPT", shared)
     (task,) = tasks_of(file, "time.step=0.1")
     work(task)
     found = shared["map"][1]
@@ -490,7 +488,7 @@ def test_a_run_that_stops_is_told_by_name(file):
     sweep = sweep_of(file, [f"{SPEED}=1.0,6.0"])
     rows = [
         work(RunTask(run.number, Recipe(file, PROBLEM, run.settings), run.settings)).row
-        for run in sweep.runs()
+        for run in map(sweep.run, (1, 2))
     ]
     assert [row.outcome for row in rows] == ["complete", "stopped by map_margin[front]"]
     assert "leaves the map" in rows[1].words
@@ -505,7 +503,7 @@ def test_a_run_that_stops_is_told_by_name(file):
 
 
 def test_no_cluster_is_refused(file, monkeypatch):
-    monkeypatch.setattr(pools, "CONNECT", 0.3)
+    monkeypatch.setattr(dask_pool, "CONNECT", 0.3)
     result = sweep_in(file.parent, "--scheduler", "tcp://127.0.0.1:1", code=2)
     assert "expected the address of a running Dask scheduler" in result.stderr
     for address, found in {
@@ -560,7 +558,7 @@ def test_figures_that_cannot_be_drawn():
 
 
 def test_a_scheduler_that_does_not_answer(file, monkeypatch):
-    monkeypatch.setattr(pools, "CONNECT", 0.3)
+    monkeypatch.setattr(dask_pool, "CONNECT", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as dead:
         address = f"tcp://127.0.0.1:{dead.getsockname()[1]}"
         begun = time.monotonic()

@@ -20,14 +20,12 @@ from slipfree.problem.build_vehicle import (
     is_vehicle_file,
     read_vehicle,
 )
-from slipfree.problem.load import Recipe, load_problem
+from slipfree.problem.load import Recipe, load_problem, recipe_of
 from slipfree.problem.result import build, open_result
 from slipfree.problem.verbs.driving import vehicle_of
 from slipfree.problem.verbs.plan_setup import source_of
 from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.log import RunTask
-from slipfree.sweep.run import _tasks as tasks_of
-from slipfree.sweep.worker import work
+from slipfree.sweep.runs import RunTask, work
 
 NAMES = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
 WHEEL = f"""<robot {NAMES}>
@@ -137,8 +135,8 @@ def test_trust_reaches_every_reader_and_results_need_none(robot, monkeypatch):
     problem = load_problem("p.toml", trust=[robot.name])
     assert source_of(problem).trusted == problem.trusted != frozenset()
     sweep = sweep_of(Path("p.toml"), ["driver.speed=0.1"], trust=[Path(robot.name)])
-    (task,) = tasks_of(sweep, {}, True)
-    done = work(task)
+    recipe = recipe_of(sweep.problem, "driver.speed=0.1")
+    done = work(RunTask(1, recipe, ("driver.speed=0.1",), keep=True))
     netcdf.write("run.nc", done.trajectory, done.arrays)
     vehicle = read_vehicle(robot.name, trust=True)
     assert build(problem).vehicle == vehicle

@@ -13,7 +13,7 @@ import psutil
 
 from helpers.commands import invoke
 from slipfree.problem.load import Recipe
-from slipfree.sweep.log import RunTask
+from slipfree.sweep.runs import RunTask
 from slipfree.system.parts import LOG
 
 PROBLEM = """\

@@ -28,7 +28,7 @@ from slipfree.files import netcdf
 from slipfree.show.film import film_writer, write_film
 from slipfree.show.plots import Plot
 from slipfree.show.plots import save as save_figures
-from slipfree.sweep.log import WORDS, Rows, RunRow
+from slipfree.sweep.runs import WORDS, Rows, RunRow
 from slipfree.system.parts import LOG
 from slipfree.system.regular_files import replace_file
 
@@ -155,7 +155,7 @@ def test_a_log_on_a_full_disk_tells_so_and_goes_on_later(tmp_path: Path) -> None
 import resource, sys
 from pathlib import Path
 from slipfree.core.errors import DataError
-from slipfree.sweep.log import Rows, RunRow
+from slipfree.sweep.runs import Rows, RunRow
 resource.setrlimit(resource.RLIMIT_FSIZE, ({size + 20}, {size + 20}))
 try:
     with Rows(Path({str(tmp_path)!r}), 2, {HEAD!r}) as rows:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,24 +18,21 @@ from slipfree.cli.common import (
     Settings,
     Trust,
     add_json,
-    check_workers,
-    counted,
-    detail,
     output_option,
     print_facts,
     print_line,
     read_problem,
+    studying,
     warn,
+    workers_of,
 )
-from slipfree.cli.outputs import check_outputs, draw, save
+from slipfree.cli.outputs import check_outputs, save
+from slipfree.cli.outputs import draw as draw_plots
 from slipfree.core.errors import DataError
-from slipfree.system.interrupt import check_interrupt, held_interrupt
 
 if TYPE_CHECKING:
-    from slipfree.problem.atlas_tiles import TileFolder
     from slipfree.problem.build_ground import GroundMap
     from slipfree.problem.problem import Problem
-    from slipfree.problem.verbs.atlas import AtlasSetup
 
 UNBOUNDED = "1e99"  # bound that no quantity reaches
 ANY_VEHICLE = "three_wheeler"  # of a problem of which only the map is read
@@ -114,11 +111,18 @@ def atlas(
     that are finished are kept in a folder beside the output until all files are written: repeat the
     command to continue.
     """
-    from slipfree.problem.atlas_tiles import TileFolder, input_states, tile_folder
+    from slipfree.problem.atlas_tiles import (
+        TileFolder,
+        input_states,
+        overview_of_tiles,
+        run_tiles,
+        summary_lines,
+        write_file,
+    )
     from slipfree.problem.inputs import files_read
     from slipfree.problem.verbs.atlas import build_atlas
 
-    check_workers(processes, scheduler)
+    workers = workers_of(processes, scheduler)
     own = _own_settings(headings, every, friction, error, within or [])
     with as_arguments():
         problem = _read(file, vehicle, [*own, *(settings or [])], trust)
@@ -129,44 +133,30 @@ def atlas(
                 f"{each}: expected a name that ends in {', '.join(ENDINGS)}; choose another name"
             )
     states = input_states(problem)
-    tiles = tile_folder(outs[0], problem, states)
     figures = outs[0].with_name(f"{outs[0].stem}_figures")
     inputs = files_read(problem)
     check_outputs(outs, inputs, folder=figures if draw else None)
-    check_outputs([], inputs, folder=tiles, names=("*",))
     with as_arguments():
         setup = build_atlas(problem)
     print_facts(setup.facts)
     for words in setup.warnings:
         warn(words)
-    with TileFolder(tiles, setup, states) as folder:
-        _solve(setup, outs, folder, figures if draw else None, (processes, scheduler))
-
-
-def _solve(
-    setup: AtlasSetup,
-    outs: Sequence[Path],
-    folder: TileFolder,
-    figures: Path | None,
-    workers: tuple[int | None, str | None],
-) -> None:
-    from slipfree.problem.atlas_tiles import overview_of_tiles, summary_lines, write_file
-
-    with held_interrupt(from_first_poll=True):
-        _compute(setup, folder, *workers)
-        files = [save(each, lambda path: write_file(path, setup, folder)) for each in outs]
-        overview = overview_of_tiles(setup, folder)
-    folder.remove()
+    with TileFolder(outs[0], setup, states) as tiles:
+        with studying("tiles", tiles) as watch:
+            run_tiles(setup, tiles, workers, **watch)
+            files = [save(each, lambda path: write_file(path, setup, tiles)) for each in outs]
+            overview = overview_of_tiles(setup, tiles)
+        tiles.remove()
     facts = overview.facts
     print_facts(summary_lines(facts))
     add_json("atlas", lambda: {name: fact._asdict() for name, fact in facts.items()})
     if not facts["allowed_share"].value:
         warn("no pose is allowed; the summary lists the reasons")
     print_line(f"wrote {', '.join(map(str, files))}")
-    if figures is not None:
+    if draw:
         from slipfree.show.atlas_figures import atlas_plots
 
-        plots = draw(atlas_plots(overview.view), figures)
+        plots = draw_plots(atlas_plots(overview.view), figures)
         print_line(f"drew {', '.join(each.stem for each in plots)} in {figures}")
 
 
@@ -284,29 +274,3 @@ def as_arguments() -> Iterator[None]:
                     fault = option + fault.removeprefix(setting)
             faults.append(fault)
         raise ProblemError(*faults) from error
-
-
-def _compute(
-    setup: AtlasSetup, folder: TileFolder, processes: int | None, scheduler: str | None
-) -> None:
-    from slipfree.problem.atlas_tiles import compute_tile, run_tiles
-    from slipfree.sweep.pools import pool_of
-    from slipfree.system.processes import available_cores
-
-    with ExitStack() as stack:
-        show = stack.enter_context(counted("tiles"))
-
-        def progress(done: int, count: int) -> None:
-            show(done, count)
-            detail(f"{done} of {count} tiles")
-
-        workers: Any = processes or available_cores()
-        if scheduler is not None:
-            workers = stack.enter_context(closing(pool_of(compute_tile, None, scheduler, warn)))
-        try:
-            run_tiles(setup, folder, workers, check_interrupt, progress)
-        except KeyboardInterrupt as error:
-            raise KeyboardInterrupt(
-                f"{folder.folder} contains {len(folder)} of {len(setup.tiles)} tiles; repeat the "
-                "command to continue"
-            ) from error

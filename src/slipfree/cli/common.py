@@ -40,6 +40,7 @@ from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
     from slipfree.problem.problem import Problem
+    from slipfree.system.parts import Parts
 
 DONE, STOPPED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 MEANINGS = {
@@ -537,13 +538,50 @@ def duration(seconds: float) -> str:
     return f"{seconds:.2g} s"
 
 
-def check_workers(processes: int | None, scheduler: str | None) -> None:
-    """Raise DataError if both options that say where to compute are given."""
-    if scheduler is not None and processes is not None:
+def workers_of(processes: int | None, scheduler: str | None) -> int | Callable[..., Any]:
+    """Return the workers of a study, see `slipfree.system.parts.study`; by default all cores.
+
+    Raises DataError if both options that say where to compute are given.
+    """
+    from slipfree.system.dask_pool import DaskPool
+    from slipfree.system.processes import available_cores
+
+    if scheduler is None:
+        return processes or available_cores()
+    if processes is not None:
         raise DataError(
             "--scheduler: expected --scheduler or --processes, found both; remove --processes: a "
             "cluster has as many processes as workers"
         )
+    return lambda function: DaskPool(function, scheduler, warn)
+
+
+@contextmanager
+def studying(
+    what: str, parts: Parts[Any] | None = None, words: Callable[[], str] | None = None
+) -> Iterator[dict[str, Callable[..., None]]]:
+    """Hold back Ctrl-C for a study, and yield the arguments ``poll`` and ``progress`` of `study`.
+
+    ``what`` names the parts, which a message after Ctrl-C counts; ``words`` returns the text of the
+    bar instead, and the last part.
+    """
+    with held_interrupt(from_first_poll=True), counted(what) as show:
+
+        def progress(done: int, count: int) -> None:
+            text, _, last = words().partition(": ") if words else (what, "", "")
+            show(done, count, text)
+            detail(f"{done} of {count} {what}{last and f', the last: {last}'}")
+
+        try:
+            yield {"poll": check_interrupt, "progress": progress}
+        except KeyboardInterrupt as error:
+            if parts is None:
+                raise
+            raise KeyboardInterrupt(
+                *error.args,
+                f"{parts.folder} contains {len(parts)} of {parts.size} {what}; repeat the command "
+                "to continue",
+            ) from error
 
 
 @contextmanager

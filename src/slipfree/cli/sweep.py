@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,24 +17,22 @@ from slipfree.cli.common import (
     Settings,
     Trust,
     add_json_file,
-    check_workers,
     counted,
-    detail,
     duration,
     output_option,
     print_facts,
     print_line,
+    studying,
     warn,
+    workers_of,
 )
 from slipfree.cli.outputs import check_outputs
-from slipfree.system.interrupt import check_interrupt, held_interrupt
 from slipfree.system.parts import LOG
 
 if TYPE_CHECKING:
     from slipfree.show.swept import Swept
     from slipfree.sweep.grid import Sweep
-    from slipfree.sweep.log import Done, Rows, RunTask
-    from slipfree.system.processes import Pool
+    from slipfree.sweep.runs import Rows
 
 MAX_KEYS = 2  # largest number of varied keys in figures
 FIGURES = "figures"
@@ -98,10 +95,15 @@ def sweep(
     """
     from slipfree.problem.inputs import files_read
     from slipfree.sweep.grid import sweep_of
-    from slipfree.sweep.log import FAILED, LOST
-    from slipfree.sweep.pools import pool_of
-    from slipfree.sweep.run import TABLE, choose_figures, drawn_grids, grids, sweep_facts
-    from slipfree.sweep.worker import work
+    from slipfree.sweep.run import (
+        TABLE,
+        choose_figures,
+        drawn_grids,
+        grids,
+        run_sweep,
+        sweep_facts,
+    )
+    from slipfree.sweep.runs import FAILED, LOST, Rows
     from slipfree.system.codegen_cache import obstacle
     from slipfree.system.processes import available_cores
 
@@ -120,16 +122,23 @@ def sweep(
             f"solver.compiled is true, but functions cannot be compiled: {why}; until then, "
             "equations that are not in the cache are interpreted, which is slower"
         )
-    check_workers(processes, scheduler)
-    pool = partial(pool_of, work, processes, scheduler, warn)
-    rows = _run_all(plan, folder, pool, keep, again)
+    workers = workers_of(processes, scheduler)
+
+    def words() -> str:
+        wrong = rows.outcomes[FAILED] + rows.outcomes[LOST]
+        last = f": {rows.last.run}, {rows.last.outcome}" if rows.last else ""
+        return ("runs" + f", {wrong} failed" * bool(wrong)) + last
+
+    rows = Rows(folder, plan.count, plan.head, again=again, check=plan.files.check)
+    with rows, studying("runs", rows, words) as watch:
+        run_sweep(plan, rows, workers, keep=keep, **watch)
     names = choose_figures(plan, rows, figures or [])
     found = grids(plan, rows, names)
     print_facts(sweep_facts(plan, rows, found, names))
     add_json_file(folder / TABLE)
     print_line(f"wrote {folder / TABLE}")
     if keep:
-        _warn_missing(plan, rows, folder)
+        _warn_missing(plan, rows)
     if draw:
         _draw(plan, drawn_grids(rows, found, names), folder / FIGURES)
     if rows.ended(FAILED, LOST):
@@ -137,8 +146,8 @@ def sweep(
 
 
 def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
-    from slipfree.sweep.log import Rows
     from slipfree.sweep.run import plan_facts
+    from slipfree.sweep.runs import Rows
 
     facts = plan_facts(plan)
     left, words = plan.count, "not known before the first run"
@@ -154,43 +163,20 @@ def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
     print_facts([*facts, ("time", words if left else "all runs are finished")])
 
 
-def _warn_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
+def _warn_missing(plan: Sweep, rows: Rows) -> None:
     """Warn about finished runs without a result file, such as those run without ``--keep``."""
-    from slipfree.sweep.run import missing_results, result_path
+    from slipfree.sweep.run import missing_results
 
-    if missing := missing_results(folder, plan, rows):
+    if missing := missing_results(rows):
         (first,) = rows.read(missing[:1])
         sets = [word for each in (*plan.settings, *first.settings) for word in ("--set", each)]
-        file = result_path(folder, plan, first.run)
         sets += [word for each in plan.problem.trusted for word in ("--trust", each)]
-        words = ["slipfree", "run", str(plan.problem.source.path), *sets, "-o", str(file)]
+        file = str(rows.result_path(first.run))
+        words = ["slipfree", "run", str(plan.problem.source.path), *sets, "-o", file]
         runs, have = ("run", "has") if len(missing) == 1 else ("runs", "have")
         warn(
             f"--keep: {len(missing)} finished {runs} {have} no result file; to write all, sweep "
             f"into another folder with -o; to write the first: {shlex.join(words)}"
-        )
-
-
-def _run_all(
-    plan: Sweep,
-    folder: Path,
-    pool: Callable[[], Pool[RunTask, Done]],
-    keep: bool,
-    again: bool,
-) -> Rows:
-    from slipfree.sweep.log import FAILED, LOST
-    from slipfree.sweep.run import run_sweep
-
-    with held_interrupt(from_first_poll=True), counted("runs") as show:
-
-        def progress(rows: Rows) -> None:
-            wrong = rows.outcomes[FAILED] + rows.outcomes[LOST]
-            show(len(rows), plan.count, f"runs, {wrong} failed" if wrong else "runs")
-            last = f", the last: {rows.last.run}, {rows.last.outcome}" if rows.last else ""
-            detail(f"{len(rows)} of {plan.count} runs{last}")
-
-        return run_sweep(
-            plan, folder, pool, keep=keep, again=again, poll=check_interrupt, progress=progress
         )
 
 

@@ -6,11 +6,8 @@ computation continues where it was, with equal files. Files are written tile by 
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +18,6 @@ from slipfree.atlas.atlas import Atlas, Band, least_bounds, tiles_of
 from slipfree.core.errors import DataError
 from slipfree.core.facts import Fact, Lines
 from slipfree.core.records import Array
-from slipfree.core.version import __version__
 from slipfree.files.atlas_files import (
     Site,
     StoredAtlas,
@@ -31,64 +27,49 @@ from slipfree.files.atlas_files import (
     write_atlas,
 )
 from slipfree.problem.build_ground import Extremes
-from slipfree.problem.inputs import FileStates, file_states, files_read
-from slipfree.problem.load import load_again
+from slipfree.problem.inputs import FileStates, file_states, files_read, task_folder, task_head
+from slipfree.problem.load import Recipe, recipe_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.atlas import AtlasSetup, build_atlas
 from slipfree.show.atlas_figures import AtlasView, friction_maps
-from slipfree.system.parts import Identity, Parts
-from slipfree.system.processes import Poll, Pool, finish_tasks, local_tasks
+from slipfree.system.parts import Identity, Parts, study
+from slipfree.system.processes import Poll, Pool
 
 DRAWN = 1000  # largest number of nodes along an axis of a figure
 WIDE = 0.01  # difference of bounds of the least friction that is reported [1]
 
 
 class TileTask(NamedTuple):
-    """Problem and number of a tile, for a process."""
+    """Set-up and number of a tile, for a process."""
 
-    file: str
-    text: str
-    settings: tuple[str, ...]
-    trusted: frozenset[str]
+    recipe: Recipe
     digests: tuple[tuple[str, str], ...]  # of all input files, by name
     known: tuple[tuple[str, Extremes], ...]  # of large maps, by file
-    number: int
+    number: int  # from 1
 
 
-class Tile(NamedTuple):
-    """Values of the bands in a tile, shape (n_bands, n_headings, n_x, n_y)."""
-
-    number: int
-    values: Array
-
-
-def compute_tile(task: TileTask) -> Tile:
-    """Return a tile of a mobility map."""
+def compute_tile(task: TileTask) -> Array:
+    """Return the values of the bands in a tile, shape (n_bands, n_headings, n_x, n_y)."""
     return _tile(_setup(*task[:-1]), task.number)
 
 
 @lru_cache(maxsize=1)  # a process computes many tiles
 def _setup(
-    file: str,
-    text: str,
-    settings: tuple[str, ...],
-    trusted: frozenset[str],
-    digests: tuple[tuple[str, str], ...],
-    known: tuple[tuple[str, Extremes], ...],
+    recipe: Recipe, digests: tuple[tuple[str, str], ...], known: tuple[tuple[str, Extremes], ...]
 ) -> AtlasSetup:
-    problem = load_again(Path(file), text, settings, trusted, command="atlas")
+    problem = recipe.load(command="atlas")
     setup = build_atlas(problem, dict(known))
     if input_states(problem).digests != dict(digests):
         raise DataError(
-            f"{file}: expected the input files with which the computation started, found others; "
-            "copy them to all workers, and repeat the command"
+            f"{recipe.path}: expected the input files with which the computation started, found "
+            "others; copy them to all workers, and repeat the command"
         )
     return setup
 
 
-def _tile(setup: AtlasSetup, number: int) -> Tile:
-    bands = setup.bands(*setup.tiles[number])
-    return Tile(number, np.stack([bands[name] for name in setup.labels()]).astype(np.float32))
+def _tile(setup: AtlasSetup, number: int) -> Array:
+    bands = setup.bands(*setup.tiles[number - 1])
+    return np.stack([bands[name] for name in setup.labels()]).astype(np.float32)
 
 
 def input_states(problem: Problem[Any]) -> FileStates:
@@ -97,36 +78,22 @@ def input_states(problem: Problem[Any]) -> FileStates:
     return file_states({os.path.relpath(file, problem.folder): file for file in files})
 
 
-def _identity(problem: Problem[Any], states: FileStates) -> dict[str, Any]:
-    """Return what mobility maps whose tiles fit together have in common."""
-    values = problem.spec.model_dump_json(exclude={"title"}, serialize_as_any=True)
-    identity = {"": hashlib.sha256(values.encode()).hexdigest()}
-    return {"slipfree": __version__, "problem": identity, "files": states.digests}
+class TileFolder(Parts[Array]):
+    """Folder beside an output with the finished tiles of a mobility map; a context manager.
 
-
-def tile_folder(out: Path, problem: Problem[Any], states: FileStates) -> Path:
-    """Return the folder of the tiles beside an output file; each problem has its own."""
-    identity = json.dumps(_identity(problem, states))
-    return out.with_name(f"{out.stem}_tiles_{hashlib.sha256(identity.encode()).hexdigest()[:8]}")
-
-
-class TileFolder(Parts):
-    """Folder with the finished tiles of a mobility map; a context manager.
-
-    The parts of tiles are numbered from 1. ``states`` are those of the input files before the
-    set-up was built.
+    ``states`` are those of the input files before the set-up was built.
     """
 
-    def __init__(self, folder: Path, setup: AtlasSetup, states: FileStates) -> None:
-        head = _identity(setup.problem, states)
-        super().__init__(folder, Identity("mobility map", len(setup.tiles), head), ".npy")
+    def __init__(self, out: Path, setup: AtlasSetup, states: FileStates) -> None:
+        head = task_head(setup.problem, states)
+        identity = Identity("mobility map", len(setup.tiles), head)
+        super().__init__(task_folder(out, "tiles", head), identity, ".npy", states.check)
         self.states, self._setup = states, setup
         self._labels, self._reasons = setup.labels(), setup.poses().reasons
 
-    def store(self, tile: Tile) -> None:
+    def store(self, number: int, result: Array) -> None:
         """Store a tile; raise DataError if an input file has changed since the start."""
-        self.states.check()
-        self.add(tile.number + 1, {}, lambda part: np.save(part, tile.values))
+        self.add(number, {}, lambda part: np.save(part, result))
 
     def poses(self, number: int) -> Atlas:
         """Return the poses of a finished tile."""
@@ -154,43 +121,24 @@ class TileFolder(Parts):
 def run_tiles(
     setup: AtlasSetup,
     folder: TileFolder,
-    workers: int | Pool[TileTask, Tile],
+    workers: int | Callable[[Callable[..., Any]], Pool[Any, Any]],
     poll: Poll,
     progress: Callable[[int, int], None],
 ) -> None:
     """Compute the missing tiles of a map, and store each as soon as it is finished.
 
-    ``workers`` is a number of processes or a pool. ``poll`` is called several times per second, and
-    ends the computation by an exception; ``progress`` with the number of finished tiles and that of
-    all.
+    The other arguments are those of `study`.
     """
-    problem, count = setup.problem, len(setup.tiles)
-    source, missing = problem.source, [number - 1 for number in folder.missing]
-    progress(len(folder), count)
-    if missing:  # in this process: it compiles the equations, and errors end the computation
-        poll()
-        folder.store(_tile(setup, missing.pop(0)))
-        progress(len(folder), count)
-    if not missing:
-        return
-    head = (
-        str(source.path.absolute()),
-        source.text,
-        tuple(dict.fromkeys(source.settings.values())),
-        problem.trusted,
-        tuple(folder.states.digests.items()),
-        tuple(setup.known.items()),
-    )
-    tasks = [TileTask(*head, number) for number in missing]
-    with ExitStack() as stack:
-        if isinstance(workers, int):
-            execute = stack.enter_context(local_tasks(compute_tile, min(workers, len(tasks))))
-            tiles = execute(tasks, poll)
-        else:
-            tiles = finish_tasks(tasks, workers, poll)
-        for tile in tiles:
-            folder.store(tile)
-            progress(len(folder), count)
+    digests, known = tuple(folder.states.digests.items()), tuple(setup.known.items())
+    recipe = recipe_of(setup.problem)
+    recipe = recipe._replace(path=recipe.path.absolute())
+    with study(compute_tile, folder, workers, poll=poll, progress=progress) as solve:
+        progress(len(folder), folder.size)
+        for number in folder.missing[:1]:  # here: it compiles the equations, and errors are raised
+            poll()
+            folder.store(number, _tile(setup, number))
+        for _ in solve(folder.missing, lambda number: TileTask(recipe, digests, known, number)):
+            pass
 
 
 def write_file(path: Path, setup: AtlasSetup, folder: TileFolder) -> None:

@@ -6,12 +6,13 @@ import json
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from hashlib import file_digest
+from hashlib import file_digest, sha256
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from slipfree.core.errors import DataError
+from slipfree.core.version import __version__
 from slipfree.files.vehicle_toml import open_file
 from slipfree.problem.problem import Problem, shared
 from slipfree.problem.schema import CommonKeys
@@ -102,6 +103,18 @@ def file_states(files: Mapping[str, Path]) -> FileStates:
     """Return the states of files, by name."""
     stamps = {path: _stamp(path) for path in files.values()}
     return FileStates({name: digest(path) for name, path in sorted(files.items())}, stamps)
+
+
+def task_head(problem: Problem[Any], states: FileStates, **more: Any) -> dict[str, Any]:
+    """Return what studies of a problem have in common if their parts fit together."""
+    values = problem.spec.model_dump_json(exclude={"title"}, serialize_as_any=True)
+    identity = {"": sha256(values.encode()).hexdigest()}
+    return {"slipfree": __version__, "problem": identity, "files": states.digests, **more}
+
+
+def task_folder(out: Path, what: str, head: Mapping[str, Any]) -> Path:
+    """Return the folder of the parts of a study beside its output; each task has its own."""
+    return out.with_name(f"{out.stem}_{what}_{sha256(json.dumps(head).encode()).hexdigest()[:8]}")
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:

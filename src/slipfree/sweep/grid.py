@@ -7,7 +7,6 @@ import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -64,18 +63,18 @@ class Sweep:
         """Number of runs."""
         return int(np.prod([len(axis.values) for axis in self.axes], dtype=int)) * self.repeat
 
-    def runs(self) -> Iterator[Run]:
-        """Yield all runs; the seeds vary fastest, then the last key."""
-        number = 0
-        for values in product(*(axis.values for axis in self.axes)):
-            for k in range(self.repeat):
-                number += 1
-                # each key has seeds of its own: equal seeds would correlate, for example, the
-                # random ground and its elevation error
-                seeds = tuple(self.seed + k + self.repeat * i for i in range(len(self.seeds)))
-                pairs = zip(self.keys, (*values, *map(str, seeds)), strict=True)
-                own = tuple(f"{key}={value}" for key, value in pairs)
-                yield Run(number, values, seeds, (*self.settings, *own))
+    def run(self, number: int) -> Run:
+        """Return a run; the seeds vary fastest, then the last key."""
+        *at, k = np.unravel_index(
+            number - 1, (*(len(each.values) for each in self.axes), self.repeat)
+        )
+        values = tuple(axis.values[i] for axis, i in zip(self.axes, at, strict=True))
+        # each key has seeds of its own: equal seeds would correlate, for example, the random ground
+        # and its elevation error
+        seeds = tuple(self.seed + int(k) + self.repeat * i for i in range(len(self.seeds)))
+        pairs = zip(self.keys, (*values, *map(str, seeds)), strict=True)
+        own = (f"{key}={value}" for key, value in pairs)
+        return Run(number, values, seeds, (*self.settings, *own))
 
     @property
     def head(self) -> dict[str, Any]:

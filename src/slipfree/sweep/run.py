@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
-from slipfree.files.netcdf import write
 from slipfree.files.tables import write_rows
 from slipfree.problem.load import recipe_of, verb_of
 from slipfree.problem.units import unit_of
 from slipfree.show.swept import Swept
 from slipfree.sweep.grid import Run, Sweep
-from slipfree.sweep.log import COMPLETE, FAILED, LOST, Done, Rows, RunRow, RunTask, without_motion
-from slipfree.system.processes import Poll, Pool, finish_tasks
-from slipfree.system.regular_files import check_name
+from slipfree.sweep.runs import COMPLETE, FAILED, LOST, Rows, RunRow, RunTask, without_motion, work
+from slipfree.system.parts import study
+from slipfree.system.processes import Poll, Pool, Processes
 
 if TYPE_CHECKING:
     from slipfree.core.facts import Lines
@@ -45,9 +44,7 @@ def write_table(file: Path, sweep: Sweep, rows: Rows) -> None:
     """
     units = rows.units
     head = ["run", *sweep.keys, "outcome", "words", "time_reached", *units]
-    runs = (run for run in sweep.runs() if run.number in rows)
-    lines = (_line(run, row, units) for run, row in zip(runs, rows, strict=True))
-    write_rows(file, head, lines)
+    write_rows(file, head, (_line(sweep.run(row.run), row, units) for row in rows))
 
 
 def _line(run: Run, row: RunRow, names: Iterable[str]) -> list[object]:
@@ -187,65 +184,41 @@ def plan_facts(sweep: Sweep) -> Lines:
 
 def run_sweep(
     sweep: Sweep,
-    folder: Path,
-    pool: Callable[[], Pool[RunTask, Done]],
+    rows: Rows,
+    workers: int | Callable[[Callable[..., Any]], Pool[Any, Any]] = 1,
     *,
     keep: bool = False,
-    again: bool = False,
     poll: Poll = lambda: None,
-    progress: Callable[[Rows], None] = lambda _: None,
-) -> Rows:
-    """Execute the unfinished runs of a sweep; return the results of all runs.
+    progress: Callable[[int, int], None] = lambda _, __: None,
+) -> None:
+    """Execute the unfinished runs of a sweep.
 
     Tasks are created when the pool accepts them, and results are kept on disk. The required memory
     does not depend on the number of metrics. A line of ``parts.jsonl`` is written to the folder
     when a run is finished, ``table.csv`` at the end and after an interruption, and with ``keep``
     the motion of every run, to ``run_0001.nc`` and so on.
 
-    ``pool`` returns the pool, such as ``lambda: Processes(2, work)``, and is called only if
-    there are unfinished runs; with ``again``, runs that failed are repeated, as lost runs always
-    are.
-    ``poll`` is called several times per second, and interrupts the sweep by an exception;
-    ``progress`` with the finished runs at the beginning and after every run.
-
-    DataError is raised if the folder cannot be written, or contains the results of another sweep;
-    SlipfreeError if the pool fails.
+    ``workers``, ``poll`` and ``progress`` are those of `study`; each run has a process that may
+    die. DataError is raised if the folder cannot be written; SlipfreeError if the pool fails.
     """
-    check_name(folder)
-    with Rows(folder, sweep.count, sweep.head, again=again) as rows:
-        try:
-            progress(rows)
-            if len(rows) < sweep.count:
-                with closing(pool()) as opened:
-                    for done in finish_tasks(
-                        _tasks(sweep, rows, keep), opened, poll, without_motion
-                    ):
-                        sweep.files.check()
-                        if done.trajectory is not None:
-                            file = result_path(folder, sweep, done.row.run)
-                            write(file, done.trajectory, done.arrays)
-                        rows.append(done.row)
-                        progress(rows)
-        finally:
-            write_table(folder / TABLE, sweep, rows)
-        return rows
-
-
-def _tasks(sweep: Sweep, rows: Rows, keep: bool) -> Iterator[RunTask]:
+    pool = partial(Processes, workers) if isinstance(workers, int) else workers
     recipe, files = recipe_of(sweep.problem), json.dumps(sweep.files.digests)
-    for run in sweep.runs():
-        if run.number not in rows:
-            own = run.settings[len(sweep.settings) :]
-            again = recipe._replace(path=recipe.path.resolve(), settings=run.settings)
-            yield RunTask(run.number, again, own, keep, files)
+    recipe = recipe._replace(path=recipe.path.resolve())
+
+    def task(number: int) -> RunTask:
+        settings = sweep.run(number).settings
+        own = settings[len(sweep.settings) :]
+        return RunTask(number, recipe._replace(settings=settings), own, keep, files)
+
+    try:
+        with study(work, rows, pool, lost=without_motion, poll=poll, progress=progress) as solve:
+            for _ in solve(rows.missing, task):
+                pass
+    finally:
+        write_table(rows.folder / TABLE, sweep, rows)
 
 
-def result_path(folder: Path, sweep: Sweep, number: int) -> Path:
-    """Return the path of the result file of a run."""
-    return folder / f"run_{number:0{max(4, len(str(sweep.count)))}d}.nc"
-
-
-def missing_results(folder: Path, sweep: Sweep, rows: Rows) -> list[int]:
-    """Return the numbers of the runs that have a motion but no result file in a folder."""
+def missing_results(rows: Rows) -> list[int]:
+    """Return the numbers of the runs that have a motion but no result file in their folder."""
     moved = rows.ended(*(set(rows.outcomes) - {FAILED, LOST}))
-    return [run for run in moved if not result_path(folder, sweep, run).exists()]
+    return [run for run in moved if not rows.result_path(run).exists()]

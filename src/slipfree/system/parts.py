@@ -1,4 +1,4 @@
-"""Finished parts of a computation, such as runs and tiles, in a folder where it continues.
+"""Studies: computations in parts, such as runs and tiles, kept in a folder where they continue.
 
 The first line of the log describes the computation, and each other line a finished part, in JSON
 and synchronised to disk. Lines and files that were damaged, truncated or exchanged do not match
@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager, suppress
+from functools import partial
 from hashlib import file_digest, sha256
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, NamedTuple, Self
+from typing import IO, Any, Generic, NamedTuple, Self, TypeVar
 
 from slipfree.core.errors import DataError
-from slipfree.system.regular_files import replace_file
+from slipfree.system.processes import Poll, Pool, finish_tasks, local_tasks
+from slipfree.system.regular_files import check_name, replace_file
 
 try:
     import fcntl
@@ -27,6 +29,8 @@ except ImportError:  # Windows has no such lock: the user must avoid two computa
 LOG = "parts.jsonl"
 PART, DIGEST = "part", "sha256"  # keys of the line of a part
 ANOTHER_FOLDER = "choose another folder with -o"
+T = TypeVar("T")
+D = TypeVar("D")
 
 
 class Identity(NamedTuple):
@@ -38,8 +42,10 @@ class Identity(NamedTuple):
     words: Mapping[str, str] = {}  # descriptions of the keys of the head in messages
 
 
-class Parts:
+class Parts(Generic[D]):
     """The open folder of a computation with its finished parts; a context manager.
+
+    Subclasses define how the result of a part is stored and loaded.
 
     Parameters
     ----------
@@ -49,6 +55,8 @@ class Parts:
         The computation.
     ending : str, optional
         Ending of the files of parts, as in ``".npy"``; by default a part has no file.
+    check : callable, optional
+        Called before a part is added; raises an error if parts would not fit together.
 
     Raises
     ------
@@ -56,10 +64,22 @@ class Parts:
         If the log cannot be written, is used by another process, or belongs to another computation.
     """
 
-    def __init__(self, folder: Path, identity: Identity, ending: str = "") -> None:
-        self.folder, self._identity, self._ending = folder, identity, ending
+    def __init__(
+        self,
+        folder: Path,
+        identity: Identity,
+        ending: str = "",
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.folder, self._identity, self._ending, self._check_inputs = (
+            folder,
+            identity,
+            ending,
+            check,
+        )
         self._log = folder / LOG
         self._offsets: dict[int, int] = {}  # byte at which the line of a part begins
+        check_name(folder)
         if self._log.exists() and not self._log.is_file():
             raise DataError(
                 f"{self._log}: expected a log of finished parts, found no regular file; "
@@ -85,14 +105,28 @@ class Parts:
         """Return whether a part is finished."""
         return number in self._offsets
 
-    def __iter__(self) -> Iterator[int]:
-        """Yield the numbers of the finished parts in ascending order."""
-        return iter(sorted(self._offsets))
+    @property
+    def finished(self) -> list[int]:
+        """Numbers of the finished parts, in ascending order."""
+        return sorted(self._offsets)
 
     @property
     def missing(self) -> list[int]:
         """Numbers of the parts that are not finished, in ascending order."""
-        return [k for k in range(1, self._identity.size + 1) if k not in self._offsets]
+        return [k for k in range(1, self.size + 1) if k not in self._offsets]
+
+    @property
+    def size(self) -> int:
+        """Number of all parts."""
+        return self._identity.size
+
+    def store(self, number: int, result: D) -> None:
+        """Store the result of a part by `add`."""
+        raise NotImplementedError
+
+    def load(self, number: int) -> D:
+        """Return the result of a finished part."""
+        raise NotImplementedError
 
     def record(self, number: int) -> dict[str, Any]:
         """Return the record of a finished part, as given to `add`."""
@@ -112,6 +146,7 @@ class Parts:
         fill: Callable[[Path], object] = lambda _: None,
     ) -> None:
         """Store a part: its file, written by ``fill`` if parts have files, and its record."""
+        self._check_inputs()
         if self._ending:
             replace_file(self.file(number), fill)
         line = {PART: number, **record}
@@ -123,7 +158,7 @@ class Parts:
 
     def remove(self) -> None:
         """Remove the log, the files of all parts, and the folder unless it has other files."""
-        for number in range(1, self._identity.size + 1) if self._ending else ():
+        for number in range(1, self.size + 1) if self._ending else ():
             self.file(number).unlink(missing_ok=True)
         self._log.unlink(missing_ok=True)
         self.close()
@@ -180,7 +215,7 @@ class Parts:
     def _is_part(self, line: dict[str, Any]) -> bool:
         """Return whether a line and the file of its part are as they were written."""
         number = line.get(PART)
-        if not isinstance(number, int) or not 1 <= number <= self._identity.size:
+        if not isinstance(number, int) or not 1 <= number <= self.size:
             return False
         return bool(line.pop(DIGEST, None) == self._digest(line))
 
@@ -222,6 +257,72 @@ class Parts:
             f"{self._log}: cannot be written ({error.strerror}); free disk space or "
             f"{ANOTHER_FOLDER}; what is finished is kept"
         )
+
+
+@contextmanager
+def study(
+    function: Callable[[T], D],
+    parts: Parts[D] | None = None,
+    workers: int | Callable[[Callable[..., Any]], Pool[Any, Any]] = 1,
+    *,
+    here: Callable[[T], D] | None = None,
+    lost: Callable[[T, str], D] | None = None,
+    poll: Poll = lambda: None,
+    progress: Callable[[int, int], None] = lambda _, __: None,
+) -> Iterator[Callable[[Iterable[int], Callable[[int], T]], Iterator[tuple[int, D]]]]:
+    """Yield a function that computes parts of a study, for several calls.
+
+    The function takes the numbers of parts, and a function that returns the task of a number when
+    it can begin. It yields numbers and results: first those which ``parts`` has, then the others in
+    the order of completion, each as soon as it is stored.
+
+    Parameters
+    ----------
+    function : callable
+        Returns the result of a task; at module level.
+    parts : Parts, optional
+        Where results are stored and found.
+    workers : int or callable
+        Number of processes, see `local_tasks`; or returns a pool that calls the function which it
+        is given. The pool is opened if parts are missing.
+    here, lost, poll : callable, optional
+        See `local_tasks` and `finish_tasks`.
+    progress : callable, optional
+        Called with the numbers of finished and of all ``parts``, first and after every part.
+    """
+    call, own = partial(_numbered, function), here and partial(_numbered, here)
+    with ExitStack() as stack:
+        if isinstance(workers, int):
+            finish = stack.enter_context(local_tasks(call, workers, own))
+        elif parts is None or parts.missing:
+            pool = stack.enter_context(closing(workers(call)))
+            lose = lost and partial(_lost, lost)
+
+            def finish(tasks: Iterable[tuple[int, T]], poll: Poll) -> Iterator[tuple[int, D]]:
+                return finish_tasks(tasks, pool, poll, lose)
+
+        def run(numbers: Iterable[int], task: Callable[[int], T]) -> Iterator[tuple[int, D]]:
+            missing = [*numbers]
+            if parts is not None:
+                progress(len(parts), parts.size)
+                yield from ((k, parts.load(k)) for k in missing if k in parts)
+                missing = [k for k in missing if k not in parts]
+            for number, result in finish(((k, task(k)) for k in missing), poll) if missing else ():
+                if parts is not None:
+                    parts.store(number, result)
+                    progress(len(parts), parts.size)
+                yield number, result
+
+        yield run
+
+
+def _numbered(function: Callable[[T], D], numbered: tuple[int, T]) -> tuple[int, D]:
+    number, task = numbered
+    return number, function(task)
+
+
+def _lost(lost: Callable[[T, str], D], numbered: tuple[int, T], why: str) -> tuple[int, D]:
+    return numbered[0], lost(numbered[1], why)
 
 
 def _parsed(line: bytes) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Pools of processes or of the workers of Dask."""
+"""Pool of the workers of Dask."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 from slipfree.core.errors import DataError, SlipfreeError, require
 from slipfree.core.version import __version__
-from slipfree.system.processes import Pool, ProcessDiedError, Processes, available_cores
+from slipfree.system.processes import ProcessDiedError
 
 CONNECT = 10.0  # timeout for the connection to a scheduler [s]
 PATIENCE = 1.0  # time between checks of the number of workers [s]
@@ -23,18 +23,6 @@ AHEAD = 2  # tasks per worker, so that it need not wait for the next one
 
 T = TypeVar("T")
 D = TypeVar("D")
-
-
-def pool_of(
-    function: Callable[[T], D],
-    processes: int | None,
-    scheduler: str | None,
-    warn: Callable[[str], None],
-) -> Pool[T, D]:
-    """Return a pool of processes, by default one per core, or of the workers of a scheduler."""
-    if scheduler is None:
-        return Processes(processes or available_cores(), function)
-    return DaskPool(function, scheduler, warn)
 
 
 class DaskPool(Generic[T, D]):
