@@ -9,7 +9,7 @@ from slipfree import Bicubic, DataError, Grid, catalog, direct_kinematics
 from slipfree.atlas.atlas import Atlas, Band, atlas
 from slipfree.atlas.summary import SLIDES, UNDECIDED, verdicts
 from slipfree.core.records import Label
-from slipfree.files.atlas_files import Site, open_atlas, write_atlas, write_geotiff
+from slipfree.files.atlas_files import Site, open_atlas, tiles_in, write_atlas, write_geotiff
 from slipfree.files.cf import MapCoordinate
 
 X, Y = np.linspace(0.0, 18.0, 19), np.linspace(0.0, 12.0, 13)
@@ -36,7 +36,7 @@ def site():
 
 
 def test_geotiff_is_in_the_place_of_the_map(tmp_path, poses, site):
-    write_geotiff(tmp_path / "a.tif", poses, site)
+    write_geotiff(tmp_path / "a.tif", X, Y, site, tiles_in(poses))
     with rasterio.open(tmp_path / "a.tif") as file:
         assert file.crs == rasterio.crs.CRS.from_user_input(UTM)
         assert np.isnan(file.nodata)
@@ -66,7 +66,7 @@ def test_geotiff_is_in_the_place_of_the_map(tmp_path, poses, site):
 def test_headings_of_both_files_are_in_the_frame(tmp_path, poses, site, frame, axis, turn):
     site = site._replace(frame=frame)
     write_atlas(tmp_path / "a.nc", poses, site)
-    write_geotiff(tmp_path / "a.tif", poses, site)
+    write_geotiff(tmp_path / "a.tif", X, Y, site, tiles_in(poses))
     words = f"counter-clockwise angle of the forward axis from the {axis} axis"
     with xarray.open_dataset(tmp_path / "a.nc", engine="scipy") as found:
         assert found.attrs["frame"] == frame
@@ -82,7 +82,7 @@ def test_headings_of_both_files_are_in_the_frame(tmp_path, poses, site, frame, a
 
 def test_equal_maps_give_equal_files(tmp_path, poses, site):
     for name in ("a.tif", "b.tif"):
-        write_geotiff(tmp_path / name, poses, site)
+        write_geotiff(tmp_path / name, X, Y, site, tiles_in(poses))
     for name in ("a.nc", "b.nc"):
         write_atlas(tmp_path / name, poses, site)
     for end in ("tif", "nc"):

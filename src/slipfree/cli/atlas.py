@@ -114,7 +114,7 @@ def atlas(
     from slipfree.problem.atlas_tiles import (
         TileFolder,
         input_states,
-        overview_of_tiles,
+        overview,
         run_tiles,
         summary_lines,
         write_file,
@@ -145,9 +145,9 @@ def atlas(
         with studying("tiles", tiles) as watch:
             run_tiles(setup, tiles, workers, **watch)
             files = [save(each, lambda path: write_file(path, setup, tiles)) for each in outs]
-            overview = overview_of_tiles(setup, tiles)
+            found = overview(setup.x, setup.y, setup.site, tiles.tiles())
         tiles.remove()
-    facts = overview.facts
+    facts = found.facts
     print_facts(summary_lines(facts))
     add_json("atlas", lambda: {name: fact._asdict() for name, fact in facts.items()})
     if not facts["allowed_share"].value:
@@ -156,7 +156,7 @@ def atlas(
     if draw:
         from slipfree.show.atlas_figures import atlas_plots
 
-        plots = draw_plots(atlas_plots(overview.view), figures)
+        plots = draw_plots(atlas_plots(found.view), figures)
         print_line(f"drew {', '.join(each.stem for each in plots)} in {figures}")
 
 

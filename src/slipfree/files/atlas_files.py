@@ -10,8 +10,8 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -88,40 +88,25 @@ class Site(NamedTuple):
         return values
 
 
-Writer = Callable[[slice, slice, Mapping[str, Band]], None]
+Tiles = Iterable[tuple[slice, slice, Atlas]]
 
 
-def write_geotiff(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:
-    """Write the maps over the headings of an atlas as a GeoTIFF; see `geotiff_writer`.
-
-    DataError is raised if the file cannot be written, or the reference system is unknown.
-    """
-    with geotiff_writer(Path(path), poses.x, poses.y, site) as write:
-        for i, j in tiles_of(poses.x.size, poses.y.size):
-            maps, found = site.summary_of(part_of(poses, i, j), i, j)
-            write(i, j, with_reasons(maps, found))
+def tiles_in(poses: Atlas) -> Iterator[tuple[slice, slice, Atlas]]:
+    """Yield an atlas in the tiles of `tiles_of`."""
+    for i, j in tiles_of(poses.x.size, poses.y.size):
+        parts = {name: Band(label, each[:, i, j]) for name, (label, each) in poses.bands.items()}
+        yield i, j, Atlas(poses.x[i], poses.y[j], poses.heading, parts, poses.reasons)
 
 
-def with_reasons(maps: Mapping[str, Band], found: Verdicts) -> dict[str, Band]:
-    """Return maps whose band of reasons lists their meanings in its label."""
-    label, values = maps[LIMIT]
-    meanings = "; ".join(f"{code}: {words}" for code, words in enumerate(found.reasons) if code)
-    return {**maps, LIMIT: Band(Label(LIMIT, label.unit, f"{label.words}; {meanings}"), values)}
+def write_geotiff(
+    path: str | os.PathLike[str], x: Array, y: Array, site: Site, tiles: Tiles
+) -> None:
+    """Write the maps over the headings of an atlas as a GeoTIFF.
 
-
-def part_of(poses: Atlas, i: slice, j: slice) -> Atlas:
-    """Return a part of an atlas."""
-    bands = {name: Band(each.label, each.values[:, i, j]) for name, each in poses.bands.items()}
-    return Atlas(poses.x[i], poses.y[j], poses.heading, bands, poses.reasons)
-
-
-@contextmanager
-def geotiff_writer(path: Path, x: Array, y: Array, site: Site) -> Iterator[Writer]:
-    """Yield a function that writes tiles of `tiles_of` to a new GeoTIFF.
-
-    Tiles are blocks of the file, each written once, in the order of `tiles_of`: equal maps give
-    equal files. The file is read again before it replaces an earlier one, since GDAL reports no
-    error if the disk is full. WriteError is raised if it cannot be written.
+    ``tiles`` are those of `tiles_of`, in this order. Tiles are blocks of the file, each written
+    once: equal maps give equal files. The file is read again before it replaces an earlier one,
+    since GDAL reports no error if the disk is full. WriteError is raised if it cannot be written,
+    DataError if the reference system is unknown or places are not evenly spaced.
     """
     import rasterio
     from rasterio import Affine
@@ -158,28 +143,20 @@ def geotiff_writer(path: Path, x: Array, y: Array, site: Site) -> Iterator[Write
         "interleave": "band",
         "BIGTIFF": "IF_SAFER",
     }
-    with replacing(path) as part, rasterio.Env(GDAL_CACHEMAX=CACHE), ExitStack() as stack:
-        file: Any = None
-
-        def write(i: slice, j: slice, maps: Mapping[str, Band]) -> None:
-            nonlocal file
-            if file is None:  # the first tile has the bands
-                file = stack.enter_context(rasterio.open(part, "w", count=len(maps), **profile))
-                labels = [band.label for band in maps.values()]
-                file.descriptions = tuple(f"{label.name} [{label.unit}]" for label in labels)
-                file.units = tuple(label.unit for label in labels)
-                for k, label in enumerate(labels, 1):
-                    file.update_tags(k, long_name=label.words)
-                own = {"TIFFTAG_SOFTWARE": f"slipfree {__version__}", FRAME: site.frame}
-                file.update_tags(AREA_OR_POINT="Point", **own, **site.attributes)
-            window = (y.size - j.stop, y.size - j.start), (i.start, i.stop)
-            for k, band in enumerate(maps.values(), 1):
-                image = np.ascontiguousarray(band.values.T[::-1], dtype=np.float32)
-                file.write(image, k, window=window)
-
+    with replacing(Path(path)) as part, rasterio.Env(GDAL_CACHEMAX=CACHE):
         try:
-            yield write
-            stack.close()
+            with ExitStack() as stack:
+                file: Any = None
+                for i, j, poses in tiles:
+                    maps, found = site.summary_of(poses, i, j)
+                    if file is None:  # the first tile has the bands
+                        file = rasterio.open(part, "w", count=len(maps), **profile)
+                        stack.enter_context(file)
+                        _describe(file, maps, found, site)
+                    window = (y.size - j.stop, y.size - j.start), (i.start, i.stop)
+                    for k, band in enumerate(maps.values(), 1):
+                        image = np.ascontiguousarray(band.values.T[::-1], dtype=np.float32)
+                        file.write(image, k, window=window)
             with rasterio.open(part) as written:
                 for k in written.indexes:
                     written.checksum(k)  # reads all blocks
@@ -187,6 +164,19 @@ def geotiff_writer(path: Path, x: Array, y: Array, site: Site) -> Iterator[Write
             raise WriteError(
                 f"{path}: cannot be written ({error}); free disk space or choose another folder"
             ) from error
+
+
+def _describe(file: Any, maps: Mapping[str, Band], found: Verdicts, site: Site) -> None:
+    """Describe the bands of a GeoTIFF, and list the meanings of the reasons."""
+    labels = [band.label for band in maps.values()]
+    file.descriptions = tuple(f"{label.name} [{label.unit}]" for label in labels)
+    file.units = tuple(label.unit for label in labels)
+    meanings = "; ".join(f"{code}: {words}" for code, words in enumerate(found.reasons) if code)
+    for k, label in enumerate(labels, 1):
+        words = f"{label.words}; {meanings}" if label.name == LIMIT else label.words
+        file.update_tags(k, long_name=words)
+    own = {"TIFFTAG_SOFTWARE": f"slipfree {__version__}", FRAME: site.frame}
+    file.update_tags(AREA_OR_POINT="Point", **own, **site.attributes)
 
 
 def write_atlas(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:

@@ -7,24 +7,22 @@ computation continues where it was, with equal files. Files are written tile by 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.atlas.atlas import Atlas, Band, least_bounds, tiles_of
+from slipfree.atlas.atlas import Atlas, Band, least_bounds
 from slipfree.core.errors import DataError
-from slipfree.core.facts import Fact, Lines
+from slipfree.core.facts import Fact, Lines, lines, rows
 from slipfree.core.records import Array
 from slipfree.files.atlas_files import (
     Site,
-    StoredAtlas,
-    geotiff_writer,
-    part_of,
-    with_reasons,
+    Tiles,
     write_atlas,
+    write_geotiff,
 )
 from slipfree.problem.build_ground import Extremes
 from slipfree.problem.inputs import FileStates, file_states, files_read, task_folder, task_head
@@ -37,6 +35,18 @@ from slipfree.system.processes import Poll, Pool
 
 DRAWN = 1000  # largest number of nodes along an axis of a figure
 WIDE = 0.01  # difference of bounds of the least friction that is reported [1]
+
+ROWS = rows(
+    f"""\
+allowed poses: {{allowed_share:.3g>%}}
+allowed headings: all at {{all_headings_share:.3g>%}} of the nodes, some at \
+{{some_headings_share:.3g>%}}, none at {{no_headings_share:.3g>%}}
+least friction best: {{least_friction_best_high_median:.3g}} (median of the nodes)
+least friction worst: {{least_friction_worst_high_median:.3g}} (median of the nodes)
+least utilisation best: {{least_utilisation_best_high_median:.3g}} (median of the nodes)
+least utilisation worst: {{least_utilisation_worst_high_median:.3g}} (median of the nodes)
+!bounds of friction: wider than {WIDE:g} at {{loose_bounds_share:.3g>%}} of the poses"""
+)
 
 
 class TileTask(NamedTuple):
@@ -95,26 +105,24 @@ class TileFolder(Parts[Array]):
         """Store a tile; raise DataError if an input file has changed since the start."""
         self.add(number, {}, lambda part: np.save(part, result))
 
-    def poses(self, number: int) -> Atlas:
-        """Return the poses of a finished tile."""
-        i, j = self._setup.tiles[number]
-        values = np.load(self.file(number + 1))
-        bands = {
-            name: Band(label, each)
-            for (name, label), each in zip(self._labels.items(), values, strict=True)
-        }
-        return Atlas(self._setup.x[i], self._setup.y[j], self._setup.heading, bands, self._reasons)
+    def tiles(self) -> Tiles:
+        """Yield the places and poses of all tiles."""
+        setup = self._setup
+        for number, (i, j) in enumerate(setup.tiles, 1):
+            values = zip(self._labels.items(), np.load(self.file(number)), strict=True)
+            bands = {name: Band(label, each) for (name, label), each in values}
+            yield i, j, Atlas(setup.x[i], setup.y[j], setup.heading, bands, self._reasons)
 
     def whole(self) -> Atlas:
         """Return the poses of all tiles."""
         setup = self._setup
         shape = setup.heading.size, setup.x.size, setup.y.size
-        values: dict[str, Array] = {name: np.empty(shape, np.float32) for name in self._labels}
-        for k, (i, j) in enumerate(setup.tiles):
-            tile = self.poses(k)
-            for name, array in values.items():
-                array[:, i, j] = tile[name]
-        bands = {name: Band(self._labels[name], each) for name, each in values.items()}
+        bands = {
+            name: Band(label, np.empty(shape, np.float32)) for name, label in self._labels.items()
+        }
+        for i, j, tile in self.tiles():
+            for name, band in bands.items():
+                band.values[:, i, j] = tile[name]
         return Atlas(setup.x, setup.y, setup.heading, bands, self._reasons)
 
 
@@ -146,14 +154,10 @@ def write_file(path: Path, setup: AtlasSetup, folder: TileFolder) -> None:
 
     A netCDF file needs memory for all poses.
     """
-    site = setup.site
     if path.suffix.lower() == ".nc":
-        write_atlas(path, folder.whole(), site)
-        return
-    with geotiff_writer(path, setup.x, setup.y, site) as write:
-        for k, (i, j) in enumerate(setup.tiles):
-            maps, found = site.summary_of(folder.poses(k), i, j)
-            write(i, j, with_reasons(maps, found))
+        write_atlas(path, folder.whole(), setup.site)
+    else:
+        write_geotiff(path, setup.x, setup.y, setup.site, folder.tiles())
 
 
 class AtlasOverview(NamedTuple):
@@ -163,25 +167,8 @@ class AtlasOverview(NamedTuple):
     facts: dict[str, Fact]  # of the whole map, by name
 
 
-def overview_of_tiles(setup: AtlasSetup, folder: TileFolder) -> AtlasOverview:
-    """Return the overview of a map from its finished tiles."""
-    tiles = ((*tile, folder.poses(k)) for k, tile in enumerate(setup.tiles))
-    return _overview(setup.x, setup.y, tiles, setup.site)
-
-
-def overview_of_file(stored: StoredAtlas) -> AtlasOverview:
-    """Return the overview of a map in a netCDF file."""
-    poses = stored.poses
-    tiles = ((i, j, part_of(poses, i, j)) for i, j in tiles_of(poses.x.size, poses.y.size))
-    return _overview(poses.x, poses.y, tiles, stored.site)
-
-
-def _overview(
-    x: Array,
-    y: Array,
-    tiles: Iterator[tuple[slice, slice, Atlas]],
-    site: Site,
-) -> AtlasOverview:
+def overview(x: Array, y: Array, site: Site, tiles: Tiles) -> AtlasOverview:
+    """Return the overview of a map from its tiles."""
     step = max(1, -(-max(x.size, y.size) // DRAWN))
     shape = -(-x.size // step), -(-y.size // step)
     maps, reasons = dict[str, Band](), tuple[str, ...]()
@@ -226,36 +213,17 @@ def _facts(
     if friction:
         meaning = f"poses whose bounds of the least friction differ by more than {WIDE:g}"
         facts["loose_bounds_share"] = Fact(wide / poses, "1", f"share of the {meaning}")
-    rows = [
+    excluded = [
         {"reason": text, "share": float(count / poses)}
         for text, count in zip(reasons, counts, strict=True)
         if count and text != reasons[0]
     ]
-    facts["reasons"] = Fact(sorted(rows, key=lambda row: -float(row["share"])))
+    facts["reasons"] = Fact(sorted(excluded, key=lambda row: -float(row["share"])))
     return facts
 
 
 def summary_lines(facts: Mapping[str, Fact]) -> Lines:
     """Return the summary of a mobility map, pairs of name and text, which show its facts."""
-    shares = {
-        name: f"{100 * float(fact.value):.3g} %"
-        for name, fact in facts.items()
-        if name.endswith("share")
-    }
-    lines = [
-        ("allowed poses", shares["allowed_share"]),
-        (
-            "allowed headings",
-            f"all at {shares['all_headings_share']} of the nodes, some at "
-            f"{shares['some_headings_share']}, none at {shares['no_headings_share']}",
-        ),
-    ]
-    for name in (name for name in facts if name.endswith("_median")):
-        words = name.removesuffix("_high_median").replace("_", " ")
-        lines.append((words, f"{facts[name].value:.3g} (median of the nodes)"))
-    if "loose_bounds_share" in facts:
-        share = shares["loose_bounds_share"]
-        lines.append(("bounds of friction", f"wider than {WIDE:g} at {share} of the poses"))
-    for row in facts["reasons"].value:
-        lines.append(("  not allowed", f"{100 * row['share']:.3g} %: {row['reason']}"))
-    return lines
+    reasons = facts["reasons"].value
+    excluded = [f"{100 * row['share']:.3g} %: {row['reason']}" for row in reasons]
+    return [*lines(ROWS, facts), *(("  not allowed", words) for words in excluded)]

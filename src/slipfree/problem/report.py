@@ -17,7 +17,7 @@ from slipfree.core.facts import Lines, lines, printed_unit
 from slipfree.core.records import Array, leaves, unpack
 from slipfree.core.trajectory import FIGURE_SAMPLES, Trajectory, outcome_words
 from slipfree.core.version import __version__
-from slipfree.files.atlas_files import is_atlas, open_atlas
+from slipfree.files.atlas_files import is_atlas, open_atlas, tiles_in
 from slipfree.files.cf import MAP_TRANSFORM
 from slipfree.files.netcdf import ORIGIN, read
 from slipfree.files.urdf.xacro import trusted_paths
@@ -28,7 +28,7 @@ from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.records import is_determinate
 from slipfree.models.samples import closest_fact
-from slipfree.problem.atlas_tiles import AtlasOverview, overview_of_file, summary_lines
+from slipfree.problem.atlas_tiles import AtlasOverview, overview, summary_lines
 from slipfree.problem.build_vehicle import (
     is_vehicle_file,
     read_vehicle,
@@ -93,8 +93,9 @@ def report(file: Path) -> Report:
 
 def atlas_lines(file: Path) -> tuple[Lines, Lines, AtlasOverview]:
     """Return summary, set-up, and the contents of the figures of a mobility map."""
-    overview = overview_of_file(open_atlas(file))
-    return summary_lines(overview.facts), _set_up(overview.view.site.attributes), overview
+    poses, site = open_atlas(file)
+    found = overview(poses.x, poses.y, site, tiles_in(poses))
+    return summary_lines(found.facts), _set_up(site.attributes), found
 
 
 def _set_up(attributes: Mapping[str, str]) -> Lines:
