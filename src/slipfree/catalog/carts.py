@@ -6,51 +6,18 @@ The platform's axes are x right, y forward, z up. Masses are rounded values; wit
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from math import pi
 from typing import Annotated
 
 from annotated_types import Unit
 
+from slipfree.catalog.layouts import described
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.schema import Angle, Factor, Length, Mass, Position, Radius
 from slipfree.geometry.frame import Vector
-from slipfree.vehicle.sections import Section, section_of_radii
-from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
-from slipfree.vehicle.wheel import ORIGIN, Wheel
-
-SIDES = {"right": 1.0, "left": -1.0}
-Mounted = tuple[str, str, Vector, Section, bool]  # name, part, place, section, whether driven
-AXLE_NAMES = {2: ("front", "rear"), 3: ("front", "middle", "rear")}
-
-
-def assembled(
-    name: str,
-    coordinates: tuple[Coordinate, ...],
-    joints: tuple[Joint, ...],
-    wheels: Iterable[Mounted],
-    body: Body,
-    *,
-    wheel_mass: float,
-    grip: float,
-) -> Vehicle:
-    """Return a vehicle whose wheels have one mass [kg] and one grip [1]."""
-    made = tuple(
-        Wheel(wheel, part, at, section, driven=driven, mass=wheel_mass, grip=grip)
-        for wheel, part, at, section, driven in wheels
-    )
-    return Vehicle(name, coordinates, joints, made, body)
-
-
-def _pair(
-    prefix: str, part: str, half_track: float, ahead: float, section: Section
-) -> tuple[Mounted, ...]:
-    """Return the driven wheels on the right and on the left of a part."""
-    return tuple(
-        (f"{prefix}{side}", part, (sign * half_track, ahead, 0.0), section, True)
-        for side, sign in SIDES.items()
-    )
+from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.wheel import ORIGIN
 
 
 @checked
@@ -91,18 +58,7 @@ def differential_drive(
     ModelError
         If ``half_track`` or ``caster_ahead`` is not positive, or another number is out of range.
     """
-    section, drop = section_of_radii(r1, r2), -(r1 + r2) * (1 - caster_scale)
-    small = section_of_radii(r1 * caster_scale, r2 * caster_scale)
-    caster = "caster", "fork", (0.0, -trail, drop), small, False
-    return assembled(
-        "differential_drive",
-        (Coordinate("caster_angle", "passive", "angle of the caster, left positive"),),
-        (Joint("fork", "platform", "z", (0.0, caster_ahead, 0.0), "caster_angle"),),
-        (*_pair("", "platform", half_track, 0.0, section), caster),
-        Body(mass, center_of_mass),
-        wheel_mass=wheel_mass,
-        grip=grip,
-    )
+    return described("differential_drive", locals())
 
 
 @checked
@@ -143,39 +99,7 @@ def ackermann(
     ModelError
         If ``half_track`` or ``wheelbase`` is not positive, or another number is out of range.
     """
-    turned = "atan2({0}*tan(steer), {0} {2} {1}*tan(steer))"
-    knuckles = tuple(
-        Joint(
-            f"{side}_knuckle",
-            "axle",
-            "z",
-            (sign * half_track, 0.0, 0.0),
-            turned.format(repr(wheelbase), repr(half_track), "+" if sign > 0 else "-"),
-        )
-        for side, sign in SIDES.items()
-    )
-    section = section_of_radii(r1, r2)
-    return assembled(
-        "ackermann",
-        (
-            Coordinate("rock", "suspension", "rocking of the front axle, right side down positive"),
-            Coordinate(
-                "steer",
-                "commanded",
-                "steering angle in the middle of the front axle, left positive",
-                -steer_stop,
-                steer_stop,
-            ),
-        ),
-        (Joint("axle", "platform", "y", (0.0, wheelbase, 0.0), "rock"), *knuckles),
-        (
-            *_pair("rear_", "platform", half_track, 0.0, section),
-            *((f"front_{side}", f"{side}_knuckle", ORIGIN, section, False) for side in SIDES),
-        ),
-        Body(mass, center_of_mass),
-        wheel_mass=wheel_mass,
-        grip=grip,
-    )
+    return described("ackermann", locals())
 
 
 @checked
@@ -210,22 +134,7 @@ def skid_steer(
     ModelError
         If ``half_track`` or ``wheelbase`` is not positive, or another number is out of range.
     """
-    section = section_of_radii(r1, r2)
-    sides = {"right": ("rocker", 0.0), "left": ("platform", -half_track)}
-    wheels = (
-        (f"{end}_{side}", part, (x, y, 0.0), section, True)
-        for side, (part, x) in sides.items()
-        for end, y in (("front", wheelbase / 2), ("rear", -wheelbase / 2))
-    )
-    return assembled(
-        "skid_steer",
-        (Coordinate("rock", "suspension", "rocking of the right side, front up positive"),),
-        (Joint("rocker", "platform", "x", (half_track, 0.0, 0.0), "rock"),),
-        wheels,
-        Body(mass, center_of_mass),
-        wheel_mass=wheel_mass,
-        grip=grip,
-    )
+    return described("skid_steer", locals())
 
 
 @checked
@@ -267,22 +176,9 @@ def rigid_skid_steer(
     ModelError
         If the number of axles is not 2 or 3, or another number is out of range.
     """
-    if axles not in AXLE_NAMES:
+    if axles not in (2, 3):
         raise ModelError(f"rigid_skid_steer: expected axles = 2 or 3, found {axles}; use 2 or 3")
-    names, section = AXLE_NAMES[axles], section_of_radii(r1, r2)
-    wheels = [
-        wheel
-        for k, name in enumerate(names)
-        for wheel in _pair(
-            f"{name}_",
-            "platform",
-            half_track,
-            wheelbase / 2 - k * wheelbase / (axles - 1),
-            section,
-        )
-    ]
-    body = Body(mass, center_of_mass)
-    return assembled("rigid_skid_steer", (), (), wheels, body, wheel_mass=wheel_mass, grip=grip)
+    return described("rigid_skid_steer", locals())
 
 
 @checked
@@ -331,27 +227,7 @@ def mecanum(
     .. [1] Configuration of the youBot's driver, youbot/youbot_driver, ``config/youbot-base.cfg``.
     .. [2] a2s-institute/youbot_description, ``urdf/youbot_base/base.urdf.xacro``.
     """
-    ends = ("front", "axle", 1, 0.0), ("rear", "platform", -1, -wheelbase / 2)
-    wheels = (
-        (
-            f"{end}_{side}",
-            part,
-            (right * half_track, y, 0.0),
-            section_of_radii(r1, r2, rollers=-ahead * right * roller_angle),
-            True,
-        )
-        for end, part, ahead, y in ends
-        for side, right in SIDES.items()
-    )
-    return assembled(
-        "mecanum",
-        (Coordinate("rock", "suspension", "rocking of the front axle, right side down positive"),),
-        (Joint("axle", "platform", "y", (0.0, wheelbase / 2, 0.0), "rock"),),
-        wheels,
-        Body(mass, center_of_mass),
-        wheel_mass=wheel_mass,
-        grip=grip,
-    )
+    return described("mecanum", locals())
 
 
 @checked
@@ -394,24 +270,4 @@ def articulated(
     ModelError
         If ``half_track``, ``front`` or ``rear`` is not positive, or another number is out of range.
     """
-    section, (x, y, z) = section_of_radii(r1, r2), center_of_mass
-    return assembled(
-        "articulated",
-        (
-            Coordinate(
-                "bend", "commanded", "angle of the rear half, left positive", -bend_stop, bend_stop
-            ),
-            Coordinate("twist", "suspension", "twist of the rear half, right side down positive"),
-        ),
-        (
-            Joint("hinge", "platform", "z", (0.0, -front, 0.0), "bend"),
-            Joint("rear_half", "hinge", "y", ORIGIN, "twist", body=Body(mass, (x, y - rear, z))),
-        ),
-        (
-            *_pair("front_", "platform", half_track, 0.0, section),
-            *_pair("rear_", "rear_half", half_track, -rear, section),
-        ),
-        Body(mass, center_of_mass),
-        wheel_mass=wheel_mass,
-        grip=grip,
-    )
+    return described("articulated", locals())

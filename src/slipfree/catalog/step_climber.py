@@ -7,15 +7,13 @@ of the joint, along the body, and above the joint.
 
 from __future__ import annotations
 
-from slipfree.catalog.carts import SIDES
+from slipfree.catalog.layouts import described
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.schema import Factor, Force, Length, Mass, Position, Stiffness
-from slipfree.geometry.frame import Axis, Vector
-from slipfree.vehicle.drives import Torque
-from slipfree.vehicle.sections import Disc, Omni
-from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Coordinate, Joint, Vehicle, planar
-from slipfree.vehicle.wheel import ORIGIN, Wheel
+from slipfree.vehicle.sections import Disc
+from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.wheel import ORIGIN
 
 AXLES = ("rear", "middle", "front")
 
@@ -62,7 +60,7 @@ def _misfit(vehicle: Vehicle) -> str:
     return ""
 
 
-FRONT_MASS, REAR_MASS = 7.8, 13.8  # of the bodies, wheels included [kg]
+FRONT_MASS = 7.8  # of the front body, wheels included [kg]
 
 
 @checked
@@ -117,59 +115,7 @@ def seven_wheels(
             f"seven_wheels: expected a mass of wheels of at least 0 and below {FRONT_MASS / 3:g} "
             f"kg, found {wheel_mass} kg; change 'wheel_mass'"
         )
-    radius, behind, ahead, lengths, above = 0.066, 0.215, 0.255, (0.400, 0.195), 0.05
-    pressed = [
-        Coordinate(
-            f"press_{end}",
-            "suspension",
-            f"height of the wheel between the {end} pair, on its spring",
-            stiffness=stiffness,
-            rest=-preload / stiffness,
-        )
-        for end in ("rear", "front")
-    ]
-    middles = (-behind - radius + lengths[0] / 2, ahead - joint + radius - lengths[1] / 2)
-
-    def wheel(name: str, part: str, at: Vector, axle: Axis = "x") -> Wheel:
-        section, mass = Omni(Disc(radius)), wheel_mass
-        return Wheel(name, part, at, section, driven=True, grip=grip, axle=axle, mass=mass)
-
-    pairs = [
-        wheel(f"{end}_{side}", part, (sign * half_track, y, 0.0))
-        for end, part, y in (("rear", "platform", -behind), ("front", "twist", ahead - joint))
-        for side, sign in SIDES.items()
-    ]
-    return Vehicle(
-        "seven_wheels",
-        (
-            Coordinate("pitch_joint", "suspension", "pitch of the front body, nose up positive"),
-            Coordinate(
-                "roll_joint", "suspension", "roll of the front body, right side down positive"
-            ),
-            *pressed,
-        ),
-        (
-            Joint("hinge", "platform", "x", (0.0, joint, 0.0), "pitch_joint"),
-            Joint(
-                "twist",
-                "hinge",
-                "y",
-                ORIGIN,
-                "roll_joint",
-                body=Body(FRONT_MASS - 3 * wheel_mass, (0.0, middles[1], above)),
-            ),
-            Joint("rear_press", "platform", "z", (0.0, -behind, 0.0), "press_rear", "slide"),
-            Joint("front_press", "twist", "z", (0.0, ahead - joint, 0.0), "press_front", "slide"),
-        ),
-        (
-            *pairs[:2],
-            wheel("rear_across", "rear_press", ORIGIN, (0.0, -1.0, 0.0)),
-            wheel("middle", "platform", ORIGIN),
-            *pairs[2:],
-            wheel("front_across", "front_press", ORIGIN, "y"),
-        ),
-        Body(REAR_MASS - 4 * wheel_mass, (0.0, middles[0], above)),
-    )
+    return described("seven_wheels", locals())
 
 
 @checked
@@ -193,38 +139,4 @@ def step_climber(*, joint: Position = 0.0, stiffness: Stiffness = 1.5e5) -> Vehi
     ModelError
         If the stiffness is not positive.
     """
-    height, lengths = 0.25, (0.400, 0.195)
-    whole = seven_wheels(joint=joint)
-    front = next(each.body for each in whole.joints if each.name == "twist")
-    wheels = {wheel.name: wheel for wheel in whole.wheels}
-    # the platform's origin is the middle wheel there, that of the front body the joint
-    bodies = [
-        Body(
-            each.mass,
-            (0.0, each.at[1] - origin, each.at[2]),
-            3 * (each.mass * (length**2 + height**2) / 12,) + 3 * (0.0,),
-        )
-        for each, origin, length in zip((whole.body, front), (joint, 0.0), lengths, strict=True)
-    ]
-    depth = (FRONT_MASS + REAR_MASS) * EARTH_GRAVITY / 3 / stiffness
-    axles = (
-        ("rear", "platform", wheels["rear_left"].at[1] - joint, 0.010),
-        ("middle", "platform", 0.0 - joint, 0.005),
-        ("front", "front_body", wheels["front_left"].at[1], 0.010),
-    )
-    discs = tuple(
-        Wheel(
-            name,
-            part,
-            (0.0, ahead, 0.0),
-            Disc(wheels["middle"].radius),
-            driven=True,
-            drive=Torque(),
-            static_depth=depth,
-            inertia=(inertia, inertia),  # the second has no effect in the plane
-        )
-        for name, part, ahead, inertia in axles
-    )
-    fold = Coordinate("fold", "suspension", "pitch of the front body relative to the rear body")
-    hinge = Joint("front_body", "platform", "x", ORIGIN, "fold", body=bodies[1])
-    return planar(Vehicle("step_climber", (fold,), (hinge,), discs, bodies[0]))
+    return described("step_climber", locals())

@@ -8,15 +8,13 @@ from typing import Annotated, Literal
 
 from annotated_types import Gt, Unit
 
-from slipfree.catalog.carts import assembled
+from slipfree.catalog.layouts import described
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.schema import Angle, Factor, JointConstant, Length, Mass, Radius
-from slipfree.vehicle.sections import section_of_radii
-from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind, Vehicle
+from slipfree.vehicle.tree import Vehicle
 
 Axle = Literal["tilting", "sliding", "prismatic_undriven", "prismatic", "actuated", "fixed"]
-Ends = tuple[tuple[Coordinate, ...], tuple[Joint, ...]]
 ORIGIN = (0.0, 0.0, 0.0)
 MAX_TILT = 1.5  # a wheel with a larger tilt lies on its side [rad]
 
@@ -86,78 +84,13 @@ def three_wheeler(
     .. [1] N. Chakraborty and A. Ghosal, "Kinematics of wheeled mobile robots on uneven terrain",
            sections 3 and 4.
     """
-    rear, front, section = -wheelbase / 3, 2 * wheelbase / 3, section_of_radii(r1, r2)
-    ends = {"right": (half_track, rear, 0.0), "left": (-half_track, rear, 0.0)}
-    coordinates, joints = _rear(axle, ends, tilt_stop, slide_stop)
-    coordinates = _add_springs(axle, coordinates, stiffness, damping, bump)
-    steer = Coordinate("steer", "commanded", "steering angle of the front wheel, left positive")
-    hubs = {joint.name.partition("_")[0]: joint.name for joint in joints}
-    wheels = [
-        (
-            side,
-            hubs.get(side, "platform"),
-            ORIGIN if side in hubs else at,
-            section,
-            not (axle == "prismatic_undriven" and side == "right"),
-        )
-        for side, at in ends.items()
-    ]
-    return assembled(
-        "three_wheeler" if axle == "tilting" else f"three_wheeler with {axle} axle",
-        (*coordinates, steer),
-        (*joints, Joint("fork", "platform", "z", (0.0, front, 0.0), "steer")),
-        [*wheels, ("front", "fork", ORIGIN, section, False)],
-        Body(mass, center_of_mass),
-        wheel_mass=wheel_mass,
-        grip=grip,
-    )
-
-
-def _add_springs(
-    axle: Axle, coordinates: tuple[Coordinate, ...], stiffness: float, damping: float, bump: float
-) -> tuple[Coordinate, ...]:
-    """Return the coordinates of an axle with their springs, dampers and stops."""
-    if not any((stiffness, damping, bump)):
-        return coordinates
-    if not any(c.kind == "passive" for c in coordinates):
+    vehicle = described("three_wheeler", locals())
+    if any((stiffness, damping, bump)) and not vehicle.of("passive"):
         raise ModelError(
             "three_wheeler: expected an axle with a free joint for a spring, damper or elastic "
             f"stop, found the {axle} axle; remove stiffness, damping and bump, or choose another "
             "axle"
         )
-    return tuple(replace(c, stiffness=stiffness, damping=damping, bump=bump) for c in coordinates)
-
-
-def _rear(
-    axle: Axle,
-    ends: dict[str, tuple[float, float, float]],
-    tilt_stop: float,
-    slide_stop: float,
-) -> Ends:
-    """Return the coordinates and joints of a rear axle with ends at given positions."""
-    if axle == "fixed":
-        return (), ()
-    tilts = axle == "tilting"
-    kind: Kind = "commanded" if axle == "actuated" else "passive"
-    name, part, about, stop, words = (
-        ("tilt", "hub", "y", tilt_stop, "lateral tilt of the {} rear wheel")
-        if tilts
-        else ("slide", "half", "x", slide_stop, "sliding of the {} half of the axle to the right")
-    )
-    sides = tuple(ends) if axle in ("tilting", "sliding") else ("right",)
     return (
-        tuple(
-            Coordinate(f"{name}_{side}", kind, words.format(side), -stop, stop) for side in sides
-        ),
-        tuple(
-            Joint(
-                f"{side}_{part}",
-                "platform",
-                about,
-                ends[side],
-                f"{name}_{side}",
-                "turn" if tilts else "slide",
-            )
-            for side in sides
-        ),
+        vehicle if axle == "tilting" else replace(vehicle, name=f"{vehicle.name} with {axle} axle")
     )
