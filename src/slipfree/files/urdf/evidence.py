@@ -1,7 +1,8 @@
-"""Evidence for choices that a URDF leaves open: from names, actuators, axes, places and partners.
+"""Evidence for the roles of joints and links in a URDF: one table, and the function that walks it.
 
-Each piece of evidence supports one choice with a weight; `weigh` adds the weights. Evidence for two
-choices of about the same weight is contradictory, and leaves the choice open.
+Each row of `ROWS` is a kind of evidence: the choice that it supports in a question, its weight, and
+the words for it in notes, questions and guesses. `weigh` adds the weights. Evidence for two choices
+of about the same weight is contradictory, and leaves the choice open.
 """
 
 from __future__ import annotations
@@ -10,31 +11,147 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from slipfree.files.urdf.xml import Element
 
 CONTRADICTORY = 0.85  # weight of the second choice that leaves the choice open [first choice]
 HINT, USUAL, STRONG, COMMAND, NAMES = 1.0, 2.0, 3.0, 4.0, 20.0  # weights of evidence
+AXLES = "along the axles"  # contradicts the direction in which wheels roll
 CONVENTION = 2.5  # weight of the frame convention of URDF
-DRIVE = re.compile("drive|steer|ackerman|mecanum|joint.*controller|joint.?force", re.IGNORECASE)
 RADIUS = {"wheelradius": 1.0, "wheeldiameter": 0.5}  # elements of plugins, without _
-INTERFACES = {  # weights of the interfaces of actuators; springs in simulators have efforts, too
-    "position": COMMAND,
-    "velocity": COMMAND,
-    "posvel": COMMAND,
-    "effort": USUAL,
-}
+INTERFACES = ("position", "velocity", "posvel", "effort")  # of actuators
+
+
+def _words(pattern: str) -> re.Pattern[str]:
+    return re.compile(pattern, re.IGNORECASE)
+
+
+# words in names of joints, links, meshes and plugins
+WHEEL = _words("wheel|tire|tyre")
+CASTER = _words("cast[eo]r|ball_?wheel|omni_?ball")
+TRAILER = _words("cast[eo]r|trailer|hitch|drawbar|swivel")
+SUSPENSION = _words("suspension|rocker|bogie|spring|shock|damper|strut|swing")
+LIFT = _words("lift|leg|hip|knee|flipper|arm|elbow")
+STEERING = _words("steer|ackerman|knuckle")
+PASSIVE = _words("passive|idle|free.?wheel|undriven|odom|encoder")
+OMNI = _words("omni|mecanum|swedish")
+MECANUM = _words("mecanum|swedish")
+FOOTPRINT = _words("footprint")  # link on the ground, by REP 120
+CAMERA = _words("camera|kinect|realsense")
+DRIVE = _words("drive|steer|ackerman|mecanum|joint.*controller|joint.?force")
 TRACK = re.compile(r"(left|right)?(track|belt|crawler|caterpillar|tread)(s|ed)?(left|right)?")
 LEG = re.compile("(left|right)?(leg|hip|thigh|knee|shin|calf|ankle|foot|femur|tibia|coxa)")
 
+Question = Literal["kind", "driven", "ground", "radius", "forward", "wheel"]
+
+
+class Row(NamedTuple):
+    """A kind of evidence. It is there if its fact is neither None, False, zero nor empty."""
+
+    question: Question
+    fact: str  # its name
+    words: str  # {} is replaced by the fact, names in braces by other facts
+    choice: str = ""  # that it supports, {} is replaced by the fact; empty if it supports none
+    weight: float = 0.0
+    pattern: re.Pattern[str] | None = None  # the first match in the fact, a text, replaces it
+
+
+ROWS = (
+    # kind of the coordinate of a joint that carries wheels
+    Row("kind", "rocks", "it lets wheels follow the ground", "suspension", USUAL),
+    Row("kind", "rocker", "{!r} in its name", "suspension", USUAL, SUSPENSION),
+    Row("kind", "rocker", "{!r} in its name", "commanded", HINT, LIFT),
+    Row("kind", "slides", "it slides a wheel sideways", "commanded", USUAL),
+    Row("kind", "turns", "a steep axis above a wheel steers it", "commanded", USUAL),
+    Row("kind", "swivels", "a caster or a trailer swivels", "passive", COMMAND + HINT),
+    Row("kind", "position", "{}", "commanded", COMMAND),
+    Row("kind", "velocity", "{}", "commanded", COMMAND),
+    Row("kind", "posvel", "{}", "commanded", COMMAND),
+    Row("kind", "effort", "{}", "commanded", USUAL),  # also of springs in simulators
+    Row("kind", "interface", "{}", "commanded", STRONG),
+    Row("kind", "plugin", "plugin of a simulator", "commanded", COMMAND),
+    Row("kind", "spring", "a spring in the simulator", "suspension", COMMAND),
+    # drive of a wheel
+    Row("driven", "actuator", "it has an actuator", "driven", COMMAND),
+    Row("driven", "actuator of others", "other wheels have an actuator", "free", USUAL),
+    Row("driven", "names", "its name", "free", USUAL, PASSIVE),
+    Row("driven", "caster", "a caster", "free", USUAL),
+    Row("driven", "nothing", "no wheel has an actuator", "driven", HINT),
+    # round shape far above the ground: a wheel, or a part that does not move
+    Row("ground", "high", "its shape ends far above the lowest wheel", "fixed", USUAL),
+    Row("ground", "alike", "radius of other wheels", "wheel", USUAL),
+    Row("ground", "names", "its name", "wheel", HINT, WHEEL),
+    # radius of opposite wheels with different shapes
+    Row("radius", "height", "height above the ground of the other wheels", "{}", USUAL),
+    Row("radius", "plugin of large", "plugin of a simulator", "{}", COMMAND),
+    Row("radius", "plugin of small", "plugin of a simulator", "{}", COMMAND),
+    Row("radius", "large", "shape of {names[0]}", "{}", USUAL),
+    Row("radius", "small", "shape of {names[1]}", "{}", USUAL),
+    Row("radius", "tiny", "shape of {names[1]}", "{}", HINT),
+    # forward direction
+    Row("forward", "front of wheels", "names of front and rear", "{}", NAMES),
+    Row("forward", "front on axles", f"names of front and rear: {AXLES}", AXLES, NAMES),
+    Row("forward", "front", "names of front and rear", "{}", HINT),
+    Row("forward", "left of wheels", "names of left and right", "{}", NAMES),
+    Row("forward", "left on axles", f"names of left and right: {AXLES}", AXLES, NAMES),
+    Row("forward", "left", "names of left and right", "{}", HINT),
+    Row("forward", "steered", "steered wheels", "{}", USUAL),
+    Row("forward", "view", "views of cameras", "{}", HINT),
+    Row("forward", "axes", "signs of the wheels' axes", "{}", HINT),
+    Row("forward", "front misplaced", "names of front and rear disagree with the places of {}"),
+    Row("forward", "left misplaced", "names of left and right disagree with the places of {}"),
+    Row("forward", "convention", "the frame convention of URDF", "x", CONVENTION),
+    # wheels, whose facts are their roles: the first one counts
+    Row("wheel", "given radius", "a mesh, its given radius"),
+    Row("wheel", "plugin", "its radius in a plugin of a simulator"),
+    Row("wheel", "full turn", "a round shape and a full turn, in spite of its limits"),
+    Row("wheel", "shape and limits", "its name and a round shape, in spite of its limits"),
+    Row("wheel", "shape", "its name and a round shape"),
+    Row(
+        "wheel",
+        "footprint",
+        "its name, without a round shape; radius from the least height above the footprint",
+    ),
+    Row("wheel", "name", "its name"),
+    Row("wheel", "trail", "it trails the axis of a caster"),
+    Row("wheel", "ball", "a caster slides freely as a ball; {reason}"),
+    Row("wheel", "mirrored", "its counterpart on the other side, {other}, is one"),
+    Row("wheel", "rollers", "with rollers, at the angle of their axes"),
+    Row("wheel", "odd", "its rollers have axes along its own, or at different angles to it"),
+    Row(
+        "wheel",
+        "mecanum",
+        "with oblique rollers: its name; on top of the wheels, their axes form an X",
+    ),
+    Row("wheel", "no swivel", "a caster without a swivel slides freely along its axle"),
+    Row("wheel", "oblique", "with rollers, since the axles are not parallel"),
+)
+
 
 class Evidence(NamedTuple):
-    """A piece of evidence; the choice is empty if it supports none."""
+    """A piece of evidence, and its fact."""
 
     choice: str
     weight: float
     words: str
+    fact: Any
+
+
+def evidence(question: Question, facts: Mapping[str, Any]) -> Iterator[Evidence]:
+    """Yield the evidence in a question, in the order of the table, from facts by their names."""
+    for row in ROWS:
+        fact = facts.get(row.fact) if row.question == question else None
+        if fact and row.pattern:
+            fact = next(iter(row.pattern.findall(fact)), None)
+        if fact:
+            words = row.words.format(fact, **facts)
+            yield Evidence(row.choice.format(fact), row.weight, words, fact)
+
+
+def wheel_evidence(role: Any, fact: str, **others: str) -> Evidence:
+    """Return the evidence of a fact that a joint carries a wheel with a role."""
+    return next(evidence("wheel", {fact: role, **others}))
 
 
 class Choice(NamedTuple):
@@ -64,7 +181,8 @@ class Plugin(NamedTuple):
 
 def weigh(pieces: Iterable[Evidence], default: str = "") -> Choice:
     """Return the choice with the largest sum of weights; the default one without any evidence."""
-    pieces, sums = [*dict.fromkeys(pieces)], defaultdict[str, float](float)
+    pieces = [*{piece[:3]: piece for piece in pieces}.values()]
+    sums = defaultdict[str, float](float)
     for piece in pieces:
         sums[piece.choice] += piece.weight
     sums.pop("", None)
@@ -121,24 +239,24 @@ def _number(text: str) -> float:
 
 def actuators(robot: Element) -> dict[str, list[Evidence]]:
     """Return the evidence of actuators and springs in a robot, by the name of the joint."""
-    evidence = defaultdict[str, list[Evidence]](list)
+    facts: list[tuple[str, str, str]] = []  # joint, fact and value
     for name, interface, kind in _interfaces(robot):
         if "state" not in interface:  # of a sensor
-            words = " ".join(filter(None, (interface, kind)))
-            weight = INTERFACES.get(interface, STRONG)
-            evidence[name].append(Evidence("commanded", weight, words))
+            fact = interface if interface in INTERFACES else "interface"
+            facts.append((name, fact, " ".join(filter(None, (interface, kind)))))
     for plugin in plugins(robot):
-        if plugin.drives:
-            for word in plugin.words:
-                evidence[word].append(Evidence("commanded", COMMAND, "plugin of a simulator"))
+        facts += [(word, "plugin", "drive") for word in plugin.words if plugin.drives]
     springs = [(each.attributes.get("reference", ""), each) for each in robot.all("gazebo")]
     springs += [(each.attributes.get("name", ""), each) for each in robot.all("joint")]
     for name, element in springs:
         values = [(part.tag, "".join(part.texts)) for part in element.children]
         values += [pair for part in element.children for pair in part.attributes.items()]
         if any("springstiff" in key.lower().replace("_", "") and _number(v) for key, v in values):
-            evidence[name].append(Evidence("suspension", COMMAND, "a spring in the simulator"))
-    return evidence
+            facts.append((name, "spring", "spring"))
+    found = defaultdict[str, list[Evidence]](list)
+    for name, fact, value in facts:
+        found[name] += evidence("kind", {fact: value})
+    return found
 
 
 def _interfaces(robot: Element) -> Iterator[tuple[str, str, str]]:

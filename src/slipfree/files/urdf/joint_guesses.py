@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -13,7 +12,16 @@ import numpy as np
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
-from slipfree.files.urdf.evidence import COMMAND, HINT, USUAL, Choice, Evidence, weigh
+from slipfree.files.urdf.evidence import (
+    CASTER,
+    STEERING,
+    TRAILER,
+    USUAL,
+    Choice,
+    Evidence,
+    evidence,
+    weigh,
+)
 from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.roles import Roles
 from slipfree.files.urdf.tree import Link, Mimic, Shape, Tree, UrdfJoint, lowest
@@ -21,11 +29,6 @@ from slipfree.files.vehicle_draft import rotation_of
 from slipfree.vehicle.tree import Kind
 from slipfree.vehicle.wheel import ORIGIN
 
-CASTER = re.compile("cast[eo]r|ball_?wheel|omni_?ball", re.IGNORECASE)
-TRAILER = re.compile("cast[eo]r|trailer|hitch|drawbar|swivel", re.IGNORECASE)
-SUSPENSION = re.compile("suspension|rocker|bogie|spring|shock|damper|strut|swing", re.IGNORECASE)
-LIFT = re.compile("lift|leg|hip|knee|flipper|arm|elbow", re.IGNORECASE)
-STEERING = re.compile("steer|ackerman|knuckle", re.IGNORECASE)
 TRAIL, MAX_TRAIL = 0.2, 2.0  # trail of wheels that swivel freely [radii]; longer ones articulate
 SMALL = 0.8  # largest radius of casters without a name or a swivel [radii of the other wheels]
 PARALLEL = 0.9  # least cosine of the angle between parallel axles
@@ -234,10 +237,6 @@ BALLS = KindGuess(None, "it carries only balls, which slide freely", "commanded"
 TOO_MANY = KindGuess(
     None, "with so few wheels, it and its counterpart cannot follow the ground", "commanded"
 )
-LEVEL = Evidence("suspension", USUAL, "it lets wheels follow the ground")
-SLIDES = Evidence("commanded", USUAL, "it slides a wheel sideways")
-STEEP = Evidence("commanded", USUAL, "a steep axis above a wheel steers it")
-SWIVEL = Evidence("passive", COMMAND + HINT, "a caster or a trailer swivels")
 
 
 class Joints:
@@ -304,16 +303,15 @@ class Joints:
         return weigh(piece for each in both for piece in self._evidence(each))
 
     def _evidence(self, joint: UrdfJoint) -> Iterator[Evidence]:
-        if self._rocks(joint):
-            yield LEVEL
-            for words in SUSPENSION.findall(joint.names)[:1]:
-                yield Evidence("suspension", USUAL, f"{words!r} in its name")
-            for words in LIFT.findall(joint.names)[:1]:
-                yield Evidence("commanded", HINT, f"{words!r} in its name")
-        else:
-            yield SLIDES if joint.type == "prismatic" else STEEP
-        if joint.name in self._swivelling:
-            yield SWIVEL
+        rocks, slides = self._rocks(joint), joint.type == "prismatic"
+        facts = {
+            "rocks": rocks,
+            "rocker": rocks and joint.names,
+            "slides": slides and not rocks,
+            "turns": not (slides or rocks),
+            "swivels": joint.name in self._swivelling,
+        }
+        yield from evidence("kind", facts)
         yield from self._tree.evidence.get(joint.name, ())
 
     def kinds(self) -> dict[str, KindGuess]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,7 +12,7 @@ from typing import Literal, NamedTuple, NoReturn, TypeVar
 import numpy as np
 
 from slipfree.core.records import Array
-from slipfree.files.urdf.evidence import Evidence, Plugin
+from slipfree.files.urdf.evidence import WHEEL, Evidence, Plugin
 from slipfree.files.vehicle_draft import (
     Guess,
     UnfitError,
@@ -25,7 +24,6 @@ from slipfree.files.vehicle_draft import (
 from slipfree.geometry.frame import Elements, Vector, in_axes, unit_vector
 from slipfree.vehicle.wheel import ORIGIN
 
-WHEEL = re.compile("wheel|tire|tyre", re.IGNORECASE)
 MIRROR = 0.05  # largest distance from a mirror image, in distances from the root's origin
 MAX_ECCENTRICITY = 1e-3  # largest distance of a wheel's centre from its axis, in radii
 STEEP = 0.5  # largest vertical component of a level axis, such as an axle

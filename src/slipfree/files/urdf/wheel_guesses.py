@@ -7,48 +7,44 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import atan2, degrees, radians
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from slipfree.core.records import Array
 from slipfree.files.urdf.evidence import (
-    CONVENTION,
-    HINT,
+    AXLES,
+    CAMERA,
+    CASTER,
+    FOOTPRINT,
     LEG,
-    NAMES,
+    MECANUM,
+    STEERING,
     TRACK,
-    USUAL,
+    WHEEL,
     Evidence,
+    evidence,
     weigh,
+    wheel_evidence,
     words_of,
 )
-from slipfree.files.urdf.joint_guesses import (
-    CASTER,
-    PARALLEL,
-    STEERING,
-    axle_of,
-    caster_wheels,
-    casters,
-)
+from slipfree.files.urdf.joint_guesses import PARALLEL, axle_of, caster_wheels, casters
 from slipfree.files.urdf.meshes import angles_to
 from slipfree.files.urdf.roles import Roles, WheelRole
-from slipfree.files.urdf.tree import WHEEL, Shape, Tree, UrdfJoint, is_about
+from slipfree.files.urdf.tree import Shape, Tree, UrdfJoint, is_about
 from slipfree.files.vehicle_draft import rotation_of
 from slipfree.geometry.frame import unit_vector
 from slipfree.vehicle.wheel import ORIGIN
 
-FOOTPRINT = re.compile("footprint", re.IGNORECASE)  # link on the ground, by REP 120
 FULL_TURN = 6.2  # least range of joints whose limits are those of a careless export [rad]
 MIN_ROLLERS = 3  # wheels with rollers have more of them
 MIN_ROLLER_ANGLE = 10.0  # least angle of rollers [degrees]
 SAME_ANGLE = 0.95  # least length of the mean of unit vectors at twice the angles of rollers
-MECANUM = re.compile("mecanum|swedish", re.IGNORECASE)
 DIRECTIONS = {"x": (1.0, 0.0), "y": (0.0, 1.0), "-x": (-1.0, 0.0), "-y": (0.0, -1.0)}
 OPPOSITE = {"x": "-x", "-x": "x", "y": "-y", "-y": "y"}
 CLEAR = 0.5  # a piece of evidence for a direction has at least this component along it
 SMALL = 1e-3  # smaller vectors between places have no direction [m]
-CAMERA = re.compile("camera|kinect|realsense", re.IGNORECASE)
+ENDS = {"front": "rear", "left": "right"}
 END = r"(front|rear|back|hind|mid|middle|center|centre)?"
 # words of names: front, left_front, leftFront, FL, lf, ...
 SIDES = {  # also in German, French, Italian, Spanish and Portuguese
@@ -84,14 +80,7 @@ LEGS = (
 )
 
 
-class WheelGuess(NamedTuple):
-    """Guessed properties of a wheel that a URDF does not describe completely, and the reason."""
-
-    role: WheelRole
-    reason: str
-
-
-def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, WheelGuess]]:
+def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, Evidence]]:
     """Return a URDF in which the rollers of wheels are fixed, and these wheels by joint.
 
     Rollers turn about axes around that of the wheel, at the same angle to it.
@@ -112,10 +101,8 @@ def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, WheelGuess]]:
             shape = Shape("cylinder", radius, ORIGIN, angles_to(axis))
             links[joint.child] = links[joint.child]._replace(shapes=(shape,))
         angle = _roller_angle(rollers, axis)
-        reason = "with rollers, at the angle of their axes"
-        if not angle:
-            reason = "its rollers have axes along its own, or at different angles to it"
-        guesses[joint.name] = WheelGuess(WheelRole(rollers=angle), reason)
+        fact = "rollers" if angle else "odd"
+        guesses[joint.name] = wheel_evidence(WheelRole(rollers=angle), fact)
     return replace(tree, joints=joints, links=links), guesses
 
 
@@ -140,58 +127,50 @@ def _roller_angle(rollers: Sequence[UrdfJoint], axis: Array) -> float | bool:
     return radians(90.0 if mean == -90.0 else mean)
 
 
-def mecanum_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, WheelGuess]]:
+def mecanum_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, Evidence]]:
     """Yield the wheels called mecanum wheels, also by meshes, with the usual angles of rollers.
 
     The URDF faces forward along x. The rollers on top of the wheels form an X.
     """
-    links = {joint.name: tree.links[joint.child] for joint in wheels}
-    meshes = {name: [m.name for m in (*link.meshes, *link.visuals)] for name, link in links.items()}
-    words = {
-        j.name: [
-            j.names,
-            *meshes[j.name],
-            *[each.name for each in [tree.drives.get(j.name)] if each],
-        ]
-        for j in wheels
-    }
-    named = [j for j in wheels if MECANUM.search(" ".join(words[j.name]))]
+    named: list[UrdfJoint] = []
+    for joint in wheels:
+        link, drive = tree.links[joint.child], tree.drives.get(joint.name)
+        words = [joint.names, *(mesh.name for mesh in (*link.meshes, *link.visuals))]
+        named += [joint] * bool(MECANUM.search(" ".join([*words, drive.name if drive else ""])))
     if not named:
         return
     places = np.array([tree.frames[joint.child][1][:2] for joint in named])
     for joint, (ahead, left) in zip(named, places - places.mean(axis=0), strict=True):
         if min(abs(ahead), abs(left)) > SMALL:
             angle = float(np.copysign(np.pi / 4, ahead * left))
-            reason = "with oblique rollers: its name; on top of the wheels, their axes form an X"
-            yield joint.name, WheelGuess(WheelRole(rollers=angle), reason)
+            yield joint.name, wheel_evidence(WheelRole(rollers=angle), "mecanum")
 
 
 def wheel_guesses(
     tree: Tree, wheels: Sequence[UrdfJoint], unread: Collection[str], roles: Roles
-) -> Iterator[tuple[str, WheelGuess]]:
+) -> Iterator[tuple[str, Evidence]]:
     """Yield the wheels that joints probably carry, with the name of the joint."""
     guesses = dict(_named_wheels(tree, wheels, roles))
     rolling = [*wheels, *(tree.joints[name] for name in guesses if tree.joints[name].moves)]
     for caster in casters(tree, rolling, roles.joints):
         guesses = {name: guess for name, guess in guesses.items() if name not in caster.parts}
-        role, reason = WheelRole(radius=caster.radius), "it trails the axis of a caster"
+        role, fact = WheelRole(radius=caster.radius), "trail"
         if caster.is_ball:
-            role = WheelRole(False, caster.radius, caster.radius, rollers=np.pi / 2)
-            reason = f"a caster slides freely as a ball; {caster.reason}"
-        guesses[caster.joint] = WheelGuess(role, reason)
+            role, fact = WheelRole(False, caster.radius, caster.radius, rollers=np.pi / 2), "ball"
+        guesses[caster.joint] = wheel_evidence(role, fact, reason=caster.reason)
     yield from guesses.items()
     # a counterpart gives the radius of a wheel without a shape
     sized = {
         name: guess
         for name, guess in guesses.items()
-        if guess.role.radius or tree.links[tree.joints[name].child].shapes
+        if guess.fact.radius or tree.links[tree.joints[name].child].shapes
     }
     yield from _counterparts(tree, wheels, sized, {*unread, *roles.joints})
 
 
 def _named_wheels(
     tree: Tree, wheels: Sequence[UrdfJoint], roles: Roles
-) -> Iterator[tuple[str, WheelGuess]]:
+) -> Iterator[tuple[str, Evidence]]:
     """Yield the wheels that names, such as "wheel", or a given radius of meshes suggest."""
     frames, on_wheels = tree.frames, tree.fixed_to_wheels
     grounds = [frames[link][1][2] for link in tree.links if FOOTPRINT.search(link)]
@@ -207,34 +186,36 @@ def _named_wheels(
         if is_ball and CASTER.search(joint.names):
             continue
         turns = joint.type == "revolute" and joint.upper - joint.lower >= FULL_TURN
+        is_round = turns and any(is_about(s, unit_vector(joint.axis)) for s in link.shapes)
         height = float(frames[joint.child][1][2] - grounds[0]) if grounds else 0.0
-        role, reason, drive = WheelRole(), "", tree.drives.get(joint.name)
-        if joint.type == "continuous" and roles.radius and link.meshes and not link.shapes:
-            role, reason = WheelRole(radius=roles.radius), "a mesh, its given radius"
-        elif drive is not None and drive.radius and joint.moves and not link.shapes:
-            role, reason = WheelRole(radius=drive.radius), "its radius in a plugin of a simulator"
-        elif turns and any(is_about(shape, unit_vector(joint.axis)) for shape in link.shapes):
-            reason = "a round shape and a full turn, in spite of its limits"
-        elif is_named and link.shapes:
-            limits = "" if joint.type != "revolute" else ", in spite of its limits"
-            reason = f"its name and a round shape{limits}"
+        drive, named = tree.drives.get(joint.name), WheelRole() if is_named else None
+        is_mesh = joint.type == "continuous" and link.meshes and not link.shapes
+        facts = {
+            "given radius": is_mesh and roles.radius and WheelRole(radius=roles.radius),
+            "plugin": drive
+            and drive.radius
+            and joint.moves
+            and not link.shapes
+            and WheelRole(radius=drive.radius),
+            "full turn": is_round and WheelRole(),
+            "shape and limits": link.shapes and joint.type == "revolute" and named,
+            "shape": link.shapes and named,
+            "name": joint.moves and not link.meshes and named,
+        }
+        if found := next(evidence("wheel", facts), None):
+            yield joint.name, found
         elif is_named and link.meshes and height > 0:
             heights[joint.name] = height
-        elif is_named and joint.moves and not link.meshes:
-            reason = "its name"
-        if reason:
-            yield joint.name, WheelGuess(role, reason)
-    reason = "its name, without a round shape; radius from the least height above the footprint"
     for name in heights:  # the radius of all is that of the lowest one
-        yield name, WheelGuess(WheelRole(radius=min(heights.values())), reason)
+        yield name, wheel_evidence(WheelRole(radius=min(heights.values())), "footprint")
 
 
 def _counterparts(
     tree: Tree,
     wheels: Sequence[UrdfJoint],
-    guesses: Mapping[str, WheelGuess],
+    guesses: Mapping[str, Evidence],
     excluded: Collection[str],
-) -> Iterator[tuple[str, WheelGuess]]:
+) -> Iterator[tuple[str, Evidence]]:
     """Yield the wheels opposite to a wheel that has no opposite wheel."""
     everything = [*wheels, *(tree.joints[name] for name in guesses)]
     known = {*excluded, *tree.fixed_to_wheels, *(wheel.name for wheel in everything)}
@@ -244,12 +225,11 @@ def _counterparts(
         if other is not None and tree.mirror_image(wheel, everything) is None:
             role = WheelRole(radius=tree.radius_of(wheel) or None)
             if role.radius is None and wheel.name in guesses:
-                role = guesses[wheel.name].role
-            reason = f"its counterpart on the other side, {wheel.name}, is one"
-            yield other.name, WheelGuess(role, reason)
+                role = guesses[wheel.name].fact
+            yield other.name, wheel_evidence(role, "mirrored", other=wheel.name)
 
 
-def sliding_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, WheelGuess]]:
+def sliding_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, Evidence]]:
     """Yield the unsteered wheels that slide: axles not parallel, or casters without a swivel."""
     casters_, turned = caster_wheels(tree, wheels), tree.steered
     rolling = [
@@ -262,13 +242,11 @@ def sliding_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[st
     rest = [wheel for wheel in rolling if wheel.name not in casters_]
     for wheel in rolling:
         if wheel.name in casters_:
-            reason = "a caster without a swivel slides freely along its axle"
-            yield wheel.name, WheelGuess(WheelRole(False, rollers=np.pi / 2), reason)
+            yield wheel.name, wheel_evidence(WheelRole(False, rollers=np.pi / 2), "no swivel")
     axles = [axle_of(tree, wheel) for wheel in rest]
     if any(abs(axle @ axles[0]) < PARALLEL for axle in axles):
         for wheel in rest:
-            reason = "with rollers, since the axles are not parallel"
-            yield wheel.name, WheelGuess(WheelRole(rollers=np.pi / 2), reason)
+            yield wheel.name, wheel_evidence(WheelRole(rollers=np.pi / 2), "oblique")
 
 
 def unused_wheel_names(
@@ -367,12 +345,12 @@ def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Forward:
     excluded = {*excluded, *caster_wheels(tree, rolling)}
     wheels = [joint for joint in rolling if joint.name not in excluded]
     line = _along(tree, wheels)
-    pieces = [*_evidence(tree, wheels, line)]
+    pieces = [*evidence("forward", _forward_facts(tree, wheels, line))]
     best, reason, rival, is_open = weigh(pieces, line[0])
     if "x" not in line and not any(piece.weight for piece in pieces):
         words = "the axles point along x, and no name distinguishes front from rear"
         return Forward(best, reason or words, OPPOSITE[best], True)
-    if best == "along the axles":
+    if best == AXLES:
         best, rival, is_open = line[0], "", True
     is_noted = best != "x" or any(piece.choice != "x" for piece in pieces)
     other = rival if rival in OPPOSITE else OPPOSITE[best]
@@ -406,67 +384,59 @@ def _along(tree: Tree, wheels: Sequence[UrdfJoint]) -> tuple[str, ...]:
     return ("x", "-x") if least[1] >= PARALLEL else ("x", "-x", "y", "-y")
 
 
-def _evidence(tree: Tree, wheels: Sequence[UrdfJoint], line: tuple[str, ...]) -> Iterator[Evidence]:
-    """Yield the evidence for directions among those in which the wheels roll."""
-    names = [*_named_vectors(tree, wheels)]
-    misfits = [*_misplaced(tree, wheels, line, names)]
-    vectors = [
-        *((words, vector, HINT if misfits else weight) for words, vector, weight in names),
-        ("steered wheels", _to_steered(tree, wheels), USUAL),
-        ("views of cameras", _view(tree), HINT),
-    ]
+def _forward_facts(
+    tree: Tree, wheels: Sequence[UrdfJoint], line: tuple[str, ...]
+) -> dict[str, Any]:
+    """Return the facts on directions among those in which the wheels roll."""
+    rolling = [j for j in tree.joints.values() if WHEEL.search(j.names)]
+    named = {ahead: _named_vector(tree, wheels, rolling, ahead) for ahead in ENDS}
+    misplaced = _misplaced(tree, wheels, line, np.sum([v for v, _ in named.values()], axis=0))
+    vectors = {"steered": _to_steered(tree, wheels), "view": _view(tree)}
     if "x" not in line:
         x, y = np.sum([tree.axis(joint)[:2] for joint in wheels], axis=0)
-        vectors.append(("signs of the wheels' axes", np.array([y, -x]), HINT))
-    for words, vector, weight in vectors:
+        vectors["axes"] = np.array([y, -x])
+    for side, (vector, is_of_wheels) in named.items():
+        vectors[f"{side} of wheels" if is_of_wheels and not misplaced else side] = vector
+    facts: dict[str, Any] = {**misplaced, "convention": "x" in line}
+    for fact, vector in vectors.items():
         size = float(np.linalg.norm(vector))
         along = {name: float(vector @ DIRECTIONS[name]) for name in line}
         best = max(line, key=lambda name: along[name])
         if size > SMALL and along[best] > CLEAR * size:
-            yield Evidence(best, weight, words)
-        elif weight == NAMES and size > SMALL:
-            yield Evidence("along the axles", weight, f"{words}: along the axles")
-    yield from misfits
-    if "x" in line:
-        yield Evidence("x", CONVENTION, "the frame convention of URDF")
+            facts[fact] = best
+        else:
+            facts[fact.replace(" of wheels", " on axles")] = size > SMALL and " of " in fact
+    return facts
 
 
-def _named_vectors(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, Array, float]]:
-    """Yield the forward vectors by names of front and rear, left and right, with their weights."""
-    rolling = [j for j in tree.joints.values() if WHEEL.search(j.names)]
-    for first, second in (("front", "rear"), ("left", "right")):
-        group, weight = [*wheels, *rolling], NAMES
-        if not any({first, second} & _sides(j.names) for j in group):
-            group, weight = [*tree.joints.values()], HINT
-        ahead, behind = ([j for j in group if s in _sides(j.names)] for s in (first, second))
-        vector = np.zeros(2)
-        if (ahead or behind) and (wheels or (ahead and behind)):
-            to, start = (  # the mean of all wheels replaces a missing one
-                np.mean([tree.frames[joint.child][1][:2] for joint in side or wheels], axis=0)
-                for side in (ahead, behind)
-            )
-            vector = to - start
-        if first == "left":
-            vector = np.array([vector[1], -vector[0]])
-        yield f"names of {first} and {second}", vector, weight
+def _named_vector(
+    tree: Tree, wheels: Sequence[UrdfJoint], rolling: Sequence[UrdfJoint], first: str
+) -> tuple[Array, bool]:
+    """Return the forward vector by names of two ends, and whether they are those of wheels."""
+    ends, group = (first, ENDS[first]), [*wheels, *rolling]
+    is_of_wheels = any({*ends} & _sides(j.names) for j in group)
+    group = group if is_of_wheels else [*tree.joints.values()]
+    ahead, behind = ([j for j in group if end in _sides(j.names)] for end in ends)
+    if not (ahead or behind) or not (wheels or (ahead and behind)):
+        return np.zeros(2), is_of_wheels
+    to, start = (  # the mean of all wheels replaces a missing one
+        np.mean([tree.frames[joint.child][1][:2] for joint in side or wheels], axis=0)
+        for side in (ahead, behind)
+    )
+    x, y = to - start
+    return np.array([y, -x] if first == "left" else [x, y]), is_of_wheels
 
 
 def _misplaced(
-    tree: Tree,
-    wheels: Sequence[UrdfJoint],
-    line: Sequence[str],
-    names: Sequence[tuple[str, Array, float]],
-) -> Iterator[Evidence]:
-    """Yield evidence without a choice for names of wheels that contradict each other's places."""
+    tree: Tree, wheels: Sequence[UrdfJoint], line: Sequence[str], forward: Array
+) -> dict[str, str]:
+    """Return the wheels whose names contradict the places of others, as facts on the names."""
     places = {wheel.name: tree.frames[wheel.child][1][:2] for wheel in wheels}
-    along = {
-        name: sum(float(vector @ axis) for _, vector, _ in names)
-        for name, axis in DIRECTIONS.items()
-    }
+    along = {name: float(forward @ axis) for name, axis in DIRECTIONS.items()}
     ahead = max(along, key=lambda name: along[name])
-    ahead = ahead if along[ahead] > SMALL else line[0]
-    x, y = DIRECTIONS[ahead]
-    for first, second, axis in (("front", "rear", (x, y)), ("left", "right", (-y, x))):
+    x, y = DIRECTIONS[ahead if along[ahead] > SMALL else line[0]]
+    facts: dict[str, str] = {}
+    for (first, second), axis in zip(ENDS.items(), ((x, y), (-y, x)), strict=True):
         of = {
             side: {
                 wheel: float(places[wheel.name] @ axis)
@@ -480,12 +450,9 @@ def _misplaced(
         middle = sum(float(np.mean([*each.values()])) for each in of.values()) / 2
         wrong = [wheel.name for wheel, at in of[first].items() if at < middle - SMALL]
         wrong += [wheel.name for wheel, at in of[second].items() if at > middle + SMALL]
-        if wrong and len(wrong) < sum(map(len, of.values())):
-            yield Evidence(
-                "",
-                0.0,
-                f"names of {first} and {second} disagree with the places of {', '.join(wrong)}",
-            )
+        if len(wrong) < sum(map(len, of.values())):
+            facts[f"{first} misplaced"] = ", ".join(wrong)
+    return {fact: names for fact, names in facts.items() if names}
 
 
 def _to_steered(tree: Tree, wheels: Sequence[UrdfJoint]) -> Array:

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
-from slipfree.files.urdf.evidence import COMMAND, HINT, USUAL, Evidence, weigh
-from slipfree.files.urdf.joint_guesses import CASTER, caster_wheels
+from slipfree.files.urdf.evidence import CASTER, OMNI, WHEEL, Evidence, evidence, weigh
+from slipfree.files.urdf.joint_guesses import caster_wheels
 from slipfree.files.urdf.links import wheel_name
 from slipfree.files.urdf.meshes import MeshFiles, mesh_shape, unit_factor, unit_words
 from slipfree.files.urdf.roles import Roles, WheelRole
 from slipfree.files.urdf.tree import (
     MAX_ECCENTRICITY,
     STEEP,
-    WHEEL,
     Findings,
     MeshFile,
     Shape,
@@ -33,7 +32,6 @@ from slipfree.files.urdf.tree import (
     moved,
 )
 from slipfree.files.urdf.wheel_guesses import (
-    WheelGuess,
     mecanum_wheels,
     sliding_wheels,
     unused_wheel_names,
@@ -53,8 +51,6 @@ from slipfree.geometry.frame import Vector, tensor, unit_vector
 from slipfree.vehicle.sections import section_of_radii
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
-PASSIVE = re.compile("passive|idle|free.?wheel|undriven|odom|encoder", re.IGNORECASE)
-OMNI = re.compile("omni|mecanum|swedish", re.IGNORECASE)
 OMNI_ANGLE = "90 deg"  # angle of the rollers of omni wheels
 MIN_AXLE_LEFT = 1e-6  # a wheel with a smaller leftward component of its axle rolls sideways
 MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass from its centre are reported [m]
@@ -228,9 +224,9 @@ class Wheels:
         is_free = joint.moves or joint.name in tree.fixed_to_wheels
         return not is_free and bool(WHEEL.search(joint.names))
 
-    def _add_guess(self, joint: UrdfJoint, guess: WheelGuess) -> None:
+    def _add_guess(self, joint: UrdfJoint, guess: Evidence) -> None:
         """Complete the given properties of a wheel by guessed ones, and record these."""
-        name, shape, role, stated = joint.name, self._shape(joint), guess.role, self._role(joint)
+        name, shape, role, stated = joint.name, self._shape(joint), guess.fact, self._role(joint)
         if stated.radius and role.tube is not None and role.tube == role.radius:
             role = replace(role, tube=stated.radius)
         every = "radius", "tube", "driven", "rollers"
@@ -247,7 +243,7 @@ class Wheels:
         if values.get("rollers"):
             values["rollers"] = angle_text(values["rollers"])
         if values:
-            self._findings.guess("wheels", name, values, f"a wheel: {guess.reason}", other)
+            self._findings.guess("wheels", name, values, f"a wheel: {guess.words}", other)
 
     def _add_mesh_findings(self) -> None:
         """Add a guess for each wheel measured in a mesh, and an error for each unreadable mesh."""
@@ -371,26 +367,28 @@ class Wheels:
     ) -> None:
         """Guess the radius of two opposite wheels, or add an error if the evidence disagrees."""
         large, small = radii
-        pieces: list[tuple[float, float, str]] = []
+        drives = [self.tree.drives.get(name) for name in names]
+        plugins = [drive and drive.radius for drive in drives]
+        height = None
         if ground is not None:
             height = float(self.tree.frames[self.tree.joints[names[0]].child][1][2]) - ground
-            pieces.append((height, USUAL, "height above the ground of the other wheels"))
-        pieces += [
-            (drive.radius, COMMAND, "plugin of a simulator")
-            for name in names
-            if (drive := self.tree.drives.get(name)) and drive.radius
-        ]
-        pieces.append((large, USUAL, f"shape of {names[0]}"))
-        pieces.append((small, USUAL if 2 * small > large else HINT, f"shape of {names[1]}"))
+        sizes = {
+            "height": height,
+            "plugin of large": plugins[0],
+            "plugin of small": plugins[1],
+            "large": large,
+            "small" if 2 * small > large else "tiny": small,
+        }
         known: list[float] = []  # equal choices have one text
-        evidence: list[Evidence] = []
-        for radius, weight, words in (each for each in pieces if each[0] > 0):
-            same = (one for one in known if math.isclose(one, radius, rel_tol=ALIKE))
-            known.append(next(same, round(radius, 6)))
-            evidence.append(Evidence(f"{known[-1]:g} m", weight, words))
-        choice = weigh(evidence)
-        sizes = [float(each.split()[0]) for each in (choice.choice, choice.rival)]
-        wheels = [{name: {"radius": size} for name in names} for size in sizes]
+        facts: dict[str, Any] = {"names": names}
+        for fact, size in sizes.items():
+            if size and size > 0:
+                same = (one for one in known if math.isclose(one, size, rel_tol=ALIKE))
+                known.append(next(same, round(size, 6)))
+                facts[fact] = f"{known[-1]:g} m"
+        choice = weigh(evidence("radius", facts))
+        best, other_size = (float(each.split()[0]) for each in (choice.choice, choice.rival))
+        wheels = [{name: {"radius": size} for name in names} for size in (best, other_size)]
         if choice.is_open:
             lines = " or ".join(f"wheels = {toml_value(each)}" for each in wheels)
             self._findings.wrong(
@@ -401,13 +399,13 @@ class Wheels:
             )
         for name, radius in zip(names, radii, strict=True):
             given = self._given.get(name, WheelRole())
-            if not math.isclose(radius, sizes[0], rel_tol=ALIKE) and not choice.is_open:
+            if not math.isclose(radius, best, rel_tol=ALIKE) and not choice.is_open:
                 reason = f"of radius {choice.choice}: {choice.reason}"
                 other = toml_line("joints", name, kind="fixed")
-                if 2 * radius > sizes[0]:
+                if 2 * radius > best:
                     other = toml_line("wheels", name, radius=radius)
-                self._findings.guess("wheels", name, {"radius": sizes[0]}, reason, other)
-            self._given[name] = replace(given, radius=given.radius or sizes[0])
+                self._findings.guess("wheels", name, {"radius": best}, reason, other)
+            self._given[name] = replace(given, radius=given.radius or best)
 
     def _bottom(self, joint: UrdfJoint, shape: Shape) -> float:
         rotation, origin = self.tree.frames[joint.child]
@@ -424,13 +422,8 @@ class Wheels:
         low = [shapes[joint].radius for joint in shapes if lows[joint] <= most]
         for joint in (joint for joint in shapes if lows[joint] > most):
             alike = any(math.isclose(shapes[joint].radius, r, rel_tol=ALIKE) for r in low)
-            choice = weigh(
-                [
-                    Evidence("fixed", USUAL, "its shape ends far above the lowest wheel"),
-                    *[Evidence("wheel", USUAL, "radius of other wheels")] * alike,
-                    *[Evidence("wheel", HINT, "its name")] * bool(WHEEL.search(joint.names)),
-                ]
-            )
+            facts = {"high": True, "alike": alike, "names": joint.names}
+            choice = weigh(evidence("ground", facts))
             if choice.is_open:
                 lines = (
                     toml_line("wheels", joint.name),
@@ -508,19 +501,16 @@ class Wheels:
 
     def _is_driven(self, joint: UrdfJoint) -> bool:
         """Return whether a wheel is driven, and record a guess if the evidence is incomplete."""
-        pieces: list[Evidence] = []
-        if self._has_actuator(joint):
-            pieces.append(Evidence("driven", COMMAND, "it has an actuator"))
-        elif any(map(self._has_actuator, self.joints)):
-            pieces.append(Evidence("free", USUAL, "other wheels have an actuator"))
-        if PASSIVE.search(joint.names):
-            pieces.append(Evidence("free", USUAL, "its name"))
-        if joint.name in self._casters:
-            pieces.append(Evidence("free", USUAL, "a caster"))
-        pieces = pieces or [Evidence("driven", HINT, "no wheel has an actuator")]
-        choice = weigh(pieces)
+        has_actuator = self._has_actuator(joint)
+        facts = {
+            "actuator": has_actuator,
+            "actuator of others": not has_actuator and any(map(self._has_actuator, self.joints)),
+            "names": joint.names,
+            "caster": joint.name in self._casters,
+        }
+        choice = weigh([*evidence("driven", facts)] or evidence("driven", {"nothing": True}))
         is_driven = choice.choice == "driven"
-        if choice.rival or not self._has_actuator(joint):
+        if choice.rival or not has_actuator:
             rolling = {wheel.name for wheel in self.joints} - self.balls - self._casters
             other = toml_line("wheels", joint.name, driven=not is_driven)
             if is_driven and (len(rolling) < 3 or self._role(joint).rollers):  # none can be free
