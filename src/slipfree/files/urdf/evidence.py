@@ -46,7 +46,7 @@ LEG = re.compile("(left|right)?(leg|hip|thigh|knee|shin|calf|ankle|foot|femur|ti
 Question = Literal["kind", "driven", "ground", "radius", "forward", "wheel"]
 
 
-class Row(NamedTuple):
+class EvidenceRow(NamedTuple):
     """A kind of evidence. It is there if its fact is neither None, False, zero nor empty."""
 
     question: Question
@@ -59,73 +59,79 @@ class Row(NamedTuple):
 
 ROWS = (
     # kind of the coordinate of a joint that carries wheels
-    Row("kind", "rocks", "it lets wheels follow the ground", "suspension", USUAL),
-    Row("kind", "rocker", "{!r} in its name", "suspension", USUAL, SUSPENSION),
-    Row("kind", "rocker", "{!r} in its name", "commanded", HINT, LIFT),
-    Row("kind", "slides", "it slides a wheel sideways", "commanded", USUAL),
-    Row("kind", "turns", "a steep axis above a wheel steers it", "commanded", USUAL),
-    Row("kind", "swivels", "a caster or a trailer swivels", "passive", COMMAND + HINT),
-    Row("kind", "position", "{}", "commanded", COMMAND),
-    Row("kind", "velocity", "{}", "commanded", COMMAND),
-    Row("kind", "posvel", "{}", "commanded", COMMAND),
-    Row("kind", "effort", "{}", "commanded", USUAL),  # also of springs in simulators
-    Row("kind", "interface", "{}", "commanded", STRONG),
-    Row("kind", "plugin", "plugin of a simulator", "commanded", COMMAND),
-    Row("kind", "spring", "a spring in the simulator", "suspension", COMMAND),
+    EvidenceRow("kind", "rocks", "it lets wheels follow the ground", "suspension", USUAL),
+    EvidenceRow("kind", "rocker", "{!r} in its name", "suspension", USUAL, SUSPENSION),
+    EvidenceRow("kind", "rocker", "{!r} in its name", "commanded", HINT, LIFT),
+    EvidenceRow("kind", "slides", "it slides a wheel sideways", "commanded", USUAL),
+    EvidenceRow("kind", "turns", "a steep axis above a wheel steers it", "commanded", USUAL),
+    EvidenceRow("kind", "swivels", "a caster or a trailer swivels", "passive", COMMAND + HINT),
+    EvidenceRow("kind", "position", "{}", "commanded", COMMAND),
+    EvidenceRow("kind", "velocity", "{}", "commanded", COMMAND),
+    EvidenceRow("kind", "posvel", "{}", "commanded", COMMAND),
+    EvidenceRow("kind", "effort", "{}", "commanded", USUAL),  # also of springs in simulators
+    EvidenceRow("kind", "interface", "{}", "commanded", STRONG),
+    EvidenceRow("kind", "plugin", "plugin of a simulator", "commanded", COMMAND),
+    EvidenceRow("kind", "spring", "a spring in the simulator", "suspension", COMMAND),
     # drive of a wheel
-    Row("driven", "actuator", "it has an actuator", "driven", COMMAND),
-    Row("driven", "actuator of others", "other wheels have an actuator", "free", USUAL),
-    Row("driven", "names", "its name", "free", USUAL, PASSIVE),
-    Row("driven", "caster", "a caster", "free", USUAL),
-    Row("driven", "nothing", "no wheel has an actuator", "driven", HINT),
+    EvidenceRow("driven", "actuator", "it has an actuator", "driven", COMMAND),
+    EvidenceRow("driven", "actuator of others", "other wheels have an actuator", "free", USUAL),
+    EvidenceRow("driven", "names", "its name", "free", USUAL, PASSIVE),
+    EvidenceRow("driven", "caster", "a caster", "free", USUAL),
+    EvidenceRow("driven", "nothing", "no wheel has an actuator", "driven", HINT),
     # round shape far above the ground: a wheel, or a part that does not move
-    Row("ground", "high", "its shape ends far above the lowest wheel", "fixed", USUAL),
-    Row("ground", "alike", "radius of other wheels", "wheel", USUAL),
-    Row("ground", "names", "its name", "wheel", HINT, WHEEL),
+    EvidenceRow("ground", "high", "its shape ends far above the lowest wheel", "fixed", USUAL),
+    EvidenceRow("ground", "alike", "radius of other wheels", "wheel", USUAL),
+    EvidenceRow("ground", "names", "its name", "wheel", HINT, WHEEL),
     # radius of opposite wheels with different shapes
-    Row("radius", "height", "height above the ground of the other wheels", "{}", USUAL),
-    Row("radius", "plugin of large", "plugin of a simulator", "{}", COMMAND),
-    Row("radius", "plugin of small", "plugin of a simulator", "{}", COMMAND),
-    Row("radius", "large", "shape of {names[0]}", "{}", USUAL),
-    Row("radius", "small", "shape of {names[1]}", "{}", USUAL),
-    Row("radius", "tiny", "shape of {names[1]}", "{}", HINT),
+    EvidenceRow("radius", "height", "height above the ground of the other wheels", "{}", USUAL),
+    EvidenceRow("radius", "plugin of large", "plugin of a simulator", "{}", COMMAND),
+    EvidenceRow("radius", "plugin of small", "plugin of a simulator", "{}", COMMAND),
+    EvidenceRow("radius", "large", "shape of {names[0]}", "{}", USUAL),
+    EvidenceRow("radius", "small", "shape of {names[1]}", "{}", USUAL),
+    EvidenceRow("radius", "tiny", "shape of {names[1]}", "{}", HINT),
     # forward direction
-    Row("forward", "front of wheels", "names of front and rear", "{}", NAMES),
-    Row("forward", "front on axles", f"names of front and rear: {AXLES}", AXLES, NAMES),
-    Row("forward", "front", "names of front and rear", "{}", HINT),
-    Row("forward", "left of wheels", "names of left and right", "{}", NAMES),
-    Row("forward", "left on axles", f"names of left and right: {AXLES}", AXLES, NAMES),
-    Row("forward", "left", "names of left and right", "{}", HINT),
-    Row("forward", "steered", "steered wheels", "{}", USUAL),
-    Row("forward", "view", "views of cameras", "{}", HINT),
-    Row("forward", "axes", "signs of the wheels' axes", "{}", HINT),
-    Row("forward", "front misplaced", "names of front and rear disagree with the places of {}"),
-    Row("forward", "left misplaced", "names of left and right disagree with the places of {}"),
-    Row("forward", "convention", "the frame convention of URDF", "x", CONVENTION),
+    EvidenceRow("forward", "front of wheels", "names of front and rear", "{}", NAMES),
+    EvidenceRow("forward", "front on axles", f"names of front and rear: {AXLES}", AXLES, NAMES),
+    EvidenceRow("forward", "front", "names of front and rear", "{}", HINT),
+    EvidenceRow("forward", "left of wheels", "names of left and right", "{}", NAMES),
+    EvidenceRow("forward", "left on axles", f"names of left and right: {AXLES}", AXLES, NAMES),
+    EvidenceRow("forward", "left", "names of left and right", "{}", HINT),
+    EvidenceRow("forward", "steered", "steered wheels", "{}", USUAL),
+    EvidenceRow("forward", "view", "views of cameras", "{}", HINT),
+    EvidenceRow("forward", "axes", "signs of the wheels' axes", "{}", HINT),
+    EvidenceRow(
+        "forward", "front misplaced", "names of front and rear disagree with the places of {}"
+    ),
+    EvidenceRow(
+        "forward", "left misplaced", "names of left and right disagree with the places of {}"
+    ),
+    EvidenceRow("forward", "convention", "the frame convention of URDF", "x", CONVENTION),
     # wheels, whose facts are their roles: the first one counts
-    Row("wheel", "given radius", "a mesh, its given radius"),
-    Row("wheel", "plugin", "its radius in a plugin of a simulator"),
-    Row("wheel", "full turn", "a round shape and a full turn, in spite of its limits"),
-    Row("wheel", "shape and limits", "its name and a round shape, in spite of its limits"),
-    Row("wheel", "shape", "its name and a round shape"),
-    Row(
+    EvidenceRow("wheel", "given radius", "a mesh, its given radius"),
+    EvidenceRow("wheel", "plugin", "its radius in a plugin of a simulator"),
+    EvidenceRow("wheel", "full turn", "a round shape and a full turn, in spite of its limits"),
+    EvidenceRow("wheel", "shape and limits", "its name and a round shape, in spite of its limits"),
+    EvidenceRow("wheel", "shape", "its name and a round shape"),
+    EvidenceRow(
         "wheel",
         "footprint",
         "its name, without a round shape; radius from the least height above the footprint",
     ),
-    Row("wheel", "name", "its name"),
-    Row("wheel", "trail", "it trails the axis of a caster"),
-    Row("wheel", "ball", "a caster slides freely as a ball; {reason}"),
-    Row("wheel", "mirrored", "its counterpart on the other side, {other}, is one"),
-    Row("wheel", "rollers", "with rollers, at the angle of their axes"),
-    Row("wheel", "odd", "its rollers have axes along its own, or at different angles to it"),
-    Row(
+    EvidenceRow("wheel", "name", "its name"),
+    EvidenceRow("wheel", "trail", "it trails the axis of a caster"),
+    EvidenceRow("wheel", "ball", "a caster slides freely as a ball; {reason}"),
+    EvidenceRow("wheel", "mirrored", "its counterpart on the other side, {other}, is one"),
+    EvidenceRow("wheel", "rollers", "with rollers, at the angle of their axes"),
+    EvidenceRow(
+        "wheel", "odd", "its rollers have axes along its own, or at different angles to it"
+    ),
+    EvidenceRow(
         "wheel",
         "mecanum",
         "with oblique rollers: its name; on top of the wheels, their axes form an X",
     ),
-    Row("wheel", "no swivel", "a caster without a swivel slides freely along its axle"),
-    Row("wheel", "oblique", "with rollers, since the axles are not parallel"),
+    EvidenceRow("wheel", "no swivel", "a caster without a swivel slides freely along its axle"),
+    EvidenceRow("wheel", "oblique", "with rollers, since the axles are not parallel"),
 )
 
 
