@@ -113,23 +113,91 @@ def _check_names(robot: Element, tag: str, findings: Findings) -> None:
             )
 
 
+class _Part:
+    """An element of a URDF whose values are read; ``who`` names it in messages of errors."""
+
+    def __init__(self, element: Element, findings: Findings, who: str) -> None:
+        self.element, self.who, self._findings = element, who, findings
+        self.attributes = element.attributes
+
+    def wrong(self, message: str) -> None:
+        """Add an error of the element."""
+        self._findings.add(self.element.line, f"{self.who}: {message}")
+
+    def first(self, tag: str, words: str = "") -> _Part | None:
+        """Return the first child with a tag, described by words; None without such a child."""
+        child = self.element.first(tag)
+        return None if child is None else self.about(child, words)
+
+    def about(self, child: Element, words: str = "") -> _Part:
+        """Return a child, described by words."""
+        return _Part(child, self._findings, f"{self.who}: {words}" if words else self.who)
+
+    def name(self, key: str) -> str:
+        """Return a required name."""
+        if not self.attributes.get(key):
+            self.wrong(f"expected a name in the attribute {key!r}, found none; add it")
+        return self.attributes.get(key, "")
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """Return a number; one without a default is required."""
+        text = self.attributes.get(key)
+        if text is None and default is not None:
+            return default
+        value = _float(text or "")
+        if not math.isfinite(value):
+            wrong = "none; add it" if text is None else f"{text!r}; correct it"
+            self.wrong(f"expected a number in {key!r}, found {wrong}")
+            return default or 1.0
+        return value
+
+    def vector(self, key: str, default: Vector) -> Vector:
+        """Return three numbers."""
+        text = self.attributes.get(key)
+        return default if text is None else self.numbers(key, text)
+
+    def numbers(self, key: str, text: str) -> Vector:
+        """Return the three numbers in the text of an attribute; ones if they are invalid."""
+        values = [_float(number) for number in text.replace(",", " ").split()]
+        if len(values) != 3 or not all(map(math.isfinite, values)):
+            self.wrong(f"expected three numbers in {key!r}, found {text!r}; correct them")
+            return 1.0, 1.0, 1.0
+        return values[0], values[1], values[2]
+
+    def origin(self) -> tuple[Vector, Vector]:
+        """Return position [m] and roll, pitch, yaw [rad] in ``origin``; zeros without an origin."""
+        origin = self.first("origin", "origin")
+        if origin is None:
+            return ORIGIN, ORIGIN
+        at, turned = origin.vector("xyz", ORIGIN), origin.vector("rpy", ORIGIN)
+        origin = self.about(origin.element)
+        if max(map(abs, at)) > MAX_LENGTH:
+            origin.wrong(
+                f"expected xyz in metres, from {-MAX_LENGTH:g} to {MAX_LENGTH:g} (did you mean "
+                f"millimetres?), found {origin.attributes['xyz']}; correct it"
+            )
+        for angle in turned:
+            if hint := degrees_words(angle):
+                origin.wrong(f"expected rpy in radians ({hint}), found {angle:g}")
+        return at, turned
+
+
 def _link(element: Element, findings: Findings, unread: list[str]) -> Link:
-    name = _text(element, "name", findings, "link")
-    inertial, who = element.first("inertial"), f"link {name!r}"
+    name = _Part(element, findings, "link").name("name")
+    link = _Part(element, findings, f"link {name!r}")
     mass, center, inertia = None, ORIGIN, None
-    if inertial is not None:
-        center, turned = _origin(inertial, findings, who)
-        inertia = _inertia(inertial, turned, findings, f"{who}: inertia")
-        weighed = inertial.first("mass")
-        if weighed is not None:
-            mass = _number(weighed, "value", None, findings, f"{who}: mass")
+    if (inertial := link.first("inertial")) is not None:
+        center, turned = inertial.origin()
+        inertia = _inertia(inertial, turned)
+        if (weighed := inertial.first("mass", "mass")) is not None:
+            mass = weighed.number("value")
             if mass < 0:
-                message = f"{who}: expected a mass of at least 0 kg, found {mass:g}; correct it"
-                findings.add(weighed.line, message)
+                message = f"expected a mass of at least 0 kg, found {mass:g}; correct it"
+                link.about(weighed.element).wrong(message)
 
     found: dict[str, list[Geometry]] = {"collision": [], "visual": []}
     for shape in (child for child in element.children if child.tag in found):
-        if (geometry := _geometry(shape, findings, who, unread)) is not None:
+        if (geometry := _geometry(link, shape, unread)) is not None:
             found[shape.tag].append(geometry)
 
     def of(kind: type[G]) -> tuple[G, ...]:
@@ -142,11 +210,11 @@ def _link(element: Element, findings: Findings, unread: list[str]) -> Link:
     return Link(name, mass, center, shapes, meshes, boxes, inertia, visuals, collisions)
 
 
-def _inertia(inertial: Element, turned: Vector, findings: Findings, who: str) -> Elements | None:
-    element = inertial.first("inertia")
+def _inertia(inertial: _Part, turned: Vector) -> Elements | None:
+    element = inertial.first("inertia", "inertia")
     if element is None:
         return None
-    xx, yy, zz, xy, xz, yz = (_number(element, key, 0.0, findings, who) for key in MOMENTS)
+    xx, yy, zz, xy, xz, yz = (element.number(key, 0.0) for key in MOMENTS)
     moments = (xx, yy, zz, xy, xz, yz)
     least, middle, most = np.linalg.eigvalsh(tensor(moments))
     if least <= 0 or most > (1 + TRIANGLE) * (least + middle):
@@ -154,161 +222,82 @@ def _inertia(inertial: Element, turned: Vector, findings: Findings, who: str) ->
     return in_axes(rotation_of(turned), moments)
 
 
-def _geometry(element: Element, findings: Findings, who: str, unread: list[str]) -> Geometry | None:
+def _geometry(link: _Part, shape: Element, unread: list[str]) -> Geometry | None:
     """Return the shape of a collision or visual element; add one that is not read to ``unread``."""
-    at, turned = _origin(element, findings, f"{who}: {element.tag}")
-    geometry = element.first("geometry")
-    solid = None if geometry is None else next(iter(geometry.children), None)
-    kind = "" if solid is None else solid.tag.rpartition(":")[2]  # as in <drake:capsule>
+    at, turned = link.about(shape, shape.tag).origin()
+    geometry = shape.first("geometry")
+    child = None if geometry is None else next(iter(geometry.children), None)
+    kind = "" if child is None else child.tag.rpartition(":")[2]  # as in <drake:capsule>
+    solid = None if child is None else link.about(child, kind)
     if solid is not None and kind == "mesh":
-        return _mesh(solid, at, turned, findings, who)
+        # three factors, one for all axes, or a fourth that is ignored
+        factors = solid.attributes.get("scale", "1").replace(",", " ").split()
+        factors = {1: factors * 3, 4: factors[:3]}.get(len(factors), factors)
+        scale = solid.numbers("scale", " ".join(factors))
+        if not all(scale):
+            text = solid.attributes["scale"]
+            solid.wrong(
+                f"expected factors other than zero in 'scale', found {text!r}; correct them"
+            )
+        file = solid.attributes.get("filename", solid.attributes.get("uri", ""))
+        return MeshFile(file, scale, at, turned)
     if solid is not None and kind == "box":
-        size = _vector(solid, "size", ORIGIN, findings, f"{who}: box")
+        size = solid.vector("size", ORIGIN)
         if min(size) > 0:
             return UrdfBox(size, at, turned)
         kind = "box without size"
     if solid is None or kind not in ("cylinder", "sphere", "capsule"):
-        shape = f"a <{kind}>" if kind else "no shape"
+        found = f"a <{kind}>" if kind else "no shape"
         read = "<box>, <sphere>, <cylinder>, <capsule> and <mesh> are read"
-        unread.append(f"{element.line}: {who}: {shape} as <{element.tag}>; {read}")
+        unread.append(f"{shape.line}: {link.who}: {found} as <{shape.tag}>; {read}")
         return None
-    radius = _number(solid, "radius", None, findings, f"{who}: {kind}")
+    radius = solid.number("radius")
     if not 0 < radius <= MAX_LENGTH:
-        findings.add(
-            solid.line,
-            f"{who}: expected the radius of a {kind} in metres, greater than 0 and at most "
-            f"{MAX_LENGTH:g}, found {radius:g}; correct it",
+        link.about(solid.element).wrong(
+            f"expected the radius of a {kind} in metres, greater than 0 and at most "
+            f"{MAX_LENGTH:g}, found {radius:g}; correct it"
         )
-    length = _number(solid, "length", 0.0, findings, f"{who}: {kind}")
-    return Shape(cast(Any, kind), radius, at, turned, length=length)
-
-
-def _mesh(
-    mesh: Element, at: Vector, turned: Vector, findings: Findings, who: str
-) -> MeshFile | None:
-    # three factors, one for all axes, or a fourth that is ignored
-    factors = mesh.attributes.get("scale", "1").replace(",", " ").split()
-    factors = factors * 3 if len(factors) == 1 else factors[:3] if len(factors) == 4 else factors
-    scaled = Element("mesh", {"scale": " ".join(factors)}, mesh.line)
-    scale = _vector(scaled, "scale", (1.0, 1.0, 1.0), findings, f"{who}: mesh")
-    if not all(scale):
-        text = mesh.attributes["scale"]
-        message = f"expected factors other than zero in 'scale', found {text!r}; correct them"
-        findings.add(mesh.line, f"{who}: mesh: {message}")
-    return MeshFile(
-        mesh.attributes.get("filename", mesh.attributes.get("uri", "")), scale, at, turned
-    )
+    return Shape(cast(Any, kind), radius, at, turned, length=solid.number("length", 0.0))
 
 
 def _joint(element: Element, findings: Findings) -> UrdfJoint:
-    name = _text(element, "name", findings, "joint")
-    who, kind = f"joint {name!r}", element.attributes.get("type", "")
+    name, kind = _Part(element, findings, "joint").name("name"), element.attributes.get("type", "")
+    joint = _Part(element, findings, f"joint {name!r}")
     if kind not in TYPES:
-        expected = f"one of the types {', '.join(TYPES)}"
         wrong = repr(kind) if kind else "none"
-        findings.add(element.line, f"{who}: expected {expected}, found {wrong}; choose one")
-    ends: list[str] = []
-    for tag in ("parent", "child"):
-        link = link_at(element, tag)
+        joint.wrong(f"expected one of the types {', '.join(TYPES)}, found {wrong}; choose one")
+    ends = [link_at(element, tag) for tag in ("parent", "child")]
+    for tag, link in zip(("parent", "child"), ends, strict=True):
         if not link:
-            findings.add(element.line, f'{who}: expected <{tag} link="..."/>, found none; add it')
-        ends.append(link)
-    at, turned = _origin(element, findings, who)
-    pointed, axis = element.first("axis"), ORIGIN if kind == "fixed" else FORWARD
+            joint.wrong(f'expected <{tag} link="..."/>, found none; add it')
+    at, turned = joint.origin()
+    pointed, axis = joint.first("axis", "axis"), ORIGIN if kind == "fixed" else FORWARD
     if pointed is not None:
-        axis = _vector(pointed, "xyz", FORWARD, findings, f"{who}: axis")
+        axis = pointed.vector("xyz", FORWARD)
         if not math.hypot(*axis) > 0 and kind not in ("fixed", "floating"):
-            findings.add(
-                pointed.line,
-                f"{who}: expected an axis other than zero, found 0 0 0; "
-                'write <axis xyz="0 1 0"/> for an axis to the left',
+            joint.about(pointed.element).wrong(
+                "expected an axis other than zero, found 0 0 0; "
+                'write <axis xyz="0 1 0"/> for an axis to the left'
             )
-    lower, upper = _limits(element, kind, findings, f"{who}: limit")
+    limit, lower, upper, max_rate = joint.first("limit", "limit"), -math.inf, math.inf, math.inf
+    if limit is not None:
+        if kind in ("revolute", "prismatic", "fixed") and {"lower", "upper"} & {*limit.attributes}:
+            low, high = limit.number("lower", 0.0), limit.number("upper", 0.0)
+            lower = low if abs(low) < MAX_LIMIT else lower
+            upper = high if abs(high) < MAX_LIMIT else upper
+        rate = limit.number("velocity", 0.0)
+        max_rate = rate if 0 < rate < MAX_LIMIT else math.inf
     if kind == "revolute" and math.isinf(lower) and math.isinf(upper):
         kind = "continuous"
-    limit = element.first("limit")
-    rate = 0.0 if limit is None else _number(limit, "velocity", 0.0, findings, f"{who}: limit")
-    max_rate = rate if 0 < rate < MAX_LIMIT else math.inf
-    mimic, follows = element.first("mimic"), None
+    mimic, follows = joint.first("mimic", "mimic"), None
     if mimic is not None:
-        who = f"{who}: mimic"
         follows = Mimic(
-            _text(mimic, "joint", findings, who),
-            _number(mimic, "multiplier", 1.0, findings, who),
-            _number(mimic, "offset", 0.0, findings, who),
+            mimic.name("joint"), mimic.number("multiplier", 1.0), mimic.number("offset", 0.0)
         )
     return UrdfJoint(
-        name,
-        kind,
-        ends[0],
-        ends[1],
-        at,
-        turned,
-        axis,
-        lower,
-        upper,
-        max_rate,
-        follows,
-        element.line,
+        *(name, kind, ends[0], ends[1], at, turned, axis, lower, upper, max_rate, follows),
+        line=element.line,
     )
-
-
-def _limits(element: Element, kind: str, findings: Findings, who: str) -> tuple[float, float]:
-    limit = element.first("limit")
-    has_limits = limit is not None and {"lower", "upper"} & set(limit.attributes)
-    if kind not in ("revolute", "prismatic", "fixed") or limit is None or not has_limits:
-        return -math.inf, math.inf
-    lower, upper = (_number(limit, key, 0.0, findings, who) for key in ("lower", "upper"))
-    return (
-        lower if abs(lower) < MAX_LIMIT else -math.inf,
-        upper if abs(upper) < MAX_LIMIT else math.inf,
-    )
-
-
-def _origin(element: Element, findings: Findings, who: str) -> tuple[Vector, Vector]:
-    """Return position [m] and roll, pitch, yaw [rad] in ``origin``; zeros without an origin."""
-    origin = element.first("origin")
-    if origin is None:
-        return ORIGIN, ORIGIN
-    at = _vector(origin, "xyz", ORIGIN, findings, f"{who}: origin")
-    turned = _vector(origin, "rpy", ORIGIN, findings, f"{who}: origin")
-    if max(map(abs, at)) > MAX_LENGTH:
-        findings.add(
-            origin.line,
-            f"{who}: expected xyz in metres, from {-MAX_LENGTH:g} to {MAX_LENGTH:g} (did you mean "
-            f"millimetres?), found {origin.attributes['xyz']}; correct it",
-        )
-    for angle in turned:
-        if hint := degrees_words(angle):
-            findings.add(origin.line, f"{who}: expected rpy in radians ({hint}), found {angle:g}")
-    return at, turned
-
-
-def _vector(element: Element, key: str, default: Vector, findings: Findings, who: str) -> Vector:
-    text = element.attributes.get(key)
-    if text is None:
-        return default
-    values = [_float(number) for number in text.replace(",", " ").split()]
-    if len(values) != 3 or not all(map(math.isfinite, values)):
-        message = f"{who}: expected three numbers in {key!r}, found {text!r}; correct them"
-        findings.add(element.line, message)
-        return default
-    return values[0], values[1], values[2]
-
-
-def _number(
-    element: Element, key: str, default: float | None, findings: Findings, who: str
-) -> float:
-    """Return the number in an attribute; one without a default is required."""
-    text = element.attributes.get(key)
-    if text is None and default is not None:
-        return default
-    value = _float(text or "")
-    if not math.isfinite(value):
-        wrong = "none; add it" if text is None else f"{text!r}; correct it"
-        findings.add(element.line, f"{who}: expected a number in {key!r}, found {wrong}")
-        return default or 1.0
-    return value
 
 
 def _float(text: str) -> float:
@@ -316,13 +305,6 @@ def _float(text: str) -> float:
         return float(text)
     except ValueError:
         return math.nan
-
-
-def _text(element: Element, key: str, findings: Findings, who: str) -> str:
-    if not element.attributes.get(key):
-        message = f"{who}: expected a name in the attribute {key!r}, found none; add it"
-        findings.add(element.line, message)
-    return element.attributes.get(key, "")
 
 
 def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], findings: Findings) -> str:
