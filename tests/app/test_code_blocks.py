@@ -31,9 +31,9 @@ from helpers.commands import printed
 from slipfree.cli import app
 from slipfree.files.atlas_files import Site, write_atlas
 from slipfree.files.toml.source import load_toml
+from slipfree.files.urdf.roles import UrdfTable
 from slipfree.files.vehicle_toml import file_of, validated
 from slipfree.fit.windows import Log, cut
-from slipfree.problem.build_vehicle import UrdfTable
 from slipfree.problem.load import load_problem
 from slipfree.problem.wheel_test import read_wheel_file
 

@@ -26,8 +26,8 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Stop, Trajectory
 from slipfree.files import netcdf
+from slipfree.files.urdf.roles import UrdfTable
 from slipfree.files.vehicle_toml import AnyShapeTable, AnyWheelTable, VehicleTable
-from slipfree.problem.build_vehicle import UrdfTable
 from slipfree.problem.load import VERBS
 from slipfree.problem.schema import CommonKeys
 from slipfree.vehicle.sections import SECTIONS

@@ -18,7 +18,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.core.records import leaves
-from slipfree.files.vehicle_toml import VehicleError
+from slipfree.files.vehicle_draft import VehicleError
 from slipfree.models.given_rates import COMMANDS
 from slipfree.solve.replay import replay, round_trip, trim_states
 

@@ -15,8 +15,9 @@ import numpy as np
 import tomlkit
 
 from slipfree.core.arguments import WithUnit, degrees_question
-from slipfree.core.errors import DataError, ModelError
+from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
+from slipfree.files.toml.source import ProblemError
 from slipfree.files.toml.types import parse_unit
 from slipfree.geometry.frame import Vector, in_axes, unit_vector
 from slipfree.vehicle.drives import DRIVES, RATE, Drive
@@ -94,16 +95,15 @@ class Draft:
         return Vehicle(self.name, *parts, planar=self.planar)
 
 
-class UnfitError(DataError):
-    """Error in a URDF file that does not contain a valid vehicle.
+class VehicleError(ProblemError):
+    """Error in a vehicle file, with one message per error.
 
-    Each of the ``faults`` is a line: location, expected and found; ``draft`` has the valid parts of
-    the vehicle, None without any.
+    ``draft`` has the valid parts of the vehicle; None if single values are invalid.
     """
 
-    def __init__(self, faults: Sequence[str], draft: Draft | None = None) -> None:
-        super().__init__("\n".join(faults))
-        self.faults, self.draft = tuple(faults), draft
+    def __init__(self, *faults: str, draft: Draft | None = None) -> None:
+        super().__init__(*faults)
+        self.draft = draft
 
 
 def misfits(draft: Draft, few: str = "add wheels") -> Iterator[tuple[str, str]]:

@@ -19,7 +19,6 @@ from slipfree.files.toml.source import (
     PIECE,
     Fault,
     Place,
-    ProblemError,
     Source,
     key_lines,
     name_errors,
@@ -49,6 +48,7 @@ from slipfree.files.toml.types import Place as Place3
 from slipfree.files.vehicle_draft import (
     MAX_LENGTH,
     Draft,
+    VehicleError,
     from_rep103,
     in_order,
     is_symbol,
@@ -69,17 +69,6 @@ FRAMES = "'paper' (x right, y forward, z up) or 'rep103' (x forward, y left, z u
 SIDEWAYS = {"paper": (1.0, 0.0, 0.0), "rep103": (0.0, -1.0, 0.0)}
 ADD = '{{ name = "{}", kind = "passive" }} to "coordinates"'  # a coordinate with a name
 T = TypeVar("T")
-
-
-class VehicleError(ProblemError):
-    """Error in a vehicle file in TOML, with one message per error.
-
-    ``draft`` has the valid parts of the vehicle; None if single values are invalid.
-    """
-
-    def __init__(self, *faults: str, draft: Draft | None = None) -> None:
-        super().__init__(*faults)
-        self.draft = draft
 
 
 def _meters(value: float) -> float:

@@ -10,20 +10,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
-
-from pydantic import BeforeValidator, Field
+from typing import Any, NamedTuple
 
 from slipfree.contact.closure import check_couplings
 from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError
 from slipfree.files.toml.source import Fault, Place, name_errors
-from slipfree.files.toml.types import NonNegative, Record, decoded
 from slipfree.files.urdf.elements import read_tree
 from slipfree.files.urdf.links import Robot
 from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.reader import read_urdf
-from slipfree.files.urdf.roles import NO_ROLES, JointRole, LinkRole, Roles, WheelRole, completed
+from slipfree.files.urdf.roles import NO_ROLES, JointRole, UrdfTable, completed
 from slipfree.files.urdf.tree import Tree
 from slipfree.files.urdf.wheel_guesses import forward_guess
 from slipfree.files.urdf.xacro import (
@@ -34,12 +31,10 @@ from slipfree.files.urdf.xacro import (
     trusted_paths,
 )
 from slipfree.files.urdf.xml import check_ending, is_description, parse_robot
-from slipfree.files.vehicle_draft import Draft, Guess, UnfitError
+from slipfree.files.vehicle_draft import Draft, Guess, VehicleError
 from slipfree.files.vehicle_toml import (
     PARTS,
     File,
-    Length,
-    VehicleError,
     couple_errors,
     open_file,
     read_toml,
@@ -57,35 +52,6 @@ from slipfree.vehicle.tree import Vehicle, actuated
 
 # values of arguments of xacro that cannot contain programs or names of files in other folders
 HARMLESS = re.compile(r"[\w .,+-]*", re.ASCII)
-
-
-# a text is the kind of the joint
-EXPANDED = BeforeValidator(lambda value: {"kind": value} if isinstance(value, str) else value)
-JointTable: Any = Annotated[decoded(JointRole), EXPANDED]
-WheelTable: Any = decoded(WheelRole)
-LinkTable: Any = decoded(LinkRole)
-
-
-class UrdfTable(Record):
-    """Vehicle file with the key ``urdf``, which completes a URDF."""
-
-    urdf: Annotated[str, Field(min_length=1)]
-    arguments: dict[str, str] = Field(default_factory=dict)
-    name: Annotated[str, Field(min_length=1)] | None = None
-    tube: NonNegative = 0.0
-    radius: Length | None = None
-    forward: Literal["x", "-x", "y", "-y"] | None = None
-    joints: dict[str, JointTable] = Field(default_factory=dict)
-    wheels: dict[str, WheelTable] = Field(default_factory=dict)
-    links: dict[str, LinkTable] = Field(default_factory=dict)
-    couple: dict[str, float] = Field(default_factory=dict)
-
-    @property
-    def roles(self) -> Roles:
-        """Roles of the joints, wheels and links."""
-        return Roles(
-            self.joints, self.wheels, self.links, self.couple, self.tube, self.radius, self.forward
-        )
 
 
 class VehicleFile(NamedTuple):
@@ -283,13 +249,11 @@ def _urdf(
         tree, roles = _tree(path, trusted, table, file), NO_ROLES
         if table is not None and file is not None:
             _check(table, tree, file)
-            roles = table.roles
+            roles = table
         draft = read_urdf(tree, roles)
         whole = completed(tree, roles)
         forward = roles.forward or forward_guess(whole, roles.joints).direction
         return draft, Robot(whole, forward)
-    except UnfitError as error:
-        raise VehicleError(*error.faults, draft=error.draft) from error
     except DataError as error:
         raise error if isinstance(error, VehicleError) else VehicleError(str(error)) from error
     except ModelError as error:

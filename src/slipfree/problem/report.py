@@ -21,8 +21,7 @@ from slipfree.files.atlas_files import is_atlas, open_atlas, tiles_in
 from slipfree.files.cf import MAP_TRANSFORM
 from slipfree.files.netcdf import ORIGIN, read
 from slipfree.files.urdf.xacro import trusted_paths
-from slipfree.files.vehicle_draft import Draft
-from slipfree.files.vehicle_toml import VehicleError
+from slipfree.files.vehicle_draft import Draft, VehicleError
 from slipfree.geometry.frame import AXES, Pose, unit_vector
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics

@@ -49,7 +49,7 @@ def read_tree(
     arguments: Mapping[str, str] = NOTHING,
     macros: frozenset[str] = frozenset(),
 ) -> Tree:
-    """Return the links and joints of a URDF file; an UnfitError has all errors of its elements."""
+    """Return the links and joints of a URDF file; a VehicleError has all errors of its elements."""
     robot, findings = parse_robot(data, file), Findings(file)
     check_macro_calls(robot, file, macros)
     notes = substitute(robot, file, arguments)

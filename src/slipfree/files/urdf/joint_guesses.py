@@ -23,7 +23,7 @@ from slipfree.files.urdf.evidence import (
     weigh,
 )
 from slipfree.files.urdf.meshes import MeshFiles
-from slipfree.files.urdf.roles import Roles
+from slipfree.files.urdf.roles import UrdfTable
 from slipfree.files.urdf.tree import Link, Mimic, Shape, Tree, UrdfJoint, lowest
 from slipfree.files.vehicle_draft import rotation_of
 from slipfree.vehicle.tree import Kind
@@ -246,7 +246,7 @@ class Joints:
     """
 
     def __init__(
-        self, tree: Tree, wheels: Sequence[UrdfJoint], balls: set[str], roles: Roles
+        self, tree: Tree, wheels: Sequence[UrdfJoint], balls: set[str], roles: UrdfTable
     ) -> None:
         self._tree, self._roles, self._balls = tree, roles, balls
         self._wheels = [*wheels]

@@ -10,14 +10,14 @@ from typing import Any
 
 from slipfree.files.urdf.collisions import body_shapes
 from slipfree.files.urdf.joint_guesses import NO_WHEEL, Joints, KindGuess
-from slipfree.files.urdf.roles import NO_ROLES, JointRole, Roles, completed, coupled
+from slipfree.files.urdf.roles import NO_ROLES, JointRole, UrdfTable, completed, coupled
 from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint, facing_forward
 from slipfree.files.urdf.wheel_guesses import TRACKS, forward_guess, tracks, wheel_remedy
 from slipfree.files.urdf.wheels import Wheels
 from slipfree.files.vehicle_draft import (
     MAX_LENGTH,
     Draft,
-    UnfitError,
+    VehicleError,
     degrees_words,
     from_rep103,
     is_symbol,
@@ -34,7 +34,7 @@ from slipfree.vehicle.tree import Body, Coordinate, Joint
 MIN_WHEELS = 3
 
 
-def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
+def read_urdf(tree: Tree, roles: UrdfTable = NO_ROLES) -> Draft:
     """Return the vehicle of a URDF, in axes x right, y forward, z up, with its root as platform.
 
     A joint carries a wheel if it has a wheel role, or if it is continuous with a nearly level axis,
@@ -47,26 +47,29 @@ def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
     notes = tuple(note.partition("; otherwise write ")[0] for note in draft.notes)
     refused = replace(draft, notes=notes)
     if findings.errors:
-        raise UnfitError(findings.lines, refused)
+        raise VehicleError(*findings.lines, draft=refused)
     few = _wheel_remedy(tree, roles, draft) if len(draft.wheels) < MIN_WHEELS else ""
     wrong = [f"{tree.file}:1: expected {e}, found {f}" for e, f in misfits(draft, few)]
     wrong += [f"{tree.file}:{element}" for element in tree.unknown if wrong]
     if wrong:
-        raise UnfitError(wrong, refused)
+        raise VehicleError(*wrong, draft=refused)
     return draft
 
 
-def _wheel_remedy(tree: Tree, roles: Roles, draft: Draft) -> str:
+def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: Draft) -> str:
     """Return what to do about too few wheels, with a line that adds wheels if one does."""
     words, wheels = wheel_remedy(tree, [wheel.name for wheel in draft.wheels])
-    findings, more = Findings(tree.file), replace(roles, wheels={**roles.wheels, **wheels})
+    findings, more = (
+        Findings(tree.file),
+        roles.model_copy(update={"wheels": {**roles.wheels, **wheels}}),
+    )
     if not wheels or [*misfits(_draft(tree, more, findings))] or findings.errors:
         return words
     sizes = {name: {"radius": role.radius} if role.radius else {} for name, role in wheels.items()}
     return f"{words}; or {tree.completion}, write wheels = {toml_value(sizes)}"
 
 
-def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
+def _draft(file: Tree, roles: UrdfTable, findings: Findings) -> Draft:
     tree = coupled(completed(file, roles), roles.couple)
     forward = roles.forward or _forward(tree, roles, findings)
     wheels = Wheels(facing_forward(tree, forward), roles, findings)
@@ -74,8 +77,8 @@ def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
         if wheels.tree.joints[name].moves:
             other = toml_line(table, name, **values)
             findings.guess("joints", name, {"kind": "fixed"}, reason, other)
-    fixed = dict.fromkeys(wheels.gears, JointRole("fixed"))
-    roles = replace(roles, joints={**roles.joints, **fixed})
+    fixed = dict.fromkeys(wheels.gears, JointRole(kind="fixed"))
+    roles = roles.model_copy(update={"joints": {**roles.joints, **fixed}})
     wheels.tree, roles = _with_differential(wheels, roles, findings)
     tree = wheels.tree
     for joint in tree.joints.values():
@@ -118,7 +121,7 @@ def _draft(file: Tree, roles: Roles, findings: Findings) -> Draft:
     )
 
 
-def _forward(tree: Tree, roles: Roles, findings: Findings) -> str:
+def _forward(tree: Tree, roles: UrdfTable, findings: Findings) -> str:
     """Return the guessed forward axis; add an error if the evidence does not determine it."""
     guess = forward_guess(tree, roles.joints)
     if guess.is_open:
@@ -136,7 +139,9 @@ def _forward(tree: Tree, roles: Roles, findings: Findings) -> str:
     return guess.direction
 
 
-def _with_differential(wheels: Wheels, roles: Roles, findings: Findings) -> tuple[Tree, Roles]:
+def _with_differential(
+    wheels: Wheels, roles: UrdfTable, findings: Findings
+) -> tuple[Tree, UrdfTable]:
     """Return a URDF whose opposite rockers have a differential, and the roles of other joints."""
     tree, couple = wheels.tree, dict(roles.couple)
     for name in {*couple} & {wheel.name for wheel in wheels.joints}:
@@ -163,7 +168,7 @@ def _with_differential(wheels: Wheels, roles: Roles, findings: Findings) -> tupl
         other = f"joints = {toml_value(dict.fromkeys(couple, 'fixed'))}"
         findings.guess("", "couple", {"couple": couple}, reason, other)
     independent = {name: role for name, role in roles.joints.items() if name not in [*couple][1:]}
-    return tree, replace(roles, joints=independent)
+    return tree, roles.model_copy(update={"joints": independent})
 
 
 def _used_joints(wheels: Wheels, findings: Findings) -> list[UrdfJoint]:
@@ -225,7 +230,7 @@ class _Coordinates:
     def __init__(
         self,
         tree: Tree,
-        roles: Roles,
+        roles: UrdfTable,
         wheels: Sequence[UrdfJoint],
         kinds: Mapping[str, KindGuess],
         findings: Findings,
@@ -256,7 +261,7 @@ class _Coordinates:
         ):
             guess = NO_WHEEL
         if role is None and leader.moves and guess is not None:
-            role = JointRole(guess.kind or "fixed")
+            role = JointRole(kind=guess.kind or "fixed")
             if guess.alike:
                 self._ask(leader, guess)
             else:
@@ -316,7 +321,7 @@ class _Coordinates:
             name += "_"
         if name in self.known:
             return name
-        role = joint_role or JointRole("commanded")
+        role = joint_role or JointRole(kind="commanded")
         if name != joint.name:
             self._findings.notes.append(f"joint {joint.name} is the coordinate {name}")
         for key in ("lower", "upper", "rest"):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import doc
-from pydantic import AfterValidator
+from pydantic import AfterValidator, BeforeValidator, Field
 
-from slipfree.files.toml.types import NonNegative, Positive
+from slipfree.files.toml.types import NonNegative, Positive, Record, decoded, given_values
 from slipfree.files.urdf.tree import Link, Mimic, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import vector_of
 from slipfree.files.vehicle_toml import (
@@ -27,36 +27,38 @@ from slipfree.vehicle.drives import RATE
 from slipfree.vehicle.tree import Kind
 from slipfree.vehicle.wheel import ORIGIN
 
-COORDINATE = doc("as in `slipfree.vehicle.tree.Coordinate`")
+# a text is the kind of the joint
+EXPANDED = BeforeValidator(lambda value: {"kind": value} if isinstance(value, str) else value)
+UnitAxis = Annotated[Axis, AfterValidator(unit_vector)]
 
 
-@dataclass(frozen=True)
-class JointRole:
+class JointRole(Record):
     """Table of a joint in a file that completes a URDF: its kind, and keys of its coordinate.
 
-    A joint that is not in the URDF has the key ``carries``.
+    A joint that is not in the URDF has the key ``carries``. The keys from ``words`` are those of
+    `slipfree.vehicle.tree.Coordinate`.
     """
 
-    kind: Annotated[Literal[Kind, "fixed"], doc("kind of its coordinate, if it moves")]
-    axis: Annotated[Axis, AfterValidator(unit_vector), doc("None for that of the URDF")] = None
-    motion: Annotated[Literal["turn", "slide"] | None, doc("None for that of its type")] = None
-    carries: Annotated[tuple[str, ...], doc("joints that a new joint carries")] = ()
-    at: Annotated[At, doc("of a new joint in the link that carried these joints [m]")] = ORIGIN
-    words: Annotated[str | None, COORDINATE] = None
-    lower: Annotated[float | None, COORDINATE] = None
-    upper: Annotated[float | None, COORDINATE] = None
-    stiffness: Annotated[NonNegative | None, COORDINATE] = None
-    rest: Annotated[float | None, COORDINATE] = None
-    damping: Annotated[NonNegative | None, COORDINATE] = None
-    bump: Annotated[NonNegative | None, COORDINATE] = None
-    max_rate: Annotated[Positive | None, COORDINATE] = None
-    drive: Annotated[DriveTable, COORDINATE] = None
+    kind: Literal[Kind, "fixed"]  # kind of its coordinate, if it moves
+    axis: UnitAxis = None  # None for that of the URDF
+    motion: Literal["turn", "slide"] | None = None  # None for that of its type
+    carries: Annotated[tuple[str, ...], Field(strict=False)] = ()  # joints that a new joint carries
+    at: At = ORIGIN  # of a new joint in the link that carried these joints [m]
+    words: str | None = None
+    lower: float | None = None
+    upper: float | None = None
+    stiffness: NonNegative | None = None
+    rest: float | None = None
+    damping: NonNegative | None = None
+    bump: NonNegative | None = None
+    max_rate: Positive | None = None
+    drive: DriveTable = None
 
     @property
     def keywords(self) -> dict[str, Any]:
         """Given keyword arguments of `slipfree.vehicle.tree.Coordinate`."""
-        given = ((each.name, getattr(self, each.name)) for each in fields(self)[5:])
-        return {name: value for name, value in given if value is not None}
+        own = {"kind", "axis", "motion", "carries", "at"}
+        return {name: value for name, value in given_values(self).items() if name not in own}
 
 
 @dataclass(frozen=True)
@@ -74,32 +76,36 @@ class WheelRole:
     drive: Annotated[DriveTable, doc("drive, for dynamics")] = RATE
 
 
-@dataclass(frozen=True)
-class LinkRole:
+class LinkRole(Record):
     """Table of a link in a file that completes a URDF: mass properties that override the URDF's."""
 
-    mass: Annotated[NonNegative | None, doc("[kg]")] = None
-    center_of_mass: Annotated[At | None, doc("[m]")] = None
-    inertia: Annotated[Inertia | None, doc("elements of the tensor [kg m^2]")] = None
+    mass: NonNegative | None = None  # [kg]
+    center_of_mass: At | None = None  # [m]
+    inertia: Inertia | None = None  # elements of the tensor [kg m^2]
 
 
-@dataclass(frozen=True)
-class Roles:
-    """Information that completes or overrides a URDF."""
-
-    joints: Mapping[str, JointRole] = field(default_factory=dict)  # by name
-    wheels: Mapping[str, WheelRole] = field(default_factory=dict)  # by joint
-    links: Mapping[str, LinkRole] = field(default_factory=dict)
-    couple: Mapping[str, float] = field(default_factory=dict)  # of two joints, as a differential
-    tube: float = 0.0  # tube radius of wheels, if neither a sphere nor a rounded mesh [m]
-    radius: float | None = None  # rolling radius of wheels with meshes; None to measure it [m]
-    forward: str | None = None  # axis of the root link that points forward; None for a guess
+WheelRoleTable: Any = decoded(WheelRole)
 
 
-NO_ROLES = Roles()
+class UrdfTable(Record):
+    """Vehicle file with the key ``urdf``, which completes or overrides a URDF."""
+
+    urdf: Annotated[str, Field(min_length=1)] = ""
+    arguments: dict[str, str] = Field(default_factory=dict)
+    name: Annotated[str, Field(min_length=1)] | None = None
+    tube: NonNegative = 0.0  # tube radius of wheels, if neither a sphere nor a rounded mesh [m]
+    radius: Length | None = None  # rolling radius of wheels with meshes; None to measure it [m]
+    forward: Literal["x", "-x", "y", "-y"] | None = None  # axis of the root link; None for a guess
+    joints: dict[str, Annotated[JointRole, EXPANDED]] = Field(default_factory=dict)  # by name
+    wheels: dict[str, WheelRoleTable] = Field(default_factory=dict)  # by joint
+    links: dict[str, LinkRole] = Field(default_factory=dict)
+    couple: dict[str, float] = Field(default_factory=dict)  # of two joints, as a differential
 
 
-def completed(tree: Tree, roles: Roles) -> Tree:
+NO_ROLES = UrdfTable()
+
+
+def completed(tree: Tree, roles: UrdfTable) -> Tree:
     """Return a URDF completed by roles: new joints, released joints, axes and mass properties.
 
     A joint of type fixed that has an axis is released, so that it moves, if it or the joint that it
@@ -144,7 +150,7 @@ def _with_joint(tree: Tree, name: str, role: JointRole) -> Tree:
     return replace(tree, links=tree.links | {name: Link(name)}, joints=joints)
 
 
-def _with_role(joint: UrdfJoint, roles: Roles) -> UrdfJoint:
+def _with_role(joint: UrdfJoint, roles: UrdfTable) -> UrdfJoint:
     """Return a joint with the axis and the motion of its role, released if it has an axis."""
     role = roles.joints.get(joint.name)
     if role is None:

@@ -15,8 +15,8 @@ from slipfree.core.records import Array
 from slipfree.files.urdf.evidence import WHEEL, Evidence, Plugin
 from slipfree.files.vehicle_draft import (
     Guess,
-    UnfitError,
     Value,
+    VehicleError,
     angles_of,
     rotation_of,
     vector_of,
@@ -268,8 +268,8 @@ class Findings:
         return [f"{self.file}:{line}: {message}" for line, message in sorted(self.errors)]
 
     def stop(self) -> NoReturn:
-        """Raise UnfitError with all errors."""
-        raise UnfitError(self.lines)
+        """Raise VehicleError with all errors."""
+        raise VehicleError(*self.lines)
 
 
 def lowest(shape: Shape, rotation: Array) -> float:

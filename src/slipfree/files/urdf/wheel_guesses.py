@@ -30,7 +30,7 @@ from slipfree.files.urdf.evidence import (
 )
 from slipfree.files.urdf.joint_guesses import PARALLEL, axle_of, caster_wheels, casters
 from slipfree.files.urdf.meshes import angles_to
-from slipfree.files.urdf.roles import Roles, WheelRole
+from slipfree.files.urdf.roles import UrdfTable, WheelRole
 from slipfree.files.urdf.tree import Shape, Tree, UrdfJoint, is_about
 from slipfree.files.vehicle_draft import rotation_of
 from slipfree.geometry.frame import unit_vector
@@ -147,7 +147,7 @@ def mecanum_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[st
 
 
 def wheel_guesses(
-    tree: Tree, wheels: Sequence[UrdfJoint], unread: Collection[str], roles: Roles
+    tree: Tree, wheels: Sequence[UrdfJoint], unread: Collection[str], roles: UrdfTable
 ) -> Iterator[tuple[str, Evidence]]:
     """Yield the wheels that joints probably carry, with the name of the joint."""
     guesses = dict(_named_wheels(tree, wheels, roles))
@@ -169,7 +169,7 @@ def wheel_guesses(
 
 
 def _named_wheels(
-    tree: Tree, wheels: Sequence[UrdfJoint], roles: Roles
+    tree: Tree, wheels: Sequence[UrdfJoint], roles: UrdfTable
 ) -> Iterator[tuple[str, Evidence]]:
     """Yield the wheels that names, such as "wheel", or a given radius of meshes suggest."""
     frames, on_wheels = tree.frames, tree.fixed_to_wheels

@@ -17,7 +17,7 @@ from slipfree.files.urdf.evidence import CASTER, OMNI, WHEEL, Evidence, evidence
 from slipfree.files.urdf.joint_guesses import caster_wheels
 from slipfree.files.urdf.links import wheel_name
 from slipfree.files.urdf.meshes import MeshFiles, mesh_shape, unit_factor, unit_words
-from slipfree.files.urdf.roles import Roles, WheelRole
+from slipfree.files.urdf.roles import UrdfTable, WheelRole
 from slipfree.files.urdf.tree import (
     MAX_ECCENTRICITY,
     STEEP,
@@ -68,12 +68,12 @@ class Wheels:
     the reason.
     """
 
-    def __init__(self, tree: Tree, roles: Roles, findings: Findings) -> None:
+    def __init__(self, tree: Tree, roles: UrdfTable, findings: Findings) -> None:
         self._roles, self._findings = roles, findings
         tree, rollers = with_fixed_rollers(tree)
         self._unread: dict[str, str] = {}
         self.tree = self._with_mesh_shapes(_with_fixed_shapes(tree))
-        self._given = dict(roles.wheels)
+        self._given: dict[str, WheelRole] = {**roles.wheels}
         shaped = [j for j in self.tree.joints.values() if self._has_wheel_shape(j)]
         guesses = dict(wheel_guesses(self.tree, shaped, self._unread, roles)) | rollers
         joints = [

@@ -271,7 +271,7 @@ def substitute(robot: Element, file: str, arguments: Mapping[str, str]) -> tuple
 
 
 def check_macro_calls(robot: Element, file: str, macros: frozenset[str] = frozenset()) -> None:
-    """Raise UnfitError for calls of macros without the prefix ``xacro:``, and for its absence."""
+    """Raise VehicleError for calls of macros without the prefix ``xacro:``, and for its absence."""
     findings, parts = Findings(file), [*robot.everything()]
     own = {part.attributes.get("name", "") for part in parts if part.tag == "xacro:macro"}
     called = (own | macros) - KNOWN - PARTS
@@ -299,8 +299,8 @@ def unknown_elements(robot: Element) -> tuple[str, ...]:
 def without_xacro(robot: Element, file: str, findings: Findings) -> tuple[Element, tuple[str, ...]]:
     """Return a robot without its links that have unexpanded xacro, and the names of these links.
 
-    UnfitError is raised if the xacro may belong to the drive train: it is not in a link or a joint,
-    or a continuous joint is at or below it.
+    VehicleError is raised if the xacro may belong to the drive train: it is not in a link or a
+    joint, or a continuous joint is at or below it.
     """
     parts = [part for part in robot.children if part.tag not in IGNORED]
     raw = [part for part in parts if any(map(_xacro_in, part.everything()))]
