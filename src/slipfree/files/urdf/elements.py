@@ -113,7 +113,7 @@ def _check_names(robot: Element, tag: str, findings: Findings) -> None:
             )
 
 
-class _Part:
+class _UrdfElement:
     """An element of a URDF whose values are read; ``who`` names it in messages of errors."""
 
     def __init__(self, element: Element, findings: Findings, who: str) -> None:
@@ -124,14 +124,14 @@ class _Part:
         """Add an error of the element."""
         self._findings.add(self.element.line, f"{self.who}: {message}")
 
-    def first(self, tag: str, words: str = "") -> _Part | None:
+    def first(self, tag: str, words: str = "") -> _UrdfElement | None:
         """Return the first child with a tag, described by words; None without such a child."""
         child = self.element.first(tag)
         return None if child is None else self.about(child, words)
 
-    def about(self, child: Element, words: str = "") -> _Part:
+    def about(self, child: Element, words: str = "") -> _UrdfElement:
         """Return a child, described by words."""
-        return _Part(child, self._findings, f"{self.who}: {words}" if words else self.who)
+        return _UrdfElement(child, self._findings, f"{self.who}: {words}" if words else self.who)
 
     def name(self, key: str) -> str:
         """Return a required name."""
@@ -183,8 +183,8 @@ class _Part:
 
 
 def _link(element: Element, findings: Findings, unread: list[str]) -> Link:
-    name = _Part(element, findings, "link").name("name")
-    link = _Part(element, findings, f"link {name!r}")
+    name = _UrdfElement(element, findings, "link").name("name")
+    link = _UrdfElement(element, findings, f"link {name!r}")
     mass, center, inertia = None, ORIGIN, None
     if (inertial := link.first("inertial")) is not None:
         center, turned = inertial.origin()
@@ -210,7 +210,7 @@ def _link(element: Element, findings: Findings, unread: list[str]) -> Link:
     return Link(name, mass, center, shapes, meshes, boxes, inertia, visuals, collisions)
 
 
-def _inertia(inertial: _Part, turned: Vector) -> Elements | None:
+def _inertia(inertial: _UrdfElement, turned: Vector) -> Elements | None:
     element = inertial.first("inertia", "inertia")
     if element is None:
         return None
@@ -222,7 +222,7 @@ def _inertia(inertial: _Part, turned: Vector) -> Elements | None:
     return in_axes(rotation_of(turned), moments)
 
 
-def _geometry(link: _Part, shape: Element, unread: list[str]) -> Geometry | None:
+def _geometry(link: _UrdfElement, shape: Element, unread: list[str]) -> Geometry | None:
     """Return the shape of a collision or visual element; add one that is not read to ``unread``."""
     at, turned = link.about(shape, shape.tag).origin()
     geometry = shape.first("geometry")
@@ -261,8 +261,11 @@ def _geometry(link: _Part, shape: Element, unread: list[str]) -> Geometry | None
 
 
 def _joint(element: Element, findings: Findings) -> UrdfJoint:
-    name, kind = _Part(element, findings, "joint").name("name"), element.attributes.get("type", "")
-    joint = _Part(element, findings, f"joint {name!r}")
+    name, kind = (
+        _UrdfElement(element, findings, "joint").name("name"),
+        element.attributes.get("type", ""),
+    )
+    joint = _UrdfElement(element, findings, f"joint {name!r}")
     if kind not in TYPES:
         wrong = repr(kind) if kind else "none"
         joint.wrong(f"expected one of the types {', '.join(TYPES)}, found {wrong}; choose one")
