@@ -25,6 +25,7 @@ from slipfree.problem.result import open_result
 from slipfree.problem.schema import VERB, MotionKeys, Time
 from slipfree.problem.verbs.driving import DriveVerb
 from slipfree.show.plots import Plot
+from slipfree.system.processes import Processes
 
 
 class Stand(MotionKeys):
@@ -108,25 +109,16 @@ def test_its_results_are_of_its_kind() -> None:
     assert result.trajectory["force_normal"].sum() == pytest.approx((30 + 3 * 2) * 9.81)
 
 
-class InProcess:
+class InProcess(Processes[Any, Any]):
     """A pool in this process: those of others do not have the verb."""
-
-    def __init__(self, _: int, function: Any) -> None:
-        self.function = function
-
-    def room(self) -> int:
-        return 1
 
     def submit(self, task: Any) -> Future[Any]:
         future: Future[Any] = Future()
-        future.set_result(self.function(task))
+        future.set_result(self._function(task))
         return future
 
-    def result(self, future: Future[Any], _: Any) -> Any:
+    def result(self, future: Future[Any], task: Any) -> Any:
         return future.result()
-
-    def close(self) -> None:
-        """Have nothing to end."""
 
 
 @pytest.mark.slow

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.commands import invoke
+from helpers.commands import invoke, pressing, printed
+from slipfree.problem import pareto
 
 HILLS = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
 SMALL = ("--set", "plan.intervals=5", "--set", "plan.accuracy=0.05", "--set", "costs.slip=1e4")
@@ -19,11 +20,17 @@ def run(*words):
 
 
 @pytest.mark.slow
-def test_a_front_is_written_with_the_slopes_of_its_secants(tmp_path):
-    out = tmp_path / "front"
-    settings = (*SMALL, "--set", "plan.duration=8")
-    done = run(HILLS, "--points", 2, *settings, "-o", out)
-    assert done.exit_code == 0, done.output
+def test_an_interrupted_front_continues_and_has_the_slopes_of_its_secants(tmp_path, monkeypatch):
+    out, (pressed, begun) = tmp_path / "front", pressing(pareto._solve_point, at=4)
+    monkeypatch.setattr(pareto, "_solve_point", pressed)
+    words = HILLS, "--points", 2, *SMALL, "--set", "plan.duration=8", "-o"
+    assert "interrupted; repeat the command to continue" in printed("pareto", *words, out, code=130)
+    printed("pareto", *words, out)
+    names = [task.name for task, *_ in begun]
+    assert [names.count(name) for name in names[:4]] == [1, 1, 1, 2]
+    assert [*tmp_path.glob("*_parts_*")] == []
+    printed("pareto", *words, tmp_path / "whole")
+    assert (out / "pareto.csv").read_bytes() == (tmp_path / "whole" / "pareto.csv").read_bytes()
     with (out / "pareto.csv").open() as file:
         rows = list(csv.DictReader(file))
     squared, share, second, slope = (

@@ -504,16 +504,20 @@ def test_a_run_that_stops_is_told_by_name(file):
 
 def test_no_cluster_is_refused(file, monkeypatch):
     monkeypatch.setattr(dask_pool, "CONNECT", 0.3)
-    result = sweep_in(file.parent, "--scheduler", "tcp://127.0.0.1:1", code=2)
-    assert "expected the address of a running Dask scheduler" in result.stderr
-    for address, found in {
-        "nonsense": "ValueError: missing port",
-        "tls://127.0.0.1:1": "TypeError: TLS",
-    }.items():
-        result = sweep_in(file.parent, "--scheduler", address)
-        assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
-        assert f"--scheduler {address}: expected the address of a running" in result.stderr
-        assert f"found none ({found}" in result.stderr
+    begun = time.monotonic()
+    with socket.create_server(("127.0.0.1", 0)) as dead:  # it does not answer
+        addresses = {
+            "tcp://127.0.0.1:1": "",
+            f"tcp://127.0.0.1:{dead.getsockname()[1]}": "",
+            "nonsense": "ValueError: missing port",
+            "tls://127.0.0.1:1": "TypeError: TLS",
+        }
+        for address, found in addresses.items():
+            told = sweep_in(file.parent, "--scheduler", address, code=2).stderr
+            expected = f"--scheduler {address}: expected the address of a running Dask scheduler"
+            assert (told.count("\n"), expected in told) == (1, True)
+            assert f"found none ({found}" in told
+    assert time.monotonic() - begun < 10
     monkeypatch.setitem(sys.modules, "distributed", None)
     result = sweep_in(file.parent, "--scheduler", "tcp://127.0.0.1:1", code=2)
     assert "pip install '.[cluster]'" in result.stderr
@@ -555,14 +559,3 @@ def test_figures_that_cannot_be_drawn():
         show.figure(_swept([SPEEDS, AXLES, AXLES], np.ones((3, 2, 2, 1))))
     with pytest.raises(ModelError, match="a value in at least one run"):
         show.figure(_swept([AXLES], [[np.nan], [np.nan]]))
-
-
-def test_a_scheduler_that_does_not_answer(file, monkeypatch):
-    monkeypatch.setattr(dask_pool, "CONNECT", 0.3)
-    with socket.create_server(("127.0.0.1", 0)) as dead:
-        address = f"tcp://127.0.0.1:{dead.getsockname()[1]}"
-        begun = time.monotonic()
-        result = sweep_in(file.parent, "--scheduler", address)
-        assert time.monotonic() - begun < 10
-    assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
-    assert f"--scheduler {address}: expected the address of a running" in result.stderr

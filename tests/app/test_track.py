@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
-from helpers.commands import invoke, printed
+from helpers.commands import invoke, pressing, printed
 from slipfree.files.netcdf import read
+from slipfree.problem.verbs import plan_tracking
 
 pytestmark = pytest.mark.slow
 
@@ -81,6 +82,20 @@ def test_disturbances_act_on_the_motion_of_the_inputs(folder: Path) -> None:
     # the vehicle stands for the first of eight periods, at a fifth of a metre per second
     late = tracked(folder, *alone, "--disturb", "latency=0.5")["inputs"]["end_distance"]
     assert 0.05 < late < 0.15
+
+
+def test_an_interrupted_test_continues(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pressed, driven = pressing(plan_tracking.track_plan, at=2)
+    words = ["--by", "inputs", "--by", "follow", "--period", 0.5, "--seeds", 2]
+    whole = tracked(folder, *words)
+    monkeypatch.setattr(plan_tracking, "track_plan", pressed)
+    monkeypatch.chdir(folder)
+    assert "repeat the command to continue" in printed("track", "p.nc", *words, code=130)
+    found = tracked(folder, *words)
+    assert [each.name for each, *_ in driven] == ["inputs", *["follow"] * 2, "inputs", "follow"]
+    for name in ("inputs", "follow"):
+        assert found[name]["end_distance"] == whole[name]["end_distance"]
+    assert [*folder.glob("*_parts_*")] == []
 
 
 def test_a_plan_is_driven_with_forces_and_with_inertia(folder: Path) -> None:

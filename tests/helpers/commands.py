@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import signal
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,3 +50,24 @@ def build_errors(file: Path, settings: Sequence[str] = ()) -> str:
     with pytest.raises(ProblemError) as error:
         build(load_problem(file, settings))
     return str(error.value)
+
+
+def press() -> None:
+    """Press Ctrl-C."""
+    signal.raise_signal(signal.SIGINT)
+
+
+def pressing(
+    function: Callable[..., Any], at: int = 1, times: int = 1
+) -> tuple[Callable[..., Any], list[tuple[Any, ...]]]:
+    """Return a function before whose call of that number Ctrl-C is pressed, and those calls."""
+    calls = list[tuple[Any, ...]]()
+
+    def pressed(*args: Any, **more: Any) -> Any:
+        calls.append(args)
+        if len(calls) == at:
+            for _ in range(times):
+                press()
+        return function(*args, **more)
+
+    return pressed, calls

@@ -24,7 +24,7 @@ GROUND = HEAD + 9 * (3 * "0 0.1 0 " + "\n")
 ATLAS = "atlas ground.asc three_wheeler --no-draw --headings 1 -j 1 --set atlas.compiled=false"
 # by kind: the problem, the command that writes a file, that file, and the commands that read it
 WRITTEN: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
-    "tile": ("", f"{ATLAS} -o a.tif", "a_tiles_*/part_000001.npy", (f"{ATLAS} -o a.tif",)),
+    "tile": ("", f"{ATLAS} -o a.tif", "a_parts_*/part_000001.npy", (f"{ATLAS} -o a.tif",)),
     "atlas": ("", f"{ATLAS} -o a.nc", "a.nc", ("info a.nc", "report a.nc")),
     "log": (
         SWEPT,

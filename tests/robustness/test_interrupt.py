@@ -20,7 +20,7 @@ from numpy.testing import assert_allclose
 
 import slipfree.__main__ as entry
 from helpers.cases import hills
-from helpers.commands import invoke, sets
+from helpers.commands import invoke, press, pressing, sets
 from helpers.problem_files import PROBLEM
 from helpers.toy_models import model
 from slipfree import Analytic, SolverOptions, direct_kinematics, settle
@@ -68,27 +68,9 @@ def handler():
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def press():
-    signal.raise_signal(signal.SIGINT)
-
-
 def lost():
     with pytest.raises(KeyboardInterrupt):
         press()
-
-
-def pressing(function, at=1, times=1):
-    """Return a function before whose call of that number Ctrl-C is pressed, and those calls."""
-    calls = []
-
-    def pressed(*args, **more):
-        calls.append(args)
-        if len(calls) == at:
-            for _ in range(times):
-                press()
-        return function(*args, **more)
-
-    return pressed, calls
 
 
 # The context

@@ -290,13 +290,6 @@ def print_facts(facts: list[tuple[str, str]], details: Sequence[tuple[str, str]]
     show([*facts, *details] if output.options.verbose else facts)
 
 
-def as_columns(rows: Sequence[Mapping[str, str]]) -> list[str]:
-    """Return the lines of a table in columns, with the keys of its first row as headings."""
-    table = [[*rows[0]], *([*row.values()] for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in table]
-
-
 def add_json_file(file: object) -> None:
     """Add the name of a written file to the JSON object."""
     _current_output().content.setdefault("files", []).append(str(file))

@@ -20,7 +20,6 @@ from slipfree.cli.common import (
     about,
     add_json,
     add_json_file,
-    as_columns,
     detail,
     print_error,
     print_facts,
@@ -41,6 +40,7 @@ from slipfree.cli.outputs import (
     save_picture,
 )
 from slipfree.core.errors import DataError
+from slipfree.core.facts import TableColumn, table
 
 
 def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
@@ -153,7 +153,8 @@ def vehicle(
     add_json("tree", lambda: found.tree)
     add_json("wheels", lambda: found.wheels)
     if found.wheels:
-        print_line("\n".join([*as_columns(found.wheels), ""]))
+        columns = [TableColumn(name, name) for name in found.wheels[0]]
+        print_line("\n".join([*table(columns, found.wheels), ""]))
     print_facts(found.facts, found.details)
     if found.faults:
         print_error("\n".join(found.faults))

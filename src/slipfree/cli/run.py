@@ -187,7 +187,7 @@ def _solve(problem: Problem[Any], reports: Reports, former: SavedPlan | None, ou
             write(out, result.trajectory, result.arrays)
         detail(f"wrote {out}: {result.outcome.title}")
 
-    result = run_problem(problem, *reports, former, keep=keep)
+    result = run_problem(problem, *reports, former, keep=keep, beside=out)
     counts = result.trajectory.statistics.items()
     detail("solved: " + ", ".join(f"{name} {value:.6g}" for name, value in counts))
     return result

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,17 +29,18 @@ from slipfree.cli.common import (
     reporting,
     written,
 )
-from slipfree.cli.outputs import check_outputs, save, stop_json
+from slipfree.cli.outputs import check_outputs, save
 from slipfree.cli.outputs import draw as draw_plots
 from slipfree.core.errors import ModelError
+from slipfree.core.facts import TableColumn, table
 from slipfree.system.interrupt import held_interrupt, interrupt_requested
 from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
     from slipfree.plan.pareto import FrontPoint
-    from slipfree.problem.verbs.compare import ComparedMotion, ComparedVehicle
 
 TABLE, FIGURE = "pareto.csv", "pareto.png"  # of a Pareto front
+GO_ON = "repeat the command to continue"
 
 
 def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
@@ -59,59 +61,48 @@ def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
         ground, rows = solve(problem, print_progress)
         is_interrupted = interrupt_requested()
     print_facts(ground_facts(ground))
-    add_json("vehicles", lambda: [row_json(row) for row in rows])
-    width = max(len(row.name) for row in rows)
-    for words, drives in (
-        ("at the same rates", [row.same for row in rows]),
-        ("at the rates of the driving law", [row.fitting for row in rows]),
+    add_json("vehicles", lambda: rows)
+    for words, drive in (
+        ("at the same rates", "same_rates"),
+        ("at the rates of the driving law", "driving_law"),
     ):
-        print_line(f"\n{words}: largest slip of the wheels {', '.join(rows[0].wheels)} [mm/s]")
-        head = f"{'rank':6}{'along':18}{'across':18}{'from the poses':27}"
-        print_line(f"{'':{width}}  {head}{'friction*':10}{'tilt [rad]':12}axle [m]")
-        for row, drive in zip(rows, drives, strict=True):
-            rank = f"{row.rank}/{row.conditions}"
-            print_line(f"{row.name:{width}}  {rank:6}{_drive_words(drive)}")
+        wheels = ", ".join(rows[0]["wheels"])
+        print_line(f"\n{words}: largest slip of the wheels {wheels} [mm/s]")
+        print_line("\n".join(table(COMPARED, [_shown(row, row[drive]) for row in rows])))
     print_line("\n* largest friction coefficient that a wheel requires; forces load-weighted")
+    kept = f"the table contains {len(rows)} of {len(problem.spec.vehicles)} vehicles"
+    _exit(kept, is_interrupted=is_interrupted)
+
+
+COMPARED = (
+    TableColumn("", "name"),
+    TableColumn("rank", "rank"),
+    TableColumn("along", "slip_along", ".2f", 1e3),
+    TableColumn("across", "slip_across", ".2f", 1e3),
+    TableColumn("from the poses", "slip_measured", ".1e", 1e3),
+    TableColumn("friction*", "friction_needed", ".3f"),
+    TableColumn("tilt [rad]", "tilt", ".3f"),
+    TableColumn("axle [m]", "axle"),
+    TableColumn("", "stop"),
+)
+
+
+def _shown(row: dict[str, Any], drive: dict[str, Any]) -> dict[str, Any]:
+    """Return the row of the table for one motion of a vehicle."""
+    values = {name: each["max"] for name, each in drive.items() if name != "stop"}
+    axle, stop = "{min:.3f} to {max:.3f}".format_map(drive["axle"]), drive["stop"]
+    words = "stopped at {time:.3g} s by {name}".format_map(stop) if stop else ""
+    rank = f"{row['rank']}/{row['conditions']}"
+    return {**values, "name": row["name"], "rank": rank, "axle": axle, "stop": words}
+
+
+def _exit(*kept: str, is_interrupted: bool, code: int = 0) -> None:
+    """Exit with a code if a study is interrupted or incomplete; say what is kept."""
     if is_interrupted:
-        count = f"{len(rows)} of {len(problem.spec.vehicles)}"
-        print_error(f"interrupted; the table contains {count} vehicles")
+        print_error("; ".join(["interrupted", *kept]))
         raise typer.Exit(INTERRUPTED)
-
-
-def _drive_words(drive: ComparedMotion) -> str:
-    slips = "".join(
-        f"{' '.join(f'{1e3 * value:.2f}' for value in values):18}"
-        for values in (drive.along, drive.across)
-    )
-    measured = " ".join(f"{1e3 * value:.1e}" for value in drive.measured)
-    axle = " to ".join(f"{value:.3f}" for value in drive.width)
-    stop = f", stopped at {drive.stop.t:.3g} s by {drive.stop.name}" if drive.stop else ""
-    return f"{slips}{measured:27}{drive.friction:<10.3f}{drive.tilt:<12.3f}{axle}{stop}"
-
-
-def row_json(row: ComparedVehicle) -> dict[str, Any]:
-    """Return the JSON object of one vehicle of ``slipfree compare``."""
-    return {
-        "name": row.name,
-        "wheels": row.wheels,
-        "rank": row.rank,
-        "conditions": row.conditions,
-        "same_rates": _drive_json(row.same),
-        "driving_law": _drive_json(row.fitting),
-    }
-
-
-def _drive_json(drive: ComparedMotion) -> dict[str, Any]:
-    """Return the JSON object of one motion of a vehicle: extremes over time, and its stop."""
-    return {
-        "slip_along": {"unit": "m s-1", "max": drive.along},
-        "slip_across": {"unit": "m s-1", "max": drive.across},
-        "slip_measured": {"unit": "m s-1", "max": drive.measured},
-        "friction_needed": {"unit": "1", "max": drive.friction},
-        "tilt": {"unit": "rad", "max": drive.tilt},
-        "axle": {"unit": "m", "min": drive.width[0], "max": drive.width[1]},
-        "stop": stop_json(drive.stop),
-    }
+    if code:
+        raise typer.Exit(code)
 
 
 def pareto(
@@ -151,6 +142,7 @@ def pareto(
     from slipfree.problem.inputs import files_read
     from slipfree.problem.pareto import (
         GIVEN,
+        FrontFolder,
         front_facts,
         front_plot,
         front_rows,
@@ -170,27 +162,31 @@ def pareto(
         save(path, lambda path: write(path, result.trajectory, result.arrays))
         detail(f"wrote {path}")
 
-    with reporting(None) as reports:
-        report = reports.search
-        front = plan_front(problem, against, points, processes=processes, report=report, keep=keep)
-        names, rows = front_rows(front)
-        save(folder / TABLE, lambda path: write_rows(path, names, rows))
-        is_interrupted = interrupt_requested()
+    with FrontFolder(folder, problem, against, points) as parts, reporting(None) as reports:
+        solve = partial(plan_front, processes=processes, report=reports.search, keep=keep)
+        front = solve(problem, against, points, parts=parts)
+        rows = front_rows(front)
+        lines = [[*row.values()] for row in rows]
+        save(folder / TABLE, lambda path: write_rows(path, [*rows[0]], lines))
+        code = front.outcome.exit_code
+        is_interrupted = interrupt_requested() or code == INTERRUPTED
+        if not is_interrupted:
+            parts.remove()
     print_facts(front_facts(front))
     print_line("\n".join(["", *table_lines(front)]))
-    add_json("points", lambda: [dict(zip(names, row, strict=True)) for row in rows])
+    add_json("points", lambda: rows)
     draw = draw and not is_interrupted
     if draw:
         draw_plots([front_plot(front)], folder)
     print_line(f"wrote table, plans{' and figure' if draw else ''} in {folder}")
-    if front.outcome.exit_code:
+    if code:
         unsolved = sum(not each.is_solved for each in front.points)
         verb, what = ("is", "the reason is") if unsolved == 1 else ("are", "the reasons are")
         print_error(
             f"{unsolved} of {len(front.points)} points {verb} not solved; {what} in the last "
             f"column of {folder / TABLE}"
         )
-        raise typer.Exit(INTERRUPTED if is_interrupted else front.outcome.exit_code)
+    _exit(GO_ON, is_interrupted=is_interrupted, code=code)
 
 
 def track(
@@ -271,28 +267,28 @@ def track(
                 period=period,
                 window=window,
                 progress=lambda name, seed, t: detail(f"{name}, seed {seed}: {t:.4g} s"),
+                beside=out or Path(file.name),
             )
-            motions = [each.motion.run for each in test.motions if each.motion is not None]
-            if out is not None and (last := test.last) is not None:
+            results = test.results
+            if out is not None and results:
+                last = results[-1][1]
                 out = save(out, lambda path: write(path, last.trajectory, last.arrays))
             is_interrupted = interrupt_requested()
+            if test.parts is not None and not is_interrupted:
+                test.parts.remove()
         rows = tracking_rows(test)
         print_line("\n".join(tracking_lines(rows)))
         add_json("motions", lambda: rows)
-        if out is not None and motions:
+        if out is not None and results:
             print_line(f"wrote {out}")
-        if picture is not None and motions and not is_interrupted:
+        if picture is not None and results and not is_interrupted:
             from slipfree.show.plan_figures import tracking_plot
 
-            named = [(each.name, each.motion.run) for each in test.motions if each.motion]
+            named = [(name, result.trajectory) for name, result in results]
             draw_plots([tracking_plot(picture.stem, test.plan, named)], picture.parent)
             print_line(f"wrote {picture}")
-        if is_interrupted:
-            print_error("; ".join(["interrupted", *written()]))
-            raise typer.Exit(INTERRUPTED)
-        codes = [run.outcome.exit_code for run in motions]
-        if any(codes):
-            raise typer.Exit(max(codes))
+        code = max((result.outcome.exit_code for _, result in results), default=0)
+        _exit(*written(), GO_ON, is_interrupted=is_interrupted, code=code)
 
 
 def _disturbances(words: Sequence[str]) -> dict[str, float]:

@@ -118,6 +118,34 @@ def _has(text: str, values: Mapping[str, Any]) -> bool:
     return all(name.partition(".")[0] in values for name in fields)
 
 
+class TableColumn(NamedTuple):
+    """Column of a printed table, with the numbers or texts of one key of its rows."""
+
+    head: str
+    key: str
+    spec: str = ""  # format of its numbers
+    factor: float = 1.0  # from the unit of the rows to that of the table
+
+
+def table(columns: Iterable[TableColumn], rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Return the lines of a table; values that a row does not have are dashes."""
+
+    def cell(column: TableColumn, value: Any) -> str:
+        if isinstance(value, str):
+            return value
+        if hasattr(value, "__iter__"):
+            return " ".join(cell(column, each) for each in value)
+        if value is None or value != value:  # NaN
+            return "-"
+        return format(value if column.factor == 1 else column.factor * value, column.spec)
+
+    columns = list(columns)
+    texts = [[column.head for column in columns]]
+    texts += [[cell(column, row.get(column.key)) for column in columns] for row in rows]
+    widths = [max(map(len, each)) for each in zip(*texts, strict=True)]
+    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in texts]
+
+
 def encode(facts: Facts) -> str:
     """Return facts as JSON text."""
     return json.dumps(facts)

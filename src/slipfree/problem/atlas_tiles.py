@@ -25,12 +25,12 @@ from slipfree.files.atlas_files import (
     write_geotiff,
 )
 from slipfree.problem.build_ground import Extremes
-from slipfree.problem.inputs import FileStates, file_states, files_read, task_folder, task_head
+from slipfree.problem.inputs import FileStates, ProblemParts, file_states, files_read
 from slipfree.problem.load import Recipe, recipe_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.atlas import AtlasSetup, build_atlas
 from slipfree.show.atlas_figures import AtlasView, friction_maps
-from slipfree.system.parts import Identity, Parts, study
+from slipfree.system.parts import study
 from slipfree.system.processes import Poll, Pool
 
 DRAWN = 1000  # largest number of nodes along an axis of a figure
@@ -88,17 +88,16 @@ def input_states(problem: Problem[Any]) -> FileStates:
     return file_states({os.path.relpath(file, problem.folder): file for file in files})
 
 
-class TileFolder(Parts[Array]):
+class TileFolder(ProblemParts[Array]):
     """Folder beside an output with the finished tiles of a mobility map; a context manager.
 
     ``states`` are those of the input files before the set-up was built.
     """
 
     def __init__(self, out: Path, setup: AtlasSetup, states: FileStates) -> None:
-        head = task_head(setup.problem, states)
-        identity = Identity("mobility map", len(setup.tiles), head)
-        super().__init__(task_folder(out, "tiles", head), identity, ".npy", states.check)
-        self.states, self._setup = states, setup
+        count, problem = len(setup.tiles), setup.problem
+        super().__init__(out, "mobility map", count, problem, ".npy", states)
+        self._setup = setup
         self._labels, self._reasons = setup.labels(), setup.poses().reasons
 
     def store(self, number: int, result: Array) -> None:

@@ -9,15 +9,17 @@ from contextlib import suppress
 from hashlib import file_digest, sha256
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from slipfree.core.errors import DataError
 from slipfree.core.version import __version__
 from slipfree.files.vehicle_toml import open_file
 from slipfree.problem.problem import Problem, shared
 from slipfree.problem.schema import CommonKeys
+from slipfree.system.parts import Identity, Parts
 from slipfree.system.regular_files import read_bytes, regular_file
 
+D = TypeVar("D")
 TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # tables with input files
 MISSING = "missing"
 DIGESTS = "input_sha256"  # attribute of a result: digests of the input files by name, as JSON
@@ -105,16 +107,30 @@ def file_states(files: Mapping[str, Path]) -> FileStates:
     return FileStates({name: digest(path) for name, path in sorted(files.items())}, stamps)
 
 
-def task_head(problem: Problem[Any], states: FileStates, **more: Any) -> dict[str, Any]:
-    """Return what studies of a problem have in common if their parts fit together."""
-    values = problem.spec.model_dump_json(exclude={"title"}, serialize_as_any=True)
-    identity = {"": sha256(values.encode()).hexdigest()}
-    return {"slipfree": __version__, "problem": identity, "files": states.digests, **more}
+class ProblemParts(Parts[D]):
+    """Parts of a study of a problem, in a folder beside its output; each task has its own.
 
+    ``kind`` and ``size`` are those of `Identity`. The other values of the task are ``more``, and
+    ``states`` those of its input files before they were read, by default those of the problem.
+    """
 
-def task_folder(out: Path, what: str, head: Mapping[str, Any]) -> Path:
-    """Return the folder of the parts of a study beside its output; each task has its own."""
-    return out.with_name(f"{out.stem}_{what}_{sha256(json.dumps(head).encode()).hexdigest()[:8]}")
+    def __init__(
+        self,
+        out: Path,
+        kind: str,
+        size: int,
+        problem: Problem[Any],
+        ending: str = "",
+        states: FileStates | None = None,
+        **more: Any,
+    ) -> None:
+        self.states = states or file_states(input_files(problem))
+        values = problem.spec.model_dump_json(exclude={"title"}, serialize_as_any=True)
+        task = {"": sha256(values.encode()).hexdigest()}
+        own = {"problem": task, "files": self.states.digests, **more}
+        head = json.loads(json.dumps({"slipfree": __version__, **own}))  # lists for tuples
+        name = f"{out.stem}_parts_{sha256(json.dumps(head).encode()).hexdigest()[:8]}"
+        super().__init__(out.with_name(name), Identity(kind, size, head), ending, self.states.check)
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:

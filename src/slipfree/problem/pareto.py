@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from slipfree.core.errors import DataError, ModelError
-from slipfree.core.facts import Fact, Lines
+from slipfree.core.facts import Fact, Lines, TableColumn, table
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import SolverError, outcome_words
+from slipfree.files.netcdf import write
 from slipfree.files.toml.source import ProblemError
 from slipfree.plan.constraints import unit_words
 from slipfree.plan.pareto import FrontPoint, FrontTask, check_count, is_better, pareto_front
 from slipfree.plan.polynomial_motion import SavedPlan, from_arrays
 from slipfree.plan.problem import costs_of
+from slipfree.problem.inputs import ProblemParts
 from slipfree.problem.load import Recipe, recipe_of, verb_of
 from slipfree.problem.problem import Problem
-from slipfree.problem.result import build, run_problem
+from slipfree.problem.result import build, open_result, run_problem
 from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan_schema import PlanKeys
-from slipfree.system.processes import local_tasks
+from slipfree.system.parts import study
 
 if TYPE_CHECKING:
     from slipfree.show.plots import Plot
@@ -36,14 +39,13 @@ SHORTEST = 0.01  # lower bound of the least duration, relative to the largest du
 LineCallback = Callable[[str, str], None]
 SettingTexts = tuple[str, ...]
 GIVEN = -1  # number of the plan of the problem, with its own costs
-MISSING = "-"  # number of a point that is not solved
 
 
 class FrontPlan(NamedTuple):
     """Plan of a point of a front, simulated and verified, with the plan for other warm starts."""
 
-    result: Result
-    saved: SavedPlan
+    result: Result | None
+    saved: SavedPlan | None
     slip: float  # per wheel and metre of path [m/m]
     squared_slip: float  # integral over all wheels [m2/s]
     duration: float  # [s]
@@ -62,12 +64,13 @@ class PlanFront(NamedTuple):
     given: FrontPoint  # plan of the problem with its own costs
     least: FrontPoint  # plan of least second objective
     points: tuple[FrontPoint, ...]  # by increasing bound on the second objective
+    is_interrupted: bool = False
 
     @property
     def outcome(self) -> Outcome:
         """Outcome: interrupted if a point is, otherwise that of the first unsolved point."""
         unsolved = [point.outcome for point in self.points if not point.is_solved]
-        if Outcome.INTERRUPTED in unsolved:
+        if self.is_interrupted:
             return Outcome.INTERRUPTED
         return next(iter(unsolved), Outcome.COMPLETE)
 
@@ -78,9 +81,33 @@ class _PointTask(NamedTuple):
     recipe: Recipe
     against: str
     name: str  # of the point, in reports
-    order: int  # of the task in its batch
     bound: float  # on the second objective; NaN without one
     resume: SavedPlan | None
+
+
+class FrontFolder(ProblemParts[FrontPoint]):
+    """Folder beside an output with the points that the searches for a front found, in their order.
+
+    A front of ``count`` points takes four searches, two for each point, and one more for each
+    dominated point.
+    """
+
+    def __init__(self, out: Path, problem: Problem[Any], against: str, count: int) -> None:
+        self._against, size = against, 4 + 3 * count
+        super().__init__(out, "front", size, problem, ".nc", against=against, points=count)
+
+    def store(self, number: int, result: FrontPoint) -> None:
+        """Store the result of a search."""
+        found = result.solution and result.solution.result
+        fill = found and (lambda part: write(part, found.trajectory, found.arrays))
+        self.add(number, {"point": (result.bound, result.outcome.name, result.words)}, fill)
+
+    def load(self, number: int) -> FrontPoint:
+        """Return the result of a search."""
+        bound, outcome, words = self.record(number)["point"]
+        if outcome != Outcome.COMPLETE.name:
+            return FrontPoint(bound, outcome=Outcome[outcome], words=words)
+        return _point(open_result(self.file(number)), bound, self._against)
 
 
 def plan_front(
@@ -91,6 +118,7 @@ def plan_front(
     processes: int = 1,
     report: LineCallback | None = None,
     keep: Callable[[int, FrontPoint], None] = lambda *_: None,
+    parts: FrontFolder | None = None,
 ) -> PlanFront:
     """Return the Pareto front of slip against the duration or a term of the cost.
 
@@ -102,7 +130,7 @@ def plan_front(
     ``report`` is called with the phase of the search and a line; it may raise KeyboardInterrupt,
     after which unsolved points are ``INTERRUPTED``. ``keep`` is called with the number of a point
     (from 0; `GIVEN` for the plan of the problem) and the point, for each solution that is better
-    than earlier ones.
+    than earlier ones. Searches whose results are in ``parts`` are not repeated.
 
     ProblemError is raised if the problem cannot be built, is not a planning problem, or has no
     weight of the slip; DataError if the second objective is unknown; ModelError if fewer than two
@@ -112,64 +140,91 @@ def plan_front(
     """
     check_count(count)
     unit = _checked(problem, against)
-    begin = partial(_solve_one, problem, against, report)
     weight = f"{_key('costs', against)}={problem.spec.costs.get(against, 0.0)!r}"
     measured = () if against == DURATION else (weight,)  # by which the plan reports the objective
-    given = begin("plan of the problem", measured, None)
-    keep(GIVEN, given)
-    durations = _durations(problem, given)
-    least = best = FrontPoint(np.nan)
-    try:
-        least = begin(f"least {against}", _least_settings(problem, against, durations), given)
-        keep(0, least)
-        slip = _slip_settings(problem, against, durations[1] if against == DURATION else None)
-        best = begin("least slip", slip, given)
-        keep(count - 1, best)
-        other = begin("least slip from the initial guess", slip, None, is_needed=False)
-    except KeyboardInterrupt:
-        points = (least, *[FrontPoint(np.nan)] * (count - 2), best)
-        return PlanFront(against, unit, given, least, points)
-    if is_better(other, best):
-        best = other
-        keep(count - 1, best)
-    kept, is_interrupted = dict[int, FrontPoint](), False
+    searches, kept, is_interrupted = 0, dict[int, FrontPoint](), False
 
     def poll() -> None:
-        if report is not None:  # with the point of least slip
-            report("points", f"{len(kept) + 1} of {count} points are solved")
+        if report is not None and kept:
+            report("points", f"{len(kept)} of {count} points are solved")
 
-    def solve(tasks: Sequence[FrontTask]) -> list[FrontPoint]:
-        """Return the points of tasks in their order; ``INTERRUPTED`` points after Ctrl-C."""
-        nonlocal is_interrupted
-        found = dict[int, FrontPoint]()
-        searches = [
-            _PointTask(
-                recipe_of(problem, *_slip_settings(problem, against, task.bound)),
-                against,
-                f"point {task.number + 1} of {count}",
-                order,
-                task.bound,
-                task.start.solution.saved,
-            )
-            for order, task in enumerate(tasks)
-        ]
-        try:
-            for order, point in () if is_interrupted else execute(searches, poll):
-                if point.outcome is Outcome.INTERRUPTED:
-                    raise KeyboardInterrupt
-                found[order], number = point, tasks[order].number
-                if is_better(point, kept.get(number, FrontPoint(point.bound))):
-                    kept[number] = point
-                    keep(number, point)
-        except KeyboardInterrupt:
-            is_interrupted = True
-        return [found.get(k, FrontPoint(task.bound)) for k, task in enumerate(tasks)]
+    def better(number: int, point: FrontPoint) -> None:
+        if is_better(point, kept.get(number, FrontPoint(point.bound))):
+            kept[number] = point
+            keep(number, point)
 
     here = partial(_solve_point, report=report)
-    with local_tasks(_solve_point, processes, here) as execute:
-        points = pareto_front(solve, least, best, count)
+    with (
+        study(_solve_point, parts, processes, here=here, poll=poll) as run,
+        study(_solve_point, parts, here=here) as run_here,
+    ):
+
+        def find(tasks: Sequence[_PointTask], run: Any = run) -> Iterator[tuple[int, FrontPoint]]:
+            """Yield the indices and points of tasks, in the order of completion."""
+            nonlocal searches
+            first = searches + 1
+            searches += len(tasks)
+            numbered = run(
+                range(first, searches + 1),
+                lambda number: tasks[number - first],
+                lambda number: "\n".join(tasks[number - first].recipe.settings),
+            )
+            yield from ((number - first, point) for number, point in numbered)
+
+        def one(
+            name: str, settings: SettingTexts, start: FrontPoint | None, *, is_needed: bool = True
+        ) -> FrontPoint:
+            """Return one of the points that a front needs before its own points."""
+            resume = start and start.solution.saved
+            task = _PointTask(recipe_of(problem, *settings), against, name, np.nan, resume)
+            ((_, point),) = find([task], run_here)
+            if is_needed and not point.is_solved:
+                raise SolverError(
+                    f"expected a solved and verified plan ({name}), which the front needs before "
+                    f"its points, found: {point.words}"
+                )
+            return point
+
+        def solve(tasks: Sequence[FrontTask]) -> list[FrontPoint]:
+            """Return the points of tasks in their order; ``INTERRUPTED`` points after Ctrl-C."""
+            nonlocal is_interrupted
+            found = dict[int, FrontPoint]()
+            planned = [
+                _PointTask(
+                    recipe_of(problem, *_slip_settings(problem, against, task.bound)),
+                    against,
+                    f"point {task.number + 1} of {count}",
+                    task.bound,
+                    task.start.solution.saved,
+                )
+                for task in tasks
+            ]
+            try:
+                for k, point in () if is_interrupted else find(planned):
+                    found[k] = point
+                    better(tasks[k].number, point)
+            except KeyboardInterrupt:
+                is_interrupted = True
+            return [found.get(k, FrontPoint(task.bound)) for k, task in enumerate(tasks)]
+
+        given = one("plan of the problem", measured, None)
+        keep(GIVEN, given)
+        durations = _durations(problem, given)
+        least = best = FrontPoint(np.nan)
+        try:
+            least = one(f"least {against}", _least_settings(problem, against, durations), given)
+            keep(0, least)
+            slip = _slip_settings(problem, against, durations[1] if against == DURATION else None)
+            best = one("least slip", slip, given)
+            better(count - 1, best)
+            other = one("least slip from the initial guess", slip, None, is_needed=False)
+            better(count - 1, other)
+        except KeyboardInterrupt:
+            points = (least, *[FrontPoint(np.nan)] * (count - 2), best)
+            return PlanFront(against, unit, given, least, points, is_interrupted=True)
+        points = pareto_front(solve, least, kept[count - 1], count)
     keep(len(points) - 1, points[-1])
-    return PlanFront(against, unit, given, least, points)
+    return PlanFront(against, unit, given, least, points, is_interrupted)
 
 
 def _checked(problem: Problem[Any], against: str) -> str:
@@ -247,71 +302,45 @@ def _slip_settings(problem: Problem[PlanKeys], against: str, bound: float | None
     return kept if bound is None else (*kept, f"{_key('cost_limits', against)}={bound!r}")
 
 
-def _solve_one(
-    problem: Problem[PlanKeys],
-    against: str,
-    report: LineCallback | None,
-    name: str,
-    settings: SettingTexts,
-    start: FrontPoint | None,
-    *,
-    is_needed: bool = True,
-) -> FrontPoint:
-    """Return one of the points that a front needs before its own points."""
-    resume = start and start.solution.saved
-    task = _PointTask(recipe_of(problem, *settings), against, name, 0, np.nan, resume)
-    _, point = _solve_point(task, report)
-    if point.outcome is Outcome.INTERRUPTED:
-        raise KeyboardInterrupt
-    if is_needed and not point.is_solved:
-        raise SolverError(
-            f"expected a solved and verified plan ({name}), which the front needs before its "
-            f"points, found: {point.words}"
-        )
-    return point
+def _solve_point(task: _PointTask, report: LineCallback | None = None) -> FrontPoint:
+    """Return the point of a task; raise KeyboardInterrupt if its search is interrupted."""
 
-
-def _solve_point(task: _PointTask, report: LineCallback | None = None) -> tuple[int, FrontPoint]:
     def named(phase: str, line: str) -> None:
         if report is not None:
             report(f"{task.name}, {phase}", f"{task.name}, {line}")
 
-    return task.order, _planned(task, report and named)
-
-
-def _planned(task: _PointTask, report: LineCallback | None) -> FrontPoint:
     try:
-        problem = task.recipe.load()
-        result = run_problem(problem, None, report, task.resume)
+        result = run_problem(task.recipe.load(), None, report and named, task.resume)
     except SolverError as error:
         return FrontPoint(task.bound, outcome=Outcome.SOLVER_FAILURE, words=str(error))
     except (ModelError, DataError) as error:  # such as limits that contradict the bound
         return FrontPoint(task.bound, outcome=Outcome.INFEASIBLE, words=str(error))
-    run, spec = result.trajectory, problem.spec
+    if result.outcome is Outcome.INTERRUPTED:
+        raise KeyboardInterrupt
     # The set-up and the problem's loader do not fit into a pipe; the set-up is rebuilt on request.
-    result = replace(result, setup=None, load=task.recipe.load)
-    costs, verb = {name: fact.value for name, fact in run.facts.items()}, verb_of(problem)
-    duration = float(run.t[-1] - run.t[0])
+    return _point(replace(result, setup=None, load=task.recipe.load), task.bound, task.against)
+
+
+def _point(result: Result, bound: float, against: str) -> FrontPoint:
+    """Return the point of a result."""
+    run = result.trajectory
     if result.outcome is not Outcome.COMPLETE:
-        return FrontPoint(task.bound, outcome=result.outcome, words=outcome_words(run))
+        return FrontPoint(bound, outcome=result.outcome, words=outcome_words(run))
+    spec, verb = result.problem.spec, verb_of(result.problem)
+    costs = {name: fact.value for name, fact in run.facts.items()}
+    duration, weight = float(run.t[-1] - run.t[0]), spec.costs.get(SLIP, np.nan)
     squared = costs.get("plan_cost_slip", np.nan)
-    weight = spec.costs.get(SLIP, np.nan)
     smooth = spec.plan.smooth * costs.get("plan_cost_smoothness", 0.0) / weight
-    second = duration if task.against == DURATION else costs[f"plan_cost_{task.against}"]
-    plan = FrontPlan(
-        result,
-        from_arrays(result.arrays, str(task.recipe.path)),
-        verb.facts(run).get("slip_per_path", Fact(np.nan)).value,
-        squared,
-        duration,
-    )
+    second = duration if against == DURATION else costs[f"plan_cost_{against}"]
+    saved = from_arrays(result.arrays, str(result.problem.source.path))
+    slip = verb.facts(run).get("slip_per_path", Fact(np.nan)).value
     return FrontPoint(
-        second if np.isnan(task.bound) else task.bound,
+        second if np.isnan(bound) else bound,
         squared + smooth,
         second,
-        costs.get(f"plan_price_{task.against}", 0.0) / weight,
+        costs.get(f"plan_price_{against}", 0.0) / weight,
         result.outcome,
-        solution=plan,
+        solution=FrontPlan(result, saved, slip, squared, duration),
     )
 
 
@@ -334,46 +363,43 @@ def front_facts(front: PlanFront) -> Lines:
 def table_lines(front: PlanFront) -> Iterator[str]:
     """Yield the lines of the table of a front."""
     unit = unit_words(front.unit)
-    heads = {  # units, and factors of the numbers of `front_rows`
-        "point": ("", 1.0),
-        front.against: (unit, 1.0),
-        "at most": (unit, 1.0),
-        "slip*": ("mm/m", 1e3),
-        "slip^2": ("mm2/s", 1e6),
-        "smoothing": ("%", 100.0),
-        "slope": (f"mm2/s per {unit}", 1e6),
-    }
-    widths = [max(10, len(name) + 4, len(unit) + 4) for name, (unit, _) in heads.items()]
-    factors = [factor for _, factor in heads.values()]
-
-    def line(cells: Iterable[str]) -> str:
-        return "".join(f"{cell:{width}}" for cell, width in zip(cells, widths, strict=True))
-
-    yield line(heads) + "outcome"
-    yield line(unit and f"[{unit}]" for unit, _ in heads.values())
-    for point, row in zip(front.points, front_rows(front)[1], strict=True):
-        words = "dominated" if point.is_dominated else "solved"
-        if not point.is_solved:
-            words = (point.words or point.outcome.title).splitlines()[0]
-        number, bound, second, *more = row
-        pairs = zip(factors, (number, second, bound, *more), strict=False)
-        values = [factor * value for factor, value in pairs]
-        yield line(f"{each:.4g}" if np.isfinite(each) else MISSING for each in values) + words
+    columns = (
+        TableColumn("point", "point"),
+        TableColumn(f"{front.against} [{unit}]", front.against, ".4g"),
+        TableColumn(f"at most [{unit}]", "bound", ".4g"),
+        TableColumn("slip* [mm/m]", "slip_per_path", ".4g", 1e3),
+        TableColumn("slip^2 [mm2/s]", "squared_slip", ".4g", 1e6),
+        TableColumn("smoothing [%]", "smoothness_share", ".4g", 100.0),
+        TableColumn(f"slope [mm2/s per {unit}]", "slope", ".4g", 1e6),
+        TableColumn("outcome", "outcome"),
+    )
+    rows = front_rows(front)
+    for point, row in zip(front.points, rows, strict=True):
+        row["outcome"] = (point.words or point.outcome.title).splitlines()[0]
+        if point.is_solved:
+            row["outcome"] = "dominated" if point.is_dominated else "solved"
+    yield from table(columns, rows)
     yield "* per wheel and metre of path"
 
 
-def front_rows(front: PlanFront) -> tuple[list[str], list[list[Any]]]:
-    """Return column names and rows of the table of a front, with numbers in SI units."""
-    names = ["point", "bound", front.against, "slip_per_path", "squared_slip", "smoothness_share"]
-    rows = list[list[Any]]()
-    for number, point in enumerate(front.points, 1):
-        slip = squared = share = np.nan
-        if plan := point.solution if point.is_solved else None:
-            slip, squared = plan.slip, plan.squared_slip
-            share = 1 - squared / point.first
-        row = [number, point.bound, point.second, slip, squared, share, point.slope]
-        rows.append([*row, point.outcome.name.lower(), int(point.is_dominated), point.words])
-    return [*names, "slope", "outcome", "dominated", "reason"], rows
+def front_rows(front: PlanFront) -> list[dict[str, Any]]:
+    """Return the rows of the table of a front, with numbers in SI units."""
+    none = FrontPlan(None, None, np.nan, np.nan, np.nan)
+    return [
+        {
+            "point": number,
+            "bound": point.bound,
+            front.against: point.second,
+            "slip_per_path": (plan := (point.solution if point.is_solved else none)).slip,
+            "squared_slip": plan.squared_slip,
+            "smoothness_share": 1 - plan.squared_slip / point.first,
+            "slope": point.slope,
+            "outcome": point.outcome.name.lower(),
+            "dominated": int(point.is_dominated),
+            "reason": point.words,
+        }
+        for number, point in enumerate(front.points, 1)
+    ]
 
 
 def front_plot(front: PlanFront) -> Plot:

@@ -58,6 +58,7 @@ def run_problem(
     resume: SavedPlan | None = None,
     path: Callable[[Array], None] | None = None,
     keep: Callable[[Result], None] = lambda _: None,
+    beside: Path | None = None,
 ) -> Result:
     """Solve a problem and return its motion.
 
@@ -77,6 +78,9 @@ def run_problem(
         Called for every iterate of a plan with the path of the platform, shape (n, 2). [m]
     keep : callable, optional
         Called with what is computed so far, such as a solved plan that is not verified.
+    beside : Path, optional
+        Output, next to which a folder keeps the drawn worlds of a robust plan until it is found:
+        after Ctrl-C, they are not simulated again.
 
     Returns
     -------
@@ -101,10 +105,11 @@ def run_problem(
         keep(kept[-1])
 
     setup = build(problem)
+    watch = Watch(progress, tell, path, store, beside)
     files = digests(problem)  # before a long search, in which files may change
     try:
         with at(problem, ("start",)):
-            solution = verb.solve(problem, setup, Watch(progress, tell, path, store), resume)
+            solution = verb.solve(problem, setup, watch, resume)
         return result_of(problem, verb, solution, files)
     except KeyboardInterrupt:
         if not kept:

@@ -18,6 +18,7 @@ from types import TracebackType
 from typing import IO, Any, Generic, NamedTuple, Self, TypeVar
 
 from slipfree.core.errors import DataError
+from slipfree.system.interrupt import interrupt_requested
 from slipfree.system.processes import Poll, Pool, finish_tasks, local_tasks
 from slipfree.system.regular_files import check_name, replace_file
 
@@ -27,7 +28,7 @@ except ImportError:  # Windows has no such lock: the user must avoid two computa
     fcntl = None  # type: ignore[assignment]
 
 LOG = "parts.jsonl"
-PART, DIGEST = "part", "sha256"  # keys of the line of a part
+PART, KEY, DIGEST = "part", "key", "sha256"  # keys of the line of a part
 ANOTHER_FOLDER = "choose another folder with -o"
 T = TypeVar("T")
 D = TypeVar("D")
@@ -79,6 +80,7 @@ class Parts(Generic[D]):
         )
         self._log = folder / LOG
         self._offsets: dict[int, int] = {}  # byte at which the line of a part begins
+        self._keys: dict[int, str] = {}
         check_name(folder)
         if self._log.exists() and not self._log.is_file():
             raise DataError(
@@ -130,10 +132,8 @@ class Parts(Generic[D]):
 
     def record(self, number: int) -> dict[str, Any]:
         """Return the record of a finished part, as given to `add`."""
-        with self._log.open("rb") as stream:
-            stream.seek(self._offsets[number])
-            line: dict[str, Any] = json.loads(stream.readline())
-        return {key: value for key, value in line.items() if key not in (PART, DIGEST)}
+        line = self._line(number)
+        return {key: value for key, value in line.items() if key not in (PART, KEY, DIGEST)}
 
     def file(self, number: int) -> Path:
         """Return the path of the file of a part."""
@@ -143,14 +143,23 @@ class Parts(Generic[D]):
         self,
         number: int,
         record: Mapping[str, Any],
-        fill: Callable[[Path], object] = lambda _: None,
+        fill: Callable[[Path], object] | None = None,
     ) -> None:
-        """Store a part: its file, written by ``fill`` if parts have files, and its record."""
+        """Store a part: its file, written by ``fill`` if it has one, and its record."""
         self._check_inputs()
-        if self._ending:
+        if fill is not None:
             replace_file(self.file(number), fill)
-        line = {PART: number, **record}
+        elif self._ending:
+            self.file(number).unlink(missing_ok=True)
+        line = {PART: number, KEY: self._keys.get(number, ""), **record}
         self._offsets[number] = self._write(line | {DIGEST: self._digest(line)})
+
+    def expect(self, number: int, key: str) -> None:
+        """Set the key of the task of a part; a finished part with another key is then missing."""
+        if key:
+            self._keys[number] = key
+        if key and number in self and self._line(number).get(KEY) != key:
+            self.discard(number)
 
     def discard(self, number: int) -> None:
         """Forget a part, which is then missing, if it is finished."""
@@ -180,8 +189,16 @@ class Parts(Generic[D]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the log."""
+        """Close the log, and remove it after an error without any part with a file."""
+        if error is not None and self._ending and not self._offsets:
+            self.remove()
         self.close()
+
+    def _line(self, number: int) -> dict[str, Any]:
+        with self._log.open("rb") as stream:
+            stream.seek(self._offsets[number])
+            line: dict[str, Any] = json.loads(stream.readline())
+        return line
 
     def _lock(self) -> None:
         """Lock the log for other processes until it is closed or this process ends."""
@@ -245,7 +262,7 @@ class Parts(Generic[D]):
         """Write a line of JSON; return the byte at which it begins; raise DataError on failure."""
         try:
             offset = self._stream.seek(0, os.SEEK_END)
-            self._stream.write(json.dumps(line, allow_nan=False).encode() + b"\n")
+            self._stream.write(json.dumps(line).encode() + b"\n")
             self._stream.flush()
             os.fsync(self._stream.fileno())
         except OSError as error:
@@ -269,12 +286,13 @@ def study(
     lost: Callable[[T, str], D] | None = None,
     poll: Poll = lambda: None,
     progress: Callable[[int, int], None] = lambda _, __: None,
-) -> Iterator[Callable[[Iterable[int], Callable[[int], T]], Iterator[tuple[int, D]]]]:
+) -> Iterator[Callable[..., Iterator[tuple[int, D]]]]:
     """Yield a function that computes parts of a study, for several calls.
 
-    The function takes the numbers of parts, and a function that returns the task of a number when
-    it can begin. It yields numbers and results: first those which ``parts`` has, then the others in
-    the order of completion, each as soon as it is stored.
+    The function takes the numbers of parts, a function that returns the task of a number when it
+    can begin, and optionally one that returns its key, see `Parts.expect`. It yields numbers and
+    results: first those which ``parts`` has, then the others in the order of completion, each as
+    soon as it is stored.
 
     Parameters
     ----------
@@ -301,9 +319,15 @@ def study(
             def finish(tasks: Iterable[tuple[int, T]], poll: Poll) -> Iterator[tuple[int, D]]:
                 return finish_tasks(tasks, pool, poll, lose)
 
-        def run(numbers: Iterable[int], task: Callable[[int], T]) -> Iterator[tuple[int, D]]:
+        def run(
+            numbers: Iterable[int],
+            task: Callable[[int], T],
+            key: Callable[[int], str] = lambda _: "",
+        ) -> Iterator[tuple[int, D]]:
             missing = [*numbers]
             if parts is not None:
+                for k in missing:
+                    parts.expect(k, key(k))
                 progress(len(parts), parts.size)
                 yield from ((k, parts.load(k)) for k in missing if k in parts)
                 missing = [k for k in missing if k not in parts]
@@ -314,6 +338,21 @@ def study(
                 yield number, result
 
         yield run
+
+
+def until_interrupt(results: Iterable[D]) -> list[D]:
+    """Return the results of a study, those so far if Ctrl-C is held back by `held_interrupt`.
+
+    KeyboardInterrupt is raised if there are none.
+    """
+    found = list[D]()
+    try:
+        for result in results:
+            found.append(result)
+    except KeyboardInterrupt:
+        if not (found and interrupt_requested()):
+            raise
+    return found
 
 
 def _numbered(function: Callable[[T], D], numbered: tuple[int, T]) -> tuple[int, D]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, get_args
 
 import numpy as np
@@ -86,6 +87,7 @@ class Watch(NamedTuple):
     path: Callable[[Array], None] | None = None  # path of an iterate on the map, shape (n, 2) [m]
     # what is computed so far: the last one is the result if the computation ends early
     keep: Callable[[VerbSolution], None] = lambda _: None
+    beside: Path | None = None  # output, next to which a folder keeps finished parts
 
 
 class VerbSolution(NamedTuple):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from slipfree.core.dae import Dae
 from slipfree.core.records import Array, leaves
-from slipfree.core.trajectory import SolverError, Stop, Trajectory
+from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.files.toml.types import Quantity
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.samples import measured_slip
@@ -28,7 +28,8 @@ from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import input_samples
 from slipfree.solve.simulate import simulate
 from slipfree.solve.system import with_inputs
-from slipfree.system.interrupt import interrupt_requested
+from slipfree.system.interrupt import check_interrupt
+from slipfree.system.parts import study, until_interrupt
 from slipfree.vehicle.tree import Vehicle
 
 RANK = 1e-9  # smaller singular values, relative to the largest, count as zero
@@ -51,53 +52,35 @@ class Compare(TerrainKeys):
     driver: DriverTable = Field(description="the driving law")
 
 
-class ComparedMotion(NamedTuple):
-    """Largest values over one motion of a vehicle of a comparison; slip is per wheel."""
-
-    along: Array  # slip along the wheel in the model [m/s]
-    across: Array  # slip across the wheel in the model [m/s]
-    measured: Array  # total slip, computed from the wheel poses alone [m/s]
-    friction: float  # coefficient needed, load-weighted; NaN without mass [1]
-    tilt: float  # of the passive joints that turn; zero without such joints [rad]
-    width: tuple[float, float]  # least and largest distance of the first two wheels [m]
-    stop: Stop | None
-
-
-class ComparedVehicle(NamedTuple):
-    """One vehicle of a comparison; it can roll without slip if rank and conditions are equal."""
-
-    name: str
-    wheels: tuple[str, ...]  # in the order of the arrays
-    rank: int  # of the Jacobian of the slip in the unknown rates
-    conditions: int  # number of slip conditions
-    same: ComparedMotion  # motion at the common rates
-    fitting: ComparedMotion  # motion at the rates of the driving law
-
-
 def compare(
     problem: Problem[Compare], progress: Callable[[str], None]
-) -> tuple[GroundMap, list[ComparedVehicle]]:
+) -> tuple[GroundMap, list[dict[str, Any]]]:
     """Compare vehicles on one ground; return the ground and the results of each vehicle.
+
+    Results are name, wheels, ``rank`` of the Jacobian of the slip in the unknown rates, number of
+    slip ``conditions`` (a vehicle can roll without slip if both are equal), and the motions
+    ``same_rates`` and ``driving_law``: their stop, and extremes over time with units. Slip has a
+    value for each wheel; ``slip_measured`` is computed from their poses alone.
 
     ``progress`` is called with the name of each vehicle before its computation. After a Ctrl-C held
     back by `held_interrupt`, the results are those of the finished vehicles. ProblemError is raised
     if the problem cannot be built; SolverError if a motion fails before its first sample.
     """
-    ground, rows = build_ground(problem), []
-    terrain = build_terrain(problem, ground)
-    for index, spec in enumerate(problem.spec.vehicles):
+    ground = build_ground(problem)
+    terrain, vehicles = build_terrain(problem, ground), problem.spec.vehicles
+
+    def compared(index: int) -> dict[str, Any]:
+        spec = vehicles[index]
         progress(spec.name)
         vehicle = build_vehicle(problem, spec, ("vehicles", index))
-        try:
-            rows.append(_compared(problem, spec.name, vehicle, direct_kinematics(vehicle, terrain)))
-        except KeyboardInterrupt:
-            if not (rows and interrupt_requested()):
-                raise
-            break
-    return ground, rows
+        return _compared(problem, spec.name, vehicle, direct_kinematics(vehicle, terrain))
+
+    with study(compared, poll=check_interrupt) as run:
+        found = until_interrupt(run(range(len(vehicles)), lambda index: index))
+    return ground, [row for _, row in found]
 
 
-def _compared(problem: Problem[Compare], name: str, vehicle: Vehicle, dae: Dae) -> ComparedVehicle:
+def _compared(problem: Problem[Compare], name: str, vehicle: Vehicle, dae: Dae) -> dict[str, Any]:
     spec, start = problem.spec, build_start(problem, dae)
     options = spec.solver.options
     known = [label.full for label in leaves(dae.labels.u)]
@@ -108,13 +91,19 @@ def _compared(problem: Problem[Compare], name: str, vehicle: Vehicle, dae: Dae) 
     same = dae.inputs(**{key: rates.get(key, 0.0) for key in known})
     law = build_law(problem, spec.driver, dae, vehicle, start)
     drives = [_drive(vehicle, dae, start, inputs, t, options) for inputs in (same, law)]
-    rank, conditions = _rank(dae, start, options), 3 * len(vehicle.wheels)
-    return ComparedVehicle(name, start.wheels, rank, conditions, *drives)
+    return {
+        "name": name,
+        "wheels": start.wheels,
+        "rank": _rank(dae, start, options),
+        "conditions": 3 * len(vehicle.wheels),
+        "same_rates": drives[0],
+        "driving_law": drives[1],
+    }
 
 
 def _drive(
     vehicle: Vehicle, dae: Dae, start: Trajectory, inputs: Any, t: Array, options: SolverOptions
-) -> ComparedMotion:
+) -> dict[str, Any]:
     try:
         run = simulate(dae, start, inputs, t, options=options)
     except SolverError as error:
@@ -126,15 +115,24 @@ def _drive(
     tilts = [run[c.name] for c in vehicle.of("passive") if vehicle.unit(c.name) == "rad"]
     gaps = [run[f"center_{axis}"][:, 0] - run[f"center_{axis}"][:, 1] for axis in "xyz"]
     width = np.sqrt(sum(gap**2 for gap in gaps))
-    return ComparedMotion(
-        np.abs(run["slip_along"]).max(axis=0),
-        np.abs(run["slip_across"]).max(axis=0),
-        slip.max(axis=0),
-        float(run["friction_needed"].max()) if vehicle.mass else float("nan"),
-        max((float(np.abs(tilt).max()) for tilt in tilts), default=0.0),
-        (float(width.min()), float(width.max())),
-        run.stop,
-    )
+    stop = run.stop and {"name": run.stop.name, "time": run.stop.t, "words": run.stop.words}
+    return {
+        "slip_along": {"unit": "m s-1", "max": np.abs(run["slip_along"]).max(axis=0)},
+        "slip_across": {"unit": "m s-1", "max": np.abs(run["slip_across"]).max(axis=0)},
+        "slip_measured": {"unit": "m s-1", "max": slip.max(axis=0)},
+        # load-weighted; without mass not a number
+        "friction_needed": {
+            "unit": "1",
+            "max": float(run["friction_needed"].max()) if vehicle.mass else float("nan"),
+        },
+        "tilt": {
+            "unit": "rad",
+            "max": max((float(np.abs(tilt).max()) for tilt in tilts), default=0.0),
+        },
+        # distance of the first two wheels
+        "axle": {"unit": "m", "min": float(width.min()), "max": float(width.max())},
+        "stop": stop,
+    }
 
 
 def _rank(dae: Dae, start: Trajectory, options: SolverOptions) -> int:

@@ -165,7 +165,7 @@ class PlanVerb(DriveVerb):
         tested = Tested(plan)
         if spec.plan.robust is not None and plan.accurate:
             keep(replace(plan, replay=replace(plan.replay, stop=UNTESTED)))
-            tested = make_robust(problem, setup, plan, spec.plan.robust, progress, watch.line)
+            tested = make_robust(problem, setup, plan, spec.plan.robust, progress, watch)
             plan = tested.plan
         run, stop = plan.replay, tested.stop or with_offer(setup, plan, guesses)
         if stop is not None and (tested.stop or not plan.success):

@@ -7,8 +7,10 @@ holds in this world if its simulation satisfies all limits.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import lru_cache, partial
+from hashlib import sha256
 from operator import itemgetter
 from types import MappingProxyType
 from typing import NamedTuple
@@ -28,6 +30,7 @@ from slipfree.plan.polynomial_motion import PolynomialMotion, SavedPlan
 from slipfree.plan.problem import Range, bounds_of
 from slipfree.plan.robust import (
     CONFIDENCE,
+    MAX_ROUNDS,
     Bound,
     DisturbedRun,
     Draw,
@@ -50,7 +53,9 @@ from slipfree.plan.search import (
 from slipfree.plan.verification import VERIFICATION_TOLERANCE, simulate_plan
 from slipfree.problem.build import build_model, build_start, in_frame, model_law, solver_options
 from slipfree.problem.build_ground import at
+from slipfree.problem.inputs import ProblemParts
 from slipfree.problem.problem import Problem
+from slipfree.problem.verbs.base import Watch
 from slipfree.problem.verbs.plan_schema import PlanKeys, Robust
 from slipfree.problem.verbs.plan_setup import (
     Planning,
@@ -63,6 +68,7 @@ from slipfree.problem.verbs.plan_setup import (
     source_of,
 )
 from slipfree.solve.options import MIN_TOLERANCE
+from slipfree.system.parts import study
 from slipfree.system.processes import local_tasks
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
@@ -73,7 +79,8 @@ Report = Callable[[str, str], None]
 UNTESTED = Stop(
     PLAN_SHARE,
     0.0,
-    "the plan is solved and accurate, but not all drawn worlds are simulated",
+    "the plan is solved and accurate, but not all drawn worlds are simulated; the same command "
+    "without --resume repeats the search, and continues with the worlds",
     Outcome.INTERRUPTED,
 )
 
@@ -275,18 +282,33 @@ class ReplayTask(NamedTuple):
     draw: Draw
 
 
+class DrawFolder(ProblemParts[tuple[DisturbedRun, ...]]):
+    """Folder beside an output with the simulations of plans in drawn worlds."""
+
+    def store(self, number: int, result: tuple[DisturbedRun, ...]) -> None:
+        """Store the simulations of plans in a world."""
+        self.add(number, {"runs": [([*each.excess.items()], each.distance) for each in result]})
+
+    def load(self, number: int) -> tuple[DisturbedRun, ...]:
+        """Return the simulations of plans in a world."""
+        return tuple(
+            DisturbedRun({Bound(*bound): size for bound, size in excess}, distance)
+            for excess, distance in self.record(number)["runs"]
+        )
+
+
 def make_robust(
     problem: Problem[PlanKeys],
     setup: Planning,
     first: Plan,
     robust: Robust,
     progress: PlanProgress,
-    report: Report | None,
+    watch: Watch,
 ) -> Tested:
     """Tighten the limits of a plan until it holds in the required share of drawn worlds.
 
-    After Ctrl-C, the last accurate plan is returned, with an interruption as its stop. ``report``
-    is called several times per second with the phase and a line.
+    After Ctrl-C, the last accurate plan is returned, with an interruption as its stop. The line of
+    ``watch`` is called several times per second.
     """
     source, latest = source_of(problem), first
 
@@ -306,22 +328,36 @@ def make_robust(
         latest = replace(found, stages=(*before.stages, *found.stages))
         return latest
 
+    done = dict[int, tuple[DisturbedRun, ...]]()
+
+    def poll() -> None:
+        if watch.line is not None:
+            words = f"{len(done)} of {total} drawn worlds are simulated"
+            watch.line("drawn worlds", f"robust plan: {words}")
+
+    total = 0
     try:
-        with local_tasks(replay_draw, robust.draws) as finish:
+        with ExitStack() as stack:
+            parts = None
+            if watch.beside is not None:
+                size = robust.final_draws + MAX_ROUNDS * robust.draws
+                parts = DrawFolder(watch.beside, "robust plan", size, problem)
+                stack.enter_context(parts)
+            run = stack.enter_context(study(replay_draw, parts, robust.draws, poll=poll))
 
             def replay(plans: Sequence[Plan], draws: Sequence[Draw]) -> list[Replays]:
-                done: dict[Draw, tuple[DisturbedRun, ...]] = {}
-
-                def poll() -> None:
-                    if report is not None:
-                        words = f"{len(done)} of {len(draws)} drawn worlds are simulated"
-                        report("drawn worlds", f"robust plan: {words}")
-
+                nonlocal total
+                done.clear()
+                total = len(draws)
                 motions = tuple(each.motion for each in plans)
-                tasks = [ReplayTask(source, motions, draw) for draw in draws]
-                for draw, each in finish(tasks, poll):
-                    done[draw] = each
-                return [Replays(each) for each in zip(*(done[draw] for draw in draws), strict=True)]
+                key = sha256(b"".join(each.unknowns.tobytes() for each in motions)).hexdigest()
+                stream = draws[0][1]
+                first = 1 + (stream > 0) * (robust.final_draws + (stream - 1) * robust.draws)
+                numbers = range(first, first + total)
+                tasks = partial(ReplayTask, source, motions)
+                for number, each in run(numbers, lambda k: tasks(draws[k - first]), lambda _: key):
+                    done[number] = each
+                return [Replays(each) for each in zip(*(done[k] for k in numbers), strict=True)]
 
             found = robust_plan(
                 first,
@@ -332,13 +368,15 @@ def make_robust(
                 final_draws=robust.final_draws,
                 seed=robust.seed,
             )
+            if parts is not None:
+                parts.remove()
     except KeyboardInterrupt:
         return Tested(latest, UNTESTED)
     return Tested(found.plan, _stop(found, robust), robust_facts(found, first))
 
 
-def replay_draw(task: ReplayTask) -> tuple[Draw, tuple[DisturbedRun, ...]]:
-    """Simulate plans in a drawn world; return the draw and comparisons with the bounds."""
+def replay_draw(task: ReplayTask) -> tuple[DisturbedRun, ...]:
+    """Simulate plans in a drawn world; return comparisons with the bounds."""
     problem, setup = _planning(task.source)
     spec, robust = problem.spec, problem.spec.plan.robust or Robust()
     is_drawn = robust.map is not None or robust.friction > 0
@@ -352,11 +390,13 @@ def replay_draw(task: ReplayTask) -> tuple[Draw, tuple[DisturbedRun, ...]]:
             run = simulate_plan(dae, start, motion, step=spec.time.step, options=options)
         except SlipfreeError as error:
             return DisturbedRun({Bound(f"no motion ({error})"): np.inf}, np.nan)
+        if run.outcome is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
         arguments, plan = plan_arguments(problem, dae, setup.vehicle), (setup.dae, planned)
         accuracy, goal = spec.plan.accuracy, robust.goal
         return replay_of(dae, arguments, plan, run, accuracy=accuracy, goal=goal)
 
-    return task.draw, tuple(map(replayed, task.motions))
+    return tuple(map(replayed, task.motions))
 
 
 @lru_cache(1)

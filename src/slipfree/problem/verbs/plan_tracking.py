@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import fields, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,11 +13,13 @@ import numpy as np
 
 from slipfree.control.path_following import commanded
 from slipfree.core.errors import DataError, ModelError
+from slipfree.core.facts import TableColumn, table
+from slipfree.core.outcome import Outcome
 from slipfree.core.rearrange import substitute
 from slipfree.core.records import leaves
 from slipfree.core.schema import Length
 from slipfree.core.trajectory import SolverError, Trajectory, path_length
-from slipfree.files.netcdf import read, read_arrays
+from slipfree.files.netcdf import read, read_arrays, write
 from slipfree.plan.mpc import Horizon, horizon
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import from_arrays
@@ -26,21 +29,22 @@ from slipfree.plan.tracking import (
     Following,
     Replanning,
     Sampling,
-    TrackedMotion,
     TrackingWorld,
     track_plan,
 )
 from slipfree.problem.build import build_model, build_start, build_world, solver_options
 from slipfree.problem.build_ground import GroundMap
+from slipfree.problem.inputs import ProblemParts, file_states, input_files
 from slipfree.problem.problem import Problem
-from slipfree.problem.result import problem_of, result_of
+from slipfree.problem.result import open_result, problem_of, result_of
 from slipfree.problem.verbs.base import VERB_ATTRIBUTE, Result, VerbSolution
 from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed
 from slipfree.problem.verbs.plan_search import find_plan
 from slipfree.problem.verbs.plan_setup import build_planning
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
-from slipfree.system.interrupt import interrupt_requested
+from slipfree.system.interrupt import check_interrupt
+from slipfree.system.parts import study, until_interrupt
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import disturbed
@@ -69,8 +73,30 @@ class Followed(NamedTuple):
 
     name: str  # of the controller
     seed: int  # of the disturbances
-    motion: TrackedMotion | None  # None if it does not suit the vehicle, or fails at the start
-    words: str  # the error, if any
+    words: str = ""  # the error, if any
+    result: Result | None = None  # None if it does not suit the vehicle, or fails at the start
+    # those of `TrackedMotion`
+    cycles: int = 0
+    failures: int = 0
+    cpu: float = 0.0
+
+
+class TrackFolder(ProblemParts[Followed]):
+    """Folder with the finished motions of a test of a plan."""
+
+    def store(self, number: int, result: Followed) -> None:
+        """Store a motion, unless Ctrl-C ended it."""
+        record, found = result._asdict(), result.result
+        del record["result"]
+        if found is None:
+            self.add(number, record)
+        elif found.outcome is not Outcome.INTERRUPTED:
+            self.add(number, record, lambda part: write(part, found.trajectory, found.arrays))
+
+    def load(self, number: int) -> Followed:
+        """Return a stored motion."""
+        file = self.file(number)
+        return Followed(**self.record(number), result=open_result(file) if file.exists() else None)
 
 
 class TrackingTest(NamedTuple):
@@ -78,7 +104,12 @@ class TrackingTest(NamedTuple):
 
     plan: Trajectory
     motions: tuple[Followed, ...]
-    last: Result | None  # of the last motion, on its disturbed ground
+    parts: TrackFolder | None  # closed
+
+    @property
+    def results(self) -> list[tuple[str, Result]]:
+        """Names of controllers and results of their motions, on their disturbed grounds."""
+        return [(each.name, each.result) for each in self.motions if each.result is not None]
 
 
 def follow_plan(
@@ -91,6 +122,7 @@ def follow_plan(
     period: float | None = None,
     window: float | None = None,
     progress: Callable[[str, int, float], None] | None = None,
+    beside: Path | None = None,
 ) -> TrackingTest:
     """Follow the plan of a result file in changed worlds, in several ways.
 
@@ -101,7 +133,8 @@ def follow_plan(
     ``changes``; its disturbances have the sizes of `DISTURBANCES` and the ``seeds`` 1, 2, ... By
     default a window lasts a fifth of the plan, and a period a twentieth of the window. [s]
 
-    After a Ctrl-C held back by `held_interrupt`, the motions are those simulated until then.
+    After a Ctrl-C held back by `held_interrupt`, the motions are those simulated until then. A
+    folder next to the output ``beside`` keeps finished motions, which are not repeated.
     DataError is raised if the file contains no plan or the changed problem cannot be built;
     ModelError if a name, period, window, joints or wheels do not suit the plan; SolverError if the
     first window cannot be solved, or a motion fails before its first sample.
@@ -128,39 +161,39 @@ def follow_plan(
     period = window / CYCLES_PER_WINDOW if period is None else period
     options = _world_options(real)
     frame = horizon(plan, span=window)
-    task = _sampling_task(plan, setup.vehicle, window, compiled=options.compiled)
-    motions, last = list[Followed](), None
-    for seed in range(1, seeds + 1):
-        world, ground = _disturbed_world(real, plan, setup.vehicle, disturb, seed)
-        for name in by:
-            report = partial(progress, name, seed) if progress else None
-            try:
-                controller = _controller(name, plan, frame, task)
-            except ModelError as error:
-                motions.append(Followed(name, seed, None, str(error)))
-                continue
-            try:
-                tracked = track_plan(
-                    controller,
-                    plan.program.task.dae,
-                    world,
-                    duration=duration,
-                    period=period,
-                    options=options,
-                    progress=report,
-                )
-            except SolverError as error:
-                motions.append(Followed(name, seed, None, str(error)))
-            except KeyboardInterrupt:
-                if not interrupt_requested():
-                    raise
-            else:
-                motions.append(Followed(name, seed, tracked, ""))
-                solution = VerbSolution(tracked.run, replace(setup, ground=ground), saved.arrays)
-                last = result_of(real, PlanVerb(), solution, {VERB_ATTRIBUTE: "direct"})
-            if interrupt_requested():
-                return TrackingTest(plan.replay, tuple(motions), last)
-    return TrackingTest(plan.replay, tuple(motions), last)
+    task_of_sampling = _sampling_task(plan, setup.vehicle, window, compiled=options.compiled)
+    world_of = lru_cache(1)(partial(_disturbed_world, real, plan, setup.vehicle, disturb))
+
+    def follow(task: tuple[str, int]) -> Followed:
+        name, seed = task
+        world, ground = world_of(seed)
+        report = partial(progress, name, seed) if progress else None
+        try:
+            controller = _controller(name, plan, frame, task_of_sampling)
+        except ModelError as error:
+            return Followed(name, seed, str(error))
+        dae, times = plan.program.task.dae, {"duration": duration, "period": period}
+        try:
+            tracked = track_plan(controller, dae, world, **times, options=options, progress=report)
+        except SolverError as error:
+            return Followed(name, seed, str(error))
+        solution = VerbSolution(tracked.run, replace(setup, ground=ground), saved.arrays)
+        result = result_of(real, PlanVerb(), solution, {VERB_ATTRIBUTE: "direct"})
+        return Followed(name, seed, "", result, *tracked[1:])
+
+    tasks = [(name, seed) for seed in range(1, seeds + 1) for name in by]
+    with ExitStack() as stack:
+        parts = None
+        if beside is not None:
+            states = file_states({**input_files(real), "": file})
+            own = {"tasks": tasks, "disturb": dict(disturb), "period": period, "window": window}
+            kind, count = "test of a plan", len(tasks)
+            parts = TrackFolder(beside, kind, count, real, ".nc", states, **own)
+            stack.enter_context(parts)
+        run_tasks = stack.enter_context(study(follow, parts, poll=check_interrupt))
+        numbers = range(1, len(tasks) + 1)
+        found = dict(until_interrupt(run_tasks(numbers, lambda number: tasks[number - 1])))
+    return TrackingTest(plan.replay, tuple(found[k] for k in sorted(found)), parts)
 
 
 def _check_names(by: Sequence[str], disturb: Mapping[str, float]) -> None:
@@ -300,19 +333,20 @@ def tracking_rows(test: TrackingTest) -> list[dict[str, Any]]:
     ]
     for name in dict.fromkeys(each.name for each in test.motions):
         attempts = [each for each in test.motions if each.name == name]
-        motions = [each.motion for each in attempts if each.motion is not None]
+        motions = [each for each in attempts if each.result is not None]
+        runs = [each.result.trajectory for each in attempts if each.result is not None]
         row: dict[str, Any] = {"name": name, "seeds": len(attempts)}
         if motions:
             ends = [
-                float(np.hypot(*(each.run[axis][-1] - test.plan[axis][-1] for axis in "xy")))
-                for each in motions
+                float(np.hypot(*(run[axis][-1] - test.plan[axis][-1] for axis in "xy")))
+                for run in runs
             ]
             row |= {
-                "complete": sum(each.run.stop is None for each in motions),
+                "complete": sum(run.stop is None for run in runs),
                 "end_distance": float(np.median(ends)),
                 "end_distance_max": max(ends),
-                "slip_rms": float(np.median([_rms_slip(each.run) for each in motions])),
-                "path_length": float(np.median([path_length(each.run) for each in motions])),
+                "slip_rms": float(np.median([_rms_slip(run) for run in runs])),
+                "path_length": float(np.median([path_length(run) for run in runs])),
                 "cycles": sum(each.cycles for each in motions),
                 "failed_cycles": sum(each.failures for each in motions),
                 "cycle_cpu": float(np.median([each.cpu for each in motions])),
@@ -320,7 +354,7 @@ def tracking_rows(test: TrackingTest) -> list[dict[str, Any]]:
         stops = [
             f"seed {each.seed}: stopped at {run.t[-1]:.4g} s: {run.stop.words}"
             for each in attempts
-            if each.motion is not None and (run := each.motion.run).stop is not None
+            if each.result is not None and (run := each.result.trajectory).stop is not None
         ]
         errors = dict.fromkeys(each.words for each in attempts if each.words)
         rows.append({**row, "words": [*stops, *errors]})
@@ -336,30 +370,26 @@ def _rms_slip(run: Trajectory) -> float:
     return float(np.sqrt(squares))
 
 
-COLUMNS = (  # width, two lines of the head, and the cell of a row
-    (10, "", "", lambda row: row["name"]),
-    (10, "complete", "", lambda row: f"{row['complete']} of {row['seeds']}"),
-    (12, "end from", "plan [m]", lambda row: f"{row['end_distance']:.3g}"),
-    (10, "", "largest", lambda row: f"{row['end_distance_max']:.3g}"),
-    (10, "rms slip", "[mm/s]", lambda row: f"{1e3 * row['slip_rms']:.3g}"),
-    (11, "path", "[m]", lambda row: f"{row['path_length']:.4g}"),
-    (12, "cycles", "failed", lambda row: f"{row['failed_cycles']} of {row['cycles']}"),
-    (12, "CPU of a", "cycle [ms]", lambda row: f"{1e3 * row['cycle_cpu']:.3g}"),
+COLUMNS = (
+    TableColumn("", "name"),
+    TableColumn("complete", "complete"),
+    TableColumn("end from plan [m]", "end_distance", ".3g"),
+    TableColumn("largest", "end_distance_max", ".3g"),
+    TableColumn("rms slip [mm/s]", "slip_rms", ".3g", 1e3),
+    TableColumn("path [m]", "path_length", ".4g"),
+    TableColumn("cycles failed", "failed"),
+    TableColumn("CPU of a cycle [ms]", "cycle_cpu", ".3g", 1e3),
 )
 
 
 def tracking_lines(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Yield the lines of the table of `tracking_rows`, and the messages below it."""
-    for k in (1, 2):
-        yield "".join(f"{column[k]:>{column[0]}}" for column in COLUMNS).rstrip()
-    for row in rows:
-        cells = ""
-        for width, _, _, cell in COLUMNS:
-            try:
-                cells += f"{cell(row):>{width}}"
-            except KeyError:  # the plan itself has no controller
-                cells += " " * width
-        yield cells.rstrip()
+    shares = {"complete": "{complete} of {seeds}", "failed": "{failed_cycles} of {cycles}"}
+    texts = [
+        {key: text.format_map(row) for key, text in shares.items() if "complete" in row}
+        for row in rows
+    ]
+    yield from table(COLUMNS, [{**row, **more} for row, more in zip(rows, texts, strict=True)])
     for row in rows:
         for words in row["words"]:
             yield f"{row['name']}: {words}"
