@@ -17,7 +17,7 @@ import scipy  # scipy.optimize and scipy.spatial are imported when they are used
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.urdf.meshes import MeshFiles
-from slipfree.files.urdf.tree import Geometry, MeshFile, Shape, Tree, UrdfBox, UrdfJoint
+from slipfree.files.urdf.tree import Geometry, MeshFile, Shape, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import placed, rotation_of, vector_of
 from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
 
@@ -105,8 +105,8 @@ def _shape(collision: Geometry, rotation: Array, files: MeshFiles) -> tuple[Body
 
     ``rotation`` is that of the link in the root's frame. A DataError says why a mesh is not read.
     """
-    if isinstance(collision, UrdfBox):
-        return Box(*collision), ""
+    if isinstance(collision, Box):
+        return collision, ""
     if isinstance(collision, MeshFile):
         corners, shrink = reduced_hull(files.triangles(collision).vertices)
     elif collision.kind == "sphere":

@@ -19,7 +19,6 @@ from slipfree.files.urdf.tree import (
     Mimic,
     Shape,
     Tree,
-    UrdfBox,
     UrdfJoint,
 )
 from slipfree.files.urdf.xacro import (
@@ -32,6 +31,7 @@ from slipfree.files.urdf.xacro import (
 from slipfree.files.urdf.xml import Element, parse_robot
 from slipfree.files.vehicle_draft import MAX_LENGTH, degrees_words, in_order, rotation_of
 from slipfree.geometry.frame import Elements, Vector, in_axes, tensor
+from slipfree.vehicle.shapes import Box
 from slipfree.vehicle.wheel import ORIGIN
 
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
@@ -205,7 +205,7 @@ def _link(element: Element, findings: Findings, unread: list[str]) -> Link:
         return tuple(next(filter(None, every), ()))
 
     visuals = tuple(each for each in found["visual"] if isinstance(each, MeshFile))
-    shapes, meshes, boxes = of(Shape), of(MeshFile), of(UrdfBox)
+    shapes, meshes, boxes = of(Shape), of(MeshFile), of(Box)
     collisions = tuple(found["collision"])
     return Link(name, mass, center, shapes, meshes, boxes, inertia, visuals, collisions)
 
@@ -244,7 +244,7 @@ def _geometry(link: _UrdfElement, shape: Element, unread: list[str]) -> Geometry
     if solid is not None and kind == "box":
         size = solid.vector("size", ORIGIN)
         if min(size) > 0:
-            return UrdfBox(size, at, turned)
+            return Box(size, at, turned)
         kind = "box without size"
     if solid is None or kind not in ("cylinder", "sphere", "capsule"):
         found = f"a <{kind}>" if kind else "no shape"

@@ -23,8 +23,8 @@ from slipfree.files.urdf.evidence import (
     weigh,
 )
 from slipfree.files.urdf.meshes import MeshFiles
-from slipfree.files.urdf.roles import UrdfTable
-from slipfree.files.urdf.tree import Link, Mimic, Shape, Tree, UrdfJoint, lowest
+from slipfree.files.urdf.roles import UrdfTable, WheelRole
+from slipfree.files.urdf.tree import Link, Mimic, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import rotation_of
 from slipfree.vehicle.tree import Kind
 from slipfree.vehicle.wheel import ORIGIN
@@ -52,8 +52,7 @@ def casters(tree: Tree, wheels: Sequence[UrdfJoint], excluded: Collection[str]) 
     A caster is a joint with "caster" in a name, with the links below it, the lowest of which
     touches the ground, or a sphere that touches the ground.
     """
-    frames = tree.frames
-    bottoms = [_bottom(tree.links[wheel.child].shapes, frames[wheel.child]) for wheel in wheels]
+    bottoms = [tree.bottom(wheel.child, tree.links[wheel.child].shapes) for wheel in wheels]
     ground = min(bottoms, default=np.inf)
     known = tree.fixed_to_wheels | {wheel.name for wheel in wheels}
     for joint in tree.joints.values():
@@ -70,14 +69,9 @@ def casters(tree: Tree, wheels: Sequence[UrdfJoint], excluded: Collection[str]) 
             known |= names
         elif tree.is_last(joint) and [shape.kind for shape in shapes] == ["sphere"]:
             radius = shapes[0].radius
-            if abs(_bottom(shapes, frames[joint.child]) - ground) <= TOUCH * radius:
+            if abs(tree.bottom(joint.child, shapes) - ground) <= TOUCH * radius:
                 reason = "it is a sphere that touches the ground of the wheels"
                 yield Caster(joint.name, names, radius, True, reason)
-
-
-def _bottom(shapes: Sequence[Shape], frame: tuple[Array, Array]) -> float:
-    """Return the height of the lowest point of round shapes of a link; infinite without any [m]."""
-    return min((lowest(shape, frame[0]) + float(frame[1][2]) for shape in shapes), default=np.inf)
 
 
 def _lowest_part(
@@ -88,7 +82,7 @@ def _lowest_part(
     for index, joint in enumerate(parts):
         link, (rotation, origin) = tree.links[joint.child], tree.frames[joint.child]
         for shape in link.shapes:
-            bottom = _bottom([shape], (rotation, origin))
+            bottom = tree.bottom(link.name, [shape])
             bottoms.append((bottom, index, shape.radius, "radius of its shape"))
         depth = 0.0  # of the lowest point below the origin
         for box in link.boxes:
@@ -126,13 +120,13 @@ def _trails(tree: Tree, head: UrdfJoint, part: UrdfJoint) -> bool:
 
 def with_separate_balls(tree: Tree) -> Tree:
     """Return a URDF in which balls of casters that are part of the chassis have their own links."""
-    frames, links, joints = tree.frames, dict(tree.links), dict(tree.joints)
-    bottoms = {name: _bottom(link.shapes, frames[name]) for name, link in links.items()}
+    links, joints = dict(tree.links), dict(tree.joints)
+    bottoms = {name: tree.bottom(name, link.shapes) for name, link in links.items()}
     moving = [joint for joint in tree.joints.values() if joint.moves]
     for name in sorted({joint.parent for joint in moving} - {joint.child for joint in moving}):
         ground = min((z for other, z in bottoms.items() if other != name), default=np.inf)
         for k, ball in enumerate(tree.links[name].shapes):
-            height = abs(_bottom([ball], frames[name]) - ground)
+            height = abs(tree.bottom(name, [ball]) - ground)
             new, above = f"{name}_ball_{k + 1}", TOUCH * ball.radius < height < np.inf
             if ball.kind != "sphere" or above or new in joints or new in links:
                 continue

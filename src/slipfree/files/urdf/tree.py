@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import PurePath
-from typing import Literal, NamedTuple, NoReturn, TypeVar
+from typing import Any, Literal, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from slipfree.files.vehicle_draft import (
     vector_of,
 )
 from slipfree.geometry.frame import Elements, Vector, in_axes, unit_vector
+from slipfree.vehicle.shapes import Box
 from slipfree.vehicle.wheel import ORIGIN
 
 MIRROR = 0.05  # largest distance from a mirror image, in distances from the root's origin
@@ -46,14 +47,6 @@ class Shape(NamedTuple):
     length: float = 0.0
 
 
-class UrdfBox(NamedTuple):
-    """A box in the frame of its link: edges [m], position [m], and roll, pitch, yaw [rad]."""
-
-    size: Vector
-    at: Vector
-    turned: Vector
-
-
 class MeshFile(NamedTuple):
     """A mesh in the frame of its link: name and scale as in the URDF, and the pose [m, rad]."""
 
@@ -63,8 +56,8 @@ class MeshFile(NamedTuple):
     turned: Vector
 
 
-Geometry = Shape | UrdfBox | MeshFile
-G = TypeVar("G", Shape, UrdfBox, MeshFile)
+Geometry = Shape | Box | MeshFile
+G = TypeVar("G", Shape, Box, MeshFile)
 Placed = TypeVar("Placed", Shape, MeshFile, Geometry)
 
 
@@ -76,7 +69,7 @@ class Link(NamedTuple):
     center: Vector = ORIGIN  # centre of mass in the frame of the link [m]
     shapes: tuple[Shape, ...] = ()  # collision shapes; visual ones if there are none
     meshes: tuple[MeshFile, ...] = ()
-    boxes: tuple[UrdfBox, ...] = ()
+    boxes: tuple[Box, ...] = ()
     inertia: Elements | None = None  # ``Ixx, Iyy, Izz, Ixy, Ixz, Iyz`` about the centre [kg m^2]
     visuals: tuple[MeshFile, ...] = ()  # meshes among the visual shapes
     collisions: tuple[Geometry, ...] = ()
@@ -220,6 +213,12 @@ class Tree:
         """Return the largest radius of the round shapes of a joint's link; zero without any [m]."""
         return max((shape.radius for shape in self.links[joint.child].shapes), default=0.0)
 
+    def bottom(self, link: str, shapes: Iterable[Shape]) -> float:
+        """Return the height of the lowest point of round shapes; infinite without any [m]."""
+        rotation, origin = self.frames[link]
+        heights = (lowest(shape, rotation) + float(origin[2]) for shape in shapes)
+        return min(heights, default=math.inf)
+
     def mirror_image(self, joint: UrdfJoint, others: Iterable[UrdfJoint]) -> UrdfJoint | None:
         """Return the joint whose link is at the mirror image of a joint's link; None in the plane.
 
@@ -314,5 +313,8 @@ def facing_forward(tree: Tree, forward: str) -> Tree:
 
 def moved(shape: Placed, turn: Array, at: Array) -> Placed:
     """Return a shape in another frame, in which its frame has a rotation and an origin [m]."""
-    turned = angles_of(turn @ rotation_of(shape.turned))
-    return shape._replace(at=vector_of(turn @ shape.at + at), turned=turned)
+    pose: dict[str, Any] = {
+        "at": vector_of(turn @ shape.at + at),
+        "turned": angles_of(turn @ rotation_of(shape.turned)),
+    }
+    return replace(shape, **pose) if isinstance(shape, Box) else shape._replace(**pose)

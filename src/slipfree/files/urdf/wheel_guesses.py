@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import atan2, degrees, radians
@@ -159,13 +159,22 @@ def wheel_guesses(
             role, fact = WheelRole(False, caster.radius, caster.radius, rollers=np.pi / 2), "ball"
         guesses[caster.joint] = wheel_evidence(role, fact, reason=caster.reason)
     yield from guesses.items()
-    # a counterpart gives the radius of a wheel without a shape
-    sized = {
-        name: guess
+    sized = [
+        tree.joints[name]
         for name, guess in guesses.items()
         if guess.fact.radius or tree.links[tree.joints[name].child].shapes
-    }
-    yield from _counterparts(tree, wheels, sized, {*unread, *roles.joints})
+    ]
+    everything = [*wheels, *sized]
+    known = {*unread, *roles.joints, *tree.fixed_to_wheels, *(wheel.name for wheel in everything)}
+    ends = [j for j in tree.joints.values() if tree.is_last(j) and j.name not in known]
+    for wheel in everything:
+        other = tree.mirror_image(wheel, ends)
+        if other is not None and tree.mirror_image(wheel, everything) is None:
+            # a counterpart gives the radius of a wheel without a shape
+            role = WheelRole(radius=tree.radius_of(wheel) or None)
+            if role.radius is None and wheel in sized:
+                role = guesses[wheel.name].fact
+            yield other.name, wheel_evidence(role, "mirrored", other=wheel.name)
 
 
 def _named_wheels(
@@ -208,25 +217,6 @@ def _named_wheels(
             heights[joint.name] = height
     for name in heights:  # the radius of all is that of the lowest one
         yield name, wheel_evidence(WheelRole(radius=min(heights.values())), "footprint")
-
-
-def _counterparts(
-    tree: Tree,
-    wheels: Sequence[UrdfJoint],
-    guesses: Mapping[str, Evidence],
-    excluded: Collection[str],
-) -> Iterator[tuple[str, Evidence]]:
-    """Yield the wheels opposite to a wheel that has no opposite wheel."""
-    everything = [*wheels, *(tree.joints[name] for name in guesses)]
-    known = {*excluded, *tree.fixed_to_wheels, *(wheel.name for wheel in everything)}
-    ends = [j for j in tree.joints.values() if tree.is_last(j) and j.name not in known]
-    for wheel in everything:
-        other = tree.mirror_image(wheel, ends)
-        if other is not None and tree.mirror_image(wheel, everything) is None:
-            role = WheelRole(radius=tree.radius_of(wheel) or None)
-            if role.radius is None and wheel.name in guesses:
-                role = guesses[wheel.name].fact
-            yield other.name, wheel_evidence(role, "mirrored", other=wheel.name)
 
 
 def sliding_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, Evidence]]:

@@ -355,7 +355,9 @@ class Wheels:
                     f"{toml_line('wheels', other.name, radius=large)}"
                 )
         names = {joint.name for pair in unlike for joint in pair}
-        bottoms = (self._bottom(j, shapes[j.name]) for j in sized if j.name not in names)
+        bottoms = (
+            self.tree.bottom(j.child, [shapes[j.name]]) for j in sized if j.name not in names
+        )
         ground = min(bottoms, default=None)
         for pair in unlike:
             every = [joint.name for joint in pair]
@@ -407,16 +409,12 @@ class Wheels:
                 self._findings.guess("wheels", name, {"radius": best}, reason, other)
             self._given[name] = replace(given, radius=given.radius or best)
 
-    def _bottom(self, joint: UrdfJoint, shape: Shape) -> float:
-        rotation, origin = self.tree.frames[joint.child]
-        return float(origin[2]) + lowest(shape, rotation)
-
     def _high(
         self, joints: Sequence[UrdfJoint], paired: Collection[str]
     ) -> Iterator[tuple[str, str]]:
         """Yield the joints whose round shapes end far above the lowest one, with the reason."""
         shapes = {j: shape for j in joints if j.name not in paired and (shape := self._shape(j))}
-        lows = {joint: self._bottom(joint, shape) for joint, shape in shapes.items()}
+        lows = {joint: self.tree.bottom(joint.child, [shape]) for joint, shape in shapes.items()}
         radius = max((shape.radius for shape in shapes.values()), default=0.0)
         most = min(lows.values(), default=0.0) + radius / 2
         low = [shapes[joint].radius for joint in shapes if lows[joint] <= most]
