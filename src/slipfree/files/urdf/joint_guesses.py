@@ -269,13 +269,8 @@ class Joints:
 
     def _leaders(self, name: str) -> list[str]:
         """Return the joints that a joint follows through its mimics."""
-        chain = {name: None}  # a set in order, since chains may be long
-        while True:
-            mimic = None if name in self._roles.joints else self._tree.joints[name].mimic
-            if mimic is None or mimic.joint not in self._tree.joints or mimic.joint in chain:
-                return [*chain][1:]
-            name = mimic.joint
-            chain[name] = None
+        chain = self._tree.followed(self._tree.joints[name], self._roles.joints)
+        return [joint.name for joint in chain[1:]]
 
     def _rocks(self, joint: UrdfJoint) -> bool:
         followers = [

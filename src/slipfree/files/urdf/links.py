@@ -67,14 +67,9 @@ def joint_values(
 
     def value(joint: UrdfJoint) -> ca.SX:
         factor, offset = 1.0, 0.0
-        for _ in joints:  # mimics may form a loop, or a chain too long for recursion
-            mimic = joint.mimic
-            if joint.name in own or joint.name in signs:
-                break
-            if mimic is None or mimic.joint not in joints:
-                break
+        *followers, joint = robot.tree.followed(joint, {*own, *signs})
+        for mimic in (each.mimic for each in followers if each.mimic):
             offset, factor = offset + factor * mimic.offset, factor * mimic.multiplier
-            joint = joints[mimic.joint]
         if joint.name in own:
             return offset + factor * own[joint.name]
         if joint.name in signs:

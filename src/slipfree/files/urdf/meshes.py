@@ -74,13 +74,10 @@ class MeshFiles:
     """Files of meshes, read in one process with limits, since damaged files may hang or crash."""
 
     def __init__(self, meshes: Iterable[MeshFile], folder: Path) -> None:
-        self._read: dict[str, TriangleMesh | DataError] = {}
-        files: dict[str, Path] = {}
-        for name in dict.fromkeys(mesh.name for mesh in meshes):
-            try:
-                files[name] = find_mesh(name, folder)
-            except DataError as error:
-                self._read[name] = error
+        names = dict.fromkeys(mesh.name for mesh in meshes)
+        found = {name: _attempt(find_mesh, name, folder) for name in names}
+        files = {name: path for name, path in found.items() if isinstance(path, Path)}
+        self._read = {name: error for name, error in found.items() if name not in files}
         if files:
             self._read |= zip(files, _read_files([*files.values()]), strict=True)
 
@@ -137,7 +134,7 @@ def _read_files(paths: Sequence[Path]) -> list[TriangleMesh | DataError]:
         return [_attempt(bounded_read, _read_file, path) for path in paths]
 
 
-def _attempt(read: Callable[..., TriangleMesh], *arguments: Any) -> TriangleMesh | DataError:
+def _attempt(read: Callable[..., Any], *arguments: Any) -> Any:
     try:
         return read(*arguments)
     except DataError as error:

@@ -59,10 +59,8 @@ def read_urdf(tree: Tree, roles: UrdfTable = NO_ROLES) -> Draft:
 def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: Draft) -> str:
     """Return what to do about too few wheels, with a line that adds wheels if one does."""
     words, wheels = wheel_remedy(tree, [wheel.name for wheel in draft.wheels])
-    findings, more = (
-        Findings(tree.file),
-        roles.model_copy(update={"wheels": {**roles.wheels, **wheels}}),
-    )
+    more = roles.model_copy(update={"wheels": {**roles.wheels, **wheels}})
+    findings = Findings(tree.file)
     if not wheels or [*misfits(_draft(tree, more, findings))] or findings.errors:
         return words
     sizes = {name: {"radius": role.radius} if role.radius else {} for name, role in wheels.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import PurePath
@@ -166,6 +166,19 @@ class Tree:
                 below.append(joint)
                 links.add(joint.child)
         return below
+
+    def followed(self, joint: UrdfJoint, independent: Container[str] = ()) -> list[UrdfJoint]:
+        """Return the joints that a joint follows through its mimics, itself first.
+
+        The chain ends at an independent joint, before one that is unknown, and before a loop.
+        """
+        chain = {joint.name: joint}  # a mapping, since chains may be long
+        while joint.mimic is not None and joint.name not in independent:
+            leader = self.joints.get(joint.mimic.joint)
+            if leader is None or leader.name in chain:
+                break
+            joint = chain[leader.name] = leader
+        return [*chain.values()]
 
     def axis(self, joint: UrdfJoint) -> Array:
         """Return the unit vector of a joint's axis in the root's frame."""
