@@ -252,7 +252,7 @@ def _urdf(
             roles = table
         draft = read_urdf(tree, roles)
         whole = completed(tree, roles)
-        forward = roles.forward or forward_guess(whole, roles.joints).direction
+        forward = roles.forward or forward_guess(whole, roles.joints).choice
         return draft, Robot(whole, forward)
     except DataError as error:
         raise error if isinstance(error, VehicleError) else VehicleError(str(error)) from error

@@ -72,6 +72,14 @@ ROWS = (
     EvidenceRow("kind", "interface", "{}", "commanded", STRONG),
     EvidenceRow("kind", "plugin", "plugin of a simulator", "commanded", COMMAND),
     EvidenceRow("kind", "spring", "a spring in the simulator", "suspension", COMMAND),
+    EvidenceRow("kind", "no wheel", "it carries no wheel", "fixed"),
+    EvidenceRow("kind", "balls", "it carries only balls, which slide freely", "fixed"),
+    EvidenceRow(
+        "kind",
+        "too many",
+        "with so few wheels, it and its counterpart cannot follow the ground",
+        "fixed",
+    ),
     # drive of a wheel
     EvidenceRow("driven", "actuator", "it has an actuator", "driven", COMMAND),
     EvidenceRow("driven", "actuator of others", "other wheels have an actuator", "free", USUAL),
@@ -165,8 +173,9 @@ class Choice(NamedTuple):
 
     choice: str
     reason: str
-    rival: str  # next choice with evidence; empty without one
-    is_open: bool  # whether the evidence is contradictory
+    rival: str = ""  # next choice with evidence; empty without one
+    is_open: bool = False  # whether the evidence is contradictory
+    alike: tuple[str, ...] = ()  # joints with the same contradictory evidence
 
 
 class Plugin(NamedTuple):

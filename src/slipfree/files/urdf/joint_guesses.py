@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,12 +20,12 @@ from slipfree.files.urdf.evidence import (
     Evidence,
     evidence,
     weigh,
+    wheel_evidence,
 )
 from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.roles import UrdfTable, WheelRole
 from slipfree.files.urdf.tree import Link, Mimic, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import rotation_of
-from slipfree.vehicle.tree import Kind
 from slipfree.vehicle.wheel import ORIGIN
 
 TRAIL, MAX_TRAIL = 0.2, 2.0  # trail of wheels that swivel freely [radii]; longer ones articulate
@@ -36,18 +35,13 @@ TOUCH = 0.1  # a ball touches the ground of the wheels within this part of its r
 LATERAL = 0.9  # axes of opposite rockers have at least this component to the left, or to the right
 
 
-class Caster(NamedTuple):
-    """A caster: links that belong together, of which one touches the ground."""
-
-    joint: str  # joint of the link that touches the ground
-    parts: frozenset[str]  # joints of all its links
-    radius: float  # radius of the ball or wheel [m]
-    is_ball: bool  # whether it slides freely as a ball; else its wheel trails a swivel
-    reason: str  # reason for the radius
-
-
-def casters(tree: Tree, wheels: Sequence[UrdfJoint], excluded: Collection[str]) -> Iterator[Caster]:
+def casters(
+    tree: Tree, wheels: Sequence[UrdfJoint], excluded: Collection[str]
+) -> Iterator[tuple[str, frozenset[str], Evidence]]:
     """Yield the casters whose wheels do not turn about a level axis of a joint.
+
+    A caster has the joint of the link that touches the ground, the joints of all its links, and the
+    role of its wheel, which slides freely as a ball unless it trails a swivel.
 
     A caster is a joint with "caster" in a name, with the links below it, the lowest of which
     touches the ground, or a sphere that touches the ground.
@@ -65,13 +59,20 @@ def casters(tree: Tree, wheels: Sequence[UrdfJoint], excluded: Collection[str]) 
             parts = [part for part in parts if part.name not in excluded]
             if known.isdisjoint(names) and (contact := _lowest_part(tree, parts, ground)):
                 part, radius, reason = contact
-                yield Caster(part.name, names, radius, not _trails(tree, joint, part), reason)
+                trail = wheel_evidence(WheelRole(radius=radius), "trail")
+                is_ball = not _trails(tree, joint, part)
+                yield part.name, names, _ball(radius, reason) if is_ball else trail
             known |= names
         elif tree.is_last(joint) and [shape.kind for shape in shapes] == ["sphere"]:
             radius = shapes[0].radius
             if abs(tree.bottom(joint.child, shapes) - ground) <= TOUCH * radius:
                 reason = "it is a sphere that touches the ground of the wheels"
-                yield Caster(joint.name, names, radius, True, reason)
+                yield joint.name, names, _ball(radius, reason)
+
+
+def _ball(radius: float, reason: str) -> Evidence:
+    role = WheelRole(False, radius, radius, rollers=np.pi / 2)
+    return wheel_evidence(role, "ball", reason=reason)
 
 
 def _lowest_part(
@@ -214,23 +215,11 @@ def _trail(tree: Tree, joint: UrdfJoint, wheels: Sequence[UrdfJoint]) -> float:
     return min(trails)
 
 
-class KindGuess(NamedTuple):
-    """Probable kind of a joint (None if it does not move), the reason, and the other choice.
-
-    ``alike`` are the joints whose evidence is contradictory, so that their kind must be given.
-    """
-
-    kind: Kind | None
-    reason: str
-    other: str
-    alike: tuple[str, ...] = ()
+def _fixed(fact: str) -> Choice:
+    return weigh(evidence("kind", {fact: True}))._replace(rival="commanded")
 
 
-NO_WHEEL = KindGuess(None, "it carries no wheel", "commanded")
-BALLS = KindGuess(None, "it carries only balls, which slide freely", "commanded")
-TOO_MANY = KindGuess(
-    None, "with so few wheels, it and its counterpart cannot follow the ground", "commanded"
-)
+NO_WHEEL, BALLS, TOO_MANY = map(_fixed, ("no wheel", "balls", "too many"))
 
 
 class Joints:
@@ -303,11 +292,11 @@ class Joints:
         yield from evidence("kind", facts)
         yield from self._tree.evidence.get(joint.name, ())
 
-    def kinds(self) -> dict[str, KindGuess]:
+    def kinds(self) -> dict[str, Choice]:
         """Return the probable kinds of the joints without a role, unless actuators agree."""
         declared = [role.kind for role in self._roles.joints.values()].count("suspension")
         left = len(self._wheels) - 3 - declared
-        kinds: dict[str, KindGuess] = {}
+        kinds: dict[str, Choice] = {}
         candidates: dict[str, UrdfJoint] = {}
         for name, joint in self._free.items():
             if name in self._roles.joints or self._leaders(name):
@@ -336,7 +325,7 @@ class Joints:
                 kinds |= dict.fromkeys(pair, guess)
         return kinds
 
-    def _guess(self, choice: Choice, left: int) -> KindGuess:
+    def _guess(self, choice: Choice, left: int) -> Choice:
         """Return the guess of a choice; ``left`` suspension coordinates are possible."""
         known = self._roles.joints
         alike = tuple(
@@ -350,8 +339,7 @@ class Joints:
         other = choice.rival or ("commanded" if choice.choice == "passive" else "fixed")
         if other == "suspension" and left < 1:
             other = "fixed"
-        kind: Any = choice.choice
-        return KindGuess(kind, choice.reason, other, alike if choice.is_open else ())
+        return choice._replace(rival=other, alike=alike if choice.is_open else ())
 
     def differential(self) -> tuple[str, Mimic] | None:
         """Return the name of a rocker, and the opposite rocker that it follows; None without them.

@@ -9,7 +9,8 @@ from dataclasses import replace
 from typing import Any
 
 from slipfree.files.urdf.collisions import body_shapes
-from slipfree.files.urdf.joint_guesses import NO_WHEEL, Joints, KindGuess
+from slipfree.files.urdf.evidence import Choice
+from slipfree.files.urdf.joint_guesses import NO_WHEEL, Joints
 from slipfree.files.urdf.roles import NO_ROLES, JointRole, UrdfTable, completed, coupled
 from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint, facing_forward
 from slipfree.files.urdf.wheel_guesses import TRACKS, forward_guess, tracks, wheel_remedy
@@ -64,7 +65,7 @@ def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: Draft) -> str:
     if not wheels or [*misfits(_draft(tree, more, findings))] or findings.errors:
         return words
     sizes = {name: {"radius": role.radius} if role.radius else {} for name, role in wheels.items()}
-    return f"{words}; or {tree.completion}, write wheels = {toml_value(sizes)}"
+    return f"{words}; or {findings.completion}, write wheels = {toml_value(sizes)}"
 
 
 def _draft(file: Tree, roles: UrdfTable, findings: Findings) -> Draft:
@@ -127,14 +128,15 @@ def _forward(tree: Tree, roles: UrdfTable, findings: Findings) -> str:
         findings.add(
             1,
             "expected names or axles that determine the forward direction, found that "
-            f'{guess.reason}; {axes}write forward = "{guess.direction}" or forward = '
-            f'"{guess.other}", the axis of the root link that points forward, {tree.completion}',
+            f'{guess.reason}; {axes}write forward = "{guess.choice}" or forward = '
+            f'"{guess.rival}", the axis of the root link that points forward, '
+            f"{findings.completion}",
         )
     elif guess.reason:
-        reason = f"forward along {guess.direction}: {guess.reason}"
-        other = f'forward = "{guess.other}"'
-        findings.guess("", "forward", {"forward": guess.direction}, reason, other)
-    return guess.direction
+        reason = f"forward along {guess.choice}: {guess.reason}"
+        other = f'forward = "{guess.rival}"'
+        findings.guess("", "forward", {"forward": guess.choice}, reason, other)
+    return guess.choice
 
 
 def _with_differential(
@@ -155,7 +157,7 @@ def _with_differential(
                 tree.joints[follower],
                 f"expected opposite angles of it and {mimic.joint!r}, since otherwise nothing "
                 "determines the pitch, found that other joints are coupled, or these with another "
-                f"sign; write couple = {toml_value(couple)}, {tree.completion}",
+                f"sign; write couple = {toml_value(couple)}, {findings.completion}",
             )
             return tree, roles
         tree = coupled(tree, couple)
@@ -184,9 +186,7 @@ def _used_joints(wheels: Wheels, findings: Findings) -> list[UrdfJoint]:
             carrying.add(joint.parent)
         else:
             left.append(joint.name)
-    if left:
-        names = ", ".join(reversed(left))
-        findings.notes.append(f"omitted, since they carry no wheel and no mass: {names}")
+    findings.note("omitted, since they carry no wheel and no mass", reversed(left))
     return kept[::-1]
 
 
@@ -206,7 +206,8 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
             j.name for j in kept if j.moves and not file.joints.get(j.name, j).moves
         ],
     }
-    notes.extend(f"{note}: {', '.join(names)}" for note, names in named.items() if names)
+    for words, names in named.items():
+        findings.note(words, names)
     for reason in dict.fromkeys(guess.reason for guess in findings.guesses):
         alike = [guess for guess in findings.guesses if guess.reason == reason]
         listed = ": " + ", ".join(guess.name for guess in alike) if alike[0].table else ""
@@ -230,7 +231,7 @@ class _Coordinates:
         tree: Tree,
         roles: UrdfTable,
         wheels: Sequence[UrdfJoint],
-        kinds: Mapping[str, KindGuess],
+        kinds: Mapping[str, Choice],
         findings: Findings,
     ) -> None:
         self._tree, self._roles, self._kinds = tree, roles, kinds
@@ -250,23 +251,22 @@ class _Coordinates:
             other = toml_line("joints", leader.name, kind="commanded", lower=-1.5, upper=1.5)
             self._findings.guess("joints", leader.name, values, reason, other)
             return repr(offset + multiplier * leader.lower)
-        guess = self._kinds.get(leader.name)
-        if (
-            role is None
-            and leader.moves
-            and guess is None
-            and leader.name not in self._tree.actuated
-        ):
-            guess = NO_WHEEL
+        unknown = None if leader.name in self._tree.actuated else NO_WHEEL
+        guess = self._kinds.get(leader.name, unknown)
         if role is None and leader.moves and guess is not None:
-            role = JointRole(kind=guess.kind or "fixed")
-            if guess.alike:
-                self._ask(leader, guess)
-            else:
-                other = toml_line("joints", leader.name, kind=guess.other)
-                reason = f"{role.kind}: {guess.reason}"
-                kind = {"kind": role.kind}
-                self._findings.guess("joints", leader.name, kind, reason, other)
+            kind: Any = guess.choice
+            role, lines = JointRole(kind=kind), dict.fromkeys((kind, guess.rival))
+            if not guess.alike:
+                other = toml_line("joints", leader.name, kind=guess.rival)
+                reason = f"{kind}: {guess.reason}"
+                self._findings.guess("joints", leader.name, {"kind": kind}, reason, other)
+            elif leader.name == guess.alike[0]:
+                names = f" (also {', '.join(guess.alike[1:])})" if guess.alike[1:] else ""
+                self._findings.ask(
+                    [leader],
+                    f"expected evidence for one kind of joint, found {guess.reason}{names};",
+                    *(f"joints = {toml_value(dict.fromkeys(guess.alike, each))}" for each in lines),
+                )
         if not leader.moves or (role is not None and role.kind == "fixed"):
             return repr(offset)
         name = self._coordinate(leader, role)
@@ -275,18 +275,6 @@ class _Coordinates:
             return name
         scaled = f"-{name}" if multiplier == -1 else f"{multiplier!r}*{name}"
         return scaled + (f" + {offset!r}" if offset else "")
-
-    def _ask(self, joint: UrdfJoint, guess: KindGuess) -> None:
-        """Add an error with the lines for each kind of joints whose evidence is contradictory."""
-        if joint.name == guess.alike[0]:
-            kinds = dict.fromkeys((guess.kind or "fixed", guess.other))
-            lines = (f"joints = {toml_value(dict.fromkeys(guess.alike, kind))}" for kind in kinds)
-            names = f" (also {', '.join(guess.alike[1:])})" if guess.alike[1:] else ""
-            self._findings.wrong(
-                joint,
-                f"expected evidence for one kind of joint, found {guess.reason}{names}"
-                f"; {self._tree.completion}, write {' or '.join(lines)}",
-            )
 
     def _leader(self, joint: UrdfJoint) -> tuple[UrdfJoint, float, float]:
         """Return the joint that a joint follows through its mimics, with factor and offset."""
@@ -347,12 +335,12 @@ class _Coordinates:
                 ends[side] = (self._limit(joint, key) - offset) / multiplier
         lower, upper = max(c.lower, ends["lower"]), min(c.upper, ends["upper"])
         if not lower < upper:
-            self._findings.wrong(
-                joint,
+            self._findings.ask(
+                [joint],
                 f"expected a lower limit of {name} below the upper one, found {lower:g} and "
-                f'{upper:g}; {self._tree.completion}, write {toml_key(leader.name)} = "fixed" in '
-                '"joints" if it does not move, else its "lower" and "upper", which override '
-                "those of the URDF",
+                f"{upper:g};",
+                f'{toml_key(leader.name)} = "fixed" in "joints" if it does not move, else its '
+                '"lower" and "upper", which override those of the URDF',
             )
             return
         rate = (

@@ -153,11 +153,6 @@ class Tree:
             frames[joint.child] = rotation @ rotation_of(joint.turned), at
         return frames
 
-    @property
-    def completion(self) -> str:
-        """Where to write keys that complete the URDF, for messages."""
-        return f'in a vehicle file with urdf = "{PurePath(self.file).name}"'
-
     def below(self, link: str) -> list[UrdfJoint]:
         """Return all joints below a link: its joints, those of their child links, and so on."""
         below, links = [], {link}
@@ -265,6 +260,26 @@ class Findings:
     def wrong(self, joint: UrdfJoint, message: str) -> None:
         """Add an error of a joint."""
         self.add(joint.line, f"joint {joint.name!r}: {message}")
+
+    @property
+    def completion(self) -> str:
+        """Where to write keys that complete the URDF, for messages."""
+        return f'in a vehicle file with urdf = "{PurePath(self.file).name}"'
+
+    def ask(self, joints: Sequence[UrdfJoint], message: str, *lines: str) -> None:
+        """Add an error of joints, at the first one, with the lines that correct it."""
+        also = f"(also {', '.join(joint.name for joint in joints[1:])}) " if joints[1:] else ""
+        remedy = f"{self.completion}, write {' or '.join(lines)}"
+        self.wrong(joints[0], f"{also}{message} {remedy}")
+
+    def note(
+        self, words: str, names: Iterable[str], other: Callable[[str], str] | None = None
+    ) -> None:
+        """Add a note on joints or links, if any; ``other`` is the line for the other choice."""
+        first, *more = [*names] or [""]
+        if first:
+            line = f"; otherwise write {other(first)}" if other else ""
+            self.notes.append(f"{words}: {', '.join([first, *more])}{line}")
 
     def guess(
         self, table: str, name: str, values: Mapping[str, Value], reason: str, other: str

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import atan2, degrees, radians
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from slipfree.files.urdf.evidence import (
     STEERING,
     TRACK,
     WHEEL,
+    Choice,
     Evidence,
     evidence,
     weigh,
@@ -152,12 +153,9 @@ def wheel_guesses(
     """Yield the wheels that joints probably carry, with the name of the joint."""
     guesses = dict(_named_wheels(tree, wheels, roles))
     rolling = [*wheels, *(tree.joints[name] for name in guesses if tree.joints[name].moves)]
-    for caster in casters(tree, rolling, roles.joints):
-        guesses = {name: guess for name, guess in guesses.items() if name not in caster.parts}
-        role, fact = WheelRole(radius=caster.radius), "trail"
-        if caster.is_ball:
-            role, fact = WheelRole(False, caster.radius, caster.radius, rollers=np.pi / 2), "ball"
-        guesses[caster.joint] = wheel_evidence(role, fact, reason=caster.reason)
+    for caster, parts, guess in casters(tree, rolling, roles.joints):
+        guesses = {name: each for name, each in guesses.items() if name not in parts}
+        guesses[caster] = guess
     yield from guesses.items()
     sized = [
         tree.joints[name]
@@ -314,37 +312,32 @@ def usual_radius(tree: Tree, joints: Sequence[UrdfJoint]) -> float:
     return float(f"{max(known, default=apart / 4 or 0.1):.2g}")
 
 
-class Forward(NamedTuple):
-    """Forward direction of a URDF."""
-
-    direction: str  # axis of the root link that probably points forward
-    reason: str  # evidence for it, and against it; empty if it agrees with the convention
-    other: str  # axis that the other choice would be
-    is_open: bool = False  # if the evidence is absent or contradictory: must be given
-
-
 def _sides(name: str) -> set[str]:
     words = words_of(name)
     return {side for side, pattern in SIDES.items() if any(map(pattern.fullmatch, words))}
 
 
-def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Forward:
-    """Return the axis of the root link that probably points forward."""
+def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Choice:
+    """Return the axis of the root link that probably points forward.
+
+    The reason is empty if the evidence agrees with the convention; the choice is open without
+    evidence, too.
+    """
     tree, _ = with_fixed_rollers(tree)
     rolling = _turning(tree)
     excluded = {*excluded, *caster_wheels(tree, rolling)}
     wheels = [joint for joint in rolling if joint.name not in excluded]
     line = _along(tree, wheels)
     pieces = [*evidence("forward", _forward_facts(tree, wheels, line))]
-    best, reason, rival, is_open = weigh(pieces, line[0])
+    best, reason, rival, is_open, _ = weigh(pieces, line[0])
     if "x" not in line and not any(piece.weight for piece in pieces):
         words = "the axles point along x, and no name distinguishes front from rear"
-        return Forward(best, reason or words, OPPOSITE[best], True)
+        return Choice(best, reason or words, OPPOSITE[best], True)
     if best == AXLES:
         best, rival, is_open = line[0], "", True
     is_noted = best != "x" or any(piece.choice != "x" for piece in pieces)
     other = rival if rival in OPPOSITE else OPPOSITE[best]
-    return Forward(best, reason if is_noted else "", other, is_open)
+    return Choice(best, reason if is_noted else "", other, is_open)
 
 
 def _turning(tree: Tree) -> list[UrdfJoint]:

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -156,34 +157,33 @@ class Wheels:
 
     def add_notes(self) -> None:
         """Add notes on the shapes and centres of mass of the wheels."""
-        notes = self._findings.notes
         self._add_shape_notes()
-        away = [joint.name for joint in self.joints if self._hangs_off(joint)]
-        if away:
-            notes.append(
-                "centre of mass moved from the inertial's origin to the wheel's centre: "
-                f"{', '.join(away)}"
-            )
-        omni = [joint for joint in self.joints if OMNI.search(joint.names)]
-        bare = [joint.name for joint in omni if self._role(joint).rollers is None]
-        if bare:
-            notes.append(
-                f"without rollers, in spite of their names: {', '.join(bare)}; otherwise write "
-                f"{toml_line('wheels', bare[0], rollers=OMNI_ANGLE)}"
-            )
         radii = [radius for radius in map(self._rolling_radius, self.joints) if radius]
-        known = {*self._roles.joints, *self.gears}
-        if unused := unused_wheel_names(self.tree, self.joints, known):
-            line = toml_line("wheels", unused[0], radius=max(radii, default=0.1))
-            notes.append(
-                f"no wheels in spite of their names: {', '.join(unused)}; otherwise write {line}"
-            )
-        thin = [joint.name for joint in self.joints if self._is_thin(joint)]
-        if thin:
-            notes.append(
-                f"treated as thin discs, since their treads are flat: {', '.join(thin)}; otherwise "
-                f"write tube = {min(radii, default=0.1) / 5:.2g}"
-            )
+        off, bare, thin = list[str](), list[str](), list[str]()
+        for joint in self.joints:
+            shape, role = self._shape(joint), self._role(joint)
+            link, at = self.tree.links[joint.child], shape.at if shape else ORIGIN
+            is_flat = shape is not None and shape.kind != "sphere" and not shape.tube
+            off += [joint.name] * bool(link.mass and math.dist(link.center, at) > MASS_OFFSET)
+            bare += [joint.name] * bool(OMNI.search(joint.names) and role.rollers is None)
+            thin += [joint.name] * (is_flat and role.tube is None and not self._roles.tube)
+        note, known = self._findings.note, {*self._roles.joints, *self.gears}
+        note("centre of mass moved from the inertial's origin to the wheel's centre", off)
+        note(
+            "without rollers, in spite of their names",
+            bare,
+            partial(toml_line, "wheels", rollers=OMNI_ANGLE),
+        )
+        note(
+            "no wheels in spite of their names",
+            unused_wheel_names(self.tree, self.joints, known),
+            partial(toml_line, "wheels", radius=max(radii, default=0.1)),
+        )
+        note(
+            "treated as thin discs, since their treads are flat",
+            thin,
+            lambda _: f"tube = {min(radii, default=0.1) / 5:.2g}",
+        )
 
     def _with_mesh_shapes(self, tree: Tree) -> Tree:
         links = dict(tree.links)
@@ -260,7 +260,7 @@ class Wheels:
                 alike.setdefault(message, []).append(joint)
         for message, joints in alike.items():
             line = self._radius_line(joints, usual_radius(self.tree, joints))
-            self._ask(joints, f"{message}; or, {self.tree.completion}, write {line}")
+            self._findings.ask(joints, f"{message}; or,", line)
 
     def _check_guessed_radii(self) -> None:
         """Add an error for the guessed radii that do not suit the distances of the wheels."""
@@ -279,21 +279,16 @@ class Wheels:
             if factor is None:
                 continue
             mesh = self.tree.links[joint.child].meshes[0] if is_mesh else None
-            unit = f"mesh {mesh.name!r}: {unit_words(mesh, factor)}, or " if mesh else ""
+            unit = f" mesh {mesh.name!r}: {unit_words(mesh, factor)}, or" if mesh else ""
             radius = float(factor * radii[k]) if factor != 1 else usual_radius(self.tree, [joint])
             alike.setdefault((f"{radii[k]:.3g} m", unit, radius), []).append(joint)
         for (found, unit, radius), joints in alike.items():
-            self._ask(
+            self._findings.ask(
                 joints,
                 "expected a wheel that suits the distances between the wheels, found a radius of "
-                f"{found} in link {joints[0].child!r}; {unit}{self.tree.completion}, write "
-                f"{self._radius_line(joints, radius)}",
+                f"{found} in link {joints[0].child!r};{unit}",
+                self._radius_line(joints, radius),
             )
-
-    def _ask(self, joints: Sequence[UrdfJoint], message: str) -> None:
-        """Add an error of several joints at the first of them."""
-        also = f"(also {', '.join(joint.name for joint in joints[1:])}) " if joints[1:] else ""
-        self._findings.wrong(joints[0], f"{also}{message}")
 
     def _radius_line(self, joints: Sequence[UrdfJoint], radius: float) -> str:
         """Return the line of the vehicle file that gives the radius of wheels, to 3 digits."""
@@ -392,12 +387,11 @@ class Wheels:
         best, other_size = (float(each.split()[0]) for each in (choice.choice, choice.rival))
         wheels = [{name: {"radius": size} for name in names} for size in (best, other_size)]
         if choice.is_open:
-            lines = " or ".join(f"wheels = {toml_value(each)}" for each in wheels)
-            self._findings.wrong(
-                self.tree.joints[names[1]],
+            self._findings.ask(
+                [self.tree.joints[names[1]]],
                 f"expected the radius of its counterpart {names[0]}, {large:g} m, found "
-                f"{small:g} m (radius {choice.choice}: {choice.reason}); "
-                f"{self.tree.completion}, write {lines}",
+                f"{small:g} m (radius {choice.choice}: {choice.reason});",
+                *(f"wheels = {toml_value(each)}" for each in wheels),
             )
         for name, radius in zip(names, radii, strict=True):
             given = self._given.get(name, WheelRole())
@@ -423,14 +417,11 @@ class Wheels:
             facts = {"high": True, "alike": alike, "names": joint.names}
             choice = weigh(evidence("ground", facts))
             if choice.is_open:
-                lines = (
+                self._findings.ask(
+                    [joint],
+                    f"expected a wheel near the ground of the others, found {choice.reason};",
                     toml_line("wheels", joint.name),
                     toml_line("joints", joint.name, kind="fixed"),
-                )
-                self._findings.wrong(
-                    joint,
-                    f"expected a wheel near the ground of the others, found {choice.reason}; "
-                    f"{self.tree.completion}, write {' or '.join(lines)}",
                 )
             yield joint.name, choice.reason
 
@@ -453,7 +444,7 @@ class Wheels:
             wanted = "expected a cylinder, a sphere or a mesh as its wheel, found none"
             message = self._unread.get(joint.name, wanted)
             line = self._radius_line([joint], usual_radius(self.tree, [joint]))
-            self._ask([joint], f"{message}; {self.tree.completion}, write {line}")
+            self._findings.ask([joint], f"{message};", line)
             return None
         default = self._roles.tube
         if shape is not None:
@@ -572,22 +563,9 @@ class Wheels:
             radius = max((s.radius for s in shapes if s.radius != chosen.radius), default=0.0)
             alike.setdefault(note, []).append((joint.name, radius))
         for note, wheels in alike.items():
-            name, radius = wheels[0]
-            names = ", ".join(name for name, _ in wheels)
-            other = f"; otherwise write {toml_line('wheels', name, radius=radius)}"
-            self._findings.notes.append(f"{note}: {names}{other if radius else ''}")
-
-    def _is_thin(self, joint: UrdfJoint) -> bool:
-        """Return whether a wheel with a flat tread becomes a disc, since no tube is given."""
-        shape = self._shape(joint)
-        is_flat = shape is not None and shape.kind != "sphere" and not shape.tube
-        return is_flat and self._role(joint).tube is None and not self._roles.tube
-
-    def _hangs_off(self, joint: UrdfJoint) -> bool:
-        """Return whether a wheel's centre of mass is more than 1 mm from its centre."""
-        link, shape = self.tree.links[joint.child], self._shape(joint)
-        at = shape.at if shape else ORIGIN
-        return bool(link.mass) and math.dist(link.center, at) > MASS_OFFSET
+            _, radius = wheels[0]
+            other = partial(toml_line, "wheels", radius=radius) if radius else None
+            self._findings.note(note, dict(wheels), other)
 
 
 def _with_fixed_shapes(tree: Tree) -> Tree:
