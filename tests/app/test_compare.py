@@ -40,7 +40,7 @@ FREEDOMS = {
 @pytest.fixture(scope="module")
 def rows():
     problem = load_problem(FILE, ["time.duration=2.0"], command="compare")
-    return {row["name"]: row for row in compare(problem, lambda _: None)[1]}
+    return {row["name"]: row for row in compare(problem)[1]}
 
 
 def slips_of(row):

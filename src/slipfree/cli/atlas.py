@@ -143,7 +143,7 @@ def atlas(
         warn(words)
     with TileFolder(outs[0], setup, states) as tiles:
         with studying("tiles", tiles) as watch:
-            run_tiles(setup, tiles, workers, **watch)
+            run_tiles(setup, tiles, workers, watch)
             files = [save(each, lambda path: write_file(path, setup, tiles)) for each in outs]
             found = overview(setup.x, setup.y, setup.site, tiles.tiles())
         tiles.remove()

@@ -40,7 +40,7 @@ from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
     from slipfree.problem.problem import Problem
-    from slipfree.system.parts import Parts
+    from slipfree.system.parts import Parts, PartsWatch
 
 DONE, STOPPED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 MEANINGS = {
@@ -552,12 +552,14 @@ def workers_of(processes: int | None, scheduler: str | None) -> int | Callable[.
 @contextmanager
 def studying(
     what: str, parts: Parts[Any] | None = None, words: Callable[[], str] | None = None
-) -> Iterator[dict[str, Callable[..., None]]]:
-    """Hold back Ctrl-C for a study, and yield the arguments ``poll`` and ``progress`` of `study`.
+) -> Iterator[PartsWatch]:
+    """Hold back Ctrl-C for a study, and yield its callbacks.
 
     ``what`` names the parts, which a message after Ctrl-C counts; ``words`` returns the text of the
     bar instead, and the last part.
     """
+    from slipfree.system.parts import PartsWatch
+
     with held_interrupt(from_first_poll=True), counted(what) as show:
 
         def progress(done: int, count: int) -> None:
@@ -566,7 +568,7 @@ def studying(
             detail(f"{done} of {count} {what}{last and f', the last: {last}'}")
 
         try:
-            yield {"poll": check_interrupt, "progress": progress}
+            yield PartsWatch(check_interrupt, progress)
         except KeyboardInterrupt as error:
             if parts is None:
                 raise

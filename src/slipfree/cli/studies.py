@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -20,20 +19,20 @@ from slipfree.cli.common import (
     about,
     add_json,
     detail,
-    has_bar,
     output_option,
     print_error,
     print_facts,
     print_line,
     read_problem,
     reporting,
+    studying,
     written,
 )
 from slipfree.cli.outputs import check_outputs, save
 from slipfree.cli.outputs import draw as draw_plots
 from slipfree.core.errors import ModelError
 from slipfree.core.facts import TableColumn, table
-from slipfree.system.interrupt import held_interrupt, interrupt_requested
+from slipfree.system.interrupt import interrupt_requested
 from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
@@ -51,14 +50,9 @@ def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
     from slipfree.problem.build_ground import ground_facts
     from slipfree.problem.verbs.compare import compare as solve
 
-    def print_progress(name: str) -> None:
-        if sys.stderr.isatty() and has_bar():
-            print_line(f"  {name}", err=True)
-        detail(f"vehicle {name}")
-
     problem = read_problem(file, settings, trust, "compare")
-    with held_interrupt(from_first_poll=True):
-        ground, rows = solve(problem, print_progress)
+    with studying("vehicles") as watch:
+        ground, rows = solve(problem, watch)
         is_interrupted = interrupt_requested()
     print_facts(ground_facts(ground))
     add_json("vehicles", lambda: rows)
@@ -257,7 +251,7 @@ def track(
         with regular_file(file, "a result file of slipfree"):
             picture = out.with_suffix(".png") if out is not None and draw else None
             check_outputs([out, picture], result_files(file))
-        with held_interrupt(from_first_poll=True):
+        with studying("motions") as watch:
             test = follow_plan(
                 file,
                 settings or [],
@@ -266,8 +260,9 @@ def track(
                 seeds=seeds,
                 period=period,
                 window=window,
-                progress=lambda name, seed, t: detail(f"{name}, seed {seed}: {t:.4g} s"),
+                time=lambda name, seed, t: detail(f"{name}, seed {seed}: {t:.4g} s"),
                 beside=out or Path(file.name),
+                watch=watch,
             )
             results = test.results
             if out is not None and results:

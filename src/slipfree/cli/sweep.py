@@ -131,7 +131,7 @@ def sweep(
 
     rows = Rows(folder, plan.count, plan.head, again=again, check=plan.files.check)
     with rows, studying("runs", rows, words) as watch:
-        run_sweep(plan, rows, workers, keep=keep, **watch)
+        run_sweep(plan, rows, workers, keep=keep, watch=watch)
     names = choose_figures(plan, rows, figures or [])
     found = grids(plan, rows, names)
     print_facts(sweep_facts(plan, rows, found, names))

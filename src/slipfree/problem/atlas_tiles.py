@@ -30,8 +30,8 @@ from slipfree.problem.load import Recipe, recipe_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.atlas import AtlasSetup, build_atlas
 from slipfree.show.atlas_figures import AtlasView, friction_maps
-from slipfree.system.parts import study
-from slipfree.system.processes import Poll, Pool
+from slipfree.system.parts import PartsWatch, study
+from slipfree.system.processes import Pool
 
 DRAWN = 1000  # largest number of nodes along an axis of a figure
 WIDE = 0.01  # difference of bounds of the least friction that is reported [1]
@@ -129,8 +129,7 @@ def run_tiles(
     setup: AtlasSetup,
     folder: TileFolder,
     workers: int | Callable[[Callable[..., Any]], Pool[Any, Any]],
-    poll: Poll,
-    progress: Callable[[int, int], None],
+    watch: PartsWatch,
 ) -> None:
     """Compute the missing tiles of a map, and store each as soon as it is finished.
 
@@ -139,10 +138,10 @@ def run_tiles(
     digests, known = tuple(folder.states.digests.items()), tuple(setup.known.items())
     recipe = recipe_of(setup.problem)
     recipe = recipe._replace(path=recipe.path.absolute())
-    with study(compute_tile, folder, workers, poll=poll, progress=progress) as solve:
-        progress(len(folder), folder.size)
+    with study(compute_tile, folder, workers, watch=watch) as solve:
+        watch.progress(len(folder), folder.size)
         for number in folder.missing[:1]:  # here: it compiles the equations, and errors are raised
-            poll()
+            watch.poll()
             folder.store(number, _tile(setup, number))
         for _ in solve(folder.missing, lambda number: TileTask(recipe, digests, known, number)):
             pass

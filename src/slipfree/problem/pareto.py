@@ -27,7 +27,7 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.result import build, open_result, run_problem
 from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan_schema import PlanKeys
-from slipfree.system.parts import study
+from slipfree.system.parts import PartsWatch, study
 
 if TYPE_CHECKING:
     from slipfree.show.plots import Plot
@@ -155,7 +155,7 @@ def plan_front(
 
     here = partial(_solve_point, report=report)
     with (
-        study(_solve_point, parts, processes, here=here, poll=poll) as run,
+        study(_solve_point, parts, processes, here=here, watch=PartsWatch(poll)) as run,
         study(_solve_point, parts, here=here) as run_here,
     ):
 

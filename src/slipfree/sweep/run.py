@@ -18,8 +18,8 @@ from slipfree.problem.units import unit_of
 from slipfree.show.swept import Swept
 from slipfree.sweep.grid import Run, Sweep
 from slipfree.sweep.runs import COMPLETE, FAILED, LOST, Rows, RunRow, RunTask, without_motion, work
-from slipfree.system.parts import study
-from slipfree.system.processes import Poll, Pool, Processes
+from slipfree.system.parts import PartsWatch, study
+from slipfree.system.processes import Pool, Processes
 
 if TYPE_CHECKING:
     from slipfree.core.facts import Lines
@@ -188,8 +188,7 @@ def run_sweep(
     workers: int | Callable[[Callable[..., Any]], Pool[Any, Any]] = 1,
     *,
     keep: bool = False,
-    poll: Poll = lambda: None,
-    progress: Callable[[int, int], None] = lambda _, __: None,
+    watch: PartsWatch = PartsWatch(),
 ) -> None:
     """Execute the unfinished runs of a sweep.
 
@@ -198,7 +197,7 @@ def run_sweep(
     when a run is finished, ``table.csv`` at the end and after an interruption, and with ``keep``
     the motion of every run, to ``run_0001.nc`` and so on.
 
-    ``workers``, ``poll`` and ``progress`` are those of `study`; each run has a process that may
+    ``workers`` and ``watch`` are those of `study`; each run has a process that may
     die. DataError is raised if the folder cannot be written; SlipfreeError if the pool fails.
     """
     pool = partial(Processes, workers) if isinstance(workers, int) else workers
@@ -211,7 +210,7 @@ def run_sweep(
         return RunTask(number, recipe._replace(settings=settings), own, keep, files)
 
     try:
-        with study(work, rows, pool, lost=without_motion, poll=poll, progress=progress) as solve:
+        with study(work, rows, pool, lost=without_motion, watch=watch) as solve:
             for _ in solve(rows.missing, task):
                 pass
     finally:

@@ -276,6 +276,16 @@ class Parts(Generic[D]):
         )
 
 
+class PartsWatch(NamedTuple):
+    """Callbacks during a study."""
+
+    # called several times per second; ends the study by an exception
+    poll: Poll = lambda: None
+    # called with the numbers of finished and of all parts, or of those of the call without a
+    # folder, first and after every part
+    progress: Callable[[int, int], None] = lambda _, __: None
+
+
 @contextmanager
 def study(
     function: Callable[[T], D],
@@ -284,8 +294,7 @@ def study(
     *,
     here: Callable[[T], D] | None = None,
     lost: Callable[[T, str], D] | None = None,
-    poll: Poll = lambda: None,
-    progress: Callable[[int, int], None] = lambda _, __: None,
+    watch: PartsWatch = PartsWatch(),
 ) -> Iterator[Callable[..., Iterator[tuple[int, D]]]]:
     """Yield a function that computes parts of a study, for several calls.
 
@@ -303,11 +312,12 @@ def study(
     workers : int or callable
         Number of processes, see `local_tasks`; or returns a pool that calls the function which it
         is given. The pool is opened if parts are missing.
-    here, lost, poll : callable, optional
+    here, lost : callable, optional
         See `local_tasks` and `finish_tasks`.
-    progress : callable, optional
-        Called with the numbers of finished and of all ``parts``, first and after every part.
+    watch : PartsWatch, optional
+        Callbacks.
     """
+    poll, progress = watch
     call, own = partial(_numbered, function), here and partial(_numbered, here)
     with ExitStack() as stack:
         if isinstance(workers, int):
@@ -325,16 +335,20 @@ def study(
             key: Callable[[int], str] = lambda _: "",
         ) -> Iterator[tuple[int, D]]:
             missing = [*numbers]
+            done, count = 0, len(missing)
             if parts is not None:
                 for k in missing:
                     parts.expect(k, key(k))
-                progress(len(parts), parts.size)
+                done, count = len(parts), parts.size
+            progress(done, count)
+            if parts is not None:
                 yield from ((k, parts.load(k)) for k in missing if k in parts)
                 missing = [k for k in missing if k not in parts]
             for number, result in finish(((k, task(k)) for k in missing), poll) if missing else ():
                 if parts is not None:
                     parts.store(number, result)
-                    progress(len(parts), parts.size)
+                done += 1
+                progress(done, count)
                 yield number, result
 
         yield run

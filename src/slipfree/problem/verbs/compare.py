@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -28,8 +27,7 @@ from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import input_samples
 from slipfree.solve.simulate import simulate
 from slipfree.solve.system import with_inputs
-from slipfree.system.interrupt import check_interrupt
-from slipfree.system.parts import study, until_interrupt
+from slipfree.system.parts import PartsWatch, study, until_interrupt
 from slipfree.vehicle.tree import Vehicle
 
 RANK = 1e-9  # smaller singular values, relative to the largest, count as zero
@@ -53,7 +51,7 @@ class Compare(TerrainKeys):
 
 
 def compare(
-    problem: Problem[Compare], progress: Callable[[str], None]
+    problem: Problem[Compare], watch: PartsWatch = PartsWatch()
 ) -> tuple[GroundMap, list[dict[str, Any]]]:
     """Compare vehicles on one ground; return the ground and the results of each vehicle.
 
@@ -62,20 +60,19 @@ def compare(
     ``same_rates`` and ``driving_law``: their stop, and extremes over time with units. Slip has a
     value for each wheel; ``slip_measured`` is computed from their poses alone.
 
-    ``progress`` is called with the name of each vehicle before its computation. After a Ctrl-C held
-    back by `held_interrupt`, the results are those of the finished vehicles. ProblemError is raised
-    if the problem cannot be built; SolverError if a motion fails before its first sample.
+    After a Ctrl-C held back by `held_interrupt`, the results are those of the finished vehicles.
+    ProblemError is raised if the problem cannot be built; SolverError if a motion fails before its
+    first sample.
     """
     ground = build_ground(problem)
     terrain, vehicles = build_terrain(problem, ground), problem.spec.vehicles
 
     def compared(index: int) -> dict[str, Any]:
         spec = vehicles[index]
-        progress(spec.name)
         vehicle = build_vehicle(problem, spec, ("vehicles", index))
         return _compared(problem, spec.name, vehicle, direct_kinematics(vehicle, terrain))
 
-    with study(compared, poll=check_interrupt) as run:
+    with study(compared, watch=watch) as run:
         found = until_interrupt(run(range(len(vehicles)), lambda index: index))
     return ground, [row for _, row in found]
 

@@ -13,7 +13,7 @@ from functools import lru_cache, partial
 from hashlib import sha256
 from operator import itemgetter
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -68,8 +68,7 @@ from slipfree.problem.verbs.plan_setup import (
     source_of,
 )
 from slipfree.solve.options import MIN_TOLERANCE
-from slipfree.system.parts import study
-from slipfree.system.processes import local_tasks
+from slipfree.system.parts import PartsWatch, study
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import disturbed
@@ -197,7 +196,7 @@ def _solve_starts(
     source: PlanSource, count: int, report: Report | None
 ) -> tuple[list[StartResult], bool]:
     """Return the plans of all starts, the best first, and whether Ctrl-C ended the search."""
-    found: list[StartResult] = []
+    found = list[StartResult]()
     is_interrupted = False
 
     def poll() -> None:
@@ -205,8 +204,8 @@ def _solve_starts(
             report("starts", f"starts: {len(found)} of {count} are finished")
 
     try:
-        with local_tasks(solve_start, count) as finish:
-            for result in finish([(source, number) for number in range(count)], poll):
+        with study(solve_start, workers=count, watch=PartsWatch(poll)) as run:
+            for _, result in run(range(count), lambda number: (source, number)):
                 found.append(result)
     except KeyboardInterrupt:
         if not any(is_solved(each) for each in found):
@@ -343,7 +342,9 @@ def make_robust(
                 size = robust.final_draws + MAX_ROUNDS * robust.draws
                 parts = DrawFolder(watch.beside, "robust plan", size, problem)
                 stack.enter_context(parts)
-            run = stack.enter_context(study(replay_draw, parts, robust.draws, poll=poll))
+            run = stack.enter_context(
+                study(replay_draw, parts, robust.draws, watch=PartsWatch(poll))
+            )
 
             def replay(plans: Sequence[Plan], draws: Sequence[Draw]) -> list[Replays]:
                 nonlocal total
@@ -417,11 +418,12 @@ def drawn_terrain(setup: Planning, draw: Draw, robust: Robust) -> Bicubic:
     if robust.map is not None:
         grid = disturbed(grid, robust.map.rms, robust.map.correlation, map_seed)
     factor = np.exp(robust.friction * friction_rng.standard_normal())  # always positive
-    if isinstance(mu, Grid):
-        mu = replace(mu, z=mu.z * factor)
-    elif mu is not None:
-        mu = mu * factor
-    return Bicubic(grid, setup.terrain.origin[:2], mu)
+    return Bicubic(grid, setup.terrain.origin[:2], scaled_friction(mu, factor))
+
+
+def scaled_friction(mu: Any, factor: float) -> Any:
+    """Return a coefficient of friction or a map of it times a factor; None for no friction."""
+    return replace(mu, z=mu.z * factor) if isinstance(mu, Grid) else mu and mu * factor
 
 
 def drawn_motion(motion: PolynomialMotion, draw: Draw, deviation: float) -> PolynomialMotion:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.control.path_following import commanded
+from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import TableColumn, table
 from slipfree.core.outcome import Outcome
@@ -20,7 +21,7 @@ from slipfree.core.records import leaves
 from slipfree.core.schema import Length
 from slipfree.core.trajectory import SolverError, Trajectory, path_length
 from slipfree.files.netcdf import read, read_arrays, write
-from slipfree.plan.mpc import Horizon, horizon
+from slipfree.plan.mpc import horizon
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.plan.sampling import SamplingTask
@@ -39,13 +40,11 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.result import open_result, problem_of, result_of
 from slipfree.problem.verbs.base import VERB_ATTRIBUTE, Result, VerbSolution
 from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed
-from slipfree.problem.verbs.plan_search import find_plan
+from slipfree.problem.verbs.plan_search import find_plan, scaled_friction
 from slipfree.problem.verbs.plan_setup import build_planning
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
-from slipfree.system.interrupt import check_interrupt
-from slipfree.system.parts import study, until_interrupt
-from slipfree.terrain.base import Grid
+from slipfree.system.parts import PartsWatch, study, until_interrupt
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import disturbed
 from slipfree.vehicle.sections import Section
@@ -121,8 +120,9 @@ def follow_plan(
     seeds: int = 1,
     period: float | None = None,
     window: float | None = None,
-    progress: Callable[[str, int, float], None] | None = None,
+    time: Callable[[str, int, float], None] | None = None,
     beside: Path | None = None,
+    watch: PartsWatch = PartsWatch(),
 ) -> TrackingTest:
     """Follow the plan of a result file in changed worlds, in several ways.
 
@@ -135,6 +135,8 @@ def follow_plan(
 
     After a Ctrl-C held back by `held_interrupt`, the motions are those simulated until then. A
     folder next to the output ``beside`` keeps finished motions, which are not repeated.
+    ``time`` is called with the controller, the seed and the time reached. [s]
+
     DataError is raised if the file contains no plan or the changed problem cannot be built;
     ModelError if a name, period, window, joints or wheels do not suit the plan; SolverError if the
     first window cannot be solved, or a motion fails before its first sample.
@@ -161,15 +163,22 @@ def follow_plan(
     period = window / CYCLES_PER_WINDOW if period is None else period
     options = _world_options(real)
     frame = horizon(plan, span=window)
-    task_of_sampling = _sampling_task(plan, setup.vehicle, window, compiled=options.compiled)
-    world_of = lru_cache(1)(partial(_disturbed_world, real, plan, setup.vehicle, disturb))
+    speed = path_length(plan.replay) / plan.motion.duration
+    world_of = lru_cache(1)(partial(_disturbed_world, real, plan, setup.vehicle, speed, disturb))
 
-    def follow(task: tuple[str, int]) -> Followed:
-        name, seed = task
+    def follow(way: tuple[str, int]) -> Followed:
+        name, seed = way
         world, ground = world_of(seed)
-        report = partial(progress, name, seed) if progress else None
+        report = partial(time, name, seed) if time else None
         try:
-            controller = _controller(name, plan, frame, task_of_sampling)
+            if name in ("inputs", "replan"):
+                controller: Controller = Replanning(frame, updated=name == "replan")
+            else:
+                driven = commanded(plan.program.task.dae, setup.vehicle, speed=speed)
+                controller = Following(plan.program.task.dae, plan.motion, speed)
+                if name == "sampling":
+                    task = _sampling_task(driven, speed, window, compiled=options.compiled)
+                    controller = Sampling(task, plan.motion)
         except ModelError as error:
             return Followed(name, seed, str(error))
         dae, times = plan.program.task.dae, {"duration": duration, "period": period}
@@ -190,7 +199,7 @@ def follow_plan(
             kind, count = "test of a plan", len(tasks)
             parts = TrackFolder(beside, kind, count, real, ".nc", states, **own)
             stack.enter_context(parts)
-        run_tasks = stack.enter_context(study(follow, parts, poll=check_interrupt))
+        run_tasks = stack.enter_context(study(follow, parts, watch=watch))
         numbers = range(1, len(tasks) + 1)
         found = dict(until_interrupt(run_tasks(numbers, lambda number: tasks[number - 1])))
     return TrackingTest(plan.replay, tuple(found[k] for k in sorted(found)), parts)
@@ -219,11 +228,16 @@ def _world_options(problem: Problem[Any]) -> SolverOptions:
 
 
 def _disturbed_world(
-    problem: Problem[Any], plan: Plan, vehicle: Vehicle, sizes: Mapping[str, float], seed: int
+    problem: Problem[Any],
+    plan: Plan,
+    vehicle: Vehicle,
+    speed: float,
+    sizes: Mapping[str, float],
+    seed: int,
 ) -> tuple[TrackingWorld, GroundMap]:
     """Return the world of a changed problem with disturbances, and its ground.
 
-    ``vehicle`` is that of the plan.
+    ``vehicle`` and mean ``speed`` are those of the plan.
     """
     built, rng = build_world(problem), np.random.default_rng(seed)
     dae = plan.program.task.dae
@@ -252,23 +266,21 @@ def _disturbed_world(
         values[SPEED] = initial_speed(plan.replay)
         start = settle(real, options=_world_options(problem), **values)
     try:
-        driven = commanded(real, vehicle, speed=_mean_speed(plan))
-    except ModelError:  # `_controller` reports it
+        driven = commanded(real, vehicle, speed=speed)
+    except ModelError:  # the controllers report it
         driven = None
     world = TrackingWorld(real, driven, start, sizes.get("latency", 0.0))
     return world, built.ground._replace(grid=grid, mu=mu)
 
 
 def _changed_friction(mu: Any, factor: float) -> Any:
-    if isinstance(mu, Grid):
-        return replace(mu, z=factor * mu.z)
     if mu is None:
         raise ModelError(
             "disturb: friction: expected a ground with a coefficient of friction, found none; give "
             "it by --set terrain.friction=0.8, and --set model=quasi-static, whose motion depends "
             "on friction"
         )
-    return factor * mu
+    return scaled_friction(mu, factor)
 
 
 def _scaled(section: Section, factor: float) -> Section:
@@ -282,20 +294,9 @@ def _scaled(section: Section, factor: float) -> Section:
     return replace(section, **values)
 
 
-def _mean_speed(plan: Plan) -> float:
-    return path_length(plan.replay) / plan.motion.duration
-
-
-def _sampling_task(
-    plan: Plan, vehicle: Vehicle, span: float, *, compiled: bool
-) -> SamplingTask | ModelError:
-    """Return the task of planning by sampling, or why the vehicle does not take commands."""
-    dae, speed = plan.program.task.dae, _mean_speed(plan)
-    try:
-        model = commanded(dae, vehicle, speed=speed)
-    except ModelError as error:
-        return error
-    turn = TURN_RANGE * speed / dae.size
+def _sampling_task(model: Dae, speed: float, span: float, *, compiled: bool) -> SamplingTask:
+    """Return the task of planning by sampling for a model whose inputs are commands."""
+    turn = TURN_RANGE * speed / model.size
     return SamplingTask(
         model,
         {"slip": 1.0},
@@ -307,18 +308,6 @@ def _sampling_task(
         spread=SPREAD,
         compiled=compiled,
     )
-
-
-def _controller(
-    name: str, plan: Plan, window: Horizon, task: SamplingTask | ModelError
-) -> Controller:
-    if name in ("inputs", "replan"):
-        return Replanning(window, updated=name == "replan")
-    if isinstance(task, ModelError):
-        raise task
-    if name == "follow":
-        return Following(plan.program.task.dae, plan.motion, _mean_speed(plan))
-    return Sampling(task, plan.motion)
 
 
 def tracking_rows(test: TrackingTest) -> list[dict[str, Any]]:
