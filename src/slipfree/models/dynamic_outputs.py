@@ -61,17 +61,6 @@ class DynamicState(NamedTuple, Generic[T]):
     joint_drives: tuple[T, ...]
 
 
-class DynamicTotals(NamedTuple, Generic[T]):
-    """Quadratures: rotation angles of the wheels [rad], work of the drives and lost energy [J].
-
-    The sum of kinetic, potential and contact energy, minus ``work`` and plus ``lost``, is constant.
-    """
-
-    wheels: tuple[T, ...]
-    work: T
-    lost: T
-
-
 class OnSolid(NamedTuple, Generic[T]):
     """Contacts of all wheels with one solid, or with the ground below the solids.
 
@@ -118,7 +107,7 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0, *, bears: bool = False) ->
     """
     still = labels_of(vehicle, follow=False)
     words = "energy lost in contacts and dampers"
-    q = DynamicTotals(still.q.wheels, still.q.work[0], Label("lost_energy", "J", words))
+    q = still.q._replace(lost=(Label("lost_energy", "J", words),))
     joints = zip(vehicle.of("commanded"), still.u.joints, strict=True)
     u = Inputs(
         tuple(_wheel_input(wheel) for wheel in vehicle.wheels if wheel.driven),

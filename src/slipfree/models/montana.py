@@ -56,7 +56,6 @@ from slipfree.models.limits import limits_of, tip_over_margin
 from slipfree.models.records import (
     Configuration,
     Dependent,
-    ForceOutputs,
     Forces,
     Inputs,
     Rates,
@@ -67,6 +66,8 @@ from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 MAX_DRIFT = 1e-3  # largest drift of an assembled vehicle [wheel radii, rad]
+# contact coordinates that are outputs of the closure model and states of Montana's
+AMONG_STATES: dict[str, Any] = {"wheel_u": (), "wheel_v": (), "psi": ()}
 
 
 class Assembly(NamedTuple):
@@ -92,28 +93,6 @@ class Unknowns(NamedTuple):
 
     rates: Rates
     forces: Forces
-
-
-class AssemblyOutputs(NamedTuple):
-    """Outputs along a motion: those of the closure model, and the drift of each wheel.
-
-    ``drift_position`` [m] and ``drift_rotation`` [rad] are the distance and the angle between the
-    wheel's pose from its contact coordinates and its pose from the chain of joints. The other
-    fields are those of `slipfree.models.records.Outputs`.
-    """
-
-    contact_z: tuple[Any, ...]
-    center_x: tuple[Any, ...]
-    center_y: tuple[Any, ...]
-    center_z: tuple[Any, ...]
-    slip_along: tuple[Any, ...]
-    slip_across: tuple[Any, ...]
-    wheel_rate: tuple[Any, ...]
-    yaw: Any
-    quaternion: tuple[Any, ...]
-    forces: ForceOutputs | tuple[()]
-    drift_position: tuple[Any, ...]
-    drift_rotation: tuple[Any, ...]
 
 
 class RollingWheel(NamedTuple):
@@ -201,8 +180,8 @@ def montana_kinematics(
         ode=ca.vertcat(q_dot, *leaves(tuple(roll.rates for roll in rolls))),
         alg=(law.rows, contact_force_residuals(q)),
         quad=ca.vertcat(*q.spins, *((sampled.power,) if sampled else ())),
-        y=AssemblyOutputs(
-            **_of_assembly(outputs(q, sampled)),
+        y=outputs(q, sampled)._replace(
+            **AMONG_STATES,
             drift_position=tuple(ca.norm_2(roll.displacement) for roll in rolls),
             drift_rotation=tuple(ca.norm_2(roll.rotation) for roll in rolls),
         ),
@@ -305,13 +284,6 @@ def _rolling(
     return RollingWheel(contact, pose, slip, rates, displacement, rotation)
 
 
-def _of_assembly(shared: Any) -> dict[str, Any]:
-    """Return the outputs of the closure model, or their labels, that Montana's model also has."""
-    return {
-        name: value for name, value in shared._asdict().items() if name in AssemblyOutputs._fields
-    }
-
-
 def _drift_limits(vehicle: Vehicle, rolls: list[RollingWheel]) -> Iterator[Limit]:
     """Yield the limit of each wheel's drift, in wheel radii or rad."""
     for wheel, roll in zip(vehicle.wheels, rolls, strict=True):
@@ -328,8 +300,8 @@ def _assembly_labels(labels: Labels, vehicle: Vehicle) -> Labels:
     x, z, q, u, y, (_, *equations) = labels
     place = z.position
     contacts = zip(*zip(*place.contacts, strict=True), y.wheel_u, y.wheel_v, y.psi, strict=True)
-    sampled = AssemblyOutputs(
-        **_of_assembly(y),
+    sampled = y._replace(
+        **AMONG_STATES,
         drift_position=wheel_labels(
             vehicle, "drift_position", "m", "distance of the wheel from its position on the vehicle"
         ),

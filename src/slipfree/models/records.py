@@ -132,13 +132,15 @@ class Inputs(NamedTuple, Generic[T]):
 
 
 class Totals(NamedTuple, Generic[T]):
-    """Quadratures: rotation angles of the wheels [rad], work of drives and actuators [J].
+    """Quadratures: rotation angles of the wheels [rad], work of the drives and lost energy [J].
 
-    ``work`` is empty if the vehicle has no mass.
+    ``work`` is empty if the vehicle has no mass; ``lost`` is empty but in dynamic models, where the
+    sum of kinetic, potential and contact energy, minus ``work`` and plus ``lost``, is constant.
     """
 
     wheels: tuple[T, ...]
     work: tuple[T, ...]
+    lost: tuple[T, ...] = ()
 
 
 class ForceOutputs(NamedTuple, Generic[T]):
@@ -164,6 +166,8 @@ class Outputs(NamedTuple, Generic[T]):
     """Outputs of a model along a motion; positions in map coordinates.
 
     ``quaternion`` (x, y, z, w) and ``yaw`` describe the platform by axes x forward, y left, z up.
+    Distance ``drift_position`` [m] and angle ``drift_rotation`` [rad], outputs of Montana's model
+    alone, are those between the wheel's poses from its contact coordinates and from the joints.
     Units are those of the labels (`slipfree.models.records`).
     """
 
@@ -184,6 +188,8 @@ class Outputs(NamedTuple, Generic[T]):
     load_share: tuple[T, ...] = ()
     force_normal: tuple[T, ...] = ()
     slip_ratio: tuple[T, ...] = ()
+    drift_position: tuple[T, ...] = ()
+    drift_rotation: tuple[T, ...] = ()
 
 
 # Model in the rates of wheels and commanded coordinates.
