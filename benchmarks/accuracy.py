@@ -198,7 +198,7 @@ def followed() -> None:
     t, gain = np.linspace(0, path.length / SPEED, 401), laws.TILT_GAIN
     print(f"{path.length:.0f} m of hills, relief {np.ptp(ground.z):.2f} m, at {SPEED} m/s")
     for words, laws.TILT_GAIN in (("the law", gain), ("without the tilt term", 0.0)):
-        run = simulate(dae, start, follow(dae, vehicle, path, speed=SPEED), t)
+        run = simulate(dae, start, follow(dae, path, speed=SPEED), t)
         tilt = max(np.abs(run[f"tilt_{side}"]).max() for side in ("right", "left"))
         print(f"{words:22} largest tilt {tilt:.4f} rad, cross-track {cross_track(run, path):.4f} m")
 

@@ -109,7 +109,7 @@ def rates() -> None:
     print(f"{grid.x.size} x {grid.y.size} nodes, {HEADINGS} headings")
     for name, vehicle in VEHICLES.items():
         model = direct_kinematics(vehicle, terrain)
-        atlas(model, terrain, headings=1, x=grid.x[:64:8], y=grid.y[:64:8])  # compiles
+        atlas(model, headings=1, x=grid.x[:64:8], y=grid.y[:64:8])  # compiles
         for error in (None, 0.05):
             took, found = cpu(
                 lambda m=model, e=error: atlas(
@@ -141,7 +141,7 @@ def _compare(name: str, map_name: str, model: Any, terrain: Bicubic) -> None:
     x, y = (
         np.sort(rng.uniform(axis[4], axis[-5], 12)) for axis in (terrain.grid.x, terrain.grid.y)
     )
-    found = atlas(model, terrain, headings=rng.uniform(-3, 3, 4), x=x, y=y)
+    found = atlas(model, headings=rng.uniform(-3, 3, 4), x=x, y=y)
     apart, wrong, widths, missed, rests = [0.0], 0, [0.0], 0, 0
     places = rng.permutation(np.argwhere(np.ones(found["reason"].shape)))[:COMPARED]
     for at in map(tuple, places):
@@ -211,7 +211,7 @@ def errors() -> None:
         while len(places) < PLACES:
             i, j = (int(rng.integers(side, axis.size - side)) for axis in (grid.x, grid.y))
             place = {"headings": [HEADING], "x": grid.x[[i]], "y": grid.y[[j]]}
-            found = atlas(model, terrain, error=ERROR, compiled=False, **place)
+            found = atlas(model, error=ERROR, compiled=False, **place)
             if found.stands.all():
                 z = grid.z[i - side : i + side, j - side : j + side]
                 predicted = {each: values.item() for each, (_, values) in found.bands.items()}

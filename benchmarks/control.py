@@ -117,7 +117,7 @@ def rate() -> None:
         model = direct_kinematics(vehicle, rough())
         for words, dae in (
             ("wheel rates", model),
-            ("commands", commanded(model, vehicle, speed=SPEED)),
+            ("commands", commanded(model, speed=SPEED)),
         ):
             x = dae.rows("x", settle(dae), -1) + dae.shift[0]
             times = []
@@ -269,13 +269,11 @@ def bicycle() -> None:
     believed = Grid(axis, axis, ridge + waves.z)
     goal = (0.6, 3.0)
     for name, vehicle in NAMES.items():
-        model = commanded(
-            direct_kinematics(vehicle, Bicubic(believed, (0, 0))), vehicle, speed=CRAWL
-        )
+        model = commanded(direct_kinematics(vehicle, Bicubic(believed, (0, 0))), speed=CRAWL)
         rows = {"bicycle": list[tuple[float, ...]](), "exact contact": []}
         for seed in range(SEEDS):
             real = Bicubic(disturbed(believed, 0.02, 2 * model.size, seed + 1), (0, 0))
-            world = commanded(direct_kinematics(vehicle, real), vehicle, speed=CRAWL)
+            world = commanded(direct_kinematics(vehicle, real), speed=CRAWL)
             task = SamplingTask(
                 model,
                 {"slip": 100.0},
@@ -368,9 +366,9 @@ def corridor() -> None:
     """Print collisions and distances from the goal."""
     ground = rough()
     vehicle = ROCKY
-    model = commanded(direct_kinematics(vehicle, ground), vehicle, speed=CRAWL)
+    model = commanded(direct_kinematics(vehicle, ground), speed=CRAWL)
     real = Bicubic(disturbed(ground.grid, 0.02, 2 * model.size, 1), ground.center, ground.mu)
-    world = commanded(direct_kinematics(vehicle, real), vehicle, speed=CRAWL)
+    world = commanded(direct_kinematics(vehicle, real), speed=CRAWL)
     found = []
     for seed in range(20):
         task = SamplingTask(

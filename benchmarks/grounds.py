@@ -156,7 +156,7 @@ def drive(path: str, width: float) -> dict[str, float]:
     read_in = time.perf_counter() - began
     dae = direct_kinematics(three_wheeler(), terrain)
     start = settle(dae, x=x, y=y - 3)
-    law = follow(dae, three_wheeler(), Way([(x, y - 3), (x, y + 4)]), speed=SPEED)
+    law = follow(dae, Way([(x, y - 3), (x, y + 4)]), speed=SPEED)
     found = simulate(dae, start, law, np.linspace(0, DURATION, 81))
     assert found.stop is None, found.stop  # noqa: S101
     return {

@@ -216,7 +216,7 @@ def of_map(clock: Clock) -> Callable[[int], Costs]:
         grid = Grid(axis, axis, 0.1 * np.add.outer(np.sin(axis), np.cos(1.3 * axis)))
         terrain, making = timed(lambda: Bicubic(grid))
         (dae, start), building = timed(lambda: build(terrain))
-        inputs = straight(dae, body, start, speed=SPEED)
+        inputs = straight(dae, start, speed=SPEED)
         t = np.linspace(0, 8 / SPEED, MANY)
         _, way = least(lambda: simulate(dae, start, inputs, t), clock, 3)
         return {"ground": making, "model": building, "integration": way}

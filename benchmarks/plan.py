@@ -179,8 +179,8 @@ def by_plan(found: Plan) -> Drive:
 
 def followed(dae: Any, start: Trajectory, tolerance: float) -> Trajectory:
     """Return the motion by the driving law along the straight line to the goal."""
-    vehicle, line = three_wheeler(axle="fixed"), Path(np.array([(0.0, 0.0), GOAL]))
-    law = follow(dae, vehicle, line, speed=line.length / DURATION)
+    line = Path(np.array([(0.0, 0.0), GOAL]))
+    law = follow(dae, line, speed=line.length / DURATION)
     t = np.linspace(0, DURATION, INTERVALS * SAMPLES + 1)
     return simulate(dae, start, law, t, options=SolverOptions(tolerance=tolerance))
 
@@ -520,7 +520,7 @@ def planned_with_inertia(
     return plan(
         model,
         start,
-        dynamic_guess(model, vehicle, start, run),
+        dynamic_guess(model, start, run),
         goal={"y": (goal, goal + 1)},
         costs={"time": 1.0, "effort": 1e-3},
         duration=(0.5, 20.0),

@@ -210,7 +210,7 @@ def _followed(vehicle, ground) -> str:
     model = pressed(vehicle, ground)
     start = settle(model)
     path = Path(np.array([[0.0, 0.0], [0.2, 2.4], [GOAL["x"], GOAL["y"]]]))
-    law = follow(model, vehicle, path, speed=np.hypot(*GOAL.values()) / 8.0)
+    law = follow(model, path, speed=np.hypot(*GOAL.values()) / 8.0)
     run = simulate(model, start, law, np.linspace(0, 8, 81))
     missed = np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"])
     return f"{_slip(run)}, missed {1e3 * missed:.1f} mm"

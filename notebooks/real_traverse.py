@@ -95,7 +95,7 @@ path = Path(found[0].points)
 model = direct_kinematics(vehicle, ground)
 ahead = path.points[1] - path.points[0]
 stand = settle(model, x=start[0], y=start[1], heading=np.arctan2(-ahead[0], ahead[1]))
-law = follow(model, vehicle, path, speed=1.0)
+law = follow(model, path, speed=1.0)
 run = simulate(
     model, stand, law, np.arange(0, found[0].length, 0.5), options=SolverOptions(tolerance=1e-7)
 )
@@ -152,7 +152,7 @@ for words, height in (("as measured", rough), ("as the wheel feels it", felt.gri
     model = direct_kinematics(large, Bicubic(height))
     try:
         stand = settle(model, x=136.15, y=78.93)
-        drive = straight(model, large, stand, speed=0.5)
+        drive = straight(model, stand, speed=0.5)
         crossed = simulate(model, stand, drive, np.linspace(0, 20, 401))
     except ModelError as error:
         print(f"{words}: {error}")

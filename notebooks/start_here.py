@@ -91,7 +91,7 @@ figure
 
 # %%
 path = Path(np.array([(0.0, 0.0), (0.3, 1.5), (-0.6, 3.0), (-0.6, 4.5)]))
-law = follow(model, vehicle, path, speed=0.3)
+law = follow(model, path, speed=0.3)
 along = simulate(model, settle(model, heading=-0.2), law, np.linspace(0, 15, 301))
 print(f"largest tilt {np.abs(along['tilt_right']).max():.3f} rad, ", end="")
 print(f"friction needed {along['friction_needed'].max():.2f}")
@@ -114,7 +114,7 @@ figure
 
 # %%
 by_friction = quasi_statics(vehicle, ground)
-law = follow(by_friction, vehicle, path, speed=0.3)
+law = follow(by_friction, path, speed=0.3)
 crept = simulate(by_friction, settle(by_friction, heading=-0.2), law, np.linspace(0, 15, 301))
 slips = np.hypot(crept["slip_along"], crept["slip_across"])
 print(f"on mu = 0.6: largest creep {1000 * slips.max():.2f} mm/s, ", end="")

@@ -89,7 +89,7 @@ runs = {}
 for name in ("car", "ackermann"):
     vehicle = read_vehicle(File(f"{name}.toml"))
     model = direct_kinematics(vehicle, ground)
-    law = follow(model, vehicle, path, speed=0.4)
+    law = follow(model, path, speed=0.4)
     runs[name] = simulate(model, settle(model), law, np.linspace(0, 12, 241))
     slip = np.sqrt((runs[name]["slip_along"] ** 2 + runs[name]["slip_across"] ** 2).mean())
     print(f"{name:10} rms slip of a wheel {1000 * slip:.2f} mm/s at 400 mm/s")
@@ -118,7 +118,7 @@ heavy = replace(
     car, body=Body(80.0, (0.0, 0.35, 0.1)), wheels=tuple(replace(w, mass=4.0) for w in car.wheels)
 )
 model = direct_kinematics(heavy, ground)
-law = follow(model, heavy, path, speed=0.4)
+law = follow(model, path, speed=0.4)
 run = simulate(model, settle(model), law, np.linspace(0, 12, 241))
 print(f"{heavy.mass:.0f} kg; utilisation of friction {run['utilisation'].max():.2f}, ", end="")
 print(

@@ -58,7 +58,7 @@ def calls():
     run, goal = sf.simulate(**motion), {"costs": {"effort": 1.0}, "goal": {"y": 6.0}}
     task = {"model": model, **goal, "span": 1.0, "ranges": ranges, "intervals": 2}
     task |= {"candidates": 8, "compiled": False}
-    driven, both = {"dae": model, "vehicle": vehicle}, {"vehicle": vehicle, "terrain": ground}
+    driven, both = {"model": model}, {"vehicle": vehicle, "terrain": ground}
     part = {"name": "a", "parent": "platform", "at": (0.0, 0.0, 0.0)}
     places, slow = {"x": AXIS[4:6], "y": AXIS[4:6]}, {"compiled": False}
     named = {
@@ -72,8 +72,8 @@ def calls():
         "follow": driven | {"path": sf.Path([(5, 5), (5, 6)]), "speed": 0.1},
         "straight": driven | {"start": start, "speed": 0.1},
         "commanded": driven | {"speed": 0.1},
-        "atlas": {"model": model, "terrain": ground, "headings": 1, **places, **slow},
-        "plot": {"result": run, "terrain": ground},
+        "atlas": {"model": model, "headings": 1, **places, **slow},
+        "plot": {"result": run},
         "cross_check": {"first": run, "second": run},
         "dynamics": {"vehicle": vehicle, "ground": ground},
         "inverse_kinematics": both | {"given": ("forward", "yaw_rate")},
@@ -176,8 +176,6 @@ def test_remedies_fit_the_error(calls):
     assert "call it: Coulomb()" in refusal(
         sf.quasi_statics, catalog.three_wheeler(), model.ground, law=sf.Coulomb
     )
-    other = catalog.three_wheeler(axle="fixed", r2=0.5)
-    assert "expected that of the model" in refusal(sf.straight, model, other, start, speed=0.4)
 
 
 def test_states_of_a_moving_horizon_are_map_coordinates(calls):

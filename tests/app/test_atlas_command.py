@@ -98,7 +98,7 @@ def test_poses_of_a_rigid_vehicle_are_those_of_the_function():
     np.testing.assert_allclose(site.elevation, terrain.grid.z[::4, ::4])
     model = direct_kinematics(catalog.rigid_skid_steer(), terrain)
     more = {"x": found.x, "y": found.y, "error": 0.01, "compiled": False}
-    expected = core.atlas(model, terrain, headings=1, **more)
+    expected = core.atlas(model, headings=1, **more)
     assert "rests" in found.bands
     assert list(found.bands) == list(expected.bands)
     for name in expected.bands:

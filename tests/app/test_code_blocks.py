@@ -92,7 +92,7 @@ def given(page: str) -> dict[str, Any]:
     model = sf.direct_kinematics(vehicle, ground)
     names = {"ground": ground, "vehicle": vehicle, "model": model, "Cost": sf.Cost}
     if page == "atlas":
-        poses = sf.atlas(model, ground, headings=2, compiled=False)
+        poses = sf.atlas(model, headings=2, compiled=False)
         write_atlas("poses.nc", poses, Site(ground.grid.z, 0.6))
     if page == "speed":
         found = sf.plan(

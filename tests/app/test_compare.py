@@ -88,7 +88,7 @@ def test_slip_jacobian_has_the_counted_rank(axle):
     if axle in CAN_ROLL:
         dae = direct_kinematics(vehicle, ground, slip=Rolling())
         start = settle(dae, heading=0.2)
-        law = straight(dae, vehicle, start, speed=0.1)
+        law = straight(dae, start, speed=0.1)
         run = simulate(dae, start, law, np.linspace(0, 2, 5))
         assert run["no_slip_residual"].max() < 1e-13
     else:

@@ -70,7 +70,7 @@ def odometry(run):
 def test_the_node_drives_to_its_goal_and_stops_without_a_pose(driver):
     vehicle = catalog.skid_steer()
     hills = Analytic(lambda x, y: 0.03 * x * y)
-    world = commanded(direct_kinematics(vehicle, hills), vehicle, speed=0.4)
+    world = commanded(direct_kinematics(vehicle, hills), speed=0.4)
     ranges = {"forward": (0.0, 0.5), "yaw_rate": (-0.8, 0.8)}
     goal = {"x": -0.4, "y": 1.0}
     task = SamplingTask(

@@ -81,7 +81,7 @@ def test_wrong_arguments_get_a_remedy():
         (lambda: simulate(model, (0, 0, 0), model.inputs(**rates), t), "start: .*tuple.*settle"),
         (lambda: simulate(model, start, rates, t), "model.inputs"),
         (lambda: slipfree.rollouts(model, start, np.zeros(3), t), "inputs: expected a mapping"),
-        (lambda: slipfree.follow(model, vehicle, [(0, 0)], speed=1.0), "path: expected Path"),
+        (lambda: slipfree.follow(model, [(0, 0)], speed=1.0), "path: expected Path"),
     ):
         with pytest.raises(slipfree.ModelError, match=words):
             call()
@@ -95,14 +95,14 @@ def test_results_are_drawn():
     rates = model.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
     run = simulate(model, settle(model, x=60.0, y=60.0), rates, np.linspace(0, 5, 6))
     x, y = np.linspace(55.0, 65.0, 6), np.linspace(56.0, 66.0, 5)
-    poses = slipfree.atlas(model, ground, headings=4, x=x, y=y, compiled=False)
+    poses = slipfree.atlas(model, headings=4, x=x, y=y, compiled=False)
     for result, name, axes in ((run, None, "east"), (run, "tilts", "time"), (poses, None, "east")):
-        (ax, *_) = slipfree.plot(result, ground, name).axes
+        (ax, *_) = slipfree.plot(result, name).axes
         assert axes in ax.get_xlabel()
     with pytest.raises(slipfree.ModelError, match="did you mean 'tilts'"):
-        slipfree.plot(run, ground, "tilt")
+        slipfree.plot(run, "tilt")
     with pytest.raises(slipfree.ModelError, match="result: expected Trajectory"):
-        slipfree.plot(model, ground)
+        slipfree.plot(model)
 
 
 def test_help_is_a_page_that_names_everything():
@@ -160,7 +160,7 @@ def test_reprs_of_a_plan_and_all_in_it():
     vehicle = catalog.three_wheeler(axle="fixed", tilt_stop=0.3)
     dae = direct_kinematics(vehicle, Analytic(lambda x, y: 0.1 * x * y))
     start, t = settle(dae), np.linspace(0, 4, 9)
-    guess = simulate(dae, start, straight(dae, vehicle, start, speed=0.3), t)
+    guess = simulate(dae, start, straight(dae, start, speed=0.3), t)
     wish = {"goal": {"y": 1.0}, "costs": {"slip": 1.0, "effort": 0.1}, "duration": 4.0}
     found = slipfree.plan(dae, start, guess, **wish, mesh=slipfree.Mesh(4))
     assert lines_of(found)[0].startswith("Plan: accurate; 4 s on 4 intervals, ")

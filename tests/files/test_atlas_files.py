@@ -26,7 +26,7 @@ def ridge():
 def poses():
     ground = Bicubic(ridge(), mu=0.4)
     model = direct_kinematics(catalog.three_wheeler(), ground)
-    return atlas(model, ground, headings=4, compiled=False)
+    return atlas(model, headings=4, compiled=False)
 
 
 @pytest.fixture(scope="module")

@@ -35,7 +35,7 @@ def driven_straight(vehicle):
     """Return the end of 5 s at 0.2 m/s on level ground."""
     dae = direct_kinematics(vehicle, Analytic(lambda x, y: 0 * x * y))
     start = settle(dae)
-    run = simulate(dae, start, straight(dae, vehicle, start, speed=0.2), np.linspace(0, 5, 11))
+    run = simulate(dae, start, straight(dae, start, speed=0.2), np.linspace(0, 5, 11))
     return run["x"][-1], run["y"][-1]
 
 

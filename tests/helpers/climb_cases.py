@@ -98,7 +98,7 @@ def gripped(vehicle, profile, control, grip, *, sampled=False):
     floor = Analytic(lambda x, _y: 0 * x, mu=grip.static)
     prisms = placed(profile)
     model = dynamics(vehicle, Solids(floor, prisms) if prisms else floor, law=law)
-    return vehicle, climbing(model, vehicle, control, profile, sampled=sampled)
+    return vehicle, climbing(model, control, profile, sampled=sampled)
 
 
 def begin(vehicle, profile, control, grip, speed=SPEED, **options):

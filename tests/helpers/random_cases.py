@@ -313,16 +313,16 @@ INPUT_SHARES = {
 }
 
 
-def inputs_of(case: Case, dae: Any, vehicle: Vehicle, start: Any, count: int) -> Any:
+def inputs_of(case: Case, dae: Any, start: Any, count: int) -> Any:
     """Return the inputs of a case: numbers by name, or the record of a law."""
     rng, names = case.rng("inputs"), [label.full for label in leaves(dae.labels.u)]
     speed = float(rng.choice([-1, 1]) * rng.uniform(0.1, 1.5))
     if case.inputs == "straight":
-        return straight(dae, vehicle, start, speed=speed)
+        return straight(dae, start, speed=speed)
     if case.inputs == "follow":
         at = np.array([start["x"][0], start["y"][0]]) + rng.normal(0, 0.2, 2)
         steps = rng.normal(0, 1.5, (int(rng.integers(2, 6)), 2))
-        return follow(dae, vehicle, Path(at + np.cumsum(steps, axis=0)), speed=speed)
+        return follow(dae, Path(at + np.cumsum(steps, axis=0)), speed=speed)
     driven = len(dae.labels.u.wheels)
     sizes = np.append(np.full(driven, 2.0), np.full(len(names) - driven, 0.05))
     base = speed / 0.5 * sizes * np.append(np.ones(driven), rng.normal(size=len(names) - driven))
@@ -408,7 +408,7 @@ def build(case: Case) -> tuple[Any, ...]:
     if case.formulation == "montana":
         dae = montana_kinematics(vehicle, ground, slip=SLIP_LAWS[case.slip]())
     start = settle(closure, **start_of(case, ground, vehicle))
-    inputs = inputs_of(case, dae, vehicle, start, count)
+    inputs = inputs_of(case, dae, start, count)
     if isinstance(inputs, dict):
         inputs = dae.inputs(**inputs)
     return vehicle, ground, dae, start, inputs, call

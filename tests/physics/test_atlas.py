@@ -48,7 +48,7 @@ def test_poses_and_bounds_equal_those_of_single_poses(vehicle):
     """Each pose is that of settle, and its least friction that of the exact optimum."""
     ground = hills()
     model = direct_kinematics(vehicle, ground)
-    found = atlas(model, ground, headings=HEADINGS, x=PLACES, y=PLACES, compiled=False)
+    found = atlas(model, headings=HEADINGS, x=PLACES, y=PLACES, compiled=False)
     assert found.stands.mean() > 0.7
     compared = np.argwhere(found.stands)[::5]
     for k, i, j in compared:
@@ -71,7 +71,7 @@ def test_friction_that_differs_between_wheels_scales_the_bounds():
     rows = 0.3 + 0.5 * (grid.x > 0.5)[:, None] * np.ones(grid.y.size)
     ground = Bicubic(grid, mu=Grid(grid.x, grid.y, rows))
     model = direct_kinematics(vehicle, ground)
-    found = atlas(model, ground, headings=[0.3], x=[0.4], y=PLACES, compiled=False)
+    found = atlas(model, headings=[0.3], x=[0.4], y=PLACES, compiled=False)
     assert found.stands[0, 0].all()
     for j in range(PLACES.size):
         pose = settle(model, x=0.4, y=PLACES[j], heading=0.3)
@@ -95,7 +95,7 @@ def test_errors_of_heights_on_level_ground_are_those_of_the_contact_heights(thro
     ball = Ball(0.05, (0.2, 0.3, 0.0))
     vehicle = replace(vehicle, body=replace(vehicle.body, shapes=(ball,)))
     model = direct_kinematics(vehicle, ground)
-    found = atlas(model, ground, headings=[0.4], x=[0.1], y=[-0.05], error=0.02, compiled=False)
+    found = atlas(model, headings=[0.4], x=[0.1], y=[-0.05], error=0.02, compiled=False)
     pose = settle(model, x=0.1, y=-0.05, heading=0.4)
     turned = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
     spot = [0.1, -0.05] + turned @ ball.at[:2]
@@ -134,7 +134,7 @@ def test_errors_of_heights_of_a_rigid_vehicle_are_those_of_a_plane_on_springs():
     flat = np.zeros((axis.size, axis.size))
     ground, vehicle = Bicubic(Grid(axis, axis, flat), mu=0.5), catalog.rigid_skid_steer()
     model = direct_kinematics(vehicle, ground)
-    found = atlas(model, ground, headings=[0.0], x=[0.1], y=[-0.05], error=0.02, compiled=False)
+    found = atlas(model, headings=[0.0], x=[0.1], y=[-0.05], error=0.02, compiled=False)
     pose = settle(model, x=0.1, y=-0.05)
     places = np.stack([pose[f"contact_{c}"][0] for c in "xy"])
     weights = np.empty((4, axis.size, axis.size))
@@ -161,7 +161,7 @@ def test_reasons_name_the_border_steep_ground_and_the_share_of_headings():
     steep = np.where(axis > 1.0, 1.6 * (axis - 1.0), 0.0)[:, None] + np.zeros(axis.size)
     ground = Bicubic(Grid(axis, axis, steep), mu=0.5)
     model = direct_kinematics(catalog.three_wheeler(), ground)
-    found = atlas(model, ground, headings=4, y=[0.0], compiled=False)
+    found = atlas(model, headings=4, y=[0.0], compiled=False)
     reasons = [found.reasons[int(k)] for k in found["reason"][:, :, 0].ravel()]
     assert any("leaves the map" in words for words in reasons)
     assert "the vehicle stands" in reasons
@@ -181,7 +181,7 @@ def test_a_rigid_vehicle_is_held_by_its_own_loads():
     """Bounds for given loads enclose a linear programme; poses are those of settle."""
     ground, vehicle = hills(rms=0.1), catalog.rigid_skid_steer()
     model = direct_kinematics(vehicle, ground)
-    found = atlas(model, ground, headings=[0.4], x=PLACES, y=PLACES, compiled=False)
+    found = atlas(model, headings=[0.4], x=PLACES, y=PLACES, compiled=False)
     compared = np.argwhere(found.stands & (found["rests"] == 1))[::6]
     assert len(compared) >= 3
     for at in compared:
@@ -219,7 +219,7 @@ def test_a_rigid_vehicle_rocks_on_twisted_ground(twist, rests):
     axis = np.linspace(-3.0, 3.0, 31)
     ground = Bicubic(Grid(axis, axis, twist * axis[:, None] * axis), mu=0.5)
     model = direct_kinematics(catalog.rigid_skid_steer(), ground)
-    found = atlas(model, ground, headings=[0.0, np.pi / 2], x=[0.0], y=[0.0], compiled=False)
+    found = atlas(model, headings=[0.0, np.pi / 2], x=[0.0], y=[0.0], compiled=False)
     assert (found["rests"] == rests).all()
     assert (np.hypot(found["roll"], found["pitch"]) > 0.03).all() == (rests == 2)
 
@@ -229,9 +229,7 @@ def test_on_soil_slip_and_sinkage_are_those_of_the_motion():
     ground = hills(rms=0.05)
     model = quasi_statics(catalog.three_wheeler(axle="fixed"), ground, law=Soil())
     inputs = {"right_rate": 1.0, "left_rate": 1.0, "steer_rate": 0.0}
-    found = atlas(
-        model, ground, headings=[0.0], x=[0.0], y=[0.0, 0.6], inputs=inputs, compiled=False
-    )
+    found = atlas(model, headings=[0.0], x=[0.0], y=[0.0, 0.6], inputs=inputs, compiled=False)
     pose = settle(model, x=0.0, y=0.6)
     run = simulate(model, pose, model.inputs(**inputs), [0.0, 0.01])
     values = picked(found, (0, 0, 1))
@@ -248,7 +246,7 @@ def test_the_clearance_of_bodies_is_that_of_single_poses(height):
     vehicle = replace(catalog.rigid_skid_steer(), body=box)
     ground = hills(rms=0.05)
     model = direct_kinematics(vehicle, ground)
-    found = atlas(model, ground, headings=[0.2], x=PLACES, y=[0.3], compiled=False)
+    found = atlas(model, headings=[0.2], x=PLACES, y=[0.3], compiled=False)
     assert found.stands.all()
     for i in range(PLACES.size):
         pose = settle(model, x=PLACES[i], y=0.3, heading=0.2)
@@ -261,7 +259,7 @@ def test_a_moving_rigid_vehicle_has_the_energy_of_its_motion():
     ground = hills(rms=0.1)
     model = direct_kinematics(catalog.rigid_skid_steer(), ground)
     rates = {label.full: 1.0 for label in leaves(model.labels.u)}
-    found = atlas(model, ground, headings=[0.4], x=[0.0], y=[0.6], inputs=rates, compiled=False)
+    found = atlas(model, headings=[0.4], x=[0.0], y=[0.6], inputs=rates, compiled=False)
     pose = settle(model, x=0.0, y=0.6, heading=0.4)
     run = simulate(model, pose, model.inputs(**rates), [0.0, 0.01])
     energy = run["power"][0] / np.hypot(run["velocity_x"][0], run["velocity_y"][0])
@@ -280,7 +278,7 @@ def test_wrong_arguments_are_named(arguments, message):
     ground = hills()
     model = direct_kinematics(catalog.three_wheeler(), ground)
     with pytest.raises(ModelError, match=message):
-        atlas(model, ground, compiled=False, **arguments)
+        atlas(model, compiled=False, **arguments)
 
 
 def test_a_pose_does_not_depend_on_others():
@@ -288,7 +286,7 @@ def test_a_pose_does_not_depend_on_others():
     ground = hills()
     model = direct_kinematics(catalog.three_wheeler(), ground)
     common = {"x": [0.7], "y": [0.0], "error": 0.02, "compiled": False}
-    alone = atlas(model, ground, headings=[0.8], **common)
-    beside = atlas(model, ground, headings=[0.0, 0.8, 2.0], **common)
+    alone = atlas(model, headings=[0.8], **common)
+    beside = atlas(model, headings=[0.0, 0.8, 2.0], **common)
     for name in alone.bands:
         assert_allclose(beside[name][1], alone[name][0], rtol=1e-6, err_msg=name)

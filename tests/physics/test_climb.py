@@ -86,8 +86,7 @@ def planned(task, ways, **limits) -> Plan:
     start = settle(dae, **task.start)
     t = np.linspace(0, task.duration, 61)
     guesses = [
-        simulate(dae, start, follow(dae, VEHICLE, way, speed=way.length / task.duration), t)
-        for way in ways
+        simulate(dae, start, follow(dae, way, speed=way.length / task.duration), t) for way in ways
     ]
     return plan(
         dae,
@@ -130,7 +129,7 @@ def test_the_straight_way_needs_more_friction_than_there_is():
 def test_the_straight_way_ends_where_friction_does_not_hold():
     dae = model(quasi_statics)
     start = settle(dae, **START)
-    law = straight(dae, VEHICLE, start, speed=0.5)
+    law = straight(dae, start, speed=0.5)
     run = simulate(dae, start, law, np.linspace(0, DURATION, 121))
     assert run.stop.name == "no_equilibrium"
     assert 8.0 < run.stop.t < DURATION

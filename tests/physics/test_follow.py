@@ -86,7 +86,7 @@ def test_straight_keeps_its_line_and_its_wheels_up():
     dae = closure_model(vehicle, Analytic(hills))
     start = settle(dae, x=1.0, y=-2.0, heading=0.3)
     for speed in (0.5, -0.5):
-        law = straight(dae, vehicle, start, speed=speed)
+        law = straight(dae, start, speed=speed)
         run = simulate(dae, start, law, np.linspace(0, 60, 301))
         off = -(run["x"] - 1.0) * np.cos(0.3) - (run["y"] + 2.0) * np.sin(0.3)
         assert np.abs(off).max() < 0.06
@@ -101,12 +101,12 @@ def test_100_m_of_hills_and_the_same_without_the_tilt_term(monkeypatch):
     vehicle, path = three_wheeler(), Path(WAY)
     dae = closure_model(vehicle, Bicubic(ground))
     start, t = settle(dae, heading=heading_at_start(path)), np.linspace(0, path.length / 0.5, 401)
-    run = simulate(dae, start, follow(dae, vehicle, path, speed=0.5), t)
+    run = simulate(dae, start, follow(dae, path, speed=0.5), t)
     assert run.stop is None
     assert largest_tilt(run) <= 0.05
     assert cross_track(run, path).max() <= 0.05
     monkeypatch.setattr(laws, "TILT_GAIN", 0.0)
-    without = simulate(dae, start, follow(dae, vehicle, path, speed=0.5), t)
+    without = simulate(dae, start, follow(dae, path, speed=0.5), t)
     assert largest_tilt(without) > 3 * largest_tilt(run)
 
 
@@ -114,7 +114,7 @@ def test_an_error_at_the_start_decays():
     vehicle, path = three_wheeler(), Path(np.array([(0.0, 0.0), (0.0, 40.0)]))
     dae = closure_model(vehicle, FLAT)
     start = settle(dae, x=0.5, heading=-0.3)
-    run = simulate(dae, start, follow(dae, vehicle, path, speed=0.4), np.linspace(0, 60, 61))
+    run = simulate(dae, start, follow(dae, path, speed=0.4), np.linspace(0, 60, 61))
     assert np.abs(run["x"][-1]) < 1e-3
     assert np.abs(run["heading"][-1]) < 1e-3
     assert_allclose(run["y"][-1], 24, atol=1e-2)
@@ -126,7 +126,7 @@ def test_differential_drive_follows_too():
     plan = laws.planar_geometry(vehicle, {})
     assert plan.ahead == pytest.approx(-0.2)  # the ball is a fixed wheel: the axis lies between
     start = settle(dae, heading=heading_at_start(path, plan.ahead))
-    run = simulate(dae, start, follow(dae, vehicle, path, speed=0.3), np.linspace(0, 60, 61))
+    run = simulate(dae, start, follow(dae, path, speed=0.3), np.linspace(0, 60, 61))
     assert cross_track(run, path).max() < 0.05
 
 
@@ -140,7 +140,7 @@ def test_all_wheels_steered_turn_about_the_centre():
     )
     dae, path = closure_model(vehicle, FLAT), Path(WAY[:3])
     start = settle(dae, heading=heading_at_start(path, 0.0))
-    run = simulate(dae, start, follow(dae, vehicle, path, speed=0.3), np.linspace(0, 60, 61))
+    run = simulate(dae, start, follow(dae, path, speed=0.3), np.linspace(0, 60, 61))
     assert cross_track(run, path).max() < 0.05
     assert np.abs(run["slip_across"][10:]).max() < 1e-2
 
@@ -150,19 +150,19 @@ def test_laws_name_what_they_need():
     dae = closure_model(vehicle, FLAT)
     for speed in (0.0, np.inf):
         with pytest.raises(ModelError, match="speed: expected a finite"):
-            straight(dae, vehicle, settle(dae), speed=speed)
+            straight(dae, settle(dae), speed=speed)
     trailer = skid_steered()
     wheels = tuple(replace(wheel, driven=False) for wheel in trailer.wheels)
     trailer = replace(trailer, name="trailer", wheels=wheels)
     dae = closure_model(trailer, FLAT)
     with pytest.raises(ModelError, match="driven wheels on both sides, found neither in 'trailer'"):
-        follow(dae, trailer, Path(WAY), speed=1.0)
+        follow(dae, Path(WAY), speed=1.0)
 
 
 def test_commands_are_met_on_a_plane():
     """A skid-steer turns as commanded; a car by less, since its steering is limited smoothly."""
     for vehicle, lag in ((skid_steer(), 0.0), (ackermann(), 0.065)):
-        model = commanded(direct_kinematics(vehicle, FLAT), vehicle, speed=0.5)
+        model = commanded(direct_kinematics(vehicle, FLAT), speed=0.5)
         turn = model.inputs(forward=0.5, yaw_rate=0.15)
         run = simulate(model, settle(model), turn, np.linspace(0, 10, 51))
         assert_allclose(np.diff(run["heading"])[25:], (1 - lag) * 0.15 * 0.2, rtol=2e-3)
@@ -170,4 +170,4 @@ def test_commands_are_met_on_a_plane():
         assert_allclose(speed[25:], 0.5, rtol=0.02)
     for value in (0.0, -1.0, np.inf):
         with pytest.raises(ModelError, match="speed: expected a"):
-            commanded(direct_kinematics(vehicle, FLAT), vehicle, speed=value)
+            commanded(direct_kinematics(vehicle, FLAT), speed=value)

@@ -362,7 +362,7 @@ def test_paths_are_checked():
         (r"expected 11 values each of x, y and heading, .*\(5,\)", dae, (still, t, still[:5]), t),
         ("expected finite times and values", dae, (still * np.nan, t, still), t),
         ("expected an inverse model with the inputs velocity_x", other, (still, t, still), t),
-        (r"expected expressions of dae\.t only", dae, (dae.x.y, dae.t, 0 * dae.t), None),
+        (r"expected expressions of model\.t only", dae, (dae.x.y, dae.t, 0 * dae.t), None),
     ):
         with pytest.raises(ModelError, match=words):
             path_inputs(model, begin, *path, t=times)

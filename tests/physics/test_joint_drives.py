@@ -128,4 +128,4 @@ def test_drives_that_do_not_fit_are_refused():
     model = dynamics(replace(vehicle, coordinates=tuple(free)), FLAT)
     path = Path(np.array([[0.0, 0.0], [0.0, 1.0]]))
     with pytest.raises(ModelError, match=r"commanded coordinates as inputs, found steer_torque"):
-        follow(model, vehicle, path, speed=0.5)
+        follow(model, path, speed=0.5)

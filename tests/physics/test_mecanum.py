@@ -260,7 +260,7 @@ def test_forward_alone_is_refused_since_the_vehicle_may_move_sideways():
 def test_a_path_is_followed(angle):
     vehicle, path = platform(angle), Path(np.array([[0.0, 0.0], [0.0, 0.5], [-0.5, 1.0]]))
     dae = direct_kinematics(vehicle, FLAT)
-    run = simulate(dae, settle(dae), follow(dae, vehicle, path, speed=0.2), np.linspace(0, 6, 31))
+    run = simulate(dae, settle(dae), follow(dae, path, speed=0.2), np.linspace(0, 6, 31))
     assert np.hypot(run["slip_along"], run["slip_across"]).max() < 1e-12
     assert np.hypot(run["x"][-1] + 0.5, run["y"][-1] - 1.0) < 0.15
 

@@ -123,7 +123,7 @@ def test_rolling_law_and_feedback_apply_here_too():
     stand = settle(closure, **START)
     runs = []
     for dae in (closure, montana_model(vehicle, ground, slip=Rolling())):
-        runs.append(simulate(dae, stand, straight(dae, vehicle, stand, speed=0.4), T))
+        runs.append(simulate(dae, stand, straight(dae, stand, speed=0.4), T))
     assert gap(*runs) < 2e-6
     assert np.abs(runs[1]["slip_across"]).max() < 1e-12
 

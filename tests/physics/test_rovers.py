@@ -197,7 +197,7 @@ def test_rovers_follow_paths(name):
     vehicle = CATALOG[name]
     way = Path(np.array([(0.0, 0.0), (0.5, 2.0), (2.0, 4.0), (2.0, 7.0)]))
     dae = closure_model(vehicle, HILLS)
-    start, law = settle(dae, heading=-0.245), follow(dae, vehicle, way, speed=0.2)
+    start, law = settle(dae, heading=-0.245), follow(dae, way, speed=0.2)
     run = simulate(dae, start, law, np.linspace(0, 36, 73), options=SolverOptions(tolerance=1e-6))
     assert run.stop is None
     dense = way.at(np.linspace(0, way.length, 2000))
@@ -219,7 +219,7 @@ def ahead(dae, vehicle, start):
             f"{wheel.name}_rate": 0.0 if "across" in wheel.name else 2.0 for wheel in vehicle.wheels
         }
         return dae.inputs(**rates)
-    return straight(dae, vehicle, start, speed=0.2)
+    return straight(dae, start, speed=0.2)
 
 
 @pytest.mark.slow
@@ -292,7 +292,7 @@ def test_seven_wheels_go_anywhere_on_level_ground():
     assert rest["force_normal"].sum() == pytest.approx(21.6 * 9.81, rel=1e-9)
     with pytest.raises(ModelError, match="'seven_wheels': expected the given rate 'right'"):
         inverse_kinematics(vehicle, ground, given=("forward", "yaw_rate"))
-    law = straight(dae, vehicle, rest, speed=0.2)
+    law = straight(dae, rest, speed=0.2)
     run = simulate(dae, rest, law, np.linspace(0, 5, 6), options=SolverOptions(tolerance=1e-6))
     assert_allclose([run["x"][-1], run["y"][-1]], [0, 1], atol=1e-3)
 

@@ -45,7 +45,7 @@ def layers():
 def guide_to(model, goal, bounds=None, layers=None):
     dae, start = model
     task = task_of(dae, start, goal=goal, costs=COSTS, duration=1.0)
-    trip = trip_of(task, dae, start, VEHICLE, GROUND)
+    trip = trip_of(task, dae, start)
     return choose_guide(trip, bounds or {}, layers)
 
 

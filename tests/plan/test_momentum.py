@@ -36,7 +36,7 @@ def straight_guess(model, vehicle, ground, speed, duration):
     rates = {label.full: speed / RADIUS for label in still.labels.u.wheels}
     times, options = np.linspace(0, duration, 21), sf.SolverOptions(tolerance=1e-5)
     run = sf.simulate(still, sf.settle(still), still.inputs(**rates), times, options=options)
-    return dynamic_guess(model, vehicle, start, run), start
+    return dynamic_guess(model, start, run), start
 
 
 def assert_planned(model, guess, start, most, **options):

@@ -45,9 +45,9 @@ def model():
 
 def led(model, side):
     """Return the motion past the hill on a side."""
-    vehicle, dae, start = model
+    _, dae, start = model
     way = sf.Path(np.array([[0.0, 0.0], [0.5 * side, 0.8], [0.9 * side, 1.5], [0.0, 3.0]]))
-    law = sf.follow(dae, vehicle, way, speed=0.25)
+    law = sf.follow(dae, way, speed=0.25)
     return sf.simulate(dae, start, law, np.linspace(0, way.length / 0.25, 41))
 
 

@@ -90,7 +90,7 @@ def driven(vehicle, arcs, speed=0.5):
     dae = direct_kinematics(vehicle, ground)
     start = settle(dae)
     values = {c.name: 0.0 for c in vehicle.of("commanded")}
-    pieces, duration = arc_inputs(dae, vehicle, arcs, values, speed=speed)
+    pieces, duration = arc_inputs(dae, arcs, values, speed=speed)
     t, rates = input_samples(duration, 0.2, pieces)
     return simulate(dae, start, dae.inputs(**rates), t), duration
 

@@ -299,7 +299,7 @@ def test_a_vehicle_follows_its_route_through_craters():
     dae = direct_kinematics(vehicle, terrain)
     start = settle(dae, x=4.0, y=4.0, heading=float(path.at(np.zeros(1)).heading[0]))
     t = np.linspace(0, path.length / 0.5, 40)
-    run = simulate(dae, start, follow(dae, vehicle, path, speed=0.5), t)
+    run = simulate(dae, start, follow(dae, path, speed=0.5), t)
     assert run.stop is None
     assert math.dist((run["x"][-1], run["y"][-1]), (20.0, 20.0)) < 0.05
 

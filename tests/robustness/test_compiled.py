@@ -76,7 +76,7 @@ def driven(seed):
     vehicle = three_wheeler()
     dae = direct_kinematics(vehicle, hilly(seed))
     start = settle(dae)
-    return dae, start, straight(dae, vehicle, start, speed=0.3)
+    return dae, start, straight(dae, start, speed=0.3)
 
 
 def everything(made, rng):

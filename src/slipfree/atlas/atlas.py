@@ -40,7 +40,6 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, Mask, leaves
 from slipfree.core.schema import Count
 from slipfree.core.trajectory import Drawable
-from slipfree.terrain.base import Terrain
 
 TOLERANCE = 1e-3  # largest width of the bounds of the least friction coefficient
 STANDS = "the vehicle stands"
@@ -221,7 +220,6 @@ class PoseEvaluator(NamedTuple):
 @checked
 def atlas(
     model: Dae,
-    terrain: Terrain,
     *,
     headings: Count | Annotated[Sequence[float], Unit("rad")] = HEADINGS,
     x: Array | None = None,
@@ -242,9 +240,8 @@ def atlas(
     Parameters
     ----------
     model : Dae
-        Model of kinematics or quasi-statics of the vehicle on the ground.
-    terrain : Terrain
-        The ground; a map gives the places by default.
+        Model of kinematics or quasi-statics of the vehicle on the ground. A ground that is a map
+        gives the places by default.
     headings : int or sequence of float
         Number of equally spaced headings from zero, or headings. [rad]
     x, y : ndarray, optional
@@ -280,11 +277,11 @@ def atlas(
     >>> x = np.linspace(0.0, 12.0, 13)
     >>> ground = Bicubic(Grid(x, x, np.tan(0.2) * np.tile(x, (13, 1))))  # slopes up to the north
     >>> model = direct_kinematics(catalog.three_wheeler(), ground)
-    >>> found = atlas(model, ground, headings=4, compiled=False)
+    >>> found = atlas(model, headings=4, compiled=False)
     >>> np.rint(100 * found["pitch"][:, 6, 6]).astype(int).tolist()  # north, west, south, east
     [20, 0, -20, 0]
     """
-    grid = getattr(terrain, "grid", None)
+    grid = getattr(model.ground, "grid", None)
     x, y = (
         getattr(grid, name, None) if given is None else np.asarray(given, dtype=float)
         for name, given in (("x", x), ("y", y))
@@ -316,7 +313,7 @@ def atlas(
         if progress is not None:
             progress((k + 1) / len(tiles))
     bands = {name: Band(label, values[name]) for name, label in labels.items()}
-    return Atlas(x, y, heading, bands, evaluator.reasons, terrain)
+    return Atlas(x, y, heading, bands, evaluator.reasons, model.ground)
 
 
 def tiles_of(n_x: int, n_y: int) -> Iterator[tuple[slice, slice]]:

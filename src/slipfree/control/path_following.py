@@ -67,7 +67,7 @@ class _PlanarGeometry(NamedTuple):
 
 
 @checked
-def straight(dae: Dae, vehicle: Vehicle, start: Trajectory, *, speed: Finite) -> Record:
+def straight(model: Dae, start: Trajectory, *, speed: Finite) -> Record:
     """Return inputs that drive a vehicle straight along its heading at the start.
 
     The law, its parameters and its errors are those of `follow`. The path is the line ahead of the
@@ -76,11 +76,11 @@ def straight(dae: Dae, vehicle: Vehicle, start: Trajectory, *, speed: Finite) ->
     x, y, heading = (start.in_frame("paper")[name][-1] for name in ("x", "y", "heading"))
     sign = -1.0 if speed < 0 else 1.0
     ahead = (x - sign * np.sin(heading), y + sign * np.cos(heading))
-    return follow(dae, vehicle, Path(np.array([(x, y), ahead])), speed=speed)
+    return follow(model, Path(np.array([(x, y), ahead])), speed=speed)
 
 
 @checked
-def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: Finite) -> Record:
+def follow(model: Dae, path: Path, *, speed: Finite) -> Record:
     """Return inputs that keep the platform's centre on a path.
 
     A reference point moves along the path at the given speed, from its beginning at t = 0. The
@@ -91,10 +91,8 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: Finite) -> Record:
 
     Parameters
     ----------
-    dae : Dae
-        The vehicle's direct kinematics.
-    vehicle : Vehicle
-        Vehicle with steered wheels, or with driven wheels on both sides.
+    model : Dae
+        Direct kinematics of a vehicle with steered wheels, or with driven wheels on both sides.
     path : Path
         Path of the platform's centre.
     speed : float
@@ -103,7 +101,7 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: Finite) -> Record:
     Returns
     -------
     record
-        Inputs as expressions of the symbols of ``dae``. Commanded coordinates that steer no wheel
+        Inputs as expressions of the symbols of ``model``. Commanded coordinates that steer no wheel
         stay constant.
 
     Raises
@@ -120,7 +118,7 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: Finite) -> Record:
     >>> vehicle, ground = catalog.three_wheeler(), Analytic(lambda x, y: 0.02 * x * y)
     >>> model = direct_kinematics(vehicle, ground)
     >>> path = Path(np.array([[0.0, 0.0], [0.2, 2.0], [0.0, 4.0]]))
-    >>> law = follow(model, vehicle, path, speed=0.4)
+    >>> law = follow(model, path, speed=0.4)
     >>> run = simulate(model, settle(model), law, np.linspace(0, 10, 51))
     >>> print(f"ends at ({run['x'][-1]:.2f}, {run['y'][-1]:.2f})")
     ends at (-0.01, 3.98)
@@ -130,25 +128,25 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: Finite) -> Record:
             f"speed: expected a finite speed other than zero, found {speed} m/s; give a positive "
             "speed, or a negative one to drive backwards"
         )
-    states, plan = _steerable(dae, vehicle, "follow")
-    reference = path.symbolic(abs(speed) * dae.t, (dae.shift[0][0], dae.shift[0][1]))
+    states, plan = _steerable(model, "follow")
+    reference = path.symbolic(abs(speed) * model.t, (model.shift[0][0], model.shift[0][1]))
     sign, base = np.sign(speed), plan.base
     curvature = sign * reference.curvature
     direction = reference.heading + (0 if sign > 0 else np.pi)
     forward = (-ca.sin(direction), ca.cos(direction))
-    d_x, d_y = dae.x.x - reference.x, dae.x.y - reference.y
+    d_x, d_y = model.x.x - reference.x, model.x.y - reference.y
     along, left = d_x * forward[0] + d_y * forward[1], d_y * forward[0] - d_x * forward[1]
     # the centre lies ahead of the turning axis: its velocity points to the left of the heading
-    turned = dae.named("heading")[0] - direction + ca.atan(plan.ahead * curvature)
+    turned = model.named("heading")[0] - direction + ca.atan(plan.ahead * curvature)
     v = speed * ca.cos(turned) - abs(speed) / base * along
     # with left' = v sin(turned) and turned' = turning - v curvature, errors are critically damped
     error = ca.sin(turned)  # smooth where the angle wraps around
     turning = speed * curvature - (2 * abs(speed) * error + speed * left / base) / base
-    return _planar_inputs(dae, vehicle, states, plan, (v, turning, speed))
+    return _planar_inputs(model, states, plan, (v, turning, speed))
 
 
 @checked
-def commanded(dae: Dae, vehicle: Vehicle, *, speed: Positive) -> Dae:
+def commanded(model: Dae, *, speed: Positive) -> Dae:
     """Return a model whose inputs are the commands of a robot: forward velocity and yaw rate.
 
     The wheel rates are those of planar motion with the current steering angles, and the steering
@@ -159,10 +157,9 @@ def commanded(dae: Dae, vehicle: Vehicle, *, speed: Positive) -> Dae:
 
     Parameters
     ----------
-    dae : Dae
-        The vehicle's direct kinematics, quasi-statics or dynamics.
-    vehicle : Vehicle
-        Vehicle with steered wheels, or with driven wheels on both sides.
+    model : Dae
+        Direct kinematics, quasi-statics or dynamics of a vehicle with steered wheels, or with
+        driven wheels on both sides.
     speed : float
         Typical speed, which decides how fast wheels are steered. [m/s]
 
@@ -181,43 +178,56 @@ def commanded(dae: Dae, vehicle: Vehicle, *, speed: Positive) -> Dae:
     >>> import numpy as np
     >>> from slipfree import Analytic, catalog, commanded, direct_kinematics, settle, simulate
     >>> vehicle, ground = catalog.skid_steer(), Analytic(lambda x, y: 0.02 * x * y)
-    >>> model = commanded(direct_kinematics(vehicle, ground), vehicle, speed=0.4)
+    >>> model = commanded(direct_kinematics(vehicle, ground), speed=0.4)
     >>> inputs = model.inputs(forward=0.4, yaw_rate=0.1)
     >>> run = simulate(model, settle(model), inputs, np.linspace(0, 5, 26))
     >>> print(f"turns by {run['heading'][-1]:.2f} rad")
     turns by 0.50 rad
     """
-    states, plan = _steerable(dae, vehicle, "commanded")
+    states, plan = _steerable(model, "commanded")
     forward, yaw_rate = ca.SX.sym("forward"), ca.SX.sym("yaw_rate")
-    inputs = _planar_inputs(dae, vehicle, states, plan, (forward, yaw_rate, speed))
-    driven = substitute(dae, list(leaves(dae.u)), list(leaves(inputs)))
+    inputs = _planar_inputs(model, states, plan, (forward, yaw_rate, speed))
+    driven = substitute(model, list(leaves(model.u)), list(leaves(inputs)))
     labels = driven.labels._replace(u=(COMMANDS["forward"], COMMANDS["yaw_rate"]))
     return replace(driven, u=(forward, yaw_rate), labels=labels)
 
 
-def _steerable(dae: Dae, vehicle: Vehicle, name: str) -> tuple[dict[str, ca.SX], _PlanarGeometry]:
+def driven_vehicle(model: Dae) -> Vehicle:
+    """Return the vehicle of a model, with numbers in place of parameters.
+
+    ModelError is raised for a model without a vehicle.
+    """
+    if not isinstance(model.vehicle, Vehicle):
+        raise ModelError(
+            "model: expected the model of a vehicle, found equations without a vehicle; give "
+            "inputs instead"
+        )
+    return model.vehicle.numeric
+
+
+def _steerable(model: Dae, name: str) -> tuple[dict[str, ca.SX], _PlanarGeometry]:
     """Return the joints' symbols and the plan view of a vehicle whose inputs are rates."""
-    wrong = [label.full for label in leaves(dae.labels.u) if not label.unit.endswith("s-1")]
+    wrong = [label.full for label in leaves(model.labels.u) if not label.unit.endswith("s-1")]
     if wrong:
         raise ModelError(
             f"{name}: expected the rates of all driven wheels and commanded coordinates as inputs, "
             f"found {', '.join(wrong)}; use drives of the kind 'rate' or 'motor'"
         )
-    states = dict(zip((label.name for label in dae.labels.x.joints), dae.x.joints, strict=True))
+    vehicle = driven_vehicle(model)
+    states = dict(zip((label.name for label in model.labels.x.joints), model.x.joints, strict=True))
     plan = planar_geometry(vehicle, {c.name: states[c.name] for c in vehicle.of("commanded")})
     return states, plan
 
 
 def _planar_inputs(
-    dae: Dae,
-    vehicle: Vehicle,
+    model: Dae,
     states: dict[str, ca.SX],
     plan: _PlanarGeometry,
     motion: tuple[ca.SX, ca.SX, float],
 ) -> Record:
     v, required, speed = motion
     pace, turning = abs(speed) / plan.base, required
-    rates = dict.fromkeys((c.name for c in vehicle.of("commanded")), ca.SX(0))
+    rates = dict.fromkeys((c.name for c in driven_vehicle(model).of("commanded")), ca.SX(0))
     if plan.steered:
         turning = _turning_rate(plan, v)
         rates |= _steering_rates(plan, v, required, speed)
@@ -231,7 +241,7 @@ def _planar_inputs(
         for each in plan.wheels
         if each.wheel.driven
     ]
-    return unpack(dae.u, [*wheels, *rates.values()])
+    return unpack(model.u, [*wheels, *rates.values()])
 
 
 def _steering_rates(
@@ -367,8 +377,7 @@ def turning_radius(vehicle: Vehicle) -> float:
 
 
 def arc_inputs(
-    dae: Dae,
-    vehicle: Vehicle,
+    model: Dae,
     arcs: Sequence[tuple[float, float]],
     coordinates: Mapping[str, float],
     *,
@@ -382,6 +391,7 @@ def arc_inputs(
     positive to the left [1/m]; ``coordinates`` are the commanded ones at the beginning [rad, m].
     The result for each input is pairs of a time [s] and the rate from this time on [rad/s, m/s].
     """
+    vehicle = driven_vehicle(model)
     states = _symbols(vehicle)
     plan, column = planar_geometry(vehicle, states), ca.vertcat(ca.SX(0, 1), *states.values())
     bend, v = ca.SX.sym("bend"), ca.SX.sym("v")
@@ -413,7 +423,7 @@ def arc_inputs(
         times.append(times[-1] + abs(length) / speed)
         rows.append(np.concatenate([turning, np.zeros(now.size)]))
         now = steered
-    names = [label.full for label in leaves(dae.labels.u)]
+    names = [label.full for label in leaves(model.labels.u)]
     values = np.array(rows).T.tolist()
     pieces = {
         name: tuple(zip(times[:-1], row, strict=True))
@@ -432,7 +442,7 @@ MAX_START_DISTANCE = 1e-6  # largest distance of the path from the start [vehicl
 
 
 def path_inputs(
-    dae: Dae,
+    model: Dae,
     start: Trajectory,
     x: ca.SX | Array,
     y: ca.SX | Array,
@@ -443,16 +453,16 @@ def path_inputs(
     """Return the inputs of an inverse model along a timed path.
 
     The model has the given rates velocity_x, velocity_y and heading_rate. Position and heading of
-    the platform's centre are expressions of ``dae.t``, or values at the times ``t``, at least six,
-    which a spline of degree five interpolates [m, rad]; beyond them the rates stay constant. The
-    path begins at the last sample of ``start``.
+    the platform's centre are expressions of ``model.t``, or values at the times ``t``, at least
+    six, which a spline of degree five interpolates [m, rad]; beyond them the rates stay constant.
+    The path begins at the last sample of ``start``.
 
     ModelError is raised if the model has other inputs; if the path depends on symbols other than
-    ``dae.t``; if there are fewer than six times, if their number is not that of the values, if a
+    ``model.t``; if there are fewer than six times, if their number is not that of the values, if a
     value is not finite, or if the times do not increase; or if the path does not begin at the
     start.
     """
-    names = tuple(label.full for label in leaves(dae.labels.u))
+    names = tuple(label.full for label in leaves(model.labels.u))
     if set(names) != set(PLANAR):
         raise ModelError(
             f"path: expected an inverse model with the inputs {', '.join(PLANAR)}, found "
@@ -460,19 +470,19 @@ def path_inputs(
         )
     if t is None:
         path = ca.vertcat(x, y, heading)
-        foreign = [symbol for symbol in ca.symvar(path) if not ca.is_equal(symbol, dae.t)]
+        foreign = [symbol for symbol in ca.symvar(path) if not ca.is_equal(symbol, model.t)]
         if foreign:
             raise ModelError(
-                f"path: expected expressions of dae.t only, found the symbols {foreign}; replace "
-                "them by numbers or functions of dae.t"
+                f"path: expected expressions of model.t only, found the symbols {foreign}; replace "
+                "them by numbers or functions of model.t"
             )
-        first = np.array(ca.Function("first", [dae.t], [path])(0.0)).ravel()
-        velocity = ca.jacobian(path, dae.t)
+        first = np.array(ca.Function("first", [model.t], [path])(0.0)).ravel()
+        velocity = ca.jacobian(path, model.t)
     else:
         t, points = check_way_points(t, x, y, heading)
-        first, velocity = points[:, 0], _splines(t, points.T, dae.t)[1]
+        first, velocity = points[:, 0], _splines(t, points.T, model.t)[1]
     there = np.array([start.in_frame("paper")[name][-1] for name in ("x", "y", "heading")])
-    gaps = (first - there) / [dae.size, dae.size, 1.0]
+    gaps = (first - there) / [model.size, model.size, 1.0]
     gaps[2] = (gaps[2] + np.pi) % (2 * np.pi) - np.pi
     wrong = [
         f"{name} = {value:.6g} instead of {at:.6g}"
@@ -484,10 +494,10 @@ def path_inputs(
             "path: expected a path that begins at the position and heading of the start, found "
             f"{', '.join(wrong)}; move the path or the start"
         )
-    return dae.inputs(**dict(zip(PLANAR, ca.vertsplit(velocity), strict=True)))
+    return model.inputs(**dict(zip(PLANAR, ca.vertsplit(velocity), strict=True)))
 
 
-def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[Dae, Record]:
+def track_path(model: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[Dae, Record]:
     """Return a model with tracking errors as outputs, and the commands that track a path.
 
     Commands are the velocity of the path in the platform's heading frame plus `GAIN` times the
@@ -495,7 +505,7 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
 
     Parameters
     ----------
-    dae : Dae
+    model : Dae
         Inverse model with the given rates ``forward``, ``right`` and ``yaw_rate``.
     t : ndarray, shape (n,)
         Times of the way-points, at least six, increasing. [s]
@@ -518,18 +528,20 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
         value is not finite, or if the times do not increase.
     """
     t, points = check_way_points(t, x, y, heading)
-    place, velocity = _splines(t, points.T, dae.t)
-    east, north = (place[k] - dae.shift[0][k] - each for k, each in enumerate((dae.x.x, dae.x.y)))
-    turn = place[2] - dae.x.heading
+    place, velocity = _splines(t, points.T, model.t)
+    east, north = (
+        place[k] - model.shift[0][k] - each for k, each in enumerate((model.x.x, model.x.y))
+    )
+    turn = place[2] - model.x.heading
     turn = ca.atan2(ca.sin(turn), ca.cos(turn))
     v_x, v_y = velocity[0] + GAIN * east, velocity[1] + GAIN * north
-    c, s = ca.cos(dae.x.heading), ca.sin(dae.x.heading)
-    inputs = dae.inputs(
+    c, s = ca.cos(model.x.heading), ca.sin(model.x.heading)
+    inputs = model.inputs(
         forward=c * v_y - s * v_x, right=c * v_x + s * v_y, yaw_rate=velocity[2] + GAIN * turn
     )
     apart = Label("path_error", "m", "distance of the platform's centre from its path")
     turned = Label("heading_error", "rad", "heading of the path minus that of the platform")
-    return with_outputs(dae, [(apart, ca.hypot(east, north)), (turned, turn)]), inputs
+    return with_outputs(model, [(apart, ca.hypot(east, north)), (turned, turn)]), inputs
 
 
 def check_way_points(

@@ -17,6 +17,7 @@ import casadi as ca
 from annotated_types import Ge, Gt, Lt, Unit, doc
 
 from slipfree.catalog.step_climber import check_climber
+from slipfree.control.path_following import driven_vehicle
 from slipfree.control.reference_speeds import (
     Law,
     PerAxle,
@@ -265,7 +266,6 @@ def check_period(period: float, control: StepClimbing, climber: Vehicle) -> None
 
 def climbing(
     model: Dae,
-    vehicle: Vehicle,
     control: WheelControl,
     section: Profile | None = None,
     *,
@@ -273,7 +273,7 @@ def climbing(
 ) -> Dae:
     """Return the dynamic model of a step climber with controlled wheels.
 
-    ``model`` is the result of `slipfree.dynamics` for the vehicle
+    ``model`` is the result of `slipfree.dynamics` for a step climber
     (`slipfree.catalog.step_climber`), ``control`` a `StepClimbing` or
     `slipfree.climb.time_scaling.Tracking`. Controllers with ``directions="contact"`` require the
     section of the ground (`slipfree.terrain.solids.section_of`). With ``sampled`` the torques of
@@ -281,6 +281,7 @@ def climbing(
     input is the ``reference_speed`` of the vehicle [m/s]. A motion ends where the front body
     overturns.
     """
+    vehicle = driven_vehicle(model)
     check_climber(vehicle)
     wheels = tuple(wheel.name for wheel in vehicle.wheels)
     labels = control.labels(wheels)

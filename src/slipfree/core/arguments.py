@@ -154,8 +154,6 @@ def _checked_call(
                     f"{who}: {wrong.place}: expected {wrong.expected}, found {wrong.found}; "
                     f"{remedy or 'correct it'}"
                 ) from None
-        if is_outer:
-            _check_model(name, given)
         return function(*bound.args, **bound.kwargs)
 
     return call
@@ -194,17 +192,6 @@ def _units(given: Mapping[str, Any]) -> Mapping[str, str]:
         if isinstance(units, Mapping):
             return units
     return {}
-
-
-def _check_model(name: str, given: Mapping[str, Any]) -> None:
-    """Raise ModelError for another vehicle or ground than that of the model."""
-    model = given.get("dae", given.get("model"))
-    for key, own in (("vehicle", "vehicle"), ("terrain", "ground")):
-        value, held = given.get(key), getattr(model, own, None)
-        if not (value is None or held is None or value is held or value == held):
-            raise ModelError(
-                f"{name}: {key}: expected that of the model, found another; give model.{own}"
-            )
 
 
 def _converted(hint: Any, value: Any, place: str, context: _Context) -> Any:

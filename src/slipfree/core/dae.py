@@ -315,8 +315,9 @@ class Dae(Generic[X, Z, U, Y]):
     holding : Holding or None
         Equilibrium of the contact forces at rest; None for vehicles without mass.
     vehicle, ground : object
-        Vehicle and ground of the model, from which plans make initial guesses; None if
-        unknown. Solvers ignore them.
+        Vehicle and ground from which the model was made; None for other equations. Driving laws,
+        figures, mobility maps and initial guesses of plans take them from here; solvers ignore
+        them.
     p : tuple of Parameter
         Numbers that are symbols of the model. Solvers take models without parameters:
         `slipfree.core.rearrange.with_values` replaces the symbols by numbers.
@@ -378,8 +379,8 @@ class Dae(Generic[X, Z, U, Y]):
     discs: tuple[tuple[ca.SX, ca.SX], ...] = ()
     leading_rates: ca.SX = ca.SX(0, 1)  # noqa: RUF009 - never changed
     holding: Holding | None = None
-    vehicle: object = None
-    ground: object = None
+    vehicle: Any = None
+    ground: Any = None
     p: tuple[Parameter, ...] = ()
     reported: Mapping[str, float] = field(default_factory=dict)
 

@@ -138,7 +138,7 @@ class Drawable:
         """
         import slipfree  # its public function: figures are above this package
 
-        return slipfree.plot(self, self.ground, name)  # type: ignore[arg-type]
+        return slipfree.plot(self, name)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,6 +134,7 @@ def dynamics(
     terrain, prisms = (ground.base, ground.prisms) if isinstance(ground, Solids) else (ground, ())
     check_dynamic(vehicle)
     law.check(vehicle, terrain)
+    made_from = vehicle
     vehicle = _with_depths_of(law, with_depths(vehicle))
     bears = isinstance(law, BodyLaw) and law.bears_bodies and bool(vehicle.shapes)
     labels = dynamic_labels(vehicle, len(prisms), bears=bears)
@@ -181,6 +182,8 @@ def dynamics(
         standing=_start(vehicle, terrain, prisms, law, labels),
         lookups=lookups.lookups,
         held=_held_inertia(vehicle, x, u, body, (matrix, bias), *touching),
+        vehicle=made_from,
+        ground=ground,
     )
 
 

@@ -197,6 +197,8 @@ def montana_kinematics(
         size=size,
         suppress_algebraic=True,
         lookups=q.lookups.lookups,
+        vehicle=vehicle,
+        ground=terrain,
     )
 
 

@@ -340,15 +340,13 @@ def _guess(vehicle: Vehicle, body: Multibody, labels: Labels) -> ca.SX:
     return ca.densify(ca.vertcat(*places, at_rest(vehicle, labels.z.law)))
 
 
-def dynamic_guess(model: Dae, vehicle: Vehicle, start: Trajectory, run: Trajectory) -> Trajectory:
+def dynamic_guess(model: Dae, start: Trajectory, run: Trajectory) -> Trajectory:
     """Return the motion of a dynamic model along the path of a kinematic model's motion.
 
     Parameters
     ----------
     model : Dae
         Result of `slipfree.models.rigid_dynamics.rigid_dynamics`.
-    vehicle : Vehicle
-        Vehicle of both models.
     start : Trajectory
         Trajectory of ``model`` whose last sample is the start of the plan.
     run : Trajectory
@@ -372,8 +370,8 @@ def dynamic_guess(model: Dae, vehicle: Vehicle, start: Trajectory, run: Trajecto
         },
         run.wheels,
     )
-    known = dict(_states(model, vehicle, moved, np.gradient(progress, t)))
-    known |= _inputs(model, vehicle, moved, np.gradient(progress, t))
+    known = dict(_states(model, moved, np.gradient(progress, t)))
+    known |= _inputs(model, moved, np.gradient(progress, t))
     columns = dict[str, Column]()
     for label in leaves((model.labels.x, model.labels.z, model.labels.u)):
         values = known.get(label.full)
@@ -394,9 +392,7 @@ def _resampled(values: Array, t: Array, at: Array) -> Array:
     return np.column_stack([np.interp(at, t, row) for row in rows.T]).reshape(values.shape)
 
 
-def _states(
-    model: Dae, vehicle: Vehicle, run: Trajectory, pace: Array
-) -> Iterator[tuple[str, Array]]:
+def _states(model: Dae, run: Trajectory, pace: Array) -> Iterator[tuple[str, Array]]:
     """Yield the states and contact points by name; ``pace`` is the rate of the progress [1]."""
     labels = model.labels.x
     for label in (labels.x, labels.y, labels.z, *labels.joints):
@@ -409,7 +405,7 @@ def _states(
         yield from zip((label.full for label in names), rows, strict=True)
     for label, name in zip(labels.velocity, "xyz", strict=True):
         yield label.full, np.gradient(run[name], run.t)
-    for label, coordinate in zip(labels.joint_speeds, vehicle.coordinates, strict=True):
+    for label, coordinate in zip(labels.joint_speeds, model.vehicle.coordinates, strict=True):
         yield label.full, np.gradient(run[coordinate.name], run.t)
     for k, label in enumerate(labels.spins):
         yield label.full, run["wheel_rate"][:, k] * pace
@@ -418,8 +414,9 @@ def _states(
             yield label.full, run.of(label)
 
 
-def _inputs(model: Dae, vehicle: Vehicle, run: Trajectory, pace: Array) -> dict[str, Array]:
+def _inputs(model: Dae, run: Trajectory, pace: Array) -> dict[str, Array]:
     """Return the inputs by name: rates of the motion, or the torques that it requires."""
+    vehicle: Vehicle = model.vehicle
     place = np.stack([run[name] for name in "xyz"])
     path = np.cumsum(np.append(0.0, np.linalg.norm(np.diff(place), axis=0)))
     speed = np.gradient(path, run.t)

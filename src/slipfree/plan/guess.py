@@ -18,6 +18,7 @@ import numpy as np
 
 from slipfree.control.path_following import (
     arc_inputs,
+    driven_vehicle,
     follow,
     straight,
     turning_axis_offset,
@@ -82,7 +83,7 @@ class Guide(NamedTuple):
 Drive = tuple[Record, Array]  # inputs, and times of the samples [s]
 
 
-def trip_of(task: PlanTask, dae: Dae, start: Trajectory, vehicle: Vehicle, ground: Terrain) -> Trip:
+def trip_of(task: PlanTask, dae: Dae, start: Trajectory) -> Trip:
     """Return the trip of a task, driven by a model ``dae`` from its own ``start``.
 
     A place is the middle of its ranges on the map. Way-points without x or y are omitted; at the
@@ -101,12 +102,15 @@ def trip_of(task: PlanTask, dae: Dae, start: Trajectory, vehicle: Vehicle, groun
         }
         for condition in task.conditions
     )
+    ground = cast("Terrain", dae.ground)
     places = [np.array([start[axis][-1] for axis in "xy"])]
     for ranges in (*(each for each in passed if {"x", "y"} <= each.keys()), goal):
         if {"x", "y"} & ranges.keys():
             places.append(_middle(ranges, places[-1], ground.domain))
     heading = sum(goal["heading"]) / 2 if "heading" in goal else None
-    return Trip(dae, vehicle, start, np.array(places), heading, task.dae.replay is not None)
+    return Trip(
+        dae, driven_vehicle(dae), start, np.array(places), heading, task.dae.replay is not None
+    )
 
 
 def _middle(ranges: Mapping[str, Range], before: Array, domain: tuple[float, ...]) -> Array:
@@ -215,17 +219,15 @@ def guide_drives(
                 "goal"
             )
         values = {c.name: float(trip.start[c.name][-1]) for c in trip.vehicle.of("commanded")}
-        pieces, duration = arc_inputs(trip.dae, trip.vehicle, arcs, values, speed=guide.speed)
+        pieces, duration = arc_inputs(trip.dae, arcs, values, speed=guide.speed)
         t, rates = input_samples(duration, step, pieces)
         return ((trip.dae.inputs(**rates), t),)
     if guide.name == "straight":
         length = np.hypot(*(trip.places[-1] - trip.places[0])) or AHEAD * trip.dae.size
-        laws = [(straight(trip.dae, trip.vehicle, trip.start, speed=guide.speed), length)]
+        laws = [(straight(trip.dae, trip.start, speed=guide.speed), length)]
     else:
         paths = [Path(points) for points in guide.paths]
-        laws = [
-            (follow(trip.dae, trip.vehicle, path, speed=guide.speed), path.length) for path in paths
-        ]
+        laws = [(follow(trip.dae, path, speed=guide.speed), path.length) for path in paths]
     return tuple(
         (law, input_samples(min(length / abs(guide.speed), longest), step, {})[0])
         for law, length in laws
@@ -246,7 +248,7 @@ def guess_motion(
         x, y = trip.places[-1]
         away = np.hypot(run["x"] - x, run["y"] - y)
         run = run.part(slice(max(int(away.argmin()), 1) + 1))
-    return run if trip.dae is dae else dynamic_guess(dae, trip.vehicle, start, run)
+    return run if trip.dae is dae else dynamic_guess(dae, start, run)
 
 
 def settled_start(dae: Dae, start: Trajectory, options: SolverOptions) -> Trajectory:
@@ -265,17 +267,17 @@ def initial_guess(
     ``bounds`` are those of the inputs. The duration is that of the whole path, even if the motion
     ends before.
     """
-    dae, vehicle, ground = task.dae, task.dae.vehicle, cast("Terrain", task.dae.ground)
-    if not isinstance(vehicle, Vehicle):
+    dae, ground = task.dae, cast("Terrain", task.dae.ground)
+    if dae.vehicle is None:
         raise ModelError(
             "plan: guess: expected at least one motion as initial guess for a model whose vehicle "
             "is not known, found none; give one, such as a simulated motion"
         )
-    vehicle, driven, begin = vehicle.numeric, dae, start
+    vehicle, driven, begin = driven_vehicle(dae), dae, start
     if dae.replay is not None:  # with inertia
         driven = direct_kinematics(vehicle, ground)
         begin = settled_start(driven, start, options)
-    trip = trip_of(task, driven, begin, vehicle, ground)
+    trip = trip_of(task, driven, begin)
     layers = None
     if isinstance(ground, Bicubic):
         layers = traversability(ground, vehicle, places=trip.places)

@@ -333,15 +333,13 @@ def _built(problem: Problem[M]) -> World:
     return World(ground, terrain, vehicle, prisms, dae)
 
 
-def build_law(
-    problem: Problem[S], driver: DriverTable, dae: Dae, vehicle: Vehicle, start: Trajectory
-) -> Any:
+def build_law(problem: Problem[S], driver: DriverTable, dae: Dae, start: Trajectory) -> Any:
     """Return the inputs that the driving law of a problem computes from state and time."""
     with at(problem, ("driver",)):
         if driver.name == "straight":
             check_without_path(driver)
-            return straight(dae, vehicle, start, speed=driver.speed)
-        return follow(dae, vehicle, Path(path_points(problem, driver)), speed=driver.speed)
+            return straight(dae, start, speed=driver.speed)
+        return follow(dae, Path(path_points(problem, driver)), speed=driver.speed)
 
 
 def check_without_path(driver: DriverTable) -> None:
@@ -366,7 +364,7 @@ def build_climbing(problem: Problem[Any], world: World) -> tuple[Dae, Any]:
             check_period(driver.period, control, world.vehicle)
     with at(problem, ("driver", "control", "directions")):
         sampled = driver.period is not None
-        dae = climbing(world.dae, world.vehicle, control, level_section(world), sampled=sampled)
+        dae = climbing(world.dae, control, level_section(world), sampled=sampled)
     held = held_torques(dae, control) if sampled else {}
     return dae, dae.inputs(reference_speed=driver.speed, **held)
 

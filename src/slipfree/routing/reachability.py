@@ -84,9 +84,7 @@ def unheld_words(terrain: Bicubic, vehicle: Vehicle, x: float, y: float) -> str:
     if slope <= limit:
         return ""
     model = direct_kinematics(vehicle, terrain)
-    poses = atlas(
-        model, terrain, headings=HEADINGS, x=np.array([x]), y=np.array([y]), compiled=False
-    )
+    poses = atlas(model, headings=HEADINGS, x=np.array([x]), y=np.array([y]), compiled=False)
     bounds = least_bounds(poses)
     if bounds is None or not poses.stands.any():
         return ""

@@ -203,7 +203,6 @@ def traversability(
     heading = 2 * np.pi * np.arange(HEADINGS) / HEADINGS
     poses = atlas(
         model,
-        terrain,
         headings=(heading + np.pi * backwards).tolist(),
         x=x,
         y=y,

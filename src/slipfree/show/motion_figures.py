@@ -165,7 +165,10 @@ def motion_plots(
 
 @checked
 def plot(
-    result: Trajectory | Plan | Atlas, terrain: Terrain | Solids, name: str | None = None
+    result: Trajectory | Plan | Atlas,
+    name: str | None = None,
+    *,
+    ground: Terrain | Solids | None = None,
 ) -> Figure:
     """Draw a motion, a plan or a mobility map.
 
@@ -173,12 +176,12 @@ def plot(
     ----------
     result : Trajectory, Plan or Atlas
         What is drawn; of a plan, the simulated motion.
-    terrain : Terrain or Solids
-        The ground.
     name : str, optional
         Name of the figure, as of the files of ``slipfree run --figures-all`` and ``slipfree
         atlas``: ``"map"`` and ``"slip"`` of motions, ``"headings"`` and ``"friction"`` of mobility
         maps, and others. By default the first one.
+    ground : Terrain or Solids, optional
+        The ground of a result from a file; other results contain theirs.
 
     Returns
     -------
@@ -188,8 +191,13 @@ def plot(
     Raises
     ------
     ModelError
-        If the result has no figure of this name.
+        If the result has no figure of this name, or if not exactly one ground is known.
     """
+    if (result.ground is None) == (ground is None):
+        found = "two" if ground is not None else "none"
+        remedy = "remove 'ground'" if ground is not None else "give 'ground'"
+        raise ModelError(f"ground: expected that of the result, found {found}; {remedy}")
+    terrain: Any = result.ground if ground is None else ground
     if isinstance(result, Atlas):
         plots = atlas_plots(view_of(result, terrain))
     else:

@@ -86,7 +86,7 @@ def _compared(problem: Problem[Compare], name: str, vehicle: Vehicle, dae: Dae) 
     check_names(problem, dae, {**dict.fromkeys(known, 0.0), **rates})
     t, _ = input_samples(spec.time.duration, spec.time.step, {})
     same = dae.inputs(**{key: rates.get(key, 0.0) for key in known})
-    law = build_law(problem, spec.driver, dae, vehicle, start)
+    law = build_law(problem, spec.driver, dae, start)
     drives = [_drive(vehicle, dae, start, inputs, t, options) for inputs in (same, law)]
     return {
         "name": name,

@@ -248,11 +248,7 @@ class DirectVerb(DriveVerb):
                 inputs = dae.inputs(**rates)
         else:
             driven = f"driver {spec.driver.name}"
-            inputs = (
-                climbing_inputs
-                if is_climbing
-                else build_law(problem, spec.driver, dae, vehicle, start)
-            )
+            inputs = climbing_inputs if is_climbing else build_law(problem, spec.driver, dae, start)
             if spec.driver.period is not None:
                 driven += f", every {spec.driver.period:g} s"
                 t, every = sampled_times(problem, ("driver", "period"), spec.driver.period)

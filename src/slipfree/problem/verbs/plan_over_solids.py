@@ -102,7 +102,7 @@ def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
             tracked_plan([part[:2] for part in plan.parts]),
             **driver.control.model_dump(exclude_unset=True),
         )
-    dae = climbing(world.dae, world.vehicle, tracking)
+    dae = climbing(world.dae, tracking)
     start, (t, _) = build_start(problem, dae), input_samples(spec.time.duration, spec.time.step, {})
     inputs = dae.inputs(reference_speed=driver.speed)
     driven = f"plan over solids, tracked at {driver.speed:g} m/s before and after it"

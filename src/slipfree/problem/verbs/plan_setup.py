@@ -117,7 +117,7 @@ def long_plan(
     spec, guide = problem.spec, setup.guide
     arguments = plan_arguments(problem, setup.dae, setup.vehicle)
     del arguments["way_points"], arguments["cost_limits"]
-    law = partial(follow, setup.dae, setup.vehicle, speed=guide.speed)
+    law = partial(follow, setup.dae, speed=guide.speed)
     with at(problem, ("plan",)):
         return plan_windows(
             setup.dae,
@@ -186,7 +186,7 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
         arguments = plan_arguments(problem, dae, vehicle)
         task = task_of(dae, start, **arguments, duration=spec.duration or 1.0)
     begin = settled_start(driven, start, spec.solver.options) if is_dynamic else start
-    trip = trip_of(task, driven, begin, vehicle, terrain)
+    trip = trip_of(task, driven, begin)
     layers = build_layers(problem, terrain, vehicle, places)
     guide = _guide(problem, trip, layers, places)
     _check_windows(problem, vehicle, len(guide.paths))

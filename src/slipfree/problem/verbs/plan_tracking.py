@@ -48,7 +48,6 @@ from slipfree.system.parts import PartsWatch, study, until_interrupt
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import disturbed
 from slipfree.vehicle.sections import Section
-from slipfree.vehicle.tree import Vehicle
 
 CYCLES_PER_WINDOW = 20  # default number of periods in a window
 WINDOWS_PER_PLAN = 5  # duration of a plan divided by the default window
@@ -164,7 +163,7 @@ def follow_plan(
     options = _world_options(real)
     frame = horizon(plan, span=window)
     speed = path_length(plan.replay) / plan.motion.duration
-    world_of = lru_cache(1)(partial(_disturbed_world, real, plan, setup.vehicle, speed, disturb))
+    world_of = lru_cache(1)(partial(_disturbed_world, real, plan, speed, disturb))
 
     def follow(way: tuple[str, int]) -> Followed:
         name, seed = way
@@ -174,7 +173,7 @@ def follow_plan(
             if name in ("inputs", "replan"):
                 controller: Controller = Replanning(frame, updated=name == "replan")
             else:
-                driven = commanded(plan.program.task.dae, setup.vehicle, speed=speed)
+                driven = commanded(plan.program.task.dae, speed=speed)
                 controller = Following(plan.program.task.dae, plan.motion, speed)
                 if name == "sampling":
                     task = _sampling_task(driven, speed, window, compiled=options.compiled)
@@ -230,14 +229,13 @@ def _world_options(problem: Problem[Any]) -> SolverOptions:
 def _disturbed_world(
     problem: Problem[Any],
     plan: Plan,
-    vehicle: Vehicle,
     speed: float,
     sizes: Mapping[str, float],
     seed: int,
 ) -> tuple[TrackingWorld, GroundMap]:
     """Return the world of a changed problem with disturbances, and its ground.
 
-    ``vehicle`` and mean ``speed`` are those of the plan.
+    The mean ``speed`` is that of the plan.
     """
     built, rng = build_world(problem), np.random.default_rng(seed)
     dae = plan.program.task.dae
@@ -266,7 +264,8 @@ def _disturbed_world(
         values[SPEED] = initial_speed(plan.replay)
         start = settle(real, options=_world_options(problem), **values)
     try:
-        driven = commanded(real, vehicle, speed=speed)
+        # the robot computes its wheel rates with the vehicle of the plan, not with its real radii
+        driven = commanded(replace(real, vehicle=dae.vehicle), speed=speed)
     except ModelError:  # the controllers report it
         driven = None
     world = TrackingWorld(real, driven, start, sizes.get("latency", 0.0))
