@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from helpers.cases import DATA
 from helpers.commands import invoke, refused
 from helpers.urdf import adam_model
-from slipfree.catalog.rovers import rocky7
+from slipfree.catalog import rocky7
 from slipfree.core.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.mcap import DEFINITIONS, read_joint_commands, read_mcap

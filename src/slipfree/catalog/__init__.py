@@ -1,16 +1,17 @@
 """Functions that return the vehicles of the catalogue."""
 
-from slipfree.catalog.carts import (
+from slipfree.catalog.step_climber import seven_wheels, step_climber
+from slipfree.catalog.vehicles import (
     ackermann,
     articulated,
     differential_drive,
     mecanum,
+    open_source_rover,
     rigid_skid_steer,
+    rocky7,
     skid_steer,
+    three_wheeler,
 )
-from slipfree.catalog.rovers import open_source_rover, rocky7
-from slipfree.catalog.step_climber import seven_wheels, step_climber
-from slipfree.catalog.three_wheelers import three_wheeler
 from slipfree.core.errors import similar
 
 __all__ = [

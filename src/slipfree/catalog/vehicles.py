@@ -1,4 +1,4 @@
-"""Carts and cars of the catalogue.
+"""Vehicles of the catalogue: functions with the keywords of the rows in ``vehicles.toml``.
 
 The platform's axes are x right, y forward, z up. Masses are rounded values; with ``mass = 0`` and
 ``wheel_mass = 0`` only kinematics is available.
@@ -6,18 +6,99 @@ The platform's axes are x right, y forward, z up. Masses are rounded values; wit
 
 from __future__ import annotations
 
-from math import pi
-from typing import Annotated
+from dataclasses import replace
+from math import inf, pi
+from typing import Annotated, Literal
 
-from annotated_types import Unit
+from annotated_types import Gt, Unit
 
 from slipfree.catalog.layouts import described
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
-from slipfree.core.schema import Angle, Factor, Length, Mass, Position, Radius
+from slipfree.core.schema import Angle, Factor, JointConstant, Length, Mass, Position, Radius
 from slipfree.geometry.frame import Vector
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import ORIGIN
+
+Axle = Literal["tilting", "sliding", "prismatic_undriven", "prismatic", "actuated", "fixed"]
+MAX_TILT = 1.5  # a wheel with a larger tilt lies on its side [rad]
+
+
+@checked
+def three_wheeler(
+    *,
+    axle: Axle = "tilting",
+    half_track: Length = 1.0,
+    wheelbase: Length = 1.5,
+    r1: Radius = 0.05,
+    r2: Radius = 0.25,
+    tilt_stop: Angle = MAX_TILT,
+    slide_stop: Annotated[float, Gt(0), Unit("m")] = inf,
+    stiffness: JointConstant = 0.0,
+    damping: JointConstant = 0.0,
+    bump: JointConstant = 0.0,
+    mass: Mass = 30.0,
+    center_of_mass: tuple[float, float, float] = ORIGIN,
+    wheel_mass: Mass = 2.0,
+    grip: Factor = 1.0,
+) -> Vehicle:
+    """Return the three-wheeler of Chakraborty and Ghosal [1]_ with one of six rear axles.
+
+    It has two rear wheels and one free, steered front wheel. The platform's centre lies on the
+    centre line, a third of the wheelbase ahead of the rear axle, at the height of the wheel
+    centres. The defaults describe the vehicle of the paper, the other axles its alternatives.
+
+    Parameters
+    ----------
+    axle : str
+        ``"tilting"``: both rear wheels are driven and tilt freely about their forward axes;
+        ``"sliding"``: both driven, each half of the axle slides freely;
+        ``"prismatic"``: both driven, the right half slides freely;
+        ``"prismatic_undriven"``: the same with a free right wheel;
+        ``"actuated"``: both driven, the sliding rate of the right half is an input;
+        ``"fixed"``: both driven, a rigid axle.
+    half_track : float
+        Half the length of the rear axle, ``l_a``. [m]
+    wheelbase : float
+        Distance from the middle of the axle to the centre of the front wheel, ``l_s``. [m]
+    r1, r2 : float
+        Radius of the wheels' tube, zero for discs, and of the circle of tube centres. [m]
+    tilt_stop, slide_stop : float
+        Largest lateral tilt, and largest sliding of half an axle, to either side. [rad, m]
+    stiffness, damping, bump : float
+        Stiffness of a spring [N m/rad or N/m], constant of a damper [N m s/rad or N s/m], and
+        stiffness of the stops [N m/rad or N/m] (zero for rigid stops) in every free joint of the
+        axle. A tilting wheel is an inverted pendulum: only a spring with a stiffness above the
+        wheel load times ``r2`` keeps it upright. Where the rates cause a tilt, a stiffer spring
+        needs more friction.
+    mass, center_of_mass : float, tuple of 3 floats
+        Mass of the platform, and its centre of mass in the platform's frame; the paper gives
+        neither. [kg, m]
+    wheel_mass, grip : float
+        Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
+        each wheel [1].
+
+    Raises
+    ------
+    ModelError
+        If a number is out of range, if the axle is unknown, or if the axle has no free joint for a
+        given spring, damper or elastic stop.
+
+    References
+    ----------
+    .. [1] N. Chakraborty and A. Ghosal, "Kinematics of wheeled mobile robots on uneven terrain",
+           sections 3 and 4.
+    """
+    vehicle = described("three_wheeler", locals())
+    if any((stiffness, damping, bump)) and not vehicle.of("passive"):
+        raise ModelError(
+            "three_wheeler: expected an axle with a free joint for a spring, damper or elastic "
+            f"stop, found the {axle} axle; remove stiffness, damping and bump, or choose another "
+            "axle"
+        )
+    return (
+        vehicle if axle == "tilting" else replace(vehicle, name=f"{vehicle.name} with {axle} axle")
+    )
 
 
 @checked
@@ -271,3 +352,89 @@ def articulated(
         If ``half_track``, ``front`` or ``rear`` is not positive, or another number is out of range.
     """
     return described("articulated", locals())
+
+
+@checked
+def rocky7(
+    *,
+    steered: Literal["front", "corners"] = "front",
+    r1: Radius = 0.02,
+    mass: Mass = 10.0,
+    center_of_mass: Vector = (0.0, 0.12, 0.0),
+    wheel_mass: Mass = 0.5,
+    grip: Factor = 1.0,
+) -> Vehicle:
+    """Return the Rocky 7 rover of JPL [1]_, with the dimensions used by [2]_.
+
+    It has six driven wheels of 65 mm radius; the front pair is steered. The masses are rounded
+    from the 15 kg of the whole rover. The platform's centre of mass lies on the rockers' axis. Its
+    inertia is that of a homogeneous box of 0.26 x 0.40 x 0.16 m, as assumed by [3]_.
+
+    Parameters
+    ----------
+    steered : {"front", "corners"}
+        Steered wheels: the front pair, as built, or the front and rear pairs.
+    r1 : float
+        Radius of the wheels' tubes; zero for thin discs. [m]
+    mass, center_of_mass : float, tuple of 3 floats
+        Mass of the platform, and its centre of mass in the platform's frame. [kg, m]
+    wheel_mass, grip : float
+        Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
+        each wheel [1].
+
+    Raises
+    ------
+    ModelError
+        If ``steered`` is unknown or a number is out of range.
+
+    References
+    ----------
+    .. [1] R. Volpe et al., "Rocky 7: a next generation Mars rover prototype", Advanced Robotics
+           11(4), 1997.
+    .. [2] M. Tarokh and G. McDermott, "Kinematics modeling and analyses of articulated rovers",
+           IEEE Transactions on Robotics 21(4), 2005; as in the vehicle file of wmrde
+           (N. Seegmiller).
+    .. [3] N. Seegmiller, github.com/nealseegmiller/wmrde, ``MATLAB/demo/model/rocky.m`` (Lb, Wb,
+           Hb).
+    """
+    return described("rocky7", locals())
+
+
+@checked
+def open_source_rover(
+    *,
+    r1: Radius = 0.02,
+    mass: Mass = 7.0,
+    center_of_mass: Vector = ORIGIN,
+    wheel_mass: Mass = 0.8,
+    grip: Factor = 1.0,
+) -> Vehicle:
+    """Return the JPL Open Source Rover [1]_, with the front wheels on the bogies.
+
+    It has six driven wheels of 75 mm radius; the four at the corners are steered. Horizontal
+    positions of the wheels are those of its configuration file, pivots those of its simulation
+    model, both rounded to 5 mm where they differ. The platform's centre is above the middle axle,
+    at the height of the rockers' axis. Its inertia is estimated, since that of the simulation model
+    belongs to a box of 1 x 0.55 x 0.2 m, which is larger than the rover.
+
+    Parameters
+    ----------
+    r1 : float
+        Radius of the wheels' tubes. [m]
+    mass, center_of_mass : float, tuple of 3 floats
+        Mass of the platform, and its centre of mass in the platform's frame. [kg, m]
+    wheel_mass, grip : float
+        Mass of each wheel [kg], and factor that multiplies the ground's coefficient of friction at
+        each wheel [1].
+
+    Raises
+    ------
+    ModelError
+        If a number is out of range.
+
+    References
+    ----------
+    .. [1] NASA JPL, github.com/nasa-jpl/osr-rover-code, ``physical_properties.yaml`` (d1 to d4,
+           wheel_radius) and ``osr.urdf.xacro`` (heights and pivots). Apache-2.0.
+    """
+    return described("open_source_rover", locals())
