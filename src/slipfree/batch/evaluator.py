@@ -23,7 +23,7 @@ from slipfree.core.lookups import Cells
 from slipfree.core.records import Array, Indices, Mask
 from slipfree.system.codegen_cache import compiler, shared_library
 
-FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off", "-fno-math-errno")
+FLAGS = ("-O2", "-shared", "-fPIC", "-ffp-contract=fast", "-fno-math-errno")
 LANES = (("__AVX512F__", 8), ("__AVX__", 4))  # doubles in a register, by macro of the compiler
 PORTABLE_LANES = 2  # on other machines
 PROBE_TIMEOUT = 20.0  # [s]

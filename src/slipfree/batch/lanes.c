@@ -1,9 +1,9 @@
 /* Vectors of doubles, one lane per pose or motion, and the functions that CasADi's operations need.
  *
- * LANES is a number of doubles that fits a register of the machine. All operations are those of
- * IEEE 754 in every lane, so that results do not depend on LANES: no fused products
- * (-ffp-contract=off), no reciprocals by approximation, never -ffast-math, which removes the
- * rounding by a large constant in `reduced`.
+ * LANES is a number of doubles that fits a register of the machine. All operations are the same in
+ * every lane: those of IEEE 754, in which products may be fused with sums (-ffp-contract=fast). No
+ * reciprocals by approximation, never -ffast-math, which removes the rounding by a large constant
+ * in `turned_sine`.
  *
  * Sines, cosines and arc tangents are polynomials of the Cephes library (S. Moshier), within 2e-16
  * of the mathematical library: a loop over lanes that calls the library takes up to ten times as

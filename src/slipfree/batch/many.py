@@ -32,7 +32,9 @@ from slipfree.core.trajectory import WHEELS, Column, Trajectory
 if TYPE_CHECKING:
     import xarray
 
-CHUNK = 1024  # lanes computed together: their states stay in the processor's cache
+# lanes computed together: their states stay in the processor's cache, where rows of a power of two
+# would fall into the same places
+CHUNK = 1016
 LARGEST = 2**22  # numbers in the samples of lanes computed together
 STEP, RELAXING_STEP = 0.5, 0.05  # default length of a step [size of the vehicle]
 PLAIN_STEPS = 8  # steps of Newton's method without bound

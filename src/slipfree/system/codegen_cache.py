@@ -30,8 +30,7 @@ import platformdirs
 from slipfree.system.interrupt import ended_by_interrupt
 
 FOLDER = "SLIPFREE_CACHE"  # environment variable: path of the cache folder; empty for no cache
-# The functions are long lists of sums and products: more optimisation does not make them faster,
-# and without optimisation they take three times as long, like the interpreter.
+# Without optimisation the functions take three times as long, like the interpreter.
 FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off")
 NO_COMPILER = (
     "no C compiler was found (searched: the command in CC, cc, gcc, clang); install one, or set CC"
