@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from slipfree.core.errors import DataError, ModelError
-from slipfree.core.facts import Fact, Lines, TableColumn, table
+from slipfree.core.facts import Lines, TableColumn, table
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import SolverError, outcome_words
 from slipfree.files.netcdf import write
@@ -326,21 +326,23 @@ def _point(result: Result, bound: float, against: str) -> FrontPoint:
     run = result.trajectory
     if result.outcome is not Outcome.COMPLETE:
         return FrontPoint(bound, outcome=result.outcome, words=outcome_words(run))
-    spec, verb = result.problem.spec, verb_of(result.problem)
-    costs = {name: fact.value for name, fact in run.facts.items()}
-    duration, weight = float(run.t[-1] - run.t[0]), spec.costs.get(SLIP, np.nan)
-    squared = costs.get("plan_cost_slip", np.nan)
-    smooth = spec.plan.smooth * costs.get("plan_cost_smoothness", 0.0) / weight
-    second = duration if against == DURATION else costs[f"plan_cost_{against}"]
+    spec, facts = result.problem.spec, verb_of(result.problem).facts(run)
+
+    def value(name: str, default: float = 0.0) -> float:
+        return float(facts[name].value) if name in facts else default
+
+    weight, squared = spec.costs.get(SLIP, np.nan), value("plan_cost_slip", np.nan)
+    smooth = spec.plan.smooth * value("plan_cost_smoothness") / weight
+    second = value("duration" if against == DURATION else f"plan_cost_{against}")
     saved = from_arrays(result.arrays, str(result.problem.source.path))
-    slip = verb.facts(run).get("slip_per_path", Fact(np.nan)).value
+    plan = FrontPlan(result, saved, value("slip_per_path", np.nan), squared, value("duration"))
     return FrontPoint(
         second if np.isnan(bound) else bound,
         squared + smooth,
         second,
-        costs.get(f"plan_price_{against}", 0.0) / weight,
+        value(f"plan_price_{against}") / weight,
         result.outcome,
-        solution=FrontPlan(result, saved, slip, squared, duration),
+        solution=plan,
     )
 
 

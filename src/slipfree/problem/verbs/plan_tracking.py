@@ -14,7 +14,7 @@ import numpy as np
 from slipfree.control.path_following import commanded
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
-from slipfree.core.facts import TableColumn, table
+from slipfree.core.facts import Fact, TableColumn, table
 from slipfree.core.outcome import Outcome
 from slipfree.core.rearrange import substitute
 from slipfree.core.records import leaves
@@ -39,6 +39,7 @@ from slipfree.problem.inputs import ProblemParts, file_states, input_files
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import open_result, problem_of, result_of
 from slipfree.problem.verbs.base import VERB_ATTRIBUTE, Result, VerbSolution
+from slipfree.problem.verbs.drive_facts import drive_facts
 from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed
 from slipfree.problem.verbs.plan_search import find_plan, scaled_friction
 from slipfree.problem.verbs.plan_setup import build_planning
@@ -315,47 +316,34 @@ def tracking_rows(test: TrackingTest) -> list[dict[str, Any]]:
     Names, the number of seeds and of complete motions, median and largest distance of the end from
     the plan's [m], slip [m/s], path length [m], CPU time per cycle [s], and messages.
     """
-    slip, length = _rms_slip(test.plan), path_length(test.plan)
-    rows: list[dict[str, Any]] = [
-        {"name": "plan", "slip_rms": slip, "path_length": length, "words": ["on its own ground"]}
-    ]
+
+    def measured(run: Trajectory) -> dict[str, float]:
+        facts, unknown = drive_facts(run), Fact(np.nan)
+        return {name: facts.get(name, unknown).value for name in ("slip_rms", "path_length")}
+
+    rows = [{"name": "plan", **measured(test.plan), "words": ["on its own ground"]}]
     for name in dict.fromkeys(each.name for each in test.motions):
         attempts = [each for each in test.motions if each.name == name]
-        motions = [each for each in attempts if each.result is not None]
-        runs = [each.result.trajectory for each in attempts if each.result is not None]
+        motions = [(each, each.result.trajectory) for each in attempts if each.result is not None]
+        medians, totals = list[dict[str, float]](), list[dict[str, int]]()
+        for each, run in motions:
+            gap = float(np.hypot(*(run[axis][-1] - test.plan[axis][-1] for axis in "xy")))
+            medians.append({"end_distance": gap, "cycle_cpu": each.cpu, **measured(run)})
+            counts = {"cycles": each.cycles, "failed_cycles": each.failures}
+            totals.append({"complete": int(run.stop is None), **counts})
         row: dict[str, Any] = {"name": name, "seeds": len(attempts)}
         if motions:
-            ends = [
-                float(np.hypot(*(run[axis][-1] - test.plan[axis][-1] for axis in "xy")))
-                for run in runs
-            ]
-            row |= {
-                "complete": sum(run.stop is None for run in runs),
-                "end_distance": float(np.median(ends)),
-                "end_distance_max": max(ends),
-                "slip_rms": float(np.median([_rms_slip(run) for run in runs])),
-                "path_length": float(np.median([path_length(run) for run in runs])),
-                "cycles": sum(each.cycles for each in motions),
-                "failed_cycles": sum(each.failures for each in motions),
-                "cycle_cpu": float(np.median([each.cpu for each in motions])),
-            }
+            row |= {key: float(np.median([each[key] for each in medians])) for key in medians[0]}
+            row |= {key: sum(each[key] for each in totals) for key in totals[0]}
+            row["end_distance_max"] = max(each["end_distance"] for each in medians)
         stops = [
             f"seed {each.seed}: stopped at {run.t[-1]:.4g} s: {run.stop.words}"
-            for each in attempts
-            if each.result is not None and (run := each.result.trajectory).stop is not None
+            for each, run in motions
+            if run.stop is not None
         ]
         errors = dict.fromkeys(each.words for each in attempts if each.words)
         rows.append({**row, "words": [*stops, *errors]})
     return rows
-
-
-def _rms_slip(run: Trajectory) -> float:
-    """Return the root of the mean square slip of a wheel over time [m/s]."""
-    if run.t.size < 2:
-        return float("nan")
-    slip = np.hypot(run["slip_along"], run["slip_across"])
-    squares = np.trapezoid(slip**2, run.t, axis=0).mean() / (run.t[-1] - run.t[0])
-    return float(np.sqrt(squares))
 
 
 COLUMNS = (
