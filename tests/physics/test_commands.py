@@ -75,7 +75,7 @@ def poised(vehicle, terrain, command, **start):
     """Both models, the inputs, and the start with the steering that the command leads to."""
     direct, dae = models(vehicle, terrain)
     inputs = dae.inputs(**dict(zip(COMMANDS, command, strict=True)))
-    sought = [name for name in steering_effects(vehicle, direct) if name not in start]
+    sought = [name for name in steering_effects(direct) if name not in start]
     errors = [f"{name}_error" for name in sought]
     stand = settle(direct, **(START | start))
     return direct, dae, inputs, trim_states(dae, stand, inputs, states=sought, least=errors)
@@ -141,7 +141,7 @@ def test_on_hills_the_platform_follows_within_the_announced_error(name, command)
 
 def test_the_steering_turns_from_given_angles_and_errors_vanish():
     vehicle = VEHICLES["four_wheel_steered"]
-    straight = dict.fromkeys(steering_effects(vehicle, models(vehicle, FLAT)[0]), 0.0)
+    straight = dict.fromkeys(steering_effects(models(vehicle, FLAT)[0]), 0.0)
     _, dae, inputs, start = poised(vehicle, FLAT, (0.0, 0.0, 0.3), **straight)
     run = simulate(dae, start, inputs, np.linspace(0, 5, 51))
     error = np.abs(announced(run)) * np.array([[1.0], [1.0], [0.5]])
@@ -189,7 +189,7 @@ def test_rates_and_stops_of_the_steering_are_kept_and_do_not_end_the_motion():
 def test_a_wheel_points_backward_if_that_alone_is_within_its_stops():
     vehicle = four_wheel_steered(lower=-1.0, upper=2.0)
     direct, _, _, start = poised(vehicle, FLAT, (0.1, 0.3, 0.0))
-    angles = [start[name][0] for name in steering_effects(vehicle, direct)]
+    angles = [start[name][0] for name in steering_effects(direct)]
     assert_allclose(angles, np.pi - np.arctan2(0.3, 0.1), rtol=0, atol=1e-9)
     assert_allclose(start["wheel_rate"], -np.hypot(0.3, 0.1) / 0.15, rtol=0, atol=1e-9)
     assert_allclose(announced(start), 0, rtol=0, atol=1e-9)
@@ -202,7 +202,7 @@ def test_a_wheel_turns_back_where_its_target_passes_the_stop():
     inputs = dae.inputs(forward=0.2 * ca.cos(dae.t / 2), right=0.2 * ca.sin(dae.t / 2), yaw_rate=0)
     run = simulate(dae, start, inputs, t, options=SolverOptions(tolerance=1e-6))
     assert run.stop is None
-    for name in steering_effects(vehicle, direct):
+    for name in steering_effects(direct):
         assert run[name].min() < -1.7
         assert run[name][-1] > 0
         assert np.abs(run[name]).max() < 1.9
@@ -232,7 +232,7 @@ def test_a_path_with_a_heading_is_followed():
     direct, dae = models(vehicle, HILLS)
     path = 0.3 * np.sin(0.3 * t), 0.15 * t, 0.2 * np.sin(0.4 * t)
     dae, inputs = track_path(dae, t, *path)
-    sought = list(steering_effects(vehicle, direct))
+    sought = list(steering_effects(direct))
     stand, errors = settle(direct, x=0.1), [f"{each}_error" for each in sought]  # beside the path
     run = simulate(dae, trim_states(dae, stand, inputs, states=sought, least=errors), inputs, t)
     assert run.stop is None
@@ -434,7 +434,7 @@ def poised_exactly(vehicle, terrain, given, **start):
     """The direct and the inverse model, and the latter at the angles that the given rates want."""
     direct = direct_kinematics(vehicle, terrain)
     dae = inverse_kinematics(vehicle, terrain, given=tuple(given))
-    joints = list(steering_effects(vehicle, direct))
+    joints = list(steering_effects(direct))
     errors = [f"{name}_error" for name in joints]
     stand = settle(direct, **(start or {"x": 2.0, "y": 0.2, "heading": 0.1 - np.pi / 2}))
     return direct, dae, trim_states(dae, stand, dae.inputs(**given), states=joints, least=errors)
@@ -462,7 +462,7 @@ def test_every_vehicle_moves_over_hills_as_given(name):
         )
         for rate, value in given.items():
             assert_allclose(named_rates(again)[rate], value, rtol=0, atol=1e-12)
-    for joint in steering_effects(VEHICLES[name], direct):
+    for joint in steering_effects(direct):
         assert np.abs(run[f"{joint}_error"]).max() < 2e-3
     # of wheels that cannot be where they should
     assert slip(run).max() < (6e-3 if name == "rocky7" else 1.5e-3)
@@ -473,7 +473,7 @@ def test_on_the_rough_ground_of_wmrde_the_guide_is_improved_upon():
     rover = rocky7(steered="corners", **LIGHT)
     given = {"forward": 0.2, "yaw_rate": 0.2, "right": 0.0}
     direct, dae, stand = poised_exactly(rover, Bicubic(rover_ground()), given)
-    joints, slips = list(steering_effects(rover, direct)), ["slip_along", "slip_across"]
+    joints, slips = list(steering_effects(direct)), ["slip_along", "slip_across"]
     best = trim_states(dae, stand, dae.inputs(**given), states=joints, least=slips)
     for start, least, most in ((stand, 2e-2, 3e-2), (best, 0, 1.2e-2)):
         rates = {label.full: float(start[label.name][-1]) for label in leaves(direct.labels.u)}
@@ -489,7 +489,7 @@ def test_three_rates_are_one_too_many_for_two_sides():
     direct = direct_kinematics(vehicle, FLAT)
     stand = settle(direct)
     with pytest.raises(ModelError, match="'right' cannot be imposed: the wheels cannot move"):
-        check_authority(vehicle, direct, stand, ("forward", "right", "yaw_rate"))
+        check_authority(direct, stand, ("forward", "right", "yaw_rate"))
     with pytest.raises(ModelError, match="no equation determines multiplier_right"):
         settle(inverse_kinematics(vehicle, FLAT, given=("forward", "right", "yaw_rate")))
     with pytest.raises(ModelError, match="violation: platform rate 'right' cannot be imposed"):

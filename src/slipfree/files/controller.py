@@ -32,8 +32,8 @@ from slipfree.core.records import Array, Label, leaves
 from slipfree.core.trajectory import Frame, heading_column
 from slipfree.core.version import __version__
 from slipfree.models.base import extent
-from slipfree.models.given_rates import COMMANDS, ROBOT, derived_rates
-from slipfree.models.inverse import check_inverse, invert
+from slipfree.models.given_rates import COMMANDS, ROBOT, GivenRates, derived_rates
+from slipfree.models.inverse import invert
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.system.regular_files import replace_file
 from slipfree.terrain.base import Grid
@@ -216,12 +216,13 @@ def controller_code(
             "locked to a plane; give a vehicle on a map"
         )
     check_driven(vehicle)
-    check_inverse(vehicle, given, "angles", exact=exact)
+    rates = GivenRates(given, exact=exact)
+    rates.check(vehicle)
     size = extent(vehicle)
     x, y = (size * np.linspace(-half, half, n) for half, n in zip(MAP_HALF, MAP_NODES, strict=True))
     heights = MAP_HEIGHT * size * np.sin(1.3 * x[:, None] / size) * np.cos(y / size + 0.4)
     grid = Grid(x, y, heights)
-    level = _model(vehicle, Grid(x, y, 0 * heights), given, exact=exact)
+    level = _model(vehicle, Grid(x, y, 0 * heights), rates)
     fields = _fields(level, frame)
     name = _c_name(vehicle.name.lower())
     text = {
@@ -232,7 +233,7 @@ def controller_code(
         "met": MET[exact],
         **dict(zip("xy", AXES[frame], strict=True)),
         **_source_text(level, fields, name),
-        **_test_text(vehicle, (level, _model(vehicle, grid, given, exact=exact)), grid, fields),
+        **_test_text(vehicle, (level, _model(vehicle, grid, rates)), grid, fields),
     }
     folder = Path(__file__).parent
     return {
@@ -243,27 +244,28 @@ def controller_code(
     }
 
 
-def _model(vehicle: Vehicle, grid: Grid, given: Sequence[str], *, exact: bool) -> _Model:
+def _model(vehicle: Vehicle, grid: Grid, rates: GivenRates) -> _Model:
     direct: Dae = direct_kinematics(vehicle, Bicubic(grid, (0.0, 0.0)))
-    inverse = invert(vehicle, direct, given=given, exact=exact)
+    inverse = invert(direct, rates)
     (x, z, u), relaxing = inverse.columns(), direct.rest.numel()
     n = x.numel() - relaxing
     ends = np.cumsum([0, *(len(labels) for labels in inverse.labels.alg)]).tolist()
     pairs = list(pairwise(ends))[1:-1]  # neither the positions nor the forces
     blocks = [(rows, z[a:b]) for rows, (a, b) in zip(inverse.residuals[1:-1], pairs, strict=True)]
-    pose, answers = ca.vertcat(x[n:], z[: ends[1]]), list(_answers(vehicle, direct, inverse))
+    pose, answers = ca.vertcat(x[n:], z[: ends[1]]), list(_answers(direct, inverse))
     answer = ca.vertcat(*(expression for _, expression in answers))
     labels = [label for label, _ in answers]
     return _Model(direct, inverse, relaxing, x[:n], pose, u, blocks, answer, labels)
 
 
-def _answers(vehicle: Vehicle, direct: Dae, inverse: Dae) -> Iterator[tuple[Label, ca.SX]]:
+def _answers(direct: Dae, inverse: Dae) -> Iterator[tuple[Label, ca.SX]]:
     """Yield rates of wheels and joints, targets of steered joints, and velocities."""
     yield from zip(direct.labels.u.wheels, direct.u.wheels, strict=True)
     outputs = dict(zip((label.name for label in inverse.labels.y[1]), inverse.y[1], strict=True))
     joints = dict(
         zip((label.name for label in leaves(direct.labels.x)), leaves(direct.x), strict=True)
     )
+    vehicle = direct.vehicle
     for c, label in zip(vehicle.of("commanded"), direct.labels.u.joints, strict=True):
         yield label, outputs.get(label.name, ca.SX(0))
         if f"{c.name}_error" in outputs:

@@ -47,13 +47,13 @@ MOVES = {
 MIN_RELATIVE_AUTHORITY = 1e-9  # smaller values: the wheels do not affect the given rate
 
 
-def angle_slopes(vehicle: Vehicle, direct: Dae, rows: ca.SX) -> dict[str, ca.SX]:
+def angle_slopes(direct: Dae, rows: ca.SX) -> dict[str, ca.SX]:
     """Return the total derivatives of ``rows`` with respect to commanded coordinates, by name.
 
     The derivatives include the change of the pose with the coordinates. Each has the shape of
     ``rows``.
     """
-    names = [c.name for c in vehicle.of("commanded")]
+    names = [c.name for c in direct.vehicle.of("commanded")]
     angles = ca.vertcat(ca.SX(0, 1), *(direct.named(name)[0] for name in names))
     closure, position = direct.alg[0], pack(direct.z.position)
     follows = -ca.solve(ca.jacobian(closure, position), ca.jacobian(closure, angles))
@@ -87,11 +87,12 @@ class SlipColumns:
         return ca.horzcat(*columns.values()), tuple(columns)
 
 
-def slip_columns(vehicle: Vehicle, direct: Dae) -> SlipColumns:
+def slip_columns(direct: Dae) -> SlipColumns:
     """Return the scaled derivatives of the slip with respect to rates and steering angles.
 
     ``direct`` is the direct model of rolling without slip.
     """
+    vehicle = direct.vehicle
     rates, labels, law = direct.z.rates, direct.labels.z.rates, direct.alg[1]
     size, radius = extent(vehicle), min(wheel.radius for wheel in vehicle.wheels)
     platform = tuple(rates[:6])
@@ -105,10 +106,7 @@ def slip_columns(vehicle: Vehicle, direct: Dae) -> SlipColumns:
     speed = ca.sqrt(rates.x**2 + rates.y**2)
     return SlipColumns(
         dict(zip((*VELOCITY, *OMEGA, *EULER, *names), ca.horzsplit(columns), strict=True)),
-        {
-            name: slope * TYPICAL_ANGLE / speed
-            for name, slope in angle_slopes(vehicle, direct, law).items()
-        },
+        {name: slope * TYPICAL_ANGLE / speed for name, slope in angle_slopes(direct, law).items()},
     )
 
 
@@ -179,7 +177,6 @@ def _quoted_list(names: Sequence[str]) -> str:
 
 
 def rolling_determinacy(
-    vehicle: Vehicle,
     direct: Dae,
     model: Dae,
     given: Sequence[str],
@@ -191,7 +188,7 @@ def rolling_determinacy(
     ``direct`` is the direct model of rolling without slip, ``model`` the inverse one in its
     symbols; ``given``, ``solve_for`` and ``least`` are those of `inverse_kinematics`.
     """
-    slip = slip_columns(vehicle, direct)
+    slip = slip_columns(direct)
     matrix, unknown = slip.matrix(given, solve_for)
     columns = ca.horzcat(*(slip.rates[name] for name in given))
     x, z, _ = model.columns()
@@ -209,7 +206,7 @@ def rolling_determinacy(
     remedy = "Give other rates"
     if solve_for == "rates":
         remedy = "Solve for the steering angles, or give a path or other rates"
-    return Determinacy(least, tuple(given), unknown, _reasons(vehicle), remedy, function)
+    return Determinacy(least, tuple(given), unknown, _reasons(direct.vehicle), remedy, function)
 
 
 def _reasons(vehicle: Vehicle) -> dict[str, str]:
@@ -253,15 +250,14 @@ def command_sizes(vehicle: Vehicle, given: Sequence[str]) -> list[float]:
     return [extent(vehicle) if name == "yaw_rate" else 1.0 for name in given]
 
 
-def command_determinacy(
-    vehicle: Vehicle, direct: Dae, model: Dae, given: Sequence[str]
-) -> Determinacy:
+def command_determinacy(direct: Dae, model: Dae, given: Sequence[str]) -> Determinacy:
     """Return the check that the driven wheels can impose given commands.
 
     The matrix of the check is the derivative of the given rates with respect to the rates of the
     driven wheels in the direct model of least slip, both scaled to velocities; ``model``, in the
     symbols of that model, is the one to check.
     """
+    vehicle = direct.vehicle
     effects, wheels = input_effects(direct, model, given), direct.labels.u.wheels
     radii = [wheel.radius for wheel in vehicle.wheels if wheel.driven]
     at = [ca.MX.sym(name, effects.size1_in(k)) for k, name in enumerate("xz")]
@@ -288,7 +284,7 @@ def conditions(
     singular, have the names of the three given rates as key (``velocity_x`` to ``omega_z``).
     """
     direct = direct_kinematics(vehicle, terrain, slip=Rolling())
-    slip, count = slip_columns(vehicle, direct), run.t.size
+    slip, count = slip_columns(direct), run.t.size
     choices = list(combinations((*VELOCITY, *OMEGA), 3))
     matrices = [slip.matrix(given, solve_for)[0] for given in choices]
     function = direct.function("matrices", list(direct.columns()), matrices)
@@ -304,9 +300,9 @@ def conditions(
     return found
 
 
-def check_authority(vehicle: Vehicle, direct: Dae, stand: Trajectory, given: Sequence[str]) -> None:
+def check_authority(direct: Dae, stand: Trajectory, given: Sequence[str]) -> None:
     """Raise ModelError if the wheels cannot impose rates at the last sample of a motion."""
-    check = command_determinacy(vehicle, direct, direct, given)
+    check = command_determinacy(direct, direct, given)
     x, z = direct.rows("x", stand, -1), direct.rows("z", stand, -1)
     if check.margin(x[:, None], z[:, None])[0] < 0:
-        raise ModelError(f"{vehicle.name!r}: {check.describe(x, z)}")
+        raise ModelError(f"{direct.vehicle.name!r}: {check.describe(x, z)}")

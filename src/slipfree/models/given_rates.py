@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -23,12 +23,14 @@ from slipfree.core.errors import ModelError
 from slipfree.core.rearrange import ModelVariable, new_variable, variables
 from slipfree.core.records import Label, leaves, pack
 from slipfree.geometry.frame import Pose
-from slipfree.laws.least_slip import slip_unit
+from slipfree.laws.least_slip import LeastSlip, slip_unit
+from slipfree.laws.rolling import Rolling, rolling_counts
 from slipfree.vehicle.tree import Coordinate, Kind, Vehicle
 
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
 EULER = ("heading_rate", "roll_rate", "pitch_rate")
 OMEGA = ("omega_x", "omega_y", "omega_z")
+RATES = (*VELOCITY, *OMEGA, *EULER)  # of the platform in map axes
 PLANAR = ("velocity_x", "velocity_y", "heading_rate")
 COMMANDS = {
     "forward": Label("forward", "m s-1", "velocity of the platform's centre along its heading"),
@@ -36,6 +38,8 @@ COMMANDS = {
     "yaw_rate": Label("yaw_rate", "rad s-1", "rate of the heading, counter-clockwise"),
 }
 ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_y to the left
+SolveFor = Literal["rates", "angles"]
+LEAST_MARGIN = 1e-3  # smallest singular value at which the given rates determine the unknowns
 GAIN = 5.0  # decay rate of the error of a steering angle [1/s]
 MAX_STEERING_RATE = 1.0  # largest rate of a steered joint without max_rate [rad/s, m/s]
 STOP_CLEARANCE = 1e-4  # distance between a stop and the target of a steered coordinate [rad, m]
@@ -144,71 +148,127 @@ def minimum(
     return Minimum(variables, ca.gradient(goal + ca.dot(prices, constraints), column), labels)
 
 
-def check_rates(given: Sequence[str]) -> None:
-    """Raise ModelError unless the given rates are three different known rates of the platform.
+class GivenRates(NamedTuple):
+    """Given rates of the platform, and the unknowns of the inverse model.
 
-    Components of the angular velocity and Euler rates must not be mixed.
+    ``names`` are either commands, some of `COMMANDS`, or three of `RATES`; the other fields are
+    arguments of `slipfree.inverse_kinematics`.
     """
-    known = (*VELOCITY, *OMEGA, *EULER)
-    if isinstance(given, str) or len(given) != 3 or len(set(given)) != 3:
-        remedy = "give three rates"
-        if isinstance(given, str):
-            remedy = "give a list of names"
-        elif len(set(given)) != len(given):
-            remedy = "give each name once"
+
+    names: Sequence[str]
+    solve_for: SolveFor = "angles"
+    exact: bool = True
+    least_margin: float = LEAST_MARGIN
+
+    @property
+    def are_commands(self) -> bool:
+        """Whether the rates are commands of the platform."""
+        return not self.names or bool(set(self.names) & set(COMMANDS))
+
+    @property
+    def slip(self) -> LeastSlip | Rolling:
+        """Slip law of the direct model: least slip for commands, rolling for three rates."""
+        return LeastSlip() if self.are_commands else Rolling()
+
+    def check(self, vehicle: Vehicle) -> None:
+        """Raise ModelError if a vehicle has no inverse model for the rates."""
+        if self.are_commands:
+            _check_commands(self, vehicle)
+        else:
+            _check_rates(self, vehicle)
+
+
+def _check_rates(given: GivenRates, vehicle: Vehicle) -> None:
+    """Raise ModelError unless three different rates are given to a vehicle that rolls."""
+    names, commands = given.names, ", ".join(COMMANDS)
+    if len(names) != 3 or len(set(names)) != 3:
+        is_repeated = len(set(names)) != len(names)
+        remedy = "give each name once" if is_repeated else "give three rates"
         raise ModelError(
-            f"given: expected a list of three different names from {', '.join(known)}, or of one "
-            f"or more names from {', '.join(COMMANDS)}, found {given!r}; {remedy}"
+            f"given: expected a list of three different names from {', '.join(RATES)}, or of one "
+            f"or more names from {commands}, found {names!r}; {remedy}"
         )
-    for name in given:
-        if name not in known:
-            raise ModelError(
-                f"given: expected three of {', '.join(known)}, found {name!r}; correct the name"
-            )
-    if set(given) & set(OMEGA) and set(given) & set(EULER):
+    if unknown := [name for name in names if name not in RATES]:
+        raise ModelError(
+            f"given: expected three of {', '.join(RATES)}, found {unknown[0]!r}; correct the name"
+        )
+    if set(names) & set(OMEGA) and set(names) & set(EULER):
         raise ModelError(
             f"given: expected components of the angular velocity ({', '.join(OMEGA)}) or Euler "
-            f"rates ({', '.join(EULER)}), not both, found {', '.join(given)}; replace those of one "
+            f"rates ({', '.join(EULER)}), not both, found {', '.join(names)}; replace those of one "
             "kind by the other kind"
+        )
+    count, need = rolling_counts(vehicle)
+    if count != need:
+        raise ModelError(
+            f"{vehicle.name!r} cannot roll without slip, as inverse kinematics with the rates "
+            f"{', '.join(names)} requires: expected {need} passive joints and free wheels, one "
+            f"per rolling condition, found {count}; give one or more of {commands} instead"
+        )
+    if len(inputs := _inputs(vehicle)) != 3:
+        raise ModelError(
+            f"{vehicle.name!r}: expected three inputs (driven wheels and commanded coordinates) "
+            f"for three given rates of the platform, found {len(inputs)}: {', '.join(inputs)}; "
+            f"give one or more of {commands} instead"
+        )
+    if given.solve_for == "angles" and not vehicle.of("commanded"):
+        raise ModelError(
+            "solve_for: expected a vehicle with a commanded coordinate for 'angles', found none "
+            f"in {vehicle.name!r}; use 'rates'"
         )
 
 
-def check_commands(vehicle: Vehicle, given: tuple[str, ...], *, exact: bool = True) -> None:
+def _check_commands(given: GivenRates, vehicle: Vehicle) -> None:
     """Raise ModelError if a vehicle cannot follow the given commands.
 
-    Commands must be known, different and, if ``exact``, no more than the driven wheels. ``right``
-    must be among them if all driven wheels have rollers.
+    Commands must be known, different and, if exact, no more than the driven wheels. ``right`` must
+    be among them if all driven wheels have rollers.
     """
-    for name in given:
-        if name not in COMMANDS:
-            raise ModelError(
-                f"given: expected only names from {', '.join(COMMANDS)}, found {name!r}; correct "
-                "or remove the name"
-            )
-    if not given or len(set(given)) != len(given):
+    names, exact, found = given.names, given.exact, ", ".join(given.names)
+    if unknown := [name for name in names if name not in COMMANDS]:
         raise ModelError(
-            f"given: expected one or more different rates, found {', '.join(given) or 'none'}; "
+            f"given: expected only names from {', '.join(COMMANDS)}, found {unknown[0]!r}; correct "
+            "or remove the name"
+        )
+    if not names or len(set(names)) != len(names):
+        raise ModelError(
+            f"given: expected one or more different rates, found {found or 'none'}; "
             f"give one or more of {', '.join(COMMANDS)}, each once"
         )
     driven = [wheel for wheel in vehicle.wheels if wheel.driven]
-    if not driven and (exact or "right" not in given):
+    if not driven and (exact or "right" not in names):
         raise ModelError(
             f"{vehicle.name!r}: expected at least one driven wheel to impose the given rates, "
             "found none; set 'driven' of its wheels"
         )
-    if "right" not in given and all(wheel.rollers for wheel in driven):
+    if "right" not in names and all(wheel.rollers for wheel in driven):
         raise ModelError(
             f"{vehicle.name!r}: expected the given rate 'right', since all driven wheels have "
-            f"rollers and the vehicle can move sideways, found only {', '.join(given)}; add "
+            f"rollers and the vehicle can move sideways, found only {found}; add "
             "'right' with the value 0 to drive straight"
         )
-    if exact and len(given) > len(driven):
+    if exact and len(names) > len(driven):
         raise ModelError(
             f"{vehicle.name!r}: expected no more given rates than driven wheels ({len(driven)}), "
-            f"found {len(given)}: {', '.join(given)}; remove "
-            f"'{'right' if 'right' in given else given[-1]}', or set exact = false for the nearest "
+            f"found {len(names)}: {found}; remove "
+            f"'{'right' if 'right' in names else names[-1]}', or set exact = false for the nearest "
             "motion"
         )
+    if given.solve_for != "angles":
+        raise ModelError(
+            f"solve_for: expected 'angles' with the commands {found}, found 'rates'; use 'angles'"
+        )
+
+
+def is_determined(vehicle: Vehicle) -> bool:
+    """Return whether a vehicle can roll without slip and has three inputs."""
+    count, need = rolling_counts(vehicle)
+    return count == need and len(_inputs(vehicle)) == 3
+
+
+def _inputs(vehicle: Vehicle) -> list[str]:
+    driven = [wheel.name for wheel in vehicle.wheels if wheel.driven]
+    return driven + [c.name for c in vehicle.of("commanded")]
 
 
 class GuidingMotion(NamedTuple):
@@ -221,15 +281,14 @@ class GuidingMotion(NamedTuple):
     motion: tuple[ModelVariable, ...]
 
 
-def steering_effects(
-    vehicle: Vehicle, direct: Dae, kind: Kind = "commanded"
-) -> dict[str, dict[int, ca.SX]]:
+def steering_effects(direct: Dae, kind: Kind = "commanded") -> dict[str, dict[int, ca.SX]]:
     """Return the effects of coordinates of a kind on the directions of wheels.
 
     The result maps names of coordinates to effects by wheel number, the derivatives of the wheel's
     direction: its angle about the platform's up axis, positive to the left. Coordinates without
     effect are omitted. [rad/rad, rad/m]
     """
+    vehicle = direct.vehicle
     values = {c.name: direct.named(c.name)[0] for c in vehicle.coordinates}
     poses = vehicle.carriers(Pose(ca.SX.eye(3), ca.SX.zeros(3)), values)
     angles = ca.vertcat(*(ca.atan2(pose.rotation[1, 0], pose.rotation[0, 0]) for pose in poses))
@@ -243,18 +302,13 @@ def steering_effects(
     return effects
 
 
-def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[ModelVariable]) -> GuidingMotion:
+def guiding_motion(direct: Dae, inputs: Sequence[ModelVariable]) -> GuidingMotion:
     """Return the guiding motion: least sideways slip of unsteered wheels under given rates.
 
     Wheels on rollers do not count. ``inputs`` are the given rates.
     """
     kinds: tuple[Kind, ...] = ("commanded", "passive")
-    turned = {
-        k
-        for kind in kinds
-        for each in steering_effects(vehicle, direct, kind).values()
-        for k in each
-    }
+    turned = {k for kind in kinds for each in steering_effects(direct, kind).values() for k in each}
     names, plane = direct.labels.z.rates, derived_rates(direct)
     given = [each.label.name for each in inputs]
     motion = tuple(
@@ -267,7 +321,7 @@ def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[ModelVariable
         for name in given
     ]
     # at its proper rate, a wheel on rollers meets every motion: its slip at rest does not count
-    turned |= {k for k, wheel in enumerate(vehicle.wheels) if wheel.rollers}
+    turned |= {k for k, wheel in enumerate(direct.vehicle.wheels) if wheel.rollers}
     across = [slip for k, slip in enumerate(direct.y.slip_across) if k not in turned]
     sizes = {"yaw_rate": direct.size}
     loose = [
@@ -301,9 +355,7 @@ def guided(
     return list(ca.substitute(moving, [ca.vertcat(*_pose_rates(rates))], [symbols]))
 
 
-def steering_errors(
-    vehicle: Vehicle, direct: Dae, motion: Sequence[ModelVariable]
-) -> dict[str, ca.SX]:
+def steering_errors(direct: Dae, motion: Sequence[ModelVariable]) -> dict[str, ca.SX]:
     """Return the errors of steered coordinates, target minus actual value, by name [rad, m].
 
     Small errors are Gauss-Newton steps that minimise the velocity ``across`` the wheels. The
@@ -311,10 +363,10 @@ def steering_errors(
     interval of half a turn, shifted by `BRANCH_SHIFT` from zero: all wheels then turn in the same
     direction if the required motion is perpendicular to them.
     """
-    errors = {}
+    errors, vehicle = {}, direct.vehicle
     values = {c.name: direct.named(c.name)[0] for c in vehicle.coordinates}
     coordinates = {c.name: c for c in vehicle.coordinates}
-    for name, effects in steering_effects(vehicle, direct).items():
+    for name, effects in steering_effects(direct).items():
         effects = {k: e for k, e in effects.items() if not vehicle.wheels[k].rollers}
         if not effects:
             continue

@@ -39,14 +39,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
 
 import casadi as ca
 import numpy as np
 
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
-from slipfree.core.errors import ModelError
 from slipfree.core.rearrange import (
     ModelVariable,
     blocks,
@@ -58,8 +56,7 @@ from slipfree.core.rearrange import (
 from slipfree.core.records import Label, leaves, pack
 from slipfree.core.schema import NonNegative
 from slipfree.core.trajectory import Column, Trajectory
-from slipfree.laws.least_slip import LeastSlip, slip_unit
-from slipfree.laws.rolling import Rolling, rolling_counts
+from slipfree.laws.least_slip import slip_unit
 from slipfree.models.determinacy import (
     angle_slopes,
     command_determinacy,
@@ -68,10 +65,11 @@ from slipfree.models.determinacy import (
 )
 from slipfree.models.given_rates import (
     COMMANDS,
+    LEAST_MARGIN,
     OMEGA,
+    GivenRates,
     Imposed,
-    check_commands,
-    check_rates,
+    SolveFor,
     derived_rates,
     guided,
     guiding_motion,
@@ -84,8 +82,6 @@ from slipfree.models.kinematics import direct_kinematics
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
-SolveFor = Literal["rates", "angles"]
-LEAST_MARGIN = 1e-3  # smallest singular value at which the given rates determine the unknowns
 MIN_STEERABLE_SPEED = 1e-6  # speed below which a steering angle has no effect [size/s]
 ERROR_WEIGHT = 10.0  # weight of the errors of given rates relative to slip along the wheels [1]
 
@@ -166,98 +162,33 @@ def inverse_kinematics(
     >>> run["wheel_rate"][-1].round(3)
     array([1.498, 1.164, 2.025])
     """
-    check_inverse(vehicle, given, solve_for, exact=exact)
-    direct = direct_kinematics(vehicle, terrain, slip=slip_law(given))
-    return invert(
-        vehicle, direct, given=given, solve_for=solve_for, exact=exact, least_margin=least_margin
-    )
+    rates = GivenRates(given, solve_for, exact, least_margin)
+    rates.check(vehicle)
+    return invert(direct_kinematics(vehicle, terrain, slip=rates.slip), rates)
 
 
-def slip_law(given: Sequence[str]) -> LeastSlip | Rolling:
-    """Return `LeastSlip` for commands of the platform, and `Rolling` for three given rates."""
-    return LeastSlip() if _are_commands(given) else Rolling()
+def invert(direct: Dae, given: GivenRates) -> Dae:
+    """Return the inverse of a direct model with the slip law of the given rates, in its symbols.
 
-
-def _are_commands(given: Sequence[str]) -> bool:
-    return not given or bool(set(given) & set(COMMANDS))
-
-
-def check_inverse(
-    vehicle: Vehicle, given: Sequence[str], solve_for: str, *, exact: bool = True
-) -> None:
-    """Raise ModelError if inverse kinematics is impossible with these arguments."""
-    if _are_commands(given):
-        check_commands(vehicle, tuple(given), exact=exact)
-        if solve_for != "angles":
-            raise ModelError(
-                f"solve_for: expected 'angles' with the commands {', '.join(given)}, found "
-                "'rates'; use 'angles'"
-            )
-        return
-    check_rates(given)
-    count, need = rolling_counts(vehicle)
-    if count != need:
-        raise ModelError(
-            f"{vehicle.name!r} cannot roll without slip, as inverse kinematics with the rates "
-            f"{', '.join(given)} requires: expected {need} passive joints and free wheels, one "
-            f"per rolling condition, found {count}; give one or more of {', '.join(COMMANDS)} "
-            "instead"
-        )
-    if len(inputs := _inputs(vehicle)) != 3:
-        raise ModelError(
-            f"{vehicle.name!r}: expected three inputs (driven wheels and commanded coordinates) "
-            f"for three given rates of the platform, found {len(inputs)}: {', '.join(inputs)}; "
-            f"give one or more of {', '.join(COMMANDS)} instead"
-        )
-    if solve_for == "angles" and not vehicle.of("commanded"):
-        raise ModelError(
-            "solve_for: expected a vehicle with a commanded coordinate for 'angles', found none "
-            f"in {vehicle.name!r}; use 'rates'"
-        )
-
-
-def is_determined(vehicle: Vehicle) -> bool:
-    """Return whether a vehicle can roll without slip and has three inputs."""
-    count, need = rolling_counts(vehicle)
-    return count == need and len(_inputs(vehicle)) == 3
-
-
-def _inputs(vehicle: Vehicle) -> list[str]:
-    driven = [wheel.name for wheel in vehicle.wheels if wheel.driven]
-    return driven + [c.name for c in vehicle.of("commanded")]
-
-
-def invert(
-    vehicle: Vehicle,
-    direct: Dae,
-    *,
-    given: Sequence[str],
-    solve_for: SolveFor = "angles",
-    exact: bool = True,
-    least_margin: float = LEAST_MARGIN,
-) -> Dae:
-    """Return the inverse of a direct model with the `slip_law` of the given rates, in its symbols.
-
-    Arguments are those of `inverse_kinematics`, after `check_inverse`.
+    The rates must be checked before (`GivenRates.check`).
     """
-    if _are_commands(given):
-        return _commanded(vehicle, direct, tuple(given), exact=exact)
-    build = _solved_for_angles if solve_for == "angles" else _solved_for_rates
-    dae = build(vehicle, direct, given)
-    derived = derived_rates(direct)
-    rest = [derived[name] for name in OMEGA if name not in given]
-    check = rolling_determinacy(vehicle, direct, dae, given, solve_for, least_margin)
+    if given.are_commands:
+        return _commanded(direct, tuple(given.names), exact=given.exact)
+    build = _solved_for_angles if given.solve_for == "angles" else _solved_for_rates
+    dae, derived = build(direct, given.names), derived_rates(direct)
+    rest = [derived[name] for name in OMEGA if name not in given.names]
+    check = rolling_determinacy(direct, dae, *given[:2], given.least_margin)
     return with_outputs(replace(dae, checks=(*dae.checks, check)), rest)
 
 
-def _solved_for_rates(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> Dae:
+def _solved_for_rates(direct: Dae, given: Sequence[str]) -> Dae:
     """Return the inverse model for three given rates, with steering rates as unknowns."""
     (x, z, u), imposed = variables(direct), impose(direct, given)
     rates = (*imposed.rates, *leaves(u))
     closure, _, forces = blocks(direct)
     equations = closure, (imposed.rows, imposed.labels), forces
     dae = rearrange(direct, x, (z.position, rates, z.forces), imposed.inputs, equations)
-    slopes = angle_slopes(vehicle, direct, imposed.rows)
+    slopes = angle_slopes(direct, imposed.rows)
     if not slopes:
         return dae
     unknowns = pack(tuple(each.symbol for each in rates))
@@ -270,7 +201,7 @@ def _solved_for_rates(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> Da
     )
 
 
-def _solved_for_angles(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> Dae:
+def _solved_for_angles(direct: Dae, given: Sequence[str]) -> Dae:
     """Return the inverse model for three given rates, with steering angles as unknowns.
 
     The model neglects the slip that the steering rates cause.
@@ -278,7 +209,7 @@ def _solved_for_angles(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> D
     joints = direct.u.joints
     still = substitute(direct, joints, [ca.SX(0)] * len(joints))
     (x, z, u), imposed = variables(still), impose(still, given)
-    turned = {c.name for c in vehicle.of("commanded")}
+    turned = {c.name for c in direct.vehicle.of("commanded")}
     angles = tuple(each for each in x.joints if each.label.full in turned)
     x = x._replace(joints=tuple(each for each in x.joints if each.label.full not in turned))
     motion = z.position, angles, (*imposed.rates, *u.wheels)
@@ -296,12 +227,13 @@ def _solved_for_angles(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> D
     return with_outputs(dae, [(Label("steering_lever", "m", words), lever)])
 
 
-def _commanded(vehicle: Vehicle, direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
+def _commanded(direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
     """Return the inverse model of any vehicle for commands of its platform."""
+    vehicle = direct.vehicle
     (x, z, u), imposed = variables(direct), impose(direct, given)
     inputs, plane = imposed.inputs, derived_rates(direct)
-    guide = guiding_motion(vehicle, direct, inputs)
-    errors = steering_errors(vehicle, direct, guide.motion)
+    guide = guiding_motion(direct, inputs)
+    errors = steering_errors(direct, guide.motion)
     off = [each.symbol - plane[each.label.name].expression for each in inputs]
     met = given if exact else _always_met(vehicle, given, errors)
     goal, rows = (
@@ -329,7 +261,7 @@ def _commanded(vehicle: Vehicle, direct: Dae, given: tuple[str, ...], *, exact: 
     dae = substitute(dae, direct.u.joints, steering_laws(vehicle, errors))
     if not met:  # rates jump where a wheel reverses, and the integrator's error test would fail
         return replace(dae, suppress_algebraic=True)
-    check = command_determinacy(vehicle, direct, dae, met)
+    check = command_determinacy(direct, dae, met)
     return replace(dae, checks=(*dae.checks, check))
 
 

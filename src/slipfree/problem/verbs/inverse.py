@@ -24,23 +24,17 @@ from slipfree.files.toml.types import unit_faults
 from slipfree.models.determinacy import check_authority
 from slipfree.models.given_rates import (
     COMMANDS,
-    EULER,
-    OMEGA,
+    LEAST_MARGIN,
     PLANAR,
+    RATES,
     ROBOT,
     STOP_CLEARANCE,
     VELOCITY,
+    GivenRates,
+    is_determined,
     steering_effects,
 )
-from slipfree.models.inverse import (
-    LEAST_MARGIN,
-    check_inverse,
-    invert,
-    is_determined,
-    slip_law,
-    steering_note,
-    steering_slip,
-)
+from slipfree.models.inverse import invert, steering_note, steering_slip
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.problem.build import (
     Setup,
@@ -95,7 +89,6 @@ error {sought_error:.1e} rad
 !replay by the direct model: differs by at most <replay_*> {name} {fact:.1e}
 !replay stopped early: {stopped_replay}"""
 )
-KNOWN = (*VELOCITY, *OMEGA, *EULER)
 COLUMNS = ("t", "x", "y", "heading")
 MIN_SAMPLES = 4  # smallest number of samples between jumps of the given rates, for a replay
 GUESS_SPEED = 0.1  # speed of the initial guess if the velocity is not given [m/s]
@@ -177,19 +170,19 @@ class InverseVerb(DriveVerb):
         description = "; ".join([description, *notes])
         place = ("given",) if points is None else ("path",)
         is_rolling_path = points is not None and not are_commands(given)
-        options: dict[str, Any] = {
-            "given": tuple(given),
-            "solve_for": "rates" if is_rolling_path or spec.steering == "rate" else "angles",
-            "exact": len(given) < len(COMMANDS) if spec.exact is None else spec.exact,
-        }
+        rates = GivenRates(
+            tuple(given),
+            "rates" if is_rolling_path or spec.steering == "rate" else "angles",
+            len(given) < len(COMMANDS) if spec.exact is None else spec.exact,
+            0.0 if is_rolling_path and spec.steering == "angle" else LEAST_MARGIN,
+        )
         with at(problem, place):
-            check_inverse(vehicle, **options)
+            rates.check(vehicle)
         ground = build_ground(problem)
         with at(problem, ("vehicle",)):
             terrain = build_terrain(problem, ground)
-            direct = direct_kinematics(vehicle, terrain, slip=slip_law(options["given"]))
-        least_margin = 0.0 if is_rolling_path and spec.steering == "angle" else LEAST_MARGIN
-        dae = invert(vehicle, direct, **options, least_margin=least_margin)
+            direct = direct_kinematics(vehicle, terrain, slip=rates.slip)
+        dae = invert(direct, rates)
         check_names(problem, direct, None)
         _check_units(problem)
         stand = build_start(problem, direct)
@@ -201,7 +194,7 @@ class InverseVerb(DriveVerb):
                 dae, inputs = track_path(dae, *points)
                 first = inputs
             setup = Setup(ground, terrain, vehicle, direct, dae, stand, inputs, t, description)
-            return replace(setup, start=_start(spec, setup, first, exact=options["exact"]))
+            return replace(setup, start=_start(spec, setup, first, exact=rates.exact))
 
     def drive(
         self, problem: Problem[Inverse], setup: Setup, watch: Watch, resume: SavedPlan | None
@@ -267,7 +260,7 @@ def _given_rates(
 
 
 def _check_units(problem: Problem[Inverse]) -> None:
-    units = dict.fromkeys(VELOCITY, "m s-1") | dict.fromkeys((*OMEGA, *EULER), "rad s-1")
+    units = {name: "m s-1" if name in VELOCITY else "rad s-1" for name in RATES}
     units |= {name: label.unit for name, label in COMMANDS.items()}
     units |= {name: units[ours] for name, ours in ROBOT.items()}
     if faults := [*unit_faults(("given",), problem.spec.given or {}, units)]:
@@ -276,8 +269,8 @@ def _check_units(problem: Problem[Inverse]) -> None:
 
 def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
     """Yield an error for each unknown name, and for a wrong kind of the given rates."""
-    yield from name_errors(("given",), given, list(dict.fromkeys((*KNOWN, *COMMANDS, *ROBOT))))
-    if ours := [name for name in given if name in {*COMMANDS, *ROBOT} - {*KNOWN}]:
+    yield from name_errors(("given",), given, list(dict.fromkeys((*RATES, *COMMANDS, *ROBOT))))
+    if ours := [name for name in given if name in {*COMMANDS, *ROBOT} - {*RATES}]:
         expected = (
             f"either rates in the platform's heading frame ({', '.join(COMMANDS)}; with frame = "
             f"'rep103' also {', '.join(ROBOT)}) or other rates, not both"
@@ -372,13 +365,13 @@ def _start(spec: Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajector
             ahead = _forward_inputs(direct, vehicle, stand, spec.given)
             stand = apply_inputs(direct, stand, ahead, options=options)
         return apply_inputs(dae, stand, first, options=options)
-    unknown = [name for name in steering_effects(vehicle, direct) if name not in spec.start]
+    unknown = [name for name in steering_effects(direct) if name not in spec.start]
     try:
         errors = [f"{name}_error" for name in unknown]
         return trim_states(dae, stand, first, states=unknown, least=errors, options=options)
     except ModelError:
         if exact:
-            check_authority(vehicle, direct, stand, _input_names(dae))
+            check_authority(direct, stand, _input_names(dae))
         raise
 
 
