@@ -8,12 +8,14 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.contact.certify import second_contacts
 from slipfree.contact.clearance import BodyClearance, body_clearance
 from slipfree.contact.closure import ContactFrame, wheel_coordinates
-from slipfree.core.dae import Labels
+from slipfree.core.dae import Dae, Labels
 from slipfree.core.lookups import LookupTable
-from slipfree.core.records import Array, leaves, pack
+from slipfree.core.records import Array, leaves, pack, symbols
 from slipfree.geometry.frame import Pose, platform, quaternion
+from slipfree.laws.protocols import Equations
 from slipfree.models.records import (
     Configuration,
     Dependent,
@@ -102,6 +104,41 @@ def body_checks(q: Quantities, x: Any, z: Any) -> tuple[BodyClearance, ...]:
     return body_clearance(
         q.vehicle, parts, q.terrain, q.lookups, (pack(x), pack(z)), extent(q.vehicle)
     )
+
+
+def contact_checks(q: Quantities, x: Any, z: Any, poses: Sequence[Pose]) -> tuple[Any, ...]:
+    """Return the checks of second contacts of wheels at poses, and of the clearance of bodies."""
+    return *second_contacts(q, x, z, poses, extent(q.vehicle)), *body_checks(q, x, z)
+
+
+def vehicle_dae(
+    q: Quantities,
+    labels: Labels,
+    x: Any,
+    z: Any,
+    equations: Sequence[Equations],
+    forces: ForceOutputs | tuple[()],
+    **others: Any,
+) -> Dae:
+    """Return the DAE of a model from its quantities.
+
+    ``equations`` determine the fields of ``z``, ``forces`` are the powers of the quadratures, and
+    ``others`` the remaining fields of `Dae`.
+    """
+    scale, shift = sizes(q.vehicle, q.terrain, labels)
+    powers = () if not forces else (forces.power, forces.dissipation)
+    usual: dict[str, Any] = {
+        "labels": labels._replace(alg=tuple(each.labels for each in equations)),
+        "alg": tuple(each.rows for each in equations),
+        "quad": ca.vertcat(*q.spins, *powers[: len(labels.q.work + labels.q.lost)]),
+        "scale": scale,
+        "shift": shift,
+        "size": extent(q.vehicle),
+        "lookups": q.lookups.lookups,
+        "vehicle": q.vehicle,
+        "ground": q.terrain,
+    }
+    return Dae(ca.SX.sym("t"), x, z, symbols(labels.q), q.u, **(usual | others))
 
 
 def level_heights(

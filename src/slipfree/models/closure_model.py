@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import casadi as ca
 
-from slipfree.contact.certify import second_contacts
 from slipfree.contact.closure import closure, contact_frame
 from slipfree.core.dae import Continuation, Dae, Holding, Labels, Limit
 from slipfree.core.lookups import LookupTable
@@ -19,15 +18,14 @@ from slipfree.laws.protocols import Equations
 from slipfree.models.base import (
     Quantities,
     at_rest,
-    body_checks,
     carriers,
-    extent,
+    contact_checks,
     joint_rates,
     level_heights,
     outputs,
-    sizes,
     slip_ratios,
     spins,
+    vehicle_dae,
 )
 from slipfree.models.friction_feasibility import (
     force_outputs,
@@ -87,36 +85,28 @@ def closure_dae(
     ``labels`` lack those of the law's equations; ``law`` and ``forces`` are the equations of the
     rates, and of the forces that follow from them. Other arguments are those of `Dae`.
     """
-    vehicle, terrain = q.vehicle, q.terrain
-    (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
-    sampled = force_outputs(q, labels.y.forces)
+    rates, sampled = q.rates, force_outputs(q, labels.y.forces)
     y = outputs(q, sampled)
-    return Dae(
-        ca.SX.sym("t"),
+    return vehicle_dae(
+        q,
+        labels,
         q.x,
         z,
-        symbols(labels.q),
-        q.u,
-        ode=ca.vertcat(q.rates.x, q.rates.y, q.rates.heading, *joint_rates(vehicle, q.rates, q.u)),
-        alg=(_closures(q), law.rows, forces),
-        quad=ca.vertcat(*q.spins, *((sampled.power,) if sampled else ())),
+        (Equations(labels.alg[0], _closures(q)), law, Equations(labels.alg[2], forces)),
+        sampled,
+        ode=ca.vertcat(
+            q.rates.x, q.rates.y, q.rates.heading, *joint_rates(q.vehicle, q.rates, q.u)
+        ),
         y=y._replace(slip_ratio=slip_ratios(q)) if labels.y.slip_ratio else y,
-        labels=labels._replace(alg=(labels.alg[0], law.labels, labels.alg[2])),
         limits=(*limits_of(q), *limits),
-        checks=(*second_contacts(q, q.x, z, q.poses, size), *body_checks(q, q.x, z)),
+        checks=contact_checks(q, q.x, z, q.poses),
         guess=_guess(q, labels),
-        scale=scale,
-        shift=shift,
-        size=size,
         suppress_algebraic=suppress_algebraic,
         continuation=continuation,
-        lookups=q.lookups.lookups,
         linear=law.linear,
         discs=discs,
-        holding=_holding(q) if vehicle.mass else None,
-        vehicle=vehicle,
-        ground=terrain,
-        leading_rates=ca.vertcat(q.rates.z, q.rates.roll, q.rates.pitch, *q.rates.suspension),
+        holding=_holding(q) if q.vehicle.mass else None,
+        leading_rates=ca.vertcat(rates.z, rates.roll, rates.pitch, *rates.suspension),
     )
 
 

@@ -24,14 +24,14 @@ from slipfree.contact.certify import SecondContact, second_contacts
 from slipfree.contact.closure import has_exact_closure, support_fault, without_rolling
 from slipfree.contact.touch import Touch, plane_of, search_function, solid_touch, touch
 from slipfree.core.arguments import checked
-from slipfree.core.dae import Dae, HeldTerms, Labels, Standing
+from slipfree.core.dae import HeldTerms, Labels, Standing
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import leaves, pack, symbols
 from slipfree.geometry.frame import Pose, rotation_of, turn
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.protocols import BodyLaw, ContactLaw, WheelContact
-from slipfree.models.base import body_checks, extent, raised_poses, sizes
+from slipfree.models.base import body_checks, extent, raised_poses, vehicle_dae
 from slipfree.models.body_contact import BodyContact, body_contacts
 from slipfree.models.dynamic_outputs import (
     Contact,
@@ -151,23 +151,20 @@ def dynamics(
     forces = dynamic_forces(q, *touching, x, effort)
     y = dynamic_outputs(q, body, shown, *touching, forces)
     on_base = [each[0] for each in contacts]
-    (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
     frames = tuple(each.touch.frame for each in on_base)
     checks: tuple[SecondContact, ...] = ()
     if not plane_of(terrain):  # a wheel touches a plane only once
         raised = raised_poses(q.poses, frames, tuple(-each.touch.gap for each in on_base))
-        checks = second_contacts(q._replace(contacts=frames), x, (), raised, size)
-    return Dae(
-        ca.SX.sym("t"),
+        checks = second_contacts(q._replace(contacts=frames), x, (), raised, extent(vehicle))
+    return vehicle_dae(
+        q,
+        labels,
         x,
         (),
-        symbols(labels.q),
-        u,
+        (),
+        forces,
         ode=ode,
-        alg=(),
-        quad=ca.vertcat(*q.spins, forces.power, forces.dissipation),
         y=y,
-        labels=labels,
         limits=(
             *limits_of(limit_quantities(q, on_base), static=False, overturns=bears),
             *solid_limits(vehicle, contacts),
@@ -175,12 +172,8 @@ def dynamics(
         ),
         checks=checks if bears else (*checks, *body_checks(q, x, ())),
         guess=ca.SX(0, 1),
-        scale=scale,
-        shift=shift,
-        size=size,
         pace=ca.SX(0) if plane_of(terrain) and not prisms else _pace(body, u),
         standing=_start(vehicle, terrain, prisms, law, labels),
-        lookups=lookups.lookups,
         held=_held_inertia(vehicle, x, u, body, (matrix, bias), *touching),
         vehicle=made_from,
         ground=ground,

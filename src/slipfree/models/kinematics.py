@@ -30,7 +30,6 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.certify import second_contacts
 from slipfree.contact.closure import (
     ContactFrame,
     closure,
@@ -50,15 +49,15 @@ from slipfree.laws.protocols import Equations, Motion, SlipLaw, wheel_labels
 from slipfree.models.base import (
     Mechanics,
     Quantities,
-    body_checks,
     carriers,
+    contact_checks,
     extent,
     joint_rates,
     level_heights,
     outputs,
     raised_poses,
-    sizes,
     spins,
+    vehicle_dae,
 )
 from slipfree.models.closure_model import closure_dae, closure_quantities
 from slipfree.models.friction_feasibility import (
@@ -306,41 +305,32 @@ def _dae(
     equations: tuple[ca.SX, Equations],
 ) -> Dae:
     """Return the DAE of the pressed model with the given labels, symbols and equations."""
-    vehicle, terrain, rates = q.vehicle, q.terrain, q.rates
+    vehicle, rates = q.vehicle, q.rates
     alignment, law = equations
-    (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
     sampled = force_outputs(q, labels.y.forces)
     depths = ca.vertsplit(pressed.depth)
     touching = raised_poses(q.poses, q.contacts, depths)
     level = [*rates[:2], rates.heading, *joint_rates(vehicle, rates, q.u)]
-    return Dae(
-        ca.SX.sym("t"),
+    return vehicle_dae(
+        q,
+        labels,
         x,
         z,
-        symbols(labels.q),
-        q.u,
+        (Equations(labels.alg[0], alignment), law, Equations((), ca.SX(0, 1))),
+        sampled,
         ode=ca.vertcat(*level, rates.z, rates.roll, rates.pitch, *rates.suspension),
-        alg=(alignment, law.rows, ca.SX(0, 1)),
-        quad=ca.vertcat(*q.spins, *((sampled.power,) if sampled else ())),
         y=outputs(q, sampled)._replace(
             depth=tuple(depths),
             load_share=tuple(ca.vertsplit(len(depths) * pressed.load)),
             force_normal=q.forces.normal if vehicle.mass else (),
         ),
-        labels=labels._replace(alg=(labels.alg[0], law.labels, ())),
         limits=limits_of(q),
-        checks=(*second_contacts(q, x, z, touching, size), *body_checks(q, x, z)),
+        checks=contact_checks(q, x, z, touching),
         guess=_guess(q, labels),
-        scale=scale,
-        shift=shift,
-        size=size,
         suppress_algebraic=True,  # contacts and rates follow from the states
         rest=_first_pose(q),
-        lookups=q.lookups.lookups,
         linear=law.linear,
         holding=_holding(q, pressed, _groups(labels)[0]) if vehicle.mass else None,
-        vehicle=vehicle,
-        ground=terrain,
     )
 
 

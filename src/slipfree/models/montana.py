@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.certify import second_contacts
 from slipfree.contact.closure import ContactFrame, check_exact_closure, contact_frame
 from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
 from slipfree.core.arguments import checked
@@ -33,17 +32,16 @@ from slipfree.core.schema import NonNegative
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose, Twist
 from slipfree.laws.least_slip import LeastSlip
-from slipfree.laws.protocols import SlipLaw, wheel_labels
+from slipfree.laws.protocols import Equations, SlipLaw, wheel_labels
 from slipfree.models.base import (
     Quantities,
     at_rest,
-    body_checks,
     carriers,
-    extent,
+    contact_checks,
     joint_rates,
     outputs,
-    sizes,
     spins,
+    vehicle_dae,
 )
 from slipfree.models.friction_feasibility import (
     contact_force_residuals,
@@ -169,36 +167,27 @@ def montana_kinematics(
     x, z = symbols(labels.x), symbols(labels.z)
     q, rolls, q_dot = _quantities(vehicle, terrain, x, z, symbols(labels.u), kappa)
     law = slip_equations(slip, labels, q)
-    (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
     sampled = force_outputs(q, labels.y.forces)
-    return Dae(
-        ca.SX.sym("t"),
+    return vehicle_dae(
+        q,
+        labels,
         x,
         z,
-        symbols(labels.q),
-        q.u,
+        (law, Equations(labels.alg[1], contact_force_residuals(q))),
+        sampled,
         ode=ca.vertcat(q_dot, *leaves(tuple(roll.rates for roll in rolls))),
-        alg=(law.rows, contact_force_residuals(q)),
-        quad=ca.vertcat(*q.spins, *((sampled.power,) if sampled else ())),
         y=outputs(q, sampled)._replace(
             **AMONG_STATES,
             drift_position=tuple(ca.norm_2(roll.displacement) for roll in rolls),
             drift_rotation=tuple(ca.norm_2(roll.rotation) for roll in rolls),
         ),
-        labels=labels._replace(alg=(law.labels, labels.alg[1])),
         limits=(
             *_drift_limits(vehicle, rolls),  # first, since other limits assume wheels without drift
             *limits_of(q),
         ),
-        checks=(*second_contacts(q, x, z, q.poses, size), *body_checks(q, x, z)),
+        checks=contact_checks(q, x, z, q.poses),
         guess=at_rest(vehicle, labels.z),
-        scale=scale,
-        shift=shift,
-        size=size,
         suppress_algebraic=True,
-        lookups=q.lookups.lookups,
-        vehicle=vehicle,
-        ground=terrain,
     )
 
 

@@ -35,7 +35,6 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.certify import second_contacts
 from slipfree.contact.closure import contact_frame
 from slipfree.contact.touch import Touch
 from slipfree.core.arguments import checked
@@ -47,8 +46,14 @@ from slipfree.core.records import Array, Label, leaves, symbols
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.linear_creep import LinearCreep
-from slipfree.laws.protocols import GroundForce, GroundLaw, Reaction, SlidingContacts
-from slipfree.models.base import at_rest, body_checks, extent, raised_poses, sizes
+from slipfree.laws.protocols import Equations, GroundForce, GroundLaw, Reaction, SlidingContacts
+from slipfree.models.base import (
+    at_rest,
+    contact_checks,
+    raised_poses,
+    sizes,
+    vehicle_dae,
+)
 from slipfree.models.dynamic_outputs import (
     Contact,
     DynamicOutputs,
@@ -164,41 +169,31 @@ def rigid_dynamics(
     y = dynamic_outputs(q, body, contacts, alone, (), forces)
     frames = tuple(each.frame for each in touches)
     raised = raised_poses(q.poses, frames, tuple(-each.gap for each in touches))
-    size = extent(vehicle)
-    scale, shift = sizes(vehicle, terrain, labels)
+    scale, _ = sizes(vehicle, terrain, labels)
     units = [label.unit for label in leaves(labels.z)]
     scale[[unit == "N" for unit in units]] = vehicle.weight / len(vehicle.wheels)
     own = (
         *_lift_off(vehicle, reaction.normal),
         *(each for each in reaction.limits if each.outcome is not Outcome.NO_EQUILIBRIUM),
     )
-    return Dae(
-        ca.SX.sym("t"),
+    nearest = _nearest(terrain, z.contacts, touches, lookups)
+    return vehicle_dae(
+        q,
+        labels,
         x,
         z,
-        symbols(labels.q),
-        u,
+        (Equations(_nearest_labels(vehicle), nearest), reaction.equations),
+        forces,
         ode=ode,
-        alg=(_nearest(terrain, z.contacts, touches, lookups), reaction.equations.rows),
-        quad=ca.vertcat(*q.spins, forces.power, forces.dissipation),
         y=_without_unknowns(y),
-        labels=labels._replace(alg=(_nearest_labels(vehicle), reaction.equations.labels)),
         limits=(*limits_of(q, static=False), *own),
-        checks=(
-            *second_contacts(q._replace(contacts=frames), x, z, raised, size),
-            *body_checks(q, x, z),
-        ),
+        checks=contact_checks(q._replace(contacts=frames), x, z, raised),
         guess=_guess(vehicle, body, labels),
         scale=scale,
-        shift=shift,
-        size=size,
         suppress_algebraic=True,
         continuation=reaction.continuation,
         standing=standing_start(vehicle, terrain, (), labels),
-        lookups=lookups.lookups,
         replay=Replay(dynamics(vehicle, terrain, law=contact), own),
-        vehicle=vehicle,
-        ground=terrain,
     )
 
 
