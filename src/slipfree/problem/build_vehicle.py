@@ -264,7 +264,7 @@ def _urdf(
 def _check(table: UrdfTable, tree: Tree, file: File) -> None:
     """Raise VehicleError for names that are not in the URDF, and for invalid new joints."""
     faults: list[Fault] = []
-    new = {name for name, each in table.joints.items() if each.carries}
+    new = [name for name, each in table.joints.items() if each.carries]
     faults += name_errors(("joints",), [n for n in table.joints if n not in new], [*tree.joints])
     faults += name_errors(("wheels",), table.wheels, [*tree.joints])
     faults += name_errors(("links",), table.links, [*tree.links])

@@ -40,11 +40,9 @@ def casters(
 ) -> Iterator[tuple[str, frozenset[str], Evidence]]:
     """Yield the casters whose wheels do not turn about a level axis of a joint.
 
-    A caster has the joint of the link that touches the ground, the joints of all its links, and the
-    role of its wheel, which slides freely as a ball unless it trails a swivel.
-
     A caster is a joint with "caster" in a name, with the links below it, the lowest of which
-    touches the ground, or a sphere that touches the ground.
+    touches the ground, or a sphere that touches the ground. Its joint there, the joints of all its
+    links and the evidence are yielded. It slides freely as a ball unless its wheel trails a swivel.
     """
     bottoms = [tree.bottom(wheel.child, tree.links[wheel.child].shapes) for wheel in wheels]
     ground = min(bottoms, default=np.inf)
