@@ -151,11 +151,19 @@ def test_only_tiles_as_they_were_written_are_used(monkeypatch):
     assert [file.name for file in folder.iterdir()] == ["part_of_mine.npy"]
 
 
-def test_other_problems_have_other_tiles(monkeypatch):
+def test_other_problems_have_other_tiles_and_one_has_one_command(monkeypatch):
     monkeypatch.setattr(atlas_tiles.TileFolder, "remove", lambda _: None)
+    told, store = [], atlas_tiles.TileFolder.store
+
+    def stored(*tile):
+        told.append(refused("atlas", "site.tif", "three_wheeler", *words, "-o", "a.tif"))
+        store(*tile)
+
+    monkeypatch.setattr(atlas_tiles.TileFolder, "store", stored)
     for words in (QUICK, (*QUICK, "--headings", "1")):
         printed("atlas", "site.tif", "three_wheeler", *words, "-o", "a.tif")
     assert len([*Path().glob("a_parts_*")]) == 2
+    assert ["found one in use" in each for each in told] == [True, True]
 
 
 @pytest.mark.usefixtures("small_tiles")
