@@ -54,19 +54,19 @@ def calls():
     model = sf.direct_kinematics(vehicle, ground)
     start = sf.settle(model, x=5.0, y=5.0)
     t, ranges = np.linspace(0.0, 0.2, 3), dict.fromkeys(RATES, (-1.0, 1.0))
-    motion = {"dae": model, "start": start, "inputs": model.inputs(**RATES), "t": t}
+    motion = {"model": model, "start": start, "inputs": model.inputs(**RATES), "t": t}
     run, goal = sf.simulate(**motion), {"costs": {"effort": 1.0}, "goal": {"y": 6.0}}
     task = {"model": model, **goal, "span": 1.0, "ranges": ranges, "intervals": 2}
     task |= {"candidates": 8, "compiled": False}
-    driven, both = {"model": model}, {"vehicle": vehicle, "terrain": ground}
+    driven, both = {"model": model}, {"vehicle": vehicle, "ground": ground}
     part = {"name": "a", "parent": "platform", "at": (0.0, 0.0, 0.0)}
     places, slow = {"x": AXIS[4:6], "y": AXIS[4:6]}, {"compiled": False}
     named = {
-        "settle": {"dae": model, "x": 5.0, "heading": 0.1, "guess": {"z": 0.5}},
+        "settle": {"model": model, "x": 5.0, "heading": 0.1, "guess": {"z": 0.5}},
         "settle_many": {"model": model, "x": 5.0, "heading": [0.1, 0.2], **slow},
         "simulate": motion,
         "rollouts": {"model": model, "starts": {"x": 5.0, "y": 5.0}, "inputs": RATES, "t": t},
-        "plan": {"dae": model, "start": start, **goal, "duration": 2.0},
+        "plan": {"model": model, "start": start, **goal, "duration": 2.0},
         "sample_plan": {"task": sf.SamplingTask(**task), "x": np.array([5.0, 5.0, 0.0, 0.0])},
         "SamplingTask": task,
         "follow": driven | {"path": sf.Path([(5, 5), (5, 6)]), "speed": 0.1},
@@ -138,12 +138,12 @@ def refusal(function, *args, **given):
 
 
 def test_degrees_are_asked_back(calls):
-    model, start = (calls["simulate"][1][key] for key in ("dae", "start"))
+    model, start = (calls["simulate"][1][key] for key in ("model", "start"))
     places, inputs, t = {"x": 5.0, "y": 5.0}, RATES, np.linspace(0.0, 0.2, 3)
     words = r"expected an angle in radians, found 90; did you mean 90 degrees\? write np.radians"
     for function, given in (
-        (sf.settle, {"dae": model, "heading": 90}),
-        (sf.settle, {"dae": model, "guess": {"roll": 90.0}, **places}),
+        (sf.settle, {"model": model, "heading": 90}),
+        (sf.settle, {"model": model, "guess": {"roll": 90.0}, **places}),
         (sf.settle_many, {"model": model, "heading": [0.0, 90.0], "compiled": False}),
         (
             sf.rollouts,
@@ -168,7 +168,7 @@ def test_degrees_are_asked_back(calls):
 def test_remedies_fit_the_error(calls):
     model, start, inputs, t = calls["simulate"][1].values()
     assert "exchange 'inputs' and 't'" in refusal(sf.simulate, model, start, t, inputs)
-    assert "exchange 'dae' and 'start'" in refusal(sf.simulate, start, model, inputs, t)
+    assert "exchange 'model' and 'start'" in refusal(sf.simulate, start, model, inputs, t)
     assert "did you mean 'half_track'" in refusal(catalog.rigid_skid_steer, half_trck=0.3)
     assert "missing a required argument: 't'" in refusal(sf.simulate, model, start, inputs)
     words = refusal(sf.settle, model, heading="90 deg")
@@ -183,7 +183,7 @@ def test_states_of_a_moving_horizon_are_map_coordinates(calls):
 
     given = calls["plan"][1] | {"goal": {"y": 5.5}, "duration": 4.0, "mesh": sf.Mesh(4)}
     found = sf.plan(**given)
-    window, shift = horizon(found, span=2.0, intervals=2), given["dae"].shift[0]
+    window, shift = horizon(found, span=2.0, intervals=2), given["model"].shift[0]
     assert shift[0] == 5.0
     measured = window.plan.states(np.array([0.1])).ravel() + shift
     assert sf.replan(window, first_cycle(window), 0.4, measured).violation < 1e-6

@@ -75,7 +75,7 @@ def test_wrong_arguments_get_a_remedy():
     t = np.linspace(0, 1, 3)
     for call, words in (
         (lambda: direct_kinematics("rover.urdf", ground), "vehicle: .*str.*read_vehicle"),
-        (lambda: direct_kinematics(vehicle, "site.tif"), "terrain: .*str.*read_map"),
+        (lambda: direct_kinematics(vehicle, "site.tif"), "ground: .*str.*read_map"),
         (lambda: Bicubic("site.tif"), "grid: expected Grid, found str 'site.tif'; .*read_map"),
         (lambda: start["heding"], "did you mean 'heading'"),
         (lambda: simulate(model, (0, 0, 0), model.inputs(**rates), t), "start: .*tuple.*settle"),

@@ -113,12 +113,12 @@ def test_a_model_without_vehicle_needs_a_guess(model):
         ),
         ({"smooth": "a"}, "smooth: expected a number, found str 'a'"),
         ({"inputs": [1]}, "inputs: expected a mapping, found list"),
-        ({"dae": VEHICLE}, "dae: expected Dae, found Vehicle; build a model"),
+        ({"model": VEHICLE}, "model: expected Dae, found Vehicle; build a model"),
     ],
 )
 def test_arguments_of_wrong_types_are_refused_with_a_remedy(model, change, words):
     dae, start = model
-    given = {"dae": dae, "start": start, "goal": {"y": 1.0}, "costs": COSTS} | change
+    given = {"model": dae, "start": start, "goal": {"y": 1.0}, "costs": COSTS} | change
     with pytest.raises(sf.ModelError, match=words):
         sf.plan(**given)
 

@@ -89,7 +89,7 @@ ERROR_WEIGHT = 10.0  # weight of the errors of given rates relative to slip alon
 @checked
 def inverse_kinematics(
     vehicle: Vehicle,
-    terrain: Terrain,
+    ground: Terrain,
     *,
     given: Sequence[str],
     solve_for: SolveFor = "angles",
@@ -102,7 +102,7 @@ def inverse_kinematics(
     ----------
     vehicle : Vehicle
         The vehicle.
-    terrain : Terrain
+    ground : Terrain
         The ground. A motion ends where a contact leaves its domain.
     given : sequence of str
         Either commands, for any vehicle: some of ``forward``, ``right`` and ``yaw_rate``, the
@@ -164,7 +164,7 @@ def inverse_kinematics(
     """
     rates = GivenRates(given, solve_for, exact, least_margin)
     rates.check(vehicle)
-    return invert(direct_kinematics(vehicle, terrain, slip=rates.slip), rates)
+    return invert(direct_kinematics(vehicle, ground, slip=rates.slip), rates)
 
 
 def invert(direct: Dae, given: GivenRates) -> Dae:

@@ -388,7 +388,7 @@ def _relaxation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
 @computing
 def direct_kinematics(
     vehicle: Vehicle,
-    terrain: Terrain,
+    ground: Terrain,
     *,
     slip: SlipLaw = LeastSlip(),  # noqa: B008 - a frozen record
     smoothing: Positive = SMOOTHING,
@@ -403,7 +403,7 @@ def direct_kinematics(
     ----------
     vehicle : Vehicle
         The vehicle.
-    terrain : Terrain
+    ground : Terrain
         The ground. A motion ends where a contact leaves its domain.
     slip : SlipLaw
         `LeastSlip`, for every vehicle; or `Rolling`, for vehicles that can roll without slip.
@@ -446,8 +446,8 @@ def direct_kinematics(
     check_slip_law(vehicle, slip)
     check_rollers(vehicle)
     if not has_exact_closure(vehicle):
-        return pressed_dae(vehicle, terrain, slip, smoothing)
-    return exact_dae(vehicle, terrain, slip)
+        return pressed_dae(vehicle, ground, slip, smoothing)
+    return exact_dae(vehicle, ground, slip)
 
 
 def exact_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw) -> KinematicDae:

@@ -113,7 +113,7 @@ class RollingWheel(NamedTuple):
 @checked
 def montana_kinematics(
     vehicle: Vehicle,
-    terrain: Terrain,
+    ground: Terrain,
     *,
     slip: SlipLaw = LeastSlip(),  # noqa: B008 - a frozen record
     kappa: NonNegative = 10.0,
@@ -129,7 +129,7 @@ def montana_kinematics(
     ----------
     vehicle : Vehicle
         The vehicle, without wheels that have an edge (``Disc``) or rollers.
-    terrain : Terrain
+    ground : Terrain
         The ground. A motion ends where a contact leaves its domain. Third derivatives of the
         height enter IDAS's Jacobian.
     slip : SlipLaw
@@ -165,7 +165,7 @@ def montana_kinematics(
         labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle))), vehicle
     )
     x, z = symbols(labels.x), symbols(labels.z)
-    q, rolls, q_dot = _quantities(vehicle, terrain, x, z, symbols(labels.u), kappa)
+    q, rolls, q_dot = _quantities(vehicle, ground, x, z, symbols(labels.u), kappa)
     law = slip_equations(slip, labels, q)
     sampled = force_outputs(q, labels.y.forces)
     return vehicle_dae(

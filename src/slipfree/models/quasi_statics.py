@@ -36,7 +36,7 @@ from slipfree.vehicle.tree import Vehicle
 @computing
 def quasi_statics(
     vehicle: Vehicle,
-    terrain: Terrain,
+    ground: Terrain,
     *,
     law: GroundLaw = Coulomb(),  # noqa: B008 - a frozen record
 ) -> KinematicDae:
@@ -46,7 +46,7 @@ def quasi_statics(
     ----------
     vehicle : Vehicle
         The vehicle, with mass.
-    terrain : Terrain
+    ground : Terrain
         The ground, with friction. A motion ends where a contact leaves its domain.
     law : GroundLaw
         Wheel-ground law, such as `Coulomb` or `Soil`. Wheels in soil have a sinkage, but the pose
@@ -84,10 +84,10 @@ def quasi_statics(
         )
     check_exact_closure(vehicle, "quasi-static model")
     check_rollers(vehicle)
-    law.check(vehicle, terrain)
+    law.check(vehicle, ground)
     labels = labels_of(vehicle, law.unknowns(vehicle), follow=False)
     labels = labels._replace(y=labels.y._replace(slip_ratio=slip_ratio_labels(vehicle)))
-    z, q = closure_quantities(vehicle, terrain, labels)
+    z, q = closure_quantities(vehicle, ground, labels)
     turning = absolute_spins(vehicle, q.x, q.position, q.rates, q.u)
     reaction = law.reaction(_sliding(z, q, turning), q.rates.law)
     q = q._replace(forces=Forces(reaction.along, reaction.across, reaction.normal))

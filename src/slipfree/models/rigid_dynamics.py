@@ -98,7 +98,7 @@ RigidDae = Dae[DynamicState[ca.SX], RigidUnknowns, Inputs[ca.SX], DynamicOutputs
 @computing
 def rigid_dynamics(
     vehicle: Vehicle,
-    terrain: Terrain,
+    ground: Terrain,
     *,
     law: GroundLaw = LinearCreep(),  # noqa: B008 - a frozen record
     contact: Compliant = Compliant(),  # noqa: B008 - a frozen record
@@ -110,7 +110,7 @@ def rigid_dynamics(
     vehicle : Vehicle
         The vehicle, with mass. If it has a suspension coordinate for each wheel beyond three, all
         wheels stay on the ground; otherwise wheels may lift off.
-    terrain : Terrain
+    ground : Terrain
         The ground, with friction.
     law : GroundLaw
         Friction: `LinearCreep` for wheels that roll, `Coulomb` with a creep speed of 0.03 m/s or
@@ -140,8 +140,8 @@ def rigid_dynamics(
     4.00
     """
     check_dynamic(vehicle)
-    contact.check(vehicle, terrain)
-    law.check(vehicle, terrain)
+    contact.check(vehicle, ground)
+    law.check(vehicle, ground)
     _check_wheels(vehicle)
     vehicle = with_depths(vehicle)
     labels = _labels(vehicle, law)
@@ -149,10 +149,10 @@ def rigid_dynamics(
     body = moving_bodies(vehicle, x)
     matrix = mass_matrix(body)
     check_inertia(vehicle, labels, x, matrix)
-    touches = _touches(terrain, body, z.contacts, lookups)
+    touches = _touches(ground, body, z.contacts, lookups)
     slips = [slip_velocity(*each) for each in zip(body.wheels, touches, strict=True)]
     spins = tuple(wheel.spin for wheel in body.wheels)
-    sliding = _sliding(vehicle, terrain, touches, slips, z.law.normal, u.wheels, spins)
+    sliding = _sliding(vehicle, ground, touches, slips, z.law.normal, u.wheels, spins)
     reaction = law.reaction(sliding, z.law)
     _check_torques(law, reaction)
     forces_on = (
@@ -164,19 +164,19 @@ def rigid_dynamics(
     contacts = [Contact(*each) for each in zip(touches, slips, spins, forces_on, strict=True)]
     alone = [(each,) for each in contacts]
     ode, effort = equations_of_motion(vehicle, x, u, body, matrix, bias_forces(body), alone)
-    q = quantities(vehicle, terrain, x, u, body, contacts, lookups)
+    q = quantities(vehicle, ground, x, u, body, contacts, lookups)
     forces = dynamic_forces(q, alone, (), x, effort)
     y = dynamic_outputs(q, body, contacts, alone, (), forces)
     frames = tuple(each.frame for each in touches)
     raised = raised_poses(q.poses, frames, tuple(-each.gap for each in touches))
-    scale, _ = sizes(vehicle, terrain, labels)
+    scale, _ = sizes(vehicle, ground, labels)
     units = [label.unit for label in leaves(labels.z)]
     scale[[unit == "N" for unit in units]] = vehicle.weight / len(vehicle.wheels)
     own = (
         *_lift_off(vehicle, reaction.normal),
         *(each for each in reaction.limits if each.outcome is not Outcome.NO_EQUILIBRIUM),
     )
-    nearest = _nearest(terrain, z.contacts, touches, lookups)
+    nearest = _nearest(ground, z.contacts, touches, lookups)
     return vehicle_dae(
         q,
         labels,
@@ -192,8 +192,8 @@ def rigid_dynamics(
         scale=scale,
         suppress_algebraic=True,
         continuation=reaction.continuation,
-        standing=standing_start(vehicle, terrain, (), labels),
-        replay=Replay(dynamics(vehicle, terrain, law=contact), own),
+        standing=standing_start(vehicle, ground, (), labels),
+        replay=Replay(dynamics(vehicle, ground, law=contact), own),
     )
 
 

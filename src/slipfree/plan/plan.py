@@ -161,7 +161,7 @@ class Plan(Drawable):
 @computing
 @with_interrupt_guard
 def plan(
-    dae: Dae,
+    model: Dae,
     start: Trajectory,
     guess: Trajectory | Sequence[Trajectory] | None = None,
     *,
@@ -183,7 +183,7 @@ def plan(
 
     Parameters
     ----------
-    dae : Dae
+    model : Dae
         Model of the vehicle. The plan also satisfies the limits of the model: violated limits are
         added to the program, which is then solved again.
     start : Trajectory
@@ -276,7 +276,7 @@ def plan(
     guess = () if guess is None else guess
     motions = [guess] if isinstance(guess, Trajectory) else list(guess)
     task = task_of(
-        dae,
+        model,
         start,
         goal=goal,
         costs=costs,
@@ -300,7 +300,7 @@ def plan(
         length = former.motion.duration if former is not None else 0.0
         default = (length, length) if former is not None else free_durations(nominal)
         task = replace(task, duration=duration_of(default))
-    intervals = mesh.intervals or _default_intervals(dae, motions, former)
+    intervals = mesh.intervals or _default_intervals(model, motions, former)
     ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))
     first = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], mesh.degree)
     task = _with_near_conditions(task, motions, former)

@@ -40,7 +40,7 @@ REST_RATE = 1e-5  # largest rate of the relaxing states at rest [size/s]
 @checked
 @computing
 def settle(
-    dae: Dae,
+    model: Dae,
     *,
     guess: Annotated[Mapping[str, float], BY_NAME] | None = None,
     options: SolverOptions = SolverOptions(),
@@ -50,7 +50,7 @@ def settle(
 
     Parameters
     ----------
-    dae : Dae
+    model : Dae
         The model.
     guess : mapping of str to float, optional
         Initial guesses of unknowns by name, such as ``{"z": 2.0}``; the model provides the others.
@@ -81,16 +81,16 @@ def settle(
     >>> print(f"z = {start['z'][0]:.3f} m, pitch = {start['pitch'][0]:.3f} rad")
     z = 0.706 m, pitch = 0.197 rad
     """
-    if dae.standing is not None:
+    if model.standing is not None:
         speed = start.pop(SPEED, 0.0)
-        first = _exact_pose(dae.standing, start, options) | dict(guess or {})
-        run = settle(dae.standing.model, guess=first, options=options, **start)
-        x = _moving_states(dae.standing, run, speed)
-        return _one_sample(dae, x, first_guess(dae, x, {}), options)
-    x, guess = dae.start(**start), dict(guess or {})
-    if not dae.rest.numel():
-        return _one_sample(dae, x, first_guess(dae, x, guess), options)
-    return _settle_by_relaxation(dae, x, start, guess, options)
+        first = _exact_pose(model.standing, start, options) | dict(guess or {})
+        run = settle(model.standing.model, guess=first, options=options, **start)
+        x = _moving_states(model.standing, run, speed)
+        return _one_sample(model, x, first_guess(model, x, {}), options)
+    x, guess = model.start(**start), dict(guess or {})
+    if not model.rest.numel():
+        return _one_sample(model, x, first_guess(model, x, guess), options)
+    return _settle_by_relaxation(model, x, start, guess, options)
 
 
 def _exact_pose(

@@ -59,7 +59,7 @@ CHUNK_SIZE = 2000  # samples checked together, to bound the memory
 @checked
 @computing
 def simulate(
-    dae: Dae,
+    model: Dae,
     start: Trajectory,
     inputs: Record,
     t: Array,
@@ -76,12 +76,12 @@ def simulate(
 
     Parameters
     ----------
-    dae : Dae
+    model : Dae
         The model.
     start : Trajectory
         Trajectory whose last sample is the start; the time of this sample is ignored.
     inputs : record
-        From ``dae.inputs(...)``: constants, one value for each interval, or expressions of the
+        From ``model.inputs(...)``: constants, one value for each interval, or expressions of the
         model's symbols. The integrator restarts at every jump of an input, but not where
         only the slope of an input changes.
     t : ndarray, shape (n,)
@@ -126,10 +126,10 @@ def simulate(
     0.2703 m, heading 0.0300 rad
     """
     t = check_times(t)
-    watched = watch_events(dae, events)
+    watched = watch_events(model, events)
     stops = tuple(each for each in watched if each.event.stop)
     with InterruptGuard() as guard:
-        system = with_inputs(dae, inputs, t.size - 1, options)
+        system = with_inputs(model, inputs, t.size - 1, options)
         solver = MotionSolver(system, options.tolerance, _method(system, options.method), guard)
         first = _initial_sample(system, start, t[0])
         clock = time.process_time()
