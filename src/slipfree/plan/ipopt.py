@@ -25,6 +25,7 @@ STUCK_STATUSES = ("Restoration_Failed", "Maximum_Iterations_Exceeded")
 IPOPT_TOLERANCE = 1e-8
 WARM_BARRIER = 1e-5  # initial barrier parameter of a start near a solution
 WARM_MONOTONE_BARRIER = 1e-3  # the same with the monotone strategy, for models with a replay
+NEXT_BARRIER = 1e-4  # the same for a start from the solution of the program with other weights
 WARM_PUSH = 1e-9  # smallest distance of scaled unknowns from their bounds in a warm start
 WARM_OPTIONS: dict[str, Any] = {
     "warm_start_init_point": "yes",
@@ -161,6 +162,8 @@ def solve_program(
     }
     if warm is not None and program.task.dae.replay:  # see "mu_strategy" in `_ipopt_solver`
         ipopt["mu_init"] = WARM_MONOTONE_BARRIER
+    elif warm is not None and warm.iterations:  # solved with other weights, not only a guess
+        ipopt |= {"mu_strategy": "monotone", "mu_init": NEXT_BARRIER}
     with InterruptGuard() as guard:
         watch = _IterateWatcher(program, on_iterate or (lambda _: True), guard)
         solver = _ipopt_solver(program, ipopt, {"iteration_callback": watch})

@@ -251,5 +251,6 @@ def _sum_entries(
     key, where = np.unique(columns.astype(np.int64) * shape[0] + rows, return_inverse=True)
     at = (key % shape[0]).tolist(), (key // shape[0]).tolist()
     pattern = ca.Sparsity.triplet(shape[0], shape[1], *at)
-    total = scipy.sparse.csc_matrix((weights, (where, np.arange(where.size))))
-    return ca.MX(pattern, ca.DM(total) @ ca.vertcat(*values))
+    # from lists, six times as fast as from SciPy's matrix or numpy arrays of indices
+    summed = ca.Sparsity(key.size, where.size, list(range(where.size + 1)), where.tolist())
+    return ca.MX(pattern, ca.DM(summed, weights) @ ca.vertcat(*values))

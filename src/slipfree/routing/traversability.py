@@ -1,7 +1,7 @@
 """Traversability of a map: costs of the poses of a vehicle, and blocked positions.
 
 Costs are those of exact poses at several headings (`slipfree.atlas`), at nodes about a third of
-its size apart, and interpolated between them.
+its size or a quarter of a cell of the map apart, and interpolated between them.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ QUANTITIES = "roll", "pitch", "utilisation", "tip_over_margin"
 HEADINGS = 8  # moves between two of them take the mean of their costs
 AWAY = 4  # times as far apart are poses away from the places, and half their distance around them
 MAX_POSES = 250_000  # on larger maps the nodes of the poses are farther apart
+CELL_POSES = 4  # poses per cell of the map, between whose nodes the ground is smooth, are enough
 INTERPRETED = 20_000  # number of poses up to which compiling the equations takes longer
 RESTING = 5  # times for a pose of pressed wheels, relative to exact contact
 UNKNOWN = 1e-6  # weight of nodes that are blocked anyway, for the interpolation
@@ -180,7 +181,8 @@ def traversability(
     ground with friction, with the largest utilisation of a wheel for forces distributed by load,
     plus ``4 (inclination / (inclination + margin))**2`` with the tip-over margin of a vehicle with
     mass. A utilisation of at least 1 adds 30. The poses are those at nodes a third of the smaller
-    of the vehicle's width and length apart, but more on very large maps. On level ground, and
+    of the vehicle's width and length apart, or a quarter of a larger cell of the map, but more on
+    very large maps. On level ground, and
     between places closer to each other than the vehicle is large, the cost is 1.
     """
     layers = free_space(terrain, vehicle, keep_out=keep_out, spacing=spacing)
@@ -191,7 +193,8 @@ def traversability(
     distance = float(np.linalg.norm(high - low))
     if terrain.is_level or distance < 2 * reach:
         return layers
-    step = max(1, round(min(right, forward) / 1.5 / max(layers.spacing)))
+    apart = max(min(right, forward) / 1.5, min(terrain.grid.spacing) / CELL_POSES)
+    step = max(1, round(apart / max(layers.spacing)))
     step = max(step, math.ceil(math.sqrt(HEADINGS * layers.to_hole.size / MAX_POSES)))
     room = max(distance / 2, 3 * reach)
     x, y = (
