@@ -15,7 +15,6 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import Lookup, check_order, found_column, needed_lookups
