@@ -115,15 +115,13 @@ def synthetic() -> Iterator[str]:
     nominal, law = catalog.skid_steer(), Coulomb(0.1)
     dae = parametric_model(static, nominal, law, SKID_UNKNOWNS)
     windows = true_windows(body_motion(dae).names)
-    exact = fits.estimate(dae, nominal, law, SKID_UNKNOWNS, windows, "linear")
+    exact = fits.estimate(dae, law, SKID_UNKNOWNS, windows, "linear")
     yield f"{WINDOWS} windows without errors: largest error {np.abs(exact.values - true).max():.1e}"
     rng, found = np.random.default_rng(SEED), []
     for _ in range(DRAWS):
         noise = rng.normal(size=windows.end.shape) * [0.01, 0.01, 0.005]
         found.append(
-            fits.estimate(
-                dae, nominal, law, SKID_UNKNOWNS, windows._replace(end=windows.end + noise)
-            )
+            fits.estimate(dae, law, SKID_UNKNOWNS, windows._replace(end=windows.end + noise))
         )
     values = np.array([each.values for each in found])
     inside = np.mean(

@@ -157,7 +157,7 @@ def _skid_windows(noise: float = 0.0, seed: int = 0) -> tuple[Any, Windows]:
 
 
 def _skid_estimate(dae: Any, windows: Windows, **more: Any) -> Estimate:
-    return estimate(dae, catalog.skid_steer(), Coulomb(0.1), SKID, windows, **more)
+    return estimate(dae, Coulomb(0.1), SKID, windows, **more)
 
 
 def test_known_numbers_are_found() -> None:
@@ -202,14 +202,14 @@ def test_undetermined_combinations_are_named() -> None:
     end, *_ = end_poses(windows, np.repeat(speed[:, None], 2, axis=1), np.zeros(3))
     end += np.random.default_rng(1).normal(size=end.shape) * 0.01
     windows = windows._replace(end=end)
-    found = estimate(dae, vehicle, law, unknowns, windows)
+    found = estimate(dae, law, unknowns, windows)
     assert_allclose(found.values[0], 0.17, atol=0.002)
     assert np.isfinite(found.intervals[0]).all()
     assert np.isinf(found.intervals[1:]).all()
     assert [np.isinf(each.deviation) for each in found.directions] == [False, True, True]
     prior = (unknowns[0], Unknown("track", "track", prior=(0.6, 0.02)))
     dae = parametric_model(build, vehicle, law, prior)
-    known = estimate(dae, vehicle, law, prior, windows)
+    known = estimate(dae, law, prior, windows)
     assert_allclose(known.values[1], 0.6, atol=1e-6)
     assert_allclose(np.sqrt(known.covariance[1, 1]), 0.02, rtol=1e-6)
 
@@ -217,7 +217,7 @@ def test_undetermined_combinations_are_named() -> None:
 def test_an_estimate_at_its_bound_is_marked() -> None:
     dae, windows = _skid_windows(0.005)
     unknowns = (*SKID[:2], Unknown("track", "track", upper=0.61), *SKID[3:])
-    found = estimate(dae, catalog.skid_steer(), Coulomb(0.1), unknowns, windows)
+    found = estimate(dae, Coulomb(0.1), unknowns, windows)
     assert found.at_bound == (False, False, True, False, False)
     assert found.covariance[2, 2] == 0
 
@@ -228,7 +228,7 @@ def test_pose_of_the_sensor_is_found() -> None:
     dae = parametric_model(build, vehicle, law, unknowns)
     sensor = np.array([0.05, 0.3, -0.1])
     windows = _windows(body_motion(dae), np.array([0.155, 0.152, 0.62]), sensor)
-    found = estimate(dae, vehicle, law, unknowns, windows)
+    found = estimate(dae, law, unknowns, windows)
     assert_allclose(found.values, [0.155, 0.152, 0.62, *sensor], atol=1e-5)
 
 
@@ -336,12 +336,12 @@ def test_a_log_that_turns_faster_than_the_model_is_refused() -> None:
     """The model turns fastest with a track equal to its wheelbase: as with a track of 1.828 m."""
     dae = _rigid()
     slower, faster = (_turning_windows(body_motion(dae).names, track) for track in (1.9, 1.75))
-    found = estimate(dae, RIGID, LeastSlip(), SKID[:3], slower)
+    found = estimate(dae, LeastSlip(), SKID[:3], slower)
     assert_allclose(found.values[:2], 0.28, rtol=0.02)
     assert not found.undetermined
     words = r"turns fastest with track = 0\.91\d* m and the log turns faster: .* in window \d+, "
     with pytest.raises(ModelError, match=words):
-        estimate(dae, RIGID, LeastSlip(), SKID[:3], faster)
+        estimate(dae, LeastSlip(), SKID[:3], faster)
 
 
 @pytest.mark.parametrize("law", [Coulomb(), pytest.param(Soil(creep=0.01), marks=pytest.mark.slow)])
@@ -379,7 +379,7 @@ def test_a_search_that_ends_where_a_wheel_lifts_off_is_refused() -> None:
     with pytest.raises(
         ModelError, match=r"the log favours values beyond it: .*window \d+, t = .*lifts off"
     ):
-        estimate(dae, catalog.skid_steer(), Coulomb(0.1), unknowns, beyond, "linear")
+        estimate(dae, Coulomb(0.1), unknowns, beyond, "linear")
 
 
 RATES = {"left": lambda t: 4 + 3 * np.sin(2 * t), "right": lambda t: 3 + 4 * np.cos(1.7 * t + 1)}

@@ -160,7 +160,6 @@ class Predictor:
 
 def estimate(
     dae: Dae,
-    vehicle: Vehicle,
     law: object,
     unknowns: Sequence[Unknown],
     windows: Windows,
@@ -171,7 +170,7 @@ def estimate(
     ModelError is raised if the problem is not determined, the nominal values have no motion, or the
     search does not converge or ends at an edge or extremum of the prediction.
     """
-    sought = _sought(dae, vehicle, law, unknowns)
+    sought = _sought(dae, law, unknowns)
     if len(windows.end) <= len(unknowns):
         raise ModelError(
             f"estimate: expected more windows than unknowns, found {len(windows.end)} windows and "
@@ -281,10 +280,10 @@ def inner_bounds(limits: Array, scales: Array) -> tuple[Array, Array]:
     return limits[:, 0] + margin, limits[:, 1] - margin
 
 
-def _sought(dae: Dae, vehicle: Vehicle, law: object, unknowns: Sequence[Unknown]) -> Sought:
+def _sought(dae: Dae, law: object, unknowns: Sequence[Unknown]) -> Sought:
     if not unknowns:
         raise ModelError("estimate: expected at least one unknown, found none; add one")
-    labels = tuple(label_of(each, law) for each in unknowns)
+    labels, vehicle = tuple(label_of(each, law) for each in unknowns), dae.vehicle.numeric
     nominal = [value_of(each, vehicle, law) for each in unknowns]
     limits = [limits_of(each, vehicle, law) for each in unknowns]
     for unknown, value, (low, high) in zip(unknowns, nominal, limits, strict=True):
@@ -517,7 +516,7 @@ def calibrate(
     learnt, other = windows, predicted
     if other is None:
         learnt, other = windows.take(np.sort(order[:count])), windows.take(np.sort(order[count:]))
-    fitted = estimate(dae, vehicle, law, unknowns, learnt, loss)
+    fitted = estimate(dae, law, unknowns, learnt, loss)
     errors = [_errors(dae, unknowns, part, fitted) for part in (learnt, other)]
     return Calibration(fitted, *errors)
 
