@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import subprocess
+from collections.abc import Sequence
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
@@ -23,7 +24,8 @@ from slipfree.core.lookups import Cells
 from slipfree.core.records import Array, Indices, Mask
 from slipfree.system.codegen_cache import compiler, shared_library
 
-FLAGS = ("-O2", "-shared", "-fPIC", "-ffp-contract=fast", "-fno-math-errno")
+FLAGS = ("-shared", "-fPIC", "-ffp-contract=fast", "-fno-math-errno")
+LONG = 1_500_000  # characters of code that is compiled with less optimisation, which takes minutes
 LANES = (("__AVX512F__", 8), ("__AVX__", 4))  # doubles in a register, by macro of the compiler
 PORTABLE_LANES = 2  # on other machines
 PROBE_TIMEOUT = 20.0  # [s]
@@ -110,9 +112,16 @@ class EvaluatorOf(Protocol[G]):
         """Return the result of compiled steps; None without them."""
 
     def drive(
-        self, states: Array, inputs: Array, t: Array, numbers: tuple[float, ...], samples: Array
-    ) -> Array | None:
-        """Fill in samples of motions, and return their ends; None without compiled steps."""
+        self,
+        states: Array,
+        inputs: Array,
+        t: Array,
+        kept: int,
+        numbers: Sequence[float],
+        order: Indices,
+        *results: Array,
+    ) -> bool:
+        """Fill in the results of motions; return whether there are compiled steps."""
 
 
 Evaluator = EvaluatorOf[Graphs]
@@ -167,8 +176,9 @@ class _Interpreted(Generic[G]):
     def advance(self, *_: Any) -> None:
         """Return None: there are no compiled steps."""
 
-    def drive(self, *_: Any) -> None:
-        """Return None: there are no compiled steps."""
+    def drive(self, *_: Any) -> bool:
+        """Return False: there are no compiled steps."""
+        return False
 
 
 class _Compiled(Generic[G]):
@@ -237,35 +247,39 @@ class _Compiled(Generic[G]):
         return results[:-1], results[-1] > 0
 
     def drive(
-        self, states: Array, inputs: Array, t: Array, numbers: tuple[float, ...], samples: Array
-    ) -> Array | None:
-        """Fill in samples of motions, and return their ends, as `motion.candidate_lanes`.
+        self,
+        states: Array,
+        inputs: Array,
+        t: Array,
+        kept: int,
+        numbers: Sequence[float],
+        order: Indices,
+        *results: Array,
+    ) -> bool:
+        """Fill in the results of motions as `motion._drive_plainly`; return whether there is code.
 
-        ``numbers`` are the length of a step, the largest number of steps between samples, the
-        largest correction and error, the rounding of limits, the number of repeated Newton steps of
-        the forces, that of attempts, and the factor of the number of steps after each of them. The
-        result, shape (2, n), contains the times of the ends and their
-        codes: -1 if complete, -2 if not solved, or the index of a bound of a limit. It is None for
-        a model whose rates need iterations.
+        It is not for a model whose rates need iterations. Lanes of a vector are neighbours in
+        ``order``.
         """
         if self._steps is None:
-            return None
+            return False
         states, inputs, t = (
             np.ascontiguousarray(each, dtype=float) for each in (states, inputs, t)
         )
-        ends = np.empty((2, states.shape[1]))
+        order = np.ascontiguousarray(order, dtype=ctypes.c_long)
         self._in_blocks(
             self._steps.drive,
             states.shape[1],
+            ctypes.c_void_p(order.ctypes.data),
             ctypes.c_void_p(states.ctypes.data),
             ctypes.c_void_p(inputs.ctypes.data),
             ctypes.c_long(t.size),
             ctypes.c_void_p(t.ctypes.data),
+            ctypes.c_long(kept),
             *(ctypes.c_double(each) for each in numbers),
-            ctypes.c_void_p(samples.ctypes.data),
-            ctypes.c_void_p(ends.ctypes.data),
+            *(ctypes.c_void_p(each.ctypes.data) for each in results),
         )
-        return ends
+        return True
 
     def _in_blocks(self, function: Any, n: int, *arguments: Any) -> None:
         """Call a compiled function for blocks of lanes; signals are served between the calls."""
@@ -424,6 +438,8 @@ def _step_code(graphs: Graphs) -> str:
         "NEW_FORCES": forces.start,
         "DOUBT": doubt.start,
         "FIRST_DISTANCE": distances.start,
+        "STATES": rows.x.stop,
+        **dict(zip(("X_ROW", "Y_ROW", "HEADING_ROW"), graphs.places, strict=True)),
         "INPUTS": rows.u.stop - rows.u.start,
         "FIRST_INPUT": rows.u.start,
     }
@@ -440,7 +456,8 @@ def _compiled(source: _Source, lanes: int | None) -> ctypes.CDLL | None:
     header = Path(__file__).with_name("lanes.c").read_text(encoding="utf-8")
     constant = ",".join(["a"] * lanes)
     text = f"#define LANES {lanes}\n#define SPLAT(a) ((vd){{{constant}}})\n{header}\n{source.code}"
-    return shared_library(f"{native}\n{text}", lambda: text, ctypes.CDLL, (*FLAGS, *native[:1]))
+    flags = ("-O2" if len(text) < LONG else "-O1", *FLAGS, *native[:1])
+    return shared_library(f"{native}\n{text}", lambda: text, ctypes.CDLL, flags)
 
 
 @cache

@@ -94,6 +94,12 @@ class Graphs(NamedTuple):
     linear: bool  # whether the rates are the solution of linear equations
 
     @property
+    def places(self) -> tuple[int, int, int]:
+        """Rows of ``x``, ``y`` and ``heading``."""
+        names = [label.full for label in leaves(self.dae.labels.x)]
+        return names.index("x"), names.index("y"), names.index("heading")
+
+    @property
     def stages(self) -> tuple[float, ...]:
         """Values of the continuation parameter; none if it is not a row of the states."""
         continuation = _continuation(self.dae)

@@ -388,7 +388,9 @@ def _run(
     values = _values(evaluate, sources, motions.samples)
     columns = {name: Column(sources[name].label, each) for name, each in values.items()}
     end = np.where(found & (motions.reason != INVALID_START), motions.end, np.nan)
-    return LaneResults(columns, (), outcomes, reasons, end, motions.error, disputed)
+    x, y, _ = graphs.places
+    error = np.hypot(motions.errors[x], motions.errors[y])
+    return LaneResults(columns, (), outcomes, reasons, end, error, disputed)
 
 
 def _end(graphs: Graphs, code: int, state: Array) -> tuple[str, str]:

@@ -19,7 +19,7 @@ import numpy as np
 from slipfree.batch.evaluator import Evaluator
 from slipfree.batch.graph import Graph
 from slipfree.core.dae import LIMIT_ROUNDING
-from slipfree.core.records import Array, Indices, Mask, leaves
+from slipfree.core.records import Array, Indices, Mask
 
 ORDER, RELAXING_ORDER = 3, 1
 MAX_CHANGE = 0.3  # largest correction of the positions by a Newton step [typical sizes]
@@ -57,12 +57,66 @@ class Motions(NamedTuple):
     # `UNSOLVED` if corrections of the positions stay too large in short steps, or `TOO_FAST`;
     # one for each of the n lanes
     reason: Array
-    # states just beyond the limit; the states at the end for other lanes, shape (n_rows, n)
+    # states just beyond the limit; of no meaning for other lanes, shape (n_rows, n)
     beyond: Array
-    error: Array  # estimate of the error of x and y at the last sample of a lane, shape (n,) [m]
+    errors: Array  # estimated errors of the states ``x`` at the last sample, shape (n_x, n)
     # distances to the bounds of the limits at the first sample, shape (n_bounds, n)
     distances: Array
     steps: Indices  # numbers of steps, shape (n,)
+
+
+class Candidates(NamedTuple):
+    """Motions of n lanes over m samples, of which only the ends are named."""
+
+    # integrated rows of the states at the samples, shape (m, n_integrated, n), NaN after the end
+    samples: Array
+    # time of the first step beyond a limit, or of the last sample before unsolved steps [s]
+    end: Array
+    reason: Array  # index of the limit that ended the lane; `COMPLETE` or `UNSOLVED`, shape (n,)
+
+
+class _Step(NamedTuple):
+    """States, rates and lengths [s] of the last steps of lanes."""
+
+    states: Array
+    rates: Array
+    h: Array
+
+    def of(self, lanes: Mask) -> _Step:
+        return _Step(*(_of(lanes, each) for each in self))
+
+
+class _Numbers(NamedTuple):
+    """Numbers that control `_drive`."""
+
+    step: float  # largest length of a step along the path [m]
+    longest: float  # largest number of steps in an interval at the first attempt
+    tries: float  # attempts to reach a sample; zero if the numbers of steps are given
+    finer: float  # factor of the number of steps after each of them
+    estimated: bool  # whether errors are estimated
+    rounding: float = LIMIT_ROUNDING
+    repeats: int = FORCE_STEPS  # of the forces; without limits, -1
+    fastest: float = MAX_STEPS
+    change: float = MAX_CHANGE
+    error: float = MAX_ERROR
+
+
+class _Course(NamedTuple):
+    """Results of `_drive`, for n lanes and m samples."""
+
+    # states or their first rows at the samples, and estimated errors of ``x`` if there are any,
+    # NaN after the end of a lane, shape (m, n_kept + n_errors, n)
+    samples: Array
+    counts: Array  # numbers of steps, shape (m - 1, n)
+    end: Array  # time of the first step beyond a limit, or of the last sample, shape (n,) [s]
+    reason: Array  # index of the limit, or a code, shape (n,)
+    beyond: Array  # states at the first step beyond a limit, shape (n_rows, n)
+    last: _Step  # last step
+
+    @property
+    def reached(self) -> Indices:
+        """Index of the last sample of each lane, -1 without a sample."""
+        return np.asarray(np.isfinite(self.samples[:, 0]).sum(axis=0) - 1)
 
 
 def integrate_lanes(
@@ -83,7 +137,7 @@ def integrate_lanes(
         motions = _integrate(evaluate, states, inputs, t, step, certify=certify)
         for k in range(1, MAX_TRIES):
             # where half the step fails, nothing is known of the error
-            again = np.isnan(motions.error) & (motions.reason != INVALID_START)
+            again = np.isnan(motions.errors[0]) & (motions.reason != INVALID_START)
             again |= motions.reason == LOST
             if not again.any():
                 break
@@ -96,16 +150,6 @@ def integrate_lanes(
     return motions
 
 
-class Candidates(NamedTuple):
-    """Motions of n lanes over m samples, of which only the ends are named."""
-
-    # integrated rows of the states at the samples, shape (m, n_integrated, n), NaN after the end
-    samples: Array
-    # time of the first step beyond a limit, or of the last sample before unsolved steps [s]
-    end: Array
-    reason: Array  # index of the limit that ended the lane; `COMPLETE` or `UNSOLVED`, shape (n,)
-
-
 def candidate_lanes(
     evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float
 ) -> Candidates:
@@ -114,346 +158,258 @@ def candidate_lanes(
     Errors are not estimated, checks of samples not evaluated, and the time of an end is that of the
     first step beyond a limit. Limits are evaluated after each step.
     """
-    graphs = evaluate.graphs
-    samples = np.full((t.size, graphs.rows.q.stop, states.shape[1]), np.nan)
-    bounds = MAX_CHANGE, MAX_ERROR, LIMIT_ROUNDING
-    numbers = step, MAX_CANDIDATE_STEPS, *bounds, FORCE_STEPS, CANDIDATE_TRIES, CANDIDATE_REFINEMENT
+    numbers = _Numbers(
+        step, MAX_CANDIDATE_STEPS, CANDIDATE_TRIES, CANDIDATE_REFINEMENT, estimated=False
+    )
     with np.errstate(all="ignore"):
-        ends = evaluate.drive(states, inputs, t, numbers, samples)
-        if ends is None:
-            ends = _drive(evaluate, states.copy(), inputs, t, step, samples)
-    codes = np.array([*graphs.bounds, UNSOLVED, COMPLETE])  # the last two have the indices -2, -1
-    return Candidates(samples, ends[0], codes[ends[1].astype(int)])
-
-
-def _drive(
-    evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float, samples: Array
-) -> Array:
-    """Fill in the samples of candidates; return times and codes of their ends, as compiled code."""
-    rows = evaluate.graphs.rows
-    move = advance if evaluate.graphs.dae.lag is None else advance_relaxing
-    ends = np.array([[t[-1]], [COMPLETE]]) * np.ones(states.shape[1])
-    rates, speed = np.empty((rows.q.stop, states.shape[1])), np.zeros(states.shape[1])
-
-    def check(lanes: Indices, some: Array) -> tuple[Array, Array, Mask, Mask]:
-        """Return rates, speeds, and which lanes are solved inside limits and which not solved."""
-        slope, solved, fast, distances = _checked(evaluate, some)
-        beyond = solved & ~(margins(distances) >= 0)
-        ends[0, lanes[beyond]] = some[rows.t][0, beyond]
-        ends[1, lanes[beyond]] = smallest(distances)[beyond]
-        return slope, fast, solved & ~beyond, ~solved
-
-    for k, now in enumerate(t):  # from sample k - 1 to sample k
-        span = now - t[k - 1] if k else 0.0
-        number = np.clip(np.ceil(speed * span / step - 1e-9), 1, MAX_CANDIDATE_STEPS)
-        first, slopes, left = states.copy(), rates.copy(), np.flatnonzero(ends[1] == COMPLETE)
-        for _ in range(CANDIDATE_TRIES if k else 1):
-            going, some, slope = left, first[:, left], slopes[:, left]
-            arrived, lost = list[tuple[Indices, Array]](), list[Indices]()
-            for taken in range(int(number[left].max(initial=0)) if k else 0):
-                if taken:
-                    slope, _, kept, bad = check(going, some)
-                    lost.append(going[bad])
-                    going, some, slope = (_of(kept, each) for each in (going, some, slope))
-                some, good = move(evaluate, some, slope, span / number[going], np.ones_like(going))
-                lost.append(going[~good])
-                there, more = (
-                    good & (number[going] == taken + 1),
-                    good & (number[going] > taken + 1),
-                )
-                arrived.append((going[there], some[:, there]))
-                going, some, slope = (_of(more, each) for each in (going, some, slope))
-            arrived = arrived or [(going, some)]
-            lanes, some = (np.concatenate(each, axis=-1) for each in zip(*arrived, strict=True))
-            some[rows.t] = now
-            if k < t.size - 1:
-                some[rows.u] = inputs[:, k, lanes]
-            slope, fast, kept, bad = check(lanes, some)
-            states[:, lanes[kept]], rates[:, lanes[kept]] = some[:, kept], slope[:, kept]
-            speed[lanes[kept]] = fast[kept]
-            left = np.concatenate([*lost, lanes[bad]])
-            number[left] *= CANDIDATE_REFINEMENT
-            if not left.size:
-                break
-        ends[0, left], ends[1, left] = t[max(k - 1, 0)], UNSOLVED
-        alive = ends[1] == COMPLETE
-        samples[k][:, alive] = states[: rows.q.stop, alive]
-    return ends
+        run = _drive(evaluate, states, inputs, t, numbers, evaluate.graphs.rows.q.stop)
+    return Candidates(run.samples, run.end, np.where(run.reason == TOO_FAST, UNSOLVED, run.reason))
 
 
 def _integrate(
     evaluate: Evaluator, states: Array, inputs: Array, t: Array, step: float, *, certify: bool
 ) -> Motions:
-    """Return the motions of lanes, with errors estimated from half the step."""
-    names = [label.full for label in leaves(evaluate.graphs.dae.labels.x)]
-    place = [names.index("x"), names.index("y")]
-    run = _Run(evaluate, states, inputs, t, step, certify=certify)
-    run.run()
-    finer = _Run(evaluate, states, inputs, t, step, place)
-    finer.run(counts=2 * run.counts)
-    reached = np.maximum(np.isfinite(run.samples[:, 0]).sum(axis=0) - 1, 0)
-    apart = (run.samples[:, place] - finer.samples)[reached, :, np.arange(reached.size)]
-    order = ORDER if evaluate.graphs.dae.lag is None else RELAXING_ORDER
-    error = np.hypot(*apart.T) / (1 - 0.5**order)
-    steps = run.counts.sum(axis=0)
-    return Motions(run.samples, run.end, run.reason, run.beyond, error, run.distances, steps)
+    """Return the motions of lanes: integrate, check the samples, locate the ends."""
+    rows, states = evaluate.graphs.rows, states.copy()
+    states[rows.u], states[rows.t] = inputs[:, 0], t[0]
+    distances = solve_forces(evaluate, states)
+    # the defect says little where relaxation or creep is faster than the steps
+    is_stiff = evaluate.graphs.dae.lag is not None or not evaluate.graphs.linear
+    numbers = _Numbers(step, MAX_STEPS, MAX_TRIES, REFINEMENT, estimated=not is_stiff)
+    run = _drive(evaluate, states, inputs, t, numbers, rows.t.stop)
+    samples, reached = run.samples[:, : rows.t.stop], run.reached
+    lanes, kept = np.arange(reached.size), np.maximum(reached, 0)
+    if is_stiff:
+        errors = _errors_by_halving(evaluate, states, inputs, t, numbers, run)
+    ends = _Ends(evaluate, t, run, certify=certify)
+    started = reached >= 0
+    ends.reason[~started & (run.reason >= 0)] = INVALID_START
+    failed = ends.check_samples() if certify else np.full(reached.size, t.size)
+    ends.locate_limits(np.flatnonzero(started & (run.reason >= 0) & (failed == t.size)))
+    ends.end_at_samples(failed)
+    for k in np.unique(failed[failed < t.size]):
+        run.samples[k:, :, failed == k] = np.nan
+    if not is_stiff:
+        kept = np.maximum(run.reached, 0)
+        errors = run.samples[kept, rows.t.stop :, lanes].T
+    steps = run.counts.sum(axis=0).astype(int)
+    return Motions(samples, ends.end, ends.reason, ends.beyond, errors, distances, steps)
 
 
-class _Step(NamedTuple):
-    """States, rates and lengths [s] of the last steps of lanes."""
+def _errors_by_halving(
+    evaluate: Evaluator, states: Array, inputs: Array, t: Array, numbers: _Numbers, run: _Course
+) -> Array:
+    """Return the errors of ``x`` at the last samples from motions with half the step."""
+    x, lanes, reached = evaluate.graphs.rows.x, np.arange(states.shape[1]), run.reached
+    halved = numbers._replace(tries=0, estimated=False, rounding=np.inf, repeats=-1)
+    finer = _drive(evaluate, states, inputs, t, halved, x.stop, 2 * run.counts)
+    kept = np.maximum(reached, 0)
+    apart = (run.samples[:, x] - finer.samples)[kept, :, lanes].T
+    return apart / (1 - 0.5 ** (ORDER if evaluate.graphs.dae.lag is None else RELAXING_ORDER))
 
-    states: Array
-    rates: Array
-    h: Array
 
-    def of(self, lanes: Mask) -> _Step:
-        return _Step(*(_of(lanes, each) for each in self))
+def _drive(
+    evaluate: Evaluator,
+    states: Array,
+    inputs: Array,
+    t: Array,
+    numbers: _Numbers,
+    kept: int,
+    counts: Array | None = None,
+) -> _Course:
+    """Integrate lanes by compiled code, or by `_drive_plainly`.
 
-
-class _Interval(NamedTuple):
-    """States and rates of lanes at the last sample, and numbers of steps to the next one.
-
-    The columns are those of all lanes; columns of lanes that ended before are not defined.
+    ``kept`` is the number of rows of the samples. Numbers of steps may be given.
     """
+    rows, n = evaluate.graphs.rows, states.shape[1]
+    errors = rows.x.stop if numbers.estimated else 0
+    samples = np.full((t.size, kept + errors, n), np.nan)
+    counts = np.zeros((t.size - 1, n)) if counts is None else counts
+    sizes = np.cumsum([1, 1, rows.t.stop, rows.t.stop, rows.q.stop])
+    out = np.empty((sizes[-1] + 1, n))
+    end, reason, beyond, *last = np.split(out, sizes)
+    run = _Course(samples, counts, end[0], reason[0], beyond, _Step(last[0], last[1], last[2][0]))
+    # lanes of a vector take as many steps as the slowest one
+    order = np.argsort(np.abs(inputs).sum(axis=(0, 1)), kind="stable")
+    if not evaluate.drive(states, inputs, t, kept, numbers, order, samples, counts, out):
+        _drive_plainly(evaluate, states, inputs, t, numbers, kept, run)
+    codes = np.array([*evaluate.graphs.bounds, 0])
+    reason = run.reason.astype(int)
+    return run._replace(reason=np.where(reason >= 0, codes[np.maximum(reason, 0)], reason))
 
-    states: Array
-    rates: Array
-    number: Indices
 
-    def until(self, lanes: Indices, time: Array, row: slice) -> tuple[_Step, Indices]:
-        """Return the first steps of lanes on their way to a time, and their numbers."""
-        states, number = self.states[:, lanes], self.number[lanes]
-        return _Step(states, self.rates[:, lanes], (time - states[row][0]) / number), number
+def _drive_plainly(
+    evaluate: Evaluator,
+    states: Array,
+    inputs: Array,
+    t: Array,
+    numbers: _Numbers,
+    kept: int,
+    run: _Course,
+) -> None:
+    """Fill in the results of lanes: the specification of the compiled ``drive``."""
+    rows, last = evaluate.graphs.rows, run.last
+    move = _ralston_step if evaluate.graphs.dae.lag is None else _relaxing_step
+    n, a, is_given = states.shape[1], states.copy(), numbers.tries == 0
+    run.end[:], run.reason[:], run.beyond[:] = t[-1], COMPLETE, a
+    last.states[:], last.rates[:], last.h[:] = a, 0.0, 0.0
+    rates, slopes, means = np.zeros((3, rows.q.stop, n))
+    sums, speed, number = np.zeros((rows.x.stop, n)), np.zeros(n), np.ones(n)
 
+    def check(lanes: Indices) -> tuple[Indices, Indices]:
+        """Correct lanes; return which are solved inside the limits, and which are not solved."""
+        some = a[:, lanes]
+        slope, solved, fast, distances = _checked(evaluate, some, numbers.repeats)
+        beyond = solved & ~(margins(distances, numbers.rounding) >= 0)
+        ended, inside = lanes[beyond], solved & ~beyond
+        run.end[ended], run.reason[ended] = some[rows.t][0, beyond], smallest(distances)[beyond]
+        run.beyond[:, ended] = some[:, beyond]
+        a[:, lanes[inside]], slopes[:, lanes[inside]] = some[:, inside], slope[:, inside]
+        speed[lanes[inside]] = fast[inside]
+        return lanes[inside], lanes[~solved]
 
-class _Run:
-    """Motions of lanes while they are integrated; ``counts`` are numbers of steps, (m - 1, n).
-
-    ``kept`` are the rows of the states that the samples have, by default all.
-    """
-
-    def __init__(
-        self,
-        evaluate: Evaluator,
-        states: Array,
-        inputs: Array,
-        t: Array,
-        step: float,
-        kept: list[int] | None = None,
-        *,
-        certify: bool = True,
-    ) -> None:
-        count = states.shape[1]
-        self.evaluate, self.rows, self.step = evaluate, evaluate.graphs.rows, step
-        self.first, self.inputs, self.t = states, inputs, t
-        self.interval: _Interval | None = None
-        self.near = list[tuple[Indices, _Step, Indices]]()  # lanes of `_search_contacts`
-        self.advance = advance if evaluate.graphs.dae.lag is None else advance_relaxing
-        self.counts = np.zeros((t.size - 1, count), dtype=int)
-        self.tries = np.ones(count, dtype=int)  # to reach the next sample
-        self.certify = certify
-        self.kept = slice(None) if kept is None else kept
-        self.samples = np.full((t.size, *states[self.kept].shape), np.nan)
-        self.end, self.reason = np.full(count, t[-1]), np.full(count, COMPLETE)
-        self.beyond = states.copy()
-
-    def run(self, *, counts: Array | None = None) -> None:
-        """Integrate; with given numbers of steps, limits are not evaluated."""
-        lanes, states, limited = np.arange(self.end.size), self.first.copy(), counts is None
-        before: _Step | None = None
-        if limited:
-            states[self.rows.u], states[self.rows.t] = self.inputs[:, 0], self.t[0]
-            self.distances = solve_forces(self.evaluate, states)
-        for k, now in enumerate(self.t):
-            if limited:
-                lanes, states, rates, speed = self._arrive(lanes, states, before, k)
-            else:
-                self._enter(states, lanes, k)
-                rates, _, speed = derivatives(self.evaluate, states)
-            self.samples[k][:, lanes] = states[self.kept]
-            if k == self.t.size - 1:
+    for k, now in enumerate(t):  # from sample k - 1 to sample k
+        span, left = now - t[k - 1] if k else 0.0, np.flatnonzero(run.reason == COMPLETE)
+        if k:
+            needed = speed * span / numbers.step
+            number = np.clip(np.ceil(needed - 1e-9), 1, numbers.longest)
+            number = run.counts[k - 1].copy() if is_given else number
+            fast = left[(number == 0 if is_given else ~(needed <= numbers.fastest))[left]]
+            run.reason[fast], run.end[fast] = TOO_FAST, t[k - 1]
+            left = np.setdiff1d(left, fast)
+        first = a.copy(), rates.copy(), sums.copy()
+        for _ in range(int(numbers.tries) if k and not is_given else 1):
+            if not left.size:
                 break
-            if counts is not None:
-                on_way = counts[k, lanes] > 0  # others have ended
-                lanes, states, rates = (_of(on_way, each) for each in (lanes, states, rates))
-            if not lanes.size:
-                break
-            span = self.t[k + 1] - now
-            needed = speed * span / self.step
-            if limited and (fast := ~(needed <= MAX_STEPS)).any():
-                self.reason[lanes[fast]] = TOO_FAST
-                self._close(_of(fast, lanes), _of(fast, states), _of(fast, states))
-                lanes, states, rates, needed = (
-                    _of(~fast, each) for each in (lanes, states, rates, needed)
-                )
-                if not lanes.size:
+            is_short = number[left] <= numbers.fastest
+            going, lost = left[is_short], [left[~is_short]]
+            for values, begin in zip((a, slopes, sums), first, strict=True):
+                values[:, left] = begin[:, left]
+            if k and not is_given:
+                run.counts[k - 1, left] = number[left]
+            arrived = [] if k else [going]
+            for taken in range(1, int(number[going].max(initial=0)) + 1 if k else 1):
+                h = span / number[going]
+                some, slope = a[:, going], slopes[:, going]
+                last.states[:, going], last.rates[:, going], last.h[going] = some, slope, h
+                a[:, going], solved, means[:, going] = move(evaluate, some, slope, h)
+                lost.append(going[~solved])
+                here = going[solved & (number[going] <= taken)]
+                arrived.append(here)
+                going, unsolved = check(going[solved & (number[going] > taken)])
+                lost.append(unsolved)
+                if numbers.estimated:  # with the inputs of this interval
+                    slopes[:, here] = derivatives(evaluate, a[:, here])[0]
+                    which = np.concatenate([going, here])
+                    ends = a[:, which], slopes[:, which]
+                    step = _Step(*(each[..., which] for each in last))
+                    sums[:, which] += _step_errors(evaluate, step, means[:, which], *ends)
+                if not going.size:
                     break
-            number = _numbers(needed) if counts is None else counts[k, lanes]
-            if np.ptp(number):  # lanes of a vector take as many steps as the slowest one
-                order = np.argsort(number, kind="stable")
-                lanes, number, states, rates = (
-                    lanes[order],
-                    number[order],
-                    states[:, order],
-                    rates[:, order],
-                )
-            step = _Step(states, rates, span / number)
-            if limited:
-                self.tries[lanes] = 1
-                lanes, states, before = self._advance_to_sample(lanes, step, number, k)
+            there = np.concatenate(arrived)
+            a[rows.t, there] = now
+            if k < t.size - 1:
+                a[rows.u, there] = inputs[:, k, there]
+            there, unsolved = check(there)
+            rates[:, there] = slopes[:, there]
+            left = np.concatenate([*lost, unsolved])
+            number[left] *= numbers.finer
+        run.end[left], run.reason[left] = t[max(k - 1, 0)], UNSOLVED
+        alive = run.reason == COMPLETE
+        run.samples[k, :kept, alive] = a[:kept, alive].T
+        if numbers.estimated:
+            x, y, heading = evaluate.graphs.places
+            errors = sums.copy()
+            errors[x] -= sums[heading] * a[y]
+            errors[y] += sums[heading] * a[x]
+            run.samples[k, kept:, alive] = errors[:, alive].T
+
+
+def _step_errors(evaluate: Evaluator, step: _Step, mean: Array, end: Array, slope: Array) -> Array:
+    """Return the errors of steps: the integral of the defect on the cubic path by the 3/8 rule.
+
+    ``slope`` are the rates at the ends. The errors of ``x`` and ``y`` get the part that is due to
+    the error of the heading when the path is turned about its origin; at any later point the error
+    of the heading times its coordinates is to be subtracted.
+    """
+    rows, h = evaluate.graphs.rows, step.h
+    moving = slice(0, rows.q.stop)
+    errors = ((step.rates + slope) / 8 - mean)[rows.x]
+    for c in (1 / 3, 2 / 3):
+        at, d = step.states.copy(), 1 - c
+        parts = c * d**2 * step.rates, c**2 * (3 - 2 * c) * mean, -(c**2) * d * slope
+        at[moving] += h * sum(parts)
+        at[rows.t] += c * h
+        errors += 0.375 * derivatives(evaluate, at)[0][rows.x]
+    errors *= h
+    x, y, heading = evaluate.graphs.places
+    errors[x] += errors[heading] * end[y]
+    errors[y] -= errors[heading] * end[x]
+    return np.asarray(errors)
+
+
+class _Ends:
+    """Ends of lanes, which are located after the integration."""
+
+    def __init__(self, evaluate: Evaluator, t: Array, run: _Course, *, certify: bool) -> None:
+        self.evaluate, self.t, self.run, self.certify = evaluate, t, run, certify
+        self.rows = evaluate.graphs.rows
+        self.end, self.reason, self.beyond = run.end, run.reason, run.beyond
+        self.advance = advance if evaluate.graphs.dae.lag is None else advance_relaxing
+
+    def check_samples(self) -> Indices:
+        """Return the index of the first sample of each lane that fails a check, or m."""
+        reached, failed = self.run.reached, np.full(self.end.size, self.t.size)
+        for k in range(self.t.size if self.evaluate.graphs.checks else 0):
+            on = (reached >= k) & (failed == self.t.size)
+            some = _of(on, self.run.samples[k, : self.rows.t.stop])
+            clear = clearances(self.evaluate, some).min(axis=0) >= 0
+            if not on.all():
+                self.run.samples[k, self.rows.p][:, on] = some[self.rows.p]
+            failed[np.flatnonzero(on)[~clear]] = k
+        return failed
+
+    def end_at_samples(self, failed: Indices) -> None:
+        """End lanes at checks that fail at samples, before which they are located."""
+        for k in np.unique(failed[failed < self.t.size]):
+            lanes = np.flatnonzero(failed == k)
+            states = self.run.samples[k, : self.rows.t.stop, lanes].T.copy()
+            if k:
+                self._end_at_checks(lanes, states, *self._interval(lanes, k - 1, self.t[k]))
             else:
-                states, solved = self.advance(self.evaluate, *step, number)
-                states[:, ~solved] = np.nan  # such a lane needs no more Newton steps
-        self._search_contacts()
+                self.reason[lanes] = INVALID_START
+                self._close(lanes, states, states)
 
-    def _enter(self, states: Array, lanes: Indices, k: int) -> None:
-        states[self.rows.t] = self.t[k]
-        if k < self.t.size - 1:
-            states[self.rows.u] = self.inputs[:, k, lanes]
+    def _interval(self, lanes: Indices, k: Any, time: Any) -> tuple[_Step, Indices]:
+        """Return steps of lanes from sample ``k`` to a time, and their numbers."""
+        states = self.run.samples[k, : self.rows.t.stop, lanes].T.copy()
+        rates, number = derivatives(self.evaluate, states)[0], self.run.counts[k, lanes].astype(int)
+        return _Step(states, rates, (time - states[self.rows.t][0]) / number), number
 
-    def _arrive(
-        self, lanes: Indices, states: Array, before: _Step | None, k: int
-    ) -> tuple[Indices, Array, Array, Array]:
-        """End lanes at a sample; return the others, their states, rates and speeds.
-
-        Lanes without rates there come once more from the sample before, in shorter steps.
-        """
-        self._enter(states, lanes, k)
-        rates, good, speed, margin = self._checked(states)
-        while before is not None and self.interval is not None:
-            again = ~good & self._may_repeat(lanes)
-            if not again.any():
-                break
-            some = _of(again, lanes)
-            step, number = self.interval.until(some, np.full(some.size, self.t[k]), self.rows.t)
-            self.tries[some] += 1
-            step, number = step._replace(h=step.h / REFINEMENT), number * REFINEMENT
-            there, came, last = self._advance_to_sample(some, step, number, k - 1)
-            self._enter(came, there, k)
-            new = there, came, *last, *self._checked(came)
-            old = (_of(~again, v) for v in (lanes, states, *before, rates, good, speed, margin))
-            lanes, states, *steps, rates, good, speed, margin = (
-                np.concatenate(pair, axis=-1) for pair in zip(old, new, strict=True)
-            )
-            before = _Step(*steps)
-        kept = good & (margin >= 0)
-        self._end(lanes, states, before, good, kept)
-        lanes, states, rates, speed = (_of(kept, each) for each in (lanes, states, rates, speed))
-        if not self.certify:
-            return lanes, states, rates, speed
-        clear = clearances(self.evaluate, states).min(axis=0) >= 0
-        self._end_at_checks(_of(~clear, lanes), _of(~clear, states))
-        return _of(clear, lanes), _of(clear, states), _of(clear, rates), _of(clear, speed)
-
-    def _begin(self, lanes: Indices, step: _Step, number: Indices) -> None:
-        if self.interval is None:
-            shapes = ((*each.shape[:-1], self.end.size) for each in (step.states, step.rates))
-            first, rates = (np.empty(shape) for shape in shapes)
-            self.interval = _Interval(first, rates, np.ones(self.end.size, dtype=int))
-        for values, new in zip(self.interval, (step.states, step.rates, number), strict=True):
-            values[..., lanes] = new
-
-    def _advance_to_sample(
-        self, lanes: Indices, step: _Step, number: Indices, interval: int
-    ) -> tuple[Indices, Array, _Step]:
-        """Return the lanes that reach the next sample, their states and last steps.
-
-        Lanes whose corrections are too large start again from the last sample in shorter steps.
-        """
-        arrived = list[tuple[Any, ...]]()
-        while lanes.size:
-            self.counts[interval, lanes] = number
-            self._begin(lanes, step, number)
-            again = self._attempt(lanes, step, number, arrived)
-            lanes, number, step = _of(again, lanes), _of(again, number), step.of(again)
-            self.tries[lanes] += 1
-            step, number = step._replace(h=step.h / REFINEMENT), number * REFINEMENT
-        lanes, states, *last = (
-            rows[0] if len(rows) == 1 else np.concatenate(rows, axis=-1)
-            for rows in zip(*arrived, strict=True)
-        )
-        return lanes, states, _Step(*last)
-
-    def _attempt(
-        self, lanes: Indices, step: _Step, number: Indices, arrived: list[tuple[Any, ...]]
-    ) -> Mask:
-        """Append lanes that reach the sample to ``arrived``; return which should start again."""
-        every, failed = lanes, list[Indices]()
-        for k in range(1, number.max() + 1):
-            states, solved = self.advance(self.evaluate, *step, np.ones(lanes.size, dtype=int))
-            failed.append(self._end(lanes, states, step, solved, solved))
-            here, on_way = solved & (number == k), solved & (number > k)
-            arrived.append((_of(here, lanes), _of(here, states), *step.of(here)))
-            if not on_way.any():
-                break
-            lanes, states, number = (_of(on_way, each) for each in (lanes, states, number))
-            step = step.of(on_way)
-            rates, good, _, margin = self._checked(states)
-            kept = good & (margin >= 0)
-            failed.append(self._end(lanes, states, step, good, kept))
-            lanes, states, number = (_of(kept, each) for each in (lanes, states, number))
-            step = _Step(states, _of(kept, rates), _of(kept, step.h))
-        return np.isin(every, np.concatenate(failed))
-
-    def _may_repeat(self, lanes: Indices) -> Mask:
-        """Return which lanes may start again from the last sample, in shorter steps."""
-        if self.interval is None:
-            return np.zeros(lanes.size, dtype=bool)
-        is_short = self.interval.number[lanes] * REFINEMENT <= MAX_STEPS
-        return np.asarray(is_short & (self.tries[lanes] < MAX_TRIES))
-
-    def _leave_unsolved(self, lanes: Indices, states: Array) -> None:
-        self.reason[lanes] = UNSOLVED
-        self._close(lanes, states, states)
-
-    def _checked(self, states: Array) -> tuple[Array, Mask, Array, Array]:
-        """Return the results of `derivatives`, and the least distances to the limits."""
-        rates, good, speed, distances = _checked(self.evaluate, states)
-        return rates, good, speed, margins(distances)
-
-    def _end(
-        self, lanes: Indices, states: Array, before: _Step | None, good: Mask, kept: Mask
-    ) -> Indices:
-        """End lanes beyond a limit, located in the last step, and lanes that are not solved.
-
-        Of the latter, those are returned instead that may start again in shorter steps.
-        """
-        limited = good & ~kept
-        if before is None:
-            self.reason[lanes[~good]], self.reason[lanes[limited]] = UNSOLVED, INVALID_START
-            self._close(_of(~kept, lanes), _of(~kept, states), _of(~kept, states))
-            return lanes[:0]
-        again = ~good & self._may_repeat(lanes)
-        unsolved = ~good & ~again
-        self._leave_unsolved(_of(unsolved, lanes), before.of(unsolved).states)
-        if limited.any():
-            which = _of(limited, lanes)
-            graph, bounds = self.evaluate.graphs.checked, np.array(self.evaluate.graphs.bounds)
-            one = np.ones(which.size, dtype=int)
-            low, high, lost = self._locate(
-                before.of(limited), one, _of(limited, states), lambda _, margin: margin
-            )
-            values = self.evaluate(graph, high)
-            distances, change = values[graph.parts[DISTANCES]], values[graph.parts[CHANGE]][0]
-            # a contact that jumps has no limit to name
-            lost |= ~(change < SETTLED) | ~(margins(distances) < 0)
-            self.reason[which] = np.where(lost, LOST, bounds[smallest(distances)])
-            self._close(which, low, high)
-            if self.certify and self.interval is not None:
-                near = NEAR * self.evaluate.graphs.dae.size
-                close = clearances(self.evaluate, low).min(axis=0) < near
-                which, low = _of(close, which), _of(close, low)
-                first = self.interval.until(which, low[self.rows.t][0], self.rows.t)
-                self.near.append((which, *first))
-        return lanes[again]
-
-    def _search_contacts(self) -> None:
-        """End lanes at a second contact that came and went between the last sample and a limit."""
-        if not self.near:
+    def locate_limits(self, lanes: Indices) -> None:
+        """Locate limits in the last steps of lanes; end at contacts that come before them."""
+        if not lanes.size:
             return
-        ended, steps, numbers = zip(*self.near, strict=True)
-        lanes, number = np.concatenate(ended), np.concatenate(numbers)
-        step = _Step(*(np.concatenate(rows, axis=-1) for rows in zip(*steps, strict=True)))
+        graph, one = self.evaluate.graphs.checked, np.ones(lanes.size, dtype=int)
+        last = _Step(*(each[..., lanes] for each in self.run.last))
+        low, high, lost = self._locate(last, one, self.beyond[:, lanes], lambda _, margin: margin)
+        values = self.evaluate(graph, high)
+        distances, change = values[graph.parts[DISTANCES]], values[graph.parts[CHANGE]][0]
+        # a contact that jumps has no limit to name
+        lost |= ~(change < SETTLED) | ~(margins(distances) < 0)
+        bounds = np.array(self.evaluate.graphs.bounds)
+        self.reason[lanes] = np.where(lost, LOST, bounds[smallest(distances)])
+        self._close(lanes, low, high)
+        if self.certify:
+            near = NEAR * self.evaluate.graphs.dae.size
+            close = clearances(self.evaluate, low).min(axis=0) < near
+            self._search_contacts(lanes[close], low[self.rows.t][0, close])
+
+    def _search_contacts(self, lanes: Indices, time: Array) -> None:
+        """End lanes at a second contact that came and went between the last sample and a limit."""
+        if not lanes.size:
+            return
+        step, number = self._interval(lanes, self.run.reached[lanes], time)
         for part in range(1, PARTS + 1):
             at, _ = self.advance(self.evaluate, *step._replace(h=step.h * part / PARTS), number)
             bad = ~(clearances(self.evaluate, at).min(axis=0) >= 0)
@@ -462,18 +418,10 @@ class _Run:
             if not lanes.size:
                 break
 
-    def _end_at_checks(
-        self, lanes: Indices, states: Array, step: _Step | None = None, number: Any = None
-    ) -> None:
-        """End lanes that fail a check, which is located between the last sample and the states."""
+    def _end_at_checks(self, lanes: Indices, states: Array, step: _Step, number: Indices) -> None:
+        """End lanes that fail a check, which is located between a sample and the states."""
         if not lanes.size:
             return
-        if self.interval is None:
-            self.reason[lanes] = INVALID_START
-            self._close(lanes, states, states)
-            return
-        if step is None:
-            step, number = self.interval.until(lanes, states[self.rows.t][0], self.rows.t)
         failed = smallest(clearances(self.evaluate, states))
         for check in np.unique(failed):
             chosen = failed == check
@@ -515,8 +463,8 @@ class _Run:
             part = step.of(wide)
             part = part._replace(h=part.h * share)
             states, solved = self.advance(self.evaluate, *part, count[wide])
-            _, good, _, distance = self._checked(states)
-            value = np.where(solved & good, margin(states, distance), np.nan)
+            _, good, _, distances = _checked(self.evaluate, states)
+            value = np.where(solved & good, margin(states, margins(distances)), np.nan)
             fine = value >= 0  # not for NaN
             shares = np.full(high.shape, 0.0)
             shares[wide] = share
@@ -530,16 +478,6 @@ class _Run:
             inside[:, good] = states[:, fine]
             beyond[:, bad] = states[:, ~fine] if k else beyond[:, bad]
         return inside, beyond, np.isnan(at_high) & (low < 1)
-
-
-def _numbers(least: Array) -> Indices:
-    """Return numbers of steps, rounded up to 1, 2, 3, 4, 6, 8, 12, ...
-
-    Few different numbers occur then, and lanes with the same one are computed together.
-    """
-    power = 2.0 ** np.ceil(np.log2(np.maximum(np.ceil(least - 1e-9), 1)))
-    power *= np.where((least <= 0.75 * power) & (power > 2), 0.75, 1.0)
-    return np.asarray(power, dtype=int)
 
 
 def smallest(values: Array) -> Indices:
@@ -576,12 +514,19 @@ def solve_forces(evaluate: Evaluator, states: Array) -> Array:
     return distances
 
 
-def _checked(evaluate: Evaluator, states: Array) -> tuple[Array, Mask, Array, Array]:
-    """Return the results of `derivatives`, and the distances to the bounds of limits."""
+def _checked(
+    evaluate: Evaluator, states: Array, repeats: int = FORCE_STEPS
+) -> tuple[Array, Mask, Array, Array]:
+    """Return the results of `derivatives`, and the distances to the bounds of limits.
+
+    There are no limits if ``repeats`` is negative.
+    """
+    if repeats < 0:
+        return *derivatives(evaluate, states), np.zeros((1, states.shape[1]))
     graph, forces = evaluate.graphs.checked, evaluate.graphs.rows.f
     values = _iterated(evaluate, graph, states)
     result = _derivatives(evaluate, graph, values, states)
-    for _ in range(FORCE_STEPS):
+    for _ in range(repeats):
         states[forces] = values[graph.parts[FORCES]]
         rough = ~(values[graph.parts[DOUBT]][0] <= 0)
         if not rough.any():
@@ -590,9 +535,9 @@ def _checked(evaluate: Evaluator, states: Array) -> tuple[Array, Mask, Array, Ar
     return *result, values[graph.parts[DISTANCES]]
 
 
-def margins(distances: Array) -> Array:
+def margins(distances: Array, rounding: float = LIMIT_ROUNDING) -> Array:
     """Return the least distances to limits, of which rounding is no violation; NaN with NaN."""
-    return np.asarray(distances.min(axis=0, initial=np.inf) + LIMIT_ROUNDING)
+    return np.asarray(distances.min(axis=0, initial=np.inf) + rounding)
 
 
 def clearances(evaluate: Evaluator, states: Array, only: int | None = None) -> Array:
@@ -701,7 +646,7 @@ def advance_relaxing(
 
 
 def _repeated(
-    step: Callable[[Array, Array, Array], tuple[Array, Mask]],
+    step: Callable[[Array, Array, Array], tuple[Array, Mask, Array]],
     evaluate: Evaluator,
     states: Array,
     rates: Array,
@@ -709,18 +654,21 @@ def _repeated(
     count: Indices,
 ) -> tuple[Array, Mask]:
     """Return the states after one step, or as many as each lane needs, and which are solved."""
-    states, solved = step(states, rates, h)
+    states, solved, _ = step(states, rates, h)
     for k in range(1, count.max(initial=1)):
         on_way = count > k
         some = states[:, on_way]
         rates, good, _ = derivatives(evaluate, some)
-        states[:, on_way], also_good = step(some, rates, h[on_way])
+        states[:, on_way], also_good, _ = step(some, rates, h[on_way])
         solved[on_way] &= good & also_good
         states[:, ~solved] = np.nan  # such a lane needs no more Newton steps
     return states, solved
 
 
-def _ralston_step(evaluate: Evaluator, states: Array, rates: Array, h: Array) -> tuple[Array, Mask]:
+def _ralston_step(
+    evaluate: Evaluator, states: Array, rates: Array, h: Array
+) -> tuple[Array, Mask, Array]:
+    """Return the states after a step, which are solved, and the mean rates."""
     rows = evaluate.graphs.rows
     moving = slice(0, rows.q.stop)
     start, stage = states[moving], states.copy()
@@ -730,9 +678,10 @@ def _ralston_step(evaluate: Evaluator, states: Array, rates: Array, h: Array) ->
     stage[moving] = start + (0.75 * h) * second
     stage[rows.t] = states[rows.t] + 0.75 * h
     third, good, _ = derivatives(evaluate, stage)
-    stage[moving] = start + (h / 9) * (2 * rates + 3 * second + 4 * third)
+    mean = (2 * rates + 3 * second + 4 * third) / 9
+    stage[moving] = start + h * mean
     stage[rows.t] = states[rows.t] + h
-    return stage, solved & good
+    return stage, solved & good, mean
 
 
 def _relaxing_step(
@@ -740,7 +689,7 @@ def _relaxing_step(
     states: Array,
     rates: Array,  # noqa: ARG001 - of another lag
     h: Array,
-) -> tuple[Array, Mask]:
+) -> tuple[Array, Mask, Array]:
     dae, rows = evaluate.graphs.dae, evaluate.graphs.rows
     moving = slice(0, rows.q.stop)
     relaxing = slice(rows.x.stop - dae.rest.numel(), rows.x.stop)
@@ -756,7 +705,7 @@ def _relaxing_step(
     stage[relaxing] = middle + half * second[relaxing]
     stage[rows.lag] = 0.0
     stage[rows.t] = states[rows.t] + h
-    return stage, solved & good
+    return stage, solved & good, second
 
 
 def relax(evaluate: Evaluator, states: Array) -> Mask:

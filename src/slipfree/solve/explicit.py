@@ -42,7 +42,7 @@ def integrate_explicitly(
     for _ in range(MAX_TRIES):
         run = integrate_lanes(evaluator, state[:, None], inputs_of_lane, t, step, certify=False)
         total += int(run.steps[0])
-        error = float(run.error[0])
+        error = float(np.hypot(*run.errors[list(evaluator.graphs.places[:2]), 0]))
         if error <= wanted or np.isnan(error):  # NaN: the first interval is not solved
             break
         step *= float(np.clip(SAFETY * (wanted / error) ** (1 / order), MIN_RATIO, SAFETY))

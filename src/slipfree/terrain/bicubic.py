@@ -226,9 +226,9 @@ class Bicubic:
             inside &= (axis[0] <= at - reach) & (at + reach <= axis[-1])
             cells.append(np.clip(np.nan_to_num((at - axis[0]) / h), 0, axis.size - 2).astype(int))
         (i, j), (slope, curvature) = cells, np.full((2, x.size), np.inf)
-        blocks = np.array([i // BLOCK, j // BLOCK])
-        for block in {*map(tuple, blocks[:, inside].T.tolist())}:
-            here = inside & (blocks == np.array([block]).T).all(axis=0)
+        blocks = i // BLOCK * self.grid.y.size + j // BLOCK
+        for number in np.unique(blocks[inside]).tolist():
+            here, block = inside & (blocks == number), divmod(number, self.grid.y.size)
             key = *block, reach
             if key not in self._known_bounds:
                 if len(self._known_bounds) >= MAX_BLOCKS:
