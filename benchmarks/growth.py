@@ -56,7 +56,7 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.plan.ipopt import Iterate
-from slipfree.problem.load import Recipe
+from slipfree.problem.problem import Recipe
 from slipfree.show.sweep_figures import save_sweep_figures
 from slipfree.solve import integrator as module
 from slipfree.sweep.grid import sweep_of

@@ -24,7 +24,7 @@ from pathlib import Path
 
 from common import HERE, PROBLEMS
 
-from slipfree.problem.load import Recipe
+from slipfree.problem.problem import Recipe
 from slipfree.sweep.runs import KEPT, RunTask, work
 
 PROBLEM = PROBLEMS / "paper_direct.toml"

@@ -1,6 +1,6 @@
 """Add a verb of problem files: one module and one entry of `VERBS`.
 
-`Stand` and `StandVerb` are the module ``problem/verbs/stand.py`` (28 lines without docstrings and
+`Stand` and `StandVerb` are the module ``problem/verbs/stand.py`` (26 lines without docstrings and
 imports), and ``StandVerb()`` is the entry of ``VERBS`` in ``problem/load.py``: two files.
 Problem files, commands, sweeps, reports and result files accept the verb without other changes.
 """
@@ -19,8 +19,7 @@ from slipfree.core.records import leaves
 from slipfree.files.netcdf import NOTHING
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.problem import load
-from slipfree.problem.build import Setup, build_start, build_terrain, build_vehicle
-from slipfree.problem.build_ground import build_ground
+from slipfree.problem.build import Setup, build_start, build_world
 from slipfree.problem.result import open_result
 from slipfree.problem.schema import VERB, MotionKeys, Time
 from slipfree.problem.verbs.driving import DriveVerb
@@ -44,13 +43,12 @@ class StandVerb(DriveVerb):
 
     def build(self, problem: Any) -> Setup:
         """Return the model and the settled start."""
-        ground = build_ground(problem)
-        vehicle = build_vehicle(problem)
-        terrain = build_terrain(problem, ground)
-        dae = direct_kinematics(vehicle, terrain)
+        world = build_world(problem)
+        dae = direct_kinematics(world.vehicle, world.terrain)
         start = build_start(problem, dae)
         inputs = dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)})
-        return Setup(ground, terrain, vehicle, dae, dae, start, inputs, start.t, "nothing")
+        drive = {"start": start, "inputs": inputs, "t": start.t, "driven": "nothing"}
+        return Setup(**vars(world), model=dae, dae=dae, **drive)
 
     def drive(self, problem: Any, setup: Setup, watch: Any, resume: Any) -> Any:
         """Return the start."""

@@ -189,7 +189,9 @@ def test_a_way_point_is_passed(bounded):
 @pytest.mark.slow
 def test_all_inputs_are_drawn_however_many_are_bounded(bounded):
     motion, setup = bounded.trajectory, bounded.setup
-    drawn = draw(plan_plots(motion, setup.ground.grid, setup.layers, **figure_options(bounded)))
+    drawn = draw(
+        plan_plots(motion, setup.ground.grid, setup.layers, **figure_options(bounded, setup))
+    )
     panel = drawn["plan"].axes[0]
     names = ["right rate", "left rate", "steer rate", "bound", "bound"]
     assert panel.get_legend_handles_labels()[1] == names

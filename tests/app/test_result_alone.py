@@ -24,7 +24,7 @@ from slipfree.problem.build_ground import build_ground
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, problem_of, run_problem
 from slipfree.problem.stored_world import STORED
-from slipfree.problem.verbs.driving import vehicle_of
+from slipfree.problem.verbs.driving import world_of
 from slipfree.show.meshes import reduced
 from slipfree.terrain.bicubic import Bicubic
 
@@ -104,7 +104,7 @@ def test_a_result_alone_has_ground_vehicle_and_model(
     result = open_result(file)
     again = build(result.problem)
     assert_allclose(again.ground.grid.z, first.ground.grid.z, rtol=0, atol=0)
-    assert again.vehicle == vehicle_of(result) == first.vehicle
+    assert again.vehicle == world_of(result).vehicle == first.vehicle
     for key in first.start.columns:
         assert_allclose(again.start[key], first.start[key], rtol=0, atol=1e-12)
     assert again.ground.coordinates == first.ground.coordinates

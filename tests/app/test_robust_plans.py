@@ -13,10 +13,10 @@ from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.load import load_problem
+from slipfree.problem.problem import recipe_of
 from slipfree.problem.result import run_problem
 from slipfree.problem.verbs import plan_search
 from slipfree.problem.verbs.plan_search import ReplayTask, replay_draw
-from slipfree.problem.verbs.plan_setup import source_of
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 HILLS = PROBLEMS / "plan_rigid_hills.toml"
@@ -80,7 +80,7 @@ def test_draws_are_the_same_in_processes_of_their_own(monkeypatch):
 def test_world_without_errors_keeps_the_bounds_of_the_plan():
     exact = (*PLAIN, "plan.robust.map={rms=1e-9, correlation=1.0}", "plan.robust.goal=0.01")
     motion = from_arrays(run_problem(load_problem(HILLS, PLAIN)).arrays, "first").motion
-    task = ReplayTask(source_of(load_problem(HILLS, exact)), (motion,), (0, 0, 0))
+    task = ReplayTask(recipe_of(load_problem(HILLS, exact)), (motion,), (0, 0, 0))
     (replay,) = replay_draw(task)
     assert replay.holds
     assert replay.distance < 1e-3

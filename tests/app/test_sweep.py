@@ -29,7 +29,7 @@ from helpers.sweep_cases import (
 )
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.files import netcdf
-from slipfree.problem.load import Recipe
+from slipfree.problem.problem import Recipe
 from slipfree.show import sweep_figures as show
 from slipfree.show.swept import Swept, Varied
 from slipfree.sweep.grid import axis_of, sweep_of

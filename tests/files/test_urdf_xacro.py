@@ -20,10 +20,10 @@ from slipfree.problem.build_vehicle import (
     is_vehicle_file,
     read_vehicle,
 )
-from slipfree.problem.load import Recipe, load_problem, recipe_of
+from slipfree.problem.load import load_problem
+from slipfree.problem.problem import Recipe, recipe_of
 from slipfree.problem.result import build, open_result
-from slipfree.problem.verbs.driving import vehicle_of
-from slipfree.problem.verbs.plan_setup import source_of
+from slipfree.problem.verbs.driving import world_of
 from slipfree.sweep.grid import sweep_of
 from slipfree.sweep.runs import RunTask, work
 
@@ -133,7 +133,7 @@ def test_trust_reaches_every_reader_and_results_need_none(robot, monkeypatch):
     invoke("vehicle", robot.name, *trusting, code=0)
     assert "[wheels]" in guessed_completion(robot, robot.parent, [robot])
     problem = load_problem("p.toml", trust=[robot.name])
-    assert source_of(problem).trusted == problem.trusted != frozenset()
+    assert recipe_of(problem).trusted == problem.trusted != frozenset()
     sweep = sweep_of(Path("p.toml"), ["driver.speed=0.1"], trust=[Path(robot.name)])
     recipe = recipe_of(sweep.problem, "driver.speed=0.1")
     done = work(RunTask(1, recipe, ("driver.speed=0.1",), keep=True))
@@ -143,7 +143,7 @@ def test_trust_reaches_every_reader_and_results_need_none(robot, monkeypatch):
     robot.unlink()
     os.mkfifo(robot)  # reading it would not end
     for file in ("p.nc", "run.nc"):
-        assert vehicle_of(open_result(file)) == vehicle
+        assert world_of(open_result(file)).vehicle == vehicle
     for words in (
         "info p.nc",
         "show p.nc --html p.html",

@@ -12,7 +12,7 @@ from typing import Any
 import psutil
 
 from helpers.commands import invoke
-from slipfree.problem.load import Recipe
+from slipfree.problem.problem import Recipe
 from slipfree.sweep.runs import RunTask
 from slipfree.system.parts import LOG
 

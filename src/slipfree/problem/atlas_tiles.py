@@ -26,8 +26,7 @@ from slipfree.files.atlas_files import (
 )
 from slipfree.problem.build_ground import Extremes
 from slipfree.problem.inputs import FileStates, ProblemParts, file_states, files_read
-from slipfree.problem.load import Recipe, recipe_of
-from slipfree.problem.problem import Problem
+from slipfree.problem.problem import Problem, Recipe, recipe_of
 from slipfree.problem.verbs.atlas import AtlasSetup, build_atlas
 from slipfree.show.atlas_figures import AtlasView, friction_maps
 from slipfree.system.parts import PartsWatch, study

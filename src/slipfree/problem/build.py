@@ -52,22 +52,29 @@ MAKERS = {"soil": soil_of}  # functions that make a law from a table with furthe
 OF_THE_MOTION = {"title", "start", "inputs", "driver", "time", "solver", "output"}
 ORIGIN = ("x", "y")  # states at the start that the ground depends on
 M = TypeVar("M", bound=Modelled)
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
-class Setup:
-    """Set-up of the integration of a problem."""
+class World:
+    """Ground and vehicle of a problem."""
 
     ground: GroundMap  # heights on a grid
-    terrain: Bicubic  # smooth surface
+    terrain: Bicubic  # smooth surface, with its local origin at the start
     vehicle: Vehicle
+    prisms: tuple[Prism, ...]  # solids on the ground
+
+
+@dataclass(frozen=True, eq=False)
+class Setup(World):
+    """Set-up of the integration of a problem."""
+
     model: Dae  # settles the vehicle at its start
     dae: Dae  # to integrate
     start: Trajectory  # one sample, at rest or with the given rates of the platform
     inputs: Any  # constant rates, rates per interval of t, or a driving law
     t: Array  # of the samples, or of the steps of a sampled driving law [s]
     driven: str  # description of the inputs
-    prisms: tuple[Prism, ...] = field(default=(), kw_only=True)
     every: int = field(default=0, kw_only=True)  # steps per sample; 0: continuous
 
     @property
@@ -303,34 +310,35 @@ def _wrong_law(spec: LawKeys, name: str) -> Fault:
     return Fault(("law", name), f"model = {model!r}, where this law applies", found)
 
 
-class World(NamedTuple):
-    """Ground and vehicle of a problem, and its model."""
-
-    ground: GroundMap
-    terrain: Bicubic  # with its local origin at the start
-    vehicle: Vehicle
-    prisms: tuple[Prism, ...]
-    dae: Dae
-
-
-def build_world(problem: Problem[M]) -> World:
-    """Return ground, vehicle and model of a problem.
+def build_world(problem: Problem[Any]) -> World:
+    """Return ground and vehicle of a problem.
 
     Consecutive runs of a sweep share them, unless a key changes on which they depend.
     """
+
+    def build() -> World:
+        ground = build_ground(problem)
+        vehicle = build_vehicle(problem)
+        terrain = build_terrain(problem, ground)
+        return World(ground, terrain, vehicle, build_solids(problem, terrain))
+
+    return _shared("world", problem, build)
+
+
+def build_shared_model(problem: Problem[M], world: World) -> Dae:
+    """Return the model of a problem, which consecutive runs of a sweep share like its world."""
+    return _shared(
+        "model",
+        problem,
+        lambda: build_model(problem, world.vehicle, world.terrain, world.prisms),
+    )
+
+
+def _shared(kind: str, problem: Problem[Any], build: Callable[[], T]) -> T:
     spec = problem.spec
     rest = spec.model_dump_json(exclude=OF_THE_MOTION, exclude_unset=True, serialize_as_any=True)
     origin = tuple(spec.start.get(name) for name in ORIGIN)
-    return shared("world", (problem.folder, rest, origin), lambda: _built(problem))
-
-
-def _built(problem: Problem[M]) -> World:
-    ground = build_ground(problem)
-    vehicle = build_vehicle(problem)
-    terrain = build_terrain(problem, ground)
-    prisms = build_solids(problem, terrain)
-    dae = build_model(problem, vehicle, terrain, prisms)
-    return World(ground, terrain, vehicle, prisms, dae)
+    return shared(kind, (problem.folder, rest, origin), build)
 
 
 def build_law(problem: Problem[S], driver: DriverTable, dae: Dae, start: Trajectory) -> Any:
@@ -352,7 +360,7 @@ def check_without_path(driver: DriverTable) -> None:
         )
 
 
-def build_climbing(problem: Problem[Any], world: World) -> tuple[Dae, Any]:
+def build_climbing(problem: Problem[Any], world: World, model: Dae) -> tuple[Dae, Any]:
     """Return the model of a step climber with its controller, and the inputs of this model."""
     driver = problem.spec.driver
     with at(problem, ("driver", "control")):
@@ -364,7 +372,7 @@ def build_climbing(problem: Problem[Any], world: World) -> tuple[Dae, Any]:
             check_period(driver.period, control, world.vehicle)
     with at(problem, ("driver", "control", "directions")):
         sampled = driver.period is not None
-        dae = climbing(world.dae, control, level_section(world), sampled=sampled)
+        dae = climbing(model, control, level_section(world), sampled=sampled)
     held = held_torques(dae, control) if sampled else {}
     return dae, dae.inputs(reference_speed=driver.speed, **held)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 from slipfree.core.arguments import checked
 from slipfree.files.toml.source import (
@@ -143,26 +143,6 @@ def load_again(
 
     problem = validated_problem(schema_of, path, text, settings, varied)
     return convert_places(replace(problem, trusted=trusted, grounds=grounds))
-
-
-class Recipe(NamedTuple):
-    """A problem for another process, which reads its input files itself."""
-
-    path: Path
-    text: str
-    settings: tuple[str, ...]
-    trusted: frozenset[str] = frozenset()
-
-    def load(self, *, command: str = "run") -> Problem[Any]:
-        """Return the problem; errors as in `load_problem`."""
-        return load_again(*self, command=command)
-
-
-def recipe_of(problem: Problem[Any], *settings: str) -> Recipe:
-    """Return the recipe of a problem with further settings."""
-    source = problem.source
-    before = dict.fromkeys(source.settings.values())
-    return Recipe(source.path, source.text, (*before, *settings), problem.trusted)
 
 
 def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> Verb:

@@ -22,8 +22,8 @@ from slipfree.plan.pareto import FrontPoint, FrontTask, check_count, is_better, 
 from slipfree.plan.polynomial_motion import SavedPlan, from_arrays
 from slipfree.plan.problem import costs_of
 from slipfree.problem.inputs import ProblemParts
-from slipfree.problem.load import Recipe, recipe_of, verb_of
-from slipfree.problem.problem import Problem
+from slipfree.problem.load import verb_of
+from slipfree.problem.problem import Problem, Recipe, recipe_of
 from slipfree.problem.result import build, open_result, run_problem
 from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan_schema import PlanKeys

@@ -34,7 +34,6 @@ from slipfree.problem.verbs.base import (
     VERB_ATTRIBUTE,
     CrossCheck,
     Result,
-    VerbSolution,
     Watch,
     values_of,
 )
@@ -100,8 +99,8 @@ def run_problem(
     """
     verb, kept = verb_of(problem), list[Result]()
 
-    def store(solution: VerbSolution) -> None:
-        kept[:] = [result_of(problem, verb, solution, files)]
+    def store(run: Trajectory, arrays: Mapping[str, Array]) -> None:
+        kept[:] = [result_of(problem, verb, setup, run, arrays, files)]
         keep(kept[-1])
 
     setup = build(problem)
@@ -109,8 +108,8 @@ def run_problem(
     files = digests(problem)  # before a long search, in which files may change
     try:
         with at(problem, ("start",)):
-            solution = verb.solve(problem, setup, watch, resume)
-        return result_of(problem, verb, solution, files)
+            run, arrays = verb.solve(problem, setup, watch, resume)
+        return result_of(problem, verb, setup, run, arrays, files)
     except KeyboardInterrupt:
         if not kept:
             raise
@@ -122,11 +121,15 @@ def run_problem(
 
 
 def result_of(
-    problem: Problem[Any], verb: DriveVerb, solution: VerbSolution, further: dict[str, str]
+    problem: Problem[Any],
+    verb: DriveVerb,
+    setup: Setup,
+    run: Trajectory,
+    arrays: Mapping[str, Array],
+    further: dict[str, str],
 ) -> Result:
     """Return the result of a problem with all that its file contains, and further attributes."""
-    run, setup, arrays = solution
-    world, world_arrays = store_world(problem, solution)
+    world, world_arrays = store_world(problem, setup, run, arrays)
     own = _attributes(problem, verb, setup) | {STORED: world} | further
     run = replace(run, attributes={**run.attributes, **own})
     table, friction = ground_table(problem.spec.terrain), problem.spec.terrain.friction
@@ -243,12 +246,12 @@ def export_mcap(file: Path, out: Path) -> None:
     """
     from slipfree.files.mcap import write_mcap
     from slipfree.problem.build_vehicle import vehicle_file
-    from slipfree.problem.verbs.driving import vehicle_of
+    from slipfree.problem.verbs.driving import world_of
 
     check_name(out, file, (".mcap",))
     check_motion(file, read(file, lazy=True), ("x", "y", "z", "wheel_angle", "slip_along"))
     result = open_result(file)
-    vehicle, problem = vehicle_of(result), result.problem
+    vehicle, problem = world_of(result).vehicle, result.problem
     robot = vehicle_file(problem.spec.vehicle, problem).robot
     write_mcap(out, result.trajectory, vehicle, robot)
 

@@ -25,10 +25,10 @@ from slipfree.files.urdf.links import Robot
 from slipfree.files.vehicle_draft import vehicle_text
 from slipfree.files.vehicle_toml import file_of, read_toml
 from slipfree.geometry.mesh import TriangleMesh
+from slipfree.problem.build import World
 from slipfree.problem.build_ground import GroundMap, ground_table
 from slipfree.problem.build_vehicle import VehicleFile, vehicle_file, visual_meshes
 from slipfree.problem.problem import Problem, shared
-from slipfree.problem.verbs.base import VerbSolution
 from slipfree.routing.traversability import extents
 from slipfree.show.meshes import reduced
 from slipfree.terrain.base import Grid
@@ -64,12 +64,18 @@ class StoredWorld(BaseModel):
     vehicle: StoredVehicle | None
 
 
-def store_world(problem: Problem[Any], solution: VerbSolution) -> tuple[str, dict[str, Array]]:
-    """Return the attribute and the arrays with which a result keeps ground and vehicle."""
-    spec, ground, vehicle = problem.spec, solution.setup.ground, None
-    arrays = _arrays(GROUND, ground.grid, solution)
+def store_world(
+    problem: Problem[Any], world: World, run: Trajectory, further: Mapping[str, Array]
+) -> tuple[str, dict[str, Array]]:
+    """Return the attribute and the arrays with which a result keeps ground and vehicle.
+
+    Maps are cut to the surroundings of the motion and of the positions in ``further`` arrays.
+    """
+    spec, ground, vehicle = problem.spec, world.ground, None
+    reach = extents(world.vehicle)[2]
+    arrays = _arrays(GROUND, ground.grid, reach, run, further)
     if isinstance(ground.mu, Grid):
-        arrays |= _arrays(FRICTION, ground.mu, solution)
+        arrays |= _arrays(FRICTION, ground.mu, reach, run, further)
     if (name := spec.vehicle.file) is not None:
         contents = vehicle_file(spec.vehicle, problem)
         key = problem.folder / name, problem.trusted
@@ -93,15 +99,16 @@ def store_world(problem: Problem[Any], solution: VerbSolution) -> tuple[str, dic
     return stored.model_dump_json(), arrays
 
 
-def _arrays(name: str, grid: Grid, solution: VerbSolution) -> dict[str, Array]:
+def _arrays(
+    name: str, grid: Grid, reach: float, run: Trajectory, further: Mapping[str, Array]
+) -> dict[str, Array]:
     """Return the arrays of a map by name, cut to the surroundings of motion, guess and routes."""
     if grid.z.size > MAX_NODES:
-        run, window = solution.trajectory, list[float]()
-        reach = extents(solution.setup.vehicle)[2]
+        window = list[float]()
         places = [
             np.concatenate([run[axis], run[f"contact_{axis}"].ravel(), *others])
             for axis in "xy"
-            for others in [[v for k, v in solution.arrays.items() if k.endswith(f"_{axis}")]]
+            for others in [[v for k, v in further.items() if k.endswith(f"_{axis}")]]
         ]
         extent = max(float(np.nanmax(each) - np.nanmin(each)) for each in places)
         for each, cell in zip(places, grid.spacing, strict=True):

@@ -29,7 +29,6 @@ from slipfree.system.interrupt import check_interrupt
 
 if TYPE_CHECKING:
     from slipfree.models.montana import Difference
-    from slipfree.problem.build import Setup
 
 
 VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
@@ -86,16 +85,8 @@ class Watch(NamedTuple):
     line: Callable[[str, str], None] | None = None  # phase of the search, and a line, per iterate
     path: Callable[[Array], None] | None = None  # path of an iterate on the map, shape (n, 2) [m]
     # what is computed so far: the last one is the result if the computation ends early
-    keep: Callable[[VerbSolution], None] = lambda _: None
+    keep: Callable[[Trajectory, Mapping[str, Array]], None] = lambda *_: None
     beside: Path | None = None  # output, next to which a folder keeps finished parts
-
-
-class VerbSolution(NamedTuple):
-    """Solution of a problem: a motion, its set-up, and further arrays for the result file."""
-
-    trajectory: Trajectory  # complete or up to its stop
-    setup: Setup
-    arrays: Mapping[str, Array] = NOTHING
 
 
 def integrate(setup: Any, options: SolverOptions, watch: Watch) -> Trajectory:
@@ -127,7 +118,6 @@ def with_diagnostics(
     run: Trajectory,
     diagnostics: Mapping[str, Callable[[Trajectory], Trajectory]],
     watch: Watch,
-    setup: Any,
     arrays: Mapping[str, Array] = NOTHING,
 ) -> Trajectory:
     """Return a motion with diagnostics, by name; a fact names those that fail, with the error.
@@ -142,7 +132,7 @@ def with_diagnostics(
             t = float(run.t[-1])
             words = f"the motion is computed to its end, but not all diagnostics: without {name}"
             stop = run.stop or Stop("interrupted", t, words, Outcome.INTERRUPTED)
-            watch.keep(VerbSolution(replace(run, stop=stop), setup, arrays))
+            watch.keep(replace(run, stop=stop), arrays)
             raise
         except Exception as error:  # a failed diagnostic must not lose the motion
             earlier = run.facts[FAILED_DIAGNOSTICS].value if FAILED_DIAGNOSTICS in run.facts else []

@@ -11,7 +11,6 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
-from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
@@ -26,6 +25,7 @@ from slipfree.problem.build import (
     Setup,
     build_climbing,
     build_law,
+    build_shared_model,
     build_start,
     build_world,
     check_names,
@@ -225,13 +225,12 @@ class DirectVerb(DriveVerb):
         """Return the model, the settled start and the inputs of a problem."""
         spec = problem.spec
         world = build_world(problem)
-        ground, terrain, vehicle, prisms, model = world
-        dae: Dae = model
-        constants, source = _given(problem, vehicle)
+        dae = model = build_shared_model(problem, world)
+        constants, source = _given(problem, world.vehicle)
         check_names(problem, dae, constants)
         is_climbing = spec.driver is not None and spec.driver.name == STEP_CLIMBING
         if is_climbing:
-            dae, climbing_inputs = build_climbing(problem, world)
+            dae, climbing_inputs = build_climbing(problem, world, model)
         start = build_start(problem, dae)
         (t, rates), every = input_samples(spec.time.duration, spec.time.step, constants or {}), 0
         if spec.formulation == "montana":
@@ -241,7 +240,7 @@ class DirectVerb(DriveVerb):
                         "expected model = 'kinematics' with formulation = 'montana', found model = "
                         f"{spec.model!r}; set model = 'kinematics', or remove 'formulation'"
                     )
-                dae = montana_kinematics(vehicle, terrain, slip=model_law(problem))
+                dae = montana_kinematics(world.vehicle, world.terrain, slip=model_law(problem))
         if spec.driver is None:
             driven = f"inputs {', '.join(rates)}{source}"
             with at(problem, ("inputs",)):
@@ -252,8 +251,14 @@ class DirectVerb(DriveVerb):
             if spec.driver.period is not None:
                 driven += f", every {spec.driver.period:g} s"
                 t, every = sampled_times(problem, ("driver", "period"), spec.driver.period)
-        setup = ground, terrain, vehicle, model, dae, start, inputs, t, driven
-        return Setup(*setup, prisms=prisms, every=every)
+        drive: dict[str, Any] = {
+            "start": start,
+            "inputs": inputs,
+            "t": t,
+            "driven": driven,
+            "every": every,
+        }
+        return Setup(**vars(world), model=model, dae=dae, **drive)
 
     def drive(
         self, problem: Problem[Direct], setup: Setup, watch: Watch, resume: SavedPlan | None
@@ -275,7 +280,7 @@ class DirectVerb(DriveVerb):
         again = replace(problem, spec=problem.spec.model_copy(update={"formulation": other}))
         setup = self.build(again)
         with at(problem, ("start",)):
-            motion = self.solve(again, setup, Watch(), None).trajectory
+            motion = self.solve(again, setup, Watch(), None)[0]
         return CrossCheck(other, cross_check(result.trajectory, motion))
 
 

@@ -22,13 +22,11 @@ from slipfree.models.samples import CLOSEST, closest_fact, has_pressed_wheels, o
 from slipfree.models.single_wheel import RESERVE, drawbar_reserve
 from slipfree.problem.build import (
     Setup,
-    build_solids,
-    build_terrain,
-    build_vehicle,
+    World,
+    build_world,
     law_name,
     model_law,
 )
-from slipfree.problem.build_ground import build_ground
 from slipfree.problem.build_vehicle import vehicle_file, visual_meshes
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Modelled, MotionKeys
@@ -37,7 +35,6 @@ from slipfree.problem.verbs.base import (
     CrossCheck,
     Result,
     Verb,
-    VerbSolution,
     Watch,
     values_of,
     with_diagnostics,
@@ -53,7 +50,6 @@ from slipfree.problem.verbs.drive_facts import (
 )
 from slipfree.solve.settle import stable_poses
 from slipfree.terrain.base import Grid
-from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
     from slipfree.plan.polynomial_motion import SavedPlan
@@ -92,15 +88,13 @@ class DriveVerb(Verb, ABC):
 
     def solve(
         self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
-    ) -> VerbSolution:
-        """Return the motion of a problem with its diagnostics."""
+    ) -> tuple[Trajectory, Mapping[str, Array]]:
+        """Return the motion of a problem with its diagnostics, and arrays as `drive` does."""
         run, arrays = self.drive(problem, setup, watch, resume)
         if setup.vehicle.mass:
             run = run.with_facts({"gravity": Fact(setup.vehicle.gravity, "m s-2")})
         law = model_law(problem) if isinstance(problem.spec, Modelled) else None
-
-        run = with_diagnostics(run, _diagnostics(setup, law, run), watch, setup, arrays)
-        return VerbSolution(run, setup, arrays)
+        return with_diagnostics(run, _diagnostics(setup, law, run), watch, arrays), arrays
 
     def describe_start(
         self, problem: Problem[MotionKeys], setup: Setup
@@ -154,21 +148,20 @@ class DriveVerb(Verb, ABC):
         """Return the figures of a motion, the most important first."""
         from slipfree.show.motion_figures import motion_plots
 
-        ground = build_ground(result.problem)
-        terrain = build_terrain(result.problem, ground)
-        prisms = build_solids(result.problem, terrain)
-        return motion_plots(result.trajectory, ground.grid, prisms=prisms)
+        world = world_of(result)
+        return motion_plots(result.trajectory, world.ground.grid, prisms=world.prisms)
 
     def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground and vehicle, as input of the viewer."""
         from slipfree.show.drive_scene import Driven
 
-        run, problem = result.trajectory, result.problem
-        terrain, vehicle = build_terrain(problem, build_ground(result.problem)), vehicle_of(result)
-        prisms = build_solids(problem, terrain)
+        run, problem, world = result.trajectory, result.problem, world_of(result)
         contents = vehicle_file(problem.spec.vehicle, problem)
         robot, visuals = contents.robot, visual_meshes(contents)
-        return Driven(name, run, terrain, vehicle, prisms=prisms, robot=robot, visuals=visuals)
+        solids = world.prisms
+        return Driven(
+            name, run, world.terrain, world.vehicle, prisms=solids, robot=robot, visuals=visuals
+        )
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return attributes of the result: input names, coordinates of the map file."""
@@ -197,17 +190,20 @@ def model_attributes(spec: Modelled) -> dict[str, str]:
     return {"model": spec.model, "law": law_name(spec)}
 
 
-def vehicle_of(result: Result) -> Vehicle:
-    """Return the vehicle of a result; raise DataError if it does not match the motion."""
-    problem = result.problem
-    vehicle = build_vehicle(problem)
+def world_of(result: Result) -> World:
+    """Return ground and vehicle of a result; raise DataError if they do not match the motion."""
+    if result.setup is not None:
+        setup: Setup = result.setup
+        return setup
+    world = build_world(result.problem)
+    vehicle = world.vehicle
     run, names = result.trajectory, tuple(wheel.name for wheel in vehicle.wheels)
     if names != run.wheels or not {c.name for c in vehicle.coordinates} <= {*run.columns}:
         raise DataError(
             f"expected the vehicle of the motion, with wheels {', '.join(run.wheels)}, found "
             f"{vehicle.name!r} with other wheels or joints; run the problem again"
         )
-    return vehicle
+    return world
 
 
 def _diagnostics(setup: Setup, law: object, run: Trajectory) -> dict[str, Diagnostic]:

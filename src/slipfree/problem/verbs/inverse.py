@@ -39,12 +39,11 @@ from slipfree.models.kinematics import direct_kinematics
 from slipfree.problem.build import (
     Setup,
     build_start,
-    build_terrain,
-    build_vehicle,
+    build_world,
     check_names,
     heading_offset,
 )
-from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.units import check_time_unit, moves_sideways
 from slipfree.problem.verbs.base import (
@@ -164,7 +163,8 @@ class InverseVerb(DriveVerb):
     def build(self, problem: Problem[Inverse]) -> Setup:
         """Return the models, the start and the inputs of a problem."""
         spec = problem.spec
-        vehicle = build_vehicle(problem)
+        world = build_world(problem)
+        vehicle = world.vehicle
         points, notes = _points(problem, vehicle)
         given, description = _given_rates(problem, vehicle, points)
         description = "; ".join([description, *notes])
@@ -178,10 +178,8 @@ class InverseVerb(DriveVerb):
         )
         with at(problem, place):
             rates.check(vehicle)
-        ground = build_ground(problem)
         with at(problem, ("vehicle",)):
-            terrain = build_terrain(problem, ground)
-            direct = direct_kinematics(vehicle, terrain, slip=rates.slip)
+            direct = direct_kinematics(vehicle, world.terrain, slip=rates.slip)
         dae = invert(direct, rates)
         check_names(problem, direct, None)
         _check_units(problem)
@@ -193,7 +191,13 @@ class InverseVerb(DriveVerb):
             elif points is not None:
                 dae, inputs = track_path(dae, *points)
                 first = inputs
-            setup = Setup(ground, terrain, vehicle, direct, dae, stand, inputs, t, description)
+            drive: dict[str, Any] = {
+                "start": stand,
+                "inputs": inputs,
+                "t": t,
+                "driven": description,
+            }
+            setup = Setup(**vars(world), model=direct, dae=dae, **drive)
             return replace(setup, start=_start(spec, setup, first, exact=rates.exact))
 
     def drive(
@@ -207,7 +211,7 @@ class InverseVerb(DriveVerb):
             run = integrate(setup, options, watch)
         replayed = partial(_with_replay, setup, inputs, options)
         run = _with_steering(setup.vehicle, run)
-        return with_diagnostics(run, {"replay": replayed}, watch, setup), NOTHING
+        return with_diagnostics(run, {"replay": replayed}, watch), NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including its solution method."""

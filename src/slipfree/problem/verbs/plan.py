@@ -38,14 +38,13 @@ from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import ARRAY_PREFIX, SavedPlan, from_arrays, motion_of
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.windows import LongPlan
-from slipfree.problem.build import Setup, build_terrain, model_law, wheel_angles_at
-from slipfree.problem.build_ground import GroundMap, at, build_ground
+from slipfree.problem.build import Setup, World, model_law, wheel_angles_at
+from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs import plan_schema
 from slipfree.problem.verbs.base import (
     RESUME,
     Result,
-    VerbSolution,
     Watch,
     with_diagnostics,
 )
@@ -54,7 +53,7 @@ from slipfree.problem.verbs.driving import (
     Diagnostic,
     DriveVerb,
     model_attributes,
-    vehicle_of,
+    world_of,
 )
 from slipfree.problem.verbs.plan_facts import (
     DIFFERENCE,
@@ -152,14 +151,13 @@ class PlanVerb(DriveVerb):
             return run, {**plan.saved.arrays, **drawn}
 
         def keep(plan: Plan | LongPlan) -> None:
-            run, arrays = with_plan(plan, plan.replay)
-            watch.keep(VerbSolution(run, setup, arrays))
+            watch.keep(*with_plan(plan, plan.replay))
 
         if spec.plan.window is not None:
             long = long_plan(problem, setup, resume, progress, keep)
             run, arrays = with_plan(long, long.replay)
             checks = {"by_friction": lambda run: run.with_facts(_by_friction(setup, long))}
-            return with_diagnostics(run, checks, watch, setup, arrays), arrays
+            return with_diagnostics(run, checks, watch, arrays), arrays
         duration = resume.motion.duration if resume else setup.duration
         plan = find_plan(problem, setup, guesses, resume, progress, duration, keep=keep)
         tested = Tested(plan)
@@ -179,7 +177,7 @@ class PlanVerb(DriveVerb):
             "in_soil": lambda run: run.with_facts(_in_soil(problem, setup, plan)),
             "momentum": lambda run: run.with_facts(_momentum(setup, plan)),
         }
-        return with_diagnostics(run, diagnostics, watch, setup, arrays), arrays
+        return with_diagnostics(run, diagnostics, watch, arrays), arrays
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including model and law."""
@@ -199,8 +197,9 @@ class PlanVerb(DriveVerb):
 
         if result.problem.spec.terrain.obstacles:
             return super().figures(result)
-        run, ground = result.trajectory, build_ground(result.problem)
-        plots = plan_plots(run, ground.grid, layers_of(result, ground), **figure_options(result))
+        world = world_of(result)
+        layers, options = layers_of(result, world), figure_options(result, world)
+        plots = plan_plots(result.trajectory, world.ground.grid, layers, **options)
         return *plots, *super().figures(result)
 
     def shown(self, result: Result, name: str) -> Driven:
@@ -223,22 +222,22 @@ def _line_points(name: str, arrays: Mapping[str, Array]) -> Array:
     return np.stack([arrays.get(f"{name}_{axis}", empty) for axis in "xy"], axis=1)
 
 
-def layers_of(result: Result, ground: GroundMap) -> Traversability:
+def layers_of(result: Result, world: World) -> Traversability:
     """Return where the vehicle of a result can be on the ground, as its set-up does."""
     if result.setup is not None:
         layers: Traversability = result.setup.layers
         return layers
-    problem, terrain = result.problem, build_terrain(result.problem, ground)
+    problem, terrain = result.problem, world.terrain
     places, _ = places_of(problem, terrain.domain)
-    return build_layers(problem, terrain, vehicle_of(result), places)
+    return build_layers(problem, terrain, world.vehicle, places)
 
 
-def figure_options(result: Result) -> dict[str, Any]:
+def figure_options(result: Result, world: World) -> dict[str, Any]:
     """Return the keyword arguments of `plan_plots` for a result, from what it stores."""
     problem, arrays = result.problem, result.arrays
     spec, run = problem.spec, result.trajectory
     unbounded = dict.fromkeys(run.attributes["inputs"].split(), (-np.inf, np.inf))
-    routes, grid = _line_points("route", arrays), build_ground(result.problem).grid
+    routes, grid = _line_points("route", arrays), world.ground.grid
     ends = np.flatnonzero(np.isnan(routes[:, 0]))
     return {
         "places": places_of(problem, grid.domain)[0],

@@ -33,6 +33,7 @@ from slipfree.plan.constraints import missed_words
 from slipfree.plan.ipopt import solve_nlp
 from slipfree.problem.build import (
     Setup,
+    build_shared_model,
     build_start,
     build_world,
     level_section,
@@ -87,6 +88,7 @@ def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
     if faults or spec.driver is None:
         raise problem_error(problem.source, faults)
     world, driver = build_world(problem), spec.driver
+    model = build_shared_model(problem, world)
     with at(problem, ("vehicle",)):
         check_climber(world.vehicle)
     with at(problem, ("terrain",)):
@@ -102,12 +104,12 @@ def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
             tracked_plan([part[:2] for part in plan.parts]),
             **driver.control.model_dump(exclude_unset=True),
         )
-    dae = climbing(world.dae, tracking)
+    dae = climbing(model, tracking)
     start, (t, _) = build_start(problem, dae), input_samples(spec.time.duration, spec.time.step, {})
     inputs = dae.inputs(reference_speed=driver.speed)
     driven = f"plan over solids, tracked at {driver.speed:g} m/s before and after it"
-    setup = world.ground, world.terrain, world.vehicle, world.dae, dae, start, inputs, t, driven
-    return OverSolids(*setup, plan, prisms=world.prisms)
+    drive: dict[str, Any] = {"start": start, "inputs": inputs, "t": t, "driven": driven}
+    return OverSolids(**vars(world), model=model, dae=dae, **drive, plan=plan)
 
 
 def _faults(spec: PlanKeys) -> Iterator[Fault]:

@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import lru_cache, partial
 from hashlib import sha256
+from itertools import count
 from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -54,18 +55,15 @@ from slipfree.plan.verification import VERIFICATION_TOLERANCE, simulate_plan
 from slipfree.problem.build import build_model, build_start, in_frame, model_law, solver_options
 from slipfree.problem.build_ground import at
 from slipfree.problem.inputs import ProblemParts
-from slipfree.problem.problem import Problem
+from slipfree.problem.problem import Problem, Recipe, recipe_of
 from slipfree.problem.verbs.base import Watch
 from slipfree.problem.verbs.plan_schema import PlanKeys, Robust
 from slipfree.problem.verbs.plan_setup import (
     Planning,
-    PlanSource,
     build_planning,
     mesh_of,
     momentum_models,
     plan_arguments,
-    problem_from,
-    source_of,
 )
 from slipfree.solve.options import MIN_TOLERANCE
 from slipfree.system.parts import PartsWatch, study
@@ -73,6 +71,7 @@ from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import disturbed
 
+RUNS = count()  # numbers of recipes in this process
 SMOOTHINGS = (1.0, 0.3)  # smoothing widths of the load law in the first plans, in static depths
 Report = Callable[[str, str], None]
 UNTESTED = Stop(
@@ -162,8 +161,8 @@ def _smoothed_models(problem: Problem[PlanKeys], setup: Planning) -> list[Dae]:
 
 
 @lru_cache(1)
-def _planning(source: PlanSource) -> tuple[Problem[PlanKeys], Planning]:
-    problem = problem_from(source)
+def _planning(source: Recipe) -> tuple[Problem[PlanKeys], Planning]:
+    problem = source.load()
     return problem, build_planning(problem)
 
 
@@ -187,13 +186,13 @@ def best_start(
     """
     count = max(problem.spec.plan.starts, len(setup.starts))
     with at(problem, ("plan",)):
-        found, is_interrupted = _solve_starts(source_of(problem), count, report)
+        found, is_interrupted = _solve_starts(recipe_of(problem, run=next(RUNS)), count, report)
     saved = found[0].saved if is_solved(found[0]) else None
     return saved, starts_facts(found), is_interrupted
 
 
 def _solve_starts(
-    source: PlanSource, count: int, report: Report | None
+    source: Recipe, count: int, report: Report | None
 ) -> tuple[list[StartResult], bool]:
     """Return the plans of all starts, the best first, and whether Ctrl-C ended the search."""
     found = list[StartResult]()
@@ -221,7 +220,7 @@ def _solve_starts(
     return [each for _, _, each in sorted(ranked, key=itemgetter(0, 1))], is_interrupted
 
 
-def solve_start(task: tuple[PlanSource, int]) -> StartResult:
+def solve_start(task: tuple[Recipe, int]) -> StartResult:
     """Return the plan from an initial guess, by its number; errors are stored in the result."""
     source, number = task
     try:
@@ -276,7 +275,7 @@ class Tested(NamedTuple):
 class ReplayTask(NamedTuple):
     """Simulations of plans in one drawn world, for a process."""
 
-    source: PlanSource
+    source: Recipe
     motions: tuple[PolynomialMotion, ...]
     draw: Draw
 
@@ -309,7 +308,7 @@ def make_robust(
     After Ctrl-C, the last accurate plan is returned, with an interruption as its stop. The line of
     ``watch`` is called several times per second.
     """
-    source, latest = source_of(problem), first
+    source, latest = recipe_of(problem, run=next(RUNS)), first
 
     def solve(tightening: Tightening, before: Plan) -> Plan:
         nonlocal latest
@@ -401,7 +400,7 @@ def replay_draw(task: ReplayTask) -> tuple[DisturbedRun, ...]:
 
 
 @lru_cache(1)
-def _drawn_world(source: PlanSource, draw: Draw | None) -> tuple[Dae, Trajectory]:
+def _drawn_world(source: Recipe, draw: Draw | None) -> tuple[Dae, Trajectory]:
     """Return model and start in a drawn world, or that of the problem if there is no draw."""
     problem, setup = _planning(source)
     terrain = setup.terrain

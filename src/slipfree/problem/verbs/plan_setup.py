@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from itertools import count
-from pathlib import Path as File
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -41,14 +39,13 @@ from slipfree.problem.build import (
     Setup,
     build_model,
     build_start,
-    build_terrain,
-    build_vehicle,
+    build_world,
     check_names,
     in_frame,
     model_law,
 )
-from slipfree.problem.build_ground import at, build_ground, convert_places
-from slipfree.problem.problem import Problem, validated_problem
+from slipfree.problem.build_ground import at
+from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.plan_schema import (
     Place,
     PlanKeys,
@@ -74,7 +71,6 @@ from slipfree.vehicle.tree import Vehicle
 SLIDING_CREEPS = (0.3, 0.1, 0.03)  # creep speeds of consecutive searches of wheels that slide [m/s]
 HOLE_MARGIN = "hole_margin"  # name of the limits that keep wheels off holes
 HOLE_CLEARANCE = 2.0  # additional distance of plans from holes, in units of plan.accuracy
-RUNS = count()
 
 
 def _check_windows(problem: Problem[PlanKeys], vehicle: Vehicle, count: int) -> None:
@@ -156,9 +152,8 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     windows, drawn worlds or initial guess do not suit vehicle and ground.
     """
     spec = problem.spec
-    ground = build_ground(problem)
-    vehicle = build_vehicle(problem)
-    terrain = build_terrain(problem, ground)
+    world = build_world(problem)
+    terrain, vehicle = world.terrain, world.vehicle
     is_dynamic = spec.model == "dynamics"
     dae: Dae = (
         momentum_models(problem, vehicle, terrain)[-1]
@@ -196,9 +191,22 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     words = f"plan to {goal} in {spelled(duration)} s"
     if guide.name:
         words += f"; initial guess: {guide.name} at {guide.speed:.3g} m/s"
-    setup = ground, terrain, vehicle, dae, dae, start, *starts[0], words
-    search = layers, places, starts, spec, trip, guide, duration
-    return Planning(*setup, *search)
+    return Planning(
+        **vars(world),
+        model=dae,
+        dae=dae,
+        start=start,
+        inputs=starts[0][0],
+        t=starts[0][1],
+        driven=words,
+        layers=layers,
+        places=places,
+        starts=starts,
+        spec=spec,
+        trip=trip,
+        guide=guide,
+        duration=duration,
+    )
 
 
 def build_layers(
@@ -286,31 +294,3 @@ def plan_arguments(problem: Problem[PlanKeys], dae: Dae, vehicle: Vehicle) -> di
         "accelerations": spec.accelerations,
         "cost_limits": spec.cost_limits,
     }
-
-
-class PlanSource(NamedTuple):
-    """Source of a planning problem, for other processes.
-
-    ``run`` distinguishes sources of different runs in caches, so that input files are read again.
-    """
-
-    path: File
-    text: str
-    settings: tuple[str, ...]  # of the option --set
-    trusted: frozenset[str]  # paths of xacro files
-    run: int  # number of the run in this process
-
-
-def source_of(problem: Problem[PlanKeys]) -> PlanSource:
-    """Return the source of a problem, with a new run number."""
-    source = problem.source
-    settings = tuple(dict.fromkeys(source.settings.values()))
-    return PlanSource(source.path, source.text, settings, problem.trusted, next(RUNS))
-
-
-def problem_from(source: PlanSource) -> Problem[PlanKeys]:
-    """Return the problem of a source."""
-    problem: Problem[PlanKeys] = validated_problem(
-        lambda *_: PlanKeys, source.path, source.text, source.settings
-    )
-    return replace(convert_places(problem), trusted=source.trusted)

@@ -33,12 +33,11 @@ from slipfree.plan.tracking import (
     TrackingWorld,
     track_plan,
 )
-from slipfree.problem.build import build_model, build_start, build_world, solver_options
-from slipfree.problem.build_ground import GroundMap
+from slipfree.problem.build import World, build_model, build_start, build_world, solver_options
 from slipfree.problem.inputs import ProblemParts, file_states, input_files
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import open_result, problem_of, result_of
-from slipfree.problem.verbs.base import VERB_ATTRIBUTE, Result, VerbSolution
+from slipfree.problem.verbs.base import VERB_ATTRIBUTE, Result
 from slipfree.problem.verbs.drive_facts import drive_facts
 from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed
 from slipfree.problem.verbs.plan_search import find_plan, scaled_friction
@@ -168,7 +167,7 @@ def follow_plan(
 
     def follow(way: tuple[str, int]) -> Followed:
         name, seed = way
-        world, ground = world_of(seed)
+        world, driven_world = world_of(seed)
         report = partial(time, name, seed) if time else None
         try:
             if name in ("inputs", "replan"):
@@ -186,8 +185,8 @@ def follow_plan(
             tracked = track_plan(controller, dae, world, **times, options=options, progress=report)
         except SolverError as error:
             return Followed(name, seed, str(error))
-        solution = VerbSolution(tracked.run, replace(setup, ground=ground), saved.arrays)
-        result = result_of(real, PlanVerb(), solution, {VERB_ATTRIBUTE: "direct"})
+        own, further = replace(setup, **vars(driven_world)), {VERB_ATTRIBUTE: "direct"}
+        result = result_of(real, PlanVerb(), own, tracked.run, saved.arrays, further)
         return Followed(name, seed, "", result, *tracked[1:])
 
     tasks = [(name, seed) for seed in range(1, seeds + 1) for name in by]
@@ -233,8 +232,8 @@ def _disturbed_world(
     speed: float,
     sizes: Mapping[str, float],
     seed: int,
-) -> tuple[TrackingWorld, GroundMap]:
-    """Return the world of a changed problem with disturbances, and its ground.
+) -> tuple[TrackingWorld, World]:
+    """Return the world of a changed problem with disturbances, and its ground with the vehicle.
 
     The mean ``speed`` is that of the plan.
     """
@@ -270,7 +269,8 @@ def _disturbed_world(
     except ModelError:  # the controllers report it
         driven = None
     world = TrackingWorld(real, driven, start, sizes.get("latency", 0.0))
-    return world, built.ground._replace(grid=grid, mu=mu)
+    ground = built.ground._replace(grid=grid, mu=mu)
+    return world, replace(built, ground=ground, terrain=terrain)
 
 
 def _changed_friction(mu: Any, factor: float) -> Any:
