@@ -98,14 +98,16 @@ def lines(rows: Iterable[Row], values: Mapping[str, Any]) -> list[tuple[str, str
     return found
 
 
-def _table(name: str, values: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def _table(name: str, values: Mapping[str, Any]) -> list[dict[str, Any]]:
     if name.endswith("*"):
         found = starting_with(name[:-1], values)
         return [{"name": rest, "fact": fact} for rest, fact in found.items()]
     table = values[name].value if name in values else []
     if isinstance(table, dict):
         return [{"name": rest, "fact": value} for rest, value in table.items()]
-    return [{"fact": each} if isinstance(each, str) else each for each in table]
+    rows = [{"fact": each} if isinstance(each, str) else each for each in table]
+    # numbers of a table have no units; as facts they are converted to the units that people read
+    return [{k: Fact(v) if isinstance(v, float) else v for k, v in row.items()} for row in rows]
 
 
 def _text(parts: Iterable[str], values: Mapping[str, Any]) -> str:

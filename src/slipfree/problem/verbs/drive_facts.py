@@ -56,8 +56,8 @@ soil: drawbar-pull reserve {drawbar_least:.3g} at least ({drawbar_least.words})[
 {slip_ratio_least:.3g} to {slip_ratio_greatest:.3g}][, sinkage {sinkage_largest:.3g>mm} at most \
 ({sinkage_largest.words})]
 slip: {slip_law}
-  wheel {wheel}: <slip_by_wheel> largest along {along_largest:.2e}, across {across_largest:.2e}, \
-rms {rms:.2e} m/s
+  wheel {wheel}: <slip_by_wheel> largest along {along_largest:.3g>mm/s}, across \
+{across_largest:.3g>mm/s}, rms {rms:.3g>mm/s}
   mean of the wheels: rms {slip_rms:.3g>mm/s}[, {slip_per_path:.3g>mm/m} of path]
 largest angles: pitch {pitch_largest:.4g>deg}, roll {roll_largest:.4g>deg}[, tilt \
 {tilt_largest:.4g>deg}]
