@@ -12,8 +12,8 @@ from helpers.commands import invoke, pressing, sets
 from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
 from slipfree.plan.polynomial_motion import from_arrays
+from slipfree.problem.inputs import recipe_of
 from slipfree.problem.load import load_problem
-from slipfree.problem.problem import recipe_of
 from slipfree.problem.result import run_problem
 from slipfree.problem.verbs import plan_search
 from slipfree.problem.verbs.plan_search import ReplayTask, replay_draw

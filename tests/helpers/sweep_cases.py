@@ -12,7 +12,8 @@ from typing import Any
 import psutil
 
 from helpers.commands import invoke
-from slipfree.problem.problem import Recipe
+from slipfree.problem.inputs import Recipe
+from slipfree.problem.verbs.direct import Direct
 from slipfree.sweep.runs import RunTask
 from slipfree.system.parts import LOG
 
@@ -73,6 +74,6 @@ def table_rows(folder: Path) -> list[dict[str, str]]:
 
 def tasks_of(file: Path, *settings: str) -> list[RunTask]:
     return [
-        RunTask(k, Recipe(file, PROBLEM, (setting,)), (setting,))
+        RunTask(k, Recipe(Direct, file, PROBLEM, (setting,)), (setting,))
         for k, setting in enumerate(settings, 1)
     ]

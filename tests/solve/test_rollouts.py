@@ -105,7 +105,7 @@ def test_trajectories_and_expressions_are_starts_and_inputs(dae):
         ),
         ({"inputs": rates(4) | {"steer_rate": np.zeros(3)}}, r"steer_rate.*found shape \(3,\)"),
         ({"inputs": {"right_rate": 0.1}}, "inputs: expected values for .*no value for"),
-        ({"p": {"trail": [0.0]}}, "p: expected a function that takes the parameters"),
+        ({"p": {"trail": [0.0]}}, "model: expected a function of the parameters in p"),
         ({"processes": 2}, "model: expected a function for 2 processes, found a model"),
         ({"processes": 0}, "processes: expected a number >= 1, found 0"),
         ({"quantities": ["speed"]}, "expected a quantity of the trajectory, found 'speed'"),

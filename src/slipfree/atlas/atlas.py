@@ -287,7 +287,10 @@ def atlas(
         for name, given in (("x", x), ("y", y))
     )
     if x is None or y is None:
-        raise ModelError("atlas: expected a map, or the places 'x' and 'y', found none; give them")
+        raise ModelError(
+            "atlas: expected a map, or the places 'x' and 'y', found a ground "
+            "without nodes and no 'x' and 'y'; give both"
+        )
     known = [label.full for label in leaves(model.labels.u)]
     if unknown := [name for name in inputs or {} if name not in known]:
         raise ModelError(

@@ -268,8 +268,8 @@ def _distances(dae: Dae) -> tuple[list[ca.SX], tuple[int, ...]]:
 def _doubt(step: ca.SX, scale: ca.DM, distances: list[ca.SX], f: ca.SX) -> ca.SX:
     """Return a number that is positive if the forces need another Newton step.
 
-    What a step leaves is about its square, with forces in typical sizes. It matters if it exceeds
-    the distance to a limit of a force.
+    The error after a step is about the square of the step, with forces in typical sizes. It matters
+    if it exceeds the distance to a limit of a force.
     """
     if not f.numel():
         return ca.SX(-1)

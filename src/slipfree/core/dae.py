@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Generic, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
@@ -31,6 +31,10 @@ from slipfree.core.records import (
 )
 from slipfree.core.schema import Finite
 from slipfree.core.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from slipfree.terrain.base import Terrain
+    from slipfree.vehicle.tree import Vehicle
 
 LIMIT_ROUNDING = (
     1e-9  # violation of a limit that counts as rounding [unit or scale of the quantity]
@@ -379,8 +383,9 @@ class Dae(Generic[X, Z, U, Y]):
     discs: tuple[tuple[ca.SX, ca.SX], ...] = ()
     leading_rates: ca.SX = ca.SX(0, 1)  # noqa: RUF009 - never changed
     holding: Holding | None = None
-    vehicle: Any = None
-    ground: Any = None
+    # for equations without a vehicle None, which the packages above this one never use
+    vehicle: Vehicle = None  # type: ignore[assignment]
+    ground: Terrain = None  # type: ignore[assignment]
     p: tuple[Parameter, ...] = ()
     reported: Mapping[str, float] = field(default_factory=dict)
 

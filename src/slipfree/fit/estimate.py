@@ -504,7 +504,10 @@ def calibrate(
     With windows to be ``predicted``, such as those of another log, fit to all and predict these.
     """
     if not 0 < train < 1:
-        raise ModelError(f"calibrate: train: expected a share between 0 and 1, found {train:g}")
+        raise ModelError(
+            "calibrate: train: expected the share of windows to fit to, between 0 and 1, found "
+            f"{train:g}; correct it"
+        )
     order = np.random.default_rng(seed).permutation(len(windows.end))
     count = round(train * len(order))
     if count == len(order) and predicted is None:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -41,7 +41,6 @@ from slipfree.routing.traversability import Traversability, traversability
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import input_samples
 from slipfree.solve.settle import settle
-from slipfree.terrain.base import Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
 
@@ -102,7 +101,7 @@ def trip_of(task: PlanTask, dae: Dae, start: Trajectory) -> Trip:
         }
         for condition in task.conditions
     )
-    ground = cast("Terrain", dae.ground)
+    ground = dae.ground
     places = [np.array([start[axis][-1] for axis in "xy"])]
     for ranges in (*(each for each in passed if {"x", "y"} <= each.keys()), goal):
         if {"x", "y"} & ranges.keys():
@@ -267,7 +266,7 @@ def initial_guess(
     ``bounds`` are those of the inputs. The duration is that of the whole path, even if the motion
     ends before.
     """
-    dae, ground = task.dae, cast("Terrain", task.dae.ground)
+    dae, ground = task.dae, task.dae.ground
     if dae.vehicle is None:
         raise ModelError(
             "plan: guess: expected at least one motion as initial guess for a model whose vehicle "

@@ -25,8 +25,15 @@ from slipfree.files.atlas_files import (
     write_geotiff,
 )
 from slipfree.problem.build_ground import Extremes
-from slipfree.problem.inputs import FileStates, ProblemParts, file_states, files_read
-from slipfree.problem.problem import Problem, Recipe, recipe_of
+from slipfree.problem.inputs import (
+    FileStates,
+    ProblemParts,
+    Recipe,
+    file_states,
+    files_read,
+    recipe_of,
+)
+from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.atlas import AtlasSetup, build_atlas
 from slipfree.show.atlas_figures import AtlasView, friction_maps
 from slipfree.system.parts import PartsWatch, study
@@ -66,7 +73,7 @@ def compute_tile(task: TileTask) -> Array:
 def _setup(
     recipe: Recipe, digests: tuple[tuple[str, str], ...], known: tuple[tuple[str, Extremes], ...]
 ) -> AtlasSetup:
-    problem = recipe.load(command="atlas")
+    problem = recipe.load()
     setup = build_atlas(problem, dict(known))
     if input_states(problem).digests != dict(digests):
         raise DataError(

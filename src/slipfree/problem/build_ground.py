@@ -137,7 +137,7 @@ def _map_of(
     options: dict[str, Any],
     known: dict[str, Extremes] | None,
 ) -> Map:
-    """Return the map in a file, of a large GeoTIFF its outline."""
+    """Return the map in a file; for a large GeoTIFF, only its outline."""
     spec, path = problem.spec.terrain, problem.folder / name
     is_whole = any(getattr(spec, key) is not None for key in OF_WHOLE_MAPS)
     is_geotiff = path.suffix.lower() in (".tif", ".tiff")
@@ -342,8 +342,9 @@ def _friction(
         grid = friction_map.grid
         if isinstance(grid, Outline) and (grid.missing or grid.extremes[0] <= 0):
             raise DataError(
-                f"friction: expected positive coefficients at all nodes, found "
-                f"{grid.extremes[0]:g}, and none at {grid.missing} nodes; correct the map"
+                f"friction: expected positive coefficients at all nodes, found a "
+                f"smallest one of {grid.extremes[0]:g}, and {grid.missing} nodes without a value; "
+                "correct the map"
             )
         check_friction(grid)  # before scaling: the message has coordinates of the file
     # both files describe the same area, so that both are scaled; coefficients are not

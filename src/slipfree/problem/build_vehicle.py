@@ -209,7 +209,7 @@ def _tree(path: Path, trusted: frozenset[str], table: UrdfTable | None, file: Fi
         if size > MAX_BYTES:
             raise DataError(
                 f"{path}: expected a URDF of at most {MAX_BYTES / 1e6:g} MB, found "
-                f"{size / 1e6:.3g} MB; check the name"
+                f"{size / 1e6:.3g} MB; give the file of the URDF"
             )
         data = read_bytes(path, f"a URDF{by}")
     check_ending(data, path)

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from hashlib import file_digest, sha256
 from io import BytesIO
 from pathlib import Path
@@ -14,7 +15,8 @@ from typing import Any, NamedTuple, TypeVar
 from slipfree.core.errors import DataError
 from slipfree.core.version import __version__
 from slipfree.files.vehicle_toml import open_file
-from slipfree.problem.problem import Problem, shared
+from slipfree.problem.build_ground import convert_places
+from slipfree.problem.problem import Problem, shared, validated_problem
 from slipfree.problem.schema import CommonKeys
 from slipfree.system.parts import Identity, Parts
 from slipfree.system.regular_files import read_bytes, regular_file
@@ -156,3 +158,26 @@ def _named_urdf(folder: Path, name: str) -> list[str]:
         if isinstance(urdf, str):
             return [str(Path(name).parent / urdf)]
     return []
+
+
+class Recipe(NamedTuple):
+    """A problem for another process, which reads its input files itself."""
+
+    schema: type[CommonKeys]  # record of its verb
+    path: Path
+    text: str
+    settings: tuple[str, ...]
+    trusted: frozenset[str] = frozenset()
+    run: int = 0  # distinguishes runs in caches, so that input files are read again
+
+    def load(self) -> Problem[Any]:
+        """Return the problem; errors as in `load_problem`."""
+        problem = validated_problem(lambda *_: self.schema, self.path, self.text, self.settings)
+        return convert_places(replace(problem, trusted=self.trusted))
+
+
+def recipe_of(problem: Problem[Any], *settings: str, run: int = 0) -> Recipe:
+    """Return the recipe of a problem with further settings."""
+    source = problem.source
+    whole = *dict.fromkeys(source.settings.values()), *settings
+    return Recipe(type(problem.spec), source.path, source.text, whole, problem.trusted, run)

@@ -21,9 +21,9 @@ from slipfree.plan.constraints import unit_words
 from slipfree.plan.pareto import FrontPoint, FrontTask, check_count, is_better, pareto_front
 from slipfree.plan.polynomial_motion import SavedPlan, from_arrays
 from slipfree.plan.problem import costs_of
-from slipfree.problem.inputs import ProblemParts
+from slipfree.problem.inputs import ProblemParts, Recipe, recipe_of
 from slipfree.problem.load import verb_of
-from slipfree.problem.problem import Problem, Recipe, recipe_of
+from slipfree.problem.problem import Problem
 from slipfree.problem.result import build, open_result, run_problem
 from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan_schema import PlanKeys

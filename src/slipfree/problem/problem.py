@@ -8,7 +8,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, TypeVar
 
 from pydantic import ValidationError
 
@@ -83,29 +83,6 @@ class Problem(Generic[A]):
     def folder(self) -> Path:
         """Folder of the problem file, to which the names of input files are relative."""
         return self.source.path.parent
-
-
-class Recipe(NamedTuple):
-    """A problem for another process, which reads its input files itself."""
-
-    path: Path
-    text: str
-    settings: tuple[str, ...]
-    trusted: frozenset[str] = frozenset()
-    run: int = 0  # distinguishes runs in caches, so that input files are read again
-
-    def load(self, *, command: str = "run") -> Problem[Any]:
-        """Return the problem; errors as in `load_problem`."""
-        from slipfree.problem.load import load_again
-
-        return load_again(*self[:4], command=command)
-
-
-def recipe_of(problem: Problem[Any], *settings: str, run: int = 0) -> Recipe:
-    """Return the recipe of a problem with further settings."""
-    source = problem.source
-    before = dict.fromkeys(source.settings.values())
-    return Recipe(source.path, source.text, (*before, *settings), problem.trusted, run)
 
 
 def validated_problem(

@@ -133,8 +133,8 @@ def rollouts(
     count = _count_runs(parameters, states, values, t.size - 1)
     if isinstance(model, Dae) and parameters:
         raise ModelError(
-            "p: expected a function that takes the parameters, found a model; give a function "
-            "that returns the model"
+            "model: expected a function of the parameters in p that returns a model, found a "
+            "model; give such a function, or omit p"
         )
     kept = None if quantities is None else tuple(quantities)
     common = _Common(model, t, kept, options, states, values, parameters, step)

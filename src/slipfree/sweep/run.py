@@ -13,8 +13,8 @@ import numpy as np
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.tables import write_rows
+from slipfree.problem.inputs import recipe_of
 from slipfree.problem.load import verb_of
-from slipfree.problem.problem import recipe_of
 from slipfree.problem.units import unit_of
 from slipfree.show.swept import Swept
 from slipfree.sweep.grid import Run, Sweep

@@ -17,8 +17,9 @@ from slipfree.core.facts import Fact, numbers
 from slipfree.core.records import Array
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.files.netcdf import NOTHING, write
+from slipfree.problem.inputs import Recipe
 from slipfree.problem.load import verb_of
-from slipfree.problem.problem import Problem, Recipe, Shared, sharing
+from slipfree.problem.problem import Problem, Shared, sharing
 from slipfree.problem.result import run_problem
 from slipfree.system.parts import Identity, Parts
 

@@ -154,8 +154,8 @@ def _check_start(joint: str, first: float, actuator: _Actuator, problem: Problem
     start = problem.spec.start.get(name, 0.0)
     if abs(start - first) > START_TOLERANCE:
         raise DataError(
-            f"expected the first position of joint {joint} at the start, {name} = {start:.9g}, "
-            f"found {first:.9g}; set {name} = {first:.9g} in [start]"
+            f"expected a start at the first position of joint {joint} in the file, {name} = "
+            f"{first:.9g}, found {name} = {start:.9g}; set {name} = {first:.9g} in [start]"
         )
 
 

@@ -344,6 +344,7 @@ def _path_faults(points: Array, place: tuple[str, ...], spec: Inverse) -> Iterat
 
 
 def _inputs(spec: Inverse, dae: Dae, given: Mapping[str, Any]) -> tuple[Array, Any, Any]:
+    """Return the times of the samples, the inputs over time, and those at the start."""
     texts = {name: value for name, value in given.items() if isinstance(value, str)}
     formulas = {name: evaluate(text, {"t": dae.t}) for name, text in texts.items()}
     numbers = {name: value for name, value in given.items() if name not in formulas}

@@ -54,8 +54,8 @@ from slipfree.plan.search import (
 from slipfree.plan.verification import VERIFICATION_TOLERANCE, simulate_plan
 from slipfree.problem.build import build_model, build_start, in_frame, model_law, solver_options
 from slipfree.problem.build_ground import at
-from slipfree.problem.inputs import ProblemParts
-from slipfree.problem.problem import Problem, Recipe, recipe_of
+from slipfree.problem.inputs import ProblemParts, Recipe, recipe_of
+from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.base import Watch
 from slipfree.problem.verbs.plan_schema import PlanKeys, Robust
 from slipfree.problem.verbs.plan_setup import (
