@@ -29,8 +29,8 @@ from helpers.sweep_cases import (
 )
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.files import netcdf
-from slipfree.problem.inputs import Recipe
-from slipfree.problem.verbs.direct import Direct
+from slipfree.problem.inputs import recipe_of
+from slipfree.problem.load import load_problem
 from slipfree.show import sweep_figures as show
 from slipfree.show.swept import Swept, Varied
 from slipfree.sweep.grid import axis_of, sweep_of
@@ -474,7 +474,7 @@ def test_runs_with_other_input_files_share_nothing(file, monkeypatch):
 )
 def test_every_verb_has_figures(file, settings, figures):
     path = PROBLEMS / file
-    row = work(RunTask(1, Recipe(Direct, path, path.read_text(), settings), ())).row
+    row = work(RunTask(1, recipe_of(load_problem(path), *settings), ())).row
     assert row.outcome == "complete", row.words
     assert figures <= set(row.figures)
     if "within_limits" in figures:
@@ -488,7 +488,7 @@ def test_every_verb_has_figures(file, settings, figures):
 def test_a_run_that_stops_is_told_by_name(file):
     sweep = sweep_of(file, [f"{SPEED}=1.0,6.0"])
     rows = [
-        work(RunTask(run.number, Recipe(Direct, file, PROBLEM, run.settings), run.settings)).row
+        work(RunTask(run.number, recipe_of(load_problem(file), *run.settings), run.settings)).row
         for run in map(sweep.run, (1, 2))
     ]
     assert [row.outcome for row in rows] == ["complete", "stopped by map_margin[front]"]

@@ -20,10 +20,9 @@ from slipfree.problem.build_vehicle import (
     is_vehicle_file,
     read_vehicle,
 )
-from slipfree.problem.inputs import Recipe, recipe_of
+from slipfree.problem.inputs import recipe_of
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, open_result
-from slipfree.problem.verbs.direct import Direct
 from slipfree.problem.verbs.driving import world_of
 from slipfree.sweep.grid import sweep_of
 from slipfree.sweep.runs import RunTask, work
@@ -113,9 +112,7 @@ def test_programs_run_only_if_the_command_line_trusts_the_file():
             read_vehicle(name, trust=["cart.urdf.xacro"])
     for name in ("evil.xacro", "v.toml", "link.urdf"):
         assert "xacro is a program" in refused("check", f"{name}.p.toml")
-        task = RunTask(
-            1, Recipe(Direct, Path(f"{name}.p.toml"), Path(f"{name}.p.toml").read_text(), ()), ()
-        )
+        task = RunTask(1, recipe_of(load_problem(f"{name}.p.toml")), ())
         assert "xacro is a program" in work(task).row.words
     for words in (["run", "v.toml.p.toml"], ["vehicle", "evil.urdf"], ["vehicle", "v.toml.p.toml"]):
         assert "xacro is a program" in refused(*words)

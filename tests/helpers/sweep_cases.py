@@ -12,8 +12,8 @@ from typing import Any
 import psutil
 
 from helpers.commands import invoke
-from slipfree.problem.inputs import Recipe
-from slipfree.problem.verbs.direct import Direct
+from slipfree.problem.inputs import recipe_of
+from slipfree.problem.load import load_problem
 from slipfree.sweep.runs import RunTask
 from slipfree.system.parts import LOG
 
@@ -74,6 +74,6 @@ def table_rows(folder: Path) -> list[dict[str, str]]:
 
 def tasks_of(file: Path, *settings: str) -> list[RunTask]:
     return [
-        RunTask(k, Recipe(Direct, file, PROBLEM, (setting,)), (setting,))
+        RunTask(k, recipe_of(load_problem(file), setting), (setting,))
         for k, setting in enumerate(settings, 1)
     ]
