@@ -31,7 +31,7 @@ def case():
     dae = sf.direct_kinematics(vehicle, sf.Analytic(hills))
     start = sf.settle(dae)
     route = sf.Path(np.array([[0.0, 0.0], [0.2, 1.5], [0.35, 3.0], [GOAL["x"], GOAL["y"]]]))
-    return dae, partial(sf.follow, dae, vehicle, speed=SPEED), start, route
+    return dae, partial(sf.follow, dae, speed=SPEED), start, route
 
 
 def windows(case, **options):

@@ -102,9 +102,10 @@ class TileFolder(ProblemParts[Array]):
 
     def __init__(self, out: Path, setup: AtlasSetup, states: FileStates) -> None:
         count, problem = len(setup.tiles), setup.problem
-        super().__init__(out, "mobility map", count, problem, ".npy", states)
         self._setup = setup
+        # before the log is opened, which an error would leave open
         self._labels, self._reasons = setup.labels(), setup.poses().reasons
+        super().__init__(out, "mobility map", count, problem, ".npy", states)
 
     def store(self, number: int, result: Array) -> None:
         """Store a tile; raise DataError if an input file has changed since the start."""
