@@ -368,6 +368,7 @@ class _Source(CodeWriter):
         self.code = "\n".join((*(self._graph(graph) for graph in graphs), steps))
 
     def function(self, name: str, function: ca.Function) -> str:
+        """Return the C function of an SX function on vectors of lanes."""
         used, lines = self.instructions(function)
         declared = f"  vd {','.join(f'w{k}' for k in used)};\n" if used else ""
         return (

@@ -272,8 +272,9 @@ def _array(hint: Any, value: Any, place: str) -> Any:
 
 
 def _sequence(hint: Any, value: Any, place: str, context: _Context) -> Any:
+    """Return the items of a tuple or sequence, checked and converted."""
     kind, parts = get_origin(hint), get_args(hint)
-    is_record = parts[0] is object
+    is_record = parts[0] is object  # tuple[object, ...]: a record of a model, not converted
     if isinstance(value, np.ndarray) and not is_record:
         value = value.tolist()
     length = None if kind is Sequence or parts[1:] == (...,) else len(parts)

@@ -308,6 +308,7 @@ def angle_text(angle: float) -> str:
 
 
 def _wheel(wheel: Wheel) -> dict[str, Any]:
+    """Return the table of a wheel, with its shape in the keys that give it without rounding."""
     section = wheel.section
     rollers = {"rollers": angle_text(section.angle)} if isinstance(section, Omni) else {}
     section = section.rim if isinstance(section, Omni) else section

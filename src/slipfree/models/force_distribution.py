@@ -329,7 +329,11 @@ def _advance(
 
 
 def _barrier(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
-    """Return the barrier at points (j, n, k) and levels (j, n), shape (j, n); ``inf`` outside."""
+    """Return the barrier of j trials for n poses, shape (j, n), infinite outside the cones.
+
+    The k internal forces ``y`` of a trial have shape (j, n, k), its utilisation ``level`` (j, n).
+    The cone of a contact is ``|tangential| <= (fixed + factor level) normal + shift level``.
+    """
 
     def at(value: Array, slope: Array) -> Array:
         return value + np.swapaxes(slope @ y.transpose(1, 2, 0), 1, 2).swapaxes(0, 1)

@@ -162,7 +162,7 @@ def _first_dependent_block(
 
 
 def _output_function(dae: Dae, law: list[ca.SX], u: ca.SX, shown: list[ca.SX]) -> ca.Function:
-    """Return the function of outputs, limits and inputs; ``shown`` are the first two.
+    """Return the function that computes outputs and limits, ``shown``, and the driven inputs.
 
     It is not compiled: outputs contain the origin of the map, so a library would serve one map.
     """

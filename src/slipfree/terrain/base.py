@@ -479,7 +479,6 @@ def _check_map(grid: Grid) -> None:
         i, j = np.argwhere(bad)[0]
         raise DataError(
             f"friction: all coefficients must be positive, found {np.count_nonzero(bad)} of "
-            f"{bad.size} that are not, the first z[{i}, {j}] = {grid.z[i, j]:g} at "
-            f"x = {grid.x[i]:.9g} m, "
+            f"{bad.size} that are not, the first {grid.z[i, j]:g} at x = {grid.x[i]:.9g} m, "
             f"y = {grid.y[j]:.9g} m; for ice give a small number"
         )
