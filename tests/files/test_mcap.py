@@ -447,7 +447,7 @@ def test_steering_starts_at_its_first_command(tmp_path):
     _states(tmp_path / "states", *moves).rename(tmp_path / "c.mcap")
     text = CART.replace('file = "cart.toml"', 'catalog = "three_wheeler"')
     (tmp_path / "p.toml").write_text(text)
-    with pytest.raises(DataError, match=r"found 0.1; set steer = 0.1 in \[start\]"):
+    with pytest.raises(DataError, match=r"found steer = 0; set steer = 0.1 in \[start\]"):
         run_problem(load_problem(tmp_path / "p.toml"))
     run = run_problem(load_problem(tmp_path / "p.toml", ["start.steer=0.1"])).trajectory
     assert run["steer"][-1] == pytest.approx(0.3, abs=1e-6)

@@ -27,7 +27,6 @@ from slipfree.cli.common import (
     workers_of,
 )
 from slipfree.cli.outputs import check_outputs
-from slipfree.system.parts import LOG
 
 if TYPE_CHECKING:
     from slipfree.show.swept import Swept
@@ -105,6 +104,7 @@ def sweep(
     )
     from slipfree.sweep.runs import FAILED, LOST, Rows
     from slipfree.system.codegen_cache import obstacle
+    from slipfree.system.parts import LOG
     from slipfree.system.processes import available_cores
 
     with counted("checking values") as checked:
@@ -148,6 +148,7 @@ def sweep(
 def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
     from slipfree.sweep.run import plan_facts
     from slipfree.sweep.runs import Rows
+    from slipfree.system.parts import LOG
 
     facts = plan_facts(plan)
     left, words = plan.count, "not known before the first run"
