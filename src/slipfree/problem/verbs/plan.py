@@ -233,7 +233,7 @@ def layers_of(result: Result, world: World) -> Traversability:
 
 
 def figure_options(result: Result, world: World) -> dict[str, Any]:
-    """Return the keyword arguments of `plan_plots` for a result, from what it stores."""
+    """Return the keyword arguments of `plan_plots`, from the arrays and attributes of a result."""
     problem, arrays = result.problem, result.arrays
     spec, run = problem.spec, result.trajectory
     unbounded = dict.fromkeys(run.attributes["inputs"].split(), (-np.inf, np.inf))
