@@ -72,12 +72,8 @@ class Parts(Generic[D]):
         ending: str = "",
         check: Callable[[], None] = lambda: None,
     ) -> None:
-        self.folder, self._identity, self._ending, self._check_inputs = (
-            folder,
-            identity,
-            ending,
-            check,
-        )
+        self.folder, self._identity, self._ending = folder, identity, ending
+        self._check_inputs = check
         self._log = folder / LOG
         self._offsets: dict[int, int] = {}  # byte at which the line of a part begins
         self._keys: dict[int, str] = {}
@@ -167,9 +163,10 @@ class Parts(Generic[D]):
 
     def remove(self) -> None:
         """Remove the log, the files of all parts, and the folder unless it has other files."""
-        for number in range(1, self.size + 1) if self._ending else ():
-            self.file(number).unlink(missing_ok=True)
-        self._log.unlink(missing_ok=True)
+        files = map(self.file, range(1, self.size + 1)) if self._ending else ()
+        for file in (*files, self._log):
+            with suppress(OSError):  # something else of this name remains
+                file.unlink()
         self.close()
         with suppress(OSError):
             self.folder.rmdir()
@@ -238,8 +235,8 @@ class Parts(Generic[D]):
 
     def _digest(self, line: Mapping[str, Any]) -> str:
         found = sha256(json.dumps(line, sort_keys=True).encode())
-        if self._ending:
-            with suppress(OSError), self.file(line[PART]).open("rb") as stream:
+        if self._ending and (file := self.file(line[PART])).is_file():  # a device may be endless
+            with suppress(OSError), file.open("rb") as stream:
                 found.update(file_digest(stream, "sha256").digest())
         return found.hexdigest()
 
