@@ -1,19 +1,26 @@
-"""Tests that the documentation covers all pages, modules and notebooks, and names only real ones.
+"""Tests that the documentation covers pages, modules, notebooks, keys, and of its recipes."""
 
-Pages are built, and notebooks executed, by `sphinx-build -W` (`.ci/run`).
-"""
+from __future__ import annotations
 
 import ast
 import inspect
 import json
 import re
+from collections.abc import Iterator
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from typing import Any, get_args, get_origin
 
 import pytest
+import typer
 
 import slipfree
+from helpers.commands import invoke
+from slipfree.cli import app
+from slipfree.problem import schema
+from slipfree.problem.load import VERBS
+from slipfree.problem.schema import law_tables
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -167,3 +174,119 @@ def test_links_lead_somewhere():
                 page.name,
                 target,
             )
+
+
+# The cookbook: ten short recipes, and a script that needs no other imports than the page says
+
+PAGE = (Path(__file__).parents[2] / "docs" / "howto" / "cookbook.md").read_text(encoding="utf-8")
+CELL = r"```\{code-cell\} ipython3\n(.*?)```"
+SCRIPT = re.findall(CELL, PAGE, re.DOTALL)[-1]
+
+
+def test_ten_recipes_are_short():
+    recipes = re.split(r"^## ", PAGE, flags=re.MULTILINE)[1:-1]
+    assert [each.partition(".")[0] for each in recipes] == [str(k) for k in range(1, 11)]
+    for each in recipes:
+        (code,) = re.findall(CELL, each, re.DOTALL)
+        assert len([line for line in code.splitlines() if line.strip()]) <= 15
+
+
+@pytest.mark.slow
+def test_the_script_of_the_page_runs(capsys):
+    lines = [line for line in SCRIPT.splitlines() if line.strip()]
+    assert len(lines) < 25
+    imports = [n for n in ast.walk(ast.parse(SCRIPT)) if isinstance(n, ast.Import | ast.ImportFrom)]
+    assert {alias.name for each in imports for alias in each.names} == {
+        "casadi",
+        "numpy",
+        "slipfree",
+    }
+    names: dict = {}
+    exec(SCRIPT, names)
+    run, found = names["run"], names["found"]
+    assert run.stop is None
+    assert run["x"][-1] == pytest.approx(106.0, abs=0.02)
+    assert found.accurate
+    rolls = [abs(each["roll"]).max() for each in (run, found.replay)]
+    assert rolls[1] < 0.7 * rolls[0]
+    assert capsys.readouterr().out.count("\n") == 2
+
+
+# README: length, output of its examples, and existence of all names
+
+README = (ROOT / "README.md").read_text()
+
+
+def test_it_is_short():
+    assert len(README.splitlines()) < 150
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("folder")
+def test_the_problem_file_runs():
+    (text,) = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
+    Path("drive.toml").write_text(text)
+    invoke("run", "drive.toml", "--no-draw", code=0)
+    assert Path("drive.nc").is_file()
+
+
+def test_commands_it_names_exist():
+    named = set(re.findall(r"`slipfree (\w+)", README)) | {"report", "show", "export"}
+    assert named == set(typer.main.get_command(app).commands)
+
+
+def test_links_lead_somewhere_readme():
+    links = re.findall(r"\]\(([\w/.-]+)\)", README)
+    assert len(links) > 15
+    for link in links:
+        assert (ROOT / link).exists(), link
+
+
+# The descriptions of keys in the schemas of problem files
+
+SCHEMAS = [verb.schema for verb in VERBS]
+UNIT = re.compile(r" \[(?:1|(?:[mNs]|Pa|kg|rad|deg|Hz)[\w/ ^()+]*|1/s)(?:, (?:1|[\w/ ]+))*\]$")
+
+
+def records(found: Any, seen: set[type[schema.Record]]) -> Iterator[type[schema.Record]]:
+    """Yield the tables in an annotation, and those in them."""
+    if isinstance(found, type) and issubclass(found, schema.Record):
+        if found in seen:
+            return
+        seen.add(found)
+        yield found
+        for field in found.model_fields.values():
+            yield from records(field.annotation, seen)
+    for each in get_args(found):
+        yield from records(each, seen)
+
+
+def is_numeric(annotation: Any) -> bool:
+    """Return whether real numbers may stand for a key, in arrays or by name as well."""
+    if annotation in (float, Any) or get_origin(annotation) is dict:
+        return True
+    return any(map(is_numeric, get_args(annotation)))
+
+
+TABLES = list(records(tuple[*SCHEMAS, law_tables()], set()))  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.__name__)
+def test_every_key_says_what_it_means_and_in_which_unit(table: type[schema.Record]) -> None:
+    for key, field in table.model_fields.items():
+        assert field.description, key
+        has_unit = UNIT.search(field.description) is not None
+        assert has_unit == is_numeric(field.annotation), (key, field.description)
+
+
+def test_all_tables_are_looked_at() -> None:
+    names = {table.__name__ for table in TABLES}
+    assert names >= {
+        "TerrainTable",
+        "PowerLaw",
+        "DriverTable",
+        "GuideTable",
+        "KeepOut",
+        "StepClimbing",
+    }
+    assert len(names) > 35

@@ -1,8 +1,9 @@
-"""Tests of ``frame = "rep103"``: headings as given wherever they are printed or exported."""
+"""Tests of angles, frames and places of problem files: as given wherever they are printed."""
 
 from __future__ import annotations
 
 import json
+import pickle
 import re
 from collections.abc import Iterator
 from math import pi
@@ -11,22 +12,29 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import pyproj
 import pytest
 import xarray
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 
 from helpers.commands import invoke, printed
+from helpers.problem_files import PROBLEM
+from helpers.rasters import from_origin, geotiff
 from slipfree.core.facts import Fact
 from slipfree.files import netcdf
+from slipfree.files.maps.elevation import read_map
 from slipfree.files.mcap import read_mcap
+from slipfree.files.toml.source import ProblemError
+from slipfree.files.toml.types import AngleWithUnit, RateWithUnit, parse_unit
+from slipfree.files.vehicle_toml import open_file, read_toml
 from slipfree.plan.problem import costs_of
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build
 from slipfree.show import style
 from slipfree.sweep.runs import figures_of
 
-PROBLEM = """\
+FRAMES_PROBLEM = """\
 verb = "direct"
 frame = "rep103"
 terrain.synthetic = { x = [-3, 3], y = [-3, 3], spacing = 0.5 }
@@ -40,7 +48,7 @@ time = { duration = 0.5, step = 0.25 }
 @pytest.fixture
 def problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    Path("p.toml").write_text(PROBLEM)
+    Path("p.toml").write_text(FRAMES_PROBLEM)
     return Path("p.toml")
 
 
@@ -208,3 +216,256 @@ def test_facts_of_other_types_are_refused_by_name(problem):
     netcdf.write("p.nc", run)
     done = invoke("info", "p.nc", code=2)
     assert done.stderr.startswith("p.nc: expected facts as slipfree run writes them, found others")
+
+
+# Angles and rates with units in files, and of bare numbers that look like degrees
+
+ROOT = Path(__file__).parents[2]
+ANGLES_PROBLEM = """\
+verb = "direct"
+terrain.synthetic = { x = [-3, 3], y = [-3, 3], spacing = 0.5 }
+vehicle = { catalog = "three_wheeler", tilt_stop = "30 deg" }
+start = { x = 0.5, heading = "90 deg" }
+time = { duration = 1, step = 0.5 }
+
+[inputs]
+right_rate = "90 deg/s"
+left_rate = [[0, "45 deg/s"], [0.5, 1.0]]
+steer_rate = "0.1 rad/s"
+"""
+ANGLES_PLAN = """\
+verb = "plan"
+terrain.synthetic = { x = [-3, 3], y = [-3, 3], spacing = 0.5 }
+vehicle = { catalog = "three_wheeler" }
+start = { heading = 0.0 }
+inputs = { right_rate = 0.5, left_rate = 0.5, steer_rate = 0.0 }
+goal = { y = 0.5, heading = "1 deg" }
+costs = { slip = 1 }
+limits = { pitch = ["-20 deg", "20 deg"] }
+bounds = { right_rate = ["-200 deg/s", "200 deg/s"] }
+accelerations = { right_rate = ["-90 deg/s2", "90 deg/s2"] }
+time = { duration = 1, step = 0.5 }
+"""
+INVERSE = """\
+verb = "inverse"
+terrain.synthetic = { x = [-3, 3], y = [-3, 3], spacing = 0.5 }
+vehicle = { catalog = "three_wheeler" }
+start = {}
+given = { forward = 0.1, yaw_rate = "2 deg/s" }
+time = { duration = 1, step = 0.5 }
+"""
+TRAILER = (ROOT / "problems" / "vehicles" / "trailer.toml").read_text(encoding="utf-8")
+STOPS = 'lower = "-45 deg", upper = "45 deg", max_rate = "30 deg/s"'
+VEHICLE = TRAILER.replace("lower = -1.2, upper = 1.2", STOPS)
+
+
+def _refused(tmp_path: Path, text: str, *settings: str) -> str:
+    path = tmp_path / "p.toml"
+    path.write_text(text)
+    with pytest.raises(ProblemError) as caught:
+        build(load_problem(path, settings))
+    return str(caught.value).replace(f"{tmp_path}/", "")
+
+
+def test_text_with_a_unit_is_a_number_in_si_units() -> None:
+    assert parse_unit("-30 deg") == pytest.approx(-pi / 6)
+    assert parse_unit("1.5e1deg/s2") == pytest.approx(pi / 12)
+    assert parse_unit(" .5 rad ") == 0.5
+    assert isinstance(parse_unit("5 deg/s"), RateWithUnit)
+    for text in ("30", "deg", "30 degrees", "3*t deg", "1e9999 deg", "1 deg/s3", "nan deg"):
+        assert parse_unit(text) == text
+    copy = pickle.loads(pickle.dumps(parse_unit("30 deg")))
+    assert isinstance(copy, AngleWithUnit)
+    assert copy == pytest.approx(pi / 6)
+
+
+def test_a_problem_in_degrees_is_that_in_radians(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text(ANGLES_PROBLEM)
+    spec = load_problem(path).spec
+    setup = build(load_problem(path))
+    assert setup.start["heading"][0] == pytest.approx(pi / 2)
+    assert setup.vehicle.coordinates[0].upper == pytest.approx(pi / 6)
+    assert spec.inputs["right_rate"] == pytest.approx(pi / 2)
+    assert spec.inputs["left_rate"] == ((0.0, pytest.approx(pi / 4)), (0.5, 1.0))
+
+
+def test_a_plan_and_commands_in_degrees(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text(ANGLES_PLAN)
+    spec = build(load_problem(path)).spec
+    assert spec.goal["heading"] == pytest.approx((pi / 180, pi / 180))
+    assert spec.limits["pitch"] == pytest.approx((-pi / 9, pi / 9))
+    assert spec.accelerations["right_rate"] == pytest.approx((-pi / 2, pi / 2))
+    path.write_text(INVERSE)
+    assert load_problem(path).spec.given["yaw_rate"] == pytest.approx(pi / 90)
+    build(load_problem(path))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("text", "setting", "words"),
+    [
+        (
+            ANGLES_PROBLEM,
+            "start.heading=90",
+            "--set start.heading: expected radians (did you mean 90 deg",
+        ),
+        (
+            ANGLES_PROBLEM,
+            'start.heading="5 deg/s"',
+            "expected a number in rad, found an angular rate",
+        ),
+        (
+            ANGLES_PROBLEM,
+            'start.heading="5 dog"',
+            'text with an angular unit, as in "30 deg" or "5 deg',
+        ),
+        (ANGLES_PLAN, "goal.heading=45", 'write "45 deg"), found 45'),
+        (ANGLES_PLAN, "limits.pitch=[-20, 20]", 'write "-20 deg"), found -20'),
+        (ANGLES_PLAN, 'way_points=[{at=0.5, heading="1 rad/s"}]', "in rad, found an angular rate"),
+    ],
+)
+def test_other_units_and_bare_degrees_are_refused(
+    tmp_path: Path, text: str, setting: str, words: str
+) -> None:
+    assert words in _refused(tmp_path, text, setting)
+
+
+def test_bare_rates_and_large_angles_with_a_unit_are_accepted(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text(ANGLES_PROBLEM)
+    setup = build(load_problem(path, ['start.heading="450 deg"', "inputs.right_rate=8"]))
+    assert setup.start["heading"][0] == pytest.approx(2.5 * pi)
+    path.write_text(ANGLES_PLAN)
+    build(load_problem(path, ["bounds.right_rate=[-100, 100]", "limits.wheel_rate=[-10, 10]"]))
+
+
+def test_a_vehicle_file_in_degrees(tmp_path: Path) -> None:
+    path = tmp_path / "v.toml"
+    path.write_text(VEHICLE)
+    swivel = read_toml(open_file(path)).coordinates[0]
+    assert (swivel.lower, swivel.upper) == pytest.approx((-pi / 4, pi / 4))
+    assert swivel.max_rate == pytest.approx(pi / 6)
+    for old, new, words in (
+        ('"45 deg"', '"45 deg/s"', "expected a number in rad, found an angular rate"),
+        ('"45 deg"', "45", 'expected radians (did you mean 45 degrees? write "45 deg"), found 45'),
+        ('"30 deg/s"', '"30 deg"', "expected a number in rad/s, found an angle"),
+    ):
+        path.write_text(VEHICLE.replace(old, new))
+        with pytest.raises(ProblemError) as caught:
+            read_toml(open_file(path))
+        assert words in str(caught.value)
+
+
+# Positions in longitude and latitude: agreement with pyproj in all tables, and errors
+
+WEST, NORTH, CELL = 440720.0, 5100320.0, 0.5
+BEGIN = PROBLEM.index("[terrain")
+END = PROBLEM.index("[vehicle]")
+PLACES_PLAN = """
+verb = "plan"
+costs = { slip = 1.0 }
+goal = { longitude = 14.2350, latitude = 46.0538, heading = 0.1 }
+way_points = [{ at = 0.5, longitude = 14.2349, latitude = 46.0537 }]
+keep_out = [
+  { longitude = 14.2348, latitude = 46.0536, radius = 0.5 },
+  { x = 1, y = 2, radius = 1 },
+]
+terrain.file = "map.tif"
+vehicle.catalog = "three_wheeler"
+start = { longitude = "14.2347 deg", latitude = 46.0535 }
+driver = { name = "route", speed = 0.5 }
+time = { duration = 10, step = 1 }
+"""
+
+
+def write_map(folder: Path, crs: str | None = "EPSG:32633", cell=CELL, place=(WEST, NORTH)) -> None:
+    """Write a map of hills."""
+    x, y = np.meshgrid(np.arange(60.0), np.arange(50.0))
+    rows = 0.1 * np.sin(0.3 * x) * np.cos(0.3 * y)
+    geotiff(folder / "map.tif", rows, from_origin(*place, cell), crs=crs)
+
+
+def problem_places(folder: Path, start: str, terrain: str = "") -> Path:
+    path = folder / "p.toml"
+    text = f'{PROBLEM[:BEGIN]}[terrain]\nfile = "map.tif"\n{terrain}\n{PROBLEM[END:]}'
+    path.write_text(text.replace("heading = 0\n", f"heading = 0.3\n{start}\n"), encoding="utf-8")
+    return path
+
+
+def of_pyproj(crs: str, longitude: float, latitude: float) -> tuple[float, float]:
+    return pyproj.Transformer.from_crs(4326, crs, always_xy=True).transform(longitude, latitude)
+
+
+def degrees_at(x: float, y: float) -> str:
+    found = pyproj.Transformer.from_crs("EPSG:32633", 4326, always_xy=True).transform(x, y)
+    return "longitude = {!r}\nlatitude = {!r}".format(*found)
+
+
+def test_a_start_is_the_place_of_pyproj(tmp_path: Path) -> None:
+    write_map(tmp_path)
+    path = problem_places(tmp_path, degrees_at(WEST + 10, NORTH - 12))
+    start = load_problem(path).spec.start
+    assert [*start] == ["x", "y", "heading"]
+    assert_allclose((start["x"], start["y"]), (WEST + 10, NORTH - 12), rtol=0, atol=1e-6)
+    invoke("check", str(path), code=0)
+    scaled = load_problem(path, ["terrain.horizontal_scale=0.5"]).spec.start
+    assert_allclose((2 * scaled["x"], 2 * scaled["y"]), (start["x"], start["y"]), rtol=1e-12)
+
+
+def test_goals_way_points_and_keep_outs(tmp_path: Path) -> None:
+    write_map(tmp_path)
+    (tmp_path / "p.toml").write_text(PLACES_PLAN)
+    spec = load_problem(tmp_path / "p.toml").spec
+    x, y = of_pyproj("EPSG:32633", 14.2350, 46.0538)
+    assert [*spec.goal] == ["x", "y", "heading"]
+    assert_allclose([spec.goal["x"], spec.goal["y"]], [(x, x), (y, y)], rtol=0, atol=1e-6)
+    x, y = of_pyproj("EPSG:32633", 14.2349, 46.0537)
+    (point,) = spec.way_points
+    assert_allclose([point["x"], point["y"]], [(x, x), (y, y)], rtol=0, atol=1e-6)
+    assert point["at"] == (0.5, 0.5)
+    disc, other = spec.keep_out
+    expected = of_pyproj("EPSG:32633", 14.2348, 46.0536)
+    assert_allclose((disc.x, disc.y), expected, rtol=0, atol=1e-6)
+    assert (disc.longitude, disc.radius, other.x) == (None, 0.5, 1)
+    expected = of_pyproj("EPSG:32633", 14.2347, 46.0535)
+    assert_allclose((spec.start["x"], spec.start["y"]), expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:4258", None])
+def test_a_map_in_degrees_is_in_local_metres(tmp_path: Path, crs: str | None) -> None:
+    write_map(tmp_path, crs, 1e-5, (14.2, 46.1))
+    path = problem_places(
+        tmp_path, "longitude = 14.2003\nlatitude = 46.0998", 'geographic = "local"'
+    )
+    start = load_problem(path).spec.start
+    frame = read_map(tmp_path / "map.tif", geographic="local").frame
+    assert_allclose(frame.x0 + frame.kx * start["x"], 14.2003, rtol=0, atol=1e-10)
+    assert_allclose(frame.y0 + frame.ky * start["y"], 46.0998, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("start", "words"),
+    [
+        ("longitude = 14.2", "start: expected either longitude and latitude, or x and y, found lo"),
+        ("longitude = 14.2\nlatitude = 146", "latitude: expected a number from -90 to 90 degrees"),
+        ("longitude = 14.2\nlatitude = 46", r"start\.\w: expected a start on the map"),
+        ("longitude = 105\nlatitude = 0", r"domain of the map's projection \(EPSG:32633\)"),
+    ],
+)
+def test_wrong_places_are_refused(tmp_path: Path, start: str, words: str) -> None:
+    write_map(tmp_path)
+    found = invoke("check", str(problem_places(tmp_path, start)), code=2)
+    assert "p.toml" in found.output
+    assert re.search(words, " ".join(found.output.split()))
+
+
+def test_a_map_without_a_system_is_refused(tmp_path: Path) -> None:
+    write_map(tmp_path, None)
+    place = "longitude = 14.2\nlatitude = 46.1"
+    with pytest.raises(ProblemError, match=r"p\.toml:10: start: .* reference system .*gdal_edit"):
+        load_problem(problem_places(tmp_path, place))
+    (tmp_path / "p.toml").write_text(PROBLEM.replace("heading = 0\n", f"{place}\n"))
+    with pytest.raises(ProblemError, match="start: expected a map with a reference system"):
+        load_problem(tmp_path / "p.toml")

@@ -1,8 +1,9 @@
-"""Tests of figures: no warnings, the right contents, and the reason of a stop."""
+"""Tests of figures of motions and plans: no warnings, and the right contents."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from weakref import ref as weakref
 
@@ -16,9 +17,13 @@ from matplotlib.figure import Figure
 
 import slipfree as sf
 from helpers.figures import assert_inside
+from slipfree.core.facts import Fact
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Trajectory, path_length
-from slipfree.show import force_figures, motion_figures, plots
+from slipfree.geometry.regions import Region
+from slipfree.routing.traversability import blocked_by, free_space, traversability
+from slipfree.show import force_figures, ground_drawing, motion_figures, plan_figures, plots
+from slipfree.terrain.synthetic import blank, craters
 
 DOMAIN = (-5.0, 5.0, -4.0, 4.0)
 NAMES = ["map", "elevation", "tilts", "checks", "rates"]
@@ -431,3 +436,145 @@ def test_energies_and_powers_have_panels_of_their_own(loaded, grid):
     for line, expected in zip(energy.lines, (9 * s, 4 * s), strict=False):
         np.testing.assert_allclose(line.get_ydata(), expected, atol=1e-12)
     assert energy.get_ylabel().split() == ["energy", "since", "the", "start", "[J]"]
+
+
+# The figures of plans: cost map, blocked nodes, routes, and planned quantities
+
+START, GOAL = ("start", 6.0, 8.0), ("goal", 24.0, 20.0)
+BOUNDS = {"right_rate": (-1.0, 3.0), "left_rate": (-1.0, 3.0), "steer_rate": (-0.5, np.inf)}
+LIMITS = {"steer": (-0.8, 0.8), "slip_across[front]": (-0.1, 0.1)}
+
+
+@pytest.fixture(scope="module")
+def grid_plan() -> sf.Grid:
+    hilly = craters(blank((0, 40), (0, 40), 0.5), count=6, diameters=(4, 8), seed=2)
+    return sf.Grid(hilly.x, hilly.y, 2 * hilly.z)
+
+
+@pytest.fixture(scope="module")
+def layers(grid_plan):
+    triangle = ((30.0, 30.0), (34.0, 30.0), (32.0, 35.0))
+    keep_out = [Region.disc(14.0, 16.0, 1.5), Region.polygon(triangle)]
+    vehicle = sf.catalog.three_wheeler(axle="fixed")
+    return traversability(sf.Bicubic(grid_plan, mu=0.5), vehicle, keep_out=keep_out, spacing=2.0)
+
+
+@pytest.fixture(scope="module")
+def run_plan(grid_plan) -> Trajectory:
+    dae = sf.direct_kinematics(
+        sf.catalog.three_wheeler(axle="fixed"), sf.Bicubic(grid_plan, mu=0.5)
+    )
+    start = sf.settle(dae, x=6.0, y=8.0, heading=-0.9)
+    inputs = dae.inputs(right_rate=0.5, left_rate=0.45, steer_rate=0.01)
+    run = sf.simulate(dae, start, inputs, np.arange(0.0, 6.05, 0.2))
+    return run.with_facts(
+        {"plan_difference_x": Fact(1.2e-4, "m"), "plan_difference_heading": Fact(3e-5, "rad")}
+    )
+
+
+def way() -> np.ndarray:
+    return np.array([[6.0, 8.0], [14.0, 20.0], [24.0, 20.0]])
+
+
+def figures_plan(*args, **options) -> dict[str, Figure]:
+    return plots.draw(plan_figures.plan_plots(*args, **options))
+
+
+def test_costs_and_what_blocks_lie_where_they_belong(layers, grid_plan, ax):
+    plan_figures.cost_map(layers, grid_plan, ax, ground_drawing.whole(grid_plan))
+    costs, blocked = (image.get_array() for image in ax.images[:2])
+    assert costs.T.shape == layers.cost.shape[1:]
+    free = np.isfinite(layers.least_cost)
+    np.testing.assert_array_equal(np.ma.getmaskarray(costs).T, ~free)
+    np.testing.assert_allclose(costs.T[free], layers.least_cost[free])
+    # what blocks a node has a colour, what is free has none
+    np.testing.assert_array_equal(blocked[..., 3].T > 0, ~free)
+    assert ax.get_aspect() == 1.0
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("east $x$ [m]", "north $y$ [m]")
+    assert len(ax.patches) == 2  # the outlines of what to keep out of
+
+
+def test_the_legend_names_only_what_blocks_in_the_part_that_is_drawn(layers, grid_plan, ax):
+    plan_figures.cost_map(layers, grid_plan, ax, ground_drawing.whole(grid_plan))
+    assert "friction holds no heading" in labels(ax)
+    assert "keep-out region" in labels(ax)
+    blocked = [each for each in labels(ax) if each.startswith("too close")]
+    assert blocked == ["too close to a keep-out region", "too close to the edge of the map"]
+    assert blocked_by(layers)["friction"].any()
+    away = Figure().subplots()
+    plan_figures.cost_map(layers, grid_plan, away, (20.0, 24.0, 4.0, 8.0))
+    assert labels(away) == []
+
+
+def test_missing_heights_are_hatched_in_the_part_that_is_drawn(grid_plan, ax):
+    holes = np.zeros(grid_plan.z.shape, dtype=bool)
+    holes[40:44, 40:44] = True  # at x, y from 20 to 21.5 m
+    ragged = sf.Grid(grid_plan.x, grid_plan.y, grid_plan.z, holes=holes)
+    found = free_space(sf.Bicubic(ragged, mu=0.5), sf.catalog.three_wheeler(axle="fixed"))
+    plan_figures.cost_map(found, ragged, ax, (15.0, 25.0, 15.0, 25.0))
+    assert {"no heights", "too close to a hole in the map"} <= {*labels(ax)}
+    away = Figure().subplots()
+    plan_figures.cost_map(found, ragged, away, (25.0, 30.0, 25.0, 30.0))
+    assert "no heights" not in labels(away)
+
+
+def test_an_initial_guess_is_drawn_under_the_plan(run_plan, grid_plan, layers):
+    guess = np.array([[6.0, 8.0], [9.0, 12.0], [np.nan, np.nan], [6.0, 8.0], [8.0, 12.0]])
+    ax = figures_plan(run_plan, grid_plan, layers, guess=guess)["traversability"].axes[0]
+    lines = {line.get_label(): line for line in ax.lines}
+    np.testing.assert_array_equal(lines["initial guess"].get_xydata(), guess)
+    assert lines["initial guess"].zorder < lines["planned motion"].zorder
+    assert lines["initial guess"].get_linewidth() < lines["planned motion"].get_linewidth()
+
+
+def test_places_are_marked_by_name(run_plan, ax):
+    plan_figures.motion(run_plan, (START, ("way-point 1", 14.0, 20.0), GOAL), ax)
+    assert labels(ax) == ["planned motion", "start", "way-point 1", "goal"]
+    np.testing.assert_array_equal(ax.lines[0].get_xdata(), run_plan["x"])
+    assert ax.lines[-1].get_xydata()[0] == pytest.approx(GOAL[1:])
+
+
+def test_a_range_is_drawn_as_an_area(run_plan, ax):
+    area = (10.0, 14.0, 20.0, 26.0)
+    plan_figures.motion(run_plan, (START, GOAL), ax, {"goal": area})
+    assert {*labels(ax)} == {"planned motion", "start", "goal"}
+    (patch,) = ax.patches
+    assert (*patch.get_xy(), patch.get_width(), patch.get_height()) == (10.0, 20.0, 4.0, 6.0)
+
+
+def test_room_is_the_distance_less_what_the_wheels_reach(run_plan, layers, ax):
+    plan_figures.keep_out_distance(run_plan, layers, ax)
+    expected = np.hypot(run_plan["x"] - 14, run_plan["y"] - 16) - 1.5 - layers.limits.reach
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), expected)
+    assert labels(ax)[0] == "disc at (14, 16) of 1.5 m radius"
+
+
+def test_figures_of_a_plan_are_complete_and_fit(run_plan, grid_plan, layers):
+    drawn = figures_plan(
+        run_plan,
+        grid_plan,
+        layers,
+        places=(START, GOAL),
+        found=[way()],
+        bounds=BOUNDS,
+        limits=LIMITS,
+    )
+    assert list(drawn) == ["plan", "traversability"]
+    assert len(drawn["plan"].axes) == 1 + 2 + 1 + 2
+    note = " ".join(text.get_text() for text in drawn["plan"].texts).replace("\n", " ")
+    assert "deviates from the plan by x 1.2e-04 m, heading 3.0e-05 rad." in note
+    for figure in drawn.values():
+        figure.draw_without_rendering()
+        axes = [axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)]
+        assert_inside(figure, [*figure.texts, *(axis.label for axis in axes)])
+
+
+@pytest.mark.slow
+def test_labels_of_the_panels_do_not_meet(run_plan, grid_plan, layers):
+    columns = {f"steer_rear_right_{k}_rate": run_plan.columns["steer_rate"] for k in range(9)}
+    many = replace(run_plan, columns={**run_plan.columns, **columns})
+    bounds = BOUNDS | dict.fromkeys(columns, (-np.inf, np.inf))
+    figure = figures_plan(many, grid_plan, layers, bounds=bounds, limits={})["plan"]
+    figure.draw_without_rendering()
+    boxes = [ax.yaxis.label.get_window_extent() for ax in figure.axes]
+    assert all(upper.y0 > lower.y1 for upper, lower in pairwise(boxes))

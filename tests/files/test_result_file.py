@@ -1,8 +1,9 @@
-"""Tests of result files: exact round trip, other readers, and damaged files."""
+"""Tests of result files: exact round trip, metadata, other readers, exports, and damaged files."""
 
 from __future__ import annotations
 
 import csv
+import json
 import struct
 import sys
 from dataclasses import replace
@@ -11,13 +12,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
+from numpy.testing import assert_allclose
+from rasterio.crs import CRS
 from scipy.io import netcdf_file
 
+from helpers.rasters import from_origin, geotiff
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Stop, Trajectory, thin
 from slipfree.files import netcdf
+from slipfree.files.cf import grid_mapping
+from slipfree.files.export import export_path, export_rates
+from slipfree.problem.load import load_problem
+from slipfree.problem.result import run_problem
 
 N = 7
 
@@ -274,3 +282,225 @@ def test_fewer_samples_keep_all_extremes(rng):
             np.testing.assert_array_equal(end(few[name], axis=0), end(run[name], axis=0))
     np.testing.assert_array_equal(few["slip"], values[few.t.astype(int)])
     assert thin(run, 2000) is run
+
+
+# The CF metadata of result files: feature type, position on the map, reference system
+
+
+def _motion(**attributes):
+    rng = np.random.default_rng(0)
+    columns = {n: Column(Label(n, "m", n), rng.random(4)) for n in ("x", "y", "z", "pitch")}
+    columns["slip"] = Column(Label("slip", "m s-1", "slip"), rng.random((4, 2)))
+    return Trajectory(np.arange(4.0), columns, ("a", "b"), attributes=attributes)
+
+
+def _written(run, path):
+    """Return the attributes of the variables of a written motion, and its own under ''."""
+    netcdf.write(path, run)
+    with netcdf_file(str(path), mmap=False) as file:
+        assert file.variables["slip"].dimensions == ("wheel", "time")
+        return {n: v._attributes for n, v in file.variables.items()} | {"": file._attributes}
+
+
+def test_a_motion_without_a_map_is_a_trajectory_over_x_y_z(tmp_path):
+    found = _written(_motion(), tmp_path / "a.nc")
+    assert found[""]["featureType"] == b"trajectory"
+    assert found["trajectory"]["cf_role"] == b"trajectory_id"
+    assert found["slip"]["coordinates"] == b"time x y z"
+    assert found["pitch"]["standard_name"] == b"platform_pitch_fore_up"
+    assert "crs" not in found
+    assert "grid_mapping" not in found["slip"]
+    run = netcdf.read(tmp_path / "a.nc")
+    assert list(run.columns) == ["x", "y", "z", "pitch", "slip"]
+    np.testing.assert_array_equal(run["slip"], _motion()["slip"])
+
+
+def test_a_motion_on_a_map_has_its_reference_system(tmp_path):
+    rows = '[["x", 5e5, 2, "y"], ["y", 4e6, -1, "x"], ["z", 0, 1, "z"]]'
+    run = _motion(map_crs="EPSG:32633", map_transform=rows)
+    found = _written(run, tmp_path / "a.nc")
+    assert found["slip"]["coordinates"] == b"time map_x map_y z"
+    assert found["slip"]["grid_mapping"] == b"crs"
+    assert found["map_x"]["standard_name"] == b"projection_x_coordinate"
+    assert CRS.from_wkt(found["crs"]["spatial_ref"].decode()) == CRS.from_epsg(32633)
+    assert CRS.from_wkt(found["crs"]["crs_wkt"].decode()) == CRS.from_epsg(32633)
+    with netcdf_file(str(tmp_path / "a.nc"), mmap=False) as file:
+        np.testing.assert_array_equal(file.variables["map_x"][:], 5e5 + 2 * run["y"])
+        np.testing.assert_array_equal(file.variables["map_y"][:], 4e6 - run["x"])
+    assert list(netcdf.read(tmp_path / "a.nc").columns) == [*run.columns]
+
+
+def test_a_motion_on_a_map_in_degrees(tmp_path):
+    rows = '[["longitude", 15, 1e-5, "x"], ["latitude", 47, 1e-5, "y"], ["z", 0, 1, "z"]]'
+    found = _written(_motion(map_crs="EPSG:4326", map_transform=rows), tmp_path / "a.nc")
+    assert found["crs"]["grid_mapping_name"] == b"latitude_longitude"
+    assert found["longitude"]["units"] == b"degrees_east"
+    assert found["pitch"]["coordinates"] == b"time longitude latitude z"
+
+
+PROJECTIONS = {
+    32633: {
+        "grid_mapping_name": "transverse_mercator",
+        "latitude_of_projection_origin": 0, "longitude_of_central_meridian": 15,
+        "scale_factor_at_central_meridian": 0.9996, "false_easting": 500000, "false_northing": 0,
+    },
+    2154: {
+        "grid_mapping_name": "lambert_conformal_conic", "standard_parallel": (49, 44),
+        "latitude_of_projection_origin": 46.5, "longitude_of_central_meridian": 3,
+        "false_easting": 700000, "false_northing": 6600000,
+    },
+    3857: {},  # the conventions have no name for it: WKT alone
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("code", "expected"), PROJECTIONS.items())
+def test_projections_have_the_names_of_the_conventions(code, expected):
+    found = grid_mapping(f"EPSG:{code}")
+    assert {k: found.get(k) for k in expected} == expected
+    assert ("grid_mapping_name" in found) == bool(expected)
+
+
+def test_an_unknown_reference_system(tmp_path):
+    with pytest.raises(DataError, match="expected an EPSG code or WKT, found 'EPSG:0'"):
+        netcdf.write(tmp_path / "a.nc", _motion(map_crs="EPSG:0"))
+
+
+# Exports: paths in the coordinates of their map, and rates for a robot
+
+PROBLEM = """\
+verb = "direct"
+vehicle.catalog = "three_wheeler"
+start = {{ x = {x}, y = {y}, heading = 0.3 }}
+inputs = {{ right_rate = [[0, 0.5], [0.5, 0.4]], left_rate = 0.4, steer_rate = 0.01 }}
+time = {{ duration = 1, step = 0.25 }}
+[terrain]
+file = "map.tif"
+{terrain}
+"""
+
+
+def _solved(folder, crs, transform, **asked):
+    """Solve a problem on a GeoTIFF of a plane, write its result, and return it."""
+    rows = 100 + 0.1 * np.arange(40.0)[:, None] + np.zeros(40)
+    geotiff(folder / "map.tif", rows, transform, crs=crs, dtype="float64")
+    (folder / "p.toml").write_text(PROBLEM.format(**asked))
+    found = run_problem(load_problem(folder / "p.toml")).trajectory
+    netcdf.write(folder / "out.nc", found)
+    return found
+
+
+def _rows(path):
+    with path.open() as file:
+        head, *rows = csv.reader(file)
+    return head, np.array(rows, dtype=float)
+
+
+def _path(folder):
+    export_path(folder / "out.nc", folder / "path.csv")
+    return _rows(folder / "path.csv")
+
+
+def _geojson(folder):
+    export_path(folder / "out.nc", folder / "path.geojson")
+    return json.loads((folder / "path.geojson").read_text())
+
+
+def _utm(folder, terrain="", x=500010.0, y=4499990.0):
+    place = from_origin(500000, 4.5e6, 0.5)
+    return _solved(folder, "EPSG:32633", place, terrain=terrain, x=x, y=y)
+
+
+def test_a_path_on_a_projected_map(tmp_path):
+    found = _utm(tmp_path)
+    assert found.attributes["map_crs"] == "EPSG:32633"
+    assert "pixel is area" in found.attributes["ground_map"]
+    head, rows = _path(tmp_path)
+    assert head == ["time", "x", "y", "z", "heading", "pitch", "roll", "yaw"]
+    names = ("x", "y", "z", "heading", "pitch", "roll", "yaw")
+    assert_allclose(rows, np.column_stack([found.t, *(found[name] for name in names)]), rtol=1e-15)
+
+    content = _geojson(tmp_path)
+    assert content["crs"] == {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32633"}}
+    (feature,) = content["features"]
+    assert feature["geometry"]["type"] == "LineString"
+    assert_allclose(feature["geometry"]["coordinates"], rows[:, 1:4], rtol=1e-15)
+    assert feature["properties"]["time_s"] == found.t.tolist()
+
+
+def test_a_path_on_a_scaled_map_is_where_the_file_says(tmp_path):
+    terrain = "scale = 0.5\nvertical_scale = 1.5"
+    small = _utm(tmp_path, terrain, 250005.0, 2249995.0)
+    _, rows = _path(tmp_path)
+    assert_allclose(rows[:, 1], 2 * small["x"], rtol=1e-14)
+    assert_allclose(rows[:, 3], small["z"] / 0.75, rtol=1e-14)
+    assert_allclose(rows[0, 1:3], [500010, 4499990], rtol=1e-14)
+
+
+def test_a_path_on_a_map_in_degrees(tmp_path):
+    step = 1 / 3600 / 64  # half a metre
+    place = from_origin(15, 47, step)
+    found = _solved(tmp_path, "EPSG:4326", place, terrain='geographic = "local"', x=5.0, y=10.0)
+    assert "treated as a sphere" in found.attributes["ground_degrees"]
+    head, rows = _path(tmp_path)
+    assert head[1:4] == ["longitude", "latitude", "z"]
+    # The origin is the middle of the south-western cell; a degree of the sphere is 111195.08 m.
+    assert_allclose(rows[:, 2], 47 - 39.5 * step + found["y"] / 111195.08, rtol=0, atol=1e-11)
+    east = found["x"] / (111195.08 * np.cos(np.deg2rad(47 - 20 * step)))
+    assert_allclose(rows[:, 1], 15 + 0.5 * step + east, rtol=0, atol=1e-11)
+    content = _geojson(tmp_path)
+    assert "crs" not in content  # GeoJSON means WGS 84 then
+    assert_allclose(content["features"][0]["geometry"]["coordinates"], rows[:, 1:4], rtol=1e-15)
+
+
+def test_rates_that_a_robot_plays(tmp_path):
+    found = _utm(tmp_path)
+    export_rates(tmp_path / "out.nc", tmp_path / "rates.csv")
+    head, rows = _rows(tmp_path / "rates.csv")
+    assert head == ["time", "right_rate", "left_rate", "steer_rate"]
+    assert_allclose(rows[:, 0], found.t)
+    assert set(rows[:, 1]) == {0.5, 0.4}
+    assert set(rows[:, 3]) == {0.01}
+
+
+def test_what_cannot_be_exported(tmp_path):
+    found = _utm(tmp_path)
+    out = tmp_path / "out.nc"
+    for name, words in (
+        ("path.kml", r"path.kml: expected a name that ends in .csv or .geojson, found '.kml'"),
+        ("path", "found no ending"),
+        ("none/path.csv", r"path.csv: cannot be written \(No such file"),
+    ):
+        with pytest.raises(DataError, match=words):
+            export_path(out, tmp_path / name)
+    with pytest.raises(DataError, match=r"ends in .csv, found '.geojson'"):
+        export_rates(out, tmp_path / "rates.geojson")
+    assert {each.name for each in tmp_path.iterdir()} == {"map.tif", "p.toml", "out.nc"}
+    taken = tmp_path / "out.csv"
+    out.rename(taken)
+    with pytest.raises(DataError, match="expected a separate file, found the result file"):
+        export_path(taken, taken)
+
+    netcdf.write(out, replace(found, columns={"x": found.columns["x"]}))
+    with pytest.raises(DataError, match="expected rates of driven wheels or"):
+        export_rates(out, tmp_path / "rates.csv")
+    with pytest.raises(DataError, match=r"expected a motion with .*, found no 'y'"):
+        export_path(out, tmp_path / "path.csv")
+    netcdf.write(out, found.part(slice(1)))
+    with pytest.raises(DataError, match="at least two samples for a LineString, found one"):
+        export_path(out, tmp_path / "path.geojson")
+    damaged = {**found.attributes, "map_transform": "[[1]]"}
+    with pytest.raises(DataError, match="expected rows of name, offset, factor and axis as JSON"):
+        netcdf.write(out, replace(found, attributes=damaged))
+    del damaged["map_crs"]
+    netcdf.write(out, replace(found, attributes=damaged))
+    with pytest.raises(DataError, match="expected rows of name, offset, factor and axis as JSON"):
+        export_path(out, tmp_path / "path.geojson")
+
+
+def test_without_a_reference_system_geojson_says_so(tmp_path):
+    found = _utm(tmp_path)
+    attributes = {k: v for k, v in found.attributes.items() if k != "map_crs"}
+    netcdf.write(tmp_path / "out.nc", replace(found, attributes=attributes))
+    content = _geojson(tmp_path)
+    assert "crs" not in content
+    assert content["features"][0]["properties"]["reference_system"].startswith("not given")

@@ -1,13 +1,17 @@
-"""Tests of reading elevation models: layout, orientation, and errors of invalid files."""
+"""Tests of elevation models and scattered points: layout, missing heights, and invalid files."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+import rasterio
+import scipy
 from matplotlib.cbook import get_sample_data
 from numpy.testing import assert_allclose, assert_array_equal
 
-from slipfree.core.errors import DataError
+from helpers.rasters import from_origin, geotiff
+from slipfree import DataError
+from slipfree.files.maps import missing_values
 from slipfree.files.maps.elevation import geographic_to_metric, jacksboro, read_map
 
 HEADER = "ncols 5\nNROWS 4\nxllcorner 100\nyllcorner 200\ncellsize 10\nNODATA_value -9999\n"
@@ -194,3 +198,260 @@ def test_jacksboro():
     with np.load(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False)) as file:
         for i, j in np.random.default_rng(0).integers(0, 344, (50, 2)):
             assert grid.z[i, j] == file["elevation"][343 - j, i]
+
+
+# Scattered points on a grid: exact on linear surfaces, and errors of invalid files
+
+
+def scattered(count=400, size=10.0, offset=(500000.0, 4.5e6)):
+    """Return points of a plane, the corners of a square among them."""
+    places = np.random.default_rng(1).uniform(0, size, (count, 2))
+    places = np.vstack([places, [[0, 0], [0, size], [size, 0], [size, size]]])
+    z = 3 + 0.2 * places[:, 0] - 0.1 * places[:, 1]
+    return np.column_stack([places + offset, z])
+
+
+def written_scattered(path, points, delimiter=" ", header=""):
+    np.savetxt(path, points, delimiter=delimiter, header=header, comments="", fmt="%.17g")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "delimiter", "header"),
+    [
+        ("p.xyz", " ", ""),
+        ("p.txt", "\t", "# measured today"),
+        ("p.csv", ",", "X, Y, Z"),
+        ("p.csv", ";", "easting;northing;height"),
+        ("p.csv", ",", "E,N,Up"),
+    ],
+)
+def test_a_plane_is_exact(tmp_path, name, delimiter, header):
+    found = read_map(
+        written_scattered(tmp_path / name, scattered(), delimiter, header), spacing=0.5
+    )
+    x, y = found.grid.x - 500000, found.grid.y - 4.5e6
+    assert_allclose(x, np.arange(0, 10.1, 0.5), atol=1e-9)
+    assert_allclose(y, np.arange(0, 10.1, 0.5), atol=1e-9)
+    assert_allclose(found.grid.z, 3 + 0.2 * x[:, None] - 0.1 * y, atol=1e-8)
+    told = dict(found.facts)["ground points"]
+    assert told.startswith("404, a median of 0.2")
+    assert told.endswith("for 441 nodes 0.5 m apart")
+
+
+@pytest.mark.parametrize(
+    "text", ["X,Y,Z,R,G,B\n{}", "//X Y Z Intensity\n{}", "{}", "400\n{}", "r;z;y [m];x;i\n{}"]
+)
+def test_further_columns_are_ignored(tmp_path, text):
+    """Colours and intensities: x, y, z by name, else the first three columns."""
+    points = np.round(scattered(396, offset=(500000, 4.5e6)), 3)
+    others = np.arange(400)[:, None] % 256
+    separator = "," if "," in text else ";" if ";" in text else " "
+    columns = [others, points[:, 2:], points[:, 1::-1], others]
+    if separator != ";":
+        columns = [points, others] + [others, others] * (separator == ",")
+    np.savetxt(tmp_path / "q.xyz", np.hstack(columns), delimiter=separator, fmt="%.3f")
+    (tmp_path / "p.xyz").write_text(text.format((tmp_path / "q.xyz").read_text()))
+    found = read_map(tmp_path / "p.xyz", spacing=1.0)
+    plain = read_map(written_scattered(tmp_path / "a.xyz", points), spacing=1.0)
+    assert_array_equal(found.grid.z, plain.grid.z)
+    is_guessed = text in ("{}", "400\n{}")
+    assert ("x, y, z are the first 3 of 4" in dict(found.facts)["ground points"]) == is_guessed
+
+
+def test_a_matrix_of_heights_is_not_read_as_points(tmp_path, rng):
+    np.savetxt(tmp_path / "m.csv", rng.normal(100, 3, (40, 40)), fmt="%.3f", delimiter=",")
+    with pytest.raises(DataError, match=r"40 columns without names, probably a matrix.*\.asc"):
+        read_map(tmp_path / "m.csv", spacing=1.0)
+
+
+def test_points_on_a_grid_keep_their_values(tmp_path):
+    """At coordinates whose steps are not exact, no node is lost at the border."""
+    x, y = 500000.3 + 0.1 * np.arange(30), 4.5e6 + 0.1 * np.arange(20)
+    z = np.random.default_rng(2).normal(size=(30, 20))
+    points = np.column_stack(
+        [*(each.reshape(-1) for each in np.meshgrid(x, y, indexing="ij")), z.reshape(-1)]
+    )
+    np.random.default_rng(3).shuffle(points)
+    found = read_map(written_scattered(tmp_path / "p.xyz", points), spacing=0.1).grid
+    assert_allclose(found.x, x, atol=1e-8)
+    assert_allclose(found.z, z, atol=1e-12)
+    part = read_map(tmp_path / "p.xyz", spacing=0.1, window=(500001.25, 500002, 4.5e6, 4.5e6 + 0.5))
+    assert_allclose(part.grid.z, z[10:18, :6], atol=1e-12)
+
+
+def test_nodes_outside_the_hull_are_holes(tmp_path):
+    angle = np.random.default_rng(4).uniform(0, 2 * np.pi, 3000)
+    radius = 5 * np.sqrt(np.random.default_rng(5).random(3000))
+    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), 0.1 * radius])
+    path = written_scattered(tmp_path / "p.xyz", points)
+    grid = read_map(path, spacing=0.5, fill="linear").grid
+    inside = np.hypot(grid.x[:, None], grid.y) < 4.8
+    assert not grid.holes[inside].any()
+    assert grid.holes[np.hypot(grid.x[:, None], grid.y) > 5].all()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "at least 3 points .* found 0"),
+        ("0 0 1\n1 0 x\n0 1 1\n", "xyz:2: expected three numbers x,y,z, found '1 0 x'; "),
+        ("0 0\n1 0 1\n1 0 2\n", "xyz:1: expected 3 values as in the lines below, found '0 0'"),
+        ("a b c d\n0 0 1 5\n1 0 1 5\n", "found no column 'x' among a, b, c, d; name the columns"),
+        ("0 0 1\n0 0 1\n1 0 1\n", "at least 3 points with different x, y, found 2"),
+        ("1 0 0 1\n2 0 1 1\n3 1 0 1\n", "p.xyz:1: expected .* first column counts or names .* as"),
+        ("0,000,0,500,1,250\n", "found '000' between commas, .* separate the columns by semicolon"),
+        ('"0,0","0,5","1,2"\n"0,0","1,5","1,2"\n', "xyz:2: expected two or more numbers, found"),
+        ("lon lat alt\n0 0 1\n0 1e-5 1\n1e-5 0 1\n", "at spacing = 1 deg; .* such as 1e-05"),
+        ("ncols 3\nnrows 2\ncellsize 1\n1 2 3\n4 5 6\n", "an ESRI ASCII grid; rename it to end in"),
+        ("\n".join(f"{k} {k} 1" for k in range(9)), "found that they lie on a line"),
+        ("0 0 1\n1 0 1\n0 1 1\n", "at least 4 by 4 nodes, found 2 by 2 at spacing = 1 m"),
+    ],
+)
+def test_files_refused(tmp_path, text, words):
+    path = tmp_path / "p.xyz"
+    path.write_text(text)
+    with pytest.raises(DataError, match=rf"p.*{words}"):
+        read_map(path, spacing=1.0)
+
+
+def test_a_missing_spacing_is_suggested(tmp_path):
+    with pytest.raises(
+        DataError, match=r"expected spacing, .* neighbours is 0.2\d+ m: set spacing"
+    ):
+        read_map(written_scattered(tmp_path / "p.xyz", scattered()))
+
+
+def test_too_many_nodes_need_a_window(tmp_path):
+    path = written_scattered(tmp_path / "p.xyz", scattered(offset=(0, 0)))
+    with pytest.raises(DataError, match=r"at most 5e\+07 nodes, found 1e\+10 .*window = \[x_min"):
+        read_map(path, spacing=1e-4)
+    part = read_map(path, spacing=1e-4, window=(5, 5.01, 5, 5.01))
+    assert part.grid.z.shape == (101, 101)
+
+
+# Undeclared markers of missing heights are refused with a remedy that works; no honest map is
+
+X, Y = np.meshgrid(np.arange(40.0), np.arange(30.0), indexing="ij")
+HILLS = 100 + 0.1 * np.sin(X / 4) * np.cos(Y / 5)
+MOUNTAINS = 1500 + 600 * np.sin(X / 9) * np.cos(Y / 8)
+NODES = np.random.default_rng(4).permutation(X.size)[:16]
+HOLES = np.isin(np.arange(X.size), NODES).reshape(X.shape)
+MARKERS = (-9999, -32768, -32767, 32767, -99999, 65535, 9999, -500, -1, 0, -999.25, -9999.9)
+HUGE = (-3.4028234663852886e38, 1e30, 1e20, -1.7976931348623157e308)
+
+
+def _geotiff(path, z, dtype="float64", **options):
+    return geotiff(path, z[:, ::-1].T, from_origin(5e5, 5e6, 1), dtype=dtype, **options)
+
+
+def _marked(z, value):
+    return np.where(HOLES, value, z)
+
+
+def _refused(path, **options):
+    with pytest.raises(DataError, match=r"expected heights, found the value .*") as error:
+        read_map(path, **options)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("value", [*MARKERS, *HUGE])
+def test_markers_of_a_geotiff(tmp_path, value):
+    """The message has value, number, place and remedy: the command declares the value."""
+    kind = "float32" if value in (-3.4028234663852886e38, -9999.9) else "float64"
+    path = _geotiff(tmp_path / "map.tif", _marked(MOUNTAINS if value else HILLS, value), dtype=kind)
+    words = _refused(path)
+    i, j = np.argwhere(HOLES)[0]
+    assert f"at 16 of 1200 nodes, first at x = {500000.5 + i}, y = {5e6 - 29.5 + j}" in words
+    declared = words.split("gdal_edit.py -a_nodata ")[1].removesuffix(" map.tif")
+    assert float(np.dtype(kind).type(declared)) == float(np.dtype(kind).type(value))
+    with rasterio.open(path, "r+") as file:  # as gdal_edit.py does
+        file.nodata = float(declared)
+    np.testing.assert_array_equal(read_map(path).grid.holes, HOLES)
+
+
+def test_markers_of_other_formats(tmp_path):
+    """ASCII grid, netCDF, numpy archive, text and picture: each has its own remedy."""
+    rows = "\n".join(
+        " ".join(map(repr, row)) for row in _marked(HILLS, -9999.0)[:, ::-1].T.tolist()
+    )
+    head = "ncols 40\nnrows 30\nxllcorner 0\nyllcorner 0\ncellsize 1\n"
+    path = tmp_path / "map.asc"
+    path.write_text(head + rows)
+    assert "by the line NODATA_value -9999 at the end of the header" in _refused(path)
+    path.write_text(f"{head}NODATA_value -9999\n{rows}")
+    np.testing.assert_array_equal(read_map(path).grid.holes, HOLES)
+    path.write_text(f"{head}NODATA_value -1\n{rows}")
+    assert '--calc="numpy.where(A == -9999, -1, A)" --NoDataValue=-1' in _refused(path)
+    np.savez(tmp_path / "map.npz", x=X[:, 0], y=Y[0], z=_marked(HILLS, -9999.0))
+    assert "set them to NaN: z[z == -9999] = numpy.nan" in _refused(tmp_path / "map.npz")
+    points = np.column_stack([X.ravel(), Y.ravel(), _marked(HILLS, -9999.0).ravel()])
+    np.savetxt(tmp_path / "map.xyz", points)
+    assert "at 16 of 1200 points" in _refused(tmp_path / "map.xyz", spacing=1.0)
+    keys = {"cell": 1.0, "registration": "area", "vertical_scale": 0.01}
+    levels = np.round(100 * _marked(HILLS, 0))
+    _geotiff(tmp_path / "map.png", levels, driver="PNG", dtype="uint16", crs=None)
+    (tmp_path / "map.png.aux.xml").unlink(missing_ok=True)
+    assert "gdal_translate -a_nodata 0 map.png out.tif" in _refused(tmp_path / "map.png", **keys)
+
+
+def test_only_the_window_is_judged(tmp_path):
+    z = HILLS.copy()
+    z[30:, 20:] = -9999
+    path = _geotiff(tmp_path / "map.tif", z)
+    assert "at 100 of 1200 nodes" in _refused(path)
+    low = 5e6 - 30
+    assert read_map(path, window=(5e5, 5e5 + 29, low, low + 30)).grid.holes is None
+    assert "at 9 of " in _refused(path, window=(5e5, 5e5 + 33, low, low + 23))
+
+
+def test_two_markers_and_most_nodes_missing(tmp_path):
+    z = np.full(X.shape, -32768.0)
+    z[:6, :6], z[:6, 6] = MOUNTAINS[:6, :6], -9999
+    words = _refused(_geotiff(tmp_path / "map.tif", z))
+    assert "-32768 at 1158 of 1200 nodes" in words
+
+
+def test_markers_of_a_large_map(monkeypatch, tmp_path):
+    """Of large maps, only extremes and a part of the heights are sorted."""
+    monkeypatch.setattr(missing_values, "MAX_SORTED", 100)
+    for value in (-32768, 0, 65535):
+        z = np.where((X == 7) & (Y == 9), value, MOUNTAINS)
+        assert f"the value {value} at 1 of 1200" in _refused(_geotiff(tmp_path / "map.tif", z))
+    read_map(_geotiff(tmp_path / "map.tif", MOUNTAINS))
+
+
+@pytest.mark.parametrize(("value", "factor"), [(-9999, 2), (-32768, 5), (1e30, 3), (65535, 4)])
+def test_interpolated_markers(tmp_path, value, factor):
+    """A map that was resampled has values between marker and heights; -9999 may not occur."""
+    z = scipy.ndimage.zoom(_marked(MOUNTAINS, value), factor, order=1)[1:-1, 1:-1]
+    with pytest.raises(DataError, match=r"interpolated; declare their value before resampling"):
+        read_map(_geotiff(tmp_path / "map.tif", np.where(z == value, z + 0.5 * np.sin(z), z)))
+
+
+NOISE = 0.05 * np.random.default_rng(1).normal(size=X.shape)
+INSIDE = (abs(X - 20) < 4) & (abs(Y - 15) < 4)
+HONEST = {
+    "pole": np.where((X == 20) & (Y == 15), 12.0, NOISE),
+    "tower": np.where(INSIDE, 828.0, NOISE),
+    "well": np.where((X == 20) & (Y == 15), -40.0, NOISE),
+    "sea below cliffs": np.where(X < 12, 0.0, 100 + NOISE),
+    "sea below high cliffs": np.where(X < 12, 0.0, 250 + 100 * np.sin(X / 9)),
+    "islands": np.maximum(0.0, 900 * np.exp(-((X - 20) ** 2 + (Y - 15) ** 2) / 60) - 50),
+    "lake": np.maximum(400.0, 410 + 30 * np.sin(X / 9)),
+    "step": np.where(X < 20, 0.0, 1.0),
+    "stairs": np.floor(X / 8) * 5,
+    "canyon": np.where(abs(X - 20) < 5, 800.0, 2000.0) + NOISE,
+    "level": 0 * X,
+    "below the sea": -3000 + 60 * X,
+    "few coarse nodes": MOUNTAINS[::8, ::8],
+    "random coarse nodes": 2000 * np.random.default_rng(2).random((4, 5)),
+    "whole metres": np.round(MOUNTAINS),
+    "sample": jacksboro().z,
+}
+
+
+@pytest.mark.parametrize("name", HONEST)
+def test_honest_maps_are_read(tmp_path, name):
+    path = _geotiff(tmp_path / "map.tif", HONEST[name])
+    np.testing.assert_array_equal(read_map(path).grid.z, HONEST[name])

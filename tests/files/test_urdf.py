@@ -1,16 +1,23 @@
-"""Tests of URDF files: equal vehicles in another program, and refused files."""
+"""Tests of URDF files: equal vehicles in other programs, refusals, and files that change them."""
 
+from __future__ import annotations
+
+import io
 import re
 
 import casadi as ca
 import numpy as np
 import pytest
+import yourdfpy
 from numpy.testing import assert_allclose
 
 from helpers.cases import DATA
-from helpers.urdf import adam_model
-from slipfree import DataError
+from helpers.commands import invoke
+from helpers.urdf import FOUR, ROUND, adam_model, joint, link, wheel, written
+from slipfree import DataError, Motor
 from slipfree.contact.closure import has_exact_closure
+from slipfree.files.urdf.elements import read_tree
+from slipfree.files.urdf.links import Robot, link_poses
 from slipfree.geometry.frame import Pose
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.vehicle.drives import Torque
@@ -365,3 +372,196 @@ def test_many_errors_are_counted_instead_of_listed(tmp_path):
     assert "link 'l0': expected a unique name, found 3 links with it" in lines[0]
     assert last == "and 10 more errors"
     assert len(caught.value.faults) == 60
+
+
+# Vehicle files that change a URDF: joints, springs, masses, drives, forward axis
+
+FRONT = 'carries = ["front_left_joint", "front_right_joint"]'
+PIVOT = f'axle = {{ kind = "suspension", axis = [1, 0, 0], at = [0.2, 0, 0.05], {FRONT} }}'
+
+
+def test_a_new_joint_carries_joints_of_the_urdf(tmp_path):
+    """A rigid four-wheeler gets a front axle that rolls, so that all wheels can touch."""
+    rigid = read_vehicle(written(tmp_path, FOUR))
+    given = PIVOT.replace("}", ", stiffness = 30, lower = -0.3, upper = 0.3 }")
+    vehicle = read_vehicle(written(tmp_path, FOUR, f"joints.{given}"))
+    assert not has_exact_closure(rigid)
+    assert has_exact_closure(vehicle)
+    (axle,) = vehicle.coordinates
+    assert (axle.name, axle.kind, axle.stiffness) == ("axle", "suspension", 30.0)
+    assert (axle.lower, axle.upper) == (-0.3, 0.3)
+    (pivot,) = vehicle.joints
+    assert (pivot.at, pivot.axis) == ((0.0, 0.2, 0.05), (0.0, 1.0, 0.0))  # y is forward
+    for wheels in zip(vehicle.wheels, rigid.wheels, strict=True):
+        now, then = wheels
+        at = np.add(now.at, pivot.at) if now.parent == "axle" else now.at
+        assert np.allclose(at, then.at, atol=1e-15)
+    assert [each.parent for each in vehicle.wheels] == ["axle", "axle", "platform", "platform"]
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (PIVOT.replace("axle =", "base ="), "expected a new name for a joint with 'carries'"),
+        (PIVOT.replace("axis = [1, 0, 0], ", ""), "expected an axis of the new joint, found none"),
+        (PIVOT.replace("right_joint", "joint"), "found 'front_joint'; correct the names"),
+        (PIVOT.replace('"front_left_joint"', '"hub_joint"'), "expected joints with the same paren"),
+        (PIVOT + "\njoints.b" + PIVOT, "expected joints that no other new joint carries"),
+        ('axle = { kind = "suspension", axis = [1, 0, 0] }', "found the unknown key 'axle'"),
+    ],
+)
+def test_errors_of_new_joints(given, words, tmp_path):
+    arm = link("wheel_arm") + joint("arm", "fixed", "base", "wheel_arm")
+    parts = FOUR + arm + wheel("hub", "0 0 0", parent="wheel_arm")
+    with pytest.raises(VehicleError) as found:
+        read_vehicle(written(tmp_path, parts, f"joints.{given}"))
+    assert words in str(found.value)
+    assert "robot.toml:" in str(found.value)
+
+
+@pytest.mark.parametrize("motion", ["turn", "slide"])
+def test_a_fixed_joint_without_an_axis_is_released(motion, tmp_path):
+    arm = link("arm") + '<joint name="hip" type="fixed"><parent link="base"/><child link="arm"/>'
+    parts = FOUR.replace('<parent link="base"/><child link="rear_left"/>', "{}", 1)
+    parts = parts.format('<parent link="arm"/><child link="rear_left"/>')
+    role = f'joints.hip = {{ kind = "suspension", axis = [0, 0, 1], motion = "{motion}" }}'
+    vehicle = read_vehicle(written(tmp_path, f"{parts}{arm}</joint>", role))
+    (hip,) = vehicle.joints
+    assert (hip.motion, hip.axis, hip.value) == (motion, (0.0, 0.0, 1.0), "hip")
+    assert any("of type fixed in the URDF" in note for note in vehicle.notes)
+
+
+INERTIAL = (
+    '<inertial><origin xyz="0.1 0 0" rpy="0 0 1.5707963267948966"/><mass value="4"/>'
+    '<inertia ixx="0.1" iyy="0.2" izz="0.25" ixy="0.01" ixz="0" iyz="0"/></inertial>'
+)
+
+
+def test_moments_of_inertia_are_those_of_the_urdf_in_axes_of_the_vehicle(tmp_path):
+    """The inertial's x axis points to the link's y, and the link's y to the vehicle's -x."""
+    base = link("base").replace('<inertial><mass value="1"/></inertial>', INERTIAL)
+    file = written(tmp_path, FOUR)
+    file.write_text(file.read_text().replace(link("base"), base))
+    body = read_vehicle(file).body
+    assert body.at == (0.0, 0.1, 0.0)
+    assert np.allclose(body.inertia, [0.1, 0.2, 0.25, 0.01, 0, 0])
+    spun = INERTIAL.replace('rpy="0 0 1.5707963267948966"', "")
+    file.write_text(file.read_text().replace(INERTIAL, spun))
+    assert np.allclose(read_vehicle(file).body.inertia, [0.2, 0.1, 0.25, -0.01, 0, 0])
+    file.write_text(file.read_text().replace('izz="0.25"', 'izz="2.5"'))
+    found = read_vehicle(file)  # no body has a moment that exceeds the sum of the others
+    assert found.body.inertia is None
+    assert any("moments of inertia of a box" in note for note in found.notes)
+
+
+def test_a_wheel_has_the_moments_of_its_link_about_and_across_the_axle(tmp_path):
+    inertial = '<inertial><mass value="2"/><inertia ixx="0.03" iyy="0.05" izz="0.034"/></inertial>'
+    text = FOUR.replace('<inertial><mass value="1"/></inertial>', inertial)
+    for each in read_vehicle(written(tmp_path, text)).wheels:
+        assert each.mass == 2
+        assert np.allclose(each.inertia, [0.05, 0.032])
+
+
+def test_masses_and_drives_of_the_vehicle_file_override_those_of_the_urdf(tmp_path):
+    more = (
+        "links.base = { mass = 20, center_of_mass = [0.1, 0.02, 0.3], "
+        "inertia = [1, 2, 2.5, 0.1, 0, 0] }\n"
+        "wheels.front_left_joint = { mass = 3, inertia = [0.02, 0.01], static_depth = 0.004, "
+        'drive = { kind = "motor", stall = 5, no_load = 20, kp = 2 } }'
+    )
+    vehicle = read_vehicle(written(tmp_path, FOUR, more))
+    assert (vehicle.body.mass, vehicle.body.at) == (20, (-0.02, 0.1, 0.3))
+    assert np.allclose(vehicle.body.inertia, [2, 1, 2.5, -0.1, 0, 0])
+    first, second = vehicle.wheels[:2]
+    assert (first.mass, first.inertia, first.static_depth) == (3, (0.02, 0.01), 0.004)
+    assert first.drive == Motor(5, 20, 2)
+    assert (second.mass, second.static_depth) == (1, None)
+    with pytest.raises(VehicleError, match=r"robot.toml:2: links.bas: did you mean 'base'"):
+        read_vehicle(written(tmp_path, FOUR, "links.bas = { mass = 20 }"))
+
+
+SIDEWAYS = ROUND.format(0.1).replace("1.5707963267948966 0 0", "0 1.5707963267948966 0")
+
+
+@pytest.mark.parametrize(("axis", "forward"), [("1 0 0", "-y"), ("-1 0 0", "y")])
+def test_axles_along_x_tell_that_y_is_forward(axis, forward, tmp_path):
+    """Positive rates of the joints roll the wheels forward."""
+    parts = "".join(
+        link(f"w{k}", SIDEWAYS) + joint(f"j{k}", "continuous", "base", f"w{k}", at, axis=axis)
+        for k, at in enumerate(("0.2 0 0", "-0.2 0 0", "0 0.3 0"))
+    )
+    file = written(tmp_path, parts)
+    vehicle = read_vehicle(file)
+    (note,) = [note for note in vehicle.notes if "guessed forward" in note]
+    assert note.startswith(f"guessed forward along {forward}: signs of the wheels' axes")
+    assert not any("opposite to the sign" in note for note in vehicle.notes)
+    out = tmp_path / "full.toml"
+    invoke("vehicle", file, "--write", out, code=0)
+    assert f'forward = "{forward}"' in out.read_text()
+    assert read_vehicle(out).wheels == vehicle.wheels
+
+
+def test_xacro_below_no_wheel_is_left_out_with_its_links(tmp_path):
+    camera = link("camera").replace('value="1"', 'value="${m}"')
+    lens = link("lens") + joint("lens_joint", "fixed", "camera", "lens")
+    parts = FOUR + camera + joint("mount", "fixed", "base", "camera") + lens
+    vehicle = read_vehicle(written(tmp_path, parts))
+    assert vehicle.mass == pytest.approx(5)
+    assert any("xacro that is not expanded: camera, lens" in note for note in vehicle.notes)
+    spun = camera + joint("mount", "continuous", "base", "camera")
+    for wrong in (FOUR.replace('value="1"', 'value="${m}"', 1), FOUR + spun):
+        with pytest.raises(VehicleError, match="which may belong to the drive train; xacro is"):
+            read_vehicle(written(tmp_path, wrong))
+
+
+# Link poses of random URDFs against an independent library
+
+TREES_INERTIAL = '<inertial><origin xyz="0 0 0"/><mass value="1"/></inertial>'
+
+
+def random_urdf(rng, count):
+    """Return a URDF of random joints, the names of its independent joints, and its mimics."""
+    parts, free, mimics = [f'<link name="l0">{TREES_INERTIAL}</link>'], [], {}
+    for k in range(1, count):
+        kind = rng.choice(["fixed", "revolute", "continuous", "prismatic"])
+        at, turned = rng.uniform(-1, 1, 3), rng.uniform(-3, 3, 3)
+        axis, more = rng.normal(size=3), ""
+        axis /= np.linalg.norm(axis)
+        if kind != "fixed" and free and rng.random() < 0.3:
+            factor, offset = rng.uniform(-2, 2, 2)
+            mimics[f"j{k}"] = str(rng.choice(free)), factor, offset
+            more = '<mimic joint="{}" multiplier="{}" offset="{}"/>'.format(*mimics[f"j{k}"])
+        elif kind != "fixed":
+            free.append(f"j{k}")
+        parts += [
+            f'<link name="l{k}">{TREES_INERTIAL}</link>',
+            f'<joint name="j{k}" type="{kind}"><parent link="l{rng.integers(k)}"/>'
+            f'<child link="l{k}"/><origin xyz="{spelled(at)}" rpy="{spelled(turned)}"/>'
+            f'<axis xyz="{spelled(axis)}"/><limit lower="-3" upper="3" effort="1" velocity="1"/>'
+            f"{more}</joint>",
+        ]
+    return f'<robot name="r">{"".join(parts)}</robot>', free, mimics
+
+
+def spelled(numbers):
+    return " ".join(map(repr, numbers.tolist()))
+
+
+@pytest.mark.parametrize("count", [8, 60])
+def test_poses_of_links_are_those_of_yourdfpy(count, rng):
+    text, free, mimics = random_urdf(rng, count)
+    oracle = yourdfpy.URDF.load(io.StringIO(text), build_scene_graph=True, load_meshes=False)
+    robot = Robot(read_tree(text.encode(), "robot.urdf"))
+    for _ in range(5):
+        values = dict(zip(free, rng.uniform(-3, 3, len(free)), strict=True))
+        oracle.update_cfg(values)
+        for name, (leader, factor, offset) in mimics.items():
+            values[name] = offset + factor * values[leader]
+        poses = {"l0": np.eye(4)}
+        arrays = {name: np.array([value]) for name, value in values.items()}
+        for each in link_poses(robot, arrays):
+            own = np.eye(4)
+            own[:3, :3], own[:3, 3] = each.rotation.as_matrix()[0], each.origins.ravel()
+            poses[each.child] = poses[each.parent] @ own
+        for name, pose in poses.items():
+            assert np.abs(pose - oracle.get_transform(name, "l0")).max() < 1e-9

@@ -1,4 +1,8 @@
-"""Tests of coupled joints: differentials, coupled steering and chains of mimics."""
+"""Tests of coupled joints, their formulas, and motions that are equal at any size."""
+
+import math
+from dataclasses import replace
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -6,9 +10,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.dynamics import FLAT
+from helpers.scale_cases import CASES, TOLERANCE, difference, formula, scaled
 from helpers.urdf import joint, link, wheel, written
 from slipfree import (
     Analytic,
+    ModelError,
     direct_kinematics,
     dynamics,
     inverse_kinematics,
@@ -17,10 +23,13 @@ from slipfree import (
     settle,
     simulate,
 )
+from slipfree.catalog import three_wheeler
+from slipfree.core.dae import power_of_length
 from slipfree.core.records import leaves
 from slipfree.files.vehicle_draft import VehicleError
 from slipfree.models.given_rates import COMMANDS
 from slipfree.solve.replay import replay, round_trip, trim_states
+from slipfree.vehicle.formula import evaluate, names_in
 
 ROVER = """\
 name = "two rockers"
@@ -195,3 +204,123 @@ def test_a_chain_of_mimics_is_a_formula(tmp_path):
             turned = ca.Function("turned", [angle], [poses[name].rotation])(0.3)
             found = np.arctan2(float(turned[1, 0]), float(turned[0, 0]))
             assert found == pytest.approx(expected, abs=1e-12)
+
+
+# Joint formulas: allowed contents, and the errors of refused formulas
+
+A, B = 0.3, -1.2
+MEANT = {
+    "-a": -A,
+    "2*a + b/4 - 1e-1": 2 * A + B / 4 - 0.1,
+    "atan2(0.7*tan(a), 0.7 + 0.3*tan(a))": math.atan2(0.7 * math.tan(A), 0.7 + 0.3 * math.tan(A)),
+    "sqrt(a**2 + b**2) * cos(pi)": -math.hypot(A, B),
+    "asin(a) + acos(a) + atan(b)": math.pi / 2 + math.atan(B),
+    "abs(b) + exp(a) + log(a) - sin(b)": abs(B) + math.exp(A) + math.log(A) - math.sin(B),
+    "2**3**2 + +a": 512 + A,
+    "  (a)\n": A,
+    "0": 0.0,
+}
+
+
+def test_a_formula_means_what_it_says():
+    for text, expected in MEANT.items():
+        found = evaluate(text, {"a": ca.SX(A), "b": ca.SX(B)})
+        assert float(ca.evalf(found)) == pytest.approx(expected, rel=1e-15), text
+
+
+def test_a_formula_tells_what_it_depends_on():
+    assert names_in("atan2(tan(a), pi) - 2*steer_b") == {"a", "steer_b"}
+    assert names_in("0") == set()
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("", "found ''"),
+        ("a.real", "found 'a.real'"),
+        ("__import__('os')", "found \"__import__('os')\""),
+        ("sin(a, b)", "found 'sin(a, b)'"),
+        ("a if b else 0", "found 'a if b else 0'"),
+        ("'a'", "found \"'a'\""),
+        ("1j*a", "found '1j'"),
+        ("(" * 300 + "a" + ")" * 300, "found '(((("),
+        ("a\0", "found 'a"),
+        ("9" * 400, "found '9999"),
+    ],
+)
+def test_anything_else_is_refused(text, found):
+    with pytest.raises(ModelError) as caught:
+        names_in(text)
+    assert "expected numbers up to 1e+300, coordinates, + - * / **, pi and sin" in str(caught.value)
+    assert found in str(caught.value)
+
+
+def test_long_and_deep_formulas_are_refused():
+    with pytest.raises(ModelError, match="expected at most 1000 characters, found 5001"):
+        names_in("-" * 5000 + "a")
+    with pytest.raises(ModelError, match="expected at most 50 nested levels, found more"):
+        names_in("-" * 900 + "a")
+
+
+def test_unknown_names_are_listed_with_those_that_are_known():
+    with pytest.raises(
+        ModelError, match=r"formula '2\*stear': expected one of the names steer, found 'stear'"
+    ):
+        evaluate("2*stear", {"steer": ca.SX(0)})
+
+
+# Motions are equal at any size of vehicle and ground
+
+MOST = 1.0  # tolerances
+AMPLIFIED = {"inverse, steering rate": 50.0}  # rounding changes the steps, and so the error
+at_scale_one = lru_cache(lambda name: CASES[name](1.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_scaled_problem_has_the_scaled_motion(name):
+    scale = 1e3
+    first, run = at_scale_one(name), CASES[name](scale)
+    assert (run.stop and run.stop.name) == (first.stop and first.stop.name)
+    assert_allclose(run.t[-1], first.t[-1], rtol=0, atol=2e-6)
+    quantity, gap = difference(first, run, scale)
+    assert gap < AMPLIFIED.get(name, MOST), quantity
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_extreme_scales_are_not_singular(scale):
+    dae = direct_kinematics(scaled(three_wheeler(), scale), formula(scale))
+    found, expected = settle(dae, heading=0.2), _stand()
+    for name in ("roll", "pitch", "singular_value"):
+        assert_allclose(found[name], expected[name], rtol=0, atol=TOLERANCE, err_msg=name)
+    for name in ("z", "contact_x", "contact_y"):
+        assert_allclose(found[name] / scale, expected[name], rtol=0, atol=TOLERANCE, err_msg=name)
+
+
+@pytest.mark.slow
+def test_tolerance_of_lengths_counts_in_sizes_of_the_vehicle():
+    """As many steps at every scale: the error test sees the same numbers."""
+    steps = [CASES["direct, map"](scale).statistics["steps"] for scale in (1e-3, 1e3)]
+    assert_allclose(steps, at_scale_one("direct, map").statistics["steps"], atol=2)
+
+
+@pytest.mark.parametrize(
+    ("unit", "power"), [("m", 1), ("rad", 0), ("m s-1", 1), ("m2 s-1", 2), ("m-1", -1), ("N m", 1)]
+)
+def test_power_of_length(unit, power):
+    assert power_of_length(unit) == power
+
+
+@lru_cache
+def _stand():
+    return settle(direct_kinematics(three_wheeler(), formula(1.0)), heading=0.2)
+
+
+def test_size_is_a_positive_length():
+    dae = direct_kinematics(three_wheeler(), formula(1.0))
+    assert dae.size == 1.0  # the paper's vehicle: tolerances in metres
+    with pytest.raises(
+        ModelError, match="size: expected a positive, finite length in metres, found 0"
+    ):
+        replace(dae, size=0.0)

@@ -1,4 +1,4 @@
-"""Tests of dynamics: closed forms, invariants, quasi-statics and a second formulation."""
+"""Tests of dynamics: closed forms, invariants, driven joints, and limits beyond kinematics."""
 
 from dataclasses import replace
 
@@ -16,15 +16,19 @@ from slipfree import (
     SolverOptions,
     catalog,
     direct_kinematics,
+    dynamics,
+    follow,
+    quasi_statics,
     settle,
     simulate,
 )
 from slipfree.geometry.frame import Pose, rotation_of
+from slipfree.geometry.path import Path
 from slipfree.laws.compliant import Compliant
-from slipfree.models.dynamics import dynamics
+from slipfree.laws.coulomb import Coulomb
 from slipfree.models.multibody import Speeds, mass_matrix, multibody
 from slipfree.solve.settle import stable_poses
-from slipfree.vehicle.drives import Motor, Torque
+from slipfree.vehicle.drives import RATE, Motor, Torque
 from slipfree.vehicle.sections import Disc, Sphere, Torus
 from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -291,3 +295,226 @@ def test_a_coordinate_without_mass_is_refused():
     rates = {label.full: 1.0 for label in model.labels.u.wheels if "across" not in label.full}
     run = moved(model, settle(model), np.linspace(0, 1, 3), 1e-6, **rates)
     assert run["y"][-1] == pytest.approx(0.066, abs=2e-3)
+
+
+# Dynamics beyond kinematics (tip-over, flight, spinning wheels), and of agreement
+
+
+@pytest.mark.slow
+def test_inside_wheels_lift_at_the_speed_of_the_closed_form():
+    """``v^2 (h + sum I_a / (m R)) = g r b (1 - 2 s)`` for the share s of the inside wheels."""
+    radius, half_track, wheel, axial = 2.0, 0.3, 0.15, 0.5 * 2.0 * 0.15**2
+    vehicle = four_wheels(mass=40.0, height=0.4, turn=radius, static_depth=1e-4)
+    model = dynamics(vehicle, replace(FLAT, mu=3.0))
+    height = center_height(vehicle, 0.4)
+    limit = np.sqrt(EARTH_GRAVITY * radius * half_track / height)
+    speed = limit * (0.55 + 0.07 * model.t) * ca.tanh(3 * model.t)
+    ways = [
+        np.hypot(radius + side, ahead) for ahead in (0.7, 0.0) for side in (half_track, -half_track)
+    ]
+    rates = {
+        label.full: speed / wheel * way / radius
+        for label, way in zip(model.labels.u.wheels, ways, strict=True)
+    }
+    run = moved(model, settle(model), np.linspace(0, 5, 101), 1e-7, **rates)
+    loads = run["force_normal"]
+    share = loads[:, 1::2].sum(1) / loads.sum(1)
+    at = int(np.argmax(share < 0.1))
+    assert at > 20
+    lateral = (run["omega_z"] * np.hypot(run["velocity_x"], run["velocity_y"]))[at]
+    needed = EARTH_GRAVITY * half_track * (1 - 2 * share[at])
+    spinning = 4 * axial / (48 * wheel)
+    # contacts yield: 0.990 in the lab, and 0.956 without the gyroscopic moment
+    assert lateral * (height + spinning) / needed == pytest.approx(1, abs=0.01)
+    assert lateral * height / needed < 0.965
+
+
+HILLS = Analytic(
+    lambda x, y: (
+        0.12 * ca.sin(2 * np.pi * x / 7) * ca.cos(2 * np.pi * y / 9)
+        + 0.05 * ca.sin(2 * np.pi * (x + 0.6 * y) / 4.3)
+    ),
+    mu=0.8,
+)
+
+
+def turned(model, speed):
+    """Return the end of a turn of a skid-steer from rest, over a way of about 1 m [m]."""
+    ramp = ca.tanh(model.t * speed / 0.3) ** 2
+    rates = {
+        label.full: speed / 0.15 * ramp * (1.2 if "right" in label.full else 0.6)
+        for label in model.labels.u.wheels
+    }
+    run = moved(model, settle(model), np.linspace(0, 1.3 / speed, 3), 1e-7, **rates)
+    return np.array([run["x"][-1], run["y"][-1]])
+
+
+@pytest.mark.slow
+def test_the_difference_from_quasi_statics_is_of_second_order_in_the_speed():
+    """About 0.025 m over 1 m at 0.8 m/s, besides what the depth of the wheels shifts it by."""
+    vehicle, apart = catalog.skid_steer(), []
+    for speed in (0.8, 0.4, 0.2):
+        still = quasi_statics(vehicle, HILLS, law=Coulomb(creep=0.01 * speed))
+        moving = dynamics(vehicle, HILLS, law=Compliant(creep=0.01 * speed))
+        apart.append(turned(moving, speed) - turned(still, speed))
+    assert 0.02 < np.linalg.norm(apart[0]) < 0.03
+    fast, slow = np.linalg.norm(np.diff(apart, axis=0), axis=1)
+    assert fast / slow == pytest.approx(4, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_car_off_a_ledge_flies_and_lands():
+    """Off 0.3 m at 6 m/s: the centre of mass falls freely while no wheel touches."""
+    drop = Analytic(lambda x, y: -0.15 * (1 + ca.tanh((y - 2) / 0.08)) + 0 * x, mu=0.7)
+    vehicle = four_wheels(spring=4000.0)
+    model = dynamics(vehicle, drop)
+    rates = {label.full: 40.0 for label in model.labels.u.wheels}
+    t = np.linspace(0, 0.8, 201)
+    run = moved(model, settle(model, speed=6.0), t, 1e-7, **rates)
+    flying = np.flatnonzero(run["force_normal"].max(1) == 0)
+    span = slice(flying[0], flying[0] + int(np.argmin([*(np.diff(flying) == 1), False])) + 1)
+    assert t[span][-1] - t[span][0] > 0.08
+    rest = 40 / 4 * EARTH_GRAVITY / 4000
+    springs = sum(4000 / 2 * (run[f"s{k}"] + rest) ** 2 for k in range(4))
+    height = (run["potential_energy"] - springs) / (vehicle.mass * EARTH_GRAVITY)
+    assert 2 * np.polyfit(t[span], height[span], 2)[0] == pytest.approx(-EARTH_GRAVITY, rel=1e-6)
+    assert run["force_normal"][-1].min() > 0
+    assert run["z"][-1] == pytest.approx(run["z"][0] - 0.3, abs=0.02)
+
+
+def test_one_wheel_on_ice_spins_up():
+    """Its spin is that of the torque and of the friction under its load."""
+    patch = Analytic(
+        lambda x, y: np.tan(np.deg2rad(8)) * y + 0 * x,
+        mu=lambda x, y: (
+            0.7 - 0.17 * (1 + ca.tanh((x - 0.1) / 0.02)) * (1 + ca.tanh((y - 0.4) / 0.02))
+        ),
+    )
+    model = dynamics(four_wheels(drive=Torque(), static_depth=1e-4), patch)
+    torques = {label.full: 2.8 for label in model.labels.u.wheels}
+    run = moved(model, settle(model), np.linspace(0, 1, 101), 1e-7, **torques)
+    spin, axial = run["wheel_rate", "w0"], 0.5 * 2.0 * 0.15**2
+    moment = 2.8 - 0.02 * 0.15 * run["force_normal", "w0"]
+    gain = np.trapezoid(moment, run.t) / axial
+    assert spin[-1] == pytest.approx(gain, rel=1e-4)
+    # without the fourth wheel's pull the car rolls back
+    assert run["velocity_y"][-1] < 0
+    assert np.abs(run["wheel_rate"][-1, 1:] * 0.15 - run["velocity_y"][-1]).max() < 5e-3
+
+
+# Drives of commanded coordinates in dynamics: closed forms, energy, motors, errors
+
+MOTOR = Motor(stall=6.0, no_load=4.0, kp=40.0, ki=80.0, rotor_inertia=0.3)
+CENTERED = Body(3.0, inertia=(0.2, 0.3, 0.4, 0.0, 0.0, 0.0))
+
+
+def two_bodies(motion, drive):
+    """Return a platform with wheel and an arm, with all centres of mass on the arm's axis."""
+    arm = Coordinate("arm", "commanded", "arm", drive=drive)
+    joint = Joint("boom", "platform", "z", (0, 0, 0.3), "arm", motion, CENTERED)
+    wheel = Wheel(
+        "w", "platform", (0, 0, -0.2), Torus(0.03, 0.12), driven=False, mass=2.0, inertia=(0.1, 0.1)
+    )
+    body = Body(5.0, inertia=(0.5, 0.6, 0.7, 0.0, 0.0, 0.0))
+    return Vehicle("two bodies", (arm,), (joint,), (wheel,), body)
+
+
+def with_arm(drive, axis="x", **more):
+    """Return a car with an arm of 4 kg."""
+    arm = Coordinate("arm", "commanded", "arm", drive=drive, **more)
+    body = Body(4.0, (0.0, 0.3, 0.05), (0.03, 0.01, 0.03, 0.0, 0.0, 0.0))
+    joint = Joint("boom", "platform", axis, (0.0, 0.35, 0.3), "arm", body=body)
+    return replace(four_wheels(), coordinates=(arm,), joints=(joint,))
+
+
+def imbalance(run):
+    """Return the largest error of the energy balance over the energy exchanged."""
+    return np.abs(energy_error(run)).max() / (np.abs(run["work"]).max() + run["lost_energy"][-1])
+
+
+@pytest.mark.parametrize("motion", ["turn", "slide"])
+def test_an_effort_accelerates_two_bodies_in_free_fall(motion):
+    """Relative motion has the reduced inertia, whatever the attitude and gravity."""
+    first, second = (0.4, 0.7 + 0.1) if motion == "turn" else (3.0, 5.0 + 2.0)
+    name = "arm_torque" if motion == "turn" else "arm_force"
+    model = replace(dynamics(two_bodies(motion, Torque()), FLAT), limits=(), checks=())
+    label = model.labels.u.joints[0]
+    assert (label.full, label.unit) == (name, "N m" if motion == "turn" else "N")
+    t = np.linspace(0, 1, 6)
+    run = moved(model, states(model, z=60.0), t, 1e-10, **{name: 0.9})
+    expected = 0.9 * (1 / first + 1 / second)
+    assert run["arm_speed"] == pytest.approx(expected * t, rel=1e-8)
+    assert run["arm"] == pytest.approx(expected * t**2 / 2, rel=1e-8)
+    assert run["work"][-1] == pytest.approx(0.9 * expected / 2, rel=1e-8)
+
+
+@pytest.mark.parametrize("motion", ["turn", "slide"])
+def test_a_motor_at_its_limit_approaches_its_no_load_rate(motion):
+    first, second = (0.4, 0.7 + 0.1) if motion == "turn" else (3.0, 5.0 + 2.0)
+    motor = Motor(stall=0.8, no_load=2.0, kp=1e3, rotor_inertia=0.25)
+    model = replace(dynamics(two_bodies(motion, motor), FLAT), limits=(), checks=())
+    t = np.linspace(0, 2, 11)
+    run = moved(model, states(model, z=60.0), t, 1e-10, arm_rate=50.0)
+    inertia = first * second / (first + second) + 0.25
+    expected = 2.0 * (1 - np.exp(-0.8 * t / (2.0 * inertia)))
+    assert run["arm_speed"] == pytest.approx(expected, rel=1e-7)
+    kinetic = run["kinetic_energy"] + run["potential_energy"]
+    assert kinetic - kinetic[0] == pytest.approx(run["work"], abs=1e-7)
+    assert run["work"][-1] == pytest.approx(inertia * expected[-1] ** 2 / 2, rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drive", [Torque(), replace(MOTOR, stall=20.0)])
+def test_the_energy_balance_contains_drives_springs_and_dampers_of_joints(drive):
+    loads = {"stiffness": 20.0, "rest": 0.2, "damping": 0.4, "upper": 0.1, "bump": 400.0}
+    model = dynamics(with_arm(drive, **loads), FLAT)
+    law = {model.labels.u.joints[0].full: 12.0 * ca.cos(3 * model.t)}
+    run = moved(model, settle(model), np.linspace(0, 1.5, 16), 1e-8, **law)
+    assert np.abs(run["work"]).max() > 0.5
+    assert run["arm"].max() > 0.11
+    assert imbalance(run) < 100 * 1e-8
+
+
+@pytest.mark.slow
+def test_a_prescribed_rate_equals_a_stiff_motor():
+    """Of an arm with an eccentric mass, which a car swings to and fro."""
+    stiff, t = Motor(stall=1e6, no_load=1e6, kp=1e5), np.linspace(0, 2, 41)
+    runs = []
+    for drive in (RATE, stiff):
+        model = dynamics(with_arm(drive), FLAT)
+        law = {"arm_rate": ca.sin(2 * np.pi * model.t)}
+        runs.append(moved(model, settle(model), t, 1e-8, **law))
+    prescribed, motor = runs
+    assert np.ptp(prescribed["force_normal"][:, 0]) > 5
+    # prescribed rates lag by 1 ms
+    bounds = {"arm": 1.5e-3, "pitch": 5e-6, "force_normal": 0.1, "arm_torque": 0.1}
+    for name, bound in bounds.items():  # the motor has no torque at the start
+        assert np.abs(prescribed[name] - motor[name])[1:].max() < bound, name
+
+
+@pytest.mark.slow
+def test_quasi_statics_uses_the_rate_and_its_actuator_bears_spring_and_damper():
+    """The torque at a rate is that of the rigid arm, less spring and damper."""
+    ground, t = Analytic(lambda x, y: 0.02 * x * y, mu=0.8), np.linspace(0, 1, 3)
+    vehicle, torques = catalog.articulated(), []
+    (name,) = (c.name for c in vehicle.of("commanded"))
+    for loads in ({}, {"drive": MOTOR, "stiffness": 30.0, "rest": 0.1, "damping": 2.0}):
+        bend = tuple(replace(c, **loads) if c.name == name else c for c in vehicle.coordinates)
+        model = quasi_statics(replace(vehicle, coordinates=bend), ground)
+        run = moved(model, settle(model), t, 1e-8, **{f"{name}_rate": 0.2})
+        torques.append(run[f"{name}_torque"])
+    load = 30.0 * (run[name] - 0.1) + 2.0 * 0.2
+    assert torques[1] - torques[0] == pytest.approx(load, abs=1e-6)
+
+
+def test_drives_that_do_not_fit_are_refused():
+    with pytest.raises(ModelError, match="coordinate 'c': expected a drive only for kind = 'comm"):
+        Coordinate("c", "passive", "c", drive=Torque())
+    with pytest.raises(ModelError, match=r"since its rate is an input.*or use a drive with an eff"):
+        Coordinate("c", "commanded", "c", stiffness=1.0)
+    vehicle = catalog.ackermann()
+    free = (replace(c, drive=Torque()) if c.kind == "commanded" else c for c in vehicle.coordinates)
+    model = dynamics(replace(vehicle, coordinates=tuple(free)), FLAT)
+    path = Path(np.array([[0.0, 0.0], [0.0, 1.0]]))
+    with pytest.raises(ModelError, match=r"commanded coordinates as inputs, found steer_torque"):
+        follow(model, path, speed=0.5)

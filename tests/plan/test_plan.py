@@ -1,23 +1,46 @@
-"""Tests of plans: least slip over hills, limits, goals, keys of files, and early ends."""
+"""Tests of plans: least slip over hills, limits, goals, soil, robust plans, and Pareto fronts."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.stats import binomtest
 
 from helpers.cases import hills
 from helpers.commands import build_errors, invoke, sets
-from slipfree import Analytic, ModelError, SolverOptions, direct_kinematics, settle, simulate
+from slipfree import (
+    Analytic,
+    ModelError,
+    SolverOptions,
+    direct_kinematics,
+    load_problem,
+    run_problem,
+    settle,
+    simulate,
+)
 from slipfree.catalog import three_wheeler
 from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
 from slipfree.models.samples import measured_slip
+from slipfree.plan.pareto import FrontPoint, pareto_front
 from slipfree.plan.plan import plan
+from slipfree.plan.robust import (
+    MAX_ROUNDS,
+    Bound,
+    DisturbedRun,
+    Draw,
+    Replays,
+    added_tightening,
+    robust_plan,
+)
 from slipfree.plan.transcription import Mesh
 from slipfree.plan.verification import inputs_along
+from slipfree.problem.load import verb_of
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
@@ -201,3 +224,283 @@ def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved()
 )
 def test_what_is_wrong_in_a_file_is_told_with_its_place(setting, words):
     assert words in build_errors(PROBLEM, [setting])
+
+
+# Plans against an independent transcription: Hermite-Simpson by ``casadi.Opti``
+
+SLIP, EFFORT, SMOOTH = 1e3, 0.01, 0.002
+DURATION, INDEPENDENT_GOAL, INDEPENDENT_STEER = 10.0, (0.15, 1.3), 0.15
+
+
+def by_opti(dae, start, count):
+    """Return the least cost; equations at the ends and the middles, inputs linear between ends."""
+    x, z, u = dae.columns()
+    z_all = dae.rows("z", start, -1)
+    slip = ca.sumsqr(ca.vertcat(*dae.named("slip_along"), *dae.named("slip_across")))
+    kept = [k for k in range(z.numel()) if ca.depends_on(ca.vertcat(dae.ode, slip), z[k])]
+    first = dae.alg[0].numel() + dae.alg[1].numel()  # pose and rates; the forces follow from them
+    assert max(kept) < first
+    f = ca.Function(
+        "f",
+        [x, z[:first], u],
+        [dae.ode, ca.vertcat(*dae.alg[:2]), SLIP * slip + EFFORT * ca.sumsqr(u)],
+    )
+    opti, h = ca.Opti(), DURATION / count
+    states, inputs = opti.variable(x.numel(), count + 1), opti.variable(u.numel(), count + 1)
+    middles = opti.variable(x.numel(), count)
+    ends, insides = opti.variable(first, count + 1), opti.variable(first, count)
+    opti.subject_to(states[:, 0] == dae.rows("x", start, -1))
+    opti.subject_to(states[:2, -1] == ca.DM(INDEPENDENT_GOAL))
+    opti.subject_to(opti.bounded(-INDEPENDENT_STEER, states[3, 1:], INDEPENDENT_STEER))
+    values = [f(states[:, k], ends[:, k], inputs[:, k]) for k in range(count + 1)]
+    for _, residual, _ in values:
+        opti.subject_to(residual == 0)
+    cost = 0
+    for k in range(count):
+        (left, _, paid), (right, _, paid_after) = values[k : k + 2]
+        between = (inputs[:, k] + inputs[:, k + 1]) / 2
+        slope, residual, paid_inside = f(middles[:, k], insides[:, k], between)
+        a, b = states[:, k], states[:, k + 1]
+        opti.subject_to(residual == 0)
+        opti.subject_to(middles[:, k] == (a + b) / 2 + h / 8 * (left - right))
+        opti.subject_to(b == a + h / 6 * (left + 4 * slope + right))
+        cost += h / 6 * (paid + 4 * paid_inside + paid_after)
+        cost += SMOOTH * ca.sumsqr(inputs[:, k + 1] - inputs[:, k]) / h
+    opti.minimize(cost)
+    # From a straight line, not from the plan.
+    places = np.linspace(0, 1, count + 1)
+    run = dae.rows("x", start, -1)[:, None] + np.outer([*INDEPENDENT_GOAL, 0, 0], places)
+    opti.set_initial(states, run)
+    opti.set_initial(middles, (run[:, 1:] + run[:, :-1]) / 2)
+    opti.set_initial(ends, np.tile(z_all[:first, None], count + 1))
+    opti.set_initial(insides, np.tile(z_all[:first, None], count))
+    opti.set_initial(inputs, 0.45)
+    opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes", "max_iter": 500})
+    solution = opti.solve()
+    return float(solution.value(cost)), solution.value(states)
+
+
+def planned(dae, start, count):
+    rates = dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0)
+    found = plan(
+        dae,
+        start,
+        simulate(dae, start, rates, np.linspace(0, DURATION, 31)),
+        goal=dict(zip("xy", INDEPENDENT_GOAL, strict=True)),
+        costs={"slip": SLIP, "effort": EFFORT},
+        smooth=SMOOTH,
+        duration=DURATION,
+        limits={"steer": (-INDEPENDENT_STEER, INDEPENDENT_STEER)},
+        mesh=Mesh(count, accuracy=1.0),
+    )
+    assert found.success
+    return found
+
+
+@pytest.mark.slow
+def test_an_optimum_is_that_of_another_transcription():
+    """The two differ by less than the mesh does: half of the intervals are another plan."""
+    dae, count = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills)), 16
+    start = settle(dae)
+    coarse, fine = (planned(dae, start, each) for each in (count // 2, count))
+    cost, states = by_opti(dae, start, count)
+    assert abs(cost - fine.solution.cost) < 0.2 * abs(coarse.solution.cost - fine.solution.cost)
+    layout, unknowns = fine.program.layout, fine.solution.unknowns
+    places = np.vstack([unknowns[layout.first], unknowns[layout.states[:, -1]]])
+    assert np.abs(places.T - states).max() < 5e-3
+
+
+# A short plan over a sandy slope: limits on slip and sinkage, simulation with inertia
+
+SLOPE = Path(__file__).parents[2] / "problems" / "plan_sandy_slope.toml"
+SHORT = (
+    *("law.soil.regions=", "start={x=0.0, y=1.4, heading=1.1}", "goal.y=1.8"),
+    *("driver.path=[[0.0, 1.4], [-1.5, 2.15]]", "time.duration=5", "time.step=0.5"),
+    *("limits.slip_ratio=[-0.2, 0.22]", "plan.duration=5", "plan.intervals=4", "plan.degree=2"),
+    "plan.accuracy=0.03",
+)
+
+
+@pytest.mark.slow
+def test_a_plan_over_sand_keeps_its_limit_on_slip_and_is_confirmed_by_dynamics():
+    result = run_problem(load_problem(SLOPE, SHORT))
+    run, verb = result.trajectory, verb_of(result.problem)
+    assert run.stop is None
+    assert run["y"][-1] == pytest.approx(1.8, abs=0.02)
+    assert run["slip_ratio"].max() == pytest.approx(0.22, abs=5e-3)  # a steeper path is shorter
+    assert run["sinkage"].max() < 0.025
+    work = run["work"][-1] - run["work"][0]  # of the drives
+    assert run.facts["plan_cost_energy"].value == pytest.approx(work, rel=0.02)
+    away = run.facts["soil_end_distance"].value
+    assert away < 0.03
+    lines = dict(verb.summary(run))
+    assert lines["simulated with inertia"].startswith(f"ends {away:.3g} m from the plan")
+    assert "drawbar-pull reserve" in lines["soil"]
+    assert np.isfinite(run["drawbar_reserve"]).all()
+    (plot,) = (each for each in verb.figures(result) if each.name == "contact")
+    labels = [ax.get_ylabel() for ax in plot.make().axes]
+    assert any("reserve" in each for each in labels), labels
+
+
+# Robust plans: tightening of limits by replay, with a scalar as plan
+
+SPREAD = 0.1
+LIMIT = Bound("utilisation", "upper")
+SEEN: list[Sequence[Draw]] = []
+
+
+def solve(tightening: Mapping[Bound, float], _before: float) -> float:
+    """Return the largest value below a tightened bound of 1; none below 0.5."""
+    value = 1 - tightening.get(LIMIT, 0.0)
+    if value <= 0.5:
+        raise ModelError("too tight")
+    return value
+
+
+def replay(values: Sequence[float], draws: Sequence[Draw], spread: float = SPREAD) -> list[Replays]:
+    """Return the excess of disturbed values over their bound."""
+    SEEN.append(draws)
+    errors = [spread * np.random.default_rng(draw).normal() for draw in draws]
+    return [
+        Replays(tuple(DisturbedRun({LIMIT: value + error - 1}, abs(error)) for error in errors))
+        for value in values
+    ]
+
+
+def replays(*excess: dict[Bound, float]) -> Replays:
+    """Return simulations with a given excess of bounds."""
+    return Replays(tuple(DisturbedRun(each, 0.0) for each in excess))
+
+
+def test_share_is_reached_at_the_quantile_of_the_disturbance() -> None:
+    SEEN.clear()
+    found = robust_plan(1.0, solve, replay, share=0.9, draws=400, final_draws=2000, seed=3)
+    assert found.before.share == pytest.approx(0.5, abs=0.05)
+    assert not found.failure
+    assert 0.9 <= found.after.share == pytest.approx(0.95, abs=0.03)  # half of the failures left
+    assert found.tightening[LIMIT] == pytest.approx(1.6449 * SPREAD, rel=0.25)
+    *tightening, final = SEEN
+    assert len(final) == found.before.draws == found.after.draws == 2000
+    assert not set(final) & {draw for draws in tightening for draw in draws}
+    assert found.after.distances(0.5) == [pytest.approx(0.6745 * SPREAD, rel=0.1)]
+
+
+def test_plan_that_holds_is_not_changed() -> None:
+    found = robust_plan(0.0, solve, replay, share=0.95, draws=20, final_draws=20, seed=0)
+    assert (found.plan, found.tightening, found.rounds) == (0.0, {}, 0)
+    assert found.after.share == 1
+
+
+def test_limits_that_cannot_be_tight_enough_are_as_tight_as_possible() -> None:
+    def wild(values: Sequence[float], draws: Sequence[Draw]) -> list[Replays]:
+        return replay(values, draws, 0.5)
+
+    found = robust_plan(1.0, solve, wild, share=0.95, draws=50, final_draws=50, seed=0)
+    assert found.failure == "too tight"
+    assert 0.5 < found.plan < 0.9
+    assert found.before.share < found.after.share < 0.95
+
+
+def test_unsolvable_problem_keeps_the_plan() -> None:
+    def fail(_tightening: Mapping[Bound, float], _before: float) -> float:
+        raise ModelError("no plan")
+
+    found = robust_plan(1.0, fail, replay, share=0.95, draws=50, final_draws=50, seed=0)
+    assert (found.plan, found.tightening, found.failure) == (1.0, {}, "no plan")
+
+
+def test_failed_motions_count_as_violations_but_do_not_tighten() -> None:
+    def failing(values: Sequence[float], draws: Sequence[Draw]) -> list[Replays]:
+        each = Replays(tuple(DisturbedRun({Bound("motion"): np.inf}, np.nan) for _ in draws))
+        return [each for _ in values]
+
+    found = robust_plan(1.0, solve, failing, share=0.9, draws=5, final_draws=5, seed=0)
+    assert found.after.held == 0
+    assert found.after.violated == {Bound("motion"): 5}
+    assert found.tightening == {}
+    assert found.rounds < MAX_ROUNDS
+    assert np.isnan(found.after.distances(0.5, 0.95)).all()
+
+
+def test_violated_limits_keep_the_share_together() -> None:
+    a, b, c = (Bound(name, "upper") for name in "abc")
+    excess = replays(*({a: k - 50.0, b: -1.0, c: 50.0 - k} for k in range(100)))
+    # opposed errors: 5 draws at each end may fail; errors in common: the 10 largest
+    assert added_tightening(excess, 0.9) == {a: 44.0, c: 45.0}
+    common = replays(*({a: k - 50.0, c: 2 * (k - 50.0)} for k in range(100)))
+    assert added_tightening(common, 0.9) == {a: 39.0, c: 78.0}
+
+
+def test_failed_motions_leave_less_of_the_share_for_limits() -> None:
+    failed = [{Bound("motion"): np.inf}] * 5
+    excess = replays(*failed, *({LIMIT: k - 50.0} for k in range(95)))
+    assert added_tightening(excess, 0.9) == {LIMIT: 39.0}  # 90 of 100 draws keep the bound
+
+
+@pytest.mark.parametrize(("held", "draws"), [(0, 10), (10, 10), (187, 200)])
+def test_interval_is_that_of_clopper_and_pearson(held: int, draws: int) -> None:
+    found = replays(*({LIMIT: -1.0 if k < held else 1.0} for k in range(draws)))
+    expected = binomtest(held, draws).proportion_ci(0.95, "exact")
+    assert found.interval == pytest.approx((expected.low, expected.high))
+
+
+# Pareto fronts with closed forms: convex or not, with local optima or failures
+
+DONE = Outcome.COMPLETE
+
+
+def convex(bound):
+    return 1 / bound
+
+
+def concave(bound):
+    """A quarter of a circle of radius 5; weighted sums find only its ends."""
+    return np.sqrt(25 - bound**2)
+
+
+def front(value, count, high=4.0, change=None):
+    def solve(tasks):
+        points = [FrontPoint(b, value(b), b, outcome=DONE, solution=b) for _, b, _ in tasks]
+        return points if change is None else list(map(change, tasks, points))
+
+    ends = (FrontPoint(b, value(b), b, outcome=DONE, solution=b) for b in (1.0, high))
+    return pareto_front(solve, *ends, count)
+
+
+@pytest.mark.parametrize("value", [convex, concave])
+@pytest.mark.parametrize("count", [2, 3, 8])
+def test_points_are_on_the_front_at_equal_ratios(value, count):
+    found = front(value, count)
+    bounds = [point.bound for point in found]
+    np.testing.assert_allclose(bounds, np.geomspace(1.01, 4.0, count))
+    assert [point.first for point in found] == [value(b) for b in bounds]
+    assert not any(point.is_dominated for point in found)
+
+
+def test_local_optima_are_solved_again_or_marked():
+    def stuck(task, point):
+        helped = task.number != 2 and task.start.solution > task.bound
+        return point if helped or task.number not in (2, 3) else point._replace(first=9.0)
+
+    found = front(convex, 6, change=stuck)
+    assert [point.is_dominated for point in found] == [False, False, True, False, False, False]
+
+
+def test_points_that_are_not_solved_are_kept_with_their_reason():
+    def failing(task, point):
+        failed = FrontPoint(task.bound, outcome=Outcome.INFEASIBLE, words="why")
+        return failed if task.number == 1 else point
+
+    found = front(convex, 5, change=failing)
+    assert [point.is_solved for point in found] == [True, False, True, True, True]
+    assert found[1].words == "why"
+    assert not found[1].is_dominated
+
+
+def test_without_conflict_the_front_is_one_point():
+    assert len(front(convex, 5, high=1.005)) == 1
+
+
+def test_one_point_is_no_front():
+    with pytest.raises(ModelError, match="expected two points or more, found 1"):
+        front(convex, 1)

@@ -1,6 +1,11 @@
-"""Tests of keep-out regions: distances against independent references."""
+"""Tests of regions and ways: keep-out distances, valid places, holes of maps, paths with cusps."""
 
 from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -8,8 +13,22 @@ import pytest
 from matplotlib.path import Path as Outline
 from numpy.testing import assert_allclose
 
+from slipfree import Analytic, Bicubic, Grid, catalog, direct_kinematics, settle, simulate
+from slipfree.catalog import three_wheeler
+from slipfree.control.path_following import arc_inputs, turning_axis_offset
 from slipfree.core.errors import ModelError
+from slipfree.core.outcome import Outcome
 from slipfree.geometry.regions import Region
+from slipfree.problem.load import load_problem
+from slipfree.problem.result import run_problem
+from slipfree.routing.reachability import unheld_words, unreachable
+from slipfree.routing.reeds_shepp import HEADINGS, reeds_shepp
+from slipfree.routing.search import route
+from slipfree.routing.traversability import free_space
+from slipfree.solve.sampling import input_samples
+from slipfree.terrain.base import Terrain
+from slipfree.terrain.grid_ops import hole_distance
+from slipfree.terrain.synthetic import blank
 
 UTM = (400_000.0, 5_500_000.0)
 STAR = ((0, 0), (4, 1), (8, 0), (6, 3), (8, 7), (4, 5), (0, 7), (2, 3))
@@ -121,3 +140,269 @@ def test_bad_discs_are_refused():
             Region.disc(0.0, 0.0, radius)
     with pytest.raises(ModelError, match=r"x: expected a number, found float nan"):
         Region.disc(np.nan, 0.0, 1.0)
+
+
+# Invalid positions on a map are reported by name before a search
+
+ROVER = three_wheeler(axle="fixed")  # its wheels reach 1.418 m
+START = ("start", 5.0, 5.0)
+
+
+def flat(**options):
+    return free_space(Bicubic(blank((0, 30), (0, 30), 0.25), mu=0.6), ROVER, **options)
+
+
+def box(x_min, x_max, y_min, y_max):
+    return Region.polygon(((x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)))
+
+
+def told(layers, *places):
+    return [(each.name, each.words) for each in unreachable(layers, places)]
+
+
+def test_all_that_is_wrong_is_told():
+    """In some headings there is room at the edge: it is not sure that no motion passes there."""
+    layers = flat(keep_out=[Region.disc(20.0, 20.0, 2.0)])
+    inside, outside = told(
+        layers, START, ("way-point 1", 0.5, 10.0), ("way-point 2", 20.0, 20.0), ("goal", 33.5, 10.0)
+    )
+    assert inside[0] == "way-point 2"
+    assert outside == (
+        "goal",
+        "the vehicle cannot be at the goal (33.5, 10): 3.5 m outside the map; move the goal or "
+        "use a larger map",
+    )
+
+
+def test_the_distance_to_a_place_to_keep_out_of_is_that_of_the_point_not_of_its_node():
+    layers = flat(keep_out=[Region.disc(20.0, 20.0, 2.0), Region.disc(25.0, 10.0, 1.0)])
+    reach = layers.limits.reach
+    ((_, words),) = told(layers, START, ("goal", 20.0 + 2.0 + reach - 0.01, 20.0))
+    assert "1.41 m from the keep-out disc at (20, 20) of 2 m radius, and wheels" in words
+    assert not told(layers, START, ("goal", 20.0 + 2.0 + reach + 0.01, 20.0))
+    assert told(layers, ("start", 19.0, 20.0), ("goal", 5.0, 5.0)) == [
+        (
+            "start",
+            "the vehicle cannot be at the start (19, 20): inside the keep-out disc at (20, 20) of "
+            "2 m radius; move the start or make the keep-out region smaller",
+        )
+    ]
+
+
+def test_friction_that_holds_no_heading_is_told_with_its_factor():
+    """Straight up a slope of 20 degrees, all weight on the driven wheels needs its tangent."""
+    grid, tangent = blank((0, 8), (0, 8), 0.5), math.tan(math.radians(20))
+    terrain = Bicubic(Grid(grid.x, grid.y, tangent * grid.y + grid.z), mu=0.2)
+    words = unheld_words(terrain, ROVER, 4.0, 4.0)
+    factor = float(re.search(r"needs at least ([\d.]+) times the friction", words).group(1))
+    assert tangent / 0.2 < factor < 1.6 * tangent / 0.2
+    assert not unheld_words(replace(terrain, mu=0.6), ROVER, 4.0, 4.0)
+    assert not unheld_words(Bicubic(grid, mu=0.2), ROVER, 4.0, 4.0)
+
+
+def test_places_to_keep_out_of_that_divide_the_map():
+    disc, ends = Region.disc(5.0, 25.0, 1.0), [START, ("goal", 25.0, 25.0)]
+    ((place, words),) = told(flat(keep_out=[disc, box(0, 30, 14, 16)]), *ends)
+    assert place == "goal"
+    assert words.endswith(
+        "the keep-out polygon of 4 points about (15, 15) lies between them, and no route leads "
+        "around it; make it smaller or move it"
+    )
+    together = flat(keep_out=[box(0, 16, 14, 16), disc, box(17, 30, 14, 16)])
+    ((_, words),) = told(together, *ends)
+    assert (
+        "several keep-out regions together separate them: polygon of 4 points about (8, 15), "
+        "polygon" in words
+    )
+    assert "disc" not in words
+
+
+def test_routes_keep_out_of_holes():
+    grid = blank((0, 30), (0, 30), 0.25)
+    holes = np.hypot(grid.x[:, None] - 15, grid.y - 15) < 4
+    layers = free_space(Bicubic(Grid(grid.x, grid.y, grid.z, holes=holes)), ROVER)
+    words = "m from a hole in the map, where heights are missing, and wheels reach"
+    with pytest.raises(ModelError, match=words):
+        route(layers, (5, 5), (15.0, 19.5))
+    points = route(layers, (5, 5), (25, 25))
+    assert np.hypot(*(points - 15).T).min() > 4 + layers.limits.reach - 0.25
+
+
+# A route, a plan and a drive around a hole in a ragged map without a window
+
+PROBLEM = """
+[terrain]
+file = "site.npz"
+[vehicle]
+catalog = "three_wheeler"
+axle = "fixed"
+[start]
+x = 10.0
+y = 4.0
+[solver]
+tolerance = 1e-6
+"""
+PLAN = """
+verb = "plan"
+goal = { x = 10.0, y = 16.0 }
+costs = { effort = 0.01 }
+limits = { steer = [-0.8, 0.8] }
+bounds = { right_rate = [0, 3], left_rate = [0, 3], steer_rate = [-1, 1] }
+plan = { intervals = 20, smooth = 0.002 }
+driver = { name = "route", speed = 0.5, turning_radius = 2.5 }
+time = { duration = 60.0, step = 0.25 }
+"""
+DRIVE = """
+verb = "direct"
+driver = { name = "straight", speed = 0.5 }
+time = { duration = 60.0, step = 0.5 }
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder with a map of hills in a ragged diamond around a hole."""
+    x = 0.25 * np.arange(81)
+    z = 0.1 * np.sin(0.6 * x)[:, None] * np.cos(0.5 * x)
+    border = 12.5 + 0.6 * np.sin(3 * x)[:, None]
+    ragged = np.abs(x[:, None] - 10) + np.abs(x - 10) > border
+    pit = np.hypot(x[:, None] - 10.3, x - 10) < 1.2
+    np.savez(tmp_path / "site.npz", x=x, y=x, z=np.where(ragged | pit, np.nan, z))
+    return tmp_path
+
+
+def _solved(folder: Path, text: str):
+    (folder / "p.toml").write_text(f"{text}{PROBLEM}")
+    return run_problem(load_problem(folder / "p.toml"))
+
+
+def _clearance(result) -> np.ndarray:
+    """Return the least distance of the contacts from holes at each sample [m]."""
+    run, grid = result.trajectory, result.setup.ground.grid
+    distance = Bicubic(type(grid)(grid.x, grid.y, hole_distance(grid)))
+    return distance.elevation(run["contact_x"], run["contact_y"]).min(axis=1)
+
+
+@pytest.mark.slow
+def test_a_plan_leads_around_the_hole(folder: Path) -> None:
+    found = _solved(folder, PLAN)
+    run, grid = found.trajectory, found.setup.ground.grid
+    assert run.outcome is Outcome.COMPLETE
+    assert np.hypot(run["x"][-1] - 10, run["y"][-1] - 16) < 0.01
+    assert not grid.touches(grid.holes, run["contact_x"], run["contact_y"]).any()
+    assert _clearance(found).min() > 0
+    assert np.abs(run["x"] - 10.3).max() > 1.2 + 0.5  # around it, by half the track
+
+
+def test_a_drive_ends_at_the_hole(folder: Path) -> None:
+    found = _solved(folder, DRIVE)
+    run = found.trajectory
+    assert run.outcome is Outcome.LIMIT
+    assert "reaches a hole in the map" in run.stop.words
+    assert 0 < _clearance(found)[-1] < 0.25  # a cell
+
+
+# Paths with cusps: lengths in closed form, end poses, symmetries, and inputs
+
+RADIUS = 0.8
+POSES = np.random.default_rng(5).uniform(-3, 3, (30, 3))
+
+
+def end_of(pose, arcs):
+    """Return the pose at the end of arcs, in closed form."""
+    place, heading = complex(*pose[:2]), pose[2]
+    for length, curvature in arcs:
+        turn = length * curvature
+        chord = length * np.sinc(turn / 2 / np.pi)
+        place += chord * 1j * np.exp(1j * (heading + turn / 2))
+        heading += turn
+    return place.real, place.imag, heading
+
+
+def length_of(arcs):
+    return sum(abs(arc.length) for arc in arcs)
+
+
+def test_single_arcs():
+    for goal, arcs in (
+        ((0.0, -3.0, 0.0), [(-3.0, 0.0)]),
+        ((RADIUS, RADIUS, -math.pi / 2), [(math.pi / 2 * RADIUS, -1 / RADIUS)]),
+        ((RADIUS, -RADIUS, math.pi / 2), [(-math.pi / 2 * RADIUS, -1 / RADIUS)]),
+        ((0.0, 0.0, 0.0), []),
+    ):
+        found = reeds_shepp((0.0, 0.0, 0.0), goal, RADIUS)
+        assert np.reshape(found, (-1, 2)) == pytest.approx(np.reshape(arcs, (-1, 2)), abs=1e-9)
+
+
+def test_paths_end_at_the_goal_and_are_reversible():
+    for start, goal, other in zip(POSES, POSES[1:], POSES[2:], strict=False):
+        arcs = reeds_shepp(start, goal, RADIUS)
+        x, y, heading = end_of(start, arcs)
+        assert (x, y) == pytest.approx(goal[:2], abs=1e-9)
+        assert math.sin((heading - goal[2]) / 2) == pytest.approx(0, abs=1e-9)
+        assert {abs(arc.curvature) for arc in arcs} <= {0.0, 1 / RADIUS}
+        assert length_of(arcs) >= math.dist(start[:2], goal[:2]) - 1e-9
+        assert length_of(reeds_shepp(goal, start, RADIUS)) == pytest.approx(length_of(arcs))
+        mirrored = (start * [-1, 1, -1], goal * [-1, 1, -1])
+        assert length_of(reeds_shepp(*mirrored, RADIUS)) == pytest.approx(length_of(arcs))
+        detour = length_of(reeds_shepp(start, other, RADIUS))
+        detour += length_of(reeds_shepp(other, goal, RADIUS))
+        assert length_of(arcs) <= detour + 1e-9
+
+
+@pytest.mark.parametrize("sideways", [0.01, 0.3, 1.6])
+def test_parking_takes_four_arcs(sideways):
+    """Arcs a, b, b, a: 2 sin a = sin(a + b), 4 cos a - 2 - 2 cos(a + b) radii sideways."""
+    shift = 2 + sideways / RADIUS
+    first = math.acos((shift**2 + 12) / (8 * shift))
+    both = math.acos(2 * math.cos(first) - shift / 2)
+    arcs = reeds_shepp((0.0, 0.0, 0.0), (sideways, 0.0, 0.0), RADIUS)
+    assert [abs(arc.length) / RADIUS for arc in arcs] == pytest.approx(
+        [first, both - first, both - first, first]
+    )
+    assert [arc.length > 0 for arc in arcs] == [True, False, False, True]
+
+
+def test_free_heading_takes_the_shortest_path():
+    start, goal = (0.0, 0.0, 0.3), (1.0, -0.5)
+    free = reeds_shepp(start, (*goal, None), RADIUS)
+    assert end_of(start, free)[:2] == pytest.approx(goal, abs=1e-9)
+    headings = start[2] + 2 * np.pi * np.arange(HEADINGS) / HEADINGS
+    lengths = [length_of(reeds_shepp(start, (*goal, each), RADIUS)) for each in headings]
+    assert length_of(free) == pytest.approx(min(lengths))
+    with pytest.raises(ModelError, match="positive, finite 'turning_radius'"):
+        reeds_shepp((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0)
+
+
+def driven(vehicle, arcs, speed=0.5):
+    """Return the motion of a vehicle along arcs on a plane."""
+    ground: Terrain = Analytic(lambda x, y: 0 * x * y)
+    dae = direct_kinematics(vehicle, ground)
+    start = settle(dae)
+    values = {c.name: 0.0 for c in vehicle.of("commanded")}
+    pieces, duration = arc_inputs(dae, arcs, values, speed=speed)
+    t, rates = input_samples(duration, 0.2, pieces)
+    return simulate(dae, start, dae.inputs(**rates), t), duration
+
+
+@pytest.mark.parametrize("heading", [0.4, None])
+def test_steered_vehicle_drives_the_arcs_without_slip(heading):
+    vehicle = catalog.three_wheeler(axle="fixed")
+    ahead = turning_axis_offset(vehicle)
+    assert ahead == pytest.approx(0.5)
+    arcs = reeds_shepp((0.0, 0.0, 0.0), (1.0, -1.0, heading), 1.2, ahead)
+    assert min(arc.length for arc in arcs) < 0 < max(arc.length for arc in arcs)
+    run, duration = driven(vehicle, arcs)
+    assert (run["x"][-1], run["y"][-1]) == pytest.approx((1.0, -1.0), abs=1e-6)
+    if heading is not None:
+        assert run["heading"][-1] == pytest.approx(heading, abs=1e-6)
+    assert np.abs(run["slip_across"]).max() < 1e-6
+    assert duration > length_of(arcs) / 0.5  # and the time to steer
+
+
+def test_skid_steer_vehicle_drives_the_arcs_roughly():
+    vehicle = catalog.rigid_skid_steer()
+    run, _ = driven(vehicle, [(1.0, 0.8), (-0.5, -0.8)])
+    x, y, heading = end_of((0.0, 0.0, 0.0), [(1.0, 0.8), (-0.5, -0.8)])
+    assert (run["x"][-1], run["y"][-1]) == pytest.approx((x, y), abs=0.05)
+    assert run["heading"][-1] == pytest.approx(heading, abs=0.05)

@@ -1,18 +1,30 @@
-"""Tests of collocation: exact derivatives, order on a known solution, known optima."""
+"""Tests of collocation: exact derivatives, order, known optima, elements at once, windows."""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
+import slipfree as sf
+from helpers.cases import hills
 from helpers.toy_models import task, toy
 from slipfree import ModelError
+from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
 from slipfree.plan.constraints import conflicts
 from slipfree.plan.explanation import violations
 from slipfree.plan.ipopt import solve_program
+from slipfree.plan.polynomial_motion import first_intervals, joined_motions
+from slipfree.plan.sparse_assembly import _evaluate_by_columns, assemble, nlp_block
 from slipfree.plan.transcription import CollocationMesh, Cost, TimedCondition, completed, transcribe
+from slipfree.plan.verification import simulate_plan
+from slipfree.plan.windows import plan_windows
 
 
 def at_end(*values):
@@ -232,3 +244,197 @@ def test_a_degree_that_is_not_offered_is_refused():
     dae = toy(1, lambda _t, _x, _z, u: [u])
     with pytest.raises(ModelError, match="expected a degree of 1 to 5, found 6"):
         transcribe(task(dae, [0.0]), CollocationMesh(np.linspace(0, 1, 3), 6))
+
+
+# Elements evaluated at all points at once: equal to one evaluation after the other
+
+
+def branches(a, b):
+    return ca.if_else(a > b, ca.fmin(a, 0.3) * ca.sin(b), ca.floor(3 * a) / (1 + b**2) + 2)
+
+
+@pytest.mark.parametrize("count", [1, 50])
+def test_columns_are_what_one_number_after_the_other_gives(count, rng):
+    v, q = ca.SX.sym("v", 2), ca.SX.sym("q")
+    value = branches(v[0], v[1]) * q
+    results = [value, ca.jacobian(value, v), ca.triu(ca.hessian(value, v)[0]), ca.SX(4.0)]
+    f = ca.Function("f", [v, q], results)
+    columns = [ca.MX.sym(name, count) for name in "ab"]
+    q_all = ca.MX.sym("q")
+    found = _evaluate_by_columns(f, [columns, [q_all]])
+    full = [
+        ca.horzcat(*(e if e.numel() == count else ca.repmat(e, count) for e in each))
+        for each in found
+    ]
+    at, factor = rng.uniform(-2.0, 2.0, (count, 2)), 1.7
+    together = ca.Function("all", [*columns, q_all], full)(at[:, 0], at[:, 1], factor)
+    for k in range(count):
+        for one, every in zip(f(at[k], factor), together, strict=True):
+            assert_array_equal(np.array(every[k, :]).ravel(), np.array(one.nonzeros()))
+
+
+def test_rows_with_the_same_index_are_summed(rng):
+    """Sum of q v^3 over three points, as one row, beside a row of each point."""
+    v, q, p = ca.SX.sym("v"), ca.SX.sym("q"), ca.SX.sym("p", 0)
+    rows = ca.vertcat(ca.sin(v), q * v**3)
+    indices = np.arange(3)[:, None], np.array([[0, 3], [1, 3], [2, 3]])
+    constants = np.array([1.0, -2.0, 0.5])
+    made = assemble(
+        [nlp_block((v, q, p), v**2, rows, (), indices, constants[:, None])], np.ones(3), 0
+    )
+    w, prices = rng.normal(size=3), rng.normal(size=4)
+    g = np.append(np.sin(w), constants @ w**3)
+    slopes = np.vstack([np.diag(np.cos(w)), 3 * constants * w**2])
+    curvature = np.diag(2 - prices[:3] * np.sin(w) + 6 * prices[3] * constants * w)
+    values = ca.Function("v", [made.w, made.p], [made.g])(w, [])
+    assert_allclose(np.array(values).ravel(), g, atol=1e-14)
+    found, jacobian = made.jacobian(w, [])
+    assert_allclose(np.array(found).ravel(), g, atol=1e-14)
+    assert_allclose(np.array(ca.DM(jacobian)), slopes, atol=1e-14)
+    assert_allclose(np.array(ca.DM(made.hessian(w, [], 1.0, prices))), curvature, atol=1e-14)
+
+
+# Long plans in windows: transitions, agreement with one plan, interruption, failure
+
+SPEED = 0.3
+GOAL = {"x": 0.3, "y": 4.5}
+COMMON = {
+    "costs": {"slip": 1e4, "effort": 0.01},
+    "smooth": 0.002,
+    "inputs": dict.fromkeys(("right_rate", "left_rate", "steer_rate"), (-2.0, 2.0)),
+}
+
+
+@pytest.fixture(scope="module")
+def case():
+    vehicle = three_wheeler(axle="fixed")
+    dae = sf.direct_kinematics(vehicle, sf.Analytic(hills))
+    start = sf.settle(dae)
+    route = sf.Path(np.array([[0.0, 0.0], [0.2, 1.5], [0.35, 3.0], [GOAL["x"], GOAL["y"]]]))
+    return dae, partial(sf.follow, dae, speed=SPEED), start, route
+
+
+def windows(case, **options):
+    given = {"speed": SPEED, "length": 1.8, "overlap": 0.6, "goal": GOAL, "mesh": sf.Mesh(8)}
+    return plan_windows(*case, **COMMON, **(given | options))
+
+
+@pytest.fixture(scope="module")
+def found(case):
+    return windows(case)
+
+
+def assert_continuous(found, t):
+    """Inputs are continuous at the hand-over at time t."""
+    around = t / found.motion.duration + np.array([-1e-9, 1e-9])
+    before, after = found.motion.inputs(around).T
+    assert_allclose(before, after, atol=1e-6)
+
+
+def assert_repeated(case, found):
+    """One simulation of the joined inputs repeats the motion."""
+    dae, _, start, _ = case
+    options = sf.SolverOptions(tolerance=1e-9)
+    again = simulate_plan(dae, start, found.motion, step=0.25, options=options)
+    for name in ("x", "y", "heading", "steer"):
+        assert_allclose(again[name][-1], found.replay[name][-1], atol=1e-5)
+
+
+@pytest.mark.slow
+def test_the_goal_is_reached_in_several_accurate_windows(case, found):
+    assert found.success
+    assert found.accurate
+    assert len(found.windows) >= 3
+    assert found.windows[-1].end == case[-1].length
+    run = found.replay
+    assert run.stop is None
+    assert_allclose([run["x"][-1], run["y"][-1]], list(GOAL.values()), atol=1e-3)
+    assert_allclose(run.t[-1], found.motion.duration, rtol=1e-12)
+    assert max(found.difference.values()) < 1e-3
+    for before, after in pairwise(found.windows):
+        assert after.begin < before.end
+        assert_allclose(after.t, before.t + before.duration, rtol=1e-12)
+        assert_continuous(found, after.t)
+    assert_repeated(case, found)
+
+
+@pytest.mark.slow
+def test_windows_cost_little_more_than_one_plan(case, found):
+    dae, law, start, route = case
+    guess = sf.simulate(dae, start, law(route), np.linspace(0, route.length / SPEED, 61))
+    whole = sf.plan(
+        dae, start, guess, goal=GOAL, duration=found.motion.duration, mesh=sf.Mesh(36), **COMMON
+    )
+    assert whole.success
+
+    def total(costs):
+        return 1e4 * costs["slip"] + 0.01 * costs["effort"] + 0.002 * costs["smoothness"]
+
+    ratio = total(found.costs) / total(whole.costs)
+    assert 0.999 < ratio < 1.1
+
+
+@pytest.mark.slow
+def test_an_interrupted_plan_keeps_its_windows_and_is_resumed(case, found):
+    kept = windows(case, progress=lambda words, _iterate: not words.startswith("2 to"))
+    assert kept.replay.outcome is sf.Outcome.INTERRUPTED
+    assert not kept.success
+    assert 1 <= len(kept.windows) < len(found.windows)
+    assert kept.replay.t[-1] == pytest.approx(kept.motion.duration)
+    resumed = windows(case, resume=kept.saved)
+    assert resumed.accurate
+    assert_allclose([resumed.replay["x"][-1], resumed.replay["y"][-1]], [0.3, 4.5], atol=1e-3)
+    assert_continuous(resumed, kept.motion.duration)
+    assert_repeated(case, resumed)
+    shared = kept.replay.t.size - 1
+    assert_allclose(resumed.replay["y"][:shared], kept.replay["y"][:shared], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_window_without_solution_is_named_and_the_others_are_kept(case):
+    kept = windows(case, limits={"y": (-1.0, 2.2)}, mesh=sf.Mesh(5))
+    assert not kept.success
+    assert kept.windows
+    assert "m of the route" in kept.replay.stop.words
+    assert kept.replay["y"].max() < 2.3
+
+
+@pytest.mark.slow
+def test_parts_of_a_motion_join_to_the_motion(found):
+    motion = found.motion
+    first = first_intervals(motion, 7)
+    assert_allclose(first.duration, motion.ends[7], rtol=1e-12)
+    at = np.linspace(0, 1, 20)
+    inside = at * first.duration / motion.duration
+    assert_allclose(first.states(at), motion.states(inside), atol=1e-12)
+    assert_allclose(first.inputs(at), motion.inputs(inside), atol=1e-12)
+    twice = joined_motions([first, first])
+    assert_allclose(twice.duration, 2 * first.duration)
+    assert_allclose(twice.algebraic(at[1:] / 2), first.algebraic(at[1:]), atol=1e-9)
+
+
+def test_lengths_and_speeds_that_do_not_fit_are_refused(case):
+    for change, words in (
+        ({"overlap": 1.8}, "overlap shorter than the window"),
+        ({"overlap": 0.0}, "overlap shorter than the window"),
+        ({"speed": 0.0}, "expected a positive speed, found 0 m/s"),
+    ):
+        with pytest.raises(sf.ModelError, match=words):
+            windows(case, **change)
+
+
+@pytest.mark.slow
+def test_initial_inputs_of_a_plan(case):
+    dae, law, start, route = case
+    guess = sf.simulate(dae, start, law(route), np.linspace(0, 3, 13))
+    goal = {"y": float(guess["y"][-1])}
+    still = {"right_rate": 0.0, "left_rate": 0.0, "steer_rate": 0.0}
+    found = sf.plan(
+        dae, start, guess, goal=goal, duration=4.0, mesh=sf.Mesh(8), initial_inputs=still, **COMMON
+    )
+    assert found.success
+    assert_allclose(found.motion.inputs(np.array([0.0])), 0.0, atol=1e-9)
+    with pytest.raises(sf.ModelError, match="initial value of 'left_rate'"):
+        sf.plan(
+            dae, start, guess, goal=goal, duration=4.0, initial_inputs={"left_rate": 3}, **COMMON
+        )

@@ -1,12 +1,25 @@
-"""Tests of starts from a wheel contact, from an unknown of the pose, and near a given pose."""
+"""Tests of starts from a contact or near a pose, of rearranged models, and of rollouts."""
 
+import casadi as ca
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
-from helpers.cases import case1, closure_model, hills
-from slipfree import Analytic, ModelError, settle
+from helpers.cases import LIGHT, case1, closure_model, hills
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    ModelError,
+    SolverOptions,
+    direct_kinematics,
+    rollouts,
+    settle,
+    simulate,
+)
 from slipfree.catalog import open_source_rover, three_wheeler
+from slipfree.core.rearrange import blocks, rearrange, substitute, variables, with_outputs
+from slipfree.core.records import Label
 from slipfree.solve.settle import settle_contact, settle_exchanged, settle_nearest
 
 HILLS = Analytic(hills)
@@ -108,3 +121,181 @@ def test_poses_are_checked():
     words = "at rest near x = 0, y = 0, .* = 0, found none .*; give .*, or fewer coordinates with"
     with pytest.raises(ModelError, match=words):
         settle_nearest(dae, **dict.fromkeys(names, 0.0), weights=dict.fromkeys(names, np.inf))
+
+
+# Rearranged models: labels, guesses, numbers and checks
+
+AXIS = np.linspace(-4, 4, 41)
+GROUNDS = {
+    "formula": Analytic(hills),
+    "map": Bicubic(
+        Grid(AXIS + 100, AXIS, 0.1 * np.sin(AXIS)[:, None] * np.cos(AXIS)), (100.0, 0.0)
+    ),
+}
+
+
+@pytest.fixture(params=GROUNDS)
+def direct(request):
+    return direct_kinematics(three_wheeler(), GROUNDS[request.param])
+
+
+def evaluated(dae, start):
+    """Guess and residuals at a start."""
+    symbols = [*dae.columns()]
+    function = dae.function("all", symbols, [dae.guess, ca.vertcat(*dae.alg)])
+    x, z = dae.rows("x", start, 0), dae.rows("z", start, 0)
+    return [np.array(part) for part in function(x, z, np.full(symbols[2].shape, 0.3))]
+
+
+def test_the_same_places_give_the_same_model(direct):
+    same = rearrange(direct, *variables(direct), blocks(direct))
+    assert same.labels == direct.labels
+    assert_array_equal(same.scale, direct.scale)
+    for record in (0, 1):
+        assert_array_equal(same.shift[record], direct.shift[record])
+    start = settle(direct, x=float(direct.shift[0][0]), heading=0.2)
+    for one, other in zip(evaluated(same, start), evaluated(direct, start), strict=True):
+        assert_array_equal(one, other)
+    x, z = direct.rows("x", start, 0), direct.rows("z", start, 0)
+    for one, other in zip(same.checks, direct.checks, strict=True):
+        assert one.label == other.label
+        assert_array_equal(one.margin(x[:, None], z[:, None]), other.margin(x[:, None], z[:, None]))
+
+
+def test_a_state_among_the_unknowns_is_zero_in_the_guess_and_keeps_its_shift(direct):
+    x, z, u = variables(direct)
+    z = z._replace(position=z.position._replace(z=x.x))
+    moved = rearrange(direct, x._replace(x=variables(direct)[1].position.z), z, u, blocks(direct))
+    assert moved.labels.x.x.name == "z"
+    assert_allclose(moved.shift[0][0], direct.shift[1][0])
+    assert_allclose(moved.shift[1][0], direct.shift[0][0])
+    at = np.array([7.0, 0.5, 0.1, 0.0, 0.0, 0.0])  # z, y, heading, joints
+    former = np.array([0.0, 0.5, 0.1, 0.0, 0.0, 0.0])
+    guess = moved.function("guess", [moved.columns()[0]], [moved.guess])(at)
+    other = direct.function("guess", [direct.columns()[0]], [direct.guess])(former)
+    assert_allclose(np.array(guess)[0], 0.0)
+    assert_array_equal(np.array(guess)[1:], np.array(other)[1:])
+    assert moved.ode[0].is_zero()
+
+
+def test_values_take_the_place_of_inputs_and_outputs_are_added(direct):
+    half = substitute(direct, direct.u.wheels, [ca.SX(0.5), 2 * direct.t])
+    assert not ca.depends_on(ca.vertcat(*half.alg, half.quad), ca.vertcat(*direct.u.wheels))
+    named = with_outputs(half, [(Label("twice", "s", "twice the time"), 2 * direct.t)])
+    assert ca.is_equal(named.named("twice")[0], 2 * direct.t, 3)
+
+
+# Rollouts: each run equals one simulation, whatever the processes; errors stop one run only
+
+T = np.linspace(0, 2, 5)
+OPTIONS = SolverOptions(tolerance=1e-6)
+
+
+def on_hills(trail=0.0):
+    """A model of a vehicle without masses, with a parameter that lifts the ground."""
+    return direct_kinematics(three_wheeler(**LIGHT), Analytic(lambda x, y: hills(x, y) + trail))
+
+
+@pytest.fixture(scope="module")
+def dae():
+    return on_hills()
+
+
+def rates(count, seed=0):
+    found = np.random.default_rng(seed).uniform(0.2, 0.6, (2, count, T.size - 1))
+    return {"right_rate": found[0], "left_rate": found[1], "steer_rate": 0.0}
+
+
+def of_run(inputs, k):
+    return {name: each[k] if np.ndim(each) == 2 else each for name, each in inputs.items()}
+
+
+def test_each_run_equals_a_simulation(dae):
+    headings, inputs = np.array([0.0, -1.1]), rates(2)
+    found = rollouts(dae, {"heading": headings, "x": 0.2}, inputs, T, options=OPTIONS)
+    assert found["slip_along"].dims == ("run", "time", "wheel")
+    assert found["x"].attrs["units"] == "m"
+    for k, heading in enumerate(headings):
+        start = settle(dae, heading=heading, x=0.2, options=OPTIONS)
+        run = simulate(dae, start, dae.inputs(**of_run(inputs, k)), T, options=OPTIONS)
+        for name in run:
+            assert_array_equal(found[name][k], run[name], err_msg=name)
+    assert (found["outcome"] == "complete").all()
+    assert (found["end"] == T[-1]).all()
+
+
+@pytest.mark.slow
+def test_results_do_not_depend_on_processes_or_order():
+    inputs, p = rates(7), {"trail": [0.0, 0.3, 0.0, 0.3, 0.0, 0.0, 0.3]}
+    arguments = {"p": p, "quantities": ("x", "z", "clearance"), "options": OPTIONS}
+    alone = rollouts(on_hills, {}, inputs, T, **arguments)
+    assert set(alone) == {"x", "z", "clearance", "outcome", "reason", "end"}
+    two = rollouts(on_hills, {}, inputs, T, processes=2, **arguments)
+    assert alone.identical(two)
+    back = {k: v[::-1] if np.ndim(v) else v for k, v in inputs.items()}
+    reverse = rollouts(on_hills, {}, back, T, **(arguments | {"p": {"trail": p["trail"][::-1]}}))
+    for name in alone:
+        assert_array_equal(reverse[name][::-1], alone[name])
+    assert np.ptp(alone["z"].values[:, 0]) > 0.29  # the parameter has an effect
+
+
+def test_a_run_that_ends_early_or_has_no_start_does_not_stop_the_others():
+    ground = Analytic(hills, (-3.0, 3.0, -3.0, 1.3))
+    dae = direct_kinematics(three_wheeler(**LIGHT), ground)
+    speeds = {"right_rate": [[0.1], [2.0], [0.1]], "left_rate": [[0.1], [2.0], [0.1]]}
+    starts = {"y": [0.0, 0.0, 5.0]}
+    found = rollouts(dae, starts, speeds | {"steer_rate": 0.0}, T, options=OPTIONS)
+    assert found["outcome"].values.tolist() == ["complete", "limit", "failed"]
+    complete, limit, failed = found["reason"].values.tolist()
+    assert complete == ""
+    assert "map" in limit
+    assert "start" in failed
+    assert 0 < found["end"][1] < T[-1]
+    assert np.isnan(found["end"][2])
+    assert_array_equal(np.isnan(found["x"]).all(axis=1), [False, False, True])
+    assert_array_equal(np.isnan(found["x"][1]), found["end"][1].item() < T)
+
+
+def test_trajectories_and_expressions_are_starts_and_inputs(dae):
+    starts = [settle(dae, heading=heading) for heading in (0.0, 0.5)]
+    law = {"right_rate": 0.3 + 0.1 * ca.sin(dae.t), "left_rate": 0.3, "steer_rate": 0.0}
+    found = rollouts(dae, starts, law, T)
+    run = simulate(dae, starts[1], dae.inputs(**law), T)
+    assert_array_equal(found["heading"][1], run["heading"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"starts": {"x": np.zeros((2, 2))}}, r"starts\['x'\]: expected .*found shape \(2, 2\)"),
+        ({"starts": {"x": np.zeros(3)}}, r"starts\['x'\]: expected values for 1 run or for 4 runs"),
+        (
+            {"starts": 1.0},
+            "starts: expected Trajectory or a sequence of Trajectory or a mapping, found float",
+        ),
+        ({"inputs": rates(4) | {"steer_rate": np.zeros(3)}}, r"steer_rate.*found shape \(3,\)"),
+        ({"inputs": {"right_rate": 0.1}}, "inputs: expected values for .*no value for"),
+        ({"p": {"trail": [0.0]}}, "model: expected a function of the parameters in p"),
+        ({"processes": 2}, "model: expected a function for 2 processes, found a model"),
+        ({"processes": 0}, "processes: expected a number >= 1, found 0"),
+        ({"quantities": ["speed"]}, "expected a quantity of the trajectory, found 'speed'"),
+        (
+            {"model": lambda: None, "processes": 2},
+            "model: expected a function at the level of a module.*pickle",
+        ),
+    ],
+)
+def test_wrong_arguments_are_refused(dae, arguments, words):
+    given = {"model": dae, "starts": {}, "inputs": rates(4), "t": T} | arguments
+    if callable(given["model"]):
+        given["model"] = lambda: dae
+    with pytest.raises(ModelError, match=words):
+        rollouts(**given)
+
+
+@pytest.mark.filterwarnings("ignore:equations are interpreted:UserWarning")
+def test_runs_at_absurd_speeds_end_by_name(dae):
+    inputs = {"right_rate": np.array([[1e9], [0.5]]), "left_rate": 0.5, "steer_rate": 0.0}
+    found = rollouts(dae, {"heading": 0.3}, inputs, np.linspace(0, 1, 3), method="batch")
+    assert found["outcome"].values.tolist() == ["solver_failure", "complete"]
+    assert "at most 20000 steps of" in found["reason"].values[0]
