@@ -35,6 +35,9 @@ MAX_STEPS = 20_000  # in an interval; faster lanes end there
 MAX_CANDIDATE_STEPS = 64  # in an interval of a candidate, at the first of several attempts
 CANDIDATE_TRIES, CANDIDATE_REFINEMENT = 5, 2
 MAX_BISECTIONS = 90
+# Relaxing states at samples, and rates that depend on them, have the error of the last step: steps
+# of half the length follow each other, down to a share of the relaxation time.
+GRADED, LAST_SHARE = 6, 1 / 8
 NEAR = 0.05  # clearance at a limit below which a second contact may be earlier [size]
 PARTS = 16  # of the time before such a limit, at whose ends clearances are computed
 MIN_SHARE = 0.02  # of a bracket on either side of a secant
@@ -97,6 +100,9 @@ class _Numbers(NamedTuple):
     rounding: float = LIMIT_ROUNDING
     repeats: int = FORCE_STEPS  # of the forces; without limits, -1
     fastest: float = MAX_STEPS
+    # number of steps at the end of an interval that halve their lengths, and the last one [s]
+    graded: float = 0
+    shortest: float = 0.0
     change: float = MAX_CHANGE
     error: float = MAX_ERROR
 
@@ -174,8 +180,11 @@ def _integrate(
     states[rows.u], states[rows.t] = inputs[:, 0], t[0]
     distances = solve_forces(evaluate, states)
     # the defect says little where relaxation or creep is faster than the steps
-    is_stiff = evaluate.graphs.dae.lag is not None or not evaluate.graphs.linear
+    dae = evaluate.graphs.dae
+    is_stiff = dae.lag is not None or not evaluate.graphs.linear
     numbers = _Numbers(step, MAX_STEPS, MAX_TRIES, REFINEMENT, estimated=not is_stiff)
+    if dae.lag is not None:
+        numbers = numbers._replace(graded=GRADED, shortest=LAST_SHARE * dae.relaxation_time)
     run = _drive(evaluate, states, inputs, t, numbers, rows.t.stop)
     samples, reached = run.samples[:, : rows.t.stop], run.reached
     lanes, kept = np.arange(reached.size), np.maximum(reached, 0)
@@ -249,7 +258,7 @@ def _drive_plainly(
 ) -> None:
     """Fill in the results of lanes: the specification of the compiled ``drive``."""
     rows, last = evaluate.graphs.rows, run.last
-    move = _ralston_step if evaluate.graphs.dae.lag is None else _relaxing_step
+    graded = int(numbers.graded)
     n, a, is_given = states.shape[1], states.copy(), numbers.tries == 0
     run.end[:], run.reason[:], run.beyond[:] = t[-1], COMPLETE, a
     last.states[:], last.rates[:], last.h[:] = a, 0.0, 0.0
@@ -270,6 +279,8 @@ def _drive_plainly(
 
     for k, now in enumerate(t):  # from sample k - 1 to sample k
         span, left = now - t[k - 1] if k else 0.0, np.flatnonzero(run.reason == COMPLETE)
+        halves = 2.0**graded - 1  # sum of the lengths of graded steps, in those of the last one
+        shortest = min(numbers.shortest, span / 2 / max(halves, 1))
         if k:
             needed = speed * span / numbers.step
             number = np.clip(np.ceil(needed - 1e-9), 1, numbers.longest)
@@ -288,15 +299,18 @@ def _drive_plainly(
             if k and not is_given:
                 run.counts[k - 1, left] = number[left]
             arrived = [] if k else [going]
-            for taken in range(1, int(number[going].max(initial=0)) + 1 if k else 1):
-                h = span / number[going]
+            for taken in range(1, int(number[going].max(initial=0)) + graded + 1 if k else 1):
+                past = np.maximum(taken - number[going], 0)
+                equal = (span - halves * shortest) / number[going]
+                h = np.where(past > 0, shortest * 2.0 ** (graded - past), equal)
                 some, slope = a[:, going], slopes[:, going]
                 last.states[:, going], last.rates[:, going], last.h[going] = some, slope, h
-                a[:, going], solved, means[:, going] = move(evaluate, some, slope, h)
+                a[:, going], solved, means[:, going] = _stepped(evaluate, some, slope, h)
                 lost.append(going[~solved])
-                here = going[solved & (number[going] <= taken)]
+                is_last = number[going] + graded <= taken
+                here = going[solved & is_last]
                 arrived.append(here)
-                going, unsolved = check(going[solved & (number[going] > taken)])
+                going, unsolved = check(going[solved & ~is_last])
                 lost.append(unsolved)
                 if numbers.estimated:  # with the inputs of this interval
                     slopes[:, here] = derivatives(evaluate, a[:, here])[0]
@@ -355,7 +369,6 @@ class _Ends:
         self.evaluate, self.t, self.run, self.certify = evaluate, t, run, certify
         self.rows = evaluate.graphs.rows
         self.end, self.reason, self.beyond = run.end, run.reason, run.beyond
-        self.advance = advance if evaluate.graphs.dae.lag is None else advance_relaxing
 
     def check_samples(self) -> Indices:
         """Return the index of the first sample of each lane that fails a check, or m."""
@@ -411,7 +424,7 @@ class _Ends:
             return
         step, number = self._interval(lanes, self.run.reached[lanes], time)
         for part in range(1, PARTS + 1):
-            at, _ = self.advance(self.evaluate, *step._replace(h=step.h * part / PARTS), number)
+            at, _ = advance(self.evaluate, *step._replace(h=step.h * part / PARTS), number)
             bad = ~(clearances(self.evaluate, at).min(axis=0) >= 0)
             self._end_at_checks(_of(bad, lanes), _of(bad, at), step.of(bad), _of(bad, number))
             lanes, number, step = _of(~bad, lanes), _of(~bad, number), step.of(~bad)
@@ -462,7 +475,7 @@ class _Ends:
             share = (low + (high - low) * (share if k else 1.0))[wide]
             part = step.of(wide)
             part = part._replace(h=part.h * share)
-            states, solved = self.advance(self.evaluate, *part, count[wide])
+            states, solved = advance(self.evaluate, *part, count[wide])
             _, good, _, distances = _checked(self.evaluate, states)
             value = np.where(solved & good, margin(states, margins(distances)), np.nan)
             fine = value >= 0  # not for NaN
@@ -622,53 +635,35 @@ def _derivatives(
 def advance(
     evaluate: Evaluator, states: Array, rates: Array, h: Array, count: Indices
 ) -> tuple[Array, Mask]:
-    """Return the states after steps of Ralston's third-order method, and which are solved.
+    """Return the states after steps, and which are solved.
 
-    A. Ralston, Runge-Kutta methods with minimum error bounds, Math. Comp. 16 (1962), eq. (4.1). The
-    positions of the result are predicted, not yet corrected. The compiled code does the same.
+    The positions of the result are predicted, not yet corrected. The compiled code does the same.
     ``count`` are the numbers of steps of the lanes.
     """
     compiled = evaluate.advance(states, rates, h, count, (MAX_CHANGE, MAX_ERROR))
     if compiled is not None:
         return compiled
-    return _repeated(partial(_ralston_step, evaluate), evaluate, states, rates, h, count)
-
-
-def advance_relaxing(
-    evaluate: Evaluator, states: Array, rates: Array, h: Array, count: Indices
-) -> tuple[Array, Mask]:
-    """Return the states after steps of a model whose last states relax, and which are solved.
-
-    The relaxing states take two linearly implicit half steps, whose damping is complete for
-    infinitely stiff contacts; the others take a step of the midpoint rule.
-    """
-    return _repeated(partial(_relaxing_step, evaluate), evaluate, states, rates, h, count)
-
-
-def _repeated(
-    step: Callable[[Array, Array, Array], tuple[Array, Mask, Array]],
-    evaluate: Evaluator,
-    states: Array,
-    rates: Array,
-    h: Array,
-    count: Indices,
-) -> tuple[Array, Mask]:
-    """Return the states after one step, or as many as each lane needs, and which are solved."""
-    states, solved, _ = step(states, rates, h)
+    states, solved, _ = _stepped(evaluate, states, rates, h)
     for k in range(1, count.max(initial=1)):
         on_way = count > k
         some = states[:, on_way]
         rates, good, _ = derivatives(evaluate, some)
-        states[:, on_way], also_good, _ = step(some, rates, h[on_way])
+        states[:, on_way], also_good, _ = _stepped(evaluate, some, rates, h[on_way])
         solved[on_way] &= good & also_good
         states[:, ~solved] = np.nan  # such a lane needs no more Newton steps
     return states, solved
 
 
-def _ralston_step(
+def _stepped(
     evaluate: Evaluator, states: Array, rates: Array, h: Array
 ) -> tuple[Array, Mask, Array]:
-    """Return the states after a step, which are solved, and the mean rates."""
+    """Return the states after a step, which are solved, and the mean rates.
+
+    The method is Ralston's of third order: A. Ralston, Runge-Kutta methods with minimum error
+    bounds, Math. Comp. 16 (1962), eq. (4.1).
+    """
+    if evaluate.graphs.dae.lag is not None:
+        return _relaxed(evaluate, states, h)
     rows = evaluate.graphs.rows
     moving = slice(0, rows.q.stop)
     start, stage = states[moving], states.copy()
@@ -684,12 +679,12 @@ def _ralston_step(
     return stage, solved & good, mean
 
 
-def _relaxing_step(
-    evaluate: Evaluator,
-    states: Array,
-    rates: Array,  # noqa: ARG001 - of another lag
-    h: Array,
-) -> tuple[Array, Mask, Array]:
+def _relaxed(evaluate: Evaluator, states: Array, h: Array) -> tuple[Array, Mask, Array]:
+    """Return the results of `_stepped` for a model whose last states relax.
+
+    The relaxing states take two linearly implicit half steps, whose damping is complete for
+    infinitely stiff contacts; the others take a step of the midpoint rule.
+    """
     dae, rows = evaluate.graphs.dae, evaluate.graphs.rows
     moving = slice(0, rows.q.stop)
     relaxing = slice(rows.x.stop - dae.rest.numel(), rows.x.stop)

@@ -173,12 +173,14 @@ static inline void scatter(double *row, const long *order, vd r, long n) {
 /* Motions over m samples, as `_drive_plainly` of motion.py.
  *
  * `samples` has the shape (m, width, n): `kept` rows of states, then estimated errors if wanted. `counts` (m - 1, n) are
- * the numbers of steps; they are given if `tries` is zero. `out` has the rows time and reason of the
+ * the numbers of steps; they are given if `tries` is zero. They are followed by `graded` steps, each of half the length
+ * of the one before, to `last`. `out` has the rows time and reason of the
  * ends, states there, states, rates and length of the last step.
  */
 void drive(long from, long to, long n, const long *order, const double *in, const double *inputs, long m,
            const double *t, long kept, double length, double longest, double tries, double finer, double estimated,
-           double rounding, double repeats, double fastest, double most, double worst, double *samples,
+           double rounding, double repeats, double fastest, double graded, double last, double most, double worst,
+           double *samples,
            double *counts, double *out, const double *K, const Cells *cells) {
   vd a[ROWS], b[ROWS], s[ROWS], from_state[ROWS], r[CHECKED_RESULTS];
   vd rates[MOVING], first[MOVING], k1[MOVING], k2[MOVING], from_rates[MOVING], mean[MOVING], sums[STATES], begun[STATES];
@@ -195,7 +197,8 @@ void drive(long from, long to, long n, const long *order, const double *in, cons
     for (int i = 0; i < MOVING; i++) from_rates[i] = rates[i] = SPLAT(0.0);
     memcpy(a, b, sizeof a);
     for (long k = 0; k < m; k++) { /* from sample k - 1 to sample k */
-      double span = k ? t[k] - t[k - 1] : 0.0;
+      double span = k ? t[k] - t[k - 1] : 0.0, halves = ldexp(1.0, (int)graded) - 1;
+      double shortest = fmin(last, span / 2 / fmax(halves, 1));
       vl open = alive;
       vd used = SPLAT(0.0);
       if (k) {
@@ -214,8 +217,7 @@ void drive(long from, long to, long n, const long *order, const double *in, cons
         vl going = open & (count <= splat(fastest)), lost = open & ~going;
         double steps = 0;
         if (k) {
-          h = pick(open, splat(span) / count, h);
-          for (int l = 0; l < LANES; l++) steps = going[l] ? fmax(steps, count[l]) : steps;
+          for (int l = 0; l < LANES; l++) steps = going[l] ? fmax(steps, count[l] + graded) : steps;
           used = pick(open, count, used);
         }
         for (int i = 0; i < ROWS; i++) a[i] = pick(open, b[i], a[i]);
@@ -223,13 +225,16 @@ void drive(long from, long to, long n, const long *order, const double *in, cons
         for (int i = 0; i < STATES; i++) sums[i] = pick(open, begun[i], sums[i]);
         vl arrived = k ? ~every : going;
         for (double step = 1; step <= steps && any(going); step++) {
+          vd next = splat(span - halves * shortest) / count;
+          for (int l = 0; l < LANES; l++) next[l] = step > count[l] ? ldexp(shortest, (int)(graded - step + count[l])) : next[l];
+          h = pick(going, next, h);
           for (int i = 0; i < ROWS; i++) from_state[i] = pick(going, a[i], from_state[i]);
           for (int i = 0; i < MOVING; i++) from_rates[i] = pick(going, k1[i], from_rates[i]);
           vl solved = stepped(s, from_state, from_rates, h, mean, r, most, worst, K, cells);
           for (int i = 0; i < ROWS; i++) a[i] = pick(going, s[i], a[i]);
           lost |= going & ~solved;
           going &= solved;
-          vl here = going & (count <= splat(step));
+          vl here = going & (count + splat(graded) <= splat(step));
           arrived |= here;
           going &= ~here;
           if (any(going)) {

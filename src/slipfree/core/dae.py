@@ -311,6 +311,8 @@ class Dae(Generic[X, Z, U, Y]):
         Symbol in ``linear`` of models whose last states relax: the time by which the stiffness of
         the contacts is advanced, zero in the other equations. It makes a step linearly implicit.
         [s]
+    relaxation_time : float
+        Time constant of the relaxation of a loaded contact, for models with a ``lag``. [s]
     discs : tuple of pairs of SX
         Pairs of unknowns that lie in the unit disc at a solution, such as the used fractions of
         friction along and across a wheel. Newton's method without continuation needs them.
@@ -380,6 +382,7 @@ class Dae(Generic[X, Z, U, Y]):
     held: HeldTerms | None = None
     linear: tuple[ca.SX, ca.SX] | None = None
     lag: ca.SX | None = None
+    relaxation_time: float = 0.0
     discs: tuple[tuple[ca.SX, ca.SX], ...] = ()
     leading_rates: ca.SX = ca.SX(0, 1)  # noqa: RUF009 - never changed
     holding: Holding | None = None

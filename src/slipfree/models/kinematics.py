@@ -167,11 +167,18 @@ def relaxation(
     """
     normal, driven = parts.free[2::3, :], parts.driven[2::3, :]
     velocity = normal @ rates + driven @ inputs
-    time = max(wheel.depth for wheel in vehicle.numeric.wheels) / CONTACT_SPEED
-    stiff = [(time + lag) * c.stiffness / parts.weight for c in vehicle.of("suspension")]
+    stiff = [
+        (relaxation_time(vehicle) + lag) * c.stiffness / parts.weight
+        for c in vehicle.of("suspension")
+    ]
     springs = ca.vertcat(ca.SX.zeros(3), *stiff) * rates[relaxing]
     viscosity = press.viscosity + lag * press.stiffness
     return normal[:, relaxing].T @ (viscosity * velocity) + springs - imbalance
+
+
+def relaxation_time(vehicle: Vehicle) -> float:
+    """Return the time constant of the relaxation of a loaded wheel [s]."""
+    return float(max(wheel.depth for wheel in vehicle.numeric.wheels)) / CONTACT_SPEED
 
 
 def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: float) -> Dae:
@@ -219,7 +226,7 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
     rest = Equations(_relaxation_labels(vehicle), relaxation(*terms), lagging)
     law = _slip_equations(slip, labels, q, pressed, rest)
     dae = _dae(labels, x, z, q, pressed, (_alignment(contacts, misses), law))
-    return replace(dae, lag=lag)
+    return replace(dae, lag=lag, relaxation_time=relaxation_time(vehicle))
 
 
 def loaded(vehicle: Vehicle) -> Vehicle:
