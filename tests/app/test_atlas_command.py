@@ -1,5 +1,6 @@
 """Tests of ``slipfree atlas``: two files, a problem, tiles that continue, and refused input."""
 
+import gc
 import json
 import os
 import re
@@ -151,6 +152,21 @@ def test_only_tiles_as_they_were_written_are_used(monkeypatch):
     assert [file.name for file in folder.iterdir()] == ["part_of_mine.npy"]
 
 
+def test_a_tile_that_is_no_file_is_named_and_the_log_is_closed(monkeypatch):
+    words = "atlas", "site.tif", "three_wheeler", *QUICK, "-o", "a.tif"
+    with monkeypatch.context() as kept:
+        kept.setattr(atlas_tiles.TileFolder, "remove", lambda _: None)
+        printed(*words)
+    (tile,) = Path().glob("a_parts_*/*.npy")
+    tile.unlink()
+    tile.mkdir()
+    assert f"{tile}: expected the name of a file to write, found a folder" in refused(*words)
+    tile.rmdir()
+    tile.symlink_to("/dev/zero")
+    assert f"{tile}: expected the name of a file to write, found a device" in refused(*words)
+    gc.collect()  # a log that is open would be an error
+
+
 def test_other_problems_have_other_tiles_and_one_has_one_command(monkeypatch):
     monkeypatch.setattr(atlas_tiles.TileFolder, "remove", lambda _: None)
     told, store = [], atlas_tiles.TileFolder.store
@@ -234,25 +250,22 @@ def test_windows_of_a_large_map_give_the_same(monkeypatch):
     assert "probably missing heights" in refused(*words, "-o", "parts.nc")
 
 
-@pytest.fixture
-def two_tiles():
-    """Return the words of a command for a map of two tiles."""
-    x = np.linspace(0.0, 32.0, 66)
+def strip(length, nodes):
+    """Return the words of a command for a map that is narrower than a tile."""
+    x = np.linspace(0.0, length, nodes)
     np.savez("map.npz", x=x, y=x[:5], z=0.1 * np.sin(x)[:, None] * np.cos(x[:5]))
     return "atlas", "map.npz", "three_wheeler", *QUICK, "--headings", "1"
 
 
-def test_two_processes_give_the_same_file_as_one(two_tiles):
+def test_two_processes_give_the_same_file_as_one():
     for count in ("1", "2"):
-        printed(*two_tiles, "-j", count, "-o", f"{count}.tif")
+        printed(*strip(32.0, 66), "-j", count, "-o", f"{count}.tif")
     assert Path("1.tif").read_bytes() == Path("2.tif").read_bytes()
 
 
 @pytest.mark.slow  # starts workers
 def test_workers_of_dask_give_the_same_file_if_one_is_killed(monkeypatch):
-    x = np.linspace(0.0, 120.0, 300)
-    np.savez("map.npz", x=x, y=x[:5], z=0.1 * np.sin(x)[:, None] * np.cos(x[:5]))
-    words = "atlas", "map.npz", "three_wheeler", *QUICK, "--headings", "1"  # five tiles
+    words = strip(120.0, 300)  # five tiles
     printed(*words, "-o", "here.tif")
     more = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "threads_per_worker": 1}
     with distributed.LocalCluster(n_workers=2, **more) as local:

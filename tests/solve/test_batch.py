@@ -289,6 +289,10 @@ def test_pressed_wheels_relax_as_in_simulate():
         assert (lanes.error > 0.2 * errors[-1]).all()
     assert (errors[1] < 2e-4).all()
     assert np.median(errors[0] / errors[1]) > 2
+    lanes = run_lanes(evaluate, states, array, t, placed=True)
+    for name in ("pitch_rate", "roll_rate", "velocity_z", "heading_rate"):
+        found, known = lanes.columns[name].values, exact[name].values
+        assert_allclose(found, known, atol=0.01 * np.abs(known).max(), err_msg=name)
 
 
 def test_friction_is_solved_without_continuation():

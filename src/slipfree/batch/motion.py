@@ -660,47 +660,35 @@ def _stepped(
     """Return the states after a step, which are solved, and the mean rates.
 
     The method is Ralston's of third order: A. Ralston, Runge-Kutta methods with minimum error
-    bounds, Math. Comp. 16 (1962), eq. (4.1).
-    """
-    if evaluate.graphs.dae.lag is not None:
-        return _relaxed(evaluate, states, h)
-    rows = evaluate.graphs.rows
-    moving = slice(0, rows.q.stop)
-    start, stage = states[moving], states.copy()
-    stage[moving] = start + (0.5 * h) * rates
-    stage[rows.t] += 0.5 * h
-    second, solved, _ = derivatives(evaluate, stage)
-    stage[moving] = start + (0.75 * h) * second
-    stage[rows.t] = states[rows.t] + 0.75 * h
-    third, good, _ = derivatives(evaluate, stage)
-    mean = (2 * rates + 3 * second + 4 * third) / 9
-    stage[moving] = start + h * mean
-    stage[rows.t] = states[rows.t] + h
-    return stage, solved & good, mean
-
-
-def _relaxed(evaluate: Evaluator, states: Array, h: Array) -> tuple[Array, Mask, Array]:
-    """Return the results of `_stepped` for a model whose last states relax.
-
-    The relaxing states take two linearly implicit half steps, whose damping is complete for
-    infinitely stiff contacts; the others take a step of the midpoint rule.
+    bounds, Math. Comp. 16 (1962), eq. (4.1). States that relax take two linearly implicit half
+    steps, whose damping is complete for infinitely stiff contacts, and the others then a step of
+    the midpoint rule.
     """
     dae, rows = evaluate.graphs.dae, evaluate.graphs.rows
-    moving = slice(0, rows.q.stop)
-    relaxing = slice(rows.x.stop - dae.rest.numel(), rows.x.stop)
-    half, stage = 0.5 * h, states.copy()
-    stage[rows.lag] = half
-    first, solved, _ = derivatives(evaluate, stage)
-    start = stage[moving].copy()
-    stage[moving] = start + half * first
-    stage[rows.t] += half
-    middle = stage[relaxing].copy()
-    second, good, _ = derivatives(evaluate, stage)
-    stage[moving] = start + h * second
-    stage[relaxing] = middle + half * second[relaxing]
-    stage[rows.lag] = 0.0
+    moving, stage = slice(0, rows.q.stop), states.copy()
+    if dae.lag is None:
+        stage[moving] = states[moving] + (0.5 * h) * rates
+        stage[rows.t] += 0.5 * h
+        second, solved, _ = derivatives(evaluate, stage)
+        stage[moving] = states[moving] + (0.75 * h) * second
+        stage[rows.t] = states[rows.t] + 0.75 * h
+        third, good, _ = derivatives(evaluate, stage)
+        mean = (2 * rates + 3 * second + 4 * third) / 9
+        stage[moving] = states[moving] + h * mean
+    else:  # `rates` are those of another lag
+        relaxing = slice(rows.x.stop - dae.rest.numel(), rows.x.stop)
+        stage[rows.lag] = 0.5 * h
+        first, solved, _ = derivatives(evaluate, stage)
+        start = stage[moving].copy()
+        stage[moving] = start + 0.5 * h * first
+        stage[rows.t] += 0.5 * h
+        middle = stage[relaxing].copy()
+        mean, good, _ = derivatives(evaluate, stage)
+        stage[moving] = start + h * mean
+        stage[relaxing] = middle + 0.5 * h * mean[relaxing]
+        stage[rows.lag] = 0.0
     stage[rows.t] = states[rows.t] + h
-    return stage, solved & good, second
+    return stage, solved & good, mean
 
 
 def relax(evaluate: Evaluator, states: Array) -> Mask:
