@@ -113,7 +113,7 @@ def test_a_model_without_vehicle_needs_a_guess(model):
         ({"duration": "9 s"}, "duration: expected a number or 2 numbers, found str '9 s'"),
         (
             {"goal": {"x": 100.0}},
-            "x: expected a goal and way-points on the map, which extends from",
+            "goal: expected a goal on the map, which extends from",
         ),
         ({"smooth": "a"}, "smooth: expected a number, found str 'a'"),
         ({"inputs": [1]}, "inputs: expected a mapping, found list"),

@@ -291,7 +291,7 @@ def atlas(
             "atlas: expected a map, or the places 'x' and 'y', found a ground "
             "without nodes and no 'x' and 'y'; give both"
         )
-    known = [label.full for label in leaves(model.labels.u)]
+    known = model.input_names
     if unknown := [name for name in inputs or {} if name not in known]:
         raise ModelError(
             f"inputs: expected names among {', '.join(known)}, found {unknown[0]!r}; correct it"

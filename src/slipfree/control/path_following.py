@@ -423,11 +423,10 @@ def arc_inputs(
         times.append(times[-1] + abs(length) / speed)
         rows.append(np.concatenate([turning, np.zeros(now.size)]))
         now = steered
-    names = [label.full for label in leaves(model.labels.u)]
     values = np.array(rows).T.tolist()
     pieces = {
         name: tuple(zip(times[:-1], row, strict=True))
-        for name, row in zip(names, values, strict=True)
+        for name, row in zip(model.input_names, values, strict=True)
     }
     return pieces, times[-1]
 
@@ -462,7 +461,7 @@ def path_inputs(
     value is not finite, or if the times do not increase; or if the path does not begin at the
     start.
     """
-    names = tuple(label.full for label in leaves(model.labels.u))
+    names = tuple(model.input_names)
     if set(names) != set(PLANAR):
         raise ModelError(
             f"path: expected an inverse model with the inputs {', '.join(PLANAR)}, found "

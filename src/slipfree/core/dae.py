@@ -430,9 +430,19 @@ class Dae(Generic[X, Z, U, Y]):
             f"Dae: {', '.join(counts)}, {len(self.limits)} limits, size {self.size:.3g} m",
             states=quantity_names(self.labels.x),
             unknowns=quantity_names(self.labels.z),
-            inputs=(label.full for label in leaves(self.labels.u)),
+            inputs=self.input_names,
             outputs=quantity_names((self.labels.q, self.labels.y)),
         )
+
+    @property
+    def input_names(self) -> list[str]:
+        """Names of the inputs, in their order."""
+        return [label.full for label in leaves(self.labels.u)]
+
+    @property
+    def state_names(self) -> list[str]:
+        """Names of the states, in their order."""
+        return [label.full for label in leaves(self.labels.x)]
 
     @cached_property
     def all_limits(self) -> tuple[Limit, ...]:

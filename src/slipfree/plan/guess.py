@@ -31,7 +31,8 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.path import Path
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.rigid_dynamics import dynamic_guess
-from slipfree.plan.problem import Range
+from slipfree.plan.constraints import GOAL, role_of
+from slipfree.plan.problem import Range, spelled
 from slipfree.plan.transcription import SAMPLE_STEP, PlanTask
 from slipfree.plan.verification import GUESS_TOLERANCE, simulate_to_failure
 from slipfree.routing.reeds_shepp import reeds_shepp
@@ -88,42 +89,50 @@ def trip_of(task: PlanTask, dae: Dae, start: Trajectory) -> Trip:
     A place is the middle of its ranges on the map. Way-points without x or y are omitted; at the
     goal, a coordinate without a range is that of the place before.
     """
-    labels = [label.full for label in leaves(task.dae.labels.x)]
+    labels = task.dae.state_names
     symbols = list(leaves(task.dae.x))
     where = {name: labels.index(name) for name in ("x", "y", "heading") if name in labels}
     # in map coordinates, the heading from the y axis
-    *passed, goal = (
-        {
-            name: (limit.lower + task.dae.shift[0][k], limit.upper + task.dae.shift[0][k])
-            for limit in condition.limits
-            for name, k in where.items()
-            if ca.is_equal(limit.expression, symbols[k])
-        }
-        for condition in task.conditions
-    )
-    ground = dae.ground
     places = [np.array([start[axis][-1] for axis in "xy"])]
-    for ranges in (*(each for each in passed if {"x", "y"} <= each.keys()), goal):
-        if {"x", "y"} & ranges.keys():
-            places.append(_middle(ranges, places[-1], ground.domain))
-    heading = sum(goal["heading"]) / 2 if "heading" in goal else None
+    for condition in task.conditions:  # the goal is the last one
+        ranges, role = dict[str, Range](), role_of(condition.fraction)
+        for limit in condition.limits:
+            for name, k in where.items():
+                if ca.is_equal(limit.expression, symbols[k]):
+                    away = task.dae.shift[0][k]
+                    ranges[name] = limit.lower + away, limit.upper + away
+        if len({"x", "y"} & ranges.keys()) > (role != GOAL):
+            places.append(_middle(role, ranges, places[-1], dae.ground.domain))
+    heading = sum(ranges["heading"]) / 2 if "heading" in ranges else None
     return Trip(
         dae, driven_vehicle(dae), start, np.array(places), heading, task.dae.replay is not None
     )
 
 
-def _middle(ranges: Mapping[str, Range], before: Array, domain: tuple[float, ...]) -> Array:
+def on_map(name: str, axis: str, bounds: Range, domain: tuple[float, ...]) -> Range:
+    """Return the part on the map of a range of x or y at a goal or way-point, by its name [m].
+
+    ModelError is raised if the whole range is off the map.
+    """
+    west, east = domain[:2] if axis == "x" else domain[2:]
+    low, high = max(bounds[0], west), min(bounds[1], east)
+    if low > high:
+        raise ModelError(
+            f"{GOAL if name == GOAL else 'way_points'}: expected a {name} on the map, which "
+            f"extends from {west:.10g} to {east:.10g} m in {axis}, found {axis} = "
+            f"{spelled(bounds)} m; move the {name}"
+        )
+    return low, high
+
+
+def _middle(
+    name: str, ranges: Mapping[str, Range], before: Array, domain: tuple[float, ...]
+) -> Array:
     """Return the middle of ranges on the map; that of an infinite range is near the one before."""
     place = before.copy()
     for k, axis in enumerate("xy"):
         if axis in ranges:
-            low, high = max(ranges[axis][0], domain[2 * k]), min(ranges[axis][1], domain[2 * k + 1])
-            if low > high:
-                raise ModelError(
-                    f"plan: {axis}: expected a goal and way-points on the map, which extends from "
-                    f"{domain[2 * k]:g} to {domain[2 * k + 1]:g} m, found {ranges[axis][0]:g} to "
-                    f"{ranges[axis][1]:g} m; move them"
-                )
+            low, high = on_map(name, axis, ranges[axis], domain)
             is_finite = np.isfinite([low, high]).all()
             place[k] = (low + high) / 2 if is_finite else np.clip(before[k], low, high)
     return place

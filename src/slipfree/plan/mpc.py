@@ -21,7 +21,7 @@ from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate, run_buffered
 from slipfree.core.outcome import ipopt_words
-from slipfree.core.records import Array, Record, field_overview, leaves
+from slipfree.core.records import Array, Record, field_overview
 from slipfree.core.schema import Finite
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.plan.ipopt import MAX_ITERATIONS, largest_violation, warm_solver
@@ -285,9 +285,8 @@ def refine(window: Horizon, start: Trajectory, inputs: Array) -> Cycle:
     edges = np.linspace(0.0, span, inputs.shape[1] + 1)
     nodes = span * program.mesh.nodes
     times = np.unique(np.round(np.concatenate([edges, nodes]), 9))
-    names = [label.full for label in leaves(dae.labels.u)]
     rates = inputs[:, np.searchsorted(edges, (times[1:] + times[:-1]) / 2) - 1]
-    run = simulate(dae, start, dae.inputs(**dict(zip(names, rates, strict=True))), times)
+    run = simulate(dae, start, dae.inputs(**dict(zip(dae.input_names, rates, strict=True))), times)
     if run.stop is not None:
         raise SolverError(
             f"refine: expected a motion over the window of {span:g} s, found one that ends at "

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,7 +19,7 @@ import numpy as np
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import Array, Record, leaves, overview
+from slipfree.core.records import Array, Record, overview
 from slipfree.core.schema import NonNegative, Positive
 from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Drawable, Stop, Trajectory, path_length
 from slipfree.plan.explanation import explanation
@@ -67,19 +67,15 @@ INTERVAL_SIZES = 2.0  # largest length of a default interval, in sizes of the ve
 
 
 @dataclass(frozen=True, eq=False)
-class Plan(Drawable):
-    """A plan and its verification by simulation.
+class SimulatedPlan:
+    """A planned motion and its verification by simulation.
 
     Attributes
     ----------
-    run : Trajectory
-        Planned motion, sampled at the start and at all collocation points.
-    inputs : record
-        Planned inputs, for `simulate` at times ``motion.ends``.
     motion : PolynomialMotion
         Planned motion as polynomials of time.
     replay : Trajectory
-        Simulated motion under these inputs, with several samples on every interval.
+        Simulated motion under its inputs, with several samples on every interval.
     difference : dict of str to float
         Largest difference between plan and replay for every state, in the unit of the state.
     violation : dict of str to float
@@ -94,18 +90,12 @@ class Plan(Drawable):
     accurate : bool
         Whether differences and violations are within the given accuracy, and the replay
         reaches the end of the plan.
-    program, solution : Program, NlpSolution
-        Last program and its solution.
     stages : tuple of SolvedStage
         Programs that were solved, in order.
     saved : SavedPlan
         Unknowns and multipliers, for a warm start of another plan.
-    optima : tuple of LocalOptimum
-        Plans from all initial guesses, this plan first.
     """
 
-    run: Trajectory
-    inputs: Record
     motion: PolynomialMotion
     replay: Trajectory
     difference: dict[str, float]
@@ -114,25 +104,53 @@ class Plan(Drawable):
     costs: dict[str, float]
     success: bool
     accurate: bool
-    program: Program
-    solution: NlpSolution
     stages: tuple[SolvedStage, ...]
     saved: SavedPlan
+
+    def described(self, extent: str, units: Mapping[str, str], **further: Iterable[str]) -> str:
+        """Return the `repr` of a plan with its extent in words and the units of its costs."""
+        solved = "accurate" if self.accurate else "not accurate"
+        return overview(
+            f"{type(self).__name__}: {solved if self.success else 'not solved'}; "
+            f"{self.motion.duration:.6g} s {extent}",
+            costs=(
+                f"{name} {cost:.4g} {units.get(name, '')}".rstrip()
+                for name, cost in self.costs.items()
+            ),
+            differences=(f"{name} {size:.1e}" for name, size in self.difference.items()),
+            violations=(f"{name} {size:.1e}" for name, size in self.violation.items() if size),
+            **further,
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(SimulatedPlan, Drawable):
+    """A plan and its verification by simulation; see `SimulatedPlan` for further attributes.
+
+    Attributes
+    ----------
+    run : Trajectory
+        Planned motion, sampled at the start and at all collocation points.
+    inputs : record
+        Planned inputs, for `simulate` at times ``motion.ends``.
+    program, solution : Program, NlpSolution
+        Last program and its solution.
+    optima : tuple of LocalOptimum
+        Plans from all initial guesses, this plan first.
+    """
+
+    run: Trajectory
+    inputs: Record
+    program: Program
+    solution: NlpSolution
     optima: tuple[LocalOptimum, ...] = ()
 
     def __repr__(self) -> str:
         units = {cost.label.name: cost.label.unit for cost in self.program.task.costs}
-        solved = "accurate" if self.accurate else "not accurate"
         iterations = sum(stage.iterations for stage in self.stages)
         why = "" if self.success or self.run.stop is None else f"{self.run.stop.words}\n"
-        return why + overview(
-            f"Plan: {solved if self.success else 'not solved'}; {self.motion.duration:.6g} s on "
-            f"{self.motion.ends.size - 1} intervals, {iterations} iterations",
-            costs=(f"{name} {cost:.4g} {units.get(name, '')}" for name, cost in self.costs.items()),
-            differences=(f"{name} {size:.1e}" for name, size in self.difference.items()),
-            violations=(f"{name} {size:.1e}" for name, size in self.violation.items() if size),
-            inputs=(label.full for label in leaves(self.program.task.dae.labels.u)),
-        )
+        extent = f"on {self.motion.ends.size - 1} intervals, {iterations} iterations"
+        return why + self.described(extent, units, inputs=self.program.task.dae.input_names)
 
     @property
     def ground(self) -> object:
@@ -381,11 +399,9 @@ def _unverified(search: SearchState) -> Plan:
 
 def _as_plan(search: SearchState, run: Trajectory, verification: Verification) -> Plan:
     """Return the plan of a search with its samples ``run`` and its verification."""
-    program, solution, stages = search.program, search.found, search.stages
+    program, solution = search.program, search.found
     motion = motion_of(program, solution.unknowns)
     return Plan(
-        run,
-        inputs_along(program.task.dae, motion, motion.ends),
         motion,
         verification.replay,
         verification.difference,
@@ -394,8 +410,10 @@ def _as_plan(search: SearchState, run: Trajectory, verification: Verification) -
         cost_terms(program, solution.unknowns),
         solution.success,
         verification.accurate,
+        search.stages,
+        save_plan(program, solution),
+        run,
+        inputs_along(program.task.dae, motion, motion.ends),
         program,
         solution,
-        stages,
-        save_plan(program, solution),
     )

@@ -35,6 +35,12 @@ def range_of(value: float | Range) -> Range:
     return float(ends[0]), float(ends[-1])
 
 
+def spelled(bounds: Range) -> str:
+    """Return the text of a range, or of a value if both bounds are equal."""
+    low, high = bounds
+    return f"{low:.10g}" if low == high else f"{low:.10g} to {high:.10g}"
+
+
 def free_durations(durations: Sequence[float]) -> Range:
     """Return the default range of the duration of a plan from initial guesses [s]."""
     return DURATIONS[0] * min(durations), DURATIONS[1] * max(durations)
@@ -182,7 +188,7 @@ def timed_conditions(
 
 def bounds_of(dae: Dae, ranges: Mapping[str, Range]) -> Array:
     """Return the bounds of all inputs, infinite for inputs without bounds, shape (n_u, 2)."""
-    names = [label.full for label in leaves(dae.labels.u)]
+    names = dae.input_names
     bounds = np.tile([-np.inf, np.inf], (len(names), 1))
     for name, value in ranges.items():
         if name not in names:

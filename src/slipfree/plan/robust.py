@@ -17,7 +17,7 @@ import scipy  # its parts are imported when they are used, since scipy.stats tak
 
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError, SlipfreeError
-from slipfree.core.records import field_overview, leaves
+from slipfree.core.records import field_overview
 from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import number, role_of
 from slipfree.plan.polynomial_motion import PolynomialMotion
@@ -266,8 +266,7 @@ def replay_of(
         k = int(np.abs(fractions - condition.fraction).argmin())
         at, role = tuple(rows[..., k : k + 1] for rows in samples), role_of(condition.fraction)
         excess += _excess(dae, condition.limits, at, role, accuracy, goal)
-    names = [label.full for label in leaves(dae.labels.x)]
-    rows = [names.index(name) for name in "xy"]
+    rows = [dae.state_names.index(name) for name in "xy"]
     gaps = samples[1][rows, -1] - plan.states(np.ones(1))[rows, 0]
     return DisturbedRun(_largest(excess), float(np.hypot(*gaps)))
 

@@ -118,7 +118,7 @@ class SamplingTask:
     compiled: bool = field(default=True, kw_only=True)
 
     def __post_init__(self) -> None:
-        names = [label.full for label in leaves(self.model.labels.u)]
+        names = self.model.input_names
         if sorted(names) != sorted(self.ranges):
             raise ModelError(
                 f"ranges: expected one for each input, {', '.join(names)}, found "
@@ -162,8 +162,7 @@ class SamplingTask:
     @cached_property
     def limits(self) -> tuple[Array, Array]:
         """Smallest and largest inputs, shape (n_u, 1)."""
-        names = [label.full for label in leaves(self.model.labels.u)]
-        pairs = [range_of(self.ranges[name]) for name in names]
+        pairs = [range_of(self.ranges[name]) for name in self.model.input_names]
         low, high = np.array(pairs, dtype=float).T[..., None]
         return low, high
 

@@ -180,10 +180,9 @@ def further_guesses(
 
 
 def _simulated(dae: Dae, start: Trajectory, inputs: Array, t: Array) -> Trajectory:
-    names = [label.full for label in leaves(dae.labels.u)]
     middles = (inputs[:, 1:] + inputs[:, :-1]) / 2
     rough = SolverOptions(tolerance=GUESS_TOLERANCE)
-    law = dae.inputs(**dict(zip(names, middles, strict=True)))
+    law = dae.inputs(**dict(zip(dae.input_names, middles, strict=True)))
     return simulate_to_failure(dae, start, law, t, rough)
 
 
@@ -289,9 +288,8 @@ def _local_optimum(search: SearchState, accurate: bool | None) -> LocalOptimum:
     """Return the row of a search in the table of optima; ``accurate`` is None if not simulated."""
     program, solution = search.program, search.found
     outcomes = {None: SOLVED, True: VERIFIED, False: INACCURATE}
-    motion, names = motion_of(program, solution.unknowns), ["x", "y"]
-    states = [label.full for label in leaves(program.task.dae.labels.x)]
-    rows = [states.index(name) for name in names if name in states]
+    motion = motion_of(program, solution.unknowns)
+    rows = [k for k, name in enumerate(program.task.dae.state_names) if name in ("x", "y")]
     return LocalOptimum(
         search.name,
         outcomes[accurate] if solution.success else NOT_SOLVED,

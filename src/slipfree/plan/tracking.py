@@ -77,8 +77,8 @@ class Replanning:
             failed = True
         begun = t < self._cycle.t + self._cycle.motion.duration - TIME_TOLERANCE
         inputs, times = cycle_inputs(self._window, self._cycle if begun else self._whole, t, end)
-        names = (label.full for label in leaves(self._dae.labels.u))
-        return Decision(dict(zip(names, leaves(inputs), strict=True)), times, failed)
+        named = dict(zip(self._dae.input_names, leaves(inputs), strict=True))
+        return Decision(named, times, failed)
 
 
 class Following:
@@ -101,7 +101,7 @@ class Following:
         (r_x, v_x), (r_y, v_y), (heading, yaw_rate) = (
             (float(value[0]), float(np.diff(value)[0]) / (end - t)) for value in planned.values()
         )
-        at = dict(zip((label.full for label in leaves(self._dae.labels.x)), x, strict=True))
+        at = dict(zip(self._dae.state_names, x, strict=True))
         middle, size = heading + yaw_rate * (end - t) / 2, self._dae.size
         v = v_y * np.cos(middle) - v_x * np.sin(middle)
         cos, sin = np.cos(at["heading"]), np.sin(at["heading"])
@@ -141,7 +141,7 @@ class Sampling:
         near = TIME_TOLERANCE * self._task.span
         times = np.array([begin, *ends[(ends > begin + near) & (ends < last - near)], last])
         index = np.searchsorted(ends, (times[1:] + times[:-1]) / 2)
-        names = [label.full for label in leaves(self._task.model.labels.u)]
+        names = self._task.model.input_names
         none = np.zeros((len(names), index.size))
         values = none if self._cycle is None else self._cycle.inputs[:, index]
         return Decision(dict(zip(names, values, strict=True)), times, failed)
@@ -154,8 +154,7 @@ def _places(dae: Dae, plan: PolynomialMotion, t: Array) -> dict[str, Array]:
     beyond = np.maximum(t - plan.duration, 0.0) / step
     x = plan.states(np.minimum(t / plan.duration, 1.0)) + np.outer(last - before, beyond)
     x += dae.shift[0][:, None]
-    names = [label.full for label in leaves(dae.labels.x)]
-    return {name: x[names.index(name)] for name in ("x", "y", "heading")}
+    return {name: x[dae.state_names.index(name)] for name in ("x", "y", "heading")}
 
 
 class TrackingWorld(NamedTuple):
@@ -272,9 +271,7 @@ def track_plan(
 
 
 def _check_world(planned: Dae, world: TrackingWorld) -> None:
-    own, expected = (
-        [label.full for label in leaves(each.labels.u)] for each in (world.dae, planned)
-    )
+    own, expected = world.dae.input_names, planned.input_names
     states = [label for label in leaves(planned.labels.x) if label.name not in world.start.columns]
     if own != expected or states:
         lacks = f"; without {', '.join(each.full for each in states)}" if states else ""
@@ -290,7 +287,7 @@ def _measured(planned: Dae, here: Trajectory, *, compiled: bool) -> Array:
     x = planned.rows("x", here, -1) + planned.shift[0]
     if not planned.rest.numel():
         return x
-    names = [label.full for label in leaves(planned.labels.x)]
+    names = planned.state_names
     free = names[: -planned.rest.numel()]
     rest = settle_many(
         planned, quantities=names, compiled=compiled, **dict(zip(free, x, strict=False))
@@ -306,8 +303,7 @@ def _drive(
     world: TrackingWorld, here: Trajectory, decision: Decision, t: float, options: SolverOptions
 ) -> Trajectory:
     """Return the motion under a decision from a time on, with times since the plan's beginning."""
-    names = {label.full for label in leaves(world.dae.labels.u)}
-    dae = world.dae if names == set(decision.inputs) else world.commanded
+    dae = world.dae if {*world.dae.input_names} == {*decision.inputs} else world.commanded
     if dae is None:
         raise ModelError(
             f"world: expected a model with the inputs {', '.join(decision.inputs)}, found none; "

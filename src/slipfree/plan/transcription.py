@@ -182,7 +182,7 @@ def transcribe(
         raise ModelError(
             f"degree: expected a degree of 1 to 5, found {mesh.degree}; use one of these degrees"
         )
-    rest = task.dae.inputs(**{label.full: 0.0 for label in leaves(task.dae.labels.u)})
+    rest = task.dae.inputs(**dict.fromkeys(task.dae.input_names, 0.0))
     system = with_inputs(task.dae, rest, 0, options)
     bounds, limits = _split(task)
     conditions = [

@@ -234,15 +234,14 @@ def refine_mesh(mesh: CollocationMesh, worse: Mask) -> CollocationMesh:
 
 def inputs_along(dae: Dae, motion: PolynomialMotion, times: Array) -> Record:
     """Return inputs of a plan for ``simulate`` at times, which include all ends of intervals."""
-    names = [label.full for label in leaves(dae.labels.u)]
     ends, values = motion.ends, motion.unknowns[motion.layout.inputs].T
     k = np.searchsorted(ends, (times[1:] + times[:-1]) / 2) - 1
     if not motion.continuous:
-        return dae.inputs(**dict(zip(names, values[:, k], strict=True)))
+        return dae.inputs(**dict(zip(dae.input_names, values[:, k], strict=True)))
     slopes = np.diff(values) / np.diff(ends)
     bases = values[:, :-1] - slopes * ends[:-1]
     lines = [PiecewiseLinear(base[k], slope[k]) for base, slope in zip(bases, slopes, strict=True)]
-    return dae.inputs(**dict(zip(names, lines, strict=True)))
+    return dae.inputs(**dict(zip(dae.input_names, lines, strict=True)))
 
 
 def simulate_plan(

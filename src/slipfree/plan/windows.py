@@ -17,10 +17,10 @@ import numpy as np
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import Array, Label, field_overview, leaves, overview
+from slipfree.core.records import Array, Label, field_overview
 from slipfree.core.trajectory import PLAN, SolverError, Stop, Trajectory, joined
 from slipfree.geometry.path import Path
-from slipfree.plan.plan import Plan, plan
+from slipfree.plan.plan import Plan, SimulatedPlan, plan
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
     SavedPlan,
@@ -62,34 +62,23 @@ class RouteWindow(NamedTuple):
         return field_overview(self)
 
 
-@dataclass(frozen=True, eq=False)
-class LongPlan:
-    """Plan of a long motion, composed of the parts of windows before their hand-overs."""
+@dataclass(frozen=True, eq=False, repr=False)
+class LongPlan(SimulatedPlan):
+    """Plan of a long motion, composed of the parts of windows before their hand-overs.
 
-    # The states at a hand-over jump by the difference between plan and simulation.
-    motion: PolynomialMotion
-    replay: Trajectory  # up to the goal or an unsolved window
+    The states at a hand-over jump by the difference between plan and simulation. The simulated
+    motion extends to the goal or to an unsolved window. Differences and violations are the largest
+    of all windows, costs their totals. The solved programs include windows of other lengths, and
+    the search may continue from ``saved``.
+    """
+
     windows: tuple[RouteWindow, ...]
-    difference: dict[str, float]  # as for `Plan`, largest of all windows
-    violation: dict[str, float]
-    units: dict[str, str]
-    costs: dict[str, float]  # as for `Plan`, total of all windows
-    success: bool  # whether all windows were solved, and whether all of them are accurate
-    accurate: bool
-    stages: tuple[SolvedStage, ...]  # in order, including windows of other lengths
     compiled: bool  # whether the functions of the programs are compiled
-    saved: SavedPlan  # the motion, from which the search may continue or another one may start
 
     def __repr__(self) -> str:
-        solved = "accurate" if self.accurate else "not accurate"
         end = self.windows[-1].end if self.windows else 0.0
-        return overview(
-            f"LongPlan: {solved if self.success else 'not solved'}; {self.motion.duration:.6g} s "
-            f"in {len(self.windows)} windows, up to {end:.6g} m of the route",
-            costs=(f"{name} {cost:.4g}" for name, cost in self.costs.items()),
-            differences=(f"{name} {size:.1e}" for name, size in self.difference.items()),
-            violations=(f"{name} {size:.1e}" for name, size in self.violation.items() if size),
-        )
+        extent = f"in {len(self.windows)} windows, up to {end:.6g} m of the route"
+        return self.described(extent, {})
 
 
 class _Part(NamedTuple):
@@ -279,9 +268,8 @@ def _end_inputs(dae: Dae, motion: PolynomialMotion, bounds: Array) -> dict[str, 
     """Return the inputs at the end of a motion by name; empty if inputs may jump."""
     if not motion.continuous:
         return {}
-    names = [label.full for label in leaves(dae.labels.u)]
     values = np.clip(motion.inputs(np.ones(1)).ravel(), *bounds.T)  # IPOPT relaxes bounds
-    return dict(zip(names, values.tolist(), strict=True))
+    return dict(zip(dae.input_names, values.tolist(), strict=True))
 
 
 def _former_part(
@@ -311,7 +299,6 @@ def _join(
     return LongPlan(
         motion,
         replace(replay, stop=stop),
-        windows,
         _largest(each.difference for each in plans),
         _largest(part.violation for part in parts),
         {name: unit for each in plans for name, unit in each.units.items()},
@@ -319,8 +306,9 @@ def _join(
         stop is None,
         stop is None and all(window.accurate for window in windows),
         tuple(stage for part in parts for stage in part.stages),
-        parts[-1].planned is not None and parts[-1].planned.compiled,
         save_motion(motion, dae),
+        windows,
+        parts[-1].planned is not None and parts[-1].planned.compiled,
     )
 
 

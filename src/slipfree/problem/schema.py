@@ -40,7 +40,7 @@ from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.laws.soil import Soil
 from slipfree.laws.soil_regions import OF_THE_LAW, SoilRegion
 from slipfree.laws.soils import SOILS, known_soil
-from slipfree.solve.options import MAX_TOLERANCE, MIN_TOLERANCE, SolverOptions
+from slipfree.solve.options import SolverOptions
 from slipfree.terrain import solids
 from slipfree.terrain.base import Grid
 from slipfree.terrain.solids import Profile
@@ -55,12 +55,6 @@ OWN = ("catalog", "file", "actuated", "name")  # keys that are not keywords of t
 DEFAULT_SOIL = next(iter(SOILS))
 MAX_SAMPLES = 1_000_000  # largest number of samples of a motion
 VERB = "kind of the problem"
-SIZED = (
-    "tolerance of the integrator, absolute and relative; lengths relative to the vehicle size [1]"
-)
-COMPILED = (
-    "whether to compile the equations; a first compilation takes seconds, its result is cached"
-)
 MODEL = (
     "kinematics: a slip law determines the rates; quasi-static: a wheel-ground law and "
     "equilibrium without inertia; dynamics: a contact law and inertia"
@@ -381,13 +375,11 @@ class Time(Record):
     step: Positive = Field(description="time between samples of the result [s]")
 
 
-class Solver(Record):
-    """Options of the integrator."""
+OfSolver: Any = record_of(SolverOptions)
 
-    tolerance: Annotated[float, Field(ge=MIN_TOLERANCE, le=MAX_TOLERANCE)] = Field(
-        default=1e-8, description=SIZED
-    )
-    compiled: bool = Field(default=False, description=COMPILED)
+
+class Solver(OfSolver):  # type: ignore[misc]
+    """Options of the integrator."""
 
     @property
     def options(self) -> SolverOptions:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Le
+from annotated_types import Ge, Le, Unit, doc
 
 from slipfree.core.arguments import checked
 
@@ -44,6 +44,21 @@ class SolverOptions:
         If the tolerance is not between 1e-14 and 0.01, or the method is unknown.
     """
 
-    tolerance: Annotated[float, Ge(MIN_TOLERANCE), Le(MAX_TOLERANCE)] = 1e-8
+    tolerance: Annotated[
+        float,
+        Ge(MIN_TOLERANCE),
+        Le(MAX_TOLERANCE),
+        Unit("1"),
+        doc(
+            "tolerance of the integrator, absolute and relative; lengths relative to the vehicle "
+            "size"
+        ),
+    ] = 1e-8
     method: Method | None = None
-    compiled: bool = False
+    compiled: Annotated[
+        bool,
+        doc(
+            "whether to compile the equations; a first compilation takes seconds, its result is "
+            "cached"
+        ),
+    ] = False

@@ -20,7 +20,7 @@ from slipfree.atlas.atlas import (
 )
 from slipfree.core.dae import Dae
 from slipfree.core.facts import Lines
-from slipfree.core.records import Array, Label, leaves
+from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import Frame, heading_column
 from slipfree.files.atlas_files import EMPTY, Site
 from slipfree.files.toml.source import Fault, name_errors, problem_error
@@ -263,11 +263,10 @@ def build_atlas(problem: Problem[AtlasKeys], known: Mapping[str, Extremes] = EMP
         terrain = PagedBicubic(grid, origin, ground.mu)
         load_around(terrain, np.array([origin[0]]), np.array([origin[1]]), vehicle)
     model = build_model(generic, vehicle, terrain)
-    names = [label.full for label in leaves(model.labels.u)]
     rates = {f"{w.name}_rate": table.speed / w.radius for w in vehicle.wheels if w.driven}
     # without speed nothing moves, and without mass poses do not depend on the rates
     is_moving = bool(table.speed and vehicle.mass)
-    inputs = {name: rates[name] for name in names if is_moving and name in rates}
+    inputs = {name: rates[name] for name in model.input_names if is_moving and name in rates}
     x, y = grid.x[:: table.every], grid.y[:: table.every]
     count = table.headings
     heading = heading_column(2 * np.pi * np.arange(count) / count, "paper", own=spec.frame).values

@@ -167,7 +167,7 @@ class DriveVerb(Verb, ABC):
         """Return attributes of the result: input names, coordinates of the map file."""
         coordinates = setup.ground.coordinates
         return {
-            "inputs": " ".join(label.full for label in leaves(setup.dae.labels.u)),
+            "inputs": " ".join(setup.dae.input_names),
             **({MAP_TRANSFORM: encode_map_coordinates(coordinates)} if coordinates else {}),
         }
 

@@ -217,7 +217,7 @@ class InverseVerb(DriveVerb):
         """Return the attributes of the result, including its solution method."""
         is_collocated = _is_collocated(problem.spec, setup)
         method = COLLOCATION if is_collocated else "integration"
-        inputs = " ".join(_input_names(setup.model))
+        inputs = " ".join(setup.model.input_names)
         return super().attributes(problem, setup) | {METHOD: method, "inputs": inputs}
 
     def facts(self, run: Trajectory) -> dict[str, Fact]:
@@ -365,7 +365,7 @@ def _start(spec: Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajector
     options = spec.solver.options
     if _is_collocated(spec, setup):
         return stand
-    if not are_commands(_input_names(dae)):
+    if not are_commands(dae.input_names):
         if spec.given is not None:
             ahead = _forward_inputs(direct, vehicle, stand, spec.given)
             stand = apply_inputs(direct, stand, ahead, options=options)
@@ -376,17 +376,13 @@ def _start(spec: Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajector
         return trim_states(dae, stand, first, states=unknown, least=errors, options=options)
     except ModelError:
         if exact:
-            check_authority(direct, stand, _input_names(dae))
+            check_authority(direct, stand, dae.input_names)
         raise
-
-
-def _input_names(dae: Dae) -> list[str]:
-    return [label.full for label in leaves(dae.labels.u)]
 
 
 def _is_collocated(spec: Inverse, setup: Setup) -> bool:
     """Return whether collocation determines the steering along the whole path."""
-    is_commanded = are_commands(_input_names(setup.dae))
+    is_commanded = are_commands(setup.dae.input_names)
     return spec.path is not None and spec.steering == "angle" and not is_commanded
 
 

@@ -13,7 +13,7 @@ from slipfree.core.dae import Dae
 from slipfree.core.errors import SlipfreeError
 from slipfree.core.facts import Fact
 from slipfree.core.outcome import Outcome, ipopt_words
-from slipfree.core.records import Array, leaves
+from slipfree.core.records import Array
 from slipfree.core.trajectory import (
     PLAN_ACCURACY,
     Column,
@@ -286,8 +286,7 @@ def _iterate_reporter(watch: Watch, setup: Planning) -> Callable[[str, Iterate],
             if watch.line is not None:
                 watch.line(words, line)
             if watch.path is not None:
-                motion, labels = motion_of(iterate.program, iterate.unknowns), setup.dae.labels
-                names = [label.full for label in leaves(labels.x)]
+                motion, names = motion_of(iterate.program, iterate.unknowns), setup.dae.state_names
                 states = motion.states(np.linspace(0, 1, PATH_SAMPLES))
                 local = states[[names.index("x"), names.index("y")]].T
                 watch.path(local + setup.terrain.origin[:2])

@@ -14,8 +14,8 @@ from slipfree.core.trajectory import PLAN, Trajectory
 from slipfree.plan.constraints import COST, DURATION, missed_words
 from slipfree.plan.optimality import Optimality, price_rows, prices_words
 from slipfree.plan.plan import Plan
+from slipfree.plan.problem import spelled
 from slipfree.plan.windows import LongPlan
-from slipfree.problem.verbs.plan_schema import spelled
 from slipfree.problem.verbs.plan_setup import Planning
 from slipfree.solve.sampling import TURN
 

@@ -23,7 +23,8 @@ from slipfree.files.toml.types import (
     record_of,
 )
 from slipfree.geometry.regions import Region
-from slipfree.plan.guess import ground_routes
+from slipfree.plan.guess import ground_routes, on_map
+from slipfree.plan.problem import spelled
 from slipfree.plan.search import Search
 from slipfree.plan.transcription import SAMPLE_STEP, Mesh
 from slipfree.problem.build import check_without_path, path_points
@@ -294,22 +295,12 @@ def places_of(problem: Problem[PlanKeys], domain: Domain) -> tuple[tuple[Place, 
     places = [("start", spec.start.get("x", 0.0), spec.start.get("y", 0.0))]
     exact = {"start"}
     for name, wanted in wanted_places(problem):
-        at = {}
-        for axis, low, high in (("x", *domain[:2]), ("y", *domain[2:])):
-            if axis not in wanted:
-                continue
-            least, most = max(wanted[axis][0], low), min(wanted[axis][1], high)
-            if least > most:
-                where = problem.source.where((key_of(name),))
-                raise ProblemError(
-                    f"{where}: expected a {name} on the map, which extends from {low:.10g} to "
-                    f"{high:.10g} m in {axis}, found {axis} = {spelled(wanted[axis])} m; "
-                    f"move the {name}"
-                )
-            at[axis] = (least + most) / 2
-        if len(at) == 2:
-            places.append((name, at["x"], at["y"]))
-            if all(wanted[axis][0] == wanted[axis][1] for axis in at):
+        axes = [axis for axis in "xy" if axis in wanted]
+        with at(problem, (key_of(name),)):
+            middles = [sum(on_map(name, axis, wanted[axis], domain)) / 2 for axis in axes]
+        if len(axes) == 2:
+            places.append((name, middles[0], middles[1]))
+            if all(wanted[axis][0] == wanted[axis][1] for axis in axes):
                 exact.add(name)
     return tuple(places), exact
 
@@ -433,9 +424,3 @@ def regions(problem: Problem[PlanKeys]) -> tuple[Region, ...]:
         with at(problem, ("keep_out", index)):
             keep_out.append(region_of(table))
     return tuple(keep_out)
-
-
-def spelled(bounds: tuple[float, float]) -> str:
-    """Return the text of a range, or of a value if both bounds are equal."""
-    low, high = bounds
-    return f"{low:.10g}" if low == high else f"{low:.10g} to {high:.10g}"

@@ -31,7 +31,7 @@ from slipfree.plan.guess import (
     trip_of,
 )
 from slipfree.plan.polynomial_motion import SavedPlan
-from slipfree.plan.problem import duration_of, free_durations, limits_of, task_of
+from slipfree.plan.problem import duration_of, free_durations, limits_of, spelled, task_of
 from slipfree.plan.search import PlanProgress
 from slipfree.plan.transcription import Mesh
 from slipfree.plan.windows import LongPlan, plan_windows
@@ -53,7 +53,6 @@ from slipfree.problem.verbs.plan_schema import (
     key_of,
     places_of,
     regions,
-    spelled,
     way_points_of,
 )
 from slipfree.routing.reachability import unheld_words, unreachable
