@@ -10,10 +10,13 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, get_args, get_origin
 
+from slipfree.core.quantities import QUANTITIES
 from slipfree.laws.registry import SLIP_LAWS
+from slipfree.models.single_wheel import SLIP_LIMIT
 from slipfree.problem import schema
 from slipfree.problem.load import VERBS
 from slipfree.problem.schema import law_tables
+from slipfree.solve.sampling import STRIDE
 
 DOCS = Path(__file__).parent
 LISTED = r"<!-- {kind}: ([\w.,\s]+?) -->"
@@ -230,7 +233,23 @@ def _default(field: Any) -> str:
     return f"`{json.dumps(field.default)}`" if field.default not in (None, (), {}) else "none"
 
 
-MADE = {"names": _names, "modules": _modules, "commands": _commands, "keys": _keys}
+def _quantities(_: str) -> str:
+    """Return the table of quantities of motions."""
+    values = {"wheel": "the wheel", "stride": STRIDE, "slip": SLIP_LIMIT}
+    rows = (
+        f"| `{each.name}` | {each.unit} | {each.words.format(**values)} | {each.shape} | "
+        f"{each.facts.replace('most', 'largest') or '-'} | {each.figure or '-'} |"
+        for each in QUANTITIES.values()
+    )
+    return "\n".join(
+        ["| name | unit | meaning | of each | facts | figure |", "| --- " * 6 + "|", *rows]
+    )
+
+
+MADE = {
+    **{"names": _names, "modules": _modules, "commands": _commands, "keys": _keys},
+    "quantities": _quantities,
+}
 
 
 def fill(text: str) -> str:

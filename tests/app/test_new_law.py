@@ -23,11 +23,11 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import read
 from slipfree.laws.least_slip import LeastSlip, Multipliers, stationarity
 from slipfree.laws.protocols import (
-    NORMAL,
     Equations,
     Motion,
     Reaction,
     SlidingContacts,
+    quantity_labels,
     wheel_labels,
 )
 from slipfree.laws.registry import GROUND_LAWS, SLIP_LAWS
@@ -74,7 +74,7 @@ class Viscous:
 
     def unknowns(self, vehicle: Vehicle) -> Loads:
         """Return the labels of the normal forces."""
-        return Loads(wheel_labels(vehicle, *NORMAL))
+        return Loads(quantity_labels(vehicle, "force_normal"))
 
     def reaction(self, contacts: SlidingContacts, unknowns: Loads) -> Reaction:
         """Return the forces, and the conditions that wheels stay on the ground."""

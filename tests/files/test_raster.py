@@ -20,7 +20,7 @@ from rasterio.transform import Affine
 from rasterio.warp import transform
 
 from helpers import rasters
-from helpers.rasters import from_origin
+from helpers.rasters import from_origin, refuses
 from slipfree import DataError, ModelError
 from slipfree.files.maps.elevation import read_map
 
@@ -43,11 +43,6 @@ def geotiff(path, rows=ROWS, *, transform=None, tags=None, **options):
 
 
 TILED = {"tiled": True, "blockxsize": 64, "blockysize": 64}
-
-
-def refuses(path, words, **keys):
-    with pytest.raises(DataError, match=words):
-        read_map(path, **keys)
 
 
 def plain(path, rows=ROWS, mode="F"):

@@ -9,18 +9,13 @@ import scipy
 from matplotlib.cbook import get_sample_data
 from numpy.testing import assert_allclose, assert_array_equal
 
-from helpers.rasters import from_origin, geotiff
+from helpers.rasters import from_origin, geotiff, refuses
 from slipfree import DataError
 from slipfree.files.maps import missing_values
 from slipfree.files.maps.elevation import geographic_to_metric, jacksboro, read_map
 
 HEADER = "ncols 5\nNROWS 4\nxllcorner 100\nyllcorner 200\ncellsize 10\nNODATA_value -9999\n"
 ROWS = "\n".join(" ".join(str(10 * row + column) for column in range(5)) for row in range(4))
-
-
-def refuses(path, words, **keys):
-    with pytest.raises(DataError, match=words):
-        read_map(path, **keys)
 
 
 def written(tmp_path, text, name="map.asc"):

@@ -6,8 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import rasterio
 from rasterio.transform import Affine
+
+from slipfree import DataError
+from slipfree.files.maps.elevation import read_map
 
 
 def from_origin(west: float, north: float, cell: float) -> Affine:
@@ -32,3 +36,9 @@ def geotiff(
     with rasterio.open(path, "w", **profile) as file:
         file.write(bands)
     return path
+
+
+def refuses(path: Path, words: str, **keys: Any) -> None:
+    """Check that a map is refused with words that match a pattern."""
+    with pytest.raises(DataError, match=words):
+        read_map(path, **keys)

@@ -25,6 +25,7 @@ import numpy as np
 
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import lookup_function
+from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, Indices, Label, Mask, pack
 from slipfree.geometry.frame import Pose
 from slipfree.terrain.base import Terrain
@@ -59,11 +60,7 @@ class SecondContact:
     @property
     def label(self) -> Label:
         """Name, unit and description of the clearance."""
-        words = (
-            f"smallest clearance between wheel {self.wheel.name} and the ground apart from the "
-            "contact point; infinite where no second point is near the ground"
-        )
-        return Label("clearance", "m", words, self.wheel.name)
+        return quantity_label("clearance", self.wheel.name)
 
     def margin(self, x: Array, z: Array) -> Array:
         """Return the clearances for n columns of states ``x`` and unknowns ``z``, shape (n,) [m].

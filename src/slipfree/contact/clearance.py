@@ -22,6 +22,7 @@ from slipfree.contact.touch import Plane, jet_function, plane_of
 from slipfree.core.dae import Limit
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import LookupTable, lookup_function
+from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, Label
 from slipfree.geometry.frame import Pose
 from slipfree.terrain.base import Jet, Terrain
@@ -33,11 +34,7 @@ FAR = 0.06  # larger clearances need only a lower bound where only contacts matt
 PLANNED_MARGIN = 1e-3  # clearance that planners keep, for the motion between their points [m]
 PLANNED_STEPS = 3  # number of Newton steps of the expression for planners
 PLANNED_POINTS = 5  # largest number of grid points a side, of the expression for planners
-CLEARANCE = Label(
-    "clearance_body",
-    "m",
-    "least distance of the vehicle's bodies from the ground; above 0.3 m an upper bound",
-)
+CLEARANCE = quantity_label("clearance_body")
 TOUCHES = "the body of the vehicle touches the ground (clearance)"
 
 

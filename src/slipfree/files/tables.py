@@ -21,6 +21,7 @@ from typing import NamedTuple, TextIO
 import numpy as np
 
 from slipfree.core.errors import DataError
+from slipfree.core.quantities import QUANTITIES
 from slipfree.core.records import Array
 from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.mcap import is_mcap, read_mcap, yaw_of
@@ -87,7 +88,6 @@ PARTS = {  # columns from which a quantity follows: pattern of stem and part, an
 }
 UNIT_LENGTH = 0.1  # largest error of the square of a quaternion's length
 DATES = "write dates as in 2026-03-01T12:00:00.5, or times in s"
-QUANTITIES = {"t": "s", "x": "m", "y": "m", "heading": "rad"}  # SI units by name in the result
 REMEDIES = {  # by the units that were expected and found
     ("m", "rad"): "project the positions to metres",
     ("rad/s", "m/s"): "divide the speeds by the radius of the wheels",
@@ -202,11 +202,12 @@ def read_columns(
         read["heading"] = np.where(is_turn, yaw_of(*q), np.nan)
         chosen["heading"] = chosen["heading:z"][0], "rad"
     values, start = {}, 0.0
+    si_units = {n: QUANTITIES[n].unit for n in ("x", "y", "heading")} | {"t": "s", **(units or {})}
     for name in names:
         index, unit = chosen[name]
         is_own = layout.names and not any(key.startswith(f"{name}:") for key in chosen)
         title = layout.names[index] if is_own else name
-        _check_unit(path, title, unit, (QUANTITIES | dict(units or {})).get(name))
+        _check_unit(path, title, unit, si_units.get(name))
         values[name], conversions, first = _converted(path, title, name, unit, read[name], where)
         notes, start = [*notes, *conversions], first or start
     return Columns(values, tuple(notes), start)

@@ -21,10 +21,10 @@ from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
 from slipfree.laws.protocols import (
-    NORMAL,
     Equations,
     Reaction,
     SlidingContacts,
+    quantity_labels,
     wheel_labels,
 )
 from slipfree.terrain.base import Terrain
@@ -144,7 +144,7 @@ def friction_unknowns(vehicle: Vehicle) -> FrictionUnknowns:
         )
         for axis in ("along", "across")
     ]
-    return FrictionUnknowns(wheel_labels(vehicle, *NORMAL), *used)
+    return FrictionUnknowns(quantity_labels(vehicle, "force_normal"), *used)
 
 
 def equation_labels(vehicle: Vehicle) -> tuple[Label, ...]:

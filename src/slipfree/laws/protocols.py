@@ -10,14 +10,11 @@ import casadi as ca
 from slipfree.contact.closure import ContactFrame
 from slipfree.contact.touch import Touch
 from slipfree.core.dae import Continuation, Limit
+from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, Label
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
-
-ALONG = "force_along", "N", "force of the ground on the wheel along it, positive forward"
-ACROSS = "force_across", "N", "force of the ground on the wheel across it, positive to the right"
-NORMAL = "force_normal", "N", "force of the ground on the wheel along the normal"
 
 
 class Equations(NamedTuple):
@@ -195,6 +192,11 @@ class ContactLaw(Protocol):
 
     def force(self, contact: WheelContact) -> GroundForce:
         """Return force and moment of the ground on a wheel."""
+
+
+def quantity_labels(vehicle: Vehicle, name: str) -> tuple[Label, ...]:
+    """Return the labels of a quantity of `slipfree.core.quantities`, one per wheel."""
+    return tuple(quantity_label(name, wheel.name) for wheel in vehicle.wheels)
 
 
 def wheel_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:

@@ -63,14 +63,12 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Label
 from slipfree.laws.coulomb import creep_continuation, no_equilibrium
 from slipfree.laws.protocols import (
-    ACROSS,
-    ALONG,
-    NORMAL,
     Equations,
     GroundForce,
     Reaction,
     SlidingContacts,
     WheelContact,
+    quantity_labels,
     wheel_labels,
 )
 from slipfree.laws.soil_regions import SoilRegion, soil_at
@@ -87,14 +85,8 @@ RATIO_SMOOTHING = 0.02  # slip and skid ratio below which the exponent hardly ch
 SMALLEST_RATIO = 1e-12  # keeps the derivative of a root finite [1]
 DEPTH_STEPS = 60  # number of bisection steps for the sinkage
 UNKNOWNS = (
-    NORMAL,
-    ALONG,
-    ACROSS,
-    ("soil_torque", "N m", "moment of the soil about the axle, positive against forward rolling"),
-    ("sinkage", "m", "depth of the wheel in the soil"),
-    ("rim_speed", "m s-1", "speed of the rim at the tips of grousers, relative to the axle"),
-    ("speed_along", "m s-1", "speed of the wheel's centre along the wheel"),
-    ("speed_across", "m s-1", "speed of the wheel's centre across the wheel, to the right"),
+    *("force_normal", "force_along", "force_across", "soil_torque", "sinkage"),
+    *("rim_speed", "speed_along", "speed_across"),
 )
 EQUATIONS = (
     ("touching", "m s-1", "normal velocity of the contact point"),
@@ -273,7 +265,7 @@ class Soil:
 
     def unknowns(self, vehicle: Vehicle) -> SoilUnknowns:
         """Return the labels of forces, torques, sinkage and speeds of a quasi-static model."""
-        return SoilUnknowns(*(wheel_labels(vehicle, *each) for each in UNKNOWNS))
+        return SoilUnknowns(*(quantity_labels(vehicle, name) for name in UNKNOWNS))
 
     def reaction(self, contacts: SlidingContacts, unknowns: SoilUnknowns) -> Reaction:
         """Return the forces of the soil in a quasi-static model, and the equations of sinkage."""

@@ -12,8 +12,9 @@ from slipfree.contact.closure import ContactFrame
 from slipfree.contact.touch import Touch, tube_radii
 from slipfree.core.dae import Dae, Labels, Limit
 from slipfree.core.lookups import LookupTable
+from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Label, T, leaves, unpack
-from slipfree.laws.protocols import ContactLaw, GroundForce, wheel_labels
+from slipfree.laws.protocols import ContactLaw, GroundForce, quantity_labels, wheel_labels
 from slipfree.models.base import Mechanics, Quantities, outputs, slip_ratios
 from slipfree.models.body_contact import BodyContact
 from slipfree.models.limits import tip_over_margin
@@ -29,7 +30,6 @@ from slipfree.models.records import (
     effort_label,
     labels_of,
     pressed_labels,
-    slip_ratio_labels,
 )
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Coordinate, Vehicle
@@ -106,8 +106,7 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0, *, bears: bool = False) ->
     ``bears`` is whether bodies bear load.
     """
     still = labels_of(vehicle, follow=False)
-    words = "energy lost in contacts and dampers"
-    q = still.q._replace(lost=(Label("lost_energy", "J", words),))
+    q = still.q._replace(lost=(quantity_label("lost_energy"),))
     joints = zip(vehicle.of("commanded"), still.u.joints, strict=True)
     u = Inputs(
         tuple(_wheel_input(wheel) for wheel in vehicle.wheels if wheel.driven),
@@ -177,11 +176,13 @@ def _output_labels(vehicle: Vehicle, still: Labels, solids: int, *, bears: bool)
         tuple(each.x for each in position.contacts),
         tuple(each.y for each in position.contacts),
         still.y._replace(
-            forces=forces, **pressed_labels(vehicle), slip_ratio=slip_ratio_labels(vehicle)
+            forces=forces,
+            **pressed_labels(vehicle),
+            slip_ratio=quantity_labels(vehicle, "slip_ratio"),
         ),
-        Label("kinetic_energy", "J", "kinetic energy"),
-        Label("contact_energy", "J", "elastic energy of the contacts"),
-        (Label("body_load", "N", "sum of the normal forces on the bodies"),) if bears else (),
+        quantity_label("kinetic_energy"),
+        quantity_label("contact_energy"),
+        (quantity_label("body_load"),) if bears else (),
         tuple(_solid_labels(vehicle, k) for k in range(solids + 1 if solids else 0)),
     )
 

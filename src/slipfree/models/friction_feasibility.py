@@ -18,7 +18,8 @@ import numpy as np
 from slipfree.contact.closure import ContactFrame, check_exact_closure, contact_frame
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable, lookup_function
-from slipfree.core.records import Array, Label, leaves, pack, symbols
+from slipfree.core.quantities import quantity_label
+from slipfree.core.records import Array, leaves, pack, symbols
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.geometry.frame import platform
 from slipfree.models.base import Mechanics, Quantities, carriers, joint_rates, values_of
@@ -42,7 +43,7 @@ MAX_LEVEL_SLOPE = 0.005  # smaller slopes count as level ground [rad]
 MAX_HELD_UTILISATION = 0.99  # below it, friction is not the reason for a failure
 MAX_EXHAUSTED_UTILISATION = 1.001  # below it, friction is just exhausted
 MAX_UPRIGHT_LEAN = 0.02  # a wheel with a smaller lean counts as upright [rad]
-BEST = Label("utilisation_best", "1", "smallest possible utilisation of the most used wheel")
+BEST = quantity_label("utilisation_best")
 
 
 def mechanics(

@@ -45,6 +45,7 @@ import numpy as np
 
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
+from slipfree.core.quantities import quantity_label
 from slipfree.core.rearrange import (
     ModelVariable,
     blocks,
@@ -365,6 +366,6 @@ def steering_slip(vehicle: Vehicle, run: Trajectory) -> Trajectory:
         label = Label(f"{c.name}_rate", f"{angle.label.unit} s-1", f"rate of {angle.label.words}")
         columns[label.name] = Column(label, rate)
         square += rate**2
-    label = Label("steering_slip", "m s-1", "slip of the steered contacts")
+    label = quantity_label("steering_slip")
     columns[label.name] = Column(label, run["steering_lever"] * np.sqrt(square))
     return replace(run, columns=columns)

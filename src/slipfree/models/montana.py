@@ -32,7 +32,7 @@ from slipfree.core.schema import NonNegative
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose, Twist
 from slipfree.laws.least_slip import LeastSlip
-from slipfree.laws.protocols import Equations, SlipLaw, wheel_labels
+from slipfree.laws.protocols import Equations, SlipLaw, quantity_labels
 from slipfree.models.base import (
     Quantities,
     at_rest,
@@ -293,15 +293,8 @@ def _assembly_labels(labels: Labels, vehicle: Vehicle) -> Labels:
     contacts = zip(*zip(*place.contacts, strict=True), y.wheel_u, y.wheel_v, y.psi, strict=True)
     sampled = y._replace(
         **AMONG_STATES,
-        drift_position=wheel_labels(
-            vehicle, "drift_position", "m", "distance of the wheel from its position on the vehicle"
-        ),
-        drift_rotation=wheel_labels(
-            vehicle,
-            "drift_rotation",
-            "rad",
-            "angle of the wheel from its orientation on the vehicle",
-        ),
+        drift_position=quantity_labels(vehicle, "drift_position"),
+        drift_rotation=quantity_labels(vehicle, "drift_rotation"),
     )
     states = Assembly(
         x.x,

@@ -13,7 +13,7 @@ from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import pack
 from slipfree.laws.coulomb import Coulomb
-from slipfree.laws.protocols import Equations, GroundLaw, SlidingContacts
+from slipfree.laws.protocols import Equations, GroundLaw, SlidingContacts, quantity_labels
 from slipfree.models.base import Mechanics, Quantities
 from slipfree.models.closure_model import closure_dae, closure_quantities
 from slipfree.models.friction_feasibility import diagnosis, equilibrium
@@ -24,7 +24,6 @@ from slipfree.models.records import (
     KinematicDae,
     equilibrium_labels,
     labels_of,
-    slip_ratio_labels,
 )
 from slipfree.models.samples import absolute_spins
 from slipfree.system.forks import computing
@@ -86,7 +85,7 @@ def quasi_statics(
     check_rollers(vehicle)
     law.check(vehicle, ground)
     labels = labels_of(vehicle, law.unknowns(vehicle), follow=False)
-    labels = labels._replace(y=labels.y._replace(slip_ratio=slip_ratio_labels(vehicle)))
+    labels = labels._replace(y=labels.y._replace(slip_ratio=quantity_labels(vehicle, "slip_ratio")))
     z, q = closure_quantities(vehicle, ground, labels)
     turning = absolute_spins(vehicle, q.x, q.position, q.rates, q.u)
     reaction = law.reaction(_sliding(z, q, turning), q.rates.law)

@@ -7,15 +7,15 @@ from typing import Any, Generic, NamedTuple
 import casadi as ca
 
 from slipfree.core.dae import Dae, Labels
+from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Label, T, leaves, pack
 from slipfree.core.trajectory import heading_column
-from slipfree.laws.protocols import ACROSS, ALONG, NORMAL, component_labels, wheel_labels
+from slipfree.laws.protocols import component_labels, quantity_labels, wheel_labels
 from slipfree.laws.rolling import rolling_counts
 from slipfree.vehicle.tree import Coordinate, Vehicle
 
 HEADING = heading_column(0.0, "paper").label
-ROLL = Label("roll", "rad", "angle about the forward axis, positive with the right side down")
-PITCH = Label("pitch", "rad", "angle about the right axis, positive with the nose up")
+ROLL, PITCH = quantity_label("roll"), quantity_label("pitch")
 
 
 class Configuration(NamedTuple, Generic[T]):
@@ -224,18 +224,18 @@ def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels
     """
     rates = _rate_labels(vehicle, law)
     x = Configuration(
-        Label("x", "m", "easting of the platform's centre"),
-        Label("y", "m", "northing of the platform's centre"),
+        quantity_label("x"),
+        quantity_label("y"),
         HEADING,
         tuple(_coordinate(vehicle, c) for c in vehicle.coordinates if c.kind != "suspension"),
     )
     contacts = zip(
-        wheel_labels(vehicle, "contact_x", "m", "easting of the contact point"),
-        wheel_labels(vehicle, "contact_y", "m", "northing of the contact point"),
+        quantity_labels(vehicle, "contact_x"),
+        quantity_labels(vehicle, "contact_y"),
         strict=True,
     )
     position = Dependent(
-        Label("z", "m", "height of the platform's centre"),
+        quantity_label("z"),
         ROLL,
         PITCH,
         tuple(_coordinate(vehicle, c) for c in vehicle.of("suspension")),
@@ -246,12 +246,11 @@ def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels
         tuple(_turning(name, f"the driven wheel {name}, positive forward") for name in driven),
         tuple(_rate(vehicle, c) for c in vehicle.of("commanded")),
     )
-    words = "angle through which the wheel has turned"
-    work = Label("work", "J", "work of the drives and actuators")
-    q = Totals(wheel_labels(vehicle, "wheel_angle", "rad", words), (work,) if vehicle.mass else ())
+    work = (quantity_label("work"),) if vehicle.mass else ()
+    q = Totals(quantity_labels(vehicle, "wheel_angle"), work)
     closures = component_labels(vehicle, "closure", "m", "contact condition")
     forces, equations = _force_labels(vehicle, rates) if follow else (Forces(), ())
-    are_unknown = any(label.name == ALONG[0] for label in leaves((law, forces)))
+    are_unknown = any(label.name == "force_along" for label in leaves((law, forces)))
     y = _output_labels(vehicle, follow=are_unknown)
     z = Algebraic(position, rates, forces)
     return Labels(x, z, q, u, y, (closures, (), equations))
@@ -259,19 +258,8 @@ def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels
 
 def pressed_labels(vehicle: Vehicle) -> dict[str, tuple[Label, ...]]:
     """Return the labels of the outputs of wheels that press into the ground, by field."""
-    return {
-        "depth": wheel_labels(vehicle, "depth", "m", "depth below the ground; negative in the air"),
-        "load_share": wheel_labels(
-            vehicle, "load_share", "1", "normal force divided by an equal share of the weight"
-        ),
-        "force_normal": wheel_labels(vehicle, *NORMAL) if vehicle.mass else (),
-    }
-
-
-def slip_ratio_labels(vehicle: Vehicle) -> tuple[Label, ...]:
-    """Return the labels of the slip ratios of the wheels."""
-    words = "rim speed minus speed of the wheel's centre, divided by the larger of the two"
-    return wheel_labels(vehicle, "slip_ratio", "1", words)
+    names = ("depth", "load_share", *(["force_normal"] if vehicle.mass else []))
+    return {name: quantity_labels(vehicle, name) for name in names}
 
 
 def _turning(name: str, words: str) -> Label:
@@ -312,9 +300,10 @@ def _force_labels(vehicle: Vehicle, rates: Rates) -> tuple[Forces, tuple[Label, 
     if not vehicle.mass:
         return Forces(), ()
     equilibrium = equilibrium_labels(rates)
-    normal = wheel_labels(vehicle, *NORMAL)
+    along, across, normal = (
+        quantity_labels(vehicle, f"force_{name}") for name in ("along", "across", "normal")
+    )
     if is_determinate(vehicle):
-        along, across = wheel_labels(vehicle, *ALONG), wheel_labels(vehicle, *ACROSS)
         return Forces(along, across, normal), equilibrium
     virtual = tuple(
         Label(
@@ -341,28 +330,14 @@ def equilibrium_labels(rates: Rates) -> tuple[Label, ...]:
 
 
 def _output_labels(vehicle: Vehicle, *, follow: bool) -> Outputs:
-    def each(name: str, unit: str, words: str) -> tuple[Label, ...]:
-        return wheel_labels(vehicle, name, unit, words)
-
+    names = Outputs._fields[: Outputs._fields.index("yaw")]
+    wheels: dict[str, Any] = {name: quantity_labels(vehicle, name) for name in names}
+    words = "{} of the platform's quaternion (x forward)"
     return Outputs(
-        each("contact_z", "m", "height of the contact point"),
-        each("center_x", "m", "easting of the wheel's centre"),
-        each("center_y", "m", "northing of the wheel's centre"),
-        each("center_z", "m", "height of the wheel's centre"),
-        each("slip_along", "m s-1", "slip along the wheel, negative if it turns too fast"),
-        each("slip_across", "m s-1", "slip across the wheel, positive to the right"),
-        each("wheel_rate", "rad s-1", "rate of the wheel, positive forward"),
-        each(
-            "wheel_u", "rad", "contact coordinate u of the wheel, pi/2 at the middle of the tread"
-        ),
-        each("wheel_v", "rad", "contact coordinate v of the wheel in its carrier"),
-        each("psi", "rad", "angle from the wheel's Gauss x axis to the ground's Gauss x axis"),
-        Label("yaw", "rad", "angle of the forward axis from the x axis, counter-clockwise"),
-        tuple(
-            Label(f"quaternion_{axis}", "1", f"{axis} of the platform's quaternion (x forward)")
-            for axis in "xyzw"
-        ),
-        _force_output_labels(vehicle, follow=follow) if vehicle.mass else (),
+        **wheels,
+        yaw=quantity_label("yaw"),
+        quaternion=tuple(Label(f"quaternion_{k}", "1", words.format(k)) for k in "xyzw"),
+        forces=_force_output_labels(vehicle, follow=follow) if vehicle.mass else (),
     )
 
 
@@ -374,26 +349,14 @@ def effort_label(vehicle: Vehicle, c: Coordinate) -> Label:
 
 def _force_output_labels(vehicle: Vehicle, *, follow: bool) -> ForceOutputs:
     return ForceOutputs(
-        () if follow else wheel_labels(vehicle, *ALONG),
-        () if follow else wheel_labels(vehicle, *ACROSS),
-        wheel_labels(vehicle, "friction_needed", "1", "ratio of tangential to normal force"),
-        wheel_labels(
-            vehicle, "utilisation", "1", "friction needed divided by the friction coefficient"
-        ),
-        wheel_labels(
-            vehicle, "drive_torque", "N m", "torque of the wheel's drive, positive forward"
-        ),
+        () if follow else quantity_labels(vehicle, "force_along"),
+        () if follow else quantity_labels(vehicle, "force_across"),
+        quantity_labels(vehicle, "friction_needed"),
+        quantity_labels(vehicle, "utilisation"),
+        quantity_labels(vehicle, "drive_torque"),
         tuple(effort_label(vehicle, c) for c in vehicle.of("commanded")),
-        Label("power", "W", "power of the drives and actuators"),
-        Label("dissipation", "W", "power dissipated in contacts and dampers"),
-        Label(
-            "potential_energy",
-            "J",
-            "energy of gravity, relative to the ground's origin, and of springs",
-        ),
-        Label(
-            "tip_over_margin",
-            "rad",
-            "least angle by which gravity may turn before the vehicle tips",
-        ),
+        quantity_label("power"),
+        quantity_label("dissipation"),
+        quantity_label("potential_energy"),
+        quantity_label("tip_over_margin"),
     )

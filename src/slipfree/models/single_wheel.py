@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, Label
+from slipfree.core.quantities import quantity_label
+from slipfree.core.records import Array
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.soil import (
     STEADY_CREEP,
@@ -25,11 +26,7 @@ from slipfree.laws.soil_regions import soil_at
 from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle
 
 SLIP_LIMIT = 0.3  # slip ratio at which the largest pull counts [1]
-RESERVE = Label(
-    "drawbar_reserve",
-    "N",
-    f"drawbar pull at a slip ratio of {SLIP_LIMIT:g} minus the pull used; zero for free wheels",
-)
+RESERVE = quantity_label("drawbar_reserve", slip=SLIP_LIMIT)
 MAX_ANGLE = 1.5  # largest slip angle; the wheel then moves sideways [rad]
 
 

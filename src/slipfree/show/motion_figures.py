@@ -20,16 +20,14 @@ from matplotlib.ticker import ScalarFormatter
 from slipfree.atlas.atlas import Atlas
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, similar
+from slipfree.core.quantities import QUANTITIES, joint_angles
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.models.samples import CLOSEST
 from slipfree.plan.plan import Plan
 from slipfree.show import ground_drawing, style
 from slipfree.show.atlas_figures import atlas_plots, view_of
-from slipfree.show.force_figures import (
-    utilisation_map_plot,
-    utilisation_plot,
-)
+from slipfree.show.force_figures import utilisation_map_plot, utilisation_plot
 from slipfree.show.ground_drawing import HEATMAP, Window, side_plot
 from slipfree.show.plots import Panel, Plot, PlottedDrive, draw, stack
 from slipfree.show.style import COLUMN, FLAT, MM, PAGE, PLATFORM, STOPPED
@@ -37,6 +35,7 @@ from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism, Solids
 
+Compose = Callable[[PlottedDrive], Plot | None]
 HEIGHTS = "cividis"
 FILLED = "#D60093"  # hatching of filled holes
 ROUNDING = 1e-9  # smaller slip is rounding [m/s]
@@ -44,7 +43,6 @@ STILL = 1e-9  # a joint that moves less counts as fixed [rad]
 BELOW: dict[str, Any] = {"color": "0.75", "lw": 2.6, "zorder": 1}  # visible below other lines
 DISTINCT = 0.01  # smallest distance of distinguishable lines [width of the axes]
 NEAR = 0.6  # a path with a smaller extent is drawn again, enlarged [extent of the map]
-POSE = ("heading", "roll", "pitch", "yaw", "tip_over_margin", "tip_over")  # not joints
 STEEP = 40.0  # end of the colour scale of slopes [deg]
 AROUND = 0.5  # margin of the ground drawn around a motion [extent of the motion]
 NODES = 101  # of an axis of the ground of a formula
@@ -248,23 +246,18 @@ def elevation_plot(drive: PlottedDrive) -> Plot:
     return Plot("elevation", "Heights and slopes along the path.", make)
 
 
-def over_time(name: str, caption: str, quantities: str) -> Callable[[PlottedDrive], Plot | None]:
-    """Return a function for a figure of quantities over time; None for motions without them.
+def over_time(name: str, caption: str) -> Compose:
+    """Return a function for a figure over time of the quantities whose rows name it.
 
-    Parameters
-    ----------
-    name, caption : str
-        Name and caption of the figure.
-    quantities : str
-        Names, separated by blanks; ``*`` for moving joints, ``*_rate`` for their rates, otherwise
-        all that end so.
+    The function returns None for motions without these quantities. Names in the table of quantities
+    are ``*`` for moving joints, ``*_rate`` for their rates, and others for all that end so.
     """
 
     def compose(drive: PlottedDrive) -> Plot | None:
         run = drive.run
+        names = [each.name for each in QUANTITIES.values() if each.figure == name]
         drawn = [
-            Panel(partial(style.history, run, names, has_zero=True))
-            for names in panels(run, quantities.split())
+            Panel(partial(style.history, run, each, has_zero=True)) for each in panels(run, names)
         ]
         note = _law(run) if name == "slip" else ""
         return Plot(name, caption, lambda: stack(run, drawn, note)) if drawn else None
@@ -283,50 +276,30 @@ def panels(run: Trajectory, patterns: Sequence[str]) -> list[list[str]]:
     for name in (each for each in dict.fromkeys(names) if each in run):
         values, unit = run[name], run.columns[name].label.unit
         largest = np.abs(np.nan_to_num(values, posinf=0.0)).max()
-        if largest < ROUNDING and name not in (*moving, *style.RESIDUALS):
+        if largest < ROUNDING and name not in moving and not style.row(name).is_residual:
             continue
         if values.ndim == 1 and unit == last:
             found[-1].append(name)
         else:
             found.append([name])
-        last = unit if values.ndim == 1 and name not in style.RESIDUALS else ""
+        last = unit if values.ndim == 1 and not style.row(name).is_residual else ""
     return found
 
 
-FIGURES: tuple[Callable[[PlottedDrive], Plot | None], ...] = (
+FIGURES: tuple[Compose, ...] = (
     side_plot,
     map_plot,
     elevation_plot,
-    over_time("slip", "Slip of every wheel over time.", "slip_along slip_across"),
+    over_time("slip", "Slip of every wheel over time."),
     utilisation_plot,
-    over_time(
-        "contact",
-        "Depth and slip ratio of every wheel over time.",
-        "sinkage depth slip_ratio drawbar_reserve",
-    ),
-    over_time(
-        "clearance",
-        "Least distance of the vehicle's bodies from the ground over time.",
-        "clearance_body",
-    ),
-    over_time("tilts", "Angles of the joints over time.", "*"),
-    over_time(
-        "checks",
-        "Accuracy and validity: residuals and margins over time.",
-        "closure_residual newton_step singular_value clearance relative_curvature",
-    ),
-    over_time("rates", "Rates of wheels and joints over time.", "wheel_rate *_rate"),
-    over_time(
-        "forces",
-        "Forces between wheels and ground, and torques of the drives.",
-        "force_normal force_along force_across drive_torque *_torque *_force",
-    ),
+    over_time("contact", "Depth and slip ratio of every wheel over time."),
+    over_time("clearance", "Least distance of the vehicle's bodies from the ground over time."),
+    over_time("tilts", "Angles of the joints over time."),
+    over_time("checks", "Accuracy and validity: residuals and margins over time."),
+    over_time("rates", "Rates of wheels and joints over time."),
+    over_time("forces", "Forces between wheels and ground, and torques of the drives."),
     utilisation_map_plot,
-    over_time(
-        "energy",
-        "Work of the drives, energy of the vehicle, and losses.",
-        "work lost_energy potential_energy kinetic_energy power dissipation",
-    ),
+    over_time("energy", "Work of the drives, energy of the vehicle, and losses."),
 )  # of a motion over terrain, the most important first
 
 
@@ -375,13 +348,7 @@ def _colours(z: Array) -> dict[str, Any]:
 
 def _moving_joints(run: Trajectory) -> list[str]:
     """Return the names of tilts, and of the other joints' angles that change."""
-    return [n for n in _joints(run) if n.startswith("tilt_") or np.ptp(run[n]) > STILL]
-
-
-def _joints(run: Trajectory) -> list[str]:
-    angles = [n for n, c in run.columns.items() if c.label.unit == "rad" and c.values.ndim == 1]
-    stops = {f"{name}_stop" for name in angles}
-    return [name for name in angles if name not in stops and name not in POSE]
+    return [n for n in joint_angles(run) if n.startswith("tilt_") or np.ptp(run[n]) > STILL]
 
 
 def _distance(run: Trajectory) -> Array:

@@ -13,6 +13,7 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from slipfree.core.facts import SCALES, printed_unit
+from slipfree.core.quantities import QUANTITIES, QuantityRow
 from slipfree.core.trajectory import Trajectory, stop_words
 
 MM = 1 / 25.4  # [in]
@@ -38,8 +39,6 @@ DASHES = ("-", "--", ":", "-.")  # for lines beyond the palette
 PLATFORM = "black"
 STOPPED = "#D55E00"
 LARGE = 1e4  # larger map coordinates are drawn relative to a round number [m]
-SHOWN = {"slip_along": "mm/s", "slip_across": "mm/s", "depth": "mm", "sinkage": "mm"}
-RESIDUALS = ("closure_residual", "newton_step")  # on a logarithmic axis
 TINY = 1e-16  # smallest drawn residual, in its unit
 KINDS = {
     **{"rad": "angle", "rad s-1": "rate", "m s-1": "rate", "m": "length"},
@@ -101,11 +100,14 @@ def halo(width: float) -> list[AbstractPathEffect]:
     return [withStroke(linewidth=width, foreground="white")]
 
 
+def row(name: str) -> QuantityRow:
+    """Return the row of a quantity in the table of quantities; an empty one for others."""
+    return QUANTITIES.get(name) or QuantityRow(name, "", "")
+
+
 def words(name: str) -> str:
     """Return the printed name of a quantity or a wheel."""
-    printed = {"newton_step": "integration error", "closure_residual": "contact error"}
-    printed["singular_value"] = "smallest singular value"
-    return printed.get(name, name.replace("_", " "))
+    return row(name).title or name.replace("_", " ")
 
 
 def position_axis(axis: Any, name: str, low: float) -> None:
@@ -129,10 +131,10 @@ def history(
     """Draw quantities over time: one of wheels with a line per wheel, or others; and zero."""
     names, k = [names] if isinstance(names, str) else list(names), 0
     for name in names:
-        values = SCALES[SHOWN[name]] * run[name] if name in SHOWN else run[name]
+        values = SCALES.get(row(name).shown, 1.0) * run[name]
         if run.columns[name].label.unit == "J":
             values = values - values[0]
-        values = np.maximum(values, TINY) if name in RESIDUALS else values
+        values = np.maximum(values, TINY) if row(name).is_residual else values
         lines = dict(zip(run.wheels, values.T, strict=True)) if values.ndim == 2 else {name: values}
         for line, own in lines.items():
             alone = {"color": PLATFORM} if values.ndim == 1 and len(names) == 1 else {}
@@ -140,9 +142,9 @@ def history(
             k += 1
     units = dict.fromkeys(run.columns[name].label.unit for name in names)
     what = words(names[0]) if len(names) == 1 else KINDS.get(next(iter(units)), "value")
-    shown = SHOWN.get(names[0], ", ".join(map(printed_unit, units)))
+    shown = row(names[0]).shown or ", ".join(map(printed_unit, units))
     ax.set_ylabel(f"{textwrap.fill(what, 16)} [{shown}]")
-    if names[0] in RESIDUALS:
+    if row(names[0]).is_residual:
         ax.set_yscale("log")
         if "tolerance" in run.statistics:
             ax.axhline(run.statistics["tolerance"], color="0.4", lw=0.8, ls="--", label="tolerance")

@@ -13,6 +13,7 @@ from slipfree.core.dae import Dae, Limit, SampledCheck
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import dense, evaluate
 from slipfree.core.newton import solve_linear
+from slipfree.core.quantities import QUANTITIES, quantity_label
 from slipfree.core.records import Array, Label, Mask, leaves
 from slipfree.core.trajectory import Column, SolverError, Trajectory
 from slipfree.solve.initial_conditions import solve_initial_conditions
@@ -309,21 +310,11 @@ def _group_by_quantity(
 
 
 def _report_label(dae: Dae, name: str) -> Label:
+    if name in QUANTITIES:
+        return quantity_label(name, stride=STRIDE)
     units = {f"{labels[0].name}_residual": labels[0].unit for labels in dae.labels.alg if labels}
-    words = {
-        "newton_step": "largest change of a pose coordinate by the first Newton step",
-        "singular_value": "smallest singular value of the Jacobian of the algebraic equations; "
-        f"lengths are divided by the size of the vehicle; interpolated between every {STRIDE}th "
-        "sample",
-    }
-    return Label(
-        name,
-        units.get(name, "1" if name == "singular_value" else "m"),
-        words.get(
-            name,
-            f"largest residual of equations {name.removesuffix('_residual')!r} after Newton steps",
-        ),
-    )
+    words = f"largest residual of equations {name.removesuffix('_residual')!r} after Newton steps"
+    return Label(name, units.get(name, "m"), words)
 
 
 def periodic_states(dae: Dae, x: Array, limits: Iterable[Limit] = ()) -> Mask:

@@ -46,8 +46,7 @@ from slipfree.problem.schema import (
     TerrainKeys,
 )
 from slipfree.problem.verbs.base import CROSS_CHECK, CrossCheck, Result, Watch, integrate
-from slipfree.problem.verbs.drive_facts import FORMULATION
-from slipfree.problem.verbs.driving import DriveVerb, model_attributes
+from slipfree.problem.verbs.driving import FORMULATION, DriveVerb, model_attributes
 from slipfree.solve.sampling import input_samples
 from slipfree.vehicle.tree import Vehicle
 

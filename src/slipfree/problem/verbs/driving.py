@@ -1,4 +1,4 @@
-"""Common parts of the verbs that move one vehicle over terrain."""
+"""Common parts of the verbs that move one vehicle over terrain: facts, summary, diagnostics."""
 
 from __future__ import annotations
 
@@ -11,14 +11,22 @@ import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.errors import DataError
-from slipfree.core.facts import Fact, Lines, Row, lines
+from slipfree.core.facts import Fact, Lines, Row, lines, rows
+from slipfree.core.quantities import QUANTITIES, extremes, joint_angles
 from slipfree.core.records import Array, leaves
-from slipfree.core.trajectory import Trajectory
+from slipfree.core.trajectory import Trajectory, path_length
 from slipfree.files.cf import MAP_TRANSFORM, encode_map_coordinates
 from slipfree.laws.soil import Soil
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.records import is_determinate
-from slipfree.models.samples import CLOSEST, closest_fact, has_pressed_wheels, obstacle_ending
+from slipfree.models.samples import (
+    CLOSEST,
+    closest_fact,
+    has_pressed_wheels,
+    lightest_wheel,
+    obstacle_ending,
+    rocks,
+)
 from slipfree.models.single_wheel import RESERVE, drawbar_reserve
 from slipfree.problem.build import (
     Setup,
@@ -39,15 +47,6 @@ from slipfree.problem.verbs.base import (
     values_of,
     with_diagnostics,
 )
-from slipfree.problem.verbs.drive_facts import (
-    FILLED,
-    MOTION_ROWS,
-    OBSTACLES,
-    PATH_ROWS,
-    START_ROWS,
-    drive_facts,
-    pose_row,
-)
 from slipfree.solve.settle import stable_poses
 from slipfree.terrain.base import Grid
 
@@ -56,6 +55,30 @@ if TYPE_CHECKING:
     from slipfree.show.drive_scene import Driven
     from slipfree.show.plots import Plot
 
+FORMULATION = "formulation"  # attribute of results of direct problems
+OBSTACLES = "obstacles"  # fact of motions over solids: their ending
+FILLED = "filled_samples"  # fact of motions on a map with filled holes
+UNIQUE = ("clearance", "relative_curvature")  # not negative if every wheel has one contact point
+AT_END = "x", "heading"  # quantities whose lines of the summary come first
+FIRST_LINES = """\
+duration: {duration:g}, {samples} samples
+path length: {path_length:.6g}, heights {z_least.value:.4f} to {z_greatest:.4f}
+obstacles: {obstacles}: {obstacles.words}
+filled ground: {filled_samples} of {samples} samples have a wheel on interpolated heights; along \
+the contact points: <filled_paths> {wheel} {length:.4g} of {path_length:.4g} m"""
+LAST_LINES = """\
+!not converged: <not_converged> {name} at {fact} of {samples} samples
+!diagnostics failed: <failed_diagnostics> {fact}
+!integrator: {steps:.0f} steps, {residuals:.0f} evaluations, {cpu_seconds:.3g} s CPU, tolerance \
+{tolerance:g}"""
+START_ROWS = rows(
+    """\
+stable poses: <stable_poses> pitch {pitch:.3f}, roll {roll:.3f} rad with {wheel} least loaded, \
+{share:.2g} of an equal share of the weight
+!contact certificate: {contact_certificate}
+"""
+    + QUANTITIES["clearance_body"].line
+)
 Diagnostic = Callable[[Trajectory], Trajectory]
 
 
@@ -65,12 +88,22 @@ class DriveVerb(Verb, ABC):
     commands = ("run", "check", "vehicle")
     options: ClassVar[tuple[str, ...]] = ()  # of slipfree run: CROSS_CHECK, RESUME
     is_timed: ClassVar[bool] = True  # whether the solver proceeds along the time, as integrators do
-    rows: ClassVar[tuple[Row, ...]] = (*PATH_ROWS, *MOTION_ROWS)  # of the summary of a motion
+    # rows of the summary of a motion that only this verb has: after those of the pose, and last
+    own_rows: ClassVar[tuple[Row, ...]] = ()
+    last_rows: ClassVar[tuple[Row, ...]] = ()
     metrics_shown: ClassVar[tuple[str, ...]] = ("slip_rms", "tilt_largest", "utilisation_largest")
     verified: ClassVar[tuple[str, ...]] = ()  # beginnings of the facts of `verification`
 
     def __init__(self) -> None:
         super().__init__(self.schema, *self.commands)
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """Rows of the summary of a motion, with the lines of the table of quantities."""
+        texts = {name: each.line for name, each in QUANTITIES.items() if each.line}
+        first = [FIRST_LINES, *(texts.pop(name) for name in AT_END)]
+        others = rows("\n".join([*texts.values(), LAST_LINES]))
+        return *rows("\n".join(first)), *self.own_rows, *others, *self.last_rows
 
     @abstractmethod
     def build(self, problem: Problem[Any]) -> Setup:
@@ -183,6 +216,144 @@ def _stable_poses(problem: Problem[MotionKeys], setup: Setup) -> tuple[Trajector
         held: dict[str, Any] = {name: float(setup.start[name][0]) for name in states}
         poses = stable_poses(model, options=spec.solver.options, **held)
     return tuple(pose.in_frame(spec.frame) for pose in poses or (setup.start,))
+
+
+def drive_facts(run: Trajectory) -> dict[str, Fact]:
+    """Return the facts of a motion: last values, extremes, path length, slip, energy, rocking."""
+    facts = extremes(run)
+    duration, length = float(run.t[-1] - run.t[0]), path_length(run)
+    facts["duration"], facts["path_length"] = Fact(duration, "s"), Fact(length, "m")
+    tilts = [name for name in joint_angles(run) if name.startswith("tilt_")]
+    if largest := extremes(run, dict.fromkeys(tilts, "largest")):
+        facts |= largest
+        facts["tilt_largest"] = Fact(max(fact.value for fact in largest.values()), "rad")
+    slip = np.hypot(run["slip_along"], run["slip_across"])
+    facts["slip_largest"] = Fact(float(slip.max()), "m s-1")
+    facts["slip_by_wheel"] = Fact(
+        [
+            {
+                "wheel": wheel,
+                "along_largest": float(np.abs(run["slip_along", wheel]).max()),
+                "across_largest": float(np.abs(run["slip_across", wheel]).max()),
+                "rms": float(np.sqrt(np.mean(slip[:, k] ** 2))),
+            }
+            for k, wheel in enumerate(run.wheels)
+        ]
+    )
+    if duration > 0:
+        squares = np.trapezoid(slip**2, run.t, axis=0).mean()
+        facts["slip_rms"] = Fact(float(np.sqrt(squares / duration)), "m s-1")
+    if length > 0:
+        total = np.trapezoid(slip, run.t, axis=0).mean()
+        facts["slip_per_path"] = Fact(float(total / length), "m m-1")
+    steps = np.hypot(np.diff(run["x"]), np.diff(run["y"]))
+    facts["sample_distance_largest"] = Fact(float(steps.max(initial=0.0)), "m")
+    unknown = {
+        name: int(np.isnan(column.values).reshape(run.t.size, -1).any(axis=1).sum())
+        for name, column in run.columns.items()
+    }
+    facts["not_converged"] = Fact({name: count for name, count in unknown.items() if count})
+    if "drawbar_reserve" in run:
+        reserve = run["drawbar_reserve"].sum(axis=1)
+        least = int(np.nanargmin(reserve))
+        facts["drawbar_least"] = Fact(float(reserve[least]), "N", f"t = {run.t[least]:.4g} s")
+    if "body_load" in run:
+        facts["body_on_ground"] = Fact(float((run["body_load"] > 0).mean()), "1")
+    if "utilisation_largest" in facts:
+        facts["friction"] = Fact(_friction(run, facts["utilisation_largest"]))
+    if has_pressed_wheels(run):
+        facts |= _pressed_facts(run)
+    model, law = run.attributes.get("model"), run.attributes.get("law", "least")
+    meaning = f"by the slip law {law!r}, not a prediction"
+    if law == "least":
+        meaning = "the least that kinematics allows: a lower bound, not a prediction"
+    if model == "dynamics":
+        energy = run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
+        work, lost = (run[name] - run[name][0] for name in ("work", "lost_energy"))
+        balance = float(np.abs(energy - energy[0] - work + lost).max())
+        facts["energy_imbalance"] = Fact(balance, "J")
+        meaning = f"a prediction with inertia, by the wheel-ground law {law!r}"
+    else:
+        facts["contact_certificate"] = Fact(_certificate(run, facts))
+    if model == "quasi-static":
+        meaning = f"a quasi-static prediction by the wheel-ground law {law!r}"
+    facts["slip_law"] = Fact(meaning)
+    return facts
+
+
+def _pressed_facts(run: Trajectory) -> dict[str, Fact]:
+    """Return facts about pressed wheels: time in the air, lift-offs and rocking."""
+    depth = run["depth"]
+    flying = np.concatenate([[False], (depth < 0).all(axis=1), [False]])
+    ends = np.append(run.t, run.t[-1])  # of flights, with all wheels in the air
+    edges = np.flatnonzero(np.diff(flying)).reshape(-1, 2).tolist()
+    flights = [float(ends[last] - run.t[first]) for first, last in edges]
+    lifted, heights = (depth < 0).mean(axis=0), -depth.min(axis=0)
+    in_air = [
+        {"wheel": wheel, "share_of_samples": float(share), "height": float(height)}
+        for wheel, share, height in zip(run.wheels, lifted, heights, strict=True)
+        if share
+    ]
+    changes = [rock._asdict() for rock in rocks(run)]
+    facts = {
+        "time_in_air": Fact(sum(flights), "s"),
+        "longest_flight": Fact(max(flights, default=0.0), "s"),
+        "wheels_in_air": Fact(in_air),
+        "lift_offs": Fact(int(((depth[:-1] >= 0) & (depth[1:] < 0)).sum()), "1"),
+        "rocks": Fact(changes),
+        "wheel_contact": Fact("compliant contact"),
+    }
+    if run.attributes.get("model") == "dynamics":
+        return facts
+    return facts | {
+        "wheel_contact": Fact("pressed wheels"),
+        "least_loaded": Fact(lightest_wheel(run, 0)[0]),
+        "load_changes": Fact(str(len(changes))),
+    }
+
+
+def _friction(run: Trajectory, used: Fact) -> str:
+    """Return the largest utilisation of friction, or without friction the coefficient needed."""
+    where = f"{used:.4g} at most ({used.words})"
+    if "ground_friction" not in run.attributes:
+        return f"coefficient needed {where}; the ground has no given coefficient"
+    spread = ", for the forces that this motion needs"
+    if "utilisation_best" in run.columns:
+        spread += ", distributed by load"
+    if run.attributes.get("model") in ("quasi-static", "dynamics"):
+        spread = f" by the law {run.attributes['law']!r}"
+    enough = "" if used.value <= 1 else "; friction is not sufficient for this motion"
+    coefficient = run.attributes["ground_friction"]
+    return f"utilisation {where}, of a coefficient of {coefficient}{spread}{enough}"
+
+
+def _certificate(run: Trajectory, facts: Mapping[str, Fact]) -> str:
+    """Return the text of the contact certificate: whether each wheel has a single contact point.
+
+    It begins with "clean" if this is certain at all samples, otherwise with "broken".
+    """
+    if UNIQUE[0] not in run:
+        return "clean: the ground is a plane"
+    clearance, curvature = (facts[f"{name}_least"].value for name in UNIQUE)
+    clean = "clean" if min(clearance, curvature) >= 0 else "broken"
+    if run.stop is not None and run.stop.name.partition("[")[0] in UNIQUE:
+        clean += " up to the stop"
+    room = (
+        "no other part of the ground near the wheels"
+        if np.isinf(clearance)
+        else f"clearance beside the contacts {clearance:.4g} m at least"
+    )
+    words = f"{clean}: {room}, relative curvature {curvature:.4g} 1/m at least"
+    if run.t.size == 1:
+        return words
+    return f"{words}; samples at most {facts['sample_distance_largest'].value:.3g} m apart"
+
+
+def pose_row(pose: Trajectory) -> dict[str, Any]:
+    """Return a stable pose at the start, with its least loaded wheel."""
+    wheel, share, depth = lightest_wheel(pose, 0)
+    angles = {name: float(pose[name][0]) for name in ("pitch", "roll")}
+    return {**angles, "wheel": wheel, "share": share, "depth": depth}
 
 
 def model_attributes(spec: Modelled) -> dict[str, str]:

@@ -52,7 +52,6 @@ from slipfree.problem.verbs.base import (
     integrate,
     with_diagnostics,
 )
-from slipfree.problem.verbs.drive_facts import MOTION_ROWS, PATH_ROWS, extremes
 from slipfree.problem.verbs.driving import DriveVerb
 from slipfree.problem.verbs.inverse_schema import Inverse, are_commands, read_commands
 from slipfree.solve.collocation import drive
@@ -107,7 +106,7 @@ def steering_warning(run: Trajectory) -> str:
 
 def _inverse_facts(run: Trajectory) -> dict[str, Fact]:
     """Return the facts about rates of wheels and steering, and errors of commands or of a path."""
-    facts = extremes(run, {"steering_slip": "largest", "inverse_margin": "least"})
+    facts = dict[str, Fact]()
     if "inverse_margin" in run:
         facts["margin_meaning"] = Fact(run.columns["inverse_margin"].label.words)
     if warning := steering_warning(run):
@@ -151,7 +150,7 @@ class InverseVerb(DriveVerb):
     """Inverse kinematics: wheel and steering rates for a given motion of the platform."""
 
     schema = Inverse
-    rows = (*PATH_ROWS, *ROWS, *MOTION_ROWS, *CHECK_ROWS)
+    own_rows, last_rows = ROWS, CHECK_ROWS
     metrics_shown = ("inverse_margin_least", "slip_rms", "utilisation_largest")
     verified = (ROUND_TRIP, REPLAY)
 

@@ -48,7 +48,6 @@ from slipfree.problem.verbs.base import (
     Watch,
     with_diagnostics,
 )
-from slipfree.problem.verbs.drive_facts import MOTION_ROWS, PATH_ROWS
 from slipfree.problem.verbs.driving import (
     Diagnostic,
     DriveVerb,
@@ -106,7 +105,7 @@ class PlanVerb(DriveVerb):
     schema = plan_schema.PlanKeys
     options = (RESUME,)
     is_timed = False
-    rows = (*PATH_ROWS, *ROWS, *MOTION_ROWS)
+    own_rows = ROWS
     verified = (DIFFERENCE, VIOLATION)
     metrics_shown = ("within_limits", "plan_violation", "slip_rms")
 
