@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import slipfree as sf
-from helpers.commands import invoke, pressing
+from helpers.commands import invoke, pressing, refuses
 from slipfree import catalog
 
 RATES = {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": 0.0}
@@ -160,8 +160,7 @@ def test_degrees_are_asked_back(calls):
         (sf.atlas, calls["atlas"][1] | {"headings": [0.0, 90.0]}),
         (catalog.three_wheeler, {"tilt_stop": 90}),
     ):
-        with pytest.raises(sf.ModelError, match=words):
-            function(**given)
+        refuses(sf.ModelError, words, function, **given)
     assert start["heading"] == sf.settle(model, heading=2 * np.pi, **places)["heading"] - 2 * np.pi
 
 

@@ -222,18 +222,8 @@ def test_windows_of_a_large_map_give_the_same(monkeypatch):
     write_map(z, nodata=-9999)
     mu = (0.5 + 0.2 * np.cos(columns / 5)).astype("f4")
     geotiff(Path("mu.tif"), mu[:, 30:], from_origin(5e5 + 30, 5e6, 1.0))
-    words = (
-        "atlas",
-        "site.tif",
-        "three_wheeler",
-        *QUICK,
-        "--friction",
-        "mu.tif",
-        "--every",
-        "11",
-        "--headings",
-        "1",
-    )
+    words = "atlas", "site.tif", "three_wheeler", *QUICK, "--every", "11", "--headings", "1"
+    words = *words, "--friction", "mu.tif"
     words = *words, *sets("terrain.scale=0.7", "terrain.window=[3.5e5, 3.51e5, 3e6, 4e6]")
     printed(*words, "-o", "whole.nc")
     monkeypatch.setattr(build_ground, "LARGE", 100)

@@ -16,7 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 import slipfree
-from helpers.commands import invoke, refused
+from helpers.commands import invoke, refused, sets
 from helpers.problem_files import PROBLEM
 from slipfree.cli import app, common
 from slipfree.core.outcome import Outcome
@@ -47,8 +47,7 @@ def _json(*words: str, code: int = 0) -> dict[str, Any]:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_new_problem_runs_as_it_is(kind: str) -> None:
-    result = invoke("new", kind, "mine", code=0)
-    assert "wrote mine.toml" in result.stdout
+    assert "wrote mine.toml" in invoke("new", kind, "mine", code=0).stdout
     text = Path("mine.toml").read_text()
     assert "slipfree run mine.toml" in text
     assert "FILE" not in text
@@ -75,8 +74,7 @@ def test_new_replaces_nothing_unasked() -> None:
     for name in ("", ".", "a\nb"):
         assert "expected a file name of printable characters" in invoke("new", "plan", name).stderr
     assert "slipfree run 'a b.toml'" in invoke("new", "plan", "a b").stdout
-    result = invoke("new", "walk", "a", code=2)
-    assert "'direct', 'inverse', 'plan'" in result.stderr
+    assert "'direct', 'inverse', 'plan'" in refused("new", "walk", "a")
 
 
 def test_examples_are_the_shipped_problems() -> None:
@@ -103,8 +101,7 @@ def test_an_example_is_copied_with_what_it_needs(folder: Path) -> None:
     assert invoke("check", "deep/er/your_vehicle.toml").exit_code == 0
     assert invoke("examples", "dynamics_ice", "--to", "map").exit_code == 0
     assert invoke("check", "map/dynamics_ice.toml").exit_code == 0
-    again = invoke("examples", "your_vehicle", "--to", "deep/er", code=2)
-    assert "use --force to replace" in again.stderr
+    assert "use --force to replace" in refused("examples", "your_vehicle", "--to", "deep/er")
     assert invoke("examples", "your_vehicle", "--to", "deep/er", "--force").exit_code == 0
 
 
@@ -135,13 +132,8 @@ def test_verbose_says_what_is_done_and_when() -> None:
     lines = result.stderr.splitlines()
     times = [float(re.match(r"\[ *([\d.]+) s\] ", line)[1]) for line in lines]
     assert times == sorted(times)
-    for words in (
-        "read p.toml",
-        "settled the vehicle at the start",
-        "solved: steps ",
-        "wrote p.nc",
-    ):
-        assert words in result.stderr
+    done = ("read p.toml", "settled the vehicle at the start", "solved: steps ", "wrote p.nc")
+    assert all(words in result.stderr for words in done)
     assert "integrated to" not in result.stderr  # it took no second
     names = [[line.split("  ")[0] for line in each.stdout.splitlines()] for each in (plain, result)]
     assert names[0] == names[1]
@@ -464,20 +456,10 @@ def test_as_a_module(folder):
 
 @pytest.mark.slow
 def test_formulations_agree_at_the_shell():
-    result = invoke(
-        "run", "p.toml", "--no-draw", "--cross-check", "--set", "time.duration=0.5", code=0
-    )
-    assert "largest differences from formulation = 'montana'" in result.stdout
-    montana = invoke(
-        "run",
-        "p.toml",
-        "--no-draw",
-        "--set",
-        "formulation=montana",
-        "--set",
-        "time.duration=0.5",
-        code=0,
-    )
+    run = ("run", "p.toml", "--no-draw", *sets("time.duration=0.5"))
+    told = invoke(*run, "--cross-check", code=0).stdout
+    assert "largest differences from formulation = 'montana'" in told
+    montana = invoke(*run, *sets("formulation=montana"), code=0)
     assert "drift of the assembly" in montana.stdout
 
 
@@ -497,5 +479,4 @@ def test_path_from_a_file(folder):
             "expected no path with name = 'straight'",
         ),
     ):
-        result = invoke("check", "p.toml", "--set", wrong, code=2)
-        assert words in result.stderr
+        assert words in refused("check", "p.toml", "--set", wrong)

@@ -8,18 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import slipfree as sf
 from helpers.cases import hills
 from helpers.commands import invoke
-from slipfree import (
-    Analytic,
-    ModelError,
-    Rolling,
-    SolverOptions,
-    direct_kinematics,
-    settle,
-    simulate,
-    straight,
-)
 from slipfree.catalog import three_wheeler
 from slipfree.models.samples import measured_slip
 from slipfree.problem.load import load_problem
@@ -84,28 +75,28 @@ def test_slip_jacobian_has_the_counted_rank(axle):
     vehicle = three_wheeler(axle=axle)
     free = sum(not wheel.driven for wheel in vehicle.wheels)
     assert 6 + len(vehicle.of("passive")) + free == FREEDOMS[axle]
-    ground = Analytic(hills)
+    ground = sf.Analytic(hills)
     if axle in CAN_ROLL:
-        dae = direct_kinematics(vehicle, ground, slip=Rolling())
-        start = settle(dae, heading=0.2)
-        law = straight(dae, start, speed=0.1)
-        run = simulate(dae, start, law, np.linspace(0, 2, 5))
+        dae = sf.direct_kinematics(vehicle, ground, slip=sf.Rolling())
+        start = sf.settle(dae, heading=0.2)
+        law = sf.straight(dae, start, speed=0.1)
+        run = sf.simulate(dae, start, law, np.linspace(0, 2, 5))
         assert run["no_slip_residual"].max() < 1e-13
     else:
-        with pytest.raises(ModelError, match="cannot roll without slip"):
-            direct_kinematics(vehicle, ground, slip=Rolling())
+        with pytest.raises(sf.ModelError, match="cannot roll without slip"):
+            sf.direct_kinematics(vehicle, ground, slip=sf.Rolling())
 
 
 def test_measured_slip_needs_even_samples():
-    dae = direct_kinematics(three_wheeler(), Analytic(hills))
-    start = settle(dae)
+    dae = sf.direct_kinematics(three_wheeler(), sf.Analytic(hills))
+    start = sf.settle(dae)
     rates = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
     for t, words in (
         ([0.0, 0.1, 0.2], "at least five samples, found 3"),
         ([0.0, 0.1, 0.2, 0.3, 0.5], "equally spaced samples, found steps of 0.1 to 0.2 s"),
     ):
-        run = simulate(dae, start, rates, np.array(t))
-        with pytest.raises(ModelError, match=words):
+        run = sf.simulate(dae, start, rates, np.array(t))
+        with pytest.raises(sf.ModelError, match=words):
             measured_slip(three_wheeler(), run)
 
 
@@ -130,13 +121,13 @@ def axle_mismatch(run, rates):
 
 def test_no_slip_conditions_of_a_rigid_axle():
     """Cited by the paper: equal rates, or the line of contacts coplanar with the axle."""
-    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
-    uneven = settle(dae, x=0.3, y=0.4, heading=0.5)
+    dae = sf.direct_kinematics(three_wheeler(axle="fixed"), sf.Analytic(hills))
+    uneven = sf.settle(dae, x=0.3, y=0.4, heading=0.5)
     assert axle_mismatch(uneven, (0.5, 0.5)) < 1e-15  # equal rates: never any slip
     assert axle_mismatch(uneven, (0.5, 0.4)) > 1e-5  # different rates, generic ground
-    ridge = Analytic(lambda x, y: 0.2 * ca.cos(0.8 * y) + 0.05 * x)
-    dae = direct_kinematics(three_wheeler(axle="fixed"), ridge)
-    coplanar = settle(dae, heading=0.0, y=0.7)  # both rear wheels meet the same slope
+    ridge = sf.Analytic(lambda x, y: 0.2 * ca.cos(0.8 * y) + 0.05 * x)
+    dae = sf.direct_kinematics(three_wheeler(axle="fixed"), ridge)
+    coplanar = sf.settle(dae, heading=0.0, y=0.7)  # both rear wheels meet the same slope
     assert axle_mismatch(coplanar, (0.5, 0.4)) < 1e-12
 
 
@@ -161,10 +152,14 @@ def test_faults_of_a_vehicle_are_located(tmp_path):
 def test_rates_hold_for_every_sample_of_a_run():
     """Measured slip of a slipping vehicle equals the model's at every sample, by components."""
     vehicle = three_wheeler(axle="fixed")
-    dae = direct_kinematics(vehicle, Analytic(hills))
+    dae = sf.direct_kinematics(vehicle, sf.Analytic(hills))
     rates = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
-    run = simulate(
-        dae, settle(dae), rates, np.linspace(0, 2, 101), options=SolverOptions(tolerance=1e-11)
+    run = sf.simulate(
+        dae,
+        sf.settle(dae),
+        rates,
+        np.linspace(0, 2, 101),
+        options=sf.SolverOptions(tolerance=1e-11),
     )
     size = np.linalg.norm(measured_slip(vehicle, run), axis=2)
     expected = np.hypot(run["slip_along"], run["slip_across"])[2:-2]

@@ -96,8 +96,7 @@ def test_check_and_vehicle() -> None:
         result = invoke("check", file, code=0)
         assert words in result.stdout
         assert result.stdout.endswith("ok\n")
-    result = invoke("vehicle", "p.toml", "--verbose", code=0)
-    assert "it can roll without slip" in result.stdout
+    assert "it can roll without slip" in invoke("vehicle", "p.toml", "--verbose", code=0).stdout
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from helpers.commands import invoke
+from helpers.commands import invoke, refuses
 from slipfree.cli.show import open_page
 from slipfree.core.errors import DataError
 from slipfree.files.toml.source import ProblemError
@@ -241,16 +241,13 @@ def test_values_of_a_page_are_checked():
         {"regions": 3},
     ]
     for values in bad:
-        with pytest.raises(DataError, match="found other values; reload the page"):
-            places_from(good | values)
-    with pytest.raises(DataError, match="expected start, goal"):
-        places_from(None)
+        refuses(DataError, "found other values; reload the page", places_from, good | values)
+    refuses(DataError, "expected start, goal", places_from, None)
 
 
 def test_an_invalid_problem_is_not_saved(document):
     turned = document.places._replace(goal_heading=1e300)
-    with pytest.raises(ProblemError, match="heading"):
-        saved(document, turned)
+    refuses(ProblemError, "heading", saved, document, turned)
     assert document.path.read_bytes() == document.raw
 
 
@@ -296,8 +293,7 @@ def test_links_and_permissions_remain_and_read_only_files_are_refused(document):
     assert document.path.is_symlink()
     assert target.stat().st_mode & 0o777 == 0o640
     target.chmod(0o440)
-    with pytest.raises(DataError, match="found a read-only file; make it writable"):
-        saved(done, document.places)
+    refuses(DataError, "found a read-only file; make it writable", saved, done, document.places)
     assert target.read_bytes() == done.raw
 
 

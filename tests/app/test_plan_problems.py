@@ -66,17 +66,9 @@ PRESSED = (
             ["keep_out=[{ x = 20.0, y = 35.0, radius = 2.0 }]"],
             "vehicle cannot be at the goal",
         ),
-        (
-            FIELD,
-            ["terrain.friction=0.01"],
-            "times the friction of the ground; move the start",
-        ),
+        (FIELD, ["terrain.friction=0.01"], "times the friction of the ground; move the start"),
         (FIELD, ["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points[0]: expected the key 'at'"),
-        (
-            FIELD,
-            ["plan.intervals=100000"],
-            "expected at most 2000 intervals, found 100000; redu",
-        ),
+        (FIELD, ["plan.intervals=100000"], "expected at most 2000 intervals, found 100000; redu"),
         (
             FIELD,
             [
@@ -90,11 +82,7 @@ PRESSED = (
             ["way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"],
             "two; put their values into one table",
         ),
-        (
-            FIELD,
-            ["limits.x=[0.0, 10.0]"],
-            "x at the goal must be 20 m, but x of the vehicle",
-        ),
+        (FIELD, ["limits.x=[0.0, 10.0]"], "x at the goal must be 20 m, but x of the vehicle"),
         (PARKING, ("driver={name='reeds-shepp', speed=-0.4}",), "expected a positive speed"),
         (
             PARKING,
@@ -115,11 +103,7 @@ PRESSED = (
         (HILLS, ("plan.robust.friction=0.1",), "expected a ground with friction"),
         (HILLS, ("plan.robust.inputs=0.1", "plan.window=2.0", "plan.duration="), "plan.window"),
         (HILLS, ("plan.robust.share=1.0",), "less than 1"),
-        (
-            HILLS,
-            (*WINDOWS, "plan.window="),
-            "plan.overlap: expected this key only with 'window'",
-        ),
+        (HILLS, (*WINDOWS, "plan.window="), "plan.overlap: expected this key only with 'window'"),
         (
             HILLS,
             (*WINDOWS, "driver={name='straight', speed=0.25}"),

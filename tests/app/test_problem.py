@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.commands import refuses
 from helpers.problem_files import FILE, VALID, _read
 from slipfree.files.toml.source import ProblemError
 from slipfree.problem.load import load_problem
@@ -164,8 +165,7 @@ def test_piecewise_inputs_on_flat_ground(tmp_path: Path) -> None:
 )
 def test_what_only_the_model_knows(settings: list[str], words: str, tmp_path: Path) -> None:
     problem = _read(tmp_path, VALID, *settings)
-    with pytest.raises(ProblemError, match=words):
-        build(problem)
+    refuses(ProblemError, words, build, problem)
 
 
 def _npz(path: Path, **changes: object) -> None:
@@ -184,8 +184,7 @@ def _npz(path: Path, **changes: object) -> None:
 def test_bad_grounds(changes: dict[str, object], words: str, tmp_path: Path) -> None:
     _npz(tmp_path / "g.npz", **changes)
     problem = _read(tmp_path, FILE)
-    with pytest.raises(ProblemError, match=rf"p\.toml:4: terrain\.file: .*g\.npz: .*{words}"):
-        build(problem)
+    refuses(ProblemError, rf"p\.toml:4: terrain\.file: .*g\.npz: .*{words}", build, problem)
 
 
 def test_ground_file_scaled_and_cut(tmp_path: Path) -> None:
@@ -202,8 +201,7 @@ def test_a_wheel_over_a_narrow_pit_cannot_stand(tmp_path: Path) -> None:
     pit = -0.5 * np.exp(-((x[:, None] - 1.0) ** 2 + (y + 0.5) ** 2) / 0.01)
     np.savez(tmp_path / "g.npz", x=x, y=y, z=pit)
     problem = _read(tmp_path, FILE, "start.x=0", "start.heading=0")
-    with pytest.raises(ProblemError, match=r"p\.toml:\d+: start: .*wheel right.*terrain\.rolled"):
-        build(problem)
+    refuses(ProblemError, r"p\.toml:\d+: start: .*wheel right.*terrain\.rolled", build, problem)
 
 
 def test_the_sample_and_rolled(tmp_path: Path) -> None:

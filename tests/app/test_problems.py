@@ -104,17 +104,12 @@ STARTERS = ROOT / "src" / "slipfree" / "starters"
 MAP = "terrain.synthetic=", "terrain.file=map.npz"
 TIMES = "[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]"
 RATES = "left_rate=0.4, steer_rate=0.1"
+OTHERS = [('vehicle={catalog="rocky7"}',), ('vehicle={file="vehicle.toml"}',)]
 WAYS = {  # kind and beginning of a comment: settings of each alternative that it describes
     ("direct", "of both tables"): [MAP],
     ("atlas", "of both tables"): [MAP],
-    ("atlas", "another vehicle of the catalogue"): [
-        ('vehicle={catalog="rocky7"}',),
-        ('vehicle={file="vehicle.toml"}',),
-    ],
-    ("direct", "another vehicle of the catalogue"): [
-        ('vehicle={catalog="rocky7"}',),
-        ('vehicle={file="vehicle.toml"}',),
-    ],
+    ("atlas", "another vehicle of the catalogue"): OTHERS,
+    ("direct", "another vehicle of the catalogue"): OTHERS,
     ("direct", "[inputs]"): [
         ("driver=", f"inputs={{right_rate=0.4, {RATES}}}"),
         ("driver=", f"inputs={{right_rate=[[0.0, 0.4], [2.0, 0.3]], {RATES}}}"),

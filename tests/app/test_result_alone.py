@@ -12,7 +12,7 @@ import pyproj
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.commands import invoke, printed, refused
+from helpers.commands import invoke, printed, refused, refuses
 from helpers.rasters import from_origin, geotiff
 from slipfree import open_result
 from slipfree.core.errors import DataError
@@ -148,8 +148,7 @@ def test_changes_apply_to_the_ground_of_a_result(
     stored = changed()
     assert changed("terrain.friction=0.3")[2:4] == (None, 0.3)
     assert_allclose(changed("terrain.friction=0.3").grid.z, stored.grid.z, rtol=0)
-    with pytest.raises(DataError, match=r"hills.npz: expected"):
-        changed("terrain.error.rms=0.02")
+    refuses(DataError, r"hills.npz: expected", changed, "terrain.error.rms=0.02")
     other = f'terrain.file="{folder / "hills.npz"}"'
     assert np.ptp(changed(other, "terrain.error=", "terrain.friction=").grid.z) > 0.1
 

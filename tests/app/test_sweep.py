@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from helpers.commands import invoke, sets
+from helpers.commands import invoke, refused, refuses, sets
 from helpers.sweep_cases import (
     GRID,
     PROBLEM,
@@ -143,8 +143,7 @@ def test_a_dry_run_says_what_would_be_run(file):
     ],
 )
 def test_bad_input_is_refused_before_anything_runs(file, words, said):
-    result = invoke("sweep", "p.toml", *words, code=2)
-    assert said in result.stderr
+    assert said in refused("sweep", "p.toml", *words)
     assert {path.name for path in file.parent.iterdir()} == {"p.toml"}
 
 
@@ -289,8 +288,7 @@ def test_the_log_keeps_what_was_written(tmp_path):
     with Rows(folder, 3, HEAD) as rows:
         assert list(rows) == []
         rows.append(ROW)
-        with pytest.raises(DataError, match="no other process writes, found one in use"):
-            Rows(folder, 3, HEAD)
+        refuses(DataError, "no other process writes, found one in use", Rows, folder, 3, HEAD)
     log = folder / LOG
     whole = log.read_bytes()
     log.write_bytes(whole + b'{"part": 2, "sett')
@@ -364,8 +362,7 @@ def test_a_log_of_something_else_is_refused(tmp_path):
         Rows(tmp_path, 3, HEAD)
     (tmp_path / LOG).unlink()
     os.mkfifo(tmp_path / LOG)
-    with pytest.raises(DataError, match="found no regular file"):
-        Rows(tmp_path, 3, HEAD)
+    refuses(DataError, "found no regular file", Rows, tmp_path, 3, HEAD)
 
 
 def test_a_map_that_changes_during_a_sweep_ends_it(file, monkeypatch):

@@ -22,7 +22,7 @@ from PIL import Image
 from scipy.ndimage import binary_erosion
 
 from helpers.chromium import headless_chromium
-from helpers.commands import invoke, refused, sets
+from helpers.commands import invoke, refused, refuses, sets
 from slipfree.core.errors import DataError
 from slipfree.show.local_server import Guard, stop
 
@@ -483,8 +483,7 @@ def test_requests_without_the_secret_are_refused(
     assert status == 403
     assert "expected the address that slipfree show printed, with its secret" in text
     assert "open that address in the browser" in text
-    with pytest.raises(errors.InvalidStatus, match="403"):
-        _joined(port, path or "/")
+    refuses(errors.InvalidStatus, "403", _joined, port, path or "/")
     (words,) = told
     assert words.endswith("without the secret")
     assert secret not in words + text

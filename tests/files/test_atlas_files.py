@@ -5,6 +5,7 @@ import pytest
 import rasterio
 import xarray
 
+from helpers.commands import refuses
 from slipfree import Bicubic, DataError, Grid, catalog, direct_kinematics
 from slipfree.atlas.atlas import Atlas, Band, atlas
 from slipfree.atlas.summary import SLIDES, UNDECIDED, verdicts
@@ -121,8 +122,7 @@ def test_a_damaged_file_is_an_error(tmp_path, poses, site, damage):
     file = tmp_path / "a.nc"
     write_atlas(file, poses, site)
     file.write_bytes(file.read_bytes().replace(damage.encode(), b"_" * len(damage)))
-    with pytest.raises(DataError, match="expected a result file of slipfree"):
-        open_atlas(file)
+    refuses(DataError, "expected a result file of slipfree", open_atlas, file)
 
 
 def test_verdicts_have_three_values():

@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from helpers.cases import DATA
-from helpers.commands import invoke, refused
+from helpers.commands import invoke, refused, refuses
 from helpers.urdf import adam_model
 from slipfree.catalog import rocky7
 from slipfree.core.errors import DataError
@@ -295,12 +295,9 @@ def test_paths_are_read(tmp_path):
 def test_what_cannot_be_read(tmp_path):
     kind = "geometry_msgs/msg/Twist"
     file = _bag(tmp_path, ("/a", kind, _twists()), ("/b", kind, _twists()))
-    with pytest.raises(DataError, match=r"expected one topic .*, found /a, /b"):
-        read_names(file, "commands")
-    with pytest.raises(DataError, match="Odometry, found none"):
-        read_columns(file, "xy")
-    with pytest.raises(DataError, match="expected a CSV file, found MCAP"):
-        read_columns(file, ("solid", "x", "z"))
+    refuses(DataError, r"expected one topic .*, found /a, /b", read_names, file, "commands")
+    refuses(DataError, "Odometry, found none", read_columns, file, "xy")
+    refuses(DataError, "expected a CSV file, found MCAP", read_columns, file, ("solid", "x", "z"))
     with pytest.raises(DataError, match=r"JointState, found none among /a \(geometry_msgs/msg/Twi"):
         read_joint_commands(file)
 
@@ -322,8 +319,7 @@ def test_damaged_files_are_refused(damage, words, tmp_path):
     _recorded(file, kind, text, {"linear": fields, "angular": fields})
     assert read_names(file, "commands") == ["t", "v_x", "v_y", "omega_z"]
     file.write_bytes(damage(file.read_bytes()))
-    with pytest.raises(DataError, match=rf"a\.mcap: expected .*{words}"):
-        read_names(file, "commands")
+    refuses(DataError, rf"a\.mcap: expected .*{words}", read_names, file, "commands")
 
 
 def _recorded(file, kind, text, message):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.commands import invoke, refused
+from helpers.commands import invoke, refused, refuses
 from helpers.fuzz_files import bases, document
 from slipfree.core.errors import DataError
 from slipfree.files import netcdf
@@ -173,8 +173,7 @@ def test_a_medium_that_fails_while_it_is_read(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "open", fail)
     for read in (load_problem, read_map, netcdf.read):
         name = {load_problem: "a.toml", read_map: "a.asc"}.get(read, "a.nc")
-        with pytest.raises(DataError, match=r"cannot be read \(Input/output error\)"):
-            read(tmp_path / name)
+        refuses(DataError, r"cannot be read \(Input/output error\)", read, tmp_path / name)
 
 
 @pytest.mark.slow

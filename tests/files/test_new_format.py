@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.commands import printed, sets
+from helpers.commands import printed, refuses, sets
 from slipfree.core.errors import DataError
 from slipfree.files.maps import elevation
 from slipfree.files.maps.elevation import READERS, MapReader, read_map
@@ -48,8 +48,7 @@ def test_a_problem_drives_on_a_map_of_the_new_format(file, tmp_path):
 
 def test_keys_of_other_formats_are_refused(file):
     assert read_map(file, window=(-1, 1, -1, 1)).grid.z.shape == (5, 5)
-    with pytest.raises(DataError, match=r"no 'spacing' for a \.json file"):
-        read_map(file, spacing=0.1)
+    refuses(DataError, r"no 'spacing' for a \.json file", read_map, file, spacing=0.1)
 
 
 def test_the_endings_of_all_formats_are_named(file):

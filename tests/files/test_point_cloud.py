@@ -12,6 +12,7 @@ import pyproj
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from helpers.commands import refuses
 from helpers.fuzz_maps import pcd, ply
 from slipfree.core.errors import DataError
 from slipfree.files.maps.elevation import read_map
@@ -151,18 +152,15 @@ def test_a_file_without_a_system_has_none(tmp_path):
 )
 def test_other_units_are_refused(tmp_path, options, words):
     path = cloud(tmp_path / "a.las", **options)
-    with pytest.raises(DataError, match=rf"a\.las: expected .*{words}"):
-        read_map(path, spacing=1.0)
+    refuses(DataError, rf"a\.las: expected .*{words}", read_map, path, spacing=1.0)
 
 
 def test_too_few_points_and_lines_are_refused(tmp_path):
     places = scattered()
     path = cloud(tmp_path / "a.las", places[:2])
-    with pytest.raises(DataError, match="expected at least 3 points, found 2; use another file"):
-        read_map(path)
+    refuses(DataError, "expected at least 3 points, found 2; use another file", read_map, path)
     path = cloud(tmp_path / "a.las", places * [0, 1] + [WEST, 0], plane(*places.T))
-    with pytest.raises(DataError, match="points that span a surface, found that they lie on a l"):
-        read_map(path)
+    refuses(DataError, "points that span a surface, found that they lie on a l", read_map, path)
 
 
 @pytest.mark.parametrize("ending", ["las", "laz"])
@@ -191,8 +189,7 @@ def test_a_file_that_aborts_its_reader_is_refused(tmp_path):
     table = int.from_bytes(data[points : points + 8], "little")
     data[table + 4 : table + 8] = b"\xff" * 4  # number of chunks, for which lazrs allocates memory
     path.write_bytes(data)
-    with pytest.raises(DataError, match=r"a\.laz: expected a readable file, found that its reader"):
-        read_map(path)
+    refuses(DataError, r"a\.laz: expected a readable file, found that its reader", read_map, path)
 
 
 def test_a_header_with_too_many_records_is_refused_at_once(tmp_path):
@@ -200,8 +197,7 @@ def test_a_header_with_too_many_records_is_refused_at_once(tmp_path):
     data = bytearray(path.read_bytes())
     data[100:104] = b"\xff" * 4  # number of records before the points
     path.write_bytes(data)
-    with pytest.raises(DataError, match="expected a readable LAS or LAZ file, found 42949672"):
-        read_map(path)
+    refuses(DataError, "expected a readable LAS or LAZ file, found 42949672", read_map, path)
 
 
 def test_without_the_package_the_message_says_how_to_install_it(tmp_path, monkeypatch):
@@ -350,16 +346,14 @@ def test_damaged_files_are_refused_by_name(tmp_path, name, data, words):
     path = tmp_path / name
     path.write_bytes(data)
     kind = name[2:].upper()
-    with pytest.raises(
-        DataError, match=rf"(?s){name}: expected a readable {kind} file, found.*({words})"
-    ):
-        read_map(path)
+    refuses(
+        DataError, rf"(?s){name}: expected a readable {kind} file, found.*({words})", read_map, path
+    )
 
 
 def test_large_coordinates_are_refused(tmp_path):
     (tmp_path / "a.ply").write_bytes(ply(PLANE * 1e30, "ascii", real="double"))
-    with pytest.raises(DataError, match="found coordinates that exceed"):
-        read_map(tmp_path / "a.ply")
+    refuses(DataError, "found coordinates that exceed", read_map, tmp_path / "a.ply")
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.pcd"])
@@ -386,5 +380,4 @@ def test_randomly_damaged_files_are_read_or_refused(tmp_path, name):
 def test_a_cloud_with_another_ending_is_named(tmp_path):
     for name, data in (("ply", PLY), ("pcd", PCD)):
         (tmp_path / f"{name}.dat").write_bytes(data)
-        with pytest.raises(DataError, match=rf"rename it to end in \.{name}"):
-            read_map(tmp_path / f"{name}.dat")
+        refuses(DataError, rf"rename it to end in \.{name}", read_map, tmp_path / f"{name}.dat")

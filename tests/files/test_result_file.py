@@ -16,6 +16,7 @@ from numpy.testing import assert_allclose
 from rasterio.crs import CRS
 from scipy.io import netcdf_file
 
+from helpers.commands import refuses
 from helpers.rasters import from_origin, geotiff
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.outcome import Outcome
@@ -159,10 +160,9 @@ def test_every_truncation_is_found(motion, tmp_path):
     data, cut = (tmp_path / "a.nc").read_bytes(), tmp_path / "cut.nc"
     for size in range(len(data)):
         cut.write_bytes(data[:size])
-        with pytest.raises(
-            DataError, match=r"cut\.nc: .* netCDF file that is truncated or damaged"
-        ):
-            netcdf.read(cut)
+        refuses(
+            DataError, r"cut\.nc: .* netCDF file that is truncated or damaged", netcdf.read, cut
+        )
 
 
 @pytest.mark.parametrize(
@@ -175,8 +175,7 @@ def test_every_truncation_is_found(motion, tmp_path):
 )
 def test_other_files(head, words, tmp_path):
     (tmp_path / "a.nc").write_bytes(head)
-    with pytest.raises(DataError, match=words):
-        netcdf.read(tmp_path / "a.nc")
+    refuses(DataError, words, netcdf.read, tmp_path / "a.nc")
 
 
 def _foreign(path, **attributes):
@@ -197,8 +196,7 @@ def test_a_foreign_netcdf_file(tmp_path):
 
 def test_a_file_changed_by_others(motion, tmp_path):
     path = _foreign(tmp_path / "a.nc", slipfree_version=b"0.2.0")
-    with pytest.raises(DataError, match="the empty or unlimited dimension 'time'"):
-        netcdf.read(path)
+    refuses(DataError, "the empty or unlimited dimension 'time'", netcdf.read, path)
     netcdf.write(path, motion)
     data = path.read_bytes()
     for old, new, words in [
@@ -209,8 +207,7 @@ def test_a_file_changed_by_others(motion, tmp_path):
     ]:
         assert old in data
         path.write_bytes(data.replace(old, new))
-        with pytest.raises(DataError, match=words):
-            netcdf.read(path)
+        refuses(DataError, words, netcdf.read, path)
 
 
 @pytest.mark.slow
@@ -250,8 +247,7 @@ def test_unknown_outcomes_are_refused(outcome_files: list[Path]) -> None:
     data = outcome_files[1].read_bytes()
     assert b"limit\0\0\0" in data
     outcome_files[1].write_bytes(data.replace(b"limit\0\0\0", b"limbo\0\0\0"))
-    with pytest.raises(DataError, match="the unknown outcome 'limbo'"):
-        netcdf.read(outcome_files[1])
+    refuses(DataError, "the unknown outcome 'limbo'", netcdf.read, outcome_files[1])
 
 
 def test_quantities_read_one_by_one_are_the_same(tmp_path, motion):
@@ -470,15 +466,13 @@ def test_what_cannot_be_exported(tmp_path):
         ("path", "found no ending"),
         ("none/path.csv", r"path.csv: cannot be written \(No such file"),
     ):
-        with pytest.raises(DataError, match=words):
-            export_path(out, tmp_path / name)
+        refuses(DataError, words, export_path, out, tmp_path / name)
     with pytest.raises(DataError, match=r"ends in .csv, found '.geojson'"):
         export_rates(out, tmp_path / "rates.geojson")
     assert {each.name for each in tmp_path.iterdir()} == {"map.tif", "p.toml", "out.nc"}
     taken = tmp_path / "out.csv"
     out.rename(taken)
-    with pytest.raises(DataError, match="expected a separate file, found the result file"):
-        export_path(taken, taken)
+    refuses(DataError, "expected a separate file, found the result file", export_path, taken, taken)
 
     netcdf.write(out, replace(found, columns={"x": found.columns["x"]}))
     with pytest.raises(DataError, match="expected rates of driven wheels or"):

@@ -450,11 +450,7 @@ LEGS = "".join(
     [
         (STEERING, "the axles of the wheels are missing: w0_joint, w1_joint", 0),
         (TRACKS, "tracks are not modelled (leftTrack, rightTrack): describe each as a row of", 0),
-        (
-            plugin("libTrackedVehicle.so"),
-            "tracks are not modelled (libTrackedVehicle.so)",
-            0,
-        ),
+        (plugin("libTrackedVehicle.so"), "tracks are not modelled (libTrackedVehicle.so)", 0),
         (LEGS, "legs are not modelled (hip_0, hip_1, hip_2, hip_3)", 0),
         (TWO, "add wheels to the URDF", 0),
         (BARE, "add wheels to the URDF", 1),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.commands import invoke, printed, refused
+from helpers.commands import invoke, printed, refused, refuses
 from slipfree.core.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.urdf.elements import read_tree
@@ -108,8 +108,7 @@ def test_programs_run_only_if_the_command_line_trusts_the_file():
         trusted = name if name != "v.toml" else "evil.xacro"
         with pytest.raises(DataError, match=rf"trust it: .* add --trust {trusted} to the command"):
             read_vehicle(name)
-        with pytest.raises(DataError, match="xacro is a program"):
-            read_vehicle(name, trust=["cart.urdf.xacro"])
+        refuses(DataError, "xacro is a program", read_vehicle, name, trust=["cart.urdf.xacro"])
     for name in ("evil.xacro", "v.toml", "link.urdf"):
         assert "xacro is a program" in refused("check", f"{name}.p.toml")
         task = RunTask(1, recipe_of(load_problem(f"{name}.p.toml")), ())
@@ -264,11 +263,9 @@ def test_macros_without_prefix_are_named(robot):
         ):
             read_vehicle(robot, trust=trust)
     robot.write_text('<robot><link name="base"/><wheel/></robot>')
-    with pytest.raises(VehicleError, match="<wheel> is not an element of URDF"):
-        read_vehicle(robot)
+    refuses(VehicleError, "<wheel> is not an element of URDF", read_vehicle, robot)
     robot.write_text(own.replace(NAMES, "").replace("<wheel", "<xacro:wheel"))
-    with pytest.raises(VehicleError, match=r"write <robot xmlns:xacro=.http://www\.ros\.org"):
-        read_vehicle(robot)
+    refuses(VehicleError, r"write <robot xmlns:xacro=.http://www\.ros\.org", read_vehicle, robot)
 
 
 SDF_LINK = '<link name="base"><inertial><pose>0 0 0 0 0 0</pose><mass>5</mass></inertial></link>'
@@ -299,8 +296,7 @@ def test_other_formats_are_named_with_a_way(name, text, words, tmp_path):
     assert is_vehicle_file(file)
     (tmp_path / "v.toml").write_text(f'urdf = "{name}"')
     for path in (file, tmp_path / "v.toml"):
-        with pytest.raises(DataError, match=words):
-            read_vehicle(path)
+        refuses(DataError, words, read_vehicle, path)
 
 
 def test_the_expansion_prints_nothing(robot, capfd):

@@ -52,6 +52,14 @@ def build_errors(file: Path, settings: Sequence[str] = ()) -> str:
     return str(error.value)
 
 
+def refuses(
+    error: type[Exception], words: str, function: Callable[..., Any], *args: Any, **options: Any
+) -> None:
+    """Check that a call ends with an error whose message matches a regular expression."""
+    with pytest.raises(error, match=words):
+        function(*args, **options)
+
+
 def press() -> None:
     """Press Ctrl-C."""
     signal.raise_signal(signal.SIGINT)

@@ -8,18 +8,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+import slipfree as sf
 from helpers.cases import hills
-from slipfree import (
-    Analytic,
-    Coulomb,
-    ModelError,
-    Rolling,
-    SolverOptions,
-    direct_kinematics,
-    quasi_statics,
-    settle,
-    simulate,
-)
 from slipfree.catalog import three_wheeler
 from slipfree.core.records import leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions
@@ -42,15 +32,15 @@ def flat(x, _):
 def slope(angle, mu=None, across=False):
     """A plane that rises along y, or along x."""
     rise = np.tan(angle)
-    return Analytic(lambda x, y: rise * (x if across else y) + 0 * x + 0 * y, mu=mu)
+    return sf.Analytic(lambda x, y: rise * (x if across else y) + 0 * x + 0 * y, mu=mu)
 
 
 def moved(vehicle, ground, law, t, rates=None, tolerance=1e-8, **start):
     """Drive a vehicle with friction at constant rates."""
-    dae = quasi_statics(vehicle, ground, law=law)
-    begin = settle(dae, **start)
-    return simulate(
-        dae, begin, dae.inputs(**(rates or RATES)), t, options=SolverOptions(tolerance=tolerance)
+    dae = sf.quasi_statics(vehicle, ground, law=law)
+    begin = sf.settle(dae, **start)
+    return sf.simulate(
+        dae, begin, dae.inputs(**(rates or RATES)), t, options=sf.SolverOptions(tolerance=tolerance)
     )
 
 
@@ -61,18 +51,18 @@ def order(sizes, errors):
 
 def from_rolling(axle, creep) -> Iterator[tuple[float, int]]:
     """Yield how far the motion over hills is from rolling, and its steps at tolerance 1e-8."""
-    vehicle, ground = three_wheeler(axle=axle), Analytic(hills, mu=MU)
-    rolling = direct_kinematics(vehicle, ground, slip=Rolling())
-    run = simulate(
+    vehicle, ground = three_wheeler(axle=axle), sf.Analytic(hills, mu=MU)
+    rolling = sf.direct_kinematics(vehicle, ground, slip=sf.Rolling())
+    run = sf.simulate(
         rolling,
-        settle(rolling, **PLACE),
+        sf.settle(rolling, **PLACE),
         rolling.inputs(**RATES),
         T,
-        options=SolverOptions(tolerance=1e-12),
+        options=sf.SolverOptions(tolerance=1e-12),
     )
     for eps in creep:
-        same = moved(vehicle, ground, Coulomb(eps), T, tolerance=1e-11, **PLACE)
-        usual = moved(vehicle, ground, Coulomb(eps), T, **PLACE)
+        same = moved(vehicle, ground, sf.Coulomb(eps), T, tolerance=1e-11, **PLACE)
+        usual = moved(vehicle, ground, sf.Coulomb(eps), T, **PLACE)
         if same.stop or usual.stop:
             raise AssertionError(same.stop or usual.stop)
         apart = max(np.abs(same[name] - run[name]).max() for name in ("x", "y", "heading"))
@@ -93,8 +83,8 @@ class Parts(NamedTuple):
 
 def parts(ground, law) -> Parts:
     """Return the instant at which a rigid axle starts to move at rates that do not fit it."""
-    dae = quasi_statics(FIXED, ground, law=law)
-    begin = settle(dae, **TURNED)
+    dae = sf.quasi_statics(FIXED, ground, law=law)
+    begin = sf.settle(dae, **TURNED)
     system = with_inputs(dae, dae.inputs(**UNEQUAL), 0)
     x = dae.rows("x", begin, 0)
     z = solve_initial_conditions(system, 0.0, x, dae.rows("z", begin, 0), system.u[:, 0])
@@ -119,7 +109,7 @@ def parts(ground, law) -> Parts:
 
 def from_linear(ground, mu, ratio=2e-3) -> float:
     """Return how far the rates are from the linear law ``f = -(mu/eps) N s``. [m/s, rad/s]."""
-    now = parts(Analytic(ground, mu=float(mu)), Coulomb(creep=ratio * mu))
+    now = parts(sf.Analytic(ground, mu=float(mu)), sf.Coulomb(creep=ratio * mu))
     weight = np.repeat(now.bears, 2) / ratio
     n, m = len(now.rates), len(now.bears)
     matrix = np.zeros((n + m, n + m))
@@ -142,7 +132,7 @@ class Dissipation(NamedTuple):
 
 def dissipation(eps) -> Dissipation:
     """Return what is least for small creep; by duality the friction used bounds the gap. [W]."""
-    now = parts(Analytic(hills, mu=MU), Coulomb(eps))
+    now = parts(sf.Analytic(hills, mu=MU), sf.Coulomb(eps))
 
     def slips(rates):
         return np.hypot(*(now.jac @ rates + now.rest).reshape(3, 2).T)
@@ -157,8 +147,10 @@ def dissipation(eps) -> Dissipation:
 
 def least_slip_rates():
     """Return the rates of least slip at the same instant."""
-    least = direct_kinematics(FIXED, Analytic(hills))
-    run = simulate(least, settle(least, **TURNED), least.inputs(**UNEQUAL), np.array([0, 1e-6]))
+    least = sf.direct_kinematics(FIXED, sf.Analytic(hills))
+    run = sf.simulate(
+        least, sf.settle(least, **TURNED), least.inputs(**UNEQUAL), np.array([0, 1e-6])
+    )
     return np.array([run.of(label)[0] for label in leaves(least.labels.z.rates.motion)])
 
 
@@ -166,9 +158,9 @@ def random_starts(axle, mu, eps, count, rng) -> tuple[int, float]:
     """Return how many of Newton's runs converge, and how far apart their solutions lie at most."""
     ground = slope(np.radians(8), mu)
     vehicle = three_wheeler(axle=axle)
-    dae = quasi_statics(vehicle, ground, law=Coulomb(eps))
+    dae = sf.quasi_statics(vehicle, ground, law=sf.Coulomb(eps))
     tilts = {"tilt_right": 0.05, "tilt_left": -0.03} if axle == "tilting" else {}
-    begin = settle(dae, heading=0.7, steer=0.2, **tilts)
+    begin = sf.settle(dae, heading=0.7, steer=0.2, **tilts)
     system = with_inputs(dae, dae.inputs(right_rate=0.5, left_rate=0.35, steer_rate=0.1), 0)
     x = dae.rows("x", begin, 0)
     z = solve_initial_conditions(system, 0.0, x, dae.rows("z", begin, 0), system.u[:, 0])
@@ -180,7 +172,7 @@ def random_starts(axle, mu, eps, count, rng) -> tuple[int, float]:
         first[block.span] += rng.normal(size=len(block.labels)) * 0.3 * dae.scale[block.span]
         try:
             again = solve_initial_conditions(meant, 0.0, x, first, system.u[:, 0])
-        except ModelError:
+        except sf.ModelError:
             continue
         converged += 1
         apart = max(apart, float(np.abs((again - z) / dae.scale).max()))

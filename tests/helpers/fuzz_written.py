@@ -22,33 +22,16 @@ from slipfree.core.errors import SlipfreeError
 HEAD = "ncols 9\nnrows 9\nxllcenter -2\nyllcenter -2\ncellsize 0.5\n"
 GROUND = HEAD + 9 * (3 * "0 0.1 0 " + "\n")
 ATLAS = "atlas ground.asc three_wheeler --no-draw --headings 1 -j 1 --set atlas.compiled=false"
+SWEEP = "sweep p.toml --vary driver.speed=0.5,1.0 -o out -j 1 --no-draw"
+RUN = "run p.toml --no-draw -o a.nc"
+EXPORTS = ("export a.nc --rates rates.csv", "show a.nc --html page.html")
 # by kind: the problem, the command that writes a file, that file, and the commands that read it
 WRITTEN: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
     "tile": ("", f"{ATLAS} -o a.tif", "a_parts_*/part_000001.npy", (f"{ATLAS} -o a.tif",)),
     "atlas": ("", f"{ATLAS} -o a.nc", "a.nc", ("info a.nc", "report a.nc")),
-    "log": (
-        SWEPT,
-        "sweep p.toml --vary driver.speed=0.5,1.0 -o out -j 1 --no-draw",
-        "out/parts.jsonl",
-        ("sweep p.toml --vary driver.speed=0.5,1.0 -o out -j 1 --no-draw",),
-    ),
-    "motion": (
-        PROBLEM,
-        "run p.toml --no-draw -o a.nc",
-        "a.nc",
-        (
-            "info a.nc",
-            "export a.nc --rates rates.csv",
-            "report a.nc",
-            "show a.nc --html page.html",
-        ),
-    ),
-    "warm": (
-        "plan",
-        "run p.toml --no-draw -o a.nc",
-        "a.nc",
-        ("run p.toml --resume a.nc --no-draw",),
-    ),
+    "log": (SWEPT, SWEEP, "out/parts.jsonl", (SWEEP,)),
+    "motion": (PROBLEM, RUN, "a.nc", ("info a.nc", "report a.nc", *EXPORTS)),
+    "warm": ("plan", RUN, "a.nc", ("run p.toml --resume a.nc --no-draw",)),
 }
 
 

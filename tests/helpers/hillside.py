@@ -74,15 +74,6 @@ def drive(
     exact = np.column_stack([receiver.real, receiver.imag])
     velocity = np.gradient(exact, DT, axis=0)
     speed, good = np.hypot(*velocity.T), np.ones(count, bool)
-    return DriveLog(
-        f"log {seed}",
-        group,
-        DT,
-        exact,
-        velocity,
-        speed,
-        good,
-        np.ones(count),
-        sides,
-        heading=angle + sensor[1] if sensor[1] else None,
-    )
+    known = exact, velocity, speed, good, np.ones(count), sides
+    seen = angle + sensor[1] if sensor[1] else None
+    return DriveLog(f"log {seed}", group, DT, *known, heading=seen)

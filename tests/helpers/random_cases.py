@@ -19,22 +19,8 @@ import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+import slipfree as sf
 from helpers.vehicles import four_wheels, skid_steered
-from slipfree import (
-    Analytic,
-    Bicubic,
-    DataError,
-    Grid,
-    ModelError,
-    Path,
-    SolverError,
-    SolverOptions,
-    direct_kinematics,
-    follow,
-    settle,
-    simulate,
-    straight,
-)
 from slipfree.catalog import three_wheeler
 from slipfree.core.records import leaves
 from slipfree.laws.registry import SLIP_LAWS
@@ -131,36 +117,36 @@ def _shares(choices: dict[str, float]) -> np.ndarray:
 # --- grounds --------------------------------------------------------------------------------------
 
 
-def _hills(rng: np.random.Generator) -> Analytic:
+def _hills(rng: np.random.Generator) -> sf.Analytic:
     """Three waves, from 1 cm to 1 m high."""
     waves = [(*rng.normal(0, rng.uniform(0.3, 2.0), 2), rng.uniform(0, 6)) for _ in range(3)]
     height = 10 ** rng.uniform(-2, 0)
-    return Analytic(lambda x, y: height * sum(ca.sin(a * x + b * y + c) for a, b, c in waves))
+    return sf.Analytic(lambda x, y: height * sum(ca.sin(a * x + b * y + c) for a, b, c in waves))
 
 
-def _slope(rng: np.random.Generator) -> Analytic:
+def _slope(rng: np.random.Generator) -> sf.Analytic:
     """A plane, up to one on which a vehicle counts as overturned."""
     a, b = rng.normal(0, rng.choice([0.1, 0.5, 5.0]), 2)
-    return Analytic(lambda x, y: a * x + b * y)
+    return sf.Analytic(lambda x, y: a * x + b * y)
 
 
-def _bowl(rng: np.random.Generator) -> Analytic:
+def _bowl(rng: np.random.Generator) -> sf.Analytic:
     """The inside of a sphere: no finite height beyond its rim."""
     radius = rng.uniform(2, 8)
-    return Analytic(lambda x, y: radius - ca.sqrt(radius**2 - x**2 - y**2))
+    return sf.Analytic(lambda x, y: radius - ca.sqrt(radius**2 - x**2 - y**2))
 
 
-def _cliff(rng: np.random.Generator) -> Analytic:
+def _cliff(rng: np.random.Generator) -> sf.Analytic:
     """A step of up to 2 m within centimetres to metres."""
     rise, width, place = rng.uniform(0.1, 2), 10 ** rng.uniform(-2, 0), rng.uniform(0, 2)
-    return Analytic(lambda _, y: rise * ca.tanh((y - place) / width))
+    return sf.Analytic(lambda _, y: rise * ca.tanh((y - place) / width))
 
 
-def _map(side: float = SIDE, spacing: float = 0.2) -> Grid:
+def _map(side: float = SIDE, spacing: float = 0.2) -> sf.Grid:
     return blank((-side / 2, side / 2), (-side / 2, side / 2), spacing)
 
 
-def _rough(rng: np.random.Generator, grid: Grid | None = None) -> Grid:
+def _rough(rng: np.random.Generator, grid: sf.Grid | None = None) -> sf.Grid:
     """Self-affine roughness, 2 mm to 0.6 m, mild to violent."""
     return power_law(
         grid or _map(),
@@ -172,12 +158,12 @@ def _rough(rng: np.random.Generator, grid: Grid | None = None) -> Grid:
     )
 
 
-def _craters(rng: np.random.Generator) -> Grid:
+def _craters(rng: np.random.Generator) -> sf.Grid:
     count = int(rng.integers(1, 60))
     return craters(_map(), count=count, diameters=(0.8, 5.0), seed=int(rng.integers(1000)))
 
 
-def _rocks(rng: np.random.Generator) -> Grid:
+def _rocks(rng: np.random.Generator) -> sf.Grid:
     return rocks(
         _map(spacing=0.1),
         count=int(rng.integers(1, 150)),
@@ -187,19 +173,19 @@ def _rocks(rng: np.random.Generator) -> Grid:
     )
 
 
-def _ramp(rng: np.random.Generator) -> Grid:
+def _ramp(rng: np.random.Generator) -> sf.Grid:
     start, rise, smooth = rng.uniform(-2, 2), rng.uniform(-2, 2), bool(rng.random() < 0.7)
     return ramp(_map(), start=start, end=start + rng.uniform(0.5, 4), rise=rise, smooth=smooth)
 
 
-def _small(rng: np.random.Generator) -> Grid:
+def _small(rng: np.random.Generator) -> sf.Grid:
     return _rough(rng, _map(float(rng.choice([3.0, 4.0, 5.0]))))
 
 
-def _coarse(rng: np.random.Generator) -> Grid:
+def _coarse(rng: np.random.Generator) -> sf.Grid:
     """Four nodes a side, the fewest a spline can have."""
     axis = np.linspace(-6, 6, 4)
-    return Grid(axis, axis, 0.3 * rng.normal(size=(4, 4)))
+    return sf.Grid(axis, axis, 0.3 * rng.normal(size=(4, 4)))
 
 
 GROUNDS: dict[str, Callable[[np.random.Generator], Any]] = {
@@ -214,19 +200,19 @@ GROUNDS: dict[str, Callable[[np.random.Generator], Any]] = {
     "small": _small,
     "coarse": _coarse,
     "flat": lambda _: _map(),
-    "plane": lambda _: Analytic(lambda x, _: 0 * x),
+    "plane": lambda _: sf.Analytic(lambda x, _: 0 * x),
 }
 GROUND_SHARES = dict.fromkeys(GROUNDS, 1.0) | {"rough": 4, "hills": 3, "rocks": 2, "small": 2}
 
 
-def ground_of(case: Case, radius: float) -> Analytic | Bicubic:
+def ground_of(case: Case, radius: float) -> sf.Analytic | sf.Bicubic:
     """Return the ground of a case, for wheels of a radius."""
     made = GROUNDS[case.ground](case.rng("ground"))
-    if isinstance(made, Analytic):
+    if isinstance(made, sf.Analytic):
         return made
     grid = rolled(made, radius).grid if case.rolled else made
     x, y, z = UTM if case.utm else (0.0, 0.0, 0.0)
-    return Bicubic(Grid(grid.x + x, grid.y + y, grid.z + z))
+    return sf.Bicubic(sf.Grid(grid.x + x, grid.y + y, grid.z + z))
 
 
 # --- vehicles -------------------------------------------------------------------------------------
@@ -318,11 +304,11 @@ def inputs_of(case: Case, dae: Any, start: Any, count: int) -> Any:
     rng, names = case.rng("inputs"), [label.full for label in leaves(dae.labels.u)]
     speed = float(rng.choice([-1, 1]) * rng.uniform(0.1, 1.5))
     if case.inputs == "straight":
-        return straight(dae, start, speed=speed)
+        return sf.straight(dae, start, speed=speed)
     if case.inputs == "follow":
         at = np.array([start["x"][0], start["y"][0]]) + rng.normal(0, 0.2, 2)
         steps = rng.normal(0, 1.5, (int(rng.integers(2, 6)), 2))
-        return follow(dae, Path(at + np.cumsum(steps, axis=0)), speed=speed)
+        return sf.follow(dae, sf.Path(at + np.cumsum(steps, axis=0)), speed=speed)
     driven = len(dae.labels.u.wheels)
     sizes = np.append(np.full(driven, 2.0), np.full(len(names) - driven, 0.05))
     base = speed / 0.5 * sizes * np.append(np.ones(driven), rng.normal(size=len(names) - driven))
@@ -365,12 +351,12 @@ def outcome(case: Case) -> Outcome:
     begin, problem = time.process_time(), None
     try:
         problem = build(case)
-        run = simulate(*problem[2:5], **problem[5])
+        run = sf.simulate(*problem[2:5], **problem[5])
         found = Outcome("complete") if run.stop is None else Outcome("stopped", run.stop.name)
         found.words = run.stop.words if run.stop else ""
-    except (ModelError, DataError) as error:
+    except (sf.ModelError, sf.DataError) as error:
         found = refusal(case, str(error))
-    except SolverError as error:
+    except sf.SolverError as error:
         found, run = Outcome("solver", "solver", str(error)), error.trajectory
         if run is None or run.stop is None:
             found.faults.append("the error of the solver carries no trajectory that says why")
@@ -400,14 +386,14 @@ def build(case: Case) -> tuple[Any, ...]:
     count = int(rng.choice([10, 50, 100]))
     begin = rng.choice([0.0, 100.0]) if case.inputs not in ("straight", "follow") else 0.0
     t = begin + np.linspace(0, rng.uniform(1, 8), count + 1)
-    call = {"t": t, "options": SolverOptions(tolerance=case.tolerance)}
+    call = {"t": t, "options": sf.SolverOptions(tolerance=case.tolerance)}
     vehicle = VEHICLES[case.vehicle](case.rng("vehicle"), case.wheels)
     ground = ground_of(case, max(wheel.radius for wheel in vehicle.wheels))
-    closure = direct_kinematics(vehicle, ground, slip=SLIP_LAWS[case.slip]())
+    closure = sf.direct_kinematics(vehicle, ground, slip=SLIP_LAWS[case.slip]())
     dae = closure
     if case.formulation == "montana":
         dae = montana_kinematics(vehicle, ground, slip=SLIP_LAWS[case.slip]())
-    start = settle(closure, **start_of(case, ground, vehicle))
+    start = sf.settle(closure, **start_of(case, ground, vehicle))
     inputs = inputs_of(case, dae, start, count)
     if isinstance(inputs, dict):
         inputs = dae.inputs(**inputs)
@@ -548,10 +534,10 @@ def _check_slip(case: Case, problem: tuple[Any, ...], run: Any, found: Outcome) 
         now = dae.inputs(**_at(dae, inputs, interval))
         t = run.t[k] + 1e-3 / pace * np.arange(5.0)
         try:
-            fine = simulate(
-                dae, run.part(slice(k, k + 1)), now, t, options=SolverOptions(tolerance=1e-11)
+            fine = sf.simulate(
+                dae, run.part(slice(k, k + 1)), now, t, options=sf.SolverOptions(tolerance=1e-11)
             )
-        except (SolverError, ModelError):
+        except (sf.SolverError, sf.ModelError):
             continue
         if fine.stop is None:
             measured = material_slip(vehicle, ground, fine) / pace

@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from helpers.random_dynamics import VEHICLES as DRIVEN
 from helpers.random_dynamics import Ending, ledger
 from slipfree import Analytic, Solids, SolverOptions, catalog, settle, simulate
 from slipfree.core.dae import Dae
@@ -23,17 +24,7 @@ from slipfree.models.samples import ObstacleEnding, obstacle_ending
 from slipfree.terrain.solids import Profile, kerb, placed, ramp, stairs, step
 from slipfree.vehicle.tree import Vehicle
 
-VEHICLES = (
-    "three_wheeler",
-    "differential_drive",
-    "ackermann",
-    "skid_steer",
-    "rigid_skid_steer",
-    "articulated",
-    "rocky7",
-    "open_source_rover",
-    "seven_wheels",
-)
+VEHICLES = (*DRIVEN, "seven_wheels")
 OBSTACLES = ("step", "kerb", "stairs", "ramp")
 GROUP = 5  # climbs with the same vehicle and obstacle
 LANE = 10.0  # width of a lane of constant friction [m]

@@ -9,20 +9,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+import slipfree as sf
 from helpers.cases import PAPER_RATES, hills
-from slipfree import (
-    Analytic,
-    Bicubic,
-    Grid,
-    LeastSlip,
-    Rolling,
-    SolverOptions,
-    Trajectory,
-    Vehicle,
-    direct_kinematics,
-    settle,
-    simulate,
-)
 from slipfree.catalog import open_source_rover, three_wheeler
 from slipfree.control.path_following import path_inputs
 from slipfree.core.dae import power_of_length
@@ -39,7 +27,7 @@ KINEMATIC = {"m", "m2", "m-1", "rad", "s-1", "1"}  # units without force
 SIDE = np.linspace(-5.0, 5.0, 41)  # nodes of the map at scale 1 [m]
 
 
-def scaled(vehicle: Vehicle, scale: float) -> Vehicle:
+def scaled(vehicle: sf.Vehicle, scale: float) -> sf.Vehicle:
     """Return a vehicle with all its lengths times a scale; its masses stay."""
 
     def times(place: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -64,109 +52,109 @@ def _scaled_section(section: Section, scale: float) -> Section:
     return replace(section, **sizes)
 
 
-def formula(scale: float) -> Analytic:
-    return Analytic(lambda x, y: scale * hills(x / scale, y / scale))
+def formula(scale: float) -> sf.Analytic:
+    return sf.Analytic(lambda x, y: scale * hills(x / scale, y / scale))
 
 
 @lru_cache
-def grid() -> Grid:
+def grid() -> sf.Grid:
     x, y = np.meshgrid(SIDE, SIDE, indexing="ij")
-    return Grid(SIDE, SIDE, Analytic(hills).elevation(x, y))
+    return sf.Grid(SIDE, SIDE, sf.Analytic(hills).elevation(x, y))
 
 
-def bicubic(scale: float) -> Bicubic:
+def bicubic(scale: float) -> sf.Bicubic:
     nodes = grid()
-    return Bicubic(Grid(nodes.x * scale, nodes.y * scale, nodes.z * scale))
+    return sf.Bicubic(sf.Grid(nodes.x * scale, nodes.y * scale, nodes.z * scale))
 
 
-Ground = Callable[[float], Analytic | Bicubic]
+Ground = Callable[[float], sf.Analytic | sf.Bicubic]
 
 
 def direct(
     scale: float,
     ground: Ground,
-    slip: SlipLaw = LeastSlip(),  # noqa: B008
+    slip: SlipLaw = sf.LeastSlip(),  # noqa: B008
     end: float = 6.0,
-) -> Trajectory:
-    dae = direct_kinematics(scaled(three_wheeler(), scale), ground(scale), slip=slip)
-    start = settle(dae, x=0.3 * scale, heading=0.2)
+) -> sf.Trajectory:
+    dae = sf.direct_kinematics(scaled(three_wheeler(), scale), ground(scale), slip=slip)
+    start = sf.settle(dae, x=0.3 * scale, heading=0.2)
     t = np.linspace(0, end, 121)
-    return simulate(
-        dae, start, dae.inputs(**PAPER_RATES), t, options=SolverOptions(tolerance=TOLERANCE)
+    return sf.simulate(
+        dae, start, dae.inputs(**PAPER_RATES), t, options=sf.SolverOptions(tolerance=TOLERANCE)
     )
 
 
-def to_the_edge(scale: float) -> Trajectory:
+def to_the_edge(scale: float) -> sf.Trajectory:
     """Drive off the map, which ends the motion."""
-    dae = direct_kinematics(scaled(three_wheeler(), scale), bicubic(scale))
-    start = settle(dae, x=0.3 * scale, y=3.5 * scale)
+    dae = sf.direct_kinematics(scaled(three_wheeler(), scale), bicubic(scale))
+    start = sf.settle(dae, x=0.3 * scale, y=3.5 * scale)
     inputs = dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
-    return simulate(
-        dae, start, inputs, np.linspace(0, 6, 121), options=SolverOptions(tolerance=TOLERANCE)
+    return sf.simulate(
+        dae, start, inputs, np.linspace(0, 6, 121), options=sf.SolverOptions(tolerance=TOLERANCE)
     )
 
 
-def montana(scale: float) -> Trajectory:
+def montana(scale: float) -> sf.Trajectory:
     vehicle, ground = scaled(three_wheeler(), scale), bicubic(scale)
-    start = settle(direct_kinematics(vehicle, ground), x=0.3 * scale, heading=0.2)
+    start = sf.settle(sf.direct_kinematics(vehicle, ground), x=0.3 * scale, heading=0.2)
     dae = montana_kinematics(vehicle, ground)
     inputs = dae.inputs(**PAPER_RATES)
-    return simulate(
-        dae, start, inputs, np.linspace(0, 6, 121), options=SolverOptions(tolerance=TOLERANCE)
+    return sf.simulate(
+        dae, start, inputs, np.linspace(0, 6, 121), options=sf.SolverOptions(tolerance=TOLERANCE)
     )
 
 
-def inverse(scale: float, solve_for: str) -> Trajectory:
+def inverse(scale: float, solve_for: str) -> sf.Trajectory:
     """Follow the paper's platform rates, from a start that moves."""
     vehicle, ground = scaled(three_wheeler(), scale), bicubic(scale)
-    dae = direct_kinematics(vehicle, ground, slip=Rolling())
+    dae = sf.direct_kinematics(vehicle, ground, slip=sf.Rolling())
     inputs = dae.inputs(right_rate=0.45, left_rate=0.42, steer_rate=0.0)
-    start = simulate(dae, settle(dae, heading=0.1), inputs, np.linspace(0, 0.1, 3))
+    start = sf.simulate(dae, sf.settle(dae, heading=0.1), inputs, np.linspace(0, 0.1, 3))
     back = inverse_kinematics(vehicle, ground, given=PLANAR, solve_for=solve_for)
     given = back.inputs(velocity_x=0.01255 * scale, velocity_y=0.12865 * scale, heading_rate=0.0159)
-    return simulate(
-        back, start, given, np.linspace(0, 4, 41), options=SolverOptions(tolerance=TOLERANCE)
+    return sf.simulate(
+        back, start, given, np.linspace(0, 4, 41), options=sf.SolverOptions(tolerance=TOLERANCE)
     )
 
 
-def path(scale: float, ground: Ground) -> Trajectory:
+def path(scale: float, ground: Ground) -> sf.Trajectory:
     """Follow a circle by collocation."""
     vehicle, place = scaled(three_wheeler(), scale), ground(scale)
-    dae = direct_kinematics(vehicle, place)
+    dae = sf.direct_kinematics(vehicle, place)
     back = inverse_kinematics(vehicle, place, given=PLANAR, solve_for="rates", least_margin=0.0)
-    start = settle(dae, x=-scale, heading=1.0)
+    start = sf.settle(dae, x=-scale, heading=1.0)
     heading, radius = 1.0 + 0.02 * back.t, 6.75 * scale
     x = -scale + radius * (ca.cos(heading) - np.cos(1.0))
     y = radius * (ca.sin(heading) - np.sin(1.0))
     t = np.linspace(0, 6, 61)
     inputs = path_inputs(back, start, x, y, heading)
     return drive(
-        back, start, inputs, t, free_states=["steer"], options=SolverOptions(tolerance=TOLERANCE)
+        back, start, inputs, t, free_states=["steer"], options=sf.SolverOptions(tolerance=TOLERANCE)
     ).run
 
 
-def rover(scale: float) -> Trajectory:
+def rover(scale: float) -> sf.Trajectory:
     """Drive a rover with six wheels, four steered, at given forward speed and yaw rate."""
     dae = inverse_kinematics(
         scaled(open_source_rover(), scale), bicubic(scale), given=("forward", "yaw_rate")
     )
-    start = settle(dae, heading=0.1)
+    start = sf.settle(dae, heading=0.1)
     inputs = dae.inputs(forward=0.1 * scale, yaw_rate=0.05)
-    return simulate(
-        dae, start, inputs, np.linspace(0, 3, 31), options=SolverOptions(tolerance=TOLERANCE)
+    return sf.simulate(
+        dae, start, inputs, np.linspace(0, 3, 31), options=sf.SolverOptions(tolerance=TOLERANCE)
     )
 
 
-def from_a_contact(scale: float) -> Trajectory:
-    dae = direct_kinematics(scaled(three_wheeler(), scale), bicubic(scale))
+def from_a_contact(scale: float) -> sf.Trajectory:
+    dae = sf.direct_kinematics(scaled(three_wheeler(), scale), bicubic(scale))
     place = {"contact_x": 0.2 * scale, "contact_y": 0.8 * scale}
     return settle_contact(dae, "front", heading=0.1, **place)
 
 
-CASES: dict[str, Callable[[float], Trajectory]] = {
+CASES: dict[str, Callable[[float], sf.Trajectory]] = {
     "direct, formula": lambda scale: direct(scale, formula),
     "direct, map": lambda scale: direct(scale, bicubic),
-    "direct, no slip": lambda scale: direct(scale, bicubic, Rolling()),
+    "direct, no slip": lambda scale: direct(scale, bicubic, sf.Rolling()),
     "direct, to the edge": to_the_edge,
     "Montana": montana,
     "inverse, steering rate": lambda scale: inverse(scale, "rates"),
@@ -178,7 +166,7 @@ CASES: dict[str, Callable[[float], Trajectory]] = {
 }
 
 
-def difference(first: Trajectory, run: Trajectory, scale: float) -> tuple[str, float]:
+def difference(first: sf.Trajectory, run: sf.Trajectory, scale: float) -> tuple[str, float]:
     """Return the quantity that differs most from the motion at scale 1, scaled, and by how much.
 
     In units of the tolerance; a stop, whose time is located to a microsecond, is left out.

@@ -12,14 +12,8 @@ from slipfree.plan.transcription import PlanTask
 
 def model(rate, limits=()):
     """One state under one input, with the integral of the state."""
-    labels = Labels(
-        (Label("x", "m", "place"),),
-        (),
-        (Label("sum", "m s", "integral of x"),),
-        (Label("push", "m s-1", "push"),),
-        (Label("twice", "m", "twice x"),),
-        (),
-    )
+    names = [("sum", "m s", "integral of x"), ("push", "m s-1", "push"), ("twice", "m", "twice x")]
+    labels = Labels((Label("x", "m", "place"),), (), *((Label(*each),) for each in names), ())
     x, q, u, t = symbols(labels.x), symbols(labels.q), symbols(labels.u), ca.SX.sym("t")
     return Dae(
         t,
@@ -78,31 +72,10 @@ def toy(count, ode):
 FREE = (-np.inf, np.inf)
 
 
-def task(
-    dae,
-    start,
-    *,
-    costs=(),
-    places=(),
-    limits=(),
-    inputs=FREE,
-    duration=1.0,
-    rates=FREE,
-    smooth=0.0,
-    continuous=False,
-    cost_limits=(),
-):
+def task(dae, start, *, duration=1.0, inputs=FREE, rates=FREE, places=(), **given):
+    """Planning problem of a toy; further keywords are fields of `PlanTask`."""
     span = (duration, duration) if isinstance(duration, float) else duration
-    return PlanTask(
-        dae,
-        np.array(start),
-        span,
-        tuple(costs),
-        tuple(places),
-        tuple(limits),
-        np.array([inputs]),
-        np.array([rates]),
-        smooth,
-        continuous,
-        cost_limits,
-    )
+    ranges = {"inputs": np.array([inputs]), "accelerations": np.array([rates])}
+    lists = {name: tuple(given.pop(name, ())) for name in ("costs", "limits")}
+    given = {"smooth": 0.0, "conditions": tuple(places)} | ranges | lists | given
+    return PlanTask(dae, np.array(start), span, **given)

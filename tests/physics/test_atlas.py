@@ -9,17 +9,8 @@ from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 from scipy.optimize import linprog
 
-from slipfree import (
-    Bicubic,
-    Grid,
-    ModelError,
-    Soil,
-    catalog,
-    direct_kinematics,
-    quasi_statics,
-    settle,
-    simulate,
-)
+import slipfree as sf
+from helpers.commands import refuses
 from slipfree.atlas.atlas import atlas
 from slipfree.core.records import leaves
 from slipfree.models.friction_feasibility import best_utilisation
@@ -33,7 +24,7 @@ HEADINGS = (0.0, 0.8, 2.5)
 
 def hills(mu=0.5, rms=0.25):
     grid = blank((-4.0, 4.0), (-4.0, 4.0), 0.2)
-    return Bicubic(power_law(grid, rms=rms, hurst=0.8, shortest=1.5, longest=6.0, seed=4), mu=mu)
+    return sf.Bicubic(power_law(grid, rms=rms, hurst=0.8, shortest=1.5, longest=6.0, seed=4), mu=mu)
 
 
 def picked(found, at):
@@ -42,18 +33,18 @@ def picked(found, at):
 
 
 @pytest.mark.parametrize(
-    "vehicle", [catalog.three_wheeler(), catalog.ackermann()], ids=("three-wheeler", "car")
+    "vehicle", [sf.catalog.three_wheeler(), sf.catalog.ackermann()], ids=("three-wheeler", "car")
 )
 def test_poses_and_bounds_equal_those_of_single_poses(vehicle):
     """Each pose is that of settle, and its least friction that of the exact optimum."""
     ground = hills()
-    model = direct_kinematics(vehicle, ground)
+    model = sf.direct_kinematics(vehicle, ground)
     found = atlas(model, headings=HEADINGS, x=PLACES, y=PLACES, compiled=False)
     assert found.stands.mean() > 0.7
     compared = np.argwhere(found.stands)[::5]
     for k, i, j in compared:
         at = {"x": PLACES[i], "y": PLACES[j], "heading": HEADINGS[k]}
-        pose = settle(model, **at)
+        pose = sf.settle(model, **at)
         values = picked(found, (k, i, j))
         for name in ("roll", "pitch", "tip_over_margin"):
             assert values[name] == pytest.approx(pose[name][0], abs=2e-7)  # single precision
@@ -66,15 +57,15 @@ def test_poses_and_bounds_equal_those_of_single_poses(vehicle):
 
 def test_friction_that_differs_between_wheels_scales_the_bounds():
     """On a map of friction, the bounds are coefficients of the wheel with the largest one."""
-    vehicle = catalog.ackermann()
+    vehicle = sf.catalog.ackermann()
     grid = hills().grid
     rows = 0.3 + 0.5 * (grid.x > 0.5)[:, None] * np.ones(grid.y.size)
-    ground = Bicubic(grid, mu=Grid(grid.x, grid.y, rows))
-    model = direct_kinematics(vehicle, ground)
+    ground = sf.Bicubic(grid, mu=sf.Grid(grid.x, grid.y, rows))
+    model = sf.direct_kinematics(vehicle, ground)
     found = atlas(model, headings=[0.3], x=[0.4], y=PLACES, compiled=False)
     assert found.stands[0, 0].all()
     for j in range(PLACES.size):
-        pose = settle(model, x=0.4, y=PLACES[j], heading=0.3)
+        pose = sf.settle(model, x=0.4, y=PLACES[j], heading=0.3)
         least = best_utilisation(vehicle, ground, pose)["utilisation_best"][0]
         values = picked(found, (0, 0, j))
         assert values["least_utilisation_low"] - 1e-6 <= least
@@ -90,13 +81,13 @@ def test_errors_of_heights_on_level_ground_are_those_of_the_contact_heights(thro
     """
     axis = np.linspace(-3.0, 3.0, 25)
     flat = np.zeros((axis.size, axis.size))
-    ground = Bicubic(Grid(axis, axis, flat), mu=0.5, through=through)
-    vehicle = catalog.three_wheeler()
+    ground = sf.Bicubic(sf.Grid(axis, axis, flat), mu=0.5, through=through)
+    vehicle = sf.catalog.three_wheeler()
     ball = Ball(0.05, (0.2, 0.3, 0.0))
     vehicle = replace(vehicle, body=replace(vehicle.body, shapes=(ball,)))
-    model = direct_kinematics(vehicle, ground)
+    model = sf.direct_kinematics(vehicle, ground)
     found = atlas(model, headings=[0.4], x=[0.1], y=[-0.05], error=0.02, compiled=False)
-    pose = settle(model, x=0.1, y=-0.05, heading=0.4)
+    pose = sf.settle(model, x=0.1, y=-0.05, heading=0.4)
     turned = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
     spot = [0.1, -0.05] + turned @ ball.at[:2]
     places = np.column_stack([np.stack([pose[f"contact_{c}"][0] for c in "xy"]), spot])
@@ -104,7 +95,7 @@ def test_errors_of_heights_on_level_ground_are_those_of_the_contact_heights(thro
     for i in range(axis.size):
         for j in range(axis.size):
             flat[i, j] = 1.0
-            unit = Bicubic(Grid(axis, axis, flat.copy()), through=through)
+            unit = sf.Bicubic(sf.Grid(axis, axis, flat.copy()), through=through)
             weights[:, i, j] = unit.elevation(*places)
             flat[i, j] = 0.0
     right, left, front, below = weights
@@ -132,16 +123,16 @@ def test_errors_of_heights_of_a_rigid_vehicle_are_those_of_a_plane_on_springs():
     """
     axis = np.linspace(-1.5, 1.5, 13)
     flat = np.zeros((axis.size, axis.size))
-    ground, vehicle = Bicubic(Grid(axis, axis, flat), mu=0.5), catalog.rigid_skid_steer()
-    model = direct_kinematics(vehicle, ground)
+    ground, vehicle = sf.Bicubic(sf.Grid(axis, axis, flat), mu=0.5), sf.catalog.rigid_skid_steer()
+    model = sf.direct_kinematics(vehicle, ground)
     found = atlas(model, headings=[0.0], x=[0.1], y=[-0.05], error=0.02, compiled=False)
-    pose = settle(model, x=0.1, y=-0.05)
+    pose = sf.settle(model, x=0.1, y=-0.05)
     places = np.stack([pose[f"contact_{c}"][0] for c in "xy"])
     weights = np.empty((4, axis.size, axis.size))
     for i in range(axis.size):
         for j in range(axis.size):
             flat[i, j] = 1.0
-            unit = Bicubic(Grid(axis, axis, flat.copy()))
+            unit = sf.Bicubic(sf.Grid(axis, axis, flat.copy()))
             weights[:, i, j] = unit.elevation(*places)
             flat[i, j] = 0.0
     offsets = places - np.array([[0.1], [-0.05]])
@@ -159,8 +150,8 @@ def test_reasons_name_the_border_steep_ground_and_the_share_of_headings():
     """A pose without a valid rest has a reason, and NaN in all other bands."""
     axis = np.linspace(-3.0, 3.0, 31)
     steep = np.where(axis > 1.0, 1.6 * (axis - 1.0), 0.0)[:, None] + np.zeros(axis.size)
-    ground = Bicubic(Grid(axis, axis, steep), mu=0.5)
-    model = direct_kinematics(catalog.three_wheeler(), ground)
+    ground = sf.Bicubic(sf.Grid(axis, axis, steep), mu=0.5)
+    model = sf.direct_kinematics(sf.catalog.three_wheeler(), ground)
     found = atlas(model, headings=4, y=[0.0], compiled=False)
     reasons = [found.reasons[int(k)] for k in found["reason"][:, :, 0].ravel()]
     assert any("leaves the map" in words for words in reasons)
@@ -173,19 +164,19 @@ def test_reasons_name_the_border_steep_ground_and_the_share_of_headings():
     value, heading = found.extreme("tip_over_margin", largest=False)
     assert value[12, 0] == found["tip_over_margin"][:, 12, 0].min()
     assert heading[12, 0] in found.heading
-    with pytest.raises(ModelError, match="expected one of the bands"):
+    with pytest.raises(sf.ModelError, match="expected one of the bands"):
         found["slope"]
 
 
 def test_a_rigid_vehicle_is_held_by_its_own_loads():
     """Bounds for given loads enclose a linear programme; poses are those of settle."""
-    ground, vehicle = hills(rms=0.1), catalog.rigid_skid_steer()
-    model = direct_kinematics(vehicle, ground)
+    ground, vehicle = hills(rms=0.1), sf.catalog.rigid_skid_steer()
+    model = sf.direct_kinematics(vehicle, ground)
     found = atlas(model, headings=[0.4], x=PLACES, y=PLACES, compiled=False)
     compared = np.argwhere(found.stands & (found["rests"] == 1))[::6]
     assert len(compared) >= 3
     for at in compared:
-        pose = settle(model, x=PLACES[at[1]], y=PLACES[at[2]], heading=0.4)
+        pose = sf.settle(model, x=PLACES[at[1]], y=PLACES[at[2]], heading=0.4)
         values = picked(found, tuple(at))
         for name in ("roll", "pitch"):
             assert values[name] == pytest.approx(pose[name][0], abs=1e-6)
@@ -217,8 +208,8 @@ def least_by_polygons(matrix, load, normal, sides=128):
 def test_a_rigid_vehicle_rocks_on_twisted_ground(twist, rests):
     """On a saddle, a symmetric rigid vehicle rests in two ways; on level ground in one."""
     axis = np.linspace(-3.0, 3.0, 31)
-    ground = Bicubic(Grid(axis, axis, twist * axis[:, None] * axis), mu=0.5)
-    model = direct_kinematics(catalog.rigid_skid_steer(), ground)
+    ground = sf.Bicubic(sf.Grid(axis, axis, twist * axis[:, None] * axis), mu=0.5)
+    model = sf.direct_kinematics(sf.catalog.rigid_skid_steer(), ground)
     found = atlas(model, headings=[0.0, np.pi / 2], x=[0.0], y=[0.0], compiled=False)
     assert (found["rests"] == rests).all()
     assert (np.hypot(found["roll"], found["pitch"]) > 0.03).all() == (rests == 2)
@@ -227,11 +218,11 @@ def test_a_rigid_vehicle_rocks_on_twisted_ground(twist, rests):
 def test_on_soil_slip_and_sinkage_are_those_of_the_motion():
     """At given rates the bands are those of simulate at its first sample."""
     ground = hills(rms=0.05)
-    model = quasi_statics(catalog.three_wheeler(axle="fixed"), ground, law=Soil())
+    model = sf.quasi_statics(sf.catalog.three_wheeler(axle="fixed"), ground, law=sf.Soil())
     inputs = {"right_rate": 1.0, "left_rate": 1.0, "steer_rate": 0.0}
     found = atlas(model, headings=[0.0], x=[0.0], y=[0.0, 0.6], inputs=inputs, compiled=False)
-    pose = settle(model, x=0.0, y=0.6)
-    run = simulate(model, pose, model.inputs(**inputs), [0.0, 0.01])
+    pose = sf.settle(model, x=0.0, y=0.6)
+    run = sf.simulate(model, pose, model.inputs(**inputs), [0.0, 0.01])
     values = picked(found, (0, 0, 1))
     speed = np.hypot(run["velocity_x"][0], run["velocity_y"][0])
     assert values["energy_per_metre"] == pytest.approx(run["power"][0] / speed, rel=1e-6)
@@ -243,13 +234,13 @@ def test_on_soil_slip_and_sinkage_are_those_of_the_motion():
 def test_the_clearance_of_bodies_is_that_of_single_poses(height):
     """A box keeps the distance that settle reports, near the ground and far from it."""
     box = Body(10.0, shapes=(Box((0.5, 0.8, 0.1), (0.0, 0.0, height)),))
-    vehicle = replace(catalog.rigid_skid_steer(), body=box)
+    vehicle = replace(sf.catalog.rigid_skid_steer(), body=box)
     ground = hills(rms=0.05)
-    model = direct_kinematics(vehicle, ground)
+    model = sf.direct_kinematics(vehicle, ground)
     found = atlas(model, headings=[0.2], x=PLACES, y=[0.3], compiled=False)
     assert found.stands.all()
     for i in range(PLACES.size):
-        pose = settle(model, x=PLACES[i], y=0.3, heading=0.2)
+        pose = sf.settle(model, x=PLACES[i], y=0.3, heading=0.2)
         clearance = pose["clearance_body"][0]
         assert found["clearance_body"][0, i, 0] == pytest.approx(clearance, abs=1e-6)
 
@@ -257,11 +248,11 @@ def test_the_clearance_of_bodies_is_that_of_single_poses(height):
 def test_a_moving_rigid_vehicle_has_the_energy_of_its_motion():
     """Relaxation to rest does not lose the inputs."""
     ground = hills(rms=0.1)
-    model = direct_kinematics(catalog.rigid_skid_steer(), ground)
+    model = sf.direct_kinematics(sf.catalog.rigid_skid_steer(), ground)
     rates = {label.full: 1.0 for label in leaves(model.labels.u)}
     found = atlas(model, headings=[0.4], x=[0.0], y=[0.6], inputs=rates, compiled=False)
-    pose = settle(model, x=0.0, y=0.6, heading=0.4)
-    run = simulate(model, pose, model.inputs(**rates), [0.0, 0.01])
+    pose = sf.settle(model, x=0.0, y=0.6, heading=0.4)
+    run = sf.simulate(model, pose, model.inputs(**rates), [0.0, 0.01])
     energy = run["power"][0] / np.hypot(run["velocity_x"][0], run["velocity_y"][0])
     assert abs(energy) > 1.0
     assert found["energy_per_metre"].item() == pytest.approx(energy, rel=1e-4)
@@ -276,15 +267,14 @@ def test_a_moving_rigid_vehicle_has_the_energy_of_its_motion():
 )
 def test_wrong_arguments_are_named(arguments, message):
     ground = hills()
-    model = direct_kinematics(catalog.three_wheeler(), ground)
-    with pytest.raises(ModelError, match=message):
-        atlas(model, compiled=False, **arguments)
+    model = sf.direct_kinematics(sf.catalog.three_wheeler(), ground)
+    refuses(sf.ModelError, message, atlas, model, compiled=False, **arguments)
 
 
 def test_a_pose_does_not_depend_on_others():
     """Errors of heights have the same digits alone and beside poses with wider wheels."""
     ground = hills()
-    model = direct_kinematics(catalog.three_wheeler(), ground)
+    model = sf.direct_kinematics(sf.catalog.three_wheeler(), ground)
     common = {"x": [0.7], "y": [0.0], "error": 0.02, "compiled": False}
     alone = atlas(model, headings=[0.8], **common)
     beside = atlas(model, headings=[0.0, 0.8, 2.0], **common)

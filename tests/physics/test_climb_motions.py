@@ -33,6 +33,7 @@ from helpers.climb_cases import (
     climb,
     gripped,
 )
+from helpers.commands import refuses
 from slipfree import SolverOptions
 from slipfree.catalog import step_climber
 from slipfree.catalog.step_climber import AXLES
@@ -208,8 +209,7 @@ def test_largest_period_of_a_sampled_controller():
     ],
 )
 def test_unusable_controls_are_refused(values, words):
-    with pytest.raises(ModelError, match=words):
-        StepClimbing(**values)
+    refuses(ModelError, words, StepClimbing, **values)
 
 
 # Averages over a climb, with samples computed by hand
@@ -317,13 +317,8 @@ def test_dropped_on_the_floor_it_comes_to_rest_under_its_weight():
     _, dae = gripped(step_climber(), flat(), FIXED, TABLE_I)
     rest = settle(dae, y=0.0)
     raised = {"z": rest["z"] + 1e-3, "fold": rest["fold"] + 0.003}
-    start = replace(
-        rest,
-        columns={
-            **rest.columns,
-            **{k: Column(rest.columns[k].label, v) for k, v in raised.items()},
-        },
-    )
+    columns = {k: Column(rest.columns[k].label, v) for k, v in raised.items()}
+    start = replace(rest, columns={**rest.columns, **columns})
     run = simulate(dae, start, dae.inputs(reference_speed=0.0), np.linspace(0, 1.5, 11))
     assert_allclose(run["force_normal"][-1, ::-1], [67.07, 93.83, 51.00], rtol=2e-3)
     assert_allclose(rest["force_normal"][0, ::-1], [67.07, 93.83, 51.00], rtol=2e-3)
@@ -359,15 +354,9 @@ def test_the_motion_converges_with_the_tolerance():
 
 def test_both_integrators_agree():
     dae, start = begin(step_climber(), STEP, EXACT, TWICE)
-    t = np.linspace(0, 0.4, 41)
+    given = dae, start, dae.inputs(reference_speed=SPEED), np.linspace(0, 0.4, 41)
     runs = [
-        simulate(
-            dae,
-            start,
-            dae.inputs(reference_speed=SPEED),
-            t,
-            options=SolverOptions(tolerance=1e-8, method=method),
-        )
+        simulate(*given, options=SolverOptions(tolerance=1e-8, method=method))
         for method in (None, "idas")
     ]
     for name in ("y", "z", "fold", "spin"):
@@ -537,8 +526,7 @@ def test_a_sampled_controller_does_as_the_continuous_one():
 
 def test_too_slow_a_sampled_controller_is_refused_since_free_wheels_swing_up():
     words = r"between 0 and 0\.0025 s, the stability limit of the wheel rates .* found 0\.005 s"
-    with pytest.raises(ModelError, match=words):
-        check_period(5e-3, FIXED, CLIMBER)
+    refuses(ModelError, words, check_period, 5e-3, FIXED, CLIMBER)
     in_the_air = {"y": -2.0, "z": 1.0}
     calm, wild = (sampled(period, FIXED, in_the_air, 0.12) for period in (2.3e-3, 2.7e-3))
     assert np.abs(calm["spin"][-1] - SPEED / 0.066).max() < 0.1

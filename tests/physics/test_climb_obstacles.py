@@ -6,6 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.climb_drawn import drawn, drive, finite
+from helpers.commands import refuses
 from slipfree.catalog import step_climber
 from slipfree.catalog.step_climber import AXLES
 from slipfree.core.errors import ModelError
@@ -72,8 +73,7 @@ def test_the_normal_is_the_gradient_and_continuous():
     ],
 )
 def test_what_is_no_convex_polygon_is_refused(points, words):
-    with pytest.raises(ModelError, match=words):
-        Solid(tuple(points))
+    refuses(ModelError, words, Solid, tuple(points))
 
 
 def test_corners_are_stored_counter_clockwise():
@@ -153,8 +153,7 @@ def test_solids_that_meet(rng):
     ],
 )
 def test_unusable_sizes_are_refused(make, words):
-    with pytest.raises(ModelError, match=words):
-        make()
+    refuses(ModelError, words, make)
 
 
 # Endings, of samples computed by hand

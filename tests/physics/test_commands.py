@@ -14,7 +14,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.cases import LIGHT, hills, rover_ground
-from helpers.commands import invoke, sets
+from helpers.commands import invoke, refuses, sets
 from helpers.vehicles import four_wheel_steered, skid_steered
 from slipfree import (
     Analytic,
@@ -546,8 +546,7 @@ def test_rates_may_jump_or_be_formulas_and_the_replay_agrees():
     ],
 )
 def test_given_rates_are_checked(given, words):
-    with pytest.raises(ModelError, match=words):
-        inverse_kinematics(VEHICLES["ackermann"], FLAT, given=given)
+    refuses(ModelError, words, inverse_kinematics, VEHICLES["ackermann"], FLAT, given=given)
 
 
 @pytest.mark.slow

@@ -8,22 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+import slipfree as sf
 from helpers.cases import PAPER_RATES, case1, closure_model, drive, hills
-from slipfree import (
-    Analytic,
-    Bicubic,
-    Grid,
-    Rolling,
-    SolverOptions,
-    catalog,
-    direct_kinematics,
-    dynamics,
-    planar,
-    quasi_statics,
-    rigid_dynamics,
-    settle,
-    simulate,
-)
 from slipfree.catalog import three_wheeler
 from slipfree.control.step_climbing import ControlLaw, controlled
 from slipfree.core.errors import ModelError
@@ -72,7 +58,7 @@ def error(run, expected, names=(*MOTION, *PLACES)):
 
 
 def test_flat_ground_is_planar_kinematics():
-    run = drive(Analytic(lambda x, _: 0 * x), np.array([0.0, 0.1]))
+    run = drive(sf.Analytic(lambda x, _: 0 * x), np.array([0.0, 0.1]))
     expected = {
         "velocity_x": 0.015,
         "velocity_y": 0.135,
@@ -88,10 +74,10 @@ def test_flat_ground_is_planar_kinematics():
 
 
 def test_rolling_equals_least_slip_where_the_vehicle_can_roll():
-    least = drive(Analytic(hills), T, tolerance=TOLERANCE, heading=0.3)
-    dae = closure_model(three_wheeler(), Analytic(hills), slip=Rolling())
-    start, inputs = settle(dae, heading=0.3), dae.inputs(**PAPER_RATES)
-    rolling = simulate(dae, start, inputs, T, options=SolverOptions(tolerance=TOLERANCE))
+    least = drive(sf.Analytic(hills), T, tolerance=TOLERANCE, heading=0.3)
+    dae = closure_model(three_wheeler(), sf.Analytic(hills), slip=sf.Rolling())
+    start, inputs = sf.settle(dae, heading=0.3), dae.inputs(**PAPER_RATES)
+    rolling = sf.simulate(dae, start, inputs, T, options=sf.SolverOptions(tolerance=TOLERANCE))
     same_motion(rolling, least)
     assert rolling["no_slip_residual"].max() < 1e-14
 
@@ -118,8 +104,10 @@ def same_motion(run, expected, **moved):
 def test_the_motion_moves_with_the_ground():
     angle = 0.7
     c, s = np.cos(angle), np.sin(angle)
-    moved = Analytic(lambda x, y: hills(c * (x - 3) + s * (y + 2), c * (y + 2) - s * (x - 3)) + 5)
-    still = drive(Analytic(hills), T, tolerance=TOLERANCE)
+    moved = sf.Analytic(
+        lambda x, y: hills(c * (x - 3) + s * (y + 2), c * (y + 2) - s * (x - 3)) + 5
+    )
+    still = drive(sf.Analytic(hills), T, tolerance=TOLERANCE)
     run = drive(moved, T, tolerance=TOLERANCE, x=3.0, y=-2.0, heading=angle)
     x, y = still["x"], still["y"]
     expected = {"x": c * x - s * y + 3, "y": s * x + c * y - 2, "z": still["z"] + 5}
@@ -128,7 +116,7 @@ def test_the_motion_moves_with_the_ground():
 
 def test_translation_of_a_map_by_kilometres():
     grid, t = GROUND.grid, REFERENCE["t"]
-    far = Bicubic(Grid(grid.x + 4.0e5, grid.y + 5.5e6, grid.z + 2048.0))
+    far = sf.Bicubic(sf.Grid(grid.x + 4.0e5, grid.y + 5.5e6, grid.z + 2048.0))
     still = drive(GROUND, t)
     run = drive(far, t, x=4.0e5, y=5.5e6)
     for name, offset in (("x", 4.0e5), ("y", 5.5e6), ("z", 2048.0), ("tilt_right", 0.0)):
@@ -137,8 +125,8 @@ def test_translation_of_a_map_by_kilometres():
 
 
 def test_mirror_image():
-    mirrored = Analytic(lambda x, y: hills(-x, y))
-    still = drive(Analytic(hills), T, tolerance=TOLERANCE, heading=0.3)
+    mirrored = sf.Analytic(lambda x, y: hills(-x, y))
+    still = drive(sf.Analytic(hills), T, tolerance=TOLERANCE, heading=0.3)
     rates = {"right_rate": 0.4, "left_rate": 0.5, "steer_rate": 0.0}
     run = drive(mirrored, T, tolerance=TOLERANCE, rates=rates, heading=-0.3)
     odd = {name: -still[name] for name in ("x", "heading", "roll")}
@@ -146,15 +134,15 @@ def test_mirror_image():
 
 
 def test_twice_the_rates_take_half_the_time():
-    still = drive(Analytic(hills), T, tolerance=TOLERANCE)
+    still = drive(sf.Analytic(hills), T, tolerance=TOLERANCE)
     rates = {name: 2 * rate for name, rate in PAPER_RATES.items()}
-    run = drive(Analytic(hills), T / 2, tolerance=TOLERANCE, rates=rates)
+    run = drive(sf.Analytic(hills), T / 2, tolerance=TOLERANCE, rates=rates)
     same_motion(run, still)
 
 
 def test_reported_frame_is_x_forward():
-    dae = closure_model(three_wheeler(), Analytic(lambda x, y: 0.3 * x + 0.1 * y))
-    run = settle(dae, heading=0.4)
+    dae = closure_model(three_wheeler(), sf.Analytic(lambda x, y: 0.3 * x + 0.1 * y))
+    run = sf.settle(dae, heading=0.4)
     quaternion = [run[f"quaternion_{axis}"][0] for axis in "xyzw"]
     assert_allclose(np.linalg.norm(quaternion), 1, atol=1e-14)
     forward = Rotation.from_quat(quaternion).apply([1.0, 0.0, 0.0])
@@ -166,9 +154,9 @@ def test_reported_frame_is_x_forward():
 def test_contact_coordinates_lead_back_to_the_contact_point():
     """The torus at (u, v), carried by the wheel, is the contact point; psi turns the frames."""
     r1, r2 = 0.05, 0.25
-    dae = closure_model(three_wheeler(), Analytic(hills))
-    run = settle(dae, x=0.4, y=1.0, heading=0.6, tilt_right=0.2, tilt_left=-0.1, steer=0.3)
-    level = settle(closure_model(three_wheeler(), Analytic(lambda x, _: 0 * x)))
+    dae = closure_model(three_wheeler(), sf.Analytic(hills))
+    run = sf.settle(dae, x=0.4, y=1.0, heading=0.6, tilt_right=0.2, tilt_left=-0.1, steer=0.3)
+    level = sf.settle(closure_model(three_wheeler(), sf.Analytic(lambda x, _: 0 * x)))
     assert_allclose(level["wheel_v"], 1.5 * np.pi, atol=1e-12)
     assert_allclose(level["wheel_u"], np.pi / 2, atol=1e-12)
     assert_allclose(np.cos(level["psi"]), -1, atol=1e-12)
@@ -180,47 +168,47 @@ def test_contact_coordinates_lead_back_to_the_contact_point():
 
 
 def test_signs_of_pitch_and_roll():
-    dae = closure_model(three_wheeler(), Analytic(lambda _, y: 0.2 * y))
-    assert settle(dae)["pitch"][0] == pytest.approx(np.arctan(0.2))
-    assert settle(dae, heading=np.pi / 2)["roll"][0] == pytest.approx(np.arctan(-0.2))
-    east_is_low = closure_model(three_wheeler(), Analytic(lambda x, _: -0.2 * x))
-    assert settle(east_is_low)["roll"][0] == pytest.approx(np.arctan(0.2))
+    dae = closure_model(three_wheeler(), sf.Analytic(lambda _, y: 0.2 * y))
+    assert sf.settle(dae)["pitch"][0] == pytest.approx(np.arctan(0.2))
+    assert sf.settle(dae, heading=np.pi / 2)["roll"][0] == pytest.approx(np.arctan(-0.2))
+    east_is_low = closure_model(three_wheeler(), sf.Analytic(lambda x, _: -0.2 * x))
+    assert sf.settle(east_is_low)["roll"][0] == pytest.approx(np.arctan(0.2))
 
 
 def test_analytic_and_spline_ground_agree():
     """The spline of a fine grid drives like the formula it was sampled from."""
     axes = np.arange(-4, 4.01, 0.05)
-    z = Analytic(hills).elevation(*np.meshgrid(axes, axes, indexing="ij"))
-    smooth = drive(Analytic(hills), T, tolerance=TOLERANCE)
-    run = drive(Bicubic(Grid(axes, axes, z)), T, tolerance=TOLERANCE)
+    z = sf.Analytic(hills).elevation(*np.meshgrid(axes, axes, indexing="ij"))
+    smooth = drive(sf.Analytic(hills), T, tolerance=TOLERANCE)
+    run = drive(sf.Bicubic(sf.Grid(axes, axes, z)), T, tolerance=TOLERANCE)
     for name in MOTION:
         assert_allclose(run[name], smooth[name], rtol=0, atol=1e-6, err_msg=name)
 
 
 # Vehicles locked to a plane, and of models with a controller
 
-WAVES = Analytic(lambda _x, y: 0.05 * ca.sin(2 * y), mu=0.8)
-TIGHT = SolverOptions(tolerance=1e-8)
+WAVES = sf.Analytic(lambda _x, y: 0.05 * ca.sin(2 * y), mu=0.8)
+TIGHT = sf.SolverOptions(tolerance=1e-8)
 PLANAR_T = np.linspace(0, 1.5, 16)
 
 
 def driven(drive):
-    vehicle = catalog.rigid_skid_steer()
+    vehicle = sf.catalog.rigid_skid_steer()
     return replace(vehicle, wheels=tuple(replace(each, drive=drive) for each in vehicle.wheels))
 
 
 @pytest.mark.slow
 def test_a_planar_vehicle_moves_as_a_symmetric_one_in_space():
     """The ground does not vary along x; the start has no roll and no speed aside."""
-    vehicle = catalog.rocky7()
-    space, plane = dynamics(vehicle, WAVES), dynamics(planar(vehicle), WAVES)
-    start, level = (settle(each, y=0.3, speed=0.5) for each in (space, plane))
+    vehicle = sf.catalog.rocky7()
+    space, plane = sf.dynamics(vehicle, WAVES), sf.dynamics(sf.planar(vehicle), WAVES)
+    start, level = (sf.settle(each, y=0.3, speed=0.5) for each in (space, plane))
     for name in ("z", "pitch", "velocity_y", "velocity_z"):
         assert_allclose(level[name], start[name], atol=1e-6, err_msg=name)
     rates = {label.full: 4.0 for label in space.labels.u.wheels}
     rates |= {label.full: 0.0 for label in space.labels.u.joints}
-    run = simulate(space, start, space.inputs(**rates), PLANAR_T, options=TIGHT)
-    same = simulate(plane, level, plane.inputs(**rates), PLANAR_T, options=TIGHT)
+    run = sf.simulate(space, start, space.inputs(**rates), PLANAR_T, options=TIGHT)
+    same = sf.simulate(plane, level, plane.inputs(**rates), PLANAR_T, options=TIGHT)
     assert (run.stop, same.stop) == (None, None)
     assert run["y"][-1] - run["y"][0] > 0.3
     for name in ("x", "y", "z", "heading", "roll", "pitch", "velocity_y", "omega_x"):
@@ -230,8 +218,8 @@ def test_a_planar_vehicle_moves_as_a_symmetric_one_in_space():
 
 
 def test_the_tip_over_margin_of_a_planar_vehicle_is_that_of_its_ends():
-    vehicle = planar(catalog.rigid_skid_steer())
-    start = settle(dynamics(vehicle, FLAT), y=0.0)
+    vehicle = sf.planar(sf.catalog.rigid_skid_steer())
+    start = sf.settle(sf.dynamics(vehicle, FLAT), y=0.0)
     platform = Pose(ca.SX.eye(3), ca.SX([0, 0, start["z"][0]]))
     masses = [(mass, np.array(ca.evalf(at))) for _, mass, at in vehicle.masses(platform, {})]
     center = sum(mass * at for mass, at in masses).ravel() / vehicle.mass
@@ -241,18 +229,18 @@ def test_the_tip_over_margin_of_a_planar_vehicle_is_that_of_its_ends():
     assert_allclose(start["tip_over_margin"][0], expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("model", [direct_kinematics, quasi_statics, rigid_dynamics])
+@pytest.mark.parametrize("model", [sf.direct_kinematics, sf.quasi_statics, sf.rigid_dynamics])
 def test_other_models_refuse_planar_vehicles(model):
-    for vehicle in (catalog.three_wheeler(), catalog.rigid_skid_steer()):
+    for vehicle in (sf.catalog.three_wheeler(), sf.catalog.rigid_skid_steer()):
         with pytest.raises(ModelError, match="found one locked to a plane; use "):
-            model(planar(vehicle), WAVES)
+            model(sf.planar(vehicle), WAVES)
 
 
 def test_a_controller_of_torques_equals_the_motors_of_a_vehicle():
     """PI control of the rates: as states of a controller, and as drives of the wheels."""
-    motors = dynamics(driven(Motor(stall=1e6, no_load=1e6, kp=3.0, ki=20.0)), FLAT)
-    model = dynamics(driven(Torque()), FLAT)
-    names = [wheel.name for wheel in catalog.rigid_skid_steer().wheels]
+    motors = sf.dynamics(driven(Motor(stall=1e6, no_load=1e6, kp=3.0, ki=20.0)), FLAT)
+    model = sf.dynamics(driven(Torque()), FLAT)
+    names = [wheel.name for wheel in sf.catalog.rigid_skid_steer().wheels]
     sums = [new_variable(model, Label(f"sum_{name}", "N m", "integral")) for name in names]
     wanted = new_variable(model, Label("wanted", "rad s-1", "wanted rate"))
     errors = [wanted.symbol - rate for rate in model.y.common.wheel_rate]
@@ -264,17 +252,19 @@ def test_a_controller_of_torques_equals_the_motors_of_a_vehicle():
     )
     closed = controlled(model, controller)
     rates = {label.full: 3.0 for label in motors.labels.u.wheels}
-    run = simulate(motors, settle(motors), motors.inputs(**rates), PLANAR_T, options=TIGHT)
-    same = simulate(closed, settle(closed), closed.inputs(wanted=3.0), PLANAR_T, options=TIGHT)
+    run = sf.simulate(motors, sf.settle(motors), motors.inputs(**rates), PLANAR_T, options=TIGHT)
+    same = sf.simulate(
+        closed, sf.settle(closed), closed.inputs(wanted=3.0), PLANAR_T, options=TIGHT
+    )
     for name in ("y", "z", "pitch", "work"):
         assert_allclose(same[name], run[name], atol=1e-5, err_msg=name)
     assert_allclose(same["first_error"], 3.0 - same["wheel_rate"][:, 0], atol=1e-12)
 
 
-FLAT = Analytic(lambda x, _y: 0 * x, mu=0.8)
+FLAT = sf.Analytic(lambda x, _y: 0 * x, mu=0.8)
 
 
 def test_a_controller_has_a_law_for_every_input():
-    model = dynamics(driven(Torque()), FLAT)
+    model = sf.dynamics(driven(Torque()), FLAT)
     with pytest.raises(ModelError, match="expected 4 laws, one per input of the model, found 0"):
         controlled(model, ControlLaw((), (), (), ()))

@@ -7,21 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import slipfree as sf
 from helpers.dynamics import FLAT, center_height, energy_error, four_wheels, moved, slope, states
-from slipfree import (
-    Analytic,
-    Bicubic,
-    Grid,
-    ModelError,
-    SolverOptions,
-    catalog,
-    direct_kinematics,
-    dynamics,
-    follow,
-    quasi_statics,
-    settle,
-    simulate,
-)
 from slipfree.geometry.frame import Pose, rotation_of
 from slipfree.geometry.path import Path
 from slipfree.laws.compliant import Compliant
@@ -56,7 +43,7 @@ def pendulum():
 
 
 def test_a_tumbling_vehicle_keeps_its_energy_and_falls_freely():
-    model = replace(dynamics(pendulum(), FLAT), limits=(), checks=())
+    model = replace(sf.dynamics(pendulum(), FLAT), limits=(), checks=())
     start = states(
         model,
         z=60.0,
@@ -95,7 +82,7 @@ def test_a_wheel_rolls_down_with_the_acceleration_of_the_closed_form(section, in
     expected = EARTH_GRAVITY * np.sin(angle) / (1 + axial / (2 * radius**2))
     errors = []
     for creep in (1e-2, 1e-3):
-        model = dynamics(vehicle, slope(15), law=Compliant(creep=creep))
+        model = sf.dynamics(vehicle, slope(15), law=Compliant(creep=creep))
         depth = radius / 50 * np.cos(angle)  # one wheel: no exact closure
         start = states(model, z=(radius - depth) / np.cos(angle))
         run = moved(model, start, np.linspace(0, 2, 3))
@@ -121,7 +108,7 @@ def test_a_leaning_wheel_rolls_on_a_circle(lean, rho, section):
     omega = np.sqrt(mass * EARTH_GRAVITY * r2 * np.sin(b) / swing)
     depth = 1e-5
     vehicle = lone_wheel(section, mass, (axial, across), static_depth=depth)
-    model = dynamics(vehicle, replace(FLAT, mu=1.0), law=Compliant(creep=1e-4))
+    model = sf.dynamics(vehicle, replace(FLAT, mu=1.0), law=Compliant(creep=1e-4))
     start = states(
         model,
         x=rho,
@@ -140,10 +127,10 @@ def test_a_leaning_wheel_rolls_on_a_circle(lean, rho, section):
 
 
 def test_locked_wheels_stop_a_car_in_the_distance_of_coulomb_friction():
-    model = dynamics(
+    model = sf.dynamics(
         four_wheels(static_depth=1e-4), replace(FLAT, mu=0.5), law=Compliant(creep=1e-4)
     )
-    run = moved(model, settle(model, speed=4.0), np.linspace(0, 2, 5))
+    run = moved(model, sf.settle(model, speed=4.0), np.linspace(0, 2, 5))
     expected = 4.0**2 / (2 * 0.5 * EARTH_GRAVITY)
     # 1 ms until the wheels are locked, and pitch: 5e-5 in the lab for wheels locked at once
     assert run["y"][-1] == pytest.approx(expected, rel=1e-3)
@@ -153,8 +140,8 @@ def test_locked_wheels_stop_a_car_in_the_distance_of_coulomb_friction():
 def test_a_braking_car_pitches_as_its_springs_yield():
     spring = 4000.0
     vehicle = four_wheels(spring=spring, static_depth=1e-4)
-    model = dynamics(vehicle, replace(FLAT, mu=0.5))
-    run = moved(model, settle(model, speed=12.0), np.array([0, 2.0, 2.2, 2.3]), 1e-8)
+    model = sf.dynamics(vehicle, replace(FLAT, mu=0.5))
+    run = moved(model, sf.settle(model, speed=12.0), np.array([0, 2.0, 2.2, 2.3]), 1e-8)
     loads, slowing = run["force_normal"][-1], np.diff(run["velocity_y"])[-1] / 0.1
     assert slowing == pytest.approx(-0.5 * EARTH_GRAVITY, rel=1e-4)
     # the centre of mass moves ahead over the contacts as the car pitches
@@ -169,12 +156,12 @@ def test_an_ideal_rate_equals_a_stiff_controller_in_a_fast_turn():
     loads, yaw_rates = [], []
     for drive in ({}, {"drive": Motor(stall=1e6, no_load=1e6, kp=1e4)}):
         vehicle = four_wheels(inertia=(0.08, 0.04), static_depth=1e-4, **drive)
-        model = dynamics(vehicle, replace(FLAT, mu=1.2))
+        model = sf.dynamics(vehicle, replace(FLAT, mu=1.2))
         rates = {
             label.full: ca.tanh(model.t) * 2 / 0.15 * share
             for label, share in zip(model.labels.u.wheels, (0.7, 1.3, 0.7, 1.3), strict=True)
         }
-        run = moved(model, settle(model), np.linspace(0, 5, 6), 1e-8, **rates)
+        run = moved(model, sf.settle(model), np.linspace(0, 5, 6), 1e-8, **rates)
         loads.append(run["force_normal"][-1])
         yaw_rates.append(run["omega_z"][-1])
     assert abs(yaw_rates[0]) > 0.5
@@ -185,13 +172,13 @@ def test_an_ideal_rate_equals_a_stiff_controller_in_a_fast_turn():
 @pytest.mark.slow
 def test_a_lone_ridge_after_a_steady_drive_is_not_passed_over():
     """In steady motion steps would grow until one covers the whole ridge, with an error of 18 J."""
-    crest, vehicle = 6.0, catalog.rigid_skid_steer()
+    crest, vehicle = 6.0, sf.catalog.rigid_skid_steer()
     vehicle = replace(vehicle, wheels=tuple(replace(w, drive=Torque()) for w in vehicle.wheels))
-    ground = Analytic(lambda x, y: 0.02 * ca.exp(-(((y - crest) / 0.1) ** 2)) + 0 * x, mu=0.8)
-    model = dynamics(vehicle, ground)
+    ground = sf.Analytic(lambda x, y: 0.02 * ca.exp(-(((y - crest) / 0.1) ** 2)) + 0 * x, mu=0.8)
+    model = sf.dynamics(vehicle, ground)
     inputs = model.inputs(**{label.full: 0.5 for label in model.labels.u.wheels})
-    run = simulate(
-        model, settle(model), inputs, np.linspace(0, 9, 301), options=SolverOptions(1e-6)
+    run = sf.simulate(
+        model, sf.settle(model), inputs, np.linspace(0, 9, 301), options=sf.SolverOptions(1e-6)
     )
     assert run["y"][-1] > crest + 0.5
     assert np.ptp(run["z"]) > 0.009  # half the height of the ridge, under two of four wheels
@@ -200,10 +187,10 @@ def test_a_lone_ridge_after_a_steady_drive_is_not_passed_over():
 
 @pytest.mark.slow
 def test_a_jacobian_without_inertial_terms_changes_neither_motion_nor_cost():
-    waves = Analytic(lambda x, y: 0.02 * ca.sin(8 * y) * ca.cos(6 * x), mu=0.8)
-    held = dynamics(four_wheels(spring=4e3), waves)
+    waves = sf.Analytic(lambda x, y: 0.02 * ca.sin(8 * y) * ca.cos(6 * x), mu=0.8)
+    held = sf.dynamics(four_wheels(spring=4e3), waves)
     rates = {label.full: 1.0 / 0.15 for label in held.labels.u.wheels}
-    start, t = settle(held), np.linspace(0, 1, 11)
+    start, t = sf.settle(held), np.linspace(0, 1, 11)
     runs = [moved(model, start, t, 1e-8, **rates) for model in (held, replace(held, held=None))]
     for name in ("x", "y", "z"):
         assert np.abs(runs[0][name] - runs[1][name]).max() < 1e-7
@@ -214,16 +201,16 @@ def test_a_jacobian_without_inertial_terms_changes_neither_motion_nor_cost():
 @pytest.mark.slow
 def test_the_energy_ledger_contains_rotors_and_springs():
     motor = Motor(stall=8.0, no_load=40.0, kp=5.0, ki=20.0, rotor_inertia=0.05)
-    waves = Analytic(lambda x, y: 0.02 * ca.sin(5 * y) * ca.cos(4 * x), mu=0.8)
-    model = dynamics(four_wheels(spring=4000.0, drive=motor), waves)
+    waves = sf.Analytic(lambda x, y: 0.02 * ca.sin(5 * y) * ca.cos(4 * x), mu=0.8)
+    model = sf.dynamics(four_wheels(spring=4000.0, drive=motor), waves)
     rates = {label.full: 10.0 for label in model.labels.u.wheels}
-    run = moved(model, settle(model), np.linspace(0, 2, 21), 1e-8, **rates)
+    run = moved(model, sf.settle(model), np.linspace(0, 2, 21), 1e-8, **rates)
     assert np.abs(energy_error(run)).max() < 1e-6 * run["work"][-1]  # the rotors have some 10 J
 
 
 def test_the_mass_matrix_is_the_hessian_of_the_kinetic_energy():
     vehicle = pendulum()
-    model = dynamics(vehicle, FLAT)
+    model = sf.dynamics(vehicle, FLAT)
     x, lookups = model.columns()[0], model.lookups
     rng, speeds = np.random.default_rng(2), slice(10, 20)
     point = rng.uniform(-1, 1, x.numel())
@@ -245,8 +232,8 @@ def test_the_mass_matrix_is_the_hessian_of_the_kinetic_energy():
 
 def test_a_wheel_in_the_air_has_no_second_contact():
     """Beside a bump that a wheel put down onto the ground would touch."""
-    bump = Analytic(lambda x, y: 0.2 * ca.exp(-(((y - 0.22) / 0.05) ** 2)) + 0 * x, mu=0.8)
-    model = dynamics(lone_wheel(Torus(0.03, 0.12)), bump)
+    bump = sf.Analytic(lambda x, y: 0.2 * ca.exp(-(((y - 0.22) / 0.05) ** 2)) + 0 * x, mu=0.8)
+    model = sf.dynamics(lone_wheel(Torus(0.03, 0.12)), bump)
     run = states(model, z=0.45)
     assert run["depth"][0, 0] < 0
     assert run["clearance"].min() > 0
@@ -254,10 +241,10 @@ def test_a_wheel_in_the_air_has_no_second_contact():
 
 @pytest.mark.slow
 def test_the_stable_poses_of_a_rigid_vehicle_are_found():
-    hollow = Analytic(lambda x, y: 0.03 * ca.cos(7 * x) * ca.cos(7 * y), mu=0.8)
-    vehicle = catalog.rigid_skid_steer()
-    poses = stable_poses(dynamics(vehicle, hollow), x=0.1, y=0.2)
-    others = stable_poses(direct_kinematics(vehicle, hollow), x=0.1, y=0.2)
+    hollow = sf.Analytic(lambda x, y: 0.03 * ca.cos(7 * x) * ca.cos(7 * y), mu=0.8)
+    vehicle = sf.catalog.rigid_skid_steer()
+    poses = stable_poses(sf.dynamics(vehicle, hollow), x=0.1, y=0.2)
+    others = stable_poses(sf.direct_kinematics(vehicle, hollow), x=0.1, y=0.2)
     assert len(poses) == len(others)
     for pose, other in zip(poses, others, strict=True):
         assert pose["roll"][0] == pytest.approx(other["roll"][0], abs=2e-3)
@@ -265,9 +252,9 @@ def test_the_stable_poses_of_a_rigid_vehicle_are_found():
 
 def test_a_motor_stalls_at_its_torque_and_recovers():
     motor = Motor(stall=2.0, no_load=20.0, kp=5.0, ki=20.0, rotor_inertia=0.01)
-    model = dynamics(four_wheels(drive=motor, static_depth=1e-4), FLAT)
+    model = sf.dynamics(four_wheels(drive=motor, static_depth=1e-4), FLAT)
     rates = {label.full: 5.0 for label in model.labels.u.wheels}
-    run = moved(model, settle(model), np.linspace(0, 8, 81), 1e-7, **rates)
+    run = moved(model, sf.settle(model), np.linspace(0, 8, 81), 1e-7, **rates)
     torque, rate = run["drive_torque"], run["wheel_rate"]
     available = 2.0 * np.minimum(1, 1 - rate / 20.0)
     assert (torque <= available + 1e-9).all()
@@ -279,21 +266,21 @@ def test_a_motor_stalls_at_its_torque_and_recovers():
 @pytest.mark.parametrize("section", [Disc(0.12), Sphere(0.12)])
 def test_discs_and_balls_stand_on_maps(section):
     x = np.linspace(-1, 1, 21)
-    plane = Bicubic(Grid(x, x, 0.1 * np.add.outer(x, 0 * x)), mu=0.8)
-    vehicle = catalog.rigid_skid_steer()
+    plane = sf.Bicubic(sf.Grid(x, x, 0.1 * np.add.outer(x, 0 * x)), mu=0.8)
+    vehicle = sf.catalog.rigid_skid_steer()
     wheels = tuple(replace(wheel, section=section) for wheel in vehicle.wheels)
-    load = settle(dynamics(replace(vehicle, wheels=wheels), plane))["force_normal"].sum()
+    load = sf.settle(sf.dynamics(replace(vehicle, wheels=wheels), plane))["force_normal"].sum()
     assert load == pytest.approx(vehicle.weight * np.cos(np.arctan(0.1)), rel=1e-3)
 
 
 def test_a_coordinate_without_mass_is_refused():
     with pytest.raises(
-        ModelError, match="coordinate 'press_rear': expected a part or a wheel with mass"
+        sf.ModelError, match="coordinate 'press_rear': expected a part or a wheel with mass"
     ):
-        dynamics(catalog.seven_wheels(), FLAT)
-    model = dynamics(catalog.seven_wheels(wheel_mass=0.4), FLAT)
+        sf.dynamics(sf.catalog.seven_wheels(), FLAT)
+    model = sf.dynamics(sf.catalog.seven_wheels(wheel_mass=0.4), FLAT)
     rates = {label.full: 1.0 for label in model.labels.u.wheels if "across" not in label.full}
-    run = moved(model, settle(model), np.linspace(0, 1, 3), 1e-6, **rates)
+    run = moved(model, sf.settle(model), np.linspace(0, 1, 3), 1e-6, **rates)
     assert run["y"][-1] == pytest.approx(0.066, abs=2e-3)
 
 
@@ -305,7 +292,7 @@ def test_inside_wheels_lift_at_the_speed_of_the_closed_form():
     """``v^2 (h + sum I_a / (m R)) = g r b (1 - 2 s)`` for the share s of the inside wheels."""
     radius, half_track, wheel, axial = 2.0, 0.3, 0.15, 0.5 * 2.0 * 0.15**2
     vehicle = four_wheels(mass=40.0, height=0.4, turn=radius, static_depth=1e-4)
-    model = dynamics(vehicle, replace(FLAT, mu=3.0))
+    model = sf.dynamics(vehicle, replace(FLAT, mu=3.0))
     height = center_height(vehicle, 0.4)
     limit = np.sqrt(EARTH_GRAVITY * radius * half_track / height)
     speed = limit * (0.55 + 0.07 * model.t) * ca.tanh(3 * model.t)
@@ -316,7 +303,7 @@ def test_inside_wheels_lift_at_the_speed_of_the_closed_form():
         label.full: speed / wheel * way / radius
         for label, way in zip(model.labels.u.wheels, ways, strict=True)
     }
-    run = moved(model, settle(model), np.linspace(0, 5, 101), 1e-7, **rates)
+    run = moved(model, sf.settle(model), np.linspace(0, 5, 101), 1e-7, **rates)
     loads = run["force_normal"]
     share = loads[:, 1::2].sum(1) / loads.sum(1)
     at = int(np.argmax(share < 0.1))
@@ -329,7 +316,7 @@ def test_inside_wheels_lift_at_the_speed_of_the_closed_form():
     assert lateral * height / needed < 0.965
 
 
-HILLS = Analytic(
+HILLS = sf.Analytic(
     lambda x, y: (
         0.12 * ca.sin(2 * np.pi * x / 7) * ca.cos(2 * np.pi * y / 9)
         + 0.05 * ca.sin(2 * np.pi * (x + 0.6 * y) / 4.3)
@@ -345,17 +332,17 @@ def turned(model, speed):
         label.full: speed / 0.15 * ramp * (1.2 if "right" in label.full else 0.6)
         for label in model.labels.u.wheels
     }
-    run = moved(model, settle(model), np.linspace(0, 1.3 / speed, 3), 1e-7, **rates)
+    run = moved(model, sf.settle(model), np.linspace(0, 1.3 / speed, 3), 1e-7, **rates)
     return np.array([run["x"][-1], run["y"][-1]])
 
 
 @pytest.mark.slow
 def test_the_difference_from_quasi_statics_is_of_second_order_in_the_speed():
     """About 0.025 m over 1 m at 0.8 m/s, besides what the depth of the wheels shifts it by."""
-    vehicle, apart = catalog.skid_steer(), []
+    vehicle, apart = sf.catalog.skid_steer(), []
     for speed in (0.8, 0.4, 0.2):
-        still = quasi_statics(vehicle, HILLS, law=Coulomb(creep=0.01 * speed))
-        moving = dynamics(vehicle, HILLS, law=Compliant(creep=0.01 * speed))
+        still = sf.quasi_statics(vehicle, HILLS, law=Coulomb(creep=0.01 * speed))
+        moving = sf.dynamics(vehicle, HILLS, law=Compliant(creep=0.01 * speed))
         apart.append(turned(moving, speed) - turned(still, speed))
     assert 0.02 < np.linalg.norm(apart[0]) < 0.03
     fast, slow = np.linalg.norm(np.diff(apart, axis=0), axis=1)
@@ -365,12 +352,12 @@ def test_the_difference_from_quasi_statics_is_of_second_order_in_the_speed():
 @pytest.mark.slow
 def test_a_car_off_a_ledge_flies_and_lands():
     """Off 0.3 m at 6 m/s: the centre of mass falls freely while no wheel touches."""
-    drop = Analytic(lambda x, y: -0.15 * (1 + ca.tanh((y - 2) / 0.08)) + 0 * x, mu=0.7)
+    drop = sf.Analytic(lambda x, y: -0.15 * (1 + ca.tanh((y - 2) / 0.08)) + 0 * x, mu=0.7)
     vehicle = four_wheels(spring=4000.0)
-    model = dynamics(vehicle, drop)
+    model = sf.dynamics(vehicle, drop)
     rates = {label.full: 40.0 for label in model.labels.u.wheels}
     t = np.linspace(0, 0.8, 201)
-    run = moved(model, settle(model, speed=6.0), t, 1e-7, **rates)
+    run = moved(model, sf.settle(model, speed=6.0), t, 1e-7, **rates)
     flying = np.flatnonzero(run["force_normal"].max(1) == 0)
     span = slice(flying[0], flying[0] + int(np.argmin([*(np.diff(flying) == 1), False])) + 1)
     assert t[span][-1] - t[span][0] > 0.08
@@ -384,15 +371,15 @@ def test_a_car_off_a_ledge_flies_and_lands():
 
 def test_one_wheel_on_ice_spins_up():
     """Its spin is that of the torque and of the friction under its load."""
-    patch = Analytic(
+    patch = sf.Analytic(
         lambda x, y: np.tan(np.deg2rad(8)) * y + 0 * x,
         mu=lambda x, y: (
             0.7 - 0.17 * (1 + ca.tanh((x - 0.1) / 0.02)) * (1 + ca.tanh((y - 0.4) / 0.02))
         ),
     )
-    model = dynamics(four_wheels(drive=Torque(), static_depth=1e-4), patch)
+    model = sf.dynamics(four_wheels(drive=Torque(), static_depth=1e-4), patch)
     torques = {label.full: 2.8 for label in model.labels.u.wheels}
-    run = moved(model, settle(model), np.linspace(0, 1, 101), 1e-7, **torques)
+    run = moved(model, sf.settle(model), np.linspace(0, 1, 101), 1e-7, **torques)
     spin, axial = run["wheel_rate", "w0"], 0.5 * 2.0 * 0.15**2
     moment = 2.8 - 0.02 * 0.15 * run["force_normal", "w0"]
     gain = np.trapezoid(moment, run.t) / axial
@@ -437,7 +424,7 @@ def test_an_effort_accelerates_two_bodies_in_free_fall(motion):
     """Relative motion has the reduced inertia, whatever the attitude and gravity."""
     first, second = (0.4, 0.7 + 0.1) if motion == "turn" else (3.0, 5.0 + 2.0)
     name = "arm_torque" if motion == "turn" else "arm_force"
-    model = replace(dynamics(two_bodies(motion, Torque()), FLAT), limits=(), checks=())
+    model = replace(sf.dynamics(two_bodies(motion, Torque()), FLAT), limits=(), checks=())
     label = model.labels.u.joints[0]
     assert (label.full, label.unit) == (name, "N m" if motion == "turn" else "N")
     t = np.linspace(0, 1, 6)
@@ -452,7 +439,7 @@ def test_an_effort_accelerates_two_bodies_in_free_fall(motion):
 def test_a_motor_at_its_limit_approaches_its_no_load_rate(motion):
     first, second = (0.4, 0.7 + 0.1) if motion == "turn" else (3.0, 5.0 + 2.0)
     motor = Motor(stall=0.8, no_load=2.0, kp=1e3, rotor_inertia=0.25)
-    model = replace(dynamics(two_bodies(motion, motor), FLAT), limits=(), checks=())
+    model = replace(sf.dynamics(two_bodies(motion, motor), FLAT), limits=(), checks=())
     t = np.linspace(0, 2, 11)
     run = moved(model, states(model, z=60.0), t, 1e-10, arm_rate=50.0)
     inertia = first * second / (first + second) + 0.25
@@ -467,9 +454,9 @@ def test_a_motor_at_its_limit_approaches_its_no_load_rate(motion):
 @pytest.mark.parametrize("drive", [Torque(), replace(MOTOR, stall=20.0)])
 def test_the_energy_balance_contains_drives_springs_and_dampers_of_joints(drive):
     loads = {"stiffness": 20.0, "rest": 0.2, "damping": 0.4, "upper": 0.1, "bump": 400.0}
-    model = dynamics(with_arm(drive, **loads), FLAT)
+    model = sf.dynamics(with_arm(drive, **loads), FLAT)
     law = {model.labels.u.joints[0].full: 12.0 * ca.cos(3 * model.t)}
-    run = moved(model, settle(model), np.linspace(0, 1.5, 16), 1e-8, **law)
+    run = moved(model, sf.settle(model), np.linspace(0, 1.5, 16), 1e-8, **law)
     assert np.abs(run["work"]).max() > 0.5
     assert run["arm"].max() > 0.11
     assert imbalance(run) < 100 * 1e-8
@@ -481,9 +468,9 @@ def test_a_prescribed_rate_equals_a_stiff_motor():
     stiff, t = Motor(stall=1e6, no_load=1e6, kp=1e5), np.linspace(0, 2, 41)
     runs = []
     for drive in (RATE, stiff):
-        model = dynamics(with_arm(drive), FLAT)
+        model = sf.dynamics(with_arm(drive), FLAT)
         law = {"arm_rate": ca.sin(2 * np.pi * model.t)}
-        runs.append(moved(model, settle(model), t, 1e-8, **law))
+        runs.append(moved(model, sf.settle(model), t, 1e-8, **law))
     prescribed, motor = runs
     assert np.ptp(prescribed["force_normal"][:, 0]) > 5
     # prescribed rates lag by 1 ms
@@ -495,26 +482,30 @@ def test_a_prescribed_rate_equals_a_stiff_motor():
 @pytest.mark.slow
 def test_quasi_statics_uses_the_rate_and_its_actuator_bears_spring_and_damper():
     """The torque at a rate is that of the rigid arm, less spring and damper."""
-    ground, t = Analytic(lambda x, y: 0.02 * x * y, mu=0.8), np.linspace(0, 1, 3)
-    vehicle, torques = catalog.articulated(), []
+    ground, t = sf.Analytic(lambda x, y: 0.02 * x * y, mu=0.8), np.linspace(0, 1, 3)
+    vehicle, torques = sf.catalog.articulated(), []
     (name,) = (c.name for c in vehicle.of("commanded"))
     for loads in ({}, {"drive": MOTOR, "stiffness": 30.0, "rest": 0.1, "damping": 2.0}):
         bend = tuple(replace(c, **loads) if c.name == name else c for c in vehicle.coordinates)
-        model = quasi_statics(replace(vehicle, coordinates=bend), ground)
-        run = moved(model, settle(model), t, 1e-8, **{f"{name}_rate": 0.2})
+        model = sf.quasi_statics(replace(vehicle, coordinates=bend), ground)
+        run = moved(model, sf.settle(model), t, 1e-8, **{f"{name}_rate": 0.2})
         torques.append(run[f"{name}_torque"])
     load = 30.0 * (run[name] - 0.1) + 2.0 * 0.2
     assert torques[1] - torques[0] == pytest.approx(load, abs=1e-6)
 
 
 def test_drives_that_do_not_fit_are_refused():
-    with pytest.raises(ModelError, match="coordinate 'c': expected a drive only for kind = 'comm"):
+    with pytest.raises(
+        sf.ModelError, match="coordinate 'c': expected a drive only for kind = 'comm"
+    ):
         Coordinate("c", "passive", "c", drive=Torque())
-    with pytest.raises(ModelError, match=r"since its rate is an input.*or use a drive with an eff"):
+    with pytest.raises(
+        sf.ModelError, match=r"since its rate is an input.*or use a drive with an eff"
+    ):
         Coordinate("c", "commanded", "c", stiffness=1.0)
-    vehicle = catalog.ackermann()
+    vehicle = sf.catalog.ackermann()
     free = (replace(c, drive=Torque()) if c.kind == "commanded" else c for c in vehicle.coordinates)
-    model = dynamics(replace(vehicle, coordinates=tuple(free)), FLAT)
+    model = sf.dynamics(replace(vehicle, coordinates=tuple(free)), FLAT)
     path = Path(np.array([[0.0, 0.0], [0.0, 1.0]]))
-    with pytest.raises(ModelError, match=r"commanded coordinates as inputs, found steer_torque"):
-        follow(model, path, speed=0.5)
+    with pytest.raises(sf.ModelError, match=r"commanded coordinates as inputs, found steer_torque"):
+        sf.follow(model, path, speed=0.5)

@@ -6,20 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import slipfree as sf
 from helpers.cases import closure_model, hills
+from helpers.commands import refuses
 from helpers.vehicles import skid_steered
-from slipfree import (
-    Analytic,
-    Bicubic,
-    ModelError,
-    Path,
-    commanded,
-    direct_kinematics,
-    follow,
-    settle,
-    simulate,
-    straight,
-)
 from slipfree.catalog import ackermann, skid_steer, three_wheeler
 from slipfree.control import path_following as laws
 from slipfree.terrain.synthetic import blank, power_law
@@ -28,7 +18,7 @@ from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 WAY = np.array([(0, 0), (25, 3), (50, 0), (75, -3), (100, 0)], dtype=float)
-FLAT = Analytic(lambda x, _: 0 * x)
+FLAT = sf.Analytic(lambda x, _: 0 * x)
 
 
 def largest_tilt(run):
@@ -49,7 +39,7 @@ def heading_at_start(path, ahead=0.5):
 
 def test_path_is_by_arc_length():
     angle = np.linspace(0, np.pi, 25)
-    circle = Path(np.column_stack([5 * np.cos(angle), 5 * np.sin(angle)]))
+    circle = sf.Path(np.column_stack([5 * np.cos(angle), 5 * np.sin(angle)]))
     assert_allclose(circle.length, 5 * np.pi, rtol=1e-4)
     s = np.linspace(0, circle.length, 101)
     place = circle.at(s)
@@ -62,7 +52,7 @@ def test_path_is_by_arc_length():
 
 def test_path_goes_straight_on_beyond_its_ends():
     for points in ([(1.0, 2.0), (1.0, 5.0)], [(1.0, 2.0), (1.0, 3.0), (1.0, 5.0)]):
-        place = Path(np.array(points)).at(np.array([-1.0, 2.0, 4.0, 7.0]))
+        place = sf.Path(np.array(points)).at(np.array([-1.0, 2.0, 4.0, 7.0]))
         assert_allclose(place.x, 1.0, atol=1e-12)
         assert_allclose(place.y, [1.0, 4.0, 6.0, 9.0], atol=1e-12)
         assert_allclose(place.curvature, [0.0] * 4)
@@ -76,18 +66,17 @@ def test_path_is_checked():
         ([(0.0, 0.0), (0.0, 1.0), (0.0, 1e160)], r"coordinates between -1e\+12 and 1e\+12 m"),
         ([(0.0, 0.0), (1.0, 1.0), (1.0, 1.0)], "way-points 2 and 3 coincide"),
     ):
-        with pytest.raises(ModelError, match=words):
-            Path(np.array(points))
+        refuses(sf.ModelError, words, sf.Path, np.array(points))
 
 
 @pytest.mark.slow
 def test_straight_keeps_its_line_and_its_wheels_up():
     vehicle = three_wheeler()
-    dae = closure_model(vehicle, Analytic(hills))
-    start = settle(dae, x=1.0, y=-2.0, heading=0.3)
+    dae = closure_model(vehicle, sf.Analytic(hills))
+    start = sf.settle(dae, x=1.0, y=-2.0, heading=0.3)
     for speed in (0.5, -0.5):
-        law = straight(dae, start, speed=speed)
-        run = simulate(dae, start, law, np.linspace(0, 60, 301))
+        law = sf.straight(dae, start, speed=speed)
+        run = sf.simulate(dae, start, law, np.linspace(0, 60, 301))
         off = -(run["x"] - 1.0) * np.cos(0.3) - (run["y"] + 2.0) * np.sin(0.3)
         assert np.abs(off).max() < 0.06
         assert largest_tilt(run) < 0.03
@@ -98,35 +87,38 @@ def test_straight_keeps_its_line_and_its_wheels_up():
 def test_100_m_of_hills_and_the_same_without_the_tilt_term(monkeypatch):
     ground = blank((-10.0, 110.0), (-30.0, 30.0), 0.25)
     ground = power_law(ground, rms=0.15, hurst=0.9, longest=20.0, shortest=6.0, seed=4)
-    vehicle, path = three_wheeler(), Path(WAY)
-    dae = closure_model(vehicle, Bicubic(ground))
-    start, t = settle(dae, heading=heading_at_start(path)), np.linspace(0, path.length / 0.5, 401)
-    run = simulate(dae, start, follow(dae, path, speed=0.5), t)
+    vehicle, path = three_wheeler(), sf.Path(WAY)
+    dae = closure_model(vehicle, sf.Bicubic(ground))
+    start, t = (
+        sf.settle(dae, heading=heading_at_start(path)),
+        np.linspace(0, path.length / 0.5, 401),
+    )
+    run = sf.simulate(dae, start, sf.follow(dae, path, speed=0.5), t)
     assert run.stop is None
     assert largest_tilt(run) <= 0.05
     assert cross_track(run, path).max() <= 0.05
     monkeypatch.setattr(laws, "TILT_GAIN", 0.0)
-    without = simulate(dae, start, follow(dae, path, speed=0.5), t)
+    without = sf.simulate(dae, start, sf.follow(dae, path, speed=0.5), t)
     assert largest_tilt(without) > 3 * largest_tilt(run)
 
 
 def test_an_error_at_the_start_decays():
-    vehicle, path = three_wheeler(), Path(np.array([(0.0, 0.0), (0.0, 40.0)]))
+    vehicle, path = three_wheeler(), sf.Path(np.array([(0.0, 0.0), (0.0, 40.0)]))
     dae = closure_model(vehicle, FLAT)
-    start = settle(dae, x=0.5, heading=-0.3)
-    run = simulate(dae, start, follow(dae, path, speed=0.4), np.linspace(0, 60, 61))
+    start = sf.settle(dae, x=0.5, heading=-0.3)
+    run = sf.simulate(dae, start, sf.follow(dae, path, speed=0.4), np.linspace(0, 60, 61))
     assert np.abs(run["x"][-1]) < 1e-3
     assert np.abs(run["heading"][-1]) < 1e-3
     assert_allclose(run["y"][-1], 24, atol=1e-2)
 
 
 def test_differential_drive_follows_too():
-    vehicle, path = skid_steered(), Path(WAY[:2])
+    vehicle, path = skid_steered(), sf.Path(WAY[:2])
     dae = closure_model(vehicle, FLAT)
     plan = laws.planar_geometry(vehicle, {})
     assert plan.ahead == pytest.approx(-0.2)  # the ball is a fixed wheel: the axis lies between
-    start = settle(dae, heading=heading_at_start(path, plan.ahead))
-    run = simulate(dae, start, follow(dae, path, speed=0.3), np.linspace(0, 60, 61))
+    start = sf.settle(dae, heading=heading_at_start(path, plan.ahead))
+    run = sf.simulate(dae, start, sf.follow(dae, path, speed=0.3), np.linspace(0, 60, 61))
     assert cross_track(run, path).max() < 0.05
 
 
@@ -138,9 +130,9 @@ def test_all_wheels_steered_turn_about_the_centre():
         tuple(Joint(k, "platform", "z", (*at, 0.0), f"steer_{k}") for k, at in places.items()),
         tuple(Wheel(k, k, (0.0, 0.0, 0.0), Torus(0.03, 0.12), driven=True) for k in places),
     )
-    dae, path = closure_model(vehicle, FLAT), Path(WAY[:3])
-    start = settle(dae, heading=heading_at_start(path, 0.0))
-    run = simulate(dae, start, follow(dae, path, speed=0.3), np.linspace(0, 60, 61))
+    dae, path = closure_model(vehicle, FLAT), sf.Path(WAY[:3])
+    start = sf.settle(dae, heading=heading_at_start(path, 0.0))
+    run = sf.simulate(dae, start, sf.follow(dae, path, speed=0.3), np.linspace(0, 60, 61))
     assert cross_track(run, path).max() < 0.05
     assert np.abs(run["slip_across"][10:]).max() < 1e-2
 
@@ -149,25 +141,27 @@ def test_laws_name_what_they_need():
     vehicle = three_wheeler()
     dae = closure_model(vehicle, FLAT)
     for speed in (0.0, np.inf):
-        with pytest.raises(ModelError, match="speed: expected a finite"):
-            straight(dae, settle(dae), speed=speed)
+        with pytest.raises(sf.ModelError, match="speed: expected a finite"):
+            sf.straight(dae, sf.settle(dae), speed=speed)
     trailer = skid_steered()
     wheels = tuple(replace(wheel, driven=False) for wheel in trailer.wheels)
     trailer = replace(trailer, name="trailer", wheels=wheels)
     dae = closure_model(trailer, FLAT)
-    with pytest.raises(ModelError, match="driven wheels on both sides, found neither in 'trailer'"):
-        follow(dae, Path(WAY), speed=1.0)
+    with pytest.raises(
+        sf.ModelError, match="driven wheels on both sides, found neither in 'trailer'"
+    ):
+        sf.follow(dae, sf.Path(WAY), speed=1.0)
 
 
 def test_commands_are_met_on_a_plane():
     """A skid-steer turns as commanded; a car by less, since its steering is limited smoothly."""
     for vehicle, lag in ((skid_steer(), 0.0), (ackermann(), 0.065)):
-        model = commanded(direct_kinematics(vehicle, FLAT), speed=0.5)
+        model = sf.commanded(sf.direct_kinematics(vehicle, FLAT), speed=0.5)
         turn = model.inputs(forward=0.5, yaw_rate=0.15)
-        run = simulate(model, settle(model), turn, np.linspace(0, 10, 51))
+        run = sf.simulate(model, sf.settle(model), turn, np.linspace(0, 10, 51))
         assert_allclose(np.diff(run["heading"])[25:], (1 - lag) * 0.15 * 0.2, rtol=2e-3)
         speed = np.hypot(np.diff(run["x"]), np.diff(run["y"])) / 0.2
         assert_allclose(speed[25:], 0.5, rtol=0.02)
     for value in (0.0, -1.0, np.inf):
-        with pytest.raises(ModelError, match="speed: expected a"):
-            commanded(direct_kinematics(vehicle, FLAT), speed=value)
+        with pytest.raises(sf.ModelError, match="speed: expected a"):
+            sf.commanded(sf.direct_kinematics(vehicle, FLAT), speed=value)

@@ -7,19 +7,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import slipfree as sf
 from helpers.dynamics import FLAT, four_wheels, moved, states
 from helpers.rasters import from_origin, geotiff
-from slipfree import (
-    Analytic,
-    ModelError,
-    catalog,
-    direct_kinematics,
-    dynamics,
-    in_gravity,
-    quasi_statics,
-    settle,
-    simulate,
-)
 from slipfree.climb.contact_path import least_friction
 from slipfree.models.rigid_dynamics import rigid_dynamics
 from slipfree.problem.load import load_problem
@@ -28,7 +18,7 @@ from slipfree.terrain.solids import step
 from slipfree.vehicle.gravity import BODIES, foreign_map_words, gravity_of, gravity_words
 from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Coordinate, Joint
 
-HILLS = Analytic(lambda x, y: 0.05 * ca.sin(x) + 0.03 * x * y + 0.04 * y, mu=0.6)
+HILLS = sf.Analytic(lambda x, y: 0.05 * ca.sin(x) + 0.03 * x * y + 0.04 * y, mu=0.6)
 MOON = BODIES["moon"].gravity
 ATTRACTION = {  # G M [km^3/s^2] and radius [km], equatorial of planets, mean of others
     "moon": (4902.800, 1737.4),
@@ -53,7 +43,7 @@ def test_bodies_attract_by_their_mass_and_radius():
         assert BODIES[name].gravity == pytest.approx(1e3 * attraction / radius**2, rel=4e-3)
         assert BODIES[name].radius == pytest.approx(1e3 * radius)
     assert set(BODIES) == {"earth", *ATTRACTION}
-    assert gravity_of("Moon") == gravity_of(1.62) == in_gravity(cart(), "moon").gravity
+    assert gravity_of("Moon") == gravity_of(1.62) == sf.in_gravity(cart(), "moon").gravity
     assert gravity_words(1.62) == "1.62 m/s^2 (moon)"
     assert gravity_words(1.7) == "1.7 m/s^2"
 
@@ -92,25 +82,28 @@ def test_a_map_of_another_body_with_the_gravity_of_the_earth_is_noted(tmp_path):
     ],
 )
 def test_other_gravities_are_errors(value, words):
-    with pytest.raises(ModelError, match=words):
-        in_gravity(cart(), value)
+    with pytest.raises(sf.ModelError, match=words):
+        sf.in_gravity(cart(), value)
     if isinstance(value, float):
-        with pytest.raises(ModelError, match=r"gravity: expected a (positive, )?(finite )?number"):
+        with pytest.raises(
+            sf.ModelError, match=r"gravity: expected a (positive, )?(finite )?number"
+        ):
             replace(cart(), gravity=value)
 
 
 def cart(**keys):
-    return catalog.three_wheeler(mass=30.0, wheel_mass=2.0, center_of_mass=(0, 0, 0.1), **keys)
+    return sf.catalog.three_wheeler(mass=30.0, wheel_mass=2.0, center_of_mass=(0, 0, 0.1), **keys)
 
 
 def driven(model, duration=2.0):
     inputs = model.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
-    return simulate(model, settle(model), inputs, np.linspace(0, duration, 6))
+    return sf.simulate(model, sf.settle(model), inputs, np.linspace(0, duration, 6))
 
 
 def test_loads_and_torques_scale_with_gravity_and_friction_does_not():
     earth, moon = (
-        driven(direct_kinematics(vehicle, HILLS)) for vehicle in (cart(), in_gravity(cart(), MOON))
+        driven(sf.direct_kinematics(vehicle, HILLS))
+        for vehicle in (cart(), sf.in_gravity(cart(), MOON))
     )
     for name in ("x", "y", "heading", "tilt_left", "slip_across"):
         assert np.array_equal(moon[name], earth[name])
@@ -124,8 +117,8 @@ def test_loads_and_torques_scale_with_gravity_and_friction_does_not():
 
 def test_friction_decides_a_slow_motion_alike_in_any_gravity_unless_springs_act():
     earth, moon = (
-        driven(quasi_statics(vehicle, HILLS))
-        for vehicle in (cart(axle="fixed"), in_gravity(cart(axle="fixed"), MOON))
+        driven(sf.quasi_statics(vehicle, HILLS))
+        for vehicle in (cart(axle="fixed"), sf.in_gravity(cart(axle="fixed"), MOON))
     )
     assert moon["slip_along"] == pytest.approx(earth["slip_along"], abs=1e-9)
     assert moon["utilisation"] == pytest.approx(earth["utilisation"], rel=1e-6)
@@ -133,21 +126,21 @@ def test_friction_decides_a_slow_motion_alike_in_any_gravity_unless_springs_act(
     assert moon["force_normal"] == pytest.approx(ratio * earth["force_normal"], rel=1e-6)
     sprung = {"axle": "tilting", "stiffness": 60.0}
     earth, moon = (
-        driven(quasi_statics(vehicle, HILLS))
-        for vehicle in (cart(**sprung), in_gravity(cart(**sprung), MOON))
+        driven(sf.quasi_statics(vehicle, HILLS))
+        for vehicle in (cart(**sprung), sf.in_gravity(cart(**sprung), MOON))
     )
     # the loads overturn tilts; springs that are as stiff everywhere hold them better on the moon
     assert np.abs(moon["tilt_left"]).max() < 0.5 * np.abs(earth["tilt_left"]).max()
 
 
 def test_a_climb_needs_as_much_friction_in_any_gravity():
-    vehicle = catalog.step_climber()
+    vehicle = sf.catalog.step_climber()
     earth, moon = (
-        least_friction(each, step(0.06)) for each in (vehicle, in_gravity(vehicle, 1.62))
+        least_friction(each, step(0.06)) for each in (vehicle, sf.in_gravity(vehicle, 1.62))
     )
     assert moon.mu == pytest.approx(earth.mu, rel=1e-9)
-    assert in_gravity(vehicle, 1.62).weight == pytest.approx(21.6 * 1.62)
-    stiffness = [v.weight / v.wheels[0].depth for v in (vehicle, in_gravity(vehicle, 1.62))]
+    assert sf.in_gravity(vehicle, 1.62).weight == pytest.approx(21.6 * 1.62)
+    stiffness = [v.weight / v.wheels[0].depth for v in (vehicle, sf.in_gravity(vehicle, 1.62))]
     assert stiffness[0] == pytest.approx(stiffness[1])  # of contacts: a property of the wheels
 
 
@@ -156,9 +149,9 @@ def heave(gravity):
     spring = 4000.0
     car = four_wheels(spring=spring, static_depth=1e-4)
     free = (replace(c, damping=0.0, rest=0.0) for c in car.coordinates)
-    car = in_gravity(replace(car, coordinates=tuple(free)), gravity)
-    model = dynamics(car, FLAT)
-    rest = settle(model)
+    car = sf.in_gravity(replace(car, coordinates=tuple(free)), gravity)
+    model = sf.dynamics(car, FLAT)
+    rest = sf.settle(model)
     t = np.linspace(0, 2, 401)
     struts = ("s0", "s1", "s2", "s3")
     values = {name: rest[name][0] for name in (*struts, "attitude_w", "attitude_x", "y", "z")}
@@ -187,19 +180,19 @@ def hanging(gravity):
     body = Body(1.0, (0, 0, -0.5), (0.01, 0.01, 0.01, 0, 0, 0))
     bob = Joint("rod", "platform", "x", (0, 0.35, 2.0), "swing", body=body)
     swing = Coordinate("swing", "passive", "angle of the bob")
-    return in_gravity(replace(car, coordinates=(swing,), joints=(bob,)), gravity)
+    return sf.in_gravity(replace(car, coordinates=(swing,), joints=(bob,)), gravity)
 
 
 @pytest.mark.parametrize("body", ["moon", "mars", "earth"])
 def test_a_pendulum_swings_and_a_vehicle_falls_as_the_closed_forms_say(body):
     gravity, t = BODIES[body].gravity, np.linspace(0, 1, 11)
-    model = replace(dynamics(in_gravity(four_wheels(), body), FLAT), limits=(), checks=())
+    model = replace(sf.dynamics(sf.in_gravity(four_wheels(), body), FLAT), limits=(), checks=())
     run = moved(model, states(model, z=30.0, velocity_y=0.5), t)
     assert run["z"] == pytest.approx(30 - gravity * t**2 / 2, abs=1e-6)
     assert run["potential_energy"] == pytest.approx(
         run["potential_energy"][0] - 48 * gravity**2 * t**2 / 2, rel=1e-6
     )
-    model = dynamics(hanging(gravity), FLAT)
+    model = sf.dynamics(hanging(gravity), FLAT)
     omega = sqrt(gravity * 0.5 / (0.25 + 0.01))
     run = moved(
         model,
@@ -211,5 +204,5 @@ def test_a_pendulum_swings_and_a_vehicle_falls_as_the_closed_forms_say(body):
 
 
 def test_the_rigid_model_of_plans_bears_the_weight_in_any_gravity():
-    run = settle(rigid_dynamics(in_gravity(four_wheels(), MOON), FLAT))
+    run = sf.settle(rigid_dynamics(sf.in_gravity(four_wheels(), MOON), FLAT))
     assert run["force_normal"].sum() == pytest.approx(48 * MOON, rel=1e-3)

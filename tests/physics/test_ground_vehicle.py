@@ -9,17 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import slipfree as sf
+from helpers.commands import refuses
 from helpers.hillside import HILL
-from slipfree import (
-    Bicubic,
-    LeastSlip,
-    ModelError,
-    Soil,
-    SolverOptions,
-    catalog,
-    settle,
-    simulate,
-)
 from slipfree.batch.evaluator import evaluator_of
 from slipfree.core.dae import Dae
 from slipfree.fit import ground_vehicle
@@ -30,7 +22,7 @@ from slipfree.problem.verbs.fit import build_model
 from slipfree.vehicle.tree import Vehicle
 
 DT, COUNT = 0.2, 75  # time between samples [s], number of intervals
-CART = catalog.skid_steer()
+CART = sf.catalog.skid_steer()
 LEFT, RIGHT = (tuple(w.name for w in CART.wheels if side in w.name) for side in ("left", "right"))
 UNKNOWNS = (
     Unknown("radius_left", "radius", LEFT),
@@ -51,14 +43,14 @@ def interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
 def model(vehicle: Vehicle, unknowns: tuple[Unknown, ...] = UNKNOWNS) -> MotionModel:
     """Return the motion of a vehicle with least slip."""
     build = partial(build_model, "kinematics")
-    return vehicle_model("vehicle", build, vehicle, LeastSlip(), unknowns, 0.6)
+    return vehicle_model("vehicle", build, vehicle, sf.LeastSlip(), unknowns, 0.6)
 
 
 def drive(seed: int) -> DriveLog:
     """Return the log of a cart with the true values, by `simulate`; commands are nominal speeds."""
     rng = np.random.default_rng(seed)
     dae = build_model(
-        "kinematics", Bicubic(HILL, mu=0.6), with_unknowns(CART, UNKNOWNS, TRUE), LeastSlip()
+        "kinematics", sf.Bicubic(HILL, mu=0.6), with_unknowns(CART, UNKNOWNS, TRUE), sf.LeastSlip()
     )
     turn = np.repeat(rng.normal(0, 0.15, COUNT // 15), 15)
     sides = np.column_stack([0.5 - turn, 0.5 + turn])
@@ -67,8 +59,8 @@ def drive(seed: int) -> DriveLog:
     inputs |= {f"{name}_rate": sides[:, 1] / radius for name in RIGHT}
     x, y, heading = (*rng.uniform(-10, 10, 2), rng.uniform(-3, 3))
     t = DT * np.arange(COUNT + 1)
-    start = settle(dae, x=x, y=y, heading=heading)
-    run = simulate(dae, start, dae.inputs(**inputs), t, options=SolverOptions(tolerance=1e-8))
+    start = sf.settle(dae, x=x, y=y, heading=heading)
+    run = sf.simulate(dae, start, dae.inputs(**inputs), t, options=sf.SolverOptions(tolerance=1e-8))
     place = np.column_stack([run["x"], run["y"]])[:-1]
     velocity = np.gradient(place, DT, axis=0)
     ahead = np.ones(COUNT)
@@ -99,18 +91,17 @@ def test_motions_that_end_are_refused_by_name() -> None:
     drives = [drive(0)]
     predict = GroundPredictor(drives, windows_of(drives, 5.0), SLOPES)
     tall = model(CART, (Unknown("ahead", "center_of_mass_ahead"),))
-    with pytest.raises(ModelError, match=r"with ahead = 0.4, found .*lifts off"):
-        predict(tall, {"ahead": 0.4})
-    car = model(catalog.ackermann(), ())
-    with pytest.raises(ModelError, match=r"found steer_rate; use a skid-steered vehicle"):
+    refuses(sf.ModelError, r"with ahead = 0.4, found .*lifts off", predict, tall, {"ahead": 0.4})
+    car = model(sf.catalog.ackermann(), ())
+    with pytest.raises(sf.ModelError, match=r"found steer_rate; use a skid-steered vehicle"):
         predict(car, {"turn": 1.0})
 
 
 def test_radius_and_constants_of_soil_are_parameters() -> None:
     """Limits keep their numbers, and the equations are those of the same numbers."""
-    law = Soil(frictional_modulus=3e6, creep=0.03)
+    law = sf.Soil(frictional_modulus=3e6, creep=0.03)
     unknowns = (Unknown("radius", "radius"), Unknown("shear_along", "shear_along"))
-    build = partial(build_model, "quasi-static", Bicubic(HILL))
+    build = partial(build_model, "quasi-static", sf.Bicubic(HILL))
     free, fixed = parametric_model(build, CART, law, unknowns), build(CART, law)
     for one, other in zip(free.limits, fixed.limits, strict=True):
         assert (one.lower, one.upper) == (other.lower, other.upper)

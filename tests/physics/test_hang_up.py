@@ -11,17 +11,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+import slipfree as sf
 from helpers.dynamics import four_wheels, moved, states
 from helpers.rounding import root
-from slipfree import (
-    Analytic,
-    Compliant,
-    ModelError,
-    direct_kinematics,
-    dynamics,
-    in_gravity,
-    settle,
-)
 from slipfree.vehicle.shapes import Box, Hull
 
 EARTH, MOON, MASS = 9.81, 1.62, 48.0  # [m/s2], [kg]
@@ -31,16 +23,16 @@ AXLE, POINT = MASS * EARTH / 2 / 1e-3, MASS * EARTH / 2e-3  # stiffness of two w
 KEEL, BELLY = 0.02, 0.08  # below the axles [m]
 
 
-def model_of(shape, heights, gravity=EARTH, make=dynamics, **law):
+def model_of(shape, heights, gravity=EARTH, make=sf.dynamics, **law):
     """Return a model of a car with a shape; gravity does not change the stiffness of its wheels."""
     vehicle = four_wheels(static_depth=MASS * EARTH / 2 / AXLE)
     vehicle = replace(vehicle, body=replace(vehicle.body, shapes=(shape,)))
-    return make(in_gravity(vehicle, gravity), Analytic(heights, mu=0.3), **law)
+    return make(sf.in_gravity(vehicle, gravity), sf.Analytic(heights, mu=0.3), **law)
 
 
 def at_rest(shape, heights, height, gravity):
     """Return the rest of a car that is dropped from a height of its axles."""
-    law = Compliant(body_depth=MASS * gravity / POINT)
+    law = sf.Compliant(body_depth=MASS * gravity / POINT)
     model = model_of(shape, heights, gravity, law=law)
     run = moved(model, states(model, z=height), np.linspace(0, 6, 3), 1e-8)
     assert run["kinetic_energy"][-1] < 1e-12
@@ -144,19 +136,22 @@ def crest_height(radius, gravity, bearing):
 @pytest.mark.parametrize("gravity", [EARTH, MOON])
 @pytest.mark.parametrize(
     ("make", "share"),
-    [(dynamics, 2e-4), (direct_kinematics, 1e-2)],  # the law of the load is smoother in the second
+    [
+        (sf.dynamics, 2e-4),
+        (sf.direct_kinematics, 1e-2),
+    ],  # the law of the load is smoother in the second
 )
 def test_the_breakover_of_a_crest_has_its_closed_form(make, share, gravity):
     """The clearance over the top up to a share of the depth, and the radius at which it is zero."""
     first = brentq(lambda r: crest_height(r, gravity, False) - BELLY, LEAST, 2 * LEAST)
     depth = MASS * gravity / AXLE / 2
     for radius in (first + 1e-4, 1.0, 3.0):
-        start = settle(model_of(FLAT_BELLY, crest(radius), gravity, make))
+        start = sf.settle(model_of(FLAT_BELLY, crest(radius), gravity, make))
         clearance = crest_height(radius, gravity, False) - BELLY
         assert start["clearance_body"][0] == pytest.approx(clearance, abs=share * depth)
     assert first == pytest.approx(LEAST, rel=0.02)
-    with pytest.raises(ModelError, match="the platform touches the ground"):
-        settle(model_of(FLAT_BELLY, crest(first - 1e-4), gravity, make))
+    with pytest.raises(sf.ModelError, match="the platform touches the ground"):
+        sf.settle(model_of(FLAT_BELLY, crest(first - 1e-4), gravity, make))
 
 
 @pytest.mark.parametrize("gravity", [EARTH, MOON])

@@ -10,26 +10,11 @@ from numpy.testing import assert_allclose
 from scipy.optimize import bisect, linprog
 from scipy.spatial.transform import Rotation
 
+import slipfree as sf
 from helpers.cases import hills
+from helpers.commands import refuses
 from helpers.dynamics import FLAT, energy_error, moved, states
 from helpers.rounding import root
-from slipfree import (
-    Analytic,
-    Coulomb,
-    LeastSlip,
-    ModelError,
-    Path,
-    SolverOptions,
-    catalog,
-    direct_kinematics,
-    dynamics,
-    follow,
-    inverse_kinematics,
-    quasi_statics,
-    rollouts,
-    settle,
-    simulate,
-)
 from slipfree.contact.closure import ContactFrame, without_rolling
 from slipfree.fit.unknowns import Unknown, parametric_model
 from slipfree.laws.soils import SOILS, known_soil
@@ -41,7 +26,7 @@ from slipfree.vehicle.sections import Disc, Omni, Torus
 from slipfree.vehicle.tree import EARTH_GRAVITY
 from slipfree.vehicle.wheel import Wheel
 
-VEHICLE = catalog.mecanum()
+VEHICLE = sf.catalog.mecanum()
 HALF_TRACK, HALF_BASE, RADIUS = 0.15, 0.235, 0.0475
 PLACES = {
     "front_right": (HALF_TRACK, HALF_BASE),
@@ -62,7 +47,7 @@ DIRECTIONS = {
 
 
 def platform(angle=pi / 4, **more):
-    return catalog.mecanum(roller_angle=angle, **more)
+    return sf.catalog.mecanum(roller_angle=angle, **more)
 
 
 def textbook(v_x, v_y, omega, angle=pi / 4):
@@ -82,7 +67,7 @@ def textbook(v_x, v_y, omega, angle=pi / 4):
 
 def rates_at(dae, rates, **start):
     """Quantities of a motion at its start."""
-    run = simulate(dae, settle(dae, **start), dae.inputs(**rates), np.array([0.0, 1e-6]))
+    run = sf.simulate(dae, sf.settle(dae, **start), dae.inputs(**rates), np.array([0.0, 1e-6]))
     return {name: run[name][0] for name in run.columns}
 
 
@@ -99,14 +84,14 @@ def attitude(found):
 @pytest.mark.parametrize("name", DIRECTIONS)
 def test_level_ground_against_closed_forms(name, angle):
     vehicle, (v_x, v_y, omega) = platform(angle), DIRECTIONS[name]
-    dae, rates = direct_kinematics(vehicle, FLAT), textbook(v_x, v_y, omega, angle)
+    dae, rates = sf.direct_kinematics(vehicle, FLAT), textbook(v_x, v_y, omega, angle)
     found = rates_at(dae, rates)
     assert_allclose([found["velocity_y"], -found["velocity_x"]], [v_x, v_y], rtol=0, atol=1e-12)
     assert_allclose(found["heading_rate"], omega, rtol=0, atol=1e-12)
     assert np.abs([found["slip_along"], found["slip_across"]]).max() < 1e-12
-    inverse = inverse_kinematics(vehicle, FLAT, given=("forward", "right", "yaw_rate"))
+    inverse = sf.inverse_kinematics(vehicle, FLAT, given=("forward", "right", "yaw_rate"))
     given = inverse.inputs(forward=v_x, right=-v_y, yaw_rate=omega)
-    sought = simulate(inverse, settle(inverse), given, np.array([0.0, 1e-6]))
+    sought = sf.simulate(inverse, sf.settle(inverse), given, np.array([0.0, 1e-6]))
     for wheel, rate in rates.items():
         assert sought[wheel][0] == pytest.approx(rate, abs=1e-11)
 
@@ -140,7 +125,7 @@ def rollers_as_bodies(wheels, rates):
 @pytest.mark.parametrize("angle", [pi / 4, radians(-25), radians(70), pi / 2])
 def test_least_slip_on_a_tilted_plane_is_that_of_rollers_as_bodies(camber, angle, rng):
     """Four rates for three velocities: the wheels must slip. Leaning wheels shorten the axles."""
-    ground = Analytic(lambda x, y: 0.2 * x - 0.1 * y)
+    ground = sf.Analytic(lambda x, y: 0.2 * x - 0.1 * y)
     section = Torus(0.0125, 0.035)
     wheels, geometry = [], []
     for wheel in VEHICLE.wheels:
@@ -152,7 +137,7 @@ def test_least_slip_on_a_tilted_plane_is_that_of_rollers_as_bodies(camber, angle
         center = np.array([*PLACES[wheel.name], 0.0])
         geometry.append((center, np.array(axle), own, section.r1, section.r2))
     rates = rng.uniform(-3, 3, 4)
-    dae = direct_kinematics(replace(VEHICLE, wheels=tuple(wheels)), ground)
+    dae = sf.direct_kinematics(replace(VEHICLE, wheels=tuple(wheels)), ground)
     found = rates_at(dae, dict(zip((f"{n}_rate" for n in NAMES), rates, strict=True)), heading=0.7)
     axes = attitude(found)
     (right, forward, turning), slips = rollers_as_bodies(geometry, rates)
@@ -181,7 +166,7 @@ def test_rollers_at_90_degrees_are_those_of_an_omni_wheel():
 def test_rollers_along_the_axle_are_refused():
     """At zero degrees the wheel's rate would have no effect, and the contact no force forward."""
     for angle in (0.0, radians(91), np.nan):
-        with pytest.raises(ModelError, match=r"(angle|rollers): expected a"):
+        with pytest.raises(sf.ModelError, match=r"(angle|rollers): expected a"):
             Omni(Disc(0.1), angle)
 
 
@@ -193,17 +178,20 @@ PARALLEL = replace(VEHICLE, wheels=tuple(ALIKE))
 def test_rollers_that_permit_a_motion_are_refused():
     """An O on top of the wheels of a square: all axles on the ground point to the centre."""
     square = platform(**MIRRORED)
-    for model in (direct_kinematics, quasi_statics):
-        with pytest.raises(
-            ModelError, match="about a point 0 m to the right of its centre and 0 m"
-        ):
-            model(square, FLAT)
-    with pytest.raises(ModelError, match="none that resists its motion about a point 0 m"):
-        inverse_kinematics(square, hills_ground(), given=("forward", "right", "yaw_rate"))
-    with pytest.raises(ModelError, match="its motion 30 degrees to the left of forward, across"):
-        direct_kinematics(PARALLEL, FLAT)
-    direct_kinematics(platform(pi / 4, half_track=0.2, wheelbase=0.4), FLAT)
-    direct_kinematics(platform(-pi / 4), FLAT)
+    for model in (sf.direct_kinematics, sf.quasi_statics):
+        refuses(
+            sf.ModelError,
+            "about a point 0 m to the right of its centre and 0 m",
+            model,
+            square,
+            FLAT,
+        )
+    with pytest.raises(sf.ModelError, match="none that resists its motion about a point 0 m"):
+        sf.inverse_kinematics(square, hills_ground(), given=("forward", "right", "yaw_rate"))
+    with pytest.raises(sf.ModelError, match="its motion 30 degrees to the left of forward, across"):
+        sf.direct_kinematics(PARALLEL, FLAT)
+    sf.direct_kinematics(platform(pi / 4, half_track=0.2, wheelbase=0.4), FLAT)
+    sf.direct_kinematics(platform(-pi / 4), FLAT)
 
 
 def test_a_rigid_platform_moves_on_level_ground_as_one_with_a_rocking_axle():
@@ -213,11 +201,13 @@ def test_a_rigid_platform_moves_on_level_ground_as_one_with_a_rocking_axle():
     )
     rigid = replace(VEHICLE, coordinates=(), joints=(), wheels=tuple(wheels))
     v_x, v_y, omega = DIRECTIONS["all"]
-    found = rates_at(direct_kinematics(rigid, FLAT), textbook(v_x, v_y, omega))
+    found = rates_at(sf.direct_kinematics(rigid, FLAT), textbook(v_x, v_y, omega))
     assert_allclose([found["velocity_y"], -found["velocity_x"]], [v_x, v_y], rtol=0, atol=1e-9)
     assert_allclose(found["heading_rate"], omega, rtol=0, atol=1e-9)
-    dae = direct_kinematics(rigid, hills_ground())
-    run = simulate(dae, settle(dae), dae.inputs(**textbook(0.1, 0.1, 0.2)), np.linspace(0, 3, 16))
+    dae = sf.direct_kinematics(rigid, hills_ground())
+    run = sf.simulate(
+        dae, sf.settle(dae), dae.inputs(**textbook(0.1, 0.1, 0.2)), np.linspace(0, 3, 16)
+    )
     assert run.stop is None
     along = run["slip_along"] * SIGNS
     assert_allclose(along, run["slip_across"], rtol=0, atol=1e-5)  # along the rollers
@@ -227,24 +217,26 @@ def test_a_rigid_platform_moves_on_level_ground_as_one_with_a_rocking_axle():
 
 
 def hills_ground(mu=0.8):
-    return Analytic(hills, mu=mu)
+    return sf.Analytic(hills, mu=mu)
 
 
 @pytest.mark.parametrize("exact", [True, False])
 @pytest.mark.parametrize("angle", [pi / 4, -pi / 4])
 def test_commands_are_met_and_the_direct_model_repeats_them(angle, exact):
     vehicle, ground = platform(angle), hills_ground()
-    options = SolverOptions(1e-8)
+    options = sf.SolverOptions(1e-8)
     t = np.linspace(0, 4, 41)
-    dae = inverse_kinematics(vehicle, ground, given=("forward", "right", "yaw_rate"), exact=exact)
+    dae = sf.inverse_kinematics(
+        vehicle, ground, given=("forward", "right", "yaw_rate"), exact=exact
+    )
     given = {"forward": 0.1, "right": -0.15, "yaw_rate": 0.3}
-    run = simulate(dae, settle(dae, options=options), dae.inputs(**given), t, options=options)
+    run = sf.simulate(dae, sf.settle(dae, options=options), dae.inputs(**given), t, options=options)
     assert run.stop is None
     # on any ground, each wheel meets the one condition along its rollers by its rate
     assert np.hypot(run["slip_along"], run["slip_across"]).max() < 1e-12
     if not exact:
         assert max(np.abs(run[f"{name}_error"]).max() for name in given) < 1e-12
-    direct = direct_kinematics(vehicle, ground)
+    direct = sf.direct_kinematics(vehicle, ground)
     missed = round_trip(direct, run, ("velocity_x", "velocity_y", "heading_rate"))
     assert max(missed.values()) < 1e-9
     _, difference = replay(direct, run, options=options)
@@ -252,15 +244,15 @@ def test_commands_are_met_and_the_direct_model_repeats_them(angle, exact):
 
 
 def test_forward_alone_is_refused_since_the_vehicle_may_move_sideways():
-    with pytest.raises(ModelError, match="'mecanum': expected the given rate 'right'"):
-        inverse_kinematics(VEHICLE, FLAT, given=("forward", "yaw_rate"))
+    with pytest.raises(sf.ModelError, match="'mecanum': expected the given rate 'right'"):
+        sf.inverse_kinematics(VEHICLE, FLAT, given=("forward", "yaw_rate"))
 
 
 @pytest.mark.parametrize("angle", [pi / 4, -radians(60)])
 def test_a_path_is_followed(angle):
-    vehicle, path = platform(angle), Path(np.array([[0.0, 0.0], [0.0, 0.5], [-0.5, 1.0]]))
-    dae = direct_kinematics(vehicle, FLAT)
-    run = simulate(dae, settle(dae), follow(dae, path, speed=0.2), np.linspace(0, 6, 31))
+    vehicle, path = platform(angle), sf.Path(np.array([[0.0, 0.0], [0.0, 0.5], [-0.5, 1.0]]))
+    dae = sf.direct_kinematics(vehicle, FLAT)
+    run = sf.simulate(dae, sf.settle(dae), sf.follow(dae, path, speed=0.2), np.linspace(0, 6, 31))
     assert np.hypot(run["slip_along"], run["slip_across"]).max() < 1e-12
     assert np.hypot(run["x"][-1] + 0.5, run["y"][-1] - 1.0) < 0.15
 
@@ -271,7 +263,7 @@ def test_a_path_is_followed(angle):
 def slope(degrees, across, mu=0.6):
     """A plane that rises to the right or forward."""
     rise = tan(radians(degrees))
-    return Analytic(lambda x, y: rise * (x if across else y) + 0 * (x + y), mu=mu)
+    return sf.Analytic(lambda x, y: rise * (x if across else y) + 0 * (x + y), mu=mu)
 
 
 def roller_axles(angle):
@@ -318,7 +310,7 @@ def test_creep_on_a_slope_against_an_own_balance(across, angle):
     eps, mu, degrees = 1e-3, 0.6, 10
     rates = {"front_right_rate": 1e-3, "rear_left_rate": -2e-3, "front_left_rate": 0.0}
     rates["rear_right_rate"] = 3e-3
-    dae = quasi_statics(platform(angle), slope(degrees, across, mu), law=Coulomb(eps))
+    dae = sf.quasi_statics(platform(angle), slope(degrees, across, mu), law=sf.Coulomb(eps))
     for given in (dict.fromkeys(rates, 0.0), rates):
         found = rates_at(dae, given)
         values = [given[f"{name}_rate"] for name in NAMES]
@@ -345,8 +337,8 @@ def test_creep_on_a_slope_against_an_own_balance(across, angle):
 def test_the_least_utilisation_against_a_linear_programme(heading):
     """Friction only along the rollers' axles; the least utilisation by bisection of programmes."""
     ground, mu = slope(12, across=False, mu=0.5), 0.5
-    dae = direct_kinematics(VEHICLE, ground)
-    found = best_utilisation(VEHICLE, ground, settle(dae, heading=heading))
+    dae = sf.direct_kinematics(VEHICLE, ground)
+    found = best_utilisation(VEHICLE, ground, sf.settle(dae, heading=heading))
     axles, up = roller_axles(pi / 4), np.array([0.0, 0.0, 1.0])
     sides = [np.outer(np.eye(4)[k], side) for k in range(4) for side in (axles[k], up)]
     equal = np.stack([resultant(side) for side in sides], axis=-1)
@@ -364,17 +356,19 @@ def test_the_least_utilisation_against_a_linear_programme(heading):
 def test_forces_of_a_motion_act_along_the_rollers():
     """The load-weighted forces of kinematics have no component across the rollers' axles."""
     ground = hills_ground()
-    dae = direct_kinematics(VEHICLE, ground)
+    dae = sf.direct_kinematics(VEHICLE, ground)
     rates = textbook(0.1, 0.1, 0.2)
-    run = simulate(dae, settle(dae), dae.inputs(**rates), np.linspace(0, 2, 5))
+    run = sf.simulate(dae, sf.settle(dae), dae.inputs(**rates), np.linspace(0, 2, 5))
     ratio = run["force_along"] / run["force_across"]
     assert_allclose(ratio, np.broadcast_to(SIGNS, ratio.shape), rtol=1e-4)  # wheels lean a little
     assert np.ptp(run["force_along"]) > 1
 
 
 def test_soil_refuses_oblique_rollers():
-    with pytest.raises(ModelError, match="'front_right': expected a wheel on soil without oblique"):
-        dynamics(VEHICLE, FLAT, law=known_soil(next(iter(SOILS))))
+    with pytest.raises(
+        sf.ModelError, match="'front_right': expected a wheel on soil without oblique"
+    ):
+        sf.dynamics(VEHICLE, FLAT, law=known_soil(next(iter(SOILS))))
 
 
 # Dynamics
@@ -388,7 +382,7 @@ def free_wheels(vehicle, **more):
 
 def standing_states(model, **values):
     """States at rest on level ground, with other values."""
-    rest = settle(dynamics(free_wheels(VEHICLE), FLAT))
+    rest = sf.settle(sf.dynamics(free_wheels(VEHICLE), FLAT))
     return states(model, z=rest["z"][0], **values)
 
 
@@ -400,7 +394,7 @@ def test_coasting_wheels_take_their_share_of_momentum(angle, sideways):
     Friction spins the wheels up to ``c v / R``, with ``c = 1`` forward and ``cot(angle)`` sideways.
     """
     vehicle = free_wheels(platform(angle))
-    model = dynamics(vehicle, FLAT)
+    model = sf.dynamics(vehicle, FLAT)
     speed = 0.3
     start = standing_states(model, **{"velocity_x" if sideways else "velocity_y": speed})
     run = moved(model, start, np.linspace(0, 3, 31), tolerance=1e-10)
@@ -419,10 +413,10 @@ def test_coasting_wheels_take_their_share_of_momentum(angle, sideways):
 def test_momentum_of_free_motions_is_kept():
     """Wheels held at rest: a square with an O spins on, one with parallel rollers slides on."""
     square = platform(**MIRRORED)
-    model = dynamics(square, FLAT)
+    model = sf.dynamics(square, FLAT)
     run = moved(model, standing_states(model, omega_z=0.5), np.linspace(0, 2, 11))
     assert_allclose(run["omega_z"], 0.5, rtol=0, atol=1e-9)
-    model = dynamics(PARALLEL, FLAT)
+    model = sf.dynamics(PARALLEL, FLAT)
     free = 0.3 * np.array([-sin(radians(30)), cos(radians(30))])
     start = standing_states(model, velocity_x=free[0], velocity_y=free[1])
     run = moved(model, start, np.linspace(0, 2, 11))
@@ -434,10 +428,10 @@ def test_momentum_of_free_motions_is_kept():
 
 
 def test_the_energy_ledger_of_driven_wheels_on_hills():
-    model = dynamics(free_wheels(VEHICLE), hills_ground())
+    model = sf.dynamics(free_wheels(VEHICLE), hills_ground())
     names = [label.full for label in model.labels.u.wheels]
     inputs = dict(zip(names, -0.4 * SIGNS, strict=True))
-    run = moved(model, settle(model), np.linspace(0, 2, 21), tolerance=1e-9, **inputs)
+    run = moved(model, sf.settle(model), np.linspace(0, 2, 21), tolerance=1e-9, **inputs)
     assert np.abs(energy_error(run)).max() < 1e-6 * np.abs(run["work"]).max()
     assert run["lost_energy"][-1] > 0
     assert np.abs(run["wheel_rate"]).max() > 5
@@ -450,22 +444,24 @@ def test_dimensions_may_be_parameters_of_a_fit():
     unknowns = [Unknown("track", "track"), Unknown("radius", "radius")]
 
     def build(vehicle, law):
-        return direct_kinematics(vehicle, FLAT, slip=law)
+        return sf.direct_kinematics(vehicle, FLAT, slip=law)
 
-    model = parametric_model(build, VEHICLE, LeastSlip(), unknowns)
+    model = parametric_model(build, VEHICLE, sf.LeastSlip(), unknowns)
     assert [each.value for each in model.p] == pytest.approx([2 * HALF_TRACK, RADIUS])
 
 
-@pytest.mark.parametrize("model", [direct_kinematics, quasi_statics])
+@pytest.mark.parametrize("model", [sf.direct_kinematics, sf.quasi_statics])
 def test_batch_repeats_single_motions(model, tmp_path, monkeypatch):
     monkeypatch.setenv(codegen_cache.FOLDER, str(tmp_path))
     dae = model(VEHICLE, hills_ground())
     t, headings = np.linspace(0, 2, 11), np.array([0.0, 1.0])
     rates = textbook(0.1, 0.1, 0.3)
-    lanes = rollouts(dae, {"heading": headings}, rates, t, method="batch", step=0.02)
+    lanes = sf.rollouts(dae, {"heading": headings}, rates, t, method="batch", step=0.02)
     assert (lanes["outcome"] == "complete").all()
     for k, heading in enumerate(headings):
-        options = SolverOptions(1e-9)
-        run = simulate(dae, settle(dae, heading=heading), dae.inputs(**rates), t, options=options)
+        options = sf.SolverOptions(1e-9)
+        run = sf.simulate(
+            dae, sf.settle(dae, heading=heading), dae.inputs(**rates), t, options=options
+        )
         for name in ("x", "y", "heading", "roll"):
             assert_allclose(lanes[name][k], run[name], rtol=0, atol=1e-6)

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from helpers.cases import function_of
-from helpers.commands import invoke
+from helpers.commands import invoke, refuses
 from helpers.problem_files import FILE, _read
 from slipfree import Grid
 from slipfree.core.errors import DataError, ModelError
@@ -304,8 +304,7 @@ def test_a_summary_states_how_far_filled_ground_is_driven_on(tmp_path: Path) -> 
     ],
 )
 def test_faults_of_a_problem(tmp_path: Path, settings: list[str], words: str) -> None:
-    with pytest.raises(ProblemError, match=words):
-        _grounds(tmp_path, *settings)
+    refuses(ProblemError, words, _grounds, tmp_path, *settings)
 
 
 def test_friction_lies_where_the_ground_does(tmp_path: Path) -> None:
@@ -325,13 +324,8 @@ def test_friction_lies_where_the_ground_does(tmp_path: Path) -> None:
     assert_allclose(ground.mu.x, metres.x[2:], atol=1e-8)
     assert_allclose(ground.mu.y, metres.y[3:], atol=1e-8)
     Image.fromarray(np.full((8, 8), 200, np.uint8)).save(tmp_path / "mu.png")
-    settings = [
-        "terrain.cell=2",
-        "terrain.registration=point",
-        "terrain.friction=mu.png",
-        "terrain.file=",
-        "terrain.sample=jacksboro",
-    ]
+    settings = ["terrain.cell=2", "terrain.registration=point", "terrain.friction=mu.png"]
+    settings += ["terrain.file=", "terrain.sample=jacksboro"]
     mu = build_ground(_read(tmp_path, FILE, *settings)).mu
     assert isinstance(mu, Grid)
     assert mu.domain == (0, 14, 0, 14)
@@ -345,14 +339,8 @@ def test_every_key_is_documented() -> None:
 
 def test_a_window_in_degrees_has_its_own_origin(tmp_path: Path) -> None:
     x = 15 + 1e-5 * np.arange(60)
-    np.savez(
-        tmp_path / "d.npz",
-        x=x,
-        y=x + 30,
-        z=Bicubic(plane()).elevation(
-            *np.meshgrid(np.linspace(1, 9, 60), np.linspace(8, 12, 60), indexing="ij")
-        ),
-    )
+    places = np.meshgrid(np.linspace(1, 9, 60), np.linspace(8, 12, 60), indexing="ij")
+    np.savez(tmp_path / "d.npz", x=x, y=x + 30, z=Bicubic(plane()).elevation(*places))
     found = read_map(tmp_path / "d.npz", geographic="local", window=(15.0002, 15.0004, 45, 45.0003))
     assert (found.grid.x[0], found.grid.y[0]) == (0, 0)
     assert (found.frame.x0, found.frame.y0) == pytest.approx((15.0002, 45), abs=1e-12)

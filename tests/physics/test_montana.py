@@ -13,19 +13,10 @@ from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_simpson
 from scipy.spatial.transform import Rotation
 
+import slipfree as sf
 from helpers.cases import PAPER_RATES, case1, closure_model, drive, hills
+from helpers.commands import refuses
 from helpers.vehicles import four_wheels
-from slipfree import (
-    Analytic,
-    Bicubic,
-    Grid,
-    ModelError,
-    Rolling,
-    SolverOptions,
-    settle,
-    simulate,
-    straight,
-)
 from slipfree.catalog import three_wheeler
 from slipfree.contact.montana import ContactCoordinates, pair
 from slipfree.core.lookups import LookupTable
@@ -44,25 +35,20 @@ def rough():
     axis = np.linspace(-4, 4, 33)
     x, y = np.meshgrid(axis, axis, indexing="ij")
     noise = 0.003 * np.random.default_rng(11).normal(size=x.shape)
-    return Bicubic(Grid(axis, axis, np.array(ca.DM(hills(ca.DM(x), ca.DM(y)))) + noise))
+    return sf.Bicubic(sf.Grid(axis, axis, np.array(ca.DM(hills(ca.DM(x), ca.DM(y)))) + noise))
 
 
-GROUNDS = {"hills": Analytic(hills), "rough": rough()}
+GROUNDS = {"hills": sf.Analytic(hills), "rough": rough()}
 
 
 def both(ground, t, *, vehicle=None, rates=None, tolerance=1e-8, **start):
     """Drive by either formulation from the same start."""
     vehicle = vehicle or three_wheeler()
     closure, montana = closure_model(vehicle, ground), montana_model(vehicle, ground)
-    stand = settle(closure, **start)
+    stand = sf.settle(closure, **start)
+    rates, options = rates or PAPER_RATES, sf.SolverOptions(tolerance=tolerance)
     return [
-        simulate(
-            dae,
-            stand,
-            dae.inputs(**(rates or PAPER_RATES)),
-            t,
-            options=SolverOptions(tolerance=tolerance),
-        )
+        sf.simulate(dae, stand, dae.inputs(**rates), t, options=options)
         for dae in (closure, montana)
     ]
 
@@ -105,7 +91,7 @@ def test_reference_motion():
 
 
 def test_four_wheels_with_suspension_slip_alike():
-    ground = Analytic(lambda x, y: 0.1 * ca.sin(1.3 * x) * ca.cos(0.9 * y))
+    ground = sf.Analytic(lambda x, y: 0.1 * ca.sin(1.3 * x) * ca.cos(0.9 * y))
     rates = {"rear_right_rate": 2.0, "rear_left_rate": 1.7, "steer_rate": 0.02}
     closure, montana = both(
         ground, T, vehicle=four_wheels(rock=True), rates=rates, tolerance=1e-10, x=0.4, heading=0.2
@@ -120,10 +106,10 @@ def test_four_wheels_with_suspension_slip_alike():
 def test_rolling_law_and_feedback_apply_here_too():
     vehicle, ground = three_wheeler(), GROUNDS["hills"]
     closure = closure_model(vehicle, ground)
-    stand = settle(closure, **START)
+    stand = sf.settle(closure, **START)
     runs = []
-    for dae in (closure, montana_model(vehicle, ground, slip=Rolling())):
-        runs.append(simulate(dae, stand, straight(dae, stand, speed=0.4), T))
+    for dae in (closure, montana_model(vehicle, ground, slip=sf.Rolling())):
+        runs.append(sf.simulate(dae, stand, sf.straight(dae, stand, speed=0.4), T))
     assert gap(*runs) < 2e-6
     assert np.abs(runs[1]["slip_across"]).max() < 1e-12
 
@@ -136,15 +122,15 @@ def test_drift_of_a_minute():
     """The error test leaves out the rates: they carry the drift times kappa, noise to it."""
     closure = closure_model(three_wheeler(), GROUNDS["hills"])
     dae = montana_model(three_wheeler(), GROUNDS["hills"])
-    given = settle(closure), dae.inputs(**EVEN), np.linspace(0, 60, 121)
+    given = sf.settle(closure), dae.inputs(**EVEN), np.linspace(0, 60, 121)
     for tolerance, allowed in ((1e-10, 1e-8), (1e-8, 1e-6)):
-        run = simulate(dae, *given, options=SolverOptions(tolerance=tolerance))
+        run = sf.simulate(dae, *given, options=sf.SolverOptions(tolerance=tolerance))
         assert run.stop is None
         assert 0 < run["drift_position"].max() < allowed
         assert run["drift_rotation"].max() < 2 * allowed
         assert np.abs(run["slip_along"]).max() < 1e-12
     wasteful = replace(dae, suppress_algebraic=False)
-    wasteful = simulate(wasteful, *given, options=SolverOptions(tolerance=1e-8))
+    wasteful = sf.simulate(wasteful, *given, options=sf.SolverOptions(tolerance=1e-8))
     assert wasteful.statistics["steps"] > 3 * run.statistics["steps"]
 
 
@@ -152,9 +138,11 @@ def test_drift_decays_at_kappa():
     """A vehicle put together a little wrong pulls itself right, in place and orientation."""
     vehicle, ground, kappa = three_wheeler(), GROUNDS["hills"], 2.0
     dae = montana_model(vehicle, ground, kappa=kappa)
-    stand = displaced(settle(closure_model(vehicle, ground), **START), x=3e-6, psi=1e-5)
+    stand = displaced(sf.settle(closure_model(vehicle, ground), **START), x=3e-6, psi=1e-5)
     t = np.linspace(0, 1, 11)
-    run = simulate(dae, stand, dae.inputs(**PAPER_RATES), t, options=SolverOptions(tolerance=1e-11))
+    run = sf.simulate(
+        dae, stand, dae.inputs(**PAPER_RATES), t, options=sf.SolverOptions(tolerance=1e-11)
+    )
     for name, size in (("drift_position", 1e-6), ("drift_rotation", 1e-5)):
         assert run[name][0].min() > size / 2
         decayed = run[name][0] * np.exp(-kappa * t[:, None])
@@ -237,7 +225,7 @@ def test_twelve_invariants_hold_the_vehicle():
 def test_straight_over_a_cylindrical_hill():
     """A wheel's path along the ground is its radius times its turn relative to the normal."""
     rates = {"right_rate": 1.2, "left_rate": 1.2, "steer_rate": 0.0}
-    ground = Analytic(lambda _, y: 0.4 * ca.cos(0.8 * y))
+    ground = sf.Analytic(lambda _, y: 0.4 * ca.cos(0.8 * y))
     t = np.linspace(0, 20, 101)
     for run in both(ground, t, rates=rates, tolerance=1e-10, y=-3.0):
         assert run.stop is None
@@ -258,18 +246,17 @@ def test_straight_over_a_cylindrical_hill():
 def test_what_is_no_montana_model_is_refused():
     ground = GROUNDS["hills"]
     words = r"wheel 'right': .* with r1 > 0, found the edge of disc radius 0.3 m"
-    with pytest.raises(ModelError, match=words):
+    with pytest.raises(sf.ModelError, match=words):
         montana_model(three_wheeler(r1=0.0, r2=0.3), ground)
-    with pytest.raises(ModelError, match="kappa: expected a"):
+    with pytest.raises(sf.ModelError, match="kappa: expected a"):
         montana_model(three_wheeler(), ground, kappa=np.nan)
     dae, stand = (
         montana_model(three_wheeler(), ground),
-        settle(closure_model(three_wheeler(), ground)),
+        sf.settle(closure_model(three_wheeler(), ground)),
     )
-    with pytest.raises(ModelError, match="wheel right has drifted from its position"):
-        simulate(dae, displaced(stand, x=0.01), dae.inputs(**PAPER_RATES), T)
-    with pytest.raises(ModelError, match="position on the vehicle; start from the closure"):
-        settle(dae)
+    with pytest.raises(sf.ModelError, match="wheel right has drifted from its position"):
+        sf.simulate(dae, displaced(stand, x=0.01), dae.inputs(**PAPER_RATES), T)
+    refuses(sf.ModelError, "position on the vehicle; start from the closure", sf.settle, dae)
 
 
 def test_cross_check_finds_the_farthest_sample():
@@ -284,5 +271,5 @@ def test_cross_check_finds_the_farthest_sample():
     assert all(row.size == 0 for row in table if row is not worst)
     short = cross_check(run.part(slice(3)), other)
     assert max(row.size for row in short) < 1e-14
-    with pytest.raises(ModelError, match="expected two motions with the same sample times"):
+    with pytest.raises(sf.ModelError, match="expected two motions with the same sample times"):
         cross_check(run, replace(run, t=run.t + 0.1))

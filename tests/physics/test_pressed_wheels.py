@@ -10,18 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slipfree import (
-    Analytic,
-    Coulomb,
-    LeastSlip,
-    Rolling,
-    catalog,
-    direct_kinematics,
-    inverse_kinematics,
-    quasi_statics,
-    settle,
-    simulate,
-)
+import slipfree as sf
+from helpers.commands import refuses
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.errors import ModelError
 from slipfree.models.friction_feasibility import best_utilisation
@@ -32,7 +22,7 @@ from slipfree.solve.options import SolverOptions
 from slipfree.solve.replay import round_trip
 from slipfree.solve.settle import stable_poses
 
-ROBOT = catalog.rigid_skid_steer()
+ROBOT = sf.catalog.rigid_skid_steer()
 RADIUS, WHEELBASE, HALF_TRACK = 0.165, 0.51, 0.285
 
 
@@ -54,7 +44,7 @@ def level(x, y):
     return 0 * x + 0 * y
 
 
-HILLS = Analytic(hills(0.02), mu=0.8)
+HILLS = sf.Analytic(hills(0.02), mu=0.8)
 
 
 def with_depth(vehicle, share):
@@ -73,14 +63,14 @@ def rates(model, value):
 def test_loads_on_a_slope_have_a_closed_form():
     """Moments about the contacts give the loads of the axles; depth changes them at order d0."""
     slope, errors = np.radians(15), []
-    ground = Analytic(lambda x, y: np.tan(slope) * y + 0 * x)
+    ground = sf.Analytic(lambda x, y: np.tan(slope) * y + 0 * x)
     mass, wheels = 38.0, 8.0
     high = RADIUS + mass * 0.05 / (mass + wheels)
     weight = ROBOT.weight
     front = weight / 2 * (np.cos(slope) / 2 - high * np.sin(slope) / WHEELBASE)
     rear = weight / 2 * np.cos(slope) - front
     for share in (1 / 50, 1 / 500):
-        start = settle(direct_kinematics(with_depth(ROBOT, share), ground))
+        start = sf.settle(sf.direct_kinematics(with_depth(ROBOT, share), ground))
         loads = start["force_normal"][0]
         assert loads.sum() == pytest.approx(weight * np.cos(slope), rel=2e-4)
         assert start["force_along"][0].sum() == pytest.approx(weight * np.sin(slope), rel=2e-4)
@@ -91,13 +81,13 @@ def test_loads_on_a_slope_have_a_closed_form():
 
 @pytest.mark.slow
 def test_exact_contact_is_the_limit_at_order_depth():
-    vehicle, options = catalog.skid_steer(), SolverOptions(tolerance=1e-9)
+    vehicle, options = sf.catalog.skid_steer(), SolverOptions(tolerance=1e-9)
     t, apart = np.linspace(0, 4, 9), []
-    exact = direct_kinematics(vehicle, HILLS)
-    motion = simulate(exact, settle(exact), rates(exact, 1.5), t, options=options)
+    exact = sf.direct_kinematics(vehicle, HILLS)
+    motion = sf.simulate(exact, sf.settle(exact), rates(exact, 1.5), t, options=options)
     for share in (1 / 25, 1 / 250):
-        model = pressed_dae(with_depth(vehicle, share), HILLS, LeastSlip(), SMOOTHING)
-        run = simulate(model, settle(model), rates(model, 1.5), t, options=options)
+        model = pressed_dae(with_depth(vehicle, share), HILLS, sf.LeastSlip(), SMOOTHING)
+        run = sf.simulate(model, sf.settle(model), rates(model, 1.5), t, options=options)
         apart.append(np.hypot(run["x"] - motion["x"], run["y"] - motion["y"]).max())
     assert apart[0] < 1e-3
     assert apart[0] / apart[1] == pytest.approx(10, rel=0.15)
@@ -105,10 +95,10 @@ def test_exact_contact_is_the_limit_at_order_depth():
 
 def test_turning_on_the_spot_has_a_closed_form():
     """Least squares of slip along, ``w b - v``, and across, ``w L / 2``, of four wheels."""
-    model, rate = direct_kinematics(ROBOT, Analytic(level)), 2.0
+    model, rate = sf.direct_kinematics(ROBOT, sf.Analytic(level)), 2.0
     signs = {w.name: 1.0 if "right" in w.name else -1.0 for w in ROBOT.wheels}
     inputs = model.inputs(**{f"{name}_rate": sign * rate for name, sign in signs.items()})
-    run = simulate(model, settle(model), inputs, np.linspace(0, 1, 3))
+    run = sf.simulate(model, sf.settle(model), inputs, np.linspace(0, 1, 3))
     expected = rate * RADIUS * HALF_TRACK / (HALF_TRACK**2 + WHEELBASE**2 / 4)
     # the centre of mass lies in the middle, so that all wheels carry the same
     np.testing.assert_allclose(run["heading_rate"], expected, rtol=1e-9)
@@ -125,15 +115,15 @@ def test_the_motion_does_not_depend_on_the_origin_of_the_platform():
     other = replace(ROBOT, wheels=wheels, body=replace(ROBOT.body, at=center))
     t, ends = np.linspace(0, 3, 4), []
     for vehicle, at in ((ROBOT, np.zeros(3)), (other, shift)):
-        model = direct_kinematics(vehicle, HILLS)
-        start = settle(model)
+        model = sf.direct_kinematics(vehicle, HILLS)
+        start = sf.settle(model)
         if at.any():  # where the first robot's wheels are
             angles = [ends[0][name][0] for name in ("heading", "roll", "pitch")]
             arm = Rotation.from_euler("ZYX", angles).apply(at)
             place = np.array([ends[0][name][0] for name in "xyz"]) + arm
             pose = {name: ends[0][name][0] for name in ("roll", "pitch")}
-            start = settle(model, x=place[0], y=place[1], guess={"z": place[2]} | pose)
-        ends.append(simulate(model, start, rates(model, 3.0), t))
+            start = sf.settle(model, x=place[0], y=place[1], guess={"z": place[2]} | pose)
+        ends.append(sf.simulate(model, start, rates(model, 3.0), t))
     for axis in "xyz":
         first, second = (run[f"center_{axis}"] for run in ends)
         np.testing.assert_allclose(second, first, atol=2e-6)
@@ -141,11 +131,11 @@ def test_the_motion_does_not_depend_on_the_origin_of_the_platform():
 
 def test_poor_starts_settle():
     rng = np.random.default_rng(0)
-    model = direct_kinematics(ROBOT, Analytic(hills(0.05)))
+    model = sf.direct_kinematics(ROBOT, sf.Analytic(hills(0.05)))
     for _ in range(4):
         x, y, heading = rng.uniform(-5, 5, 3)
         z, roll, pitch = rng.uniform([-0.2, -0.5, -0.5], [0.4, 0.5, 0.5])
-        start = settle(
+        start = sf.settle(
             model, x=x, y=y, heading=heading, guess={"z": 0.165 + z, "roll": roll, "pitch": pitch}
         )
         assert (start["x"][0], start["heading"][0]) == (x, heading)
@@ -156,18 +146,18 @@ def test_poor_starts_settle():
 
 @pytest.mark.slow
 def test_a_robot_may_stand_on_different_wheels():
-    ground = Analytic(hills(0.05))
-    poses = stable_poses(direct_kinematics(ROBOT, ground), x=1.2, y=4.95)
+    ground = sf.Analytic(hills(0.05))
+    poses = stable_poses(sf.direct_kinematics(ROBOT, ground), x=1.2, y=4.95)
     assert [lightest_wheel(pose, 0)[0] for pose in poses] == ["rear_left", "front_right"]
     assert all(pose["depth"].min() < 0 for pose in poses)  # a diagonal lies on each
-    exact = direct_kinematics(catalog.skid_steer(), ground)
+    exact = sf.direct_kinematics(sf.catalog.skid_steer(), ground)
     assert len(stable_poses(exact, x=1.2, y=4.95)) == 1
 
 
 @pytest.mark.slow
 def test_a_robot_rocks_and_says_when():
-    model = direct_kinematics(ROBOT, Analytic(hills(0.05)))
-    run = simulate(model, settle(model), rates(model, 6.0), np.linspace(0, 6, 301))
+    model = sf.direct_kinematics(ROBOT, sf.Analytic(hills(0.05)))
+    run = sf.simulate(model, sf.settle(model), rates(model, 6.0), np.linspace(0, 6, 301))
     assert run.stop is None
     found = rocks(run)
     lightest = [ROBOT.wheels[k].name for k in run["load_share"].argmin(axis=1)]
@@ -181,50 +171,47 @@ def test_a_robot_rocks_and_says_when():
 @pytest.mark.slow
 def test_rates_of_commands_round_trip():
     options = SolverOptions(tolerance=1e-8)
-    inverse = inverse_kinematics(ROBOT, HILLS, given=["forward", "yaw_rate"])
+    inverse = sf.inverse_kinematics(ROBOT, HILLS, given=["forward", "yaw_rate"])
     given = inverse.inputs(forward=0.5, yaw_rate=0.2)
-    run = simulate(inverse, settle(inverse), given, np.linspace(0, 2, 21), options=options)
+    run = sf.simulate(inverse, sf.settle(inverse), given, np.linspace(0, 2, 21), options=options)
     assert run.stop is None
-    direct = direct_kinematics(ROBOT, HILLS)
+    direct = sf.direct_kinematics(ROBOT, HILLS)
     names = ["velocity_x", "velocity_y", "velocity_z", "heading_rate", "roll_rate", "pitch_rate"]
     assert max(round_trip(direct, run, names).values()) < 1e-9
 
 
 @pytest.mark.slow
 def test_six_wheels_and_no_mass():
-    robot = catalog.rigid_skid_steer(axles=3, mass=0.0, wheel_mass=0.0)
+    robot = sf.catalog.rigid_skid_steer(axles=3, mass=0.0, wheel_mass=0.0)
     assert robot.mass == 0
-    model = direct_kinematics(robot, HILLS)
-    run = simulate(model, settle(model), rates(model, 6.0), np.linspace(0, 1, 5))
+    model = sf.direct_kinematics(robot, HILLS)
+    run = sf.simulate(model, sf.settle(model), rates(model, 6.0), np.linspace(0, 1, 5))
     assert run.stop is None
     assert "force_normal" not in run.columns
     assert run["load_share"].mean() == pytest.approx(1.0, rel=0.02)
 
 
 def test_a_vehicle_that_topples_has_no_start():
-    cliff = Analytic(lambda x, y: 3.0 * x + 0 * y)
+    cliff = sf.Analytic(lambda x, y: 3.0 * x + 0 * y)
     with pytest.raises(ModelError, match=r"no equilibrium|overturns|tips over"):
-        settle(direct_kinematics(ROBOT, cliff))
+        sf.settle(sf.direct_kinematics(ROBOT, cliff))
 
 
 @pytest.mark.parametrize(
     ("name", "build"),
     [
-        ("rolling without slip", lambda: direct_kinematics(ROBOT, HILLS, slip=Rolling())),
-        ("quasi-static model", lambda: quasi_statics(ROBOT, HILLS, law=Coulomb())),
+        ("rolling without slip", lambda: sf.direct_kinematics(ROBOT, HILLS, slip=sf.Rolling())),
+        ("quasi-static model", lambda: sf.quasi_statics(ROBOT, HILLS, law=sf.Coulomb())),
         ("Montana's form", lambda: montana_kinematics(ROBOT, HILLS)),
         ("best friction utilisation", lambda: best_utilisation(ROBOT, HILLS, None)),
     ],
 )
 def test_models_of_exact_contact_refuse_rigid_vehicles_by_name(name, build):
     words = f"{name}: expected a vehicle whose wheels can all touch.* beyond three .1., found 0"
-    with pytest.raises(ModelError, match=words):
-        build()
+    refuses(ModelError, words, build)
     assert not has_exact_closure(ROBOT)
 
 
 def test_static_depths_and_axles_are_checked():
-    with pytest.raises(ModelError, match=r"static_depth: expected a number > 0, found 0\.0"):
-        with_depth(ROBOT, 0.0)
-    with pytest.raises(ModelError, match="expected axles = 2 or 3, found 4"):
-        catalog.rigid_skid_steer(axles=4)
+    refuses(ModelError, r"static_depth: expected a number > 0, found 0\.0", with_depth, ROBOT, 0.0)
+    refuses(ModelError, "expected axles = 2 or 3, found 4", sf.catalog.rigid_skid_steer, axles=4)

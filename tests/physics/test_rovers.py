@@ -8,18 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import slipfree as sf
 from helpers.cases import LIGHT, closure_model, hills, rocky_run, rover_ground
-from slipfree import (
-    Analytic,
-    Bicubic,
-    Grid,
-    ModelError,
-    SolverOptions,
-    quasi_statics,
-    settle,
-    simulate,
-    straight,
-)
+from helpers.commands import refuses
 from slipfree.catalog import (
     ackermann,
     articulated,
@@ -38,7 +29,7 @@ from slipfree.plan.transcription import Mesh
 from slipfree.terrain.rolled import rolled
 from slipfree.vehicle.tree import body_inertia
 
-FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)
+FLAT, HILLS = sf.Analytic(lambda x, _: 0 * x), sf.Analytic(hills)
 CATALOG = {
     make.__name__: make(**LIGHT)
     for make in (differential_drive, ackermann, skid_steer, articulated, open_source_rover)
@@ -50,7 +41,7 @@ def rates_at(vehicle, ground, rates, **start):
     """Rates of a vehicle at a start, by name."""
     dae = closure_model(vehicle, ground)
     given = {label.full: 0.0 for label in leaves(dae.labels.u)} | rates
-    run = simulate(dae, settle(dae, **start), dae.inputs(**given), np.array([0.0, 1e-6]))
+    run = sf.simulate(dae, sf.settle(dae, **start), dae.inputs(**given), np.array([0.0, 1e-6]))
     return {name: run[name][0] for name in run.columns}
 
 
@@ -115,7 +106,7 @@ def test_a_skid_steered_cart_turns_less_by_its_length():
 def test_a_rover_turns_about_its_middle_axle_without_slip():
     turning, away = 0.2, 0.8  # the middle of the turn, to the left [rad/s], [m]
     vehicle = CATALOG["open_source_rover"]
-    rest = settle(closure_model(vehicle, FLAT))
+    rest = sf.settle(closure_model(vehicle, FLAT))
     axle = rest["center_y"][0, [w.name.startswith("middle") for w in vehicle.wheels]][0]
     start, rates = {}, {}
     for k, wheel in enumerate(vehicle.wheels):
@@ -154,7 +145,7 @@ def test_rocky_7_ends_where_another_code_has_it(case):
     run = rocky_run(rover_ground(), *case)
     assert_allclose([run[name][-1] for name in "xyz"], ENDS[case], atol=1e-5)
     assert run["closure_residual"].max() < 1e-12
-    below = run["center_z"] - Bicubic(rover_ground()).elevation(run["center_x"], run["center_y"])
+    below = run["center_z"] - sf.Bicubic(rover_ground()).elevation(run["center_x"], run["center_y"])
     assert below.min() > 0
 
 
@@ -169,14 +160,14 @@ def test_rocky_7_has_the_inertia_that_another_code_assumes():
 def test_noise_that_no_wheel_follows_is_named_and_rolled_away():
     grid = rover_ground()
     noise = np.random.default_rng(5).normal(0, 0.005, grid.z.shape)
-    rough = Grid(grid.x, grid.y, grid.z + noise)
+    rough = sf.Grid(grid.x, grid.y, grid.z + noise)
     words = r"wheel (front|middle|rear)_\w+.*(more concave than the wheel|touches a second time)"
     try:
         found = rocky_run(rough).stop.words
-    except ModelError as error:
+    except sf.ModelError as error:
         found = str(error)
     assert re.search(words, found)
-    part = Grid(rough.x[20:80], rough.y[20:80], np.ascontiguousarray(rough.z[20:80, 20:80]))
+    part = sf.Grid(rough.x[20:80], rough.y[20:80], np.ascontiguousarray(rough.z[20:80, 20:80]))
     run = rocky_run(rolled(part, 0.065).grid, tolerance=1e-4, duration=2.0)  # 10 s: benchmarks
     assert run.stop is None
 
@@ -184,8 +175,7 @@ def test_noise_that_no_wheel_follows_is_named_and_rolled_away():
 def test_a_caster_without_trail_is_named():
     vehicle = differential_drive(trail=0.0, **LIGHT)
     dae = closure_model(vehicle, FLAT)
-    with pytest.raises(ModelError, match=r"no equation determines caster_angle_rate"):
-        settle(dae)
+    refuses(sf.ModelError, r"no equation determines caster_angle_rate", sf.settle, dae)
 
 
 # Seven cases on hills: inputs, start
@@ -197,8 +187,10 @@ def test_rovers_follow_paths(name):
     vehicle = CATALOG[name]
     way = Path(np.array([(0.0, 0.0), (0.5, 2.0), (2.0, 4.0), (2.0, 7.0)]))
     dae = closure_model(vehicle, HILLS)
-    start, law = settle(dae, heading=-0.245), follow(dae, way, speed=0.2)
-    run = simulate(dae, start, law, np.linspace(0, 36, 73), options=SolverOptions(tolerance=1e-6))
+    start, law = sf.settle(dae, heading=-0.245), follow(dae, way, speed=0.2)
+    run = sf.simulate(
+        dae, start, law, np.linspace(0, 36, 73), options=sf.SolverOptions(tolerance=1e-6)
+    )
     assert run.stop is None
     dense = way.at(np.linspace(0, way.length, 2000))
     gaps = np.hypot(run["x"][:, None] - dense.x, run["y"][:, None] - dense.y).min(axis=1)
@@ -210,7 +202,7 @@ def test_rovers_follow_paths(name):
 # With masses: forces, friction and plans, for all without special code
 
 
-GENTLE = Analytic(lambda x, y: 0.2 * (hills(x, y) - 2), mu=0.7)
+GENTLE = sf.Analytic(lambda x, y: 0.2 * (hills(x, y) - 2), mu=0.7)
 
 
 def ahead(dae, vehicle, start):
@@ -219,20 +211,20 @@ def ahead(dae, vehicle, start):
             f"{wheel.name}_rate": 0.0 if "across" in wheel.name else 2.0 for wheel in vehicle.wheels
         }
         return dae.inputs(**rates)
-    return straight(dae, start, speed=0.2)
+    return sf.straight(dae, start, speed=0.2)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [differential_drive, articulated, rocky7, seven_wheels])
 def test_every_vehicle_stands_drives_and_creeps(make):
     vehicle = make()
-    level = settle(closure_model(vehicle, Analytic(lambda x, _: 0 * x, mu=0.7)))
+    level = sf.settle(closure_model(vehicle, sf.Analytic(lambda x, _: 0 * x, mu=0.7)))
     assert level["force_normal"].min() > 0.05 * vehicle.weight / len(vehicle.wheels)
     assert level["force_normal"].sum() == pytest.approx(vehicle.weight, rel=1e-9)
-    places, t, options = [], np.linspace(0, 5, 6), SolverOptions(tolerance=1e-6)
-    for dae in (closure_model(vehicle, GENTLE), quasi_statics(vehicle, GENTLE)):
-        start = settle(dae, x=0.3, heading=0.2)
-        run = simulate(dae, start, ahead(dae, vehicle, start), t, options=options)
+    places, t, options = [], np.linspace(0, 5, 6), sf.SolverOptions(tolerance=1e-6)
+    for dae in (closure_model(vehicle, GENTLE), sf.quasi_statics(vehicle, GENTLE)):
+        start = sf.settle(dae, x=0.3, heading=0.2)
+        run = sf.simulate(dae, start, ahead(dae, vehicle, start), t, options=options)
         assert run.stop is None
         assert run["force_normal"].min() > 0
         assert run["utilisation"].max() < 1
@@ -245,8 +237,8 @@ def test_every_vehicle_stands_drives_and_creeps(make):
 def test_an_articulated_vehicle_is_planned_for():
     vehicle = CATALOG["articulated"]
     dae = closure_model(vehicle, HILLS)
-    start, t, options = settle(dae, heading=0.2), np.linspace(0, 5, 6), SolverOptions(1e-6)
-    guess = simulate(dae, start, ahead(dae, vehicle, start), t, options=options)
+    start, t, options = sf.settle(dae, heading=0.2), np.linspace(0, 5, 6), sf.SolverOptions(1e-6)
+    guess = sf.simulate(dae, start, ahead(dae, vehicle, start), t, options=options)
     found = plan(
         dae,
         start,
@@ -270,9 +262,9 @@ def test_an_articulated_vehicle_is_planned_for():
 @pytest.mark.slow
 def test_seven_wheels_go_anywhere_on_level_ground():
     vehicle = seven_wheels()
-    ground = Analytic(lambda x, _: 0 * x, mu=0.5)
+    ground = sf.Analytic(lambda x, _: 0 * x, mu=0.5)
     dae = closure_model(vehicle, ground)
-    rest = settle(dae)
+    rest = sf.settle(dae)
     given = {"forward": 0.1, "yaw_rate": 0.2, "right": 0.05}
     rates = {}
     for k, wheel in enumerate(vehicle.wheels):
@@ -281,7 +273,9 @@ def test_seven_wheels_go_anywhere_on_level_ground():
         forward = {"rear_across": (1, 0), "front_across": (-1, 0)}.get(wheel.name, (0, 1))
         rates[f"{wheel.name}_rate"] = velocity @ forward / wheel.radius
     inverse = inverse_kinematics(vehicle, ground, given=tuple(given))
-    sought = simulate(inverse, settle(inverse), inverse.inputs(**given), np.array([0.0, 1e-6]))
+    sought = sf.simulate(
+        inverse, sf.settle(inverse), inverse.inputs(**given), np.array([0.0, 1e-6])
+    )
     assert_allclose([sought[name][0] for name in rates], list(rates.values()), atol=1e-12)
     found = rates_at(vehicle, ground, rates)
     assert_allclose(heading_frame(found, 0.0), (0.1, 0.05), atol=1e-12)
@@ -290,10 +284,12 @@ def test_seven_wheels_go_anywhere_on_level_ground():
     across = [w.name.endswith("across") for w in vehicle.wheels]
     assert_allclose(rest["force_normal"][0, across], 20.0, rtol=1e-9)
     assert rest["force_normal"].sum() == pytest.approx(21.6 * 9.81, rel=1e-9)
-    with pytest.raises(ModelError, match="'seven_wheels': expected the given rate 'right'"):
+    with pytest.raises(sf.ModelError, match="'seven_wheels': expected the given rate 'right'"):
         inverse_kinematics(vehicle, ground, given=("forward", "yaw_rate"))
-    law = straight(dae, rest, speed=0.2)
-    run = simulate(dae, rest, law, np.linspace(0, 5, 6), options=SolverOptions(tolerance=1e-6))
+    law = sf.straight(dae, rest, speed=0.2)
+    run = sf.simulate(
+        dae, rest, law, np.linspace(0, 5, 6), options=sf.SolverOptions(tolerance=1e-6)
+    )
     assert_allclose([run["x"][-1], run["y"][-1]], [0, 1], atol=1e-3)
 
 
@@ -308,5 +304,4 @@ def test_seven_wheels_go_anywhere_on_level_ground():
     ],
 )
 def test_what_is_no_vehicle_is_refused(make, options, words):
-    with pytest.raises(ModelError, match=words):
-        make(**options)
+    refuses(sf.ModelError, words, make, **options)

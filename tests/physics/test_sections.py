@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from helpers.cases import hills
+from helpers.commands import refuses
 from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
 from slipfree.contact.montana import patch
@@ -148,8 +149,7 @@ def test_radii_name_the_torus_or_its_limits():
 
 def test_dimensions_that_are_not_positive_are_refused():
     for value in (0.0, np.nan):
-        with pytest.raises(ModelError, match=r"Torus: r1: expected a (finite )?number"):
-            Torus(value, 0.25)
+        refuses(ModelError, r"Torus: r1: expected a (finite )?number", Torus, value, 0.25)
 
 
 @pytest.mark.slow

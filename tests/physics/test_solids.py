@@ -7,19 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import slipfree as sf
+from helpers.commands import refuses
 from helpers.dynamics import FLAT, energy_error, four_wheels, moved
-from slipfree import (
-    Analytic,
-    ModelError,
-    Solids,
-    catalog,
-    direct_kinematics,
-    dynamics,
-    inverse_kinematics,
-    montana_kinematics,
-    quasi_statics,
-    settle,
-)
 from slipfree.contact import touch
 from slipfree.contact.touch import solid_touch
 from slipfree.core.lookups import LookupTable, lookup_function
@@ -61,12 +51,14 @@ def test_the_distance_of_a_turned_block_is_that_of_its_box():
 
 
 def test_the_elevation_is_that_of_the_highest_surface():
-    rising = Analytic(lambda x, y: 0.1 * y + 0 * x, mu=1.0)
-    ground = Solids(rising, placed(ramp(np.pi / 4, 0.2), x=1.0, y=2.0, z=0.2, heading=-np.pi / 2))
+    rising = sf.Analytic(lambda x, y: 0.1 * y + 0 * x, mu=1.0)
+    ground = sf.Solids(
+        rising, placed(ramp(np.pi / 4, 0.2), x=1.0, y=2.0, z=0.2, heading=-np.pi / 2)
+    )
     x = np.array([0.5, 1.0, 1.1, 1.5, 1.5, 1.5])
     y = np.array([2.0, 2.0, 2.0, 2.0, 3.0, 6.0])
     assert_allclose(ground.elevation(x, y), [0.2, 0.2, 0.3, 0.4, 0.4, 0.6], atol=1e-12)
-    narrow = Solids(rising, placed(kerb(0.3, 0.4), y=2.0, half_width=0.5))
+    narrow = sf.Solids(rising, placed(kerb(0.3, 0.4), y=2.0, half_width=0.5))
     assert_allclose(narrow.elevation([0.4, 0.6, 0.4], [2.2, 2.2, 2.5]), [0.3, 0.22, 0.25])
 
 
@@ -139,7 +131,7 @@ def test_a_wheel_touches_the_top_of_a_solid_as_it_touches_a_plane(section):
 
 
 def test_a_plane_needs_no_search():
-    slope = Analytic(lambda x, y: 0.3 * x - 0.1 * y + 0.05, mu=0.8)
+    slope = sf.Analytic(lambda x, y: 0.3 * x - 0.1 * y + 0.05, mu=0.8)
     section = Torus(0.03, 0.12)
     plane = touch.plane_of(slope)
     assert isinstance(touch.search_function(slope, section, 0.15), touch.Plane)
@@ -151,7 +143,7 @@ def test_a_plane_needs_no_search():
         ground_contacts(slope, section, plane)(center, axle), searched(center, axle), strict=True
     ):
         assert_allclose(one, other, atol=1e-12)
-    assert touch.plane_of(Analytic(lambda x, y: x * y)) is None
+    assert touch.plane_of(sf.Analytic(lambda x, y: x * y)) is None
 
 
 def ground_contacts(terrain, section, search):
@@ -208,11 +200,11 @@ def test_a_disc_keeps_its_radius_in_its_plane():
 
 def climbing(vehicle, ground, heading, speed, duration, count=101):
     """Return a motion from rest at rates of a forward speed."""
-    model = dynamics(vehicle, ground)
+    model = sf.dynamics(vehicle, ground)
     rates = {label.full: 0.0 for part in model.labels.u for label in part}
     for wheel in vehicle.wheels:
         rates[f"{wheel.name}_rate"] = speed / wheel.radius * ca.tanh(model.t / 0.3)
-    start = settle(model, x=0.0, y=0.0, heading=heading)
+    start = sf.settle(model, x=0.0, y=0.0, heading=heading)
     return moved(model, start, np.linspace(0, duration, count), 1e-6, **rates)
 
 
@@ -225,8 +217,8 @@ def ledger(run):
 @pytest.mark.slow
 def test_rocky_7_climbs_a_step_higher_than_its_wheels_at_a_heading():
     """Mirror images agree, and all wheels end on the step."""
-    ground = Solids(GRIPPY, placed(step(0.09), y=0.6))
-    vehicle = catalog.rocky7()
+    ground = sf.Solids(GRIPPY, placed(step(0.09), y=0.6))
+    vehicle = sf.catalog.rocky7()
     run = climbing(vehicle, ground, np.deg2rad(20), 0.2, 9.0)
     assert run.stop is None
     assert run["center_z"][-1].min() > 0.09 + 0.06
@@ -240,13 +232,13 @@ def test_rocky_7_climbs_a_step_higher_than_its_wheels_at_a_heading():
 
 @pytest.mark.slow
 def test_a_rigid_four_wheeler_climbs_stairs_that_its_wheels_can():
-    ground = Solids(GRIPPY, placed(stairs(0.05, 0.6, 2), y=1.2))
-    run = climbing(catalog.rigid_skid_steer(), ground, 0.1, 0.4, 7.0)
+    ground = sf.Solids(GRIPPY, placed(stairs(0.05, 0.6, 2), y=1.2))
+    run = climbing(sf.catalog.rigid_skid_steer(), ground, 0.1, 0.4, 7.0)
     assert run.stop is None
     assert run["solid_load_2"][-1].max() > 0
     assert run["center_z"][-1].max() > 0.1 + 0.1
     assert ledger(run) < 1
-    ending = obstacle_ending(run, catalog.rigid_skid_steer(), ground.prisms)
+    ending = obstacle_ending(run, sf.catalog.rigid_skid_steer(), ground.prisms)
     assert ending.name == "climbs"
     assert ending.t < 7.0
     assert "z = 0.1 m" in ending.words
@@ -254,43 +246,46 @@ def test_a_rigid_four_wheeler_climbs_stairs_that_its_wheels_can():
 
 @pytest.mark.slow
 def test_with_too_little_friction_it_stays_below():
-    ground = Solids(replace(FLAT, mu=0.2), placed(step(0.09), y=0.6))
-    run = climbing(catalog.rocky7(), ground, 0.0, 0.2, 4.0)
+    ground = sf.Solids(replace(FLAT, mu=0.2), placed(step(0.09), y=0.6))
+    run = climbing(sf.catalog.rocky7(), ground, 0.0, 0.2, 4.0)
     assert run["center_z"][-1].max() < 0.09
     assert np.abs(run["x"]).max() < 1e-6
-    ending = obstacle_ending(run, catalog.rocky7(), ground.prisms)
+    ending = obstacle_ending(run, sf.catalog.rocky7(), ground.prisms)
     assert ending.name == "stalls"
     assert "0 of 6 wheels had reached the top, z = 0.09 m" in ending.words
-    early = obstacle_ending(run.part(slice(0, 5)), catalog.rocky7(), ground.prisms)
+    early = obstacle_ending(run.part(slice(0, 5)), sf.catalog.rocky7(), ground.prisms)
     assert (early.name, early.words) == ("unfinished", "no wheel touched an obstacle")
     words = "the platform overturns (cosine of its inclination)"
     over = replace(run, stop=Stop("upright", 4.0, words, Outcome.LIMIT))
-    ending = obstacle_ending(over, catalog.rocky7(), ground.prisms)
+    ending = obstacle_ending(over, sf.catalog.rocky7(), ground.prisms)
     assert str(ending) == f"tips over: at t = 4 s {words}"
-    assert obstacle_ending(run, catalog.rocky7(), ()) is None
+    assert obstacle_ending(run, sf.catalog.rocky7(), ()) is None
 
 
 @pytest.mark.slow
 def test_a_start_that_touches_a_solid_is_refused():
-    model = dynamics(four_wheels(), Solids(FLAT, placed(step(0.1), y=0.5)))
-    with pytest.raises(ModelError, match="touches a solid at the start"):
-        settle(model, x=0.0, y=0.0, heading=0.0)
+    model = sf.dynamics(four_wheels(), sf.Solids(FLAT, placed(step(0.1), y=0.5)))
+    refuses(
+        sf.ModelError, "touches a solid at the start", sf.settle, model, x=0.0, y=0.0, heading=0.0
+    )
 
 
 @pytest.mark.parametrize(
     "model",
     [
-        direct_kinematics,
-        quasi_statics,
-        montana_kinematics,
-        lambda vehicle, ground: inverse_kinematics(vehicle, ground, given=("forward", "yaw_rate")),
+        sf.direct_kinematics,
+        sf.quasi_statics,
+        sf.montana_kinematics,
+        lambda vehicle, ground: sf.inverse_kinematics(
+            vehicle, ground, given=("forward", "yaw_rate")
+        ),
     ],
     ids=["direct", "quasi-statics", "montana", "inverse"],
 )
 def test_models_without_inertia_refuse_solids(model):
-    ground = Solids(FLAT, placed(step(0.1), y=2.0))
-    with pytest.raises(ModelError, match=r"expected Terrain, found Solids; .*dynamics"):
-        model(catalog.three_wheeler(), ground)
+    ground = sf.Solids(FLAT, placed(step(0.1), y=2.0))
+    with pytest.raises(sf.ModelError, match=r"expected Terrain, found Solids; .*dynamics"):
+        model(sf.catalog.three_wheeler(), ground)
 
 
 @pytest.mark.parametrize(
@@ -301,5 +296,4 @@ def test_models_without_inertia_refuse_solids(model):
     ],
 )
 def test_a_prism_of_invalid_numbers_is_refused(words, numbers):
-    with pytest.raises(ModelError, match=words):
-        Prism(BLOCK, **numbers)
+    refuses(sf.ModelError, words, Prism, BLOCK, **numbers)

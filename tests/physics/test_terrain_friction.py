@@ -18,7 +18,7 @@ from scipy.interpolate import NdBSpline
 
 from helpers.cases import function_of as looked_up
 from helpers.cases import hills
-from helpers.commands import invoke, sets
+from helpers.commands import invoke, refuses, sets
 from helpers.problem_files import VALID
 from slipfree.core.errors import DataError, ModelError
 from slipfree.files.toml.source import ProblemError
@@ -224,8 +224,7 @@ def test_a_map_that_is_not_positive_is_refused():
         r"friction: all coefficients must be positive, found 2 of 126 that are not, the first "
         rf"0 at x = {bad.x[4]:.9g} m, y = 3\.125 m; for ice give a small number"
     )
-    with pytest.raises(DataError, match=words):
-        Bicubic(HEIGHTS, mu=bad)
+    refuses(DataError, words, Bicubic, HEIGHTS, mu=bad)
 
 
 PROBLEM = VALID.replace("[terrain", "[terrain]\nfriction = 0.6\n\n[terrain", 1)
@@ -283,8 +282,7 @@ def test_a_problem_with_a_map_scaled_with_its_ground(folder):
 def test_a_problem_refuses_what_is_no_friction(folder, bad):
     words = r"p\.toml:4: terrain\.friction: expected a number greater than 0, or the name of a file"
     (folder / "p.toml").write_text(PROBLEM.replace("0.6", bad))
-    with pytest.raises(ProblemError, match=words):
-        load_problem(folder / "p.toml")
+    refuses(ProblemError, words, load_problem, folder / "p.toml")
 
 
 @pytest.mark.parametrize(
@@ -307,5 +305,4 @@ def test_problem_refuses_a_map(folder, changes, words):
         np.savez(folder / "mu.npz", **({"x": mu.x, "y": mu.y} | changes))
     (folder / "p.toml").write_text(PROBLEM.replace("0.6", '"mu.npz"') + "\n")
     problem = load_problem(folder / "p.toml", ["terrain.scale=2"])
-    with pytest.raises(ProblemError, match=rf"p\.toml:4: terrain\.friction: .*{words}"):
-        build(problem)
+    refuses(ProblemError, rf"p\.toml:4: terrain\.friction: .*{words}", build, problem)

@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 from scipy.interpolate import RectBivariateSpline
 
 from helpers.cases import function_of
+from helpers.commands import refuses
 from slipfree.catalog import rigid_skid_steer
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.geometry.regions import Region
@@ -85,8 +86,7 @@ def test_arrays_are_kept_but_read_only():
     ],
 )
 def test_grid_refuses(x, y, z, words):
-    with pytest.raises(SlipfreeError, match=words):
-        Grid(x, y, z)
+    refuses(SlipfreeError, words, Grid, x, y, z)
 
 
 def test_non_uniform_axis_is_named_with_its_remedy():
@@ -101,8 +101,7 @@ def test_non_uniform_axis_is_named_with_its_remedy():
     assert_allclose(Grid(names["x_even"], Y, names["z"]).z, np.add.outer(names["x_even"], Y))
     drifting = np.linspace(0, 1, 2000)
     drifting += 1e-8 * np.sin(np.pi * drifting)
-    with pytest.raises(DataError, match="axis y must be uniform to 1e-09"):
-        Grid(X, drifting, np.zeros((5, 2000)))
+    refuses(DataError, "axis y must be uniform to 1e-09", Grid, X, drifting, np.zeros((5, 2000)))
 
 
 def test_analytic_height_and_elevation_agree():
@@ -133,8 +132,7 @@ def test_analytic_height_and_elevation_agree():
     ],
 )
 def test_analytic_refuses(function, domain, words):
-    with pytest.raises(ModelError, match=words):
-        Analytic(function, domain)
+    refuses(ModelError, words, Analytic, function, domain)
 
 
 # Rolled ground, on which hollows narrower than a wheel are filled
@@ -261,8 +259,7 @@ def test_blank():
         ((1, 0), 0.1, "x_range whose length is a multiple"),
         ((0, 1), 0.0, "spacing: expected .*, found 0"),
     ):
-        with pytest.raises(ModelError, match=words):
-            blank(x_range, (0, 1), spacing)
+        refuses(ModelError, words, blank, x_range, (0, 1), spacing)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,9 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import block_diag
 from scipy.optimize import linprog
 
+import slipfree as sf
 from helpers.cases import hills
+from helpers.commands import refuses
 from helpers.friction_cases import (
     FIXED,
     UNEQUAL,
@@ -28,19 +30,6 @@ from helpers.friction_cases import (
     slope,
 )
 from helpers.vehicles import four_wheels
-from slipfree import (
-    Analytic,
-    Bicubic,
-    Coulomb,
-    Grid,
-    LeastSlip,
-    ModelError,
-    SolverOptions,
-    direct_kinematics,
-    quasi_statics,
-    settle,
-    simulate,
-)
 from slipfree.catalog import rigid_skid_steer, three_wheeler
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import leaves
@@ -54,8 +43,8 @@ from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.tree import Body
 
 
-def standing(vehicle, ground, law=Coulomb(), **start):  # noqa: B008
-    return settle(quasi_statics(vehicle, ground, law=law), **start)
+def standing(vehicle, ground, law=sf.Coulomb(), **start):  # noqa: B008
+    return sf.settle(sf.quasi_statics(vehicle, ground, law=law), **start)
 
 
 def creeps(run):
@@ -66,7 +55,7 @@ def creeps(run):
 def test_a_rigid_axle_creeps_straight_down_across_a_slope(degrees, eps):
     """``eps tan s / sqrt(mu^2 - tan^2 s)``: every wheel uses the same part of its friction."""
     s = np.radians(degrees)
-    run = standing(FIXED, slope(s, 0.6, across=True), Coulomb(eps))
+    run = standing(FIXED, slope(s, 0.6, across=True), sf.Coulomb(eps))
     expected = eps * np.tan(s) / np.sqrt(0.6**2 - np.tan(s) ** 2)
     assert_allclose(creeps(run), expected, rtol=1e-6)
     assert run["velocity_x"][0] < 0  # downhill
@@ -86,7 +75,7 @@ def test_a_driven_wheel_creeps_by_what_it_uses():
 def test_the_reserve_holds_beyond_friction(reserve):
     """A block on a slope of 35 degrees: ``mu p + c s = tan s``, about ``(tan s - mu) / c``."""
     s, mu, eps = np.radians(35), 0.6, 1e-3
-    run = standing(FIXED, slope(s, mu, across=True), Coulomb(eps, reserve))
+    run = standing(FIXED, slope(s, mu, across=True), sf.Coulomb(eps, reserve))
     slip = creeps(run)
     assert_allclose(slip, slip[0], rtol=1e-9)
     assert_allclose(mu * slip / np.hypot(slip, eps) + reserve * slip, np.tan(s), rtol=1e-9)
@@ -94,7 +83,7 @@ def test_the_reserve_holds_beyond_friction(reserve):
 
 
 def test_beyond_friction_a_start_is_refused_with_what_it_needs():
-    with pytest.raises(ModelError) as error:
+    with pytest.raises(sf.ModelError) as error:
         standing(three_wheeler(), slope(np.radians(25), 0.6))
     s = np.tan(np.radians(25))
     assert str(error.value) == (
@@ -145,17 +134,21 @@ def test_random_starts_lead_to_one_solution(axle, mu, rng):
 
 def test_no_equilibrium_is_a_stop_by_name():
     """Up a ground that steepens: when the friction that rolling needs reaches the ground's."""
-    ground = Analytic(lambda x, y: 0.05 * ca.fmax(y, 0) ** 3 + 0 * x, mu=0.35)
+    ground = sf.Analytic(lambda x, y: 0.05 * ca.fmax(y, 0) ** 3 + 0 * x, mu=0.35)
     rates = {"right_rate": 1.0, "left_rate": 1.0, "steer_rate": 0.0}
     t = np.linspace(0, 12, 121)
-    rolling = direct_kinematics(three_wheeler(), ground)
-    held = simulate(
-        rolling, settle(rolling), rolling.inputs(**rates), t, options=SolverOptions(tolerance=1e-11)
+    rolling = sf.direct_kinematics(three_wheeler(), ground)
+    held = sf.simulate(
+        rolling,
+        sf.settle(rolling),
+        rolling.inputs(**rates),
+        t,
+        options=sf.SolverOptions(tolerance=1e-11),
     )
     needed = held["friction_needed"].max(axis=1)
     k = int(np.argmax(needed > 0.35))
     expected = held.t[k - 1] + 0.1 * (0.35 - needed[k - 1]) / (needed[k] - needed[k - 1])
-    run = moved(three_wheeler(), ground, Coulomb(1e-6), t, rates)
+    run = moved(three_wheeler(), ground, sf.Coulomb(1e-6), t, rates)
     assert run.stop.name == "no_equilibrium"
     assert run.outcome is Outcome.NO_EQUILIBRIUM
     assert run.stop.t == pytest.approx(expected, abs=2e-3)
@@ -171,11 +164,11 @@ def test_no_equilibrium_is_a_stop_by_name():
 @pytest.mark.parametrize(("damping", "tolerance"), [(0.0, 1e-9), (100.0, 1e-7)])
 def test_a_stuck_vehicle_with_spinning_wheels_is_an_equilibrium(damping, tolerance):
     """All friction is used for long; states that miss by the tolerance do not end that."""
-    ground = Analytic(lambda x, y: 0.03 * y * y + 0.1 * x, mu=0.6)
+    ground = sf.Analytic(lambda x, y: 0.03 * y * y + 0.1 * x, mu=0.6)
     rates = {"right_rate": 1.0, "left_rate": 1.0, "steer_rate": 0.0}
     vehicle = three_wheeler(stiffness=60.0, damping=damping)
     t = np.linspace(0, 60, 301)
-    run = moved(vehicle, ground, Coulomb(), t, rates, tolerance=tolerance)
+    run = moved(vehicle, ground, sf.Coulomb(), t, rates, tolerance=tolerance)
     assert run.stop is None
     assert np.ptp(run["y"][200:]) < 0.1
     assert run["slip_along", "right"][-1] < -0.1
@@ -189,7 +182,7 @@ def test_a_fold_is_a_stop_by_name_whatever_the_tolerance():
     rates = {"right_rate": 0.7521118439376475, "left_rate": 0.6014304356887998}
     rates["steer_rate"] = -0.23850475241570412
     start = {"x": 0.06577387785453626, "y": -0.0420728627881235, "heading": 0.3860773330023184}
-    ground, law = Bicubic(grid, mu=0.048397107850166564), Coulomb(3.4290050665254273e-06)
+    ground, law = sf.Bicubic(grid, mu=0.048397107850166564), sf.Coulomb(3.4290050665254273e-06)
     t = np.linspace(0, 10, 51)
     runs = [moved(FIXED, ground, law, t, rates, tolerance=each, **start) for each in (1e-8, 1e-10)]
     for run in runs:
@@ -201,15 +194,15 @@ def test_a_fold_is_a_stop_by_name_whatever_the_tolerance():
 
 @pytest.mark.slow
 def test_friction_that_a_formula_makes_zero_is_a_stop_by_name():
-    ground = Analytic(lambda x, y: 0 * x + 0 * y, mu=lambda _, y: 0.5 - 0.3 * y)
+    ground = sf.Analytic(lambda x, y: 0 * x + 0 * y, mu=lambda _, y: 0.5 - 0.3 * y)
     rates = {"right_rate": 1.0, "left_rate": 1.0, "steer_rate": 0.0}
-    run = moved(FIXED, ground, Coulomb(1e-6), T, rates)
+    run = moved(FIXED, ground, sf.Coulomb(1e-6), T, rates)
     assert run.stop.name == "friction[front]"
     assert run["contact_y", "front"][-1] == pytest.approx(0.5 / 0.3, abs=1e-4)
     assert "the coefficient of friction under wheel front is not positive" in run.stop.words
-    rooted = Analytic(ground.function, mu=lambda _, y: ca.sqrt(0.5 - 0.3 * y))
-    least = direct_kinematics(FIXED, rooted)
-    run = simulate(least, settle(least), least.inputs(**rates), T)
+    rooted = sf.Analytic(ground.function, mu=lambda _, y: ca.sqrt(0.5 - 0.3 * y))
+    least = sf.direct_kinematics(FIXED, rooted)
+    run = sf.simulate(least, sf.settle(least), least.inputs(**rates), T)
     assert run.stop.name == "friction[front]"
     assert np.isfinite(best_utilisation(FIXED, rooted, run)["utilisation_best"][:-1]).all()
 
@@ -217,15 +210,17 @@ def test_friction_that_a_formula_makes_zero_is_a_stop_by_name():
 def test_a_vehicle_that_would_roll_away_is_not_said_to_tip_over():
     vehicle = replace(four_wheels(rock=True), body=Body(30.0, (0.0, 0.5, 0.0)))
     free = tuple(replace(wheel, driven=False) for wheel in vehicle.wheels)
-    with pytest.raises(ModelError, match="no contact forces balance the vehicle: a wheel without"):
+    with pytest.raises(
+        sf.ModelError, match="no contact forces balance the vehicle: a wheel without"
+    ):
         standing(replace(vehicle, wheels=free), slope(0.1, 0.6))
 
 
 def test_ice_is_a_stop_by_name_even_where_friction_jumps():
-    ground = Analytic(
+    ground = sf.Analytic(
         lambda x, y: hills(x, y) + 0.2 * y, mu=lambda _, y: ca.if_else(y > 0.9, 0.02, 0.6)
     )
-    run = moved(FIXED, ground, Coulomb(), T, x=0.013, y=0.017)
+    run = moved(FIXED, ground, sf.Coulomb(), T, x=0.013, y=0.017)
     assert run.stop.name == "no_equilibrium"
     assert run.outcome is Outcome.NO_EQUILIBRIUM
     assert run["contact_y", "right"][-1] == pytest.approx(0.9, abs=1e-3)
@@ -234,11 +229,11 @@ def test_ice_is_a_stop_by_name_even_where_friction_jumps():
 
 def test_the_edge_of_a_friction_map_is_a_stop_by_name():
     axis = np.linspace(-3, 3, 13)
-    mu = Grid(axis, np.linspace(-3, 1.5, 10), np.full((13, 10), 0.6))
-    heights = Grid(axis, axis, np.zeros((13, 13)))
-    ground = Bicubic(heights, mu=mu)
+    mu = sf.Grid(axis, np.linspace(-3, 1.5, 10), np.full((13, 10), 0.6))
+    heights = sf.Grid(axis, axis, np.zeros((13, 13)))
+    ground = sf.Bicubic(heights, mu=mu)
     rates = {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": 0.0}
-    run = moved(FIXED, ground, Coulomb(1e-6), T, rates)
+    run = moved(FIXED, ground, sf.Coulomb(1e-6), T, rates)
     assert run.stop.name == "friction_margin[front]"
     assert run.outcome is Outcome.LIMIT
     assert run.stop.t == pytest.approx(0.5 / 0.15, abs=2e-4)
@@ -263,7 +258,7 @@ def test_only_a_stiff_spring_holds_a_tilt_upright():
 @pytest.mark.slow
 def test_work_is_what_is_gained_and_what_is_lost():
     t = np.linspace(0, 4, 401)
-    run = moved(FIXED, Analytic(hills, mu=0.6), Coulomb(1e-3), t, UNEQUAL, tolerance=1e-10)
+    run = moved(FIXED, sf.Analytic(hills, mu=0.6), sf.Coulomb(1e-3), t, UNEQUAL, tolerance=1e-10)
     lost = CubicSpline(run.t, run["dissipation"]).antiderivative()(run.t)
     gained = run["potential_energy"] - run["potential_energy"][0]
     assert lost[-1] > 0.1
@@ -273,25 +268,25 @@ def test_work_is_what_is_gained_and_what_is_lost():
 def test_what_does_not_suit_is_refused():
     ground = slope(0.0, 0.6)
     for words, vehicle, terrain, make in (
-        ("a vehicle with mass", three_wheeler(mass=0.0, wheel_mass=0.0), ground, Coulomb),
-        ("a ground with a coefficient of friction, found none", FIXED, slope(0.0), Coulomb),
-        ("creep: expected a number, found float nan", FIXED, ground, lambda: Coulomb(np.nan)),
-        ("creep: expected a number <= 0.3, found 1", FIXED, ground, lambda: Coulomb(1.0)),
-        ("reserve: expected a number >= 0, found -1", FIXED, ground, lambda: Coulomb(0.1, -1.0)),
-        ("give a wheel-ground law, such as Coulomb", FIXED, ground, LeastSlip),
-        (r"call it: Coulomb\(\)", FIXED, ground, lambda: Coulomb),
+        ("a vehicle with mass", three_wheeler(mass=0.0, wheel_mass=0.0), ground, sf.Coulomb),
+        ("a ground with a coefficient of friction, found none", FIXED, slope(0.0), sf.Coulomb),
+        ("creep: expected a number, found float nan", FIXED, ground, lambda: sf.Coulomb(np.nan)),
+        ("creep: expected a number <= 0.3, found 1", FIXED, ground, lambda: sf.Coulomb(1.0)),
+        ("reserve: expected a number >= 0, found -1", FIXED, ground, lambda: sf.Coulomb(0.1, -1.0)),
+        ("give a wheel-ground law, such as Coulomb", FIXED, ground, sf.LeastSlip),
+        (r"call it: Coulomb\(\)", FIXED, ground, lambda: sf.Coulomb),
     ):
-        with pytest.raises(ModelError, match=words):
-            quasi_statics(vehicle, terrain, law=make())
-    for of in (direct_kinematics, montana_kinematics):
-        with pytest.raises(ModelError, match=r"give a slip law, such as LeastSlip\(\) or"):
-            of(FIXED, ground, slip=Coulomb())
+        with pytest.raises(sf.ModelError, match=words):
+            sf.quasi_statics(vehicle, terrain, law=make())
+    for of in (sf.direct_kinematics, montana_kinematics):
+        with pytest.raises(sf.ModelError, match=r"give a slip law, such as LeastSlip\(\) or"):
+            of(FIXED, ground, slip=sf.Coulomb())
 
 
 def test_a_rigid_vehicle_is_refused_with_the_models_that_answer():
     words = "found 0 in 'rigid_skid_steer'; use the model 'dynamics'.*'kinematics'"
-    with pytest.raises(ModelError, match=words):
-        quasi_statics(rigid_skid_steer(), Analytic(lambda x, _: 0 * x, mu=0.8))
+    with pytest.raises(sf.ModelError, match=words):
+        sf.quasi_statics(rigid_skid_steer(), sf.Analytic(lambda x, _: 0 * x, mu=0.8))
 
 
 # Contact forces of least utilisation: closed forms, bounds, and special cases
@@ -506,8 +501,7 @@ def test_jammed_vehicle_has_bounded_forces():
 def test_wrong_arrays_are_refused(changes, message):
     matrix, load = three_wheeler_distribution(0.0)
     given = {"matrix": matrix[None], "load": load[None], "friction": np.ones((1, 3))}
-    with pytest.raises(ModelError, match=message):
-        least_utilisation(**(given | changes))
+    refuses(sf.ModelError, message, least_utilisation, **(given | changes))
 
 
 @pytest.mark.parametrize("rounds", [0, 3])
@@ -533,7 +527,7 @@ def test_a_robot_whose_caster_lifts_off():
 # Slip laws and wheel-ground laws: their protocols and registry
 
 VEHICLE = three_wheeler()
-GROUND = Analytic(lambda x, y: 0.1 * ca.sin(x + y), mu=0.6)
+GROUND = sf.Analytic(lambda x, y: 0.1 * ca.sin(x + y), mu=0.6)
 LAWS = {**SLIP_LAWS, **GROUND_LAWS}
 
 
@@ -541,9 +535,11 @@ LAWS = {**SLIP_LAWS, **GROUND_LAWS}
 def test_a_law_has_a_label_for_every_equation_and_unknown(name):
     law = LAWS[name]()
     if name in GROUND_LAWS:
-        models = [quasi_statics(VEHICLE, GROUND, law=law)]
+        models = [sf.quasi_statics(VEHICLE, GROUND, law=law)]
     else:
-        models = [of(VEHICLE, GROUND, slip=law) for of in (direct_kinematics, montana_kinematics)]
+        models = [
+            of(VEHICLE, GROUND, slip=law) for of in (sf.direct_kinematics, montana_kinematics)
+        ]
     for dae in models:
         rates, labels = dae.labels.z.rates, dae.labels.alg[-2]
         given = (VEHICLE,) if name in GROUND_LAWS else (VEHICLE, contact_labels(VEHICLE))

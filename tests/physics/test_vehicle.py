@@ -9,16 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+import slipfree as sf
 from helpers.vehicles import four_wheels
-from slipfree import (
-    Analytic,
-    ModelError,
-    Rolling,
-    direct_kinematics,
-    quasi_statics,
-    settle,
-    simulate,
-)
 from slipfree.catalog import three_wheeler
 from slipfree.contact.closure import has_exact_closure
 from slipfree.geometry.frame import Pose, platform, quaternion, translation, turn
@@ -80,8 +72,10 @@ def test_three_wheeler_is_the_papers():
 
 
 def test_only_vehicles_with_enough_freedom_can_be_made_to_roll():
-    with pytest.raises(ModelError, match=r"expected 5 passive joints and free .*, found 2"):
-        direct_kinematics(four_wheels(rock=True), Analytic(lambda x, _: 0 * x), slip=Rolling())
+    with pytest.raises(sf.ModelError, match=r"expected 5 passive joints and free .*, found 2"):
+        sf.direct_kinematics(
+            four_wheels(rock=True), sf.Analytic(lambda x, _: 0 * x), slip=sf.Rolling()
+        )
     assert not has_exact_closure(four_wheels(rock=False))
     assert has_exact_closure(four_wheels(rock=True))
 
@@ -122,23 +116,11 @@ def with_joint(k, **parts):
             "expected 1 to 100 wheels, found 101; remove",
         ),
         (changed(wheels=(VEHICLE.wheels[0], *VEHICLE.wheels[:2])), "two wheels have the name 'rig"),
-        (
-            changed(wheels=(replace(VEHICLE.wheels[0], parent="hub"),)),
-            "fork, found 'hub'",
-        ),
+        (changed(wheels=(replace(VEHICLE.wheels[0], parent="hub"),)), "fork, found 'hub'"),
         (changed(joints=VEHICLE.joints[::-1][:1] * 2), "two parts have the name 'fork'"),
-        (
-            with_joint(2, value="tilt_left"),
-            "coordinate 'steer': expected a joint whose",
-        ),
-        (
-            with_joint(0, parent="fork"),
-            "right_hub': parent: expected one of platform, found",
-        ),
-        (
-            with_joint(0, value="lean"),
-            "right_hub': value: expected a formula of the coordin",
-        ),
+        (with_joint(2, value="tilt_left"), "coordinate 'steer': expected a joint whose"),
+        (with_joint(0, parent="fork"), "right_hub': parent: expected one of platform, found"),
+        (with_joint(0, value="lean"), "right_hub': value: expected a formula of the coordin"),
         (with_joint(0, axis=(0, 0, 0)), "axis: expected 'x', 'y', 'z' or a nonzero vector of thre"),
         (
             with_joint(0, at=(0, 0, np.nan)),
@@ -161,7 +143,7 @@ def with_joint(k, **parts):
     ],
 )
 def test_faults_are_named(build, words):
-    with pytest.raises(ModelError, match=re.escape(words)):
+    with pytest.raises(sf.ModelError, match=re.escape(words)):
         build()
 
 
@@ -199,31 +181,31 @@ def omni_cart(*, rollers):
 def test_a_cart_on_rollers_goes_anywhere_without_slip(rng):
     """Three omni wheels: any plane motion, each wheel turns as its rim's forward speed asks."""
     vehicle = omni_cart(rollers=True)
-    dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x, mu=0.5))
+    dae = sf.direct_kinematics(vehicle, sf.Analytic(lambda x, _: 0 * x, mu=0.5))
     velocity, turning = rng.uniform(-0.2, 0.2, 2), 0.3
     rates = {}
     for k in range(3):
         angle = 2 * np.pi * k / 3
         forward = np.array([-np.sin(angle), np.cos(angle)])
         rates[f"w{k}_rate"] = (forward @ velocity + 0.4 * turning) / 0.1
-    start = settle(dae)
-    run = simulate(dae, start, dae.inputs(**rates), np.linspace(0, 1e-3, 11))
+    start = sf.settle(dae)
+    run = sf.simulate(dae, start, dae.inputs(**rates), np.linspace(0, 1e-3, 11))
     found = [np.gradient(run[name], run.t)[5] for name in ("x", "y", "heading")]
     assert_allclose(found, [*velocity, turning], rtol=2e-3)
     assert np.abs(run["slip_along"]).max() < 1e-12
     assert np.abs(run["slip_across"]).max() < 1e-15
     assert np.abs(run["force_across"]).max() < 1e-9
-    stuck = direct_kinematics(omni_cart(rollers=False), Analytic(lambda x, _: 0 * x))
-    run = simulate(stuck, settle(stuck), stuck.inputs(**rates), np.linspace(0, 1e-3, 11))
+    stuck = sf.direct_kinematics(omni_cart(rollers=False), sf.Analytic(lambda x, _: 0 * x))
+    run = sf.simulate(stuck, sf.settle(stuck), stuck.inputs(**rates), np.linspace(0, 1e-3, 11))
     assert np.abs(run["slip_across"]).max() > 0.01
 
 
 def test_rollers_bear_no_force_across_them_on_a_side_slope():
     """Across a slope only the wheel whose rim points downhill can hold, as much as friction."""
     slope = 0.05
-    ground = Analytic(lambda x, _: slope * x, mu=0.5)
-    dae = quasi_statics(omni_cart(rollers=True), ground)
-    start = settle(dae)
+    ground = sf.Analytic(lambda x, _: slope * x, mu=0.5)
+    dae = sf.quasi_statics(omni_cart(rollers=True), ground)
+    start = sf.settle(dae)
     weight = 13 * 9.81 * np.sin(np.arctan(slope))
     assert_allclose(start["force_across"], 0, atol=1e-12)
     uphill = -start["force_along"][-1] @ np.sin(2 * np.pi * np.arange(3) / 3)
@@ -231,10 +213,10 @@ def test_rollers_bear_no_force_across_them_on_a_side_slope():
 
 
 def test_rollers_are_refused_where_they_are_not_modelled():
-    flat = Analytic(lambda x, _: 0 * x)
-    with pytest.raises(ModelError, match="'omni_cart': expected wheels without rollers"):
-        direct_kinematics(omni_cart(rollers=True), flat, slip=Rolling())
-    with pytest.raises(ModelError, match="Montana's form: expected wheels without rollers"):
+    flat = sf.Analytic(lambda x, _: 0 * x)
+    with pytest.raises(sf.ModelError, match="'omni_cart': expected wheels without rollers"):
+        sf.direct_kinematics(omni_cart(rollers=True), flat, slip=sf.Rolling())
+    with pytest.raises(sf.ModelError, match="Montana's form: expected wheels without rollers"):
         montana_kinematics(omni_cart(rollers=True), flat)
 
 
@@ -243,5 +225,5 @@ def test_coordinates_that_results_could_not_tell_apart_are_refused(name):
     joints = (*VEHICLE.joints[:2], replace(VEHICLE.joints[2], value=name))
     coordinates = (*VEHICLE.coordinates[:2], replace(VEHICLE.coordinates[2], name=name))
     vehicle = replace(VEHICLE, coordinates=coordinates, joints=joints)
-    with pytest.raises(ModelError, match=r"rename a coordinate"):
-        settle(direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x, mu=0.5)))
+    with pytest.raises(sf.ModelError, match=r"rename a coordinate"):
+        sf.settle(sf.direct_kinematics(vehicle, sf.Analytic(lambda x, _: 0 * x, mu=0.5)))

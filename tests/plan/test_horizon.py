@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 import slipfree as sf
 from helpers.cases import hills
+from helpers.commands import refuses
 from slipfree.catalog import differential_drive, skid_steer, three_wheeler
 from slipfree.plan.ipopt import warm_solver
 from slipfree.plan.mpc import cycle_inputs, first_cycle, horizon, refine, replan
@@ -229,8 +230,7 @@ def test_what_is_no_window_period_world_or_state_is_refused(found, window):
         ({"span": 4.0, "intervals": 0}, "intervals: expected 1 or more, found 0"),
         ({"span": 4.0, "iterations": -1}, "iterations: expected 1 or more, found -1"),
     ):
-        with pytest.raises(sf.ModelError, match=words):
-            horizon(found, **given)
+        refuses(sf.ModelError, words, horizon, found, **given)
     # a window counts time from its own beginning
     cost = task.costs[0]._replace(expression=task.costs[0].expression * task.dae.t)
     late = replace(found.program, task=replace(task, costs=(cost,)))

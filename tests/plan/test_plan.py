@@ -11,18 +11,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import binomtest
 
+import slipfree as sf
 from helpers.cases import hills
-from helpers.commands import build_errors, invoke, sets
-from slipfree import (
-    Analytic,
-    ModelError,
-    SolverOptions,
-    direct_kinematics,
-    load_problem,
-    run_problem,
-    settle,
-    simulate,
-)
+from helpers.commands import build_errors, invoke, refuses, sets
 from slipfree.catalog import three_wheeler
 from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
@@ -51,10 +42,10 @@ STEER = {"steer": (-1.0, 1.0)}
 
 
 def asked(vehicle=VEHICLE, *, goal=None, costs=None, duration=20.0, **options):
-    dae = direct_kinematics(vehicle, Analytic(hills))
-    start = settle(dae)
+    dae = sf.direct_kinematics(vehicle, sf.Analytic(hills))
+    start = sf.settle(dae)
     rates = dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0)
-    first = simulate(dae, start, rates, np.linspace(0, 20, 61))
+    first = sf.simulate(dae, start, rates, np.linspace(0, 20, 61))
     found = plan(
         dae,
         start,
@@ -122,12 +113,12 @@ def test_tilting_wheels_keep_to_their_limit_without_slip():
     for name in ("tilt_right", "tilt_left"):
         assert np.abs(found.replay[name]).max() < 0.35 + 1e-5
     even = np.linspace(0, duration, count * parts + 1)
-    run = simulate(
+    run = sf.simulate(
         dae,
         start,
         inputs_along(dae, found.motion, even),
         even,
-        options=SolverOptions(tolerance=1e-11),
+        options=sf.SolverOptions(tolerance=1e-11),
     )
     slip = np.linalg.norm(measured_slip(vehicle, run), axis=2)
     inside = np.array([2 <= k % parts <= parts - 2 for k in range(2, run.t.size - 2)])
@@ -171,8 +162,7 @@ def test_a_pose_a_way_point_and_a_range_of_durations():
     ],
 )
 def test_what_is_wrong_is_said(options, words):
-    with pytest.raises(ModelError, match=words):
-        asked(**options)
+    refuses(sf.ModelError, words, asked, **options)
 
 
 def run_file(*settings):
@@ -285,7 +275,7 @@ def planned(dae, start, count):
     found = plan(
         dae,
         start,
-        simulate(dae, start, rates, np.linspace(0, DURATION, 31)),
+        sf.simulate(dae, start, rates, np.linspace(0, DURATION, 31)),
         goal=dict(zip("xy", INDEPENDENT_GOAL, strict=True)),
         costs={"slip": SLIP, "effort": EFFORT},
         smooth=SMOOTH,
@@ -300,8 +290,8 @@ def planned(dae, start, count):
 @pytest.mark.slow
 def test_an_optimum_is_that_of_another_transcription():
     """The two differ by less than the mesh does: half of the intervals are another plan."""
-    dae, count = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills)), 16
-    start = settle(dae)
+    dae, count = sf.direct_kinematics(three_wheeler(axle="fixed"), sf.Analytic(hills)), 16
+    start = sf.settle(dae)
     coarse, fine = (planned(dae, start, each) for each in (count // 2, count))
     cost, states = by_opti(dae, start, count)
     assert abs(cost - fine.solution.cost) < 0.2 * abs(coarse.solution.cost - fine.solution.cost)
@@ -323,7 +313,7 @@ SHORT = (
 
 @pytest.mark.slow
 def test_a_plan_over_sand_keeps_its_limit_on_slip_and_is_confirmed_by_dynamics():
-    result = run_problem(load_problem(SLOPE, SHORT))
+    result = sf.run_problem(sf.load_problem(SLOPE, SHORT))
     run, verb = result.trajectory, verb_of(result.problem)
     assert run.stop is None
     assert run["y"][-1] == pytest.approx(1.8, abs=0.02)
@@ -353,7 +343,7 @@ def solve(tightening: Mapping[Bound, float], _before: float) -> float:
     """Return the largest value below a tightened bound of 1; none below 0.5."""
     value = 1 - tightening.get(LIMIT, 0.0)
     if value <= 0.5:
-        raise ModelError("too tight")
+        raise sf.ModelError("too tight")
     return value
 
 
@@ -403,7 +393,7 @@ def test_limits_that_cannot_be_tight_enough_are_as_tight_as_possible() -> None:
 
 def test_unsolvable_problem_keeps_the_plan() -> None:
     def fail(_tightening: Mapping[Bound, float], _before: float) -> float:
-        raise ModelError("no plan")
+        raise sf.ModelError("no plan")
 
     found = robust_plan(1.0, fail, replay, share=0.95, draws=50, final_draws=50, seed=0)
     assert (found.plan, found.tightening, found.failure) == (1.0, {}, "no plan")
@@ -502,5 +492,4 @@ def test_without_conflict_the_front_is_one_point():
 
 
 def test_one_point_is_no_front():
-    with pytest.raises(ModelError, match="expected two points or more, found 1"):
-        front(convex, 1)
+    refuses(sf.ModelError, "expected two points or more, found 1", front, convex, 1)

@@ -12,6 +12,7 @@ from numpy.testing import assert_array_equal
 from typer.testing import CliRunner
 
 import slipfree as sf
+from helpers.commands import refuses
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.core.dae import Limit
@@ -130,8 +131,7 @@ def test_no_starts_and_starts_that_cannot_be_simulated_are_an_error(model, monke
 
     problem = sf.load_problem(PROBLEM, FEW)
     monkeypatch.setattr("slipfree.problem.verbs.plan_search.find_plan", fail)
-    with pytest.raises(ProblemError, match="guess 1 failed: no guess"):
-        sf.run_problem(problem)
+    refuses(ProblemError, "guess 1 failed: no guess", sf.run_problem, problem)
 
 
 def table(run):

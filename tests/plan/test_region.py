@@ -13,6 +13,7 @@ import pytest
 from matplotlib.path import Path as Outline
 from numpy.testing import assert_allclose
 
+from helpers.commands import refuses
 from slipfree import Analytic, Bicubic, Grid, catalog, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
 from slipfree.control.path_following import arc_inputs, turning_axis_offset
@@ -130,16 +131,13 @@ def test_polygon_describes_itself():
     ],
 )
 def test_bad_polygons_are_refused(points, message):
-    with pytest.raises(ModelError, match=message):
-        Region.polygon(points)
+    refuses(ModelError, message, Region.polygon, points)
 
 
 def test_bad_discs_are_refused():
     for radius in (0.0, np.nan):
-        with pytest.raises(ModelError, match="radius: expected a"):
-            Region.disc(0.0, 0.0, radius)
-    with pytest.raises(ModelError, match=r"x: expected a number, found float nan"):
-        Region.disc(np.nan, 0.0, 1.0)
+        refuses(ModelError, "radius: expected a", Region.disc, 0.0, 0.0, radius)
+    refuses(ModelError, r"x: expected a number, found float nan", Region.disc, np.nan, 0.0, 1.0)
 
 
 # Invalid positions on a map are reported by name before a search
@@ -222,8 +220,7 @@ def test_routes_keep_out_of_holes():
     holes = np.hypot(grid.x[:, None] - 15, grid.y - 15) < 4
     layers = free_space(Bicubic(Grid(grid.x, grid.y, grid.z, holes=holes)), ROVER)
     words = "m from a hole in the map, where heights are missing, and wheels reach"
-    with pytest.raises(ModelError, match=words):
-        route(layers, (5, 5), (15.0, 19.5))
+    refuses(ModelError, words, route, layers, (5, 5), (15.0, 19.5))
     points = route(layers, (5, 5), (25, 25))
     assert np.hypot(*(points - 15).T).min() > 4 + layers.limits.reach - 0.25
 

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import slipfree as sf
 from helpers.cases import hills
+from helpers.commands import refuses
 from helpers.toy_models import task, toy
 from slipfree import ModelError
 from slipfree.catalog import three_wheeler
@@ -419,8 +420,7 @@ def test_lengths_and_speeds_that_do_not_fit_are_refused(case):
         ({"overlap": 0.0}, "overlap shorter than the window"),
         ({"speed": 0.0}, "expected a positive speed, found 0 m/s"),
     ):
-        with pytest.raises(sf.ModelError, match=words):
-            windows(case, **change)
+        refuses(sf.ModelError, words, windows, case, **change)
 
 
 @pytest.mark.slow

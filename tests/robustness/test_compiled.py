@@ -12,18 +12,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.commands import invoke
-from slipfree import (
-    Analytic,
-    Bicubic,
-    Grid,
-    ModelError,
-    SolverOptions,
-    direct_kinematics,
-    settle,
-    simulate,
-    straight,
-)
+import slipfree as sf
+from helpers.commands import invoke, sets
 from slipfree.catalog import three_wheeler
 from slipfree.contact.touch import search_function
 from slipfree.core.lookups import LookupTable
@@ -54,15 +44,17 @@ def folder(tmp_path, monkeypatch):
 
 def hilly(seed):
     x, y = np.arange(-4.0, 5.0), np.arange(-4.0, 6.0)
-    return Bicubic(Grid(x, y, 0.05 * np.random.default_rng(seed).normal(size=(x.size, y.size))))
+    return sf.Bicubic(
+        sf.Grid(x, y, 0.05 * np.random.default_rng(seed).normal(size=(x.size, y.size)))
+    )
 
 
 def program(seed, *, build=False):
-    dae = direct_kinematics(three_wheeler(axle="fixed"), hilly(seed))
-    options = SolverOptions(compiled=build)
+    dae = sf.direct_kinematics(three_wheeler(axle="fixed"), hilly(seed))
+    options = sf.SolverOptions(compiled=build)
     task = task_of(
         dae,
-        settle(dae, options=options),
+        sf.settle(dae, options=options),
         goal={"y": 1.0},
         costs={"slip": 1.0, "effort": 0.01},
         duration=(4.0, 6.0),
@@ -74,9 +66,9 @@ def program(seed, *, build=False):
 def driven(seed):
     """Return a model on a map, its start, and a law that feeds the state back."""
     vehicle = three_wheeler()
-    dae = direct_kinematics(vehicle, hilly(seed))
-    start = settle(dae)
-    return dae, start, straight(dae, start, speed=0.3)
+    dae = sf.direct_kinematics(vehicle, hilly(seed))
+    start = sf.settle(dae)
+    return dae, start, sf.straight(dae, start, speed=0.3)
 
 
 def everything(made, rng):
@@ -190,9 +182,9 @@ def test_a_compiled_motion_is_the_interpreted_one_on_every_ground(folder, monkey
     """Equations and Jacobian with a law that feeds back, and the motion; one library for all."""
     t = np.linspace(0, 2, 5)
     for seed in (1, 2):
-        options = [SolverOptions(tolerance=1e-9, compiled=build) for build in (False, True)]
+        options = [sf.SolverOptions(tolerance=1e-9, compiled=build) for build in (False, True)]
         dae, start, law = driven(seed)
-        runs = [simulate(dae, start, law, t, options=each) for each in options]
+        runs = [sf.simulate(dae, start, law, t, options=each) for each in options]
         plain, found = (with_inputs(dae, law, 4, each) for each in options)
         assert found.core.jacobian().n_instructions() < 100  # of calls
         last = runs[0]
@@ -216,7 +208,7 @@ def test_a_compiled_motion_is_the_interpreted_one_on_every_ground(folder, monkey
 
 @needs_compiler
 def test_the_contact_search_on_a_formula_is_compiled():
-    hills = Analytic(lambda x, y: 0.15 * ca.sin(2 * x) * ca.cos(3 * y), mu=0.8)
+    hills = sf.Analytic(lambda x, y: 0.15 * ca.sin(2 * x) * ca.cos(3 * y), mu=0.8)
     search = search_function(hills, Torus(0.03, 0.12), 0.15)
     compiled = _compiled_lookup(search)
     assert any(each.class_name() == "External" for each in compiled.find_functions())
@@ -361,7 +353,7 @@ def test_another_process_that_tidies_up_does_no_harm(folder, monkeypatch):
 def test_problems_ask_for_it_and_a_warning_says_if_it_is_not_done(tmp_path, monkeypatch):
     monkeypatch.setenv(codegen_cache.FOLDER, "")
     monkeypatch.chdir(tmp_path)
-    words = ["--set", "solver.compiled=true", "--set", "time.duration=0.4"]
+    words = sets("solver.compiled=true", "time.duration=0.4")
     assert invoke("new", "inverse", "p").exit_code == 0
     result = invoke("run", "p.toml", "--no-draw", *words)
     assert result.exit_code in (0, 1), result.output
@@ -373,14 +365,9 @@ def test_a_sweep_says_it_once_whatever_its_processes_find(tmp_path, monkeypatch,
     monkeypatch.setenv(codegen_cache.FOLDER, "")
     monkeypatch.chdir(tmp_path)
     assert invoke("new", "direct", "p").exit_code == 0
-    words = [
-        word
-        for setting in ("solver.compiled=true", "time.duration=0.2")
-        for word in ("--set", setting)
-    ]
+    words = sets("solver.compiled=true", "time.duration=0.2")
     sweep = ["sweep", "p.toml", "--repeat", "2", "--processes", "2", "--no-draw", *words]
-    result = invoke(*sweep, code=0)
-    assert result.stderr.count("cannot be compiled: SLIPFREE_CACHE is empty") == 1
+    assert invoke(*sweep, code=0).stderr.count("cannot be compiled: SLIPFREE_CACHE is empty") == 1
     assert "UserWarning" not in capfd.readouterr().err
 
 
@@ -388,12 +375,12 @@ def test_a_sweep_says_it_once_whatever_its_processes_find(tmp_path, monkeypatch,
 def test_every_solver_takes_the_options(kind, monkeypatch):
     """Those that do not ask for compiled equations would not warn."""
     monkeypatch.setenv(codegen_cache.FOLDER, "")
-    dae = direct_kinematics(three_wheeler(), hilly(1))
-    start, law = settle(dae), {"right_rate": 0.4, "left_rate": 0.4, "steer_rate": 0.0}
-    run = simulate(dae, start, dae.inputs(**law), np.linspace(0, 0.2, 3))
+    dae = sf.direct_kinematics(three_wheeler(), hilly(1))
+    start, law = sf.settle(dae), {"right_rate": 0.4, "left_rate": 0.4, "steer_rate": 0.0}
+    run = sf.simulate(dae, start, dae.inputs(**law), np.linspace(0, 0.2, 3))
     place = {"contact_x": 0.9, "contact_y": 0.1}
     calls = {
-        "settle": lambda options: settle(dae, options=options),
+        "settle": lambda options: sf.settle(dae, options=options),
         "nearest": lambda options: settle_nearest(dae, options=options),
         "contact": lambda options: settle_contact(dae, "right", **place, options=options),
         "inputs": lambda options: apply_inputs(dae, start, dae.inputs(**law), options=options),
@@ -403,7 +390,7 @@ def test_every_solver_takes_the_options(kind, monkeypatch):
         "replay": lambda options: replay(dae, run, options=options),
     }
     with pytest.warns(UserWarning, match="interpreted, not compiled: SLIPFREE_CACHE is empty"):
-        calls[kind](SolverOptions(compiled=True))
+        calls[kind](sf.SolverOptions(compiled=True))
 
 
 def test_what_plans_cannot_differentiate_is_refused():
@@ -413,7 +400,7 @@ def test_what_plans_cannot_differentiate_is_refused():
     square = ca.Function("square", [a], [a**2], {"never_inline": True})
     lookups = LookupTable()
     found = lookups.find(square, v, order=1)
-    with pytest.raises(ModelError, match="derivatives up to order 1"):
+    with pytest.raises(sf.ModelError, match="derivatives up to order 1"):
         nlp_block((v, none, none), ca.SX(0), found * v, lookups.lookups, (at, at), np.zeros((1, 0)))
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
+from helpers.commands import refuses
 from slipfree import Analytic, SlipfreeError, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
 from slipfree.system import forks
@@ -92,8 +93,7 @@ def test_a_child_of_a_long_computation_says_so(monkeypatch: pytest.MonkeyPatch) 
         over.wait()
 
     def refused() -> None:
-        with pytest.raises(SlipfreeError, match="forked while another thread computed"):
-            _compute()
+        refuses(SlipfreeError, "forked while another thread computed", _compute)
 
     thread = threading.Thread(target=compute)
     thread.start()

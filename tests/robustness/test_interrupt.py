@@ -403,46 +403,22 @@ def run(*words):
 
 GRIP = ("p.toml", *sets("terrain.friction=0.8"))
 SO_FAR = r"interrupted at t = \S+ s.*; p.nc contains the result so far\n"
+AT_END = r"interrupted at t = 0.5 s; p.nc contains the result so far\n"
+WHOLE = r"interrupted; p.nc contains the result, which is complete\n"
+UNCHANGED = r"interrupted; p.nc is not written: the earlier file is unchanged\n"
+RESUME = r".*to resume: slipfree run .*--resume p.nc.*"
+INERT = (*GRIP, *sets("model=dynamics"))
+HELD = (*INERT, *sets("driver.period=0.01"))
 RUNS = {  # function, its call, words of the command, what is told, and the kept stop or file
-    "diagnostics": (
-        (runner, "_with_filled"),
-        GRIP[:1],
-        r"interrupted at t = 0.5 s; p.nc contains the result so far\n",
-        "interrupted",
-    ),
-    "while written": (
-        (os, "fsync"),
-        GRIP[:1],
-        r"interrupted; p.nc contains the result, which is complete\n",
-        None,
-    ),
-    "while written, twice": (
-        (os, "fsync", 1, 2),
-        GRIP[:1],
-        r"interrupted; p.nc is not written: the earlier file is unchanged\n",
-        OLD,
-    ),
+    "diagnostics": ((runner, "_with_filled"), GRIP[:1], AT_END, "interrupted"),
+    "while written": ((os, "fsync"), GRIP[:1], WHOLE, None),
+    "while written, twice": ((os, "fsync", 1, 2), GRIP[:1], UNCHANGED, OLD),
     "kinematics": ((integrator, "_doubles", 9), GRIP, SO_FAR, "interrupted"),
     "kinematics, twice": ((integrator, "_doubles", 1, 2), GRIP[:1], "interrupted\n", OLD),
-    "dynamics": (
-        (integrator, "_doubles", 200),
-        (*GRIP, *sets("model=dynamics")),
-        SO_FAR,
-        "interrupted",
-    ),
-    "sampled": (
-        (zero_order_hold, "run_buffered", 61),
-        (*GRIP, *sets("model=dynamics", "driver.period=0.01")),
-        SO_FAR,
-        "interrupted",
-    ),
+    "dynamics": ((integrator, "_doubles", 200), INERT, SO_FAR, "interrupted"),
+    "sampled": ((zero_order_hold, "run_buffered", 61), HELD, SO_FAR, "interrupted"),
     "plan that is compiled": ((planning, "transcribe"), PLAN, "interrupted\n", OLD),
-    "plan behind its first iteration": (
-        (ipopt, "largest_violation", 2),
-        PLAN,
-        r".*to resume: slipfree run .*--resume p.nc.*",
-        "plan",
-    ),
+    "plan behind its first iteration": ((ipopt, "largest_violation", 2), PLAN, RESUME, "plan"),
 }
 
 

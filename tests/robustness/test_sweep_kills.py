@@ -16,6 +16,7 @@ import distributed
 import psutil
 import pytest
 
+from helpers.commands import refuses
 from helpers.sweep_cases import (
     GRID,
     PROBLEM,
@@ -220,5 +221,4 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
 
 def test_a_cluster_that_does_not_fit_is_refused(dask: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dask_pool, "__version__", "9.9")
-    with pytest.raises(DataError, match=f"that have slipfree 9.9, found {__version__};"):
-        DaskPool(work, dask, print)
+    refuses(DataError, f"that have slipfree 9.9, found {__version__};", DaskPool, work, dask, print)
