@@ -1,7 +1,5 @@
 """Every public function names a wrong argument, whatever it is."""
 
-from __future__ import annotations
-
 import inspect
 import sys
 from types import SimpleNamespace

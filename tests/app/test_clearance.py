@@ -1,7 +1,5 @@
 """Tests of the clearance of the body in commands: check, run, vehicle, figures and drawings."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

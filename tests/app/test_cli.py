@@ -1,7 +1,5 @@
 """Tests of the command line: new and shipped problems, output, JSON, files, exit codes, colours."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

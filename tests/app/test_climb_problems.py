@@ -1,7 +1,5 @@
 """Tests of step climbers in direct problems and plans: results, errors and figures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

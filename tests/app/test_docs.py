@@ -1,7 +1,5 @@
 """Tests that the documentation covers pages, modules, notebooks, keys, and of its recipes."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import json

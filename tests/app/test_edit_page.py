@@ -3,8 +3,6 @@
 One browser and one server serve all tests, since both take seconds to start.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import signal

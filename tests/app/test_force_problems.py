@@ -1,7 +1,5 @@
 """Tests of problems with forces on the command line: results and errors."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tests of angles, frames and places of problem files: as given wherever they are printed."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import re

@@ -1,7 +1,5 @@
 """Tests of inverse problems on the command line: results and errors."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

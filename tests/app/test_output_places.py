@@ -1,7 +1,5 @@
 """Tests of output paths in problem files: no other file of the user is overwritten."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

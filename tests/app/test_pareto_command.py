@@ -1,7 +1,5 @@
 """Tests of ``slipfree pareto``: fronts of a small plan, files, and errors."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tests of editing a planning problem: values read, changed in the file, and sent by a page."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import threading

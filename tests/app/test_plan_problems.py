@@ -1,7 +1,5 @@
 """Tests of plans in problem files: routes, keep-out regions, cusps, windows, and errors."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tests of problem files: lines and wording of all errors, and objects built from a valid file."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

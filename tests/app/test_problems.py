@@ -1,7 +1,5 @@
 """Tests of shipped problem files, and of the alternatives in the comments of starters."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tests of the progress report without a terminal: a few lines on stderr."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tests of reports of results, and of descriptions of vehicles."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from base64 import b64decode

@@ -1,7 +1,5 @@
 """A result that is moved alone to an empty folder is shown, reported, exported and tracked."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tests of plans that continue from a result file, and of files of interrupted searches."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

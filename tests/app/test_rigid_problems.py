@@ -1,7 +1,5 @@
 """Tests of problems of rigid vehicles: summary of a drive, and plans with sharper load laws."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

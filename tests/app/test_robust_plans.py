@@ -1,7 +1,5 @@
 """Tests of robust plans in problem files: shares, tightening, outcomes, and unsuitable keys."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

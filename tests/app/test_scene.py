@@ -1,7 +1,5 @@
 """Tests of scenes: drawn objects are at the positions of the motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Tests of sweeps: runs, log, messages and figures."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket

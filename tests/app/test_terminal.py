@@ -1,7 +1,5 @@
 """Tests that text from files reaches the terminal without control characters."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Tests of ``slipfree wheel`` (table, figure, measured points, errors) and of soil in problems."""
 
-from __future__ import annotations
-
 import csv
 import tomllib
 from dataclasses import replace

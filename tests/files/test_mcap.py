@@ -1,7 +1,5 @@
 """Tests of MCAP files of ROS 2 messages: exported motions, imported commands and paths."""
 
-from __future__ import annotations
-
 import sys
 from types import SimpleNamespace
 from xml.etree import ElementTree

@@ -1,7 +1,5 @@
 """Tests of file names: only regular files are read; every other name gives a clear error."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -1,7 +1,5 @@
 """Tests of point clouds: heights of a known surface, holes, units, formats, damaged files."""
 
-from __future__ import annotations
-
 import re
 import sys
 from random import Random

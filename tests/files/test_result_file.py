@@ -1,7 +1,5 @@
 """Tests of result files: exact round trip, metadata, other readers, exports, and damaged files."""
 
-from __future__ import annotations
-
 import csv
 import json
 import struct

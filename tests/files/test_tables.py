@@ -1,7 +1,5 @@
 """Tests of tables in text files: every layout of the same numbers is the same table."""
 
-from __future__ import annotations
-
 import gzip
 
 import numpy as np

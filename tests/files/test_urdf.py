@@ -1,7 +1,5 @@
 """Tests of URDF files: equal vehicles in other programs, refusals, and files that change them."""
 
-from __future__ import annotations
-
 import io
 import re
 

@@ -1,7 +1,5 @@
 """Tests of incomplete URDFs: guesses, their notes, contradictions, and the lines offered."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import pi
 

@@ -1,7 +1,5 @@
 """Tests of shapes in URDFs: wheels from the points of meshes, bodies from collision geometry."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tests of URDFs in the style of many robots: their wheels, casters, joints and forward axis."""
 
-from __future__ import annotations
-
 from math import cos, pi, sin
 
 import casadi as ca

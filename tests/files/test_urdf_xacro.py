@@ -1,7 +1,5 @@
 """Tests of xacro files: trust, expansion, expressions in URDF; files of other formats."""
 
-from __future__ import annotations
-
 import os
 import sys
 import time

@@ -1,7 +1,5 @@
 """Grounds, vehicles and motions shared by several tests."""
 
-from __future__ import annotations
-
 import json
 from functools import lru_cache
 from pathlib import Path

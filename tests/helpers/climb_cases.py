@@ -1,7 +1,5 @@
 """Climbs shared by tests and benchmarks: ramp and step of the study, controllers, friction."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple

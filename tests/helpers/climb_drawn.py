@@ -1,7 +1,5 @@
 """Random climbs: vehicle, ground, contact and control, including sampled control."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple, get_args

@@ -5,8 +5,6 @@ step of fixed length; contacts have no stiffness or damping. It shares no equati
 inertia and lever arms are derived by hand.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Commands of slipfree, run in the process of the tests."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable, Sequence
 from pathlib import Path

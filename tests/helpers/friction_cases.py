@@ -1,7 +1,5 @@
 """Motions with friction and their limits, shared by tests and benchmarks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Checks of random files: each is read and used as by the commands, and the outcome is judged."""
 
-from __future__ import annotations
-
 import re
 import traceback
 import warnings

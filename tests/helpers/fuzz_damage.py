@@ -3,8 +3,6 @@
 Every function takes a ``random.Random``.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -3,8 +3,6 @@
 Every function takes a ``random.Random``, for example one of hypothesis, which can shrink examples.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Random files that libraries read in a process with limits: point clouds, meshes, MCAP."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Callable

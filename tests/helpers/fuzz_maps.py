@@ -1,7 +1,5 @@
 """Random height maps: valid, nearly valid, and damaged."""
 
-from __future__ import annotations
-
 import io
 import struct
 import warnings

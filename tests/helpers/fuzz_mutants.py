@@ -4,8 +4,6 @@
 the outcome, as lines of JSON.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import json
 import os

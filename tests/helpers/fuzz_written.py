@@ -1,7 +1,5 @@
 """Damaged files that the commands write themselves and read again, and the commands that do so."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from contextlib import chdir

@@ -1,7 +1,5 @@
 """Logs of a skid-steered robot with known constants on a synthetic hillside, by their own steps."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

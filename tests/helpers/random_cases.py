@@ -6,8 +6,6 @@ limits that a run reports, and facts that follow from the saved poses alone: joi
 are composed here again, with SciPy, and speeds are finite differences.
 """
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable

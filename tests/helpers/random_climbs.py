@@ -4,8 +4,6 @@ Climbs come in groups with the same vehicle and obstacle, so that one model serv
 ground has lanes of different friction across the obstacle.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any

@@ -1,7 +1,5 @@
 """Random hang-ups and roll-overs of vehicles whose bodies bear load, by index."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Motions of vehicles of any size: all lengths of a problem are multiplied by a scale."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Sweeps shared by tests: a small problem, its grid, and functions to start, kill and read it."""
 
-from __future__ import annotations
-
 import csv
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """URDFs as text, and in the form accepted by an independent library."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ friction is 1.123 times that of the ground with the best distribution of forces;
 that it found within 95 % is 13.13 m long. Lengths are those of the path of the axle's middle.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path as FilePath
 from typing import NamedTuple

@@ -5,8 +5,6 @@ fewer points and uses bisection; its planned climbs begin and end 0.2 % of the h
 plateau, with wheels without rotational inertia.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Tests of robot commands and of given rates: steering angles and wheel rates, with errors."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import lru_cache

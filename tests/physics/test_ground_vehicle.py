@@ -1,7 +1,5 @@
 """Vehicles of the package fitted over a map: known truth of `simulate`, and early ends."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Tests of the compiled evaluator of grounds against the expressions that it replaces."""
 
-from __future__ import annotations
-
 import gc
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Tests of map operations against closed forms: holes, smoothing, scale, errors."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tests of vehicles whose wheels cannot all touch the ground: loads, limits, motion, errors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Tests of the catalogue's rovers: textbook motion, published end points, poor starts, noise."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -5,8 +5,6 @@ leaves about 1e-14; 1e-10 allows for other processors. Offsets of 1e3 m in heigh
 position cost the data 3 and 7 digits before they reach the spline: 1e-8.
 """
 
-from __future__ import annotations
-
 import math
 import pickle
 

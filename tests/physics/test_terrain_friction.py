@@ -4,8 +4,6 @@ Rounding leaves about 1e-16 of a coefficient of about one; 1e-14 allows for othe
 offset of 4e6 m costs a coordinate ten digits before it reaches a map: 1e-8.
 """
 
-from __future__ import annotations
-
 import math
 import pickle
 from dataclasses import FrozenInstanceError

@@ -1,7 +1,5 @@
 """Tests of grids: validated, synthetic and rolled ones, and grounds given by a formula."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from itertools import pairwise

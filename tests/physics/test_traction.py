@@ -1,7 +1,5 @@
 """Tests of motion determined by friction, of least utilisation, and of the registry of laws."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

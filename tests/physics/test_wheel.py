@@ -1,7 +1,5 @@
 """Tests of the wheel file of the package: contents, and use without the sources."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Tests of infeasible plans and their conflicts, of second-order conditions, and of prices."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Tests of moving horizons along a plan, and of closed loops: they return to the plan."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Tests of plans: least slip over hills, limits, goals, soil, robust plans, and Pareto fronts."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

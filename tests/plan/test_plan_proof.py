@@ -1,7 +1,5 @@
 """Tests of the verification of plans: simulation, mesh, points between, and warm start."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

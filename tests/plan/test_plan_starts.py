@@ -1,7 +1,5 @@
 """Tests of several starts of a plan: guesses, local optima, best verified plan, processes."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

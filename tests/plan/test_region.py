@@ -1,7 +1,5 @@
 """Tests of regions and ways: keep-out distances, valid places, holes of maps, paths with cusps."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

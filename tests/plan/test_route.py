@@ -1,7 +1,5 @@
 """Tests of traversability and routes against known geometry."""
 
-from __future__ import annotations
-
 import math
 import re
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Tests of collocation: exact derivatives, order, known optima, elements at once, windows."""
 
-from __future__ import annotations
-
 from functools import partial
 from itertools import pairwise
 

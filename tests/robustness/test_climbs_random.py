@@ -6,8 +6,6 @@ limit. The balance holds in all but climb 131, at 1.18 of its bound, and at 0.09
 tolerance of 1e-6. The test repeats one over every kind of obstacle.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from helpers.random_climbs import GROUP, OBSTACLES, draw, ending, ledger, run, world

@@ -5,8 +5,6 @@ benchmarks random_runs drives`` does this for 300; here every vehicle, drive and
 ``python benchmarks random_runs overturns`` runs 100 hang-ups and roll-overs.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Tests of full or read-only disks, Ctrl-C and kills: old files stay, new files are complete."""
 
-from __future__ import annotations
-
 import errno
 import os
 import resource

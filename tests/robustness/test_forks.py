@@ -1,7 +1,5 @@
 """Tests of forks of a process in which another thread computes."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time

@@ -1,7 +1,5 @@
 """Tests of damaged, giant or malicious files: each is read, or refused with a clear error."""
 
-from __future__ import annotations
-
 import ast
 import tempfile
 import time

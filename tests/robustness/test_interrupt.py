@@ -1,7 +1,5 @@
 """Tests of Ctrl-C at moments at which the exception could be lost."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -3,8 +3,6 @@
 ``python benchmarks fuzz --cases 2000 --kinds mutated_urdf,mutated_raster`` reads many.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Tests of the environment: streams, current folder, Matplotlib settings, nearby modules."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Tests of sweeps with killed processes, lost workers or full disks: finished runs are kept."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

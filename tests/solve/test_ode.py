@@ -1,7 +1,5 @@
 """Tests of solvers: models without algebraic unknowns, Newton's method, turns, codes and stops."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import pi
 from typing import Any
