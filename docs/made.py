@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from importlib import import_module
 from inspect import get_annotations
@@ -12,6 +13,7 @@ from typing import Any, Literal, get_args, get_origin
 
 from slipfree.core.quantities import QUANTITIES
 from slipfree.laws.registry import SLIP_LAWS
+from slipfree.models.given_rates import LEAST_MARGIN
 from slipfree.models.single_wheel import SLIP_LIMIT
 from slipfree.problem import schema
 from slipfree.problem.load import VERBS
@@ -235,9 +237,10 @@ def _default(field: Any) -> str:
 
 def _quantities(_: str) -> str:
     """Return the table of quantities of motions."""
-    values = {"wheel": "the wheel", "stride": STRIDE, "slip": SLIP_LIMIT}
+    known = {"wheel": "the wheel", "stride": STRIDE, "slip": SLIP_LIMIT, "least": LEAST_MARGIN}
+    values = defaultdict(lambda: "...", known)
     rows = (
-        f"| `{each.name}` | {each.unit} | {each.words.format(**values)} | {each.shape} | "
+        f"| `{each.name}` | {each.unit} | {each.words.format_map(values)} | {each.shape} | "
         f"{each.facts.replace('most', 'largest') or '-'} | {each.figure or '-'} |"
         for each in QUANTITIES.values()
     )

@@ -37,6 +37,7 @@ from slipfree.contact.clearance import CLEARANCE
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
+from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, Indices, Label, Mask, leaves
 from slipfree.core.schema import Count
 from slipfree.core.trajectory import Drawable
@@ -46,29 +47,17 @@ STANDS = "the vehicle stands"
 NO_POSE = "no pose was found at which all wheels touch the ground"
 HEADINGS = 16
 TILE = 64  # nodes of the side of a tile
-LEAST_FRICTION = (
-    Label(
-        "least_friction_low",
-        "1",
-        "coefficient of friction, at the wheel with the best grip, below which no forces hold it",
-    ),
-    Label(
-        "least_friction_high",
-        "1",
-        "coefficient of friction, at the wheel with the best grip, that surely holds the vehicle",
-    ),
-)
+LEAST_FRICTION = quantity_label("least_friction_low"), quantity_label("least_friction_high")
 LEAST_UTILISATION = (  # where friction differs from place to place
-    Label("least_utilisation_low", "1", "share of the friction below which no forces hold it"),
-    Label("least_utilisation_high", "1", "share of the friction that surely holds the vehicle"),
+    quantity_label("least_utilisation_low"),
+    quantity_label("least_utilisation_high"),
 )
 CHECKED = {  # words of failed checks
     "clearance": "a wheel touches the ground a second time",
     "clearance_body": "a body touches the ground",
 }
-REASON = Label("reason", "1", "why the vehicle does not stand; 0 if it stands")
-RESTS = Label("rests", "1", "number of rests found; the other bands are those of the steepest")
-ENERGY = Label("energy_per_metre", "J m-1", "work of the drives per metre at the given inputs")
+REASON, RESTS = quantity_label("reason"), quantity_label("rests")
+ENERGY = quantity_label("energy_per_metre")
 TILT = 0.06  # of the starts from which other rests are sought [rad]
 SAME_REST = 2e-3  # difference of inclinations up to which rests are the same [rad]
 DEVIATION, WORST = "{}_deviation", "{}_worst"

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from slipfree.atlas.atlas import REASON, Atlas, Band, least_bounds
+from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, Indices, Label
 from slipfree.core.trajectory import heading_column
 
-ELEVATION = Label("elevation", "m", "height of the ground")
+ELEVATION = quantity_label("elevation")
 SLIDES = "friction does not hold the vehicle"
 UNDECIDED = "the bounds of the least friction do not decide"
 OUT_OF_BOUNDS = "{} is not within its bounds"

@@ -29,6 +29,7 @@ from slipfree.control.reference_speeds import (
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
+from slipfree.core.quantities import quantity_label
 from slipfree.core.rearrange import (
     ModelVariable,
     blocks,
@@ -116,7 +117,7 @@ class ControlState(NamedTuple):
     directions: Any = ()
 
 
-REFERENCE_SPEED = Label("reference_speed", "m s-1", "reference speed of the vehicle")
+REFERENCE_SPEED = quantity_label("reference_speed")
 
 
 class Commands(NamedTuple):
@@ -201,10 +202,9 @@ class StepClimbing:
 
     def labels(self, wheels: Sequence[str]) -> ControlState:
         """Return the labels of the states for the names of the wheels."""
-        estimate = "smoothed estimate of the axle's direction from sensors"
         return ControlState(
-            _labels(wheels, "error_sum", "rad", "integral of the wheel-rate error"),
-            _labels(wheels, "direction_seen", "rad", estimate) if self.senses else (),
+            _labels(wheels, "error_sum"),
+            _labels(wheels, "direction_seen") if self.senses else (),
         )
 
     def commands(self, climber: Vehicle, at: Sensed, x: ControlState, speed: ca.SX) -> Commands:
@@ -223,8 +223,8 @@ class StepClimbing:
         return Commands(wanted, *limited(self.torque, PerAxle(*torques)), tuple(changes))
 
 
-def _labels(wheels: Sequence[str], name: str, unit: str, text: str) -> PerAxle:
-    return PerAxle(*(Label(name, unit, text, wheel) for wheel in wheels))
+def _labels(wheels: Sequence[str], name: str) -> PerAxle:
+    return PerAxle(*(quantity_label(name, wheel) for wheel in wheels))
 
 
 def limited(limit: float, wanted: PerAxle) -> tuple[PerAxle, ca.SX]:
@@ -293,9 +293,9 @@ def climbing(
     model = replace(model, limits=(*model.limits, limit))
     states = [new_variable(model, *each) for each in zip(leaves(labels), leaves(x), strict=True)]
     names = (
-        *_labels(wheels, "reference", "rad s-1", "reference rate of the wheels"),
-        *_labels(wheels, "motor_torque", "N m", "torque of a wheel's motor"),
-        Label("torque_scale", "1", "factor by which the torque limit scales all torques"),
+        *_labels(wheels, "reference"),
+        *_labels(wheels, "motor_torque"),
+        quantity_label("torque_scale"),
     )
     outputs = *command.references, *command.torques, command.scale
     controller = ControlLaw(

@@ -33,8 +33,9 @@ class QuantityRow:
         Unit in the spelling of the CF conventions.
     words : str
         Meaning; values in braces are set by `quantity_label`.
-    shape : {"vehicle", "wheel", "joint"}
-        Whether there is a value for the vehicle, each wheel, or each joint.
+    shape : {"vehicle", "wheel", "joint", "pose"}
+        Whether there is a value for the vehicle, each wheel, each joint, or each pose of a mobility
+        map.
     facts : str
         Facts of a motion about the values over time and wheels, separated by blanks, see
         `extremes`.
@@ -98,7 +99,7 @@ def extremes(run: Trajectory, kinds: Mapping[str, str] | None = None) -> dict[st
     """
     facts = dict[str, Fact]()
     if kinds is None:
-        kinds = {each.name: each.facts for each in QUANTITIES.values()}
+        kinds = {each.name: each.facts for each in QUANTITIES.values() if each.facts}
     for name, listed in kinds.items():
         if name not in run.columns or np.isnan(values := run[name]).all():
             continue

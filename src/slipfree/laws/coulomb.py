@@ -19,6 +19,7 @@ from slipfree.core.arguments import checked
 from slipfree.core.dae import Continuation, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
+from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Label
 from slipfree.laws.protocols import (
     Equations,
@@ -138,13 +139,8 @@ def check_friction(law: str, terrain: Terrain) -> None:
 
 def friction_unknowns(vehicle: Vehicle) -> FrictionUnknowns:
     """Return the labels of the normal forces and of the used fractions of the friction."""
-    used = [
-        wheel_labels(
-            vehicle, f"friction_used_{axis}", "1", f"used fraction of the friction {axis} the wheel"
-        )
-        for axis in ("along", "across")
-    ]
-    return FrictionUnknowns(quantity_labels(vehicle, "force_normal"), *used)
+    names = "force_normal", "friction_used_along", "friction_used_across"
+    return FrictionUnknowns(*(quantity_labels(vehicle, name) for name in names))
 
 
 def equation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
@@ -168,7 +164,6 @@ def no_equilibrium(contacts: SlidingContacts) -> Limit:
         fastest = ca.fmax(fastest, ca.fabs(rate) * wheel.radius)
     for slip in zip(contacts.along, contacts.across, contacts.normal, strict=True):
         most = ca.fmax(most, ca.norm_2(ca.vertcat(*slip)))
-    words = "largest slip velocity of a wheel minus ten times the largest rim speed"
-    label = Label("no_equilibrium", "m s-1", words)
+    label = quantity_label("no_equilibrium")
     excess, outcome = most - 10 * fastest, Outcome.NO_EQUILIBRIUM
     return Limit(label, excess, -np.inf, MAX_EXCESS_SLIP, contacts.diagnose, outcome)

@@ -16,8 +16,6 @@ import numpy as np
 from annotated_types import Gt, Le, Unit, doc
 
 from slipfree.core.arguments import checked
-from slipfree.core.dae import Limit
-from slipfree.core.records import Label
 from slipfree.laws.coulomb import (
     MAX_CREEP,
     FrictionUnknowns,
@@ -25,7 +23,7 @@ from slipfree.laws.coulomb import (
     equation_labels,
     friction_unknowns,
 )
-from slipfree.laws.protocols import Equations, Reaction, SlidingContacts
+from slipfree.laws.protocols import Equations, Reaction, SlidingContacts, wheel_limits
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
@@ -76,17 +74,7 @@ class LinearCreep:
             for p, s in zip(parts, slip, strict=True)
         ]
         labels = equation_labels(contacts.vehicle)
-        limits = tuple(
-            Limit(_cone_label(wheel.name), a**2 + c**2, -np.inf, 1.0)
-            for wheel, a, c in zip(contacts.vehicle.wheels, *used, strict=True)
-        )
+        squares = (a**2 + c**2 for a, c in zip(*used, strict=True))
+        limits = wheel_limits(contacts.vehicle, "friction_cone", squares, -np.inf, 1.0)
         rows = ca.vertcat(*contacts.normal, *creep)
-        return Reaction(along, across, normal, Equations(labels, rows), limits)
-
-
-def _cone_label(name: str) -> Label:
-    words = (
-        f"wheel {name} would slide: it needs more friction than the ground offers (square of the "
-        "used fraction)"
-    )
-    return Label("friction_cone", "1", words, name)
+        return Reaction(along, across, normal, Equations(labels, rows), tuple(limits))

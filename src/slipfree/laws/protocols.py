@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import casadi as ca
@@ -197,6 +197,19 @@ class ContactLaw(Protocol):
 def quantity_labels(vehicle: Vehicle, name: str) -> tuple[Label, ...]:
     """Return the labels of a quantity of `slipfree.core.quantities`, one per wheel."""
     return tuple(quantity_label(name, wheel.name) for wheel in vehicle.wheels)
+
+
+def wheel_limits(
+    vehicle: Vehicle,
+    name: str,
+    values: Iterable[ca.SX],
+    lower: float,
+    upper: float,
+    **texts: object,
+) -> Iterator[Limit]:
+    """Yield the limits of a quantity of `slipfree.core.quantities`, with a value per wheel."""
+    for wheel, value in zip(vehicle.wheels, values, strict=True):
+        yield Limit(quantity_label(name, wheel.name, **texts), value, lower, upper)
 
 
 def wheel_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:

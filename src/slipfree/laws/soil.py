@@ -60,7 +60,8 @@ from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Limit
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, Label
+from slipfree.core.quantities import quantity_label
+from slipfree.core.records import Array
 from slipfree.laws.coulomb import creep_continuation, no_equilibrium
 from slipfree.laws.protocols import (
     Equations,
@@ -355,8 +356,8 @@ class Soil:
 
 def _sunk(vehicle: Vehicle, sinkage: tuple[ca.SX, ...]) -> Iterator[Limit]:
     for wheel, depth in zip(vehicle.wheels, sinkage, strict=True):
-        words = f"wheel {wheel.name} has sunk to its axle (sinkage)"
-        yield Limit(Label("sunk", "m", words, wheel.name), depth, -inf, wheel.radius)
+        label = quantity_label("sunk", wheel.name, quantity="sinkage")
+        yield Limit(label, depth, -inf, wheel.radius)
 
 
 def wheel_size(wheel: Wheel) -> WheelSize:

@@ -26,6 +26,7 @@ import numpy as np
 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
+from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, Label, leaves, pack
 from slipfree.core.trajectory import Trajectory
 from slipfree.laws.rolling import Rolling
@@ -131,8 +132,7 @@ class Determinacy:
     @property
     def label(self) -> Label:
         """Name, unit and description of the margin."""
-        words = f"smallest singular value of the inverse problem minus its limit {self.least:g}"
-        return Label("inverse_margin", "1", words)
+        return quantity_label("inverse_margin", least=self.least)
 
     def margin(self, x: Array, z: Array) -> Array:
         """Return the margins of n states, the columns of ``x`` and ``z``, shape (n,)."""

@@ -130,10 +130,6 @@ def _integral(name: str, unit: str) -> Label:
 def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
     """Return the labels of the states, from those of a model without inertia."""
     joints = {label.name: label for label in (*still.x.joints, *still.z.position.suspension)}
-    spin = (
-        "rate of the wheel, relative to its carrier where the rate is an input, otherwise to fixed "
-        "axes"
-    )
     words = "{} of the platform's quaternion (x right)"
     attitude = tuple(Label(f"attitude_{k}", "1", words.format(k)) for k in "wxyz")
     velocity = _vector("velocity", "m s-1", "velocity of the platform's centre")
@@ -148,7 +144,7 @@ def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
         velocity[1:] if planar else velocity,
         omega[:1] if planar else omega,
         tuple(_joint_speed(vehicle, c) for c in vehicle.coordinates),
-        wheel_labels(vehicle, "spin", "rad s-1", spin),
+        quantity_labels(vehicle, "spin"),
         tuple(
             _integral(each.name, "N m") for each in vehicle.wheels if each.acting_drive.has_integral
         ),
@@ -427,12 +423,8 @@ def solid_limits(vehicle: Vehicle, contacts: Sequence[tuple[Contact, ...]]) -> I
     """Yield the limit of the depth of each wheel in solids; none without solids."""
     for wheel, (_, *on_solids) in zip(vehicle.wheels, contacts, strict=True):
         if on_solids:
-            words = (
-                f"wheel {wheel.name} has penetrated a solid by more than the radius of its tube, "
-                "where its contact is not defined; a start must not be inside a solid (gap)"
-            )
             gap = ca.mmin(ca.vertcat(*(each.touch.gap for each in on_solids)))
-            label = Label("solid_gap", "m", words, wheel.name)
+            label = quantity_label("solid_gap", wheel.name)
             yield Limit(label, gap, -tube_radii(wheel)[0], np.inf)
 
 
@@ -443,9 +435,9 @@ def depth_limits(
     for wheel, touching in zip(vehicle.wheels, contacts, strict=True):
         most = law.max_depth(wheel)
         if most < np.inf:
-            words = f"wheel {wheel.name} has sunk to its axle (depth)"
             depth = -ca.mmin(ca.vertcat(*(each.touch.gap for each in touching)))
-            yield Limit(Label("sunk", "m", words, wheel.name), depth, -np.inf, most)
+            label = quantity_label("sunk", wheel.name, quantity="depth")
+            yield Limit(label, depth, -np.inf, most)
 
 
 def dynamic_forces(

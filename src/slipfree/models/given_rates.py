@@ -20,6 +20,7 @@ import numpy as np
 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
+from slipfree.core.quantities import quantity_label
 from slipfree.core.rearrange import ModelVariable, new_variable, variables
 from slipfree.core.records import Label, leaves, pack
 from slipfree.geometry.frame import Pose
@@ -32,11 +33,7 @@ EULER = ("heading_rate", "roll_rate", "pitch_rate")
 OMEGA = ("omega_x", "omega_y", "omega_z")
 RATES = (*VELOCITY, *OMEGA, *EULER)  # of the platform in map axes
 PLANAR = ("velocity_x", "velocity_y", "heading_rate")
-COMMANDS = {
-    "forward": Label("forward", "m s-1", "velocity of the platform's centre along its heading"),
-    "right": Label("right", "m s-1", "velocity of the platform's centre across its heading"),
-    "yaw_rate": Label("yaw_rate", "rad s-1", "rate of the heading, counter-clockwise"),
-}
+COMMANDS = {name: quantity_label(name) for name in ("forward", "right", "yaw_rate")}
 ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_y to the left
 SolveFor = Literal["rates", "angles"]
 LEAST_MARGIN = 1e-3  # smallest singular value at which the given rates determine the unknowns

@@ -196,10 +196,7 @@ def _solved_for_rates(direct: Dae, given: Sequence[str]) -> Dae:
     change = -ca.solve(ca.jacobian(imposed.rows, unknowns), ca.horzcat(*slopes.values()))
     names = [each.label.full for each in rates]
     growth = [change[names.index(f"{name}_rate"), k] for k, name in enumerate(slopes)]
-    words = "growth rate of steering errors; positive: unstable"
-    return with_outputs(
-        dae, [(Label("steering_growth", "s-1", words), ca.mmax(ca.vertcat(*growth)))]
-    )
+    return with_outputs(dae, [(quantity_label("steering_growth"), ca.mmax(ca.vertcat(*growth)))])
 
 
 def _solved_for_angles(direct: Dae, given: Sequence[str]) -> Dae:
@@ -217,15 +214,13 @@ def _solved_for_angles(direct: Dae, given: Sequence[str]) -> Dae:
     (closure, names), _, forces = blocks(still)
     equations = (ca.vertcat(closure, imposed.rows), (*names, *imposed.labels)), forces
     dae = rearrange(still, x, (motion, z.forces), imposed.inputs, equations)
-    slow = Label(
-        "steering_speed", "m s-1", "the vehicle stands still: its steering angles are arbitrary"
-    )
     speed = ca.sqrt(direct.z.rates.x**2 + direct.z.rates.y**2)
-    limit = Limit(slow, speed, MIN_STEERABLE_SPEED * direct.size, np.inf)
-    words = "slip of steered contacts per unit of the steering rate"
+    limit = Limit(
+        quantity_label("steering_speed"), speed, MIN_STEERABLE_SPEED * direct.size, np.inf
+    )
     lever = ca.sqrt(ca.sumsqr(ca.jacobian(direct.alg[1], pack(joints))))
     dae = replace(dae, limits=(*dae.limits, limit))
-    return with_outputs(dae, [(Label("steering_lever", "m", words), lever)])
+    return with_outputs(dae, [(quantity_label("steering_lever"), lever)])
 
 
 def _commanded(direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:

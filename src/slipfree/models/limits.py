@@ -15,8 +15,10 @@ import numpy as np
 from slipfree.contact.closure import ContactFrame, has_exact_closure
 from slipfree.contact.closure import relative_curvature as curvature_of
 from slipfree.core.dae import Limit
+from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Label
 from slipfree.geometry.frame import platform
+from slipfree.laws.protocols import wheel_limits
 from slipfree.models.base import Quantities, values_of
 from slipfree.models.records import Configuration, Dependent
 from slipfree.vehicle.tree import Vehicle
@@ -116,15 +118,14 @@ def joint_stops(q: Quantities) -> Iterator[Limit]:
 
 def upright(q: Quantities) -> Iterator[Limit]:
     """Yield the limit of the cosine of the platform's inclination."""
-    words = "the platform overturns (cosine of its inclination)"
     cosine = ca.cos(q.position.roll) * ca.cos(q.position.pitch)
-    yield Limit(Label(UPRIGHT, "1", words), cosine, MIN_INCLINATION_COSINE, np.inf)
+    yield Limit(quantity_label(UPRIGHT), cosine, MIN_INCLINATION_COSINE, np.inf)
 
 
 def map_margin(q: Quantities) -> Iterator[Limit]:
     """Yield the limits that keep each wheel on the map."""
     if np.isfinite(q.terrain.domain).all():
-        yield from _inside(q, q.terrain.domain, "map_margin", "map")
+        yield from _inside(q, q.terrain.domain, "map_margin")
 
 
 def hole_margin(q: Quantities) -> Iterator[Limit]:
@@ -132,38 +133,26 @@ def hole_margin(q: Quantities) -> Iterator[Limit]:
     for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
         margin = q.terrain.hole_margin(contact.point[0], contact.point[1], q.lookups)
         if margin is not None:
-            words = (
-                f"wheel {wheel.name} reaches a hole in the map, where heights are missing "
-                "(distance to it, less a third of a cell)"
-            )
-            yield Limit(Label("hole_margin", "m", words, wheel.name), margin, 0.0, np.inf)
+            yield Limit(quantity_label("hole_margin", wheel.name), margin, 0.0, np.inf)
 
 
 def lies_flat(q: Quantities) -> Iterator[Limit]:
     """Yield the limits of the angle between each axle and the ground's normal."""
-    for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
-        words = f"wheel {wheel.name} lies flat on the ground (sine of angle from axle to normal)"
-        label = Label("uprightness", "1", words, wheel.name)
-        yield Limit(label, contact.uprightness, MIN_AXLE_SINE, np.inf)
+    sines = [contact.uprightness for contact in q.contacts]
+    yield from wheel_limits(q.vehicle, "uprightness", sines, MIN_AXLE_SINE, np.inf)
 
 
 def relative_curvature(q: Quantities) -> Iterator[Limit]:
     """Yield the limits of the ground's curvature relative to that of each wheel."""
-    for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
-        words = (
-            f"the ground under wheel {wheel.name} is more concave than the wheel, so that its "
-            "contact is not unique; a rolled ground (terrain.rolled) has no hollows that are too "
-            "narrow for the wheel (relative curvature)"
-        )
-        label = Label("relative_curvature", "m-1", words, wheel.name)
-        yield Limit(label, curvature_of(wheel, contact), 0.0, np.inf)
+    values = map(curvature_of, q.vehicle.wheels, q.contacts)
+    yield from wheel_limits(q.vehicle, "relative_curvature", values, 0.0, np.inf)
 
 
 def friction_map_margin(q: Quantities) -> Iterator[Limit]:
     """Yield the limits that keep each wheel on the friction map."""
     domain = q.terrain.friction_domain
     if q.vehicle.mass and domain is not None:
-        yield from _inside(q, domain, "friction_margin", "friction map")
+        yield from _inside(q, domain, "friction_margin")
 
 
 def positive_friction(q: Quantities) -> Iterator[Limit]:
@@ -172,18 +161,13 @@ def positive_friction(q: Quantities) -> Iterator[Limit]:
         return
     for wheel, mu in zip(q.vehicle.wheels, q.mechanics.friction, strict=True):
         if not mu.is_constant():
-            words = f"the coefficient of friction under wheel {wheel.name} is not positive"
-            yield Limit(Label("friction", "1", words, wheel.name), mu, MIN_FRICTION, np.inf)
+            yield Limit(quantity_label("friction", wheel.name), mu, MIN_FRICTION, np.inf)
 
 
 def tip_over(q: Quantities) -> Iterator[Limit]:
     """Yield the limit of the tip-over margin of a vehicle with mass."""
     if q.vehicle.mass:
-        words = (
-            "the vehicle tips over: the line of gravity leaves the support polygon (angle to its "
-            "nearest edge)"
-        )
-        yield Limit(Label("tip_over", "rad", words), q.tip_over_margin, 0.0, np.inf)
+        yield Limit(quantity_label("tip_over"), q.tip_over_margin, 0.0, np.inf)
 
 
 def lift_off(q: Quantities) -> Iterator[Limit]:
@@ -191,14 +175,9 @@ def lift_off(q: Quantities) -> Iterator[Limit]:
 
     There is none for a vehicle without mass, or with wheels that are pressed into the ground.
     """
-    if not (q.vehicle.mass and has_exact_closure(q.vehicle)):
-        return
-    for wheel, force in zip(q.vehicle.wheels, q.forces.normal, strict=True):
-        words = (
-            f"wheel {wheel.name} lifts off: equilibrium would need a negative normal force "
-            "(normal force)"
-        )
-        yield Limit(Label("lift_off", "N", words, wheel.name), force, 0.0, np.inf)
+    if q.vehicle.mass and has_exact_closure(q.vehicle):
+        why = "equilibrium would need a negative normal force"
+        yield from wheel_limits(q.vehicle, "lift_off", q.forces.normal, 0.0, np.inf, why=why)
 
 
 LIMITS: tuple[Callable[[Quantities], Iterator[Limit]], ...] = (
@@ -225,18 +204,14 @@ def limits_of(q: Quantities, *, static: bool = True, overturns: bool = False) ->
     return tuple(limit for limits in kept for limit in limits(q))
 
 
-def _inside(q: Quantities, domain: Domain, name: str, place: str) -> Iterator[Limit]:
-    """Yield the limits that keep each wheel in a domain in map coordinates, that of a place."""
+def _inside(q: Quantities, domain: Domain, name: str) -> Iterator[Limit]:
+    """Yield the limits that keep each wheel in a domain in map coordinates."""
     west, east, south, north = domain
     extent = f"from {west:.2f} to {east:.2f} m in x and from {south:.2f} to {north:.2f} m in y"
     o_x, o_y, _ = q.terrain.origin
-    for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
+    margins = list[ca.SX]()
+    for contact in q.contacts:
         u_g, v_g = contact.point[0], contact.point[1]  # local
-        margin = ca.fmin(
-            ca.fmin(u_g - (west - o_x), (east - o_x) - u_g),
-            ca.fmin(v_g - (south - o_y), (north - o_y) - v_g),
-        )
-        words = (
-            f"wheel {wheel.name} leaves the {place}, which extends {extent} (distance to its edge)"
-        )
-        yield Limit(Label(name, "m", words, wheel.name), margin, 0.0, np.inf)
+        east_west = ca.fmin(u_g - (west - o_x), (east - o_x) - u_g)
+        margins.append(ca.fmin(east_west, ca.fmin(v_g - (south - o_y), (north - o_y) - v_g)))
+    yield from wheel_limits(q.vehicle, name, margins, 0.0, np.inf, extent=extent)

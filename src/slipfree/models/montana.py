@@ -32,7 +32,7 @@ from slipfree.core.schema import NonNegative
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose, Twist
 from slipfree.laws.least_slip import LeastSlip
-from slipfree.laws.protocols import Equations, SlipLaw, quantity_labels
+from slipfree.laws.protocols import Equations, SlipLaw, quantity_labels, wheel_limits
 from slipfree.models.base import (
     Quantities,
     at_rest,
@@ -277,13 +277,11 @@ def _rolling(
 
 def _drift_limits(vehicle: Vehicle, rolls: list[RollingWheel]) -> Iterator[Limit]:
     """Yield the limit of each wheel's drift, in wheel radii or rad."""
-    for wheel, roll in zip(vehicle.wheels, rolls, strict=True):
-        words = (
-            f"wheel {wheel.name} has drifted from its position on the vehicle; start from the "
-            "closure model and use a smaller tolerance (drift in wheel radii or rad)"
-        )
-        drift = ca.fmax(ca.norm_2(roll.displacement) / wheel.radius, ca.norm_2(roll.rotation))
-        yield Limit(Label("assembly", "1", words, wheel.name), drift, -np.inf, MAX_DRIFT)
+    drifts = (
+        ca.fmax(ca.norm_2(roll.displacement) / wheel.radius, ca.norm_2(roll.rotation))
+        for wheel, roll in zip(vehicle.wheels, rolls, strict=True)
+    )
+    yield from wheel_limits(vehicle, "assembly", drifts, -np.inf, MAX_DRIFT)
 
 
 def _assembly_labels(labels: Labels, vehicle: Vehicle) -> Labels:

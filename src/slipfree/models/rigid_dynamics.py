@@ -46,7 +46,14 @@ from slipfree.core.records import Array, Label, leaves, symbols
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.linear_creep import LinearCreep
-from slipfree.laws.protocols import Equations, GroundForce, GroundLaw, Reaction, SlidingContacts
+from slipfree.laws.protocols import (
+    Equations,
+    GroundForce,
+    GroundLaw,
+    Reaction,
+    SlidingContacts,
+    wheel_limits,
+)
 from slipfree.models.base import (
     at_rest,
     contact_checks,
@@ -322,11 +329,9 @@ def _check_torques(law: GroundLaw, reaction: Reaction) -> None:
 
 def _lift_off(vehicle: Vehicle, normal: Sequence[ca.SX]) -> Iterator[Limit]:
     """Yield the lower limit, zero, of each wheel's normal force, if all stay on the ground."""
-    if not _stays_on_ground(vehicle):
-        return
-    for wheel, force in zip(vehicle.wheels, normal, strict=True):
-        words = f"wheel {wheel.name} lifts off: the ground would have to pull it (normal force)"
-        yield Limit(Label("lift_off", "N", words, wheel.name), force, 0.0, np.inf)
+    if _stays_on_ground(vehicle):
+        why = "the ground would have to pull it"
+        yield from wheel_limits(vehicle, "lift_off", normal, 0.0, np.inf, why=why)
 
 
 def _guess(vehicle: Vehicle, body: Multibody, labels: Labels) -> ca.SX:

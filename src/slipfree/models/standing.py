@@ -16,6 +16,7 @@ from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Label, leaves
 from slipfree.geometry.frame import Pose, platform, quaternion, turn
 from slipfree.laws.least_slip import LeastSlip
+from slipfree.laws.protocols import wheel_limits
 from slipfree.models.base import extent, level_heights, sizes
 from slipfree.models.dynamic_outputs import Contact, DynamicState
 from slipfree.models.kinematics import exact_dae, pressed_dae
@@ -26,7 +27,6 @@ from slipfree.terrain.solids import Prism
 from slipfree.vehicle.tree import Vehicle
 
 STANDING_SMOOTHING = 0.01  # width of the load law of the vehicle at rest [static depths]
-CLEAR = "wheel {} touches a solid at the start (gap)"
 
 
 class PlanarPlace(NamedTuple):
@@ -91,11 +91,7 @@ def planar_start(
     given = Configuration(ca.SX(0), x.y, ca.SX(0), place.joints)
     heights, _ = level_heights(vehicle, terrain, given, lookups)
     lowest = ca.mmin(heights) - max(wheel.depth for wheel in vehicle.wheels)
-    limits = [
-        Limit(Label("start_gap", "m", CLEAR.format(wheel.name), wheel.name), gap, 0.0, np.inf)
-        for wheel, gap in zip(vehicle.wheels, ca.vertsplit(gaps), strict=True)
-        if len(contacts[0]) > 1
-    ]
+    limits = wheel_limits(vehicle, "start_gap", ca.vertsplit(gaps), 0.0, np.inf)
     model = Dae(
         ca.SX.sym("t"),
         place,
@@ -107,7 +103,7 @@ def planar_start(
         quad=ca.SX(0, 1),
         y=(),
         labels=still,
-        limits=tuple(limits),
+        limits=tuple(limits) if len(contacts[0]) > 1 else (),
         checks=(),
         guess=ca.vertcat(0, lowest, ca.SX.zeros(1 + len(free))),
         scale=scale,
@@ -173,9 +169,10 @@ def _clear_of_solids(
     vehicle: Vehicle, terrain: Terrain, prisms: Sequence[Prism], poses: Sequence[Pose]
 ) -> Iterator[Limit]:
     """Yield the limit of the gap between each wheel at rest and the solids."""
-    for wheel, pose in zip(vehicle.wheels, poses, strict=True):
-        touches = [solid_touch(each, terrain, wheel, pose, LookupTable()) for each in prisms]
-        if touches:
-            words = CLEAR.format(wheel.name)
-            gap = ca.mmin(ca.vertcat(*(each.gap for each in touches)))
-            yield Limit(Label("start_gap", "m", words, wheel.name), gap, 0.0, np.inf)
+    if prisms:
+        touches = (
+            [solid_touch(each, terrain, wheel, pose, LookupTable()) for each in prisms]
+            for wheel, pose in zip(vehicle.wheels, poses, strict=True)
+        )
+        gaps = (ca.mmin(ca.vertcat(*(each.gap for each in found))) for found in touches)
+        yield from wheel_limits(vehicle, "start_gap", gaps, 0.0, np.inf)
