@@ -51,7 +51,7 @@ from slipfree.plan.search import (
     best_verified,
     cost_terms,
     cost_weights,
-    named_guesses,
+    further_guesses,
     solve_guesses,
     solve_resumed,
 )
@@ -323,8 +323,10 @@ def plan(
     first = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], mesh.degree)
     task = _with_near_conditions(task, motions, former)
     if former is None:
-        guesses = named_guesses(task, start, motions, search)
-        searches = solve_guesses(transcribe(task, first, options), guesses, search.progress)
+        named = [(f"guess {number}", each) for number, each in enumerate(motions, 1)]
+        missing = max(search.starts - len(motions), 0)
+        named += further_guesses(model, start, motions[0], task.inputs, missing, search.seed)
+        searches = solve_guesses(transcribe(task, first, options), named, search.progress)
     else:
         searches = [solve_resumed(task, first, former, options, search.progress)]
 

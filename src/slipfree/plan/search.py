@@ -227,16 +227,6 @@ class SearchState(NamedTuple):
     number: int = 0
 
 
-def named_guesses(
-    task: PlanTask, start: Trajectory, guesses: Sequence[Trajectory], search: Search
-) -> list[tuple[str, Trajectory]]:
-    """Return names and motions of initial guesses: those given, then others up to the starts."""
-    named = [(f"guess {number}", each) for number, each in enumerate(guesses, 1)]
-    missing = max(search.starts - len(guesses), 0)
-    further = further_guesses(task.dae, start, guesses[0], task.inputs, missing, search.seed)
-    return [*named, *further]
-
-
 def solve_guesses(
     program: Program, guesses: Sequence[tuple[str, Trajectory]], progress: PlanProgress | None
 ) -> list[SearchState]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
+from slipfree.control.path_following import follow
 from slipfree.core.dae import Dae
 from slipfree.core.errors import SlipfreeError
 from slipfree.core.facts import Fact
@@ -23,6 +25,7 @@ from slipfree.core.trajectory import (
     outcome_words,
     path_length,
 )
+from slipfree.geometry.path import Path
 from slipfree.laws.soil import Soil
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import direct_kinematics
@@ -37,7 +40,7 @@ from slipfree.plan.ipopt import (
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import ARRAY_PREFIX, SavedPlan, from_arrays, motion_of
 from slipfree.plan.verification import simulate_plan
-from slipfree.plan.windows import LongPlan
+from slipfree.plan.windows import LongPlan, plan_windows
 from slipfree.problem.build import Setup, World, model_law, wheel_angles_at
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
@@ -76,9 +79,9 @@ from slipfree.problem.verbs.plan_setup import (
     Planning,
     build_layers,
     build_planning,
-    long_plan,
+    mesh_of,
+    plan_arguments,
 )
-from slipfree.routing.traversability import Traversability
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
 from slipfree.solve.simulate import simulate
@@ -128,7 +131,7 @@ class PlanVerb(DriveVerb):
         spec = problem.spec
         progress, facts = _iterate_reporter(watch, setup), dict[str, Fact]()
         if resume is None and spec.plan.starts > 1:
-            resume, facts, is_interrupted = best_start(problem, setup, watch.line)
+            resume, facts, is_interrupted = best_start(setup, watch.line)
             progress = (lambda *_: False) if is_interrupted else progress
         guesses: list[Trajectory] = []
         if not resume and not spec.plan.window:
@@ -153,16 +156,32 @@ class PlanVerb(DriveVerb):
             watch.keep(*with_plan(plan, plan.replay))
 
         if spec.plan.window is not None:
-            long = long_plan(problem, setup, resume, progress, keep)
+            arguments, guide = plan_arguments(problem, setup.dae, setup.vehicle), setup.guide
+            del arguments["way_points"], arguments["cost_limits"]
+            with at(problem, ("plan",)):
+                long = plan_windows(
+                    setup.dae,
+                    partial(follow, setup.dae, speed=guide.speed),
+                    setup.start,
+                    Path(guide.paths[0]),
+                    speed=abs(guide.speed),
+                    length=spec.plan.window,
+                    overlap=spec.plan.shared_length,
+                    mesh=mesh_of(spec),
+                    options=spec.solver.options,
+                    resume=resume,
+                    progress=progress,
+                    keep=keep,
+                    **arguments,
+                )
             run, arrays = with_plan(long, long.replay)
             checks = {"by_friction": lambda run: run.with_facts(_by_friction(setup, long))}
             return with_diagnostics(run, checks, watch, arrays), arrays
-        duration = resume.motion.duration if resume else setup.duration
-        plan = find_plan(problem, setup, guesses, resume, progress, duration, keep=keep)
+        plan = find_plan(setup, guesses, resume, progress, keep=keep)
         tested = Tested(plan)
         if spec.plan.robust is not None and plan.accurate:
             keep(replace(plan, replay=replace(plan.replay, stop=UNTESTED)))
-            tested = make_robust(problem, setup, plan, spec.plan.robust, progress, watch)
+            tested = make_robust(setup, plan, spec.plan.robust, progress, watch)
             plan = tested.plan
         run, stop = plan.replay, tested.stop or with_offer(setup, plan, guesses)
         if stop is not None and (tested.stop or not plan.success):
@@ -172,8 +191,8 @@ class PlanVerb(DriveVerb):
         diagnostics: dict[str, Diagnostic] = {
             "optimality": lambda run: run.with_facts(optimality_facts(plan)),
             "by_friction": lambda run: run.with_facts(_by_friction(setup, plan)),
-            "by_stiffness": lambda run: run.with_facts(_by_stiffness(problem, setup, plan)),
-            "in_soil": lambda run: run.with_facts(_in_soil(problem, setup, plan)),
+            "by_stiffness": lambda run: run.with_facts(_by_stiffness(setup, plan)),
+            "in_soil": lambda run: run.with_facts(_in_soil(setup, plan)),
             "momentum": lambda run: run.with_facts(_momentum(setup, plan)),
         }
         return with_diagnostics(run, diagnostics, watch, arrays), arrays
@@ -197,7 +216,10 @@ class PlanVerb(DriveVerb):
         if result.problem.spec.terrain.obstacles:
             return super().figures(result)
         world = world_of(result)
-        layers, options = layers_of(result, world), figure_options(result, world)
+        options, setup = figure_options(result, world), result.setup
+        layers = setup and setup.layers
+        if layers is None:
+            layers = build_layers(result.problem, world.terrain, world.vehicle, options["places"])
         plots = plan_plots(result.trajectory, world.ground.grid, layers, **options)
         return *plots, *super().figures(result)
 
@@ -219,16 +241,6 @@ def _line_points(name: str, arrays: Mapping[str, Array]) -> Array:
     """Return the points of lines stored with a result, shape (n, 2), with NaN between them [m]."""
     empty = np.zeros(0)
     return np.stack([arrays.get(f"{name}_{axis}", empty) for axis in "xy"], axis=1)
-
-
-def layers_of(result: Result, world: World) -> Traversability:
-    """Return where the vehicle of a result can be on the ground, as its set-up does."""
-    if result.setup is not None:
-        layers: Traversability = result.setup.layers
-        return layers
-    problem, terrain = result.problem, world.terrain
-    places, _ = places_of(problem, terrain.domain)
-    return build_layers(problem, terrain, world.vehicle, places)
 
 
 def figure_options(result: Result, world: World) -> dict[str, Any]:
@@ -356,14 +368,12 @@ def _start_values(setup: Planning) -> dict[str, Any]:
     return {name: float(setup.start[name][0]) for name in {**setup.spec.start, "heading": 0.0}}
 
 
-def _by_stiffness(
-    problem: Problem[plan_schema.PlanKeys], setup: Planning, plan: Plan
-) -> dict[str, Fact]:
+def _by_stiffness(setup: Planning, plan: Plan) -> dict[str, Fact]:
     """Return the facts of the motion with stiffer wheels, if wheels press into the ground."""
     if has_exact_closure(setup.vehicle) or not plan.success or setup.spec.model == "dynamics":
         return {}
     wheels = tuple(replace(w, static_depth=w.depth / STIFFER) for w in setup.vehicle.wheels)
-    stiff, slip = replace(setup.vehicle, wheels=wheels), model_law(problem)
+    stiff, slip = replace(setup.vehicle, wheels=wheels), model_law(setup.problem)
     model: Dae = direct_kinematics(stiff, setup.terrain, slip=slip)
     options = setup.spec.solver.options
 
@@ -373,14 +383,12 @@ def _by_stiffness(
     return _simulated("stiff", setup, plan, build, options)
 
 
-def _in_soil(
-    problem: Problem[plan_schema.PlanKeys], setup: Planning, plan: Plan
-) -> dict[str, Fact]:
+def _in_soil(setup: Planning, plan: Plan) -> dict[str, Fact]:
     """Return the facts of the motion in soil with inertia under the plan's inputs.
 
     Slip, sinkage and work are also those of the plan's own simulation.
     """
-    law = model_law(problem)
+    law = model_law(setup.problem)
     if not (plan.success and setup.spec.model == "quasi-static" and isinstance(law, Soil)):
         return {}
     options = setup.spec.solver.options

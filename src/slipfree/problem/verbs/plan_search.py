@@ -28,7 +28,7 @@ from slipfree.models.kinematics import direct_kinematics
 from slipfree.plan.guess import guess_motion, settled_start
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.polynomial_motion import PolynomialMotion, SavedPlan
-from slipfree.plan.problem import Range, bounds_of
+from slipfree.plan.problem import bounds_of
 from slipfree.plan.robust import (
     CONFIDENCE,
     MAX_ROUNDS,
@@ -55,9 +55,8 @@ from slipfree.plan.verification import VERIFICATION_TOLERANCE, simulate_plan
 from slipfree.problem.build import build_model, build_start, in_frame, model_law, solver_options
 from slipfree.problem.build_ground import at
 from slipfree.problem.inputs import ProblemParts, Recipe, recipe_of
-from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.base import Watch
-from slipfree.problem.verbs.plan_schema import PlanKeys, Robust
+from slipfree.problem.verbs.plan_schema import Robust
 from slipfree.problem.verbs.plan_setup import (
     Planning,
     build_planning,
@@ -90,12 +89,10 @@ def start_motion(setup: Planning, number: int) -> Trajectory:
 
 
 def find_plan(
-    problem: Problem[PlanKeys],
     setup: Planning,
     guesses: list[Trajectory],
     resume: SavedPlan | None,
     progress: PlanProgress,
-    duration: float | Range,
     tightening: Tightening = MappingProxyType({}),
     keep: Callable[[Plan], None] | None = None,
 ) -> Plan:
@@ -103,14 +100,15 @@ def find_plan(
 
     For wheels that press into the ground, plans with smoother load laws are computed first, for
     wheels that slide, plans with larger creep speeds; each search starts from the previous plan. If
-    a search fails, the previous plan is returned. ``duration`` is used if the problem gives none
-    [s]; ``progress`` and ``keep`` are as for `plan`.
+    a search fails, the previous plan is returned. A problem without a duration takes that of
+    ``resume``; ``progress`` and ``keep`` are as for `plan`.
 
     ProblemError is raised if start, goal and limits contradict each other, or ``resume`` is a plan
     of another model; SolverError if the plan cannot be simulated from the start.
     """
-    spec, found, saved = problem.spec, None, resume
-    for dae in (*([] if resume else _smoothed_models(problem, setup)), setup.dae):
+    problem, spec, found, saved = setup.problem, setup.spec, None, resume
+    duration = resume.motion.duration if resume else setup.duration
+    for dae in (*([] if resume else _smoothed_models(setup)), setup.dae):
         is_same = dae is setup.dae or dae.replay is not None  # creep does not change the start
         options = solver_options(problem)
         start = setup.start if is_same else settled_start(dae, setup.start, options)
@@ -145,25 +143,21 @@ def _keep_smoothed(keep: Callable[[Plan], None], plan: Plan) -> None:
     keep(replace(plan, replay=replace(plan.replay, stop=stop)))
 
 
-def _smoothed_models(problem: Problem[PlanKeys], setup: Planning) -> list[Dae]:
+def _smoothed_models(setup: Planning) -> list[Dae]:
     """Return models with smoothed loads or larger creep speeds for the first searches, if any."""
-    if problem.spec.model == "dynamics":
-        return momentum_models(problem, setup.vehicle, setup.terrain)[:-1]
+    problem, world = setup.problem, (setup.vehicle, setup.terrain)
+    if setup.spec.model == "dynamics":
+        return momentum_models(problem, *world)[:-1]
     if has_exact_closure(setup.vehicle):
         return []
     slip = model_law(problem)
-    return [
-        in_frame(
-            problem, direct_kinematics(setup.vehicle, setup.terrain, slip=slip, smoothing=width)
-        )
-        for width in SMOOTHINGS
-    ]
+    models = (direct_kinematics(*world, slip=slip, smoothing=width) for width in SMOOTHINGS)
+    return [in_frame(problem, model) for model in models]
 
 
 @lru_cache(1)
-def _planning(source: Recipe) -> tuple[Problem[PlanKeys], Planning]:
-    problem = source.load()
-    return problem, build_planning(problem)
+def _planning(source: Recipe) -> Planning:
+    return build_planning(source.load())
 
 
 class StartResult(NamedTuple):
@@ -176,7 +170,7 @@ class StartResult(NamedTuple):
 
 
 def best_start(
-    problem: Problem[PlanKeys], setup: Planning, report: Report | None
+    setup: Planning, report: Report | None
 ) -> tuple[SavedPlan | None, dict[str, Fact], bool]:
     """Return the best plan of several starts, their facts, and whether Ctrl-C ended the search.
 
@@ -184,61 +178,54 @@ def best_start(
     can be simulated; KeyboardInterrupt if ``report``, which is called several times per second with
     the phase and a line, raises it before a start is solved.
     """
-    count = max(problem.spec.plan.starts, len(setup.starts))
-    with at(problem, ("plan",)):
-        found, is_interrupted = _solve_starts(recipe_of(problem, run=next(RUNS)), count, report)
-    saved = found[0].saved if is_solved(found[0]) else None
-    return saved, starts_facts(found), is_interrupted
-
-
-def _solve_starts(
-    source: Recipe, count: int, report: Report | None
-) -> tuple[list[StartResult], bool]:
-    """Return the plans of all starts, the best first, and whether Ctrl-C ended the search."""
-    found = list[StartResult]()
+    count, found = max(setup.spec.plan.starts, len(setup.starts)), list[StartResult]()
     is_interrupted = False
 
     def poll() -> None:
         if report is not None:
             report("starts", f"starts: {len(found)} of {count} are finished")
 
-    try:
-        with study(solve_start, workers=count, watch=PartsWatch(poll)) as run:
-            for _, result in run(range(count), lambda number: (source, number)):
-                found.append(result)
-    except KeyboardInterrupt:
-        if not any(is_solved(each) for each in found):
-            raise
-        is_interrupted = True
-    ranked = [(each.optimum.rank, each.number, each) for each in found if each.optimum is not None]
-    if not ranked:
-        raise ModelError(
-            "plan: expected an initial guess that can be simulated, found none of "
-            f"{len(found)}; guess {found[0].number + 1} failed: {found[0].words}; change the "
-            "inputs or the driver"
-        )
-    return [each for _, _, each in sorted(ranked, key=itemgetter(0, 1))], is_interrupted
+    with at(setup.problem, ("plan",)):
+        source = recipe_of(setup.problem, run=next(RUNS))
+        try:
+            with study(solve_start, workers=count, watch=PartsWatch(poll)) as run:
+                for _, result in run(range(count), lambda number: (source, number)):
+                    found.append(result)
+        except KeyboardInterrupt:
+            if not any(is_solved(each) for each in found):
+                raise
+            is_interrupted = True
+        ranked = [(each.optimum.rank, each.number, each) for each in found if each.optimum]
+        if not ranked:
+            raise ModelError(
+                "plan: expected an initial guess that can be simulated, found none of "
+                f"{len(found)}; guess {found[0].number + 1} failed: {found[0].words}; change the "
+                "inputs or the driver"
+            )
+    found = [each for _, _, each in sorted(ranked, key=itemgetter(0, 1))]
+    saved = found[0].saved if is_solved(found[0]) else None
+    return saved, starts_facts(found), is_interrupted
 
 
 def solve_start(task: tuple[Recipe, int]) -> StartResult:
     """Return the plan from an initial guess, by its number; errors are stored in the result."""
     source, number = task
     try:
-        problem, setup = _planning(source)
-        first = start_motion(setup, 0)
-        missing = problem.spec.plan.starts - len(setup.starts)
+        setup = _planning(source)
+        first, search = start_motion(setup, 0), setup.spec.plan
+        missing = search.starts - len(setup.starts)
         if number < len(setup.starts):
             law = setup.guide.name or "inputs"
             name = law if len(setup.starts) == 1 else f"{law} {number + 1}"
             guess = start_motion(setup, number)
         else:
-            bounds = bounds_of(setup.dae, problem.spec.bounds)
-            seed = problem.spec.plan.seed
-            further = [*further_guesses(setup.dae, setup.start, first, bounds, missing, seed)]
+            bounds = bounds_of(setup.dae, setup.spec.bounds)
+            begin, seed = (setup.dae, setup.start, first), search.seed
+            further = [*further_guesses(*begin, bounds, missing, seed)]
             if number - len(setup.starts) >= len(further):
                 return StartResult(number, None, None, "a perturbed guess cannot be simulated")
             name, guess = further[number - len(setup.starts)]
-        solved = find_plan(problem, setup, [guess], None, lambda *_: True, setup.duration)
+        solved = find_plan(setup, [guess], None, lambda *_: True)
     except SlipfreeError as error:
         return StartResult(number, None, None, str(error))
     return StartResult(number, solved.optima[0]._replace(start=name), solved.saved)
@@ -296,7 +283,6 @@ class DrawFolder(ProblemParts[tuple[DisturbedRun, ...]]):
 
 
 def make_robust(
-    problem: Problem[PlanKeys],
     setup: Planning,
     first: Plan,
     robust: Robust,
@@ -308,12 +294,11 @@ def make_robust(
     After Ctrl-C, the last accurate plan is returned, with an interruption as its stop. The line of
     ``watch`` is called several times per second.
     """
-    source, latest = recipe_of(problem, run=next(RUNS)), first
+    source, latest = recipe_of(setup.problem, run=next(RUNS)), first
 
     def solve(tightening: Tightening, before: Plan) -> Plan:
         nonlocal latest
-        length = before.motion.duration
-        found = find_plan(problem, setup, [], before.saved, progress, length, tightening)
+        found = find_plan(setup, [], before.saved, progress, tightening)
         if found.run.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
         if not found.accurate:
@@ -339,7 +324,7 @@ def make_robust(
             parts = None
             if watch.beside is not None:
                 size = robust.final_draws + MAX_ROUNDS * robust.draws
-                parts = DrawFolder(watch.beside, "robust plan", size, problem)
+                parts = DrawFolder(watch.beside, "robust plan", size, setup.problem)
                 stack.enter_context(parts)
             run = stack.enter_context(
                 study(replay_draw, parts, robust.draws, watch=PartsWatch(poll))
@@ -377,8 +362,8 @@ def make_robust(
 
 def replay_draw(task: ReplayTask) -> tuple[DisturbedRun, ...]:
     """Simulate plans in a drawn world; return comparisons with the bounds."""
-    problem, setup = _planning(task.source)
-    spec, robust = problem.spec, problem.spec.plan.robust or Robust()
+    setup = _planning(task.source)
+    spec, robust = setup.spec, setup.spec.plan.robust or Robust()
     is_drawn = robust.map is not None or robust.friction > 0
     tolerance = max(spec.plan.accuracy * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
     options = replace(spec.solver.options, tolerance=tolerance)
@@ -392,7 +377,7 @@ def replay_draw(task: ReplayTask) -> tuple[DisturbedRun, ...]:
             return DisturbedRun({Bound(f"no motion ({error})"): np.inf}, np.nan)
         if run.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
-        arguments, plan = plan_arguments(problem, dae, setup.vehicle), (setup.dae, planned)
+        arguments, plan = plan_arguments(setup.problem, dae, setup.vehicle), (setup.dae, planned)
         accuracy, goal = spec.plan.accuracy, robust.goal
         return replay_of(dae, arguments, plan, run, accuracy=accuracy, goal=goal)
 
@@ -402,22 +387,17 @@ def replay_draw(task: ReplayTask) -> tuple[DisturbedRun, ...]:
 @lru_cache(1)
 def _drawn_world(source: Recipe, draw: Draw | None) -> tuple[Dae, Trajectory]:
     """Return model and start in a drawn world, or that of the problem if there is no draw."""
-    problem, setup = _planning(source)
-    terrain = setup.terrain
+    setup = _planning(source)
+    terrain, grid, robust = setup.terrain, setup.ground.grid, setup.spec.plan.robust or Robust()
     if draw is not None:
-        terrain = drawn_terrain(setup, draw, problem.spec.plan.robust or Robust())
-    dae = build_model(problem, setup.vehicle, terrain)
-    return dae, build_start(problem, dae)
-
-
-def drawn_terrain(setup: Planning, draw: Draw, robust: Robust) -> Bicubic:
-    """Return the ground of a problem with drawn errors of heights and of friction."""
-    map_seed, friction_rng = _seed(draw, 0), np.random.default_rng(_seed(draw, 1))
-    grid, mu = setup.ground.grid, setup.ground.mu
-    if robust.map is not None:
-        grid = disturbed(grid, robust.map.rms, robust.map.correlation, map_seed)
-    factor = np.exp(robust.friction * friction_rng.standard_normal())  # always positive
-    return Bicubic(grid, setup.terrain.origin[:2], scaled_friction(mu, factor))
+        if robust.map is not None:
+            grid = disturbed(grid, robust.map.rms, robust.map.correlation, _seed(draw, 0))
+        friction_rng = np.random.default_rng(_seed(draw, 1))
+        factor = np.exp(robust.friction * friction_rng.standard_normal())  # always positive
+        mu = scaled_friction(setup.ground.mu, factor)
+        terrain = Bicubic(grid, terrain.origin[:2], mu)
+    dae = build_model(setup.problem, setup.vehicle, terrain)
+    return dae, build_start(setup.problem, dae)
 
 
 def scaled_friction(mu: Any, factor: float) -> Any:

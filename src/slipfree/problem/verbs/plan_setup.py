@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
-from slipfree.control.path_following import follow, turning_radius
+from slipfree.control.path_following import turning_radius
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Label
 from slipfree.files.toml.source import ProblemError
-from slipfree.geometry.path import Path
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import GroundLaw
@@ -30,11 +27,8 @@ from slipfree.plan.guess import (
     settled_start,
     trip_of,
 )
-from slipfree.plan.polynomial_motion import SavedPlan
 from slipfree.plan.problem import duration_of, free_durations, limits_of, spelled, task_of
-from slipfree.plan.search import PlanProgress
 from slipfree.plan.transcription import Mesh
-from slipfree.plan.windows import LongPlan, plan_windows
 from slipfree.problem.build import (
     Setup,
     build_model,
@@ -72,63 +66,10 @@ HOLE_MARGIN = "hole_margin"  # name of the limits that keep wheels off holes
 HOLE_CLEARANCE = 2.0  # additional distance of plans from holes, in units of plan.accuracy
 
 
-def _check_windows(problem: Problem[PlanKeys], vehicle: Vehicle, count: int) -> None:
-    """Raise ProblemError if the vehicle or the number of paths does not suit windows."""
-    if problem.spec.plan.window is None:
-        return
-    with at(problem, ("plan", "window")):
-        if count != 1:
-            raise ModelError(
-                "expected a driver that follows one path (name = 'route' with count = 1, or "
-                f"'follow' with 'path' or 'file'), found {count or 'no'} paths; use such a driver, "
-                "or remove 'window'"
-            )
-        if not has_exact_closure(vehicle):
-            raise ModelError(
-                f"expected a vehicle with exact contact of all wheels, found {vehicle.name}, whose "
-                "wheels press into the ground; remove 'window'"
-            )
-
-
 def mesh_of(spec: PlanKeys, accuracy: float | None = None) -> Mesh:
     """Return mesh, accuracy and sampling of a problem, by default with its own accuracy."""
     keys = {name: getattr(spec.plan, name) for name in ("intervals", "degree", "continuous")}
     return Mesh(**keys, accuracy=accuracy or spec.plan.accuracy, step=spec.time.step)
-
-
-def long_plan(
-    problem: Problem[PlanKeys],
-    setup: Planning,
-    resume: SavedPlan | None,
-    progress: PlanProgress,
-    keep: Callable[[LongPlan], None],
-) -> LongPlan:
-    """Return the plan of a problem along its route, planned in windows.
-
-    ``progress`` and ``keep`` are as for `plan_windows`. ProblemError is raised if speed, lengths or
-    limits are not valid, or ``resume`` is a plan of another model; SolverError if no motion along
-    the route can be simulated from the start.
-    """
-    spec, guide = problem.spec, setup.guide
-    arguments = plan_arguments(problem, setup.dae, setup.vehicle)
-    del arguments["way_points"], arguments["cost_limits"]
-    law = partial(follow, setup.dae, speed=guide.speed)
-    with at(problem, ("plan",)):
-        return plan_windows(
-            setup.dae,
-            law,
-            setup.start,
-            Path(guide.paths[0]),
-            speed=abs(guide.speed),
-            length=spec.plan.window or 0.0,
-            overlap=spec.plan.shared_length,
-            mesh=mesh_of(spec),
-            options=spec.solver.options,
-            resume=resume,
-            progress=progress,
-            keep=keep,
-            **arguments,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,10 +79,15 @@ class Planning(Setup):
     layers: Traversability
     places: tuple[Place, ...]  # start, way-points, goal on the map [m]
     starts: tuple[Drive, ...]  # inputs and sample times of each guess [s]
-    spec: PlanKeys
+    problem: Problem[PlanKeys]
     trip: Trip  # its model moves along the guesses: a kinematic one for plans with inertia
     guide: Guide  # driving law of the guesses; without a name for guesses by [inputs]
     duration: tuple[float, float]  # smallest and largest one of the plan [s]
+
+    @property
+    def spec(self) -> PlanKeys:
+        """Values of the problem."""
+        return self.problem.spec
 
 
 def build_planning(problem: Problem[PlanKeys]) -> Planning:
@@ -175,16 +121,18 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
                 f"the {name} or give the ground more friction"
             )
     start = build_start(problem, dae)
-    _check_quantities(problem, dae)
+    own = {name for limit in dae.all_limits for name in (limit.label.name, limit.label.full)}
+    for table, values in (("goal", spec.goal), ("limits", spec.limits)):
+        for name in values.keys() - own:
+            with at(problem, (table, name)):
+                dae.named(name)
     with at(problem, ("plan",)):
         arguments = plan_arguments(problem, dae, vehicle)
         task = task_of(dae, start, **arguments, duration=spec.duration or 1.0)
     begin = settled_start(driven, start, spec.solver.options) if is_dynamic else start
     trip = trip_of(task, driven, begin)
     layers = build_layers(problem, terrain, vehicle, places)
-    guide = _guide(problem, trip, layers, places)
-    _check_windows(problem, vehicle, len(guide.paths))
-    starts = _starts(problem, trip, guide)
+    guide, starts = _guesses(problem, trip, layers, places)
     duration = duration_of(spec.duration or free_durations([t[-1] for _, t in starts]))
     goal = ", ".join(f"{name} {spelled(value)}" for name, value in spec.goal.items())
     words = f"plan to {goal} in {spelled(duration)} s"
@@ -201,7 +149,7 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
         layers=layers,
         places=places,
         starts=starts,
-        spec=spec,
+        problem=problem,
         trip=trip,
         guide=guide,
         duration=duration,
@@ -234,39 +182,44 @@ def momentum_models(problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicub
         return [in_frame(problem, model) for model in models]
 
 
-def _check_quantities(problem: Problem[PlanKeys], dae: Dae) -> None:
-    spec = problem.spec
-    own = {name for limit in dae.all_limits for name in (limit.label.name, limit.label.full)}
-    for table, values in (("goal", spec.goal), ("limits", spec.limits)):
-        for name in values.keys() - own:
-            with at(problem, (table, name)):
-                dae.named(name)
-
-
-def _guide(
+def _guesses(
     problem: Problem[PlanKeys], trip: Trip, layers: Traversability, places: tuple[Place, ...]
-) -> Guide:
-    """Return the driving law of the initial guesses: that of the problem, or one that suits."""
-    spec, driver = problem.spec, problem.spec.driver
+) -> tuple[Guide, tuple[Drive, ...]]:
+    """Return the driving law of the initial guesses, that of the problem or one that suits.
+
+    Inputs and sample times of each guess follow. ProblemError is raised if the vehicle or the
+    number of paths does not suit windows.
+    """
+    spec, driver, time = problem.spec, problem.spec.driver, problem.spec.time
     if spec.inputs is not None:
-        return Guide("", 0.0, 0.0)
-    if driver is None:
+        guide = Guide("", 0.0, 0.0)
+    elif driver is None:
         with at(problem, ("vehicle",)):
-            return choose_guide(trip, spec.bounds, layers, count=spec.plan.starts)
-    radius = driver.turning_radius
-    radius = turning_radius(trip.vehicle) if radius is None else radius
-    paths = guide_paths(problem, driver, layers, places, radius)
-    return Guide(driver.name, driver.speed, radius, paths)
-
-
-def _starts(problem: Problem[PlanKeys], trip: Trip, guide: Guide) -> tuple[Drive, ...]:
-    spec, time = problem.spec, problem.spec.time
+            guide = choose_guide(trip, spec.bounds, layers, count=spec.plan.starts)
+    else:
+        radius = driver.turning_radius
+        radius = turning_radius(trip.vehicle) if radius is None else radius
+        paths = guide_paths(problem, driver, layers, places, radius)
+        guide = Guide(driver.name, driver.speed, radius, paths)
+    if spec.plan.window is not None:
+        with at(problem, ("plan", "window")):
+            if len(guide.paths) != 1:
+                raise ModelError(
+                    "expected a driver that follows one path (name = 'route' with count = 1, or "
+                    f"'follow' with 'path' or 'file'), found {len(guide.paths) or 'no'} paths; use "
+                    "such a driver, or remove 'window'"
+                )
+            if not has_exact_closure(trip.vehicle):
+                raise ModelError(
+                    "expected a vehicle with exact contact of all wheels, found "
+                    f"{trip.vehicle.name}, whose wheels press into the ground; remove 'window'"
+                )
     if spec.inputs is not None:
         t, rates = input_samples(time.duration, time.step, spec.inputs)
         with at(problem, ("inputs",)):
-            return ((trip.dae.inputs(**rates), t),)
+            return guide, ((trip.dae.inputs(**rates), t),)
     with at(problem, ("driver",)):
-        return guide_drives(trip, guide, step=time.step, longest=time.duration)
+        return guide, guide_drives(trip, guide, step=time.step, longest=time.duration)
 
 
 def plan_arguments(problem: Problem[PlanKeys], dae: Dae, vehicle: Vehicle) -> dict[str, Any]:

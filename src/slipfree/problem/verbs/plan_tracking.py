@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.control.path_following import commanded
-from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Fact, TableColumn, table
 from slipfree.core.outcome import Outcome
@@ -157,7 +156,7 @@ def follow_plan(
         )
     setup = build_planning(planned)
     duration = saved.motion.duration
-    plan = find_plan(planned, setup, [], saved, lambda *_: True, duration)
+    plan = find_plan(setup, [], saved, lambda *_: True)
     window = duration / WINDOWS_PER_PLAN if window is None else window
     period = window / CYCLES_PER_WINDOW if period is None else period
     options = _world_options(real)
@@ -176,7 +175,18 @@ def follow_plan(
                 driven = commanded(plan.program.task.dae, speed=speed)
                 controller = Following(plan.program.task.dae, plan.motion, speed)
                 if name == "sampling":
-                    task = _sampling_task(driven, speed, window, compiled=options.compiled)
+                    (low, high), turn = SPEED_RANGE, TURN_RANGE * speed / driven.size
+                    task = SamplingTask(
+                        driven,
+                        {"slip": 1.0},
+                        {},
+                        window,
+                        {"forward": (low * speed, high * speed), "yaw_rate": (-turn, turn)},
+                        goal_weight=GOAL_WEIGHT,
+                        candidates=CANDIDATES,
+                        spread=SPREAD,
+                        compiled=options.compiled,
+                    )
                     controller = Sampling(task, plan.motion)
         except ModelError as error:
             return Followed(name, seed, str(error))
@@ -246,7 +256,13 @@ def _disturbed_world(
     if sizes.get("heights"):
         grid = disturbed(grid, sizes["heights"], CORRELATION * dae.size, seed)
     if sizes.get("friction"):
-        mu = _changed_friction(mu, 1 + sign * sizes["friction"])
+        if mu is None:
+            raise ModelError(
+                "disturb: friction: expected a ground with a coefficient of friction, found none; "
+                "give it by --set terrain.friction=0.8, and --set model=quasi-static, whose motion "
+                "depends on friction"
+            )
+        mu = scaled_friction(mu, 1 + sign * sizes["friction"])
     terrain = Bicubic(grid, built.terrain.center, mu)
     wheels = [
         replace(wheel, section=_scaled(wheel.section, factor))
@@ -273,16 +289,6 @@ def _disturbed_world(
     return world, replace(built, ground=ground, terrain=terrain)
 
 
-def _changed_friction(mu: Any, factor: float) -> Any:
-    if mu is None:
-        raise ModelError(
-            "disturb: friction: expected a ground with a coefficient of friction, found none; give "
-            "it by --set terrain.friction=0.8, and --set model=quasi-static, whose motion depends "
-            "on friction"
-        )
-    return scaled_friction(mu, factor)
-
-
 def _scaled(section: Section, factor: float) -> Section:
     values: dict[str, Any] = {}
     for field in fields(section):
@@ -292,22 +298,6 @@ def _scaled(section: Section, factor: float) -> Section:
         elif field.type in (Length, "Length"):
             values[field.name] = factor * value
     return replace(section, **values)
-
-
-def _sampling_task(model: Dae, speed: float, span: float, *, compiled: bool) -> SamplingTask:
-    """Return the task of planning by sampling for a model whose inputs are commands."""
-    turn = TURN_RANGE * speed / model.size
-    return SamplingTask(
-        model,
-        {"slip": 1.0},
-        {},
-        span,
-        {"forward": (SPEED_RANGE[0] * speed, SPEED_RANGE[1] * speed), "yaw_rate": (-turn, turn)},
-        goal_weight=GOAL_WEIGHT,
-        candidates=CANDIDATES,
-        spread=SPREAD,
-        compiled=compiled,
-    )
 
 
 def tracking_rows(test: TrackingTest) -> list[dict[str, Any]]:
