@@ -19,6 +19,7 @@ from slipfree.core.lookups import Lookup, lookup_function
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import (
     Array,
+    Indices,
     Label,
     Mask,
     Record,
@@ -444,6 +445,15 @@ class Dae(Generic[X, Z, U, Y]):
         """Names of the states, in their order."""
         return [label.full for label in leaves(self.labels.x)]
 
+    def state_rows(self, *names: str) -> list[int]:
+        """Return the indices of states by name."""
+        return [self.state_names.index(name) for name in names]
+
+    @property
+    def zero_inputs(self) -> Record:
+        """Inputs that are all zero."""
+        return self.inputs(**dict.fromkeys(self.input_names, 0.0))
+
     @cached_property
     def all_limits(self) -> tuple[Limit, ...]:
         """Limits of the model, and those of checks that are also expressions, for planners."""
@@ -500,33 +510,35 @@ class Dae(Generic[X, Z, U, Y]):
         ModelError
             If a name is missing or unknown.
         """
-        names = [label.full for label in leaves(self.labels.u)]
+        names = self.input_names
         _same_names("inputs", names, values)
         record: Any = self.u
         found: Record = unpack(record, [values[name] for name in names])
         return found
 
-    def rows(self, record: str, run: Trajectory, index: int) -> Array:
-        """Return one sample of a trajectory as a vector in local coordinates.
+    def rows(
+        self, record: str, run: Trajectory, index: int | slice | Indices = slice(None)
+    ) -> Array:
+        """Return samples of a trajectory as vectors in local coordinates.
 
         Parameters
         ----------
-        record : {"x", "z", "q"}
+        record : {"x", "z", "u", "q"}
             Variables to return.
         run : Trajectory
             Motion of this model, in map coordinates.
-        index : int
-            Index of the sample.
+        index : int, slice or ndarray of int
+            Index of the sample, or indices of several; by default all.
 
         Returns
         -------
-        ndarray, shape (n,)
+        ndarray, shape (n,) or (n, n_samples)
             Values in the order of the record, each in the unit of its label.
         """
         labels = leaves(getattr(self.labels, record))
-        values = [run.of(label)[index] for label in labels]
+        values = np.array([run.of(label)[index] for label in labels])
         shift = {"x": self.shift[0], "z": self.shift[1]}.get(record, np.zeros(len(values)))
-        return np.array(values) - shift
+        return (values.T - shift).T
 
     @checked
     def start(self, **values: Finite) -> Array:
@@ -539,7 +551,7 @@ class Dae(Generic[X, Z, U, Y]):
         ModelError
             If a name is unknown or a value is not finite.
         """
-        names = [label.full for label in leaves(self.labels.x)]
+        names = self.state_names
         _same_names("start", names, values, all_needed=False)
         return np.array([values.get(name, 0.0) for name in names]) - self.shift[0]
 
@@ -551,7 +563,7 @@ class Dae(Generic[X, Z, U, Y]):
         ModelError
             If a state is missing or not finite.
         """
-        names = [label.full for label in leaves(self.labels.x)]
+        names = self.state_names
         if np.shape(x) != (len(names),) or not np.isfinite(x).all():
             raise ModelError(
                 f"expected finite values of the states {', '.join(names)}, in map coordinates, "

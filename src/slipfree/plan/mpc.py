@@ -40,7 +40,7 @@ from slipfree.plan.transcription import (
     completed,
     transcribe,
 )
-from slipfree.plan.verification import inputs_along, local_rows
+from slipfree.plan.verification import inputs_along
 from slipfree.solve.sampling import same_turn
 from slipfree.solve.simulate import simulate
 from slipfree.system.forks import computing
@@ -294,7 +294,7 @@ def refine(window: Horizon, start: Trajectory, inputs: Array) -> Cycle:
             run,
         )
     at = np.abs(times[:, None] - nodes).argmin(axis=0)
-    x, z = (local_rows(dae, record, run)[:, at] for record in "xz")
+    x, z = (dae.rows(record, run, at) for record in "xz")
     middle = span * input_fractions(program)
     u = inputs[:, np.clip(np.searchsorted(edges, middle) - 1, 0, inputs.shape[1] - 1)]
     first = completed(program, unknowns_of(program, x, z, u, span))

@@ -195,8 +195,7 @@ def nearest_fraction(former: PolynomialMotion, start: Array) -> float:
 def numeric_system(program: Program) -> Any:
     """Return the model of a program as a `System` under numeric inputs."""
     dae = program.task.dae
-    rest = dae.inputs(**dict.fromkeys(dae.input_names, 0.0))
-    return with_inputs(dae, rest, 0, program.options)
+    return with_inputs(dae, dae.zero_inputs, 0, program.options)
 
 
 def guess_unknowns(program: Program, guess: Trajectory) -> Array:

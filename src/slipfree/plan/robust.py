@@ -22,7 +22,7 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import number, role_of
 from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.problem import limits_of, near_conditions, timed_conditions
-from slipfree.plan.verification import limit_name, limit_values, local_rows, tolerated_excess
+from slipfree.plan.verification import limit_name, limit_values, tolerated_excess
 from slipfree.solve.sampling import periodic_states, same_turn
 
 P = TypeVar("P")
@@ -144,27 +144,20 @@ def robust_plan(
         added = {} if replays.share >= share else added_tightening(replays, (1 + share) / 2)
         if not added:  # the share is reached, or the motions fail for another reason
             break
-        now, done, failure = _tighten_gradually(solve, now, tightening, added)
+        done, step = 0.0, 1.0
+        while done < 1 and step >= MIN_STEP:
+            further = min(done + step, 1.0)
+            try:
+                now, done = solve(_sum(tightening, added, further), now), further
+            except SlipfreeError as error:
+                failure, step = str(error), step / 2
+        failure = failure if done < 1 else ""
         if not done:
             break
         tightening, rounds = _sum(tightening, added, done), rounds + 1
     plans = [first, now] if rounds else [first]
     final = replay(plans, _draws(seed, FINAL, final_draws))
     return RobustPlan(now, final[0], final[-1], tightening, rounds, failure)
-
-
-def _tighten_gradually(
-    solve: Callable[[Tightening, P], P], now: P, tightening: Tightening, added: Tightening
-) -> tuple[P, float, str]:
-    """Return the plan with tightened limits, the fraction reached, and the reason if below 1."""
-    done, step, failure = 0.0, 1.0, ""
-    while done < 1 and step >= MIN_STEP:
-        further = min(done + step, 1.0)
-        try:
-            now, done = solve(_sum(tightening, added, further), now), further
-        except SlipfreeError as error:
-            failure, step = str(error), step / 2
-    return now, done, failure if done < 1 else ""
 
 
 def _sum(first: Tightening, second: Tightening, factor: float) -> dict[Bound, float]:
@@ -247,7 +240,7 @@ def replay_of(
     which are ignored without it.
     """
     plan = planned[1]
-    samples = run.t, *(local_rows(dae, record, run) for record in "xzu")
+    samples = run.t, *(dae.rows(record, run) for record in "xzu")
     limits = (*arguments["limits"], *_model_limits(dae, arguments["limits"]))
     excess = [*_excess(dae, limits, samples, "", accuracy, None)]
     if run.stop is not None:
@@ -266,7 +259,7 @@ def replay_of(
         k = int(np.abs(fractions - condition.fraction).argmin())
         at, role = tuple(rows[..., k : k + 1] for rows in samples), role_of(condition.fraction)
         excess += _excess(dae, condition.limits, at, role, accuracy, goal)
-    rows = [dae.state_names.index(name) for name in "xy"]
+    rows = dae.state_rows("x", "y")
     gaps = samples[1][rows, -1] - plan.states(np.ones(1))[rows, 0]
     return DisturbedRun(_largest(excess), float(np.hypot(*gaps)))
 

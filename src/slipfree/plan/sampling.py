@@ -350,7 +350,8 @@ def _end_in_regions(aims: _Aims, motions: Candidates) -> None:
 
     Straight lines connect the samples.
     """
-    x, y = (motions.samples[:, row] + aims.task.model.shift[0][row] for row in _places(aims.task))
+    dae = aims.task.model
+    x, y = (motions.samples[:, k] + dae.shift[0][k] for k in dae.state_rows("x", "y"))
     for region in aims.keep_out:
         least = np.minimum(region.distance(x[0], y[0]), 0.0)
         for part in np.linspace(1.0, 0.0, CHECKED_POINTS, endpoint=False)[::-1]:
@@ -359,11 +360,6 @@ def _end_in_regions(aims: _Aims, motions: Candidates) -> None:
             first = np.where(inside.any(axis=0), aims.task.t[inside.argmax(axis=0)], np.inf)
             earlier = (first < motions.end) | (inside.any(axis=0) & (motions.reason == COMPLETE))
             motions.end[earlier], motions.reason[earlier] = first[earlier], IN_REGION
-
-
-def _places(task: SamplingTask) -> list[int]:
-    names = [label.full for label in leaves(task.model.labels.x)]
-    return [names.index("x"), names.index("y")]
 
 
 def _costs(aims: _Aims, many: Array, motions: Candidates, inputs: Array) -> Array:
@@ -379,7 +375,7 @@ def _costs(aims: _Aims, many: Array, motions: Candidates, inputs: Array) -> Arra
                     total += 0.5 * h * forced(forced.graphs.graph, many)[0]
         labels = list(leaves(task.model.labels.x))
         for name, value in aims.goal.items():
-            k = [label.full for label in labels].index(name)
+            (k,) = task.model.state_rows(name)
             count = 1 if np.isscalar(value) else task.intervals
             wanted = np.reshape(value, (-1, 1))[-count:] - task.model.shift[0][k]
             miss = motions.samples[-count:, k] - wanted

@@ -14,7 +14,7 @@ from annotated_types import Ge, Le, doc
 
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
-from slipfree.core.records import Array, field_overview, leaves
+from slipfree.core.records import Array, field_overview
 from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.ipopt import (
@@ -157,7 +157,7 @@ def further_guesses(
     half of the duration, even with the perturbation halved four times.
     """
     t = guess.t - guess.t[0]
-    inputs = np.array([guess.of(label) for label in leaves(dae.labels.u)])
+    inputs = dae.rows("u", guess)
     sides = bounds[np.abs(inputs).max(axis=1) > 0]
     if count and ((sides[:, 0] < 0) & (sides[:, 1] > 0)).all():
         run = _simulated(dae, start, np.clip(-inputs, bounds[:, :1], bounds[:, 1:]), t)

@@ -154,7 +154,8 @@ def _places(dae: Dae, plan: PolynomialMotion, t: Array) -> dict[str, Array]:
     beyond = np.maximum(t - plan.duration, 0.0) / step
     x = plan.states(np.minimum(t / plan.duration, 1.0)) + np.outer(last - before, beyond)
     x += dae.shift[0][:, None]
-    return {name: x[dae.state_names.index(name)] for name in ("x", "y", "heading")}
+    names = ("x", "y", "heading")
+    return dict(zip(names, x[dae.state_rows(*names)], strict=True))
 
 
 class TrackingWorld(NamedTuple):

@@ -182,8 +182,7 @@ def transcribe(
         raise ModelError(
             f"degree: expected a degree of 1 to 5, found {mesh.degree}; use one of these degrees"
         )
-    rest = task.dae.inputs(**dict.fromkeys(task.dae.input_names, 0.0))
-    system = with_inputs(task.dae, rest, 0, options)
+    system = with_inputs(task.dae, task.dae.zero_inputs, 0, options)
     bounds, limits = _split(task)
     conditions = [
         *task.limits,
@@ -211,7 +210,15 @@ def transcribe(
     of_roots = points.row_indices[:, first_root : first_root + point.roots].ravel().tolist()
     all_rows = ca.Function("rows", [made.w, made.p], [made.g])(made.w, 0)
     root_values = made.w[layout.roots.ravel().tolist()] + all_rows[of_roots]
-    lower, upper = _variable_bounds(task, layout, bounds, scale.size)
+    lower, upper = np.full(scale.size, -np.inf), np.full(scale.size, np.inf)
+    lower[layout.first] = upper[layout.first] = task.start
+    lower[layout.inputs], upper[layout.inputs] = task.inputs.T
+    if task.initial_inputs is not None:
+        lower[layout.inputs[0]], upper[layout.inputs[0]] = task.initial_inputs.T
+    for (kind, k), (low, high) in bounds.items():
+        where = (layout.states if kind == "x" else layout.unknowns)[:, :, k]
+        lower[where], upper[where] = low, high
+    lower[layout.duration], upper[layout.duration] = task.duration
     highest = np.array([value for _, value in task.cost_limits])
     lowest = np.full(highest.size, -np.inf)
     return Program(
@@ -449,23 +456,3 @@ def _condition_block(
         np.zeros((1, 0)),
     )
     return RowBlock(where, tuple(limit.label for limit in limits), low, high), block
-
-
-def _variable_bounds(
-    task: PlanTask,
-    layout: VariableLayout,
-    simple: dict[tuple[str, int], tuple[float, float]],
-    size: int,
-) -> tuple[Array, Array]:
-    """Return lower and upper bounds of the unknowns, not scaled, shape (n_w,) each."""
-    lower, upper = np.full(size, -np.inf), np.full(size, np.inf)
-    lower[layout.first] = upper[layout.first] = task.start
-    lower[layout.inputs], upper[layout.inputs] = task.inputs[:, 0], task.inputs[:, 1]
-    if task.initial_inputs is not None:
-        begin = layout.inputs[0]
-        lower[begin], upper[begin] = task.initial_inputs[:, 0], task.initial_inputs[:, 1]
-    for (kind, k), (low, high) in simple.items():
-        where = (layout.states if kind == "x" else layout.unknowns)[:, :, k]
-        lower[where], upper[where] = low, high
-    lower[layout.duration], upper[layout.duration] = task.duration
-    return lower, upper

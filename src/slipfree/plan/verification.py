@@ -79,7 +79,7 @@ def verify_plan(
     replay = simulate_plan(model, start, motion, step=step, options=precise)
     fractions = np.minimum(replay.t / motion.duration, 1.0)
     planned, states = motion.states(fractions), list(leaves(dae.labels.x))
-    x, gaps = _compare(local_rows(model, "x", replay), planned, task.periodic, accuracy)
+    x, gaps = _compare(model.rows("x", replay), planned, task.periodic, accuracy)
     over = _excess(task, limits, replay, x)
     sizes = {"": over}
     for condition in task.conditions:
@@ -170,22 +170,15 @@ def tolerated_excess(limits: Sequence[Limit], accuracy: float) -> Array:
     )
 
 
-def local_rows(dae: Dae, record: str, run: Trajectory) -> Array:
-    """Return a record (x, z or u) of all samples in local coordinates, one column per sample."""
-    shift = {"x": dae.shift[0], "z": dae.shift[1]}.get(record)
-    rows = np.array([run.of(label) for label in leaves(getattr(dae.labels, record))])
-    return rows if shift is None else rows - shift[:, None]
-
-
 def _excess(task: PlanTask, limits: Sequence[Limit], run: Trajectory, x: Array) -> Array:
     """Return violations of limits in a simulation with n states x, shape (n_limits, n).
 
     In a simulation with another model, a limit on unknowns of the planned model applies to the
     quantity of the same name, if any.
     """
-    dae, u = task.dae, local_rows(task.dae, "u", run)
+    dae, u = task.dae, task.dae.rows("u", run)
     is_same, z = dae.replay is None, np.zeros((dae.scale.size, run.t.size))
-    z = local_rows(dae, "z", run) if is_same else z
+    z = dae.rows("z", run) if is_same else z
     values = limit_values(dae, limits, (run.t, x, z, u))
     for row, limit in zip(values, limits, strict=True):
         if not is_same and ca.depends_on(limit.expression, dae.columns()[1]):

@@ -8,7 +8,7 @@ without a jump of states or continuous inputs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -183,10 +183,17 @@ def plan_windows(
         )
 
     if resume is not None:
-        former = _former_part(dae, start, resume, mesh.step, options)
-        reached = _nearest(route, former.replay, 0.0, route.length)
-        parts.append(former._replace(window=former.window._replace(end=reached)))
-        here = _HandOver(former.replay, _end_inputs(dae, former.motion, bounds), reached)
+        motion = local_motion(resume, dae)
+        replay = simulate_plan(dae, start, motion, step=mesh.step, options=options)
+        if replay.stop is not None:
+            raise ModelError(
+                "plan: expected a saved plan that can be simulated to its end, found one that "
+                f"stops at {replay.t[-1]:.6g} s: {replay.stop.words}; plan without the saved plan"
+            )
+        reached = _nearest(route, replay, 0.0, route.length)
+        former = RouteWindow(0.0, reached, 0.0, motion.duration, 0, 0.0, True)
+        parts.append(_Part(former, motion, replay))
+        here = _HandOver(replay, _end_inputs(dae, motion, bounds), reached)
     while stop is None and here.reached < route.length - MIN_REST:
         if keep is not None and parts:
             words = f"the plan from {here.reached:.4g} m of the route was interrupted"
@@ -272,30 +279,26 @@ def _end_inputs(dae: Dae, motion: PolynomialMotion, bounds: Array) -> dict[str, 
     return dict(zip(dae.input_names, values.tolist(), strict=True))
 
 
-def _former_part(
-    dae: Dae, start: Trajectory, saved: SavedPlan, step: float, options: SolverOptions
-) -> _Part:
-    """Return an earlier plan as the first part of a long plan, simulated again."""
-    motion = local_motion(saved, dae)
-    replay = simulate_plan(dae, start, motion, step=step, options=options)
-    if replay.stop is not None:
-        raise ModelError(
-            "plan: expected a saved plan that can be simulated to its end, found one that stops at "
-            f"{replay.t[-1]:.6g} s: {replay.stop.words}; plan without the saved plan"
-        )
-    window = RouteWindow(0.0, 0.0, 0.0, motion.duration, 0, 0.0, True)
-    return _Part(window, motion, replay)
-
-
 def _join(
     parts: list[_Part], task: PlanTask | None, stop: Stop | None, dae: Dae, options: SolverOptions
 ) -> LongPlan:
-    motion = joined_motions([part.motion for part in parts])
-    replay = _chained([part.replay for part in parts])
+    motion, begin, runs = joined_motions([part.motion for part in parts]), 0.0, list[Trajectory]()
+    for run in (part.replay for part in parts):  # with times since the beginning of the first one
+        events = {name: t + begin for name, t in run.events.items()}
+        runs.append(replace(run, t=run.t + begin, events=events))
+        begin += run.t[-1]
+    replay = joined(*(run.part(slice(-1)) for run in runs[:-1]), runs[-1])
     windows = tuple(part.window for part in parts)
     stop = stop and stop._replace(t=float(replay.t[-1]))
     plans = [part.planned for part in parts if part.planned is not None]
-    costs = [_costs(task, part.motion, options) for part in parts] if task else []
+    costs = list[dict[str, float]]()
+    for own in (part.motion for part in parts):
+        if task is not None:
+            first, length = own.unknowns[own.layout.first], own.duration
+            alone = replace(task, start=first, duration=(length, length), cost_limits=())
+            alone = replace(alone, conditions=(), limits=())
+            program = transcribe(alone, own.mesh, replace(options, compiled=False))
+            costs.append(cost_terms(program, transfer_motion(own, program)))
     return LongPlan(
         motion,
         replace(replay, stop=stop),
@@ -312,31 +315,8 @@ def _join(
     )
 
 
-def _costs(task: PlanTask, motion: PolynomialMotion, options: SolverOptions) -> dict[str, float]:
-    own = replace(
-        task,
-        start=motion.unknowns[motion.layout.first],
-        duration=(motion.duration, motion.duration),
-        conditions=(),
-        limits=(),
-        cost_limits=(),
-    )
-    program = transcribe(own, motion.mesh, replace(options, compiled=False))
-    return cost_terms(program, transfer_motion(motion, program))
-
-
 def _largest(sizes: Iterable[Mapping[str, float]]) -> dict[str, float]:
     largest: dict[str, float] = {}
     for each in sizes:
         largest |= {name: max(size, largest.get(name, 0.0)) for name, size in each.items()}
     return largest
-
-
-def _chained(runs: Sequence[Trajectory]) -> Trajectory:
-    """Return consecutive motions, each with times since its beginning, as one motion."""
-    ends = np.cumsum([0.0, *(run.t[-1] for run in runs)])
-    later = [
-        replace(run, t=run.t + t, events={k: v + t for k, v in run.events.items()})
-        for run, t in zip(runs, ends, strict=False)
-    ]
-    return joined(*(run.part(slice(-1)) for run in later[:-1]), later[-1])

@@ -14,7 +14,7 @@ from slipfree.contact.closure import has_exact_closure
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Lines, lines, printed_unit
-from slipfree.core.records import Array, leaves, unpack
+from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import FIGURE_SAMPLES, Trajectory, outcome_words
 from slipfree.core.version import __version__
 from slipfree.files.atlas_files import is_atlas, open_atlas, tiles_in
@@ -460,12 +460,12 @@ def conditioning(dae: Dae, start: Trajectory) -> Lines:
     rates. The least determined unknowns have large entries in the right singular vector of the
     smallest singular value.
     """
-    rest = unpack(dae.u, [0.0] * len(list(leaves(dae.u))))
-    system, (x, z) = with_inputs(dae, rest, 0), (dae.rows(record, start, 0) for record in "xz")
+    system = with_inputs(dae, dae.zero_inputs, 0)
+    x, z = (dae.rows(record, start, 0) for record in "xz")
     labels, facts = list(leaves(dae.labels.z)), []
     moving = {*leaves(dae.labels.z.position), *leaves(dae.labels.z.rates.motion)}
     for name, block in zip(("position", "rates"), system.blocks, strict=False):
-        point = 0.0, x, z, np.zeros(len(list(leaves(dae.u)))), block.stages[-1]
+        point = 0.0, x, z, system.u[:, 0], block.stages[-1]
         jacobian = np.array(block.newton(*point)[1]) * dae.sizes.alg[block.span, None]
         _, values, right = np.linalg.svd(jacobian)
         size = [

@@ -142,7 +142,7 @@ def round_trip(
     also contains its pose (first field of ``z``). The result is the largest absolute difference by
     name.
     """
-    system = with_inputs(dae, unpack(dae.u, [0.0] * dae.columns()[2].numel()), 0, options)
+    system = with_inputs(dae, dae.zero_inputs, 0, options)
     x, u, pose = (
         np.array([run.of(label) for label in leaves(record)])
         for record in (dae.labels.x, dae.labels.u, dae.labels.z[0])

@@ -205,11 +205,10 @@ def _relaxation_model(dae: Dae) -> Dae:
 
 
 def _relax(model: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
-    rest = unpack(model.u, [0.0] * len(list(leaves(model.u))))
     # The equilibrium is a fixed point, which does not depend on the accuracy of the path to it.
     rough = replace(options, tolerance=RELAXATION_TOLERANCE)
-    run = simulate(model, first, rest, np.array([0.0, RELAXATION_TIME]), options=rough)
-    system = with_inputs(model, rest, 0, options)
+    run = simulate(model, first, model.zero_inputs, np.array([0.0, RELAXATION_TIME]), options=rough)
+    system = with_inputs(model, model.zero_inputs, 0, options)
     x, z = (model.rows(record, run, -1) for record in "xz")
     rates = np.array(system.core(0.0, x, z[: system.motion_size], system.u[:, 0])[0]).ravel()
     rates /= system.dae.sizes.x
@@ -224,7 +223,7 @@ def _relax(model: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
 
 
 def _one_sample(dae: Dae, x: Array, first: Array, options: SolverOptions) -> Trajectory:
-    system = with_inputs(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0, options)
+    system = with_inputs(dae, dae.zero_inputs, 0, options)
     z = solve_initial_conditions(system, 0.0, x, first, system.u[:, 0])
     samples = Samples(
         np.zeros(1), x[:, None], z[:, None], np.zeros((dae.quad.numel(), 1)), system.u

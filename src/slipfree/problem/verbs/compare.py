@@ -135,8 +135,7 @@ def _drive(
 def _rank(dae: Dae, start: Trajectory, options: SolverOptions) -> int:
     """Return the rank of ``A``, the Jacobian of the slip in the unknown rates."""
     # the Jacobian of the rates contains A'A, which has the same rank
-    rest = dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)})
-    system = with_inputs(dae, rest, 0, options)
+    system = with_inputs(dae, dae.zero_inputs, 0, options)
     x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)
     rates = system.blocks[1]
     _, jacobian = rates.newton(0.0, x, z, system.u[:, 0], 0.0)

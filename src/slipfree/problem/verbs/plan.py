@@ -297,9 +297,9 @@ def _iterate_reporter(watch: Watch, setup: Planning) -> Callable[[str, Iterate],
             if watch.line is not None:
                 watch.line(words, line)
             if watch.path is not None:
-                motion, names = motion_of(iterate.program, iterate.unknowns), setup.dae.state_names
+                motion = motion_of(iterate.program, iterate.unknowns)
                 states = motion.states(np.linspace(0, 1, PATH_SAMPLES))
-                local = states[[names.index("x"), names.index("y")]].T
+                local = states[setup.dae.state_rows("x", "y")].T
                 watch.path(local + setup.terrain.origin[:2])
         except KeyboardInterrupt:
             if not begun:
@@ -351,7 +351,7 @@ def _by_friction(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
 
     def build() -> tuple[Dae, Trajectory]:
         model: Dae = quasi_statics(setup.vehicle, setup.terrain)
-        return model, settle(model, options=options, **_start_values(setup))
+        return model, settle(model, options=options, **start_values(setup.spec, setup.start))
 
     def slip(run: Trajectory) -> dict[str, Fact]:
         slip = np.hypot(run["slip_along"], run["slip_across"])
@@ -364,8 +364,9 @@ def _by_friction(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
     return _simulated("friction", setup, plan, build, options, slip)
 
 
-def _start_values(setup: Planning) -> dict[str, Any]:
-    return {name: float(setup.start[name][0]) for name in {**setup.spec.start, "heading": 0.0}}
+def start_values(spec: plan_schema.PlanKeys, start: Trajectory) -> dict[str, Any]:
+    """Return the values of a problem's start by name, with the heading, from the settled start."""
+    return {name: float(start[name][0]) for name in {**spec.start, "heading": 0.0}}
 
 
 def _by_stiffness(setup: Planning, plan: Plan) -> dict[str, Fact]:
@@ -395,7 +396,7 @@ def _in_soil(setup: Planning, plan: Plan) -> dict[str, Fact]:
 
     def build() -> tuple[Dae, Trajectory]:
         model: Dae = dynamics(setup.vehicle, setup.terrain, law=law)
-        values = _start_values(setup) | {SPEED: initial_speed(plan.replay)}
+        values = start_values(setup.spec, setup.start) | {SPEED: initial_speed(plan.replay)}
         return model, settle(model, options=options, **values)
 
     def compared(run: Trajectory) -> dict[str, Fact]:

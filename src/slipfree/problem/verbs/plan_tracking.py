@@ -38,7 +38,7 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.result import open_result, problem_of, result_of
 from slipfree.problem.verbs.base import VERB_ATTRIBUTE, Result
 from slipfree.problem.verbs.driving import drive_facts
-from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed
+from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed, start_values
 from slipfree.problem.verbs.plan_search import find_plan, scaled_friction
 from slipfree.problem.verbs.plan_setup import build_planning
 from slipfree.solve.options import SolverOptions
@@ -273,11 +273,9 @@ def _disturbed_world(
     u = list(leaves(real.u))
     if "inputs" in sizes:
         real = substitute(real, u, [each * factor for each, factor in zip(u, factors, strict=True)])
-    names = {**problem.spec.start, "heading": 0.0}
     start = build_start(problem, real)
     if problem.spec.model == "dynamics":
-        values: dict[str, Any] = {name: float(start[name][0]) for name in names}
-        values[SPEED] = initial_speed(plan.replay)
+        values = start_values(problem.spec, start) | {SPEED: initial_speed(plan.replay)}
         start = settle(real, options=_world_options(problem), **values)
     try:
         # the robot computes its wheel rates with the vehicle of the plan, not with its real radii
