@@ -71,9 +71,9 @@ def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
 COMPARED = (
     TableColumn("", "name"),
     TableColumn("rank", "rank"),
-    TableColumn("along", "slip_along", ".2f", 1e3),
-    TableColumn("across", "slip_across", ".2f", 1e3),
-    TableColumn("from the poses", "slip_measured", ".1e", 1e3),
+    TableColumn("along", "slip_along", ".2f", "mm/s"),
+    TableColumn("across", "slip_across", ".2f", "mm/s"),
+    TableColumn("from the poses", "slip_measured", ".1e", "mm/s"),
     TableColumn("friction*", "friction_needed", ".3f"),
     TableColumn("tilt [rad]", "tilt", ".3f"),
     TableColumn("axle [m]", "axle"),

@@ -14,7 +14,10 @@ from string import Formatter
 from typing import Any, NamedTuple
 
 # factors from SI units to the units that people read; those of slip per path length are mm/m
-SCALES = {"deg": 180 / pi, "mm": 1e3, "mm/s": 1e3, "mm/m": 1e3, "%": 100.0}
+SCALES = {
+    **{"deg": 180 / pi, "%": 100.0, "ms": 1e3},
+    **{"mm": 1e3, "mm/s": 1e3, "mm/m": 1e3, "mm2/s": 1e6},
+}
 MAX_LISTED = 5  # largest number of table rows in one line
 
 
@@ -126,7 +129,7 @@ class TableColumn(NamedTuple):
     head: str
     key: str
     spec: str = ""  # format of its numbers
-    factor: float = 1.0  # from the unit of the rows to that of the table
+    shown: str = ""  # unit of its numbers in the table, if not that of the rows: a key of `SCALES`
 
 
 def table(columns: Iterable[TableColumn], rows: Iterable[Mapping[str, Any]]) -> list[str]:
@@ -139,7 +142,7 @@ def table(columns: Iterable[TableColumn], rows: Iterable[Mapping[str, Any]]) -> 
             return " ".join(cell(column, each) for each in value)
         if value is None or value != value:  # NaN
             return "-"
-        return format(value if column.factor == 1 else column.factor * value, column.spec)
+        return format(SCALES[column.shown] * value if column.shown else value, column.spec)
 
     columns = list(columns)
     texts = [[column.head for column in columns]]

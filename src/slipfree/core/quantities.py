@@ -47,6 +47,8 @@ class QuantityRow:
         Unit in figures, if it is not the stored one, a key of `slipfree.core.facts.SCALES`.
     title : str
         Name in figures, if it is not the name with blanks.
+    standard_name : str
+        Standard name of the CF conventions, if there is one.
     is_residual : bool
         Whether figures have a logarithmic axis and the tolerance.
     """
@@ -60,6 +62,7 @@ class QuantityRow:
     figure: str = ""
     shown: str = ""
     title: str = ""
+    standard_name: str = ""
     is_residual: bool = False
 
 

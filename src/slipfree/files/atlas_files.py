@@ -24,7 +24,7 @@ from slipfree.core.errors import DataError, WriteError
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import FRAME, Column, heading_column
 from slipfree.core.version import __version__
-from slipfree.files.cf import CRS, DEGREES, STANDARD_NAMES, MapCoordinate, grid_mapping
+from slipfree.files.cf import CRS, MapCoordinate, grid_mapping, map_label, standard_name
 from slipfree.files.netcdf import (
     ATLAS,
     CONVENTIONS,
@@ -231,8 +231,7 @@ def _define(file: Any, poses: Atlas, site: Site) -> None:
     for name, (label, values) in poses.bands.items():
         kind = "i2" if name == REASON.name else "f4"
         variable = add(label, DIMENSIONS, values.swapaxes(1, 2), kind)
-        standard = {"standard_name": STANDARD_NAMES[name]} if name in STANDARD_NAMES else {}
-        annotate(variable, {**standard, **mapped})
+        annotate(variable, {**standard_name(name), **mapped})
     reason, codes = file.variables[REASON.name], np.arange(len(poses.reasons), dtype="i2")
     slugs = (re.sub(r"[^\w.+@-]+", "_", words).strip("_") for words in poses.reasons)
     meanings = {"flag_meanings": " ".join(slugs), REASONS: json.dumps(poses.reasons)}
@@ -244,15 +243,9 @@ def _add_map_axes(add: Callable[..., Any], poses: Atlas, site: Site) -> Iterator
     """Write the axes in the reference system of the map file, and yield their names."""
     named = {each.axis: each.name for each in site.coordinates}
     for axis, values in (("x", poses.x), ("y", poses.y)):
-        name = named.get(axis, axis)
-        known = name if name in DEGREES else f"map_{axis}"
-        unit = {"longitude": "degrees_east", "latitude": "degrees_north"}.get(name, "m")
-        label = Label(known, unit, f"{name} of the platform's centre in {site.crs}")
-        annotate(
-            add(label, [axis], site.on_map(axis, values), "f8"),
-            {"standard_name": STANDARD_NAMES[known]},
-        )
-        yield known
+        label = map_label(named.get(axis, axis), site.crs)
+        annotate(add(label, [axis], site.on_map(axis, values), "f8"), standard_name(label.name))
+        yield label.name
 
 
 class StoredAtlas(NamedTuple):

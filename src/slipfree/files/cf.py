@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from slipfree.core.errors import DataError
+from slipfree.core.quantities import QUANTITIES, quantity_label
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import TIME, Column, Trajectory
 
@@ -23,14 +24,6 @@ FEATURE = {"featureType": "trajectory"}
 TRAJECTORY = "trajectory"  # variable that identifies the motion
 TRAJECTORY_ATTRIBUTES = {"long_name": "number of the motion", "cf_role": "trajectory_id"}
 CRS = "crs"  # variable with the reference system of the map
-STANDARD_NAMES = {
-    "map_x": "projection_x_coordinate",
-    "map_y": "projection_y_coordinate",
-    "longitude": "longitude",
-    "latitude": "latitude",
-    "pitch": "platform_pitch_fore_up",
-    "roll": "platform_roll_starboard_down",
-}
 
 
 class MapCoordinate(NamedTuple):
@@ -70,24 +63,33 @@ def is_trajectory(run: Trajectory) -> bool:
     return {"x", "y", "z"} <= {*run.columns}
 
 
+def map_label(name: str, crs: str) -> Label:
+    """Return the label of a horizontal coordinate of a map in its reference system."""
+    return quantity_label(name if name in DEGREES else f"map_{name}", crs=crs)
+
+
+def standard_name(name: str) -> dict[str, str]:
+    """Return the attribute with the CF standard name of a quantity; empty if it has none."""
+    found = QUANTITIES[name].standard_name if name in QUANTITIES else ""
+    return {"standard_name": found} if found else {}
+
+
 def position_columns(run: Trajectory) -> dict[str, Column]:
     """Return columns with the position in the reference system of the map; empty without either."""
     crs = run.attributes.get(MAP_CRS)
     if not crs or not is_trajectory(run):
         return {}
     columns = {}
-    for name, (unit, values) in map_positions(run).items():
+    for name, (_, values) in map_positions(run).items():
         if name != "z":
-            known = name if name in DEGREES else f"map_{name}"
-            unit = {"longitude": "degrees_east", "latitude": "degrees_north"}.get(name, unit)
-            label = Label(known, unit, f"{name} of the platform's centre in {crs}")
-            columns[known] = Column(label, values)
+            label = map_label(name, crs)
+            columns[label.name] = Column(label, values)
     return columns
 
 
 def coordinate_attributes(run: Trajectory, on_map: Sequence[str], name: str) -> dict[str, str]:
     """Return the CF attributes of a variable: standard name, axis, coordinates, grid mapping."""
-    attributes = {"standard_name": STANDARD_NAMES[name]} if name in STANDARD_NAMES else {}
+    attributes = standard_name(name)
     if not is_trajectory(run):
         return attributes
     axes = dict(zip([*on_map, "z"], "XYZ" if on_map else "Z", strict=True))

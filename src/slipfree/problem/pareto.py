@@ -369,10 +369,10 @@ def table_lines(front: PlanFront) -> Iterator[str]:
         TableColumn("point", "point"),
         TableColumn(f"{front.against} [{unit}]", front.against, ".4g"),
         TableColumn(f"at most [{unit}]", "bound", ".4g"),
-        TableColumn("slip* [mm/m]", "slip_per_path", ".4g", 1e3),
-        TableColumn("slip^2 [mm2/s]", "squared_slip", ".4g", 1e6),
-        TableColumn("smoothing [%]", "smoothness_share", ".4g", 100.0),
-        TableColumn(f"slope [mm2/s per {unit}]", "slope", ".4g", 1e6),
+        TableColumn("slip* [mm/m]", "slip_per_path", ".4g", "mm/m"),
+        TableColumn("slip^2 [mm2/s]", "squared_slip", ".4g", "mm2/s"),
+        TableColumn("smoothing [%]", "smoothness_share", ".4g", "%"),
+        TableColumn(f"slope [mm2/s per {unit}]", "slope", ".4g", "mm2/s"),
         TableColumn("outcome", "outcome"),
     )
     rows = front_rows(front)

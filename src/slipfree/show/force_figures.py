@@ -81,8 +81,7 @@ def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
         zorder=3,
     )
     ax.add_collection(lines, autolim=False)
-    bar = ax.figure.colorbar(lines, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)), extend="max")
-    bar.set_label(f"{_quantity(run)} [1]")
+    style.side_bar(lines, ax, f"{_quantity(run)} [1]", "max")
     marks: dict[str, Any] = {"ls": "none", "mec": "black", "zorder": 4}
     ax.plot(x[0], y[0], "o", mfc="white", ms=4, label=f"start, {run.t[0]:.4g} s", **marks)
     k, wheel = _worst(run)

@@ -57,8 +57,7 @@ def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
     if np.nanmax(z) > np.nanmin(z):
         ax.contour(x, y, z.T, levels=12, colors="white", linewidths=0.4, alpha=0.6)
     ground_drawing.hatch(grid, grid.filled, window, "filled holes", FILLED, ax)
-    bar = ax.figure.colorbar(heights, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)))
-    bar.set_label("height $z$ [m], relief shaded")
+    bar = style.side_bar(heights, ax, "height $z$ [m], relief shaded")
     bar.locator, bar.formatter = style.ticks(6), ScalarFormatter(useOffset=False)
     return ax
 
@@ -81,8 +80,7 @@ def _ground(grid: Grid, place: tuple[float, float] | None) -> Figure:
     )
     ground_drawing.shade(x, y, z, right)
     right.set_ylabel("")
-    bar = figure.colorbar(drawn, cax=right.inset_axes((1.03, 0.0, 0.04, 1.0)), extend="max")
-    bar.set_label("slope [deg], relief shaded")
+    style.side_bar(drawn, right, "slope [deg], relief shaded", "max")
     if place is not None:
         for ax in (left, right):
             ax.plot(*place, "o", mfc="white", mec="black", ms=5, label="start")

@@ -76,10 +76,8 @@ def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Ax
     if layers.poses is None:
         return ax
     dearer = inside.size > 0 and inside.max() > top
-    bar = ax.figure.colorbar(
-        costs, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)), extend="max" if dearer else "neither"
-    )
-    bar.set_label("cost of 1 m of path [m of level ground]")
+    label = "cost of 1 m of path [m of level ground]"
+    style.side_bar(costs, ax, label, "max" if dearer else "neither")
     return ax
 
 

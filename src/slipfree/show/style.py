@@ -95,6 +95,13 @@ def look(k: int) -> dict[str, Any]:
     return {"color": PALETTE[k % len(PALETTE)], "ls": dashes}
 
 
+def side_bar(drawn: Any, ax: Axes, label: str, extend: str = "neither") -> Any:
+    """Add a colour bar to the right of axes whose scale is fixed, and return it."""
+    figure: Any = ax.figure
+    place = ax.inset_axes((1.03, 0.0, 0.04, 1.0))
+    return figure.colorbar(drawn, cax=place, extend=extend, label=label)
+
+
 def halo(width: float) -> list[AbstractPathEffect]:
     """Return the path effect of a white edge, for lines on any background; width in points."""
     return [withStroke(linewidth=width, foreground="white")]

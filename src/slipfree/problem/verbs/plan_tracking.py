@@ -339,10 +339,10 @@ COLUMNS = (
     TableColumn("complete", "complete"),
     TableColumn("end from plan [m]", "end_distance", ".3g"),
     TableColumn("largest", "end_distance_max", ".3g"),
-    TableColumn("rms slip [mm/s]", "slip_rms", ".3g", 1e3),
+    TableColumn("rms slip [mm/s]", "slip_rms", ".3g", "mm/s"),
     TableColumn("path [m]", "path_length", ".4g"),
     TableColumn("cycles failed", "failed"),
-    TableColumn("CPU of a cycle [ms]", "cycle_cpu", ".3g", 1e3),
+    TableColumn("CPU of a cycle [ms]", "cycle_cpu", ".3g", "ms"),
 )
 
 
