@@ -166,21 +166,20 @@ def test_poses_equal_those_of_settle(model, rng):
                 assert_allclose(poses[name][k], start[name][0], atol=1e-12)
 
 
-def test_poses_that_do_not_exist_or_violate_a_limit_are_named():
-    rough = hills(rms=0.5, shortest=0.4, half=2.0)
-    dae = direct_kinematics(catalog.three_wheeler(), rough)
-    x = np.linspace(-2.5, 1.2, 20)
-    poses = settle_many(dae, x=x, compiled=False)
+@pytest.mark.parametrize("rough", [(0.5, 0.4, 2.0), (0.1, 0.2, 4.0)])
+def test_poses_that_do_not_exist_or_violate_a_limit_are_named(rough):
+    dae = direct_kinematics(catalog.three_wheeler(axle="fixed"), hills(*rough))
+    x, names = np.linspace(-2.5, 1.2, 200), ["z", "force_normal"]
+    poses = settle_many(dae, x=x, compiled=False, quantities=names)
     outcomes = poses["outcome"].values
     assert set(outcomes) >= {"limit"}
     assert ((outcomes == "complete") == (poses["reason"] == "")).all()
     assert np.isnan(poses["z"].values[outcomes == "failed"]).all()
+    assert np.isfinite(poses["force_normal"].values[outcomes != "failed"]).all()
 
 
 def test_motions_converge_with_third_order(model):
-    count = 4
-    inputs = rates(count)
-    starts = {"heading": np.linspace(0, 1.5, count)}
+    inputs, starts = rates(4), {"heading": np.linspace(0, 1.5, 4)}
     exact = rollouts(model, starts, inputs, T, options=EXACT)
     errors = []
     for step in (0.04, 0.01):

@@ -17,14 +17,16 @@ import numpy as np
 
 from slipfree.core.dae import Continuation, Dae, PlacedCheck
 from slipfree.core.errors import ModelError
-from slipfree.core.evaluation import evaluate
+from slipfree.core.evaluation import dense, evaluate
 from slipfree.core.lookups import Lookup, found_column, needed_lookups
 from slipfree.core.records import Array, leaves, pack
 
 SAMPLES = 12  # random states at which pivots are chosen
+PLACING_STEPS = 20  # Newton steps to their positions
 MIN_PIVOT = 0.02  # smallest pivot, relative to the largest entry of its row
 MIN_PIVOT_ON_DIAGONAL = 1e-4  # smaller ones are sought elsewhere
 GUESS_SPREAD = 0.1  # of unknowns other than rates [typical size]
+PLACED = 1e-6  # last Newton step of the position of a sample [size]
 MAX_STEP = 0.25  # largest Newton step of a rate without projection [typical size]
 TILT_SPREAD = 0.02  # of states that relax [m, rad]
 JOINT_SPREAD = 0.5  # standard deviation of the random joint angles [rad]
@@ -342,6 +344,21 @@ def _sampled_states(dae: Dae, state: ca.SX, rows: StateRows) -> Array:
     guessed, _ = evaluate(guess, samples[rows.x], samples[rows.c])
     unknowns = np.split(guessed, np.cumsum([r.stop - r.start for r in rows.z[:2]]))
     samples[rows.p], samples[rows.f] = unknowns[0], unknowns[2]
+    # apart from the ground, entries that vanish in contact would become pivots
+    closure, placed = dae.residuals[0], samples.copy()
+    jacobian = ca.densify(ca.jacobian(closure, state[rows.p]))
+    newton = dae.function("closure", [state], [ca.densify(closure), jacobian])
+    change = np.zeros(placed[rows.p].shape)
+    for _ in range(PLACING_STEPS):
+        placed[rows.p] -= change
+        residual, slopes = evaluate(newton, placed)
+        slopes = np.nan_to_num(dense(slopes, jacobian.sparsity()))
+        change = (np.linalg.pinv(slopes) @ np.nan_to_num(residual.T)[..., None])[..., 0].T
+        change /= np.maximum(1.0, np.abs(change).max(axis=0, initial=0.0) / (MAX_STEP * dae.size))
+    is_placed = np.abs(change).max(axis=0, initial=0.0) < PLACED * dae.size
+    if is_placed.any():
+        chosen = np.resize(np.flatnonzero(is_placed), SAMPLES)
+        samples, unknowns = placed[:, chosen], [each[:, chosen] for each in unknowns]
     # moving, under load: other unknowns than rates, such as depths, stay near their guess
     spread = [
         1.0 if label.unit.endswith("s-1") else GUESS_SPREAD * scale
