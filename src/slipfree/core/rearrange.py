@@ -99,7 +99,13 @@ def rearrange(
         scale=np.array([each.scale for each in leaves(z)]),
         shift=(_shifts(x), _shifts(z)),
     )
-    return replace(new, checks=_rearranged_checks(dae, new))
+    known = _hashes((new.x, new.z))
+    former = [
+        [each if each.element_hash() in known else ca.SX(0) for each in leaves(record)]
+        for record in (dae.x, dae.z)
+    ]
+    states = ca.Function("states", list(new.columns()[:2]), [pack(tuple(each)) for each in former])
+    return replace(new, checks=tuple(_RearrangedCheck(check, states) for check in dae.checks))
 
 
 def substitute(dae: Dae, symbols: Sequence[ca.SX], values: Sequence[ca.SX]) -> Dae:
@@ -175,17 +181,6 @@ class _RearrangedCheck:
     def describe(self, x: Array, z: Array) -> str:
         """Return a message about the violation in a state of shapes (n_x,) and (n_z,)."""
         return self.check.describe(*(np.array(each).ravel() for each in self.states(x, z)))
-
-
-def _rearranged_checks(dae: Dae, new: Dae) -> tuple[SampledCheck, ...]:
-    """Return the checks of the model ``dae`` for its rearrangement ``new``."""
-    known = _hashes((new.x, new.z))
-    former = [
-        [each if each.element_hash() in known else ca.SX(0) for each in leaves(record)]
-        for record in (dae.x, dae.z)
-    ]
-    states = ca.Function("states", list(new.columns()[:2]), [pack(tuple(each)) for each in former])
-    return tuple(_RearrangedCheck(check, states) for check in dae.checks)
 
 
 def with_values(dae: Dae, **values: float) -> Dae:

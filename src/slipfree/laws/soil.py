@@ -420,7 +420,19 @@ def forces_at_speeds(
     of the soil that is pushed aside [m/s^2].
     """
     contact = _contact_arc(soil, size, depth, rim, forward, sideways, creep)
-    motion = _shear_motion(soil, rim, forward, sideways, creep)
+    speed = ca.sqrt(rim**2 + creep**2)
+    angle = ca.atan(sideways / ca.sqrt(forward**2 + creep**2))
+    side = ca.tanh(angle / ANGLE_SMOOTHING)
+    # smooth absolute value
+    steep = angle * side
+    motion = _ShearMotion(
+        rim / speed,
+        forward / speed,
+        sideways / speed,
+        soil.shear_along + soil.shear_along_rate * steep,
+        soil.shear_across + soil.shear_across_rate * steep,
+        side,
+    )
     totals = [0, 0, 0, 0]
     for root, factor in zip((POINTS + 1) / 2, WEIGHTS / 2, strict=True):
         point, weight = root**2, 2 * root * factor
@@ -528,23 +540,6 @@ def _contact_arc(
 def _smooth_size(square: Any) -> Any:
     """Return the root of a square, flat at zero and exact where it exceeds five times the width."""
     return ca.sqrt(square + SMALLEST_RATIO**2) * ca.tanh(square / RATIO_SMOOTHING**2)
-
-
-def _shear_motion(soil: Soil, rim: Any, forward: Any, sideways: Any, creep: Any) -> _ShearMotion:
-    """Return the motion of a rim relative to the soil (6)."""
-    speed = ca.sqrt(rim**2 + creep**2)
-    angle = ca.atan(sideways / ca.sqrt(forward**2 + creep**2))
-    side = ca.tanh(angle / ANGLE_SMOOTHING)
-    # smooth absolute value
-    steep = angle * side
-    return _ShearMotion(
-        rim / speed,
-        forward / speed,
-        sideways / speed,
-        soil.shear_along + soil.shear_along_rate * steep,
-        soil.shear_across + soil.shear_across_rate * steep,
-        side,
-    )
 
 
 def _normal_stress(soil: Soil, size: WheelSize, contact: _ContactArc, point: float) -> Any:

@@ -87,6 +87,9 @@ def closure_dae(
     """
     rates, sampled = q.rates, force_outputs(q, labels.y.forces)
     y = outputs(q, sampled)
+    heights, centers = level_heights(q.vehicle, q.terrain, q.x, q.lookups)
+    pose = ca.vertcat(ca.sum1(heights) / len(centers), ca.SX.zeros(2 + len(q.position.suspension)))
+    others = at_rest(q.vehicle, labels.z[1:])
     return vehicle_dae(
         q,
         labels,
@@ -100,7 +103,7 @@ def closure_dae(
         y=y._replace(slip_ratio=slip_ratios(q)) if labels.y.slip_ratio else y,
         limits=(*limits_of(q), *limits),
         checks=contact_checks(q, q.x, z, q.poses),
-        guess=_guess(q, labels),
+        guess=ca.densify(ca.vertcat(pose, *(center[:2] for center in centers), others)),
         suppress_algebraic=suppress_algebraic,
         continuation=continuation,
         linear=law.linear,
@@ -131,10 +134,3 @@ def _closures(q: Quantities) -> ca.SX:
             )
         )
     )
-
-
-def _guess(q: Quantities, labels: Labels) -> ca.SX:
-    heights, centers = level_heights(q.vehicle, q.terrain, q.x, q.lookups)
-    pose = ca.vertcat(ca.sum1(heights) / len(centers), ca.SX.zeros(2 + len(q.position.suspension)))
-    others = at_rest(q.vehicle, labels.z[1:])
-    return ca.densify(ca.vertcat(pose, *(center[:2] for center in centers), others))

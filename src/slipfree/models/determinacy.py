@@ -206,24 +206,20 @@ def rolling_determinacy(
     remedy = "Give other rates"
     if solve_for == "rates":
         remedy = "Solve for the steering angles, or give a path or other rates"
-    return Determinacy(least, tuple(given), unknown, _reasons(direct.vehicle), remedy, function)
-
-
-def _reasons(vehicle: Vehicle) -> dict[str, str]:
     reasons = {}
-    for c in vehicle.of("commanded"):
+    for c in direct.vehicle.of("commanded"):
         moved: set[str] = set()
-        for joint in vehicle.joints:
+        for joint in direct.vehicle.joints:
             if c.name in joint.coordinates or joint.parent in moved:
                 moved.add(joint.name)
-        wheels = [wheel.name for wheel in vehicle.wheels if wheel.parent in moved]
+        wheels = [wheel.name for wheel in direct.vehicle.wheels if wheel.parent in moved]
         lie = (
             "the contact of wheel {} lies" if len(wheels) == 1 else "the contacts of wheels {} lie"
         )
         reasons[f"{c.name}_rate"] = (
             f", since {lie.format(_quoted_list(wheels))} on the axis of '{c.name}'"
         )
-    return reasons
+    return Determinacy(least, tuple(given), unknown, reasons, remedy, function)
 
 
 def input_effects(direct: Dae, model: Dae, given: Sequence[str]) -> ca.Function:

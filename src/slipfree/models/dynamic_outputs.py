@@ -112,7 +112,29 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0, *, bears: bool = False) ->
         tuple(_wheel_input(wheel) for wheel in vehicle.wheels if wheel.driven),
         tuple(effort_label(vehicle, c) if c.drive.takes_effort else rate for c, rate in joints),
     )
-    y = _output_labels(vehicle, still, solids, bears=bears)
+    position, rates = still.z.position, still.z.rates
+    forces: Any = still.y.forces
+    forces = forces._replace(joint_effort=output_efforts(vehicle, forces.joint_effort))
+    y = DynamicOutputs(
+        still.x.x if vehicle.planar else (),
+        still.x.heading,
+        position.roll,
+        () if vehicle.planar else position.pitch,
+        rates.heading,
+        rates.roll,
+        rates.pitch,
+        tuple(each.x for each in position.contacts),
+        tuple(each.y for each in position.contacts),
+        still.y._replace(
+            forces=forces,
+            **pressed_labels(vehicle),
+            slip_ratio=quantity_labels(vehicle, "slip_ratio"),
+        ),
+        quantity_label("kinetic_energy"),
+        quantity_label("contact_energy"),
+        (quantity_label("body_load"),) if bears else (),
+        tuple(_solid_labels(vehicle, k) for k in range(solids + 1 if solids else 0)),
+    )
     return Labels(_state_labels(vehicle, still), (), q, u, y, ())
 
 
@@ -153,33 +175,6 @@ def _state_labels(vehicle: Vehicle, still: Labels) -> DynamicState:
             for c in vehicle.coordinates
             if c.acting_drive.has_integral
         ),
-    )
-
-
-def _output_labels(vehicle: Vehicle, still: Labels, solids: int, *, bears: bool) -> DynamicOutputs:
-    """Return the labels of the outputs, from those of a model without inertia."""
-    position, rates = still.z.position, still.z.rates
-    forces: Any = still.y.forces
-    forces = forces._replace(joint_effort=output_efforts(vehicle, forces.joint_effort))
-    return DynamicOutputs(
-        still.x.x if vehicle.planar else (),
-        still.x.heading,
-        position.roll,
-        () if vehicle.planar else position.pitch,
-        rates.heading,
-        rates.roll,
-        rates.pitch,
-        tuple(each.x for each in position.contacts),
-        tuple(each.y for each in position.contacts),
-        still.y._replace(
-            forces=forces,
-            **pressed_labels(vehicle),
-            slip_ratio=quantity_labels(vehicle, "slip_ratio"),
-        ),
-        quantity_label("kinetic_energy"),
-        quantity_label("contact_energy"),
-        (quantity_label("body_load"),) if bears else (),
-        tuple(_solid_labels(vehicle, k) for k in range(solids + 1 if solids else 0)),
     )
 
 
@@ -294,6 +289,16 @@ def quantities(
         tuple(ca.dot(axis, c.force.tangential) for axis, c in zip(axes, contacts, strict=True))
         for axes in ([f.along for f in frames], [f.across for f in frames])
     )
+    height = sum(each.mass * each.motion.pose.origin[2] for each in body.bodies)
+    loaded = [
+        (c, value, rate)
+        for c, value, rate in zip(vehicle.coordinates, x.joints, x.joint_speeds, strict=True)
+        if c.is_loaded
+    ]
+    springs = sum(c.potential(value) for c, value, _ in loaded)
+    damped = sum(c.damping * rate**2 for c, _, rate in loaded)
+    none, friction = ca.SX(0, 0), tuple(each.touch.friction for each in contacts)
+    energy = ca.SX(vehicle.gravity * height + springs)
     return Quantities(
         vehicle,
         terrain,
@@ -306,27 +311,10 @@ def quantities(
         frames,
         tuple(each.slip for each in contacts),
         tuple(wheel.rate for wheel in body.wheels),
-        _mechanics(vehicle, x, body, contacts),
+        Mechanics(none, none, none, none, friction, vehicle.weight, energy, ca.SX(damped)),
         tip_over_margin(vehicle, place, position, frames),
         lookups,
     )
-
-
-def _mechanics(
-    vehicle: Vehicle, x: DynamicState, body: Multibody, contacts: Sequence[Contact]
-) -> Mechanics:
-    """Return friction, weight, energy and damping; the terms of the equilibrium are empty."""
-    height = sum(each.mass * each.motion.pose.origin[2] for each in body.bodies)
-    loaded = [
-        (c, value, rate)
-        for c, value, rate in zip(vehicle.coordinates, x.joints, x.joint_speeds, strict=True)
-        if c.is_loaded
-    ]
-    springs = sum(c.potential(value) for c, value, _ in loaded)
-    damped = sum(c.damping * rate**2 for c, _, rate in loaded)
-    none, friction = ca.SX(0, 0), tuple(each.touch.friction for each in contacts)
-    energy = ca.SX(vehicle.gravity * height + springs)
-    return Mechanics(none, none, none, none, friction, vehicle.weight, energy, ca.SX(damped))
 
 
 def _rates(vehicle: Vehicle, x: DynamicState, place: Configuration, roll: ca.SX) -> Rates:

@@ -111,7 +111,16 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
     """
     _check(matrix, load, friction)
     particular, free, solvable = _solutions(matrix, load)
-    contacts = _contacts(particular, free, friction)
+    n, m = friction.shape
+    values, slopes = particular.reshape(n, m, 3), free.reshape(n, m, 3, -1)
+    contacts = _Contacts(
+        values[..., 0],
+        values[..., 1],
+        friction * (values[..., 2] + NORMAL_FORCE_ROUNDING),
+        slopes[..., 0, :],
+        slopes[..., 1, :],
+        friction[..., None] * slopes[..., 2, :],
+    )
     y = np.zeros((len(free), free.shape[2]))
     poor = np.flatnonzero(solvable & (_normal(contacts, y).min(1) < PHASE_ONE_FORCE))
     y[poor] = _feasible_unknowns(contacts.pick(poor), y[poor])
@@ -189,20 +198,6 @@ def _solutions(matrix: Array, load: Array) -> tuple[Array, Array, Mask]:
     free = np.swapaxes(vt * internal[..., None], 1, 2)[:, :, first:]
     residual = np.abs(_apply(rows, particular) + right).max(1)
     return particular, np.ascontiguousarray(free), residual < BALANCE_TOLERANCE
-
-
-def _contacts(particular: Array, free: Array, friction: Array) -> _Contacts:
-    """Return the contact forces as functions of the internal forces, wheel by wheel."""
-    n, m = friction.shape
-    values, slopes = particular.reshape(n, m, 3), free.reshape(n, m, 3, -1)
-    return _Contacts(
-        values[..., 0],
-        values[..., 1],
-        friction * (values[..., 2] + NORMAL_FORCE_ROUNDING),
-        slopes[..., 0, :],
-        slopes[..., 1, :],
-        friction[..., None] * slopes[..., 2, :],
-    )
 
 
 def _feasible_unknowns(contacts: _Contacts, y: Array) -> Array:

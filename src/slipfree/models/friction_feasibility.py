@@ -67,8 +67,17 @@ def mechanics(
         for touch, velocity in zip(contacts, velocities, strict=True)
     ]
     unknown, given = pack(rates.motion), pack(u)
-    potential = _potential(vehicle, x, position)
-    damped = _damping(vehicle, rates, u)
+    base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
+    values = values_of(vehicle, x, position)
+    height = sum(mass * center[2] for _, mass, center in vehicle.masses(base, values))
+    springs = sum(c.potential(values[c.name]) for c in vehicle.coordinates if c.is_loaded)
+    potential = ca.SX(vehicle.gravity * height + springs)
+    pairs = [
+        *zip(vehicle.of("passive"), rates.passive, strict=True),
+        *zip(vehicle.of("suspension"), rates.suspension, strict=True),
+        *zip(vehicle.of("commanded"), u.joints, strict=True),
+    ]
+    damped = ca.SX(sum(c.damping * rate**2 for c, rate in pairs))
     power = ca.jtimes(potential, q, q_dot)
     # the damper force is the gradient of the dissipation function, which is half the power
     lost = power + damped / 2
@@ -86,25 +95,6 @@ def mechanics(
         potential,
         damped,
     )
-
-
-def _potential(vehicle: Vehicle, x: Configuration, position: Dependent) -> ca.SX:
-    """Return the potential energy of gravity and springs, zero at the ground's origin [J]."""
-    base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
-    values = values_of(vehicle, x, position)
-    height = sum(mass * center[2] for _, mass, center in vehicle.masses(base, values))
-    springs = sum(c.potential(values[c.name]) for c in vehicle.coordinates if c.is_loaded)
-    return ca.SX(vehicle.gravity * height + springs)
-
-
-def _damping(vehicle: Vehicle, rates: Rates, u: Inputs) -> ca.SX:
-    """Return the power of the dampers [W]."""
-    pairs = [
-        *zip(vehicle.of("passive"), rates.passive, strict=True),
-        *zip(vehicle.of("suspension"), rates.suspension, strict=True),
-        *zip(vehicle.of("commanded"), u.joints, strict=True),
-    ]
-    return ca.SX(sum(c.damping * rate**2 for c, rate in pairs))
 
 
 def equilibrium(parts: Mechanics, forces: ca.SX) -> ca.SX:

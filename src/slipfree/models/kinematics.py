@@ -25,7 +25,7 @@ the relaxation from one equilibrium to the next takes a finite time.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -188,7 +188,8 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
         raise ModelError(f"{vehicle.name!r}: expected {fault}")
     labels = _labels(vehicle, slip)
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
-    place, lookups = _place(x, z.position.contacts), LookupTable()
+    position = Dependent(x.z, x.roll, x.pitch, x.suspension, z.position.contacts)
+    place, lookups = (Configuration(x.x, x.y, x.heading, x.joints), position), LookupTable()
     poses = carriers(vehicle, *place)
     contacts = tuple(
         contact_frame(terrain, at.x, at.y, pose.rotation[:, 0], lookups)
@@ -224,7 +225,21 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
     terms = vehicle, parts, pressed, balanced.imbalance, rates, pack(u), groups[1]
     lagging = linear_form(relaxation(*terms, lag), rates)
     rest = Equations(_relaxation_labels(vehicle), relaxation(*terms), lagging)
-    law = _slip_equations(slip, labels, q, pressed, rest)
+    tangential = tuple(
+        velocity - contact.normal * ca.dot(contact.normal, velocity)
+        for contact, velocity in zip(q.contacts, q.slips, strict=True)
+    )
+    motion = Motion(
+        q.vehicle,
+        q.contacts,
+        tangential,
+        pack(q.rates.motion),
+        tuple(leaves(labels.z.rates.motion)),
+        rest,
+        tuple(ca.vertsplit(pressed.touch + AIR_WEIGHT)),
+        (q.mechanics.free, q.mechanics.driven @ pack(q.u)),
+    )
+    law = slip.equations(motion, q.rates.law)
     dae = _dae(labels, x, z, q, pressed, (_alignment(contacts, misses), law))
     return replace(dae, lag=lag, relaxation_time=relaxation_time(vehicle))
 
@@ -238,12 +253,6 @@ def loaded(vehicle: Vehicle) -> Vehicle:
     x, y, z = (float(each) for each in ca.vertsplit(sum(pose.origin for pose in poses)))
     count = len(poses)
     return replace(vehicle, body=Body(1 / vehicle.gravity, (x / count, y / count, z / count)))
-
-
-def _place(x: RelaxedState, contacts: tuple[Any, ...]) -> tuple[Configuration, Dependent]:
-    """Return states and contact points as `Configuration` and `Dependent`."""
-    position = Dependent(x.z, x.roll, x.pitch, x.suspension, contacts)
-    return Configuration(x.x, x.y, x.heading, x.joints), position
 
 
 def _at_rest(
@@ -282,27 +291,6 @@ def _alignment(contacts: tuple[ContactFrame, ...], misses: list[ca.SX]) -> ca.SX
     return ca.vertcat(*((miss - c.normal * ca.dot(c.normal, miss))[:2] for c, miss in pairs))
 
 
-def _slip_equations(
-    slip: SlipLaw, labels: Labels, q: Quantities, pressed: Press, rest: Equations
-) -> Equations:
-    """Return the equations of the rates: the slip law, with the relaxation as constraint."""
-    tangential = tuple(
-        velocity - contact.normal * ca.dot(contact.normal, velocity)
-        for contact, velocity in zip(q.contacts, q.slips, strict=True)
-    )
-    motion = Motion(
-        q.vehicle,
-        q.contacts,
-        tangential,
-        pack(q.rates.motion),
-        tuple(leaves(labels.z.rates.motion)),
-        rest,
-        tuple(ca.vertsplit(pressed.touch + AIR_WEIGHT)),
-        (q.mechanics.free, q.mechanics.driven @ pack(q.u)),
-    )
-    return slip.equations(motion, q.rates.law)
-
-
 def _dae(
     labels: Labels,
     x: RelaxedState,
@@ -318,6 +306,10 @@ def _dae(
     depths = ca.vertsplit(pressed.depth)
     touching = raised_poses(q.poses, q.contacts, depths)
     level = [*rates[:2], rates.heading, *joint_rates(vehicle, rates, q.u)]
+    heights, _ = level_heights(q.vehicle, q.terrain, q.x, q.lookups)
+    lowest = ca.mmin(heights) - max(wheel.depth for wheel in q.vehicle.numeric.wheels)
+    below = [pose.origin[:2] for pose in q.poses]
+    rest = len(list(leaves(labels.z))) - 2 * len(below)
     return vehicle_dae(
         q,
         labels,
@@ -333,9 +325,9 @@ def _dae(
         ),
         limits=limits_of(q),
         checks=contact_checks(q, x, z, touching),
-        guess=_guess(q, labels),
+        guess=ca.densify(ca.vertcat(*below, ca.SX.zeros(rest))),
         suppress_algebraic=True,  # contacts and rates follow from the states
-        rest=_first_pose(q),
+        rest=ca.vertcat(lowest, ca.SX.zeros(2 + len(q.position.suspension))),
         linear=law.linear,
         holding=_holding(q, pressed, _groups(labels)[0]) if vehicle.mass else None,
     )
@@ -349,20 +341,6 @@ def _holding(q: Quantities, pressed: Press, sliding: list[int]) -> Holding:
     matrix = ca.vertcat(*(row for pair in pairs for row in pair))
     load = normal.T @ pressed.load + parts.load[sliding] / parts.weight
     return Holding(matrix, load, ca.vertcat(*parts.friction), pressed.load)
-
-
-def _first_pose(q: Quantities) -> ca.SX:
-    """Return height, attitude and suspension of a level pose with all wheels in the ground."""
-    heights, _ = level_heights(q.vehicle, q.terrain, q.x, q.lookups)
-    lowest = ca.mmin(heights) - max(wheel.depth for wheel in q.vehicle.numeric.wheels)
-    return ca.vertcat(lowest, ca.SX.zeros(2 + len(q.position.suspension)))
-
-
-def _guess(q: Quantities, labels: Labels) -> ca.SX:
-    """Return the initial guess of the unknowns: contacts below the wheels' centres, no motion."""
-    below = [pose.origin[:2] for pose in q.poses]
-    rest = len(list(leaves(labels.z))) - 2 * len(below)
-    return ca.densify(ca.vertcat(*below, ca.SX.zeros(rest)))
 
 
 def _labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:

@@ -222,7 +222,24 @@ def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels
     contact forces of a vehicle with mass are unknowns of the model; otherwise the wheel-ground law
     gives them, and tangential forces are outputs.
     """
-    rates = _rate_labels(vehicle, law)
+    velocity = [
+        Label(f"velocity_{axis}", "m s-1", f"velocity of the platform's centre along {axis}")
+        for axis in "xyz"
+    ]
+    angles = [_turning(label.name, label.words) for label in (HEADING, ROLL, PITCH)]
+    free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
+    rates = Rates(
+        velocity[0],
+        velocity[1],
+        velocity[2],
+        angles[0],
+        angles[1],
+        angles[2],
+        tuple(_rate(vehicle, c) for c in vehicle.of("suspension")),
+        tuple(_rate(vehicle, c) for c in vehicle.of("passive")),
+        tuple(_turning(name, f"the free wheel {name}") for name in free),
+        law,
+    )
     x = Configuration(
         quantity_label("x"),
         quantity_label("y"),
@@ -272,27 +289,6 @@ def _coordinate(vehicle: Vehicle, c: Coordinate) -> Label:
 
 def _rate(vehicle: Vehicle, c: Coordinate) -> Label:
     return Label(f"{c.name}_rate", f"{vehicle.unit(c.name)} s-1", f"rate of {c.words}")
-
-
-def _rate_labels(vehicle: Vehicle, law: Any) -> Rates:
-    velocity = [
-        Label(f"velocity_{axis}", "m s-1", f"velocity of the platform's centre along {axis}")
-        for axis in "xyz"
-    ]
-    angles = [_turning(label.name, label.words) for label in (HEADING, ROLL, PITCH)]
-    free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
-    return Rates(
-        velocity[0],
-        velocity[1],
-        velocity[2],
-        angles[0],
-        angles[1],
-        angles[2],
-        tuple(_rate(vehicle, c) for c in vehicle.of("suspension")),
-        tuple(_rate(vehicle, c) for c in vehicle.of("passive")),
-        tuple(_turning(name, f"the free wheel {name}") for name in free),
-        law,
-    )
 
 
 def _force_labels(vehicle: Vehicle, rates: Rates) -> tuple[Forces, tuple[Label, ...]]:

@@ -55,7 +55,10 @@ def survey(ground: GroundMap) -> dict[str, Fact]:
     grid = ground.grid
     known = _known(grid)
     slope = np.degrees(np.arctan(np.hypot(*np.gradient(grid.z, *grid.spacing))))[known]
-    concave = _concave_curvature(grid)[known]
+    along_x, along_y = np.gradient(grid.z, *grid.spacing)
+    xx, xy = np.gradient(along_x, *grid.spacing)
+    yy = np.gradient(along_y, grid.spacing[1], axis=1)
+    concave = np.asarray((xx + yy) / 2 + np.hypot((xx - yy) / 2, xy))[known]
     facts = {
         "slope_median": Fact(float(np.median(slope)), "degree", "median slope"),
         "slope_high": Fact(float(np.percentile(slope, 95)), "degree", "95th percentile of slopes"),
@@ -162,13 +165,6 @@ def _spikes(grid: Grid) -> Array:
     away = np.maximum(grid.z - high, 0.0) - np.maximum(low - grid.z, 0.0)
     least = np.maximum(SPIKE * (high - low), HIGH * min(grid.spacing))
     return np.where(np.abs(away) > least, away, 0.0)
-
-
-def _concave_curvature(grid: Grid) -> Array:
-    along_x, along_y = np.gradient(grid.z, *grid.spacing)
-    xx, xy = np.gradient(along_x, *grid.spacing)
-    yy = np.gradient(along_y, grid.spacing[1], axis=1)
-    return np.asarray((xx + yy) / 2 + np.hypot((xx - yy) / 2, xy))
 
 
 def _are_multiples(values: Array, step: float) -> bool:

@@ -220,20 +220,15 @@ def _objective(field: _CostField, p: Array, aim: _Objective) -> tuple[float, Arr
         ),
         (BEND / aim.step**2, stiff * np.eye(2) + sharp),
     )
-    return float(total), _gradient(gradients, p), _banded(hessians, len(p))
+    gradient = np.zeros_like(p)
+    for weights, part in gradients:
+        for k, weight in enumerate(weights):
+            gradient[k : k + len(part)] += weight * part
+    return float(total), gradient, _banded(hessians, len(p))
 
 
 def _squares(vectors: Array) -> Array:
     return np.asarray(vectors[:, :, None] * vectors[:, None, :])
-
-
-def _gradient(terms: Iterable[tuple[Array, Array]], p: Array) -> Array:
-    """Return the gradient with respect to the points, from those of weighted sums of neighbours."""
-    gradient = np.zeros_like(p)
-    for weights, part in terms:
-        for k, weight in enumerate(weights):
-            gradient[k : k + len(part)] += weight * part
-    return gradient
 
 
 def _banded(terms: Iterable[tuple[Array, Array]], count: int) -> Array:

@@ -296,10 +296,34 @@ def _run_batch(common: _Common, numbers: Array) -> list[_Results]:
     for chosen in map(np.array, groups.values()) if groups else [numbers]:
         dae = common.model_of(int(chosen[0]))
         placed = isinstance(common.starts, list)
+        graphs = graphs_of(dae)
+        if isinstance(common.starts, dict):
+            start = {n: v if v.size == 1 else v[chosen] for n, v in common.starts.items()}
+            states = start_states(graphs, start)
+        else:
+            runs = common.starts if len(common.starts) == 1 else [common.starts[k] for k in chosen]
+            states = np.stack([states_of(graphs, run) for run in runs], axis=1)
+        dae.inputs(**common.inputs)  # raises ModelError for missing and unknown names
+        inputs = np.empty((len(common.inputs), common.t.size - 1, chosen.size))
+        for row, label in zip(inputs, leaves(dae.labels.u), strict=True):
+            values = common.inputs[label.full]
+            if not isinstance(values, np.ndarray):
+                raise ModelError(
+                    f"inputs[{label.full!r}]: expected numbers for the method 'batch', found "
+                    f"{type(values).__name__}; give arrays, or use method='simulate'"
+                )
+            if not np.isfinite(values).all():
+                raise ModelError(
+                    f"inputs[{label.full!r}]: expected finite numbers, found "
+                    f"{values[~np.isfinite(values)][0]}; correct them"
+                )
+            if values.ndim == 2:
+                values = (values if len(values) == 1 else values[chosen]).T
+            row[:] = values.reshape(-1, 1) if values.ndim < 2 else values
         lanes = run_lanes(
             evaluator_of(dae),
-            _start_states(dae, common, chosen),
-            _input_array(dae, common, chosen),
+            np.broadcast_to(states, (len(states), chosen.size)).copy(),
+            inputs,
             common.t,
             step=common.step,
             quantities=common.quantities,
@@ -308,39 +332,6 @@ def _run_batch(common: _Common, numbers: Array) -> list[_Results]:
         results.append(_Results(chosen, *lanes[:6]))
         results += _simulate_runs(common, chosen[lanes.disputed])
     return results
-
-
-def _start_states(dae: Dae, common: _Common, numbers: Array) -> Array:
-    graphs = graphs_of(dae)
-    if isinstance(common.starts, dict):
-        start = {n: v if v.size == 1 else v[numbers] for n, v in common.starts.items()}
-        states = start_states(graphs, start)
-    else:
-        runs = common.starts if len(common.starts) == 1 else [common.starts[k] for k in numbers]
-        states = np.stack([states_of(graphs, run) for run in runs], axis=1)
-    return np.broadcast_to(states, (len(states), numbers.size)).copy()
-
-
-def _input_array(dae: Dae, common: _Common, numbers: Array) -> Array:
-    """Return the inputs of runs, shape (n_u, n_intervals, n); raise ModelError for expressions."""
-    dae.inputs(**common.inputs)  # raises ModelError for missing and unknown names
-    inputs = np.empty((len(common.inputs), common.t.size - 1, numbers.size))
-    for row, label in zip(inputs, leaves(dae.labels.u), strict=True):
-        values = common.inputs[label.full]
-        if not isinstance(values, np.ndarray):
-            raise ModelError(
-                f"inputs[{label.full!r}]: expected numbers for the method 'batch', found "
-                f"{type(values).__name__}; give arrays, or use method='simulate'"
-            )
-        if not np.isfinite(values).all():
-            raise ModelError(
-                f"inputs[{label.full!r}]: expected finite numbers, found "
-                f"{values[~np.isfinite(values)][0]}; correct them"
-            )
-        if values.ndim == 2:
-            values = (values if len(values) == 1 else values[numbers]).T
-        row[:] = values.reshape(-1, 1) if values.ndim < 2 else values
-    return inputs
 
 
 @lru_cache(maxsize=1)

@@ -70,7 +70,8 @@ def shared_library(
     it is damaged. The result is None, with a warning that gives the reason, if the library can be
     neither loaded nor compiled.
     """
-    key = _key(text, flags)
+    parts = (ca.CasadiMeta.version(), platform.system(), platform.machine(), *flags, text)
+    key = digest("\n".join(parts).encode())
     try:
         if (cache := folder()) is None:
             raise _UnavailableError(CACHE_DISABLED)
@@ -130,12 +131,6 @@ def source(functions: Sequence[ca.Function]) -> str:
     for each in functions:
         generator.add(each)
     return str(generator.dump())
-
-
-def _key(text: str, flags: Sequence[str]) -> str:
-    """Return the digest of a text, the platform, the compiler flags and CasADi's version."""
-    parts = (ca.CasadiMeta.version(), platform.system(), platform.machine(), *flags, text)
-    return digest("\n".join(parts).encode())
 
 
 def folder() -> Path | None:

@@ -41,7 +41,23 @@ class DaskPool(Generic[T, D]):
         self, function: Callable[[T], D], address: str, warn: Callable[[str], None]
     ) -> None:
         self._function, self._address, self._warn = function, address, warn
-        self._client = _connect(address)
+        distributed = require("distributed", "cluster", "--scheduler: ")
+        try:
+            with ThreadPoolExecutor(1) as alone:  # a notebook already runs an event loop
+                alone.submit(asyncio.run, _reach(address)).result()
+            client = distributed.Client(address, timeout=CONNECT, set_as_default=False)
+        except Exception as error:  # its class depends on the transport
+            reason = f"{type(error).__name__}: {error}".removesuffix(": ")
+            raise DataError(
+                f"--scheduler {address}: expected the address of a running Dask scheduler, as in "
+                f"tcp://10.0.0.1:8786, found none ({reason}); start one: dask scheduler"
+            ) from error
+        try:
+            _check_workers(client, address)
+        except BaseException:
+            client.close()
+            raise
+        self._client = client
         self._workers, self._asked = 1, 0.0
         self._open: dict[str, Any] = {}
 
@@ -92,27 +108,6 @@ class DaskPool(Generic[T, D]):
             f"--scheduler {self._address}: the connection to the scheduler is lost; what is "
             "finished is kept; start a scheduler and repeat the command to continue"
         )
-
-
-def _connect(address: str) -> Any:
-    """Return a Dask client of a scheduler after a check of its workers."""
-    distributed = require("distributed", "cluster", "--scheduler: ")
-    try:
-        with ThreadPoolExecutor(1) as alone:  # a notebook already runs an event loop
-            alone.submit(asyncio.run, _reach(address)).result()
-        client = distributed.Client(address, timeout=CONNECT, set_as_default=False)
-    except Exception as error:  # its class depends on the transport
-        reason = f"{type(error).__name__}: {error}".removesuffix(": ")
-        raise DataError(
-            f"--scheduler {address}: expected the address of a running Dask scheduler, as in "
-            f"tcp://10.0.0.1:8786, found none ({reason}); start one: dask scheduler"
-        ) from error
-    try:
-        _check_workers(client, address)
-    except BaseException:
-        client.close()
-        raise
-    return client
 
 
 async def _reach(address: str) -> None:

@@ -143,7 +143,14 @@ def scale_facts(crs: Any, x: float, y: float, command: str) -> tuple[tuple[str, 
     """
     if crs is None or not crs.is_projected:
         return ()
-    steps = _steps(crs, x, y)
+    half = SPAN / 2
+    places = _degrees(crs, [x - half, x + half, x, x], [y, y, y - half, y + half])
+    longitude, latitude = np.radians(places)
+    a, b = _ellipsoid(crs)
+    normal = a**2 / np.hypot(a * np.cos(latitude), b * np.sin(latitude))
+    radius, height = normal * np.cos(latitude), (b / a) ** 2 * normal * np.sin(latitude)
+    positions = np.column_stack([radius * np.cos(longitude), radius * np.sin(longitude), height])
+    steps = np.asarray((positions[1::2] - positions[::2]) / SPAN)
     if not np.isfinite(steps).all():
         refuse(
             "a map inside the domain of its projection",
@@ -162,19 +169,3 @@ def scale_facts(crs: Any, x: float, y: float, command: str) -> tuple[tuple[str, 
         )
     scale = f"{along_x:.7f} m along x and {along_y:.7f} m along y"
     return (("ground map scale", f"1 m of the map is {scale} on the ellipsoid"),)
-
-
-def _steps(crs: Any, x: float, y: float) -> Array:
-    """Return the displacements in space of one map metre along x and along y at (x, y).
-
-    They are differences of geocentric positions, shape (2, 3) [m], which have no singularity at
-    poles and at the antimeridian, and NaN outside the domain of the projection.
-    """
-    half = SPAN / 2
-    places = _degrees(crs, [x - half, x + half, x, x], [y, y, y - half, y + half])
-    longitude, latitude = np.radians(places)
-    a, b = _ellipsoid(crs)
-    normal = a**2 / np.hypot(a * np.cos(latitude), b * np.sin(latitude))
-    radius, height = normal * np.cos(latitude), (b / a) ** 2 * normal * np.sin(latitude)
-    positions = np.column_stack([radius * np.cos(longitude), radius * np.sin(longitude), height])
-    return np.asarray((positions[1::2] - positions[::2]) / SPAN)

@@ -66,7 +66,18 @@ def read_tree(
     root = _root(links, joints, findings) if not findings.errors else ""
     if findings.errors:
         findings.stop()
-    world = _world(links, joints, root)
+    chain: list[UrdfJoint] = []
+    most = DUMMY_MASS * sum(link.mass or 0.0 for link in links.values())
+    while True:
+        link = links[chain[-1].child if chain else root]
+        below = [joint for joint in joints.values() if joint.parent == link.name]
+        is_dummy = not (link.shapes or link.meshes or link.boxes or (link.mass or 0.0) > most)
+        if len(below) != 1 or not is_dummy:
+            break
+        chain += below
+    while chain and not chain[-1].moves:
+        chain.pop()
+    world = chain
     for joint in world:
         root = joint.child
         del links[joint.parent], joints[joint.name]
@@ -82,22 +93,6 @@ def read_tree(
     return with_separate_balls(
         Tree(file, name, root, links, ordered, *control, omitted, notes, unknown)
     )
-
-
-def _world(links: dict[str, Link], joints: dict[str, UrdfJoint], root: str) -> list[UrdfJoint]:
-    """Return the joints that move the whole robot, as a simulator's x-y-yaw base, root first."""
-    chain: list[UrdfJoint] = []
-    most = DUMMY_MASS * sum(link.mass or 0.0 for link in links.values())
-    while True:
-        link = links[chain[-1].child if chain else root]
-        below = [joint for joint in joints.values() if joint.parent == link.name]
-        is_dummy = not (link.shapes or link.meshes or link.boxes or (link.mass or 0.0) > most)
-        if len(below) != 1 or not is_dummy:
-            break
-        chain += below
-    while chain and not chain[-1].moves:
-        chain.pop()
-    return chain
 
 
 def _check_names(robot: Element, tag: str, findings: Findings) -> None:

@@ -324,7 +324,19 @@ def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Choice:
     evidence, too.
     """
     tree, _ = with_fixed_rollers(tree)
-    rolling = _turning(tree)
+    turning = [
+        joint
+        for joint in tree.joints.values()
+        if joint.type == "continuous"
+        and tree.is_last(joint)
+        and (tree.links[joint.child].shapes or tree.links[joint.child].meshes)
+        and not CASTER.search(joint.names)
+        and tree.is_level(joint)
+    ]
+    radii = [tree.radius_of(joint) for joint in turning]
+    bottoms = [tree.frames[j.child][1][2] - r for j, r in zip(turning, radii, strict=True)]
+    most = min(bottoms, default=0.0) + max(radii, default=0.0)
+    rolling = [j for j, low in zip(turning, bottoms, strict=True) if low <= most or not any(radii)]
     excluded = {*excluded, *caster_wheels(tree, rolling)}
     wheels = [joint for joint in rolling if joint.name not in excluded]
     line = _along(tree, wheels)
@@ -338,23 +350,6 @@ def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Choice:
     is_noted = best != "x" or any(piece.choice != "x" for piece in pieces)
     other = rival if rival in OPPOSITE else OPPOSITE[best]
     return Choice(best, reason if is_noted else "", other, is_open)
-
-
-def _turning(tree: Tree) -> list[UrdfJoint]:
-    """Return the joints that probably carry rolling wheels, near the ground, but no casters."""
-    turning = [
-        joint
-        for joint in tree.joints.values()
-        if joint.type == "continuous"
-        and tree.is_last(joint)
-        and (tree.links[joint.child].shapes or tree.links[joint.child].meshes)
-        and not CASTER.search(joint.names)
-        and tree.is_level(joint)
-    ]
-    radii = [tree.radius_of(joint) for joint in turning]
-    bottoms = [tree.frames[j.child][1][2] - r for j, r in zip(turning, radii, strict=True)]
-    most = min(bottoms, default=0.0) + max(radii, default=0.0)
-    return [j for j, low in zip(turning, bottoms, strict=True) if low <= most or not any(radii)]
 
 
 def _along(tree: Tree, wheels: Sequence[UrdfJoint]) -> tuple[str, ...]:
