@@ -16,7 +16,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 import slipfree as sf
-from helpers.figures import assert_inside
+from helpers.figures import assert_inside, moved
 from slipfree.core.facts import Fact
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Trajectory, path_length
@@ -118,13 +118,6 @@ def figures(run: Trajectory, grid: sf.Grid, *only: str, surface=None) -> dict[st
 
 def save_figures(run: Trajectory, grid: sf.Grid, folder: Path, formats=("png",)) -> list[Path]:
     return plots.save(motion_figures.motion_plots(run, grid), folder, formats)
-
-
-def moved(run: Trajectory, x: float, y: float) -> Trajectory:
-    by = {"x": x, "contact_x": x, "center_x": x, "y": y, "contact_y": y, "center_y": y}
-    for name, shift in by.items():
-        run = changed(run, name, run[name] + shift)
-    return run
 
 
 def drawn(figure: Figure) -> Figure:
@@ -327,7 +320,7 @@ def test_figures_of_a_motion_depend_on_what_it_has(run, grid):
 @pytest.mark.slow
 def test_large_map_coordinates_count_from_a_round_one(run, grid):
     x, y = 500_123.0, 4_512_340.0
-    drawings = figures(moved(run, x, y), sf.Grid(grid.x + x, grid.y + y, grid.z), "map")
+    drawings = figures(moved(run, x=x, y=y), sf.Grid(grid.x + x, grid.y + y, grid.z), "map")
     axes = drawn(drawings["map"]).axes[0]
     assert axes.get_xlabel() == "east $x$ - 500000 [m]"
     assert axes.get_ylabel() == "north $y$ - 4512000 [m]"
@@ -347,7 +340,7 @@ def test_missing_quantities_are_named(run, grid):
 
 def test_a_motion_on_another_ground_is_refused(run, grid):
     with pytest.raises(sf.ModelError, match=r"expected a motion on this ground, x from -5 to 5 m"):
-        figures(moved(run, 100.0, 0.0), grid)
+        figures(moved(run, x=100.0), grid)
 
 
 def test_forces_have_a_line_a_wheel(loaded, grid):

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from helpers.commands import invoke
+from helpers.problem_files import rough_ground
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import PLAN, Stop
 from slipfree.files.netcdf import read
@@ -25,13 +26,7 @@ front_right_rate = 4.0
 front_left_rate = 4.0
 rear_right_rate = 4.0
 rear_left_rate = 4.0
-
-[terrain.synthetic]
-x = [-2, 2]
-y = [-2, 4]
-spacing = 0.1
-power_law = { rms = 0.04, hurst = 0.9, longest = 3.0, shortest = 1.0, seed = 4 }
-"""
+""" + rough_ground("[-2, 2]", "[-2, 4]", 0.1, "rms = 0.04, longest = 3.0, shortest = 1.0", 4)
 GOAL = """
 goal = { y = 1.2 }
 costs = { slip = 100.0, effort = 0.001 }

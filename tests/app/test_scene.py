@@ -8,22 +8,26 @@ import numpy as np
 import pytest
 from matplotlib.animation import FFMpegWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from helpers.commands import invoke, refused, sets, shown
+from helpers.figures import moved
+from helpers.problem_files import rough_ground
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.outcome import Outcome
-from slipfree.core.trajectory import Stop, Trajectory
+from slipfree.core.trajectory import Stop
 from slipfree.files import netcdf
 from slipfree.models.samples import measured_slip, part_poses, wheel_poses
-from slipfree.show import motion_figures
+from slipfree.show import ground_drawing, motion_figures
 from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
-from slipfree.show.film import film_writer
+from slipfree.show.film import draw_faces, film_writer, projected
 from slipfree.show.html_page import with_legend
 from slipfree.show.meshes import MOST, clipped, extruded, plate, rod, roller_axles, spokes
-from slipfree.show.scene import BLOCKED
+from slipfree.show.scene import BLOCKED, arrow_scales, map_lines
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.sections import Disc, Torus
@@ -39,13 +43,9 @@ driver = { name = "straight", speed = 0.3 }
 time = { duration = 1.0, step = 0.02 }
 
 [terrain]
-friction = 0.6
-[terrain.synthetic]
-x = [-6, 6]
-y = [-6, 6]
-spacing = 0.25
-power_law = { rms = 0.1, hurst = 0.9, longest = 8.0, shortest = 2.0, seed = 11 }
-"""
+friction = 0.6""" + rough_ground(
+    "[-6, 6]", "[-6, 6]", 0.25, "rms = 0.1, longest = 8.0, shortest = 2.0", 11
+)
 NAMED = (
     'verb = "direct"\n[terrain]\nfile = "hills.npz"\n[vehicle]\nfile = "trike.toml"\n'
     '[start]\nheading = 0.2\n[driver]\nname = "straight"\nspeed = 0.3\n'
@@ -143,6 +143,9 @@ def test_arrows_are_slip_and_forces(drive: Driven) -> None:
     assert 0.4 * scene.reach < longest < 0.65 * scene.reach
     labels = {entry.name: entry.label for entry in scene.entries}
     assert labels["force"] == "force: 1 m of arrow length represents 150 N"
+    for vectors, scale in ((10 * slip.vectors, scene.scales["slip"]), (0 * slip.vectors + 3e-5, 0)):
+        changed = scene.actors[0]._replace(arrows=(slip._replace(vectors=vectors),))
+        assert arrow_scales([changed], scene.reach)[0]["slip"] == scale
 
 
 def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:
@@ -171,11 +174,48 @@ def test_blocked_ground_is_gray(drive: Driven) -> None:
 
     at = (1.5, 0.0)
     scene = drive_scene([drive._replace(keep_out=(Region.disc(*at, 0.5),))], with_poses=True)
-    assert [layer.name for layer in scene.ground.layers[2:]] == ["traversability", "headings"]
+    assert [layer.name for layer in scene.ground.layers[2:]] == ["traversability"]
     away = np.hypot(*(scene.ground.mesh.vertices + scene.origin)[:, :2].T - np.array(at)[:, None])
     gray = (scene.ground.layers[2].colors == BLOCKED).all(axis=1)
     assert gray[away < 1.5].all()
     assert not gray.all()
+
+
+def test_relief_is_lit_from_the_north_west_in_all_pictures() -> None:
+    """Pixels of a map, brightness of scenes, and faces of films: of a hill with a round foot."""
+    x = np.linspace(-6, 6, 41)
+    z = 0.7 * np.exp(-(x[:, None] ** 2 + x**2) / 6)
+    canvas = FigureCanvasAgg(Figure(figsize=(2, 2)))
+    ground_drawing.shade(x, x, z, canvas.figure.add_axes((0, 0, 1, 1)))
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[::-1, :, 0].T  # from the south-western corner
+    points = np.stack([*np.meshgrid(x, x, indexing="ij"), z], axis=-1)
+    corners = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
+    faces, film = np.stack(corners, axis=2).reshape(-1, 4, 3), PolyCollection([])
+    draw_faces(film, faces, np.ones((1600, 3)), np.zeros(3))
+    order = np.argsort(projected(faces, np.zeros(3))[..., 2].mean(axis=1))
+    lit = film.get_facecolor()[np.argsort(order), 0].reshape(40, 40)
+    for light in (pixels, ground_drawing.brightness(x, x, z), lit):
+        low, high = int(0.38 * len(light)), int(0.62 * len(light))
+        assert light[low, high] > 1.05 * light[low, low] > 1.1 * light[high, low], light.shape
+
+
+def test_labels_of_a_grid_differ_and_are_complete(drive: Driven) -> None:
+    grid = drive.terrain.grid
+    large = Bicubic(Grid(500_000 + 1000 * grid.x, 4_512_000 + 1000 * grid.y, grid.z))
+    lines = map_lines(large.grid, large, ground_drawing.whole(large.grid), np.zeros(3), 1.0)
+    labels = [words for words, _ in next(each for each in lines if each.name == "grid").labels]
+    assert {"x 500000 m", "y 4512000 m"} <= {*labels}
+    assert len({*labels}) == len(labels) > 8
+
+
+def test_poses_between_samples_are_interpolated(drive: Driven) -> None:
+    actor = drive_scene([drive]).actors[0]
+    now, wheel = actor.at(0.7 * actor.t[20] + 0.3 * actor.t[21]).bodies[-1], actor.bodies[-1]
+    assert_allclose(now.origins[0], (0.7, 0.3) @ wheel.origins[20:22], atol=1e-12)
+    ends = Rotation.from_matrix(wheel.rotations[20:22])
+    angles = (ends.inv() * Rotation.from_matrix(now.rotations)).magnitude()
+    assert_allclose(angles, np.array([0.3, 0.7]) * angles.sum(), atol=1e-9)
 
 
 def test_runs_share_a_ground_and_say_where_it_differs(drive: Driven) -> None:
@@ -205,15 +245,6 @@ def lifted(drive: Driven, by: float) -> Driven:
     grid = drive.terrain.grid
     higher = Bicubic(Grid(grid.x, grid.y, grid.z + by), drive.terrain.center)
     return drive._replace(name="other", terrain=higher, run=moved(drive.run, z=by))
-
-
-def moved(run: Trajectory, **by: float) -> Trajectory:
-    """Return a motion at another place."""
-    columns = {
-        name: column._replace(values=column.values + by.get(name.removeprefix("contact_"), 0.0))
-        for name, column in run.columns.items()
-    }
-    return replace(run, columns=columns)
 
 
 def test_a_long_way_is_drawn_finely_and_followed(drive: Driven) -> None:

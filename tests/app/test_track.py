@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from helpers.commands import invoke, pressing, printed
+from helpers.problem_files import rough_ground
 from slipfree.files.netcdf import read
 from slipfree.problem.verbs import plan_tracking
 
@@ -19,13 +20,7 @@ vehicle = { catalog = "three_wheeler", axle = "fixed" }
 start = {}
 inputs = { right_rate = 0.5, left_rate = 0.5, steer_rate = 0.0 }
 time = { duration = 4.0, step = 0.2 }
-
-[terrain.synthetic]
-x = [-3, 3]
-y = [-3, 3]
-spacing = 0.5
-power_law = { rms = 0.05, hurst = 0.9, longest = 4.0, shortest = 2.0, seed = 1 }
-"""
+""" + rough_ground("[-3, 3]", "[-3, 3]", 0.5, "rms = 0.05, longest = 4.0, shortest = 2.0", 1)
 PLAN = """\
 goal = { y = 0.8 }
 costs = { slip = 1e3, effort = 0.01 }

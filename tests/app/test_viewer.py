@@ -23,6 +23,7 @@ from scipy.ndimage import binary_erosion
 
 from helpers.chromium import headless_chromium
 from helpers.commands import invoke, refused, refuses, sets
+from helpers.problem_files import rough_ground
 from slipfree.core.errors import DataError
 from slipfree.show.local_server import Guard, stop
 
@@ -38,13 +39,7 @@ vehicle = { catalog = "three_wheeler" }
 start = { x = 0.0, y = -2.0, heading = 0.0 }
 driver = { name = "straight", speed = 0.5 }
 time = { duration = 4.0, step = 0.05 }
-
-[terrain.synthetic]
-x = [-5, 5]
-y = [-5, 5]
-spacing = 0.25
-power_law = { rms = 0.1, hurst = 0.9, longest = 8.0, shortest = 2.0, seed = 11 }
-"""
+""" + rough_ground("[-5, 5]", "[-5, 5]", 0.25, "rms = 0.1, longest = 8.0, shortest = 2.0", 11)
 
 
 @pytest.fixture(scope="module")

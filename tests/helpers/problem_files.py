@@ -32,6 +32,12 @@ step = 0.25
 """
 
 
+def rough_ground(x: str, y: str, spacing: float, spectrum: str, seed: int) -> str:
+    """Return the table of a random ground with a range of wavelengths, as TOML."""
+    head = f"\n[terrain.synthetic]\nx = {x}\ny = {y}\nspacing = {spacing}\n"
+    return head + f"power_law = {{ {spectrum}, hurst = 0.9, seed = {seed} }}\n"
+
+
 def _read(folder: Path, text: str, *settings: str) -> object:
     path = folder / "p.toml"
     path.write_text(text, encoding="utf-8")

@@ -10,6 +10,7 @@ from typing import Any
 import psutil
 
 from helpers.commands import invoke
+from helpers.problem_files import rough_ground
 from slipfree.problem.inputs import recipe_of
 from slipfree.problem.load import load_problem
 from slipfree.sweep.runs import RunTask
@@ -21,13 +22,7 @@ vehicle = { catalog = "three_wheeler" }
 start = { heading = 0 }
 driver = { name = "straight", speed = 1.0 }
 time = { duration = 0.3, step = 0.1 }
-
-[terrain.synthetic]
-x = [-3, 3]
-y = [-3, 2.25]
-spacing = 0.25
-power_law = { rms = 0.02, hurst = 0.9, longest = 4.0, shortest = 2.0, seed = 1 }
-"""
+""" + rough_ground("[-3, 3]", "[-3, 2.25]", 0.25, "rms = 0.02, longest = 4.0, shortest = 2.0", 1)
 SPEED, ROUGH = "driver.speed", "terrain.synthetic.power_law.rms"
 GRID = ["--vary", f"{SPEED}=0.5,1.0", "--vary", f"{ROUGH}=0.01,0.02", "--repeat", "3"]
 RUNS = 12  # of the grid

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 
 from helpers.cases import LIGHT, hills, rover_ground
 from helpers.commands import invoke, refuses, sets
+from helpers.problem_files import rough_ground
 from helpers.vehicles import four_wheel_steered, skid_steered
 from slipfree import (
     Analytic,
@@ -293,13 +294,7 @@ start = { heading = 1.5707963267948966 }
 given = { v_x = 0.2, v_y = 0.1, omega_z = 0.0 }
 time = { duration = 1.0, step = 0.1 }
 solver = { tolerance = 1e-6 }
-
-[terrain.synthetic]
-x = [-2, 2]
-y = [-2, 2]
-spacing = 0.1
-power_law = { rms = 0.02, hurst = 0.9, longest = 3.0, shortest = 1.0, seed = 3 }
-"""
+""" + rough_ground("[-2, 2]", "[-2, 2]", 0.1, "rms = 0.02, longest = 3.0, shortest = 1.0", 3)
 
 
 @pytest.fixture

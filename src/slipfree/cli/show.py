@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from slipfree.problem.plan_edit import Document
     from slipfree.show.plan_page import PlanPage
 
-Layer = Literal["height", "slope", "traversability", "headings"]
-POSE_LAYERS = ("traversability", "headings")
+Layer = Literal["height", "slope", "traversability"]
 Port = Annotated[
     int, typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free port.")
 ]
@@ -62,8 +61,8 @@ def show(
         Layer,
         typer.Option(
             metavar="LAYER",
-            help="Initial colours: height, slope, traversability or headings; the last two are "
-            "those of poses, which take a while.",
+            help="Initial colours: height, slope or traversability, which is that of poses and "
+            "takes a while.",
         ),
     ] = "height",
     port: Port = 0,
@@ -88,7 +87,7 @@ def show(
     motions = _read(files)
     title = motions[0].run.attributes.get("title", motions[0].name)
     with about(files[0]):
-        scene = drive_scene(motions, with_poses=color in POSE_LAYERS)
+        scene = drive_scene(motions, with_poses=color == "traversability")
     first, last = scene.span
     if time is not None and picture is None:
         raise DataError("--at: expected --picture with it, found none; add it, or omit --at")

@@ -23,10 +23,9 @@ from slipfree.atlas.summary import ALLOWED, LIMIT, STANDING
 from slipfree.core.records import Array
 from slipfree.files.atlas_files import Site
 from slipfree.show import style
-from slipfree.show.ground_drawing import LEVEL, brightness
+from slipfree.show.ground_drawing import LEVEL, brightness, extent, map_axes
 from slipfree.show.plots import Plot
 from slipfree.show.style import MM, PAGE
-from slipfree.terrain.base import Grid
 
 SHARE = "RdYlBu"  # colours of the share of headings
 FRICTION = "viridis"
@@ -94,9 +93,9 @@ def _share_words(drawn: AtlasView) -> str:
 def shaded(colors: Array, drawn: AtlasView) -> Array:
     """Return colours, shape (n_x, n_y, 3), in the light of a hillshade."""
     z = drawn.maps["elevation"].values.astype(float)
-    if min(z.shape) < 4:  # smaller than a grid
+    if min(z.shape) < 2:  # without slopes
         return colors
-    light = brightness(Grid(drawn.x, drawn.y, z)).reshape(*z.shape, 1) / LEVEL
+    light = brightness(drawn.x, drawn.y, z)[..., None] / LEVEL
     light = 1.0 + SHADE * (light - 1.0)
     darker, lighter = np.minimum(light, 1.0), np.maximum(light - 1.0, 0.0)
     return np.asarray(darker * colors + lighter * (1.0 - colors))
@@ -106,20 +105,9 @@ def _image(drawn: AtlasView, values: Array, scale: Colormap, norm: Normalize, ax
     colors = scale(norm(np.nan_to_num(values)))[..., :3]
     colors[np.isnan(values)] = UNKNOWN
     image = np.clip(shaded(colors, drawn), 0, 1).swapaxes(0, 1)
-    ax.imshow(image, extent=_extent(drawn.x, drawn.y), origin="lower", interpolation="nearest")
-    _axes(drawn.x, drawn.y, ax)
-
-
-def _extent(x: Array, y: Array) -> tuple[float, float, float, float]:
-    d_x, d_y = ((axis[-1] - axis[0]) / (axis.size - 1) / 2 for axis in (x, y))
-    return float(x[0] - d_x), float(x[-1] + d_x), float(y[0] - d_y), float(y[-1] + d_y)
-
-
-def _axes(x: Array, y: Array, ax: Axes) -> None:
-    west, east, south, north = _extent(x, y)
-    ax.set(xlim=(west, east), ylim=(south, north), aspect="equal", autoscale_on=False)
-    style.position_axis(ax.xaxis, "x", x[0])
-    style.position_axis(ax.yaxis, "y", y[0])
+    where = extent(drawn.x, drawn.y) | {"interpolation": "nearest"}
+    ax.imshow(image, **where)
+    map_axes(drawn.x, drawn.y, ax).axis(where["extent"])
 
 
 def _sized(drawn: AtlasView, columns: int = 1, below: float = 0.0) -> Figure:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, Mask
+from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory, stop_words
 from slipfree.files.urdf.links import Robot, poses_on_map, wheel_name
 from slipfree.geometry.mesh import TriangleMesh
@@ -96,15 +96,15 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
     ways = [np.stack([run["x"], run["y"]], axis=1) for run in _runs(drives)]
     fine = surface(drawn, first.terrain, ways, NEXT * reach, FINE * reach)
     origin = np.round([x.mean(), y.mean(), drawn.values.mean()])
-    layers = [*_layers(drawn), *(_pose_layers(drawn, first, window) if with_poses else ())]
+    poses = [_pose_layer(drawn, first, window)] if with_poses else []
     layers = [
-        each._replace(colors=np.rint(fine.interpolated(each.colors)).astype(np.uint8))
-        for each in layers
+        each._replace(colors=np.rint(fine.interpolated(each.colors.astype(float))).astype(np.uint8))
+        for each in (*_layers(drawn), *poses)
     ]
     warnings = [*_off(drives, fine, SEEN), *_others(drives)]
     notes = [_cropped(grid, fine), *_off(drives, fine, 0.0)]
     solids = [*_solid_meshes(first.prisms, window, drawn.values.min(), origin)]
-    shade = fine.interpolated(ground_drawing.brightness(drawn)).ravel()
+    shade = fine.interpolated(ground_drawing.brightness(x, y, drawn.z).reshape(-1, 1)).ravel()
     lines = (
         *map_lines(drawn, first.terrain, window, origin, reach),
         *_closest(drives, origin, reach),
@@ -207,8 +207,8 @@ def _layers(drawn: Grid) -> Iterator[Layer]:
     yield layer("slope", slope, f"0 to {slope.max():.3g} degrees", 0.0, float(slope.max()))
 
 
-def _pose_layers(drawn: Grid, drive: Driven, window: Window) -> Iterator[Layer]:
-    """Yield the colourings by the poses of a vehicle, grey where no heading is possible."""
+def _pose_layer(drawn: Grid, drive: Driven, window: Window) -> Layer:
+    """Return the colouring by the poses of a vehicle, grey where no heading is possible."""
     terrain, reach = drive.terrain, extents(drive.vehicle)[2]
     wide_x, wide_y = (2 * reach + 3 * cell for cell in terrain.grid.spacing)
     near = ground_drawing.padded(window, (wide_x, wide_y), terrain.grid)
@@ -216,17 +216,12 @@ def _pose_layers(drawn: Grid, drive: Driven, window: Window) -> Iterator[Layer]:
     layers = traversability(part, drive.vehicle, keep_out=drive.keep_out)
     places = np.stack(np.meshgrid(drawn.x, drawn.y, indexing="ij"), axis=-1).reshape(-1, 2)
     costs = layers.cost[:, *nodes_at(layers, places)]
-    least, share = costs.min(axis=0), np.isfinite(costs).mean(axis=0)
+    least = costs.min(axis=0)
     free = np.isfinite(least)
     top = float(np.percentile(least[free], 99)) if free.any() else 1.0
     words = f"cost per metre of path in the best direction, 1 to {top:.3g}; grey: blocked"
-    yield _gray(layer("traversability", np.where(free, least, 1.0), words, 1.0, top), ~free)
-    words = "share of headings at which the vehicle stands and is held, 0 to 1; grey: none"
-    yield _gray(layer("headings", share, words, 0.0, 1.0), ~free)
-
-
-def _gray(colored: Layer, part: Mask) -> Layer:
-    colored.colors[part] = BLOCKED
+    colored = layer("traversability", np.where(free, least, 1.0), words, 1.0, top)
+    colored.colors[~free] = BLOCKED
     return colored
 
 

@@ -24,6 +24,7 @@ from matplotlib.transforms import Bbox
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.show import style
+from slipfree.show.ground_drawing import DARKEST, LIGHT
 from slipfree.show.plots import Plot
 from slipfree.show.scene import ARROWS, Color, Scene, layer
 from slipfree.show.style import MM, PAGE, STYLE
@@ -37,8 +38,6 @@ FILM_HEIGHT, PICTURE_HEIGHT = 90.0, 110.0  # [mm]
 HEIGHT = 0.62  # height of the view over its width
 WIDE = 2.2  # width of the ground in a picture over that in a film [1]
 CAMERA = np.radians((28.0, -55.0))  # elevation and azimuth of the viewer
-LIGHT = np.array([-0.35, -0.5, 0.8])  # direction to the light
-DARKEST = 0.45  # brightness of faces that the light does not reach
 TITLE = 80  # number of characters in a line of the title
 HEAD = 0.3, 0.4  # length of an arrow's head over the arrow's, and its width over its length
 WIDTH = 150  # number of characters in a line below the film
@@ -170,7 +169,7 @@ class Film:
     def show(self, t: float) -> None:
         """Draw the scene at a time [s]."""
         for actor, marker in zip(self.scene.actors, self.markers, strict=True):
-            x, y, _ = actor.bodies[0].origins[actor.sample(t)] + self.scene.origin
+            x, y, _ = actor.at(t).bodies[0].origins[0] + self.scene.origin
             marker.set_data([x], [y])
         self.view.show(self.scene, t)
         self.clock.set_text(f"t = {t:.2f} s")
@@ -207,26 +206,25 @@ class View:
 
     def show(self, scene: Scene, t: float, ground: tuple[Array, Array] | None = None) -> None:
         """Draw the first vehicle of a scene at a time [s], by default on gray ground."""
-        actor = scene.actors[0]
-        k = actor.sample(t)
-        middle = actor.bodies[0].origins[k]
+        actor = scene.actors[0].at(t)
+        middle = actor.bodies[0].origins[0]
         if ground is None:
             faces = scene.backdrop.near(middle, self.half)
-            _draw_faces(self.ground, faces, np.full((len(faces), 3), 0.95), middle)
+            draw_faces(self.ground, faces, np.full((len(faces), 3), 0.95), middle)
         else:
-            _draw_faces(self.ground, *ground, middle)
+            draw_faces(self.ground, *ground, middle)
         for path, line in self.paths:
             line.set_segments([projected(path, middle)[:, :2]])
         faces, colors = list[Array](), list[Array]()
         for body in actor.bodies:
             for mesh, color in body.meshes:
-                points = mesh.vertices @ body.rotations[k].T + body.origins[k]
+                points = mesh.vertices @ body.rotations[0].T + body.origins[0]
                 faces.append(points[mesh.faces])
                 colors.append(np.tile(_shares(color), (len(mesh.faces), 1)))
-        _draw_faces(self.vehicle, np.concatenate(faces), np.concatenate(colors), middle)
+        draw_faces(self.vehicle, np.concatenate(faces), np.concatenate(colors), middle)
         lines, looks = list[Array](), list[tuple[float, float, float]]()
         for each in actor.arrows:
-            found = arrow_lines(each.starts[k], scene.scales[each.name] * each.vectors[k], SIGHT)
+            found = arrow_lines(each.starts[0], scene.scales[each.name] * each.vectors[0], SIGHT)
             lines += [*projected(found, middle)[..., :2]]
             looks += [_shares(ARROWS[each.name])] * len(found)
         self.arrows.set_segments(lines)
@@ -234,8 +232,8 @@ class View:
 
     def coloured(self, scene: Scene, t: float) -> tuple[Array, Array]:
         """Return the faces of the ground around the first vehicle, and colours of heights."""
-        actor, ground = scene.actors[0], scene.ground
-        away = ground.mesh.vertices - actor.bodies[0].origins[actor.sample(t)]
+        actor, ground = scene.actors[0].at(t), scene.ground
+        away = ground.mesh.vertices - actor.bodies[0].origins[0]
         near = (np.abs(away[:, :2]) < self.half).all(axis=1)
         faces = ground.mesh.faces[near[ground.mesh.faces].all(axis=1)]
         heights = ground.mesh.vertices[faces, 2].mean(axis=1)
@@ -260,7 +258,7 @@ def projected(points: Array, middle: Array) -> Array:
     return np.asarray((points - middle) @ AXES)
 
 
-def _draw_faces(
+def draw_faces(
     artist: PolyCollection, faces: Sequence[Array] | Array, colors: Array, middle: Array
 ) -> None:
     """Draw faces of given colours, from back to front and shaded, facing either side."""
@@ -270,7 +268,7 @@ def _draw_faces(
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals *= np.sign(normals @ SIGHT)[:, None]
     sizes = np.linalg.norm(normals, axis=1)
-    lit = normals @ LIGHT / np.where(sizes > 0, sizes, 1.0) / np.linalg.norm(LIGHT)
+    lit = normals @ LIGHT / np.where(sizes > 0, sizes, 1.0)
     shade = DARKEST + (1 - DARKEST) * np.clip(lit, 0, 1)
     places = projected(corners, middle)
     order = np.argsort(places[..., 2].mean(axis=1))

@@ -10,7 +10,6 @@ import casadi as ca
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from scipy.interpolate import RectBivariateSpline
@@ -30,6 +29,7 @@ HEATMAP = 600  # samples of a drawn map along an axis
 DIGITS = 9  # decimals of drawn heights, so that flat ground looks flat [m]
 STEEP_SHADE, MAX_EXAGGERATION = 0.7, 20.0  # exaggerated slope of steep parts, largest factor
 LEVEL, DARKEST = 0.9, 0.45  # brightness of level ground and of the darkest slopes
+LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)])  # direction to the light: north-west, 45 degrees high
 HATCH = "//////"
 INSIDE = 0.44  # largest distance of text on a map from its middle [width of the map]
 
@@ -53,28 +53,33 @@ def extent(x: Array, y: Array) -> dict[str, Any]:
 
 def shade(x: Array, y: Array, z: Array, ax: Axes) -> Axes:
     """Draw a transparent hillshade of heights z, shape (n_x, n_y), with equal aspect."""
-    dx, dy = (x[-1] - x[0]) / (x.size - 1), (y[-1] - y[0]) / (y.size - 1)
-    light = LightSource(azdeg=315, altdeg=45).hillshade(z.T, dx=dx, dy=dy)
-    shadow = np.zeros((*light.shape, 4))
-    shadow[..., 3] = np.nan_to_num(0.4 * (1 - light))  # nothing over holes
+    shadow = np.zeros((y.size, x.size, 4))
+    shadow[..., 3] = np.nan_to_num(1 - brightness(x, y, z).T)  # nothing over holes
     ax.imshow(shadow, **extent(x, y))
+    return map_axes(x, y, ax)
+
+
+def map_axes(x: Array, y: Array, ax: Axes) -> Axes:
+    """Limit axes of equal scale to the nodes of a map with coordinates x, y [m]; label them."""
     ax.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]), aspect="equal")
     style.position_axis(ax.xaxis, "x", x[0])
     style.position_axis(ax.yaxis, "y", y[0])
     return ax
 
 
-def brightness(drawn: Grid) -> Array:
-    """Return the brightness of nodes in a hillshade, shape (n, 1); flat ground has `LEVEL`.
+def brightness(x: Array, y: Array, z: Array) -> Array:
+    """Return the brightness of nodes in a hillshade, shape (n_x, n_y); flat ground has `LEVEL`.
 
-    Heights are exaggerated so that the steep parts appear to slope by about 35 degrees.
+    The light comes from the north-west in all pictures of a ground. Heights are exaggerated so
+    that the steep parts appear to slope by about 35 degrees.
     """
-    slopes = np.gradient(drawn.z, *drawn.spacing)
-    steep = float(np.percentile(np.hypot(*slopes), 95))
+    slopes = np.gradient(z, x, y)
+    steep = float(np.nanpercentile(np.hypot(*slopes), 95))
     factor = np.clip(STEEP_SHADE / max(steep, 1e-9), 1.0, MAX_EXAGGERATION)
     dz_dx, dz_dy = (factor * slope for slope in slopes)
-    facing = (1.0 + (dz_dx - dz_dy) / np.sqrt(2)) / np.sqrt(2 + 2 * (dz_dx**2 + dz_dy**2))
-    return np.asarray(np.clip(LEVEL + facing - np.sqrt(0.5), DARKEST, 1.0).reshape(-1, 1))
+    normals = np.stack([-dz_dx, -dz_dy, np.ones_like(z)], axis=-1)
+    facing = normals @ LIGHT / np.linalg.norm(normals, axis=-1)
+    return np.asarray(np.clip(LEVEL + facing - LIGHT[2], DARKEST, 1.0))
 
 
 def muted(grid: Grid, ax: Axes, window: Window) -> Axes:
@@ -86,9 +91,7 @@ def muted(grid: Grid, ax: Axes, window: Window) -> Axes:
 def contours(grid: Grid, ax: Axes, window: Window) -> Axes:
     """Draw contour lines of a part of the ground with their heights, on axes of equal scale."""
     x, y, z = patch(grid, window, HEATMAP)
-    ax.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]), aspect="equal")
-    style.position_axis(ax.xaxis, "x", x[0])
-    style.position_axis(ax.yaxis, "y", y[0])
+    map_axes(x, y, ax)
     if np.nanmax(z) > np.nanmin(z):
         lines = ax.contour(x, y, z.T, levels=10, colors="0.5", linewidths=0.4, zorder=1)
         levels = np.asarray(lines.levels)[::2]

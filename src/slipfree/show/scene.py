@@ -15,22 +15,22 @@ from contourpy import contour_generator
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from slipfree.core.records import Array
 from slipfree.geometry.mesh import TriangleMesh
 from slipfree.show import style
 from slipfree.show.ground_drawing import Window
-from slipfree.show.style import FLAT, LARGE
+from slipfree.show.style import FLAT
 from slipfree.terrain.base import Grid, Terrain
 
 BLOCKED = (120, 120, 120)  # colour of blocked nodes
 LONGEST = 0.6  # length of the longest arrows [reach of the vehicle]
 ROUND = (1, 1.5, 2, 3, 4, 5, 6, 8, 10)  # round scales of arrows, times a power of ten
-NOTABLE = 0.01  # smallest slip that the longest arrows represent [largest speed of a vehicle]
-LEAST = {"slip": 1e-6, "force": 1e-3}  # arrows of smaller vectors are omitted [m/s, N]
+FULL_SLIP = 0.1  # slip of an arrow of the length `LONGEST`, in all scenes [m/s]
+LEAST = {"slip": 1e-4, "force": 1e-3}  # arrows of smaller vectors are omitted [m/s, N]
 UNITS = {"slip": "m/s", "force": "N"}
-MAPS = {"height": "viridis", "slope": "cividis", "traversability": "YlGnBu_r", "headings": "YlGnBu"}
+MAPS = {"height": "viridis", "slope": "cividis", "traversability": "YlGnBu_r"}
 ARROWS = {"slip": (0, 0, 0), "force": (255, 0, 255)}  # different from the colours of runs
 FAR = 20.0  # the camera follows vehicles on longer paths [reach of the vehicle]
 WORLD = "/world"  # node with the scene; it moves when the camera follows a vehicle
@@ -115,9 +115,39 @@ class Actor(NamedTuple):
     ghost: bool = False  # whether the motion is a plan, which is drawn as wireframe
     stop: str = ""  # time and reason of an early stop, or outcome of an incomplete plan
 
-    def sample(self, t: float) -> int:
-        """Return the index of the sample nearest to a time [s]."""
-        return int(np.abs(self.t - t).argmin())
+    def at(self, t: float) -> Actor:
+        """Return the actor with one sample, at a time [s] that is moved into the motion.
+
+        Positions and vectors are linear between samples, rotations have a constant rate. Contacts
+        that begin or end between two samples are those of the nearest sample.
+        """
+        t = float(np.clip(t, self.t[0], self.t[-1]))
+        after = min(int(np.searchsorted(self.t, t)), self.t.size - 1)
+        ends = [max(after - 1, 0), after]
+        step = self.t[after] - self.t[ends[0]]
+        share = (t - self.t[ends[0]]) / step if step > 0 else 1.0
+
+        def between(values: Array) -> Array:
+            first, last = values[ends]
+            mixed = (1 - share) * first + share * last
+            return np.asarray(np.where(np.isfinite(mixed), mixed, values[ends[round(share)]])[None])
+
+        def turned(rotations: Array) -> Array:
+            pair = Rotation.from_matrix(rotations[ends])
+            return np.asarray(Slerp([0, 1], pair)([share]).as_matrix())
+
+        return self._replace(
+            t=np.array([t]),
+            bodies=tuple(
+                each._replace(origins=between(each.origins), rotations=turned(each.rotations))
+                for each in self.bodies
+            ),
+            contacts=between(self.contacts),
+            arrows=tuple(
+                each._replace(starts=between(each.starts), vectors=between(each.vectors))
+                for each in self.arrows
+            ),
+        )
 
 
 class Backdrop(NamedTuple):
@@ -205,7 +235,8 @@ class Scene(NamedTuple):
 def arrow_scales(actors: Sequence[Actor], reach: float) -> tuple[dict[str, float], list[str]]:
     """Return the lengths of arrows per unit, zero without arrows, and notes on missing arrows.
 
-    Scales are round, and keep nearly all arrows below a length.
+    Scales are round. That of slip depends on the size of the vehicle only, so that arrows of
+    different motions can be compared; that of forces keeps nearly all arrows below a length.
     """
     scales, notes = dict.fromkeys(LEAST, 0.0), []
     for name, least in LEAST.items():
@@ -224,8 +255,7 @@ def arrow_scales(actors: Sequence[Actor], reach: float) -> tuple[dict[str, float
         elif sizes.max() < least:
             notes.append(f"No {name} is drawn: it is at most {sizes.max():.1e} {UNITS[name]}.")
         else:
-            fast = NOTABLE * max(map(_top_speed, actors)) if name == "slip" else 0.0
-            longest = max(float(np.percentile(sizes, 99)), least, fast)
+            longest = FULL_SLIP if name == "slip" else max(float(np.percentile(sizes, 99)), least)
             wanted = longest / (LONGEST * reach)  # per metre of arrow
             power = 10.0 ** np.floor(np.log10(wanted))
             step = min(step for step in ROUND if step * power >= wanted * 0.999)
@@ -245,12 +275,6 @@ def layer(name: str, values: Array, legend: str, low: float, high: float) -> Lay
     parts = np.clip((values - low) / max(high - low, style.FLAT), 0, 1)
     ends = tuple(rgb(scale(part)) for part in np.linspace(0, 1, 9))
     return Layer(name, legend, ends, scale(parts, bytes=True)[:, :3])
-
-
-def _top_speed(actor: Actor) -> float:
-    steps = np.linalg.norm(np.diff(actor.bodies[0].origins, axis=0), axis=1)
-    times = np.diff(actor.t)
-    return float((steps[times > 0] / times[times > 0]).max(initial=0.0))
 
 
 def map_lines(
@@ -309,8 +333,8 @@ def _grid_and_north(drawn: Grid, terrain: Terrain, window: Window) -> Iterable[L
     along_x, along_y = np.linspace(west, east, SAMPLES), np.linspace(south, north, SAMPLES)
     lines = [*(draped(np.array(x), along_y) for x in columns)]
     lines += [draped(along_x, np.array(y)) for y in rows]
-    labels = [(_coordinate("x", x), draped(np.array(x), np.array(south))) for x in columns]
-    labels += [(_coordinate("y", y), draped(np.array(west), np.array(y))) for y in rows]
+    labels = [(f"x {x + 0.0:.10g} m", draped(np.array(x), np.array(south))) for x in columns]
+    labels += [(f"y {y + 0.0:.10g} m", draped(np.array(west), np.array(y))) for y in rows]
     segments = np.concatenate([np.zeros((0, 2, 3)), *map(_segments, lines)])
     shown = tuple((words, place) for words, place in labels if np.isfinite(place).all())
     yield Lines("grid", f"every {step:g} m", GRAY, segments, shown)
@@ -322,12 +346,6 @@ def _grid_and_north(drawn: Grid, terrain: Terrain, window: Window) -> Iterable[L
     arrow = draped(corners[:, 0], corners[:, 1])
     arrow[:, 2] = np.nanmax(arrow[:, 2]) if np.isfinite(arrow[:, 2]).any() else drawn.values.max()
     yield Lines("north", "to +y of the map", RED, _segments(arrow), (("N", arrow[1]),))
-
-
-def _coordinate(name: str, value: float) -> str:
-    """Return the label of a grid line; large coordinates are shortened to the last three digits."""
-    is_large = abs(value) >= LARGE
-    return f"{name} ...{value % 1000:03g} m" if is_large else f"{name} {value + 0.0:g} m"
 
 
 def _segments(line: Array) -> Array:

@@ -19,7 +19,6 @@ from slipfree.show.local_server import Guard, stop
 from slipfree.show.scene import (
     ARROWS,
     WORLD,
-    Arrows,
     Colors,
     Scene,
     SceneGround,
@@ -197,14 +196,12 @@ class _RunNodes:
 
     def __init__(self, server: viser.ViserServer, scene: Scene, k: int) -> None:
         actor, self.scales = scene.actors[k], scene.scales
-        root, self.actor, self.last = f"{WORLD}/run {k + 1}", actor, -1
+        root, self.actor, self.now = f"{WORLD}/run {k + 1}", actor, actor.at(actor.t[0])
         self.root = server.scene.add_frame(root, show_axes=False)
         self.frames = []
         for count, body in enumerate(actor.bodies, 1):
             name = f"{root}/body {count}"  # not the part's name, which another node may have
-            self.frames.append(
-                (server.scene.add_frame(name, show_axes=False), body.origins, body.quaternions)
-            )
+            self.frames.append(server.scene.add_frame(name, show_axes=False))
             for number, (mesh, color) in enumerate(body.meshes):
                 server.scene.add_mesh_simple(
                     f"{name}/{number}",
@@ -230,18 +227,13 @@ class _RunNodes:
             precision="float32",
         )
         sizes: dict[str, Any] = {name: size * scene.reach for name, size in ARROW.items()}
-        self.arrows: list[tuple[Any, Arrows]] = []
+        self.arrows: dict[str, Any] = {}  # by name
         for each in actor.arrows:
             if scene.scales[each.name]:
                 node = f"{root}/here/{each.name}"
                 server.scene.add_frame(node, show_axes=False)  # to hide the arrows at all times
-                self.arrows.append(
-                    (
-                        server.scene.add_arrows(
-                            f"{node}/arrows", np.zeros((1, 2, 3)), ARROWS[each.name], **sizes
-                        ),
-                        each,
-                    )
+                self.arrows[each.name] = server.scene.add_arrows(
+                    f"{node}/arrows", np.zeros((1, 2, 3)), ARROWS[each.name], **sizes
                 )
         # tracks of contact points, raised against flicker; those of plans are dashed
         every = max(1, actor.t.size // MOST)
@@ -260,27 +252,26 @@ class _RunNodes:
 
     @property
     def position(self) -> Array:
-        return np.asarray(self.actor.bodies[0].origins[self.last])
+        return np.asarray(self.now.bodies[0].origins[0])
 
     def show(self, t: float) -> None:
-        actor = self.actor
-        if (k := actor.sample(t)) == self.last:
-            return
-        self.last = k
-        for node, origins, quaternions in self.frames:
-            node.position, node.wxyz = origins[k], quaternions[k]
-        stopped = actor.stop.partition(":")[0] if k == actor.t.size - 1 else ""
-        self.label.text = f"{actor.name}, {stopped or f't = {actor.t[k]:.2f} s'}"
+        self.now = actor = self.actor.at(t)
+        for node, body in zip(self.frames, actor.bodies, strict=True):
+            node.position, node.wxyz = body.origins[0], body.quaternions[0]
+        stopped = actor.stop.partition(":")[0] if actor.t[0] == self.actor.t[-1] else ""
+        self.label.text = f"{actor.name}, {stopped or f't = {actor.t[0]:.2f} s'}"
         self.label.position = self.position + self.above
         self.here.position = self.position
-        touching = np.isfinite(actor.contacts[k]).all(axis=-1)
+        touching = np.isfinite(actor.contacts[0]).all(axis=-1)
         self.contacts.visible = bool(touching.any())
         if touching.any():
-            points = actor.contacts[k, touching] - self.position
+            points = actor.contacts[0, touching] - self.position
             self.contacts.points = points.astype(np.float32)
-        for node, each in self.arrows:
-            vectors = each.vectors[k] * self.scales[each.name]
-            lines = np.stack([each.starts[k], each.starts[k] + vectors], axis=1) - self.position
+        for each in actor.arrows:
+            if each.name not in self.arrows:
+                continue
+            node, vectors = self.arrows[each.name], each.vectors[0] * self.scales[each.name]
+            lines = np.stack([each.starts[0], each.starts[0] + vectors], axis=1) - self.position
             kept = np.isfinite(lines).all(axis=(1, 2)) & (np.linalg.norm(vectors, axis=-1) > 0)
             lines = lines[kept].astype(np.float32)
             node.visible = len(lines) > 0
