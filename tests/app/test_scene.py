@@ -47,7 +47,7 @@ friction = 0.6""" + rough_ground(
     "[-6, 6]", "[-6, 6]", 0.25, "rms = 0.1, longest = 8.0, shortest = 2.0", 11
 )
 NAMED = (
-    'verb = "direct"\n[terrain]\nfile = "hills.npz"\n[vehicle]\nfile = "trike.toml"\n'
+    'verb = "direct"\n[terrain]\nfile = "flat.npz"\n[vehicle]\nfile = "cart.urdf"\n'
     '[start]\nheading = 0.2\n[driver]\nname = "straight"\nspeed = 0.3\n'
     "[time]\nduration = 0.4\nstep = 0.1\n"
 )
@@ -172,10 +172,12 @@ def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:
 def test_blocked_ground_is_gray(drive: Driven) -> None:
     from slipfree.geometry.regions import Region
 
-    at = (1.5, 0.0)
-    scene = drive_scene([drive._replace(keep_out=(Region.disc(*at, 0.5),))], with_poses=True)
+    plan = drive._replace(keep_out=(Region.disc(1.5, 0.0, 0.5),), places=(("goal", 0.5, 1.0),))
+    scene = drive_scene([plan], with_poses=True)
+    border = (scene.ground.lines[-2].segments + scene.origin)[..., :2] - (1.5, 0.0)
+    assert_allclose(np.linalg.norm(border, axis=-1), 0.5, rtol=2e-3)
     assert [layer.name for layer in scene.ground.layers[2:]] == ["traversability"]
-    away = np.hypot(*(scene.ground.mesh.vertices + scene.origin)[:, :2].T - np.array(at)[:, None])
+    away = np.hypot(*(scene.ground.mesh.vertices + scene.origin)[:, :2].T - [[1.5], [0.0]])
     gray = (scene.ground.layers[2].colors == BLOCKED).all(axis=1)
     assert gray[away < 1.5].all()
     assert not gray.all()
@@ -432,10 +434,9 @@ def test_meshes_of_a_urdf_are_drawn(tmp_path: Path) -> None:
     (tmp_path / "cart.urdf").write_text(text, encoding="utf-8")
     trimesh.creation.box((1.0, 0.6, 0.2)).export(tmp_path / "body.stl")
     trimesh.creation.icosphere(radius=0.15).export(tmp_path / "wheel.stl")  # lidar.stl is missing
-    problem = NAMED.replace('"trike.toml"', '"cart.urdf"').replace('"hills.npz"', '"flat.npz"')
     x = np.linspace(-3, 3, 13)
     np.savez(tmp_path / "flat.npz", x=x, y=x, z=np.zeros((13, 13)))
-    found = shown(solved(tmp_path, "cart", problem), "cart")
+    found = shown(solved(tmp_path, "cart", NAMED), "cart")
     assert isinstance(found, Driven)
     actor = drive_scene([found]).actors[0]
     bodies = {each.name: each for each in actor.bodies}

@@ -31,6 +31,9 @@ from slipfree.show.meshes import (
 )
 from slipfree.show.scene import (
     BLOCKED,
+    LIFT,
+    PLAN_LINES,
+    RED,
     Actor,
     Arrows,
     Backdrop,
@@ -59,6 +62,7 @@ FINE = 0.125  # distance of nodes near the paths [reach of the vehicle]
 SEEN = 0.1  # larger distances of wheels from the drawn ground cause a warning [wheel radius]
 AROUND = 1.6  # half the width of the ground around the vehicle in a film [reach of the vehicle]
 CELLS = 24  # nodes of the ground around the vehicle in a film, per side
+PLACE_COLOR = (0, 0, 0)  # of start, way-points and goal of a plan
 CLOSEST_COLOR = (120, 0, 160)  # of the place where a body came closest to the ground
 ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform [wheel radius]
 NARROW = 0.55  # width of the platform [width of the vehicle]
@@ -74,6 +78,7 @@ class Driven(NamedTuple):
     terrain: Bicubic
     vehicle: Vehicle
     keep_out: tuple[Region, ...] = ()  # of a plan
+    places: tuple[tuple[str, float, float], ...] = ()  # names, x, y of start, way-points, goal [m]
     plan: Trajectory | None = None  # the plan that the motion simulates, with contact points
     prisms: tuple[Prism, ...] = ()  # solids on the ground
     robot: Robot | None = None  # URDF of the vehicle; None without one
@@ -108,6 +113,7 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
     lines = (
         *map_lines(drawn, first.terrain, window, origin, reach),
         *_closest(drives, origin, reach),
+        *_plan_lines(first, window, origin, reach),
     )
     gray = np.tile(np.array(BLOCKED, np.uint8), (sum(len(each.vertices) for each in solids), 1))
     ground = SceneGround(
@@ -140,6 +146,33 @@ def _closest(drives: Sequence[Driven], origin: Array, reach: float) -> Iterable[
         labels = tuple((each.words, top) for each, top in zip(places, tops, strict=True))
         legend = "bodies above the ground"
         yield Lines("closest", legend, CLOSEST_COLOR, np.stack([feet, tops], axis=1), labels)
+
+
+def _plan_lines(first: Driven, window: Window, origin: Array, reach: float) -> Iterator[Lines]:
+    """Yield borders of keep-out regions, and posts at start, way-points and goal, of a plan."""
+
+    def draped(points: Array) -> Array:  # within the drawn ground
+        x, y = np.clip(points.T, *np.reshape(window, (2, 2)).T[..., None])
+        z = first.terrain.elevation(x, y) + LIFT * reach
+        return np.asarray(np.stack([x, y, z], axis=-1) - origin)
+
+    borders = list[Array]()
+    for region in first.keep_out:
+        closed = np.concatenate([region.outline, region.outline[:1]])
+        corners = np.arange(len(closed))
+        at = np.linspace(0, corners[-1], 20 * len(closed))
+        line = draped(np.stack([np.interp(at, corners, closed[:, k]) for k in (0, 1)], axis=1))
+        borders.append(np.stack([line[:-1], line[1:]], axis=1))
+    if borders:
+        yield Lines(PLAN_LINES[0], "regions of the plan", RED, np.concatenate(borders))
+    if first.places:
+        feet = draped(np.array([place[1:] for place in first.places]))
+        tops = feet + np.array([0.0, 0.0, reach])
+        names = (place[0] for place in first.places)
+        labels = tuple(zip(names, tops, strict=True))
+        yield Lines(
+            PLAN_LINES[1], "of the plan", PLACE_COLOR, np.stack([feet, tops], axis=1), labels
+        )
 
 
 def _solid_meshes(
@@ -177,7 +210,13 @@ def _backdrop(
         return [*faces[whole], *blocks]
 
     def draw(ax: Axes) -> Axes:
-        return ground_drawing.solids(first.prisms, ground_drawing.muted(terrain.grid, ax, window))
+        ground_drawing.solids(first.prisms, ground_drawing.muted(terrain.grid, ax, window))
+        for region in first.keep_out:
+            ax.fill(*region.outline.T, fill=False, ec="black", hatch=ground_drawing.HATCH, lw=0.8)
+        for name, x, y in first.places:
+            marker = {"start": "o", "goal": "*"}.get(name, "D")
+            ax.plot(x, y, marker, mfc="white", mec="black", ms=9 if name == "goal" else 5)
+        return ax
 
     return Backdrop(draw, near, AROUND * reach)
 

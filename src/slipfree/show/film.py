@@ -26,7 +26,7 @@ from slipfree.core.records import Array
 from slipfree.show import style
 from slipfree.show.ground_drawing import DARKEST, LIGHT
 from slipfree.show.plots import Plot
-from slipfree.show.scene import ARROWS, Color, Scene, layer
+from slipfree.show.scene import ARROWS, PLAN_LINES, Color, Scene, layer
 from slipfree.show.style import MM, PAGE, STYLE
 from slipfree.system.regular_files import replace_file
 
@@ -197,12 +197,17 @@ class View:
             ax.add_collection(artist, autolim=False)
 
     def add_paths(self, scene: Scene) -> None:
-        """Add the paths of all platforms."""
+        """Add the paths of all platforms, keep-out regions, start and goal."""
         for actor in scene.actors:
             line = LineCollection([], colors=[_shares(actor.color)], zorder=1, lw=1.2)
             line.set_linestyle("--" if actor.ghost else "-")
             self.ax.add_collection(line, autolim=False)
-            self.paths.append((actor.bodies[0].origins, line))
+            self.paths.append((actor.bodies[0].origins[None], line))
+        for each in scene.ground.lines:
+            if each.name in PLAN_LINES:
+                line = LineCollection([], colors=[_shares(each.color)], zorder=1, lw=1.2)
+                self.ax.add_collection(line, autolim=False)
+                self.paths.append((each.segments, line))
 
     def show(self, scene: Scene, t: float, ground: tuple[Array, Array] | None = None) -> None:
         """Draw the first vehicle of a scene at a time [s], by default on gray ground."""
@@ -214,7 +219,7 @@ class View:
         else:
             draw_faces(self.ground, *ground, middle)
         for path, line in self.paths:
-            line.set_segments([projected(path, middle)[:, :2]])
+            line.set_segments([*projected(path, middle)[..., :2]])
         faces, colors = list[Array](), list[Array]()
         for body in actor.bodies:
             for mesh, color in body.meshes:

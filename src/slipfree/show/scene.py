@@ -41,6 +41,7 @@ CONTOURS, CELLS = 12, 8  # maximum number of contours, and of grid cells along t
 STEPS = (1, 2, 5, 10)  # round numbers, times a power of ten
 SAMPLES = 240  # samples of a grid line
 ARROW = 0.09  # length of the arrow to the north [longer side of the drawn ground]
+PLAN_LINES = "keep-out", "places"  # lines that pictures have as well
 GRAY, BROWN, RED = (70, 70, 70), (60, 40, 20), (190, 30, 30)
 
 

@@ -230,7 +230,8 @@ class PlanVerb(DriveVerb):
         """Return the motion of a result with ground, vehicle, keep-out regions and plan."""
         driven, problem = super().shown(result, name), result.problem
         planned = poses_of_plan(result.trajectory, result.arrays, driven.terrain)
-        return driven._replace(keep_out=regions(problem), plan=planned)
+        places, _ = places_of(problem, driven.terrain.domain)
+        return driven._replace(keep_out=regions(problem), plan=planned, places=places)
 
 
 def _lines_as_arrays(name: str, lines: Sequence[Array]) -> dict[str, Array]:
