@@ -209,7 +209,7 @@ def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch
     stop = run_problem(load_problem(HILLS, settings)).trajectory.stop
     assert stop.name == "plan_accuracy"
     assert stop.outcome is Outcome.INACCURATE
-    assert "the plan is solved, but its simulation misses x by" in stop.words
+    assert "no usable plan: its simulation misses x by" in stop.words
     assert " m, " in stop.words
     assert "plan.accuracy allows 1e-07: refinements of its mesh did not suffice" in stop.words
 

@@ -130,7 +130,7 @@ def test_an_interrupted_refinement_gives_no_advice_on_the_mesh():
     assert stop.name == "plan_accuracy"
     assert stop.outcome is Outcome.INTERRUPTED
     pattern = (
-        r"the plan is solved, but its simulation misses x by [\d.e-]+ m, .* rad.*; "
+        r"no usable plan: its simulation misses x by [\d.e-]+ m, .* rad.*; "
         "plan.accuracy allows 1e-07: the refinement of its mesh was stopped"
     )
     assert re.fullmatch(pattern, stop.words)

@@ -8,7 +8,7 @@ import pytest
 
 from helpers.cases import hills
 from helpers.toy_models import task, toy
-from slipfree import Analytic, direct_kinematics, settle, simulate
+from slipfree import Analytic, Outcome, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
@@ -433,9 +433,9 @@ def test_price_of_a_limited_cost_is_its_lagrange_multiplier():
 
 
 @pytest.mark.slow
-def test_a_plan_that_is_not_solved_has_no_prices(model):
-    search = Search(progress=lambda _words, iterate: iterate.number < 1)
-    found = planned(model, search=search)
-    assert not found.success
+@pytest.mark.parametrize("limit", [{"progress": lambda _, it: it.number < 1}, {"seconds": 1e-3}])
+def test_a_plan_that_is_not_solved_has_no_prices(model, limit):
+    found = planned(model, search=Search(**limit))
+    assert (found.success, found.run.outcome is Outcome.TIME_LIMIT) == (False, "seconds" in limit)
     assert found.optimality is None
     assert found.prices == ()

@@ -97,7 +97,8 @@ def resume_command(run: Trajectory, out: Path, *options: str) -> str:
 
     attributes = run.attributes
     verb = find_motion_verb(attributes.get(VERB_ATTRIBUTE))
-    if run.outcome is not Outcome.INTERRUPTED or verb is None or RESUME not in verb.options:
+    has_more = run.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT)
+    if not has_more or verb is None or RESUME not in verb.options:
         return ""
     file = Path(attributes["problem_folder"]) / attributes["problem_file"]
     lines = attributes.get("settings", "").splitlines()

@@ -23,12 +23,12 @@ from slipfree.core.records import (
     Label,
     Mask,
     Record,
-    field_overview,
     leaves,
     overview,
     pack,
     quantity_names,
     unpack,
+    with_overview,
 )
 from slipfree.core.schema import Finite
 from slipfree.core.trajectory import Trajectory
@@ -42,6 +42,7 @@ LIMIT_ROUNDING = (
 )
 
 
+@with_overview
 class Limit(NamedTuple):
     """Limit of a motion: the motion ends where ``lower <= expression <= upper`` is violated.
 
@@ -69,9 +70,6 @@ class Limit(NamedTuple):
     upper: float
     describe: Callable[[Array, Array], str] | None = None
     outcome: Outcome = Outcome.LIMIT
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
     def message(self, value: float, x: Array, z: Array) -> str:
         """Return the message of a violation by a value, in a local state."""

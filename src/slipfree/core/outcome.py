@@ -13,6 +13,9 @@ NOT_FINITE = "the residuals of the equations are not finite"
 RATES_NOT_FINITE = "the rates are not finite"
 INTEGRAL_NOT_FINITE = "an integrated quantity is not finite"
 TOO_LONG = "the search reached its time limit"
+FUTILE_STATUS = (
+    "Violation_Not_Reduced"  # own status: IPOPT was stopped, see `MAX_FUTILE_ITERATIONS`
+)
 MALFORMED = "the nonlinear program is malformed: please report this as a bug in slipfree"
 IPOPT_STATUSES = {
     "Solve_Succeeded": "the plan is solved",
@@ -24,6 +27,7 @@ IPOPT_STATUSES = {
     "Maximum_CpuTime_Exceeded": TOO_LONG,
     "Maximum_WallTime_Exceeded": TOO_LONG,
     "User_Requested_Stop": "the search was stopped",
+    FUTILE_STATUS: "the search was given up, since it did not reduce the violation of constraints",
     "Diverging_Iterates": "the unknowns grow without bound: add bounds to quantities in the cost",
     "Search_Direction_Becomes_Too_Small": "the search made no further progress",
     "Error_In_Step_Computation": "the next step of the search could not be computed",
@@ -79,6 +83,7 @@ class Outcome(Enum):
     NO_EQUILIBRIUM = "no equilibrium: the forces that friction allows cannot continue the motion"
     INFEASIBLE = "infeasible: the search ended without a plan that meets all constraints"
     INACCURATE = "inaccurate: the simulation deviates from the plan by more than the tolerance"
+    TIME_LIMIT = "time limit reached: the search ended without a plan; what it found is kept"
     INTERRUPTED = "interrupted: Ctrl-C or a progress callable ended the run; its samples are kept"
     SOLVER_FAILURE = "solver failure: the solver found no solution; earlier samples are kept"
 
@@ -97,7 +102,8 @@ class Outcome(Enum):
 
 def ipopt_words(status: str) -> str:
     """Return the meaning of a status of IPOPT, followed by the status in parentheses."""
-    return f"{IPOPT_STATUSES.get(status, 'the search failed')} (IPOPT: {status})"
+    words = IPOPT_STATUSES.get(status, "the search failed")
+    return words if status == FUTILE_STATUS else f"{words} (IPOPT: {status})"
 
 
 def sundials_words(message: str) -> str:

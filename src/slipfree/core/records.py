@@ -117,6 +117,12 @@ def field_overview(record: Any) -> str:
     )
 
 
+def with_overview(kind: type[T]) -> type[T]:
+    """Return a class whose `repr` is `field_overview`; named tuples cannot inherit it."""
+    kind.__repr__ = field_overview  # type: ignore[method-assign]
+    return kind
+
+
 def _short(value: Any) -> str:
     """Return the repr of a value; for arrays and long reprs, the type and size of the value."""
     if isinstance(value, str):

@@ -11,7 +11,7 @@ import numpy as np
 from slipfree.core.errors import ModelError, SlipfreeError, require, similar
 from slipfree.core.facts import Fact, Facts, encode
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import Array, Label, field_overview, overview
+from slipfree.core.records import Array, Label, overview, with_overview
 
 if TYPE_CHECKING:
     import pandas
@@ -36,6 +36,7 @@ FIGURE_SAMPLES = 4000  # number of samples in figures, a few per pixel
 SCENE_SAMPLES = 20_000  # number of samples in scenes and films
 
 
+@with_overview
 class Stop(NamedTuple):
     """Reason why a motion ended before the last requested time, or why a plan is incomplete.
 
@@ -72,19 +73,14 @@ class Stop(NamedTuple):
     words: str
     outcome: Outcome
 
-    def __repr__(self) -> str:
-        return field_overview(self)
 
-
+@with_overview
 class Column(NamedTuple):
     """One quantity over time: its label and its values."""
 
     label: Label  # name, unit and description
     # samples in the label's unit, shape (n,) or, for quantities of wheels, (n, n_wheels)
     values: Array
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
     @property
     def dimensions(self) -> tuple[str, ...]:

@@ -50,6 +50,7 @@ class Violation(NamedTuple):
     bound: float  # violated bound as reported (`Dae.reported`), in the label's unit
     value: float  # value of the quantity, likewise
     role: str  # "equation", "limit", "input", "cost", "goal" or name of a way-point
+    place: str  # text with time and position on the map, if the model has a position
 
 
 class Constraint(NamedTuple):
@@ -143,8 +144,19 @@ def worst_violations(program: Program, values: Array) -> Iterator[tuple[float, V
                     float(bound + group.shift),
                     float(here[k] + group.shift),
                     group.role,
+                    place_words(program, values, group.parts[k]),
                 ),
             )
+
+
+def place_words(program: Program, values: Array, fraction: float) -> str:
+    """Return time and map coordinates of a motion at the node nearest to a fraction of time."""
+    dae, layout, n_g = program.task.dae, program.layout, program.g_lower.size
+    node = int(np.abs(program.mesh.nodes - fraction).argmin())
+    where = n_g + np.vstack([layout.first, layout.states.reshape(-1, layout.first.size)])[node]
+    named = dict(zip(dae.state_names, values[where] + dae.shift[0], strict=True))
+    words = [f"{axis} = {named[axis]:.2f} m" for axis in ("x", "y") if axis in named]
+    return ", ".join([f"t = {fraction * values[n_g + layout.duration]:.4g} s", *words])
 
 
 def bound_of(group: Constraint, sign: float) -> float:

@@ -240,7 +240,7 @@ def violations(program: Program, solution: NlpSolution) -> list[Violation]:
 
 def violation_words(violation: Violation) -> str:
     """Return a sentence with the quantity, size, bound and time of a violation."""
-    label, role, at = violation.label, violation.role, f"at t = {violation.t:.4g} s"
+    label, role, at = violation.label, violation.role, f"at {violation.place}"
     size = number(label, violation.size)
     if role == EQUATION:
         return f"{subject(label, role)} ({label.words}) has a residual of {size} {at}"
@@ -286,7 +286,7 @@ def _relaxation_lines(relaxation: Relaxation) -> list[str]:
     for each in relaxation.relaxed:
         given, needed = (number(each.label, value) for value in (each.bound, each.value))
         lines.append(
-            f"  {subject(each.label, each.role)}: {needed} instead of {given} at t = {each.t:.4g} s"
+            f"  {subject(each.label, each.role)}: {needed} instead of {given} at {each.place}"
         )
     if relaxation.opposing:
         lines.append(

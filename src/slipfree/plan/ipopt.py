@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -9,15 +10,21 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.nlp import Nlp
-from slipfree.core.outcome import ipopt_words
-from slipfree.core.records import Array, field_overview
+from slipfree.core.outcome import FUTILE_STATUS, ipopt_words
+from slipfree.core.records import Array, with_overview
 from slipfree.core.trajectory import SolverError
+from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.transcription import Program, completed
 from slipfree.system.interrupt import InterruptGuard, with_interrupt_guard
 
 INFEASIBLE_STATUS = "Infeasible_Problem_Detected"
 SOLVED_STATUS = "Solve_Succeeded"
 STOPPED_STATUS = "User_Requested_Stop"  # status after the callback returned False
+TIME_STATUS = "Maximum_WallTime_Exceeded"
+ENDED_STATUSES = (STOPPED_STATUS, TIME_STATUS)  # no further program is solved after them
+MAX_FUTILE_ITERATIONS = 150  # without halving the violation; searches that succeed need up to 61
+RISING_SPAN = 10  # iterations after which a larger violation counts as rising
+LEAST_SECONDS = 1e-3  # smallest time limit: IPOPT then evaluates its first iterate
 MAX_ITERATIONS = 500
 MAX_VIOLATION_GROWTH = 10.0  # searches stall more often with larger values
 OTHER_VIOLATION_GROWTH = 100.0  # for the repetition of a search without progress
@@ -52,8 +59,10 @@ class Iterate(NamedTuple):
     violation: float  # largest violation of the bounds of a row, in its unit
     unknowns: Array  # shape (n_w,): unknowns, not scaled
     program: Program  # the nonlinear program
+    is_rising: bool = False  # whether the violation is larger than ten iterations before
 
 
+@with_overview
 class NlpSolution(NamedTuple):
     """Solution of a nonlinear program; if the search failed, its best or last iterate."""
 
@@ -63,22 +72,23 @@ class NlpSolution(NamedTuple):
     row_multipliers: Array  # shape (n_g,): lagrange multipliers of the rows
     bound_multipliers: Array  # shape (n_w,): of the bounds of the scaled unknowns
     status: str  # return status of IPOPT
-    success: bool  # whether IPOPT reports a solution
+    success: bool  # whether IPOPT reports a solution, or its time ended where all bounds are met
     iterations: int  # number of iterations
     seconds: dict[str, float]  # wall time: total, functions (evaluation) and rest [s]
 
-    def __repr__(self) -> str:
-        return field_overview(self)
-
 
 class _IterateWatcher(ca.Callback):
-    """CasADi callback that records the iterate of smallest violation and can stop IPOPT."""
+    """CasADi callback that records the best iterate and stops IPOPT.
+
+    The best iterate has the smallest violation or, among those that meet all bounds, least cost.
+    """
 
     def __init__(
         self, program: Program, on_iterate: IterateCallback, guard: InterruptGuard
     ) -> None:
         ca.Callback.__init__(self)
-        self.program, self.on_iterate, self.guard, self.count = program, on_iterate, guard, 0
+        self.program, self.on_iterate, self.guard = program, on_iterate, guard
+        self.violations: list[float] = []
         self.best: tuple[Iterate, Array] | None = None
         self.sizes = (program.scale.size, program.g_lower.size, program.problem["p"].numel())
         self.construct("watch", {})
@@ -86,18 +96,6 @@ class _IterateWatcher(ca.Callback):
     def get_n_in(self) -> int:
         """Return the number of arguments, one for each result of ``nlpsol``."""
         return int(ca.nlpsol_n_out())
-
-    def get_n_out(self) -> int:
-        """Return the number of results."""
-        return 1
-
-    def get_name_in(self, index: int) -> str:
-        """Return the name of an argument."""
-        return str(ca.nlpsol_out(index))
-
-    def get_name_out(self, _index: int) -> str:
-        """Return the name of the result."""
-        return "stop"
 
     def get_sparsity_in(self, index: int) -> ca.Sparsity:
         """Return the sparsity of an argument: a dense column."""
@@ -114,15 +112,34 @@ class _IterateWatcher(ca.Callback):
             rows = np.array(values["g"]).ravel()
             unknowns = np.array(values["x"]).ravel() * self.program.scale
             over = largest_violation(self.program, rows)
-            iterate = Iterate(self.count, float(values["f"]), over, unknowns, self.program)
-            if self.best is None or over < self.best[0].violation:
+            count = len(self.violations)
+            is_rising = count >= RISING_SPAN and over > self.violations[-RISING_SPAN]
+            iterate = Iterate(count, float(values["f"]), over, unknowns, self.program, is_rising)
+            if self.best is None or _rank(iterate) < _rank(self.best[0]):
                 self.best = iterate, rows
-            self.count += 1
+            self.violations.append(over)
             goes_on = self.guard.call(self.on_iterate, iterate)
-            return [0.0 if goes_on else 1.0]
+            return [0.0 if goes_on and not self.is_futile else 1.0]
         except BaseException as error:
             self.guard.keep(error)
             return [1.0]
+
+    @property
+    def is_futile(self) -> bool:
+        """Whether the last iterations did not halve the violation, and no bounds were met."""
+        last = self.violations[-MAX_FUTILE_ITERATIONS:]
+        before = min(self.violations[:-MAX_FUTILE_ITERATIONS], default=0.0)
+        return before > VIOLATION_TOLERANCE and min(last) > max(before / 2, VIOLATION_TOLERANCE)
+
+
+def _rank(iterate: Iterate) -> tuple[float, float]:
+    violation = max(iterate.violation, VIOLATION_TOLERANCE)
+    return violation, iterate.cost if violation == VIOLATION_TOLERANCE else 0.0
+
+
+def seconds_left(deadline: float) -> float:
+    """Return the time until a value of `time.monotonic`, positive even after it [s]."""
+    return max(deadline - time.monotonic(), LEAST_SECONDS)
 
 
 def largest_violation(program: Program, rows: Array) -> float:
@@ -143,8 +160,10 @@ def solve_program(
     """Return the solution of a nonlinear program, warm-started by the multipliers of ``warm``.
 
     If IPOPT fails, return the iterate with the smallest constraint violation; if it reports an
-    infeasible problem, its last iterate. Roots of squared cost terms (`stage_functions`) in
-    ``first`` are computed from the other unknowns. ``growth`` is IPOPT's ``theta_max_fact``.
+    infeasible problem, its last iterate. The search ends at the deadline of the task, or after
+    `MAX_FUTILE_ITERATIONS` that do not halve the violation. Roots of squared cost terms
+    (`stage_functions`) in ``first`` are computed from the other unknowns. ``growth`` is IPOPT's
+    ``theta_max_fact``.
     """
     arguments = {
         "x0": completed(program, first) / program.scale,
@@ -159,6 +178,7 @@ def solve_program(
     ipopt = ({} if warm is None else WARM_OPTIONS) | {
         "max_iter": iterations,
         "theta_max_fact": growth,
+        "max_wall_time": min(seconds_left(program.task.deadline), 1e20),  # IPOPT's default
     }
     if warm is not None and program.task.dae.replay:  # see "mu_strategy" in `_ipopt_solver`
         ipopt["mu_init"] = WARM_MONOTONE_BARRIER
@@ -170,10 +190,14 @@ def solve_program(
         solution = _to_solution(program.scale, solver(**arguments), solver.stats())
     if solution.success or solution.status == INFEASIBLE_STATUS or watch.best is None:
         return solution
+    if solution.status == STOPPED_STATUS and watch.is_futile:
+        solution = solution._replace(status=FUTILE_STATUS)
     best, rows = watch.best
-    if best.violation >= largest_violation(program, solution.rows):
-        return solution
-    return solution._replace(unknowns=best.unknowns, rows=rows, cost=best.cost)
+    last = largest_violation(program, solution.rows)
+    if _rank(best) < _rank(best._replace(violation=last, cost=solution.cost)):
+        solution = solution._replace(unknowns=best.unknowns, rows=rows, cost=best.cost)
+    met = largest_violation(program, solution.rows) <= VIOLATION_TOLERANCE
+    return solution._replace(success=met and solution.status == TIME_STATUS)
 
 
 def warm_solver(program: Program, iterations: int, *, full_steps: bool = True) -> ca.Function:

@@ -21,7 +21,7 @@ from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate, run_buffered
 from slipfree.core.outcome import ipopt_words
-from slipfree.core.records import Array, Record, field_overview
+from slipfree.core.records import Array, Record, field_overview, with_overview
 from slipfree.core.schema import Finite
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.plan.ipopt import MAX_ITERATIONS, largest_violation, warm_solver
@@ -66,10 +66,10 @@ class Horizon:
     solver: ca.Function  # solver that makes the iterations of one cycle, from `warm_solver`
     careful: ca.Function  # the same with a line search, for cycles in which full steps fail
 
-    def __repr__(self) -> str:
-        return field_overview(self)
+    __repr__ = field_overview
 
 
+@with_overview
 class Cycle(NamedTuple):
     """Solution of one cycle, the initial guess of the next cycle."""
 
@@ -78,9 +78,6 @@ class Cycle(NamedTuple):
     row_multipliers: Array  # shape (n_g,): lagrange multipliers of the rows
     bound_multipliers: Array  # shape (n_w,): of the bounds of the scaled unknowns
     violation: float  # largest violation of a row of the program, in its unit
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
 
 @computing

@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 
 from slipfree.core.dae import Limit
-from slipfree.core.records import Array, Label, Mask, field_overview
+from slipfree.core.records import Array, Label, Mask, with_overview
 from slipfree.plan.constraints import (
     COST,
     DURATION,
@@ -59,6 +59,7 @@ class ActiveSet(NamedTuple):
     weak: int  # number of inequalities whose distance and multiplier are both near zero
 
 
+@with_overview
 class Optimality(NamedTuple):
     """Result of the check of the second-order conditions at a solution.
 
@@ -77,9 +78,6 @@ class Optimality(NamedTuple):
     directions: int
     curvature: float
     weak: int
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
     @property
     def is_minimum(self) -> bool:
@@ -213,6 +211,7 @@ def _extreme_eigenvalues(operator: Operator, size: int) -> tuple[float, float]:
     return low, high
 
 
+@with_overview
 class Price(NamedTuple):
     """Shadow price of a limit of a plan: derivative of the optimal cost with respect to its bound.
 
@@ -242,9 +241,6 @@ class Price(NamedTuple):
     rate: float
     share: float
     active: int
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
     @property
     def step(self) -> float:

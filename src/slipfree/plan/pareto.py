@@ -15,12 +15,13 @@ import numpy as np
 
 from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import field_overview
+from slipfree.core.records import with_overview
 
 SLACK = 0.01  # relative distance of the smallest bound from the least second objective
 MARGIN = 1e-3  # smallest relative gain of a point that dominates another
 
 
+@with_overview
 class FrontPoint(NamedTuple):
     """Point of a Pareto front: minimum of the first objective for a bound on the second one."""
 
@@ -32,9 +33,6 @@ class FrontPoint(NamedTuple):
     words: str = ""  # reason of another outcome
     solution: Any = None  # solution, from which others start
     is_dominated: bool = False  # a local optimum, but not a global one
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
     @property
     def is_solved(self) -> bool:

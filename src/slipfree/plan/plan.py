@@ -24,7 +24,7 @@ from slipfree.core.schema import NonNegative, Positive
 from slipfree.core.trajectory import PLAN, PLAN_UNVERIFIED, Drawable, Stop, Trajectory, path_length
 from slipfree.plan.explanation import explanation
 from slipfree.plan.guess import initial_guess
-from slipfree.plan.ipopt import STOPPED_STATUS, NlpSolution
+from slipfree.plan.ipopt import STOPPED_STATUS, TIME_STATUS, NlpSolution
 from slipfree.plan.optimality import Optimality, Price, check_optimality, limit_prices
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
@@ -64,6 +64,7 @@ from slipfree.system.interrupt import with_interrupt_guard
 
 MIN_INTERVALS = 40  # least default number of intervals
 INTERVAL_SIZES = 2.0  # largest length of a default interval, in sizes of the vehicle
+SEARCH_SHARE = 0.8  # of the time limit; the rest is for the verification or the explanation
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,14 +166,15 @@ class Plan(SimulatedPlan, Drawable):
     @cached_property
     def optimality(self) -> Optimality | None:
         """Second-order conditions at the solution; None if the program was not solved."""
-        if not self.success:
+        if not self.success or self.solution.status == TIME_STATUS:
             return None
         return check_optimality(self.program, self.solution, cost_weights(self.program, 1.0))
 
     @cached_property
     def prices(self) -> tuple[Price, ...]:
         """Shadow prices of active limits, largest saving first; empty if ``success`` is False."""
-        return limit_prices(self.program, self.solution) if self.success else ()
+        is_optimal = self.success and self.solution.status != TIME_STATUS
+        return limit_prices(self.program, self.solution) if is_optimal else ()
 
 
 @checked
@@ -290,7 +292,7 @@ def plan(
     >>> found.success
     True
     """
-    clock = time.process_time()
+    clock, begun = time.process_time(), time.monotonic()
     guess = () if guess is None else guess
     motions = [guess] if isinstance(guess, Trajectory) else list(guess)
     task = task_of(
@@ -308,6 +310,7 @@ def plan(
         cost_limits=cost_limits,
         initial_inputs=initial_inputs,
     )
+    task = replace(task, deadline=begun + SEARCH_SHARE * search.seconds)
     former = search.resume
     nominal = [float(motion.t[-1] - motion.t[0]) for motion in motions]
     if not motions and former is None:
@@ -341,8 +344,10 @@ def plan(
     program, solution = best.program, best.found
     run = sample_plan(program, solution.unknowns) if best.run is None else best.run
     if not solution.success:
-        why = explanation(program, solution, best.first)
-        run = replace(run, stop=Stop(PLAN, float(run.t[-1]), why.words, why.outcome))
+        longer = replace(program, task=replace(program.task, deadline=begun + search.seconds))
+        why = explanation(longer, solution, best.first)
+        outcome = Outcome.TIME_LIMIT if solution.status == TIME_STATUS else why.outcome
+        run = replace(run, stop=Stop(PLAN, float(run.t[-1]), why.words, outcome))
     iterations = sum(stage.iterations for stage in best.stages)
     statistics = {
         "cpu_seconds": time.process_time() - clock,
@@ -405,10 +410,7 @@ def _as_plan(search: SearchState, run: Trajectory, verification: Verification) -
     motion = motion_of(program, solution.unknowns)
     return Plan(
         motion,
-        verification.replay,
-        verification.difference,
-        verification.violation,
-        verification.units,
+        *verification[:4],
         cost_terms(program, solution.unknowns),
         solution.success,
         verification.accurate,

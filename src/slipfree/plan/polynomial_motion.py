@@ -11,7 +11,7 @@ import numpy as np
 
 from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError
-from slipfree.core.records import Array, field_overview, leaves
+from slipfree.core.records import Array, leaves, with_overview
 from slipfree.core.trajectory import Trajectory
 from slipfree.plan.ipopt import NlpSolution
 from slipfree.plan.transcription import (
@@ -32,15 +32,13 @@ FRACTION_TOLERANCE = 1e-12  # relative difference of times that count as equal
 ARRAY_PREFIX = "plan_"  # prefix of the names of the arrays in a file
 
 
+@with_overview
 class PolynomialMotion(NamedTuple):
     """Motion as polynomials of time on the intervals of a mesh, in local coordinates."""
 
     mesh: CollocationMesh  # mesh of the polynomials
     layout: VariableLayout  # indices among the unknowns
     unknowns: Array  # shape (n_w,): unknowns of a program, not scaled
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
     @property
     def duration(self) -> float:
@@ -250,6 +248,7 @@ def _integrate(rates: Array, lengths: Array) -> Array:
     return np.column_stack([np.zeros(len(rates)), total])
 
 
+@with_overview
 class SavedPlan(NamedTuple):
     """Arrays of a plan, for a warm start of another plan.
 
@@ -279,9 +278,6 @@ class SavedPlan(NamedTuple):
     row_multipliers: Array
     shift: Array
     model: Array
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
     @property
     def motion(self) -> PolynomialMotion:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,17 +11,18 @@ from typing import Annotated, NamedTuple
 
 import casadi as ca
 import numpy as np
-from annotated_types import Ge, Le, doc
+from annotated_types import Ge, Gt, Le, Unit, doc
 
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
-from slipfree.core.records import Array, field_overview
+from slipfree.core.records import Array, with_overview
 from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.ipopt import (
+    ENDED_STATUSES,
     OTHER_VIOLATION_GROWTH,
-    STOPPED_STATUS,
     STUCK_STATUSES,
+    TIME_STATUS,
     Iterate,
     NlpSolution,
     largest_violation,
@@ -80,6 +82,11 @@ class Search:
     resume : SavedPlan or None
         Plan from which the search starts instead of from a guess. Its mesh, ground and goal may
         differ. If it starts in another state, only its part after the nearest state is used.
+    seconds : float
+        Time limit of the whole search; a fifth of it is for the verification or the explanation of
+        the result. When it passes, the plan is the cheapest motion found that meets all
+        constraints, and is verified as always; its cost may not be minimal. If there is none, the
+        plan is the iterate with the smallest violation. [s]
     progress : callable or None
         Function called with a description of the program and every iterate. If it returns False,
         the search ends, and the plan is the iterate with the smallest violation.
@@ -103,11 +110,18 @@ class Search:
         ),
     ] = 1
     seed: Annotated[int, Ge(0), doc("seed of the perturbations of the starts")] = 0
+    seconds: Annotated[
+        float,
+        Gt(0),
+        Unit("s"),
+        doc("time limit of the search; it then ends with the best motion found; default: none"),
+    ] = math.inf
     resume: SavedPlan | None = None
     progress: PlanProgress | None = None
     keep: Callable[..., None] | None = None
 
 
+@with_overview
 class LocalOptimum(NamedTuple):
     """Result of the search from one initial guess.
 
@@ -138,9 +152,6 @@ class LocalOptimum(NamedTuple):
     duration: float
     seconds: float
     path: Array
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
     @property
     def rank(self) -> tuple[int, float]:
@@ -202,6 +213,7 @@ def distances(optima: Sequence[LocalOptimum]) -> list[float]:
     return [float(np.linalg.norm(each.path - first, axis=0).max(initial=0.0)) for each in optima]
 
 
+@with_overview
 class SolvedStage(NamedTuple):
     """Program that was solved during a search for a plan."""
 
@@ -210,9 +222,6 @@ class SolvedStage(NamedTuple):
     status: str  # return status of IPOPT
     seconds: dict[str, float]  # wall times, as in `NlpSolution` [s]
     cost: float  # final cost, with the weights of this stage
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
 
 class SearchState(NamedTuple):
@@ -236,7 +245,7 @@ def solve_guesses(
         of = f"guess {number} of {len(guesses)}, " if len(guesses) > 1 else ""
         search = _solve_in_stages(program, guess_unknowns(program, guess), of, progress)
         searches.append(search._replace(name=name, number=number))
-        if search.found.status == STOPPED_STATUS:
+        if search.found.status in ENDED_STATUSES:
             break
     return sorted(searches, key=partial(_rank, program))
 
@@ -256,8 +265,8 @@ def best_verified(
     for search in searches:
         tried.append(_refine(_add_limits(search, progress), verify, progress))
         last, verification = tried[-1]
-        stopped = last.stages[-1].status == STOPPED_STATUS
-        if verification.accurate or not last.found.success or stopped:
+        ended = last.stages[-1].status in ENDED_STATUSES
+        if verification.accurate or not last.found.success or ended:
             break
     best = tried[-1] if tried[-1][1].accurate and tried[-1][0].found.success else tried[0]
     kept = [each for each, _ in tried] + list(searches[len(tried) :])
@@ -317,7 +326,8 @@ def _solve_in_stages(
             and largest_violation(program, more.found.rows) > VIOLATION_TOLERANCE
         ):
             # The previous plan meets all constraints, although its slip is not minimal.
-            kept = found._replace(success=False, status=more.found.status)
+            status = more.found.status
+            kept = found._replace(success=status == TIME_STATUS, status=status)
             return search._replace(found=kept, first=first, stages=stages)
         search = more._replace(stages=stages)
     return search._replace(first=first)

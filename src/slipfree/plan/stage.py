@@ -16,10 +16,11 @@ import numpy as np
 
 from slipfree.core.dae import Limit
 from slipfree.core.lookups import Lookup, found_column, needed_lookups
-from slipfree.core.records import Array, Label, field_overview, leaves
+from slipfree.core.records import Array, Label, leaves, with_overview
 from slipfree.solve.system import Block, System
 
 
+@with_overview
 class Cost(NamedTuple):
     """Term of the cost of a plan: an expression integrated over time.
 
@@ -51,9 +52,6 @@ class Cost(NamedTuple):
     unit: str
     words: str
     weight: float = 1.0
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
     @property
     def label(self) -> Label:

@@ -56,9 +56,9 @@ class PlanTask:
     cost_limits: tuple[tuple[int, float], ...] = ()  # of their integrals, by index of the term
     initial_inputs: Array | None = None  # shape (n_u, 2): at the beginning
     periodic: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))  # in whole turns
+    deadline: float = np.inf  # value of `time.monotonic` at which its solution ends [s]
 
-    def __repr__(self) -> str:
-        return field_overview(self)
+    __repr__ = field_overview
 
 
 @checked
@@ -170,8 +170,7 @@ class Program:
     roots: ca.Function  # function ``x ->`` roots of squared cost terms
     compiled: bool  # whether the functions at the points are compiled
 
-    def __repr__(self) -> str:
-        return field_overview(self)
+    __repr__ = field_overview
 
 
 def transcribe(

@@ -8,6 +8,8 @@ without a jump of states or continuous inputs.
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -17,9 +19,10 @@ import numpy as np
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import Array, Label, field_overview
-from slipfree.core.trajectory import PLAN, SolverError, Stop, Trajectory, joined
+from slipfree.core.records import Array, Label, with_overview
+from slipfree.core.trajectory import PLAN, Stop, Trajectory, joined
 from slipfree.geometry.path import Path
+from slipfree.plan.ipopt import seconds_left
 from slipfree.plan.plan import Plan, SimulatedPlan, plan
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
@@ -33,9 +36,8 @@ from slipfree.plan.polynomial_motion import (
 from slipfree.plan.problem import Range, bounds_of
 from slipfree.plan.search import PlanProgress, Search, SolvedStage, cost_terms
 from slipfree.plan.transcription import Mesh, PlanTask, transcribe
-from slipfree.plan.verification import GUESS_TOLERANCE, simulate_plan
+from slipfree.plan.verification import GUESS_TOLERANCE, simulate_plan, simulate_to_failure
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.simulate import simulate
 from slipfree.system.forks import computing
 
 WINDOW_POINTS = 400  # points of the route in a guess
@@ -47,6 +49,7 @@ TIME_TOLERANCE = 1e-9  # largest difference of times that count as equal [s]
 GOAL_SUFFIX = " at the goal"  # of the violations of conditions at the end of a plan
 
 
+@with_overview
 class RouteWindow(NamedTuple):
     """One window of a long plan."""
 
@@ -57,9 +60,6 @@ class RouteWindow(NamedTuple):
     iterations: int  # of all its programs, including those without solution
     seconds: float  # wall time of these programs [s]
     accurate: bool  # whether differences and violations of its simulation are within the accuracy
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -116,6 +116,7 @@ def plan_windows(
     resume: SavedPlan | None = None,
     progress: PlanProgress | None = None,
     keep: Callable[[LongPlan], None] | None = None,
+    seconds: float = math.inf,
     **arguments: Any,
 ) -> LongPlan:
     """Return a plan along a long route, planned in windows that overlap.
@@ -124,8 +125,8 @@ def plan_windows(
     its left or right. Between these lines the motion may leave the route. ``law`` returns inputs
     that move the vehicle along a path, for guesses; ``length`` and ``overlap`` are along the route
     [m]; ``resume`` is an earlier result that ended before the goal; ``keep`` is called with the
-    plan before each window; ``arguments`` are those of `plan` without ``duration``, ``way_points``
-    and ``cost_limits``.
+    plan before each window; ``seconds`` is the time limit of all windows; ``arguments`` are those
+    of `plan` without ``duration``, ``way_points`` and ``cost_limits``.
 
     If a window has no solution, the plan ends before it, and the stop of ``replay`` names it.
     """
@@ -138,6 +139,7 @@ def plan_windows(
             "expected a positive overlap shorter than the window, found an overlap "
             f"of {overlap:g} m and a window of {length:g} m; adjust one of them"
         )
+    deadline = time.monotonic() + seconds
     here, parts, task, stop = _HandOver(start, {}, 0.0), list[_Part](), None, None
     bounds = bounds_of(dae, arguments.get("inputs") or {})
 
@@ -160,12 +162,7 @@ def plan_windows(
         duration = (end - here.reached) / speed
         t = np.linspace(0, duration, max(int(np.ceil(duration / mesh.step)), 1) + 1)
         rough = SolverOptions(tolerance=GUESS_TOLERANCE)
-        try:
-            guess = simulate(dae, here.run, law(path), t, options=rough)
-        except SolverError as error:
-            if error.trajectory is None or error.trajectory.t.size < 2:
-                raise
-            guess = error.trajectory
+        guess = simulate_to_failure(dae, here.run, law(path), t, rough)
         return plan(
             dae,
             here.run,
@@ -177,6 +174,7 @@ def plan_windows(
             search=Search(
                 progress=progress and (lambda words, iterate: progress(f"{of}: {words}", iterate)),
                 keep=keep_first,
+                seconds=seconds_left(deadline),
             ),
             options=options,
             **arguments,
@@ -204,7 +202,7 @@ def plan_windows(
             end = route.length if route.length - end < overlap else end
             planned = attempt(here, end)
             stages += planned.stages
-            if planned.success or planned.run.outcome is Outcome.INTERRUPTED:
+            if planned.success or planned.run.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT):
                 break
         stop, task = _stop_of(planned, here, end), planned.program.task
         if planned.success or not parts:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import scipy
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, field_overview
+from slipfree.core.records import Array, with_overview
 from slipfree.routing.reachability import no_route_words
 from slipfree.routing.smoothing import path_cost, polyline_length, resample_polyline, smooth
 from slipfree.routing.traversability import (
@@ -118,6 +118,7 @@ def close_rays(layers: Traversability, rays: Iterable[Ray]) -> Traversability:
     return layers._replace(cost=closed)
 
 
+@with_overview
 class Route(NamedTuple):
     """A route over the map.
 
@@ -134,9 +135,6 @@ class Route(NamedTuple):
     points: Array
     cost: float
     length: float
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
 
 def route(

@@ -13,7 +13,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import found_column
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import Array, Mask, field_overview, leaves
+from slipfree.core.records import Array, Mask, leaves, with_overview
 from slipfree.core.trajectory import Stop, Trajectory
 from slipfree.solve.initial_conditions import UnsolvedError, solve_initial_conditions
 from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples
@@ -189,6 +189,7 @@ def _change(system: System, z: Array, found: Array) -> Array:
     return np.asarray(np.abs((found - z) / system.dae.scale)[: system.motion_size])
 
 
+@with_overview
 class Event(NamedTuple):
     """A zero crossing of an expression along a motion, in either direction.
 
@@ -206,9 +207,6 @@ class Event(NamedTuple):
     expression: ca.SX
     stop: bool = False
     name: str = "event"
-
-    def __repr__(self) -> str:
-        return field_overview(self)
 
 
 class WatchedEvent(NamedTuple):

@@ -77,8 +77,7 @@ class Analytic:
     domain: tuple[float, float, float, float] = EVERYWHERE
     mu: Friction = None
 
-    def __repr__(self) -> str:
-        return field_overview(self)
+    __repr__ = field_overview
 
     def __post_init__(self) -> None:
         x_min, x_max, y_min, y_max = self.domain

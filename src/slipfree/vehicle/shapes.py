@@ -46,8 +46,7 @@ class Box:
     at: Vector = ORIGIN
     turned: Vector = ORIGIN
 
-    def __repr__(self) -> str:
-        return field_overview(self)
+    __repr__ = field_overview
 
     def __str__(self) -> str:
         """Return edges, centre and orientation, for lists of parts."""
@@ -90,8 +89,7 @@ class Ball:
     radius: Positive
     at: Vector = ORIGIN
 
-    def __repr__(self) -> str:
-        return field_overview(self)
+    __repr__ = field_overview
 
     def __str__(self) -> str:
         """Return radius and centre, for lists of parts."""
@@ -123,8 +121,7 @@ class Hull:
     radius: ClassVar[float] = 0.0
     points: tuple[Vector, ...]
 
-    def __repr__(self) -> str:
-        return field_overview(self)
+    __repr__ = field_overview
 
     def __post_init__(self) -> None:
         if not self.points:

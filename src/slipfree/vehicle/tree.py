@@ -67,8 +67,7 @@ class Body:
     inertia: Elements | None = None
     shapes: tuple[BodyShape, ...] = ()
 
-    def __repr__(self) -> str:
-        return field_overview(self)
+    __repr__ = field_overview
 
     def __post_init__(self) -> None:
         if self.inertia is not None:
@@ -127,8 +126,7 @@ class Coordinate:
     max_rate: Annotated[float, Gt(0)] = math.inf
     drive: Drive = RATE
 
-    def __repr__(self) -> str:
-        return field_overview(self)
+    __repr__ = field_overview
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
@@ -216,8 +214,7 @@ class Joint:
     body: Body = Body()
     turned: Vector = ORIGIN
 
-    def __repr__(self) -> str:
-        return field_overview(self)
+    __repr__ = field_overview
 
     def __post_init__(self) -> None:
         try:

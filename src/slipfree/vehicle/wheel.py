@@ -75,8 +75,7 @@ class Wheel:
     inertia: tuple[Positive, Positive] | None = None
     drive: Drive = RATE
 
-    def __repr__(self) -> str:
-        return field_overview(self)
+    __repr__ = field_overview
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[\w-]+", self.name):

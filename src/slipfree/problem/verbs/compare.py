@@ -9,10 +9,11 @@ from pydantic import Field
 
 from slipfree.core.dae import Dae
 from slipfree.core.records import Array, leaves
-from slipfree.core.trajectory import SolverError, Trajectory
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.toml.types import Quantity
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.samples import measured_slip
+from slipfree.plan.verification import simulate_to_failure
 from slipfree.problem.build import (
     build_law,
     build_start,
@@ -25,7 +26,6 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.schema import INPUTS, VERB, DriverTable, TerrainKeys, VehicleSource
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import input_samples
-from slipfree.solve.simulate import simulate
 from slipfree.solve.system import with_inputs
 from slipfree.system.parts import PartsWatch, study, until_interrupt
 from slipfree.vehicle.tree import Vehicle
@@ -101,12 +101,7 @@ def _compared(problem: Problem[Compare], name: str, vehicle: Vehicle, dae: Dae) 
 def _drive(
     vehicle: Vehicle, dae: Dae, start: Trajectory, inputs: Any, t: Array, options: SolverOptions
 ) -> dict[str, Any]:
-    try:
-        run = simulate(dae, start, inputs, t, options=options)
-    except SolverError as error:
-        if error.trajectory is None:
-            raise
-        run = error.trajectory
+    run = simulate_to_failure(dae, start, inputs, t, options)
     even = run if run.stop is None else run.part(slice(-1))  # a stop lies between the samples
     slip = np.linalg.norm(measured_slip(vehicle, even), axis=2)
     tilts = [run[c.name] for c in vehicle.of("passive") if vehicle.unit(c.name) == "rad"]

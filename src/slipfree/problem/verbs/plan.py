@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -35,7 +36,9 @@ from slipfree.plan.guess import settled_start
 from slipfree.plan.ipopt import (
     SOLVED_STATUS,
     STOPPED_STATUS,
+    TIME_STATUS,
     Iterate,
+    seconds_left,
 )
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import ARRAY_PREFIX, SavedPlan, from_arrays, motion_of
@@ -172,6 +175,7 @@ class PlanVerb(DriveVerb):
                     resume=resume,
                     progress=progress,
                     keep=keep,
+                    seconds=seconds_left(setup.deadline),
                     **arguments,
                 )
             run, arrays = with_plan(long, long.replay)
@@ -269,15 +273,19 @@ def _inaccurate(spec: plan_schema.PlanKeys, plan: Plan | LongPlan) -> Stop:
     missed = {name: size for name, size in sizes.items() if size > spec.plan.accuracy}
     worst = missed_words(missed, plan.units) or "a narrow limit"
     last = plan.stages[-1]
-    advice = "raise plan.intervals or plan.accuracy"
-    further = f"its mesh was not refined any further; {advice}"
+    further = "a finer mesh does not help; raise plan.accuracy"
     if last.words.endswith("intervals"):
         further = "refinements of its mesh did not suffice; raise plan.accuracy"
-    why = {SOLVED_STATUS: further, STOPPED_STATUS: "the refinement of its mesh was stopped"}.get(
-        last.status, f"with {last.words} {ipopt_words(last.status)}; {advice}"
+    why = {
+        SOLVED_STATUS: further,
+        STOPPED_STATUS: "the refinement of its mesh was stopped",
+        TIME_STATUS: "the time limit ended the refinement of its mesh; raise plan.seconds",
+    }.get(
+        last.status,
+        f"with {last.words} {ipopt_words(last.status)}; change the initial guess or the limits",
     )
     words = (
-        f"the plan is solved, but its simulation misses {worst}; plan.accuracy allows "
+        f"no usable plan: its simulation misses {worst}; plan.accuracy allows "
         f"{spec.plan.accuracy:g}: {why}"
     )
     outcome = Outcome.INTERRUPTED if last.status == STOPPED_STATUS else Outcome.INACCURATE
@@ -289,13 +297,14 @@ def _iterate_reporter(watch: Watch, setup: Planning) -> Callable[[str, Iterate],
 
     Ctrl-C before the first iterate raises KeyboardInterrupt, since there is no plan to save.
     """
-    begun = False
+    begun, start = False, time.monotonic()
 
     def progress(words: str, iterate: Iterate) -> bool:
         nonlocal begun
         line = (
-            f"{words}: iteration {iterate.number}, cost {iterate.cost:.6g}, violation "
-            f"{iterate.violation:.1e}"
+            f"{words}: iteration {iterate.number}, constraints off by {iterate.violation:.2g}"
+            f"{' (rising)' if iterate.is_rising else ''}, cost {iterate.cost:.6g}, "
+            f"{time.monotonic() - start:.0f} s"
         )
         try:
             if watch.line is not None:

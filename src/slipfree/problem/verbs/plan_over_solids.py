@@ -205,7 +205,7 @@ def drive_over_solids(
     stop = run.stop
     if missed:
         words = missed_words({"y at the goal": missed}, {"y at the goal": "m"})
-        reason = f"the plan is solved, but its simulation misses {words}; see 'obstacles'"
+        reason = f"no usable plan: its simulation misses {words}; see 'obstacles'"
         stop = stop or Stop(PLAN_ACCURACY, float(run.t[-1]), reason, Outcome.INACCURATE)
     return replace(run, stop=stop).with_facts(facts), NOTHING
 

@@ -6,6 +6,7 @@ holds in this world if its simulation satisfies all limits.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -26,6 +27,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import PLAN, PLAN_SHARE, Stop, Trajectory
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.plan.guess import guess_motion, settled_start
+from slipfree.plan.ipopt import seconds_left
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.polynomial_motion import PolynomialMotion, SavedPlan
 from slipfree.plan.problem import bounds_of
@@ -123,7 +125,12 @@ def find_plan(
                 **tightened_arguments(dae, arguments, tightening),
                 duration=spec.plan.duration or duration,
                 mesh=mesh_of(spec, None if is_last else 1.0),
-                search=Search(resume=saved, progress=progress, keep=keep_own),
+                search=Search(
+                    resume=saved,
+                    progress=progress,
+                    keep=keep_own,
+                    seconds=seconds_left(setup.deadline),
+                ),
                 options=options,
             )
         if found is not None:
@@ -174,9 +181,10 @@ def best_start(
 ) -> tuple[SavedPlan | None, dict[str, Fact], bool]:
     """Return the best plan of several starts, their facts, and whether Ctrl-C ended the search.
 
-    The plan is None if no start is solved. SlipfreeError is raised if a process dies, or no start
-    can be simulated; KeyboardInterrupt if ``report``, which is called several times per second with
-    the phase and a line, raises it before a start is solved.
+    The plan is None if no start is solved, unless the time limit has passed. SlipfreeError is
+    raised if a process dies, or no start can be simulated; KeyboardInterrupt if ``report``, which
+    is called several times per second with the phase and a line, raises it before a start is
+    solved.
     """
     count, found = max(setup.spec.plan.starts, len(setup.starts)), list[StartResult]()
     is_interrupted = False
@@ -203,7 +211,8 @@ def best_start(
                 "inputs or the driver"
             )
     found = [each for _, _, each in sorted(ranked, key=itemgetter(0, 1))]
-    saved = found[0].saved if is_solved(found[0]) else None
+    is_over = time.monotonic() > setup.deadline
+    saved = found[0].saved if is_over or is_solved(found[0]) else None
     return saved, starts_facts(found), is_interrupted
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,6 +84,7 @@ class Planning(Setup):
     trip: Trip  # its model moves along the guesses: a kinematic one for plans with inertia
     guide: Guide  # driving law of the guesses; without a name for guesses by [inputs]
     duration: tuple[float, float]  # smallest and largest one of the plan [s]
+    deadline: float  # value of `time.monotonic` at which the search ends [s]
 
     @property
     def spec(self) -> PlanKeys:
@@ -139,6 +141,7 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     if guide.name:
         words += f"; initial guess: {guide.name} at {guide.speed:.3g} m/s"
     return Planning(
+        deadline=time.monotonic() + spec.plan.seconds,
         **vars(world),
         model=dae,
         dae=dae,
