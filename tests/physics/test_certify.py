@@ -140,6 +140,35 @@ def test_bounds_of_derivatives_hold_and_are_not_wasteful(rng):
     assert_array_equal(ground.derivative_bounds(at, np.zeros(2), 0.1), np.hstack(each))
 
 
+FORMULAS = {  # with the largest medians and quantiles of bounds over sampled values
+    "sines": (lambda x, y: 0.1 * ca.sin(x) * ca.cos(1.3 * y), 1.3, 1.6),
+    "a hump": (lambda x, y: 0.3 * ca.exp(-(x**2 + y**2) / 2), 2.2, 3.5),
+    "powers": (lambda x, y: 0.2 * ca.tanh(3 * x) + 0.1 * ca.fabs(y) ** 3, 1.2, 3),
+    "branches": (lambda x, y: ca.if_else(x > 0, 0.2 * x**3, 0) + ca.sqrt(1 + y**2), 1.2, 4),
+    "quotients": (lambda x, y: ca.atan(x) * ca.log(2 + ca.cos(y)) / (3 + ca.sin(x)) ** 1.5, 2, 3.5),
+}
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_bounds_of_derivatives_of_formulas_hold_and_are_not_wasteful(name, rng):
+    formula, median, most = FORMULAS[name]
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    hessian, gradient = ca.hessian(formula(x, y), ca.vertcat(x, y))
+    derivatives = ca.Function("d", [x, y], [gradient, hessian])
+    ground = Analytic(formula, (-3.0, 3.0, -3.0, 3.0))
+    middle, shift = rng.uniform(-2.75, 2.75, (2, 60)), rng.uniform(-0.2, 0.2, (2, 200))
+    bounds = np.array(ground.derivative_bounds(*middle, 0.2))
+    points = (middle[..., None] + shift[:, None]).reshape(2, 1, -1)
+    slopes, curvatures = (np.array(each).reshape(2, 60, 200, -1) for each in derivatives(*points))
+    slopes = np.linalg.norm(slopes, axis=0)[..., 0].max(axis=-1)
+    curvatures = np.linalg.norm(curvatures.transpose(1, 2, 0, 3), 2, (2, 3)).max(axis=-1)
+    ratios = bounds / np.array([slopes, curvatures])
+    assert (ratios >= 1).all()
+    assert np.median(ratios) < median
+    assert np.quantile(ratios, 0.9) < most
+    assert np.isinf(ground.derivative_bounds(np.array([2.9]), np.zeros(1), 0.2)).all()
+
+
 def test_compiled_gaps_are_those_of_the_points(rng, monkeypatch):
     """The evaluator of spline grounds finds the same gaps and points as numpy."""
     model = direct_kinematics(three_wheeler(), rough_map(0.01))

@@ -42,8 +42,8 @@ from slipfree.climb.time_scaling import (
     progress,
     tracked_plan,
 )
+from slipfree.core.dae import Nlp
 from slipfree.core.errors import ModelError
-from slipfree.core.nlp import Nlp
 from slipfree.core.trajectory import SolverError
 from slipfree.models.force_distribution import NORMAL_FORCE_ROUNDING
 from slipfree.models.samples import obstacle_ending

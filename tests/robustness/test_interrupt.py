@@ -23,7 +23,7 @@ from helpers.problem_files import PROBLEM
 from helpers.toy_models import model
 from slipfree import Analytic, SolverOptions, direct_kinematics, settle
 from slipfree.catalog import three_wheeler
-from slipfree.core.nlp import Nlp
+from slipfree.core.dae import Nlp
 from slipfree.core.trajectory import SolverError
 from slipfree.files import netcdf
 from slipfree.files.tables import write_rows

@@ -44,8 +44,8 @@ from slipfree.climb.contact_path import (
 from slipfree.control.reference_speeds import PerAxle
 from slipfree.control.step_climbing import Commands, ControlState, Motors, Sensed, limited
 from slipfree.core.arguments import checked
+from slipfree.core.dae import Nlp
 from slipfree.core.errors import ModelError
-from slipfree.core.nlp import Nlp
 from slipfree.core.records import Array
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.tree import Vehicle

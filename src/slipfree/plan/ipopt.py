@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.core.nlp import Nlp
+from slipfree.core.dae import Nlp
 from slipfree.core.outcome import FUTILE_STATUS, ipopt_words
 from slipfree.core.records import Array, with_overview
 from slipfree.core.trajectory import SolverError

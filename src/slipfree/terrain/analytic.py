@@ -12,13 +12,16 @@ import numpy as np
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
+from slipfree.core.interval import Intervals, evaluate_interval
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, field_overview
 from slipfree.terrain.base import (
     TAYLOR,
+    DerivativeBounds,
     Formula,
     Friction,
     Jet,
+    bounds_of,
     check_formula,
     check_friction,
     coefficient,
@@ -30,6 +33,8 @@ from slipfree.terrain.base import (
 from slipfree.terrain.bicubic import Bicubic, friction_map
 
 CHUNK = 4096  # points per call of a mapped function, which has a fixed number of points
+BLOCK = 16  # side of a block of cells whose bounds of derivatives are computed together
+CELL = 0.25  # side of a cell in the distance up to which its bounds hold
 EVERYWHERE = (-math.inf, math.inf, -math.inf, math.inf)
 
 
@@ -139,6 +144,42 @@ class Analytic:
         padded = [np.resize(each.reshape(-1), (max(count, 1), 1, CHUNK)) for each in (x, y)]
         heights = [np.array(self._numeric(*rows)) for rows in zip(*padded, strict=True)]
         return np.concatenate(heights, axis=None)[: x.size].reshape(x.shape)
+
+    def derivative_bounds(self, x: Array, y: Array, reach: float) -> tuple[Array, Array]:
+        """Return upper bounds of the slope and of the curvature around points.
+
+        Parameters and results are those of `slipfree.Bicubic.derivative_bounds`. Interval
+        arithmetic bounds the derivatives of the formula in squares around the points; without
+        bounds of an operation, the results are infinite.
+        """
+        slope, curvature = bounds = np.full((2, x.size), np.inf)
+        x_min, x_max, y_min, y_max = self.domain
+        inside = np.isfinite(x + y) & (x_min <= x - reach) & (x + reach <= x_max)
+        inside &= (y_min <= y - reach) & (y + reach <= y_max)
+        if self._taylor is None:
+            cells = np.floor(np.stack([x, y])[:, inside] / (CELL * reach)).astype(int)
+            bounds[:, inside] = self._known_bounds.of(cells, reach)
+        return slope, curvature
+
+    def _block_bounds(self, i: int, j: int, reach: float) -> Array:
+        """Return the bounds of `derivative_bounds` for the cells of a block."""
+        sides = [CELL * reach * np.arange(BLOCK * k, BLOCK * (k + 1)) for k in (i, j)]
+        low = np.stack([each.ravel() for each in np.meshgrid(*sides, indexing="ij")]) - reach
+        boxes = Intervals(low, low + (2 + CELL) * reach)
+        found = evaluate_interval(self._derivatives, boxes).magnitude
+        return bounds_of(*found).reshape(2, BLOCK, BLOCK)
+
+    @cached_property
+    def _known_bounds(self) -> DerivativeBounds:
+        return DerivativeBounds(BLOCK, self._block_bounds)
+
+    @cached_property
+    def _derivatives(self) -> ca.Function:
+        """First and second derivatives of the formula: x, y, xx, xy, yy."""
+        at = ca.SX.sym("at", 2)
+        hessian, gradient = ca.hessian(ca.SX(self.function(at[0], at[1])), at)
+        column = ca.vertcat(gradient, hessian[0, 0], hessian[0, 1], hessian[1, 1])
+        return ca.Function("derivatives", [at], [ca.densify(column)])
 
     @cached_property
     def _friction_map(self) -> Bicubic | None:

@@ -24,6 +24,8 @@ from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, Mask, overview
 from slipfree.core.schema import Positive
 
+MAX_BLOCKS = 256  # whose bounds of derivatives are kept; 64 MB
+SPAN = 2**31  # blocks along an axis
 MAX_HEIGHT = 1e9  # largest absolute height of a ground [m]
 UNIFORMITY = 1e-9  # largest deviation of a node from a uniform axis, relative to its length
 RESAMPLE = {
@@ -111,6 +113,40 @@ def taylor_function(formula: Formula) -> ca.Function | None:
     return ca.Function("taylor", [at], [ca.densify(column)])
 
 
+class DerivativeBounds(dict[tuple[int, int, float], Array]):
+    """Bounds of slope and curvature around cells of a ground, computed in blocks and kept.
+
+    ``compute(i, j, reach)`` returns those of a block of ``side`` times ``side`` cells, shape (2,
+    side, side), which hold at distances up to ``reach`` from its cells. [1, 1/m]
+    """
+
+    def __init__(self, side: int, compute: Callable[[int, int, float], Array]) -> None:
+        self._side, self._compute = side, compute
+
+    def of(self, cells: Array, reach: float) -> Array:
+        """Return the bounds of n cells, whose indices have the shape (2, n); shape (2, n)."""
+        bounds, (a, b) = np.empty(cells.shape), cells // self._side
+        blocks = SPAN * a + b
+        for number in np.unique(blocks):
+            here = np.flatnonzero(blocks == number)
+            key = int(a[here[0]]), int(b[here[0]]), reach
+            if key not in self:
+                if len(self) >= MAX_BLOCKS:
+                    self.pop(next(iter(self)))  # the oldest
+                self[key] = self._compute(*key)
+            bounds[:, here] = self[key][:, *cells[:, here] % self._side]
+        return bounds
+
+
+def bounds_of(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
+    """Return bounds of slope and curvature from magnitudes of derivatives, infinite without them.
+
+    The spectral norm of a matrix is not larger than that of its magnitudes.
+    """
+    bounds = np.stack([np.hypot(x, y), (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)])
+    return np.where(np.isnan(bounds), np.inf, bounds)
+
+
 class Terrain(Protocol):
     """A ground given by its height and its coefficient of friction.
 
@@ -126,8 +162,8 @@ class Terrain(Protocol):
     4. ``friction(x, y, lookups)`` is an SX expression of local coordinates, twice continuously
        differentiable for a map. Without a given coefficient its value is one.
     5. An instance is immutable and can be pickled.
-    6. A ground may have the methods ``derivative_bounds`` and ``smallest_gaps``, as `Bicubic` has:
-       they save most of the time of the certificate of a single contact.
+    6. A ground may have the methods ``derivative_bounds`` and ``smallest_gaps`` of `Bicubic`: they
+       save most of the time of the certificate of a single contact.
     """
 
     @property

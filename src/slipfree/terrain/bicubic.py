@@ -15,9 +15,11 @@ from slipfree.core.arguments import checked
 from slipfree.core.lookups import Cells, LookupTable
 from slipfree.core.records import Array, Indices
 from slipfree.terrain.base import (
+    DerivativeBounds,
     Friction,
     Grid,
     Jet,
+    bounds_of,
     check_friction,
     coefficient,
     map_domain,
@@ -29,7 +31,6 @@ from slipfree.terrain.kernel import Opened, register_ground
 
 KNOT_TOLERANCE = 1e-10  # points closer to a knot count as on it, in cells
 HOLE_CLEARANCE = 1 / 3  # smoothing shifts the zero of the distance by less, in cells
-MAX_BLOCKS = 256  # kept; 64 MB
 BLOCK = 128  # side of a block of cells whose bounds are computed together
 CHUNK = 8192  # points evaluated at once, so that temporary arrays stay in the cache
 CUBIC = tuple((m, n) for n in range(4) for m in range(4))  # orders of a cell's derivatives
@@ -221,21 +222,14 @@ class Bicubic:
         block of cells are computed together, when the first of them is asked for.
         """
         inside = np.ones(x.size, dtype=bool)
-        cells = list[Array]()
-        for axis, h, at in zip((self.grid.x, self.grid.y), self._spacing, (x, y), strict=True):
+        axes = self.grid.x, self.grid.y
+        for axis, at in zip(axes, (x, y), strict=True):
             inside &= (axis[0] <= at - reach) & (at + reach <= axis[-1])
-            cells.append(np.clip(np.nan_to_num((at - axis[0]) / h), 0, axis.size - 2).astype(int))
-        (i, j), (slope, curvature) = cells, np.full((2, x.size), np.inf)
-        blocks = i // BLOCK * self.grid.y.size + j // BLOCK
-        for number in np.unique(blocks[inside]).tolist():
-            here, block = inside & (blocks == number), divmod(number, self.grid.y.size)
-            key = *block, reach
-            if key not in self._known_bounds:
-                if len(self._known_bounds) >= MAX_BLOCKS:
-                    self._known_bounds.pop(next(iter(self._known_bounds)))  # the oldest
-                self._known_bounds[key] = self._block_bounds(*key)
-            place = i[here] - BLOCK * block[0], j[here] - BLOCK * block[1]
-            slope[here], curvature[here] = self._known_bounds[key][:, *place]
+        cells = np.empty((2, np.count_nonzero(inside)), dtype=int)
+        for row, axis, h, at in zip(cells, axes, self._spacing, (x, y), strict=True):
+            row[:] = np.minimum((at[inside] - axis[0]) / h, axis.size - 2)
+        slope, curvature = bounds = np.full((2, x.size), np.inf)
+        bounds[:, inside] = self._known_bounds.of(cells, reach)
         return slope, curvature
 
     def _block_bounds(self, i: int, j: int, reach: float) -> Array:
@@ -256,15 +250,14 @@ class Bicubic:
                 derivative = sliding_window_view(np.abs(derivative), size, axis).max(axis=-1)
             return derivative
 
-        slope = np.hypot(largest(along_x, (1, 0)), largest(along_y, (0, 1)))
         xx = largest(np.diff(along_x, axis=0) / h_x, (2, 0))
         yy = largest(np.diff(along_y, axis=1) / h_y, (0, 2))
         xy = largest(np.diff(along_x, axis=1) / h_y, (1, 1))
-        return np.array([slope, (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)])
+        return bounds_of(largest(along_x, (1, 0)), largest(along_y, (0, 1)), xx, xy, yy)
 
     @cached_property
-    def _known_bounds(self) -> dict[tuple[int, int, float], Array]:
-        return {}
+    def _known_bounds(self) -> DerivativeBounds:
+        return DerivativeBounds(BLOCK, self._block_bounds)
 
     @cached_property
     def _spacing(self) -> tuple[float, float]:
