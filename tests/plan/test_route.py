@@ -311,7 +311,7 @@ def test_the_cost_of_a_route_is_the_integral_of_the_cost_along_it():
     for start, end in pairwise(found.points):
         step = end - start
         k, part = divmod(math.atan2(-step[0], step[1]) / math.tau * 8, 1)
-        at = start + step * (np.arange(400)[:, None] + 0.5) / 400
+        at = start + step * (np.arange(4000)[:, None] + 0.5) / 4000
         i, j = np.rint(at).astype(int).T  # nodes are 1 m apart
         costs = [layers.cost[int(m) % 8, i, j] for m in (k, k + 1)]
         total += math.hypot(*step) * np.mean((1 - part) * costs[0] + part * costs[1])

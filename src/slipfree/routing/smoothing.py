@@ -18,7 +18,6 @@ CURVATURE_TARGET = 0.97  # target after a violation, relative to the allowed cur
 MIN_TARGET_FACTOR = 0.7  # smallest factor by which a round changes that target
 DEARER = 1.3  # largest cost of a smoothed route, relative to that which the search found
 CHECK_STEP = 0.05  # distance between the points at which a path is checked, in cells
-COST_STEP = 0.01  # distance between the points at which the cost of a path is evaluated, in cells
 CURVATURE_TOLERANCE = 1.02  # accepted curvature, relative to the allowed curvature
 PENALTIES = (1.0, 3.0, 10.0, 30.0, 100.0)  # weights of clearance and curvature, increased in turn
 MAX_POINTS = 2000  # points of a route during smoothing; limits the computing time
@@ -105,7 +104,12 @@ def along(layers: Traversability, rough: Array) -> Traversability:
 def path_cost(layers: Traversability, points: Array) -> float:
     """Return the integral of the cost along a polyline, in its direction, shape (n, 2) [m]."""
     ends = np.append(0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-    s = np.union1d(ends, np.arange(0, ends[-1], COST_STEP * min(layers.spacing)))
+    crossings = list[Array]()  # of borders between the nearest nodes, where the cost jumps
+    for axis, a, b in zip((layers.x, layers.y), points[:-1].T, points[1:].T, strict=True):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = ((axis[1:, None] + axis[:-1, None]) / 2 - a) / (b - a)
+        crossings.append((ends[:-1] + share * np.diff(ends))[(share > 0) & (share < 1)])
+    s = np.unique(np.concatenate([ends, *crossings]))
     dense = np.stack([np.interp(s, ends, column) for column in points.T], axis=1)
     steps, nodes = np.diff(dense, axis=0), nodes_at(layers, 0.5 * (dense[1:] + dense[:-1]))
     cost = layers.cost_toward(np.arctan2(-steps[:, 0], steps[:, 1]), *nodes)
