@@ -21,7 +21,7 @@ from slipfree.batch.graph import Graph, Graphs, graphs_of
 from slipfree.core.dae import Dae
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import Cells
-from slipfree.core.records import Array, Indices
+from slipfree.core.records import Array, Indices, Mask
 from slipfree.system.codegen_cache import compiler, shared_library
 
 FLAGS = ("-shared", "-fPIC", "-ffp-contract=fast", "-fno-math-errno")
@@ -101,6 +101,16 @@ class EvaluatorOf(Protocol[G]):
         the ground, for a start on a flattened ground.
         """
 
+    def advance(
+        self,
+        states: Array,
+        rates: Array,
+        h: Array,
+        count: Indices,
+        bounds: tuple[float, float],
+    ) -> tuple[Array, Mask] | None:
+        """Return the result of compiled steps; None without them."""
+
     def drive(
         self,
         states: Array,
@@ -163,6 +173,9 @@ class _Interpreted(Generic[G]):
             row += len(values)
         return evaluate(graph.function, states, results)[0]
 
+    def advance(self, *_: Any) -> None:
+        """Return None: there are no compiled steps."""
+
     def drive(self, *_: Any) -> bool:
         """Return False: there are no compiled steps."""
         return False
@@ -200,6 +213,39 @@ class _Compiled(Generic[G]):
         )
         return results
 
+    def advance(
+        self,
+        states: Array,
+        rates: Array,
+        h: Array,
+        count: Indices,
+        bounds: tuple[float, float],
+    ) -> tuple[Array, Mask] | None:
+        """Return the states after steps, and which lanes are solved, as `motion.advance`.
+
+        ``bounds`` are the largest correction and error. The result is None for a model whose rates
+        need iterations.
+        """
+        if self._steps is None:
+            return None
+        n = states.shape[1]
+        states, rates, h, counts = (
+            np.ascontiguousarray(each, dtype=float) for each in (states, rates, h, count)
+        )
+        results = np.empty((len(states) + 1, n))
+        self._in_blocks(
+            self._steps.advance,
+            n,
+            ctypes.c_void_p(states.ctypes.data),
+            ctypes.c_long(states.strides[0] // 8),
+            ctypes.c_void_p(rates.ctypes.data),
+            ctypes.c_void_p(h.ctypes.data),
+            ctypes.c_void_p(counts.ctypes.data),
+            *(ctypes.c_double(each) for each in bounds),
+            ctypes.c_void_p(results.ctypes.data),
+        )
+        return results[:-1], results[-1] > 0
+
     def drive(
         self,
         states: Array,
@@ -221,7 +267,9 @@ class _Compiled(Generic[G]):
             np.ascontiguousarray(each, dtype=float) for each in (states, inputs, t)
         )
         order = np.ascontiguousarray(order, dtype=ctypes.c_long)
-        arguments = (
+        self._in_blocks(
+            self._steps.drive,
+            states.shape[1],
             ctypes.c_void_p(order.ctypes.data),
             ctypes.c_void_p(states.ctypes.data),
             ctypes.c_void_p(inputs.ctypes.data),
@@ -230,14 +278,15 @@ class _Compiled(Generic[G]):
             ctypes.c_long(kept),
             *(ctypes.c_double(each) for each in numbers),
             *(ctypes.c_void_p(each.ctypes.data) for each in results),
-            ctypes.c_void_p(self._constants.ctypes.data),
-            self._cells,
         )
-        n = states.shape[1]
-        for begin in range(0, n, BLOCK):  # signals are served between the calls
-            lanes = (ctypes.c_long(each) for each in (begin, min(begin + BLOCK, n), n))
-            self._steps.drive(*lanes, *arguments)
         return True
+
+    def _in_blocks(self, function: Any, n: int, *arguments: Any) -> None:
+        """Call a compiled function for blocks of lanes; signals are served between the calls."""
+        constants = ctypes.c_void_p(self._constants.ctypes.data)
+        for begin in range(0, n, BLOCK):
+            lanes = (ctypes.c_long(each) for each in (begin, min(begin + BLOCK, n), n))
+            function(*lanes, *arguments, constants, self._cells)
 
 
 class _Cells(ctypes.Structure):

@@ -640,6 +640,9 @@ def advance(
     The positions of the result are predicted, not yet corrected. The compiled code does the same.
     ``count`` are the numbers of steps of the lanes.
     """
+    compiled = evaluate.advance(states, rates, h, count, (MAX_CHANGE, MAX_ERROR))
+    if compiled is not None:
+        return compiled
     states, solved, _ = _stepped(evaluate, states, rates, h)
     for k in range(1, count.max(initial=1)):
         on_way = count > k

@@ -64,6 +64,34 @@ static vl stepped(vd *s, const vd *a, const vd *k1, vd h, vd *mean, vd *r, doubl
 }
 #endif
 
+void advance(long from, long to, long n, const double *in, long stride, const double *rates, const double *lengths,
+             const double *counts, double most, double worst, double *out, const double *K, const Cells *cells) {
+  vd a[ROWS], s[ROWS], r[RESULTS], k1[MOVING], mean[MOVING];
+  for (long g = from; g < to; g += LANES) {
+    vd h = load(lengths + g, n - g);
+    vl good = ~(vl)SPLAT(0.0);
+    for (int i = 0; i < ROWS; i++) a[i] = load(in + i * stride + g, n - g);
+    for (int i = 0; i < MOVING; i++) k1[i] = load(rates + i * n + g, n - g);
+    vd count = load(counts + g, n - g);
+    double steps = count[0];
+    for (int l = 1; l < LANES; l++) steps = fmax(steps, count[l]);
+    for (double step = 0; step < steps; step++) {
+      vl done = count <= splat(step);
+      memcpy(s, a, sizeof s);
+      if (step) {
+        eval_motion(s, r, K, cells, 1.0);
+        good &= corrected(s, r, most, worst) | done;
+        memcpy(k1, r, sizeof k1);
+        for (int i = 0; i < ROWS; i++) a[i] = pick(done, a[i], s[i]);
+      }
+      good &= stepped(s, a, k1, h, mean, r, most, worst, K, cells) | done;
+      for (int i = 0; i < ROWS; i++) a[i] = pick(done, a[i], s[i]);
+    }
+    for (int i = 0; i < ROWS; i++) store(out + i * n + g, a[i], n - g);
+    store(out + ROWS * n + g, truth(good), n - g);
+  }
+}
+
 /* Correct a state by the graph "checked": k is the derivative; return which lanes are solved.
  *
  * Forces near a limit may need further Newton steps; other lanes keep their values. If `repeats` is
