@@ -44,7 +44,8 @@ VARIES = re.compile(
     r"|integration error +[\d.e+-]+ m at most, [\d.]+ x"  # differs between processors
 )
 PROGRESS = re.compile(
-    r"integrated to [\d.]+ of |.*\biteration \d+, cost |(figures|frames|tiles): \d+ of \d+"
+    r"integrated to [\d.]+ of |.*\biteration \d+, constraints off by "
+    r"|(figures|frames|tiles): \d+ of \d+"
 )
 ROUNDING, TOLERANCE = 1e-6, 0.01
 

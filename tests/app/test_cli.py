@@ -53,7 +53,7 @@ def test_a_new_problem_runs_as_it_is(kind: str) -> None:
     assert (result.exit_code, result.stdout[-3:]) == (0, "ok\n"), result.output
     assert f'verb = "{kind}"' in text
     result = invoke("run", "mine.toml", "--no-draw", "--verbose", code=0)
-    iterates = re.findall(r"iteration \d+, cost ", result.stderr)
+    iterates = re.findall(r"iteration \d+, constraints ", result.stderr)
     assert (len(iterates) > 3) == (kind == "plan")
 
 

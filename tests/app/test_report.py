@@ -84,7 +84,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_page_holds_all_of_a_result(kind, tmp_path, monkeypatch):
     file = _result(kind, tmp_path)
     if kind == "plan":
-        assert len(report(file).figures) == 12
+        assert len(report(file).figures) == 10
     if not FIGURES[kind]:  # they are drawn as those of an inverse motion, and in test_plot.py
         for verb in ("driving.DriveVerb", "plan.PlanVerb"):
             monkeypatch.setattr(f"slipfree.problem.verbs.{verb}.figures", lambda *_: ())
