@@ -210,7 +210,7 @@ def _errors_by_halving(
 ) -> Array:
     """Return the errors of ``x`` at the last samples from motions with half the step."""
     x, lanes, reached = evaluate.graphs.rows.x, np.arange(states.shape[1]), run.reached
-    halved = numbers._replace(tries=0, estimated=False, rounding=np.inf, repeats=-1)
+    halved = numbers._replace(tries=0, estimated=False, rounding=np.inf, repeats=-1, graded=0)
     finer = _drive(evaluate, states, inputs, t, halved, x.stop, 2 * run.counts)
     kept = np.maximum(reached, 0)
     apart = (run.samples[:, x] - finer.samples)[kept, :, lanes].T
