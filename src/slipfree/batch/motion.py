@@ -65,7 +65,7 @@ class Motions(NamedTuple):
     errors: Array  # estimated errors of the states ``x`` at the last sample, shape (n_x, n)
     # distances to the bounds of the limits at the first sample, shape (n_bounds, n)
     distances: Array
-    steps: Indices  # numbers of steps, shape (n,)
+    steps: Indices  # numbers of equal steps, shape (n,)
 
 
 class Candidates(NamedTuple):

@@ -3,11 +3,14 @@
 A bound that was rounded to nearest is moved outward by more than its rounding error: by 2^-51 of
 its magnitude and by the smallest number `TINY`, which covers underflow. Bounds that are not numbers
 enclose nothing; every test of them is false.
+
+Functions that jump, such as signs and comparisons, have no bounds around a jump, so that bounds of
+the derivatives of a function with kinks are infinite at the kinks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,9 +32,6 @@ class Intervals:
     low: Array
     high: Array
 
-    # NumPy must not take an interval as an element of an array
-    __array_ufunc__ = None
-
     def __getitem__(self, index: Any) -> Intervals:
         """Return the intervals at an index of the arrays."""
         return Intervals(self.low[index], self.high[index])
@@ -39,29 +39,17 @@ class Intervals:
     def __neg__(self) -> Intervals:
         return Intervals(-self.high, -self.low)
 
-    def __add__(self, other: Intervals | Array | float) -> Intervals:
-        low, high = _bounds(other)
-        return _outward(self.low + low, self.high + high)
+    def __add__(self, other: Intervals) -> Intervals:
+        return _outward(self.low + other.low, self.high + other.high)
 
-    __radd__ = __add__
+    def __sub__(self, other: Intervals) -> Intervals:
+        return _outward(self.low - other.high, self.high - other.low)
 
-    def __sub__(self, other: Intervals | Array | float) -> Intervals:
-        low, high = _bounds(other)
-        return _outward(self.low - high, self.high - low)
-
-    def __rsub__(self, other: Array | float) -> Intervals:
-        return -self + other
-
-    def __mul__(self, other: Intervals | Array | float) -> Intervals:
-        if isinstance(other, Intervals):
-            a, b = self.low * other.low, self.high * other.high
-            c, d = self.low * other.high, self.high * other.low
-            low = np.minimum(np.minimum(a, b), np.minimum(c, d))
-            return _outward(low, np.maximum(np.maximum(a, b), np.maximum(c, d)))
-        a, b = self.low * other, self.high * other
-        return _outward(np.minimum(a, b), np.maximum(a, b))
-
-    __rmul__ = __mul__
+    def __mul__(self, other: Intervals) -> Intervals:
+        a, b = self.low * other.low, self.high * other.high
+        c, d = self.low * other.high, self.high * other.low
+        low = np.minimum(np.minimum(a, b), np.minimum(c, d))
+        return _outward(low, np.maximum(np.maximum(a, b), np.maximum(c, d)))
 
     def square(self) -> Intervals:
         """Return the squares."""
@@ -71,15 +59,13 @@ class Intervals:
 
     def inverse(self) -> Intervals:
         """Return the reciprocals, without bounds for intervals that contain zero."""
-        with np.errstate(all="ignore"):
-            low, high = 1.0 / self.high, 1.0 / self.low
+        low, high = 1.0 / self.high, 1.0 / self.low
         bad = self.contains_zero
         return _outward(np.where(bad, -np.inf, low), np.where(bad, np.inf, high))
 
     def sqrt(self) -> Intervals:
         """Return the square roots; not a number where an interval has negative values."""
-        with np.errstate(invalid="ignore"):
-            return _outward(np.sqrt(self.low), np.sqrt(self.high))
+        return _outward(np.sqrt(self.low), np.sqrt(self.high))
 
     def cos(self) -> Intervals:
         """Return the cosines."""
@@ -99,29 +85,10 @@ class Intervals:
         """Largest absolute values."""
         return np.maximum(np.abs(self.low), np.abs(self.high))
 
-    def radius_about(self, middle: Array) -> Array:
-        """Return the largest distances from points, rounded up."""
-        away = np.maximum(np.abs(self.high - middle), np.abs(self.low - middle))
-        return np.asarray(away * (1 + ROUNDING) + TINY)
-
-
-def around(middle: Array, radius: Array | float) -> Intervals:
-    """Return the intervals with given middles and radii."""
-    return _outward(middle - radius, middle + radius)
-
 
 def exactly(values: Array) -> Intervals:
     """Return the intervals that contain one number each."""
     return Intervals(values, values)
-
-
-def stack(parts: Sequence[Intervals]) -> Intervals:
-    """Return intervals of equal shapes, stacked along a new first axis."""
-    return Intervals(np.stack([p.low for p in parts]), np.stack([p.high for p in parts]))
-
-
-def _bounds(other: Intervals | Array | float) -> tuple[Any, Any]:
-    return (other.low, other.high) if isinstance(other, Intervals) else (other, other)
 
 
 def _outward(low: Array, high: Array) -> Intervals:
@@ -146,8 +113,7 @@ def _rising(function: Callable[[Array], Array]) -> Callable[[Intervals], Interva
     """Return the extension to intervals of a function of NumPy that never falls."""
 
     def values(a: Intervals) -> Intervals:
-        with np.errstate(all="ignore"):
-            low, high = function(a.low), function(a.high)
+        low, high = function(a.low), function(a.high)
         return _outward(low - LIBRARY_ERROR * np.abs(low), high + LIBRARY_ERROR * np.abs(high))
 
     return values
@@ -172,11 +138,16 @@ def _each(function: Callable[[Array, Array], Array]) -> Callable[..., Intervals]
     return lambda a, b: Intervals(function(a.low, b.low), function(a.high, b.high))
 
 
+def _steps(low: Array, high: Array) -> Intervals:
+    """Return the values of a step function, without bounds where it jumps."""
+    jumps = ~(low == high)
+    return Intervals(np.where(jumps, -np.inf, low), np.where(jumps, np.inf, high))
+
+
 def _if_else_zero(condition: Intervals, a: Intervals) -> Intervals:
-    low = np.where(condition.low > 0, a.low, np.minimum(a.low, 0.0))
-    high = np.where(condition.low > 0, a.high, np.maximum(a.high, 0.0))
-    never = condition.high <= 0
-    return Intervals(np.where(never, 0.0, low), np.where(never, 0.0, high))
+    jumps, never = np.isinf(condition.low), condition.high <= 0
+    low, high = np.where(never, 0.0, a.low), np.where(never, 0.0, a.high)
+    return Intervals(np.where(jumps, -np.inf, low), np.where(jumps, np.inf, high))
 
 
 UNBOUNDED = Intervals(np.full(1, -np.inf), np.full(1, np.inf))
@@ -199,11 +170,14 @@ OPERATIONS: dict[int, Callable[..., Intervals]] = {
     ca.OP_HYPOT: lambda a, b: (a.square() + b.square()).sqrt(),
     ca.OP_POW: _power,
     ca.OP_CONSTPOW: _power,
-    ca.OP_LT: lambda a, b: Intervals(1.0 * (a.high < b.low), 1.0 * ~(a.low >= b.high)),
-    ca.OP_LE: lambda a, b: Intervals(1.0 * (a.high <= b.low), 1.0 * ~(a.low > b.high)),
+    ca.OP_LT: lambda a, b: _steps(1.0 * (a.high < b.low), 1.0 * ~(a.low >= b.high)),
+    ca.OP_LE: lambda a, b: _steps(1.0 * (a.high <= b.low), 1.0 * ~(a.low > b.high)),
     ca.OP_AND: _each(np.minimum),
     ca.OP_OR: _each(np.maximum),
-    ca.OP_NOT: lambda a: 1.0 - a,
+    ca.OP_NOT: lambda a: Intervals(1.0 - a.high, 1.0 - a.low),
+    ca.OP_SIGN: lambda a: _steps(np.sign(a.low), np.sign(a.high)),
+    ca.OP_FLOOR: lambda a: _steps(np.floor(a.low), np.floor(a.high)),
+    ca.OP_CEIL: lambda a: _steps(np.ceil(a.low), np.ceil(a.high)),
     ca.OP_IF_ELSE_ZERO: _if_else_zero,
     ca.OP_COSH: lambda a: _rising(np.cosh)(_magnitudes(a)),
     **{
@@ -215,9 +189,6 @@ OPERATIONS: dict[int, Callable[..., Intervals]] = {
             "SINH": np.sinh,
             "ATAN": np.arctan,
             "ASIN": np.arcsin,
-            "SIGN": np.sign,
-            "FLOOR": np.floor,
-            "CEIL": np.ceil,
         }.items()
     },
 }
@@ -232,7 +203,7 @@ def evaluate_interval(function: ca.Function, argument: Intervals) -> Intervals:
     values: dict[int, Intervals] = {}
     n = argument.low.shape[1]
     results = np.zeros((2, function.nnz_out(0), n))
-    for k in range(function.n_instructions()):  # zero times infinity is not a number: no bound
+    for k in range(function.n_instructions()):
         kind, operands = function.instruction_id(k), function.instruction_input(k)
         places = function.instruction_output(k)
         if kind == ca.OP_CONST:
@@ -244,6 +215,6 @@ def evaluate_interval(function: ca.Function, argument: Intervals) -> Intervals:
             results[0, places[1]], results[1, places[1]] = found.low, found.high
         else:
             operation, given = OPERATIONS.get(kind), (values[each] for each in operands)
-            with np.errstate(invalid="ignore"):
+            with np.errstate(all="ignore"):
                 values[places[0]] = UNBOUNDED if operation is None else operation(*given)
     return Intervals(*results)

@@ -11,7 +11,13 @@ import scipy
 
 from slipfree.core.records import Array, Mask
 from slipfree.geometry.path import Path
-from slipfree.routing.traversability import Traversability, nearest_headings, nodes_at, window
+from slipfree.routing.traversability import (
+    Traversability,
+    axis_step,
+    nearest_headings,
+    nodes_at,
+    window,
+)
 
 CLEARANCE = 1.2  # clearance from blocked nodes: a cell and a margin, in cells
 CURVATURE_TARGET = 0.97  # target after a violation, relative to the allowed curvature
@@ -105,10 +111,13 @@ def path_cost(layers: Traversability, points: Array) -> float:
     """Return the integral of the cost along a polyline, in its direction, shape (n, 2) [m]."""
     ends = np.append(0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     crossings = list[Array]()  # of borders between the nearest nodes, where the cost jumps
-    for axis, a, b in zip((layers.x, layers.y), points[:-1].T, points[1:].T, strict=True):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = ((axis[1:, None] + axis[:-1, None]) / 2 - a) / (b - a)
-        crossings.append((ends[:-1] + share * np.diff(ends))[(share > 0) & (share < 1)])
+    for axis, column in zip((layers.x, layers.y), points.T, strict=True):
+        at = (column - axis[0]) / axis_step(axis) + 0.5  # borders have whole numbers
+        first = np.ceil(np.minimum(at[:-1], at[1:]))
+        count = (np.ceil(np.maximum(at[:-1], at[1:])) - first).astype(int)
+        k = np.repeat(np.arange(count.size), count)
+        border = first[k] + np.arange(k.size) - (np.cumsum(count) - count)[k]
+        crossings.append(ends[k] + ((border - at[:-1][k]) / np.diff(at)[k]) * np.diff(ends)[k])
     s = np.unique(np.concatenate([ends, *crossings]))
     dense = np.stack([np.interp(s, ends, column) for column in points.T], axis=1)
     steps, nodes = np.diff(dense, axis=0), nodes_at(layers, 0.5 * (dense[1:] + dense[:-1]))

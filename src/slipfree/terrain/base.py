@@ -141,10 +141,12 @@ class DerivativeBounds(dict[tuple[int, int, float], Array]):
 def bounds_of(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
     """Return bounds of slope and curvature from magnitudes of derivatives, infinite without them.
 
-    The spectral norm of a matrix is not larger than that of its magnitudes.
+    The spectral norm of a matrix is not larger than that of its magnitudes. Where the slope has no
+    bound it may jump, and the curvature has none.
     """
-    bounds = np.stack([np.hypot(x, y), (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)])
-    return np.where(np.isnan(bounds), np.inf, bounds)
+    slope, curvature = np.hypot(x, y), (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)
+    known = np.isfinite(slope) & np.isfinite(curvature)
+    return np.where(known, [slope, curvature], np.inf)
 
 
 class Terrain(Protocol):
