@@ -279,7 +279,7 @@ def test_rows_and_windows_are_left_out_by_reason() -> None:
     assert notes == [
         "1 rows left out: no position or heading",
         "10 rows left out: stated error above 0.1 m",
-        "1 rows left out: position away from those before and after",
+        "1 rows left out: position that jumps away and back",
         "inputs not given for at most 1.8 s, from t = 10.1 s",
     ]
     assert left_out == {"with a gap": 1, "with a leap of the position": 1}

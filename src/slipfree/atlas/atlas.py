@@ -166,14 +166,14 @@ class AtlasGraphs(NamedTuple):
     @property
     def every(self) -> tuple[Graph, ...]:
         """All graphs."""
-        found = list[Graph]()
+        graphs = list[Graph]()
         if self.hold is not None:
-            found.append(self.hold)
+            graphs.append(self.hold)
         if self.friction is not None:
-            found += [self.friction.start, self.friction.step]
+            graphs += [self.friction.start, self.friction.step]
         if self.sensitivity is not None:
-            found.append(self.sensitivity.graph)
-        return tuple(found)
+            graphs.append(self.sensitivity.graph)
+        return tuple(graphs)
 
 
 class Reduction(NamedTuple):
@@ -426,7 +426,7 @@ def _bands(
         if evaluator.has_rests:
             rests = other_rests(evaluate, states, solved)
         states[graphs.rows.u] = given  # a vehicle relaxes at rest
-        found = stand_checked(evaluate, states, solved)
+        outcomes = stand_checked(evaluate, states, solved)
         outputs = evaluate(graphs.outputs, states)
         bands = dict[str, Array]()
         for name, (source, _, reduce) in evaluator.reductions.items():
@@ -442,9 +442,9 @@ def _bands(
             bands[ENERGY.name] = outputs[evaluator.power] / _speed(evaluate, states)
         bands |= _friction_bands(evaluator, states, tolerance)
         bands |= _error_bands(evaluator, states, error)
-    stands = found == COMPLETE
+    stands = outcomes == COMPLETE
     bands = {name: np.where(stands, values, np.nan) for name, values in bands.items()}
-    return {REASON.name: evaluator.codes[found + 2].astype(float)} | bands
+    return {REASON.name: evaluator.codes[outcomes + 2].astype(float)} | bands
 
 
 def _friction_bands(evaluator: PoseEvaluator, states: Array, tolerance: float) -> dict[str, Array]:
@@ -466,10 +466,10 @@ def _error_bands(evaluator: PoseEvaluator, states: Array, error: float | None) -
     sensitivity = evaluator.more.graphs.sensitivity
     if sensitivity is None or error is None:
         return {}
-    found = height_errors(sensitivity, evaluator.evaluate.graphs, evaluator.more, states)
+    errors = height_errors(sensitivity, evaluator.evaluate.graphs, evaluator.more, states)
     return {
         template.format(name): error * values
-        for template, each in zip((DEVIATION, WORST), found, strict=True)
+        for template, each in zip((DEVIATION, WORST), errors, strict=True)
         for name, values in zip(sensitivity.names, each, strict=True)
     }
 
@@ -499,8 +499,8 @@ def other_rests(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
         other = rests[0].copy()
         other[tilt] += TILT * np.array([[np.cos(turn)], [np.sin(turn)]])
         part = other[:, solved]
-        found = solve_positions(evaluate, part) & relax(evaluate, part)
-        other[:, solved] = np.where(found, part, np.nan)
+        is_solved = solve_positions(evaluate, part) & relax(evaluate, part)
+        other[:, solved] = np.where(is_solved, part, np.nan)
         apart = np.array([np.hypot(*(other[tilt] - each[tilt])) for each in rests])
         is_stable |= apart[0] <= SAME_REST
         new = ~(apart <= SAME_REST).any(axis=0) & np.isfinite(other[tilt[0]])
@@ -545,13 +545,13 @@ def _reductions(graphs: Graphs) -> dict[str, Reduction]:
     """Return the bands that are rows of states and outputs, or summaries of several."""
     dae, rows = graphs.dae, graphs.rows
     first = rows.x.stop - dae.rest.numel()  # the states before are given
-    found = dict[str, Reduction]()
+    reductions = dict[str, Reduction]()
     for name, source in sources_of(graphs, None).items():
         is_pose = first <= source.rows[0] < rows.p.stop and not source.is_output
         if is_pose and name != "z" and not source.wheels:
-            found[name] = Reduction(source, source.label, np.min)
+            reductions[name] = Reduction(source, source.label, np.min)
         elif name in REDUCTIONS:
             reduce, words = REDUCTIONS[name]
             label = replace(source.label, words=words or source.label.words)
-            found[name] = Reduction(source, label, reduce)
-    return found
+            reductions[name] = Reduction(source, label, reduce)
+    return reductions

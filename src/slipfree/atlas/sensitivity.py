@@ -86,12 +86,12 @@ def sensitivity_graph(graphs: Graphs) -> SensitivityGraph | None:
         names, state = (*names, check.label.name), ca.vertcat(state, weights)
     solve = elimination(dae, graphs.state, rows)
     jacobian = ca.jacobian(equations, p)
-    found = ca.vertcat(*(each.found[2:] for each in lookups))
-    slopes = ca.jacobian(equations, found)
+    derivatives = ca.vertcat(*(each.found[2:] for each in lookups))
+    slopes = ca.jacobian(equations, derivatives)
     results = [ca.vertcat(*(each.found[:2] for each in lookups))]
     for quantity in followed:
         adjoint = solve(jacobian.T, ca.densify(ca.gradient(quantity, p)))
-        results.append(ca.densify(ca.gradient(quantity, found) - slopes.T @ adjoint))
+        results.append(ca.densify(ca.gradient(quantity, derivatives) - slopes.T @ adjoint))
     cells: Any = lookups[0].cells
     graph = graph_of(dae, state, "sensitivity", results)
     return SensitivityGraph(graph, names, cells, check)

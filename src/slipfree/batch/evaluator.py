@@ -340,6 +340,7 @@ class CodeWriter:
         return sorted(used), lines
 
     def _value(self, operation: int, w: list[str]) -> str:
+        """Return the C expression of an elementary operation; remember an unknown one."""
         if operation in BINARY:
             return f"{w[0]}{BINARY[operation]}{w[1]}"
         if operation in CALLS:
@@ -381,6 +382,7 @@ class _Source(CodeWriter):
         return tuple(self._constants)
 
     def _graph(self, graph: Graph) -> str:
+        """Return the C functions that evaluate a graph with its lookups, for a block of lanes."""
         functions = [self.function(f"f_{graph.name}", graph.function)]
         lines = list[str]()
         row = 0

@@ -238,6 +238,7 @@ def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, Wanted]) ->
 
 
 def _pose_dataset(sources: Mapping[str, Wanted], parts: Sequence[_Poses]) -> xarray.Dataset:
+    """Return the poses of all parts as an xarray dataset, with units and outcomes."""
     variables: dict[str, Any] = {}
     wheels = tuple[str, ...]()
     for name, source in sources.items():
@@ -354,16 +355,17 @@ def _run(
     *,
     placed: bool,
 ) -> LaneResults:
+    """Return the motions of many lanes, with an outcome and a reason for each."""
     graphs = evaluate.graphs
     n = states.shape[1]
-    found = np.ones(n, dtype=bool) if placed else stand(evaluate, states)
-    states[graphs.rows.p, ~found] = np.nan
+    has_pose = np.ones(n, dtype=bool) if placed else stand(evaluate, states)
+    states[graphs.rows.p, ~has_pose] = np.nan
     motions = integrate_lanes(evaluate, states, inputs, t, step)
     outcomes, reasons = ["complete"] * n, [""] * n
-    disputed = found & (motions.reason == UNSOLVED)
-    for k in np.flatnonzero(~found):
+    disputed = has_pose & (motions.reason == UNSOLVED)
+    for k in np.flatnonzero(~has_pose):
         outcomes[k], reasons[k] = FAILED, NO_POSE
-    for k in np.flatnonzero(found & (motions.reason == INVALID_START)):
+    for k in np.flatnonzero(has_pose & (motions.reason == INVALID_START)):
         distances, state = motions.distances[:, k], motions.beyond[:, k]
         if margins(distances) >= 0:
             failed = int(clearances(evaluate, state[:, None])[:, 0].argmin())
@@ -377,7 +379,7 @@ def _run(
             "start: expected a sample within the limits of the model, found a violation: "
             f"{words}; choose another start or other inputs"
         )
-    for k in np.flatnonzero(found & (motions.reason == TOO_FAST)):
+    for k in np.flatnonzero(has_pose & (motions.reason == TOO_FAST)):
         outcomes[k] = Outcome.SOLVER_FAILURE.name.lower()
         reasons[k] = (
             f"expected a motion of at most {MAX_STEPS} steps of {step:.3g} m between two samples, "
@@ -387,7 +389,7 @@ def _run(
         outcomes[k], reasons[k] = _end(graphs, int(motions.reason[k]), motions.beyond[:, k])
     values = _values(evaluate, sources, motions.samples)
     columns = {name: Column(sources[name].label, each) for name, each in values.items()}
-    end = np.where(found & (motions.reason != INVALID_START), motions.end, np.nan)
+    end = np.where(has_pose & (motions.reason != INVALID_START), motions.end, np.nan)
     x, y, _ = graphs.places
     error = np.hypot(motions.errors[x], motions.errors[y])
     return LaneResults(columns, (), outcomes, reasons, end, error, disputed)

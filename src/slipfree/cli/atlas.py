@@ -145,9 +145,9 @@ def atlas(
         with studying("tiles", tiles) as watch:
             run_tiles(setup, tiles, workers, watch)
             files = [save(each, lambda path: write_file(path, setup, tiles)) for each in outs]
-            found = overview(setup.x, setup.y, setup.site, tiles.tiles())
+            contents = overview(setup.x, setup.y, setup.site, tiles.tiles())
         tiles.remove()
-    facts = found.facts
+    facts = contents.facts
     print_facts(summary_lines(facts))
     add_json("atlas", lambda: {name: fact._asdict() for name, fact in facts.items()})
     if not facts["allowed_share"].value:
@@ -156,7 +156,7 @@ def atlas(
     if draw:
         from slipfree.show.atlas_figures import atlas_plots
 
-        plots = draw_plots(atlas_plots(found.view), figures)
+        plots = draw_plots(atlas_plots(contents.view), figures)
         print_line(f"drew {', '.join(each.stem for each in plots)} in {figures}")
 
 

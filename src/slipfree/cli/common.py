@@ -179,6 +179,7 @@ def with_output_options(command: Callable[..., None]) -> Callable[..., None]:
 
 @contextmanager
 def _collecting(name: str, options: OutputOptions) -> Iterator[None]:
+    """Collect the output of a command, and print it as one JSON object if requested."""
     output = _CommandOutput(options)
     _running.append(output)
     code = STOPPED
@@ -199,7 +200,7 @@ def _collecting(name: str, options: OutputOptions) -> Iterator[None]:
 
 @contextmanager
 def _unexpected_reported(file: Path | None) -> Iterator[None]:
-    """Print an error that no code of the package expects in one line, and exit.
+    """Print an unexpected error in one line, and exit.
 
     The line names the input file of the command; ``--verbose`` adds the traceback.
     """

@@ -148,16 +148,16 @@ def vehicle(
         check_outputs([write], [file, *files_named_in(file)])
         write_new_file(guessed_completion(file, write.parent, trust or []), write, force)
         print_line(f"wrote {write}\n")
-    found = describe(file, settings or [], trust or [])
-    print_line("\n".join([*found.tree, ""]))
-    add_json("tree", lambda: found.tree)
-    add_json("wheels", lambda: found.wheels)
-    if found.wheels:
-        columns = [TableColumn(name, name) for name in found.wheels[0]]
-        print_line("\n".join([*table(columns, found.wheels), ""]))
-    print_facts(found.facts, found.details)
-    if found.faults:
-        print_error("\n".join(found.faults))
+    description = describe(file, settings or [], trust or [])
+    print_line("\n".join([*description.tree, ""]))
+    add_json("tree", lambda: description.tree)
+    add_json("wheels", lambda: description.wheels)
+    if description.wheels:
+        columns = [TableColumn(name, name) for name in description.wheels[0]]
+        print_line("\n".join([*table(columns, description.wheels), ""]))
+    print_facts(description.facts, description.details)
+    if description.faults:
+        print_error("\n".join(description.faults))
         raise typer.Exit(BAD_INPUT)
     if picture is not None:
         save_picture(vehicle_plot(file, settings or [], trust or []), picture)

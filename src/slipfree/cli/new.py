@@ -250,6 +250,7 @@ def _list(shipped: Mapping[str, Traversable]) -> None:
 
 
 def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force: bool) -> None:
+    """Copy shipped problems, with the problems and the data files that they name, to a folder."""
     texts = {}
     while wanted:
         name = wanted.pop()

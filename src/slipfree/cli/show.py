@@ -130,6 +130,7 @@ def _write_page(file: Path, text: str) -> None:
 
 
 def _read(files: Sequence[Path]) -> list[Any]:
+    """Return the motions of result files for the viewer, under names that differ."""
     from slipfree.core.trajectory import SCENE_SAMPLES
     from slipfree.problem.load import verb_of
     from slipfree.problem.result import open_result
@@ -212,6 +213,7 @@ def edit(
 
 
 def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
+    """Serve the page on which a plan is edited until the user interrupts it."""
     from slipfree.files.urdf.xacro import trusted_paths
     from slipfree.problem.plan_edit import read_document
     from slipfree.problem.plan_session import Desk, state_of

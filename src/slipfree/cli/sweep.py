@@ -133,19 +133,20 @@ def sweep(
     with rows, studying("runs", rows, words) as watch:
         run_sweep(plan, rows, workers, keep=keep, watch=watch)
     names = choose_figures(plan, rows, figures or [])
-    found = grids(plan, rows, names)
-    print_facts(sweep_facts(plan, rows, found, names))
+    tables = grids(plan, rows, names)
+    print_facts(sweep_facts(plan, rows, tables, names))
     add_json_file(folder / TABLE)
     print_line(f"wrote {folder / TABLE}")
     if keep:
         _warn_missing(plan, rows)
     if draw:
-        _draw(plan, drawn_grids(rows, found, names), folder / FIGURES)
+        _draw(plan, drawn_grids(rows, tables, names), folder / FIGURES)
     if rows.ended(FAILED, LOST):
         raise typer.Exit(STOPPED)
 
 
 def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
+    """Print the size of a sweep and the time that its remaining runs will take."""
     from slipfree.sweep.run import plan_facts
     from slipfree.sweep.runs import Rows
     from slipfree.system.parts import LOG

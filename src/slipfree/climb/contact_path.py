@@ -338,7 +338,7 @@ def least_friction(climber: Vehicle, profile: Profile, samples: int = 41) -> Fri
     ``samples`` is the number of configurations on every leg; more are added around the one with the
     largest demand. If there is no contact path over the profile, ModelError is raised as by `legs`.
     """
-    found = list[Demand]()
+    demands = list[Demand]()
     for leg in legs(climber, profile):
         here = demand(
             climber, leg, sample(climber, profile, leg, np.linspace(0, leg.length, samples))
@@ -351,5 +351,5 @@ def least_friction(climber: Vehicle, profile: Profile, samples: int = 41) -> Fri
             order = np.argsort(np.append(here.s, more.s))
             pairs = zip(here[1:], more[1:], strict=True)
             here = Demand(leg, *(np.concatenate(pair)[order] for pair in pairs))
-        found.append(here)
-    return Friction(tuple(found))
+        demands.append(here)
+    return Friction(tuple(demands))

@@ -173,17 +173,17 @@ def _search_graph(terrain: Terrain, section: Section, radius: float) -> ca.Funct
     symbol: Any = ca.SX if jet.is_a("SXFunction") else ca.MX
     asked, begin, gap = symbol.sym("asked", 6), symbol.sym("begin", 2), symbol.sym("gap")
     place, above = _lowest_point(section, jet, asked)
-    found = _result(jet, newton, _newton_steps(jet, newton, place, asked), asked)
-    results = [place, above, found[:13], _converged(found)]
+    root = _result(jet, newton, _newton_steps(jet, newton, place, asked), asked)
+    results = [place, above, root[:13], _converged(root)]
     first = ca.Function("first", [asked], results, {"cse": True})
 
-    found = _result(jet, newton, _newton_steps(jet, newton, begin, asked), asked)
-    second = ca.Function("second", [begin, asked], [found[:13], _converged(found)], {"cse": True})
+    root = _result(jet, newton, _newton_steps(jet, newton, begin, asked), asked)
+    second = ca.Function("second", [begin, asked], [root[:13], _converged(root)], {"cse": True})
 
-    found = _result(jet, newton, _damped_steps(jet, newton, begin, asked, radius), asked)
+    root = _result(jet, newton, _damped_steps(jet, newton, begin, asked, radius), asked)
     in_air = ca.vertcat(begin, ca.DM.zeros(4), jet(begin))
     missing = ca.if_else(gap > CLEARLY_ABOVE * radius, in_air, ca.DM.nan(13))
-    result = ca.if_else(_converged(found), found[:13], missing)
+    result = ca.if_else(_converged(root), root[:13], missing)
     kept = symbol.sym("kept", 13)
     given = [begin, gap, asked, kept]
     damped = ca.Function("damped", given, [result], {"cse": True})
@@ -192,13 +192,13 @@ def _search_graph(terrain: Terrain, section: Section, radius: float) -> ca.Funct
     last = ca.Function.if_else("last", keep, damped)
 
     place, above, question, kept = keep.mx_in()
-    found, done = second(kept[:2], question)
-    result = last(done, place, above, question, found)
+    root, done = second(kept[:2], question)
+    result = last(done, place, above, question, root)
     more = ca.Function("more", [place, above, question, kept], [result])
     choose = ca.Function.if_else("choose", keep, more)
     question = ca.MX.sym("asked", 6)
-    place, above, found, done = first(question)
-    return ca.Function("search", [question], [choose(done, place, above, question, found)])
+    place, above, root, done = first(question)
+    return ca.Function("search", [question], [choose(done, place, above, question, root)])
 
 
 def _lowest_point(section: Section, jet: ca.Function, asked: Any) -> list[Any]:
@@ -232,8 +232,8 @@ def _newton_steps(jet: ca.Function, newton: ca.Function, spot: Any, asked: Any) 
 def _result(jet: ca.Function, newton: ca.Function, spot: Any, asked: Any) -> Any:
     """Return the result of a search that ends at a point, and its residual, shape (15, 1)."""
     end = jet(spot)
-    found = newton(spot, asked, end)[0]
-    return ca.vertcat(spot, found[2:6], end, found[6:])
+    step = newton(spot, asked, end)[0]
+    return ca.vertcat(spot, step[2:6], end, step[6:])
 
 
 def _converged(result: Any) -> Any:
@@ -250,8 +250,8 @@ def _damped_steps(
     """
     best, least, step = spot, LARGE, 0 * spot
     for _ in range(DAMPED_STEPS):
-        found = newton(spot, asked, jet(spot))[0]
-        size, full = ca.sumsqr(found[6:]), found[:2]
+        correction = newton(spot, asked, jet(spot))[0]
+        size, full = ca.sumsqr(correction[6:]), correction[:2]
         limited = full * ca.fmin(1, LONGEST_STEP * radius / (ca.norm_2(full) + TOLERANCE))
         # false for NaN too: a step to where the residual is undefined is halved
         better = size < least

@@ -225,6 +225,7 @@ def _planar_inputs(
     plan: _PlanarGeometry,
     motion: tuple[ca.SX, ca.SX, float],
 ) -> Record:
+    """Return the inputs of the planar law: wheel rates and steering rates of a desired motion."""
     v, required, speed = motion
     pace, turning = abs(speed) / plan.base, required
     rates = dict.fromkeys((c.name for c in driven_vehicle(model).of("commanded")), ca.SX(0))
@@ -580,10 +581,10 @@ def _splines(t: Array, values: Array, time: ca.SX) -> tuple[ca.SX, ca.SX]:
     from scipy.interpolate import make_interp_spline  # imported here: the import takes 0.2 s
 
     spline, inside = make_interp_spline(t, values, k=DEGREE), ca.fmin(ca.fmax(time, t[0]), t[-1])
-    found = []
+    splines = []
     for name, each in (("path", spline), ("path_velocity", spline.derivative())):
         at, count = ca.MX.sym("t"), each.t.size - each.k - 1  # further coefficients are padding
         weights = each.c[:count].ravel().tolist()
         value = ca.Function.bspline(name, [each.t.tolist()], weights, [each.k], values.shape[1])
-        found.append(ca.Function(f"{name}_at", [at], [value(at)], {"never_inline": True})(inside))
-    return found[0], found[1]
+        splines.append(ca.Function(f"{name}_at", [at], [value(at)], {"never_inline": True})(inside))
+    return splines[0], splines[1]

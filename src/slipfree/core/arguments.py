@@ -118,6 +118,7 @@ def checked(target: F) -> F:
 def _checked_call(
     function: Callable[..., Any], name: str, owner: type | None = None
 ) -> Callable[..., Any]:
+    """Return the function with its arguments converted and checked against its annotations."""
     signature = inspect.signature(function)
 
     @cache
@@ -235,6 +236,7 @@ def _one_of(parts: Sequence[Any], value: Any, place: str, context: _Context) -> 
 
 
 def _is_instance(kind: Any, parts: tuple[Any, ...], value: Any, context: _Context) -> bool:
+    """Return whether a value fits an annotation without parameters, or a protocol."""
     is_logical = isinstance(value, bool | np.bool_)
     if kind is Literal:
         return any(type(value) is type(each) and value == each for each in parts)

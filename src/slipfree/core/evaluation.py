@@ -21,9 +21,9 @@ def evaluate(function: ca.Function, *columns: Array) -> tuple[Array, ...]:
     """
     count = columns[0].shape[1]
     mapped = function if count == 1 else _mapped(function, count)
-    found = [np.empty((count, function.nnz_out(k))) for k in range(function.n_out())]
-    run_buffered(mapped, dict(enumerate(columns)), dict(enumerate(found)))
-    return tuple(each.T for each in found)
+    results = [np.empty((count, function.nnz_out(k))) for k in range(function.n_out())]
+    run_buffered(mapped, dict(enumerate(columns)), dict(enumerate(results)))
+    return tuple(each.T for each in results)
 
 
 def run_buffered(

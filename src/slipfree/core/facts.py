@@ -67,14 +67,14 @@ def rows(text: str) -> tuple[Row, ...]:
     >>> lines(table, {"length": Fact(0.15, "m"), "gap_x": Fact(2e-6, "m")})
     [('path', '150 mm'), ('gaps', 'x 2.0e-06 m')]
     """
-    found = []
+    facts = []
     for line in text.splitlines():
         name, _, words = line.removeprefix("!").partition(": ")
         *before, words = re.split(r"<([\w*]+)> ", words)
         lead, table = before or ["", ""]
         parts = tuple(filter(None, re.split(r"[\[\]]", words)))
-        found.append(Row(name, parts, line.startswith("!"), table, lead))
-    return tuple(found)
+        facts.append(Row(name, parts, line.startswith("!"), table, lead))
+    return tuple(facts)
 
 
 def printed_unit(unit: str) -> str:
@@ -103,8 +103,8 @@ def lines(rows: Iterable[Row], values: Mapping[str, Any]) -> list[tuple[str, str
 
 def _table(name: str, values: Mapping[str, Any]) -> list[dict[str, Any]]:
     if name.endswith("*"):
-        found = starting_with(name[:-1], values)
-        return [{"name": rest, "fact": fact} for rest, fact in found.items()]
+        chosen = starting_with(name[:-1], values)
+        return [{"name": rest, "fact": fact} for rest, fact in chosen.items()]
     table = values[name].value if name in values else []
     if isinstance(table, dict):
         return [{"name": rest, "fact": value} for rest, value in table.items()]

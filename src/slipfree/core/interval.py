@@ -211,8 +211,8 @@ def evaluate_interval(function: ca.Function, argument: Intervals) -> Intervals:
         elif kind == ca.OP_INPUT:
             values[places[0]] = argument[operands[1]]
         elif kind == ca.OP_OUTPUT:
-            found = values[operands[0]]
-            results[0, places[1]], results[1, places[1]] = found.low, found.high
+            value = values[operands[0]]
+            results[0, places[1]], results[1, places[1]] = value.low, value.high
         else:
             operation, given = OPERATIONS.get(kind), (values[each] for each in operands)
             with np.errstate(all="ignore"):

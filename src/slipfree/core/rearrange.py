@@ -175,8 +175,8 @@ class _RearrangedCheck:
 
     def margin(self, x: Array, z: Array) -> Array:
         """Return the margins, shape (n,), of n states in the columns of ``x`` and ``z``."""
-        found = self.states.map(x.shape[1])(x, z)
-        return self.check.margin(*(np.array(each) for each in found))
+        former = self.states.map(x.shape[1])(x, z)
+        return self.check.margin(*(np.array(each) for each in former))
 
     def describe(self, x: Array, z: Array) -> str:
         """Return a message about the violation in a state of shapes (n_x,) and (n_z,)."""

@@ -77,8 +77,8 @@ class Site(NamedTuple):
 
     def summary_of(self, poses: Atlas, i: slice, j: slice) -> tuple[dict[str, Band], Verdicts]:
         """Return maps and verdicts of a part of the atlas."""
-        found = verdicts(poses, friction=self.friction, within=self.within)
-        return summary(poses, found, self.elevation[i, j], self.frame), found
+        decided = verdicts(poses, friction=self.friction, within=self.within)
+        return summary(poses, decided, self.elevation[i, j], self.frame), decided
 
     def on_map(self, axis: str, values: Array) -> Array:
         """Return x or y in the coordinates of the map file [m] or [deg]."""
@@ -204,6 +204,7 @@ def write_atlas(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:
 
 
 def _define(file: Any, poses: Atlas, site: Site) -> None:
+    """Write the axes, the ground and the bands of an atlas into an open netCDF file."""
     conditions = {name: getattr(site, name) for name in CONDITIONS}
     own = {"Conventions": CONVENTIONS, ORIGIN: __version__, FRAME: site.frame}
     own[ATLAS] = json.dumps({**conditions, "bands": [*poses.bands]})

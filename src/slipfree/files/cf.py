@@ -70,8 +70,8 @@ def map_label(name: str, crs: str) -> Label:
 
 def standard_name(name: str) -> dict[str, str]:
     """Return the attribute with the CF standard name of a quantity; empty if it has none."""
-    found = QUANTITIES[name].standard_name if name in QUANTITIES else ""
-    return {"standard_name": found} if found else {}
+    standard = QUANTITIES[name].standard_name if name in QUANTITIES else ""
+    return {"standard_name": standard} if standard else {}
 
 
 def position_columns(run: Trajectory) -> dict[str, Column]:

@@ -279,6 +279,7 @@ def _answers(direct: Dae, inverse: Dae) -> Iterator[tuple[Label, ca.SX]]:
 
 
 def _fields(model: _Model, frame: Frame) -> _Fields:
+    """Return the C names, units and signs of the variables; ModelError if two names are equal."""
     x, p = list(leaves(model.direct.labels.x)), list(leaves(model.direct.labels.z[0]))
     count = model.place.numel()
 
@@ -480,6 +481,7 @@ def _test_text(
 def _cases(
     vehicle: Vehicle, model: _Model, rng: np.random.Generator, count: int
 ) -> tuple[Array, Array, Array, Array]:
+    """Return random places, poses, commands and their answers, for the test of the C code."""
     size, drawn, labels = model.direct.size, TRIES * count, list(leaves(model.direct.labels.x))
     spread = {c.name: _joint_range(vehicle, c, size) for c in vehicle.coordinates}
     spread |= {"x": (-size, size), "y": (-size, size), "heading": (-np.pi, np.pi)}

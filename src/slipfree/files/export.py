@@ -117,6 +117,7 @@ def _write_path(run: Trajectory, out: Path) -> None:
 
 
 def _write_geojson(run: Trajectory, out: Path) -> None:
+    """Write the path as a GeoJSON LineString in map coordinates."""
     if run.t.size < 2:
         raise DataError(
             f"{out}: expected a motion of at least two samples for a LineString, found one; "

@@ -228,12 +228,12 @@ def _without_excursions(
     if is_away.sum() > MIXED * is_away.size:
         k = rows[int(is_away.argmax())]
         raise DataError(
-            f"{path}: expected positions of one drive, found {int(is_away.sum())} rows that are "
-            f"away from those before and after, the first by {least[is_away][0]:.3g} m at "
+            f"{path}: expected positions of one drive, found {int(is_away.sum())} rows that "
+            f"jump away from their neighbours and back, the first by {least[is_away][0]:.3g} m at "
             f"t = {_time(table, k + 1)} in line {line_of(path, int(k) + 1)}: two drives were "
             "probably sorted by time into one file; use a file for each"
         )
-    left_out.update({"position away from those before and after": int(is_away.sum())})
+    left_out.update({"position that jumps away and back": int(is_away.sum())})
     good = good.copy()
     good[rows[1:-1][is_away]] = False
     return good

@@ -431,6 +431,7 @@ def _is_in_order(layout: _Layout, names: Collection[str], others: bool) -> bool:
 def _choose(
     path: Path, layout: _Layout, requested: Mapping[str, str], where: str
 ) -> dict[str, tuple[int, str]]:
+    """Return the column and the unit of each requested quantity; DataError if it is not unique."""
     names = layout.columns
     bases = [split_unit(name) for name in names]
     chosen = dict[str, tuple[int, str]]()
@@ -470,10 +471,10 @@ def _parts(key: str, name: str, names: Sequence[str]) -> dict[str, tuple[int, st
             and match[1].startswith(name * (name != key))
         ):
             stems.setdefault(match[1], {})[f"{key}:{match[2][0].lower()}"] = k, ""
-    found = [
+    complete = [
         parts for parts in stems.values() if {f"{key}:{part}" for part in required} <= {*parts}
     ]
-    return found[0] if len(found) == 1 else {}
+    return complete[0] if len(complete) == 1 else {}
 
 
 def _check_unit(path: Path, title: str, unit: str, expected: str | None) -> None:

@@ -337,8 +337,8 @@ def _solve(motion: BodyMotion, given: Array, p: Array, z: Array) -> tuple[Array,
         residual, jacobian = evaluate(motion.newton, z, given[rows], p[rows])
         return residual[..., 0], jacobian
 
-    found = solve_equations(equations, z, tolerance=SOLVED_RESIDUAL, steps=MAX_STEPS)
-    return found.z, found.jacobian, found.size < SOLVED_RESIDUAL
+    solution = solve_equations(equations, z, tolerance=SOLVED_RESIDUAL, steps=MAX_STEPS)
+    return solution.z, solution.jacobian, solution.size < SOLVED_RESIDUAL
 
 
 def _repeated(p: Array, count: int) -> Array:

@@ -192,7 +192,7 @@ def estimate(
             break
         values = np.asarray(result.x)
     prediction, groups = predict(values), np.arange(len(windows.end))
-    found = search.estimate(values, prediction, groups, loss)._replace(
+    fitted = search.estimate(values, prediction, groups, loss)._replace(
         is_interrupted=is_interrupted
     )
     if not is_interrupted:
@@ -202,12 +202,12 @@ def estimate(
                 f"estimate: expected convergence, found none after {result.nfev} evaluations; give "
                 "bounds or priors of the unknowns, or fit fewer of them"
             )
-        for k, label in enumerate(found.labels):
-            if label.name in found.undetermined:
+        for k, label in enumerate(fitted.labels):
+            if label.name in fitted.undetermined:
                 other = values.copy()
                 other[k] = sought.nominal[k]
                 _check_extremum(predict, (prediction, predict(other)), label, values[k], k)
-    return found
+    return fitted
 
 
 def _check_extremum(

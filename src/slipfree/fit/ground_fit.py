@@ -91,20 +91,20 @@ def fit_ground(model: MotionModel, predict: GroundPredictor, where: str = "the l
             f"after {result.nfev} evaluations; use longer logs or a simpler model"
         )
     search = Residuals(errors, none, deviations, sought)
-    found = search.estimate(values, errors.accept(values), predict.windows.log, "soft_l1", spent=1)
-    if found.undetermined:
+    fit = search.estimate(values, errors.accept(values), predict.windows.log, "soft_l1", spent=1)
+    if fit.undetermined:
         raise ModelError(
-            f"{where}: expected windows that determine {', '.join(found.undetermined)} of the "
+            f"{where}: expected windows that determine {', '.join(fit.undetermined)} of the "
             f"model {model.words!r}, found a standard deviation larger than the size of the "
             "constant; use logs with other manoeuvres and slopes, or a model without them"
         )
-    numbers, spread = dict(zip(names, values.tolist(), strict=True)), np.diag(found.covariance)
+    numbers, spread = dict(zip(names, values.tolist(), strict=True)), np.diag(fit.covariance)
     return GroundFit(
         numbers,
         dict(zip(names, np.sqrt(spread).tolist(), strict=True)),
         {
             name: (low, high)
-            for name, (low, high) in zip(names, found.intervals.tolist(), strict=True)
+            for name, (low, high) in zip(names, fit.intervals.tolist(), strict=True)
         },
         predict(model, numbers),
     )

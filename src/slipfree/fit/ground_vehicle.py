@@ -87,6 +87,7 @@ def vehicle_model(
 
 
 def _paths(driven: _Driven, values: LaneValues, tour: Tour) -> tuple[ComplexArray, Array]:
+    """Return positions (complex) and headings along paths that the vehicle drives on the map."""
     evaluate, sides = _over(driven, tour.slopes)
     graphs = evaluate.graphs
     rows, names = graphs.rows, [label.full for label in leaves(graphs.dae.labels.x)]

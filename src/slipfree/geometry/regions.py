@@ -254,6 +254,7 @@ def _area(points: Array) -> float:
 
 
 def _check_simple(points: Array) -> None:
+    """Raise ModelError if edges of a polygon coincide, fold back or meet each other."""
     count = len(points)
     edges = np.roll(points, -1, axis=0) - points
     for k in range(count):

@@ -277,14 +277,14 @@ class Soil:
             spin, speeds = contacts.spins[k], (own.rim, own.forward, own.sideways)
             here = soil_at(self, *ca.vertsplit(contacts.places[k]))
             motion = own.sinkage, *speeds, continuation.symbol
-            found = forces_at_speeds(here, size, *motion, contacts.vehicle.gravity)
+            forces = forces_at_speeds(here, size, *motion, contacts.vehicle.gravity)
             rows.append(
                 [
                     contacts.normal[k],
-                    (found.normal - own.normal) / weight,
-                    (found.pull - own.along) / weight,
-                    (found.side - own.across) / weight,
-                    (found.torque - own.torque) / (weight * size.radius),
+                    (forces.normal - own.normal) / weight,
+                    (forces.pull - own.along) / weight,
+                    (forces.side - own.across) / weight,
+                    (forces.torque - own.torque) / (weight * size.radius),
                     (size.radius + self.grouser_height) * spin - own.rim,
                     contacts.along[k] + size.radius * spin - own.forward,
                     contacts.across[k] - own.sideways,
@@ -344,10 +344,10 @@ class Soil:
         rim = (size.radius + self.grouser_height) * contact.spin
         here = soil_at(self, *ca.vertsplit(contact.place))
         motion = -touch.gap, rim, forward, sideways, self.creep
-        found = forces_at_speeds(here, size, *motion, contact.gravity)
+        forces = forces_at_speeds(here, size, *motion, contact.gravity)
         damping = 2 * self.damping_ratio / sqrt(contact.gravity * wheel.depth)
         pressing = ca.if_else(touch.gap < 0, ca.fmax(0, 1 - damping * away), 0)
-        normal, pull, side, torque = (pressing * each for each in found)
+        normal, pull, side, torque = (pressing * each for each in forces)
         tangential = pull * frame.along + side * frame.across
         arm = frame.point - contact.center
         lever = ca.dot(frame.axle, ca.cross(arm, normal * frame.normal + tangential))

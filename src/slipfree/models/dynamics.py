@@ -381,6 +381,7 @@ def _free_speeds(vehicle: Vehicle) -> Sequence[int]:
 def _wheels(
     x: DynamicState, u: Inputs, body: Multibody, contacts: Sequence[tuple[Contact, ...]]
 ) -> list[_Wheel]:
+    """Return the loads of each wheel: contact forces, drive torque and reaction of the drive."""
     inputs, integrals, found = iter(u.wheels), iter(x.drives), list[_Wheel]()
     zero = ca.SX(0)
     for wheel, touching in zip(body.wheels, contacts, strict=True):

@@ -141,6 +141,7 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
 
 
 def _check(matrix: Array, load: Array, friction: Array) -> None:
+    """Raise ModelError if shapes or values of the arrays do not fit together."""
     if friction.ndim != 2:
         raise ModelError(
             f"friction: expected shape (n, m) for n samples and m wheels, found {friction.shape}; "

@@ -242,15 +242,15 @@ def _touches(
     terrain: Terrain, body: Multibody, points: Sequence[ContactPoint], lookups: LookupTable
 ) -> list[Touch]:
     """Return the contacts of the wheels at given ground points, with the points of the wheels."""
-    found = list[Touch]()
+    touches = list[Touch]()
     for each, at in zip(body.wheels, points, strict=True):
         wheel, pose = each.wheel, each.motion.pose
         frame = contact_frame(terrain, at.x, at.y, each.axle, lookups)
         point = pose.origin + wheel.section.support(-frame.normal, each.axle)
         gap = ca.dot(frame.normal, point - frame.point)
         friction = wheel.grip * terrain.friction(at.x, at.y, lookups)
-        found.append(Touch(gap, frame._replace(point=point), friction))
-    return found
+        touches.append(Touch(gap, frame._replace(point=point), friction))
+    return touches
 
 
 def _nearest(
@@ -423,26 +423,26 @@ def _inputs(model: Dae, run: Trajectory, pace: Array) -> dict[str, Array]:
     climb = np.gradient(run["z"], run.t) / np.maximum(speed, np.finfo(float).eps)
     force = vehicle.mass * (np.gradient(speed, run.t) + vehicle.gravity * climb)
     driven = [wheel for wheel in vehicle.wheels if wheel.driven]
-    found = dict[str, Array]()
+    inputs = dict[str, Array]()
     for label, wheel in zip(model.labels.u.wheels, driven, strict=True):
         rate = run["wheel_rate"][:, run.wheels.index(wheel.name)] * pace
         torque = force * wheel.radius / len(driven) * np.sign(rate)
-        found[label.full] = torque if wheel.drive.takes_effort else rate
+        inputs[label.full] = torque if wheel.drive.takes_effort else rate
     joints: list[Label] = list(model.labels.u.joints)
     for label, coordinate in zip(joints, vehicle.of("commanded"), strict=True):
         change = np.gradient(run[coordinate.name], run.t)
-        found[label.full] = np.zeros_like(change) if coordinate.drive.takes_effort else change
-    return found
+        inputs[label.full] = np.zeros_like(change) if coordinate.drive.takes_effort else change
+    return inputs
 
 
 def _attitude(run: Trajectory) -> Array:
     """Return the quaternion (w, x, y, z) of the platform, shape (4, n)."""
-    found = np.vstack([np.ones(run.t.size), np.zeros((3, run.t.size))])
+    attitude = np.vstack([np.ones(run.t.size), np.zeros((3, run.t.size))])
     for name, axis in (("heading", 3), ("roll", 2), ("pitch", 1)):
-        turn = np.zeros_like(found)
+        turn = np.zeros_like(attitude)
         turn[0], turn[axis] = np.cos(run[name] / 2), np.sin(run[name] / 2)
-        found = _product(found, turn)
-    return found
+        attitude = _product(attitude, turn)
+    return attitude
 
 
 def _product(p: Array, q: Array) -> Array:

@@ -243,6 +243,7 @@ def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
     n = run.t.size
 
     def carried(k: int) -> Array:
+        """Return the points of the wheels that touch at each sample, k samples later."""
         span = slice(2 + k, n - 2 + k)
         return np.asarray(centers[span] + np.einsum("nwij,nwj->nwi", rotations[span], places))
 

@@ -142,14 +142,14 @@ def steady_forces(
     `single_wheel`.
     """
     if not ((load > 0) & (load < np.inf)).all():
-        found = load[~((load > 0) & (load < np.inf))][0]
+        wrong = load[~((load > 0) & (load < np.inf))][0]
         raise ModelError(
-            f"load: expected a finite positive force in N, found {found:g}; correct it"
+            f"load: expected a finite positive force in N, found {wrong:g}; correct it"
         )
     depth, speeds = ca.SX.sym("depth"), ca.SX.sym("speeds", 3)
     parts = speeds[0], speeds[1], speeds[2]
-    found = forces_at_speeds(soil, size, depth, *parts, STEADY_CREEP, gravity)
-    forces = ca.Function("forces", [depth, speeds], [*found])
+    components = forces_at_speeds(soil, size, depth, *parts, STEADY_CREEP, gravity)
+    forces = ca.Function("forces", [depth, speeds], [*components])
     borne = forces(np.full((1, load.size), size.radius), motion)[0].full()[0]
     if (borne < load).any():
         k = (borne - load).argmin()

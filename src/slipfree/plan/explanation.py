@@ -101,7 +101,7 @@ def relax(program: Program, first: Array) -> Relaxation:
 
 
 def _least_cost(elastic: Program, solution: NlpSolution, weights: Array, count: int) -> Array:
-    """Return the unknowns of least cost with the slacks of a solution, or its own on failure."""
+    """Return the unknowns of least cost with no larger slacks; those of the solution on failure."""
     if not solution.success:
         return solution.unknowns
     upper = elastic.upper.copy()
@@ -272,6 +272,7 @@ def explanation(program: Program, solution: NlpSolution, first: Array) -> Explan
 
 
 def _relaxation_lines(relaxation: Relaxation) -> list[str]:
+    """Return lines on the bounds that were relaxed and those that oppose a motion."""
     if not relaxation.success:
         return [
             "no motion was found, although all bounds except those of the start and the duration "

@@ -198,8 +198,8 @@ def ground_routes(
 ) -> tuple[Array, ...]:
     """Return routes along places, shape (n, 2) each [m]; ``count`` is at most 1 with way-points."""
     if len(places) == 2:
-        found = routes(layers, places[0], places[1], count, turning_radius=turning_radius)
-        return tuple(each.points for each in found)
+        candidates = routes(layers, places[0], places[1], count, turning_radius=turning_radius)
+        return tuple(each.points for each in candidates)
     if count > 1:
         raise ModelError(
             f"driver: expected count = 1 with way-points, found {count}; set count = 1, or remove "

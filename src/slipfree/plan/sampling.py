@@ -324,6 +324,7 @@ def _first_state(task: SamplingTask, x: Array) -> Array:
 
 
 def _simulated(aims: _Aims, inputs: Array) -> tuple[Array, Candidates]:
+    """Return the costs and the motions of candidate inputs, simulated by parts in threads."""
     task, n = aims.task, inputs.shape[-1]
 
     def run(part: Indices) -> tuple[Array, Candidates]:
@@ -363,6 +364,7 @@ def _end_in_regions(aims: _Aims, motions: Candidates) -> None:
 
 
 def _costs(aims: _Aims, many: Array, motions: Candidates, inputs: Array) -> Array:
+    """Return the costs of candidates: integrals of quantities and forces, and the missed goal."""
     task, rows = aims.task, aims.task.evaluate.graphs.rows
     total, forced = motions.samples[-1][rows.q][0].copy(), task.evaluate_forced
     with np.errstate(all="ignore"):

@@ -318,8 +318,8 @@ def _solve_in_stages(
     for part in SLIP_STAGES[1:] if slips else ():
         if not search.found.success:
             break
-        found = search.found
-        more = _solve_stage(program, found.unknowns, f"{of}with slip cost", part, progress, found)
+        best = search.found
+        more = _solve_stage(program, best.unknowns, f"{of}with slip cost", part, progress, best)
         stages = search.stages + more.stages
         if (
             not more.found.success
@@ -327,7 +327,7 @@ def _solve_in_stages(
         ):
             # The previous plan meets all constraints, although its slip is not minimal.
             status = more.found.status
-            kept = found._replace(success=status == TIME_STATUS, status=status)
+            kept = best._replace(success=status == TIME_STATUS, status=status)
             return search._replace(found=kept, first=first, stages=stages)
         search = more._replace(stages=stages)
     return search._replace(first=first)

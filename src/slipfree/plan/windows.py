@@ -280,6 +280,7 @@ def _end_inputs(dae: Dae, motion: PolynomialMotion, bounds: Array) -> dict[str, 
 def _join(
     parts: list[_Part], task: PlanTask | None, stop: Stop | None, dae: Dae, options: SolverOptions
 ) -> LongPlan:
+    """Return the plan of all windows joined in time, with the costs of each summed."""
     motion, begin, runs = joined_motions([part.motion for part in parts]), 0.0, list[Trajectory]()
     for run in (part.replay for part in parts):  # with times since the beginning of the first one
         events = {name: t + begin for name, t in run.events.items()}

@@ -204,6 +204,7 @@ def overview(x: Array, y: Array, site: Site, tiles: Tiles) -> AtlasOverview:
 def _facts(
     maps: Mapping[str, Band], counts: Array, reasons: tuple[str, ...], nodes: Array, wide: int
 ) -> dict[str, Fact]:
+    """Return the shares of allowed poses and nodes, the medians of friction and the reasons."""
     poses = float(counts.sum())
     words = ("all headings are allowed", "some are", "none is")
     facts = {"allowed_share": Fact(counts[0] / poses, "1", "share of the poses that are allowed")}

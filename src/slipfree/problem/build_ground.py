@@ -156,8 +156,8 @@ def _outline(raster: RasterParts, known: dict[str, Extremes]) -> Map:
     x, y = raster.nodes
     name = str(raster.path)
     if name not in known:
-        found = [_extremes(raster.heights(*part)) for part in parts_of(x.size, y.size)]
-        lows, highs, missed = zip(*found, strict=True)
+        extremes = [_extremes(raster.heights(*part)) for part in parts_of(x.size, y.size)]
+        lows, highs, missed = zip(*extremes, strict=True)
         known[name] = Extremes(min(lows), max(highs), sum(missed))
     low, high, missing = known[name]
     if not -MAX_HEIGHT <= low <= high <= MAX_HEIGHT:
@@ -207,6 +207,7 @@ def _scale_words(spec: schema.TerrainTable) -> str:
 
 
 def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Lines]:
+    """Return the grid after smoothing and added height errors, and lines about both."""
     spec, facts = problem.spec.terrain, []
     if spec.smooth is not None:
         with at(problem, ("terrain", "smooth")):
@@ -280,6 +281,7 @@ def _source(problem: Problem[S], known: dict[str, Extremes] | None = None) -> tu
 
 
 def _read(problem: Problem[S], known: dict[str, Extremes] | None) -> tuple[Map, str]:
+    """Return the map of a problem and the name of its source."""
     spec = problem.spec.terrain
     if spec.file is not None:
         options: dict[str, Any] = {key: getattr(spec, key) for key in OF_FILES}
@@ -431,6 +433,7 @@ def _replaced(spec: Any, keys: KeyPath, values: dict[str, Any]) -> Any:
 def _in_metres(
     values: Mapping[str, Any], crs: str, coordinates: tuple[MapCoordinate, ...]
 ) -> dict[str, Any]:
+    """Return values in map coordinates instead of longitude and latitude; others are kept."""
     if {"x", "y"} & {*values} or not {*DEGREES} <= {*values}:
         found = ", ".join(name for name in ("x", "y", *DEGREES) if name in values)
         raise ModelError(

@@ -137,8 +137,8 @@ class ProblemParts(Parts[D]):
 
 def _stamp(path: Path) -> tuple[int, int] | None:
     with suppress(OSError, ValueError):  # a missing file, a null character
-        found = path.stat()
-        return found.st_mtime_ns, found.st_size
+        state = path.stat()
+        return state.st_mtime_ns, state.st_size
     return None
 
 

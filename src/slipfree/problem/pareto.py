@@ -98,8 +98,8 @@ class FrontFolder(ProblemParts[FrontPoint]):
 
     def store(self, number: int, result: FrontPoint) -> None:
         """Store the result of a search."""
-        found = result.solution and result.solution.result
-        fill = found and (lambda part: write(part, found.trajectory, found.arrays))
+        solved = result.solution and result.solution.result
+        fill = solved and (lambda part: write(part, solved.trajectory, solved.arrays))
         self.add(number, {"point": (result.bound, result.outcome.name, result.words)}, fill)
 
     def load(self, number: int) -> FrontPoint:
@@ -188,7 +188,7 @@ def plan_front(
         def solve(tasks: Sequence[FrontTask]) -> list[FrontPoint]:
             """Return the points of tasks in their order; ``INTERRUPTED`` points after Ctrl-C."""
             nonlocal is_interrupted
-            found = dict[int, FrontPoint]()
+            solved = dict[int, FrontPoint]()
             planned = [
                 _PointTask(
                     recipe_of(problem, *_slip_settings(problem, against, task.bound)),
@@ -201,11 +201,11 @@ def plan_front(
             ]
             try:
                 for k, point in () if is_interrupted else find(planned):
-                    found[k] = point
+                    solved[k] = point
                     better(tasks[k].number, point)
             except KeyboardInterrupt:
                 is_interrupted = True
-            return [found.get(k, FrontPoint(task.bound)) for k, task in enumerate(tasks)]
+            return [solved.get(k, FrontPoint(task.bound)) for k, task in enumerate(tasks)]
 
         given = one("plan of the problem", measured, None)
         keep(GIVEN, given)

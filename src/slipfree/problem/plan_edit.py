@@ -214,6 +214,7 @@ def _shifted(value: Any, change: float) -> float | str:
 def _edit_regions(
     sections: list[str], old: Sequence[EditedRegion], new: Sequence[EditedRegion]
 ) -> None:
+    """Write changed, new and removed keep-out regions into the sections of a problem file."""
     kept = {each.identity: each for each in new}
     added = in_order_of_file(old, new)[sum(each.identity in kept for each in old) :]
     places = [k for k, part in enumerate(sections) if "keep_out" in tomllib.loads(part)]

@@ -310,6 +310,7 @@ class Desk:
             answer.set_result(state_of(self.session))
 
     def _execute(self, command: Command) -> None:
+        """Execute a command of the page: cancel, save, or plan."""
         if command.places is None:
             self.worker.cancel()
             self.worker.prepare()

@@ -93,8 +93,8 @@ def report(file: Path) -> Report:
 def atlas_lines(file: Path) -> tuple[Lines, Lines, AtlasOverview]:
     """Return summary, set-up, and the contents of the figures of a mobility map."""
     poses, site = open_atlas(file)
-    found = overview(poses.x, poses.y, site, tiles_in(poses))
-    return summary_lines(found.facts), _set_up(site.attributes), found
+    contents = overview(poses.x, poses.y, site, tiles_in(poses))
+    return summary_lines(contents.facts), _set_up(site.attributes), contents
 
 
 def _set_up(attributes: Mapping[str, str]) -> Lines:

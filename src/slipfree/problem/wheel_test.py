@@ -236,6 +236,7 @@ def read_wheel_file(path: Path, settings: Sequence[str]) -> WheelContents:
 
 
 def _read_measured(path: Path, load: float) -> WheelRuns:
+    """Return measured runs of a wheel; missing loads are ``load``, missing quantities NaN."""
     names = read_names(path, "measured points")
     quantities = [name for name in QUANTITIES if name in names]
     speeds: list[str] = [name for name in ("rim_speed", "speed") if name in names]

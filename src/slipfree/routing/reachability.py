@@ -124,6 +124,7 @@ def _position_objection(layers: Traversability, name: str, x: float, y: float) -
 
 
 def _keep_out_words(layers: Traversability, start: Point, goal: Point) -> str:
+    """Return which keep-out regions separate start and goal; empty if they do not."""
     ends = node_at(layers, *start), node_at(layers, *goal)
     regions = layers.limits.keep_out
     if not _divides(layers, regions, ends):

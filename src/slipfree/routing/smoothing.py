@@ -222,14 +222,14 @@ def _objective(field: _CostField, p: Array, aim: _Objective) -> tuple[float, Arr
         (BEND / aim.step**2, stiff * bend + (rule / aim.sharpest * excess)[:, None] * inward),
     )
     sharp = rule / aim.sharpest * (excess / curvature)[:, None, None] * np.eye(2)
-    sharp += (rule / aim.sharpest**2 * (excess > 0))[:, None, None] * _squares(inward)
+    sharp += (rule / aim.sharpest**2 * (excess > 0))[:, None, None] * _outer_squares(inward)
     hessians = (
         # Second derivatives of clearance and cost are left out: they may be negative.
-        (MIDDLE, (rule * (missing > 0))[:, None, None] * _squares(normal)),
+        (MIDDLE, (rule * (missing > 0))[:, None, None] * _outer_squares(normal)),
         (
             EDGE,
-            (cost / length)[:, None, None] * (np.eye(2) - _squares(along))
-            + 2 / aim.step * _squares(along),
+            (cost / length)[:, None, None] * (np.eye(2) - _outer_squares(along))
+            + 2 / aim.step * _outer_squares(along),
         ),
         (BEND / aim.step**2, stiff * np.eye(2) + sharp),
     )
@@ -240,7 +240,8 @@ def _objective(field: _CostField, p: Array, aim: _Objective) -> tuple[float, Arr
     return float(total), gradient, _banded(hessians, len(p))
 
 
-def _squares(vectors: Array) -> Array:
+def _outer_squares(vectors: Array) -> Array:
+    """Return the outer product of each vector with itself, shape (n, 2, 2)."""
     return np.asarray(vectors[:, :, None] * vectors[:, None, :])
 
 

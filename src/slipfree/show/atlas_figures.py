@@ -156,6 +156,7 @@ def _friction(drawn: AtlasView) -> Figure:
 
 
 def _limit(drawn: AtlasView) -> Figure:
+    """Draw the most frequent reason that excludes headings, by node."""
     codes = drawn.maps[LIMIT].values
     present, counts = np.unique(codes[np.isfinite(codes)].astype(int), return_counts=True)
     order = [int(code) for code in present[np.argsort(-counts)] if code]

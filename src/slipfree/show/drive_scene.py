@@ -190,6 +190,7 @@ def _solid_meshes(
 def _backdrop(
     first: Driven, window: Window, origin: Array, reach: float, solids: Sequence[TriangleMesh]
 ) -> Backdrop:
+    """Return the drawing of the ground on a map and its faces around a point."""
     terrain = first.terrain
     blocks = [mesh.vertices[face] for mesh in solids for face in mesh.faces]
 
@@ -320,9 +321,10 @@ def _part_bodies(
 def _plate_spans(
     vehicle: Vehicle, parts: FramePoses, wheels: FramePoses
 ) -> dict[str, tuple[float, float]]:
-    """Return the rear and the front end of the plates of platform and other halves, by part [m].
+    """Return the rear and the front end of the plates of an articulated vehicle, by part [m].
 
-    Another half carries wheels on both sides, all ahead of its joint or all behind it.
+    The platform has a plate, and each joint that carries wheels on both sides, all ahead of it or
+    all behind it: one half of a frame steered in the middle.
     """
     base = parts.rotations[0, 0]
     places, joints = ((each.origins[0] - parts.origins[0, 0]) @ base for each in (wheels, parts))
@@ -379,6 +381,7 @@ def _with_visuals(
 
 
 def _arrows(run: Trajectory, drive: Driven, contacts: Array, axles: Array) -> list[Arrows]:
+    """Return arrows of slip and force in axes of the contact: along, across, normal."""
     normals = ground_normals(drive.terrain, contacts)
     height = drive.terrain.elevation(contacts[..., 0], contacts[..., 1])
     nearest = np.abs(contacts[..., 2] - height)

@@ -229,9 +229,9 @@ class View:
         draw_faces(self.vehicle, np.concatenate(faces), np.concatenate(colors), middle)
         lines, looks = list[Array](), list[tuple[float, float, float]]()
         for each in actor.arrows:
-            found = arrow_lines(each.starts[0], scene.scales[each.name] * each.vectors[0], SIGHT)
-            lines += [*projected(found, middle)[..., :2]]
-            looks += [_shares(ARROWS[each.name])] * len(found)
+            segments = arrow_lines(each.starts[0], scene.scales[each.name] * each.vectors[0], SIGHT)
+            lines += [*projected(segments, middle)[..., :2]]
+            looks += [_shares(ARROWS[each.name])] * len(segments)
         self.arrows.set_segments(lines)
         self.arrows.set_color(looks)
 

@@ -143,6 +143,7 @@ def page(report: Report, progress: Callable[[int, int], object] | None = None) -
 
 
 def _lines(report: Report, sections: Mapping[str, str]) -> Iterator[str]:
+    """Yield the lines of the HTML page of a report."""
     ids = {name: name.lower().replace(" ", "-") for name in sections}
     yield '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">'
     yield f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'

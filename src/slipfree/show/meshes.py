@@ -34,11 +34,11 @@ def joined(*meshes: TriangleMesh) -> TriangleMesh:
 
 def reduced(meshes: Mapping[str, TriangleMesh], most: int) -> dict[str, TriangleMesh]:
     """Return meshes by name with at most ``most`` faces in all, and vertices moved together."""
-    found = dict(meshes)
+    merged = dict(meshes)
     cell = FINEST * max((float(np.ptp(each.vertices)) for each in meshes.values()), default=0.0)
-    while sum(len(each.faces) for each in found.values()) > most:
-        found, cell = {name: _merged(each, cell) for name, each in meshes.items()}, 1.5 * cell
-    return {name: each for name, each in found.items() if len(each.faces)}
+    while sum(len(each.faces) for each in merged.values()) > most:
+        merged, cell = {name: _merged(each, cell) for name, each in meshes.items()}, 1.5 * cell
+    return {name: each for name, each in merged.items() if len(each.faces)}
 
 
 def _merged(mesh: TriangleMesh, cell: float) -> TriangleMesh:
@@ -143,9 +143,9 @@ def clipped(
     from matplotlib.path import Path  # motions without figures do without Matplotlib
     from matplotlib.transforms import Bbox
 
-    found = np.asarray(Path(points).clip_to_bbox(Bbox([low, high])).vertices)
-    is_last = np.all(np.isclose(found, found[:1], rtol=0, atol=NEAR), axis=1)
-    return np.concatenate([found[:1], found[~is_last]])
+    corners = np.asarray(Path(points).clip_to_bbox(Bbox([low, high])).vertices)
+    is_last = np.all(np.isclose(corners, corners[:1], rtol=0, atol=NEAR), axis=1)
+    return np.concatenate([corners[:1], corners[~is_last]])
 
 
 class Surface(NamedTuple):
@@ -169,8 +169,8 @@ class Surface(NamedTuple):
         """Return values at the nodes of the grid, shape (n, k), interpolated at all points."""
         whole = values.reshape(*self.grid.z.shape, -1).astype(float)
         nodes = self.grid.x, self.grid.y
-        found = scipy.interpolate.RegularGridInterpolator(nodes, whole)(self.points[:, :2])
-        return np.asarray(found)
+        interpolated = scipy.interpolate.RegularGridInterpolator(nodes, whole)(self.points[:, :2])
+        return np.asarray(interpolated)
 
     def height(self, x: Array, y: Array) -> Array:
         """Return the height of the surface, NaN outside [m]."""
@@ -180,8 +180,8 @@ class Surface(NamedTuple):
 
 def cells(grid: Grid, points: Array) -> tuple[npt.NDArray[np.int_], npt.NDArray[np.int_]]:
     """Return the indices, along x and along y, of the cells nearest to points, shape (n, 2)."""
-    found = (points - (grid.x[0], grid.y[0])) / grid.spacing
-    i, j = np.clip(np.floor(found), 0, (grid.x.size - 2, grid.y.size - 2)).astype(int).T
+    steps = (points - (grid.x[0], grid.y[0])) / grid.spacing
+    i, j = np.clip(np.floor(steps), 0, (grid.x.size - 2, grid.y.size - 2)).astype(int).T
     return i, j
 
 

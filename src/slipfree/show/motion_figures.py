@@ -68,6 +68,7 @@ def ground_plot(grid: Grid, place: tuple[float, float] | None = None) -> Plot:
 
 
 def _ground(grid: Grid, place: tuple[float, float] | None) -> Figure:
+    """Draw the heights and the slopes of the ground, and the start."""
     x, y, z = ground_drawing.patch(grid, ground_drawing.whole(grid), HEATMAP)
     slope = np.degrees(np.arctan(np.hypot(*np.gradient(z, x[1] - x[0], y[1] - y[0]))))
     figure = style.figure(
@@ -302,6 +303,7 @@ FIGURES: tuple[Compose, ...] = (
 
 
 def _map(drive: PlottedDrive) -> Figure:
+    """Draw the path on the whole ground and, if it is much smaller, on the ground around it."""
     run, grid = drive.run, drive.grid
     whole, window = ground_drawing.whole(grid), ground_drawing.around(run, grid, pad=0.15)
     spans = [(w[1] - w[0], w[3] - w[2]) for w in (whole, window)]

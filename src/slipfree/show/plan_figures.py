@@ -135,7 +135,7 @@ def motion(
 
 
 def inputs(run: Trajectory, bounds: Mapping[str, Range], ax: Axes) -> Axes:
-    """Draw the planned inputs over time, and their bounds, which are infinite if there are none."""
+    """Draw the planned inputs over time and their finite bounds."""
     ends: dict[float, list[str]] = {}
     style.history(run, [*bounds], ax)
     for k, pair in enumerate(bounds.values()):
@@ -236,6 +236,7 @@ def _traversability(
     found: Sequence[Array],
     guess: Array,
 ) -> Figure:
+    """Draw the motion, its initial guess and the routes on the cost map."""
     known = guess[np.isfinite(guess).all(axis=1)]
     points = np.concatenate([np.stack([run["x"], run["y"]], axis=1), *found, known])
     window = ground_drawing.about(points[:, 0], points[:, 1], grid, pad=0.25)

@@ -201,6 +201,7 @@ def _draw_points(
     value: Callable[[FrontPoint], float],
     ax: Axes,
 ) -> None:
+    """Draw the points of a Pareto front: solved, dominated, not solved, and the given one."""
     solved = [point for point in points if point.is_solved]
     shown = [value(point) for point in (*solved, given)]
     if min(shown) > 0 and max(shown) > WIDE * min(shown):

@@ -255,6 +255,7 @@ class _RunNodes:
         return np.asarray(self.now.bodies[0].origins[0])
 
     def show(self, t: float) -> None:
+        """Move the vehicle to its pose at a time [s]."""
         self.now = actor = self.actor.at(t)
         for node, body in zip(self.frames, actor.bodies, strict=True):
             node.position, node.wxyz = body.origins[0], body.quaternions[0]

@@ -151,16 +151,16 @@ class CollocationScheme:
             return residual[None], jacobian[None]
 
         first = np.concatenate([element.x.ravel(), element.z.ravel()])[None]
-        found = solve_equations(
+        root = solve_equations(
             equations, first, tolerance=CONVERGED_RESIDUAL, steps=MAX_NEWTON_STEPS
         )
-        if not found.size[0] < ROUNDING_RESIDUAL:
+        if not root.size[0] < ROUNDING_RESIDUAL:
             raise SolverError(
                 f"found no motion from t = {element.begin:.4g} to {element.end:.4g} s that follows "
-                f"the path (residual {found.size[0]:.1e}): the path may stop or bend too sharply "
+                f"the path (residual {root.size[0]:.1e}): the path may stop or bend too sharply "
                 "there; smooth the path or omit this part"
             )
-        return at(found.z[0])
+        return at(root.z[0])
 
     def _equations(self, element: CollocationElement) -> tuple[Array, Array]:
         """Return the residual and the Jacobian of an element, shapes (n k,) and (n k, n k).

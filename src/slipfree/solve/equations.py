@@ -69,8 +69,8 @@ def motion_equations(
     law_values = dae.function("law", symbols, [driven], {"cse": True})
     law_slopes = dae.function("law_slopes", symbols, [derivatives], {"cse": True})
     given = [ca.MX.sym(name, each.numel()) for name, each in zip("txmu", symbols, strict=True)]
-    found = lookup_results(model.lookups, symbols[:3], given[:3])
-    point = [*given[:3], law_values(*given), found]
+    results = lookup_results(model.lookups, symbols[:3], given[:3])
+    point = [*given[:3], law_values(*given), results]
     ode, alg = model.values(*point)
     ends = [0, x.numel(), x.numel() + count]
     slopes = model.slopes(*point)
@@ -181,8 +181,8 @@ def _compiled_lookup(function: ca.Function) -> ca.Function:
     parts = [function, *function.find_functions()]
     if any(part.class_name() == "External" for part in parts):
         return function
-    found = load_or_compile(source([function]), (function.name(),), lambda: [function])
-    return constant_function(found[0]) if found else function
+    functions = load_or_compile(source([function]), (function.name(),), lambda: [function])
+    return constant_function(functions[0]) if functions else function
 
 
 def block_functions(
@@ -209,8 +209,8 @@ def block_functions(
     laws = dae.function("law", symbols, [driven, by_law], {"cse": True})
     given = [ca.MX.sym(name, each.numel()) for name, each in zip("txzuc", symbols, strict=True)]
     inputs, slopes = laws.call(given)
-    found = lookup_results(lookups, symbols[:3], given[:3])
-    point = [*given[:3], inputs, given[4], found]
+    results = lookup_results(lookups, symbols[:3], given[:3])
+    point = [*given[:3], inputs, given[4], results]
     residual, (rows, jacobian) = functions[0].call(point)[0], functions[1].call(point)
     if follows:
         by_own, by_inputs = ca.horzsplit(jacobian, [0, own.numel(), jacobian.shape[1]])

@@ -95,7 +95,7 @@ def _solve_block(
         residual, jacobian = _linearized(block, (t, x, z, u, continuation))
         return residual[None], jacobian[None]
 
-    found = solve_equations(
+    solution = solve_equations(
         equations,
         first[None, block.span],
         tolerance=CONVERGED_RESIDUAL,
@@ -104,11 +104,11 @@ def _solve_block(
         longest=MAX_STEP,
         rcond=WEAK_SINGULAR_VALUE,
     )
-    z[block.span] = found.z[0]
+    z[block.span] = solution.z[0]
     # The descent may end above CONVERGED_RESIDUAL by rounding.
-    if not found.size[0] < ROUNDING * CONVERGED_RESIDUAL:
+    if not solution.size[0] < ROUNDING * CONVERGED_RESIDUAL:
         raise UnsolvedError(_failure_message(system, block, (t, x, z, u, continuation), first), z)
-    _check_regular(system, block, found.jacobian[0])
+    _check_regular(system, block, solution.jacobian[0])
     return z
 
 
@@ -134,6 +134,7 @@ def _check_regular(system: System, block: Block, jacobian: Array) -> None:
 
 
 def _failure_message(system: System, block: Block, point: tuple[Any, ...], first: Array) -> str:
+    """Return a message on a start without a solution: largest residual and violated limits."""
     _, x, z, u, _ = point
     if len(block.stages) > 1:  # there may be no solution, for reasons that the limits describe
         for limit in system.dae.limits:

@@ -209,13 +209,13 @@ def _run(
 ) -> tuple[tuple[Array, ...], dict[str, Any]]:
     """Return states, unknowns and quadratures at all times, and the statistics of the call."""
     names, results = ("x0", "z0", "u"), ("xf", "zf", "qf")
-    found = [np.empty((count, integrator.size1_out(name))) for name in results]
+    arrays = [np.empty((count, integrator.size1_out(name))) for name in results]
     buffer = run_buffered(
         integrator,
         dict(zip(map(integrator.index_in, names), arguments, strict=True)),
-        dict(zip(map(integrator.index_out, results), found, strict=True)),
+        dict(zip(map(integrator.index_out, results), arrays, strict=True)),
     )
-    return tuple(each.T for each in found), buffer.stats()
+    return tuple(each.T for each in arrays), buffer.stats()
 
 
 def _scaled_rates(system: System, at: Samples) -> list[float]:
@@ -300,6 +300,7 @@ _IDLE = WeakKeyDictionary()  # by ``core``, least recently used first
 def _new_integrator(
     solver: MotionSolver, relay: _Relay, t: Array, given: dict[str, Any], pace: float
 ) -> ca.Function:
+    """Return the integrator of a motion in scaled states and unknowns."""
     system, dae = solver.system, solver.system.dae
     x_size, m_size = motion_scales(system)
     counts = [x_size.size, m_size.size, system.u.shape[0]]
@@ -389,6 +390,7 @@ class StepObserver:
         return float(np.nanmax(paces)) if (covered >= MAX_COVERED).any() else 0.0
 
     def _observe(self, t: float, margin: float, pace: float) -> None:
+        """Record an accepted step; raise an error if the motion has to end there."""
         advances = not self.times or abs(t - self.times[-1]) > ROUNDING * abs(t)
         self.stalled = 0 if advances else self.stalled + 1
         self.times.append(t)

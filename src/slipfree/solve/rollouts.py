@@ -346,6 +346,7 @@ def _built(model: Callable[..., Dae], parameters: tuple[tuple[str, Any], ...]) -
 
 
 def _simulated(common: _Common, k: int) -> _Results:
+    """Return the simulated run k, or the outcome and the message of its failure."""
     dae, number = common.model_of(k), np.array([k])
     inputs = dae.inputs(**{name: _inputs_of_run(each, k) for name, each in common.inputs.items()})
 
@@ -388,6 +389,7 @@ class _Table:
         self.estimated = False
 
     def add(self, results: Sequence[_Results]) -> None:
+        """Add the results of some runs."""
         for part in results:
             k = part.numbers
             self.outcomes[k], self.reasons[k], self.ends[k] = part.outcomes, part.reasons, part.ends
@@ -403,6 +405,7 @@ class _Table:
                 self.columns[name].values[k] = samples
 
     def dataset(self, attributes: dict[str, float]) -> xarray.Dataset:
+        """Return the results as an xarray dataset."""
         coordinates: dict[str, Any] = {"time": ("time", self.t, TIME)}
         if self.wheels:
             coordinates["wheel"] = ("wheel", np.array(self.wheels), WHEELS)

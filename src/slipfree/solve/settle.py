@@ -146,7 +146,7 @@ def stable_poses(
         If `settle` fails for the level pose; for the reasons see `settle`.
     """
     values: dict[str, Any] = dict(start)
-    found = [settle(dae, options=options, **values)]
+    poses = [settle(dae, options=options, **values)]
     standing = dae.standing
     relaxes = bool(dae.rest.numel()) if standing is None else standing.guess is None
     for name, angle in INCLINATIONS if relaxes else ():
@@ -154,10 +154,10 @@ def stable_poses(
             other = settle(dae, options=options, **(values | {name: angle}))
         except ModelError:  # it overturns from there
             continue
-        apart = [max(abs(other[n][0] - run[n][0]) for n in ("roll", "pitch")) for run in found]
+        apart = [max(abs(other[n][0] - run[n][0]) for n in ("roll", "pitch")) for run in poses]
         if min(apart) > DIFFERENT_ANGLE:
-            found.append(other)
-    return tuple(found)
+            poses.append(other)
+    return tuple(poses)
 
 
 def _settle_by_relaxation(
@@ -285,8 +285,8 @@ def settle_exchanged(
     model = _exchanged_model(dae, i, j)
     guess = _guess_exchanged(dae, i, j, model.start(**start))
     once = replace(options, compiled=False)
-    found = settle(replace(model, guess=ca.SX(guess)), guess=None, options=once, **start)
-    return _settle_at(dae, found, options)
+    run = settle(replace(model, guess=ca.SX(guess)), guess=None, options=once, **start)
+    return _settle_at(dae, run, options)
 
 
 def _exchanged_model(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
@@ -389,8 +389,8 @@ def settle_nearest(
     guess = np.array(dae.function("guess", [dae.columns()[0]], [dae.guess])(wish[:n_x])).ravel()
     first = np.concatenate([wish[:n_x], guess[: len(names) - n_x]])
     first[weight > 0] = wish[weight > 0]
-    found = _least_change(dae, first, wish, weight) + shift
-    values = dict(zip(names, found, strict=True))
+    nearest = _least_change(dae, first, wish, weight) + shift
+    values = dict(zip(names, nearest, strict=True))
     run = settle(
         dae,
         guess={name: values[name] for name in names[n_x:]},
@@ -438,7 +438,7 @@ def _least_change(dae: Dae, first: Array, wish: Array, weight: Array) -> Array:
     solver = ca.nlpsol("nearest", "ipopt", problem, options)
     bound = np.where(counts, np.inf, 0.0)
     centre = np.where(counts, 0.0, wish)
-    found = solver(x0=first, lbx=centre - bound, ubx=centre + bound, lbg=0.0, ubg=0.0)
+    solution = solver(x0=first, lbx=centre - bound, ubx=centre + bound, lbg=0.0, ubg=0.0)
     if not solver.stats()["success"]:
         status = str(solver.stats()["return_status"])
         names = [label.full for label in (*leaves(dae.labels.x), *leaves(dae.labels.z[0]))]
@@ -455,7 +455,7 @@ def _least_change(dae: Dae, first: Array, wish: Array, weight: Array) -> Array:
             "settle_nearest: expected a pose of the vehicle at rest near "
             f"{place or 'the given pose'}, found none ({ipopt_words(status)}); {remedy}"
         )
-    return np.array(found["x"]).ravel()
+    return np.array(solution["x"]).ravel()
 
 
 def settle_contact(

@@ -133,7 +133,7 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
         rates = np.array(system.core(t, x, z[: system.motion_size], u)[0]).ravel()
         soon = x + PREDICTION_TIME * rates
     try:
-        found = solve_initial_conditions(system, t, soon, z, u)
+        solution = solve_initial_conditions(system, t, soon, z, u)
     except ModelError as error:
         reached = error.z if isinstance(error, UnsolvedError) else z  # z if a block is singular
         for limit in system.dae.limits:
@@ -141,7 +141,7 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
             if words:
                 return Stop(limit.label.full, t, words, limit.outcome)
         return None
-    jump = _change(system, z, found)
+    jump = _change(system, z, solution)
     k = int(jump.argmax())
     sooner = x + SHARE * (soon - x)
     lasts = violation is None and _jump_persists(system, t, sooner, z, u, least=float(jump[k]) / 2)
@@ -153,7 +153,7 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
         "fold",
         t,
         "the motion that friction allows ends in a fold: it can continue only with a jump, for "
-        f"example of {label.full} from {z[k]:.3g} to {found[k]:.3g}{unit}, which depends on "
+        f"example of {label.full} from {z[k]:.3g} to {solution[k]:.3g}{unit}, which depends on "
         "inertia",
         Outcome.NO_EQUILIBRIUM,
     )
@@ -162,10 +162,10 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
 def _is_solved(system: System, t: float, x: Array, z: Array, u: Array) -> bool:
     """Return whether a sample solves the equations; also True if Newton's method fails."""
     try:
-        found = solve_initial_conditions(system, t, x, z, u, continuation=False)
+        solution = solve_initial_conditions(system, t, x, z, u, continuation=False)
     except ModelError:
         return True  # nothing to compare with
-    return bool(_change(system, z, found).max() < MIN_JUMP)
+    return bool(_change(system, z, solution).max() < MIN_JUMP)
 
 
 def _jump_persists(system: System, t: float, x: Array, z: Array, u: Array, *, least: float) -> bool:
@@ -178,10 +178,10 @@ def _jump_persists(system: System, t: float, x: Array, z: Array, u: Array, *, le
     if 2 * least < MIN_LASTING_JUMP:
         return False
     try:
-        found = solve_initial_conditions(system, t, x, z, u)
+        solution = solve_initial_conditions(system, t, x, z, u)
     except ModelError:
         return False
-    return bool(_change(system, z, found).max() >= least)
+    return bool(_change(system, z, solution).max() >= least)
 
 
 def _change(system: System, z: Array, found: Array) -> Array:

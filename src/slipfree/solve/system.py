@@ -121,6 +121,7 @@ def _with_numbers(dae: Dae, *, linear: bool, compiled: bool) -> System:
 
 
 def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
+    """Return the system of a model with the law of its inputs inserted."""
     _, z, inputs = dae.columns()
     limits = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in dae.limits))
     continuation = (
@@ -303,6 +304,7 @@ def _check_numbers(label: Label, value: Any, intervals: int) -> Array:
 def _equation_blocks(
     dae: Dae, law: list[ca.SX], u: ca.SX, continuation: ca.SX, *, compiled: bool
 ) -> tuple[Block, ...]:
+    """Return the blocks of equations in their order; ModelError if one needs a later block."""
     z, driven = dae.columns()[1], ca.vertcat(ca.SX(0, 1), *law)
     ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
     blocks = list[Block]()

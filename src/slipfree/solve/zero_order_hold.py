@@ -156,10 +156,10 @@ def _integrate_periods(
             break
         check_interrupt()
         given = dict(zip(names, (x[k], np.append(u[k], t[k])), strict=True))
-        found = dict(zip(results, (x[k + 1], q[k + 1]), strict=True))
+        end = dict(zip(results, (x[k + 1], q[k + 1]), strict=True))
         try:
             with suppress_messages():
-                buffer = run_buffered(integrator, given, found)
+                buffer = run_buffered(integrator, given, end)
         except RuntimeError as error:
             guard.check()
             failure = sundials_words(str(error))

@@ -131,13 +131,13 @@ def sweep_of(
     bare = Sweep(first, tuple(settings), axes, (), 1, seed, file_states(files))
     if repeat is None:
         return bare
-    found = seed_keys(bare.problem.spec.model_dump())
-    seeds = tuple(key for key in found if key not in bare.keys)
+    known = seed_keys(bare.problem.spec.model_dump())
+    seeds = tuple(key for key in known if key not in bare.keys)
     if not seeds:
         where = bare.problem.source.path
         raise DataError(
             f"{where}: expected a key that ends in .{SEED} for --repeat, found "
-            + (f"only {', '.join(found)}, which --vary changes" if found else "none")
+            + (f"only {', '.join(known)}, which --vary changes" if known else "none")
             + "; add a table with a seed, such as [terrain.synthetic.power_law] or "
             "[terrain.error], or omit --repeat"
         )
@@ -170,8 +170,8 @@ def axis_of(text: str) -> Varied:
             f"--vary {text}: expected key=a:b:n for n numbers from a to b, or key=v1,v2,..., "
             f"found {text!r}; write it in one of these forms"
         )
-    found = RANGE.fullmatch(rest)
-    values = _range(text, *found.groups()) if found else _values(rest)
+    match = RANGE.fullmatch(rest)
+    values = _range(text, *match.groups()) if match else _values(rest)
     if "" in values:
         raise DataError(
             f"--vary {text}: expected values between commas, found an empty value; remove a comma"
@@ -203,12 +203,12 @@ def _comparison_key(value: str) -> object:
     Such values are ``1`` and ``1.0``, or a word with and without quotes.
     """
     try:
-        found = load_toml(f"value = {value}")["value"]
+        number = load_toml(f"value = {value}")["value"]
     except ValueError:
         return value.strip()
-    if isinstance(found, int | float) and not isinstance(found, bool):
-        return float(found)
-    return found if isinstance(found, str) else repr(found)
+    if isinstance(number, int | float) and not isinstance(number, bool):
+        return float(number)
+    return number if isinstance(number, str) else repr(number)
 
 
 def _check_keys(axes: Sequence[Varied], settings: Sequence[str]) -> None:
@@ -264,8 +264,8 @@ def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
 def _values(text: str) -> tuple[str, ...]:
     """Return comma-separated values as TOML text, or as words if they are not valid TOML."""
     try:
-        found = load_toml(f"values = [{text}]")["values"]
-        return tuple(map(_spelled, found))
+        values = load_toml(f"values = [{text}]")["values"]
+        return tuple(map(_spelled, values))
     except (ValueError, TypeError):
         return tuple(part.strip() for part in text.split(","))
 

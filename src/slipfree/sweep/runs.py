@@ -155,8 +155,8 @@ class Rows(Parts[Done]):
         self._outcomes[row.run] = sys.intern(row.outcome)
         self.outcomes[row.outcome] += 1
         for k, (name, (_, unit)) in enumerate(row.figures.items()):
-            found = self._units.get(name)
-            if found is None or (row.run, k) < found[:2]:
+            earlier = self._units.get(name)
+            if earlier is None or (row.run, k) < earlier[:2]:
                 self._units[sys.intern(name)] = row.run, k, sys.intern(unit)
 
 
@@ -181,6 +181,7 @@ def work(task: RunTask) -> Done:
 
 
 def _worked(task: RunTask, begin: float) -> Done:
+    """Return the row of a solved run, and its motion if it is kept."""
     problem = task.recipe.load()
     try:
         result = run_problem(problem)
@@ -219,11 +220,11 @@ def figures_of(run: Trajectory, problem: Problem[Any]) -> Figures:
     limit by more than ``plan.accuracy``.
     """
     verb = verb_of(problem)
-    found = {COMPLETE: Fact(float(run.stop is None), "1")}
-    found |= numbers(verb.facts(run))
-    found |= {name: Fact(value) for name, value in run.statistics.items()}
+    facts = {COMPLETE: Fact(float(run.stop is None), "1")}
+    facts |= numbers(verb.facts(run))
+    facts |= {name: Fact(value) for name, value in run.statistics.items()}
     return {
         name: (float(fact.value), fact.unit)
-        for name, fact in found.items()
+        for name, fact in facts.items()
         if CLOCK not in name and isfinite(fact.value)
     }

@@ -126,21 +126,21 @@ async def _reach(address: str) -> None:
 
 def _check_workers(client: Any, address: str) -> None:
     try:
-        found = set(client.run(_version).values())
+        versions = set(client.run(_version).values())
     except Exception as error:  # workers can raise any error on import
         raise DataError(
             f"--scheduler {address}: expected workers that have slipfree {__version__}, found "
             f"{type(error).__name__}: {error}; install this version on all workers"
         ) from error
-    if not found:
+    if not versions:
         raise DataError(
             f"--scheduler {address}: expected workers, found none; start some: "
             f"dask worker {address} --nworkers 4 --nthreads 1"
         )
-    if found != {__version__}:
+    if versions != {__version__}:
         raise DataError(
             f"--scheduler {address}: expected workers that have slipfree {__version__}, found "
-            f"{', '.join(sorted(found))}; install the same version on all workers"
+            f"{', '.join(sorted(versions))}; install the same version on all workers"
         )
 
 

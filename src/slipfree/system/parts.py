@@ -217,11 +217,11 @@ class Parts(Generic[D]):
             if not line.endswith(b"\n"):
                 self._stream.truncate(offset)
                 break
-            found = _parsed(line)
+            record = _parsed(line)
             if not offset:
-                self._check(found)
-            elif self._is_part(found):
-                self._offsets[found[PART]] = offset
+                self._check(record)
+            elif self._is_part(record):
+                self._offsets[record[PART]] = offset
             offset += len(line)
         if not offset:
             self._write(self._identity.head)
@@ -234,11 +234,11 @@ class Parts(Generic[D]):
         return bool(line.pop(DIGEST, None) == self._digest(line))
 
     def _digest(self, line: Mapping[str, Any]) -> str:
-        found = sha256(json.dumps(line, sort_keys=True).encode())
+        digest = sha256(json.dumps(line, sort_keys=True).encode())
         if self._ending and (file := self.file(line[PART])).is_file():  # a device may be endless
             with suppress(OSError), file.open("rb") as stream:
-                found.update(file_digest(stream, "sha256").digest())
-        return found.hexdigest()
+                digest.update(file_digest(stream, "sha256").digest())
+        return digest.hexdigest()
 
     def _check(self, found: Mapping[str, Any]) -> None:
         kind, _, head, known = self._identity
@@ -356,14 +356,14 @@ def until_interrupt(results: Iterable[D]) -> list[D]:
 
     KeyboardInterrupt is raised if there are none.
     """
-    found = list[D]()
+    finished = list[D]()
     try:
         for result in results:
-            found.append(result)
+            finished.append(result)
     except KeyboardInterrupt:
-        if not (found and interrupt_requested()):
+        if not (finished and interrupt_requested()):
             raise
-    return found
+    return finished
 
 
 def _numbered(function: Callable[[T], D], numbered: tuple[int, T]) -> tuple[int, D]:
@@ -378,10 +378,10 @@ def _lost(lost: Callable[[T, str], D], numbered: tuple[int, T], why: str) -> tup
 def _parsed(line: bytes) -> dict[str, Any]:
     """Return the object in a line of JSON; an empty one if there is none."""
     try:
-        found = json.loads(line)
+        record = json.loads(line)
     except (ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return record if isinstance(record, dict) else {}
 
 
 def _difference(old: Any, new: Any) -> str:

@@ -353,11 +353,11 @@ def _pickled_error(error: Exception) -> bytes:
     if isinstance(error, MemoryError):
         return pickle.dumps((False, MemoryError()))
     try:
-        found = pickle.dumps((False, error.with_traceback(None)))
-        pickle.loads(found)
+        pickled = pickle.dumps((False, error.with_traceback(None)))
+        pickle.loads(pickled)
     except Exception:
         return pickle.dumps((False, SlipfreeError(f"{type(error).__name__}: {error}")))
-    return found
+    return pickled
 
 
 def _kill_group(process: subprocess.Popen[bytes]) -> None:

@@ -166,8 +166,8 @@ class Analytic:
         sides = [CELL * reach * np.arange(BLOCK * k, BLOCK * (k + 1)) for k in (i, j)]
         low = np.stack([each.ravel() for each in np.meshgrid(*sides, indexing="ij")]) - reach
         boxes = Intervals(low, low + (2 + CELL) * reach)
-        found = evaluate_interval(self._derivatives, boxes).magnitude
-        return bounds_of(*found).reshape(2, BLOCK, BLOCK)
+        magnitudes = evaluate_interval(self._derivatives, boxes).magnitude
+        return bounds_of(*magnitudes).reshape(2, BLOCK, BLOCK)
 
     @cached_property
     def _known_bounds(self) -> DerivativeBounds:

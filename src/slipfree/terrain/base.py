@@ -82,13 +82,13 @@ def _polynomial_function(orders: tuple[tuple[int, int], ...]) -> ca.Function:
 
 def _sums(derivatives: Sequence[ca.SX], away: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return a Taylor polynomial and its first two derivatives at a distance from its centre."""
-    found = []
+    sums = []
     for order in range(3):
         total = ca.SX(0)
         for k in reversed(range(order, len(derivatives))):
             total = derivatives[k] + away / (k - order + 1) * total
-        found.append(total)
-    return found[0], found[1], found[2]
+        sums.append(total)
+    return sums[0], sums[1], sums[2]
 
 
 TAYLOR = tuple((m, n) for n in range(5) for m in range(5 - n))  # orders of derivatives up to four
@@ -335,9 +335,9 @@ def check_formula(function: Formula, owner: str, value: str) -> None:
     """
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     try:
-        found = ca.SX(function(x, y))
-        if found.is_constant() and not found.is_regular():  # as of math.sin(x)
-            raise ValueError(f"the result is {found}")
+        expr = ca.SX(function(x, y))
+        if expr.is_constant() and not expr.is_regular():  # as of math.sin(x)
+            raise ValueError(f"the result is {expr}")
     except Exception as error:  # of the user's function
         raise ModelError(
             f"{owner}: expected a function of x and y that returns one {value}, built from "
@@ -345,11 +345,11 @@ def check_formula(function: Formula, owner: str, value: str) -> None:
             f"({type(error).__name__}: {str(error).partition(chr(10))[0][:200]}); use casadi.fmax, "
             "casadi.if_else and casadi.sin instead of max, if and math.sin"
         ) from error
-    if found.shape != (1, 1):
+    if expr.shape != (1, 1):
         raise ModelError(
-            f"{owner}: function must return one {value}, found shape {found.shape}; return a scalar"
+            f"{owner}: function must return one {value}, found shape {expr.shape}; return a scalar"
         )
-    foreign = [s for s in ca.symvar(found) if not (ca.is_equal(s, x) or ca.is_equal(s, y))]
+    foreign = [s for s in ca.symvar(expr) if not (ca.is_equal(s, x) or ca.is_equal(s, y))]
     if foreign:
         raise ModelError(
             f"{owner}: the {value} may depend only on x and y, found the symbols {foreign}; "

@@ -150,8 +150,8 @@ class Bicubic:
     def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> Jet:
         """Return height, gradient and Hessian at a local point."""
         cell, key = self._cell
-        found = lookups.find(cell, ca.vertcat(x, y, key), cells=self._spline)
-        return polynomial_jet(found, CUBIC, x, y)
+        coefficients = lookups.find(cell, ca.vertcat(x, y, key), cells=self._spline)
+        return polynomial_jet(coefficients, CUBIC, x, y)
 
     def nearest_point(self, r1: float, r2: float, radius: float) -> ca.Function | None:
         """Return the compiled search for the ground point nearest to a torus; None without kernel.

@@ -90,7 +90,7 @@ def parts(
     an axis, more than ``most`` are selected, or rounding would lose the distances of the nodes.
     """
     _check_axes(x, y)
-    found = slice(0, x.size), slice(0, y.size)
+    selected = slice(0, x.size), slice(0, y.size)
     reach = f"the map extends from {_extent(x)} in x and from {_extent(y)} in y"
     if window is not None:
         if not (window[0] < window[1] and window[2] < window[3]):
@@ -98,22 +98,22 @@ def parts(
                 "window: expected [x_min, x_max, y_min, y_max] with x_min < x_max and "
                 f"y_min < y_max, found {_window_text(window)}; correct it: {reach}"
             )
-        found = _part(x, *window[:2]), _part(y, *window[2:])
-        sizes = [max(part.stop - part.start, 0) for part in found]
+        selected = _part(x, *window[:2]), _part(y, *window[2:])
+        sizes = [max(part.stop - part.start, 0) for part in selected]
         if min(sizes) < 4:
             raise DataError(
                 f"window: expected a part of the map with at least 4 nodes along x and along y, "
                 f"found {sizes[0]} by {sizes[1]} in {_window_text(window)}; enlarge or move it: "
                 f"{reach}, its nodes are {x.step:.9g} and {y.step:.9g} apart"
             )
-    nodes = math.prod(part.stop - part.start for part in found)
+    nodes = math.prod(part.stop - part.start for part in selected)
     if nodes > most:
         raise DataError(
             f"expected at most {most:g} nodes, found {float(nodes):.3g} "
             f"({x.size} by {y.size} in the file); select a part by "
             f"window = [x_min, x_max, y_min, y_max]: {reach}"
         )
-    return found
+    return selected
 
 
 def _check_axes(x: UniformAxis, y: UniformAxis) -> None:
@@ -246,9 +246,9 @@ def continue_over_holes(z: Array) -> Array:
     inside = ((mirrored >= 0) & (mirrored < np.array(z.shape)[:, None])).all(axis=0)
     edge = z[tuple(nearest)]
     beyond = np.where(inside, z[tuple(np.where(inside, mirrored, 0))], np.nan)
-    found = z.copy()
-    found[holes] = np.where(np.isnan(beyond), edge, 2 * edge - beyond)
-    return found
+    continued = z.copy()
+    continued[holes] = np.where(np.isnan(beyond), edge, 2 * edge - beyond)
+    return continued
 
 
 def smoothed(grid: Grid, deviation: float) -> Changed:

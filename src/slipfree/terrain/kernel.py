@@ -116,9 +116,9 @@ def library() -> ctypes.CDLL | None:
     """Return the compiled evaluator; None if there is no usable one."""
     for file in (Path(__file__).with_name(f"_kernel{suffix}") for suffix in EXTENSION_SUFFIXES):
         try:
-            found = ctypes.CDLL(str(file))
-            if found.kernel_layout() == LAYOUT:
-                return found
+            kernel = ctypes.CDLL(str(file))
+            if kernel.kernel_layout() == LAYOUT:
+                return kernel
         except (OSError, AttributeError):  # missing, of another system, or of an older version
             continue
     return None

@@ -112,6 +112,7 @@ class PagedBicubic(Bicubic):
                 surface._fill(window)
 
     def _fill(self, window: Window) -> None:
+        """Replace the coefficients in memory by those of a window of the map."""
         self._known_bounds.clear()
         if hasattr(mmap, "MADV_DONTNEED"):  # pages of a private mapping are freed
             self._memory.madvise(mmap.MADV_DONTNEED)
@@ -128,8 +129,8 @@ class PagedBicubic(Bicubic):
         missing = np.isnan(z)
         if missing.any():
             z = np.full(z.shape, self.origin[2]) if missing.all() else continue_over_holes(z)
-        found = coefficients_of(z - self.origin[2], through=self.through)
-        self._table[*here] = found[*inner]
+        coefficients = coefficients_of(z - self.origin[2], through=self.through)
+        self._table[*here] = coefficients[*inner]
 
     @cached_property
     def _memory(self) -> mmap.mmap:

@@ -400,7 +400,7 @@ def section_of(prisms: Sequence[Prism], floor: float = 0.0) -> Profile:
     """
     end = FLOOR_LENGTH + min((each.y for each in prisms), default=0.0)  # not beyond plateaus
     low, high = (-FLOOR_LENGTH, floor - ROOT_DEPTH), (end, floor)
-    found = [Solid((low, (end, low[1]), high, (low[0], floor)))]
+    solids = [Solid((low, (end, low[1]), high, (low[0], floor)))]
     for prism in prisms:
         forward, right, _ = prism.axes.T
         if abs(forward[1] - 1) > MIN_TURN_SINE or abs(right[0] * prism.x) > prism.half_width:
@@ -410,8 +410,8 @@ def section_of(prisms: Sequence[Prism], floor: float = 0.0) -> Profile:
                 "from y; turn or move it"
             )
         points = tuple((x + prism.y, z + prism.z) for x, z in prism.section.points)
-        found.append(Solid(points))
-    return Profile(tuple(found))
+        solids.append(Solid(points))
+    return Profile(tuple(solids))
 
 
 @checked

@@ -57,8 +57,8 @@ def evaluate(text: str, values: Mapping[str, ca.SX]) -> ca.SX:
 def names_in(text: str) -> frozenset[str]:
     """Return the names of the coordinates in a formula; raise ModelError for invalid text."""
     tree = _parse(text)
-    found = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
-    names = frozenset(found - set(CONSTANTS) - set(FUNCTIONS))
+    used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    names = frozenset(used - set(CONSTANTS) - set(FUNCTIONS))
     _evaluate_node(tree, text, {name: ca.SX.sym(name) for name in names}, MAX_DEPTH)
     return names
 
@@ -79,6 +79,7 @@ def _parse(text: str) -> ast.expr:
 
 
 def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth: int) -> Any:
+    """Return the value of a node of a formula; ModelError if formulas do not support it."""
     if depth == 0:
         raise ModelError(
             f"formula {text!r}: expected at most {MAX_DEPTH} nested levels, found more; simplify it"
@@ -105,8 +106,8 @@ def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth
             count, function = FUNCTIONS[name]
             if len(args) == count:
                 return function(*(_evaluate_node(each, text, values, depth - 1) for each in args))
-    found = ast.get_source_segment(text.strip(), node) or text
-    raise _formula_error(text, found[:MAX_SHOWN])
+    segment = ast.get_source_segment(text.strip(), node) or text
+    raise _formula_error(text, segment[:MAX_SHOWN])
 
 
 def _is_number(value: float) -> bool:

@@ -222,6 +222,7 @@ def _mapped(
     fill: Literal["linear"] | None,
     friction: Friction,
 ) -> Map:
+    """Return the map of heights that were read: holes filled, degrees converted to metres."""
     facts: Facts = heights.facts
     mask, missing = None, np.isnan(heights.z)
     if fill is not None:

@@ -164,9 +164,9 @@ class RasterParts(NamedTuple):
             ends += [axis.first + axis.step * (k + 0.5) for k in (start - 1, stop - 1)]
             cuts.append(slice(whole.start + part.start - start, whole.start + part.stop - start))
         with naming(self.path):
-            found = read_raster(self.path, self.ask._replace(window=tuple(ends)))
+            heights = read_raster(self.path, self.ask._replace(window=tuple(ends)))
         a, b = cuts
-        return found._replace(x=found.x[a], y=found.y[b], z=found.z[a, b])
+        return heights._replace(x=heights.x[a], y=heights.y[b], z=heights.z[a, b])
 
 
 def raster_parts(path: Path, ask: Reading) -> RasterParts:
@@ -316,6 +316,7 @@ def _raw_pgm(content: bytes) -> bytes:
 
 
 def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heights:
+    """Return the heights in a window of an open raster, in metres and with rising y."""
     _check_band(file)
     place = _place(file, ask, is_placed)
     i, j = parts(place.x, place.y, ask.window)

@@ -178,6 +178,7 @@ class _UrdfElement:
 
 
 def _link(element: Element, findings: Findings, unread: list[str]) -> Link:
+    """Return the link of a ``<link>`` element."""
     name = _UrdfElement(element, findings, "link").name("name")
     link = _UrdfElement(element, findings, f"link {name!r}")
     mass, center, inertia = None, ORIGIN, None
@@ -256,6 +257,7 @@ def _geometry(link: _UrdfElement, shape: Element, unread: list[str]) -> Geometry
 
 
 def _joint(element: Element, findings: Findings) -> UrdfJoint:
+    """Return the joint of a ``<joint>`` element."""
     name, kind = (
         _UrdfElement(element, findings, "joint").name("name"),
         element.attributes.get("type", ""),

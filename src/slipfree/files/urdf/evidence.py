@@ -268,10 +268,10 @@ def actuators(robot: Element) -> dict[str, list[Evidence]]:
         values += [pair for part in element.children for pair in part.attributes.items()]
         if any("springstiff" in key.lower().replace("_", "") and _number(v) for key, v in values):
             facts.append((name, "spring", "spring"))
-    found = defaultdict[str, list[Evidence]](list)
+    by_name = defaultdict[str, list[Evidence]](list)
     for name, fact, value in facts:
-        found[name] += evidence("kind", {fact: value})
-    return found
+        by_name[name] += evidence("kind", {fact: value})
+    return by_name
 
 
 def _interfaces(robot: Element) -> Iterator[tuple[str, str, str]]:
@@ -279,8 +279,8 @@ def _interfaces(robot: Element) -> Iterator[tuple[str, str, str]]:
     for transmission in robot.all("transmission"):
         parts: Sequence[Element] = [*transmission.everything()]
         texts = ["".join(each.texts) for each in parts if each.tag.lower() == "hardwareinterface"]
-        found = [text.rpartition("/")[2].lower().removesuffix("interface") for text in texts]
-        kinds = dict.fromkeys(each.removesuffix("joint") for each in found) or {"": None}
+        interfaces = [text.rpartition("/")[2].lower().removesuffix("interface") for text in texts]
+        kinds = dict.fromkeys(each.removesuffix("joint") for each in interfaces) or {"": None}
         for joint in transmission.all("joint"):
             for kind in kinds:
                 yield joint.attributes.get("name", ""), kind, "transmission"

@@ -75,9 +75,9 @@ class MeshFiles:
 
     def __init__(self, meshes: Iterable[MeshFile], folder: Path) -> None:
         names = dict.fromkeys(mesh.name for mesh in meshes)
-        found = {name: _attempt(find_mesh, name, folder) for name in names}
-        files = {name: path for name, path in found.items() if isinstance(path, Path)}
-        self._read = {name: error for name, error in found.items() if name not in files}
+        attempts = {name: _attempt(find_mesh, name, folder) for name in names}
+        files = {name: path for name, path in attempts.items() if isinstance(path, Path)}
+        self._read = {name: error for name, error in attempts.items() if name not in files}
         if files:
             self._read |= zip(files, _read_files([*files.values()]), strict=True)
 

@@ -69,6 +69,7 @@ def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: Draft) -> str:
 
 
 def _draft(file: Tree, roles: UrdfTable, findings: Findings) -> Draft:
+    """Return the vehicle of a URDF before its checks: roles and shapes given or guessed."""
     tree = coupled(completed(file, roles), roles.couple)
     forward = roles.forward or _forward(tree, roles, findings)
     wheels = Wheels(facing_forward(tree, forward), roles, findings)
@@ -191,6 +192,7 @@ def _used_joints(wheels: Wheels, findings: Findings) -> list[UrdfJoint]:
 
 
 def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Findings) -> None:
+    """Add notes on what was guessed, omitted or replaced."""
     links, notes = wheels.tree.links, findings.notes
     notes.extend([*file.notes, *(f"not read: line {element}" for element in file.unknown)])
     used = [links[wheels.tree.root], *(links[j.child] for j in (*kept, *wheels.joints))]

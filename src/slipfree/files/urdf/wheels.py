@@ -186,6 +186,7 @@ class Wheels:
         )
 
     def _with_mesh_shapes(self, tree: Tree) -> Tree:
+        """Return the tree with round shapes of meshes for possible wheels without a shape."""
         links = dict(tree.links)
         joints = [
             joint

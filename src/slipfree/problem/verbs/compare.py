@@ -73,8 +73,8 @@ def compare(
         return _compared(problem, spec.name, vehicle, direct_kinematics(vehicle, terrain))
 
     with study(compared, watch=watch) as run:
-        found = until_interrupt(run(range(len(vehicles)), lambda index: index))
-    return ground, [row for _, row in found]
+        rows = until_interrupt(run(range(len(vehicles)), lambda index: index))
+    return ground, [row for _, row in rows]
 
 
 def _compared(problem: Problem[Compare], name: str, vehicle: Vehicle, dae: Dae) -> dict[str, Any]:

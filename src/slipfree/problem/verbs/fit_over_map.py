@@ -369,6 +369,7 @@ def fitted_vehicle(problem: Problem[FitOverMap], fitted: FittedModels) -> tuple[
 
 
 def _errors(scores: Mapping[str, Mapping[Kind, Score]]) -> Iterator[tuple[str, str]]:
+    """Yield the lines on errors of prediction: by distance, by time, and of slip by grade."""
     for kind in next(iter(scores.values())):
         label = f"{kind[0]:g} m of path" if kind[0] else f"{kind[1]:g} s"
         for name, own in scores.items():

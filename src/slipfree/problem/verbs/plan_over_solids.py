@@ -113,6 +113,7 @@ def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
 
 
 def _faults(spec: PlanKeys) -> Iterator[Fault]:
+    """Yield the keys that a plan over solids requires or does not support."""
     tables = {"": spec, **{name: getattr(spec, name) for name in KEYS if name.isalpha()}}
     if spec.driver is None or spec.driver.name != STEP_CLIMBING:
         found = "another guide; change it"

@@ -186,34 +186,34 @@ def best_start(
     is called several times per second with the phase and a line, raises it before a start is
     solved.
     """
-    count, found = max(setup.spec.plan.starts, len(setup.starts)), list[StartResult]()
+    count, results = max(setup.spec.plan.starts, len(setup.starts)), list[StartResult]()
     is_interrupted = False
 
     def poll() -> None:
         if report is not None:
-            report("starts", f"starts: {len(found)} of {count} are finished")
+            report("starts", f"starts: {len(results)} of {count} are finished")
 
     with at(setup.problem, ("plan",)):
         source = recipe_of(setup.problem, run=next(RUNS))
         try:
             with study(solve_start, workers=count, watch=PartsWatch(poll)) as run:
                 for _, result in run(range(count), lambda number: (source, number)):
-                    found.append(result)
+                    results.append(result)
         except KeyboardInterrupt:
-            if not any(is_solved(each) for each in found):
+            if not any(is_solved(each) for each in results):
                 raise
             is_interrupted = True
-        ranked = [(each.optimum.rank, each.number, each) for each in found if each.optimum]
+        ranked = [(each.optimum.rank, each.number, each) for each in results if each.optimum]
         if not ranked:
             raise ModelError(
                 "plan: expected an initial guess that can be simulated, found none of "
-                f"{len(found)}; guess {found[0].number + 1} failed: {found[0].words}; change the "
-                "inputs or the driver"
+                f"{len(results)}; guess {results[0].number + 1} failed: {results[0].words}; change "
+                "the inputs or the driver"
             )
-    found = [each for _, _, each in sorted(ranked, key=itemgetter(0, 1))]
+    results = [each for _, _, each in sorted(ranked, key=itemgetter(0, 1))]
     is_over = time.monotonic() > setup.deadline
-    saved = found[0].saved if is_over or is_solved(found[0]) else None
-    return saved, starts_facts(found), is_interrupted
+    saved = results[0].saved if is_over or is_solved(results[0]) else None
+    return saved, starts_facts(results), is_interrupted
 
 
 def solve_start(task: tuple[Recipe, int]) -> StartResult:
@@ -307,17 +307,17 @@ def make_robust(
 
     def solve(tightening: Tightening, before: Plan) -> Plan:
         nonlocal latest
-        found = find_plan(setup, [], before.saved, progress, tightening)
-        if found.run.outcome is Outcome.INTERRUPTED:
+        solved = find_plan(setup, [], before.saved, progress, tightening)
+        if solved.run.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
-        if not found.accurate:
-            stop = found.run.stop
+        if not solved.accurate:
+            stop = solved.run.stop
             raise ModelError(
                 stop.words.splitlines()[0]
                 if stop
                 else "the simulation deviates from the plan by more than plan.accuracy"
             )
-        latest = replace(found, stages=(*before.stages, *found.stages))
+        latest = replace(solved, stages=(*before.stages, *solved.stages))
         return latest
 
     done = dict[int, tuple[DisturbedRun, ...]]()
@@ -353,7 +353,7 @@ def make_robust(
                     done[number] = each
                 return [Replays(each) for each in zip(*(done[k] for k in numbers), strict=True)]
 
-            found = robust_plan(
+            solved = robust_plan(
                 first,
                 solve,
                 replay,
@@ -366,7 +366,7 @@ def make_robust(
                 parts.remove()
     except KeyboardInterrupt:
         return Tested(latest, UNTESTED)
-    return Tested(found.plan, _stop(found, robust), robust_facts(found, first))
+    return Tested(solved.plan, _stop(solved, robust), robust_facts(solved, first))
 
 
 def replay_draw(task: ReplayTask) -> tuple[DisturbedRun, ...]:

@@ -210,8 +210,8 @@ def follow_plan(
             stack.enter_context(parts)
         run_tasks = stack.enter_context(study(follow, parts, watch=watch))
         numbers = range(1, len(tasks) + 1)
-        found = dict(until_interrupt(run_tasks(numbers, lambda number: tasks[number - 1])))
-    return TrackingTest(plan.replay, tuple(found[k] for k in sorted(found)), parts)
+        followed = dict(until_interrupt(run_tasks(numbers, lambda number: tasks[number - 1])))
+    return TrackingTest(plan.replay, tuple(followed[k] for k in sorted(followed)), parts)
 
 
 def _check_names(by: Sequence[str], disturb: Mapping[str, float]) -> None:
