@@ -292,8 +292,8 @@ def least_friction(
 ) -> FrictionBounds:
     """Return bounds of the least factor of the wheels' friction that holds the vehicle.
 
-    Intervals wider than a tolerance after `STEPS` steps take `MORE_STEPS` further ones; what is
-    still wider is computed by `least_utilisation`.
+    Intervals wider than a tolerance after `STEPS` steps take `MORE_STEPS` further ones; those
+    that remain wider are computed by `least_utilisation`.
     """
     rows, pattern = rows_of(graphs.pattern), graphs.pattern
     tangential = np.array(pattern.row()) % 3 < 2

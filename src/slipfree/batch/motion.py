@@ -299,6 +299,7 @@ def _drive_plainly(
             if k and not is_given:
                 run.counts[k - 1, left] = number[left]
             arrived = [] if k else [going]
+            # steps of equal length, then graded ones, each half as long as the one before
             for taken in range(1, int(number[going].max(initial=0)) + graded + 1 if k else 1):
                 past = np.maximum(taken - number[going], 0)
                 equal = (span - halves * shortest) / number[going]
@@ -326,6 +327,7 @@ def _drive_plainly(
                 a[rows.u, there] = inputs[:, k, there]
             there, unsolved = check(there)
             rates[:, there] = slopes[:, there]
+            # lanes with a failed step repeat the whole interval with shorter steps
             left = np.concatenate([*lost, unsolved])
             number[left] *= numbers.finer
         run.end[left], run.reason[left] = t[max(k - 1, 0)], UNSOLVED
@@ -333,6 +335,7 @@ def _drive_plainly(
         run.samples[k, :kept, alive] = a[:kept, alive].T
         if numbers.estimated:
             x, y, heading = evaluate.graphs.places
+            # an error of the heading turns the path about the origin: see `_step_errors`
             errors = sums.copy()
             errors[x] -= sums[heading] * a[y]
             errors[y] += sums[heading] * a[x]

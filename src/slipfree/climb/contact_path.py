@@ -134,6 +134,7 @@ def _path(climber: Vehicle, profile: Profile, solids: Solids) -> _Path:
         *(n.T @ ca.jacobian(axle, q) for n, axle in zip(normals, axles, strict=True))
     )
     contact = ca.vertcat(*(of_axle[k][0] for of_axle, k in zip(near, solids, strict=True))) - radius
+    # the Newton step of least change to the three contact conditions
     closest = q - across.T @ ca.solve(across @ across.T, contact)
     # null vector of the three contact conditions; its sign is that of forward motion
     columns = [[k for k in range(4) if k != left] for left in range(4)]
@@ -142,6 +143,7 @@ def _path(climber: Vehicle, profile: Profile, solids: Solids) -> _Path:
     speeds = ca.vertcat(
         *(ca.dot(t, ca.jtimes(axle, q, null)) for t, axle in zip(tangents, axles, strict=True))
     )
+    # per metre of the root mean square of the axles: no axle may stand still on the path
     size = ca.sqrt(ca.sumsqr(speeds) / 3) * ca.sign(ca.sum1(speeds))
     first, speeds = null / size, speeds / size
 

@@ -166,12 +166,12 @@ def write_geotiff(
             ) from error
 
 
-def _describe(file: Any, maps: Mapping[str, Band], found: Verdicts, site: Site) -> None:
+def _describe(file: Any, maps: Mapping[str, Band], decided: Verdicts, site: Site) -> None:
     """Describe the bands of a GeoTIFF, and list the meanings of the reasons."""
     labels = [band.label for band in maps.values()]
     file.descriptions = tuple(f"{label.name} [{label.unit}]" for label in labels)
     file.units = tuple(label.unit for label in labels)
-    meanings = "; ".join(f"{code}: {words}" for code, words in enumerate(found.reasons) if code)
+    meanings = "; ".join(f"{code}: {words}" for code, words in enumerate(decided.reasons) if code)
     for k, label in enumerate(labels, 1):
         words = f"{label.words}; {meanings}" if label.name == LIMIT else label.words
         file.update_tags(k, long_name=words)

@@ -116,6 +116,7 @@ def read_log(
             break
         if not rows.size:
             raise DataError(f"{path}: expected numbers in the column {names[name]!r}, found none")
+        # the last row that gives this input; an input is zero after the timeout, as in robots
         last = rows[np.maximum(np.searchsorted(rows, np.arange(t.size), side="right") - 1, 0)]
         age = t - t[last]
         given &= age >= 0
@@ -126,6 +127,7 @@ def read_log(
             is_near = (t[rows[following]] - t[last] <= longest_gap(t[rows])) & (age > 0)
             held = np.where(is_near, np.interp(t, t[rows], values[name][rows]), held)
         values[name] = np.where(is_late, 0.0, held)
+        # the first row of a window does not wait for the window before it
         waits = np.where(is_apart[rows[1:] - 1], 0.0, np.diff(t[rows]))
         if waits.max(initial=0.0) > longest:
             longest, start = float(waits.max()), float(t[rows[waits.argmax()]])

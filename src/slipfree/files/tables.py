@@ -188,7 +188,7 @@ def read_columns(
             raise _line_error(path, layout.first, text, wanted, remedy)
     else:
         chosen = _choose(path, layout, names, where)
-    if width > count:
+    if width > count:  # of rows that are too short
         wanted = f"{width} values as in the first row, with numbers for {','.join(names)}"
     file.seek(0)
     free = {key for key in chosen if key.split(":")[0] in optional}

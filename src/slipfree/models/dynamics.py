@@ -382,7 +382,7 @@ def _wheels(
     x: DynamicState, u: Inputs, body: Multibody, contacts: Sequence[tuple[Contact, ...]]
 ) -> list[_Wheel]:
     """Return the loads of each wheel: contact forces, drive torque and reaction of the drive."""
-    inputs, integrals, found = iter(u.wheels), iter(x.drives), list[_Wheel]()
+    inputs, integrals, loads = iter(u.wheels), iter(x.drives), list[_Wheel]()
     zero = ca.SX(0)
     for wheel, touching in zip(body.wheels, contacts, strict=True):
         drive = wheel.wheel.acting_drive
@@ -400,8 +400,8 @@ def _wheels(
         arm = ca.cross(center - body.origin, force)
         load = Load(wheel.wheel.parent, force, arm + moment + about * wheel.axle)
         rates = (rate,) if drive.has_integral else ()
-        found.append(_Wheel(resisting, torque, acceleration, rates, load))
-    return found
+        loads.append(_Wheel(resisting, torque, acceleration, rates, load))
+    return loads
 
 
 def _accelerations(

@@ -174,6 +174,7 @@ def multibody(
         else:
             motion = on._replace(
                 velocity=on.velocity + axis * rate,
+                # Coriolis, and the second derivative of the formula of the joint
                 acceleration=on.acceleration + 2 * ca.cross(on.omega, axis) * rate + axis * change,
             )
             screw = still, axis
@@ -305,6 +306,7 @@ def kinetic_energy(system: Multibody) -> ca.SX:
         total += body.mass / 2 * ca.sumsqr(motion.velocity)
         total += ca.dot(motion.omega, body.inertia @ motion.omega) / 2
     for wheel in system.wheels:
+        # the inertia of a body includes that of a prescribed wheel, as if it did not spin
         carried = wheel.turning**2 if wheel.prescribed else 0
         total += wheel.axial / 2 * (wheel.spin**2 - carried) + wheel.rotor / 2 * wheel.spin**2
     return total

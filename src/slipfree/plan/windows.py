@@ -197,6 +197,7 @@ def plan_windows(
             words = f"the plan from {here.reached:.4g} m of the route was interrupted"
             keep(_join(parts, None, Stop(PLAN, 0.0, words, Outcome.INTERRUPTED), dae, options))
         stages: tuple[SolvedStage, ...] = ()
+        # a window without solution may have one if it ends elsewhere, apart from an obstacle
         for change in (0.0, *OTHER_LENGTHS):
             end = here.reached + length + change * overlap
             end = route.length if route.length - end < overlap else end

@@ -233,12 +233,12 @@ def _traversability(
     layers: Traversability,
     places: Sequence[Place],
     areas: Mapping[str, Window],
-    found: Sequence[Array],
+    lines: Sequence[Array],
     guess: Array,
 ) -> Figure:
     """Draw the motion, its initial guess and the routes on the cost map."""
     known = guess[np.isfinite(guess).all(axis=1)]
-    points = np.concatenate([np.stack([run["x"], run["y"]], axis=1), *found, known])
+    points = np.concatenate([np.stack([run["x"], run["y"]], axis=1), *lines, known])
     window = ground_drawing.about(points[:, 0], points[:, 1], grid, pad=0.25)
     whole = ground_drawing.whole(grid)
     spans = [(w[1] - w[0], w[3] - w[2]) for w in (whole, window)]
@@ -248,7 +248,7 @@ def _traversability(
     panel = min(92 * MM / ratio, 120 * MM)
     figure = style.figure(COLUMN, panel + 32 * MM)
     ax = cost_map(layers, grid, figure.subplots(), window)
-    initial_routes(found, ax)
+    initial_routes(lines, ax)
     if guess.size:
         initial_guess(guess, ax)
     motion(run, places, ax, areas)

@@ -121,9 +121,9 @@ def _consistent_start(system: System, x: Array, z: Array) -> Trajectory:
     u = system.u[:, :1]
     z = solve_initial_conditions(system, 0.0, x, z, u[:, 0])
     still = np.zeros((system.dae.quad.numel(), 1))
-    found, report = correct_samples(system, Samples(np.zeros(1), x[:, None], z[:, None], still, u))
-    run = to_trajectory(system, found, report)
-    fault = first_violation(system, run, found)
+    start, report = correct_samples(system, Samples(np.zeros(1), x[:, None], z[:, None], still, u))
+    run = to_trajectory(system, start, report)
+    fault = first_violation(system, run, start)
     if fault is not None:
         raise invalid_start(fault[1].words)
     return run

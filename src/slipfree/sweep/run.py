@@ -96,11 +96,11 @@ def grids(sweep: Sweep, rows: Rows, figures: Sequence[str]) -> dict[str, Swept]:
 
 
 def sweep_facts(
-    sweep: Sweep, rows: Rows, found: Mapping[str, Swept], figures: Sequence[str]
+    sweep: Sweep, rows: Rows, tables: Mapping[str, Swept], figures: Sequence[str]
 ) -> Lines:
     """Return the facts of the summary of a sweep, pairs of name and text."""
-    spreads = (fact for name in figures for fact in _spreads(found[name]))
-    return [*_outcomes(sweep, rows), *_within_limits(len(rows), found.get(KEPT)), *spreads]
+    spreads = (fact for name in figures for fact in _spreads(tables[name]))
+    return [*_outcomes(sweep, rows), *_within_limits(len(rows), tables.get(KEPT)), *spreads]
 
 
 def _outcomes(sweep: Sweep, rows: Rows) -> Iterator[tuple[str, str]]:
@@ -159,11 +159,11 @@ def _spread(values: Array, unit: str) -> str:
     )
 
 
-def drawn_grids(rows: Rows, found: Mapping[str, Swept], figures: Sequence[str]) -> list[Swept]:
+def drawn_grids(rows: Rows, tables: Mapping[str, Swept], figures: Sequence[str]) -> list[Swept]:
     """Return the metrics to draw, and the share of complete runs if not all are complete."""
     is_complete = rows.outcomes["complete"] == len(rows)
     names = dict.fromkeys([*figures, *([] if is_complete else [COMPLETE])])
-    swept = (found[name] for name in names if name in found)
+    swept = (tables[name] for name in names if name in tables)
     return [each for each in swept if np.isfinite(each.values).any()]
 
 

@@ -201,7 +201,7 @@ def compiler() -> list[str] | None:
 
 
 def _load_cached(cache: Path, key: str, load: Callable[[str], T]) -> T | None:
-    """Return what is loaded from the library of a key, or None; damaged ones are removed."""
+    """Return the functions of the library of a key, or None; damaged libraries are removed."""
     for file in sorted(cache.glob(f"{key}.*.so")):
         try:
             same = file.suffixes[-2] == f".{digest(file.read_bytes())}"

@@ -36,6 +36,7 @@ class _Forks:
         self.unsafe = False
 
     def enter(self) -> None:
+        """Count this thread as computing; wait first for forks, unless it computes already."""
         me = threading.get_ident()
         with self.changed:
             if me not in self.depths:
@@ -43,6 +44,7 @@ class _Forks:
             self.depths[me] = self.depths.get(me, 0) + 1
 
     def leave(self) -> None:
+        """End a call of this thread; forks may continue after its outermost one."""
         me = threading.get_ident()
         with self.changed:
             self.depths[me] -= 1

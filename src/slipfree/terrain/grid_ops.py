@@ -224,8 +224,8 @@ def hole_distance(grid: Grid) -> Array:
 
 def any_of_four(mask: Mask) -> Mask:
     """Return whether any of four neighbouring entries is marked, shape (n_x - 1, n_y - 1)."""
-    found: Mask = mask[:-1, :-1] | mask[1:, :-1] | mask[:-1, 1:] | mask[1:, 1:]
-    return found
+    cells: Mask = mask[:-1, :-1] | mask[1:, :-1] | mask[:-1, 1:] | mask[1:, 1:]
+    return cells
 
 
 def continue_over_holes(z: Array) -> Array:

@@ -184,6 +184,7 @@ class PlanVerb(DriveVerb):
         plan = find_plan(setup, guesses, resume, progress, keep=keep)
         tested = Tested(plan)
         if spec.plan.robust is not None and plan.accurate:
+            # kept in case the search for a robust plan is interrupted
             keep(replace(plan, replay=replace(plan.replay, stop=UNTESTED)))
             tested = make_robust(setup, plan, spec.plan.robust, progress, watch)
             plan = tested.plan

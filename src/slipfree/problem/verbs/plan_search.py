@@ -346,6 +346,7 @@ def make_robust(
                 motions = tuple(each.motion for each in plans)
                 key = sha256(b"".join(each.unknowns.tobytes() for each in motions)).hexdigest()
                 stream = draws[0][1]
+                # numbers of stored worlds: the final draws (stream 0), then those of each round
                 first = 1 + (stream > 0) * (robust.final_draws + (stream - 1) * robust.draws)
                 numbers = range(first, first + total)
                 tasks = partial(ReplayTask, source, motions)

@@ -162,6 +162,7 @@ def follow_plan(
     options = _world_options(real)
     frame = horizon(plan, span=window)
     speed = path_length(plan.replay) / plan.motion.duration
+    # all ways of a seed follow each other: the world of a seed is built once
     world_of = lru_cache(1)(partial(_disturbed_world, real, plan, speed, disturb))
 
     def follow(way: tuple[str, int]) -> Followed:
