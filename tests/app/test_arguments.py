@@ -194,8 +194,7 @@ def test_packages_are_asked_for_before_the_work(calls, tmp_path, monkeypatch):
         monkeypatch.setattr(sys.modules["slipfree.solve.rollouts"], name, None)
     monkeypatch.setattr(sys.modules["slipfree.batch.many"], "evaluator_of", None)
     for name in ("rollouts", "settle_many"):
-        with pytest.raises(sf.SlipfreeError, match="expected the package 'xarray'"):
-            calls[name][0](**calls[name][1])
+        refuses(sf.SlipfreeError, "expected the package 'xarray'", calls[name][0], **calls[name][1])
     monkeypatch.setitem(sys.modules, "viser", None)
     result = tmp_path / "missing.nc"
     assert "expected the package 'viser'" in invoke("show", str(result)).stderr

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.commands import printed
+from helpers.commands import printed, refuses
 from slipfree import DataError, catalog
 from slipfree.core.records import Array
 from slipfree.files.toml.source import ProblemError
@@ -227,8 +227,7 @@ REFUSED = {
 @pytest.mark.parametrize("kind", REFUSED)
 def test_logs_that_are_refused(kind: str) -> None:
     text, words = REFUSED[kind]
-    with pytest.raises(DataError, match=words):
-        windows_of(text)
+    refuses(DataError, words, windows_of, text)
 
 
 def test_a_drive_to_one_side_has_no_sense_of_turning() -> None:
@@ -303,8 +302,7 @@ def test_commands_that_stop() -> None:
         ("20,2,1", "found 20 s after 20 s with other values; keep one row for each time"),
     ):
         file.write_text("\n".join(["t,v_x,omega_z", *rows, row]))
-        with pytest.raises(DataError, match=words):
-            _read_file(file, 25.0, None)
+        refuses(DataError, words, _read_file, file, 25.0, None)
 
 
 def test_headings_of_a_path() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import slipfree
+from helpers.commands import refuses
 from slipfree import Analytic, Bicubic, catalog, direct_kinematics, settle, simulate, straight
 from slipfree.files.maps.elevation import Map, jacksboro
 from slipfree.plan.mpc import first_cycle, horizon
@@ -83,8 +84,7 @@ def test_wrong_arguments_get_a_remedy():
         (lambda: slipfree.rollouts(model, start, np.zeros(3), t), "inputs: expected a mapping"),
         (lambda: slipfree.follow(model, [(0, 0)], speed=1.0), "path: expected Path"),
     ):
-        with pytest.raises(slipfree.ModelError, match=words):
-            call()
+        refuses(slipfree.ModelError, words, call)
     with pytest.raises(AttributeError, match="did you mean 'rocky7'"):
         catalog.roky7  # noqa: B018
 
@@ -99,10 +99,8 @@ def test_results_are_drawn():
     for result, name, axes in ((run, None, "east"), (run, "tilts", "time"), (poses, None, "east")):
         (ax, *_) = slipfree.plot(result, name).axes
         assert axes in ax.get_xlabel()
-    with pytest.raises(slipfree.ModelError, match="did you mean 'tilts'"):
-        slipfree.plot(run, "tilt")
-    with pytest.raises(slipfree.ModelError, match="result: expected Trajectory"):
-        slipfree.plot(model)
+    refuses(slipfree.ModelError, "did you mean 'tilts'", slipfree.plot, run, "tilt")
+    refuses(slipfree.ModelError, "result: expected Trajectory", slipfree.plot, model)
 
 
 def test_help_is_a_page_that_names_everything():

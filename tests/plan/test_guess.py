@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import slipfree as sf
+from helpers.commands import refuses
 from slipfree.core.records import leaves
 from slipfree.core.trajectory import PLAN, Stop
 from slipfree.files.toml.source import ProblemError
@@ -123,8 +124,7 @@ def test_a_model_without_vehicle_needs_a_guess(model):
 def test_arguments_of_wrong_types_are_refused_with_a_remedy(model, change, words):
     dae, start = model
     given = {"model": dae, "start": start, "goal": {"y": 1.0}, "costs": COSTS} | change
-    with pytest.raises(sf.ModelError, match=words):
-        sf.plan(**given)
+    refuses(sf.ModelError, words, sf.plan, **given)
 
 
 def test_a_problem_file_needs_ground_vehicle_goal_and_costs(tmp_path: Path):
@@ -242,8 +242,7 @@ def test_linear_creep_is_coulomb_friction_at_small_slip():
 def test_model_refuses_what_it_cannot_plan():
     ground = sf.Analytic(lambda x, y: 0 * x * y, mu=0.8)
     two = replace(sf.catalog.rigid_skid_steer(), wheels=sf.catalog.rigid_skid_steer().wheels[:2])
-    with pytest.raises(sf.ModelError, match="expected at least 3 wheels, found 2"):
-        sf.rigid_dynamics(two, ground)
+    refuses(sf.ModelError, "expected at least 3 wheels, found 2", sf.rigid_dynamics, two, ground)
     with pytest.raises(sf.ModelError, match="linear creep: expected a ground with a coefficient"):
         sf.LinearCreep().check(car(), sf.Analytic(lambda x, y: 0 * x * y))
     with pytest.raises(sf.ModelError, match="expected a ground with a coefficient of friction"):
@@ -322,8 +321,7 @@ time = { duration = 2.0, step = 0.1 }
         ("plan.window=2.0", "no 'window' with model = 'dynamics'"),
         ("plan.robust={friction=0.1}", "no 'robust' with model = 'dynamics'"),
     ):
-        with pytest.raises(ProblemError, match=words):
-            load_problem(file, (setting,))
+        refuses(ProblemError, words, load_problem, file, (setting,))
     settings = ("model=quasi-static", "plan.sliding=true")
     with pytest.raises(ProblemError, match=r"plan\.sliding: expected model = 'dynamics'"):
         load_problem(file, settings)
