@@ -86,21 +86,21 @@ FIRST: list[Plan] = []  # the plan with the widest law, which all tests begin wi
 
 def observed(monkeypatch: pytest.MonkeyPatch, fails: Outcome | None = None) -> list[Any]:
     """Record the models of all plans; the second one ends with an outcome."""
-    models, plan = list[Any](), module.plan
+    models, solve_task = list[Any](), module.solve_task
 
-    def planned(dae: Any, *words: Any, **more: Any) -> Plan:
-        models.append(dae)
+    def planned(task: Any, *words: Any, **more: Any) -> Plan:
+        models.append(task.dae)
         if len(models) == 1:
             if not FIRST:
-                FIRST.append(plan(dae, *words, **more))
+                FIRST.append(solve_task(task, *words, **more))
             return FIRST[0]
         if fails is None:
-            return plan(dae, *words, **more)
+            return solve_task(task, *words, **more)
         run = FIRST[0].run
         stop = Stop(PLAN, float(run.t[-1]), "made up", fails)
         return replace(FIRST[0], success=False, run=replace(run, stop=stop))
 
-    monkeypatch.setattr(module, "plan", planned)
+    monkeypatch.setattr(module, "solve_task", planned)
     return models
 
 

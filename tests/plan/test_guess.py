@@ -71,7 +71,7 @@ def test_the_guide_suits_goal_ground_and_bounds(model, layers):
 def test_the_guess_ends_near_a_range_and_a_coordinate_without_range_stays(model):
     dae, start = model
     task = task_of(dae, start, goal={"y": (0.4, 1.0)}, costs=COSTS, duration=1.0)
-    guess, duration = initial_guess(task, start, {}, sf.SolverOptions())
+    guess, duration = initial_guess(task, start, sf.SolverOptions())
     assert guess["y"][-1] == pytest.approx(0.7, abs=0.2)
     assert guess["x"][-1] == pytest.approx(0.0, abs=0.1)
     assert duration >= guess.t[-1]
@@ -132,7 +132,7 @@ def test_a_problem_file_needs_ground_vehicle_goal_and_costs(tmp_path: Path):
     file.write_text(PROBLEM)
     setup = build(sf.load_problem(file))
     assert setup.guide.name == "follow"
-    assert setup.duration == free_durations([setup.starts[0][1][-1]])
+    assert setup.task.duration == free_durations([setup.starts[0][1][-1]])
     inputs = "inputs={right_rate=1.0, left_rate=1.0, steer_rate=0.0}"
     with pytest.raises(ProblemError, match=r"time\.duration: expected the duration of the initial"):
         sf.load_problem(file, [inputs])

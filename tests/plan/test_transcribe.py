@@ -20,6 +20,7 @@ from slipfree.plan.constraints import conflicts
 from slipfree.plan.explanation import violations
 from slipfree.plan.ipopt import solve_program
 from slipfree.plan.polynomial_motion import first_intervals, joined_motions
+from slipfree.plan.problem import task_of
 from slipfree.plan.sparse_assembly import _evaluate_by_columns, assemble, nlp_block
 from slipfree.plan.transcription import CollocationMesh, Cost, TimedCondition, completed, transcribe
 from slipfree.plan.verification import simulate_plan
@@ -314,8 +315,10 @@ def case():
 
 
 def windows(case, **options):
-    given = {"speed": SPEED, "length": 1.8, "overlap": 0.6, "goal": GOAL, "mesh": sf.Mesh(8)}
-    return plan_windows(*case, **COMMON, **(given | options))
+    dae, law, start, route = case
+    asked = task_of(dae, start, goal=GOAL, limits=options.pop("limits", {}), **COMMON)
+    given = {"speed": SPEED, "length": 1.8, "overlap": 0.6, "mesh": sf.Mesh(8)}
+    return plan_windows(asked, law, start, route, **(given | options))
 
 
 @pytest.fixture(scope="module")

@@ -268,12 +268,11 @@ def settled_start(dae: Dae, start: Trajectory, options: SolverOptions) -> Trajec
 
 
 def initial_guess(
-    task: PlanTask, start: Trajectory, bounds: Mapping[str, Range], options: SolverOptions
+    task: PlanTask, start: Trajectory, options: SolverOptions
 ) -> tuple[Trajectory, float]:
     """Return a motion of a task's model from the start roughly to the goal, and its duration [s].
 
-    ``bounds`` are those of the inputs. The duration is that of the whole path, even if the motion
-    ends before.
+    The duration is that of the whole path, even if the motion ends before.
     """
     dae, ground = task.dae, task.dae.ground
     if dae.vehicle is None:
@@ -289,6 +288,7 @@ def initial_guess(
     layers = None
     if isinstance(ground, Bicubic):
         layers = traversability(ground, vehicle, places=trip.places)
+    bounds = dict(zip(dae.input_names, task.inputs.tolist(), strict=True))
     guide = choose_guide(trip, bounds, layers)
     drive = guide_drives(trip, guide, step=SAMPLE_STEP)[0]
     return guess_motion(dae, start, trip, guide, drive, options), float(drive[1][-1])

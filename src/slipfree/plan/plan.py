@@ -37,10 +37,10 @@ from slipfree.plan.polynomial_motion import (
 from slipfree.plan.problem import (
     Conditions,
     Range,
+    check_task,
     duration_of,
     free_durations,
     near_conditions,
-    range_of,
     task_of,
 )
 from slipfree.plan.search import (
@@ -178,8 +178,6 @@ class Plan(SimulatedPlan, Drawable):
 
 
 @checked
-@computing
-@with_interrupt_guard
 def plan(
     model: Dae,
     start: Trajectory,
@@ -292,15 +290,12 @@ def plan(
     >>> found.success
     True
     """
-    clock, begun = time.process_time(), time.monotonic()
-    guess = () if guess is None else guess
-    motions = [guess] if isinstance(guess, Trajectory) else list(guess)
     task = task_of(
         model,
         start,
         goal=goal,
         costs=costs,
-        duration=1.0 if duration is None else duration,
+        duration=duration,
         smooth=smooth,
         continuous=mesh.continuous,
         limits=limits,
@@ -310,21 +305,53 @@ def plan(
         cost_limits=cost_limits,
         initial_inputs=initial_inputs,
     )
+    guesses = [guess] if isinstance(guess, Trajectory) else list(guess or ())
+    return solve_task(task, start, guesses, mesh=mesh, search=search, options=options)
+
+
+@computing
+@with_interrupt_guard
+def solve_task(
+    task: PlanTask,
+    start: Trajectory,
+    guesses: Sequence[Trajectory],
+    *,
+    mesh: Mesh = Mesh(),
+    search: Search = Search(),
+    options: SolverOptions = SolverOptions(),
+) -> Plan:
+    """Return the plan of an optimal control problem; arguments, result and errors as in `plan`."""
+    clock, begun = time.process_time(), time.monotonic()
+    check_task(task, start)
+    model, former, motions = task.dae, search.resume, list(guesses)
     task = replace(task, deadline=begun + SEARCH_SHARE * search.seconds)
-    former = search.resume
     nominal = [float(motion.t[-1] - motion.t[0]) for motion in motions]
     if not motions and former is None:
-        ranges = {name: range_of(value) for name, value in (inputs or {}).items()}
-        motion, length = initial_guess(task, start, ranges, options)
+        motion, length = initial_guess(task, start, options)
         motions, nominal = [motion], [length]
-    if duration is None:
-        length = former.motion.duration if former is not None else 0.0
-        default = (length, length) if former is not None else free_durations(nominal)
+    # a guess that turns around keeps a goal that asks for it; otherwise the short way is taken
+    near: list[Callable[[float], Array]] = [lambda _: task.start]
+    if former is not None:
+        motion_before = local_motion(former, model)
+        near.append(lambda fraction: motion_before.states(np.array([fraction]))[:, 0])
+        length = former.motion.duration
+        default, intervals = (length, length), former.motion.mesh.ends.size - 1
+    else:
+        t = motions[0].t - motions[0].t[0]
+        near.append(
+            lambda part: model.rows("x", motions[0], int(np.abs(t - part * t[-1]).argmin()))
+        )
+        length = path_length(motions[0]) if {"x", "y"} <= motions[0].columns.keys() else 0.0
+        default = free_durations(nominal)
+        intervals = max(MIN_INTERVALS, math.ceil(length / (INTERVAL_SIZES * model.size)))
+    if not task.duration[1] < math.inf:
         task = replace(task, duration=duration_of(default))
-    intervals = mesh.intervals or _default_intervals(model, motions, former)
-    ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))
+    intervals = mesh.intervals or intervals
+    fractions = [condition.fraction for condition in task.conditions]
+    ends = np.union1d(np.linspace(0, 1, intervals + 1), fractions)
     first = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], mesh.degree)
-    task = _with_near_conditions(task, motions, former)
+    conditions = near_conditions(model, task.conditions, task.periodic, near)
+    task = replace(task, conditions=conditions)
     if former is None:
         named = [(f"guess {number}", each) for number, each in enumerate(motions, 1)]
         missing = max(search.starts - len(motions), 0)
@@ -356,36 +383,6 @@ def plan(
     }
     run = replace(run, statistics=statistics)
     return replace(_as_plan(best, run, verification), optima=optima)
-
-
-def _default_intervals(dae: Dae, guesses: Sequence[Trajectory], resume: SavedPlan | None) -> int:
-    """Return the number of intervals of a saved plan, or of a guess by the length of its path."""
-    if resume is not None:
-        return resume.motion.mesh.ends.size - 1
-    length = path_length(guesses[0]) if {"x", "y"} <= guesses[0].columns.keys() else 0.0
-    return max(MIN_INTERVALS, math.ceil(length / (INTERVAL_SIZES * dae.size)))
-
-
-def _with_near_conditions(
-    task: PlanTask, guesses: Sequence[Trajectory], resume: SavedPlan | None
-) -> PlanTask:
-    """Return a task whose angles at goal and way-points are within half a turn of start or guess.
-
-    A guess that turns around keeps a goal that asks for it; otherwise the short way is taken.
-    """
-    dae = task.dae
-    motions: list[Callable[[float], Array]] = [lambda _: task.start]
-    if resume is not None:
-        former = local_motion(resume, dae)
-        motions.append(lambda fraction: former.states(np.array([fraction]))[:, 0])
-    elif guesses:
-        t = guesses[0].t
-        motions.append(
-            lambda part: dae.rows(
-                "x", guesses[0], int(np.abs(t - t[0] - part * np.ptp(t)).argmin())
-            )
-        )
-    return replace(task, conditions=near_conditions(dae, task.conditions, task.periodic, motions))
 
 
 def _unverified(search: SearchState) -> Plan:

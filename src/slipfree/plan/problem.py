@@ -206,7 +206,7 @@ def task_of(
     *,
     goal: Conditions,
     costs: Mapping[str, float] | Sequence[Cost],
-    duration: float | Range,
+    duration: float | Range | None = None,
     smooth: float = 0.0,
     continuous: bool = True,
     limits: Conditions = (),
@@ -216,7 +216,10 @@ def task_of(
     cost_limits: Mapping[str, float] | None = None,
     initial_inputs: Mapping[str, float] | None = None,
 ) -> PlanTask:
-    """Return the optimal control problem of a plan; arguments as in `slipfree.plan.plan.plan`."""
+    """Return the optimal control problem of a plan; arguments as in `slipfree.plan.plan.plan`.
+
+    `check_task` finds contradictory bounds.
+    """
     if not goal:
         raise ModelError(
             "plan: goal: expected values or ranges by name, found none; give at least one"
@@ -237,10 +240,10 @@ def task_of(
                 f"{high:g}, its bounds, found {value:g}; choose a value in this range or widen "
                 "the bounds"
             )
-    task = PlanTask(
+    return PlanTask(
         dae,
         begin,
-        duration_of(duration),
+        (0.0, np.inf) if duration is None else duration_of(duration),
         terms,
         tuple(timed_conditions(dae, goal, way_points or {})),
         (*own, *(dae.replay.limits if dae.replay else ())),
@@ -252,9 +255,12 @@ def task_of(
         fixed,
         periodic_states(dae, begin, own),
     )
+
+
+def check_task(task: PlanTask, start: Trajectory) -> None:
+    """Raise ModelError if start, goal, way-points and limits of a task contradict each other."""
     if wrong := conflicts(task, start):
         raise ModelError("plan: " + "; ".join(wrong))
-    return task
 
 
 def near_conditions(

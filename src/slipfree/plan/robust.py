@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from operator import itemgetter
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -21,7 +22,8 @@ from slipfree.core.records import field_overview
 from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import number, role_of
 from slipfree.plan.polynomial_motion import PolynomialMotion
-from slipfree.plan.problem import limits_of, near_conditions, timed_conditions
+from slipfree.plan.problem import near_conditions
+from slipfree.plan.transcription import PlanTask
 from slipfree.plan.verification import limit_name, limit_values, tolerated_excess
 from slipfree.solve.sampling import periodic_states, same_turn
 
@@ -186,22 +188,16 @@ def added_tightening(replays: Replays, share: float) -> dict[Bound, float]:
     return {bound: size for bound, size in zip(bounds, quantiles, strict=True) if size > 0}
 
 
-def tightened_arguments(
-    dae: Dae, arguments: Mapping[str, Any], tightening: Tightening
-) -> dict[str, Any]:
-    """Return arguments of `plan` with tightened limits, goal and way-points; equal bounds stay."""
-    way_points = {
-        fraction: tuple(_tightened(limits_of(dae, limits), tightening, role_of(fraction)))
-        for fraction, limits in arguments["way_points"].items()
-    }
-    limits, tight = arguments["limits"], {bound.name for bound in tightening}
-    own = [limit for limit in _model_limits(dae, limits) if limit_name(limit) in tight]
-    return {
-        **arguments,
-        "limits": tuple(_tightened((*limits, *own), tightening, "")),
-        "goal": tuple(_tightened(limits_of(dae, arguments["goal"]), tightening, role_of(1.0))),
-        "way_points": way_points,
-    }
+def tightened_task(task: PlanTask, tightening: Tightening) -> PlanTask:
+    """Return a task with tightened limits, goal and way-points; equal bounds stay."""
+    tight = {bound.name for bound in tightening}
+    own = [limit for limit in _model_limits(task) if limit_name(limit) in tight]
+    conditions = tuple(
+        each._replace(limits=tuple(_tightened(each.limits, tightening, role_of(each.fraction))))
+        for each in task.conditions
+    )
+    limits = tuple(_tightened((*task.limits, *own), tightening, ""))
+    return replace(task, limits=limits, conditions=conditions)
 
 
 def _tightened(limits: Sequence[Limit], tightening: Tightening, role: str) -> Iterator[Limit]:
@@ -226,36 +222,34 @@ def _bound(limit: Limit, side: str, role: str) -> Bound:
 
 
 def replay_of(
-    dae: Dae,
-    arguments: Mapping[str, Any],
+    task: PlanTask,
     planned: tuple[Dae, PolynomialMotion],
     run: Trajectory,
     *,
     accuracy: float,
     goal: float | None,
 ) -> DisturbedRun:
-    """Compare a simulation in a drawn world with the bounds of the plan and of its model.
+    """Compare a simulation in a drawn world, by its task, with the bounds of plan and model.
 
     ``accuracy`` is the tolerated violation, ``goal`` the tolerance of conditions with equal bounds,
     which are ignored without it.
     """
-    plan = planned[1]
+    dae, plan = task.dae, planned[1]
     samples = run.t, *(dae.rows(record, run) for record in "xzu")
-    limits = (*arguments["limits"], *_model_limits(dae, arguments["limits"]))
+    limits = (*task.limits, *_model_limits(task))
     excess = [*_excess(dae, limits, samples, "", accuracy, None)]
     if run.stop is not None:
         excess.append(_excess_at_stop(*planned, run))
         return DisturbedRun(_largest(excess), np.nan)
     fractions = run.t / plan.duration
     periodic = periodic_states(dae, samples[1][:, 0], limits)
-    conditions = timed_conditions(dae, arguments["goal"], arguments["way_points"])
     states = [lambda fraction: plan.states(np.array([fraction]))[:, 0]]
     samples = (
         run.t,
         same_turn(samples[1], plan.states(np.minimum(fractions, 1.0)), periodic),
         *samples[2:],
     )
-    for condition in near_conditions(dae, [*conditions], periodic, states):
+    for condition in near_conditions(dae, task.conditions, periodic, states):
         k = int(np.abs(fractions - condition.fraction).argmin())
         at, role = tuple(rows[..., k : k + 1] for rows in samples), role_of(condition.fraction)
         excess += _excess(dae, condition.limits, at, role, accuracy, goal)
@@ -264,10 +258,10 @@ def replay_of(
     return DisturbedRun(_largest(excess), float(np.hypot(*gaps)))
 
 
-def _model_limits(dae: Dae, own: Sequence[Limit]) -> Iterator[Limit]:
-    """Yield the limits of a model, which end simulations, except the given ones."""
-    names = {limit_name(limit) for limit in own}
-    yield from (limit for limit in dae.all_limits if limit_name(limit) not in names)
+def _model_limits(task: PlanTask) -> Iterator[Limit]:
+    """Yield the limits of the model, which end simulations, except those of the task."""
+    names = {limit_name(limit) for limit in task.limits}
+    yield from (limit for limit in task.dae.all_limits if limit_name(limit) not in names)
 
 
 def _excess_at_stop(dae: Dae, plan: PolynomialMotion, run: Trajectory) -> tuple[Bound, float]:

@@ -45,7 +45,8 @@ class PlanTask:
 
     dae: Dae  # model of the vehicle on its ground
     start: Array  # shape (n_x,): states at the beginning, in local coordinates
-    duration: tuple[float, float]  # smallest and largest duration; equal for a fixed duration [s]
+    # smallest and largest duration, equal if fixed; infinite before a guess determines it [s]
+    duration: tuple[float, float]
     costs: tuple[Cost, ...]  # terms of the cost; their weighted sum is minimised
     conditions: tuple[TimedCondition, ...]  # way-points, then the goal
     limits: tuple[Limit, ...]  # limits at all times, in local coordinates

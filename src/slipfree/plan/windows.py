@@ -23,7 +23,7 @@ from slipfree.core.records import Array, Label, with_overview
 from slipfree.core.trajectory import PLAN, Stop, Trajectory, joined
 from slipfree.geometry.path import Path
 from slipfree.plan.ipopt import seconds_left
-from slipfree.plan.plan import Plan, SimulatedPlan, plan
+from slipfree.plan.plan import Plan, SimulatedPlan, solve_task
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
     SavedPlan,
@@ -33,9 +33,8 @@ from slipfree.plan.polynomial_motion import (
     save_motion,
     transfer_motion,
 )
-from slipfree.plan.problem import Range, bounds_of
 from slipfree.plan.search import PlanProgress, Search, SolvedStage, cost_terms
-from slipfree.plan.transcription import Mesh, PlanTask, transcribe
+from slipfree.plan.transcription import Mesh, PlanTask, TimedCondition, transcribe
 from slipfree.plan.verification import GUESS_TOLERANCE, simulate_plan, simulate_to_failure
 from slipfree.solve.options import SolverOptions
 from slipfree.system.forks import computing
@@ -96,13 +95,13 @@ class _HandOver(NamedTuple):
     """State in which a window begins."""
 
     run: Trajectory  # trajectory whose last sample is the state
-    inputs: dict[str, float]  # inputs at this state; empty if they may jump
+    inputs: Array | None  # shape (n_u, 2): at this state, as of `PlanTask`; None if they may jump
     reached: float  # arc length of the nearest point of the route [m]
 
 
 @computing
 def plan_windows(
-    dae: Dae,
+    task: PlanTask,
     law: Callable[[Path], Any],
     start: Trajectory,
     route: Path,
@@ -110,23 +109,21 @@ def plan_windows(
     speed: float,
     length: float,
     overlap: float,
-    goal: Mapping[str, float | Range],
     mesh: Mesh = Mesh(),
     options: SolverOptions = SolverOptions(),
     resume: SavedPlan | None = None,
     progress: PlanProgress | None = None,
     keep: Callable[[LongPlan], None] | None = None,
     seconds: float = math.inf,
-    **arguments: Any,
 ) -> LongPlan:
-    """Return a plan along a long route, planned in windows that overlap.
+    """Return the plan of a task along a long route, planned in windows that overlap.
 
     Each window but the last ends on a line across the route, at most a quarter of the overlap to
     its left or right. Between these lines the motion may leave the route. ``law`` returns inputs
     that move the vehicle along a path, for guesses; ``length`` and ``overlap`` are along the route
     [m]; ``resume`` is an earlier result that ended before the goal; ``keep`` is called with the
-    plan before each window; ``seconds`` is the time limit of all windows; ``arguments`` are those
-    of `plan` without ``duration``, ``way_points`` and ``cost_limits``.
+    plan before each window; ``seconds`` is the time limit of all windows. The task has neither
+    way-points nor limits of costs; its duration is not used.
 
     If a window has no solution, the plan ends before it, and the stop of ``replay`` names it.
     """
@@ -140,8 +137,7 @@ def plan_windows(
             f"of {overlap:g} m and a window of {length:g} m; adjust one of them"
         )
     deadline = time.monotonic() + seconds
-    here, parts, task, stop = _HandOver(start, {}, 0.0), list[_Part](), None, None
-    bounds = bounds_of(dae, arguments.get("inputs") or {})
+    here, parts, stop, dae = _HandOver(start, None, 0.0), list[_Part](), None, task.dae
 
     def attempt(here: _HandOver, end: float) -> Plan:
         """Return the plan of a window from a hand-over to an arc length in m."""
@@ -163,13 +159,19 @@ def plan_windows(
         t = np.linspace(0, duration, max(int(np.ceil(duration / mesh.step)), 1) + 1)
         rough = SolverOptions(tolerance=GUESS_TOLERANCE)
         guess = simulate_to_failure(dae, here.run, law(path), t, rough)
-        return plan(
-            dae,
-            here.run,
-            guess,
-            goal=goal if end == route.length else _gate(dae, guess, ASIDE * overlap),
-            duration=float(guess.t[-1]),
+        window = replace(
+            task,
+            start=dae.rows("x", here.run, -1),
+            duration=(float(guess.t[-1]),) * 2,
             initial_inputs=here.inputs,
+        )
+        if end < route.length:
+            gate = TimedCondition(1.0, _gate(dae, guess, ASIDE * overlap))
+            window = replace(window, conditions=(gate,))
+        return solve_task(
+            window,
+            here.run,
+            [guess],
             mesh=mesh,
             search=Search(
                 progress=progress and (lambda words, iterate: progress(f"{of}: {words}", iterate)),
@@ -177,7 +179,6 @@ def plan_windows(
                 seconds=seconds_left(deadline),
             ),
             options=options,
-            **arguments,
         )
 
     if resume is not None:
@@ -191,7 +192,7 @@ def plan_windows(
         reached = _nearest(route, replay, 0.0, route.length)
         former = RouteWindow(0.0, reached, 0.0, motion.duration, 0, 0.0, True)
         parts.append(_Part(former, motion, replay))
-        here = _HandOver(replay, _end_inputs(dae, motion, bounds), reached)
+        here = _HandOver(replay, _end_inputs(task, motion), reached)
     while stop is None and here.reached < route.length - MIN_REST:
         if keep is not None and parts:
             words = f"the plan from {here.reached:.4g} m of the route was interrupted"
@@ -205,14 +206,14 @@ def plan_windows(
             stages += planned.stages
             if planned.success or planned.run.outcome in (Outcome.INTERRUPTED, Outcome.TIME_LIMIT):
                 break
-        stop, task = _stop_of(planned, here, end), planned.program.task
+        stop = _stop_of(planned, here, end)
         if planned.success or not parts:
             t = sum(part.window.duration for part in parts)
             rest = 0.0 if end == route.length or stop else overlap / speed
             part = _first_part(planned, (here.reached, end), t, rest, stages)
             parts.append(part)
             reached = _nearest(route, part.replay, here.reached, end) if rest else end
-            here = _HandOver(part.replay, _end_inputs(dae, part.motion, bounds), reached)
+            here = _HandOver(part.replay, _end_inputs(task, part.motion), reached)
     return _join(parts, task, stop, dae, options)
 
 
@@ -270,12 +271,12 @@ def _first_part(
     )
 
 
-def _end_inputs(dae: Dae, motion: PolynomialMotion, bounds: Array) -> dict[str, float]:
-    """Return the inputs at the end of a motion by name; empty if inputs may jump."""
+def _end_inputs(task: PlanTask, motion: PolynomialMotion) -> Array | None:
+    """Return the inputs at the end of a motion as equal bounds; None if inputs may jump."""
     if not motion.continuous:
-        return {}
-    values = np.clip(motion.inputs(np.ones(1)).ravel(), *bounds.T)  # IPOPT relaxes bounds
-    return dict(zip(dae.input_names, values.tolist(), strict=True))
+        return None
+    values = np.clip(motion.inputs(np.ones(1)).ravel(), *task.inputs.T)  # IPOPT relaxes bounds
+    return np.stack([values, values], axis=1)
 
 
 def _join(

@@ -83,7 +83,6 @@ from slipfree.problem.verbs.plan_setup import (
     build_layers,
     build_planning,
     mesh_of,
-    plan_arguments,
 )
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
@@ -159,11 +158,10 @@ class PlanVerb(DriveVerb):
             watch.keep(*with_plan(plan, plan.replay))
 
         if spec.plan.window is not None:
-            arguments, guide = plan_arguments(problem, setup.dae, setup.vehicle), setup.guide
-            del arguments["way_points"], arguments["cost_limits"]
+            guide = setup.guide
             with at(problem, ("plan",)):
                 long = plan_windows(
-                    setup.dae,
+                    setup.task,
                     partial(follow, setup.dae, speed=guide.speed),
                     setup.start,
                     Path(guide.paths[0]),
@@ -176,7 +174,6 @@ class PlanVerb(DriveVerb):
                     progress=progress,
                     keep=keep,
                     seconds=seconds_left(setup.deadline),
-                    **arguments,
                 )
             run, arrays = with_plan(long, long.replay)
             checks = {"by_friction": lambda run: run.with_facts(_by_friction(setup, long))}
@@ -480,24 +477,17 @@ def with_offer(setup: Planning, plan: Plan, guesses: Sequence[Trajectory]) -> St
     slow = spec.model == "quasi-static" or FORCE_LIMITS & {*spec.limits}
     if stop is None or not slow or stop.outcome not in (Outcome.INFEASIBLE, Outcome.SOLVER_FAILURE):
         return stop
-    need = _torque_need(setup, guesses[0]) if guesses else ""
-    return stop._replace(words="\n".join(filter(None, [stop.words, need, OFFER])))
-
-
-def _torque_need(setup: Planning, guess: Trajectory) -> str:
-    """Return a message about drive torques of the guess that exceed the limit; empty if none."""
-    bounds = setup.spec.limits.get("drive_torque")
-    if bounds is None or "drive_torque" not in guess:
-        return ""
-    needed = guess["drive_torque"].sum(axis=1)
-    k, most = int(needed.argmax()), bounds[1] * sum(wheel.driven for wheel in setup.vehicle.wheels)
-    if needed[k] <= most:
-        return ""
-    return (
-        f"slow driving along the initial guess needs torques of {needed[k]:.3g} N m in all (at x = "
-        f"{guess['x'][k]:.2f} m, y = {guess['y'][k]:.2f} m), limits.drive_torque allows {most:.3g} "
-        "N m"
-    )
+    words, bounds = [stop.words], spec.limits.get("drive_torque")
+    if bounds is not None and guesses and "drive_torque" in guesses[0]:
+        guess, needed = guesses[0], guesses[0]["drive_torque"].sum(axis=1)
+        k, most = int(needed.argmax()), bounds[1] * sum(w.driven for w in setup.vehicle.wheels)
+        if needed[k] > most:
+            words.append(
+                f"slow driving along the initial guess needs torques of {needed[k]:.3g} N m in all "
+                f"(at x = {guess['x'][k]:.2f} m, y = {guess['y'][k]:.2f} m), limits.drive_torque "
+                f"allows {most:.3g} N m"
+            )
+    return stop._replace(words="\n".join([*words, OFFER]))
 
 
 def poses_of_plan(

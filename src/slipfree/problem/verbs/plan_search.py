@@ -28,9 +28,9 @@ from slipfree.core.trajectory import PLAN, PLAN_SHARE, Stop, Trajectory
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.plan.guess import guess_motion, settled_start
 from slipfree.plan.ipopt import seconds_left
-from slipfree.plan.plan import Plan, plan
+from slipfree.plan.plan import Plan, solve_task
 from slipfree.plan.polynomial_motion import PolynomialMotion, SavedPlan
-from slipfree.plan.problem import bounds_of
+from slipfree.plan.problem import duration_of
 from slipfree.plan.robust import (
     CONFIDENCE,
     MAX_ROUNDS,
@@ -42,7 +42,7 @@ from slipfree.plan.robust import (
     Tightening,
     replay_of,
     robust_plan,
-    tightened_arguments,
+    tightened_task,
 )
 from slipfree.plan.search import (
     NOT_SOLVED,
@@ -64,7 +64,7 @@ from slipfree.problem.verbs.plan_setup import (
     build_planning,
     mesh_of,
     momentum_models,
-    plan_arguments,
+    plan_task,
 )
 from slipfree.solve.options import MIN_TOLERANCE
 from slipfree.system.parts import PartsWatch, study
@@ -109,21 +109,28 @@ def find_plan(
     of another model; SolverError if the plan cannot be simulated from the start.
     """
     problem, spec, found, saved = setup.problem, setup.spec, None, resume
-    duration = resume.motion.duration if resume else setup.duration
-    for dae in (*([] if resume else _smoothed_models(setup)), setup.dae):
+    duration = setup.task.duration
+    if resume is not None:
+        duration = duration_of(spec.plan.duration or resume.motion.duration)
+    smoothed = list[Dae]()
+    if resume is None and spec.model == "dynamics":
+        smoothed = momentum_models(problem, setup.vehicle, setup.terrain)[:-1]
+    elif resume is None and not has_exact_closure(setup.vehicle):
+        world, slip = (setup.vehicle, setup.terrain), model_law(problem)
+        models = (direct_kinematics(*world, slip=slip, smoothing=width) for width in SMOOTHINGS)
+        smoothed = [in_frame(problem, model) for model in models]
+    for dae in (*smoothed, setup.dae):
         is_same = dae is setup.dae or dae.replay is not None  # creep does not change the start
         options = solver_options(problem)
         start = setup.start if is_same else settled_start(dae, setup.start, options)
-        arguments = plan_arguments(problem, dae, setup.vehicle)
         is_last = dae is setup.dae or not dae.replay  # only the last creep speed is accurate
         keep_own = keep if keep is None or dae is setup.dae else partial(_keep_smoothed, keep)
         with at(problem, ("plan",)):
-            now = plan(
-                dae,
+            task = setup.task if dae is setup.dae else plan_task(problem, dae, start)
+            now = solve_task(
+                replace(tightened_task(task, tightening), duration=duration),
                 start,
                 [] if saved else guesses,
-                **tightened_arguments(dae, arguments, tightening),
-                duration=spec.plan.duration or duration,
                 mesh=mesh_of(spec, None if is_last else 1.0),
                 search=Search(
                     resume=saved,
@@ -148,18 +155,6 @@ def _keep_smoothed(keep: Callable[[Plan], None], plan: Plan) -> None:
     words = "the search was interrupted; this plan has a smoother load law or a larger creep speed"
     stop = Stop(PLAN, float(plan.replay.t[-1]), words, Outcome.INTERRUPTED)
     keep(replace(plan, replay=replace(plan.replay, stop=stop)))
-
-
-def _smoothed_models(setup: Planning) -> list[Dae]:
-    """Return models with smoothed loads or larger creep speeds for the first searches, if any."""
-    problem, world = setup.problem, (setup.vehicle, setup.terrain)
-    if setup.spec.model == "dynamics":
-        return momentum_models(problem, *world)[:-1]
-    if has_exact_closure(setup.vehicle):
-        return []
-    slip = model_law(problem)
-    models = (direct_kinematics(*world, slip=slip, smoothing=width) for width in SMOOTHINGS)
-    return [in_frame(problem, model) for model in models]
 
 
 @lru_cache(1)
@@ -228,9 +223,8 @@ def solve_start(task: tuple[Recipe, int]) -> StartResult:
             name = law if len(setup.starts) == 1 else f"{law} {number + 1}"
             guess = start_motion(setup, number)
         else:
-            bounds = bounds_of(setup.dae, setup.spec.bounds)
-            begin, seed = (setup.dae, setup.start, first), search.seed
-            further = [*further_guesses(*begin, bounds, missing, seed)]
+            begin, bounds = (setup.dae, setup.start, first), setup.task.inputs
+            further = [*further_guesses(*begin, bounds, missing, search.seed)]
             if number - len(setup.starts) >= len(further):
                 return StartResult(number, None, None, "a perturbed guess cannot be simulated")
             name, guess = further[number - len(setup.starts)]
@@ -387,9 +381,8 @@ def replay_draw(task: ReplayTask) -> tuple[DisturbedRun, ...]:
             return DisturbedRun({Bound(f"no motion ({error})"): np.inf}, np.nan)
         if run.outcome is Outcome.INTERRUPTED:
             raise KeyboardInterrupt
-        arguments, plan = plan_arguments(setup.problem, dae, setup.vehicle), (setup.dae, planned)
-        accuracy, goal = spec.plan.accuracy, robust.goal
-        return replay_of(dae, arguments, plan, run, accuracy=accuracy, goal=goal)
+        asked, plan = plan_task(setup.problem, dae, start), (setup.dae, planned)
+        return replay_of(asked, plan, run, accuracy=spec.plan.accuracy, goal=robust.goal)
 
     return tuple(map(replayed, task.motions))
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from slipfree.control.path_following import turning_radius
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Label
+from slipfree.core.trajectory import Trajectory
 from slipfree.files.toml.source import ProblemError
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.linear_creep import LinearCreep
@@ -28,8 +28,15 @@ from slipfree.plan.guess import (
     settled_start,
     trip_of,
 )
-from slipfree.plan.problem import duration_of, free_durations, limits_of, spelled, task_of
-from slipfree.plan.transcription import Mesh
+from slipfree.plan.problem import (
+    check_task,
+    duration_of,
+    free_durations,
+    limits_of,
+    spelled,
+    task_of,
+)
+from slipfree.plan.transcription import Mesh, PlanTask
 from slipfree.problem.build import (
     Setup,
     build_model,
@@ -78,12 +85,12 @@ class Planning(Setup):
     """Set-up of the search for a plan."""
 
     layers: Traversability
+    task: PlanTask  # optimal control problem, of the model ``dae``
     places: tuple[Place, ...]  # start, way-points, goal on the map [m]
     starts: tuple[Drive, ...]  # inputs and sample times of each guess [s]
     problem: Problem[PlanKeys]
     trip: Trip  # its model moves along the guesses: a kinematic one for plans with inertia
     guide: Guide  # driving law of the guesses; without a name for guesses by [inputs]
-    duration: tuple[float, float]  # smallest and largest one of the plan [s]
     deadline: float  # value of `time.monotonic` at which the search ends [s]
 
     @property
@@ -129,8 +136,8 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
             with at(problem, (table, name)):
                 dae.named(name)
     with at(problem, ("plan",)):
-        arguments = plan_arguments(problem, dae, vehicle)
-        task = task_of(dae, start, **arguments, duration=spec.duration or 1.0)
+        task = plan_task(problem, dae, start)
+        check_task(task, start)
     begin = settled_start(driven, start, spec.solver.options) if is_dynamic else start
     trip = trip_of(task, driven, begin)
     layers = build_layers(problem, terrain, vehicle, places)
@@ -150,12 +157,12 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
         t=starts[0][1],
         driven=words,
         layers=layers,
+        task=replace(task, duration=duration),
         places=places,
         starts=starts,
         problem=problem,
         trip=trip,
         guide=guide,
-        duration=duration,
     )
 
 
@@ -225,9 +232,9 @@ def _guesses(
         return guide, guide_drives(trip, guide, step=time.step, longest=time.duration)
 
 
-def plan_arguments(problem: Problem[PlanKeys], dae: Dae, vehicle: Vehicle) -> dict[str, Any]:
-    """Return goal, costs, limits, way-points and bounds of a problem as arguments of `plan`."""
-    spec, reach, place = problem.spec, extents(vehicle)[2], dae.shift[0]
+def plan_task(problem: Problem[PlanKeys], dae: Dae, start: Trajectory) -> PlanTask:
+    """Return the optimal control problem of a planning problem with a model from its start."""
+    spec, reach, place = problem.spec, extents(dae.vehicle)[2], dae.shift[0]
     limits = [*limits_of(dae, spec.limits)]
     for k, region in enumerate(regions(problem)):
         label = Label(f"keep_out_{k}", "m", f"the circle around the wheels touches {region.words}")
@@ -239,13 +246,17 @@ def plan_arguments(problem: Problem[PlanKeys], dae: Dae, vehicle: Vehicle) -> di
         if limit.label.name == HOLE_MARGIN and not own:
             lower = limit.lower + HOLE_CLEARANCE * spec.plan.accuracy
             limits.append(limit._replace(lower=lower))
-    return {
-        "goal": spec.goal,
-        "costs": spec.costs,
-        "smooth": spec.plan.smooth,
-        "limits": tuple(limits),
-        "way_points": way_points_of(problem),
-        "inputs": spec.bounds,
-        "accelerations": spec.accelerations,
-        "cost_limits": spec.cost_limits,
-    }
+    return task_of(
+        dae,
+        start,
+        goal=spec.goal,
+        costs=spec.costs,
+        duration=spec.duration,
+        smooth=spec.plan.smooth,
+        continuous=spec.plan.continuous,
+        limits=limits,
+        way_points=way_points_of(problem),
+        inputs=spec.bounds,
+        accelerations=spec.accelerations,
+        cost_limits=spec.cost_limits,
+    )
