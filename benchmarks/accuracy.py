@@ -1,9 +1,8 @@
-"""Accuracy of direct kinematics: references, closed forms, scales, path following.
+"""Accuracy of direct kinematics: references, scales, path following.
 
 ``python benchmarks accuracy [PART ...]``:
 
 reference  another program's motion, good to 2e-10, at several tolerances
-flat       planar kinematics in closed form
 terrain    values and derivatives of a map against SciPy's spline
 starts     poor initial guesses that settle to the correct solution
 scales     all lengths of kinematic problems times 1e-6 to 1e6: largest difference of the scaled
@@ -85,16 +84,6 @@ def reference_motion() -> None:
         )
     slope = np.polyfit(np.log(tolerances[:-1]), np.log(errors[:-1]), 1)[0]
     print(f"error against tolerance, 1e-5 to 1e-11: slope {slope:.2f}")
-
-
-def flat_ground() -> None:
-    """Compare with planar kinematics, in closed form."""
-    dae = direct_kinematics(three_wheeler(), Analytic(lambda x, _: 0 * x))
-    run = simulate(dae, settle(dae), dae.inputs(**RATES), np.array([0.0, 0.1]))
-    exact = {"velocity_x": 0.015, "velocity_y": 0.135, "heading_rate": 0.015}
-    exact |= {"tilt_right_rate": 0.075, "tilt_left_rate": 0.075, "front_rate": 0.45}
-    worst = max(abs(run[name][0] - value) for name, value in exact.items())
-    print(f"flat ground, rates 0.5, 0.4, 0 rad/s: largest error {worst:.1e}")
 
 
 def terrain() -> None:
@@ -255,7 +244,6 @@ def main() -> None:
     run_parts(
         {
             "reference": reference_motion,
-            "flat": flat_ground,
             "terrain": terrain,
             "starts": poor_starts,
             "scales": scales,

@@ -1,10 +1,10 @@
-"""Forces: closed forms, energy, creep, limits of friction, and axles at rest on slopes.
+"""Forces: energy, limits of friction, and axles at rest on slopes.
 
 ``python benchmarks forces [PART ...]`` prints the values of docs/accuracy.md and docs/papers.md:
-errors against closed forms; the work of the drives against the energy gained; creep across a slope;
-the convergence towards three limits of friction; random starts; steps by creep speed; the least
-coefficient of friction with which four axles can stand, from the best distribution of forces and
-from the existence of an equilibrium; and the friction that the paper's direct run needs.
+the work of the drives against the energy gained; the convergence towards three limits of friction;
+random starts; steps by creep speed; the least coefficient of friction with which four axles can
+stand, from the best distribution of forces and from the existence of an equilibrium; and the
+friction that the paper's direct run needs.
 """
 
 from __future__ import annotations
@@ -12,13 +12,11 @@ from __future__ import annotations
 from itertools import product
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from common import PROBLEMS, run_parts
 
 from helpers.cases import hills
 from helpers.friction_cases import (
-    FIXED,
     PLACE,
     RATES,
     T,
@@ -64,29 +62,6 @@ AXLES: dict[str, dict[str, Any]] = {
 }
 
 
-def closed_forms() -> None:
-    """Print the largest error of the friction needed on slopes and of leaning wheels."""
-    worst = {"up": 0.0, "down": 0.0, "across": 0.0, "leaning": 0.0}
-    for degrees in (5, 10, 15, 20):
-        s = np.radians(degrees)
-        lever = RISE / LENGTH * np.tan(s)
-        for name, ground, expected in (
-            ("up", slope(s), np.tan(s) / (2 / 3 + lever)),
-            ("down", slope(-s), np.tan(s) / (2 / 3 - lever)),
-            ("across", slope(s, across=True), 3 * np.tan(s)),
-        ):
-            run = settle(direct_kinematics(three_wheeler(), ground))
-            worst[name] = max(worst[name], abs(run["friction_needed"].max() - expected))
-        lean = 0.25 * np.sin(s) / (0.05 + 0.25 * np.cos(s))
-        low = 0.25 * (1 - np.cos(s))  # by which leaning wheels lower the axle
-        steps = Analytic(lambda _, y, low=low: low / 2 * (1 - ca.tanh(60 * (y - 0.25))))
-        run = settle(direct_kinematics(three_wheeler(), steps), tilt_right=s, tilt_left=s)
-        ratio = np.abs(run["force_across"][0] / run["force_normal"][0])
-        worst["leaning"] = max(worst["leaning"], np.abs(ratio - [lean, lean, 2 * lean]).max())
-    words = ", ".join(f"{name} {error:.1e}" for name, error in worst.items())
-    print(f"closed forms, slopes and tilts of 5 to 20 degrees: largest error {words}")
-
-
 def energy() -> None:
     """Print the difference of work and energy gained on the way up hills."""
     ground = Analytic(lambda x, y: hills(x, y) + 0.15 * y)
@@ -102,21 +77,6 @@ def energy() -> None:
             f"20 s of hills, tolerance {tolerance:g}: energy gained {gained[-1]:.4f} J, work "
             f"differs by {missed:.1e} J, {missed / gained[-1]:.1e} of it"
         )
-
-
-def creep() -> None:
-    """Print the creep of a rigid axle across slopes against its closed form."""
-    for eps in (1e-2, 1e-4, 1e-6):
-        error = 0.0
-        for degrees in (5, 10, 20, 30):
-            s = np.radians(degrees)
-            ground = slope(s, 0.6, across=True)
-            law = Coulomb(eps)
-            run = settle(quasi_statics(FIXED, ground, law=law))
-            expected = eps * np.tan(s) / np.sqrt(0.36 - np.tan(s) ** 2)
-            found = np.hypot(run["slip_along"], run["slip_across"])
-            error = max(error, np.abs(found / expected - 1).max())
-        print(f"creep across slopes of 5 to 30 degrees, eps {eps:g} m/s: error {error:.1e} of it")
 
 
 def limits() -> None:
@@ -218,5 +178,5 @@ def paper() -> None:
 
 def main() -> None:
     """Print the parts."""
-    parts = (closed_forms, energy, creep, limits, starts, steps, standing, paper)
+    parts = (energy, limits, starts, steps, standing, paper)
     run_parts({part.__name__: part for part in parts})

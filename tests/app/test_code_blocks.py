@@ -1,7 +1,8 @@
 """Tests of every block of code in README and docs, by its language.
 
 - ``python`` blocks and code cells are executed in the order of the page, in one namespace. What a
-  page takes as given is in `given`. Pages of code cells alone are executed when they are built.
+  page takes as given is in `given`. Pages of code cells alone are executed when they are built,
+  closed forms here as well.
 - ``toml`` is read: a problem, a vehicle, a wheel test, or keys that complete one of them.
 - ``bash`` has commands of slipfree with arguments and options that exist.
 - ``c`` is compiled with the code that it includes.
@@ -45,6 +46,7 @@ PAGES = [
 FENCE = re.compile(r"^(```+)([^\n]*)\n(.*?)^\1$", re.MULTILINE | re.DOTALL)
 LANGUAGES = {"python", "toml", "bash", "console", "c", "text"}
 PLAYED = {"tutorial.md", "errors.md"}  # by test_transcripts.py
+CLOSED_FORMS = pytest.param(ROOT / "docs" / "closed_forms.md", id="closed_forms")
 PLAIN = {"x": [-5, 5], "y": [-5, 5], "spacing": 0.5}
 PROBLEMS = {  # shipped problems that the keys of a verb complete
     "direct": "paper_direct",
@@ -120,7 +122,7 @@ def _log(model, vehicle):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("folder")
-@pytest.mark.parametrize("page", pages_with("python"))
+@pytest.mark.parametrize("page", [*pages_with("python"), CLOSED_FORMS])
 def test_python_runs(page, monkeypatch):
     for name, members in NODE.items():
         module = ModuleType(name)
