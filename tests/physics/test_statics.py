@@ -23,7 +23,9 @@ from helpers.cases import PAPER_RATES, closure_model, drive, hills
 from helpers.commands import refuses
 from helpers.vehicles import four_wheels
 from slipfree.catalog import three_wheeler
+from slipfree.core.lookups import LookupTable
 from slipfree.core.records import leaves
+from slipfree.models.base import VehicleState
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.limits import tip_over_margin
@@ -369,9 +371,8 @@ def test_tip_over_margin_is_that_of_the_polygon_around_all_contacts(places, seed
     vehicle = Vehicle("rover", (), (), wheels, Body(10.0, center))
     contacts = [SimpleNamespace(point=ca.SX(point)) for point in points.T]
     zero = ca.SX(0)
-    found = tip_over_margin(
-        vehicle, Configuration(zero, zero, zero, ()), Dependent(zero, zero, zero, (), ()), contacts
-    )
+    place = Configuration(zero, zero, zero, ()), Dependent(zero, zero, zero, (), ())
+    found = tip_over_margin(VehicleState(vehicle, None, LookupTable(), *place), contacts)
     assert_allclose(float(found), margin_of_all_pairs(points, center), rtol=0, atol=1e-12)
 
 

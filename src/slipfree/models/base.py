@@ -10,7 +10,7 @@ import numpy as np
 
 from slipfree.contact.certify import second_contacts
 from slipfree.contact.clearance import BodyClearance, body_clearance
-from slipfree.contact.closure import ContactFrame, wheel_coordinates
+from slipfree.contact.closure import ContactFrame, contact_frame, wheel_coordinates
 from slipfree.core.dae import Dae, Labels
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, leaves, pack, symbols
@@ -18,6 +18,7 @@ from slipfree.geometry.frame import Pose, platform, quaternion
 from slipfree.laws.protocols import Equations
 from slipfree.models.records import (
     Configuration,
+    ContactPoint,
     Dependent,
     ForceOutputs,
     Forces,
@@ -53,44 +54,81 @@ class Mechanics(NamedTuple):
     damped: ca.SX
 
 
-class Quantities(NamedTuple):
-    """Expressions of a model, from which its limits are computed.
+class VehicleState(NamedTuple):
+    """A vehicle on a ground at coordinates and rates in the symbols of a model.
 
-    ``forces`` are those of the ground on the wheels, empty if the vehicle has no mass; the tip-over
-    margin is then infinite. ``poses`` are those of the wheels' carriers at the wheels' centres,
-    ``slips`` (3, 1) are in fixed axes, ``spins`` the rates of all wheels. Units are those of the
-    labels.
+    ``x`` and ``position`` hold the local coordinates of the platform and the values of the joints;
+    ``lookups`` collects the lookups of the ground.
     """
 
     vehicle: Vehicle
     terrain: Terrain
+    lookups: LookupTable
+    x: Configuration
+    position: Dependent
+    rates: Rates = Rates(*(ca.SX(0),) * 6, (), (), (), ())
+    u: Inputs = Inputs((), ())
+
+
+class Quantities(NamedTuple):
+    """Expressions of a model, from which its limits are computed.
+
+    The first fields are those of `VehicleState`. ``forces`` are those of the ground on the wheels,
+    empty if the vehicle has no mass; the tip-over margin is then infinite. ``poses`` are those of
+    the wheels' carriers at the wheels' centres, ``slips`` (3, 1) are in fixed axes, ``spins`` the
+    rates of all wheels. Units are those of the labels.
+    """
+
+    vehicle: Vehicle
+    terrain: Terrain
+    lookups: LookupTable
     x: Configuration
     position: Dependent
     rates: Rates
-    forces: Forces
     u: Inputs
+    forces: Forces
     poses: tuple[Pose, ...]
     contacts: tuple[ContactFrame, ...]
     slips: tuple[ca.SX, ...]
     spins: tuple[ca.SX, ...]
     mechanics: Mechanics
     tip_over_margin: ca.SX
-    lookups: LookupTable
 
 
-def carriers(vehicle: Vehicle, x: Configuration, position: Dependent) -> tuple[Pose, ...]:
-    """Return the poses of the wheels' carriers, with origins at the wheels' centres.
-
-    ``x`` and ``position`` hold the local coordinates of the platform and the values of the joints.
-    """
-    base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
-    return vehicle.carriers(base, values_of(vehicle, x, position))
+State = VehicleState | Quantities
 
 
-def values_of(vehicle: Vehicle, x: Configuration, position: Dependent) -> dict[str, ca.SX]:
+def platform_pose(state: State) -> Pose:
+    """Return the pose of the platform, in local coordinates."""
+    x, position = state.x, state.position
+    return platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
+
+
+def carriers(state: State) -> tuple[Pose, ...]:
+    """Return the poses of the wheels' carriers, with origins at the wheels' centres."""
+    return state.vehicle.carriers(platform_pose(state), values_of(state))
+
+
+def contact_frames(
+    state: State, poses: Sequence[Pose], points: Sequence[ContactPoint]
+) -> tuple[ContactFrame, ...]:
+    """Return the contacts of the wheels, whose carriers have the given poses, at ground points."""
+    return tuple(
+        contact_frame(state.terrain, at.x, at.y, pose.rotation[:, 0], state.lookups)
+        for at, pose in zip(points, poses, strict=True)
+    )
+
+
+def values_of(state: State) -> dict[str, ca.SX]:
     """Return the values of all coordinates of a vehicle, by name [rad, m]."""
+    vehicle, joints = state.vehicle, (*state.x.joints, *state.position.suspension)
     names = (*state_coordinates(vehicle), *(c.name for c in vehicle.of("suspension")))
-    return dict(zip(names, (*x.joints, *position.suspension), strict=True))
+    return dict(zip(names, joints, strict=True))
+
+
+def masses_of(state: State) -> list[tuple[str, float, ca.SX]]:
+    """Return the masses of a vehicle, as `Vehicle.masses` does."""
+    return list(state.vehicle.masses(platform_pose(state), values_of(state)))
 
 
 def body_checks(q: Quantities, x: Any, z: Any) -> tuple[BodyClearance, ...]:
@@ -98,9 +136,7 @@ def body_checks(q: Quantities, x: Any, z: Any) -> tuple[BodyClearance, ...]:
 
     ``x`` and ``z`` are the records of states and unknowns of the model.
     """
-    place, position = q.x, q.position
-    base = platform(place.x, place.y, position.z, place.heading, position.roll, position.pitch)
-    parts = q.vehicle.parts(base, values_of(q.vehicle, place, position))
+    parts = q.vehicle.parts(platform_pose(q), values_of(q))
     return body_clearance(
         q.vehicle, parts, q.terrain, q.lookups, (pack(x), pack(z)), extent(q.vehicle)
     )
@@ -141,41 +177,38 @@ def vehicle_dae(
     return Dae(ca.SX.sym("t"), x, z, symbols(labels.q), q.u, **(usual | others))
 
 
-def level_heights(
-    vehicle: Vehicle, terrain: Terrain, x: Configuration, lookups: LookupTable
-) -> tuple[ca.SX, list[ca.SX]]:
+def level_heights(state: State) -> tuple[ca.SX, list[ca.SX]]:
     """Return, for each wheel, the height of a level platform at which it touches the ground.
 
     Heights of the platform's centre (n_wheels, 1) [m], with all suspension coordinates zero, and
     the centres of the wheels in local coordinates for a platform at height zero [m].
     """
-    level = Dependent(0, 0, 0, tuple(0 for _ in vehicle.of("suspension")), ())
-    centers = [carrier.origin for carrier in carriers(vehicle, x, level)]
+    level = Dependent(0, 0, 0, tuple(0 for _ in state.vehicle.of("suspension")), ())
+    centers = [carrier.origin for carrier in carriers(state._replace(position=level))]
     heights = [
-        terrain.height(c[0], c[1], lookups) + wheel.radius - c[2]
-        for c, wheel in zip(centers, vehicle.wheels, strict=True)
+        state.terrain.height(c[0], c[1], state.lookups) + wheel.radius - c[2]
+        for c, wheel in zip(centers, state.vehicle.wheels, strict=True)
     ]
     return ca.vertcat(*heights), centers
 
 
-def spins(vehicle: Vehicle, rates: Rates, u: Inputs) -> tuple[ca.SX, ...]:
+def spins(state: State) -> tuple[ca.SX, ...]:
     """Return the rates of all wheels, driven or free [rad/s]."""
-    driven, free = iter(u.wheels), iter(rates.free)
-    return tuple(next(driven) if wheel.driven else next(free) for wheel in vehicle.wheels)
+    driven, free = iter(state.u.wheels), iter(state.rates.free)
+    return tuple(next(driven) if wheel.driven else next(free) for wheel in state.vehicle.wheels)
 
 
-def joint_rates(vehicle: Vehicle, rates: Rates, u: Inputs) -> tuple[ca.SX, ...]:
+def joint_rates(state: State) -> tuple[ca.SX, ...]:
     """Return the rates of the joints that are states, commanded or passive [rad/s, m/s]."""
-    commanded, passive = iter(u.joints), iter(rates.passive)
-    kinds = [c.kind for c in vehicle.coordinates if c.kind != "suspension"]
+    commanded, passive = iter(state.u.joints), iter(state.rates.passive)
+    kinds = [c.kind for c in state.vehicle.coordinates if c.kind != "suspension"]
     return tuple(next(commanded) if kind == "commanded" else next(passive) for kind in kinds)
 
 
 def outputs(q: Quantities, forces: ForceOutputs | tuple[()]) -> Outputs:
     """Return the outputs of a model as expressions, with positions in map coordinates."""
     o_x, o_y, o_z = q.terrain.origin
-    x, position, poses, contacts = q.x, q.position, q.poses, q.contacts
-    base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch).rotation
+    poses, contacts, base = q.poses, q.contacts, platform_pose(q).rotation
     on_wheels = zip(
         *(wheel_coordinates(*each) for each in zip(poses, contacts, strict=True)), strict=True
     )

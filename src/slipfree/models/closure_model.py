@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from slipfree.contact.closure import closure, contact_frame
+from slipfree.contact.closure import closure
 from slipfree.core.dae import Continuation, Dae, Holding, Labels, Limit
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import symbols
@@ -17,9 +17,11 @@ from slipfree.geometry.frame import Pose
 from slipfree.laws.protocols import Equations
 from slipfree.models.base import (
     Quantities,
+    VehicleState,
     at_rest,
     carriers,
     contact_checks,
+    contact_frames,
     joint_rates,
     level_heights,
     outputs,
@@ -27,11 +29,7 @@ from slipfree.models.base import (
     spins,
     vehicle_dae,
 )
-from slipfree.models.friction_feasibility import (
-    force_outputs,
-    mechanics,
-    with_tangential,
-)
+from slipfree.models.friction_feasibility import force_outputs, mechanics, with_tangential
 from slipfree.models.limits import limits_of, tip_over_margin
 from slipfree.models.records import Algebraic
 from slipfree.models.samples import slip_velocities
@@ -44,28 +42,13 @@ def closure_quantities(
 ) -> tuple[Algebraic, Quantities]:
     """Return the algebraic unknowns of a closure model and the expressions that contain them."""
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
-    poses, lookups = carriers(vehicle, x, z.position), LookupTable()
-    contacts = tuple(
-        contact_frame(terrain, place.x, place.y, pose.rotation[:, 0], lookups)
-        for place, pose in zip(z.position.contacts, poses, strict=True)
-    )
-    parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u, lookups)
-    return z, Quantities(
-        vehicle,
-        terrain,
-        x,
-        z.position,
-        z.rates,
-        with_tangential(z.forces, parts),
-        u,
-        poses,
-        contacts,
-        slip_velocities(vehicle, x, z.position, contacts, z.rates, u),
-        spins(vehicle, z.rates, u),
-        parts,
-        tip_over_margin(vehicle, x, z.position, contacts),
-        lookups,
-    )
+    state = VehicleState(vehicle, terrain, LookupTable(), x, z.position, z.rates, u)
+    poses = carriers(state)
+    contacts = contact_frames(state, poses, z.position.contacts)
+    slips = slip_velocities(state, contacts)
+    parts = mechanics(state, contacts, slips)
+    of_wheels = with_tangential(z.forces, parts), poses, contacts, slips, spins(state)
+    return z, Quantities(*state, *of_wheels, parts, tip_over_margin(state, contacts))
 
 
 def closure_dae(
@@ -87,7 +70,7 @@ def closure_dae(
     """
     rates, sampled = q.rates, force_outputs(q, labels.y.forces)
     y = outputs(q, sampled)
-    heights, centers = level_heights(q.vehicle, q.terrain, q.x, q.lookups)
+    heights, centers = level_heights(q)
     pose = ca.vertcat(ca.sum1(heights) / len(centers), ca.SX.zeros(2 + len(q.position.suspension)))
     others = at_rest(q.vehicle, labels.z[1:])
     return vehicle_dae(
@@ -97,9 +80,7 @@ def closure_dae(
         z,
         (Equations(labels.alg[0], _closures(q)), law, Equations(labels.alg[2], forces)),
         sampled,
-        ode=ca.vertcat(
-            q.rates.x, q.rates.y, q.rates.heading, *joint_rates(q.vehicle, q.rates, q.u)
-        ),
+        ode=ca.vertcat(q.rates.x, q.rates.y, q.rates.heading, *joint_rates(q)),
         y=y._replace(slip_ratio=slip_ratios(q)) if labels.y.slip_ratio else y,
         limits=(*limits_of(q), *limits),
         checks=contact_checks(q, q.x, z, q.poses),
@@ -123,8 +104,8 @@ def _closures(q: Quantities) -> ca.SX:
 
     Subtracting large coordinates first avoids loss of digits.
     """
-    level = q.x._replace(x=ca.SX(0), y=ca.SX(0))
-    arms = [pose.origin for pose in carriers(q.vehicle, level, q.position._replace(z=ca.SX(0)))]
+    level, zero = q.x._replace(x=ca.SX(0), y=ca.SX(0)), q.position._replace(z=ca.SX(0))
+    arms = [pose.origin for pose in carriers(q._replace(x=level, position=zero))]
     center = ca.vertcat(q.x.x, q.x.y, q.position.z)
     return ca.vertcat(
         *(

@@ -15,7 +15,7 @@ from slipfree.core.lookups import LookupTable
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Label, T, leaves, unpack
 from slipfree.laws.protocols import ContactLaw, GroundForce, quantity_labels, wheel_labels
-from slipfree.models.base import Mechanics, Quantities, outputs, slip_ratios
+from slipfree.models.base import Mechanics, Quantities, VehicleState, outputs, slip_ratios
 from slipfree.models.body_contact import BodyContact
 from slipfree.models.limits import tip_over_margin
 from slipfree.models.multibody import Multibody, kinetic_energy
@@ -299,21 +299,17 @@ def quantities(
     damped = sum(c.damping * rate**2 for c, _, rate in loaded)
     none, friction = ca.SX(0, 0), tuple(each.touch.friction for each in contacts)
     energy = ca.SX(vehicle.gravity * height + springs)
+    rates = _rates(vehicle, x, place, position.roll)
+    state = VehicleState(vehicle, terrain, lookups, place, position, rates, u)
     return Quantities(
-        vehicle,
-        terrain,
-        place,
-        position,
-        _rates(vehicle, x, place, position.roll),
+        *state,
         Forces(along, across, tuple(each.force.normal for each in contacts)),
-        u,
         tuple(wheel.motion.pose for wheel in body.wheels),
         frames,
         tuple(each.slip for each in contacts),
         tuple(wheel.rate for wheel in body.wheels),
         Mechanics(none, none, none, none, friction, vehicle.weight, energy, ca.SX(damped)),
-        tip_over_margin(vehicle, place, position, frames),
-        lookups,
+        tip_over_margin(state, frames),
     )
 
 

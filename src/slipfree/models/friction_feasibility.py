@@ -15,27 +15,32 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.closure import ContactFrame, check_exact_closure, contact_frame
+from slipfree.contact.closure import ContactFrame, check_exact_closure
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, leaves, pack, symbols
 from slipfree.core.trajectory import Column, Trajectory
-from slipfree.geometry.frame import platform
-from slipfree.models.base import Mechanics, Quantities, carriers, joint_rates, values_of
+from slipfree.models.base import (
+    Mechanics,
+    Quantities,
+    State,
+    VehicleState,
+    carriers,
+    contact_frames,
+    masses_of,
+    platform_pose,
+    values_of,
+)
 from slipfree.models.force_distribution import least_utilisation
 from slipfree.models.records import (
     Algebraic,
-    Configuration,
-    Dependent,
     ForceOutputs,
     Forces,
-    Inputs,
-    Rates,
     is_determinate,
     labels_of,
 )
-from slipfree.models.samples import slip_velocities
+from slipfree.models.samples import coordinates, slip_velocities
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
@@ -46,30 +51,16 @@ MAX_UPRIGHT_LEAN = 0.02  # a wheel with a smaller lean counts as upright [rad]
 BEST = quantity_label("utilisation_best")
 
 
-def mechanics(
-    vehicle: Vehicle,
-    terrain: Terrain,
-    x: Configuration,
-    position: Dependent,
-    contacts: Sequence[ContactFrame],
-    rates: Rates,
-    u: Inputs,
-    lookups: LookupTable,
-) -> Mechanics:
-    """Return the terms of the equilibrium of a vehicle at the given coordinates and rates."""
-    q = pack((*x, *position[:4]))
-    joints = joint_rates(vehicle, rates, u)
-    moving = (*rates[:2], rates.heading, joints, rates.z, rates.roll, rates.pitch)
-    q_dot = pack((*moving, rates.suspension))
-    velocities = slip_velocities(vehicle, x, position, contacts, rates, u)
-    slips = [
+def mechanics(state: State, contacts: Sequence[ContactFrame], slips: Sequence[ca.SX]) -> Mechanics:
+    """Return the terms of the equilibrium of a vehicle; ``slips`` are those of its wheels."""
+    vehicle, rates, u = state.vehicle, state.rates, state.u
+    components = [
         ca.horzcat(touch.along, touch.across, touch.normal).T @ velocity
-        for touch, velocity in zip(contacts, velocities, strict=True)
+        for touch, velocity in zip(contacts, slips, strict=True)
     ]
     unknown, given = pack(rates.motion), pack(u)
-    base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
-    values = values_of(vehicle, x, position)
-    height = sum(mass * center[2] for _, mass, center in vehicle.masses(base, values))
+    values = values_of(state)
+    height = sum(mass * center[2] for _, mass, center in masses_of(state))
     springs = sum(c.potential(values[c.name]) for c in vehicle.coordinates if c.is_loaded)
     potential = ca.SX(vehicle.gravity * height + springs)
     pairs = [
@@ -78,17 +69,17 @@ def mechanics(
         *zip(vehicle.of("commanded"), u.joints, strict=True),
     ]
     damped = ca.SX(sum(c.damping * rate**2 for c, rate in pairs))
-    power = ca.jtimes(potential, q, q_dot)
+    power = ca.jtimes(potential, *coordinates(state))
     # the damper force is the gradient of the dissipation function, which is half the power
     lost = power + damped / 2
-    slip = ca.vertcat(*slips)
+    slip = ca.vertcat(*components)
     return Mechanics(
         ca.jacobian(slip, unknown),
         ca.jacobian(slip, given),
         -ca.gradient(lost, unknown),
         -ca.gradient(lost, given),
         tuple(
-            wheel.grip * terrain.friction(touch.point[0], touch.point[1], lookups)
+            wheel.grip * state.terrain.friction(touch.point[0], touch.point[1], state.lookups)
             for wheel, touch in zip(vehicle.wheels, contacts, strict=True)
         ),
         vehicle.weight,
@@ -217,14 +208,11 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     labels = labels_of(vehicle)
     required = labels.x, labels.z.position, labels.z.rates.motion, labels.u
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
-    lookups = LookupTable()
-    contacts = [
-        contact_frame(terrain, place.x, place.y, pose.rotation[:, 0], lookups)
-        for place, pose in zip(z.position.contacts, carriers(vehicle, x, z.position), strict=True)
-    ]
-    parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u, lookups)
+    state = VehicleState(vehicle, terrain, LookupTable(), x, z.position, z.rates, u)
+    contacts = contact_frames(state, carriers(state), z.position.contacts)
+    parts = mechanics(state, contacts, slip_velocities(state, contacts))
     given = [pack((x, z.position, z.rates.motion, u))]
-    f = lookup_function(lookups.lookups, "hold", given, _equilibrium_terms(parts))
+    f = lookup_function(state.lookups.lookups, "hold", given, _equilibrium_terms(parts))
     origin = dict(zip(("x", "y", "z"), terrain.origin, strict=True))
     origin |= {f"contact_{axis}": origin[axis] for axis in ("x", "y")}
     rows = np.array([run.of(label) - origin.get(label.name, 0.0) for label in leaves(required)])
@@ -251,8 +239,7 @@ def diagnosis(z: Algebraic, q: Quantities) -> Callable[[Array, Array], str]:
     x, contacts = q.x, q.contacts
     normal = sum((each.normal for each in contacts), ca.SX.zeros(3))
     uphill, slope = -normal[:2], ca.acos(normal[2] / ca.norm_2(normal))
-    base = platform(x.x, x.y, z.position.z, x.heading, z.position.roll, z.position.pitch)
-    forward = base.rotation[:2, 1]
+    forward = platform_pose(q).rotation[:2, 1]
     aside = ca.fabs(uphill[0] * forward[1] - uphill[1] * forward[0])
     angles = [slope, ca.atan2(aside, ca.dot(uphill, forward))]
     lean = ca.acos(ca.fmin(ca.mmin(ca.vertcat(*(each.uprightness for each in contacts))), 1))

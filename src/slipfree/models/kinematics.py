@@ -33,7 +33,6 @@ import numpy as np
 from slipfree.contact.closure import (
     ContactFrame,
     closure,
-    contact_frame,
     has_exact_closure,
     support_fault,
 )
@@ -49,8 +48,10 @@ from slipfree.laws.protocols import Equations, Motion, SlipLaw, wheel_labels
 from slipfree.models.base import (
     Mechanics,
     Quantities,
+    VehicleState,
     carriers,
     contact_checks,
+    contact_frames,
     extent,
     joint_rates,
     level_heights,
@@ -71,10 +72,8 @@ from slipfree.models.records import (
     Configuration,
     Dependent,
     Forces,
-    Inputs,
     KinematicDae,
     PressedContacts,
-    Rates,
     RelaxedState,
     labels_of,
     pressed_labels,
@@ -189,38 +188,25 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
     labels = _labels(vehicle, slip)
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
     position = Dependent(x.z, x.roll, x.pitch, x.suspension, z.position.contacts)
-    place, lookups = (Configuration(x.x, x.y, x.heading, x.joints), position), LookupTable()
-    poses = carriers(vehicle, *place)
-    contacts = tuple(
-        contact_frame(terrain, at.x, at.y, pose.rotation[:, 0], lookups)
-        for at, pose in zip(z.position.contacts, poses, strict=True)
-    )
+    place = Configuration(x.x, x.y, x.heading, x.joints)
+    state = VehicleState(vehicle, terrain, LookupTable(), place, position, z.rates, u)
+    poses = carriers(state)
+    contacts = contact_frames(state, poses, z.position.contacts)
     misses = [closure(*each) for each in zip(vehicle.wheels, poses, contacts, strict=True)]
     surface = tuple(  # the points of the wheels
         contact._replace(point=contact.point - miss)
         for contact, miss in zip(contacts, misses, strict=True)
     )
-    parts = _at_rest(loaded(vehicle), terrain, place, surface, z.rates, u, lookups)
+    slips = slip_velocities(state, surface)
+    parts = _at_rest(state._replace(vehicle=loaded(vehicle)), surface, slips)
     depths = [ca.dot(contact.normal, miss) for contact, miss in zip(contacts, misses, strict=True)]
     pressed = press(vehicle, ca.vertcat(*depths), smoothing)
     groups = _groups(labels)
     balanced = balance(parts, pressed, groups)
-    forces = (balanced.along, balanced.across, pressed.load)
-    q = Quantities(
-        vehicle,
-        terrain,
-        *place,
-        z.rates,
-        Forces(*(tuple(ca.vertsplit(vehicle.weight * each)) for each in forces)),
-        u,
-        poses,
-        contacts,
-        slip_velocities(vehicle, *place, surface, z.rates, u),
-        spins(vehicle, z.rates, u),
-        parts,
-        tip_over_margin(vehicle, *place, contacts),
-        lookups,
-    )
+    columns = (balanced.along, balanced.across, pressed.load)
+    forces = Forces(*(tuple(ca.vertsplit(vehicle.weight * each)) for each in columns))
+    of_wheels = forces, poses, contacts, slips, spins(state)
+    q = Quantities(*state, *of_wheels, parts, tip_over_margin(state, contacts))
     rates, lag = pack(z.rates.motion), ca.SX.sym("lag")
     terms = vehicle, parts, pressed, balanced.imbalance, rates, pack(u), groups[1]
     lagging = linear_form(relaxation(*terms, lag), rates)
@@ -229,17 +215,8 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
         velocity - contact.normal * ca.dot(contact.normal, velocity)
         for contact, velocity in zip(q.contacts, q.slips, strict=True)
     )
-    motion = Motion(
-        q.vehicle,
-        q.contacts,
-        tangential,
-        pack(q.rates.motion),
-        tuple(leaves(labels.z.rates.motion)),
-        rest,
-        tuple(ca.vertsplit(pressed.touch + AIR_WEIGHT)),
-        (q.mechanics.free, q.mechanics.driven @ pack(q.u)),
-    )
-    law = slip.equations(motion, q.rates.law)
+    weights = tuple(ca.vertsplit(pressed.touch + AIR_WEIGHT))
+    law = _law_equations(slip, labels, q._replace(slips=tangential), rest, weights)
     dae = _dae(labels, x, z, q, pressed, (_alignment(contacts, misses), law))
     return replace(dae, lag=lag, relaxation_time=relaxation_time(vehicle))
 
@@ -256,17 +233,11 @@ def loaded(vehicle: Vehicle) -> Vehicle:
 
 
 def _at_rest(
-    vehicle: Vehicle,
-    terrain: Terrain,
-    place: tuple[Configuration, Dependent],
-    contacts: tuple[ContactFrame, ...],
-    rates: Rates,
-    u: Inputs,
-    lookups: LookupTable,
+    state: VehicleState, contacts: tuple[ContactFrame, ...], slips: tuple[ca.SX, ...]
 ) -> Mechanics:
     """Return the terms of the equilibrium at rest, that is, without dampers."""
-    parts = mechanics(vehicle, terrain, *place, contacts, rates, u, lookups)
-    moving = ca.vertcat(pack(rates.motion), pack(u))
+    parts = mechanics(state, contacts, slips)
+    moving = ca.vertcat(pack(state.rates.motion), pack(state.u))
     still = ca.substitute([parts.load, parts.held], [moving], [ca.SX.zeros(moving.shape)])
     return parts._replace(load=still[0], held=still[1])
 
@@ -305,8 +276,8 @@ def _dae(
     sampled = force_outputs(q, labels.y.forces)
     depths = ca.vertsplit(pressed.depth)
     touching = raised_poses(q.poses, q.contacts, depths)
-    level = [*rates[:2], rates.heading, *joint_rates(vehicle, rates, q.u)]
-    heights, _ = level_heights(q.vehicle, q.terrain, q.x, q.lookups)
+    level = [*rates[:2], rates.heading, *joint_rates(q)]
+    heights, _ = level_heights(q)
     lowest = ca.mmin(heights) - max(wheel.depth for wheel in q.vehicle.numeric.wheels)
     below = [pose.origin[:2] for pose in q.poses]
     rest = len(list(leaves(labels.z))) - 2 * len(below)
@@ -503,14 +474,26 @@ def slip_equations(slip: SlipLaw, labels: Labels, q: Quantities) -> Equations:
         ca.dot(contact.normal, velocity)
         for contact, velocity in zip(q.contacts, q.slips, strict=True)
     ]
+    rest = Equations(contact_labels(q.vehicle), ca.vertcat(*normal))
+    return _law_equations(slip, labels, q, rest, (1.0,) * len(q.slips))
+
+
+def _law_equations(
+    slip: SlipLaw,
+    labels: Labels,
+    q: Quantities,
+    rest: Equations,
+    weights: tuple[ca.SX | float, ...],
+) -> Equations:
+    """Return the equations of a slip law beside others, for the slips with the given weights."""
     motion = Motion(
         q.vehicle,
         q.contacts,
         q.slips,
         pack(q.rates.motion),
         tuple(leaves(labels.z.rates.motion)),
-        Equations(contact_labels(q.vehicle), ca.vertcat(*normal)),
-        (1.0,) * len(q.slips),
+        rest,
+        weights,
         (q.mechanics.free, q.mechanics.driven @ pack(q.u)),
     )
     return slip.equations(motion, q.rates.law)

@@ -17,11 +17,8 @@ from slipfree.contact.closure import relative_curvature as curvature_of
 from slipfree.core.dae import Limit
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Label
-from slipfree.geometry.frame import platform
 from slipfree.laws.protocols import wheel_limits
-from slipfree.models.base import Quantities, values_of
-from slipfree.models.records import Configuration, Dependent
-from slipfree.vehicle.tree import Vehicle
+from slipfree.models.base import Quantities, State, masses_of, values_of
 
 DISTANCE_ROUNDING = 1e-9  # smaller distances count as zero [distance of two wheels]
 Domain = tuple[float, float, float, float]
@@ -31,9 +28,7 @@ UPRIGHT = "upright"  # name of the limit of the platform's inclination
 MIN_FRICTION = 1e-6  # smaller values of a friction formula count as zero
 
 
-def tip_over_margin(
-    vehicle: Vehicle, x: Configuration, position: Dependent, contacts: Sequence[ContactFrame]
-) -> ca.SX:
+def tip_over_margin(state: State, contacts: Sequence[ContactFrame]) -> ca.SX:
     """Return the least angle by which gravity may turn before the vehicle tips over [rad].
 
     The vehicle tips over an edge, the line through two neighbouring contact points of the support
@@ -43,11 +38,10 @@ def tip_over_margin(
     and infinite for a vehicle without mass. For a planar vehicle, the edges are the contacts of the
     first and the last wheel. Joints are considered locked.
     """
+    vehicle = state.vehicle
     if not vehicle.mass:
         return ca.SX.inf()
-    base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
-    masses = list(vehicle.masses(base, values_of(vehicle, x, position)))
-    center = sum(mass * at for _, mass, at in masses) / vehicle.mass
+    center = sum(mass * at for _, mass, at in masses_of(state)) / vehicle.mass
     if vehicle.planar:
         arms = [contact.point - center for contact in contacts]
         ends = ([sign * ca.atan2(arm[1], -arm[2]) for arm in arms] for sign in (1, -1))
@@ -108,7 +102,7 @@ def _next_corner(count: int) -> ca.Function:
 
 def joint_stops(q: Quantities) -> Iterator[Limit]:
     """Yield the limits of all joints with rigid stops."""
-    values = values_of(q.vehicle, q.x, q.position)
+    values = values_of(q)
     for c in q.vehicle.coordinates:
         if not c.bump and (np.isfinite(c.lower) or np.isfinite(c.upper)):
             words = f"joint {c.name} ({c.words}) reaches its stop"

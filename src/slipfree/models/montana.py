@@ -35,6 +35,7 @@ from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import Equations, SlipLaw, quantity_labels, wheel_limits
 from slipfree.models.base import (
     Quantities,
+    VehicleState,
     at_rest,
     carriers,
     contact_checks,
@@ -59,6 +60,7 @@ from slipfree.models.records import (
     Rates,
     labels_of,
 )
+from slipfree.models.samples import slip_velocities
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -209,41 +211,30 @@ def _check(vehicle: Vehicle) -> None:
             )
 
 
-def _place(x: Assembly) -> tuple[Configuration, Dependent]:
-    """Return the states of platform and joints as `Configuration` and `Dependent`."""
-    position = Dependent(x.z, x.roll, x.pitch, x.suspension, ())
-    return Configuration(x.x, x.y, x.heading, x.joints), position
-
-
 def _quantities(
     vehicle: Vehicle, terrain: Terrain, x: Assembly, z: Unknowns, u: Inputs, kappa: float
 ) -> tuple[Quantities, list[RollingWheel], ca.SX]:
     """Return the quantities of the model, its wheels, and the rates of platform and joints."""
-    configuration, position = _place(x)
-    turning, lookups = spins(vehicle, z.rates, u), LookupTable()
-    q, chain = pack(x[:-1]), carriers(vehicle, configuration, position)
-    q_dot = ca.vertcat(*z.rates[:6], *joint_rates(vehicle, z.rates, u), *z.rates.suspension)
+    position = Dependent(x.z, x.roll, x.pitch, x.suspension, ())
+    place, lookups = Configuration(x.x, x.y, x.heading, x.joints), LookupTable()
+    state = VehicleState(vehicle, terrain, lookups, place, position, z.rates, u)
+    turning, q, chain = spins(state), pack(x[:-1]), carriers(state)
+    q_dot = ca.vertcat(*z.rates[:6], *joint_rates(state), *z.rates.suspension)
     rolls = [
         _rolling(wheel, terrain, at, carrier, carrier.twist(q, q_dot), spin, kappa, lookups)
         for wheel, at, carrier, spin in zip(vehicle.wheels, x.contacts, chain, turning, strict=True)
     ]
     contacts = tuple(roll.contact for roll in rolls)
-    parts = mechanics(vehicle, terrain, configuration, position, contacts, z.rates, u, lookups)
+    parts = mechanics(state, contacts, slip_velocities(state, contacts))
     quantities = Quantities(
-        vehicle,
-        terrain,
-        configuration,
-        position,
-        z.rates,
+        *state,
         with_tangential(z.forces, parts),
-        u,
         tuple(roll.pose for roll in rolls),
         contacts,
         tuple(roll.slip for roll in rolls),
         turning,
         parts,
-        tip_over_margin(vehicle, configuration, position, contacts),
-        lookups,
+        tip_over_margin(state, contacts),
     )
     return quantities, rolls, q_dot
 

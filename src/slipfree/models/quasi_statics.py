@@ -87,7 +87,7 @@ def quasi_statics(
     labels = labels_of(vehicle, law.unknowns(vehicle), follow=False)
     labels = labels._replace(y=labels.y._replace(slip_ratio=quantity_labels(vehicle, "slip_ratio")))
     z, q = closure_quantities(vehicle, ground, labels)
-    turning = absolute_spins(vehicle, q.x, q.position, q.rates, q.u)
+    turning = absolute_spins(q)
     reaction = law.reaction(_sliding(z, q, turning), q.rates.law)
     q = q._replace(forces=Forces(reaction.along, reaction.across, reaction.normal))
     if reaction.torques:

@@ -15,9 +15,8 @@ from slipfree.core.facts import Fact
 from slipfree.core.records import Array, Mask, pack
 from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose, platform
-from slipfree.models.base import carriers, joint_rates, spins
+from slipfree.models.base import State, carriers, joint_rates, spins
 from slipfree.models.limits import UPRIGHT
-from slipfree.models.records import Configuration, Dependent, Inputs, Rates
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import HEIGHT_TOLERANCE, Prism
 from slipfree.vehicle.tree import Vehicle
@@ -159,46 +158,34 @@ def slip_velocity(
     return without_rolling(wheel, contact, slip)
 
 
-def slip_velocities(
-    vehicle: Vehicle,
-    x: Configuration,
-    position: Dependent,
-    contacts: Sequence[ContactFrame],
-    rates: Rates,
-    u: Inputs,
-) -> tuple[ca.SX, ...]:
+def slip_velocities(state: State, contacts: Sequence[ContactFrame]) -> tuple[ca.SX, ...]:
     """Return the slip velocities (3, 1) of all wheels of a vehicle, in fixed axes [m/s]."""
-    q, q_dot = _coordinates(vehicle, x, position, rates, u)
-    poses, turning = carriers(vehicle, x, position), spins(vehicle, rates, u)
+    moving = coordinates(state)
+    columns = state.vehicle.wheels, carriers(state), contacts, spins(state)
     return tuple(
-        slip_velocity(wheel, pose, contact, q, q_dot, spin)
-        for wheel, pose, contact, spin in zip(vehicle.wheels, poses, contacts, turning, strict=True)
+        slip_velocity(wheel, pose, contact, *moving, spin)
+        for wheel, pose, contact, spin in zip(*columns, strict=True)
     )
 
 
-def absolute_spins(
-    vehicle: Vehicle, x: Configuration, position: Dependent, rates: Rates, u: Inputs
-) -> tuple[ca.SX, ...]:
+def absolute_spins(state: State) -> tuple[ca.SX, ...]:
     """Return the angular velocities of the wheels about their axles, relative to fixed axes.
 
-    They are positive for forward motion. Parameters are those of `slip_velocities`. [rad/s]
+    They are positive for forward motion. [rad/s]
     """
-    q, q_dot = _coordinates(vehicle, x, position, rates, u)
-    poses, turning = carriers(vehicle, x, position), spins(vehicle, rates, u)
+    moving = coordinates(state)
     return tuple(
-        rate - ca.dot(pose.rotation[:, 0], pose.twist(q, q_dot).omega)
-        for pose, rate in zip(poses, turning, strict=True)
+        rate - ca.dot(pose.rotation[:, 0], pose.twist(*moving).omega)
+        for pose, rate in zip(carriers(state), spins(state), strict=True)
     )
 
 
-def _coordinates(
-    vehicle: Vehicle, x: Configuration, position: Dependent, rates: Rates, u: Inputs
-) -> tuple[ca.SX, ca.SX]:
+def coordinates(state: State) -> tuple[ca.SX, ca.SX]:
     """Return the coordinates of a vehicle and their rates, as columns of equal order."""
-    joints = joint_rates(vehicle, rates, u)
+    rates, joints = state.rates, joint_rates(state)
     inclination = rates.z, rates.roll, rates.pitch
     q_dot = pack((rates.x, rates.y, rates.heading, joints, *inclination, rates.suspension))
-    return pack((*x, *position[:4])), q_dot
+    return pack((*state.x, *state.position[:4])), q_dot
 
 
 def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:

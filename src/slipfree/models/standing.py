@@ -17,11 +17,11 @@ from slipfree.core.records import Label, leaves
 from slipfree.geometry.frame import Pose, platform, quaternion, turn
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import wheel_limits
-from slipfree.models.base import extent, level_heights, sizes
+from slipfree.models.base import VehicleState, extent, level_heights, sizes
 from slipfree.models.dynamic_outputs import Contact, DynamicState
 from slipfree.models.kinematics import exact_dae, pressed_dae
 from slipfree.models.multibody import Load, Multibody, bias_forces, generalised_forces
-from slipfree.models.records import Configuration
+from slipfree.models.records import Configuration, Dependent
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism
 from slipfree.vehicle.tree import Vehicle
@@ -89,7 +89,8 @@ def planar_start(
     still = Labels(known, PlanarPose(unknowns), (), (), (), (balance,))
     (scale, shift), speed = sizes(vehicle, terrain, still), ca.SX.sym("speed")
     given = Configuration(ca.SX(0), x.y, ca.SX(0), place.joints)
-    heights, _ = level_heights(vehicle, terrain, given, lookups)
+    position = Dependent(x.z, ca.SX(0), x.attitude[0], tuple(x.joints[k] for k in free), ())
+    heights, _ = level_heights(VehicleState(vehicle, terrain, lookups, given, position))
     lowest = ca.mmin(heights) - max(wheel.depth for wheel in vehicle.wheels)
     limits = wheel_limits(vehicle, "start_gap", ca.vertsplit(gaps), 0.0, np.inf)
     model = Dae(
