@@ -213,14 +213,15 @@ def outputs(q: Quantities, forces: ForceOutputs | tuple[()]) -> Outputs:
         *(wheel_coordinates(*each) for each in zip(poses, contacts, strict=True)), strict=True
     )
     wheel_u, wheel_v, psi = (tuple(values) for values in on_wheels)
+    slip_along, slip_across = tangential_components(contacts, q.slips)
     forward_left_up = ca.horzcat(base[:, 1], -base[:, 0], base[:, 2])
     return Outputs(
         contact_z=tuple(c.point[2] + o_z for c in contacts),
         center_x=tuple(c.origin[0] + o_x for c in poses),
         center_y=tuple(c.origin[1] + o_y for c in poses),
         center_z=tuple(c.origin[2] + o_z for c in poses),
-        slip_along=tuple(ca.dot(c.along, s) for c, s in zip(contacts, q.slips, strict=True)),
-        slip_across=tuple(ca.dot(c.across, s) for c, s in zip(contacts, q.slips, strict=True)),
+        slip_along=slip_along,
+        slip_across=slip_across,
         wheel_rate=q.spins,
         wheel_u=wheel_u,
         wheel_v=wheel_v,
@@ -229,6 +230,15 @@ def outputs(q: Quantities, forces: ForceOutputs | tuple[()]) -> Outputs:
         quaternion=tuple(ca.vertsplit(quaternion(forward_left_up))),
         forces=forces,
     )
+
+
+def tangential_components(
+    contacts: Sequence[ContactFrame], vectors: Sequence[ca.SX]
+) -> tuple[tuple[ca.SX, ...], tuple[ca.SX, ...]]:
+    """Return the components along and across the wheels of vectors (3, 1) at their contacts."""
+    pairs = list(zip(contacts, vectors, strict=True))
+    across = tuple(ca.dot(contact.across, each) for contact, each in pairs)
+    return tuple(ca.dot(contact.along, each) for contact, each in pairs), across
 
 
 def slip_ratios(q: Quantities) -> tuple[ca.SX, ...]:

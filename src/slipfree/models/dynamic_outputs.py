@@ -15,7 +15,14 @@ from slipfree.core.lookups import LookupTable
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Label, T, leaves, unpack
 from slipfree.laws.protocols import ContactLaw, GroundForce, quantity_labels, wheel_labels
-from slipfree.models.base import Mechanics, Quantities, VehicleState, outputs, slip_ratios
+from slipfree.models.base import (
+    Mechanics,
+    Quantities,
+    VehicleState,
+    outputs,
+    slip_ratios,
+    tangential_components,
+)
 from slipfree.models.body_contact import BodyContact
 from slipfree.models.limits import tip_over_margin
 from slipfree.models.multibody import Multibody, kinetic_energy
@@ -190,6 +197,14 @@ def _solid_labels(vehicle: Vehicle, k: int) -> OnSolid:
     )
 
 
+def in_space(vehicle: Vehicle, x: DynamicState) -> DynamicState:
+    """Return the states of a vehicle with those that a planar vehicle lacks, which are zero."""
+    if not vehicle.planar:
+        return x
+    zero = ca.SX(0)
+    return x._replace(x=zero, velocity=(zero, *x.velocity), omega=(*x.omega, zero, zero))
+
+
 def output_efforts(vehicle: Vehicle, efforts: Sequence[T]) -> tuple[T, ...]:
     """Return the efforts of those commanded coordinates whose efforts are outputs, not inputs."""
     pairs = zip(vehicle.of("commanded"), efforts, strict=True)
@@ -252,6 +267,29 @@ def deepest(contacts: Sequence[Contact]) -> Contact:
     return nearest
 
 
+class MovingVehicle(NamedTuple):
+    """A vehicle on a ground as moving rigid bodies, in the symbols of a dynamic model."""
+
+    vehicle: Vehicle
+    terrain: Terrain
+    lookups: LookupTable
+    x: DynamicState
+    u: Inputs
+    body: Multibody
+
+
+class Contacts(NamedTuple):
+    """Contacts of each wheel with the ground and with solids, and contacts of points of bodies."""
+
+    wheels: Sequence[tuple[Contact, ...]]
+    bodies: Sequence[BodyContact] = ()
+
+    @property
+    def all(self) -> tuple[Contact | BodyContact, ...]:
+        """All contacts, those of the wheels first."""
+        return *(each for touching in self.wheels for each in touching), *self.bodies
+
+
 class Effort(NamedTuple):
     """Torques of the drives of all wheels [N m], and efforts of commanded coordinates [N m, N]."""
 
@@ -259,16 +297,10 @@ class Effort(NamedTuple):
     actuators: tuple[ca.SX, ...]
 
 
-def quantities(
-    vehicle: Vehicle,
-    terrain: Terrain,
-    x: DynamicState,
-    u: Inputs,
-    body: Multibody,
-    contacts: Sequence[Contact],
-    lookups: LookupTable,
-) -> Quantities:
+def quantities(moving: MovingVehicle, contacts: Sequence[Contact]) -> Quantities:
     """Return the quantities from which limits and outputs are computed."""
+    vehicle, terrain, lookups, x, u, body = moving
+    x = in_space(vehicle, x)
     r = body.parts["platform"].pose.rotation
     values = [(c.kind, value) for c, value in zip(vehicle.coordinates, x.joints, strict=True)]
     place = Configuration(
@@ -285,10 +317,7 @@ def quantities(
         (),
     )
     frames = tuple(each.touch.frame for each in contacts)
-    along, across = (
-        tuple(ca.dot(axis, c.force.tangential) for axis, c in zip(axes, contacts, strict=True))
-        for axes in ([f.along for f in frames], [f.across for f in frames])
-    )
+    along, across = tangential_components(frames, [each.force.tangential for each in contacts])
     height = sum(each.mass * each.motion.pose.origin[2] for each in body.bodies)
     loaded = [
         (c, value, rate)
@@ -348,17 +377,15 @@ def dynamic_outputs(
     q: Quantities,
     body: Multibody,
     shown: Sequence[Contact],
-    contacts: Sequence[tuple[Contact, ...]],
-    bodies: Sequence[BodyContact],
+    contacts: Contacts,
     forces: ForceOutputs,
 ) -> DynamicOutputs:
     """Return the outputs of the model; the slip of a wheel in the air is zero.
 
-    ``shown`` is the contact of each wheel with the least gap, ``contacts`` are all contacts of
-    wheels, ``bodies`` those of bodies.
+    ``shown`` is the contact of each wheel with the least gap.
     """
     o_x, o_y, _ = q.terrain.origin
-    normal = q.forces.normal
+    normal, wheels = q.forces.normal, contacts.wheels
     slips = tuple(ca.if_else(each.touch.gap < 0, each.slip, 0) for each in shown)
     q = q._replace(slips=slips)
     planar = q.vehicle.planar
@@ -379,27 +406,19 @@ def dynamic_outputs(
             slip_ratio=slip_ratios(q),
         ),
         kinetic_energy(body),
-        sum((each.energy for each in _all_of(contacts, bodies)), ca.SX(0)),
-        (sum(each.force.normal for each in bodies),) if bodies else (),
-        tuple(map(_on_solid, zip(*contacts, strict=True))) if len(contacts[0]) > 1 else (),
+        sum((each.energy for each in contacts.all), ca.SX(0)),
+        (sum(each.force.normal for each in contacts.bodies),) if contacts.bodies else (),
+        tuple(map(_on_solid, zip(*wheels, strict=True))) if len(wheels[0]) > 1 else (),
     )
 
 
-def _all_of(
-    contacts: Sequence[tuple[Contact, ...]], bodies: Sequence[BodyContact]
-) -> Iterator[Contact | BodyContact]:
-    for touching in contacts:
-        yield from touching
-    yield from bodies
-
-
 def _on_solid(contacts: Sequence[Contact]) -> OnSolid:
-    along = [each.touch.frame.along for each in contacts]
+    frames = [each.touch.frame for each in contacts]
     return OnSolid(
         tuple(each.touch.gap for each in contacts),
         tuple(each.force.normal for each in contacts),
-        tuple(ca.dot(a, c.force.tangential) for a, c in zip(along, contacts, strict=True)),
-        tuple(ca.dot(a, c.slip) for a, c in zip(along, contacts, strict=True)),
+        tangential_components(frames, [each.force.tangential for each in contacts])[0],
+        tangential_components(frames, [each.slip for each in contacts])[0],
     )
 
 
@@ -425,11 +444,7 @@ def depth_limits(
 
 
 def dynamic_forces(
-    q: Quantities,
-    contacts: Sequence[tuple[Contact, ...]],
-    bodies: Sequence[BodyContact],
-    x: DynamicState,
-    effort: Effort,
+    q: Quantities, contacts: Contacts, x: DynamicState, effort: Effort
 ) -> ForceOutputs:
     """Return forces, powers and energies; a wheel in the air needs no friction."""
     along, across, normal, _ = q.forces
@@ -452,7 +467,7 @@ def dynamic_forces(
         effort.torques,
         output_efforts(q.vehicle, effort.actuators),
         ca.dot(efforts, ca.vertcat(*rates)),
-        q.mechanics.damped + sum(each.dissipation for each in _all_of(contacts, bodies)),
+        q.mechanics.damped + sum(each.dissipation for each in contacts.all),
         q.mechanics.potential,
         q.tip_over_margin,
     )

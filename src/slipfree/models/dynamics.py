@@ -32,17 +32,20 @@ from slipfree.geometry.frame import Pose, rotation_of, turn
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.protocols import BodyLaw, ContactLaw, WheelContact
 from slipfree.models.base import body_checks, extent, raised_poses, vehicle_dae
-from slipfree.models.body_contact import BodyContact, body_contacts
+from slipfree.models.body_contact import body_contacts
 from slipfree.models.dynamic_outputs import (
     Contact,
+    Contacts,
     DynamicDae,
     DynamicState,
     Effort,
+    MovingVehicle,
     deepest,
     depth_limits,
     dynamic_forces,
     dynamic_labels,
     dynamic_outputs,
+    in_space,
     limit_quantities,
     quantities,
     solid_limits,
@@ -138,19 +141,18 @@ def dynamics(
     vehicle = _with_depths_of(law, with_depths(vehicle))
     bears = isinstance(law, BodyLaw) and law.bears_bodies and bool(vehicle.shapes)
     labels = dynamic_labels(vehicle, len(prisms), bears=bears)
-    x, u, lookups = symbols(labels.x), symbols(labels.u), LookupTable()
-    body = moving_bodies(vehicle, x)
-    contacts = _contacts(vehicle, terrain, prisms, law, body, lookups)
-    bodies = body_contacts(vehicle, terrain, law, body, lookups)
-    matrix, bias = mass_matrix(body), bias_forces(body)
-    check_inertia(vehicle, labels, x, matrix)
-    touching = contacts, bodies
-    ode, effort = equations_of_motion(vehicle, x, u, body, matrix, bias, *touching)
-    shown = [deepest(each) for each in contacts]
-    q = quantities(vehicle, terrain, _in_space(vehicle, x), u, body, shown, lookups)
-    forces = dynamic_forces(q, *touching, x, effort)
-    y = dynamic_outputs(q, body, shown, *touching, forces)
-    on_base = [each[0] for each in contacts]
+    moving = moving_vehicle(vehicle, terrain, labels)
+    x, body = moving.x, moving.body
+    wheels = _contacts(moving, prisms, law)
+    contacts = Contacts(wheels, body_contacts(vehicle, terrain, law, body, moving.lookups))
+    inertia = mass_matrix(body), bias_forces(body)
+    check_inertia(vehicle, labels, x, inertia[0])
+    ode, effort = equations_of_motion(moving, contacts, *inertia)
+    shown = [deepest(each) for each in wheels]
+    q = quantities(moving, shown)
+    forces = dynamic_forces(q, contacts, x, effort)
+    y = dynamic_outputs(q, body, shown, contacts, forces)
+    on_base = [each[0] for each in wheels]
     frames = tuple(each.touch.frame for each in on_base)
     checks: tuple[SecondContact, ...] = ()
     if not plane_of(terrain):  # a wheel touches a plane only once
@@ -167,14 +169,14 @@ def dynamics(
         y=y,
         limits=(
             *limits_of(limit_quantities(q, on_base), static=False, overturns=bears),
-            *solid_limits(vehicle, contacts),
-            *depth_limits(vehicle, law, contacts),
+            *solid_limits(vehicle, wheels),
+            *depth_limits(vehicle, law, wheels),
         ),
         checks=checks if bears else (*checks, *body_checks(q, x, ())),
         guess=ca.SX(0, 1),
-        pace=ca.SX(0) if plane_of(terrain) and not prisms else _pace(body, u),
+        pace=ca.SX(0) if plane_of(terrain) and not prisms else _pace(body, moving.u),
         standing=_start(vehicle, terrain, prisms, law, labels),
-        held=_held_inertia(vehicle, x, u, body, (matrix, bias), *touching),
+        held=_held_inertia(moving, contacts, inertia),
         vehicle=made_from,
         ground=ground,
     )
@@ -243,42 +245,33 @@ def _with_depths_of(law: ContactLaw, vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, wheels=tuple(wheels))
 
 
-def moving_bodies(vehicle: Vehicle, x: DynamicState) -> Multibody:
-    """Return the vehicle as a system of rigid bodies in given states."""
-    in_space = _in_space(vehicle, x)
+def moving_vehicle(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> MovingVehicle:
+    """Return the vehicle as a system of rigid bodies, with symbols for states and inputs."""
+    x: DynamicState = symbols(labels.x)
+    whole = in_space(vehicle, x)
     attitude = ca.vertcat(*x.attitude)
     rotation = turn("x", attitude).rotation if vehicle.planar else rotation_of(attitude)
-    base = Pose(rotation, ca.vertcat(in_space.x, x.y, x.z))
+    base = Pose(rotation, ca.vertcat(whole.x, x.y, x.z))
     rates = ca.vertcat(ca.SX(0, 1), *x.joint_speeds)
-    speeds = Speeds(ca.vertcat(*in_space.velocity), ca.vertcat(*in_space.omega), rates, x.spins)
+    speeds = Speeds(ca.vertcat(*whole.velocity), ca.vertcat(*whole.omega), rates, x.spins)
     names = [c.name for c in vehicle.coordinates]
-    return multibody(vehicle, base, dict(zip(names, x.joints, strict=True)), speeds)
-
-
-def _in_space(vehicle: Vehicle, x: DynamicState) -> DynamicState:
-    if not vehicle.planar:
-        return x
-    zero = ca.SX(0)
-    return x._replace(x=zero, velocity=(zero, *x.velocity), omega=(*x.omega, zero, zero))
+    body = multibody(vehicle, base, dict(zip(names, x.joints, strict=True)), speeds)
+    return MovingVehicle(vehicle, terrain, LookupTable(), x, symbols(labels.u), body)
 
 
 def _contacts(
-    vehicle: Vehicle,
-    terrain: Terrain,
-    prisms: Sequence[Prism],
-    law: ContactLaw,
-    body: Multibody,
-    lookups: LookupTable,
+    moving: MovingVehicle, prisms: Sequence[Prism], law: ContactLaw
 ) -> list[tuple[Contact, ...]]:
     """Return the contacts of each wheel: with the terrain, then with each solid.
 
     Wheels with equal sections share a search on the terrain.
     """
+    vehicle, terrain, lookups = moving[:3]
     radii = {wheel.section: wheel.radius for wheel in vehicle.wheels}
     searches = {each: search_function(terrain, each, radius) for each, radius in radii.items()}
     found, share = list[tuple[Contact, ...]](), vehicle.weight / len(vehicle.wheels)
     origin = ca.DM(terrain.origin[:2])
-    for each in body.wheels:
+    for each in moving.body.wheels:
         wheel, pose = each.wheel, each.motion.pose
         touches = [
             touch(terrain, wheel, pose, searches[wheel.section], lookups),
@@ -288,8 +281,8 @@ def _contacts(
         for at in touches:
             slip = slip_velocity(each, at)
             place = at.frame.point[:2] + origin
-            moving = slip, each.spin, pose.origin, place
-            state = WheelContact(wheel, at, *moving, share, vehicle.gravity)
+            motion = slip, each.spin, pose.origin, place
+            state = WheelContact(wheel, at, *motion, share, vehicle.gravity)
             on_wheel.append(Contact(at, slip, each.spin, law.force(state)))
         found.append(tuple(on_wheel))
     return found
@@ -321,23 +314,17 @@ class _Wheel(NamedTuple):
 
 
 def equations_of_motion(
-    vehicle: Vehicle,
-    x: DynamicState,
-    u: Inputs,
-    body: Multibody,
-    matrix: ca.SX,
-    bias: ca.SX,
-    contacts: Sequence[tuple[Contact, ...]],
-    bodies: Sequence[BodyContact] = (),
+    moving: MovingVehicle, contacts: Contacts, matrix: ca.SX, bias: ca.SX
 ) -> tuple[ca.SX, Effort]:
     """Return the rates of the states, and the efforts of drives and actuators.
 
     ``matrix`` is the mass matrix, ``bias`` are the inertial forces at constant speeds less gravity.
     """
-    wheels = _wheels(x, u, body, contacts)
-    loads = [each.load for each in wheels] + [each.load for each in bodies]
+    vehicle, x, body = moving.vehicle, moving.x, moving.body
+    wheels = _wheels(moving, contacts.wheels)
+    loads = [each.load for each in wheels] + [each.load for each in contacts.bodies]
     forces = generalised_forces(body, loads) - bias
-    accelerations, actuators, joint_integrals = _accelerations(vehicle, x, u, matrix, forces)
+    accelerations, actuators, joint_integrals = _accelerations(moving, matrix, forces)
     spins, torques, integrals = list[ca.SX](), list[ca.SX](), list[ca.SX]()
     for wheel, on in zip(body.wheels, wheels, strict=True):
         if wheel.prescribed:
@@ -357,17 +344,11 @@ def equations_of_motion(
 
 
 def _held_inertia(
-    vehicle: Vehicle,
-    x: DynamicState,
-    u: Inputs,
-    body: Multibody,
-    terms: tuple[ca.SX, ca.SX],
-    contacts: Sequence[tuple[Contact, ...]],
-    bodies: Sequence[BodyContact],
+    moving: MovingVehicle, contacts: Contacts, terms: tuple[ca.SX, ca.SX]
 ) -> HeldTerms:
     """Return the rates of the states with symbols for ``terms``: mass matrix and bias forces."""
     matrix, bias = (ca.SX.sym("held", each.sparsity()) for each in terms)
-    ode, _ = equations_of_motion(vehicle, x, u, body, matrix, bias, contacts, bodies)
+    ode, _ = equations_of_motion(moving, contacts, matrix, bias)
     pairs = (matrix, bias), terms
     symbols, values = (ca.vertcat(*(each.nz[:] for each in pair)) for pair in pairs)
     return HeldTerms(ode, symbols, values)
@@ -378,12 +359,10 @@ def _free_speeds(vehicle: Vehicle) -> Sequence[int]:
     return PLANE if vehicle.planar else SPACE
 
 
-def _wheels(
-    x: DynamicState, u: Inputs, body: Multibody, contacts: Sequence[tuple[Contact, ...]]
-) -> list[_Wheel]:
+def _wheels(moving: MovingVehicle, contacts: Sequence[tuple[Contact, ...]]) -> list[_Wheel]:
     """Return the loads of each wheel: contact forces, drive torque and reaction of the drive."""
-    inputs, integrals, loads = iter(u.wheels), iter(x.drives), list[_Wheel]()
-    zero = ca.SX(0)
+    inputs, integrals = iter(moving.u.wheels), iter(moving.x.drives)
+    loads, body, zero = list[_Wheel](), moving.body, ca.SX(0)
     for wheel, touching in zip(body.wheels, contacts, strict=True):
         drive = wheel.wheel.acting_drive
         wanted = next(inputs) if wheel.wheel.driven else zero
@@ -405,15 +384,16 @@ def _wheels(
 
 
 def _accelerations(
-    vehicle: Vehicle, x: DynamicState, u: Inputs, matrix: ca.SX, forces: ca.SX
+    moving: MovingVehicle, matrix: ca.SX, forces: ca.SX
 ) -> tuple[ca.SX, tuple[ca.SX, ...], tuple[ca.SX, ...]]:
     """Return the rates of the generalised speeds, and efforts and integrals' rates of actuators.
 
     ``forces`` are those of contacts, drives of wheels, gravity and inertia at constant speeds.
     Springs, dampers and efforts of drives act on the coordinates whose rates are not prescribed.
     """
+    vehicle, x = moving.vehicle, moving.x
     found, efforts = ca.SX.zeros(matrix.shape[0]), ca.SX.zeros(matrix.shape[0])
-    inputs, integrals, integral_rates = iter(u.joints), iter(x.joint_drives), list[ca.SX]()
+    inputs, integrals, integral_rates = iter(moving.u.joints), iter(x.joint_drives), list[ca.SX]()
     fixed, free = list[int](), [*_free_speeds(vehicle)]
     for k, c in enumerate(vehicle.coordinates):
         value, rate, drive = x.joints[k], x.joint_speeds[k], c.acting_drive
@@ -448,8 +428,6 @@ def _start(
 ) -> Standing | None:
     """Return the model of the vehicle at rest; None if contacts and springs do not hold it."""
     if vehicle.planar:
-        x, lookups = symbols(labels.x), LookupTable()
-        body = moving_bodies(vehicle, x)
-        contacts = _contacts(vehicle, terrain, prisms, law, body, lookups)
-        return planar_start(vehicle, terrain, labels, x, body, contacts, lookups)
+        moving = moving_vehicle(vehicle, terrain, labels)
+        return planar_start(moving, labels, _contacts(moving, prisms, law))
     return None if support_fault(vehicle) else standing_start(vehicle, terrain, prisms, labels)

@@ -59,12 +59,15 @@ from slipfree.models.base import (
     contact_checks,
     raised_poses,
     sizes,
+    tangential_components,
     vehicle_dae,
 )
 from slipfree.models.dynamic_outputs import (
     Contact,
+    Contacts,
     DynamicOutputs,
     DynamicState,
+    MovingVehicle,
     dynamic_forces,
     dynamic_labels,
     dynamic_outputs,
@@ -75,7 +78,7 @@ from slipfree.models.dynamics import (
     check_inertia,
     dynamics,
     equations_of_motion,
-    moving_bodies,
+    moving_vehicle,
     slip_velocity,
     with_depths,
 )
@@ -152,14 +155,14 @@ def rigid_dynamics(
     _check_wheels(vehicle)
     vehicle = with_depths(vehicle)
     labels = _labels(vehicle, law)
-    x, z, u, lookups = symbols(labels.x), symbols(labels.z), symbols(labels.u), LookupTable()
-    body = moving_bodies(vehicle, x)
+    moving, z = moving_vehicle(vehicle, ground, labels), symbols(labels.z)
+    x, body, lookups = moving.x, moving.body, moving.lookups
     matrix = mass_matrix(body)
     check_inertia(vehicle, labels, x, matrix)
     touches = _touches(ground, body, z.contacts, lookups)
     slips = [slip_velocity(*each) for each in zip(body.wheels, touches, strict=True)]
     spins = tuple(wheel.spin for wheel in body.wheels)
-    sliding = _sliding(vehicle, ground, touches, slips, z.law.normal, u.wheels, spins)
+    sliding = _sliding(moving, touches, slips, z.law.normal, spins)
     reaction = law.reaction(sliding, z.law)
     _check_torques(law, reaction)
     forces_on = (
@@ -169,11 +172,11 @@ def rigid_dynamics(
         )
     )
     contacts = [Contact(*each) for each in zip(touches, slips, spins, forces_on, strict=True)]
-    alone = [(each,) for each in contacts]
-    ode, effort = equations_of_motion(vehicle, x, u, body, matrix, bias_forces(body), alone)
-    q = quantities(vehicle, ground, x, u, body, contacts, lookups)
-    forces = dynamic_forces(q, alone, (), x, effort)
-    y = dynamic_outputs(q, body, contacts, alone, (), forces)
+    alone = Contacts([(each,) for each in contacts])
+    ode, effort = equations_of_motion(moving, alone, matrix, bias_forces(body))
+    q = quantities(moving, contacts)
+    forces = dynamic_forces(q, alone, x, effort)
+    y = dynamic_outputs(q, body, contacts, alone, forces)
     frames = tuple(each.frame for each in touches)
     raised = raised_poses(q.poses, frames, tuple(-each.gap for each in touches))
     scale, _ = sizes(vehicle, ground, labels)
@@ -279,15 +282,14 @@ def _nearest_labels(vehicle: Vehicle) -> tuple[Label, ...]:
 
 
 def _sliding(
-    vehicle: Vehicle,
-    terrain: Terrain,
+    moving: MovingVehicle,
     touches: Sequence[Touch],
     slips: Sequence[ca.SX],
     normal: Sequence[ca.SX],
-    driven: tuple[ca.SX, ...],
     spins: tuple[ca.SX, ...],
 ) -> SlidingContacts:
     """Return the contacts for the law, with the contact constraints as normal velocities."""
+    vehicle = moving.vehicle
     share = vehicle.weight / len(vehicle.wheels)
     constraints = list[ca.SX]()
     for wheel, each, slip, n in zip(vehicle.wheels, touches, slips, normal, strict=True):
@@ -296,26 +298,11 @@ def _sliding(
             pressed -= wheel.depth / 4  # the load at the static depth is the share of the weight
             pressed = (pressed + ca.sqrt(pressed**2 + wheel.depth**2)) / 2
         constraints.append(RELAXATION_RATE * (wheel.depth * n / share - pressed))
-    along, across = (
-        tuple(ca.dot(axis, slip) for axis, slip in zip(axes, slips, strict=True))
-        for axes in (
-            [each.frame.along for each in touches],
-            [each.frame.across for each in touches],
-        )
-    )
-    friction = tuple(each.friction for each in touches)
-    places = tuple(each.frame.point[:2] + ca.DM(terrain.origin[:2]) for each in touches)
-    return SlidingContacts(
-        vehicle,
-        along,
-        across,
-        tuple(constraints),
-        friction,
-        driven,
-        spins,
-        places,
-        lambda _x, _z: "",
-    )
+    components = tangential_components([each.frame for each in touches], slips)
+    friction, origin = tuple(each.friction for each in touches), ca.DM(moving.terrain.origin[:2])
+    places = tuple(each.frame.point[:2] + origin for each in touches)
+    of_wheels = *components, tuple(constraints), friction, moving.u.wheels, spins, places
+    return SlidingContacts(vehicle, *of_wheels, lambda _x, _z: "")
 
 
 def _check_torques(law: GroundLaw, reaction: Reaction) -> None:

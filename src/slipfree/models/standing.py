@@ -18,9 +18,9 @@ from slipfree.geometry.frame import Pose, platform, quaternion, turn
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import wheel_limits
 from slipfree.models.base import VehicleState, extent, level_heights, sizes
-from slipfree.models.dynamic_outputs import Contact, DynamicState
+from slipfree.models.dynamic_outputs import Contact, MovingVehicle
 from slipfree.models.kinematics import exact_dae, pressed_dae
-from slipfree.models.multibody import Load, Multibody, bias_forces, generalised_forces
+from slipfree.models.multibody import Load, bias_forces, generalised_forces
 from slipfree.models.records import Configuration, Dependent
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism
@@ -43,18 +43,13 @@ class PlanarPose(NamedTuple):
 
 
 def planar_start(
-    vehicle: Vehicle,
-    terrain: Terrain,
-    labels: Labels,
-    x: DynamicState,
-    body: Multibody,
-    contacts: Sequence[tuple[Contact, ...]],
-    lookups: LookupTable,
+    moving: MovingVehicle, labels: Labels, contacts: Sequence[tuple[Contact, ...]]
 ) -> Standing:
     """Return the equilibrium of a planar vehicle, and the states of the dynamic model there.
 
     The driven wheels hold the vehicle on a slope, with friction in proportion to their loads.
     """
+    vehicle, terrain, lookups, x, _, body = moving
     share = ca.SX.sym("share")
     holds_all, loads = not any(wheel.driven for wheel in vehicle.wheels), list[Load]()
     for each, (at, *_) in zip(body.wheels, contacts, strict=True):
@@ -67,11 +62,11 @@ def planar_start(
             forces[6 + k] -= ca.gradient(c.potential(x.joints[k]), x.joints[k])
     free = [k for k, c in enumerate(vehicle.coordinates) if c.kind == "suspension"]
     held = [k for k in range(len(vehicle.coordinates)) if k not in free]
-    moving = ca.vertcat(*leaves(x[5:]))  # all speeds and integrals
+    speeds = ca.vertcat(*leaves(x[5:]))  # with the integrals
     rows, gaps = ca.substitute(
         [forces[[1, 2, 3, *(6 + k for k in free)]] / vehicle.weight, _least_gaps(contacts)],
-        [moving],
-        [ca.SX.zeros(moving.shape)],
+        [speeds],
+        [ca.SX.zeros(speeds.shape)],
     )
     place = PlanarPlace(x.y, tuple(x.joints[k] for k in held))
     pose = PlanarPose((share, x.z, *x.attitude, *(x.joints[k] for k in free)))
