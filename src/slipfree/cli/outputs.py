@@ -23,7 +23,7 @@ from slipfree.cli.common import (
 from slipfree.core.errors import DataError, WriteError
 from slipfree.core.outcome import Outcome
 from slipfree.system.interrupt import held_interrupt
-from slipfree.system.regular_files import check_name, resolve_links
+from slipfree.system.regular_files import check_name, check_target, resolve_links
 
 if TYPE_CHECKING:
     from slipfree.core.facts import Facts
@@ -235,15 +235,7 @@ def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any])
 
 def _check_file(path: Path) -> None:
     check_name(path)
-    if path.is_dir():
-        raise DataError(
-            f"{path}: expected the name of a file to write, found a folder; choose another name"
-        )
-    if path.exists() and not path.is_file():
-        raise DataError(
-            f"{path}: expected the name of a file to write, found a device, pipe or socket; choose "
-            "another name"
-        )
+    check_target(path)
     if not path.parent.is_dir():
         found, remedy = "none", "create it, or choose another folder"
         if path.parent.exists():

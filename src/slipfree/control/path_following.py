@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import pi, tan
 from typing import NamedTuple
@@ -248,19 +248,27 @@ def _planar_inputs(
 def _steering_rates(
     plan: _PlanarGeometry, v: ca.SX, turning: ca.SX, speed: float
 ) -> dict[str, ca.SX]:
-    errors: dict[str, ca.SX] = {}
-    sizes: dict[str, ca.SX] = {}
-    for each in plan.steered:
+    def target(each: _PlanarWheel) -> ca.SX:
         ahead = v + each.right * turning
         # sideways over forward velocity, regularised where the forward velocity changes its sign
         slope = each.forward * turning * ahead / (ahead**2 + (LOW_SPEED_RATIO * speed) ** 2)
-        angle = ca.atan(slope)
-        error = MAX_STEER_ANGLE * ca.tanh(angle / MAX_STEER_ANGLE) - each.angle
+        return MAX_STEER_ANGLE * ca.tanh(ca.atan(slope) / MAX_STEER_ANGLE)
+
+    gain = STEER_GAIN * abs(speed) / plan.base
+    return {name: gain * error for name, error in _steering_errors(plan, target).items()}
+
+
+def _steering_errors(
+    plan: _PlanarGeometry, target: Callable[[_PlanarWheel], ca.SX]
+) -> dict[str, ca.SX]:
+    """Return least-squares changes of the coordinates that steer wheels to target angles [rad]."""
+    errors, sizes = dict[str, ca.SX](), dict[str, ca.SX]()
+    for each in plan.steered:
+        error = target(each) - each.angle
         for name, effect in each.effects.items():
             errors[name] = errors.get(name, 0) + effect * error
             sizes[name] = sizes.get(name, 0) + effect**2
-    pace = abs(speed) / plan.base
-    return {name: STEER_GAIN * pace * error / sizes[name] for name, error in errors.items()}
+    return {name: error / sizes[name] for name, error in errors.items()}
 
 
 def _turning_rate(plan: _PlanarGeometry, v: ca.SX) -> ca.SX:
@@ -396,14 +404,10 @@ def arc_inputs(
     states = _symbols(vehicle)
     plan, column = planar_geometry(vehicle, states), ca.vertcat(ca.SX(0, 1), *states.values())
     bend, v = ca.SX.sym("bend"), ca.SX.sym("v")
-    steering: dict[str, ca.SX] = dict.fromkeys(states, ca.SX(0))
-    sizes: dict[str, ca.SX] = dict.fromkeys(states, ca.SX(0))
-    for each in plan.steered:
-        error = ca.atan2(each.forward * bend, 1 + each.right * bend) - each.angle
-        for name, effect in each.effects.items():
-            steering[name] += effect * error
-            sizes[name] += effect**2
-    change = [steering[name] / ca.fmax(sizes[name], SAME_ANGLE) for name in states]
+    turned = _steering_errors(
+        plan, lambda each: ca.atan2(each.forward * bend, 1 + each.right * bend)
+    )
+    change = [turned.get(name, ca.SX(0)) for name in states]
     wheels = [
         wheel_rate(each, v, plan.gain * v * bend, {}) for each in plan.wheels if each.wheel.driven
     ]

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from math import ceil
-from multiprocessing.shared_memory import SharedMemory
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -34,7 +32,6 @@ FAILED = "failed"  # outcome of a run without samples
 MAX_LANES = 8192  # runs of a task of the batch
 MAX_TASK = 32  # runs that a process executes before it returns results
 TASKS_PER_PROCESS = 4  # so that all processes end at about the same time
-ALIGNMENT = 64  # of arrays in shared memory [byte]
 
 Model = Dae | Callable[..., Dae]
 
@@ -161,16 +158,18 @@ def rollouts(
         for task in tasks:
             table.add(execute(common, task))
     elif tasks:
-        with _shared(common) as handle, local_tasks(_execute_shared, processes) as finish:
-            for done in finish([(handle, execute, task) for task in tasks], lambda: None):
+        function = _pickled(model)
+        parts = ((function, common.part(task), execute, task) for task in tasks)
+        with local_tasks(_execute_part, processes) as finish:
+            for done in finish(parts, lambda: None):
                 table.add(done)
     return table.dataset({"tolerance": options.tolerance} if method == "simulate" else {})
 
 
 class _Common(NamedTuple):
-    """Arguments of all runs; arrays have a value for each run or one for all."""
+    """Arguments of runs; arrays have a value for each run or one for all."""
 
-    model: Model
+    model: Any  # a `Model`; None in arguments of a part, to which it is added
     t: Array
     quantities: tuple[str, ...] | None
     options: SolverOptions
@@ -178,6 +177,25 @@ class _Common(NamedTuple):
     inputs: dict[str, Any]
     parameters: dict[str, Array]
     step: float | None
+
+    def part(self, numbers: Array) -> _Common:
+        """Return the arguments of some runs, without the model."""
+
+        def own(values: Any, dimensions: int = 1) -> Any:
+            each = isinstance(values, np.ndarray) and values.ndim >= dimensions and len(values) > 1
+            return values[numbers] if each else values
+
+        starts = self.starts
+        if isinstance(starts, dict):
+            starts = {name: own(each) for name, each in starts.items()}
+        elif len(starts) > 1:
+            starts = [starts[k] for k in numbers]
+        return self._replace(
+            model=None,
+            starts=starts,
+            inputs={name: own(each, dimensions=2) for name, each in self.inputs.items()},
+            parameters={name: own(each) for name, each in self.parameters.items()},
+        )
 
     def parameters_of(self, k: int) -> tuple[tuple[str, Any], ...]:
         return tuple((name, _of_run(values, k)) for name, values in self.parameters.items())
@@ -425,57 +443,26 @@ class _Table:
         return dataset
 
 
-class _Handle(NamedTuple):
-    """Pickled object whose arrays are in shared memory, and the sizes of the arrays in bytes."""
-
-    data: bytes
-    memory: str
-    sizes: tuple[int, ...]
-
-
-@contextmanager
-def _shared(common: _Common) -> Iterator[_Handle]:
-    """Yield a handle by which other processes load an object without copies of its arrays."""
-    buffers: list[pickle.PickleBuffer] = []
+def _pickled(model: Model) -> bytes:
     try:
-        data = pickle.dumps(common, protocol=5, buffer_callback=buffers.append)
+        return pickle.dumps(model)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise ModelError(
             "model: expected a function at the level of a module, or functools.partial of one, "
-            f"that can be sent to other processes; found {common.model!r}: {error}"
+            f"that can be sent to other processes; found {model!r}: {error}"
         ) from error
-    arrays = [buffer.raw() for buffer in buffers]
-    sizes = tuple(array.nbytes for array in arrays)
-    memory = SharedMemory(create=True, size=max(1, sum(map(_padded, sizes))))
-    try:
-        for array, place in zip(arrays, _places(memory, sizes), strict=True):
-            place[:] = array
-            place.release()
-        yield _Handle(data, memory.name, sizes)
-    finally:
-        memory.close()
-        memory.unlink()
-
-
-def _places(memory: SharedMemory, sizes: Sequence[int]) -> Iterator[memoryview]:
-    begin, buffer = 0, cast(memoryview, memory.buf)
-    for size in sizes:
-        yield buffer[begin : begin + size]
-        begin += _padded(size)
-
-
-def _padded(size: int) -> int:
-    return ceil(size / ALIGNMENT) * ALIGNMENT
-
-
-def _execute_shared(task: tuple[_Handle, Callable[..., list[_Results]], Array]) -> list[_Results]:
-    handle, execute, numbers = task
-    return execute(_loaded(handle)[0], numbers)
 
 
 @lru_cache(maxsize=1)
-def _loaded(handle: _Handle) -> tuple[_Common, SharedMemory]:
-    """Return the object of a handle, and its memory, which must exist as long as the object."""
-    memory = SharedMemory(handle.memory)
-    views = [place.toreadonly() for place in _places(memory, handle.sizes)]
-    return pickle.loads(handle.data, buffers=views), memory
+def _loaded(function: bytes) -> Model:
+    """Return a pickled function, the same object for all tasks of a process: see `_built`."""
+    model: Model = pickle.loads(function)
+    return model
+
+
+def _execute_part(
+    task: tuple[bytes, _Common, Callable[..., list[_Results]], Array],
+) -> list[_Results]:
+    function, common, execute, numbers = task
+    found = execute(common._replace(model=_loaded(function)), np.arange(numbers.size))
+    return [each._replace(numbers=numbers[each.numbers]) for each in found]

@@ -105,6 +105,15 @@ def _unreadable(path: Path, expected: str, reason: object) -> DataError:
     )
 
 
+def check_target(path: Path) -> None:
+    """Raise DataError if a file to write is a folder, device, pipe or socket."""
+    if path.exists() and not path.is_file():
+        kind = "a folder" if path.is_dir() else "a device, pipe or socket"
+        raise DataError(
+            f"{path}: expected the name of a file to write, found {kind}; choose another name"
+        )
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Replace a file by a new one only when the new one is complete.
@@ -117,11 +126,7 @@ def replacing(path: Path) -> Iterator[Path]:
     target = Path(os.path.realpath(path))  # a symbolic link stays a link
     part = target.with_name(f".{secrets.token_hex(6)}.part{target.suffix}")
     try:
-        if target.exists() and not target.is_file():
-            kind = "a folder" if target.is_dir() else "a device, pipe or socket"
-            raise DataError(
-                f"{path}: expected the name of a file to write, found {kind}; choose another name"
-            )
+        check_target(path)
         yield part
         with part.open("rb+") as file:
             os.fsync(file.fileno())

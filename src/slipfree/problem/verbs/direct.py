@@ -250,14 +250,8 @@ class DirectVerb(DriveVerb):
             if spec.driver.period is not None:
                 driven += f", every {spec.driver.period:g} s"
                 t, every = sampled_times(problem, ("driver", "period"), spec.driver.period)
-        drive: dict[str, Any] = {
-            "start": start,
-            "inputs": inputs,
-            "t": t,
-            "driven": driven,
-            "every": every,
-        }
-        return Setup(**vars(world), model=model, dae=dae, **drive)
+        drive: dict[str, Any] = {"start": start, "inputs": inputs, "t": t, "driven": driven}
+        return Setup(**vars(world), model=model, dae=dae, every=every, **drive)
 
     def drive(
         self, problem: Problem[Direct], setup: Setup, watch: Watch, resume: SavedPlan | None

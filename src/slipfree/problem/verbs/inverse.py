@@ -29,7 +29,7 @@ from slipfree.models.given_rates import (
     RATES,
     ROBOT,
     STOP_CLEARANCE,
-    VELOCITY,
+    UNITS,
     GivenRates,
     is_determined,
     steering_effects,
@@ -181,7 +181,8 @@ class InverseVerb(DriveVerb):
             direct = direct_kinematics(vehicle, world.terrain, slip=rates.slip)
         dae = invert(direct, rates)
         check_names(problem, direct, None)
-        _check_units(problem)
+        if faults := [*unit_faults(("given",), spec.given or {}, UNITS)]:
+            raise problem_error(problem.source, faults)
         stand = build_start(problem, direct)
         t, inputs, first = _inputs(spec, dae, given)
         with at(problem, place):
@@ -190,13 +191,8 @@ class InverseVerb(DriveVerb):
             elif points is not None:
                 dae, inputs = track_path(dae, *points)
                 first = inputs
-            drive: dict[str, Any] = {
-                "start": stand,
-                "inputs": inputs,
-                "t": t,
-                "driven": description,
-            }
-            setup = Setup(**vars(world), model=direct, dae=dae, **drive)
+            drive: dict[str, Any] = {"inputs": inputs, "t": t, "driven": description}
+            setup = Setup(**vars(world), model=direct, dae=dae, start=stand, **drive)
             return replace(setup, start=_start(spec, setup, first, exact=rates.exact))
 
     def drive(
@@ -252,22 +248,13 @@ def _given_rates(
     if faults:
         raise problem_error(problem.source, faults)
     words = ", ".join(
-        f"{name} {value:g} {'m/s' if name in VELOCITY else 'rad/s'}"
-        for name, value in given.items()
+        f"{name} {value:g} {printed_unit(UNITS[name])}" for name, value in given.items()
     )
     if points is not None:
         words = f"path of {points.shape[1]} way-points in {points[0, -1]:g} s"
     if is_solved_for and not is_determined(vehicle):
         return dict.fromkeys(COMMANDS, 0.0), words
     return given, f"{words}; the steering {spec.steering} is unknown"
-
-
-def _check_units(problem: Problem[Inverse]) -> None:
-    units = {name: "m s-1" if name in VELOCITY else "rad s-1" for name in RATES}
-    units |= {name: label.unit for name, label in COMMANDS.items()}
-    units |= {name: units[ours] for name, ours in ROBOT.items()}
-    if faults := [*unit_faults(("given",), problem.spec.given or {}, units)]:
-        raise problem_error(problem.source, faults)
 
 
 def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:

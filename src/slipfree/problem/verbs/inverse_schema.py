@@ -11,12 +11,13 @@ import numpy as np
 from pydantic import Field
 
 from slipfree.core.errors import DataError, ModelError
+from slipfree.core.facts import printed_unit
 from slipfree.files.logs import read_log
 from slipfree.files.tables import read_names
 from slipfree.files.toml.source import Fault, format_value, problem_error
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import Angles, Column, Piecewise, Record, TimeFunction, bare_words
-from slipfree.models.given_rates import COMMANDS, ROBOT
+from slipfree.models.given_rates import COMMANDS, ROBOT, UNITS
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.schema import FILE, VERB, MotionKeys, TerrainKeys, Time
@@ -121,8 +122,7 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
             with at(problem, ("given", name)):
                 _check_formula(value, spec.time)
     for name, value in given.items():
-        unit = COMMANDS[ROBOT.get(name, name)].unit.replace(" s-1", "/s")
-        descriptions.append(f"{name} {_rate_words(value)} {unit}")
+        descriptions.append(f"{name} {_rate_words(value)} {printed_unit(UNITS[name])}")
     return {
         ROBOT.get(name, name): _negative(value) if name == "v_y" else value
         for name, value in (columns | given).items()
@@ -144,7 +144,7 @@ def _read_file(
             f"more of {', '.join(COMMANDS)} or one or more of {', '.join(ROBOT)}, found "
             f"{','.join(names)!r}; correct the first line"
         )
-    units = {name: COMMANDS[ROBOT.get(name, name)].unit.replace(" s-1", "/s") for name in rates}
+    units = {name: printed_unit(UNITS[name]) for name in rates}
     log = read_log(file, ["t", *rates], rates, kind="commands", units=units)
     t = log.t
     if not t.size:
