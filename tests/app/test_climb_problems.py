@@ -11,7 +11,7 @@ from helpers.commands import build_errors, invoke, sets
 from slipfree.catalog import step_climber
 from slipfree.climb.metrics import climb_metrics
 from slipfree.files.netcdf import read as read_result
-from slipfree.files.vehicle_draft import vehicle_text
+from slipfree.files.vehicle_toml import vehicle_text
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, motion_facts, run_problem
 from slipfree.show.plots import draw

@@ -21,7 +21,7 @@ from slipfree.files.logs import MotionLog, check_motion, rate_ratios
 from slipfree.files.mcap import write_mcap
 from slipfree.files.netcdf import write
 from slipfree.files.tables import write_rows
-from slipfree.files.vehicle_draft import vehicle_text
+from slipfree.files.vehicle_toml import vehicle_text
 from slipfree.fit.windows import Windows, cut
 from slipfree.geometry.frame import unit_vector
 from slipfree.problem.build_vehicle import read_vehicle

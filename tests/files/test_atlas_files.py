@@ -11,7 +11,7 @@ from slipfree.atlas.atlas import Atlas, Band, atlas
 from slipfree.atlas.summary import SLIDES, UNDECIDED, verdicts
 from slipfree.core.records import Label
 from slipfree.files.atlas_files import Site, open_atlas, tiles_in, write_atlas, write_geotiff
-from slipfree.files.cf import MapCoordinate
+from slipfree.files.netcdf import MapCoordinate
 
 X, Y = np.linspace(0.0, 18.0, 19), np.linspace(0.0, 12.0, 13)
 UTM = "EPSG:32633"

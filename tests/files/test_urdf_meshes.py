@@ -11,7 +11,7 @@ from helpers.commands import invoke
 from helpers.urdf import FOUR, WHEEL, joint, link, offered, wheel, written
 from slipfree import Analytic, direct_kinematics, settle
 from slipfree.core.errors import DataError
-from slipfree.files.urdf.collisions import reduced_hull
+from slipfree.files.urdf.meshes import reduced_hull
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.vehicle.sections import Disc, Sphere, Torus
 from slipfree.vehicle.shapes import Ball, Box, Hull

@@ -16,8 +16,16 @@ from helpers.commands import invoke, refused, refuses, sets
 from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.files import vehicle_toml
 from slipfree.files.toml.source import ProblemError
-from slipfree.files.vehicle_draft import Draft, from_rep103, rotation_of, vehicle_text
-from slipfree.files.vehicle_toml import CoordinateTable, JointTable, VehicleTable, WheelTable
+from slipfree.files.vehicle_toml import (
+    CoordinateTable,
+    Draft,
+    JointTable,
+    VehicleTable,
+    WheelTable,
+    from_rep103,
+    rotation_of,
+    vehicle_text,
+)
 from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.problem import build_ground
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle

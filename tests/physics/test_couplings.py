@@ -17,7 +17,7 @@ from helpers.urdf import joint, link, wheel, written
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import power_of_length
 from slipfree.core.records import leaves
-from slipfree.files.vehicle_draft import VehicleError
+from slipfree.files.vehicle_toml import VehicleError
 from slipfree.models.given_rates import COMMANDS
 from slipfree.solve.replay import replay, round_trip, trim_states
 from slipfree.vehicle.formula import evaluate, names_in

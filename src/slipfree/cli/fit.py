@@ -161,7 +161,7 @@ def _objects(table: tuple[list[str], list[list[Any]]]) -> list[dict[str, Any]]:
 
 
 def _log_fit(problem: Any, predict: Sequence[Path]) -> _FitWork:
-    from slipfree.files.vehicle_draft import vehicle_text
+    from slipfree.files.vehicle_toml import vehicle_text
     from slipfree.problem.inputs import files_read
     from slipfree.problem.verbs import fit as verb
     from slipfree.show.fit_figures import fit_plot
@@ -210,7 +210,7 @@ def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
 
 
 def _fit_over_map(problem: Any, predict: Sequence[Path]) -> _FitWork:
-    from slipfree.files.vehicle_draft import vehicle_text
+    from slipfree.files.vehicle_toml import vehicle_text
     from slipfree.problem.inputs import files_read
     from slipfree.problem.verbs import fit_over_map as verb
     from slipfree.show.fit_figures import ground_plot

@@ -24,15 +24,19 @@ from slipfree.core.errors import DataError, WriteError
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import FRAME, Column, heading_column
 from slipfree.core.version import __version__
-from slipfree.files.cf import CRS, MapCoordinate, grid_mapping, map_label, standard_name
 from slipfree.files.netcdf import (
     ATLAS,
     CONVENTIONS,
+    CRS,
     ORIGIN,
+    MapCoordinate,
     NetcdfFile,
     annotate,
+    grid_mapping,
+    map_label,
     open_netcdf,
     result_fault,
+    standard_name,
 )
 from slipfree.system.regular_files import replace_file, replacing
 from slipfree.terrain.paged import Elevation

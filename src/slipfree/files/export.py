@@ -12,8 +12,7 @@ from typing import Any
 from slipfree.core.errors import DataError
 from slipfree.core.records import Label
 from slipfree.core.trajectory import FRAME, Column, Trajectory
-from slipfree.files.cf import map_positions
-from slipfree.files.netcdf import read, write_csv
+from slipfree.files.netcdf import map_positions, read, write_csv
 from slipfree.system.regular_files import replace_file, resolve_links
 
 ANGLES = ("heading", "pitch", "roll", "yaw")

@@ -14,7 +14,6 @@ import numpy as np
 
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Lines
-from slipfree.files.cf import DEGREES, MapCoordinate
 from slipfree.files.maps.elevation import (
     Frame,
     Map,
@@ -26,6 +25,7 @@ from slipfree.files.maps.elevation import (
 )
 from slipfree.files.maps.raster import RasterParts, Reading, raster_parts
 from slipfree.files.maps.reference_systems import from_degrees
+from slipfree.files.netcdf import DEGREES, MapCoordinate
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.source import ProblemError
 from slipfree.files.toml.types import AngleWithUnit

@@ -31,10 +31,12 @@ from slipfree.files.urdf.xacro import (
     trusted_paths,
 )
 from slipfree.files.urdf.xml import check_ending, is_description, parse_robot
-from slipfree.files.vehicle_draft import Draft, Guess, VehicleError
 from slipfree.files.vehicle_toml import (
     PARTS,
+    Draft,
     File,
+    Guess,
+    VehicleError,
     couple_errors,
     open_file,
     read_toml,

@@ -25,7 +25,7 @@ from pydantic import AfterValidator, ConfigDict, Strict, TypeAdapter, Validation
 from tomlkit.exceptions import TOMLKitError
 
 from slipfree.core.errors import DataError
-from slipfree.files.cf import DEGREES
+from slipfree.files.netcdf import DEGREES
 from slipfree.files.toml.source import decode_text, read_raw
 from slipfree.files.toml.types import parse_unit
 from slipfree.problem.build_ground import at

@@ -18,10 +18,9 @@ from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import FIGURE_SAMPLES, Trajectory, outcome_words
 from slipfree.core.version import __version__
 from slipfree.files.atlas_files import is_atlas, open_atlas, tiles_in
-from slipfree.files.cf import MAP_TRANSFORM
-from slipfree.files.netcdf import ORIGIN, read
+from slipfree.files.netcdf import MAP_TRANSFORM, ORIGIN, read
 from slipfree.files.urdf.xacro import trusted_paths
-from slipfree.files.vehicle_draft import Draft, VehicleError
+from slipfree.files.vehicle_toml import Draft, VehicleError
 from slipfree.geometry.frame import AXES, Pose, unit_vector
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics

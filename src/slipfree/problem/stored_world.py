@@ -20,10 +20,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
-from slipfree.files.cf import MapCoordinate
+from slipfree.files.netcdf import MapCoordinate
 from slipfree.files.urdf.links import Robot
-from slipfree.files.vehicle_draft import vehicle_text
-from slipfree.files.vehicle_toml import file_of, read_toml
+from slipfree.files.vehicle_toml import file_of, read_toml, vehicle_text
 from slipfree.geometry.mesh import TriangleMesh
 from slipfree.problem.build import World
 from slipfree.problem.build_ground import GroundMap, ground_table

@@ -9,7 +9,6 @@ from typing import Any, cast
 import numpy as np
 
 from slipfree.files.urdf.evidence import actuators, plugins
-from slipfree.files.urdf.joint_guesses import with_separate_balls
 from slipfree.files.urdf.tree import (
     Findings,
     G,
@@ -21,6 +20,7 @@ from slipfree.files.urdf.tree import (
     Tree,
     UrdfJoint,
 )
+from slipfree.files.urdf.wheel_guesses import with_separate_balls
 from slipfree.files.urdf.xacro import (
     check_macro_calls,
     link_at,
@@ -29,7 +29,7 @@ from slipfree.files.urdf.xacro import (
     without_xacro,
 )
 from slipfree.files.urdf.xml import Element, parse_robot
-from slipfree.files.vehicle_draft import MAX_LENGTH, degrees_words, in_order, rotation_of
+from slipfree.files.vehicle_toml import MAX_LENGTH, degrees_words, in_order, rotation_of
 from slipfree.geometry.frame import Elements, Vector, in_axes, tensor
 from slipfree.vehicle.shapes import Box
 from slipfree.vehicle.wheel import ORIGIN

@@ -13,7 +13,7 @@ import scipy  # scipy.spatial is imported when it is used, since this takes 0.1 
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.urdf.tree import FORWARD_YAW, Tree, UrdfJoint, facing_forward
-from slipfree.files.vehicle_draft import rotation_of, turned_right, vector_of
+from slipfree.files.vehicle_toml import rotation_of, turned_right, vector_of
 from slipfree.geometry.frame import unit_vector
 from slipfree.models.samples import FramePoses, part_poses
 from slipfree.vehicle.formula import evaluate

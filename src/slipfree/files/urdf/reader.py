@@ -1,21 +1,22 @@
-"""Conversion of a URDF to a vehicle: coordinates, joints, wheels and masses."""
+"""Conversion of a URDF to a vehicle: kinds of joints, coordinates, joints, wheels and masses."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from slipfree.files.urdf.collisions import body_shapes
-from slipfree.files.urdf.evidence import Choice
-from slipfree.files.urdf.joint_guesses import NO_WHEEL, Joints
+import numpy as np
+
+from slipfree.files.urdf.evidence import Choice, Evidence, evidence, weigh
+from slipfree.files.urdf.meshes import body_shapes
 from slipfree.files.urdf.roles import NO_ROLES, JointRole, UrdfTable, completed, coupled
 from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint, facing_forward
-from slipfree.files.urdf.wheel_guesses import TRACKS, forward_guess, tracks, wheel_remedy
+from slipfree.files.urdf.wheel_guesses import TRACKS, forward_guess, swivels, tracks, wheel_remedy
 from slipfree.files.urdf.wheels import Wheels
-from slipfree.files.vehicle_draft import (
+from slipfree.files.vehicle_toml import (
     MAX_LENGTH,
     Draft,
     VehicleError,
@@ -33,6 +34,7 @@ from slipfree.vehicle.shapes import BodyShape
 from slipfree.vehicle.tree import Body, Coordinate, Joint
 
 MIN_WHEELS = 3
+LATERAL = 0.9  # axes of opposite rockers have at least this component to the left, or to the right
 
 
 def read_urdf(tree: Tree, roles: UrdfTable = NO_ROLES) -> Draft:
@@ -223,6 +225,172 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
 def _body(tree: Tree, name: str, shapes: Mapping[str, tuple[BodyShape, ...]]) -> Body:
     link = tree.links[name]
     return Body(link.mass or 0.0, link.center, link.inertia, shapes.get(name, ()))
+
+
+def _fixed(fact: str) -> Choice:
+    return weigh(evidence("kind", {fact: True}))._replace(rival="commanded")
+
+
+NO_WHEEL, BALLS, TOO_MANY = map(_fixed, ("no wheel", "balls", "too many"))
+
+
+class Joints:
+    """Joints of a URDF whose values are unknown, with the wheels that they carry.
+
+    The URDF faces forward along x. ``balls`` are the names of wheels that slide freely.
+    """
+
+    def __init__(
+        self, tree: Tree, wheels: Sequence[UrdfJoint], balls: set[str], roles: UrdfTable
+    ) -> None:
+        self._tree, self._roles, self._balls = tree, roles, balls
+        self._wheels = [*wheels]
+        names = {wheel.name for wheel in wheels}
+        on_wheels = {below.name for wheel in wheels for below in tree.below(wheel.child)}
+        self._free = {
+            name: joint
+            for name, joint in tree.joints.items()
+            if joint.moves
+            and name not in {*names, *on_wheels}
+            and joint.type not in ("floating", "planar")
+            and joint.lower != joint.upper
+        }
+        self._own = {
+            name: names & {below.name for below in tree.below(joint.child)}
+            for name, joint in tree.joints.items()
+        }
+        self._carried = dict(self._own)
+        for name in tree.joints:  # a joint also moves the wheels of the joints that mimic it
+            for leader in self._leaders(name):
+                self._carried[leader] = self._carried[leader] | self._carried[name]
+        rolling = [wheel for wheel in self._wheels if wheel.name not in balls]
+        self._swivelling = swivels(tree, rolling)
+        carrying = [each for name, each in self._free.items() if self._carried[name]]
+        self._choices = {joint.name: self._choice(joint, carrying) for joint in carrying}
+
+    def _leaders(self, name: str) -> list[str]:
+        """Return the joints that a joint follows through its mimics."""
+        chain = self._tree.followed(self._tree.joints[name], self._roles.joints)
+        return [joint.name for joint in chain[1:]]
+
+    def _rocks(self, joint: UrdfJoint) -> bool:
+        followers = [
+            follower
+            for name, follower in self._tree.joints.items()
+            if joint.name in self._leaders(name) and self._carried[name]
+        ]
+        return any(
+            self._tree.is_level(mover) != (mover.type == "prismatic")
+            for mover in followers or [joint]
+        )
+
+    def _choice(self, joint: UrdfJoint, carrying: Sequence[UrdfJoint]) -> Choice:
+        """Return the kind of a joint by the evidence for it and its counterpart."""
+        kind = self._rocks(joint), joint.type == "prismatic"
+        alike = [o for o in carrying if (self._rocks(o), o.type == "prismatic") == kind]
+        other = self._tree.mirror_image(joint, alike)
+        both = [joint] if other is None or other.mimic else [joint, other]
+        return weigh(piece for each in both for piece in self._evidence(each))
+
+    def _evidence(self, joint: UrdfJoint) -> Iterator[Evidence]:
+        rocks, slides = self._rocks(joint), joint.type == "prismatic"
+        facts = {
+            "rocks": rocks,
+            "rocker": rocks and joint.names,
+            "slides": slides and not rocks,
+            "turns": not (slides or rocks),
+            "swivels": joint.name in self._swivelling,
+        }
+        yield from evidence("kind", facts)
+        yield from self._tree.evidence.get(joint.name, ())
+
+    def kinds(self) -> dict[str, Choice]:
+        """Return the probable kinds of the joints without a role, unless actuators agree."""
+        declared = [role.kind for role in self._roles.joints.values()].count("suspension")
+        left = len(self._wheels) - 3 - declared
+        kinds: dict[str, Choice] = {}
+        candidates: dict[str, UrdfJoint] = {}
+        for name, joint in self._free.items():
+            if name in self._roles.joints or self._leaders(name):
+                continue
+            choice = self._choices.get(name)
+            if name in self._tree.actuated and (choice is None or choice.choice == "commanded"):
+                if choice is not None and choice.rival:
+                    kinds[name] = self._guess(choice, left)
+            elif choice is None:
+                kinds[name] = NO_WHEEL
+            elif self._carried[name] <= self._balls:
+                kinds[name] = BALLS
+            elif choice.choice == "suspension":
+                candidates[name] = joint
+            else:
+                kinds[name] = self._guess(choice, left)
+        for name, joint in candidates.items():
+            other = self._tree.mirror_image(joint, candidates.values())
+            pair = {name} if other is None else {name, other.name}
+            if name not in kinds:
+                guess = self._guess(self._choices[name], left)
+                if len(pair) > left:
+                    also = f"; {guess.reason}" if guess.alike else ""
+                    guess = TOO_MANY._replace(reason=TOO_MANY.reason + also, alike=guess.alike)
+                left -= len(pair) if len(pair) <= left else 0
+                kinds |= dict.fromkeys(pair, guess)
+        return kinds
+
+    def _guess(self, choice: Choice, left: int) -> Choice:
+        """Return the guess of a choice; ``left`` suspension coordinates are possible."""
+        known = self._roles.joints
+        alike = tuple(
+            name
+            for name, each in self._choices.items()
+            if each.is_open
+            and each.choice == choice.choice
+            and name not in known
+            and not self._leaders(name)
+        )
+        other = choice.rival or ("commanded" if choice.choice == "passive" else "fixed")
+        if other == "suspension" and left < 1:
+            other = "fixed"
+        return choice._replace(rival=other, alike=alike if choice.is_open else ())
+
+    def differential(self) -> tuple[str, Mimic] | None:
+        """Return the name of a rocker, and the opposite rocker that it follows; None without them.
+
+        Two opposite rockers that carry all wheels leave the pitch of the platform free, unless a
+        differential joins them.
+        """
+        rockers = [
+            joint
+            for name, joint in self._free.items()
+            if self._own[name] and joint.type != "prismatic" and self._may_follow(name)
+        ]
+        everything = {wheel.name for wheel in self._wheels}
+        for first in rockers:
+            second = self._tree.mirror_image(first, rockers)
+            if second is None or self._own[first.name] & self._own[second.name]:
+                continue
+            if self._own[first.name] | self._own[second.name] != everything:
+                continue
+            ahead, behind = (float(self._tree.axis(rocker)[1]) for rocker in (first, second))
+            multiplier = -float(np.sign(ahead * behind))
+            is_joined = any(
+                one.mimic and one.mimic.joint == two.name and one.mimic.multiplier * multiplier > 0
+                for one, two in ((first, second), (second, first))
+            )
+            if min(abs(ahead), abs(behind)) > LATERAL and not is_joined:
+                leader, follower = (second, first) if first.mimic else (first, second)
+                return follower.name, Mimic(leader.name, multiplier, 0.0)
+        return None
+
+    def _may_follow(self, name: str) -> bool:
+        """Return whether a joint is a suspension without own keys, and follows only such joints."""
+        role = self._roles.joints.get(name)
+        if not all(self._own[leader] and leader in self._free for leader in self._leaders(name)):
+            return False
+        if role is None:
+            choice = self._choices[name]
+            return choice.choice == "suspension" and not choice.is_open
+        return role.kind == "suspension" and not role.keywords
 
 
 class _Coordinates:

@@ -12,7 +12,6 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from slipfree.files.toml.types import NonNegative, Positive, Record, decoded, given_values
 from slipfree.files.urdf.tree import Link, Mimic, Tree, UrdfJoint
-from slipfree.files.vehicle_draft import vector_of
 from slipfree.files.vehicle_toml import (
     At,
     Axis,
@@ -21,6 +20,7 @@ from slipfree.files.vehicle_toml import (
     Length,
     Rollers,
     WheelInertia,
+    vector_of,
 )
 from slipfree.geometry.frame import unit_vector
 from slipfree.vehicle.drives import RATE

@@ -13,7 +13,7 @@ import numpy as np
 
 from slipfree.core.records import Array
 from slipfree.files.urdf.evidence import WHEEL, Evidence, Plugin
-from slipfree.files.vehicle_draft import (
+from slipfree.files.vehicle_toml import (
     Guess,
     Value,
     VehicleError,

@@ -1,4 +1,4 @@
-"""Guessed wheels of a URDF, and its forward direction."""
+"""Guessed wheels and casters of a URDF, and its forward direction."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import atan2, degrees, radians
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.urdf.evidence import (
     AXLES,
@@ -21,6 +23,8 @@ from slipfree.files.urdf.evidence import (
     MECANUM,
     STEERING,
     TRACK,
+    TRAILER,
+    USUAL,
     WHEEL,
     Choice,
     Evidence,
@@ -29,14 +33,19 @@ from slipfree.files.urdf.evidence import (
     wheel_evidence,
     words_of,
 )
-from slipfree.files.urdf.joint_guesses import PARALLEL, axle_of, caster_wheels, casters
-from slipfree.files.urdf.meshes import angles_to
+from slipfree.files.urdf.meshes import MeshFiles, angles_to
 from slipfree.files.urdf.roles import UrdfTable, WheelRole
-from slipfree.files.urdf.tree import Shape, Tree, UrdfJoint, is_about
-from slipfree.files.vehicle_draft import rotation_of
+from slipfree.files.urdf.tree import Link, Shape, Tree, UrdfJoint, is_about
+from slipfree.files.vehicle_toml import rotation_of
 from slipfree.geometry.frame import unit_vector
 from slipfree.vehicle.wheel import ORIGIN
 
+TRAIL, MAX_TRAIL = 0.2, 2.0  # trail of wheels that swivel freely [radii]; longer ones articulate
+SMALL_CASTER = (
+    0.8  # largest radius of casters without a name or a swivel [radii of the other wheels]
+)
+PARALLEL = 0.9  # least cosine of the angle between parallel axles
+TOUCH = 0.1  # a ball touches the ground of the wheels within this part of its radius
 FULL_TURN = 6.2  # least range of joints whose limits are those of a careless export [rad]
 MIN_ROLLERS = 3  # wheels with rollers have more of them
 MIN_ROLLER_ANGLE = 10.0  # least angle of rollers [degrees]
@@ -64,8 +73,6 @@ SIDES = {  # also in German, French, Italian, Spanish and Portuguese
         f"{END}right{END}|r|[frbmcvh]r|r[fbmc]|rechts?|droite?|destr[ao]|derech[ao]|direit[ao]"
     ),
 }
-
-
 PARTS = (
     "wheels to the URDF: joints of type 'continuous' about a level axis to links with a cylinder, "
     "or links with a sphere at a fixed joint, as of a caster"
@@ -79,6 +86,184 @@ LEGS = (
     "legs are not modelled ({}): describe the robot with wheels in their place, each with a link "
     "with a cylinder at a joint of type 'continuous' about a level axis"
 )
+
+
+def casters(
+    tree: Tree, wheels: Sequence[UrdfJoint], excluded: Collection[str]
+) -> Iterator[tuple[str, frozenset[str], Evidence]]:
+    """Yield the casters whose wheels do not turn about a level axis of a joint.
+
+    A caster is a joint with "caster" in a name, with the links below it, the lowest of which
+    touches the ground, or a sphere that touches the ground. Its joint there, the joints of all its
+    links and the evidence are yielded. It slides freely as a ball unless its wheel trails a swivel.
+    """
+    bottoms = [tree.bottom(wheel.child, tree.links[wheel.child].shapes) for wheel in wheels]
+    ground = min(bottoms, default=np.inf)
+    known = tree.fixed_to_wheels | {wheel.name for wheel in wheels}
+    for joint in tree.joints.values():
+        if joint.name in known or joint.name in excluded:
+            continue
+        parts = [joint, *tree.below(joint.child)]
+        names = frozenset(part.name for part in parts)
+        shapes = tree.links[joint.child].shapes
+        if CASTER.search(joint.names):
+            parts = [part for part in parts if part.name not in excluded]
+            if known.isdisjoint(names) and (contact := _lowest_part(tree, parts, ground)):
+                part, radius, reason = contact
+                trail = wheel_evidence(WheelRole(radius=radius), "trail")
+                is_ball = not _trails(tree, joint, part)
+                yield part.name, names, _ball(radius, reason) if is_ball else trail
+            known |= names
+        elif tree.is_last(joint) and [shape.kind for shape in shapes] == ["sphere"]:
+            radius = shapes[0].radius
+            if abs(tree.bottom(joint.child, shapes) - ground) <= TOUCH * radius:
+                reason = "it is a sphere that touches the ground of the wheels"
+                yield joint.name, names, _ball(radius, reason)
+
+
+def _ball(radius: float, reason: str) -> Evidence:
+    role = WheelRole(False, radius, radius, rollers=np.pi / 2)
+    return wheel_evidence(role, "ball", reason=reason)
+
+
+def _lowest_part(
+    tree: Tree, parts: Sequence[UrdfJoint], ground: float
+) -> tuple[UrdfJoint, float, str] | None:
+    """Return the part of a caster that touches the ground, its radius [m], and its reason."""
+    bottoms: list[tuple[float, int, float, str]] = []  # height, index, radius, reason
+    for index, joint in enumerate(parts):
+        link, (rotation, origin) = tree.links[joint.child], tree.frames[joint.child]
+        for shape in link.shapes:
+            bottom = tree.bottom(link.name, [shape])
+            bottoms.append((bottom, index, shape.radius, "radius of its shape"))
+        depth = 0.0  # of the lowest point below the origin
+        for box in link.boxes:
+            half = np.abs((rotation @ rotation_of(box.turned))[2]) @ np.asarray(box.size) / 2
+            depth = max(depth, float(half - rotation[2] @ np.asarray(box.at)))
+        if not link.shapes and not link.boxes:
+            depth = _mesh_depth(tree, link, rotation)
+        if depth > 0:
+            bottoms.append((float(origin[2]) - depth, index, depth, "radius to its lowest point"))
+    if bottoms:
+        _, index, radius, reason = min(bottoms)
+        return parts[index], radius, reason
+    height = float(tree.frames[parts[-1].child][1][2]) - ground
+    return (parts[-1], height, "radius to the ground of the wheels") if height > 0 else None
+
+
+def _mesh_depth(tree: Tree, link: Link, rotation: Array) -> float:
+    """Return the depth of a link's meshes below its origin; zero if they are unreadable [m]."""
+    files = MeshFiles(link.meshes, Path(tree.file).parent)
+    try:
+        points = [files.triangles(mesh).vertices for mesh in link.meshes]
+    except DataError:  # the ground of the wheels gives the radius
+        return 0.0
+    return max((float(-(rotation @ each.T)[2].min()) for each in points), default=0.0)
+
+
+def _trails(tree: Tree, head: UrdfJoint, part: UrdfJoint) -> bool:
+    """Return whether a part of a caster is a disc beside the axis of the swivel above it."""
+    shapes = tree.links[part.child].shapes
+    if not head.moves or tree.is_level(head) or not shapes or shapes[0].kind == "sphere":
+        return False
+    offset = (tree.frames[part.child][1] - tree.frames[head.child][1])[:2]
+    return float(np.hypot(*offset)) > TRAIL * shapes[0].radius
+
+
+def with_separate_balls(tree: Tree) -> Tree:
+    """Return a URDF in which balls of casters that are part of the chassis have their own links."""
+    links, joints = dict(tree.links), dict(tree.joints)
+    bottoms = {name: tree.bottom(name, link.shapes) for name, link in links.items()}
+    moving = [joint for joint in tree.joints.values() if joint.moves]
+    for name in sorted({joint.parent for joint in moving} - {joint.child for joint in moving}):
+        ground = min((z for other, z in bottoms.items() if other != name), default=np.inf)
+        for k, ball in enumerate(tree.links[name].shapes):
+            height = abs(tree.bottom(name, [ball]) - ground)
+            new, above = f"{name}_ball_{k + 1}", TOUCH * ball.radius < height < np.inf
+            if ball.kind != "sphere" or above or new in joints or new in links:
+                continue
+            rest = tuple(shape for shape in links[name].shapes if shape != ball)
+            links[name] = links[name]._replace(shapes=rest)
+            links[new] = Link(new, shapes=(ball._replace(at=ORIGIN, turned=ORIGIN),))
+            joints[new] = UrdfJoint(new, "fixed", name, new, ball.at)
+    return replace(tree, links=links, joints=joints)
+
+
+def swivels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
+    """Return the names of the joints about steep axes that swivel freely, as those of casters."""
+    swivelling: dict[str, set[str]] = {}
+    for joint in tree.joints.values():
+        below = {part.name for part in tree.below(joint.child)}
+        carried = [wheel for wheel in wheels if wheel.name in below]
+        if not carried or not joint.moves or joint.type == "prismatic" or tree.is_level(joint):
+            continue
+        trails = not STEERING.search(joint.names) and (
+            TRAIL < _trail(tree, joint, carried) < MAX_TRAIL
+        )
+        commands = [e for e in tree.evidence.get(joint.name, ()) if e.choice == "commanded"]
+        is_free = joint.mimic is None and not any(each.weight > USUAL for each in commands)
+        if is_free and (TRAILER.search(joint.names) or trails):
+            swivelling[joint.name] = {wheel.name for wheel in carried}
+    names = {wheel.name for wheel in wheels}  # if each wheel swivels, none does so freely
+    return frozenset() if names == set().union(*swivelling.values()) else frozenset(swivelling)
+
+
+def caster_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
+    """Return the names of the joints of wheels that belong to casters or trailers.
+
+    They are below joints that swivel freely, or have "caster" in a name, or are in the middle of a
+    vehicle that turns only if they slide. If all wheels do, none belongs to a caster.
+    """
+    heads = [tree.joints[name].child for name in swivels(tree, wheels)]
+    swivelling = {below.name for head in heads for below in tree.below(head)}
+    above = {joint.child for joint in tree.joints.values() if CASTER.search(joint.name)}
+    names = {
+        wheel.name
+        for wheel in wheels
+        if wheel.name in swivelling or wheel.parent in above or CASTER.search(wheel.names)
+    }
+    names |= _middle_wheels(tree, [wheel for wheel in wheels if wheel.name not in names])
+    return frozenset() if len(names) == len(wheels) else frozenset(names)
+
+
+def _middle_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> set[str]:
+    """Return the names of small wheels in the middle, with one pair of wheels and no steering."""
+    places = np.array([tree.frames[wheel.child][1] for wheel in wheels]).reshape(-1, 3)
+    axles = [axle_of(tree, wheel) for wheel in wheels]
+    if len(wheels) < 3 or any(abs(axle @ axles[0]) < PARALLEL for axle in axles):
+        return set()
+    along, left = places @ np.cross(axles[0], (0, 0, 1)), places @ axles[0]
+    near = TRAIL * max(float(np.ptp(left)), float(np.ptp(along)))
+    pairs = [
+        sorted((float(left[i]), float(left[j])))
+        for i, j in combinations(range(len(wheels)), 2)
+        if abs(along[i] - along[j]) < near < abs(left[i] - left[j])
+    ]
+    if len(pairs) != 1 or tree.steered & {wheel.name for wheel in wheels}:
+        return set()
+    ends = pairs[0][0] + near, pairs[0][1] - near
+    radii = np.array([tree.radius_of(wheel) for wheel in wheels])
+    inside = (ends[0] < left) & (left < ends[1]) & (radii > 0) & (radii < SMALL_CASTER * max(radii))
+    middle = {wheel.name for wheel, is_small in zip(wheels, inside, strict=True) if is_small}
+    return middle if len(middle) == len(wheels) - 2 and not middle & tree.actuated else set()
+
+
+def axle_of(tree: Tree, wheel: UrdfJoint) -> Array:
+    """Return the axle of a wheel in the root's frame; to the left for one that no joint turns."""
+    if wheel.type not in ("continuous", "revolute") or not tree.is_level(wheel):
+        return np.array([0.0, 1.0, 0.0])
+    return tree.axis(wheel)
+
+
+def _trail(tree: Tree, joint: UrdfJoint, wheels: Sequence[UrdfJoint]) -> float:
+    """Return the least distance of wheels from an axis, across their axles [radii]."""
+    trails = []
+    for wheel in wheels:
+        axle = axle_of(tree, wheel)
+        offset = tree.frames[wheel.child][1] - tree.frames[joint.child][1]
+        across = abs(float(offset[0] * axle[1] - offset[1] * axle[0]))
+        trails.append(across / (tree.radius_of(wheel) or np.inf))
+    return min(trails)
 
 
 def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, Evidence]]:

@@ -15,7 +15,6 @@ import numpy as np
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files.urdf.evidence import CASTER, OMNI, WHEEL, Evidence, evidence, weigh
-from slipfree.files.urdf.joint_guesses import caster_wheels
 from slipfree.files.urdf.links import wheel_name
 from slipfree.files.urdf.meshes import MeshFiles, mesh_shape, unit_factor, unit_words
 from slipfree.files.urdf.roles import UrdfTable, WheelRole
@@ -33,6 +32,7 @@ from slipfree.files.urdf.tree import (
     moved,
 )
 from slipfree.files.urdf.wheel_guesses import (
+    caster_wheels,
     mecanum_wheels,
     sliding_wheels,
     unused_wheel_names,
@@ -40,7 +40,7 @@ from slipfree.files.urdf.wheel_guesses import (
     wheel_guesses,
     with_fixed_rollers,
 )
-from slipfree.files.vehicle_draft import (
+from slipfree.files.vehicle_toml import (
     Value,
     angle_text,
     rotation_of,

@@ -15,7 +15,7 @@ from slipfree.core.facts import Fact, Lines, Row, lines, rows
 from slipfree.core.quantities import QUANTITIES, extremes, joint_angles
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import Trajectory, path_length
-from slipfree.files.cf import MAP_TRANSFORM, encode_map_coordinates
+from slipfree.files.netcdf import MAP_TRANSFORM, encode_map_coordinates
 from slipfree.laws.soil import Soil
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.records import is_determinate
