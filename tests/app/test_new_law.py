@@ -21,15 +21,8 @@ from helpers.commands import printed, sets
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import read
+from slipfree.laws import protocols
 from slipfree.laws.least_slip import LeastSlip, Multipliers, stationarity
-from slipfree.laws.protocols import (
-    Equations,
-    Motion,
-    Reaction,
-    SlidingContacts,
-    quantity_labels,
-    wheel_labels,
-)
 from slipfree.laws.registry import GROUND_LAWS, SLIP_LAWS
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
@@ -48,7 +41,7 @@ class WeightedSlip:
         """Return the labels of the multipliers."""
         return LeastSlip().unknowns(vehicle, constraints)
 
-    def equations(self, motion: Motion, unknowns: Multipliers) -> Equations:
+    def equations(self, motion: protocols.Motion, unknowns: Multipliers) -> protocols.Equations:
         """Return the stationarity conditions."""
         cost = ca.SX(0)
         for contact, slip in zip(motion.contacts, motion.slips, strict=True):
@@ -74,18 +67,18 @@ class Viscous:
 
     def unknowns(self, vehicle: Vehicle) -> Loads:
         """Return the labels of the normal forces."""
-        return Loads(quantity_labels(vehicle, "force_normal"))
+        return Loads(protocols.quantity_labels(vehicle, "force_normal"))
 
-    def reaction(self, contacts: SlidingContacts, unknowns: Loads) -> Reaction:
+    def reaction(self, contacts: protocols.SlidingContacts, unknowns: Loads) -> protocols.Reaction:
         """Return the forces, and the conditions that wheels stay on the ground."""
         along, across = (
             tuple(-self.drag * n * s for n, s in zip(unknowns.normal, slips, strict=True))
             for slips in (contacts.along, contacts.across)
         )
         words = "normal velocity of the contact point"
-        labels = wheel_labels(contacts.vehicle, "touching", "m s-1", words)
-        equations = Equations(labels, ca.vertcat(*contacts.normal))
-        return Reaction(along, across, unknowns.normal, equations)
+        labels = protocols.wheel_labels(contacts.vehicle, "touching", "m s-1", words)
+        equations = protocols.Equations(labels, ca.vertcat(*contacts.normal))
+        return protocols.Reaction(along, across, unknowns.normal, equations)
 
 
 PROBLEM = """\

@@ -7,17 +7,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
+import slipfree as sf
 from helpers.commands import refuses
-from slipfree import (
-    Analytic,
-    Bicubic,
-    Grid,
-    ModelError,
-    direct_kinematics,
-    settle,
-    settle_many,
-    simulate,
-)
 from slipfree.catalog import three_wheeler
 from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import contact_frame, relative_curvature
@@ -45,16 +36,18 @@ def brute_clearance(run, wheel, terrain, r1=0.05, r2=0.25):
 
 
 def test_clearance_agrees_with_a_brute_search():
-    ahead = Analytic(bump(0.14, 0.06, 0.0, 1.28))  # ahead of the front wheel, which is at y = 1
-    run = settle(direct_kinematics(three_wheeler(), ahead))
+    ahead = sf.Analytic(bump(0.14, 0.06, 0.0, 1.28))  # ahead of the front wheel, which is at y = 1
+    run = sf.settle(sf.direct_kinematics(three_wheeler(), ahead))
     expected = brute_clearance(run, "front", ahead)
     assert 0 < expected < 0.02
     assert_allclose(run["clearance", "front"][0], expected, atol=2e-4)
 
 
 def test_second_touch_is_refused_with_its_place():
-    dae = direct_kinematics(three_wheeler(), Analytic(bump(0.2, 0.06, 0.0, 1.25)))
-    refuses(ModelError, r"wheel front touches a second time at \(.*1\.[12]\d\d\) m", settle, dae)
+    dae = sf.direct_kinematics(three_wheeler(), sf.Analytic(bump(0.2, 0.06, 0.0, 1.25)))
+    refuses(
+        sf.ModelError, r"wheel front touches a second time at \(.*1\.[12]\d\d\) m", sf.settle, dae
+    )
 
 
 @pytest.mark.slow
@@ -62,11 +55,11 @@ def test_second_touch_is_refused_with_its_place():
 def test_wheels_of_every_section_see_a_step_ahead(r1, r2):
     """Driving at a smooth step stops where the front wheel touches it, by elementary geometry."""
     rise, at, width = 0.2, 2.0, 0.01
-    step = Analytic(lambda _, y: rise / 2 * (1 + ca.tanh((y - at) / width)))
+    step = sf.Analytic(lambda _, y: rise / 2 * (1 + ca.tanh((y - at) / width)))
     vehicle = three_wheeler(r1=r1, r2=r2)
-    dae = direct_kinematics(vehicle, step)
+    dae = sf.direct_kinematics(vehicle, step)
     rates = dae.inputs(right_rate=1.0, left_rate=1.0, steer_rate=0.0)
-    run = simulate(dae, settle(dae), rates, np.linspace(0, 4, 41))
+    run = sf.simulate(dae, sf.settle(dae), rates, np.linspace(0, 4, 41))
     assert run.stop is not None
     assert run.stop.name == "clearance[front]"
     assert "wheel front touches a second time" in run.stop.words
@@ -79,19 +72,19 @@ def test_wheels_of_every_section_see_a_step_ahead(r1, r2):
 @pytest.mark.parametrize("beside", [0.08, 0.20])
 def test_posts_beside_a_sphere_are_seen(beside):
     """A thin post next to the contact of a fat wheel reaches into it."""
-    post = Analytic(bump(0.12, 0.014, 1.0 + beside, -0.5))
-    dae = direct_kinematics(three_wheeler(r1=0.3, r2=0.0), post)
-    refuses(ModelError, "wheel right touches a second time", settle, dae)
+    post = sf.Analytic(bump(0.12, 0.014, 1.0 + beside, -0.5))
+    dae = sf.direct_kinematics(three_wheeler(r1=0.3, r2=0.0), post)
+    refuses(sf.ModelError, "wheel right touches a second time", sf.settle, dae)
 
 
 def test_relative_curvature_of_a_cylindrical_valley():
     """A wheel across a valley of radius a: 1/R - 1/a."""
     for radius in (0.5, 1.0, 5.0):
-        valley = Analytic(
+        valley = sf.Analytic(
             lambda _, y, a=radius: a - ca.sqrt(a**2 - (y - 1.0) ** 2) + 0.0 * y,
             (-2.0, 2.0, 0.8, 1.2),
         )
-        dae = direct_kinematics(three_wheeler(), valley)
+        dae = sf.direct_kinematics(three_wheeler(), valley)
         limit = next(x for x in dae.limits if x.label.full == "relative_curvature[front]")
         value = ca.Function("k", list(dae.columns()[:2]), [limit.expression])
         z = np.zeros(dae.scale.size)
@@ -123,7 +116,7 @@ def rough_map(rms, seed=3):
     axis = np.linspace(-6, 6, 121)
     waves = 0.3 * np.add.outer(np.sin(0.7 * axis), np.cos(0.5 * axis))
     noise = np.random.default_rng(seed).normal(0, rms, (axis.size, axis.size))
-    return Bicubic(Grid(axis, axis, waves + noise))
+    return sf.Bicubic(sf.Grid(axis, axis, waves + noise))
 
 
 def test_bounds_of_derivatives_hold_and_are_not_wasteful(rng):
@@ -161,7 +154,7 @@ def test_bounds_of_derivatives_of_formulas_hold_and_are_not_wasteful(name, rng):
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     hessian, gradient = ca.hessian(formula(x, y), ca.vertcat(x, y))
     derivatives = ca.Function("d", [x, y], [gradient, hessian])
-    ground = Analytic(formula, (-3.0, 3.0, -3.0, 3.0))
+    ground = sf.Analytic(formula, (-3.0, 3.0, -3.0, 3.0))
     middle, shift = rng.uniform(-2.75, 2.75, (2, 60)), rng.uniform(-0.2, 0.2, (2, 200))
     bounds = np.array(ground.derivative_bounds(*middle, 0.2))
     points = (middle[..., None] + shift[:, None]).reshape(2, 1, -1)
@@ -179,17 +172,17 @@ def test_bounds_of_derivatives_of_formulas_hold_and_are_not_wasteful(name, rng):
 @pytest.mark.parametrize("kink", [ca.fabs, lambda x: ca.fmax(-x, x), lambda x: ca.sqrt(x**2)])
 def test_a_valley_with_a_kink_has_a_second_contact(kink):
     """The derivatives of a formula have no bounds at a kink, so that points are compared."""
-    ground = Analytic(lambda x, _: 0.6 * kink(x) + 0 * x)
+    ground = sf.Analytic(lambda x, _: 0.6 * kink(x) + 0 * x)
     _, curvature = ground.derivative_bounds(np.array([0.1, 1.0]), np.zeros(2), 0.2)
     assert np.isinf(curvature).tolist() == [True, False]
-    model = direct_kinematics(three_wheeler(), ground)
-    poses = settle_many(model, x=np.linspace(-0.6, 0.6, 25), heading=np.pi / 2, compiled=False)
+    model = sf.direct_kinematics(three_wheeler(), ground)
+    poses = sf.settle_many(model, x=np.linspace(-0.6, 0.6, 25), heading=np.pi / 2, compiled=False)
     assert any("touches a second time" in words for words in poses["reason"].values)
 
 
 def test_compiled_gaps_are_those_of_the_points(rng, monkeypatch):
     """The evaluator of spline grounds finds the same gaps and points as numpy."""
-    model = direct_kinematics(three_wheeler(), rough_map(0.01))
+    model = sf.direct_kinematics(three_wheeler(), rough_map(0.01))
     check = model.checks[0]
     centers = rng.uniform(-4, 4, (2, 40))
     centers = np.vstack([centers, check.terrain.elevation(*centers)])
@@ -202,7 +195,7 @@ def test_compiled_gaps_are_those_of_the_points(rng, monkeypatch):
     center = centers - np.array([check.terrain.origin]).T + lift * np.array([[0.0], [0.0], [1.0]])
     placed = np.vstack([center, *axes, up, np.array([[0.0], [0.0], [1.0]]) + 0 * up])
     compiled = check.margin_at(placed)
-    monkeypatch.setattr(Bicubic, "smallest_gaps", lambda *_: None)
+    monkeypatch.setattr(sf.Bicubic, "smallest_gaps", lambda *_: None)
     assert_allclose(check.margin_at(placed), compiled, atol=1e-13)
     assert (compiled < 0).any()
     assert np.isfinite(compiled[compiled > 0]).any()
@@ -212,10 +205,10 @@ def test_compiled_gaps_are_those_of_the_points(rng, monkeypatch):
 @pytest.mark.parametrize("rms", [0.0003, 0.002])
 def test_certificate_by_curvature_agrees_with_that_by_points(rms, monkeypatch):
     """Without curvature there are at most minima beyond the top of the wheel or at an edge."""
-    dae = direct_kinematics(three_wheeler(), rough_map(rms))
-    run = simulate(
+    dae = sf.direct_kinematics(three_wheeler(), rough_map(rms))
+    run = sf.simulate(
         dae,
-        settle(dae),
+        sf.settle(dae),
         dae.inputs(right_rate=0.5, left_rate=0.45, steer_rate=0.0),
         np.linspace(0, 5, 51),
     )

@@ -14,19 +14,11 @@ from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
 from slipfree.contact.montana import patch
 from slipfree.models.montana import montana_kinematics
-from slipfree.vehicle.sections import (
-    Disc,
-    Omni,
-    Section,
-    Sphere,
-    Torus,
-    arc_lengths,
-    section_of_radii,
-)
+from slipfree.vehicle import sections
 
 
 @dataclass(frozen=True)
-class OffsetTorus(Section):
+class OffsetTorus(sections.Section):
     """A torus whose tread lies beside the wheel's centre."""
 
     tube: float
@@ -38,7 +30,7 @@ class OffsetTorus(Section):
 
 
 @dataclass(frozen=True)
-class Ellipsoid(Section):
+class Ellipsoid(sections.Section):
     """An ellipsoid of revolution about the axle."""
 
     half_width: float
@@ -51,13 +43,13 @@ class Ellipsoid(Section):
 
 
 SMOOTH = {
-    "torus": Torus(0.05, 0.25),
-    "sphere": Sphere(0.3),
-    "omni": Omni(Torus(0.02, 0.08)),
+    "torus": sections.Torus(0.05, 0.25),
+    "sphere": sections.Sphere(0.3),
+    "omni": sections.Omni(sections.Torus(0.02, 0.08)),
     "offset": OffsetTorus(0.05, 0.25, 0.02),
     "ellipsoid": Ellipsoid(0.1, 0.3),
 }
-SECTIONS = SMOOTH | {"disc": Disc(0.3)}
+SECTIONS = SMOOTH | {"disc": sections.Disc(0.3)}
 U, V = ca.SX.sym("u"), ca.SX.sym("v")
 
 
@@ -71,7 +63,7 @@ def angles(rng, count=50):
 def test_support_and_point_are_one_surface_in_any_axes(rng, name):
     section, (n, a) = SECTIONS[name], (ca.SX.sym("n", 3), ca.SX.sym("a", 3))
     support = ca.Function("support", [n, a], [section.support(n, a)])
-    general = ca.Function("general", [n, a], [Section.support(section, n, a)])
+    general = ca.Function("general", [n, a], [sections.Section.support(section, n, a)])
     own = ca.Function("own", [n], [section.support(n)])
     point = ca.Function("point", [U, V], [section.point(U, V)])
     for u, v, normal in zip(*angles(rng), strict=True):
@@ -89,7 +81,7 @@ def test_normals_and_curvatures_are_those_of_the_surface(rng, name):
     section, uv = SMOOTH[name], ca.vertcat(U, V)
     _, frame, forms = patch(section.point(U, V), uv)
     c, s = ca.SX.sym("c"), ca.SX.sym("s")
-    radii = [found.tread_radius(section, c, s) for found in (type(section), Section)]
+    radii = [found.tread_radius(section, c, s) for found in (type(section), sections.Section)]
     surface = ca.Function("surface", [uv], [frame[:, 2], forms.curvature])
     radius = ca.Function("radius", [c, s], radii)
     for u, v, normal in zip(*angles(rng), strict=True):
@@ -123,25 +115,29 @@ def test_meshes_are_closed_and_on_the_surface():
     # narrow sections are drawn a little wide
     for section, circle, tube in (
         (SECTIONS["torus"], 0.25, 0.05),
-        (Disc(0.3), 0.288, 0.012),
-        (Torus(0.004, 0.296), 0.288, 0.012),
+        (sections.Disc(0.3), 0.288, 0.012),
+        (sections.Torus(0.004, 0.296), 0.288, 0.012),
     ):
         x, y, z = section.mesh().vertices.T
         assert_allclose(np.hypot(np.hypot(y, z) - circle, x), tube, rtol=1e-12)
 
 
 def test_arc_lengths():
-    u, length = arc_lengths(Torus(0.05, 0.25))
+    u, length = sections.arc_lengths(sections.Torus(0.05, 0.25))
     assert_allclose(length, 0.05 * u, rtol=1e-5)
-    assert arc_lengths(Disc(0.3))[1].max() == 0
+    assert sections.arc_lengths(sections.Disc(0.3))[1].max() == 0
 
 
 def test_radii_name_the_torus_or_its_limits():
-    assert section_of_radii(0.05, 0.25) == Torus(0.05, 0.25)
-    assert section_of_radii(0.0, 0.3) == Disc(0.3)
-    assert section_of_radii(0.3, 0.0) == Sphere(0.3)
-    assert section_of_radii(0.0, 0.3, rollers=np.pi / 2) == Omni(Disc(0.3))
-    assert [str(section) for section in (Torus(0.05, 0.25), Omni(Disc(0.3)))] == [
+    assert sections.section_of_radii(0.05, 0.25) == sections.Torus(0.05, 0.25)
+    assert sections.section_of_radii(0.0, 0.3) == sections.Disc(0.3)
+    assert sections.section_of_radii(0.3, 0.0) == sections.Sphere(0.3)
+    assert sections.section_of_radii(0.0, 0.3, rollers=np.pi / 2) == sections.Omni(
+        sections.Disc(0.3)
+    )
+    assert [
+        str(section) for section in (sections.Torus(0.05, 0.25), sections.Omni(sections.Disc(0.3)))
+    ] == [
         "torus r1 0.05, r2 0.25 m",
         "disc radius 0.3 m on rollers at 90 degrees",
     ]
@@ -149,7 +145,7 @@ def test_radii_name_the_torus_or_its_limits():
 
 def test_dimensions_that_are_not_positive_are_refused():
     for value in (0.0, np.nan):
-        refuses(ModelError, r"Torus: r1: expected a (finite )?number", Torus, value, 0.25)
+        refuses(ModelError, r"Torus: r1: expected a (finite )?number", sections.Torus, value, 0.25)
 
 
 @pytest.mark.slow

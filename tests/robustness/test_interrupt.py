@@ -39,16 +39,7 @@ from slipfree.problem.verbs import compare
 from slipfree.problem.verbs import driving as runner
 from slipfree.problem.verbs import plan as plan_verb
 from slipfree.solve import integrator, simulate, zero_order_hold
-from slipfree.system import codegen_cache
-from slipfree.system.interrupt import (
-    InterruptGuard,
-    check_interrupt,
-    ended_by_interrupt,
-    held_interrupt,
-    interrupt_arrived,
-    interrupt_at_signals,
-    with_interrupt_guard,
-)
+from slipfree.system import codegen_cache, interrupt
 
 pytestmark = pytest.mark.slow
 
@@ -75,7 +66,7 @@ def lost():
 
 
 def test_what_got_lost_comes_at_the_end():
-    with pytest.raises(KeyboardInterrupt), InterruptGuard():
+    with pytest.raises(KeyboardInterrupt), interrupt.InterruptGuard():
         lost()
 
 
@@ -85,12 +76,12 @@ def test_it_comes_instead_of_what_became_of_it():
         raise SystemError("returned a result with an exception set")
 
     with pytest.raises(KeyboardInterrupt) as caught:
-        with_interrupt_guard(fail)()
+        interrupt.with_interrupt_guard(fail)()
     assert caught.value.__suppress_context__
 
 
 def test_what_a_callback_deals_with_is_forgotten_by_all_contexts_around_it():
-    with InterruptGuard(), InterruptGuard() as heed:
+    with interrupt.InterruptGuard(), interrupt.InterruptGuard() as heed:
         heed.call(lost)
 
 
@@ -98,7 +89,7 @@ def test_what_was_raised_before_a_callback_ends_it():
     seen = []
 
     def work():
-        with InterruptGuard() as heed:
+        with interrupt.InterruptGuard() as heed:
             lost()
             heed.call(seen.append, 1)
 
@@ -111,7 +102,7 @@ def test_a_handler_that_only_remembers_stays_what_it_is():
     seen = []
     signal.signal(signal.SIGINT, lambda *_: seen.append(1))
     try:
-        with InterruptGuard():
+        with interrupt.InterruptGuard():
             press()
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -121,7 +112,7 @@ def test_a_handler_that_only_remembers_stays_what_it_is():
 def test_nobody_is_interrupted_where_ctrl_c_is_ignored():
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        with InterruptGuard():
+        with interrupt.InterruptGuard():
             press()
         assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
     finally:
@@ -133,11 +124,11 @@ def test_pressed_while_python_puts_a_handler_in_its_place(name, at, monkeypatch)
     """On entering and on leaving: `signal.signal` is Python code, and nothing stays behind."""
     former = signal.getsignal(signal.SIGINT)
     monkeypatch.setattr(signal, name, pressing(getattr(signal, name), at)[0])
-    with pytest.raises(KeyboardInterrupt), InterruptGuard():
+    with pytest.raises(KeyboardInterrupt), interrupt.InterruptGuard():
         pass
     monkeypatch.undo()
     assert signal.getsignal(signal.SIGINT) is former
-    with InterruptGuard():
+    with interrupt.InterruptGuard():
         pass
 
 
@@ -146,7 +137,7 @@ def test_another_thread_leaves_the_handler_alone():
 
     def work():
         try:
-            with ended_by_interrupt(press), InterruptGuard() as heed:
+            with interrupt.ended_by_interrupt(press), interrupt.InterruptGuard() as heed:
                 handlers.append(signal.getsignal(signal.SIGINT))
                 with pytest.raises(ZeroDivisionError):
                     heed.call(lambda: 1 / 0)
@@ -326,7 +317,9 @@ def slow(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("context", [nullcontext, held_interrupt, InterruptGuard])
+@pytest.mark.parametrize(
+    "context", [nullcontext, interrupt.held_interrupt, interrupt.InterruptGuard]
+)
 def test_the_compiler_is_out_of_reach_and_ends_with_us(slow, context):
     """Also where the first Ctrl-C is only remembered."""
     x = ca.SX.sym("x")
@@ -358,7 +351,7 @@ def _ends(number):
 # The command line
 
 
-@held_interrupt()
+@interrupt.held_interrupt()
 def _held(*calls):
     for call in calls:
         call()
@@ -366,7 +359,7 @@ def _held(*calls):
 
 @pytest.mark.parametrize(
     "calls",
-    [(check_interrupt, press), (press, check_interrupt), (press, lost)],
+    [(interrupt.check_interrupt, press), (press, interrupt.check_interrupt), (press, lost)],
     ids=["behind the last poll", "at a poll", "twice"],
 )
 def test_a_held_interrupt_comes_once(calls):
@@ -375,7 +368,7 @@ def test_a_held_interrupt_comes_once(calls):
 
 
 def test_preparations_before_the_first_poll_are_ended_at_once():
-    @held_interrupt(from_first_poll=True)
+    @interrupt.held_interrupt(from_first_poll=True)
     def run(*calls):
         for call in calls:
             call()
@@ -384,7 +377,7 @@ def test_preparations_before_the_first_poll_are_ended_at_once():
     with pytest.raises(KeyboardInterrupt):
         run(press, lambda: reached.append("preparations"))
     with pytest.raises(KeyboardInterrupt):
-        run(check_interrupt, press, lambda: reached.append("computation"))
+        run(interrupt.check_interrupt, press, lambda: reached.append("computation"))
     assert reached == ["computation"]
 
 
@@ -452,9 +445,9 @@ def test_an_interrupted_run_keeps_what_it_has(folder, monkeypatch, name):
 @pytest.fixture
 def signals():
     former = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
-    interrupt_at_signals()
+    interrupt.interrupt_at_signals()
     yield
-    interrupt_arrived()
+    interrupt.interrupt_arrived()
     for number, handler in {**former, signal.SIGINT: signal.default_int_handler}.items():
         signal.signal(number, handler)
 
@@ -468,9 +461,9 @@ def test_other_signals_interrupt_as_well(name):
         raise RuntimeError("what CasADi says")
 
     with pytest.raises(KeyboardInterrupt):
-        _held(lambda: signal.raise_signal(getattr(signal, name)), check_interrupt)
+        _held(lambda: signal.raise_signal(getattr(signal, name)), interrupt.check_interrupt)
     with pytest.raises(KeyboardInterrupt):
-        with_interrupt_guard(fail)()
+        interrupt.with_interrupt_guard(fail)()
 
 
 @pytest.mark.usefixtures("signals")
@@ -569,7 +562,7 @@ def test_a_tracking_keeps_its_cycles(monkeypatch):
     frame = horizon(planned(), span=1.0)
     world = tracking.TrackingWorld(dae, None, settle(dae))
     controller, model = tracking.Replanning(frame), frame.program.task.dae
-    with held_interrupt():
+    with interrupt.held_interrupt():
         found = tracking.track_plan(controller, model, world, duration=2.0, period=0.25)
     assert found.run.stop.name == "interrupted"
     assert_allclose(found.run.t[-1], 0.5)

@@ -14,18 +14,8 @@ import distributed
 import psutil
 import pytest
 
+from helpers import sweep_cases
 from helpers.commands import refuses
-from helpers.sweep_cases import (
-    GRID,
-    PROBLEM,
-    RUNS,
-    begin_sweep,
-    kill_sweep,
-    log_lines,
-    sweep_in,
-    table_rows,
-    tasks_of,
-)
 from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.version import __version__
 from slipfree.sweep.grid import sweep_of
@@ -38,13 +28,17 @@ from slipfree.system.processes import Processes, finish_tasks
 
 pytestmark = pytest.mark.slow
 
-SLOW = [*GRID, "--set", "time.step=0.003"]  # so long that many are left when it is killed
+SLOW = [
+    *sweep_cases.GRID,
+    "--set",
+    "time.step=0.003",
+]  # so long that many are left when it is killed
 
 
 @pytest.fixture
 def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "p.toml").write_text(PROBLEM)
+    (tmp_path / "p.toml").write_text(sweep_cases.PROBLEM)
     return tmp_path / "p.toml"
 
 
@@ -70,8 +64,8 @@ def dask() -> Iterator[str]:
 def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a sweep of longer runs that nothing interrupts."""
     folder = tmp_path_factory.mktemp("slow")
-    (folder / "p.toml").write_text(PROBLEM)
-    assert sweep_in(folder, *SLOW, "--processes", "2", "--no-draw").exit_code == 0
+    (folder / "p.toml").write_text(sweep_cases.PROBLEM)
+    assert sweep_cases.sweep_in(folder, *SLOW, "--processes", "2", "--no-draw").exit_code == 0
     return folder
 
 
@@ -83,22 +77,22 @@ def test_a_killed_sweep_goes_on(
     words = ["--processes", "2"]
     if pool == "cluster":
         words = ["--scheduler", request.getfixturevalue("dask")]
-    process = begin_sweep(file.parent, *SLOW, *words)
+    process = sweep_cases.begin_sweep(file.parent, *SLOW, *words)
     if pool == "cluster":
         process.kill()
         process.communicate()
     else:
-        kill_sweep(process)
-    kept = [line for line in log_lines(file.parent) if line.endswith(b"\n")]
-    assert 3 <= len(kept) < RUNS + 1
+        sweep_cases.kill_sweep(process)
+    kept = [line for line in sweep_cases.log_lines(file.parent) if line.endswith(b"\n")]
+    assert 3 <= len(kept) < sweep_cases.RUNS + 1
     if pool == "processes":
         with (file.parent / "out" / LOG).open("ab") as log:
             log.write(b'{"part": 11, "settings": ["dri')  # as if it had been killed while it wrote
-    sweep_in(file.parent, *SLOW, *words, "--no-draw", code=0)
-    lines = log_lines(file.parent)
+    sweep_cases.sweep_in(file.parent, *SLOW, *words, "--no-draw", code=0)
+    lines = sweep_cases.log_lines(file.parent)
     assert lines[: len(kept)] == kept
     numbers = [json.loads(line)["part"] for line in lines[1:]]
-    assert sorted(numbers) == list(range(1, RUNS + 1))
+    assert sorted(numbers) == list(range(1, sweep_cases.RUNS + 1))
     table = "out/table.csv"
     assert (file.parent / table).read_bytes() == (slow / table).read_bytes()
 
@@ -114,7 +108,7 @@ def test_a_process_that_dies_costs_one_run(file: Path) -> None:
             child.kill()
 
     slow = "time.step=0.00003"
-    tasks = tasks_of(file, "time.step=0.1", slow, "time.step=0.05")
+    tasks = sweep_cases.tasks_of(file, "time.step=0.1", slow, "time.step=0.05")
     found = finish_tasks(tasks, pool, poll, without_motion)
     assert next(found).row.outcome == "complete"
     aims[0] = True
@@ -145,13 +139,13 @@ def test_processes_end_in_the_middle_of_a_run_if_the_sweep_is_killed(file: Path)
 
 
 def test_ctrl_c_keeps_what_is_finished(file: Path) -> None:
-    process = begin_sweep(file.parent, *GRID, "--processes", "1")
+    process = sweep_cases.begin_sweep(file.parent, *sweep_cases.GRID, "--processes", "1")
     process.send_signal(signal.SIGINT)
     _, stderr = process.communicate(timeout=20)
     assert process.returncode == 130
     assert "12 runs; repeat the command to continue" in stderr
-    assert 2 <= len(table_rows(file.parent)) < RUNS
-    assert len(table_rows(file.parent)) == len(log_lines(file.parent)) - 1
+    assert 2 <= len(sweep_cases.table_rows(file.parent)) < sweep_cases.RUNS
+    assert len(sweep_cases.table_rows(file.parent)) == len(sweep_cases.log_lines(file.parent)) - 1
 
 
 def test_workers_that_go_away_and_come_back(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -166,7 +160,7 @@ def test_workers_that_go_away_and_come_back(file: Path, monkeypatch: pytest.Monk
                 local.scale(1)
 
         pool = DaskPool(work, local.scheduler_address, said.append)
-        tasks = tasks_of(file, "time.step=0.00003", "time.step=0.05")
+        tasks = sweep_cases.tasks_of(file, "time.step=0.00003", "time.step=0.05")
         found = list(finish_tasks(tasks, pool, poll))
         pool.close()
     assert {done.row.outcome for done in found} == {"complete"}
@@ -184,7 +178,7 @@ def test_a_scheduler_that_goes_away(file: Path) -> None:
         if len(looked) == 1:
             local.close()
 
-    tasks = tasks_of(file, "time.step=0.1", "time.step=0.05")
+    tasks = sweep_cases.tasks_of(file, "time.step=0.1", "time.step=0.05")
     with pytest.raises(SlipfreeError, match="to the scheduler is lost; what is finished is kept"):
         list(finish_tasks(tasks, DaskPool(work, local.scheduler_address, print), poll))
 
@@ -195,7 +189,7 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
 
     with monkeypatch.context() as full:
         full.setattr("slipfree.sweep.runs.run_problem", fail)
-        (task,) = tasks_of(file, "time.step=0.1")
+        (task,) = sweep_cases.tasks_of(file, "time.step=0.1")
         done = work(task)
     assert (done.row.outcome, done.row.t) == ("lost", None)
     assert done.row.words == "OSError: [Errno 28] No space left on device"
@@ -209,12 +203,15 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
     assert told["  run 2 failed"] == "by chance (time.step=0.1)"
     assert told["  ..."] == "the same command repeats lost runs"
     words = ["--vary", "time.step=0.1,0.05", "--processes", "1", "--no-draw"]
-    result = sweep_in(file.parent, *words, code=1)
+    result = sweep_cases.sweep_in(file.parent, *words, code=1)
     assert "2 of 2: 1 failed, 1 complete" in result.stdout
     assert "--again repeats runs that failed" in result.stdout
-    result = sweep_in(file.parent, *words, "--again", code=0)
+    result = sweep_cases.sweep_in(file.parent, *words, "--again", code=0)
     assert "2 of 2: 2 complete" in result.stdout
-    assert [row["outcome"] for row in table_rows(file.parent)] == ["complete", "complete"]
+    assert [row["outcome"] for row in sweep_cases.table_rows(file.parent)] == [
+        "complete",
+        "complete",
+    ]
 
 
 def test_a_cluster_that_does_not_fit_is_refused(dask: str, monkeypatch: pytest.MonkeyPatch) -> None:

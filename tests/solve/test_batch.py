@@ -4,24 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from slipfree import (
-    Analytic,
-    Bicubic,
-    Coulomb,
-    Grid,
-    ModelError,
-    Rolling,
-    Soil,
-    SolverOptions,
-    catalog,
-    direct_kinematics,
-    dynamics,
-    quasi_statics,
-    rollouts,
-    settle,
-    settle_many,
-    simulate,
-)
+import slipfree as sf
 from slipfree.batch.evaluator import evaluator_of
 from slipfree.batch.many import run_lanes, solve_positions, start_states, states_of
 from slipfree.core.records import leaves
@@ -29,7 +12,7 @@ from slipfree.system import codegen_cache
 from slipfree.terrain.synthetic import blank, power_law
 
 T = np.linspace(0, 2, 6)
-EXACT = SolverOptions(tolerance=1e-10)
+EXACT = sf.SolverOptions(tolerance=1e-10)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -50,12 +33,12 @@ def hills(rms=0.03, shortest=1.0, half=5.0):
         shortest=shortest,
         seed=3,
     )
-    return Bicubic(grid, mu=0.6)
+    return sf.Bicubic(grid, mu=0.6)
 
 
 @pytest.fixture(scope="module")
 def model(_cache):
-    return direct_kinematics(catalog.three_wheeler(), hills())
+    return sf.direct_kinematics(sf.catalog.three_wheeler(), hills())
 
 
 def rates(count, seed=0, spread=0.02, steer=0.1):
@@ -73,7 +56,7 @@ def rates(count, seed=0, spread=0.02, steer=0.1):
 
 def near_the_edge(model, count):
     """Starts from which the front wheel may leave the map within the motion."""
-    front = settle(model, y=2.0)["contact_y"].max() - 2.0
+    front = sf.settle(model, y=2.0)["contact_y"].max() - 2.0
     return {"y": np.linspace(4.4, 4.95, count) - front}
 
 
@@ -82,17 +65,17 @@ def near_the_edge(model, count):
 def test_graphs_equal_the_model(vehicle, compiled, rng):
     """Derivatives, rates, forces and limits at perturbed positions are those of `simulate`."""
     made = {
-        "three_wheeler": catalog.three_wheeler,
-        "rocky7": lambda: catalog.rocky7(steered="corners"),
-        "ackermann": catalog.ackermann,
+        "three_wheeler": sf.catalog.three_wheeler,
+        "rocky7": lambda: sf.catalog.rocky7(steered="corners"),
+        "ackermann": sf.catalog.ackermann,
     }
-    dae = direct_kinematics(made[vehicle](), hills())
+    dae = sf.direct_kinematics(made[vehicle](), hills())
     evaluate = evaluator_of(dae, compiled=compiled)
     graphs = evaluate.graphs
-    start = settle(dae, x=0.4, y=-0.3, heading=0.7)
+    start = sf.settle(dae, x=0.4, y=-0.3, heading=0.7)
     names = [label.full for label in leaves(dae.labels.u)]
     inputs = dae.inputs(**dict(zip(names, rng.uniform(-0.3, 0.6, len(names)), strict=True)))
-    run = simulate(dae, start, inputs, np.linspace(0, 1e-6, 2), options=EXACT)
+    run = sf.simulate(dae, start, inputs, np.linspace(0, 1e-6, 2), options=EXACT)
     states = np.zeros((graphs.rows.t.stop, 3))
     for part, record in ((graphs.rows.x, "x"), (graphs.rows.u, "u")):
         values = [run.of(label)[0] for label in leaves(getattr(dae.labels, record))]
@@ -155,12 +138,12 @@ def test_a_damaged_library_is_compiled_again(model, tmp_path, monkeypatch, rng):
 def test_poses_equal_those_of_settle(model, rng):
     places = dict(zip("xy", rng.uniform(-3, 3, (2, 12)), strict=True))
     places["heading"] = rng.uniform(-3, 3, 12)
-    poses = settle_many(model, **places, quantities=["z", "contact_x", "center_z", "roll"])
+    poses = sf.settle_many(model, **places, quantities=["z", "contact_x", "center_z", "roll"])
     assert (poses["outcome"] == "complete").all()
     assert poses["contact_x"].dims == ("pose", "wheel")
     assert poses["z"].attrs["units"] == "m"
     for k in range(12):
-        start = settle(model, **{name: values[k] for name, values in places.items()})
+        start = sf.settle(model, **{name: values[k] for name, values in places.items()})
         for name in poses.data_vars:
             if name in start.columns:
                 assert_allclose(poses[name][k], start[name][0], atol=1e-12)
@@ -168,9 +151,9 @@ def test_poses_equal_those_of_settle(model, rng):
 
 @pytest.mark.parametrize("rough", [(0.5, 0.4, 2.0), (0.1, 0.2, 4.0)])
 def test_poses_that_do_not_exist_or_violate_a_limit_are_named(rough):
-    dae = direct_kinematics(catalog.three_wheeler(axle="fixed"), hills(*rough))
+    dae = sf.direct_kinematics(sf.catalog.three_wheeler(axle="fixed"), hills(*rough))
     x, names = np.linspace(-2.5, 1.2, 200), ["z", "force_normal"]
-    poses = settle_many(dae, x=x, compiled=False, quantities=names)
+    poses = sf.settle_many(dae, x=x, compiled=False, quantities=names)
     outcomes = poses["outcome"].values
     assert set(outcomes) >= {"limit"}
     assert ((outcomes == "complete") == (poses["reason"] == "")).all()
@@ -180,10 +163,10 @@ def test_poses_that_do_not_exist_or_violate_a_limit_are_named(rough):
 
 def test_motions_converge_with_third_order(model):
     inputs, starts = rates(4), {"heading": np.linspace(0, 1.5, 4)}
-    exact = rollouts(model, starts, inputs, T, options=EXACT)
+    exact = sf.rollouts(model, starts, inputs, T, options=EXACT)
     errors = []
     for step in (0.04, 0.01):
-        lanes = rollouts(model, starts, inputs, T, method="batch", step=step)
+        lanes = sf.rollouts(model, starts, inputs, T, method="batch", step=step)
         assert (lanes["outcome"] == "complete").all()
         apart = np.hypot(*((lanes[name] - exact[name]).values[:, -1] for name in "xy"))
         errors.append(np.median(apart))
@@ -197,7 +180,7 @@ def test_estimates_have_the_size_of_the_errors(model):
     count = 24
     inputs = rates(count, seed=2)
     coarse, fine = (
-        rollouts(model, {}, inputs, T, method="batch", step=step, quantities=["x", "y"])
+        sf.rollouts(model, {}, inputs, T, method="batch", step=step, quantities=["x", "y"])
         for step in (0.04, 0.005)
     )
     error = np.hypot(*((coarse[name] - fine[name]).values[:, -1] for name in "xy"))
@@ -232,8 +215,8 @@ def test_motions_end_at_the_limits_of_simulate(model):
     count = 12
     inputs = rates(count, spread=0.2, steer=0.5, seed=4)
     starts = near_the_edge(model, count)
-    exact = rollouts(model, starts, inputs, T, options=EXACT)
-    lanes = rollouts(model, starts, inputs, T, method="batch", step=0.1)
+    exact = sf.rollouts(model, starts, inputs, T, options=EXACT)
+    lanes = sf.rollouts(model, starts, inputs, T, method="batch", step=0.1)
     assert {"complete", "limit"} <= set(exact["outcome"].values)
     assert_array_equal(lanes["outcome"], exact["outcome"])
     assert_allclose(lanes["end"], exact["end"], atol=1e-3)
@@ -246,26 +229,26 @@ def test_a_second_contact_ends_a_motion_as_in_simulate():
     """The clearance of a wheel ends a lane at the same time as in `simulate`."""
     axis = np.linspace(-4, 4, 161)
     ledge = 0.12 / (1 + np.exp(-(axis - 1.4) / 0.02))
-    dae = direct_kinematics(catalog.three_wheeler(), Bicubic(_grid(axis, ledge)))
+    dae = sf.direct_kinematics(sf.catalog.three_wheeler(), sf.Bicubic(_grid(axis, ledge)))
     inputs = {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": np.array([[0.0], [0.1]])}
-    exact = rollouts(dae, {}, inputs, T, options=EXACT)
-    lanes = rollouts(dae, {}, inputs, T, method="batch", step=0.05)
+    exact = sf.rollouts(dae, {}, inputs, T, options=EXACT)
+    lanes = sf.rollouts(dae, {}, inputs, T, method="batch", step=0.05)
     assert set(exact["outcome"].values) == {"limit"}
     assert_array_equal(lanes["outcome"], exact["outcome"])
     assert_allclose(lanes["end"], exact["end"], atol=1e-3)
 
 
 def _grid(axis, heights):
-    return Grid(axis, axis, np.broadcast_to(heights, (axis.size, axis.size)).copy())
+    return sf.Grid(axis, axis, np.broadcast_to(heights, (axis.size, axis.size)).copy())
 
 
 def test_pressed_wheels_relax_as_in_simulate():
     """Poses at rest are those of `settle`; motions converge with first order."""
-    cart = catalog.rigid_skid_steer()
-    dae = direct_kinematics(cart, hills(rms=0.02, shortest=1.5))
+    cart = sf.catalog.rigid_skid_steer()
+    dae = sf.direct_kinematics(cart, hills(rms=0.02, shortest=1.5))
     evaluate = evaluator_of(dae, compiled=False)
-    poses = settle_many(dae, y=[0.0, 1.0], heading=0.3, compiled=False)
-    starts = [settle(dae, y=y, heading=0.3) for y in (0.0, 1.0)]
+    poses = sf.settle_many(dae, y=[0.0, 1.0], heading=0.3, compiled=False)
+    starts = [sf.settle(dae, y=y, heading=0.3) for y in (0.0, 1.0)]
     for name in ("z", "roll", "pitch"):
         assert_allclose(poses[name], [start[name][0] for start in starts], atol=1e-10)
     t = np.linspace(0, 1, 3)
@@ -277,7 +260,7 @@ def test_pressed_wheels_relax_as_in_simulate():
         label.full: rates["left" if "left" in label.full else "right"]
         for label in leaves(dae.labels.u)
     }
-    exact = rollouts(dae, starts, inputs, t, options=SolverOptions(tolerance=1e-8))
+    exact = sf.rollouts(dae, starts, inputs, t, options=sf.SolverOptions(tolerance=1e-8))
     array = np.stack([inputs[label.full].T for label in leaves(dae.labels.u)])
     states = np.stack([states_of(evaluate.graphs, start) for start in starts], axis=1)
     errors = []
@@ -296,10 +279,12 @@ def test_pressed_wheels_relax_as_in_simulate():
 
 def test_friction_is_solved_without_continuation():
     """Quasi-static motions equal those of `simulate`, also just after jumps of the inputs."""
-    dae = quasi_statics(catalog.three_wheeler(axle="fixed"), hills(rms=0.05), law=Coulomb(1e-3))
+    dae = sf.quasi_statics(
+        sf.catalog.three_wheeler(axle="fixed"), hills(rms=0.05), law=sf.Coulomb(1e-3)
+    )
     evaluate = evaluator_of(dae, compiled=False)
-    inputs, start = rates(2, spread=0.1), settle(dae)
-    exact = rollouts(dae, start, inputs, T, options=SolverOptions(tolerance=1e-9))
+    inputs, start = rates(2, spread=0.1), sf.settle(dae)
+    exact = sf.rollouts(dae, start, inputs, T, options=sf.SolverOptions(tolerance=1e-9))
     array = np.stack([inputs[label.full].T for label in leaves(dae.labels.u)])
     states = np.repeat(states_of(evaluate.graphs, start)[:, None], 2, axis=1)
     lanes = run_lanes(evaluate, states, array, T, step=0.01, placed=True)
@@ -310,13 +295,15 @@ def test_friction_is_solved_without_continuation():
 
 def test_starts_from_trajectories_and_formulas_of_the_ground():
     """A ground given by a formula needs no lookups; rolling without slip is linear as well."""
-    dae = direct_kinematics(
-        catalog.three_wheeler(), Analytic(lambda x, y: 0.02 * x * y), slip=Rolling()
+    dae = sf.direct_kinematics(
+        sf.catalog.three_wheeler(), sf.Analytic(lambda x, y: 0.02 * x * y), slip=sf.Rolling()
     )
     inputs = rates(2)
-    starts = [settle(dae, heading=0.1), settle(dae, y=0.5)]
-    exact = rollouts(dae, starts, inputs, T, options=EXACT)
-    lanes = rollouts(dae, starts, inputs, T, method="batch", step=0.05, quantities=["x", "pitch"])
+    starts = [sf.settle(dae, heading=0.1), sf.settle(dae, y=0.5)]
+    exact = sf.rollouts(dae, starts, inputs, T, options=EXACT)
+    lanes = sf.rollouts(
+        dae, starts, inputs, T, method="batch", step=0.05, quantities=["x", "pitch"]
+    )
     for name in ("x", "pitch"):
         assert_allclose(lanes[name], exact[name], atol=1e-6)
 
@@ -331,31 +318,31 @@ def test_starts_from_trajectories_and_formulas_of_the_ground():
     ],
 )
 def test_wrong_arguments_are_named(model, arguments, message):
-    with pytest.raises(ModelError, match=message):
-        rollouts(model, {}, rates(1), T, **({"method": "batch"} | arguments))
+    with pytest.raises(sf.ModelError, match=message):
+        sf.rollouts(model, {}, rates(1), T, **({"method": "batch"} | arguments))
 
 
 def test_models_and_inputs_that_the_batch_does_not_take_are_named(model):
     t = model.t
-    with pytest.raises(ModelError, match="expected numbers for the method 'batch', found SX"):
-        rollouts(model, {}, rates(1) | {"steer_rate": 0.1 * t}, T, method="batch")
-    vehicle = catalog.three_wheeler(axle="fixed")
-    with pytest.raises(ModelError, match="expected a model of kinematics or quasi-statics"):
-        settle_many(dynamics(vehicle, hills()), x=0.0)
-    with pytest.raises(ModelError, match="expected numbers or arrays of one shape"):
-        settle_many(model, x=np.zeros(2), y=np.zeros(3))
-    with pytest.raises(ModelError, match="unknown 'z'"):
-        settle_many(model, z=np.zeros(2))
+    with pytest.raises(sf.ModelError, match="expected numbers for the method 'batch', found SX"):
+        sf.rollouts(model, {}, rates(1) | {"steer_rate": 0.1 * t}, T, method="batch")
+    vehicle = sf.catalog.three_wheeler(axle="fixed")
+    with pytest.raises(sf.ModelError, match="expected a model of kinematics or quasi-statics"):
+        sf.settle_many(sf.dynamics(vehicle, hills()), x=0.0)
+    with pytest.raises(sf.ModelError, match="expected numbers or arrays of one shape"):
+        sf.settle_many(model, x=np.zeros(2), y=np.zeros(3))
+    with pytest.raises(sf.ModelError, match="unknown 'z'"):
+        sf.settle_many(model, z=np.zeros(2))
 
 
 def test_motions_on_soil_follow_jumps_from_rest():
     """From rest, and at jumps of the rates, forces of soil are found as by `simulate`."""
-    model = quasi_statics(catalog.three_wheeler(axle="fixed"), hills(), law=Soil())
+    model = sf.quasi_statics(sf.catalog.three_wheeler(axle="fixed"), hills(), law=sf.Soil())
     wheels = np.array([[[1.0, 0.8], [1.0, 1.2]], [[0.2, 1.5], [0.3, 1.4]]])  # [rad/s]
     inputs = {"right_rate": wheels[:, 0], "left_rate": wheels[:, 1], "steer_rate": 0.1}
     t, names = np.array([0.0, 0.3, 0.6]), ["x", "y", "sinkage", "slip_along", "force_across"]
-    options = SolverOptions(tolerance=1e-8)
-    exact = rollouts(model, {}, inputs, t, quantities=names, options=options)
+    options = sf.SolverOptions(tolerance=1e-8)
+    exact = sf.rollouts(model, {}, inputs, t, quantities=names, options=options)
     evaluate = evaluator_of(model, compiled=False)
     order = [label.full for label in leaves(model.labels.u)]
     assert order == ["right_rate", "left_rate", "steer_rate"]
@@ -372,36 +359,37 @@ def test_motions_on_soil_follow_jumps_from_rest():
 def test_one_motion_is_refined_to_the_tolerance(model):
     """The explicit method reaches its tolerance, with the quantities and ends of IDAS."""
     inputs = {name: values[0] for name, values in rates(1).items()}
-    start = settle(model, heading=0.4)
-    exact = simulate(model, start, model.inputs(**inputs), T, options=EXACT)
+    start = sf.settle(model, heading=0.4)
+    exact = sf.simulate(model, start, model.inputs(**inputs), T, options=EXACT)
     for tolerance in (1e-4, 1e-8):
-        options = SolverOptions(tolerance=tolerance, method="explicit", compiled=True)
-        run = simulate(model, start, model.inputs(**inputs), T, options=options)
+        options = sf.SolverOptions(tolerance=tolerance, method="explicit", compiled=True)
+        run = sf.simulate(model, start, model.inputs(**inputs), T, options=options)
         assert np.hypot(*(run[name][-1] - exact[name][-1] for name in "xy")) < tolerance
         assert set(run.columns) == set(exact.columns)
     for name in ("z", "slip_along", "force_normal", "wheel_angle", "velocity_x"):
         assert_allclose(run[name], exact[name], atol=1e-6, err_msg=name)
     assert_allclose(run["work"], exact["work"], rtol=0.02, atol=0.02)
-    edge = settle(model, y=near_the_edge(model, 2)["y"][-1])
+    edge = sf.settle(model, y=near_the_edge(model, 2)["y"][-1])
     ends = [
-        simulate(model, edge, model.inputs(**inputs), T, options=each) for each in (options, EXACT)
+        sf.simulate(model, edge, model.inputs(**inputs), T, options=each)
+        for each in (options, EXACT)
     ]
     assert ends[0].stop.name == ends[1].stop.name == "map_margin[front]"
     assert_allclose(ends[0].t[-1], ends[1].t[-1], atol=1e-5)
     law = model.inputs(**(inputs | {"steer_rate": 0.1 * model.t}))
-    with pytest.raises(ModelError, match="expected numbers for the method 'explicit'"):
-        simulate(model, start, law, T, options=options)
+    with pytest.raises(sf.ModelError, match="expected numbers for the method 'explicit'"):
+        sf.simulate(model, start, law, T, options=options)
 
 
 @pytest.mark.slow
 def test_ends_on_rough_ground_are_those_of_simulate(rng):
     """Ground nearly as curved as the wheels: near second contacts, folds and stops."""
-    dae = direct_kinematics(catalog.three_wheeler(), hills(rms=0.1, shortest=0.5))
+    dae = sf.direct_kinematics(sf.catalog.three_wheeler(), hills(rms=0.1, shortest=0.5))
     count = 10
     starts = {"x": rng.uniform(-3, 3, count), "y": rng.uniform(-3, 3, count)}
     inputs = {name: 3 * values for name, values in rates(count, spread=0.1).items()}
-    exact = rollouts(dae, starts, inputs, T, options=SolverOptions(tolerance=1e-8))
-    lanes = rollouts(dae, starts, inputs, T, method="batch", step=0.1)
+    exact = sf.rollouts(dae, starts, inputs, T, options=sf.SolverOptions(tolerance=1e-8))
+    lanes = sf.rollouts(dae, starts, inputs, T, method="batch", step=0.1)
     assert_array_equal(lanes["outcome"], exact["outcome"])
     assert_allclose(lanes["end"], exact["end"], atol=0.01)
     assert {"complete", "limit"} <= set(exact["outcome"].values)

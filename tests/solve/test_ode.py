@@ -10,31 +10,16 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import hilbert
 
+import slipfree as sf
 from helpers.commands import refuses
 from helpers.rounding import root
 from helpers.toy_models import model, toy
-from slipfree import (
-    Analytic,
-    Mesh,
-    SolverOptions,
-    catalog,
-    direct_kinematics,
-    replan,
-    settle,
-    simulate,
-)
 from slipfree import plan as search
 from slipfree.catalog import three_wheeler
+from slipfree.core import outcome
 from slipfree.core.dae import Continuation, Dae, PiecewiseLinear
 from slipfree.core.errors import ModelError
 from slipfree.core.newton import solve_equations, solve_linear
-from slipfree.core.outcome import (
-    IPOPT_STATUSES,
-    SUNDIALS_FLAGS,
-    Outcome,
-    ipopt_words,
-    sundials_words,
-)
 from slipfree.core.records import leaves
 from slipfree.core.trajectory import SolverError
 from slipfree.plan.mpc import first_cycle, horizon
@@ -50,11 +35,11 @@ def test_a_stiff_equation_has_its_solution():
     """``x' = -1e4 (x - cos t)``, which explicit methods take 1e4 steps for."""
     k, t = 1e4, np.linspace(0, 3, 31)
     dae = model(lambda t, x, u: -k * (x - ca.cos(t)) + u)
-    start = settle(dae, x=0.0)
+    start = sf.settle(dae, x=0.0)
     exact = (k**2 * (np.cos(t) - np.exp(-k * t)) + k * np.sin(t)) / (k**2 + 1)
     for tolerance in (1e-6, 1e-8):
-        run = simulate(
-            dae, start, dae.inputs(push=0.0), t, options=SolverOptions(tolerance=tolerance)
+        run = sf.simulate(
+            dae, start, dae.inputs(push=0.0), t, options=sf.SolverOptions(tolerance=tolerance)
         )
         assert run.stop is None
         assert_allclose(run["x"], exact, atol=10 * tolerance)
@@ -62,8 +47,8 @@ def test_a_stiff_equation_has_its_solution():
         steps = run.statistics["steps"]
         assert_allclose(run["sum"], np.sin(t) - exact / k, atol=steps * tolerance)
         assert steps < 500
-    other = simulate(
-        dae, start, dae.inputs(push=0.0), t, options=SolverOptions(tolerance=1e-8, method="idas")
+    other = sf.simulate(
+        dae, start, dae.inputs(push=0.0), t, options=sf.SolverOptions(tolerance=1e-8, method="idas")
     )
     assert_allclose(other["x"], exact, atol=1e-6)
 
@@ -76,10 +61,10 @@ def test_newtons_method_ends_within_the_tolerance():
     """
     mu_g, eps, t = 0.8 * 9.81, 1e-3, np.linspace(0, 1.5, 16)
     dae = model(lambda t, v, u: u * ca.sin(t) - mu_g * v / ca.sqrt(v**2 + eps**2))
-    start, inputs = settle(dae, x=0.0), dae.inputs(push=0.7 * 9.81)
-    exact = simulate(dae, start, inputs, t, options=SolverOptions(tolerance=1e-12))
+    start, inputs = sf.settle(dae, x=0.0), dae.inputs(push=0.7 * 9.81)
+    exact = sf.simulate(dae, start, inputs, t, options=sf.SolverOptions(tolerance=1e-12))
     for tolerance in np.geomspace(1e-4, 1e-9, 11):
-        run = simulate(dae, start, inputs, t, options=SolverOptions(tolerance=tolerance))
+        run = sf.simulate(dae, start, inputs, t, options=sf.SolverOptions(tolerance=tolerance))
         assert_allclose(run["x"], exact["x"], atol=tolerance)
 
 
@@ -92,12 +77,12 @@ def test_steps_that_do_not_advance_end_the_call():
 
 def test_a_limit_ends_the_motion_at_its_crossing():
     dae = model(lambda _t, x, u: x + u, limits=[(-np.inf, 2.0)])
-    run = simulate(dae, settle(dae, x=1.0), dae.inputs(push=0.0), np.linspace(0, 3, 7))
+    run = sf.simulate(dae, sf.settle(dae, x=1.0), dae.inputs(push=0.0), np.linspace(0, 3, 7))
     assert run.stop.name == "bound"
     assert_allclose(run.stop.t, np.log(2), atol=1e-5)
     assert run["x"][-1] <= 2 + 1e-5
     dae = model(lambda _t, _x, u: u, limits=[(-np.inf, 0.55)])
-    run = simulate_sampled(dae, settle(dae, x=0.0), dae.inputs(push=1.0), np.arange(11) * 0.1)
+    run = simulate_sampled(dae, sf.settle(dae, x=0.0), dae.inputs(push=1.0), np.arange(11) * 0.1)
     assert run.stop.name == "bound"
     assert_allclose(run.t[-1], 0.6)
     assert "x is out of bounds: 0.6, allowed at most 0.55 m" in run.stop.words
@@ -107,16 +92,16 @@ def test_a_limit_ends_the_motion_at_its_crossing():
 def test_a_motion_that_goes_to_infinity_is_told_of():
     dae, t = model(lambda _t, x, u: x**2 + u), np.linspace(0, 2, 21)
     with pytest.raises(SolverError, match=r"stopped at t = (0\.99|1)") as caught:
-        simulate(dae, settle(dae, x=1.0), dae.inputs(push=0.0), t)
+        sf.simulate(dae, sf.settle(dae, x=1.0), dae.inputs(push=0.0), t)
     assert "steps have become shorter" in str(caught.value)
     assert caught.value.trajectory["x"][-1] > 50
     with pytest.raises(SolverError, match=r"stopped at t = 0\.9"):
-        simulate_sampled(dae, settle(dae, x=1.0), dae.inputs(push=0.0), t)
+        simulate_sampled(dae, sf.settle(dae, x=1.0), dae.inputs(push=0.0), t)
 
 
 def test_jumps_of_an_input():
     dae, t = model(lambda _t, x, u: u - x), np.linspace(0, 2, 3)
-    run = simulate(dae, settle(dae, x=0.0), dae.inputs(push=np.array([1.0, -1.0])), t)
+    run = sf.simulate(dae, sf.settle(dae, x=0.0), dae.inputs(push=np.array([1.0, -1.0])), t)
     assert_allclose(run["x"], [0, 1 - np.exp(-1), (2 - np.exp(-1)) * np.exp(-1) - 1], atol=1e-7)
 
 
@@ -127,7 +112,7 @@ def test_a_held_law_has_its_difference_equation():
     """``x' = u``, u held at ``-k x``: x is multiplied by ``1 - k T``."""
     dae, period, k = model(lambda _t, _x, u: u), 0.1, 7.0
     t = np.arange(21) * period
-    run = simulate_sampled(dae, settle(dae, x=1.0), dae.inputs(push=-k * dae.x[0]), t)
+    run = simulate_sampled(dae, sf.settle(dae, x=1.0), dae.inputs(push=-k * dae.x[0]), t)
     exact = (1 - k * period) ** np.arange(21)
     assert_allclose(run["x"], exact, atol=1e-10)
     assert_allclose(run["push"], -k * exact, atol=1e-9)
@@ -138,25 +123,28 @@ def test_a_held_law_has_its_difference_equation():
 def test_a_held_law_knows_the_time():
     dae = model(lambda t, _x, u: u + t)
     t = 1.0 + np.arange(11) * 0.1
-    run = simulate_sampled(dae, settle(dae, x=0.0), dae.inputs(push=-dae.t), t)
+    run = simulate_sampled(dae, sf.settle(dae, x=0.0), dae.inputs(push=-dae.t), t)
     assert_allclose(run["x"], 0.1**2 / 2 * np.arange(11), atol=10e-8)
     numbers = np.arange(10.0)
-    run = simulate_sampled(dae, settle(dae, x=0.0), dae.inputs(push=numbers), t)
-    own = simulate(dae, settle(dae, x=0.0), dae.inputs(push=numbers), t)
+    run = simulate_sampled(dae, sf.settle(dae, x=0.0), dae.inputs(push=numbers), t)
+    own = sf.simulate(dae, sf.settle(dae, x=0.0), dae.inputs(push=numbers), t)
     assert_allclose(run["x"], own["x"], atol=1e-7)
 
 
 def test_what_a_method_cannot_do_is_refused():
-    dae, t = direct_kinematics(three_wheeler(), Analytic(lambda x, _y: 0 * x)), np.arange(3) * 0.1
-    start, given = settle(dae), dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
+    dae, t = (
+        sf.direct_kinematics(three_wheeler(), sf.Analytic(lambda x, _y: 0 * x)),
+        np.arange(3) * 0.1,
+    )
+    start, given = sf.settle(dae), dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
     with pytest.raises(ModelError, match=r"'cvodes' cannot solve for the \d+ algebraic unknowns"):
-        simulate(dae, start, given, t, options=SolverOptions(method="cvodes"))
+        sf.simulate(dae, start, given, t, options=sf.SolverOptions(method="cvodes"))
     refuses(ModelError, r"sampled controller, found \d+", simulate_sampled, dae, start, given, t)
-    refuses(ModelError, "'cvodes' or 'explicit', found str 'rk'", SolverOptions, method="rk")
+    refuses(ModelError, "'cvodes' or 'explicit', found str 'rk'", sf.SolverOptions, method="rk")
     dae = model(lambda _t, _x, u: u)
     slope, idas = (
         PiecewiseLinear(np.zeros(2), np.ones(2)),
-        {"options": SolverOptions(method="idas")},
+        {"options": sf.SolverOptions(method="idas")},
     )
     for times, push, options, words in (
         (t, 0.0, idas, "expected 'cvodes' for a sampled controller"),
@@ -167,7 +155,7 @@ def test_what_a_method_cannot_do_is_refused():
     ):
         with pytest.raises(ModelError, match=words):
             simulate_sampled(
-                dae, settle(dae, x=0.0), dae.inputs(push=push), np.array(times), **options
+                dae, sf.settle(dae, x=0.0), dae.inputs(push=push), np.array(times), **options
             )
 
 
@@ -244,20 +232,20 @@ CASADI = "casadi/interfaces/sundials/idas_interface.cpp:620: IDASolve returned "
 
 
 def test_codes_are_printed_with_their_meaning() -> None:
-    assert all((IPOPT_STATUSES | SUNDIALS_FLAGS).values())
+    assert all((outcome.IPOPT_STATUSES | outcome.SUNDIALS_FLAGS).values())
     for flag, meaning in (
         ("IDA_ILL_INPUT", "an input of the integrator, such as an initial value, is invalid"),
         ("CV_CONV_FAILURE", "the equations of a step could not be solved"),
         ("IDA_UNHEARD_OF", "the integrator failed"),
     ):
         message = f'Error in Function::call\n{CASADI}"{flag}". Consult IDAS documentation.'
-        assert sundials_words(message) == f"{meaning} ({flag})"
-    assert sundials_words("a\ncasadi/core/function.cpp:12: it is wrong\n") == "it is wrong"
-    assert ipopt_words("Restoration_Failed") == (
+        assert outcome.sundials_words(message) == f"{meaning} ({flag})"
+    assert outcome.sundials_words("a\ncasadi/core/function.cpp:12: it is wrong\n") == "it is wrong"
+    assert outcome.ipopt_words("Restoration_Failed") == (
         "the search could not return to motions that meet the constraints "
         "(IPOPT: Restoration_Failed)"
     )
-    assert ipopt_words("Unheard_Of") == "the search failed (IPOPT: Unheard_Of)"
+    assert outcome.ipopt_words("Unheard_Of") == "the search failed (IPOPT: Unheard_Of)"
 
 
 def test_flags_that_casadi_raises_have_a_meaning() -> None:
@@ -267,7 +255,7 @@ def test_flags_that_casadi_raises_have_a_meaning() -> None:
         f = ca.integrator("f", method, {"x": x, "ode": -x}, 0.0, [9.0], options)
         with pytest.raises(RuntimeError) as error:
             f(x0=1.0)
-        words = sundials_words(str(error.value))
+        words = outcome.sundials_words(str(error.value))
         assert words.startswith("too many steps between two samples ("), words
         assert words.endswith("_TOO_MUCH_WORK)")
 
@@ -286,11 +274,11 @@ def cubic(size):
 @pytest.mark.parametrize("size", [0.005, 0.05, 1.0])
 def test_a_fold_is_found_whatever_the_size_of_its_jump(size):
     dae = cubic(size)
-    options = SolverOptions(tolerance=1e-8)
-    start = settle(dae, options=options, x0=-1.0)
-    run = simulate(dae, start, dae.inputs(drive=1.0), np.linspace(0, 2, 41), options=options)
+    options = sf.SolverOptions(tolerance=1e-8)
+    start = sf.settle(dae, options=options, x0=-1.0)
+    run = sf.simulate(dae, start, dae.inputs(drive=1.0), np.linspace(0, 2, 41), options=options)
     assert run.stop.name == "fold"
-    assert run.outcome is Outcome.NO_EQUILIBRIUM
+    assert run.outcome is outcome.Outcome.NO_EQUILIBRIUM
     assert run.t[-1] == pytest.approx(5 / 3, abs=1e-3)
     assert run["square"][-1] == pytest.approx(-size, rel=0.05)
     assert f"only with a jump, for example of square from {-size:.1g}"[:-1] in run.stop.words
@@ -299,26 +287,26 @@ def test_a_fold_is_found_whatever_the_size_of_its_jump(size):
 
 # Angles modulo a turn: periodic states, goals, plans compared with simulations
 
-GROUND = Analytic(lambda x, y: 0.1 * x * y)
+GROUND = sf.Analytic(lambda x, y: 0.1 * x * y)
 
 
 def _periodic(dae: Dae, **limits: tuple[float, float]) -> set[str]:
-    x = settle(dae, heading=0.4)
+    x = sf.settle(dae, heading=0.4)
     found = periodic_states(dae, dae.rows("x", x, 0), limits_of(dae, limits))
     return {label.full for label, each in zip(leaves(dae.labels.x), found, strict=True) if each}
 
 
 def test_headings_and_joints_without_stop_and_spring_are_periodic() -> None:
-    cart = catalog.differential_drive()
-    assert _periodic(direct_kinematics(cart, GROUND)) == {"heading", "caster_angle"}
-    assert _periodic(direct_kinematics(cart, GROUND), heading=(-1.0, 1.0)) == {"caster_angle"}
-    steered = catalog.three_wheeler(axle="fixed")
-    assert _periodic(direct_kinematics(steered, GROUND)) == {"heading", "steer"}
+    cart = sf.catalog.differential_drive()
+    assert _periodic(sf.direct_kinematics(cart, GROUND)) == {"heading", "caster_angle"}
+    assert _periodic(sf.direct_kinematics(cart, GROUND), heading=(-1.0, 1.0)) == {"caster_angle"}
+    steered = sf.catalog.three_wheeler(axle="fixed")
+    assert _periodic(sf.direct_kinematics(steered, GROUND)) == {"heading", "steer"}
     coordinates = tuple(
         replace(each, lower=-2.0, upper=2.0) if each.name == "caster_angle" else each
         for each in cart.coordinates
     )
-    stopped = direct_kinematics(replace(cart, coordinates=coordinates), GROUND)
+    stopped = sf.direct_kinematics(replace(cart, coordinates=coordinates), GROUND)
     assert _periodic(stopped) == {"heading"}
 
 
@@ -342,7 +330,7 @@ def test_angles_are_compared_modulo_a_turn() -> None:
     ],
 )
 def test_a_goal_is_reached_the_short_way(goal: Any, guess: float, expected: Any) -> None:
-    dae = direct_kinematics(catalog.differential_drive(), GROUND)
+    dae = sf.direct_kinematics(sf.catalog.differential_drive(), GROUND)
     given = [*timed_conditions(dae, {"x": 9.0, "heading": goal}, {0.5: {"heading": goal}})]
     periodic = np.array([label.full == "heading" for label in leaves(dae.labels.x)])
     motions = [
@@ -372,13 +360,13 @@ def test_a_caster_that_swings_to_the_other_side_is_no_error() -> None:
 
 
 def test_a_measured_heading_may_be_a_turn_away_from_the_plan() -> None:
-    cart = catalog.differential_drive()
-    dae = direct_kinematics(cart, GROUND)
-    start = settle(dae)
-    guess = simulate(dae, start, dae.inputs(right_rate=1.7, left_rate=1.7), np.linspace(0, 4, 9))
+    cart = sf.catalog.differential_drive()
+    dae = sf.direct_kinematics(cart, GROUND)
+    start = sf.settle(dae)
+    guess = sf.simulate(dae, start, dae.inputs(right_rate=1.7, left_rate=1.7), np.linspace(0, 4, 9))
     found = search(
         dae, start, guess, goal={"y": 1.0, "heading": 2 * pi}, costs={"effort": 1.0},
-        duration=4.0, mesh=Mesh(4),
+        duration=4.0, mesh=sf.Mesh(4),
     )  # fmt: skip
     assert found.accurate
     assert found.replay["heading"][-1] == pytest.approx(0.0, abs=1e-3)
@@ -387,5 +375,5 @@ def test_a_measured_heading_may_be_a_turn_away_from_the_plan() -> None:
     turned = measured + 2 * pi * np.array(
         [label.full == "heading" for label in leaves(dae.labels.x)]
     )
-    first, second = (replan(window, first_cycle(window), 0.4, x) for x in (measured, turned))
+    first, second = (sf.replan(window, first_cycle(window), 0.4, x) for x in (measured, turned))
     assert_allclose(second.motion.unknowns, first.motion.unknowns, atol=1e-6)
