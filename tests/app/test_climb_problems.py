@@ -7,7 +7,7 @@ import pytest
 from matplotlib.patches import Circle, Polygon
 
 from helpers.climb_cases import AMPLE, RAMP, SENSED, TABLE_I, climb, foot
-from helpers.commands import build_errors, invoke, sets
+from helpers.commands import invoke, sets
 from slipfree.catalog import step_climber
 from slipfree.climb.metrics import climb_metrics
 from slipfree.files.netcdf import read as read_result
@@ -146,27 +146,3 @@ def test_there_is_no_plan_without_enough_friction():
         "plan, leg 3, on which the rear wheels climb: expected a coefficient of friction of "
         "at least 0.67"
     ) in result.stderr
-
-
-@pytest.mark.parametrize(
-    ("file", "settings", "words"),
-    [
-        (PLAN_FILE, ["costs={fee=1}"], "costs.fee: expected one of friction, slip, time for a p"),
-        (PLAN_FILE, ["terrain.obstacles="], "driver.name: expected solids, [[terrain.obstacles]]"),
-        (STEP_FILE, ["start.heading=0.1"], "start.heading: expected one of y, speed, found the"),
-        (STEP_FILE, ["start.y=-0.2"], "wheel front touches a solid at the start"),
-        (STEP_FILE, ["vehicle.catalog=rocky7"], "expected a step climber, with a platform that is"),
-        (
-            STEP_FILE,
-            ["terrain.obstacles=[{step={height=0.09}, heading=0.3}]"],
-            "expected solids across the plane x = 0",
-        ),
-        (
-            STEP_FILE,
-            ["terrain.synthetic.ramp={start=1,end=2,rise=1}", "driver.control.directions=contact"],
-            "expected solids on a level ground for directions = 'contact'",
-        ),
-    ],
-)
-def test_problems_that_cannot_be_set_up(file, settings, words):
-    assert words in build_errors(file, settings)

@@ -124,23 +124,6 @@ def test_a_sampled_driver_stops_at_a_limit(tmp_path):
     assert 0 <= run.stop.t - run.t[-1] < 0.02
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("problem", "settings", "words"),
-    [
-        (ROCKS, ["terrain.friction="], "dynamics: expected a ground with a coefficient of"),
-        (ROCKS, ["vehicle.mass=0", "vehicle.wheel_mass=0"], "dynamics: expected a vehicle with"),
-        (ROCKS, ["start.sped=1"], "did you mean 'speed'?"),
-        (ROCKS, ["driver.period=0.02"], "time.step: expected a multiple of driver.period, 0.02 s,"),
-        (ROCKS, ["driver.period=0.01", "model=quasi-static"], "driver.period: expected a period o"),
-    ],
-)
-def test_mistakes_are_reported(problem, settings, words, tmp_path):
-    options = [part for each in settings for part in ("--set", each)]
-    done = invoke("run", problem, "-o", tmp_path / "r.nc", *options, code=2)
-    assert words in " ".join((done.output + done.stderr).split())
-
-
 STEP = PROBLEMS / "dynamics_step.toml"
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.commands import build_errors
 from slipfree.core.outcome import Outcome
 from slipfree.files.netcdf import write
 from slipfree.plan import search as searching
@@ -40,78 +39,12 @@ def test_a_route_around_a_place_to_keep_out_of_is_planned_and_simulated():
     assert disc.distance(motion["x"], motion["y"]).min() > reach - 0.02
 
 
-ROBOT = FIELD.with_name("plan_rigid_robot.toml")
 PARKING = FIELD.with_name("plan_parking.toml")
-CUSPS = "driver={name='reeds-shepp', speed=0.4, turning_radius=1.5}"
 WINDOWS = (
     "plan.duration=",
     "driver={name='follow', speed=0.25, path=[[0.0, 0.0], [0.2, 1.5], [0.6, 2.6]]}",
     *("plan.window=1.2", "plan.overlap=0.4", "plan.intervals=5"),
 )
-PRESSED = (
-    "plan.duration=",
-    "driver={name='follow', speed=0.5, path=[[0.0, 0.0], [5.0, 0.5]]}",
-    "plan.window=2.0",
-)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("file", "settings", "words"),
-    [
-        (
-            FIELD,
-            ["keep_out=[{ x = 20.0, y = 35.0, radius = 2.0 }]"],
-            "vehicle cannot be at the goal",
-        ),
-        (FIELD, ["terrain.friction=0.01"], "times the friction of the ground; move the start"),
-        (FIELD, ["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points[0]: expected the key 'at'"),
-        (FIELD, ["plan.intervals=100000"], "expected at most 2000 intervals, found 100000; redu"),
-        (
-            FIELD,
-            [
-                'driver={ name = "follow", speed = 0.5, path = [[17, 14], [17, 24]], '
-                "paths = [[[17, 14], [17, 24]]] }"
-            ],
-            "expected one of 'path', 'paths' and 'file', found several",
-        ),
-        (
-            FIELD,
-            ["way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"],
-            "two; put their values into one table",
-        ),
-        (FIELD, ["limits.x=[0.0, 10.0]"], "x at the goal must be 20 m, but x of the vehicle"),
-        (PARKING, ("driver={name='reeds-shepp', speed=-0.4}",), "expected a positive speed"),
-        (
-            PARKING,
-            (CUSPS, "goal={heading=0.5}"),
-            "expected values for x and y, which the driver needs",
-        ),
-        (
-            PARKING,
-            (CUSPS, "goal={x=0.0, y=0.0, heading=0.0}", "keep_out="),
-            "a goal apart from the start",
-        ),
-        (
-            PARKING,
-            (CUSPS, "way_points=[{at=0.5, x=1.0, y=0.5}]", "keep_out="),
-            "way-points without x and",
-        ),
-        (HILLS, ("plan.robust.share=0.9",), "expected an uncertainty"),
-        (HILLS, ("plan.robust.friction=0.1",), "expected a ground with friction"),
-        (HILLS, ("plan.robust.inputs=0.1", "plan.window=2.0", "plan.duration="), "plan.window"),
-        (HILLS, ("plan.robust.share=1.0",), "less than 1"),
-        (HILLS, (*WINDOWS, "plan.window="), "plan.overlap: expected this key only with 'window'"),
-        (
-            HILLS,
-            (*WINDOWS, "driver={name='straight', speed=0.25}"),
-            "expected a driver that follows",
-        ),
-        (ROBOT, PRESSED, "found rigid_skid_steer, whose wheels press"),
-    ],
-)
-def test_plans_that_cannot_be_set_up(file, settings, words):
-    assert words in build_errors(file, settings)
 
 
 def test_several_routes_start_the_search():

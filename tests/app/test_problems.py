@@ -1,12 +1,14 @@
 """Tests of shipped problem files, and of the alternatives in the comments of starters."""
 
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from helpers.commands import build_errors
 from slipfree.cli import app
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import run_problem
@@ -167,3 +169,24 @@ def test_a_starter_goes_the_other_way(key: tuple[str, str]) -> None:
         options = [part for each in settings for part in ("--set", each)]
         result = runner.invoke(app, ["check", "mine.toml", *options])
         assert (result.exit_code, result.stdout[-3:]) == (0, "ok\n"), (settings, result.output)
+
+
+REFUSED = tomllib.loads((Path(__file__).parents[1] / "data/refused_settings.toml").read_text())
+SLOW = [
+    *("plan_crater_field", "plan_parking", "plan_rigid_robot"),
+    "dynamics_rocks",
+    "rover_inverse",
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        pytest.param(name, words, marks=[pytest.mark.slow] * (name.removesuffix(".toml") in SLOW))
+        for name, table in REFUSED.items()
+        for words in table
+    ],
+)
+def test_settings_that_cannot_be_built_are_refused(name, words):
+    errors = build_errors(PROBLEMS / name, REFUSED[name][words])
+    assert words in " ".join(errors.split())

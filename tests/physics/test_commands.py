@@ -551,7 +551,6 @@ def test_sought_names_are_checked():
 
 
 CAR = ("vehicle.steered=", "vehicle.catalog=ackermann", "time.step=0.1")
-CART = ("vehicle.steered=", "vehicle.catalog=differential_drive")
 SHORT = ("time.duration=0.5", "vehicle.mass=0", "vehicle.wheel_mass=0")
 
 
@@ -597,35 +596,3 @@ def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(monkeyp
     assert_allclose(named_rates(run)["forward"][run.t > 0.29], 0.12, rtol=0, atol=1e-12)
     assert run["steer"][0] == 0.2
     assert run["steer_error"][0] > 0.05
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("folder")
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        (
-            ["given={velocity_x=0.0, velocity_y=0.1, heading_rate=0.0}"],
-            "'rocky7' cannot roll without slip, as inverse kinematics with the rates velocity_x, ",
-        ),
-        (
-            ['given={velocity_x=0.0, velocity_y="t", heading_rate=0.0}'],
-            "given.velocity_y: expected a number, found a function of time; give a number (only ",
-        ),
-        (
-            [*CAR, "given.yaw_rate=q*t"],
-            "given.yaw_rate: formula 'q*t': expected one of the names t, found 'q'",
-        ),
-        (["given.yaw_rate=true"], "expected a number, an array of [time, value] pairs, or a form"),
-        (["steering=rate"], "expected 'angle' with given rates forward"),
-        ([*CAR, "start.steer=0.8"], "left positive) reaches its stop"),
-        (
-            [*CART, "given={forward=0.1, right=0.1}", "terrain.synthetic.power_law="],
-            "'differential_drive': platform rate 'right' cannot be imposed: the wheels cannot move",
-        ),
-    ],
-)
-def test_rates_that_cannot_be_imposed_are_refused(settings, words):
-    result = _run_rover(*settings)
-    assert result.exit_code == 2, result.output
-    assert words in result.stderr

@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 
 import slipfree as sf
 from helpers.cases import hills
-from helpers.commands import build_errors, invoke, refuses, sets
+from helpers.commands import invoke, refuses, sets
 from slipfree.catalog import three_wheeler
 from slipfree.core.outcome import Outcome
 from slipfree.files import netcdf
@@ -199,19 +199,6 @@ def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved()
     assert "one sufficient set; others may exist" in told
     assert result.stderr == "infeasible; p.nc contains the result so far\n"
     assert netcdf.read(Path("p.nc")).stop.name == "plan"
-
-
-@pytest.mark.parametrize(
-    ("setting", "words"),
-    [
-        ("goal.q=1", "goal.q: expected a quantity of the model, found 'q'"),
-        ("goal.x=[2, 1]", "goal.x: expected a number, or [low, high] in ascending order"),
-        ("plan.degree=6", "plan.degree: expected"),
-        ("bounds.wheel=[0, 1]", "found 'wheel'"),
-    ],
-)
-def test_what_is_wrong_in_a_file_is_told_with_its_place(setting, words):
-    assert words in build_errors(PROBLEM, [setting])
 
 
 # Plans against an independent transcription: Hermite-Simpson by ``casadi.Opti``
