@@ -158,6 +158,14 @@ def dynamics(
     if not plane_of(terrain):  # a wheel touches a plane only once
         raised = raised_poses(q.poses, frames, tuple(-each.touch.gap for each in on_base))
         checks = second_contacts(q._replace(contacts=frames), x, (), raised, extent(vehicle))
+    pairs = [ca.SX.sym("held", each.sparsity()) for each in inertia], inertia
+    held_ode, _ = equations_of_motion(moving, contacts, *pairs[0])
+    standing: Standing | None = None  # where contacts and springs hold the vehicle
+    if vehicle.planar:
+        still = moving_vehicle(vehicle, terrain, labels)
+        standing = planar_start(still, labels, _contacts(still, prisms, law))
+    elif not support_fault(vehicle):
+        standing = standing_start(vehicle, terrain, prisms, labels)
     return vehicle_dae(
         q,
         labels,
@@ -175,8 +183,8 @@ def dynamics(
         checks=checks if bears else (*checks, *body_checks(q, x, ())),
         guess=ca.SX(0, 1),
         pace=ca.SX(0) if plane_of(terrain) and not prisms else _pace(body, moving.u),
-        standing=_start(vehicle, terrain, prisms, law, labels),
-        held=_held_inertia(moving, contacts, inertia),
+        standing=standing,
+        held=HeldTerms(held_ode, *(ca.vertcat(*(each.nz[:] for each in pair)) for pair in pairs)),
         vehicle=made_from,
         ground=ground,
     )
@@ -343,17 +351,6 @@ def equations_of_motion(
     return ode, Effort(tuple(torques), actuators)
 
 
-def _held_inertia(
-    moving: MovingVehicle, contacts: Contacts, terms: tuple[ca.SX, ca.SX]
-) -> HeldTerms:
-    """Return the rates of the states with symbols for ``terms``: mass matrix and bias forces."""
-    matrix, bias = (ca.SX.sym("held", each.sparsity()) for each in terms)
-    ode, _ = equations_of_motion(moving, contacts, matrix, bias)
-    pairs = (matrix, bias), terms
-    symbols, values = (ca.vertcat(*(each.nz[:] for each in pair)) for pair in pairs)
-    return HeldTerms(ode, symbols, values)
-
-
 def _free_speeds(vehicle: Vehicle) -> Sequence[int]:
     """Return the indices of the platform's generalised speeds that are not fixed at zero."""
     return PLANE if vehicle.planar else SPACE
@@ -421,13 +418,3 @@ def _attitude_rate(x: DynamicState) -> ca.SX:
     turning = ca.vertcat(-ca.dot(omega, vector), scalar * omega + ca.cross(omega, vector)) / 2
     rate: ca.SX = turning + NORMALISATION * (1 - ca.sumsqr(attitude)) * attitude
     return rate
-
-
-def _start(
-    vehicle: Vehicle, terrain: Terrain, prisms: Sequence[Prism], law: ContactLaw, labels: Labels
-) -> Standing | None:
-    """Return the model of the vehicle at rest; None if contacts and springs do not hold it."""
-    if vehicle.planar:
-        moving = moving_vehicle(vehicle, terrain, labels)
-        return planar_start(moving, labels, _contacts(moving, prisms, law))
-    return None if support_fault(vehicle) else standing_start(vehicle, terrain, prisms, labels)

@@ -123,7 +123,10 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
     )
     y = np.zeros((len(free), free.shape[2]))
     poor = np.flatnonzero(solvable & (_normal(contacts, y).min(1) < PHASE_ONE_FORCE))
-    y[poor] = _feasible_unknowns(contacts.pick(poor), y[poor])
+    # positive normal forces to start from, where these exist
+    flat = {name: 0 * getattr(contacts, name) for name in contacts._fields if "normal" not in name}
+    upright, level = contacts._replace(**flat).pick(poor), 1.0 - _normal(contacts, y).min(1)[poor]
+    y[poor] = _follow_center(upright, y[poor], level, PHASE_ONE_GOAL)
     held = np.flatnonzero(solvable & (_normal(contacts, y).min(1) > 0))
     y[held] = _follow_center(
         contacts.pick(held),
@@ -199,14 +202,6 @@ def _solutions(matrix: Array, load: Array) -> tuple[Array, Array, Mask]:
     free = np.swapaxes(vt * internal[..., None], 1, 2)[:, :, first:]
     residual = np.abs(_apply(rows, particular) + right).max(1)
     return particular, np.ascontiguousarray(free), residual < BALANCE_TOLERANCE
-
-
-def _feasible_unknowns(contacts: _Contacts, y: Array) -> Array:
-    """Return unknowns (n, k) with positive normal forces, where these exist, to start from."""
-    none = np.zeros_like(contacts.along)
-    flat = np.zeros_like(contacts.along_slope)
-    upright = contacts._replace(along=none, across=none, along_slope=flat, across_slope=flat)
-    return _follow_center(upright, y, 1.0 - _normal(contacts, y).min(1), PHASE_ONE_GOAL)
 
 
 def _follow_center(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:

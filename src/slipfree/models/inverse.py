@@ -37,7 +37,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import casadi as ca
@@ -231,7 +231,13 @@ def _commanded(direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
     guide = guiding_motion(direct, inputs)
     errors = steering_errors(direct, guide.motion)
     off = [each.symbol - plane[each.label.name].expression for each in inputs]
-    met = given if exact else _always_met(vehicle, given, errors)
+    met = given
+    if not exact:
+        # without steering and rollers, the wheels impose all commands except right, by slipping
+        wheels = [wheel for wheel in vehicle.wheels if wheel.driven]
+        met = tuple(name for name in given if name != "right")
+        if errors or any(wheel.rollers for wheel in wheels) or len(met) > len(wheels):
+            met = ()
     goal, rows = (
         ca.SX(0.5 * ca.sumsqr(ca.vertcat(*direct.y.slip_along, *direct.y.slip_across))),
         [direct.alg[1]],
@@ -253,26 +259,21 @@ def _commanded(direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
         parts.insert(1, (guide.conditions.unknowns, *guide.conditions[1:]))
     unknowns = tuple(part[0] for part in parts)
     dae = rearrange(direct, x, unknowns, inputs, [part[1:] for part in parts])
-    dae = with_outputs(dae, _command_outputs(direct, given, errors, () if exact else off))
+    joints = {each.name: each for each in direct.labels.x.joints}
+    extra: list[tuple[Label, ca.SX]] = [plane[name] for name in COMMANDS if name not in given]
+    extra += zip(direct.labels.u.joints, direct.u.joints, strict=True)
+    for name, error in errors.items():
+        words = f"target minus actual {joints[name].words}"
+        extra.append((Label(f"{name}_error", joints[name].unit, words), error))
+    for name, error in () if exact else zip(given, off, strict=True):
+        words = f"error of the given {name}"
+        extra.append((replace(COMMANDS[name], name=f"{name}_error", words=words), error))
+    dae = with_outputs(dae, extra)
     dae = substitute(dae, direct.u.joints, steering_laws(vehicle, errors))
     if not met:  # rates jump where a wheel reverses, and the integrator's error test would fail
         return replace(dae, suppress_algebraic=True)
     check = command_determinacy(direct, dae, met)
     return replace(dae, checks=(*dae.checks, check))
-
-
-def _always_met(
-    vehicle: Vehicle, given: tuple[str, ...], errors: Mapping[str, ca.SX]
-) -> tuple[str, ...]:
-    """Return the commands that the nearest motion meets exactly.
-
-    Without steering and rollers, the wheels can impose all commands except ``right``, at the cost
-    of slip.
-    """
-    wheels = [wheel for wheel in vehicle.wheels if wheel.driven]
-    met = tuple(name for name in given if name != "right")
-    turns = errors or any(wheel.rollers for wheel in wheels) or len(met) > len(wheels)
-    return () if turns else met
 
 
 def _least_departure(
@@ -305,26 +306,6 @@ def _multipliers(imposed: Imposed, given: Sequence[str]) -> list[Label]:
         )
         for name in given
     ]
-
-
-def _command_outputs(
-    direct: Dae, given: Sequence[str], errors: Mapping[str, ca.SX], off: Sequence[ca.SX]
-) -> list[tuple[Label, ca.SX]]:
-    """Return the outputs of a model under commands.
-
-    These are the rates of the heading frame that are not given, the rates and errors of the
-    steering, and the errors of the commands.
-    """
-    plane, joints = derived_rates(direct), {each.name: each for each in direct.labels.x.joints}
-    extra: list[tuple[Label, ca.SX]] = [plane[name] for name in COMMANDS if name not in given]
-    extra += zip(direct.labels.u.joints, direct.u.joints, strict=True)
-    for name, error in errors.items():
-        words = f"target minus actual {joints[name].words}"
-        extra.append((Label(f"{name}_error", joints[name].unit, words), error))
-    for name, error in zip(given if off else (), off, strict=True):
-        words = f"error of the given {name}"
-        extra.append((replace(COMMANDS[name], name=f"{name}_error", words=words), error))
-    return extra
 
 
 def steering_note(run: Trajectory) -> str:

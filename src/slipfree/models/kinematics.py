@@ -217,8 +217,38 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
     )
     weights = tuple(ca.vertsplit(pressed.touch + AIR_WEIGHT))
     law = _law_equations(slip, labels, q._replace(slips=tangential), rest, weights)
-    dae = _dae(labels, x, z, q, pressed, (_alignment(contacts, misses), law))
-    return replace(dae, lag=lag, relaxation_time=relaxation_time(vehicle))
+    # Offsets along the fixed axes, wheel by wheel: with the axes of the contacts, an elimination in
+    # a fixed order would fail at headings of right angles.
+    pairs = zip(contacts, misses, strict=True)
+    aligned = ca.vertcat(*((miss - c.normal * ca.dot(c.normal, miss))[:2] for c, miss in pairs))
+    sampled, still = force_outputs(q, labels.y.forces), z.rates
+    level = [*still[:2], still.heading, *joint_rates(q)]
+    lowest = ca.mmin(level_heights(q)[0]) - max(wheel.depth for wheel in vehicle.numeric.wheels)
+    below = [pose.origin[:2] for pose in q.poses]
+    others = len(list(leaves(labels.z))) - 2 * len(below)
+    return vehicle_dae(
+        q,
+        labels,
+        x,
+        z,
+        (Equations(labels.alg[0], aligned), law, Equations((), ca.SX(0, 1))),
+        sampled,
+        ode=ca.vertcat(*level, still.z, still.roll, still.pitch, *still.suspension),
+        y=outputs(q, sampled)._replace(
+            depth=tuple(ca.vertsplit(pressed.depth)),
+            load_share=tuple(ca.vertsplit(len(depths) * pressed.load)),
+            force_normal=q.forces.normal if vehicle.mass else (),
+        ),
+        limits=limits_of(q),
+        checks=contact_checks(q, x, z, raised_poses(poses, contacts, ca.vertsplit(pressed.depth))),
+        guess=ca.densify(ca.vertcat(*below, ca.SX.zeros(others))),
+        suppress_algebraic=True,  # contacts and rates follow from the states
+        rest=ca.vertcat(lowest, ca.SX.zeros(2 + len(position.suspension))),
+        linear=law.linear,
+        holding=_holding(q, pressed, groups[0]) if vehicle.mass else None,
+        lag=lag,
+        relaxation_time=relaxation_time(vehicle),
+    )
 
 
 def loaded(vehicle: Vehicle) -> Vehicle:
@@ -250,58 +280,6 @@ def _groups(labels: Labels) -> tuple[list[int], list[int]]:
     for k, label in enumerate(leaves(rates.motion)):
         (rest if label in relaxing else sliding).append(k)
     return sliding, rest
-
-
-def _alignment(contacts: tuple[ContactFrame, ...], misses: list[ca.SX]) -> ca.SX:
-    """Return the tangential offsets between ground points and wheel points, zero at contacts [m].
-
-    The shape is (2 n_wheels, 1): components along the fixed x and y axes, wheel by wheel. With the
-    axes of the contacts, an elimination in a fixed order would fail at headings of right angles.
-    """
-    pairs = zip(contacts, misses, strict=True)
-    return ca.vertcat(*((miss - c.normal * ca.dot(c.normal, miss))[:2] for c, miss in pairs))
-
-
-def _dae(
-    labels: Labels,
-    x: RelaxedState,
-    z: Algebraic,
-    q: Quantities,
-    pressed: Press,
-    equations: tuple[ca.SX, Equations],
-) -> Dae:
-    """Return the DAE of the pressed model with the given labels, symbols and equations."""
-    vehicle, rates = q.vehicle, q.rates
-    alignment, law = equations
-    sampled = force_outputs(q, labels.y.forces)
-    depths = ca.vertsplit(pressed.depth)
-    touching = raised_poses(q.poses, q.contacts, depths)
-    level = [*rates[:2], rates.heading, *joint_rates(q)]
-    heights, _ = level_heights(q)
-    lowest = ca.mmin(heights) - max(wheel.depth for wheel in q.vehicle.numeric.wheels)
-    below = [pose.origin[:2] for pose in q.poses]
-    rest = len(list(leaves(labels.z))) - 2 * len(below)
-    return vehicle_dae(
-        q,
-        labels,
-        x,
-        z,
-        (Equations(labels.alg[0], alignment), law, Equations((), ca.SX(0, 1))),
-        sampled,
-        ode=ca.vertcat(*level, rates.z, rates.roll, rates.pitch, *rates.suspension),
-        y=outputs(q, sampled)._replace(
-            depth=tuple(depths),
-            load_share=tuple(ca.vertsplit(len(depths) * pressed.load)),
-            force_normal=q.forces.normal if vehicle.mass else (),
-        ),
-        limits=limits_of(q),
-        checks=contact_checks(q, x, z, touching),
-        guess=ca.densify(ca.vertcat(*below, ca.SX.zeros(rest))),
-        suppress_algebraic=True,  # contacts and rates follow from the states
-        rest=ca.vertcat(lowest, ca.SX.zeros(2 + len(q.position.suspension))),
-        linear=law.linear,
-        holding=_holding(q, pressed, _groups(labels)[0]) if vehicle.mass else None,
-    )
 
 
 def _holding(q: Quantities, pressed: Press, sliding: list[int]) -> Holding:

@@ -30,7 +30,7 @@ from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, Label, leaves, pack, symbols
 from slipfree.core.schema import NonNegative
 from slipfree.core.trajectory import Trajectory
-from slipfree.geometry.frame import Pose, Twist
+from slipfree.geometry.frame import Pose
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import Equations, SlipLaw, quantity_labels, wheel_limits
 from slipfree.models.base import (
@@ -63,7 +63,6 @@ from slipfree.models.records import (
 from slipfree.models.samples import slip_velocities
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
-from slipfree.vehicle.wheel import Wheel
 
 MAX_DRIFT = 1e-3  # largest drift of an assembled vehicle [wheel radii, rad]
 # contact coordinates that are outputs of the closure model and states of Montana's
@@ -220,10 +219,23 @@ def _quantities(
     state = VehicleState(vehicle, terrain, lookups, place, position, z.rates, u)
     turning, q, chain = spins(state), pack(x[:-1]), carriers(state)
     q_dot = ca.vertcat(*z.rates[:6], *joint_rates(state), *z.rates.suspension)
-    rolls = [
-        _rolling(wheel, terrain, at, carrier, carrier.twist(q, q_dot), spin, kappa, lookups)
-        for wheel, at, carrier, spin in zip(vehicle.wheels, x.contacts, chain, turning, strict=True)
-    ]
+    rolls = list[RollingWheel]()
+    for wheel, at, carrier, spin in zip(vehicle.wheels, x.contacts, chain, turning, strict=True):
+        both, twist = pair(wheel, terrain, at, lookups), carrier.twist(q, q_dot)
+        pose, frame = both.pose, both.frame
+        contact = contact_frame(terrain, at.x, at.y, pose.rotation[:, 0], lookups)
+        displacement = pose.origin - carrier.origin
+        turn = carrier.rotation @ pose.rotation.T
+        rotation = ca.inv_skew((turn - turn.T) / 2)  # sine of the angle times the axis
+        omega = twist.omega + kappa * rotation - spin * pose.rotation[:, 0]
+        slip = twist.v - kappa * displacement + ca.cross(omega, contact.point - pose.origin)
+        wheel_uv, ground_uv, psi = contact_rates(
+            both.wheel.forms, both.ground.forms, at.psi, frame.T @ slip, frame.T @ omega
+        )
+        # u and v are those of the hub, which does not spin with the wheel: v stays near 3 pi/2
+        u_v = ground_uv[0], ground_uv[1], wheel_uv[0], wheel_uv[1] - spin
+        rates = ContactCoordinates(*u_v, psi)
+        rolls.append(RollingWheel(contact, pose, slip, rates, displacement, rotation))
     contacts = tuple(roll.contact for roll in rolls)
     parts = mechanics(state, contacts, slip_velocities(state, contacts))
     quantities = Quantities(
@@ -237,33 +249,6 @@ def _quantities(
         tip_over_margin(state, contacts),
     )
     return quantities, rolls, q_dot
-
-
-def _rolling(
-    wheel: Wheel,
-    terrain: Terrain,
-    at: ContactCoordinates,
-    carrier: Pose,
-    twist: Twist,
-    spin: ca.SX,
-    kappa: float,
-    lookups: LookupTable,
-) -> RollingWheel:
-    """Return contact, rates and drift of a wheel whose hub follows its chain of joints."""
-    both = pair(wheel, terrain, at, lookups)
-    pose, frame = both.pose, both.frame
-    contact = contact_frame(terrain, at.x, at.y, pose.rotation[:, 0], lookups)
-    displacement = pose.origin - carrier.origin
-    turn = carrier.rotation @ pose.rotation.T
-    rotation = ca.inv_skew((turn - turn.T) / 2)  # sine of the angle times the axis
-    omega = twist.omega + kappa * rotation - spin * pose.rotation[:, 0]
-    slip = twist.v - kappa * displacement + ca.cross(omega, contact.point - pose.origin)
-    wheel_uv, ground_uv, psi = contact_rates(
-        both.wheel.forms, both.ground.forms, at.psi, frame.T @ slip, frame.T @ omega
-    )
-    # u and v are those of the hub, which does not spin with the wheel: v stays near 3 pi/2
-    rates = ContactCoordinates(ground_uv[0], ground_uv[1], wheel_uv[0], wheel_uv[1] - spin, psi)
-    return RollingWheel(contact, pose, slip, rates, displacement, rotation)
 
 
 def _drift_limits(vehicle: Vehicle, rolls: list[RollingWheel]) -> Iterator[Limit]:

@@ -50,7 +50,6 @@ from slipfree.laws.protocols import (
     Equations,
     GroundForce,
     GroundLaw,
-    Reaction,
     SlidingContacts,
     wheel_limits,
 )
@@ -67,7 +66,6 @@ from slipfree.models.dynamic_outputs import (
     Contacts,
     DynamicOutputs,
     DynamicState,
-    MovingVehicle,
     dynamic_forces,
     dynamic_labels,
     dynamic_outputs,
@@ -162,9 +160,24 @@ def rigid_dynamics(
     touches = _touches(ground, body, z.contacts, lookups)
     slips = [slip_velocity(*each) for each in zip(body.wheels, touches, strict=True)]
     spins = tuple(wheel.spin for wheel in body.wheels)
-    sliding = _sliding(moving, touches, slips, z.law.normal, spins)
-    reaction = law.reaction(sliding, z.law)
-    _check_torques(law, reaction)
+    frames, share = tuple(each.frame for each in touches), vehicle.weight / len(vehicle.wheels)
+    constraints = list[ca.SX]()  # of the contacts, as normal velocities
+    for wheel, each, slip, n in zip(vehicle.wheels, touches, slips, z.law.normal, strict=True):
+        pressed = -each.gap - ca.dot(each.frame.normal, slip) / RELAXATION_RATE
+        if not _stays_on_ground(vehicle):
+            pressed -= wheel.depth / 4  # the load at the static depth is the share of the weight
+            pressed = (pressed + ca.sqrt(pressed**2 + wheel.depth**2)) / 2
+        constraints.append(RELAXATION_RATE * (wheel.depth * n / share - pressed))
+    friction, origin = tuple(each.friction for each in touches), ca.DM(ground.origin[:2])
+    places = tuple(frame.point[:2] + origin for frame in frames)
+    components = *tangential_components(frames, slips), tuple(constraints)
+    of_wheels = *components, friction, moving.u.wheels, spins, places
+    reaction = law.reaction(SlidingContacts(vehicle, *of_wheels, lambda _x, _z: ""), z.law)
+    if reaction.torques:
+        raise ModelError(
+            "rigid-body dynamics: expected a law whose forces act at the contact points, such as "
+            f"LinearCreep(), found {type(law).__name__}; use another law, or model = 'quasi-static'"
+        )
     forces_on = (
         GroundForce(n, a * at.frame.along + c * at.frame.across, ca.SX(0), ca.SX(0))
         for at, n, a, c in zip(
@@ -177,28 +190,32 @@ def rigid_dynamics(
     q = quantities(moving, contacts)
     forces = dynamic_forces(q, alone, x, effort)
     y = dynamic_outputs(q, body, contacts, alone, forces)
-    frames = tuple(each.frame for each in touches)
     raised = raised_poses(q.poses, frames, tuple(-each.gap for each in touches))
     scale, _ = sizes(vehicle, ground, labels)
     units = [label.unit for label in leaves(labels.z)]
-    scale[[unit == "N" for unit in units]] = vehicle.weight / len(vehicle.wheels)
+    scale[[unit == "N" for unit in units]] = share
     own = (
         *_lift_off(vehicle, reaction.normal),
         *(each for each in reaction.limits if each.outcome is not Outcome.NO_EQUILIBRIUM),
     )
-    nearest = _nearest(ground, z.contacts, touches, lookups)
+    # the line from the contact point of the ground to that of the wheel is normal to the ground
+    nearest = list[ca.SX]()
+    for at, frame in zip(z.contacts, frames, strict=True):
+        away = frame.point - ca.vertcat(at.x, at.y, ground.height(at.x, at.y, lookups))
+        nearest += [ca.dot(frame.along, away), ca.dot(frame.across, away)]
+    below = [each.motion.pose.origin[:2] for each in body.wheels]
     return vehicle_dae(
         q,
         labels,
         x,
         z,
-        (Equations(_nearest_labels(vehicle), nearest), reaction.equations),
+        (Equations(_nearest_labels(vehicle), ca.vertcat(*nearest)), reaction.equations),
         forces,
         ode=ode,
         y=_without_unknowns(y),
         limits=(*limits_of(q, static=False), *own),
         checks=contact_checks(q._replace(contacts=frames), x, z, raised),
-        guess=_guess(vehicle, body, labels),
+        guess=ca.densify(ca.vertcat(*below, at_rest(vehicle, labels.z.law))),
         scale=scale,
         suppress_algebraic=True,
         continuation=reaction.continuation,
@@ -256,21 +273,6 @@ def _touches(
     return touches
 
 
-def _nearest(
-    terrain: Terrain, points: Sequence[ContactPoint], touches: Sequence[Touch], lookups: LookupTable
-) -> ca.SX:
-    """Return the residuals of the contact points, along and across each wheel [m].
-
-    The line from the contact point of the ground to that of the wheel is normal to the ground.
-    """
-    rows = list[ca.SX]()
-    for at, each in zip(points, touches, strict=True):
-        ground = ca.vertcat(at.x, at.y, terrain.height(at.x, at.y, lookups))
-        away = each.frame.point - ground
-        rows += [ca.dot(each.frame.along, away), ca.dot(each.frame.across, away)]
-    return ca.vertcat(*rows)
-
-
 def _nearest_labels(vehicle: Vehicle) -> tuple[Label, ...]:
     """Return the labels of the residuals of the contact points."""
     words = "distance of the wheel from its contact point on the ground, {} the wheel"
@@ -281,50 +283,11 @@ def _nearest_labels(vehicle: Vehicle) -> tuple[Label, ...]:
     )
 
 
-def _sliding(
-    moving: MovingVehicle,
-    touches: Sequence[Touch],
-    slips: Sequence[ca.SX],
-    normal: Sequence[ca.SX],
-    spins: tuple[ca.SX, ...],
-) -> SlidingContacts:
-    """Return the contacts for the law, with the contact constraints as normal velocities."""
-    vehicle = moving.vehicle
-    share = vehicle.weight / len(vehicle.wheels)
-    constraints = list[ca.SX]()
-    for wheel, each, slip, n in zip(vehicle.wheels, touches, slips, normal, strict=True):
-        pressed = -each.gap - ca.dot(each.frame.normal, slip) / RELAXATION_RATE
-        if not _stays_on_ground(vehicle):
-            pressed -= wheel.depth / 4  # the load at the static depth is the share of the weight
-            pressed = (pressed + ca.sqrt(pressed**2 + wheel.depth**2)) / 2
-        constraints.append(RELAXATION_RATE * (wheel.depth * n / share - pressed))
-    components = tangential_components([each.frame for each in touches], slips)
-    friction, origin = tuple(each.friction for each in touches), ca.DM(moving.terrain.origin[:2])
-    places = tuple(each.frame.point[:2] + origin for each in touches)
-    of_wheels = *components, tuple(constraints), friction, moving.u.wheels, spins, places
-    return SlidingContacts(vehicle, *of_wheels, lambda _x, _z: "")
-
-
-def _check_torques(law: GroundLaw, reaction: Reaction) -> None:
-    """Raise ModelError for a law whose torques differ from the moments of its forces."""
-    if reaction.torques:
-        raise ModelError(
-            "rigid-body dynamics: expected a law whose forces act at the contact points, such as "
-            f"LinearCreep(), found {type(law).__name__}; use another law, or model = 'quasi-static'"
-        )
-
-
 def _lift_off(vehicle: Vehicle, normal: Sequence[ca.SX]) -> Iterator[Limit]:
     """Yield the lower limit, zero, of each wheel's normal force, if all stay on the ground."""
     if _stays_on_ground(vehicle):
         why = "the ground would have to pull it"
         yield from wheel_limits(vehicle, "lift_off", normal, 0.0, np.inf, why=why)
-
-
-def _guess(vehicle: Vehicle, body: Multibody, labels: Labels) -> ca.SX:
-    """Return the initial guess: contacts below the wheels' centres, equal normal forces."""
-    places = [each.motion.pose.origin[:2] for each in body.wheels]
-    return ca.densify(ca.vertcat(*places, at_rest(vehicle, labels.z.law)))
 
 
 def dynamic_guess(model: Dae, start: Trajectory, run: Trajectory) -> Trajectory:

@@ -77,9 +77,14 @@ def motion_equations(
     by_state, by_input = ca.horzsplit(slopes, [0, ends[-1], slopes.shape[1]])
     total = by_state + by_input @ law_slopes(*given)
     (ode_x, ode_m), (alg_x, alg_m) = ca.blocksplit(total, ends, ends)
+    # the columns for t and u are zero and unused
+    own: list[Any] = [*given, *(ca.MX.sym("result", part.numel()) for part in (ode, alg))]
+    parts: list[Any] = []
+    for part, *row in ((ode, ode_x, ode_m), (alg, alg_x, alg_m)):
+        parts += [ca.MX(part.numel(), 1), *row, ca.MX(part.numel(), u.numel())]
     options: dict[str, Any] = {
         "jac_penalty": 0,
-        "custom_jacobian": _core_jacobian(given, [ode, alg], [[ode_x, ode_m], [alg_x, alg_m]]),
+        "custom_jacobian": ca.Function("jac_core", own, parts),
         "is_diff_in": [False, True, True, False],
         "never_inline": True,
     }
@@ -107,19 +112,6 @@ def scaled_jacobian(jacobian: ca.Function, x_size: Array, m_size: Array) -> ca.F
     ]
     names = jacobian.name_in(), jacobian.name_out()
     return ca.Function("jacF", [t, x, m, p, u], parts, *names)
-
-
-def _core_jacobian(
-    given: Sequence[ca.MX], parts: Sequence[ca.MX], slopes: Sequence[Sequence[ca.MX]]
-) -> ca.Function:
-    """Return the Jacobian of ``core``; its columns for ``t`` and ``u`` are zero and unused."""
-    t, *_, u = given
-    blocks = [
-        [ca.MX(part.numel(), t.numel()), *row, ca.MX(part.numel(), u.numel())]
-        for part, row in zip(parts, slopes, strict=True)
-    ]
-    results = [ca.MX.sym("result", part.numel()) for part in parts]
-    return ca.Function("jac_core", [*given, *results], [each for row in blocks for each in row])
 
 
 @lru_cache(maxsize=8)

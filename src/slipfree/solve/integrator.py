@@ -25,6 +25,7 @@ from slipfree.solve.sampling import Samples, join_samples
 from slipfree.solve.system import System
 from slipfree.system.interrupt import InterruptGuard, check_interrupt
 
+ARGUMENTS, RESULTS = ("x0", "z0", "u"), ("xf", "zf", "qf")  # names of CasADi
 COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
 LIMIT_TOLERANCE = 1e-6  # violation of a limit at which a step ends the call [unit or scale]
 MAX_STEPS = 10_000  # maximum number of steps of the integrator between two samples
@@ -170,7 +171,12 @@ def _call_integrator(
         first = len(observer.times)
         try:
             with suppress_messages(), _integrator(solver, observer, t, given, pace) as integrator:
-                (x, z, q), statistics = _run(integrator, arguments, t.size)
+                arrays = [np.empty((t.size, integrator.size1_out(name))) for name in RESULTS]
+                given_arrays = dict(
+                    zip(map(integrator.index_in, ARGUMENTS), arguments, strict=True)
+                )
+                found_arrays = dict(zip(map(integrator.index_out, RESULTS), arrays, strict=True))
+                statistics = run_buffered(integrator, given_arrays, found_arrays).stats()
             faster = observer.pace_of_long_steps(first)
             if not faster:
                 break
@@ -182,9 +188,12 @@ def _call_integrator(
                 start = _make_consistent(system, at, u[:, 0], continuation=False)
             if start is None:
                 raise SolverError(words) from error
-            at, given = start, {"calc_ic": False, "init_xdot": _scaled_rates(system, start)}
+            at, m = start, start.z[: system.motion_size]
+            rates = np.array(system.core(at.t, at.x, m, at.u)[0]) / x_size
+            given = {"calc_ic": False, "init_xdot": rates.ravel().tolist()}
     solver.guard.check()
-    x, found = x * x_size, z
+    x, found, q = (each.T for each in arrays)
+    x = x * x_size
     z = np.full((len(at.z), t.size), np.nan)
     z[: len(found)] = found * m_size
     # Scaling and the consistent start of IDAS change the first sample: restore it.
@@ -202,27 +211,6 @@ def _pace_at_start(system: System, at: Samples, t: Array, u: Array) -> float:
     inputs = u[:, np.searchsorted(t[1:-1], times, side="right")]
     m = at.z[: system.motion_size, 0]
     return float(np.array(system.watch(times[None], at.x[:, 0], m, inputs)[2]).max())
-
-
-def _run(
-    integrator: ca.Function, arguments: tuple[Array, Array, Array], count: int
-) -> tuple[tuple[Array, ...], dict[str, Any]]:
-    """Return states, unknowns and quadratures at all times, and the statistics of the call."""
-    names, results = ("x0", "z0", "u"), ("xf", "zf", "qf")
-    arrays = [np.empty((count, integrator.size1_out(name))) for name in results]
-    buffer = run_buffered(
-        integrator,
-        dict(zip(map(integrator.index_in, names), arguments, strict=True)),
-        dict(zip(map(integrator.index_out, results), arrays, strict=True)),
-    )
-    return tuple(each.T for each in arrays), buffer.stats()
-
-
-def _scaled_rates(system: System, at: Samples) -> list[float]:
-    """Return the rates of one sample's states, divided by the sizes of the states."""
-    m = at.z[: system.motion_size]
-    rates = np.array(system.core(at.t, at.x, m, at.u)[0]).ravel()
-    return list[float]((rates / system.dae.sizes.x).tolist())
 
 
 def _start_after_jump(system: System, samples: Samples, u: Array) -> Samples:

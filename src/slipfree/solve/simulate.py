@@ -18,6 +18,7 @@ from slipfree.core.trajectory import Column, SolverError, Stop, Trajectory, join
 from slipfree.solve.explicit import integrate_explicitly
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.integrator import (
+    COUNTS,
     EarlyEnd,
     LimitError,
     MotionSolver,
@@ -131,47 +132,42 @@ def simulate(
     with InterruptGuard() as guard:
         system = with_inputs(model, inputs, t.size - 1, options)
         solver = MotionSolver(system, options.tolerance, _method(system, options.method), guard)
-        first = _initial_sample(system, start, t[0])
+        x, z, q = (model.rows(record, start, -1)[:, None] for record in "xzq")
+        z = solve_initial_conditions(system, t[0], x[:, 0], z[:, 0], system.u[:, 0])[:, None]
+        samples, counts = Samples(t[:1], x, z, q, system.u[:, :1]), dict.fromkeys(COUNTS, 0.0)
+        end: EarlyEnd | None = None
         clock = time.process_time()
         observer = StepObserver(guard, progress, guarded=True, polled=True)
-        samples, counts, end = _integrated(solver, observer, first, t, inputs, options)
+        if options.method == "explicit":
+            samples, counts = integrate_explicitly(system, inputs, samples, t, options)
+        done = samples.t.size - 1
+        if done < t.size - 1:  # IDAS also integrates the interval of an end, which it locates
+            at, u = samples.at([-1]), system.u[:, done:]
+            rest, cost, end = integrate(solver, observer, at, t[done:], u)
+            samples = join_samples([samples, rest]) if done else rest
+            counts = add_counts(counts, cost)
         whole, samples, found = _check_samples(solver, samples, stops)
         left = t > samples.t[-1]
         if isinstance(end, LimitError) and found is None and left.any():
             observer.guarded = False  # no sample violates the limit
-            rest = np.append(samples.t[-1], t[left])
-            at, u = samples.at([-1]), system.u[:, 1 - rest.size :]
-            more, cost, end = integrate(solver, observer, at, rest, u)
+            span = np.append(samples.t[-1], t[left])
+            at, u = samples.at([-1]), system.u[:, 1 - span.size :]
+            rest, cost, end = integrate(solver, observer, at, span, u)
             counts = add_counts(counts, cost)
-            whole, samples, found = _check_samples(solver, join_samples([samples, more]), stops)
-        run = whole if found is None else _cut_at_crossing(solver, whole, samples, found, stops)
+            whole, samples, found = _check_samples(solver, join_samples([samples, rest]), stops)
+        run = whole
+        if found is not None:
+            if found.k == 0:
+                raise invalid_start(found.stop.words)
+            kept, tail = whole.part(slice(found.k)), _locate(solver, whole, samples, found, stops)
+            is_later = tail.t[0] > kept.t[-1]
+            run = joined(kept, tail) if is_later else replace(kept, stop=tail.stop)
         times = {
             each.event.name: _event_times(solver, whole, samples, each, run) for each in watched
         }
         cost = {"tolerance": options.tolerance, "cpu_seconds": time.process_time() - clock}
         run = replace(run, statistics=counts | cost, events=times)
         return _finish_motion(system, run, samples, found, end)
-
-
-def _integrated(
-    solver: MotionSolver,
-    observer: StepObserver,
-    first: Samples,
-    t: Array,
-    inputs: Record,
-    options: SolverOptions,
-) -> tuple[Samples, dict[str, float], EarlyEnd | None]:
-    system = solver.system
-    if options.method != "explicit":
-        return integrate(solver, observer, first, t, system.u)
-    samples, counts = integrate_explicitly(system, inputs, first, t, options)
-    done = samples.t.size - 1
-    if done == t.size - 1:
-        return samples, counts, None
-    # the interval of an end is integrated by IDAS, which locates it
-    at, u = samples.at([-1]), system.u[:, done:]
-    rest, cost, end = integrate(solver, observer, at, t[done:], u)
-    return join_samples([samples, rest]), add_counts(counts, cost), end
 
 
 def check_times(t: Array) -> Array:
@@ -204,15 +200,6 @@ def _method(system: System, method: Method | None) -> Method:
             "this model; use 'idas'"
         )
     return method
-
-
-def _initial_sample(system: System, start: Trajectory, t: float) -> Samples:
-    """Return the last sample of a trajectory at time ``t``, with consistent unknowns."""
-    dae = system.dae
-    x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)
-    z = solve_initial_conditions(system, t, x, z, system.u[:, 0])
-    q = dae.rows("q", start, -1)
-    return Samples(np.array([t]), x[:, None], z[:, None], q[:, None], system.u[:, :1])
 
 
 class _Crossing(NamedTuple):
@@ -275,20 +262,6 @@ def _unfilled(chunk: Trajectory, t: Array) -> Trajectory:
     return Trajectory(t, columns, chunk.wheels, ground=chunk.ground)
 
 
-def _cut_at_crossing(
-    solver: MotionSolver,
-    run: Trajectory,
-    samples: Samples,
-    found: _Crossing,
-    stops: Sequence[WatchedEvent],
-) -> Trajectory:
-    """Return the motion up to the limit or event that ends it, located between samples."""
-    if found.k == 0:
-        raise invalid_start(found.stop.words)
-    kept, tail = run.part(slice(found.k)), _locate_crossing(solver, run, samples, found, stops)
-    return joined(kept, tail) if tail.t[0] > kept.t[-1] else replace(kept, stop=tail.stop)
-
-
 def _finish_motion(
     system: System, run: Trajectory, samples: Samples, found: _Crossing | None, end: EarlyEnd | None
 ) -> Trajectory:
@@ -327,11 +300,11 @@ def _event_times(
     for k in crossing_indices(each, solver.system, samples, solver.tolerance):
         if whole.t[k - 1] < run.t[-1]:
             found = _Crossing(k, stop, each)
-            times.extend(_locate_crossing(solver, whole, samples, found, [each], limited=False).t)
+            times.extend(_locate(solver, whole, samples, found, [each], limited=False).t)
     return np.array([each for each in times if each <= run.t[-1]])
 
 
-def _locate_crossing(
+def _locate(
     solver: MotionSolver,
     run: Trajectory,
     samples: Samples,

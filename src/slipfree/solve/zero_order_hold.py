@@ -69,10 +69,42 @@ def simulate_sampled(
         )
     system, law = _split_inputs(dae, inputs, t.size - 1, options)
     clock = time.process_time()
+    n, integrator = t.size, _period_integrator(system, period, options.tolerance)
+    symbols = law.mx_in()
+    driven = law(*symbols)
+    watched = system.watch(*symbols[:2], ca.MX(0, 1), driven)
+    sample = ca.Function("sample", symbols, [driven, watched[1]])  # inputs, distance to a limit
+    names = [integrator.index_in("x0"), integrator.index_in("p")]
+    results = [integrator.index_out("xf"), integrator.index_out("qf")]
+    x, q = np.zeros((n, dae.ode.numel())), np.zeros((n, dae.quad.numel()))
+    x[0], q[0] = dae.rows("x", start, -1), dae.rows("q", start, -1)
+    u, margin = np.zeros((n, system.u.shape[0])), np.empty(1)
+    cost, failure, last, is_ended = dict.fromkeys(COUNTS, 0.0), "", 0, False
     with InterruptGuard() as guard:
-        samples, cost, failure, is_ended = _integrate_periods(
-            system, law, start, t, options.tolerance, guard, progress
-        )
+        for k in range(n):
+            numbers = system.u[:, min(k, n - 2)]
+            run_buffered(sample, {0: t[k : k + 1], 1: x[k], 2: numbers}, {0: u[k], 1: margin})
+            last = k
+            if k == n - 1 or margin[0] < 0:  # the samples end with the first beyond a limit
+                break
+            is_ended = progress is not None and progress(float(t[k])) is False
+            if is_ended:
+                break
+            check_interrupt()
+            given = dict(zip(names, (x[k], np.append(u[k], t[k])), strict=True))
+            end = dict(zip(results, (x[k + 1], q[k + 1]), strict=True))
+            try:
+                with suppress_messages():
+                    buffer = run_buffered(integrator, given, end)
+            except RuntimeError as error:
+                guard.check()
+                failure = sundials_words(str(error))
+                break
+            guard.check()
+            q[k + 1] += q[k]
+            statistics = buffer.stats()
+            cost = {name: cost[name] + statistics[key] for name, key in COUNTS.items()}
+    samples = Samples(t, x.T, np.zeros((0, n)), q.T, u.T).head(last + 1)
     run = to_trajectory(system, samples, {})
     fault = first_violation(system, run, samples)
     if fault is not None:
@@ -120,63 +152,6 @@ def _split_inputs(
             f"{free[0]}; use dae.t and the fields of dae.x"
         )
     return system, dae.function("law", known[:3], [column])
-
-
-def _integrate_periods(
-    system: System,
-    law: ca.Function,
-    start: Trajectory,
-    t: Array,
-    tolerance: float,
-    guard: InterruptGuard,
-    progress: Progress | None,
-) -> tuple[Samples, dict[str, float], str, bool]:
-    """Return samples, the counts of the integrator, and the message of its failure or ``""``.
-
-    The last value is whether ``progress`` ended the motion.
-    The samples end with the first sample beyond a limit of the model.
-    """
-    dae, n = system.dae, t.size
-    integrator = _period_integrator(system, float(t[1] - t[0]), tolerance)
-    sample = _sample_function(system, law)
-    names = [integrator.index_in("x0"), integrator.index_in("p")]
-    results = [integrator.index_out("xf"), integrator.index_out("qf")]
-    x, q = np.zeros((n, dae.ode.numel())), np.zeros((n, dae.quad.numel()))
-    x[0], q[0] = dae.rows("x", start, -1), dae.rows("q", start, -1)
-    u, margin = np.zeros((n, system.u.shape[0])), np.empty(1)
-    cost, failure, last, is_ended = dict.fromkeys(COUNTS, 0.0), "", 0, False
-    for k in range(n):
-        numbers = system.u[:, min(k, n - 2)]
-        run_buffered(sample, {0: t[k : k + 1], 1: x[k], 2: numbers}, {0: u[k], 1: margin})
-        last = k
-        if k == n - 1 or margin[0] < 0:
-            break
-        is_ended = progress is not None and progress(float(t[k])) is False
-        if is_ended:
-            break
-        check_interrupt()
-        given = dict(zip(names, (x[k], np.append(u[k], t[k])), strict=True))
-        end = dict(zip(results, (x[k + 1], q[k + 1]), strict=True))
-        try:
-            with suppress_messages():
-                buffer = run_buffered(integrator, given, end)
-        except RuntimeError as error:
-            guard.check()
-            failure = sundials_words(str(error))
-            break
-        guard.check()
-        q[k + 1] += q[k]
-        statistics = buffer.stats()
-        cost = {name: cost[name] + statistics[key] for name, key in COUNTS.items()}
-    samples = Samples(t, x.T, np.zeros((0, n)), q.T, u.T)
-    return samples.head(last + 1), cost, failure, is_ended
-
-
-def _sample_function(system: System, law: ca.Function) -> ca.Function:
-    """Return ``(t, x, numeric inputs) -> (inputs, least distance to a limit of the motion)``."""
-    t, x, numbers = law.mx_in()
-    u = law(t, x, numbers)
-    return ca.Function("sample", [t, x, numbers], [u, system.watch(t, x, ca.MX(0, 1), u)[1]])
 
 
 def _period_integrator(system: System, period: float, tolerance: float) -> ca.Function:
