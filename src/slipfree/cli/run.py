@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -29,24 +29,19 @@ from slipfree.cli.outputs import (
     OUTPUT,
     check_default_outputs,
     check_outputs,
-    draw,
     motion_json,
     print_incomplete,
     resume_command,
     save,
 )
+from slipfree.cli.outputs import draw as draw_plots
 from slipfree.core.errors import SlipfreeError, WriteError
 from slipfree.system.interrupt import held_interrupt, interrupt_requested
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
-    from slipfree.cli.common import Reports
-    from slipfree.plan.polynomial_motion import SavedPlan
-    from slipfree.problem.problem import Problem
     from slipfree.problem.verbs.base import Result
-    from slipfree.problem.verbs.driving import DriveVerb
-    from slipfree.show.plots import Plot
 
 
 Out = Annotated[
@@ -103,14 +98,21 @@ def run(
     from slipfree.plan.polynomial_motion import from_arrays
     from slipfree.problem.inputs import files_read
     from slipfree.problem.load import check_option, verb_of
-    from slipfree.problem.verbs.base import CROSS_CHECK, RESUME
+    from slipfree.problem.result import run_problem
+    from slipfree.problem.verbs.base import CROSS_CHECK, RESUME, outcome_fact
+    from slipfree.show.plots import main_plots
 
     problem = read_problem(file, settings, trust)
     verb = verb_of(problem)
     options = [] if out is None else ["-o", str(out)]
     options += [] if draw else ["--no-draw"]
     options += [word for each in trust or () for word in ("--trust", str(each))]
-    out, folder = _output_paths(problem, out, figures, draw=draw)
+    output = problem.spec.output
+    is_named = bool(out or (output and problem.source.is_set(OUTPUT)))
+    out = out or Path(output.file if output else f"{problem.source.path.stem}.nc")
+    folder = (figures or out.parent / f"{out.stem}_figures") if draw else None
+    if not is_named:
+        check_default_outputs(out, None if figures else folder, problem)
     # the search may go on in the file from which it resumes
     check_outputs([csv], [*files_read(problem), *([resume] if resume else [])])
     check_outputs([out, csv], files_read(problem), folder=folder)
@@ -118,14 +120,30 @@ def run(
         if value:
             check_option(problem, option)
     former = None if resume is None else from_arrays(read_arrays(resume), str(resume))
+
+    place = out
+
+    def keep(result: Result) -> None:
+        with suppress(WriteError), held_interrupt():
+            write(place, result.trajectory, result.arrays)
+        detail(f"wrote {place}: {result.outcome.title}")
+
     with reporting(problem.spec.time.duration if verb.is_timed else None) as reports:
-        result = _solve(problem, reports, former, out)
+        # a solved plan is written before it is verified, in case that this process is killed
+        result = run_problem(problem, *reports, former, keep=keep, beside=out)
+        counts = result.trajectory.statistics.items()
+        detail("solved: " + ", ".join(f"{name} {value:.6g}" for name, value in counts))
         files = [save(out, lambda path: write(path, result.trajectory, result.arrays))]
         if csv is not None:
             files.append(save(csv, lambda path: write_csv(path, result.trajectory)))
         is_interrupted = interrupt_requested() or result.outcome.exit_code == INTERRUPTED
     with _after(files[0], "summary"):
-        _print_summary(result, verb)
+        motion = result.trajectory
+        print_facts([outcome_fact(motion), *result.setup.facts, *verb.summary(motion)])
+        add_json("outcome", motion.outcome.name.lower)
+        add_json("result", lambda: motion_json(motion, verb.facts(motion)))
+        for words in verb.warnings(motion):
+            warn(words)
     names = ", ".join(map(str, files))
     print_line(f"wrote {names}")
     detail(f"wrote {names}")
@@ -134,20 +152,18 @@ def run(
             _cross_check(result)
     if folder is not None and not is_interrupted:
         with _after(files[0], "figures"):
-            _draw(verb.figures(result), folder, every=figures_all)
-    _exit(result, files[0], options, is_interrupted=is_interrupted)
-
-
-def _output_paths(
-    problem: Problem[Any], out: Path | None, figures: Path | None, *, draw: bool
-) -> tuple[Path, Path | None]:
-    is_named = bool(out or (problem.spec.output and problem.source.is_set(OUTPUT)))
-    output = problem.spec.output
-    out = out or Path(output.file if output else f"{problem.source.path.stem}.nc")
-    folder = (figures or out.parent / f"{out.stem}_figures") if draw else None
-    if not is_named:
-        check_default_outputs(out, None if figures else folder, problem)
-    return out, folder
+            plots = verb.figures(result)
+            drawn = draw_plots(plots if figures_all else main_plots(plots), folder)
+            rest = len(plots) - len(drawn)
+            more = f"; {rest} more with --figures-all" if rest else ""
+            print_line(f"drew {', '.join(file.stem for file in drawn)} in {folder}{more}")
+            detail(f"drew {len(drawn)} figures in {folder}")
+    if result.outcome.exit_code:
+        print_incomplete(motion, files[0], resume_command(motion, files[0], *options))
+    elif is_interrupted:
+        print_error(f"interrupted; {files[0]} contains the result, which is complete")
+    if code := INTERRUPTED if is_interrupted else result.outcome.exit_code:
+        raise typer.Exit(code)
 
 
 @contextmanager
@@ -161,46 +177,6 @@ def _after(out: Path, name: str) -> Iterator[None]:
         kind = "" if isinstance(error, SlipfreeError) else f"{type(error).__name__}: "
         print_error(f"{name}: {kind}{error}; {out} contains the result")
         note_failure()
-
-
-def _exit(result: Result, out: Path, options: Sequence[str], *, is_interrupted: bool) -> None:
-    """Exit with the code of an interruption or of an incomplete result, and print the reason."""
-    run = result.trajectory
-    if result.outcome.exit_code:
-        print_incomplete(run, out, resume_command(run, out, *options))
-    elif is_interrupted:
-        print_error(f"interrupted; {out} contains the result, which is complete")
-    if code := INTERRUPTED if is_interrupted else result.outcome.exit_code:
-        raise typer.Exit(code)
-
-
-def _solve(problem: Problem[Any], reports: Reports, former: SavedPlan | None, out: Path) -> Result:
-    """Solve a problem, report the progress, and return the result.
-
-    A solved plan is written to ``out`` before it is verified, in case that this process is killed.
-    """
-    from slipfree.files.netcdf import write
-    from slipfree.problem.result import run_problem
-
-    def keep(result: Result) -> None:
-        with suppress(WriteError), held_interrupt():
-            write(out, result.trajectory, result.arrays)
-        detail(f"wrote {out}: {result.outcome.title}")
-
-    result = run_problem(problem, *reports, former, keep=keep, beside=out)
-    counts = result.trajectory.statistics.items()
-    detail("solved: " + ", ".join(f"{name} {value:.6g}" for name, value in counts))
-    return result
-
-
-def _draw(plots: Sequence[Plot], folder: Path, *, every: bool) -> None:
-    from slipfree.show.plots import main_plots
-
-    files = draw(plots if every else main_plots(plots), folder)
-    names, rest = ", ".join(file.stem for file in files), len(plots) - len(files)
-    more = f"; {rest} more with --figures-all" if rest else ""
-    print_line(f"drew {names} in {folder}{more}")
-    detail(f"drew {len(files)} figures in {folder}")
 
 
 def _cross_check(result: Result) -> None:
@@ -218,14 +194,3 @@ def _cross_check(result: Result) -> None:
     add_json("cross_check", lambda: rows)
     line = "{difference:.2e} {unit} at {time:g} s"
     show([(f"  {row['name']}", line.format(**row)) for row in rows[:8]])
-
-
-def _print_summary(result: Result, verb: DriveVerb) -> None:
-    from slipfree.problem.verbs.base import outcome_fact
-
-    motion = result.trajectory
-    print_facts([outcome_fact(motion), *result.setup.facts, *verb.summary(motion)])
-    add_json("outcome", motion.outcome.name.lower)
-    add_json("result", lambda: motion_json(motion, verb.facts(motion)))
-    for words in verb.warnings(motion):
-        warn(words)

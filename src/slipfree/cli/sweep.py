@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,7 +28,6 @@ from slipfree.cli.common import (
 from slipfree.cli.outputs import check_outputs
 
 if TYPE_CHECKING:
-    from slipfree.show.swept import Swept
     from slipfree.sweep.grid import Sweep
     from slipfree.sweep.runs import Rows
 
@@ -93,6 +91,7 @@ def sweep(
     was interrupted or killed.
     """
     from slipfree.problem.inputs import files_read
+    from slipfree.show.sweep_figures import save_sweep_figures
     from slipfree.sweep.grid import sweep_of
     from slipfree.sweep.run import (
         TABLE,
@@ -140,7 +139,15 @@ def sweep(
     if keep:
         _warn_missing(plan, rows)
     if draw:
-        _draw(plan, drawn_grids(rows, tables, names), folder / FIGURES)
+        if len(plan.axes) > MAX_KEYS:
+            print_line(
+                f"no figures: {len(plan.axes)} keys are varied, and figures show at most {MAX_KEYS}"
+            )
+        elif plan.count > 1:
+            paths = save_sweep_figures(drawn_grids(rows, tables, names), folder / FIGURES)
+            for path in paths:
+                add_json_file(path)
+            print_line(f"drew {len(paths)} files in {folder / FIGURES}")
     if rows.ended(FAILED, LOST):
         raise typer.Exit(STOPPED)
 
@@ -180,18 +187,3 @@ def _warn_missing(plan: Sweep, rows: Rows) -> None:
             f"--keep: {len(missing)} finished {runs} {have} no result file; to write all, sweep "
             f"into another folder with -o; to write the first: {shlex.join(words)}"
         )
-
-
-def _draw(plan: Sweep, grids: Sequence[Swept], folder: Path) -> None:
-    from slipfree.show.sweep_figures import save_sweep_figures
-
-    if len(plan.axes) > MAX_KEYS:
-        print_line(
-            f"no figures: {len(plan.axes)} keys are varied, and figures show at most {MAX_KEYS}"
-        )
-        return
-    if plan.count > 1:
-        paths = save_sweep_figures(grids, folder)
-        for path in paths:
-            add_json_file(path)
-        print_line(f"drew {len(paths)} files in {folder}")

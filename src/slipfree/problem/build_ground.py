@@ -33,7 +33,7 @@ from slipfree.problem import schema
 from slipfree.problem.problem import A, Problem, S, shared
 from slipfree.problem.schema import TerrainKeys
 from slipfree.terrain.base import MAX_HEIGHT, Grid, check_friction
-from slipfree.terrain.grid_ops import MAX_NODES, Changed, Heights, Window, cut, disturbed, smoothed
+from slipfree.terrain.grid_ops import MAX_NODES, Changed, Window, cut, disturbed, smoothed
 from slipfree.terrain.kernel import library
 from slipfree.terrain.paged import Outline, outline, parts_of
 from slipfree.terrain.rolled import NODES, rolled
@@ -94,16 +94,37 @@ def build_ground(problem: Problem[S], known: dict[str, Extremes] | None = None) 
         if not isinstance(spec.friction, str):
             mu, friction = _friction(problem, Map(stored.grid), None)
             return stored._replace(mu=mu, friction=friction)
-    _check_keys(problem)
+    for key in OF_FILES:
+        read = spec.file is not None or isinstance(spec.friction, str)
+        if not read and getattr(spec, key) is not None:
+            where = problem.source.where(("terrain", key))
+            raise ProblemError(
+                f"{where}: expected this key only with a map file, found no map file; remove the "
+                "key, or give a file in [terrain]"
+            )
     horizontal, vertical = _scales(spec)
     ground_map, source = _source(problem, known)
     grid = ground_map.grid.scaled(horizontal, vertical)
     if spec.window is not None and spec.file is None:
         with at(problem, ("terrain", "window")):
             grid = cut(grid, spec.window)
-    grid, changes = _changed(problem, grid)
+    facts = [*ground_map.facts]
+    if spec.smooth is not None:
+        with at(problem, ("terrain", "smooth")):
+            smooth = smoothed(grid, spec.smooth)
+        grid = smooth.grid
+        change = f"at most {smooth.largest:.3g} m, rms {smooth.rms:.3g} m"
+        facts.append(("ground changed by smooth", f"{change} (Gaussian of {spec.smooth:g} m)"))
+    if (error := spec.error) is not None:
+        before = grid.z
+        with at(problem, ("terrain", "error")):
+            grid = disturbed(grid, error.rms, error.correlation, error.seed)
+        rms = float(np.sqrt(np.mean((grid.z - before) ** 2)))
+        words = f"random heights, rms {error.rms:g} m (on this ground {rms:.3g} m), correlated "
+        words += f"over {error.correlation:g} m, seed {error.seed}"
+        facts.append(("ground error added", words))
     coordinates = _map_coordinates(ground_map, horizontal, vertical)
-    facts = [*ground_map.facts, *changes, *_map_facts(ground_map.crs, coordinates)]
+    facts += _map_facts(ground_map.crs, coordinates)
     mu, friction = _friction(problem, ground_map, known)
     changed = None
     if spec.rolled is not None:
@@ -156,9 +177,14 @@ def _outline(raster: RasterParts, known: dict[str, Extremes]) -> Map:
     x, y = raster.nodes
     name = str(raster.path)
     if name not in known:
-        extremes = [_extremes(raster.heights(*part)) for part in parts_of(x.size, y.size)]
-        lows, highs, missed = zip(*extremes, strict=True)
-        known[name] = Extremes(min(lows), max(highs), sum(missed))
+        extremes = Extremes(np.inf, -np.inf, 0)
+        for part in parts_of(x.size, y.size):
+            heights = raster.heights(*part)
+            check_degrees(heights, local=False)
+            z = heights.z[~np.isnan(heights.z)]
+            low, high = float(z.min(initial=extremes.low)), float(z.max(initial=extremes.high))
+            extremes = Extremes(low, high, extremes.missing + heights.z.size - z.size)
+        known[name] = extremes
     low, high, missing = known[name]
     if not -MAX_HEIGHT <= low <= high <= MAX_HEIGHT:
         words = f"values from {low:g} to {high:g}" if low <= high else "none at any node"
@@ -175,26 +201,6 @@ def _outline(raster: RasterParts, known: dict[str, Extremes]) -> Map:
     return Map(grid, crs=about.crs, facts=facts, gray=about.gray)
 
 
-def _extremes(heights: Heights) -> Extremes:
-    """Return the extremes of a part of a map in metres; infinite without heights."""
-    check_degrees(heights, local=False)
-    values = heights.z[~np.isnan(heights.z)]
-    low, high = values.min(initial=np.inf), values.max(initial=-np.inf)
-    return Extremes(float(low), float(high), heights.z.size - values.size)
-
-
-def _check_keys(problem: Problem[S]) -> None:
-    spec = problem.spec.terrain
-    for key in OF_FILES:
-        read = spec.file is not None or isinstance(spec.friction, str)
-        if not read and getattr(spec, key) is not None:
-            where = problem.source.where(("terrain", key))
-            raise ProblemError(
-                f"{where}: expected this key only with a map file, found no map file; remove the "
-                "key, or give a file in [terrain]"
-            )
-
-
 def _scales(spec: schema.TerrainTable) -> tuple[float, float]:
     return spec.scale * spec.horizontal_scale, spec.scale * spec.vertical_scale
 
@@ -204,30 +210,6 @@ def _scale_words(spec: schema.TerrainTable) -> str:
     if horizontal == vertical:
         return f" scaled by {horizontal:g}" if horizontal != 1 else ""
     return f" scaled by {horizontal:g} in x and y, by {vertical:g} in height"
-
-
-def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Lines]:
-    """Return the grid after smoothing and added height errors, and lines about both."""
-    spec, facts = problem.spec.terrain, []
-    if spec.smooth is not None:
-        with at(problem, ("terrain", "smooth")):
-            smooth = smoothed(grid, spec.smooth)
-        grid = smooth.grid
-        change = f"at most {smooth.largest:.3g} m, rms {smooth.rms:.3g} m"
-        facts.append(("ground changed by smooth", f"{change} (Gaussian of {spec.smooth:g} m)"))
-    if (error := spec.error) is not None:
-        before = grid.z
-        with at(problem, ("terrain", "error")):
-            grid = disturbed(grid, error.rms, error.correlation, error.seed)
-        rms = float(np.sqrt(np.mean((grid.z - before) ** 2)))
-        facts.append(
-            (
-                "ground error added",
-                f"random heights, rms {error.rms:g} m (on this ground {rms:.3g} m), correlated "
-                f"over {error.correlation:g} m, seed {error.seed}",
-            )
-        )
-    return grid, facts
 
 
 def _map_coordinates(

@@ -24,7 +24,7 @@ from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.newton import solve_equations, solve_linear
 from slipfree.core.records import Array, Mask, Record, leaves
-from slipfree.core.trajectory import SolverError, Stop, Trajectory
+from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, complete_samples, linearize, to_trajectory
 from slipfree.solve.simulate import check_times
@@ -296,11 +296,26 @@ def drive(
     clock, system = time.process_time(), with_inputs(dae, inputs, 0, options)
     mask = np.array([name in free_states for name in names])
     best, elements, error = _refine_elements(system, mask, start, t, options.tolerance)
-    samples, report = _correct_pose(system, best.samples(elements, t))
+    # a Newton step on the first block, that of the pose
+    samples, block = best.samples(elements, t), system.blocks[0]
+    residual, jacobian = linearize(block, samples)
+    step = solve_linear(jacobian, residual.T).T
+    samples.z[block.span] -= step
+    samples, report = complete_samples(system, samples)
+    report = {"newton_step": np.abs(step).max(axis=0), **report}
     run = to_trajectory(system, samples, report)
     fault = first_violation(system, run, samples)
     if fault is not None:
-        run = _cut_before(run, *fault)
+        k, stop = fault
+        if k == 0:
+            raise invalid_start(stop.words)
+        if k == 1:
+            raise ModelError(
+                "t: expected at least two samples within the limits of the model, found a "
+                f"violation at the second: {stop.words}; choose another start or a shorter first "
+                "step"
+            )
+        run = run.part(slice(k), stop._replace(t=float(run.t[k - 1])))
     statistics = {
         "elements": float(len(elements)),
         "degree": float(len(best.basis.points)),
@@ -376,24 +391,3 @@ def _guess_unknowns(system: System, t: float, x: Array, z: Array) -> Array:
             step = np.linalg.lstsq(jacobian * size, residual.ravel(), rcond=WEAK_SINGULAR_VALUE)[0]
             z[block.span] = -size * step
     return z
-
-
-def _correct_pose(system: System, samples: Samples) -> tuple[Samples, dict[str, Array]]:
-    """Return the samples after a Newton step on the first block, and a report of residuals."""
-    block, z = system.blocks[0], samples.z.copy()
-    residual, jacobian = linearize(block, samples)
-    step = solve_linear(jacobian, residual.T).T
-    z[block.span] -= step
-    found, report = complete_samples(system, samples._replace(z=z))
-    return found, {"newton_step": np.abs(step).max(axis=0), **report}
-
-
-def _cut_before(run: Trajectory, k: int, stop: Stop) -> Trajectory:
-    if k == 0:
-        raise invalid_start(stop.words)
-    if k == 1:
-        raise ModelError(
-            "t: expected at least two samples within the limits of the model, found a violation at "
-            f"the second: {stop.words}; choose another start or a shorter first step"
-        )
-    return run.part(slice(k), stop._replace(t=float(run.t[k - 1])))

@@ -24,7 +24,7 @@ from slipfree.solve.sampling import (
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.stops import first_violation, invalid_start
-from slipfree.solve.system import Block, System, with_inputs
+from slipfree.solve.system import System, with_inputs
 
 MAX_EVALUATIONS = 50  # maximum number of evaluations per state to find
 TRIM_TOLERANCE = 1e-13  # relative change at which states count as found
@@ -77,7 +77,10 @@ def trim_states(
                 )
     where = [x_names.index(name) for name in states]
     system = with_inputs(dae, inputs, 0, options)
-    part = system._replace(blocks=_needed_blocks(system, [list(leaves(dae.y))[k] for k in rows]))
+    together, unknowns = ca.vertcat(*(list(leaves(dae.y))[k] for k in rows)), dae.columns()[1]
+    needed = (ca.depends_on(together, unknowns[block.span]) for block in system.blocks)
+    count = max((k for k, each in enumerate(needed, 1) if each), default=1)
+    part = system._replace(blocks=system.blocks[:count])  # up to the last on which outputs depend
     x, first = dae.rows("x", start, -1), _known_unknowns(dae, start)
 
     def outputs(values: Array) -> Array:
@@ -108,13 +111,6 @@ def _known_unknowns(dae: Dae, start: Trajectory) -> Array:
             for label, shift in pairs
         ]
     )
-
-
-def _needed_blocks(system: System, outputs: Sequence[ca.SX]) -> tuple[Block, ...]:
-    """Return the first blocks of equations, up to the last block on which outputs depend."""
-    z, together = system.dae.columns()[1], ca.vertcat(*outputs)
-    last = [k for k, block in enumerate(system.blocks) if ca.depends_on(together, z[block.span])]
-    return system.blocks[: max(last, default=0) + 1]
 
 
 def _consistent_start(system: System, x: Array, z: Array) -> Trajectory:
@@ -194,7 +190,10 @@ def replay(
         If the integrator fails.
     """
     t = run.t
-    states, pose = (_first_values(run, record) for record in (dae.labels.x, dae.labels.z[0]))
+    states, pose = (
+        {label.full: float(run.of(label)[0]) for label in leaves(record)}
+        for record in (dae.labels.x, dae.labels.z[0])
+    )
     start = settle(dae, guess=pose, options=options, **states)
     cuts = [k for k in range(1, t.size - 1) if inputs is None and np.isin(t[k], jumps)]
     parts: list[Trajectory] = []
@@ -217,10 +216,6 @@ def replay(
     gaps = np.abs(same_turn(first, second, periodic) - second).max(axis=1, initial=0.0)
     names = [label.full for label in leaves(dae.labels.x)]
     return motion, dict(zip(names, gaps.tolist(), strict=True))
-
-
-def _first_values(run: Trajectory, record: Any) -> dict[str, float]:
-    return {label.full: float(run.of(label)[0]) for label in leaves(record)}
 
 
 def spline_inputs(

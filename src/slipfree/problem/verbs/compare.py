@@ -68,34 +68,30 @@ def compare(
     terrain, vehicles = build_terrain(problem, ground), problem.spec.vehicles
 
     def compared(index: int) -> dict[str, Any]:
-        spec = vehicles[index]
-        vehicle = build_vehicle(problem, spec, ("vehicles", index))
-        return _compared(problem, spec.name, vehicle, direct_kinematics(vehicle, terrain))
+        vehicle = build_vehicle(problem, vehicles[index], ("vehicles", index))
+        dae = direct_kinematics(vehicle, terrain)
+        spec, start = problem.spec, build_start(problem, dae)
+        options = spec.solver.options
+        known = [label.full for label in leaves(dae.labels.u)]
+        free = {f"{wheel.name}_rate" for wheel in vehicle.wheels if not wheel.driven}
+        rates = {key: rate for key, rate in spec.inputs.items() if key not in free}
+        check_names(problem, dae, {**dict.fromkeys(known, 0.0), **rates})
+        t, _ = input_samples(spec.time.duration, spec.time.step, {})
+        same = dae.inputs(**{key: rates.get(key, 0.0) for key in known})
+        law = build_law(problem, spec.driver, dae, start)
+        drives = [_drive(vehicle, dae, start, inputs, t, options) for inputs in (same, law)]
+        return {
+            "name": vehicles[index].name,
+            "wheels": start.wheels,
+            "rank": _rank(dae, start, options),
+            "conditions": 3 * len(vehicle.wheels),
+            "same_rates": drives[0],
+            "driving_law": drives[1],
+        }
 
     with study(compared, watch=watch) as run:
         rows = until_interrupt(run(range(len(vehicles)), lambda index: index))
     return ground, [row for _, row in rows]
-
-
-def _compared(problem: Problem[Compare], name: str, vehicle: Vehicle, dae: Dae) -> dict[str, Any]:
-    spec, start = problem.spec, build_start(problem, dae)
-    options = spec.solver.options
-    known = [label.full for label in leaves(dae.labels.u)]
-    free = {f"{wheel.name}_rate" for wheel in vehicle.wheels if not wheel.driven}
-    rates = {key: rate for key, rate in spec.inputs.items() if key not in free}
-    check_names(problem, dae, {**dict.fromkeys(known, 0.0), **rates})
-    t, _ = input_samples(spec.time.duration, spec.time.step, {})
-    same = dae.inputs(**{key: rates.get(key, 0.0) for key in known})
-    law = build_law(problem, spec.driver, dae, start)
-    drives = [_drive(vehicle, dae, start, inputs, t, options) for inputs in (same, law)]
-    return {
-        "name": name,
-        "wheels": start.wheels,
-        "rank": _rank(dae, start, options),
-        "conditions": 3 * len(vehicle.wheels),
-        "same_rates": drives[0],
-        "driving_law": drives[1],
-    }
 
 
 def _drive(

@@ -133,8 +133,13 @@ def _rates(
         rates = commands.velocities / actuator.slope
     elif np.isfinite(commands.positions).all():
         wanted = (commands.positions - actuator.offset) / actuator.slope
-        if not actuator.is_wheel:
-            _check_start(joint, float(wanted[0]), actuator, problem)
+        name, first = actuator.name.removesuffix("_rate"), float(wanted[0])
+        start = problem.spec.start.get(name, 0.0)
+        if not actuator.is_wheel and abs(start - first) > START_TOLERANCE:
+            raise DataError(
+                f"expected a start at the first position of joint {joint} in the file, {name} = "
+                f"{first:.9g}, found {name} = {start:.9g}; set {name} = {first:.9g} in [start]"
+            )
         rates = np.append(np.diff(wanted) / np.diff(commands.t), 0.0)
     else:
         raise DataError(
@@ -145,17 +150,6 @@ def _rates(
     later: Array = commands.t if commands.t[0] == 0 else np.append(0.0, commands.t)
     padded = np.append(np.zeros(later.size - rates.size), rates)
     return tuple(zip(later.tolist(), padded.tolist(), strict=True))
-
-
-def _check_start(joint: str, first: float, actuator: _Actuator, problem: Problem[Any]) -> None:
-    """Raise DataError if a coordinate does not start at the first commanded position."""
-    name = actuator.name.removesuffix("_rate")
-    start = problem.spec.start.get(name, 0.0)
-    if abs(start - first) > START_TOLERANCE:
-        raise DataError(
-            f"expected a start at the first position of joint {joint} in the file, {name} = "
-            f"{first:.9g}, found {name} = {start:.9g}; set {name} = {first:.9g} in [start]"
-        )
 
 
 class SampledDriver(ClimbingDriver):
@@ -225,7 +219,12 @@ class DirectVerb(DriveVerb):
         spec = problem.spec
         world = build_world(problem)
         dae = model = build_shared_model(problem, world)
-        constants, source = _given(problem, world.vehicle)
+        constants, source = spec.inputs, ""
+        if constants is not None and FILE in constants:
+            constants = dict(constants)
+            file = str(constants.pop(FILE))
+            constants = read_joint_inputs(problem, file, world.vehicle) | constants
+            source = f" of {file}"
         check_names(problem, dae, constants)
         is_climbing = spec.driver is not None and spec.driver.name == STEP_CLIMBING
         if is_climbing:
@@ -275,13 +274,3 @@ class DirectVerb(DriveVerb):
         with at(problem, ("start",)):
             motion = self.solve(again, setup, Watch(), None)[0]
         return CrossCheck(other, cross_check(result.trajectory, motion))
-
-
-def _given(problem: Problem[Direct], vehicle: Vehicle) -> tuple[dict[str, Any] | None, str]:
-    """Return the inputs of a problem, None under a driving law, and a note on their MCAP file."""
-    inputs = problem.spec.inputs
-    if inputs is None or FILE not in inputs:
-        return inputs, ""
-    rates = dict(inputs)
-    file = rates.pop(FILE)
-    return read_joint_inputs(problem, file, vehicle) | rates, f" of {file}"

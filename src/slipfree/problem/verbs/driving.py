@@ -382,7 +382,7 @@ def _diagnostics(setup: Setup, law: object, run: Trajectory) -> dict[str, Diagno
     diagnostics: dict[str, Diagnostic] = {
         "filled_ground": partial(_with_filled, setup.ground.grid),
         OBSTACLES: partial(_with_ending, setup),
-        CLOSEST: partial(_with_closest, setup),
+        CLOSEST: lambda run: run.with_facts(closest_fact(vehicle, setup.terrain, run)),
     }
     has_choice = vehicle.mass and has_exact_closure(vehicle) and not is_determinate(vehicle)
     if has_choice and "kinetic_energy" not in run:  # dynamics has one distribution of forces
@@ -407,12 +407,6 @@ def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
     ]
     samples = int(np.count_nonzero(on.any(axis=1)))
     return run.with_facts({FILLED: Fact(samples, "1"), "filled_paths": Fact(rows)})
-
-
-def _with_closest(setup: Setup, run: Trajectory) -> Trajectory:
-    """Return a motion with facts about the closest body and place, if bodies have shapes."""
-    facts = closest_fact(setup.vehicle, setup.terrain, run)
-    return run.with_facts(facts) if facts else run
 
 
 def _with_ending(setup: Setup, run: Trajectory) -> Trajectory:

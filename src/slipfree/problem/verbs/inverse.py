@@ -59,7 +59,7 @@ from slipfree.solve.options import SolverOptions
 from slipfree.solve.replay import apply_inputs, replay, round_trip, spline_inputs, trim_states
 from slipfree.solve.sampling import input_samples
 from slipfree.vehicle.formula import evaluate
-from slipfree.vehicle.tree import Coordinate, Vehicle
+from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
     from slipfree.plan.polynomial_motion import SavedPlan
@@ -201,11 +201,20 @@ class InverseVerb(DriveVerb):
         """Return the motion with its differences from the direct model."""
         spec, options, inputs = problem.spec, problem.spec.solver.options, None
         if _is_collocated(spec, setup):
-            run, inputs = _collocate(setup, options)
+            steering = [c.name for c in setup.vehicle.of("commanded")]
+            way = setup.dae, setup.start, setup.inputs, setup.t
+            solution = drive(*way, free_states=steering, options=options)
+            statistics = {**solution.run.statistics, "tolerance": options.tolerance}
+            inputs = spline_inputs(setup.model, solution.t, solution.unknowns)
+            run = replace(solution.run, statistics=statistics)
         else:
             run = integrate(setup, options, watch)
         replayed = partial(_with_replay, setup, inputs, options)
-        run = _with_steering(setup.vehicle, run)
+        if "steering_lever" in run.columns:
+            run = steering_slip(setup.vehicle, run)
+        elif run.stop and run.stop.name == "solver" and "steering_growth" in run.columns:
+            words = "; ".join(filter(None, [run.stop.words, steering_note(run)]))
+            run = replace(run, stop=run.stop._replace(words=words))  # with the cause
         return with_diagnostics(run, {"replay": replayed}, watch), NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
@@ -353,8 +362,14 @@ def _start(spec: Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajector
         return stand
     if not are_commands(dae.input_names):
         if spec.given is not None:
-            ahead = _forward_inputs(direct, vehicle, stand, spec.given)
-            stand = apply_inputs(direct, stand, ahead, options=options)
+            # inputs that drive straight ahead at about the given speed
+            heading, given, speed = float(stand["heading"][-1]), dict(spec.given), GUESS_SPEED
+            if "velocity_x" in given and "velocity_y" in given:
+                v_x, v_y = float(given["velocity_x"]), float(given["velocity_y"])
+                speed = v_y * np.cos(heading) - v_x * np.sin(heading)
+            rates = {f"{w.name}_rate": speed / w.radius for w in vehicle.wheels if w.driven}
+            rates |= {f"{c.name}_rate": 0.0 for c in vehicle.of("commanded")}
+            stand = apply_inputs(direct, stand, direct.inputs(**rates), options=options)
         return apply_inputs(dae, stand, first, options=options)
     unknown = [name for name in steering_effects(direct) if name not in spec.start]
     try:
@@ -370,38 +385,6 @@ def _is_collocated(spec: Inverse, setup: Setup) -> bool:
     """Return whether collocation determines the steering along the whole path."""
     is_commanded = are_commands(setup.dae.input_names)
     return spec.path is not None and spec.steering == "angle" and not is_commanded
-
-
-def _forward_inputs(
-    direct: Dae, vehicle: Vehicle, start: Trajectory, given: Mapping[str, Any]
-) -> Any:
-    """Return inputs of the direct model that drive straight ahead at about the given speed."""
-    heading, speed = float(start["heading"][-1]), GUESS_SPEED
-    if "velocity_x" in given and "velocity_y" in given:
-        speed = given["velocity_y"] * np.cos(heading) - given["velocity_x"] * np.sin(heading)
-    rates = {f"{w.name}_rate": speed / w.radius for w in vehicle.wheels if w.driven}
-    commanded = {f"{c.name}_rate": 0.0 for c in vehicle.of("commanded")}
-    return direct.inputs(**rates, **commanded)
-
-
-def _collocate(setup: Setup, options: SolverOptions) -> tuple[Trajectory, Any]:
-    """Return the motion along a path, steering included, and its inputs as functions of time."""
-    steering = [c.name for c in setup.vehicle.of("commanded")]
-    problem = setup.dae, setup.start, setup.inputs, setup.t
-    solution = drive(*problem, free_states=steering, options=options)
-    statistics = {**solution.run.statistics, "tolerance": options.tolerance}
-    inputs = spline_inputs(setup.model, solution.t, solution.unknowns)
-    return replace(solution.run, statistics=statistics), inputs
-
-
-def _with_steering(vehicle: Vehicle, run: Trajectory) -> Trajectory:
-    """Return a motion with its steering slip, or after a failure with the cause in its stop."""
-    if "steering_lever" in run.columns:
-        return steering_slip(vehicle, run)
-    if run.stop is None or run.stop.name != "solver" or "steering_growth" not in run.columns:
-        return run
-    words = "; ".join(filter(None, [run.stop.words, steering_note(run)]))
-    return replace(run, stop=run.stop._replace(words=words))
 
 
 def _with_replay(setup: Setup, inputs: Any, options: SolverOptions, run: Trajectory) -> Trajectory:
@@ -420,36 +403,23 @@ def _with_replay(setup: Setup, inputs: Any, options: SolverOptions, run: Traject
         trip = round_trip(direct, run, PLANAR, options=options)
         facts |= {f"{ROUND_TRIP}{name}": Fact(gap, unit_of(name)) for name, gap in trip.items()}
         if run.t.size > 1:
-            jumps = _jumps(setup, run)
-            _check_samples(run.t, jumps)
+            values: list[Any] = [v for v in leaves(setup.inputs) if isinstance(v, np.ndarray)]
+            where = {k + 1 for each in values for k in np.flatnonzero(np.diff(each))}
+            jumps = [float(setup.t[k]) for k in sorted(where) if setup.t[k] < run.t[-1]]
+            apart = np.diff(np.searchsorted(run.t, [run.t[0], *jumps])).min(initial=MIN_SAMPLES)
+            if apart < MIN_SAMPLES:  # too few for splines through the inputs
+                raise ModelError(
+                    f"expected at least {MIN_SAMPLES} samples between changes of the commands for "
+                    f"a replay, found {apart}; reduce 'step' in [time]"
+                )
             motion, gaps = replay(direct, run, inputs, jumps=jumps, options=options)
             facts |= {f"{REPLAY}{name}": Fact(gap, unit_of(name)) for name, gap in gaps.items()}
             if (stop := motion.stop) is not None and run.stop is None:
                 facts["stopped_replay"] = Fact(f"at {stop.t:.6g} s: {stop.words}")
     except (SlipfreeError, np.linalg.LinAlgError) as error:
         facts["stopped_replay"] = Fact(str(error))
-    at_stop = [c.name for c in setup.vehicle.of("commanded") if _reaches_stop(c, run)]
+    followed = [c for c in setup.vehicle.of("commanded") if f"{c.name}_error" in run.columns]
+    to_stop = [np.fmin(c.upper - run[c.name], run[c.name] - c.lower).min() for c in followed]
+    pairs = zip(followed, to_stop, strict=True)
+    at_stop = [c.name for c, distance in pairs if distance < 2 * STOP_CLEARANCE]
     return run.with_facts({**facts, "held_at_stop": Fact(at_stop)})
-
-
-def _reaches_stop(c: Coordinate, run: Trajectory) -> bool:
-    """Return whether a coordinate that follows commands reaches one of its stops."""
-    angle = run[c.name]
-    distance = np.minimum(c.upper - angle, angle - c.lower).min()
-    return f"{c.name}_error" in run.columns and bool(distance < 2 * STOP_CLEARANCE)
-
-
-def _check_samples(t: Array, jumps: Sequence[float]) -> None:
-    """Raise ModelError if samples between jumps are too few for splines through the inputs."""
-    places = np.searchsorted(t, [t[0], *jumps])
-    if jumps and np.diff(places).min() < MIN_SAMPLES:
-        raise ModelError(
-            f"expected at least {MIN_SAMPLES} samples between changes of the commands for a "
-            f"replay, found {np.diff(places).min()}; reduce 'step' in [time]"
-        )
-
-
-def _jumps(setup: Setup, run: Trajectory) -> list[float]:
-    values: list[Any] = [v for v in leaves(setup.inputs) if isinstance(v, np.ndarray)]
-    where = {k + 1 for each in values for k in np.flatnonzero(np.diff(each))}
-    return [float(setup.t[k]) for k in sorted(where) if setup.t[k] < run.t[-1]]
