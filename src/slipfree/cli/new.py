@@ -93,55 +93,40 @@ def new(
                 else "new: expected direct, plan or atlas with --ground and --vehicle, found "
                 "inverse; omit them, and enter map and vehicle in the file"
             )
-        tables = _own_tables(kind, out.parent, ground, vehicle, settings or [], trust)
+        from slipfree.problem.build_vehicle import build_vehicle
+        from slipfree.problem.ground_survey import stand
+        from slipfree.routing.traversability import extents
+
+        for each in settings or []:
+            if not each.startswith(tuple(f"{name}." for name in OWN)):
+                raise DataError(
+                    f"--set: expected a key of {' or '.join(f'[{name}]' for name in OWN)}, found "
+                    f"{each!r}; change other keys in the written file"
+                )
+        with as_arguments():
+            problem, surface = ground_of(ground, vehicle, settings or [], trust)
+            pose, ((_, words), *_) = stand(problem, surface.grid)
+        if not pose:
+            raise DataError(
+                f"{ground}: expected a place where the vehicle stands, found that it stands "
+                f"{words}; choose another map or vehicle"
+            )
+        spec = problem.spec
+        tables = {name: getattr(spec, name).model_dump(exclude_unset=True) for name in OWN}
+        for table in tables.values():
+            if "file" in table:
+                table["file"] = Path(os.path.relpath(table["file"], out.parent)).as_posix()
+        tables["terrain"].setdefault("friction", FRICTION)
+        heading, place = pose["heading"], {name: round(pose[name], 3) for name in "xy"}
+        if kind is not Kind.atlas:
+            tables["start"] = {**place, "heading": f"{math.degrees(heading) % 360:g} deg"}
+        if kind is Kind.plan:
+            reach = extents(build_vehicle(problem))[2]
+            tables["goal"] = _goal(surface.grid, place, heading, reach)
         text = _with_tables(text, kind, f"{Path(vehicle).stem} on {ground.stem}", tables)
     write_new_file(text, out, force)
     solve = "atlas" if kind is Kind.atlas else "run"
     print_line(f"wrote {out}: slipfree check {word} && slipfree {solve} {word}")
-
-
-def _own_tables(
-    kind: Kind,
-    folder: Path,
-    ground: Path,
-    vehicle: str,
-    settings: list[str],
-    trust: list[Path] | None,
-) -> dict[str, dict[str, Any]]:
-    """Return the tables of a problem in a folder with a map, a vehicle and where it stands."""
-    from slipfree.problem.build_vehicle import build_vehicle
-    from slipfree.problem.ground_survey import stand
-    from slipfree.routing.traversability import extents
-
-    for each in settings:
-        if not each.startswith(tuple(f"{name}." for name in OWN)):
-            raise DataError(
-                f"--set: expected a key of {' or '.join(f'[{name}]' for name in OWN)}, found "
-                f"{each!r}; change other keys in the written file"
-            )
-    with as_arguments():
-        problem, surface = ground_of(ground, vehicle, settings, trust)
-        pose, ((_, words), *_) = stand(problem, surface.grid)
-    if not pose:
-        raise DataError(
-            f"{ground}: expected a place where the vehicle stands, found that it stands {words}; "
-            "choose another map or vehicle"
-        )
-    spec = problem.spec
-    tables = {name: getattr(spec, name).model_dump(exclude_unset=True) for name in OWN}
-    for table in tables.values():
-        if "file" in table:
-            table["file"] = Path(os.path.relpath(table["file"], folder)).as_posix()
-    tables["terrain"].setdefault("friction", FRICTION)
-    if kind is Kind.atlas:
-        return tables
-    heading = pose["heading"]
-    place = {name: round(pose[name], 3) for name in "xy"}
-    tables["start"] = {**place, "heading": f"{math.degrees(heading) % 360:g} deg"}
-    if kind is Kind.plan:
-        reach = extents(build_vehicle(problem))[2]
-        tables["goal"] = _goal(surface.grid, place, heading, reach)
-    return tables
 
 
 def _goal(grid: Grid, place: Mapping[str, float], heading: float, reach: float) -> dict[str, float]:
@@ -216,7 +201,10 @@ def examples(
     wanted = dict.fromkeys(name.removesuffix(".toml") for name in names or shipped)
     for name in wanted:
         if name not in shipped:
-            raise DataError(_unknown(name, list(shipped)))
+            raise DataError(
+                f"NAME: expected the name of a shipped problem, found {name!r}; "
+                f"{similar(name, list(shipped))}list them with slipfree examples"
+            )
     _copy([*wanted], shipped, Path() if to is None else to, force)
 
 
@@ -288,10 +276,3 @@ def _files(table: Any) -> Iterator[str]:
             yield from _files(value) if key != "output" else ()
         elif key in NEED and isinstance(value, str):
             yield value
-
-
-def _unknown(name: str, known: list[str]) -> str:
-    return (
-        f"NAME: expected the name of a shipped problem, found {name!r}; {similar(name, known)}"
-        "list them with slipfree examples"
-    )

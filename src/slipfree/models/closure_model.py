@@ -69,6 +69,8 @@ def closure_dae(
     rates, and of the forces that follow from them. Other arguments are those of `Dae`.
     """
     rates, sampled = q.rates, force_outputs(q, labels.y.forces)
+    parts = q.mechanics
+    holding = Holding(parts.free, parts.load / parts.weight, ca.vertcat(*parts.friction))
     y = outputs(q, sampled)
     heights, centers = level_heights(q)
     pose = ca.vertcat(ca.sum1(heights) / len(centers), ca.SX.zeros(2 + len(q.position.suspension)))
@@ -89,14 +91,9 @@ def closure_dae(
         continuation=continuation,
         linear=law.linear,
         discs=discs,
-        holding=_holding(q) if q.vehicle.mass else None,
+        holding=holding if q.vehicle.mass else None,
         leading_rates=ca.vertcat(rates.z, rates.roll, rates.pitch, *rates.suspension),
     )
-
-
-def _holding(q: Quantities) -> Holding:
-    parts = q.mechanics
-    return Holding(parts.free, parts.load / parts.weight, ca.vertcat(*parts.friction))
 
 
 def _closures(q: Quantities) -> ca.SX:

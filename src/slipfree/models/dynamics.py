@@ -344,7 +344,12 @@ def equations_of_motion(
             spins.append((on.torque - on.resisting) / (wheel.axial + wheel.rotor))
             torques.append(on.torque)
         integrals.extend(on.integral_rate)
-    attitude = ca.vertcat(*x.omega) if vehicle.planar else _attitude_rate(x)
+    attitude = ca.vertcat(*x.omega)
+    if not vehicle.planar:  # the rate of the quaternion
+        quaternion, omega = ca.vertcat(*x.attitude), attitude
+        scalar, vector = quaternion[0], quaternion[1:]
+        change = ca.vertcat(-ca.dot(omega, vector), scalar * omega + ca.cross(omega, vector)) / 2
+        attitude = change + NORMALISATION * (1 - ca.sumsqr(quaternion)) * quaternion
     speeds = *x.velocity, attitude, *x.joint_speeds
     free = accelerations[[*_free_speeds(vehicle), *range(6, accelerations.numel())]]
     ode = ca.vertcat(*speeds, free, *spins, *integrals, *joint_integrals)
@@ -410,11 +415,3 @@ def _accelerations(
     pairs = zip(vehicle.coordinates, ca.vertsplit(efforts)[6:], strict=True)
     actuators = tuple(effort for c, effort in pairs if c.kind == "commanded")
     return found, actuators, tuple(integral_rates)
-
-
-def _attitude_rate(x: DynamicState) -> ca.SX:
-    attitude, omega = ca.vertcat(*x.attitude), ca.vertcat(*x.omega)
-    scalar, vector = attitude[0], attitude[1:]
-    turning = ca.vertcat(-ca.dot(omega, vector), scalar * omega + ca.cross(omega, vector)) / 2
-    rate: ca.SX = turning + NORMALISATION * (1 - ca.sumsqr(attitude)) * attitude
-    return rate

@@ -132,7 +132,14 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
     watched, shown = continued[:3], [ca.densify(continued[k]) for k in (3, 1)]
     ode, *parts = ca.substitute(continued[4:], [inputs], [ca.vertcat(ca.SX(0, 1), *law)])
     blocks = _equation_blocks(dae, law, u, continuation, compiled=compiled)
-    first = _first_dependent_block(ode, parts, z, blocks)
+    # Blocks after the last one on which the states or earlier equations depend are solved after the
+    # motion; a model whose states depend on no unknown is still solved for its first block.
+    first = len(blocks)
+    while first > 1:
+        others = ca.vertcat(ode, *parts[: first - 1])
+        if ca.depends_on(others, z[blocks[first - 1].span]):
+            break
+        first -= 1
     motion, dependent = blocks[:first], blocks[first:]
     m = z[: motion[-1].span.stop] if motion else z[:0]
     equations = motion_equations(dae, m.numel(), law, u, compiled=compiled)
@@ -146,20 +153,6 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
         equations.jacobian,
         _output_function(dae, law, u, shown),
     )
-
-
-def _first_dependent_block(
-    ode: ca.SX, parts: list[ca.SX], z: ca.SX, blocks: tuple[Block, ...]
-) -> int:
-    """Return the index of the first block that is solved after the motion, at least 1."""
-    first = len(blocks)
-    for index in reversed(range(len(blocks))):
-        others = ca.vertcat(ode, *parts[:index])
-        if ca.depends_on(others, z[blocks[index].span]):
-            break
-        first = index
-    # A model whose states depend on no unknown is still solved for its first block.
-    return max(first, 1)
 
 
 def _output_function(dae: Dae, law: list[ca.SX], u: ca.SX, shown: list[ca.SX]) -> ca.Function:
