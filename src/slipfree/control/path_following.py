@@ -230,8 +230,20 @@ def _planar_inputs(
     pace, turning = abs(speed) / plan.base, required
     rates = dict.fromkeys((c.name for c in driven_vehicle(model).of("commanded")), ca.SX(0))
     if plan.steered:
-        turning = _turning_rate(plan, v)
-        rates |= _steering_rates(plan, v, required, speed)
+        slopes = [ca.tan(each.angle) for each in plan.steered]
+        pairs = zip(plan.steered, slopes, strict=True)
+        # the rate on a plane with the current steering angles
+        turning = sum((v * s / (each.forward - each.right * s) for each, s in pairs), ca.SX(0))
+        turning /= len(slopes)
+
+        def target(each: _PlanarWheel) -> ca.SX:
+            ahead = v + each.right * required
+            # sideways over forward velocity, regularised where the latter changes its sign
+            slope = each.forward * required * ahead / (ahead**2 + (LOW_SPEED_RATIO * speed) ** 2)
+            return MAX_STEER_ANGLE * ca.tanh(ca.atan(slope) / MAX_STEER_ANGLE)
+
+        errors = _steering_errors(plan, target)
+        rates |= {name: STEER_GAIN * pace * error for name, error in errors.items()}
     tilts = [states[each.leans] for each in plan.wheels if each.leans]
     if tilts:
         radius = float(np.mean([each.wheel.radius for each in plan.wheels if each.leans]))
@@ -245,19 +257,6 @@ def _planar_inputs(
     return unpack(model.u, [*wheels, *rates.values()])
 
 
-def _steering_rates(
-    plan: _PlanarGeometry, v: ca.SX, turning: ca.SX, speed: float
-) -> dict[str, ca.SX]:
-    def target(each: _PlanarWheel) -> ca.SX:
-        ahead = v + each.right * turning
-        # sideways over forward velocity, regularised where the forward velocity changes its sign
-        slope = each.forward * turning * ahead / (ahead**2 + (LOW_SPEED_RATIO * speed) ** 2)
-        return MAX_STEER_ANGLE * ca.tanh(ca.atan(slope) / MAX_STEER_ANGLE)
-
-    gain = STEER_GAIN * abs(speed) / plan.base
-    return {name: gain * error for name, error in _steering_errors(plan, target).items()}
-
-
 def _steering_errors(
     plan: _PlanarGeometry, target: Callable[[_PlanarWheel], ca.SX]
 ) -> dict[str, ca.SX]:
@@ -269,15 +268,6 @@ def _steering_errors(
             errors[name] = errors.get(name, 0) + effect * error
             sizes[name] = sizes.get(name, 0) + effect**2
     return {name: error / sizes[name] for name, error in errors.items()}
-
-
-def _turning_rate(plan: _PlanarGeometry, v: ca.SX) -> ca.SX:
-    """Return the turning rate on a plane with the current steering angles [rad/s]."""
-    total = ca.SX(0)
-    for each in plan.steered:
-        slope = ca.tan(each.angle)
-        total += v * slope / (each.forward - each.right * slope)
-    return total / len(plan.steered)
 
 
 def wheel_rate(each: _PlanarWheel, v: ca.SX, turning: ca.SX, moving: dict[ca.SX, ca.SX]) -> ca.SX:

@@ -233,11 +233,31 @@ def _newton(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> _Newton
     ``c`` is the radius of a wheel's friction disc, ``t`` its tangential force and ``y_max`` the
     largest internal force. With ``a = c - t``, ``b = c + t`` and e the direction of t, the Hessian
     is a sum of squares of the relative slopes of a and b, and of the component of t across e;
-    there is no cancellation near the cone. It is factorised without being formed: a wheel with
-    almost no load has slopes 1e9 times those of the others, whose squares would vanish in the sum.
+    there is no cancellation near the cone. It is factorised without being formed, as ``R' R`` with
+    the rows R (n, 3 m, k): a wheel with almost no load has slopes 1e9 times those of the others,
+    whose squares would vanish in the sum.
     """
-    rows, radius_rate, normal_rate, inverse = _hessian_rows(contacts, y, level, goal)
-    k, m = y.shape[1], inverse.shape[1] // 2
+    along = contacts.along + _apply(contacts.along_slope, y)
+    across = contacts.across + _apply(contacts.across_slope, y)
+    normal = _normal(contacts, y)
+    factor = goal.fixed + goal.factor * level[:, None]
+    radius = factor * normal + goal.shift * level[:, None]
+    slope = factor[..., None] * contacts.normal_slope
+    size = np.hypot(along, across)
+    some = size > 0
+    e_along = np.divide(along, size, out=np.ones_like(size), where=some)[..., None]
+    e_across = np.divide(across, size, out=np.zeros_like(size), where=some)[..., None]
+    outward = e_along * contacts.along_slope + e_across * contacts.across_slope
+    sideways = e_along * contacts.across_slope - e_across * contacts.along_slope
+    k, m = y.shape[1], size.shape[1]
+    with np.errstate(divide="ignore", invalid="ignore"):  # where rounding has left the cone: NaN
+        inverse = 1 / np.concatenate([radius - size, radius + size], 1)  # 1 / a and 1 / b
+        bend = np.sqrt(2 * inverse[:, :m] * inverse[:, m:])
+    radial = np.concatenate([slope - outward, slope + outward], 1) * inverse[..., None]
+    rows = np.concatenate([radial, bend[..., None] * sideways], 1)
+    # derivatives of the friction discs' radii and of their slopes with respect to the level
+    radius_rate = goal.factor * normal + goal.shift
+    normal_rate = goal.factor * contacts.normal_slope
     room = MAX_INTERNAL_FORCE**2 - (y * y).sum(1)
     edge = 2 * y / room[:, None]
     ball = np.sqrt(2 / room)[:, None, None] * np.eye(k)
@@ -254,36 +274,6 @@ def _newton(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> _Newton
     decrement = np.sqrt(np.maximum(-(gradient * step).sum(1), 0.0))
     gap = 2 * m / (weight * radius_rate).sum(1)  # parameter of the barrier divided by its rate
     return _Newton(step, solved[..., 1], decrement, gap)
-
-
-def _hessian_rows(
-    contacts: _Contacts, y: Array, level: Array, goal: _Goal
-) -> tuple[Array, Array, Array, Array]:
-    """Return a factor of the Hessian, derivatives with respect to the level, and 1 / a and 1 / b.
-
-    The Hessian is ``R' R`` with the rows R (n, 3 m, k). The derivatives are those of the friction
-    discs' radii (n, m) and of their slopes (n, m, k). ``a`` and ``b`` are those of `_newton`; their
-    reciprocals have the shape (n, 2 m).
-    """
-    along = contacts.along + _apply(contacts.along_slope, y)
-    across = contacts.across + _apply(contacts.across_slope, y)
-    normal = _normal(contacts, y)
-    factor = goal.fixed + goal.factor * level[:, None]
-    radius = factor * normal + goal.shift * level[:, None]
-    slope = factor[..., None] * contacts.normal_slope
-    size = np.hypot(along, across)
-    some = size > 0
-    e_along = np.divide(along, size, out=np.ones_like(size), where=some)[..., None]
-    e_across = np.divide(across, size, out=np.zeros_like(size), where=some)[..., None]
-    outward = e_along * contacts.along_slope + e_across * contacts.across_slope
-    sideways = e_along * contacts.across_slope - e_across * contacts.along_slope
-    m = size.shape[1]
-    with np.errstate(divide="ignore", invalid="ignore"):  # where rounding has left the cone: NaN
-        inverse = 1 / np.concatenate([radius - size, radius + size], 1)
-        bend = np.sqrt(2 * inverse[:, :m] * inverse[:, m:])
-    radial = np.concatenate([slope - outward, slope + outward], 1) * inverse[..., None]
-    rows = np.concatenate([radial, bend[..., None] * sideways], 1)
-    return rows, goal.factor * normal + goal.shift, goal.factor * contacts.normal_slope, inverse
 
 
 def _center(

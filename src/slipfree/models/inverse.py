@@ -47,7 +47,6 @@ from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.quantities import quantity_label
 from slipfree.core.rearrange import (
-    ModelVariable,
     blocks,
     rearrange,
     substitute,
@@ -244,7 +243,16 @@ def _commanded(direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
     )
     rows += [-error for name, error in zip(given, off, strict=True) if name in met]
     if not met:
-        goal = _least_departure(direct, guide.motion, off, command_sizes(vehicle, given))
+        # Half the squared slip of the guiding motion along driven wheels plus half the weighted
+        # squared errors. Where wheels cannot be steered along this motion, they rotate faster than
+        # in rolling; the slip is at most sqrt(ERROR_WEIGHT) / 2 times the error.
+        along, driving = ca.vertcat(*direct.y.slip_along), ca.vertcat(*direct.u.wheels)
+        turning = ca.jacobian(along, driving)
+        driven = [k for k in range(along.numel()) if turning[k, :].nnz()]
+        (moving,) = guided(direct, guide.motion, [along])
+        slip, sizes = (moving + turning @ driving)[driven], command_sizes(vehicle, given)
+        misses = ca.vertcat(*(size * error for size, error in zip(sizes, off, strict=True)))
+        goal = ca.SX(0.5 * (ca.sumsqr(slip) + ERROR_WEIGHT * ca.sumsqr(misses)))
     motion = minimum(
         direct,
         goal,
@@ -274,24 +282,6 @@ def _commanded(direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
         return replace(dae, suppress_algebraic=True)
     check = command_determinacy(direct, dae, met)
     return replace(dae, checks=(*dae.checks, check))
-
-
-def _least_departure(
-    direct: Dae, motion: Sequence[ModelVariable], off: Sequence[ca.SX], sizes: Sequence[float]
-) -> ca.SX:
-    """Return half the squared slip along driven wheels plus half the weighted squared errors.
-
-    The slip is that of the guiding motion. Where wheels cannot be steered along this motion, they
-    rotate faster than in rolling; the slip is at most ``sqrt(ERROR_WEIGHT) / 2`` times the error.
-    [m2/s2]
-    """
-    along, wheels = ca.vertcat(*direct.y.slip_along), ca.vertcat(*direct.u.wheels)
-    turning = ca.jacobian(along, wheels)
-    driven = [k for k in range(along.numel()) if turning[k, :].nnz()]
-    (moving,) = guided(direct, motion, [along])
-    slip = (moving + turning @ wheels)[driven]
-    errors = ca.vertcat(*(size * error for size, error in zip(sizes, off, strict=True)))
-    return ca.SX(0.5 * (ca.sumsqr(slip) + ERROR_WEIGHT * ca.sumsqr(errors)))
 
 
 def _multipliers(imposed: Imposed, given: Sequence[str]) -> list[Label]:

@@ -31,7 +31,6 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.closure import (
-    ContactFrame,
     closure,
     has_exact_closure,
     support_fault,
@@ -198,7 +197,10 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
         for contact, miss in zip(contacts, misses, strict=True)
     )
     slips = slip_velocities(state, surface)
-    parts = _at_rest(state._replace(vehicle=loaded(vehicle)), surface, slips)
+    parts = mechanics(state._replace(vehicle=loaded(vehicle)), surface, slips)
+    moving = ca.vertcat(pack(z.rates.motion), pack(u))  # at rest, dampers have no force
+    still = ca.substitute([parts.load, parts.held], [moving], [ca.SX.zeros(moving.shape)])
+    parts = parts._replace(load=still[0], held=still[1])
     depths = [ca.dot(contact.normal, miss) for contact, miss in zip(contacts, misses, strict=True)]
     pressed = press(vehicle, ca.vertcat(*depths), smoothing)
     groups = _groups(labels)
@@ -221,8 +223,8 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
     # a fixed order would fail at headings of right angles.
     pairs = zip(contacts, misses, strict=True)
     aligned = ca.vertcat(*((miss - c.normal * ca.dot(c.normal, miss))[:2] for c, miss in pairs))
-    sampled, still = force_outputs(q, labels.y.forces), z.rates
-    level = [*still[:2], still.heading, *joint_rates(q)]
+    sampled, r = force_outputs(q, labels.y.forces), z.rates
+    level = [*r[:2], r.heading, *joint_rates(q)]
     lowest = ca.mmin(level_heights(q)[0]) - max(wheel.depth for wheel in vehicle.numeric.wheels)
     below = [pose.origin[:2] for pose in q.poses]
     others = len(list(leaves(labels.z))) - 2 * len(below)
@@ -233,7 +235,7 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
         z,
         (Equations(labels.alg[0], aligned), law, Equations((), ca.SX(0, 1))),
         sampled,
-        ode=ca.vertcat(*level, still.z, still.roll, still.pitch, *still.suspension),
+        ode=ca.vertcat(*level, r.z, r.roll, r.pitch, *r.suspension),
         y=outputs(q, sampled)._replace(
             depth=tuple(ca.vertsplit(pressed.depth)),
             load_share=tuple(ca.vertsplit(len(depths) * pressed.load)),
@@ -260,16 +262,6 @@ def loaded(vehicle: Vehicle) -> Vehicle:
     x, y, z = (float(each) for each in ca.vertsplit(sum(pose.origin for pose in poses)))
     count = len(poses)
     return replace(vehicle, body=Body(1 / vehicle.gravity, (x / count, y / count, z / count)))
-
-
-def _at_rest(
-    state: VehicleState, contacts: tuple[ContactFrame, ...], slips: tuple[ca.SX, ...]
-) -> Mechanics:
-    """Return the terms of the equilibrium at rest, that is, without dampers."""
-    parts = mechanics(state, contacts, slips)
-    moving = ca.vertcat(pack(state.rates.motion), pack(state.u))
-    still = ca.substitute([parts.load, parts.held], [moving], [ca.SX.zeros(moving.shape)])
-    return parts._replace(load=still[0], held=still[1])
 
 
 def _groups(labels: Labels) -> tuple[list[int], list[int]]:

@@ -14,7 +14,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import pack
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.protocols import Equations, GroundLaw, SlidingContacts, quantity_labels
-from slipfree.models.base import Mechanics, Quantities
+from slipfree.models.base import Quantities
 from slipfree.models.closure_model import closure_dae, closure_quantities
 from slipfree.models.friction_feasibility import diagnosis, equilibrium
 from slipfree.models.kinematics import check_rollers
@@ -91,7 +91,22 @@ def quasi_statics(
     reaction = law.reaction(_sliding(z, q, turning), q.rates.law)
     q = q._replace(forces=Forces(reaction.along, reaction.across, reaction.normal))
     if reaction.torques:
-        q = q._replace(mechanics=_with_torques(q, reaction.torques, turning))
+        # The difference between the moment of the ground about an axle and that of the forces at
+        # the contact point acts on the rates in proportion to the wheel's angular velocity.
+        more, parts = list[ca.SX](), q.mechanics
+        columns = q.forces.along, q.forces.across, q.forces.normal, reaction.torques
+        for pose, at, *forces, torque in zip(q.poses, q.contacts, *columns, strict=True):
+            along, across, normal = forces
+            total = along * at.along + across * at.across + normal * at.normal
+            lever = ca.cross(at.point - pose.origin, total)
+            more.append(torque - ca.dot(pose.rotation[:, 0], lever))
+        moments, speeds = ca.vertcat(*more), ca.vertcat(*turning)
+        parts = parts._replace(
+            load=parts.load - ca.jacobian(speeds, pack(q.rates.motion)).T @ moments,
+            held=parts.held - ca.jacobian(speeds, pack(q.u)).T @ moments,
+            damped=parts.damped + ca.dot(moments, speeds),
+        )
+        q = q._replace(mechanics=parts)
     balance = Equations(
         (*equilibrium_labels(labels.z.rates), *reaction.equations.labels),
         ca.vertcat(equilibrium(q.mechanics, q.forces.column), reaction.equations.rows),
@@ -106,29 +121,6 @@ def quasi_statics(
         suppress_algebraic=True,  # rates under friction change too fast for an error test
         continuation=reaction.continuation,
         discs=reaction.discs,
-    )
-
-
-def _with_torques(
-    q: Quantities, torques: tuple[ca.SX, ...], turning: tuple[ca.SX, ...]
-) -> Mechanics:
-    """Return the terms of the equilibrium with moments of the ground about the axles.
-
-    The difference between such a moment and that of the forces at the contact point acts on the
-    rates in proportion to the wheel's angular velocity ``turning`` about its axle.
-    """
-    more = list[ca.SX]()
-    forces = zip(q.forces.along, q.forces.across, q.forces.normal, strict=True)
-    for pose, at, torque, force in zip(q.poses, q.contacts, torques, forces, strict=True):
-        along, across, normal = force
-        total = along * at.along + across * at.across + normal * at.normal
-        lever = ca.cross(at.point - pose.origin, total)
-        more.append(torque - ca.dot(pose.rotation[:, 0], lever))
-    moments, speeds, parts = ca.vertcat(*more), ca.vertcat(*turning), q.mechanics
-    return parts._replace(
-        load=parts.load - ca.jacobian(speeds, pack(q.rates.motion)).T @ moments,
-        held=parts.held - ca.jacobian(speeds, pack(q.u)).T @ moments,
-        damped=parts.damped + ca.dot(moments, speeds),
     )
 
 

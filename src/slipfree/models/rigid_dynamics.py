@@ -40,7 +40,6 @@ from slipfree.contact.touch import Touch
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Labels, Limit, Replay
 from slipfree.core.errors import ModelError
-from slipfree.core.lookups import LookupTable
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Label, leaves, symbols
 from slipfree.core.trajectory import Column, Trajectory
@@ -81,7 +80,7 @@ from slipfree.models.dynamics import (
     with_depths,
 )
 from slipfree.models.limits import limits_of
-from slipfree.models.multibody import Multibody, bias_forces, mass_matrix
+from slipfree.models.multibody import bias_forces, mass_matrix
 from slipfree.models.records import ContactPoint, Inputs
 from slipfree.models.standing import standing_start
 from slipfree.system.forks import computing
@@ -157,7 +156,14 @@ def rigid_dynamics(
     x, body, lookups = moving.x, moving.body, moving.lookups
     matrix = mass_matrix(body)
     check_inertia(vehicle, labels, x, matrix)
-    touches = _touches(ground, body, z.contacts, lookups)
+    touches = list[Touch]()  # at the ground points, with the points of the wheels
+    for motion, at in zip(body.wheels, z.contacts, strict=True):
+        frame = contact_frame(ground, at.x, at.y, motion.axle, lookups)
+        section = motion.wheel.section
+        point = motion.motion.pose.origin + section.support(-frame.normal, motion.axle)
+        gap = ca.dot(frame.normal, point - frame.point)
+        mu = motion.wheel.grip * ground.friction(at.x, at.y, lookups)
+        touches.append(Touch(gap, frame._replace(point=point), mu))
     slips = [slip_velocity(*each) for each in zip(body.wheels, touches, strict=True)]
     spins = tuple(wheel.spin for wheel in body.wheels)
     frames, share = tuple(each.frame for each in touches), vehicle.weight / len(vehicle.wheels)
@@ -256,21 +262,6 @@ def _without_unknowns(y: DynamicOutputs) -> DynamicOutputs:
     """Return the outputs of dynamics without those that are unknowns of rigid dynamics."""
     common = y.common._replace(force_normal=())
     return y._replace(contact_x=(), contact_y=(), common=common)
-
-
-def _touches(
-    terrain: Terrain, body: Multibody, points: Sequence[ContactPoint], lookups: LookupTable
-) -> list[Touch]:
-    """Return the contacts of the wheels at given ground points, with the points of the wheels."""
-    touches = list[Touch]()
-    for each, at in zip(body.wheels, points, strict=True):
-        wheel, pose = each.wheel, each.motion.pose
-        frame = contact_frame(terrain, at.x, at.y, each.axle, lookups)
-        point = pose.origin + wheel.section.support(-frame.normal, each.axle)
-        gap = ca.dot(frame.normal, point - frame.point)
-        friction = wheel.grip * terrain.friction(at.x, at.y, lookups)
-        touches.append(Touch(gap, frame._replace(point=point), friction))
-    return touches
 
 
 def _nearest_labels(vehicle: Vehicle) -> tuple[Label, ...]:

@@ -196,21 +196,13 @@ def overview(x: Array, y: Array, site: Site, tiles: Tiles) -> AtlasOverview:
             part = values[a, b]
             at = [-(-each.start // step) for each in (i, j)]
             maps[name].values[at[0] : at[0] + part.shape[0], at[1] : at[1] + part.shape[1]] = part
-    facts = _facts(maps, counts, reasons, least, wide)
     view = AtlasView(x[::step], y[::step], maps, reasons, poses.heading.size, site)
-    return AtlasOverview(view, facts)
-
-
-def _facts(
-    maps: Mapping[str, Band], counts: Array, reasons: tuple[str, ...], nodes: Array, wide: int
-) -> dict[str, Fact]:
-    """Return the shares of allowed poses and nodes, the medians of friction and the reasons."""
-    poses = float(counts.sum())
+    count = float(counts.sum())
     words = ("all headings are allowed", "some are", "none is")
-    facts = {"allowed_share": Fact(counts[0] / poses, "1", "share of the poses that are allowed")}
-    for name, count, meaning in zip(("all", "some", "no"), nodes, words, strict=True):
-        share = float(count / nodes.sum())
-        facts[f"{name}_headings_share"] = Fact(share, "1", f"share of the nodes where {meaning}")
+    facts = {"allowed_share": Fact(counts[0] / count, "1", "share of the poses that are allowed")}
+    for name, number, meaning in zip(("all", "some", "no"), least, words, strict=True):
+        of_nodes = float(number / least.sum())
+        facts[f"{name}_headings_share"] = Fact(of_nodes, "1", f"share of the nodes where {meaning}")
     friction = friction_maps(maps)
     for label, values in friction:
         known = values[np.isfinite(values)]
@@ -218,14 +210,14 @@ def _facts(
             facts[f"{label.name}_median"] = Fact(float(np.median(known)), "1", label.words)
     if friction:
         meaning = f"poses whose bounds of the least friction differ by more than {WIDE:g}"
-        facts["loose_bounds_share"] = Fact(wide / poses, "1", f"share of the {meaning}")
+        facts["loose_bounds_share"] = Fact(wide / count, "1", f"share of the {meaning}")
     excluded = [
-        {"reason": text, "share": float(count / poses)}
-        for text, count in zip(reasons, counts, strict=True)
-        if count and text != reasons[0]
+        {"reason": text, "share": float(number / count)}
+        for text, number in zip(reasons, counts, strict=True)
+        if number and text != reasons[0]
     ]
     facts["reasons"] = Fact(sorted(excluded, key=lambda row: -float(row["share"])))
-    return facts
+    return AtlasOverview(view, facts)
 
 
 def summary_lines(facts: Mapping[str, Fact]) -> Lines:

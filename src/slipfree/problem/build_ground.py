@@ -269,24 +269,24 @@ def _read(problem: Problem[S], known: dict[str, Extremes] | None) -> tuple[Map, 
         options: dict[str, Any] = {key: getattr(spec, key) for key in OF_FILES}
         if "vertical_scale" in spec.model_fields_set:
             options["vertical_scale"] = spec.vertical_scale
+        window = spec.window
+        if window is not None and spec.geographic is None:  # in coordinates of the file
+            a, b, c, d = (each / _scales(spec)[0] for each in window)
+            window = a, b, c, d
         with at(problem, ("terrain", "file")):
-            ground_map = _map_of(problem, spec.file, _file_window(spec), options, known)
+            ground_map = _map_of(problem, spec.file, window, options, known)
             if "vertical_scale" not in spec.model_fields_set:
                 _check_heights(ground_map, spec.scale)
         return ground_map, spec.file
     if spec.synthetic is not None:
         with at(problem, ("terrain", "synthetic")):
-            return Map(_synthetic(spec.synthetic)), "synthetic"
+            made, remedy = spec.synthetic, "increase 'spacing', or reduce the extent in 'x' and 'y'"
+            _check_size(made.x[1] - made.x[0], made.y[1] - made.y[0], made.spacing, remedy)
+            grid = blank(made.x, made.y, made.spacing)
+            grid = made.with_features(Grid(grid.x, grid.y, grid.z + made.base))
+            return Map(place_rocks(grid, map(Rock._make, made.placed_rocks))), "synthetic"
     with at(problem, ("terrain", "sample")):
         return Map(jacksboro()), "Jacksboro fault (sample of matplotlib)"
-
-
-def _file_window(spec: schema.TerrainTable) -> Window | None:
-    """Return the window of a problem in coordinates of the map file [m] or [deg]."""
-    if spec.window is None or spec.geographic is not None:
-        return spec.window
-    a, b, c, d = (each / _scales(spec)[0] for each in spec.window)
-    return a, b, c, d
 
 
 def _check_heights(ground_map: Map, scale: float) -> None:
@@ -339,15 +339,6 @@ def _friction(
         if not key.startswith("ground map")
     )
     return mu, f"{name}, {mu.values.min():g} to {mu.values.max():g}{details}"
-
-
-def _synthetic(spec: schema.Synthetic) -> Grid:
-    remedy = "increase 'spacing', or reduce the extent in 'x' and 'y'"
-    _check_size(spec.x[1] - spec.x[0], spec.y[1] - spec.y[0], spec.spacing, remedy)
-    grid = blank(spec.x, spec.y, spec.spacing)
-    grid = Grid(grid.x, grid.y, grid.z + spec.base)
-    grid = spec.with_features(grid)
-    return place_rocks(grid, map(Rock._make, spec.placed_rocks))
 
 
 def ground_facts(ground: GroundMap) -> Lines:

@@ -172,11 +172,9 @@ def _call_integrator(
         try:
             with suppress_messages(), _integrator(solver, observer, t, given, pace) as integrator:
                 arrays = [np.empty((t.size, integrator.size1_out(name))) for name in RESULTS]
-                given_arrays = dict(
-                    zip(map(integrator.index_in, ARGUMENTS), arguments, strict=True)
-                )
-                found_arrays = dict(zip(map(integrator.index_out, RESULTS), arrays, strict=True))
-                statistics = run_buffered(integrator, given_arrays, found_arrays).stats()
+                sources = dict(zip(map(integrator.index_in, ARGUMENTS), arguments, strict=True))
+                targets = dict(zip(map(integrator.index_out, RESULTS), arrays, strict=True))
+                statistics = run_buffered(integrator, sources, targets).stats()
             faster = observer.pace_of_long_steps(first)
             if not faster:
                 break

@@ -162,9 +162,19 @@ def simulate(
             kept, tail = whole.part(slice(found.k)), _locate(solver, whole, samples, found, stops)
             is_later = tail.t[0] > kept.t[-1]
             run = joined(kept, tail) if is_later else replace(kept, stop=tail.stop)
-        times = {
-            each.event.name: _event_times(solver, whole, samples, each, run) for each in watched
-        }
+        times = dict[str, Array]()
+        for each in watched:
+            name, stop = each.event.name, Stop(each.event.name, 0.0, "", Outcome.COMPLETE)
+            if each.event.stop:
+                times[name] = run.t[-1:] if run.stop and run.stop.name == name else run.t[:0]
+                continue
+            located = list[float]()
+            for k in crossing_indices(each, system, samples, solver.tolerance):
+                if whole.t[k - 1] < run.t[-1]:
+                    crossing = _Crossing(k, stop, each)
+                    tail = _locate(solver, whole, samples, crossing, [each], limited=False)
+                    located.extend(tail.t)
+            times[name] = np.array([at for at in located if at <= run.t[-1]])
         cost = {"tolerance": options.tolerance, "cpu_seconds": time.process_time() - clock}
         run = replace(run, statistics=counts | cost, events=times)
         return _finish_motion(system, run, samples, found, end)
@@ -285,23 +295,6 @@ def interrupted_at(t: float) -> Stop:
     """Return the stop of a motion that is interrupted at a time in s."""
     words = "Ctrl-C or the progress callable ended the integration"
     return Stop("interrupted", t, words, Outcome.INTERRUPTED)
-
-
-def _event_times(
-    solver: MotionSolver,
-    whole: Trajectory,
-    samples: Samples,
-    each: WatchedEvent,
-    run: Trajectory,
-) -> Array:
-    if each.event.stop:
-        return run.t[-1:] if run.stop and run.stop.name == each.event.name else run.t[:0]
-    stop, times = Stop(each.event.name, 0.0, "", Outcome.COMPLETE), list[float]()
-    for k in crossing_indices(each, solver.system, samples, solver.tolerance):
-        if whole.t[k - 1] < run.t[-1]:
-            found = _Crossing(k, stop, each)
-            times.extend(_locate(solver, whole, samples, found, [each], limited=False).t)
-    return np.array([each for each in times if each <= run.t[-1]])
 
 
 def _locate(

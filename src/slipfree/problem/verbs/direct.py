@@ -14,7 +14,7 @@ from pydantic import Field
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
-from slipfree.files.mcap import JointCommands, is_mcap, read_joint_commands
+from slipfree.files.mcap import is_mcap, read_joint_commands
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml.source import Fault, format_value
 from slipfree.files.toml.source import Place as KeyPath
@@ -84,8 +84,31 @@ def read_joint_inputs(problem: Problem[Any], file: str, vehicle: Vehicle) -> dic
             )
         commands = read_joint_commands(problem.folder / file)
         for joint, actuator in actuators.items():
-            if joint in commands and actuator.name not in inputs:
-                inputs[actuator.name] = _rates(joint, commands[joint], actuator, problem)
+            if joint not in commands or actuator.name in inputs:
+                continue
+            t, positions, velocities = commands[joint]
+            if np.isfinite(velocities).all():
+                rates = velocities / actuator.slope
+            elif np.isfinite(positions).all():
+                wanted = (positions - actuator.offset) / actuator.slope
+                name, first = actuator.name.removesuffix("_rate"), float(wanted[0])
+                start = spec.start.get(name, 0.0)
+                if not actuator.is_wheel and abs(start - first) > START_TOLERANCE:
+                    raise DataError(
+                        f"expected a start at the first position of joint {joint} in the file, "
+                        f"{name} = {first:.9g}, found {name} = {start:.9g}; set {name} = "
+                        f"{first:.9g} in [start]"
+                    )
+                rates = np.append(np.diff(wanted) / np.diff(t), 0.0)
+            else:
+                raise DataError(
+                    f"expected a velocity, or a position, of joint {joint} in every message that "
+                    "names it, found messages without velocity and messages without position; "
+                    "record either in every message"
+                )
+            later: Array = t if t[0] == 0 else np.append(0.0, t)
+            padded = np.append(np.zeros(later.size - rates.size), rates)
+            inputs[actuator.name] = tuple(zip(later.tolist(), padded.tolist(), strict=True))
         if not inputs:
             raise DataError(
                 f"{file}: expected commands of one or more of the joints {', '.join(actuators)}, "
@@ -123,33 +146,6 @@ def _actuators(vehicle: Vehicle, robot: Robot | None) -> dict[str, _Actuator]:
                 f"{name}_rate", float(slope), float(offset), name in wheels
             )
     return actuators
-
-
-def _rates(
-    joint: str, commands: JointCommands, actuator: _Actuator, problem: Problem[Any]
-) -> Piecewise:
-    """Return the rate of an input over time, from the commands of its joint."""
-    if np.isfinite(commands.velocities).all():
-        rates = commands.velocities / actuator.slope
-    elif np.isfinite(commands.positions).all():
-        wanted = (commands.positions - actuator.offset) / actuator.slope
-        name, first = actuator.name.removesuffix("_rate"), float(wanted[0])
-        start = problem.spec.start.get(name, 0.0)
-        if not actuator.is_wheel and abs(start - first) > START_TOLERANCE:
-            raise DataError(
-                f"expected a start at the first position of joint {joint} in the file, {name} = "
-                f"{first:.9g}, found {name} = {start:.9g}; set {name} = {first:.9g} in [start]"
-            )
-        rates = np.append(np.diff(wanted) / np.diff(commands.t), 0.0)
-    else:
-        raise DataError(
-            f"expected a velocity, or a position, of joint {joint} in every message that names it, "
-            "found messages without velocity and messages without position; record either in "
-            "every message"
-        )
-    later: Array = commands.t if commands.t[0] == 0 else np.append(0.0, commands.t)
-    padded = np.append(np.zeros(later.size - rates.size), rates)
-    return tuple(zip(later.tolist(), padded.tolist(), strict=True))
 
 
 class SampledDriver(ClimbingDriver):
