@@ -382,7 +382,7 @@ def test_a_start_that_the_integrator_rejects_is_made_consistent_and_taken(monkey
     start, t = settle(dae), np.linspace(0, 1, 6)
     inputs = dae.inputs(**PAPER_RATES)
     plain = simulate(dae, start, inputs, t, options=SolverOptions(tolerance=1e-6))
-    run_integrator, first = integrator._run, []
+    run_integrator, first = integrator.run_buffered, []
 
     def rejecting(*given):
         if first:
@@ -390,7 +390,7 @@ def test_a_start_that_the_integrator_rejects_is_made_consistent_and_taken(monkey
         first.append(given)
         raise RuntimeError("IDA_LINESEARCH_FAIL")
 
-    monkeypatch.setattr(integrator, "_run", rejecting)
+    monkeypatch.setattr(integrator, "run_buffered", rejecting)
     shifted = module._initial_sample(module.with_inputs(dae, inputs, 5), start, 0.0)
     shifted = shifted._replace(z=shifted.z + 1e-3)
     monkeypatch.setattr(module, "_initial_sample", lambda *_: shifted)
@@ -515,7 +515,9 @@ def test_steps_are_bounded_by_the_pace_under_later_inputs(share, calls, monkeypa
     dae = replace(dae, pace=30 * (share * own + (1 - share) * dae.x.values[0]))
     made = []
     monkeypatch.setattr(
-        integrator, "_run", lambda *a, run=integrator._run: made.append(run(*a)) or made[-1]
+        integrator,
+        "run_buffered",
+        lambda *a, run=integrator.run_buffered: made.append(run(*a)) or made[-1],
     )
     inputs = dae.inputs(drive=ca.tanh(3 * dae.t))
     run = simulate(dae, settle(dae, x0=0.0), inputs, np.linspace(0, 4, 3))

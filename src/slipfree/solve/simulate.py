@@ -132,9 +132,7 @@ def simulate(
     with InterruptGuard() as guard:
         system = with_inputs(model, inputs, t.size - 1, options)
         solver = MotionSolver(system, options.tolerance, _method(system, options.method), guard)
-        x, z, q = (model.rows(record, start, -1)[:, None] for record in "xzq")
-        z = solve_initial_conditions(system, t[0], x[:, 0], z[:, 0], system.u[:, 0])[:, None]
-        samples, counts = Samples(t[:1], x, z, q, system.u[:, :1]), dict.fromkeys(COUNTS, 0.0)
+        samples, counts = _initial_sample(system, start, t[0]), dict.fromkeys(COUNTS, 0.0)
         end: EarlyEnd | None = None
         clock = time.process_time()
         observer = StepObserver(guard, progress, guarded=True, polled=True)
@@ -210,6 +208,13 @@ def _method(system: System, method: Method | None) -> Method:
             "this model; use 'idas'"
         )
     return method
+
+
+def _initial_sample(system: System, start: Trajectory, t: float) -> Samples:
+    """Return the last sample of a trajectory at time ``t``, with consistent unknowns."""
+    x, z, q = (system.dae.rows(record, start, -1)[:, None] for record in "xzq")
+    z = solve_initial_conditions(system, t, x[:, 0], z[:, 0], system.u[:, 0])[:, None]
+    return Samples(np.array([t]), x, z, q, system.u[:, :1])
 
 
 class _Crossing(NamedTuple):
