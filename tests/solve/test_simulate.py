@@ -513,12 +513,8 @@ def test_steps_are_bounded_by_the_pace_under_later_inputs(share, calls, monkeypa
     dae = model(lambda _t, _x, u: u)
     own = dae.u.values[0]
     dae = replace(dae, pace=30 * (share * own + (1 - share) * dae.x.values[0]))
-    made = []
-    monkeypatch.setattr(
-        integrator,
-        "run_buffered",
-        lambda *a, run=integrator.run_buffered: made.append(run(*a)) or made[-1],
-    )
+    call, made = integrator.run_buffered, []
+    monkeypatch.setattr(integrator, "run_buffered", lambda *a: made.append(call(*a)) or made[-1])
     inputs = dae.inputs(drive=ca.tanh(3 * dae.t))
     run = simulate(dae, settle(dae, x0=0.0), inputs, np.linspace(0, 4, 3))
     assert len(made) == calls
