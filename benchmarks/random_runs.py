@@ -58,7 +58,7 @@ from helpers.random_cases import Outcome, draw, outcome
 from slipfree import Bicubic, SolverOptions, catalog, direct_kinematics, rollouts
 from slipfree.core.errors import SlipfreeError
 from slipfree.files import netcdf
-from slipfree.files.export import export_path
+from slipfree.files.netcdf import export_path
 from slipfree.problem.load import load_problem, verb_of
 from slipfree.problem.report import report
 from slipfree.problem.result import motion_facts, run_problem

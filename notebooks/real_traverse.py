@@ -36,9 +36,8 @@ from slipfree import (
 )
 from slipfree.core.errors import ModelError
 from slipfree.core.trajectory import path_length
-from slipfree.files.export import export_path
 from slipfree.files.maps.elevation import jacksboro
-from slipfree.files.netcdf import write
+from slipfree.files.netcdf import export_path, write
 from slipfree.routing.search import routes
 from slipfree.routing.traversability import blocking_reasons, traversability
 from slipfree.show import ground_drawing, motion_figures, style

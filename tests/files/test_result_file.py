@@ -21,8 +21,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Stop, Trajectory, thin
 from slipfree.files import netcdf
-from slipfree.files.export import export_path, export_rates
-from slipfree.files.netcdf import grid_mapping
+from slipfree.files.netcdf import export_path, export_rates, grid_mapping
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import run_problem
 

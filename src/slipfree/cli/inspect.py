@@ -246,8 +246,8 @@ def export(
     and joints for velocities of the platform, and the pose on the ground.
     """
     with about(file):
-        from slipfree.files.export import export_path, export_rates
         from slipfree.files.mcap import ros_package
+        from slipfree.files.netcdf import export_path, export_rates
         from slipfree.problem.result import export_mcap, result_files
 
         if mcap is not None:

@@ -308,14 +308,9 @@ def check_motion(
         chords = chords * np.where(travel < 0, -1, 1)
     if turn is not None:
         turns = change(turn)
-    if "heading" in values:
-        near = (0, step // 2, (step + 1) // 2, step)  # two rows in the middle if the step is odd
-        first, *middle, last = (values["heading"][rows + k] for k in near)
-        bent = np.angle(np.exp(1j * (last - first)))
-        by_wheels = 0.0 if turns is None else _correlation(bent, turns)
-        course = np.angle(chords) - zero
-        _check_headings(log, sign, course, np.array(middle), size, by_wheels, is_aligned, may_turn)
-    elif turns is not None:
+    if "heading" not in values:
+        if turns is None:
+            return
         later = np.isin(rows + step, rows)
         at = np.searchsorted(rows, rows[later] + step)
         bent = np.angle((chords[at] / chords[later]) ** sign) / sign
@@ -325,28 +320,12 @@ def check_motion(
                 "course that turns the other way; exchange the columns of the left and the right "
                 "side if they are swapped, or those of x and y if they are north and east"
             )
-
-
-def _correlation(one: Array, other: Array) -> float:
-    size = float(np.linalg.norm(one) * np.linalg.norm(other))
-    return float(one @ other) / max(size, 1e-300)
-
-
-def _check_headings(
-    log: MotionLog,
-    sign: int,
-    course: Array,
-    heading: Array,
-    size: Array,
-    by_wheels: float,
-    is_aligned: bool,
-    may_turn: bool,
-) -> None:
-    """Raise DataError if headings are degrees, clockwise, or turned against the courses.
-
-    Courses are known up to half a turn if ``sign`` is 2; their weights are the sizes of chords.
-    ``by_wheels`` is the correlation of the turns of headings and wheels.
-    """
+        return
+    near = (0, step // 2, (step + 1) // 2, step)  # two rows in the middle if the step is odd
+    first, *middle, last = (values["heading"][rows + k] for k in near)
+    bent = np.angle(np.exp(1j * (last - first)))
+    by_wheels = 0.0 if turns is None else _correlation(bent, turns)  # of the turns of headings
+    course, heading = np.angle(chords) - zero, np.array(middle)
     weight = size / size.sum()
     alike = {  # mean direction of courses from headings that are read in this way
         factor: complex(np.exp(1j * sign * (course - factor * heading)).mean(axis=0) @ weight)
@@ -389,6 +368,11 @@ def _check_headings(
         f"{log.path}: expected headings {expected}, found {found} (heading {heading[0, k]:.4g} rad "
         f"at the course {course[k]:.4g} rad); {remedy}"
     )
+
+
+def _correlation(one: Array, other: Array) -> float:
+    size = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return float(one @ other) / max(size, 1e-300)
 
 
 def _check_travel(

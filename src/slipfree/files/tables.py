@@ -100,9 +100,11 @@ LARGE_TIMES = (
 )
 
 
-class _Layout(NamedTuple):
-    """Layout of the text of a table."""
+class _Table(NamedTuple):
+    """A table as text, and its layout."""
 
+    path: Path
+    file: TextIO
     separator: str | None  # of the columns; None for blanks
     first: int  # number of the first row's line
     header: str  # line with the names; empty without one
@@ -113,6 +115,24 @@ class _Layout(NamedTuple):
     @property
     def columns(self) -> list[str]:
         return self.names or [str(k + 1) for k in range(len(self.row))]
+
+    def lines(self, wanted: str) -> Iterator[tuple[int, str]]:
+        """Yield number and text of the line of each row; DataError for a row of another width."""
+        separator, width = self.separator, len(self.row)
+        self.file.seek(0)
+        for number, line in enumerate(self.file, start=1):
+            text = _line_body(line, separator)
+            if not text or number < self.first or text == self.header:  # repeated in joined files
+                continue
+            count = 0 if separator is None or '"' in text else text.count(separator) + 1
+            if count != width and not _has_width(_line_cells(text, separator), width):
+                raise self.error(number, text, wanted, "correct or remove the line")
+            yield number, text
+
+    def error(self, number: int, text: str, wanted: str, remedy: str) -> DataError:
+        """Return the error of a line."""
+        found = text[:SHOWN]
+        return DataError(f"{self.path}:{number}: expected {wanted}, found {found!r}; {remedy}")
 
 
 class Columns(NamedTuple):
@@ -143,7 +163,7 @@ def read_names(path: Path, expected: str) -> list[str]:
     """Return the names of a table's columns without units; ``"1"``, ``"2"``, ... if it has none."""
     if is_mcap(path):
         return [*read_mcap(path, "v_x")]
-    layout = _table_layout(path, _opened(path, expected))
+    layout = _opened(path, expected)
     bases = [split_unit(name)[0] for name in layout.columns]
     return ["t" if base.lower() in ALIASES[0] else base for base in bases]
 
@@ -171,8 +191,7 @@ def read_columns(
     if is_mcap(path):
         table = read_mcap(path, [*names][-1])
         return Columns({key: table[name] for key, name in names.items()})
-    file = _opened(path, expected)
-    layout = _table_layout(path, file)
+    layout = _opened(path, expected)
     width, count = len(layout.row), len(names)
     wanted = f"{COUNTS.get(count, count)} numbers {','.join(names)}"
     notes = []
@@ -180,19 +199,18 @@ def read_columns(
         chosen = {name: (k, "") for k, name in enumerate(names)}
         if width > count and others:
             if not layout.names:
-                _check_first_column(path, file, layout, wanted, where)
+                _check_first_column(layout, wanted, where)
             notes = [f"{', '.join(names)} are the first {count} of {width} columns"]
         elif width != count and layout.row:
             text = (layout.separator or " ").join(layout.row)
             remedy = f"name the columns in {where}, or correct the line"
-            raise _line_error(path, layout.first, text, wanted, remedy)
+            raise layout.error(layout.first, text, wanted, remedy)
     else:
-        chosen = _choose(path, layout, names, where)
+        chosen = _choose(layout, names, where)
     if width > count:  # of rows that are too short
         wanted = f"{width} values as in the first row, with numbers for {','.join(names)}"
-    file.seek(0)
     free = {key for key in chosen if key.split(":")[0] in optional}
-    numbers = _read_numbers(path, file, layout, chosen, wanted, free)
+    numbers = _read_numbers(layout, chosen, wanted, free)
     read = dict(zip(chosen, numbers.T, strict=True))
     if "t:s" in read:
         read["t"], chosen["t"] = 1e9 * read["t:s"] + read["t:n"], (chosen["t:s"][0], "ns")
@@ -217,10 +235,7 @@ def line_of(path: Path, row: int) -> int:
     """Return the number of the line of a row of a table, which counts from zero."""
     if path.suffix.lower() in (".mcap", ".nc"):
         return row + 1
-    file = _opened(path, "a table")
-    layout = _table_layout(path, file)
-    file.seek(0)
-    return next(islice(_lines(path, file, layout, "numbers"), row, None))[0]
+    return next(islice(_opened(path, "a table").lines("numbers"), row, None))[0]
 
 
 def known_unit(text: str) -> tuple[str, float] | None:
@@ -238,7 +253,8 @@ def split_unit(name: str) -> tuple[str, str]:
     return name, ""
 
 
-def _opened(path: Path, expected: str) -> TextIO:
+def _opened(path: Path, expected: str) -> _Table:
+    """Return a table, with the separator that divides most lines alike."""
     content = read_bytes(path, f"{expected} as text")
     check_ending(path, "table", f"{expected} as text")
     check_contents(path, "table", f"{expected} as text")
@@ -251,7 +267,24 @@ def _opened(path: Path, expected: str) -> TextIO:
         except UnicodeDecodeError as error:
             if error.start <= len(content[:HEAD]) - 4:  # else only the last character is cut
                 encoding = "cp1252"
-    return io.TextIOWrapper(io.BytesIO(content), encoding=encoding, errors="replace")
+    file = io.TextIOWrapper(io.BytesIO(content), encoding=encoding, errors="replace")
+    lines: list[str] = []
+    while len(lines) < SAMPLE[0] and sum(map(len, lines)) < SAMPLE[1] and (line := file.readline()):
+        lines.append(line)
+    candidates: list[tuple[int, str | None, int]] = []
+    for separator in SEPARATORS:
+        texts = [text for line in lines if (text := _line_body(line, separator))]
+        rows = [_line_cells(text, separator) for text in texts]
+        widths = Counter(len(row) for row in rows if len(row) > 1)
+        width, count = max(widths.items(), key=lambda item: item[1], default=(0, 0))
+        cells = [cell for row in rows if len(row) == width for cell in row]
+        is_split = not any(_is_row(cell.split(), None) for cell in cells)
+        if is_split and any(_is_number(cell, separator) for cell in cells):
+            candidates.append((count, separator, width))
+    if not candidates:
+        return _layout_of_names(path, file, lines)
+    _, separator, width = max(candidates, key=lambda candidate: candidate[0])
+    return _layout_with(path, file, lines, separator, width)
 
 
 def _line_body(line: str, separator: str | None) -> str:
@@ -288,32 +321,11 @@ def _converts(convert: Callable[..., float], *arguments: str | None) -> bool:
     return True
 
 
-def _table_layout(path: Path, file: TextIO) -> _Layout:
-    """Return the layout of a table, with the separator that divides most lines alike."""
-    lines: list[str] = []
-    while len(lines) < SAMPLE[0] and sum(map(len, lines)) < SAMPLE[1] and (line := file.readline()):
-        lines.append(line)
-    candidates: list[tuple[int, str | None, int]] = []
-    for separator in SEPARATORS:
-        texts = [text for line in lines if (text := _line_body(line, separator))]
-        rows = [_line_cells(text, separator) for text in texts]
-        widths = Counter(len(row) for row in rows if len(row) > 1)
-        width, count = max(widths.items(), key=lambda item: item[1], default=(0, 0))
-        cells = [cell for row in rows if len(row) == width for cell in row]
-        is_split = not any(_is_row(cell.split(), None) for cell in cells)
-        if is_split and any(_is_number(cell, separator) for cell in cells):
-            candidates.append((count, separator, width))
-    if not candidates:
-        return _layout_of_names(path, lines)
-    _, separator, width = max(candidates, key=lambda candidate: candidate[0])
-    return _layout_with(path, lines, separator, width)
-
-
 def _is_row(words: Sequence[str], separator: str | None) -> bool:
     return len(words) > 1 and all(_is_number(word, separator) for word in words)
 
 
-def _layout_of_names(path: Path, lines: Sequence[str]) -> _Layout:
+def _layout_of_names(path: Path, file: TextIO, lines: Sequence[str]) -> _Table:
     """Return the layout of a table without rows; raise DataError for rows that are not numbers."""
     used = [(k, text) for k, line in enumerate(lines, 1) if (text := _line_body(line, None))]
     number, text = used[-1] if used else (0, "")
@@ -324,10 +336,14 @@ def _layout_of_names(path: Path, lines: Sequence[str]) -> _Layout:
         )
     text = used[0][1] if used else ""
     separator = next((each for each in SEPARATORS[:-1] if each in text), None)
-    return _Layout(separator, 0, text, _line_cells(text, separator) if text else [], [], [])
+    return _Table(
+        path, file, separator, 0, text, _line_cells(text, separator) if text else [], [], []
+    )
 
 
-def _layout_with(path: Path, lines: Sequence[str], separator: str | None, width: int) -> _Layout:
+def _layout_with(
+    path: Path, file: TextIO, lines: Sequence[str], separator: str | None, width: int
+) -> _Table:
     """Return the layout of a table of known separator and width."""
     heads: list[tuple[int, str, list[str]]] = []  # lines of words before the first row
     comments: list[str] = []
@@ -363,7 +379,9 @@ def _layout_with(path: Path, lines: Sequence[str], separator: str | None, width:
             f"{text[:SHOWN]!r}; correct the line, or begin it with '#'"
         )
     _, header, names = named[-1] if named else (0, "", _commented_names(comments, separator, width))
-    return _Layout(separator, rows[0][0], header, names[:width], units[:width], rows[0][1][:width])
+    return _Table(
+        path, file, separator, rows[0][0], header, names[:width], units[:width], rows[0][1][:width]
+    )
 
 
 def _has_width(cells: Sequence[str], width: int) -> bool:
@@ -406,31 +424,27 @@ def _check_decimals(
             )
 
 
-def _check_first_column(path: Path, file: TextIO, layout: _Layout, wanted: str, where: str) -> None:
+def _check_first_column(layout: _Table, wanted: str, where: str) -> None:
     """Raise DataError if the first column counts or names the rows of a table without names."""
-    file.seek(0)
-    lines = _lines(path, file, layout, wanted)
-    cells = [_line_cells(text, layout.separator)[0] for _, text in lines]
+    cells = [_line_cells(text, layout.separator)[0] for _, text in layout.lines(wanted)]
     first = cells[0]
     counts = [str(k) for k in range(int(first), int(first) + len(cells))] if first.isdigit() else []
     if (len(cells) > 1 and cells == counts) or not _is_number(first, layout.separator):
         raise DataError(
-            f"{path}:{layout.first}: expected {wanted} in the first columns, found that the first "
-            f"column counts or names the rows, from {first!r}; name the columns in {where}, as in "
-            f"number,{wanted.split()[-1]}"
+            f"{layout.path}:{layout.first}: expected {wanted} in the first columns, found that the "
+            f"first column counts or names the rows, from {first!r}; name the columns in {where}, "
+            f"as in number,{wanted.split()[-1]}"
         )
 
 
-def _is_in_order(layout: _Layout, names: Collection[str], others: bool) -> bool:
+def _is_in_order(layout: _Table, names: Collection[str], others: bool) -> bool:
     """Return whether the columns are chosen by their order, not by their names."""
     bases = {split_unit(name)[0].lower() for name in layout.names}
     is_strange = not bases & set.union({*names}, *ALIASES)
     return not layout.names or (others and is_strange and len(layout.row) == len(names))
 
 
-def _choose(
-    path: Path, layout: _Layout, requested: Mapping[str, str], where: str
-) -> dict[str, tuple[int, str]]:
+def _choose(layout: _Table, requested: Mapping[str, str], where: str) -> dict[str, tuple[int, str]]:
     """Return the column and the unit of each requested quantity; DataError if it is not unique."""
     names = layout.columns
     bases = [split_unit(name) for name in names]
@@ -452,7 +466,7 @@ def _choose(
             columns = ", ".join(dict.fromkeys(requested.values()))
             fault = f"{len(indices)} columns {name!r}" if indices else f"no column {name!r}"
             raise DataError(
-                f"{path}: expected the columns {columns}, found {fault} among "
+                f"{layout.path}: expected the columns {columns}, found {fault} among "
                 f"{', '.join(names)[:LONG]}; name the columns in {where}"
             )
         k = indices[0]
@@ -488,12 +502,7 @@ def _check_unit(path: Path, title: str, unit: str, expected: str | None) -> None
 
 
 def _read_numbers(
-    path: Path,
-    file: TextIO,
-    layout: _Layout,
-    chosen: Mapping[str, tuple[int, str]],
-    wanted: str,
-    free: Collection[str],
+    layout: _Table, chosen: Mapping[str, tuple[int, str]], wanted: str, free: Collection[str]
 ) -> Array:
     """Return the numbers of the chosen columns, shape (n, n_chosen); NaN if missing and free."""
     if not layout.row:
@@ -505,7 +514,7 @@ def _read_numbers(
         if not _is_number(layout.row[k], separator) and _converts(_timestamp, layout.row[k])
     }
     optional = [key in free for key in chosen]
-    lines = (text for _, text in _lines(path, file, layout, wanted))
+    lines = (text for _, text in layout.lines(wanted))
     try:
         numbers: Array = np.loadtxt(
             (text if separator == "," else text.replace(",", ".") for text in lines),
@@ -520,9 +529,8 @@ def _read_numbers(
             return numbers
     except ValueError:
         pass
-    file.seek(0)  # read again, to name the line or to accept what numpy does not
-    rows = []
-    for number, text in _lines(path, file, layout, wanted):
+    rows = []  # read again, to name the line or to accept what numpy does not
+    for number, text in layout.lines(wanted):
         cells = _line_cells(text, separator)
         is_missing = [
             may and cells[k].lower() in MISSING for k, may in zip(indices, optional, strict=True)
@@ -540,25 +548,9 @@ def _read_numbers(
             remedy = (
                 DATES if re.match(r"\d+[-/.]\d+[-/.]\d{2}", text) else "correct or remove the line"
             )
-            raise _line_error(path, number, text, wanted, remedy)
+            raise layout.error(number, text, wanted, remedy)
         rows.append(values)
     return np.array(rows)
-
-
-def _lines(path: Path, file: TextIO, layout: _Layout, wanted: str) -> Iterator[tuple[int, str]]:
-    separator, width = layout.separator, len(layout.row)
-    for number, line in enumerate(file, start=1):
-        text = _line_body(line, separator)
-        if not text or number < layout.first or text == layout.header:  # repeated in joined files
-            continue
-        count = 0 if separator is None or '"' in text else text.count(separator) + 1
-        if count != width and not _has_width(_line_cells(text, separator), width):
-            raise _line_error(path, number, text, wanted, "correct or remove the line")
-        yield number, text
-
-
-def _line_error(path: Path, number: int, text: str, wanted: str, remedy: str) -> DataError:
-    return DataError(f"{path}:{number}: expected {wanted}, found {text[:SHOWN]!r}; {remedy}")
 
 
 def _timestamp(text: str) -> float:

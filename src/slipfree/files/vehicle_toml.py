@@ -25,7 +25,6 @@ from slipfree.core.arguments import WithUnit, degrees_question
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 from slipfree.files.toml.source import (
-    PIECE,
     Fault,
     Place,
     ProblemError,
@@ -43,6 +42,7 @@ from slipfree.files.toml.types import (
     Angle,
     AngleWithUnit,
     NonNegative,
+    Point,
     Positive,
     Quantity,
     Record,
@@ -54,7 +54,6 @@ from slipfree.files.toml.types import (
     record_of,
     unit_faults,
 )
-from slipfree.files.toml.types import Place as Place3
 from slipfree.geometry.frame import Vector, in_axes, unit_vector
 from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS, names_in
@@ -442,7 +441,7 @@ def _drive(data: Any) -> Drive:
 
 Axis = Annotated[Any, PlainValidator(_axis)]
 Rollers = Annotated[Any, PlainValidator(_rollers)]
-At = Annotated[Place3, _all(_meters)]
+At = Annotated[Point, _all(_meters)]
 Turned = Annotated[tuple[Angle, Angle, Angle], Field(strict=False), _all(in_radians)]
 Name = Annotated[str, Field(min_length=1)]
 Inertia = Annotated[tuple[float, float, float, float, float, float], Field(strict=False)]
@@ -616,25 +615,7 @@ def open_file(path: Path) -> File:
 def file_of(path: Path, text: str) -> File:
     """Return the contents of a text, with ``path`` as its file; errors as in `open_file`."""
     data = parse_toml(path, text)
-    lines = key_lines(text)
-    for part in PARTS:
-        if (part,) in lines and (part, 0) not in lines:
-            starts = _element_lines(text, lines[(part,)])
-            lines = {**lines, **{(part, index): line for index, line in enumerate(starts)}}
-    return File(Source(path, text, lines), data)
-
-
-def _element_lines(text: str, start: int) -> Iterator[int]:
-    """Yield the line numbers of the inline tables in an array that begins on line ``start``."""
-    line, depth = start, 0
-    rest = text.replace("\r\n", "\n").split("\n", start - 1)[-1]
-    for piece in PIECE.findall(rest):
-        if piece == "{" and depth == 1:
-            yield line
-        depth += (piece in "[{") - (piece in "]}")
-        line += piece.count("\n")
-        if depth == 0 and piece == "]":
-            return
+    return File(Source(path, text, key_lines(text)), data)
 
 
 def validated(model: type[Record], file: File) -> Any:

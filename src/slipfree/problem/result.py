@@ -17,8 +17,7 @@ from slipfree.core.facts import Fact, Lines, lines
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Stop, Trajectory, thin
-from slipfree.files.export import check_motion, check_name
-from slipfree.files.netcdf import read, read_arrays
+from slipfree.files.netcdf import check_motion, check_name, read, read_arrays
 from slipfree.files.toml.source import ProblemError
 from slipfree.plan.polynomial_motion import SavedPlan
 from slipfree.problem.build import Setup

@@ -20,13 +20,12 @@ from slipfree.terrain.base import (
     DerivativeBounds,
     Formula,
     Friction,
+    GroundFriction,
     Jet,
     bounds_of,
     check_formula,
     check_friction,
-    coefficient,
     jet_of,
-    map_domain,
     polynomial_jet,
     taylor_function,
 )
@@ -40,7 +39,7 @@ EVERYWHERE = (-math.inf, math.inf, -math.inf, math.inf)
 
 @checked
 @dataclass(frozen=True)
-class Analytic:
+class Analytic(GroundFriction):
     """A ground whose height is a formula.
 
     Its local coordinates are equal to its map coordinates.
@@ -103,16 +102,6 @@ class Analytic:
         """Map coordinates of the local origin: zero [m]."""
         return (0.0, 0.0, 0.0)
 
-    @property
-    def has_friction(self) -> bool:
-        """Whether a coefficient of friction was given."""
-        return self.mu is not None
-
-    @property
-    def friction_domain(self) -> tuple[float, float, float, float] | None:
-        """``x_min, x_max, y_min, y_max`` of a friction map; None without a map [m]."""
-        return map_domain(self.mu)
-
     def height(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
         """Return the height at a point [m]."""
         return (
@@ -129,10 +118,6 @@ class Analytic:
             jet = jet_of(ca.SX(self.function(u, v)), u, v)
             return Jet(*ca.substitute([*jet], [u, v], [x, y]))
         return polynomial_jet(lookups.find(self._taylor, ca.vertcat(x, y), order=4), TAYLOR, x, y)
-
-    def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
-        """Return the coefficient of friction at a point; 1 for a ground without coefficient [1]."""
-        return coefficient(self.mu, self._friction_map, self.origin, x, y, lookups)
 
     def hole_margin(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> None:
         """Return None: a formula has no holes."""

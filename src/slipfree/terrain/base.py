@@ -10,6 +10,7 @@ values instead of interpolating them: a jump between two nodes becomes a rise ov
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -450,37 +451,44 @@ def check_friction(mu: Friction) -> None:
         check_formula(mu, "friction", "coefficient")
 
 
-def coefficient(
-    mu: Friction,
-    surface: Terrain | None,
-    origin: tuple[float, float, float],
-    x: ca.SX,
-    y: ca.SX,
-    lookups: LookupTable,
-) -> ca.SX:
-    """Return the coefficient of friction at a local point [1].
+class GroundFriction:
+    """Friction of a ground: its coefficient ``mu``, or the surface of a map of coefficients."""
 
-    ``surface`` is the surface of a friction map in the same local coordinates, ``origin`` the map
-    coordinates of the local origin [m].
-    """
-    if isinstance(mu, float | int):
-        return ca.SX(mu)
-    if callable(mu):
-        here = x + origin[0], y + origin[1]
-        taylor = taylor_function(mu)
-        if taylor is None:
-            return ca.SX(mu(*here))
-        return polynomial_jet(
-            lookups.find(taylor, ca.vertcat(*here), order=4), TAYLOR, *here
-        ).height
-    if surface is None:
-        return ca.SX(1.0)
-    return surface.height(x, y, lookups) + surface.origin[2]
+    mu: Friction
 
+    @property
+    @abstractmethod
+    def origin(self) -> tuple[float, float, float]:
+        """Map coordinates of the local origin [m]."""
 
-def map_domain(mu: Friction) -> tuple[float, float, float, float] | None:
-    """Return ``x_min, x_max, y_min, y_max`` of a friction map; None without a map [m]."""
-    return mu.domain if isinstance(mu, Grid) else None
+    @property
+    @abstractmethod
+    def _friction_map(self) -> Terrain | None:
+        """Surface of a friction map in local coordinates; None without a map."""
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether a coefficient of friction was given."""
+        return self.mu is not None
+
+    @property
+    def friction_domain(self) -> tuple[float, float, float, float] | None:
+        """``x_min, x_max, y_min, y_max`` of a friction map; None without a map [m]."""
+        return self.mu.domain if isinstance(self.mu, Grid) else None
+
+    def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
+        """Return the coefficient of friction at a local point; 1 without a coefficient [1]."""
+        mu, surface = self.mu, self._friction_map
+        if isinstance(mu, float | int):
+            return ca.SX(mu)
+        if callable(mu):
+            here = x + self.origin[0], y + self.origin[1]
+            taylor = taylor_function(mu)
+            if taylor is None:
+                return ca.SX(mu(*here))
+            values = lookups.find(taylor, ca.vertcat(*here), order=4)
+            return polynomial_jet(values, TAYLOR, *here).height
+        return ca.SX(1.0) if surface is None else surface.height(x, y, lookups) + surface.origin[2]
 
 
 def pad_border(grid: Grid) -> Grid:

@@ -18,11 +18,10 @@ from slipfree.terrain.base import (
     DerivativeBounds,
     Friction,
     Grid,
+    GroundFriction,
     Jet,
     bounds_of,
     check_friction,
-    coefficient,
-    map_domain,
     pad_border,
     polynomial_jet,
 )
@@ -40,7 +39,7 @@ COLUMNS_AT_ONCE = 64  # splines solved together; their values stay in the proces
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Bicubic:
+class Bicubic(GroundFriction):
     """The bicubic not-a-knot spline through the heights of a grid.
 
     It is the surface of ``scipy.interpolate.RectBivariateSpline(x, y, z, s=0)``. Height and
@@ -133,16 +132,6 @@ class Bicubic:
         """Whether all nodes have the same height, without holes."""
         return self.grid.holes is None and bool(np.ptp(self.grid.z) == 0)
 
-    @property
-    def has_friction(self) -> bool:
-        """Whether a coefficient of friction was given."""
-        return self.mu is not None
-
-    @property
-    def friction_domain(self) -> tuple[float, float, float, float] | None:
-        """``x_min, x_max, y_min, y_max`` of a friction map; None without a map [m]."""
-        return map_domain(self.mu)
-
     def height(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
         """Return the local height at a local point [m]."""
         return self.jet(x, y, lookups).height
@@ -164,10 +153,6 @@ class Bicubic:
         asked = ca.MX.sym("asked", 6)
         question = ca.vertcat(asked, ca.DM([r1, r2, radius, self._kernel.key]))
         return ca.Function("search", [asked], [self._kernel.nearest(question)])
-
-    def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
-        """Return the coefficient of friction at a local point; 1 without a coefficient [1]."""
-        return coefficient(self.mu, self._friction_map, self.origin, x, y, lookups)
 
     def hole_margin(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX | None:
         """Return the distance of a local point from cells with a missing height [m].

@@ -199,9 +199,37 @@ def _curve(section: Section, count: int) -> ca.Function:
     return ca.Function("profile", [u], [*point]).map(count)
 
 
+@dataclass(frozen=True)
+class RoundSection(Section):
+    """Circular section: a tube around the wheel, also of radius zero, or about the centre."""
+
+    @property
+    @abstractmethod
+    def torus_radii(self) -> tuple[float, float]:
+        """Radii of the tube and of the circle of tube centres [m]."""
+
+    def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return axial and radial coordinates of the point with a given outward normal [m]."""
+        r1, r2 = self.torus_radii
+        return r1 * axial, r2 + r1 * radial
+
+    def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:
+        """Return the point of the surface with a given outward normal, shape (3, 1) [m].
+
+        It is ``r1 n + r2 e`` with the normal ``n`` and the unit vector ``e`` along the component of
+        ``n`` perpendicular to the axle.
+        """
+        r1, r2 = self.torus_radii
+        return r1 * normal + r2 * components(normal, axle)[2]
+
+    def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:  # noqa: ARG002 - constant
+        """Return the radius of the tube, the same for every normal [m]."""
+        return self.torus_radii[0] + 0 * axial  # SX or MX, as the normal
+
+
 @checked
 @dataclass(frozen=True)
-class Disc(Section):
+class Disc(RoundSection):
     """A thin disc.
 
     Attributes
@@ -217,14 +245,10 @@ class Disc(Section):
         """Radii of the disc as a torus [m]."""
         return 0.0, self.radius
 
-    def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002 - an edge
-        """Return axial and radial coordinates of the edge, the same for every normal [m]."""
-        return 0 * axial, self.radius + 0 * axial  # SX or MX, as the normal
-
 
 @checked
 @dataclass(frozen=True)
-class Sphere(Section):
+class Sphere(RoundSection):
     """Spherical wheel that rotates about an axle through its centre.
 
     Attributes
@@ -240,22 +264,10 @@ class Sphere(Section):
         """Radii of the sphere as a torus [m]."""
         return self.radius, 0.0
 
-    def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return axial and radial coordinates of the point with a given outward normal [m]."""
-        return self.radius * axial, self.radius * radial
-
-    def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:  # noqa: ARG002
-        """Return the point of the surface with a given outward normal, shape (3, 1) [m]."""
-        return self.radius * normal
-
-    def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:  # noqa: ARG002 - constant
-        """Return the radius of the sphere, the same for every normal [m]."""
-        return self.radius + 0 * axial  # SX or MX, as the normal
-
 
 @checked
 @dataclass(frozen=True)
-class Torus(Section):
+class Torus(RoundSection):
     """Torus: a wheel with a circular tread section.
 
     Attributes
@@ -273,22 +285,6 @@ class Torus(Section):
     def torus_radii(self) -> tuple[float, float]:
         """Radii of the tube and of the circle of tube centres [m]."""
         return self.r1, self.r2
-
-    def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return axial and radial coordinates of the point with a given outward normal [m]."""
-        return self.r1 * axial, self.r2 + self.r1 * radial
-
-    def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:
-        """Return the point of the surface with a given outward normal, shape (3, 1) [m].
-
-        It is ``r1 n + r2 e`` with the normal ``n`` and the unit vector ``e`` along the component of
-        ``n`` perpendicular to the axle.
-        """
-        return self.r1 * normal + self.r2 * components(normal, axle)[2]
-
-    def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:  # noqa: ARG002 - constant
-        """Return the radius of the tube, the same for every normal [m]."""
-        return self.r1 + 0 * axial  # SX or MX, as the normal
 
 
 @checked

@@ -70,8 +70,12 @@ class Body:
     __repr__ = field_overview
 
     def __post_init__(self) -> None:
-        if self.inertia is not None:
-            _check_inertia(self.inertia)
+        least = 1.0 if self.inertia is None else np.linalg.eigvalsh(tensor(self.inertia))[0]
+        if least <= 0:
+            raise ModelError(
+                "body: the principal moments of inertia must be positive, found the smallest to be "
+                f"{least:.3g} kg m^2; correct the inertia"
+            )
 
 
 @checked
@@ -438,16 +442,6 @@ def actuated(vehicle: Vehicle, *names: str) -> Vehicle:
         for c in vehicle.coordinates
     )
     return replace(vehicle, coordinates=coordinates)
-
-
-def _check_inertia(inertia: Elements) -> None:
-    """Raise ModelError unless the principal moments of inertia are positive."""
-    least = float(np.linalg.eigvalsh(tensor(inertia))[0])
-    if least <= 0:
-        raise ModelError(
-            "body: the principal moments of inertia must be positive, found the smallest to be "
-            f"{least:.3g} kg m^2; correct the inertia"
-        )
 
 
 def _check_unique(kind: str, names: Iterable[str]) -> None:

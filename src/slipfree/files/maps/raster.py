@@ -207,6 +207,14 @@ def _use_dataset(path: Path, use: Callable[[Any, bool], T]) -> T:
         content = path.read_bytes()[len(BOM_UTF8) :]
     # the name of an SRTM tile gives its position; others may have characters that GDAL rejects
     name = path.name if ending == ".hgt" else f"raster{ending if ending.isascii() else ''}"
+
+    def open_alone(asked: str, mode: str = "rb") -> BinaryIO:
+        # GDAL looks for masks, world files, .aux.xml and other files beside a raster, which can
+        # change heights and coordinates, or refer to network addresses
+        if Path(asked).name != name or not mode.startswith("r"):
+            raise FileNotFoundError(asked)
+        return io.BytesIO(content) if content else opened.enter_context(path.open("rb"))
+
     try:
         # the stack closes the streams of files that GDAL cannot read
         with ExitStack() as opened, _quiet_log(), rasterio.Env(GDAL_CACHEMAX=CACHE):
@@ -219,7 +227,7 @@ def _use_dataset(path: Path, use: Callable[[Any, bool], T]) -> T:
                 (folder / name).symlink_to(path.resolve())
                 dataset = rasterio.open(folder / name, driver=BY_NAME[head])
             else:
-                dataset = _open_alone(name, partial(_open_only, path, content, name, opened))
+                dataset = _first_dataset(name, open_alone)
             with dataset:
                 # without georeferencing some drivers return an uninitialized transform
                 is_warned = any(each.category is NotGeoreferencedWarning for each in noted)
@@ -236,7 +244,7 @@ def _use_dataset(path: Path, use: Callable[[Any, bool], T]) -> T:
         ) from error
 
 
-def _open_alone(name: str, opener: Callable[..., BinaryIO]) -> Any:
+def _first_dataset(name: str, opener: Callable[..., BinaryIO]) -> Any:
     """Return the open dataset of the first driver that can read a file, or raise its error."""
     import rasterio
     from rasterio.errors import RasterioIOError
@@ -273,19 +281,6 @@ def _quiet_log() -> Iterator[None]:
         yield
     finally:
         sys.excepthook, sys.unraisablehook = hooks
-
-
-def _open_only(
-    path: Path, content: bytes, known: str, opened: ExitStack, name: str, mode: str = "rb"
-) -> BinaryIO:
-    """Open the raster file for GDAL, or its content; raise FileNotFoundError for other files.
-
-    GDAL looks for masks, world files, ``.aux.xml`` and other files beside a raster, which can
-    change heights and coordinates, or refer to network addresses.
-    """
-    if Path(name).name != known or not mode.startswith("r"):
-        raise FileNotFoundError(name)
-    return io.BytesIO(content) if content else opened.enter_context(path.open("rb"))
 
 
 def _raw_pgm(content: bytes) -> bytes:

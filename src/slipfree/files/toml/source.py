@@ -147,7 +147,10 @@ def key_path(text: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=1)
 def key_lines(text: str) -> Mapping[Place, int]:
-    """Return the line of every key and table of a TOML text, except keys inside inline values."""
+    """Return the line of every key and table of a TOML text, also of inline tables in an array.
+
+    Keys inside inline values have no line of their own.
+    """
     lines: dict[Place, int] = {}
     counts: dict[Place, int] = {}
     table: Place = ()
@@ -168,7 +171,20 @@ def key_lines(text: str) -> Mapping[Place, int]:
         place = table if depth else (*table, *key)
         for end in range(1, len(place) + 1):
             lines.setdefault(place[:end], line)
+        tables = _inline_tables(statement[match.end() :]) if "{" in statement else ()
+        for index, below in enumerate(tables):
+            lines.setdefault((*place, index), line + below)
     return lines
+
+
+def _inline_tables(value: str) -> Iterator[int]:
+    """Yield the lines of the inline tables of an array, which count from that of the array."""
+    line = depth = 0
+    for piece in PIECE.findall(value):
+        if piece == "{" and depth == 1:
+            yield line
+        depth += (piece in "[{") - (piece in "]}")
+        line += piece.count("\n")
 
 
 def _resolved(key: tuple[str, ...], counts: Mapping[Place, int]) -> Place:

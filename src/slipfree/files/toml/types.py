@@ -29,8 +29,7 @@ from pydantic_core import PydanticCustomError
 
 from slipfree.core.arguments import MAX_NUMBER, WithUnit, degrees_question
 from slipfree.core.schema import Key, keys_of
-from slipfree.files.toml.source import Fault, format_value
-from slipfree.files.toml.source import Place as KeyPath
+from slipfree.files.toml.source import Fault, Place, format_value
 
 EXAMPLE = 'a number, or text with an angular unit, as in "30 deg" or "5 deg/s"'
 PAIRS = "a number, or an array of [time, value] pairs"
@@ -122,7 +121,7 @@ NonNegative = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(ge=0)]
 # arrays are read as tuples; types of elements are not converted
 Pair = Annotated[tuple[float, float], Field(strict=False)]
-Place = Annotated[tuple[float, float, float], Field(strict=False)]
+Point = Annotated[tuple[float, float, float], Field(strict=False)]
 Column = Annotated[tuple[float, ...], Field(strict=False)]
 Angles = Annotated[tuple[Angle, ...], Field(strict=False)]
 Window = Annotated[tuple[float, float, float, float], Field(strict=False)]
@@ -130,7 +129,7 @@ Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
 
 def unit_faults(
-    place: KeyPath, values: Mapping[str, Any], units: Mapping[str, str], *, bare: bool = False
+    place: Place, values: Mapping[str, Any], units: Mapping[str, str], *, bare: bool = False
 ) -> Iterator[Fault]:
     """Yield an error for each value with another unit, and if ``bare`` for angles above a turn."""
     for name, value in values.items():

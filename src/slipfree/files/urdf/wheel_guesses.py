@@ -525,7 +525,29 @@ def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Choice:
     excluded = {*excluded, *caster_wheels(tree, rolling)}
     wheels = [joint for joint in rolling if joint.name not in excluded]
     line = _along(tree, wheels)
-    pieces = [*evidence("forward", _forward_facts(tree, wheels, line))]
+    called = [j for j in tree.joints.values() if WHEEL.search(j.names)]
+    named = {ahead: _named_vector(tree, wheels, called, ahead) for ahead in ENDS}
+    misplaced = _misplaced(tree, wheels, line, np.sum([v for v, _ in named.values()], axis=0))
+    view = np.zeros(2)
+    for link, (rotation, _) in tree.frames.items():
+        if CAMERA.search(link) and not _sides(link) & {"rear", "left", "right"}:
+            view += rotation[:2, 2 if "optical" in link.lower() else 0]
+    vectors = {"steered": _to_steered(tree, wheels), "view": view}
+    if "x" not in line:
+        x, y = np.sum([tree.axis(joint)[:2] for joint in wheels], axis=0)
+        vectors["axes"] = np.array([y, -x])
+    for side, (vector, is_of_wheels) in named.items():
+        vectors[f"{side} of wheels" if is_of_wheels and not misplaced else side] = vector
+    facts: dict[str, Any] = {**misplaced, "convention": "x" in line}
+    for fact, vector in vectors.items():
+        size = float(np.linalg.norm(vector))
+        along = {name: float(vector @ DIRECTIONS[name]) for name in line}
+        ahead = max(line, key=lambda name: along[name])
+        if size > SMALL and along[ahead] > CLEAR * size:
+            facts[fact] = ahead
+        else:
+            facts[fact.replace(" of wheels", " on axles")] = size > SMALL and " of " in fact
+    pieces = [*evidence("forward", facts)]
     best, reason, rival, is_open, _ = weigh(pieces, line[0])
     if "x" not in line and not any(piece.weight for piece in pieces):
         words = "the axles point along x, and no name distinguishes front from rear"
@@ -545,31 +567,6 @@ def _along(tree: Tree, wheels: Sequence[UrdfJoint]) -> tuple[str, ...]:
     if least[0] >= PARALLEL:
         return "y", "-y"
     return ("x", "-x") if least[1] >= PARALLEL else ("x", "-x", "y", "-y")
-
-
-def _forward_facts(
-    tree: Tree, wheels: Sequence[UrdfJoint], line: tuple[str, ...]
-) -> dict[str, Any]:
-    """Return the facts on directions among those in which the wheels roll."""
-    rolling = [j for j in tree.joints.values() if WHEEL.search(j.names)]
-    named = {ahead: _named_vector(tree, wheels, rolling, ahead) for ahead in ENDS}
-    misplaced = _misplaced(tree, wheels, line, np.sum([v for v, _ in named.values()], axis=0))
-    vectors = {"steered": _to_steered(tree, wheels), "view": _view(tree)}
-    if "x" not in line:
-        x, y = np.sum([tree.axis(joint)[:2] for joint in wheels], axis=0)
-        vectors["axes"] = np.array([y, -x])
-    for side, (vector, is_of_wheels) in named.items():
-        vectors[f"{side} of wheels" if is_of_wheels and not misplaced else side] = vector
-    facts: dict[str, Any] = {**misplaced, "convention": "x" in line}
-    for fact, vector in vectors.items():
-        size = float(np.linalg.norm(vector))
-        along = {name: float(vector @ DIRECTIONS[name]) for name in line}
-        best = max(line, key=lambda name: along[name])
-        if size > SMALL and along[best] > CLEAR * size:
-            facts[fact] = best
-        else:
-            facts[fact.replace(" of wheels", " on axles")] = size > SMALL and " of " in fact
-    return facts
 
 
 def _named_vector(
@@ -628,11 +625,3 @@ def _to_steered(tree: Tree, wheels: Sequence[UrdfJoint]) -> Array:
     offsets = [place - np.mean(rest, axis=0) for name, place in places.items() if name in turned]
     mean = np.mean(offsets, axis=0)
     return np.asarray(mean) if min(offset @ mean for offset in offsets) > 0 else np.zeros(2)
-
-
-def _view(tree: Tree) -> Array:
-    total = np.zeros(2)
-    for link, (rotation, _) in tree.frames.items():
-        if CAMERA.search(link) and not _sides(link) & {"rear", "left", "right"}:
-            total += rotation[:2, 2 if "optical" in link.lower() else 0]
-    return total
