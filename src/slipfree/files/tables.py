@@ -100,7 +100,7 @@ LARGE_TIMES = (
 )
 
 
-class _Table(NamedTuple):
+class _TextTable(NamedTuple):
     """A table as text, and its layout."""
 
     path: Path
@@ -253,7 +253,7 @@ def split_unit(name: str) -> tuple[str, str]:
     return name, ""
 
 
-def _opened(path: Path, expected: str) -> _Table:
+def _opened(path: Path, expected: str) -> _TextTable:
     """Return a table, with the separator that divides most lines alike."""
     content = read_bytes(path, f"{expected} as text")
     check_ending(path, "table", f"{expected} as text")
@@ -325,7 +325,7 @@ def _is_row(words: Sequence[str], separator: str | None) -> bool:
     return len(words) > 1 and all(_is_number(word, separator) for word in words)
 
 
-def _layout_of_names(path: Path, file: TextIO, lines: Sequence[str]) -> _Table:
+def _layout_of_names(path: Path, file: TextIO, lines: Sequence[str]) -> _TextTable:
     """Return the layout of a table without rows; raise DataError for rows that are not numbers."""
     used = [(k, text) for k, line in enumerate(lines, 1) if (text := _line_body(line, None))]
     number, text = used[-1] if used else (0, "")
@@ -336,14 +336,14 @@ def _layout_of_names(path: Path, file: TextIO, lines: Sequence[str]) -> _Table:
         )
     text = used[0][1] if used else ""
     separator = next((each for each in SEPARATORS[:-1] if each in text), None)
-    return _Table(
+    return _TextTable(
         path, file, separator, 0, text, _line_cells(text, separator) if text else [], [], []
     )
 
 
 def _layout_with(
     path: Path, file: TextIO, lines: Sequence[str], separator: str | None, width: int
-) -> _Table:
+) -> _TextTable:
     """Return the layout of a table of known separator and width."""
     heads: list[tuple[int, str, list[str]]] = []  # lines of words before the first row
     comments: list[str] = []
@@ -379,7 +379,7 @@ def _layout_with(
             f"{text[:SHOWN]!r}; correct the line, or begin it with '#'"
         )
     _, header, names = named[-1] if named else (0, "", _commented_names(comments, separator, width))
-    return _Table(
+    return _TextTable(
         path, file, separator, rows[0][0], header, names[:width], units[:width], rows[0][1][:width]
     )
 
@@ -424,7 +424,7 @@ def _check_decimals(
             )
 
 
-def _check_first_column(layout: _Table, wanted: str, where: str) -> None:
+def _check_first_column(layout: _TextTable, wanted: str, where: str) -> None:
     """Raise DataError if the first column counts or names the rows of a table without names."""
     cells = [_line_cells(text, layout.separator)[0] for _, text in layout.lines(wanted)]
     first = cells[0]
@@ -437,14 +437,16 @@ def _check_first_column(layout: _Table, wanted: str, where: str) -> None:
         )
 
 
-def _is_in_order(layout: _Table, names: Collection[str], others: bool) -> bool:
+def _is_in_order(layout: _TextTable, names: Collection[str], others: bool) -> bool:
     """Return whether the columns are chosen by their order, not by their names."""
     bases = {split_unit(name)[0].lower() for name in layout.names}
     is_strange = not bases & set.union({*names}, *ALIASES)
     return not layout.names or (others and is_strange and len(layout.row) == len(names))
 
 
-def _choose(layout: _Table, requested: Mapping[str, str], where: str) -> dict[str, tuple[int, str]]:
+def _choose(
+    layout: _TextTable, requested: Mapping[str, str], where: str
+) -> dict[str, tuple[int, str]]:
     """Return the column and the unit of each requested quantity; DataError if it is not unique."""
     names = layout.columns
     bases = [split_unit(name) for name in names]
@@ -502,7 +504,7 @@ def _check_unit(path: Path, title: str, unit: str, expected: str | None) -> None
 
 
 def _read_numbers(
-    layout: _Table, chosen: Mapping[str, tuple[int, str]], wanted: str, free: Collection[str]
+    layout: _TextTable, chosen: Mapping[str, tuple[int, str]], wanted: str, free: Collection[str]
 ) -> Array:
     """Return the numbers of the chosen columns, shape (n, n_chosen); NaN if missing and free."""
     if not layout.row:
