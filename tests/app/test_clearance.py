@@ -5,6 +5,7 @@ import json
 import numpy as np
 from numpy.testing import assert_allclose
 
+from helpers.cases import DATA
 from helpers.commands import invoke
 from slipfree import open_result
 from slipfree.problem.load import verb_of
@@ -13,31 +14,7 @@ from slipfree.show.meshes import shape_mesh
 from slipfree.show.plots import draw
 from slipfree.vehicle.shapes import Ball, Box, Hull
 
-VEHICLE = """\
-name = "cart"
-frame = "rep103"
-shapes = [{ kind = "box", size = [0.6, 0.3, 0.1], at = [0.3, 0, HEIGHT] }]
-[[wheels]]
-name = "left"
-parent = "platform"
-at = [0, 0.3, 0]
-radius = 0.2
-tube = 0.02
-driven = true
-[[wheels]]
-name = "right"
-parent = "platform"
-at = [0, -0.3, 0]
-radius = 0.2
-tube = 0.02
-driven = true
-[[wheels]]
-name = "rear"
-parent = "platform"
-at = [-0.6, 0, 0]
-radius = 0.2
-tube = 0.02
-"""
+VEHICLE = (DATA / "cart_with_a_box.toml").read_text()
 PROBLEM = """\
 verb = "direct"
 frame = "rep103"

@@ -16,38 +16,11 @@ from typing import Any
 
 import pytest
 
+from helpers.cases import DATA
 from helpers.chromium import headless_chromium
 
 PATIENCE = 60.0  # for one step, where many tests share few processors [s]
-PROBLEM = """\
-verb = "plan"
-title = "Short <way>"
-costs = { effort = 1.0 }
-plan = { intervals = 6 }
-driver = { name = "straight", speed = 0.5 }
-time = { duration = 6.0, step = 0.1 }
-vehicle = { catalog = "three_wheeler", axle = "fixed" }
-
-[terrain.synthetic]
-x = [-5, 5]
-y = [-5, 5]
-spacing = 0.5
-power_law = { rms = 0.02, hurst = 0.9, longest = 8.0, shortest = 4.0, seed = 1 }
-
-[start]
-x = 0.0     # east of the origin [m]
-y = -2.0
-heading = 0.0
-
-[goal]
-x = 0.0     # [m]
-y = [1.0, 1.2]
-
-[[keep_out]]  # rock
-x = 3.0
-y = 0.0
-radius = 0.5
-"""
+PROBLEM = (DATA / "plan_of_a_short_way.toml").read_text()
 REGIONS = """
 # a tree
 [[keep_out]]

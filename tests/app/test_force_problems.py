@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from helpers.cases import DATA
 from helpers.commands import build_errors, invoke, sets
 from helpers.friction_cases import slope
 from slipfree import direct_kinematics, settle
@@ -20,21 +21,7 @@ from slipfree.problem.result import build, run_problem
 from slipfree.problem.verbs import driving as runner
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
-PROBLEM = """\
-verb = "direct"
-model = "quasi-static"
-vehicle = { catalog = "three_wheeler", axle = "fixed" }
-start = { y = -1.0 }
-inputs = { right_rate = 0.5, left_rate = 0.5, steer_rate = 0.0 }
-time = { duration = 2, step = 0.25 }
-
-[terrain]
-friction = 0.6
-synthetic.x = [-3, 3]
-synthetic.y = [-3, 9]
-synthetic.spacing = 0.25
-synthetic.ramp = { start = 0.0, end = 6.0, rise = 1.0 }
-"""
+PROBLEM = (DATA / "quasi_static_hill.toml").read_text()
 
 
 @pytest.fixture(autouse=True)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from helpers.cases import DATA
 from helpers.commands import printed, refuses
 from slipfree import DataError, catalog
 from slipfree.core.records import Array
@@ -26,22 +27,7 @@ from slipfree.problem.verbs.inverse_schema import _read_file
 pytestmark = pytest.mark.usefixtures("folder")
 
 RADIUS, TRACK, HEAD = 0.153, 0.52, "t,left,right,x,y,heading"
-PROBLEM = """
-verb = "fit"
-frame = "rep103"
-[vehicle]
-catalog = "differential_drive"
-[data]
-file = "log.csv"
-window = 2.0
-[data.rates]
-left_rate = "left"
-right_rate = "right"
-[unknowns.radius]
-wheels = ["left", "right"]
-[unknowns.track]
-[data.columns]
-"""
+PROBLEM = (DATA / "fit_of_a_log.toml").read_text()
 
 
 def drive(seed: int = 0, start: complex = 0j) -> Array:

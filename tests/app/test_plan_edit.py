@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from helpers.cases import DATA
 from helpers.commands import invoke, refuses
 from slipfree.cli.show import open_page
 from slipfree.core.errors import DataError
@@ -35,56 +36,7 @@ PARKING = PROBLEMS / "plan_parking.toml"
 
 PAGE = PlanPage("page", Content(b"", ""), Content(b"", ""))
 # comments at all places, ranges and units, and tables between those of regions
-VARIED = """\
-# head
-verb = "plan"  # verb
-title = "[goal] # none"
-
-[terrain.synthetic]
-x = [-5, 5]
-y = [-5, 5]
-spacing = 0.5
-power_law = { rms = 0.02, hurst = 0.9, longest = 8.0, shortest = 4.0, seed = 1 }
-
-# a rock
-[[keep_out]]   # 1
-x = 3   # east
-y = 0.123456789
-radius = 0.5
-# start
-[start]
-x = 0.0
-y = -2  # south
-heading = "10 deg"  # turned
-
-[[ keep_out ]]
-points = [
-  [-3.0, 0.0],  # sw
-  [-2.0, 0.0]   # se
-  , [-2.0, 1.0]
-]
-
-# goal
-[goal]
-x = 0.0
-y = [1.0, 1.2]  # range
-heading = ["20 deg", "20 deg"]
-
-[vehicle]
-catalog = "three_wheeler"
-axle = "fixed"
-[[keep_out]]
-x = 1.0
-y = 4.0
-radius = 0.25
-[costs]
-effort = 1.0
-[driver]
-name = "straight"
-speed = 0.5
-[time]
-duration = 6.0
-step = 0.1  # last"""
+VARIED = (DATA / "plan_in_odd_layout.toml").read_text()
 INLINE = """\
 keep_out = [
   { x = 3, y = 0.123456789, radius = 0.5 },

@@ -278,23 +278,7 @@ def test_numbers_of_unknowns_are_printed_with_verbose():
         assert "partner" in out
 
 
-BROKEN = """\
-name = "six"
-frame = "rep103"
-coordinates = [{ name = "a", kind = "suspension" }, { name = "b", kind = "passive" }]
-joints = [
-    { name = "p", parent = "platform", axis = "y", value = "a" },
-    { name = "q", parent = "r", axis = "y", value = "b" },
-    { name = "r", parent = "q", axis = "y", value = "0" },
-]
-wheels = [
-    { name = "one", parent = "p", radius = 0.1, driven = true },
-    { name = "two", parent = "q", radius = 0.1 },
-    { name = "three", parent = "platform", at = [1, 0, 0], radius = 0.1 },
-    { name = "four", parent = "hub", radius = 0.1 },
-    { name = "five", parent = "platform", radius = 0.1 },
-]
-"""
+BROKEN = (DATA / "six_wheels_without_suspension.toml").read_text()
 
 
 def test_what_can_be_said_of_what_is_no_vehicle(tmp_path):

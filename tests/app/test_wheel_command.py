@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.cases import DATA
 from helpers.commands import invoke, sets
 from slipfree import Region
 from slipfree.laws.soil import Soil, WheelSize
@@ -23,22 +24,7 @@ wheel = { radius = 0.09, width = 0.11, load = 64.68 }
 soil = { name = "lunar", friction_angle = "34 deg" }
 test = { slip = [-0.2, 0.6], points = 5, slip_angles = ["0 deg", "16 deg"] }
 """
-SAND = """
-verb = "direct"
-model = "dynamics"
-terrain.synthetic = { x = [-3.0, 3.0], y = [-3.0, 3.0], spacing = 0.2 }
-vehicle = { catalog = "skid_steer" }
-start = { x = 0.0, y = 0.0, heading = 0.0 }
-time = { duration = 0.2, step = 0.1 }
-[inputs]
-front_right_rate = 1.0
-front_left_rate = 1.0
-rear_right_rate = 1.0
-rear_left_rate = 1.0
-[law.soil]
-friction_angle = "30 deg"
-cohesion = 500.0
-"""
+SAND = (DATA / "cart_on_sand.toml").read_text()
 
 
 def run(*words):

@@ -29,19 +29,7 @@ from slipfree.problem.load import load_problem
 from slipfree.problem.result import export_mcap, run_problem
 
 pytestmark = pytest.mark.usefixtures("direct_reads")
-DRIVE = """\
-verb = "direct"
-frame = "rep103"
-terrain.file = "ground.npz"
-vehicle.catalog = "rocky7"
-start = { x = 0, y = 0, heading = 0.3 }
-[driver]
-name = "straight"
-speed = 0.2
-[time]
-duration = 1
-step = 0.25
-"""
+DRIVE = (DATA / "drive_of_a_log.toml").read_text()
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from helpers.cases import hills
+from helpers.cases import DATA, hills
 from helpers.commands import invoke, refused, refuses, sets
 from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.files import vehicle_toml
@@ -115,41 +115,7 @@ def test_turned_parts_of_any_frame(rng):
         assert_allclose(np.array(ca.evalf(pose.origin)).ravel(), base @ at, atol=1e-15)
 
 
-LONG = """\
-name = "cart"
-frame = "rep103"
-
-[[coordinates]]
-name = "swivel"
-kind = "passive"
-
-[[joints]]
-name = "fork"
-parent = "platform"
-axis = "z"
-at = [0.35, 0, 0]
-value = "swivel"
-
-[[wheels]]
-name = "left"
-parent = "platform"
-at = [0, 0.25, 0]
-radius = 0.15
-driven = true
-
-[[wheels]]
-name = "right"
-parent = "platform"
-at = [0, -0.25, 0]
-radius = 0.15
-driven = true
-
-[[wheels]]
-name = "caster"
-parent = "fork"
-at = [-0.08, 0, -0.05]
-radius = 0.1
-"""
+LONG = (DATA / "cart_in_long_form.toml").read_text()
 SHORT = """\
 name = "cart"
 frame = "rep103"

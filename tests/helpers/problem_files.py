@@ -2,34 +2,10 @@
 
 from pathlib import Path
 
+from helpers.cases import DATA
 from slipfree.problem.load import load_problem
 
-VALID = """\
-verb = "direct"
-
-[terrain.synthetic]
-x = [-3, 3]
-y = [-3.0, 4.0]
-spacing = 0.5
-base = 2.0
-
-[vehicle]
-catalog = "three_wheeler"
-r1 = 0.05
-
-[start]
-x = 0.1
-heading = 0.2
-
-[inputs]
-right_rate = 0.5
-left_rate = 0.5
-steer_rate = 0
-
-[time]
-duration = 1
-step = 0.25
-"""
+VALID = (DATA / "direct_flat.toml").read_text()
 
 
 def rough_ground(x: str, y: str, spacing: float, spectrum: str, seed: int) -> str:
@@ -49,26 +25,4 @@ FILE = (
     + '[terrain]\nfile = "g.npz"\n\n'
     + VALID[VALID.index("[vehicle]") :]
 )
-PROBLEM = """\
-verb = "direct"
-title = "Überfahrt"
-
-[terrain.synthetic]
-x = [-3, 3]
-y = [-3, 2.25]
-spacing = 0.25
-
-[vehicle]
-catalog = "three_wheeler"
-
-[start]
-heading = 0
-
-[driver]
-name = "straight"
-speed = 1.0
-
-[time]
-duration = 0.5
-step = 0.1
-"""
+PROBLEM = (DATA / "straight_flat.toml").read_text(encoding="utf-8")

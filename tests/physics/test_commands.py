@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from helpers.cases import LIGHT, hills, rover_ground
+from helpers.cases import DATA, LIGHT, hills, rover_ground
 from helpers.commands import invoke, refuses, sets
 from helpers.problem_files import rough_ground
 from helpers.vehicles import four_wheel_steered, skid_steered
@@ -264,28 +264,7 @@ def test_exactness_is_refused_in_words_that_name_the_remedy():
         trim_states(dae, stand, dae.inputs(right=0.0), states=[], least=[])
 
 
-FOUR_WHEELS = """\
-name = "crab"
-frame = "rep103"
-coordinates = [
-  { name = "rock", kind = "suspension" },
-  { name = "fr", kind = "commanded", max_rate = 0.5 }, { name = "fl", kind = "commanded" },
-  { name = "rr", kind = "commanded" }, { name = "rl", kind = "commanded", lower = -2, upper = 2 },
-]
-joints = [
-  { name = "axle", parent = "platform", axis = "x", value = "rock", at = [0.4, 0, 0] },
-  { name = "fr", parent = "axle", axis = "z", value = "fr", at = [0, -0.3, 0] },
-  { name = "fl", parent = "axle", axis = "z", value = "fl", at = [0, 0.3, 0] },
-  { name = "rr", parent = "platform", axis = "z", value = "rr", at = [-0.4, -0.3, 0] },
-  { name = "rl", parent = "platform", axis = "z", value = "rl", at = [-0.4, 0.3, 0] },
-]
-wheels = [
-  { name = "front_right", parent = "fr", radius = 0.15, tube = 0.03, driven = true },
-  { name = "front_left", parent = "fl", radius = 0.15, tube = 0.03, driven = true },
-  { name = "rear_right", parent = "rr", radius = 0.15, tube = 0.03, driven = true },
-  { name = "rear_left", parent = "rl", radius = 0.15, tube = 0.03, driven = true },
-]
-"""
+FOUR_WHEELS = (DATA / "crab.toml").read_text()
 PROBLEM = """\
 verb = "inverse"
 frame = "rep103"

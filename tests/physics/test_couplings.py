@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import slipfree as sf
+from helpers.cases import DATA
 from helpers.commands import refuses
 from helpers.dynamics import FLAT
 from helpers.scale_cases import CASES, TOLERANCE, difference, formula, scaled
@@ -110,20 +111,7 @@ def test_a_differential_shares_loads_as_in_the_closed_form(make, ratio, tmp_path
         assert run["force_normal"][0, k] == pytest.approx(expected, abs=1e-4 * weight)
 
 
-STEERED = """\
-name = "coupled steering"
-frame = "paper"
-couple = { front = 1, rear = 2 }
-coordinates = [{ name = "rock", kind = "suspension" }, { name = "s", kind = "commanded" },
-    { name = "t", kind = "commanded" }]
-joints = [{ name = "axle", parent = "platform", axis = "y", at = [0, 0.4, 0], value = "rock" },
-    { name = "front", parent = "axle", axis = "z", value = "s" },
-    { name = "rear", parent = "platform", axis = "z", at = [0, -0.4, 0], value = "t" }]
-wheels = [{ name = "fl", parent = "front", at = [-0.3, 0, 0], radius = 0.1, driven = true },
-    { name = "fr", parent = "front", at = [0.3, 0, 0], radius = 0.1, driven = true },
-    { name = "rl", parent = "rear", at = [-0.3, 0, 0], radius = 0.1, driven = true },
-    { name = "rr", parent = "rear", at = [0.3, 0, 0], radius = 0.1, driven = true }]
-"""
+STEERED = (DATA / "coupled_steering.toml").read_text()
 
 
 def test_commands_are_met_with_coupled_steering(tmp_path):
