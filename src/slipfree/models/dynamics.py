@@ -138,7 +138,10 @@ def dynamics(
     check_dynamic(vehicle)
     law.check(vehicle, terrain)
     made_from = vehicle
-    vehicle = _with_depths_of(law, with_depths(vehicle))
+    vehicle = with_depths(vehicle)
+    share = vehicle.weight / len(vehicle.wheels)  # static depths of the law, under equal shares
+    sunk = (replace(w, static_depth=law.static_depth(w, share)) for w in vehicle.wheels)
+    vehicle = replace(vehicle, wheels=tuple(sunk))
     bears = isinstance(law, BodyLaw) and law.bears_bodies and bool(vehicle.shapes)
     labels = dynamic_labels(vehicle, len(prisms), bears=bears)
     moving = moving_vehicle(vehicle, terrain, labels)
@@ -240,15 +243,6 @@ def with_depths(vehicle: Vehicle) -> Vehicle:
         if exact and wheel.static_depth is None
         else replace(wheel, static_depth=wheel.depth)
         for wheel in vehicle.wheels
-    )
-    return replace(vehicle, wheels=tuple(wheels))
-
-
-def _with_depths_of(law: ContactLaw, vehicle: Vehicle) -> Vehicle:
-    """Return a vehicle whose wheels have the static depths of a law, under equal shares."""
-    share = vehicle.weight / len(vehicle.wheels)
-    wheels = (
-        replace(wheel, static_depth=law.static_depth(wheel, share)) for wheel in vehicle.wheels
     )
     return replace(vehicle, wheels=tuple(wheels))
 

@@ -15,7 +15,6 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -24,7 +23,7 @@ import numpy as np
 from slipfree.contact.closure import ContactFrame, check_exact_closure, contact_frame
 from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
 from slipfree.core.arguments import checked
-from slipfree.core.dae import Dae, Labels, Limit
+from slipfree.core.dae import Dae, Labels
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, Label, leaves, pack, symbols
@@ -56,7 +55,6 @@ from slipfree.models.records import (
     Configuration,
     Dependent,
     Forces,
-    Inputs,
     Rates,
     labels_of,
 )
@@ -165,8 +163,45 @@ def montana_kinematics(
     labels = _assembly_labels(
         labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle))), vehicle
     )
-    x, z = symbols(labels.x), symbols(labels.z)
-    q, rolls, q_dot = _quantities(vehicle, ground, x, z, symbols(labels.u), kappa)
+    x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
+    position = Dependent(x.z, x.roll, x.pitch, x.suspension, ())
+    place, lookups = Configuration(x.x, x.y, x.heading, x.joints), LookupTable()
+    state = VehicleState(vehicle, ground, lookups, place, position, z.rates, u)
+    turning, coordinates, chain = spins(state), pack(x[:-1]), carriers(state)
+    q_dot = ca.vertcat(*z.rates[:6], *joint_rates(state), *z.rates.suspension)
+    rolls = list[RollingWheel]()
+    for wheel, at, carrier, spin in zip(vehicle.wheels, x.contacts, chain, turning, strict=True):
+        both, twist = pair(wheel, ground, at, lookups), carrier.twist(coordinates, q_dot)
+        pose, frame = both.pose, both.frame
+        contact = contact_frame(ground, at.x, at.y, pose.rotation[:, 0], lookups)
+        displacement = pose.origin - carrier.origin
+        turn = carrier.rotation @ pose.rotation.T
+        rotation = ca.inv_skew((turn - turn.T) / 2)  # sine of the angle times the axis
+        omega = twist.omega + kappa * rotation - spin * pose.rotation[:, 0]
+        velocity = twist.v - kappa * displacement + ca.cross(omega, contact.point - pose.origin)
+        wheel_uv, ground_uv, psi = contact_rates(
+            both.wheel.forms, both.ground.forms, at.psi, frame.T @ velocity, frame.T @ omega
+        )
+        # u and v are those of the hub, which does not spin with the wheel: v stays near 3 pi/2
+        u_v = ground_uv[0], ground_uv[1], wheel_uv[0], wheel_uv[1] - spin
+        rates = ContactCoordinates(*u_v, psi)
+        rolls.append(RollingWheel(contact, pose, velocity, rates, displacement, rotation))
+    contacts = tuple(roll.contact for roll in rolls)
+    parts = mechanics(state, contacts, slip_velocities(state, contacts))
+    q = Quantities(
+        *state,
+        with_tangential(z.forces, parts),
+        tuple(roll.pose for roll in rolls),
+        contacts,
+        tuple(roll.slip for roll in rolls),
+        turning,
+        parts,
+        tip_over_margin(state, contacts),
+    )
+    drifts = (
+        ca.fmax(ca.norm_2(roll.displacement) / wheel.radius, ca.norm_2(roll.rotation))
+        for wheel, roll in zip(vehicle.wheels, rolls, strict=True)
+    )
     law = slip_equations(slip, labels, q)
     sampled = force_outputs(q, labels.y.forces)
     return vehicle_dae(
@@ -183,7 +218,8 @@ def montana_kinematics(
             drift_rotation=tuple(ca.norm_2(roll.rotation) for roll in rolls),
         ),
         limits=(
-            *_drift_limits(vehicle, rolls),  # first, since other limits assume wheels without drift
+            # first, since other limits assume wheels without drift
+            *wheel_limits(vehicle, "assembly", drifts, -np.inf, MAX_DRIFT),
             *limits_of(q),
         ),
         checks=contact_checks(q, x, z, q.poses),
@@ -208,56 +244,6 @@ def _check(vehicle: Vehicle) -> None:
                 "radius of curvature, such as a torus with r1 > 0, found the edge of "
                 f"{wheel.section}; use formulation = 'closure', which allows edges"
             )
-
-
-def _quantities(
-    vehicle: Vehicle, terrain: Terrain, x: Assembly, z: Unknowns, u: Inputs, kappa: float
-) -> tuple[Quantities, list[RollingWheel], ca.SX]:
-    """Return the quantities of the model, its wheels, and the rates of platform and joints."""
-    position = Dependent(x.z, x.roll, x.pitch, x.suspension, ())
-    place, lookups = Configuration(x.x, x.y, x.heading, x.joints), LookupTable()
-    state = VehicleState(vehicle, terrain, lookups, place, position, z.rates, u)
-    turning, q, chain = spins(state), pack(x[:-1]), carriers(state)
-    q_dot = ca.vertcat(*z.rates[:6], *joint_rates(state), *z.rates.suspension)
-    rolls = list[RollingWheel]()
-    for wheel, at, carrier, spin in zip(vehicle.wheels, x.contacts, chain, turning, strict=True):
-        both, twist = pair(wheel, terrain, at, lookups), carrier.twist(q, q_dot)
-        pose, frame = both.pose, both.frame
-        contact = contact_frame(terrain, at.x, at.y, pose.rotation[:, 0], lookups)
-        displacement = pose.origin - carrier.origin
-        turn = carrier.rotation @ pose.rotation.T
-        rotation = ca.inv_skew((turn - turn.T) / 2)  # sine of the angle times the axis
-        omega = twist.omega + kappa * rotation - spin * pose.rotation[:, 0]
-        slip = twist.v - kappa * displacement + ca.cross(omega, contact.point - pose.origin)
-        wheel_uv, ground_uv, psi = contact_rates(
-            both.wheel.forms, both.ground.forms, at.psi, frame.T @ slip, frame.T @ omega
-        )
-        # u and v are those of the hub, which does not spin with the wheel: v stays near 3 pi/2
-        u_v = ground_uv[0], ground_uv[1], wheel_uv[0], wheel_uv[1] - spin
-        rates = ContactCoordinates(*u_v, psi)
-        rolls.append(RollingWheel(contact, pose, slip, rates, displacement, rotation))
-    contacts = tuple(roll.contact for roll in rolls)
-    parts = mechanics(state, contacts, slip_velocities(state, contacts))
-    quantities = Quantities(
-        *state,
-        with_tangential(z.forces, parts),
-        tuple(roll.pose for roll in rolls),
-        contacts,
-        tuple(roll.slip for roll in rolls),
-        turning,
-        parts,
-        tip_over_margin(state, contacts),
-    )
-    return quantities, rolls, q_dot
-
-
-def _drift_limits(vehicle: Vehicle, rolls: list[RollingWheel]) -> Iterator[Limit]:
-    """Yield the limit of each wheel's drift, in wheel radii or rad."""
-    drifts = (
-        ca.fmax(ca.norm_2(roll.displacement) / wheel.radius, ca.norm_2(roll.rotation))
-        for wheel, roll in zip(vehicle.wheels, rolls, strict=True)
-    )
-    yield from wheel_limits(vehicle, "assembly", drifts, -np.inf, MAX_DRIFT)
 
 
 def _assembly_labels(labels: Labels, vehicle: Vehicle) -> Labels:

@@ -29,7 +29,7 @@ The initial guess of a plan follows from the motion of a kinematic model (`dynam
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -38,7 +38,7 @@ import numpy as np
 from slipfree.contact.closure import contact_frame
 from slipfree.contact.touch import Touch
 from slipfree.core.arguments import checked
-from slipfree.core.dae import Dae, Labels, Limit, Replay
+from slipfree.core.dae import Dae, Replay
 from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Label, leaves, symbols
@@ -151,7 +151,11 @@ def rigid_dynamics(
     law.check(vehicle, ground)
     _check_wheels(vehicle)
     vehicle = with_depths(vehicle)
-    labels = _labels(vehicle, law)
+    labels = dynamic_labels(vehicle)  # with contact points and the law's unknowns as unknowns
+    pairs = zip(labels.y.contact_x, labels.y.contact_y, strict=True)
+    points = tuple(ContactPoint(*pair) for pair in pairs)
+    unknowns = RigidUnknowns(points, law.unknowns(vehicle))
+    labels = labels._replace(z=unknowns, y=_without_unknowns(labels.y))
     moving, z = moving_vehicle(vehicle, ground, labels), symbols(labels.z)
     x, body, lookups = moving.x, moving.body, moving.lookups
     matrix = mass_matrix(body)
@@ -200,10 +204,11 @@ def rigid_dynamics(
     scale, _ = sizes(vehicle, ground, labels)
     units = [label.unit for label in leaves(labels.z)]
     scale[[unit == "N" for unit in units]] = share
-    own = (
-        *_lift_off(vehicle, reaction.normal),
-        *(each for each in reaction.limits if each.outcome is not Outcome.NO_EQUILIBRIUM),
-    )
+    own = tuple(each for each in reaction.limits if each.outcome is not Outcome.NO_EQUILIBRIUM)
+    if _stays_on_ground(vehicle):
+        why = "the ground would have to pull it"
+        lifts = wheel_limits(vehicle, "lift_off", reaction.normal, 0.0, np.inf, why=why)
+        own = (*lifts, *own)
     # the line from the contact point of the ground to that of the wheel is normal to the ground
     nearest = list[ca.SX]()
     for at, frame in zip(z.contacts, frames, strict=True):
@@ -249,15 +254,6 @@ def _stays_on_ground(vehicle: Vehicle) -> bool:
     return len(vehicle.of("suspension")) >= len(vehicle.wheels) - 3
 
 
-def _labels(vehicle: Vehicle, law: GroundLaw) -> Labels:
-    """Return the labels of dynamics, with contact points and the law's unknowns as unknowns."""
-    labels = dynamic_labels(vehicle)
-    pairs = zip(labels.y.contact_x, labels.y.contact_y, strict=True)
-    contacts = tuple(ContactPoint(*pair) for pair in pairs)
-    unknowns = RigidUnknowns(contacts, law.unknowns(vehicle))
-    return labels._replace(z=unknowns, y=_without_unknowns(labels.y))
-
-
 def _without_unknowns(y: DynamicOutputs) -> DynamicOutputs:
     """Return the outputs of dynamics without those that are unknowns of rigid dynamics."""
     common = y.common._replace(force_normal=())
@@ -272,13 +268,6 @@ def _nearest_labels(vehicle: Vehicle) -> tuple[Label, ...]:
         for wheel in vehicle.wheels
         for axis in ("along", "across")
     )
-
-
-def _lift_off(vehicle: Vehicle, normal: Sequence[ca.SX]) -> Iterator[Limit]:
-    """Yield the lower limit, zero, of each wheel's normal force, if all stay on the ground."""
-    if _stays_on_ground(vehicle):
-        why = "the ground would have to pull it"
-        yield from wheel_limits(vehicle, "lift_off", normal, 0.0, np.inf, why=why)
 
 
 def dynamic_guess(model: Dae, start: Trajectory, run: Trajectory) -> Trajectory:

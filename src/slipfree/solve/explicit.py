@@ -5,10 +5,10 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from slipfree.batch.evaluator import Evaluator, evaluator_of
+from slipfree.batch.evaluator import evaluator_of
 from slipfree.batch.many import assemble_state
 from slipfree.batch.motion import ORDER, RELAXING_ORDER, integrate_lanes
-from slipfree.core.dae import Dae, PiecewiseLinear
+from slipfree.core.dae import PiecewiseLinear
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate
 from slipfree.core.records import Array, Record, leaves
@@ -33,7 +33,12 @@ def integrate_explicitly(
     reached.
     """
     dae = system.dae
-    _check_numbers(dae, inputs)
+    for label, value in zip(leaves(dae.labels.u), leaves(inputs), strict=True):
+        if isinstance(value, ca.SX | PiecewiseLinear):
+            raise ModelError(
+                f"input {label.full}: expected numbers for the method 'explicit', found "
+                f"{type(value).__name__}; give a value for each interval, or use the method 'idas'"
+            )
     evaluator = evaluator_of(dae, compiled=options.compiled)
     state = assemble_state(evaluator.graphs, first.x[:, 0], first.z[:, 0], first.q[:, 0])
     order = ORDER if dae.lag is None else RELAXING_ORDER
@@ -52,16 +57,10 @@ def integrate_explicitly(
             f"refinements, the last with steps of {step:.2g} m; use a larger tolerance, or 'idas'"
         )
     counts = {"steps": float(run.steps[0]), "residuals": 9.0 * total, "set_ups": 0.0}
-    return _samples(system, evaluator, run.samples[..., 0], t, first), counts
-
-
-def _samples(
-    system: System, evaluator: Evaluator, states: Array, t: Array, first: Samples
-) -> Samples:
-    """Return the states at samples that the motion reached, with quadratures."""
+    states = run.samples[..., 0]
     count = int(np.isfinite(states[:, 0]).sum())
     if not count:
-        return first
+        return first, counts
     graphs, t, columns = evaluator.graphs, t[:count], states[:count].T
     rows, u = graphs.rows, np.append(system.u, system.u[:, -1:], axis=1)[:, :count]
 
@@ -78,13 +77,4 @@ def _samples(
     mean = (rates(t[:-1], columns[:, :-1], u[:, :-1]) + rates(t[1:], before, u[:, :-1])) / 2
     q = first.q + np.cumsum(np.append(0 * first.q, np.diff(t) * mean, axis=1), axis=1)
     q[list(graphs.quadratures)] = columns[rows.q]
-    return Samples(t, columns[rows.x], unknowns(columns), q, u)
-
-
-def _check_numbers(dae: Dae, inputs: Record) -> None:
-    for label, value in zip(leaves(dae.labels.u), leaves(inputs), strict=True):
-        if isinstance(value, ca.SX | PiecewiseLinear):
-            raise ModelError(
-                f"input {label.full}: expected numbers for the method 'explicit', found "
-                f"{type(value).__name__}; give a value for each interval, or use the method 'idas'"
-            )
+    return Samples(t, columns[rows.x], unknowns(columns), q, u), counts

@@ -72,9 +72,22 @@ def integrate(
         at = _start_after_jump(solver.system, parts[-1], u[:, left])
         span, inputs = t[left : right + 1], u[:, left:right]
         part, cost, end = _integrate_between_jumps(solver, observer, at, span, inputs)
-        if isinstance(end, SolverError):
-            part, more, end = _restart_after_failure(solver, observer, part, end, span, inputs)
-            cost = add_counts(cost, more)
+        # A restart from the last step before a failure uses a small step and a new Jacobian, and
+        # often succeeds. The motion ends if a restart makes no progress.
+        restarts = MAX_RESTARTS * (1 + int((np.diff(inputs, axis=1) != 0).any(axis=0).sum()))
+        while isinstance(end, SolverError) and restarts and part.t.size > 1:
+            restarts -= 1
+            rest = np.append(part.t[-1], span[span > part.t[-1]])
+            later = inputs[:, 1 - rest.size :]
+            start = _make_consistent(solver.system, part.at([-1]), later[:, 0], continuation=False)
+            if start is None:
+                break
+            more, further, next_end = _integrate_between_jumps(solver, observer, start, rest, later)
+            cost = add_counts(cost, further)
+            if more.t.size == 1:
+                break
+            part, end = join_samples([part, more]), next_end
+            part = part.at(np.isin(part.t, [*span, part.t[-1]]))
         parts.append(part)
         counts, left = add_counts(counts, cost), right
         if end is not None:
@@ -90,39 +103,6 @@ def _jump_indices(system: System, t: Array, u: Array) -> list[int]:
     terms = np.array([base[:, 1:], -base[:, :-1], rise[:, 1:] * times, -rise[:, :-1] * times])
     jumps = np.abs(terms.sum(axis=0)) > ROUNDING * np.abs(terms).sum(axis=0)
     return (1 + np.flatnonzero(jumps.any(axis=0))).tolist()
-
-
-def _restart_after_failure(
-    solver: MotionSolver,
-    observer: StepObserver,
-    part: Samples,
-    end: SolverError,
-    t: Array,
-    u: Array,
-) -> tuple[Samples, dict[str, float], EarlyEnd | None]:
-    """Restart after a failure of the integrator, from the last step before it.
-
-    A restart uses a small step and a new Jacobian and often succeeds. The motion ends if a restart
-    makes no progress.
-    """
-    counts = dict.fromkeys(COUNTS, 0.0)
-    intervals = 1 + int((np.diff(u, axis=1) != 0).any(axis=0).sum())
-    for _ in range(MAX_RESTARTS * intervals):
-        rest = np.append(part.t[-1], t[t > part.t[-1]])
-        inputs = u[:, 1 - rest.size :]
-        at = _make_consistent(solver.system, part.at([-1]), inputs[:, 0], continuation=False)
-        if part.t.size == 1 or at is None:
-            break
-        more, cost, next_end = _integrate_between_jumps(solver, observer, at, rest, inputs)
-        counts = add_counts(counts, cost)
-        if more.t.size == 1:
-            break
-        part = join_samples([part, more])
-        part = part.at(np.isin(part.t, [*t, part.t[-1]]))
-        if not isinstance(next_end, SolverError):
-            return part, counts, next_end
-        end = next_end
-    return part, counts, end
 
 
 def _integrate_between_jumps(

@@ -175,7 +175,19 @@ def simulate(
             times[name] = np.array([at for at in located if at <= run.t[-1]])
         cost = {"tolerance": options.tolerance, "cpu_seconds": time.process_time() - clock}
         run = replace(run, statistics=counts | cost, events=times)
-        return _finish_motion(system, run, samples, found, end)
+        t_end, failed = float(run.t[-1]), isinstance(end, SolverError) and found is None
+        if failed or (run.stop and run.stop.name.endswith("_residual")):
+            last = found.k if found else None
+            why = diagnose_stop(system, samples, last)
+            why = why or limit_at_failure(system, run, samples, last)
+            if why is not None:
+                return replace(run, stop=why._replace(t=t_end))
+        if failed:
+            words = f"the integrator stopped at t = {t_end:.6g} s: {end}"
+            run = replace(run, stop=Stop("solver", t_end, str(end), Outcome.SOLVER_FAILURE))
+            raise SolverError(words, run)
+        is_ended = isinstance(end, ProgressError) and found is None
+        return replace(run, stop=interrupted_at(t_end)) if is_ended else run
 
 
 def check_times(t: Array) -> Array:
@@ -275,25 +287,6 @@ def _unfilled(chunk: Trajectory, t: Array) -> Trajectory:
         for name, (label, values) in chunk.columns.items()
     }
     return Trajectory(t, columns, chunk.wheels, ground=chunk.ground)
-
-
-def _finish_motion(
-    system: System, run: Trajectory, samples: Samples, found: _Crossing | None, end: EarlyEnd | None
-) -> Trajectory:
-    """Return the motion with its stop; raise SolverError if the integrator failed."""
-    t, failed = float(run.t[-1]), isinstance(end, SolverError) and found is None
-    if failed or (run.stop and run.stop.name.endswith("_residual")):
-        k = found.k if found else None
-        why = diagnose_stop(system, samples, k) or limit_at_failure(system, run, samples, k)
-        if why is not None:
-            return replace(run, stop=why._replace(t=t))
-    if failed:
-        words = f"the integrator stopped at t = {t:.6g} s: {end}"
-        run = replace(run, stop=Stop("solver", t, str(end), Outcome.SOLVER_FAILURE))
-        raise SolverError(words, run)
-    if isinstance(end, ProgressError) and found is None:
-        run = replace(run, stop=interrupted_at(t))
-    return run
 
 
 def interrupted_at(t: float) -> Stop:

@@ -67,13 +67,38 @@ def simulate_sampled(
             "method: expected 'cvodes' for a sampled controller, found "
             f"{options.method!r}; omit the method"
         )
-    system, law = _split_inputs(dae, inputs, t.size - 1, options)
+    given = list(leaves(inputs))
+    laws = [isinstance(value, ca.SX) for value in given]
+    constants = [0.0 if is_law else value for value, is_law in zip(given, laws, strict=True)]
+    system = with_inputs(dae, unpack(dae.u, constants), t.size - 1, options)
+    state, _, driven = dae.columns()
+    if system.u.shape[0] != driven.numel():
+        raise ModelError(
+            "inputs: expected constants or expressions for a sampled controller, found inputs that "
+            "are linear in time; give them as expressions of dae.t"
+        )
+    own = ca.vertsplit(driven)
+    computed = ca.vertcat(*(own[k] for k, is_law in enumerate(laws) if is_law))
+    rules = ca.vertcat(*(given[k] for k, is_law in enumerate(laws) if is_law))
+    if ca.depends_on(ca.SX(rules), ca.SX(computed)):
+        raise ModelError(
+            "inputs: expected expressions of time, states and numeric inputs, found an expression "
+            "that contains an input given by an expression; substitute it"
+        )
+    column = ca.vertcat(*(given[k] if is_law else own[k] for k, is_law in enumerate(laws)))
+    known = [dae.t, state, driven, found_column(dae.lookups)]
+    if free := ca.Function("law", known, [column], {"allow_free": True}).free_sx():
+        raise ModelError(
+            "inputs: expected expressions in the symbols of the model, found the unknown symbol "
+            f"{free[0]}; use dae.t and the fields of dae.x"
+        )
+    law = dae.function("law", known[:3], [column])  # of time, states and numeric inputs
     clock = time.process_time()
     n, integrator = t.size, _period_integrator(system, period, options.tolerance)
     symbols = law.mx_in()
-    driven = law(*symbols)
-    watched = system.watch(*symbols[:2], ca.MX(0, 1), driven)
-    sample = ca.Function("sample", symbols, [driven, watched[1]])  # inputs, distance to a limit
+    values = law(*symbols)
+    watched = system.watch(*symbols[:2], ca.MX(0, 1), values)
+    sample = ca.Function("sample", symbols, [values, watched[1]])  # inputs, distance to a limit
     names = [integrator.index_in("x0"), integrator.index_in("p")]
     results = [integrator.index_out("xf"), integrator.index_out("qf")]
     x, q = np.zeros((n, dae.ode.numel())), np.zeros((n, dae.quad.numel()))
@@ -91,11 +116,11 @@ def simulate_sampled(
             if is_ended:
                 break
             check_interrupt()
-            given = dict(zip(names, (x[k], np.append(u[k], t[k])), strict=True))
-            end = dict(zip(results, (x[k + 1], q[k + 1]), strict=True))
+            sources = dict(zip(names, (x[k], np.append(u[k], t[k])), strict=True))
+            targets = dict(zip(results, (x[k + 1], q[k + 1]), strict=True))
             try:
                 with suppress_messages():
-                    buffer = run_buffered(integrator, given, end)
+                    buffer = run_buffered(integrator, sources, targets)
             except RuntimeError as error:
                 guard.check()
                 failure = sundials_words(str(error))
@@ -117,41 +142,6 @@ def simulate_sampled(
         run = replace(run, stop=interrupted_at(float(run.t[-1])))
     cost |= {"tolerance": options.tolerance, "cpu_seconds": time.process_time() - clock}
     return replace(run, statistics=cost)
-
-
-def _split_inputs(
-    dae: Dae, inputs: Record, intervals: int, options: SolverOptions
-) -> tuple[System, ca.Function]:
-    """Return the model under its numeric inputs, and a function that evaluates all inputs.
-
-    This function is ``(t, x, numeric inputs) -> inputs``.
-    """
-    given = list(leaves(inputs))
-    laws = [isinstance(value, ca.SX) for value in given]
-    numbers = [0.0 if is_law else value for value, is_law in zip(given, laws, strict=True)]
-    system = with_inputs(dae, unpack(dae.u, numbers), intervals, options)
-    x, _, u = dae.columns()
-    if system.u.shape[0] != u.numel():
-        raise ModelError(
-            "inputs: expected constants or expressions for a sampled controller, found inputs that "
-            "are linear in time; give them as expressions of dae.t"
-        )
-    symbols = ca.vertsplit(u)
-    computed = ca.vertcat(*(symbols[k] for k, is_law in enumerate(laws) if is_law))
-    rules = ca.vertcat(*(given[k] for k, is_law in enumerate(laws) if is_law))
-    if ca.depends_on(ca.SX(rules), ca.SX(computed)):
-        raise ModelError(
-            "inputs: expected expressions of time, states and numeric inputs, found an expression "
-            "that contains an input given by an expression; substitute it"
-        )
-    column = ca.vertcat(*(given[k] if is_law else symbols[k] for k, is_law in enumerate(laws)))
-    known = [dae.t, x, u, found_column(dae.lookups)]
-    if free := ca.Function("law", known, [column], {"allow_free": True}).free_sx():
-        raise ModelError(
-            "inputs: expected expressions in the symbols of the model, found the unknown symbol "
-            f"{free[0]}; use dae.t and the fields of dae.x"
-        )
-    return system, dae.function("law", known[:3], [column])
 
 
 def _period_integrator(system: System, period: float, tolerance: float) -> ca.Function:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slipfree.control.path_following import check_way_points, path_inputs, track_path
-from slipfree.core.dae import Dae
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.core.facts import Fact, printed_unit, rows
 from slipfree.core.records import Array, leaves
@@ -184,7 +183,12 @@ class InverseVerb(DriveVerb):
         if faults := [*unit_faults(("given",), spec.given or {}, UNITS)]:
             raise problem_error(problem.source, faults)
         stand = build_start(problem, direct)
-        t, inputs, first = _inputs(spec, dae, given)
+        texts = {name: value for name, value in given.items() if isinstance(value, str)}
+        formulas = {name: evaluate(text, {"t": dae.t}) for name, text in texts.items()}
+        numbers = {name: value for name, value in given.items() if name not in formulas}
+        t, over_time = input_samples(spec.time.duration, spec.time.step, numbers)
+        initial = {n: v[0] if isinstance(v, np.ndarray) else v for n, v in over_time.items()}
+        inputs, first = (dae.inputs(**each, **formulas) for each in (over_time, initial))
         with at(problem, place):
             if is_rolling_path and points is not None:
                 inputs = first = path_inputs(dae, stand, *points[1:], t=points[0])
@@ -336,18 +340,6 @@ def _path_faults(points: Array, place: tuple[str, ...], spec: Inverse) -> Iterat
         expected = "consecutive headings that differ by at most pi"
         found = f"{after:g} rad at way-point {k + 2} after {before:g} rad; {remedy}"
         yield Fault(("path", "heading") if place[-1] == "t" else place, expected, found)
-
-
-def _inputs(spec: Inverse, dae: Dae, given: Mapping[str, Any]) -> tuple[Array, Any, Any]:
-    """Return the times of the samples, the inputs over time, and those at the start."""
-    texts = {name: value for name, value in given.items() if isinstance(value, str)}
-    formulas = {name: evaluate(text, {"t": dae.t}) for name, text in texts.items()}
-    numbers = {name: value for name, value in given.items() if name not in formulas}
-    t, rates = input_samples(spec.time.duration, spec.time.step, numbers)
-    first = {
-        name: value[0] if isinstance(value, np.ndarray) else value for name, value in rates.items()
-    }
-    return t, dae.inputs(**rates, **formulas), dae.inputs(**first, **formulas)
 
 
 def _start(spec: Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajectory:
