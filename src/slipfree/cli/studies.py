@@ -62,7 +62,16 @@ def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
     ):
         wheels = ", ".join(rows[0]["wheels"])
         print_line(f"\n{words}: largest slip of the wheels {wheels} [mm/s]")
-        print_line("\n".join(table(COMPARED, [_shown(row, row[drive]) for row in rows])))
+        shown = list[dict[str, Any]]()
+        for row in rows:
+            motion = row[drive]
+            values = {name: each["max"] for name, each in motion.items() if name != "stop"}
+            axle, stop = "{min:.3f} to {max:.3f}".format_map(motion["axle"]), motion["stop"]
+            stopped = "stopped at {time:.3g} s by {name}".format_map(stop) if stop else ""
+            rank = f"{row['rank']}/{row['conditions']}"
+            own = {"name": row["name"], "rank": rank, "axle": axle, "stop": stopped}
+            shown.append(values | own)
+        print_line("\n".join(table(COMPARED, shown)))
     print_line("\n* largest friction coefficient that a wheel requires; forces load-weighted")
     kept = f"the table contains {len(rows)} of {len(problem.spec.vehicles)} vehicles"
     _exit(kept, is_interrupted=is_interrupted)
@@ -79,15 +88,6 @@ COMPARED = (
     TableColumn("axle [m]", "axle"),
     TableColumn("", "stop"),
 )
-
-
-def _shown(row: dict[str, Any], drive: dict[str, Any]) -> dict[str, Any]:
-    """Return the row of the table for one motion of a vehicle."""
-    values = {name: each["max"] for name, each in drive.items() if name != "stop"}
-    axle, stop = "{min:.3f} to {max:.3f}".format_map(drive["axle"]), drive["stop"]
-    words = "stopped at {time:.3g} s by {name}".format_map(stop) if stop else ""
-    rank = f"{row['rank']}/{row['conditions']}"
-    return {**values, "name": row["name"], "rank": rank, "axle": axle, "stop": words}
 
 
 def _exit(*kept: str, is_interrupted: bool, code: int = 0) -> None:

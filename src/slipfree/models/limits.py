@@ -48,7 +48,11 @@ def tip_over_margin(state: State, contacts: Sequence[ContactFrame]) -> ca.SX:
         return ca.mmin(ca.vertcat(*(ca.mmax(ca.vertcat(*each)) for each in ends)))
     points = [contact.point for contact in contacts]
     down, least = ca.SX([0, 0, -1]), ca.SX.inf()
-    here, is_polygon, next_corner = _farthest(points), ca.SX(0), _next_corner(len(points))
+    here, farthest = points[0], ca.SX(0)
+    for point in points[1:]:  # the first corner is the point farthest from the first one
+        away = ca.sumsqr((point - points[0])[:2])
+        here, farthest = ca.if_else(away > farthest, point, here), ca.fmax(away, farthest)
+    is_polygon, next_corner = ca.SX(0), _next_corner(len(points))
     for _ in points:
         there, turns = next_corner(here, ca.horzcat(*points))
         is_polygon = ca.logic_or(is_polygon, turns)
@@ -64,15 +68,6 @@ def tip_over_margin(state: State, contacts: Sequence[ContactFrame]) -> ca.SX:
         away = ca.atan2(ca.sign(inside) * ca.hypot(inside, toward), ca.fabs(along))
         least, here = ca.fmin(least, ca.if_else(toward < 0, away, angle)), there
     return ca.if_else(is_polygon, least, -ca.pi)
-
-
-def _farthest(points: Sequence[ca.SX]) -> ca.SX:
-    """Return the point farthest from the first one in plan view: a corner of the polygon."""
-    best, most = points[0], ca.SX(0)
-    for point in points[1:]:
-        away = ca.sumsqr((point - points[0])[:2])
-        best, most = ca.if_else(away > most, point, best), ca.fmax(away, most)
-    return best
 
 
 @cache

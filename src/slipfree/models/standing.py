@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -11,10 +11,10 @@ import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
 from slipfree.contact.touch import solid_touch
-from slipfree.core.dae import Dae, Labels, Limit, Standing
+from slipfree.core.dae import Dae, Labels, Standing
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Label, leaves
-from slipfree.geometry.frame import Pose, platform, quaternion, turn
+from slipfree.geometry.frame import platform, quaternion, turn
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import wheel_limits
 from slipfree.models.base import VehicleState, extent, level_heights, sizes
@@ -63,8 +63,9 @@ def planar_start(
     free = [k for k, c in enumerate(vehicle.coordinates) if c.kind == "suspension"]
     held = [k for k in range(len(vehicle.coordinates)) if k not in free]
     speeds = ca.vertcat(*leaves(x[5:]))  # with the integrals
+    least_gaps = (ca.mmin(ca.vertcat(np.inf, *(at.touch.gap for at in c[1:]))) for c in contacts)
     rows, gaps = ca.substitute(
-        [forces[[1, 2, 3, *(6 + k for k in free)]] / vehicle.weight, _least_gaps(contacts)],
+        [forces[[1, 2, 3, *(6 + k for k in free)]] / vehicle.weight, ca.vertcat(*least_gaps)],
         [speeds],
         [ca.SX.zeros(speeds.shape)],
     )
@@ -115,13 +116,6 @@ def planar_start(
     return Standing(model, None, speed, states)
 
 
-def _least_gaps(contacts: Sequence[tuple[Contact, ...]]) -> ca.SX:
-    """Return the least gap of each wheel from the solids, shape (n_wheels, 1) [m]."""
-    return ca.vertcat(
-        *(ca.mmin(ca.vertcat(np.inf, *(at.touch.gap for at in each[1:]))) for each in contacts)
-    )
-
-
 def standing_start(
     vehicle: Vehicle, terrain: Terrain, prisms: Sequence[Prism], labels: Labels
 ) -> Standing:
@@ -138,8 +132,15 @@ def standing_start(
     base = platform(still.x, still.y, still.z, still.heading, still.roll, still.pitch)
     x, y, z, w = ca.vertsplit(quaternion(base.rotation))
     poses = vehicle.carriers(base, {c.name: values[c.name] for c in vehicle.coordinates})
-    clear = _clear_of_solids(vehicle, terrain, prisms, poses)
-    model = replace(model, limits=(*model.limits, *clear))
+    if prisms:
+        pairs = zip(vehicle.wheels, poses, strict=True)
+        gaps = [
+            [solid_touch(each, terrain, *pair, LookupTable()).gap for each in prisms]
+            for pair in pairs
+        ]
+        least = (ca.mmin(ca.vertcat(*each)) for each in gaps)
+        clear = wheel_limits(vehicle, "start_gap", least, 0.0, np.inf)
+        model = replace(model, limits=(*model.limits, *clear))
     joints = [values[c.name] for c in vehicle.coordinates]
     count, speed = len(joints), ca.SX.sym("speed")
     rolling = [speed / wheel.radius for wheel in vehicle.wheels]
@@ -159,16 +160,3 @@ def standing_start(
             motors,
         ),
     )
-
-
-def _clear_of_solids(
-    vehicle: Vehicle, terrain: Terrain, prisms: Sequence[Prism], poses: Sequence[Pose]
-) -> Iterator[Limit]:
-    """Yield the limit of the gap between each wheel at rest and the solids."""
-    if prisms:
-        touches = (
-            [solid_touch(each, terrain, wheel, pose, LookupTable()) for each in prisms]
-            for wheel, pose in zip(vehicle.wheels, poses, strict=True)
-        )
-        gaps = (ca.mmin(ca.vertcat(*(each.gap for each in found))) for found in touches)
-        yield from wheel_limits(vehicle, "start_gap", gaps, 0.0, np.inf)

@@ -115,7 +115,11 @@ def run_problem(
     except Exception as error:
         if not kept:
             raise
-        kept[-1] = _failed(kept[-1], error)
+        run = kept[-1].trajectory
+        before = f"{run.stop.words}; " if run.stop else ""
+        words = f"{before}{type(error).__name__}: {error}"
+        stop = Stop("solver", float(run.t[-1]), words, Outcome.SOLVER_FAILURE)
+        kept[-1] = replace(kept[-1], trajectory=replace(run, stop=stop))
     return kept[-1]
 
 
@@ -129,7 +133,19 @@ def result_of(
 ) -> Result:
     """Return the result of a problem with all that its file contains, and further attributes."""
     world, world_arrays = store_world(problem, setup, run, arrays)
-    own = _attributes(problem, verb, setup) | {STORED: world} | further
+    source = problem.source
+    settings = {"settings": "\n".join(dict.fromkeys(source.settings.values()))}
+    own = {
+        "title": problem.spec.title or source.path.stem,
+        VERB_ATTRIBUTE: verb.name,
+        "problem_file": source.path.name,
+        "problem_folder": str(source.path.parent),  # as given
+        "problem": source.text,
+        **(settings if source.settings else {}),
+        **verb.attributes(problem, setup),
+        **{name.replace(" ", "_"): words for name, words in setup.facts},
+    }
+    own = {name: escape_name(text) for name, text in own.items()} | {STORED: world} | further
     run = replace(run, attributes={**run.attributes, **own})
     table, friction = ground_table(problem.spec.terrain), problem.spec.terrain.friction
     problem = replace(problem, grounds={table: (friction, setup.ground)})
@@ -137,14 +153,6 @@ def result_of(
     if isinstance(problem.spec, MotionKeys):
         run = run.in_frame(problem.spec.frame)
     return Result(verb.name, run, verb.verification(run), setup, arrays, lambda: problem)
-
-
-def _failed(result: Result, error: Exception) -> Result:
-    run = result.trajectory
-    before = f"{run.stop.words}; " if run.stop else ""
-    words = f"{before}{type(error).__name__}: {error}"
-    stop = Stop("solver", float(run.t[-1]), words, Outcome.SOLVER_FAILURE)
-    return replace(result, trajectory=replace(run, stop=stop))
 
 
 @computing
@@ -156,22 +164,6 @@ def cross_check(result: Result) -> CrossCheck:
     problem = result.problem
     check_option(problem, CROSS_CHECK)
     return verb_of(problem).cross_check(result)
-
-
-def _attributes(problem: Problem[Any], verb: DriveVerb, setup: Setup) -> dict[str, str]:
-    source = problem.source
-    settings = {"settings": "\n".join(dict.fromkeys(source.settings.values()))}
-    attributes = {
-        "title": problem.spec.title or source.path.stem,
-        VERB_ATTRIBUTE: verb.name,
-        "problem_file": source.path.name,
-        "problem_folder": str(source.path.parent),  # as given
-        "problem": source.text,
-        **(settings if source.settings else {}),
-        **verb.attributes(problem, setup),
-        **{name.replace(" ", "_"): words for name, words in setup.facts},
-    }
-    return {name: escape_name(text) for name, text in attributes.items()}
 
 
 @checked

@@ -339,9 +339,16 @@ def _refine_elements(
     it is at least what this decrease predicts: a smaller difference is due to chance.
     """
     x = system.dae.rows("x", start, -1)
-    z = _guess_unknowns(system, float(t[0]), x, system.dae.rows("z", start, -1))[
-        : system.motion_size
-    ]
+    z = system.dae.rows("z", start, -1)
+    for block in system.blocks:
+        if block.linear:  # least norm: rates that the block hardly determines stay near zero
+            z[block.span] = 0.0
+            point = (float(t[0]), x, z, system.u[:, 0], block.stages[-1])
+            residual, jacobian = (np.array(each) for each in block.newton(*point))
+            size = system.dae.sizes.z[block.span]
+            step = np.linalg.lstsq(jacobian * size, residual.ravel(), rcond=WEAK_SINGULAR_VALUE)[0]
+            z[block.span] = -size * step
+    z = z[: system.motion_size]
     tried = collocation_schemes(system, free_states)
     best: tuple[CollocationScheme, list[CollocationElement], float] | None = None
     failure = SolverError("found no motion that follows the path; smooth the path")
@@ -375,19 +382,3 @@ def _refine_elements(
     if best is None:
         raise failure
     return best
-
-
-def _guess_unknowns(system: System, t: float, x: Array, z: Array) -> Array:
-    """Return an initial guess of ``z``, with least-norm solutions of the linear blocks.
-
-    Rates that these blocks hardly determine stay near zero.
-    """
-    for block in system.blocks:
-        if block.linear:
-            z[block.span] = 0.0
-            point = (t, x, z, system.u[:, 0], block.stages[-1])
-            residual, jacobian = (np.array(each) for each in block.newton(*point))
-            size = system.dae.sizes.z[block.span]
-            step = np.linalg.lstsq(jacobian * size, residual.ravel(), rcond=WEAK_SINGULAR_VALUE)[0]
-            z[block.span] = -size * step
-    return z

@@ -143,6 +143,12 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
     motion, dependent = blocks[:first], blocks[first:]
     m = z[: motion[-1].span.stop] if motion else z[:0]
     equations = motion_equations(dae, m.numel(), law, u, compiled=compiled)
+    # not compiled: outputs contain the origin of the map, so a library would serve one map
+    at = [dae.t, *dae.columns()[:2], inputs]
+    outputs = model_function(dae, "outputs", at, shown, compiled=False)
+    laws = dae.function("law", [*at[:3], u], [ca.densify(ca.vertcat(ca.SX(0, 1), *law))])
+    given = laws.mx_in()
+    driven = laws(*given)
     return System(
         dae,
         np.zeros((u.numel(), 0)),
@@ -151,23 +157,8 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
         motion,
         dependent,
         equations.jacobian,
-        _output_function(dae, law, u, shown),
+        ca.Function("outputs", given, [*outputs(*given[:3], driven), driven]),
     )
-
-
-def _output_function(dae: Dae, law: list[ca.SX], u: ca.SX, shown: list[ca.SX]) -> ca.Function:
-    """Return the function that computes outputs and limits, ``shown``, and the driven inputs.
-
-    It is not compiled: outputs contain the origin of the map, so a library would serve one map.
-    """
-    x, z, inputs = dae.columns()
-    outputs = model_function(dae, "outputs", [dae.t, x, z, inputs], shown, compiled=False)
-    laws = dae.function("law", [dae.t, x, z, u], [ca.densify(ca.vertcat(ca.SX(0, 1), *law))])
-    given = [
-        ca.MX.sym(name, each.numel()) for name, each in zip("txzu", (dae.t, x, z, u), strict=True)
-    ]
-    driven = laws(*given)
-    return ca.Function("outputs", given, [*outputs(*given[:3], driven), driven])
 
 
 def _watch_function(

@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from slipfree.core.dae import Dae
-from slipfree.core.records import Array, leaves
+from slipfree.core.records import leaves
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.toml.types import Quantity
 from slipfree.models.kinematics import direct_kinematics
@@ -24,7 +23,6 @@ from slipfree.problem.build import (
 from slipfree.problem.build_ground import GroundMap, build_ground
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import INPUTS, VERB, DriverTable, TerrainKeys, VehicleSource
-from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import input_samples
 from slipfree.solve.system import with_inputs
 from slipfree.system.parts import PartsWatch, study, until_interrupt
@@ -79,14 +77,20 @@ def compare(
         t, _ = input_samples(spec.time.duration, spec.time.step, {})
         same = dae.inputs(**{key: rates.get(key, 0.0) for key in known})
         law = build_law(problem, spec.driver, dae, start)
-        drives = [_drive(vehicle, dae, start, inputs, t, options) for inputs in (same, law)]
+        runs = [simulate_to_failure(dae, start, each, t, options) for each in (same, law)]
+        # the Jacobian of the rates contains A'A, which has the rank of A, the Jacobian of the slip
+        system = with_inputs(dae, dae.zero_inputs, 0, options)
+        point = 0.0, dae.rows("x", start, -1), dae.rows("z", start, -1), system.u[:, 0], 0.0
+        block = np.array(system.blocks[1].newton(*point)[1]) * dae.sizes.z[system.blocks[1].span]
+        count = len(block) - len(start.wheels)
+        values = np.linalg.svd(block[:count, :count], compute_uv=False)
         return {
             "name": vehicles[index].name,
             "wheels": start.wheels,
-            "rank": _rank(dae, start, options),
+            "rank": int((values > RANK * values[0]).sum()),
             "conditions": 3 * len(vehicle.wheels),
-            "same_rates": drives[0],
-            "driving_law": drives[1],
+            "same_rates": _extremes(vehicle, runs[0]),
+            "driving_law": _extremes(vehicle, runs[1]),
         }
 
     with study(compared, watch=watch) as run:
@@ -94,10 +98,7 @@ def compare(
     return ground, [row for _, row in rows]
 
 
-def _drive(
-    vehicle: Vehicle, dae: Dae, start: Trajectory, inputs: Any, t: Array, options: SolverOptions
-) -> dict[str, Any]:
-    run = simulate_to_failure(dae, start, inputs, t, options)
+def _extremes(vehicle: Vehicle, run: Trajectory) -> dict[str, Any]:
     even = run if run.stop is None else run.part(slice(-1))  # a stop lies between the samples
     slip = np.linalg.norm(measured_slip(vehicle, even), axis=2)
     tilts = [run[c.name] for c in vehicle.of("passive") if vehicle.unit(c.name) == "rad"]
@@ -121,16 +122,3 @@ def _drive(
         "axle": {"unit": "m", "min": float(width.min()), "max": float(width.max())},
         "stop": stop,
     }
-
-
-def _rank(dae: Dae, start: Trajectory, options: SolverOptions) -> int:
-    """Return the rank of ``A``, the Jacobian of the slip in the unknown rates."""
-    # the Jacobian of the rates contains A'A, which has the same rank
-    system = with_inputs(dae, dae.zero_inputs, 0, options)
-    x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)
-    rates = system.blocks[1]
-    _, jacobian = rates.newton(0.0, x, z, system.u[:, 0], 0.0)
-    block = np.array(jacobian) * dae.sizes.z[rates.span]
-    count = len(block) - len(start.wheels)
-    values = np.linalg.svd(block[:count, :count], compute_uv=False)
-    return int((values > RANK * values[0]).sum())
