@@ -162,7 +162,12 @@ def climb(
     loads = np.where(found, np.clip(hold.normal, 0, most_load), weight / 3)
     pushes = np.where(found, hold.tangential, 0.0)
     pushes = np.where(np.abs(pushes) <= MAX_FRICTION * loads, pushes, 0.0)
-    least, most = _speeds(nodes, fastest, halt=halt)
+    most = fastest / (nodes.speeds**2).max(axis=1)  # bounds of b
+    most[[0, -1] if halt else [0]] = 0.0
+    away = ends - ends[0]
+    away = np.minimum(away, away[-1] - away) if halt else away
+    least = np.minimum(2 * MIN_ACCELERATION * away, MAX_LOWER_BOUND * fastest)
+    least = np.minimum(least, most)
     given = hold.mu[found[:, 0]].max(initial=0.0) if mu is None else mu
     slow = np.minimum(GUESS_SQUARE * fastest, most)
     guess = [slow, np.hstack([loads, pushes]).ravel(), np.array([given])]
@@ -191,17 +196,6 @@ def climb(
 
 def _blocks(matrices: Array) -> ca.DM:
     return ca.sparsify(ca.diagcat(*(ca.DM(each) for each in matrices)))
-
-
-def _speeds(nodes: PathSamples, fastest: float, *, halt: bool) -> tuple[Array, Array]:
-    """Return lower and upper bounds of the squared path speed b at the nodes, (n + 1,) [m2/s2]."""
-    upper = fastest / (nodes.speeds**2).max(axis=1)
-    upper[[0, -1] if halt else [0]] = 0.0
-    away = nodes.s - nodes.s[0]
-    away = np.minimum(away, away[-1] - away) if halt else away
-    return np.minimum(
-        np.minimum(2 * MIN_ACCELERATION * away, MAX_LOWER_BOUND * fastest), upper
-    ), upper
 
 
 class ClimbHistory(NamedTuple):

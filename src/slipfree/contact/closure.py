@@ -69,10 +69,10 @@ def check_couplings(vehicle: Vehicle) -> None:
     names = ["z", "roll", "pitch", *moved]
     q = ca.SX.sym("q", len(names))
     zero = {c.name: ca.SX(0) for c in vehicle.coordinates}
-    values = zero | dict(zip(moved, ca.vertsplit(q)[3:], strict=True))
+    values = dict(zip(moved, ca.vertsplit(q)[3:], strict=True))
     level = ca.SX(0)
-    parts = vehicle.parts(platform(level, level, q[0], level, q[1], q[2]), values)
-    heights = [(parts[wheel.parent] @ wheel.mount).origin[2] for wheel in vehicle.wheels]
+    poses = vehicle.carriers(platform(level, level, q[0], level, q[1], q[2]), values)
+    heights = [pose.origin[2] for pose in poses]
     slopes = ca.Function("slopes", [q], [ca.jacobian(ca.vertcat(*heights), q)])
     _, sizes, right = np.linalg.svd(np.array(slopes(0)))
     free = [name for name, part in zip(names, right[-1], strict=True) if abs(part) > MIN_PART]

@@ -334,12 +334,11 @@ def _wheel_mobility(
     wheel is not driven. The last is whether a passive coordinate swivels the wheel about the
     vertical.
     """
-    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
     passive = {c.name: ca.SX.sym(c.name) for c in vehicle.of("passive")}
-    values = {c.name: ca.SX(0) for c in vehicle.coordinates} | states | passive
+    poses = vehicle.carriers(values=states | passive)
     symbols = ca.vertcat(ca.SX(0, 1), *states.values(), *passive.values())
     level = ca.vertcat(ca.SX(0, 1), *passive.values())
-    for wheel, pose in zip(vehicle.wheels, vehicle.carriers(rest, values), strict=True):
+    for wheel, pose in zip(vehicle.wheels, poses, strict=True):
         angle = ca.atan2(pose.rotation[1, 0], pose.rotation[0, 0])
 
         def at_zero(value: ca.SX) -> Array:

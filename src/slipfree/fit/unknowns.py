@@ -18,7 +18,7 @@ from annotated_types import DocInfo, Unit
 from slipfree.core.dae import Dae, Parameter
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Label
-from slipfree.geometry.frame import Pose, Vector
+from slipfree.geometry.frame import Vector
 from slipfree.vehicle.sections import Disc, Omni, Section, Sphere, Torus
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -115,10 +115,7 @@ def _section(section: Section, radius: Any, name: str) -> Section:
 
 def lateral_places(vehicle: Vehicle) -> list[tuple[Wheel, float]]:
     """Return the wheels and the lateral places of their centres, joints at zero [m]."""
-    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
-    poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
-    places = [float(ca.evalf(pose.origin)[0]) for pose in poses]
-    return [*zip(vehicle.wheels, places, strict=True)]
+    return [*zip(vehicle.wheels, vehicle.centers[:, 0].tolist(), strict=True)]
 
 
 def track(vehicle: Vehicle) -> float:

@@ -65,6 +65,9 @@ def translation(x: ca.SX | float, y: ca.SX | float, z: ca.SX | float) -> Pose:
     return Pose(ca.SX.eye(3), ca.SX(ca.vertcat(x, y, z)))
 
 
+FIXED = translation(0, 0, 0)  # pose of the fixed axes
+
+
 def turn(axis: Axis, angle: ca.SX | float) -> Pose:
     """Return the pose of a frame rotated about a fixed axis by a right-handed angle [rad]."""
     k = ca.skew(ca.SX(ca.DM(unit_vector(axis))))

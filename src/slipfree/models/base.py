@@ -290,10 +290,8 @@ def extent(vehicle: Vehicle) -> float:
     It is the largest coordinate of a wheel's centre relative to the platform's centre, and at
     least the largest wheel radius.
     """
-    rest, vehicle = Pose(ca.SX.eye(3), ca.SX.zeros(3)), vehicle.numeric
-    poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
-    arms = [float(np.abs(np.array(ca.evalf(pose.origin))).max()) for pose in poses]
-    return max(*arms, *(wheel.radius for wheel in vehicle.wheels))
+    vehicle = vehicle.numeric
+    return max(float(np.abs(vehicle.centers).max()), *(wheel.radius for wheel in vehicle.wheels))
 
 
 def at_rest(vehicle: Vehicle, labels: Any) -> ca.SX:

@@ -26,7 +26,7 @@ import numpy as np
 from slipfree.contact.nearest_points import frame_of
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
-from slipfree.geometry.frame import Pose, translation
+from slipfree.geometry.frame import FIXED, Pose, translation
 from slipfree.laws.protocols import BodyLaw, BodyTouch, ContactLaw, GroundForce
 from slipfree.models.multibody import Load, Multibody
 from slipfree.terrain.base import Terrain
@@ -96,8 +96,7 @@ def body_contacts(
 
 def _points(shape: BodyShape) -> Sequence[tuple[Pose, float]]:
     """Return the poses of the points of a shape in its part, and the radius about them [m]."""
-    still = Pose(ca.SX.eye(3), ca.SX.zeros(3))
-    frame = frame_of(shape, still)
+    frame = frame_of(shape, FIXED)
     if isinstance(shape, Ball):
         return [(frame, shape.radius)]
     points: Iterable[Sequence[float]] = shape.points if isinstance(shape, Hull) else []

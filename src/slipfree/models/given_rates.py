@@ -23,7 +23,6 @@ from slipfree.core.errors import ModelError
 from slipfree.core.quantities import quantity_label
 from slipfree.core.rearrange import ModelVariable, new_variable, variables
 from slipfree.core.records import Label, leaves, pack
-from slipfree.geometry.frame import Pose
 from slipfree.laws.least_slip import LeastSlip, slip_unit
 from slipfree.laws.rolling import Rolling, rolling_counts
 from slipfree.vehicle.tree import Coordinate, Kind, Vehicle
@@ -290,7 +289,7 @@ def steering_effects(direct: Dae, kind: Kind = "commanded") -> dict[str, dict[in
     """
     vehicle = direct.vehicle
     values = {c.name: direct.named(c.name)[0] for c in vehicle.coordinates}
-    poses = vehicle.carriers(Pose(ca.SX.eye(3), ca.SX.zeros(3)), values)
+    poses = vehicle.carriers(values=values)
     angles = ca.vertcat(*(ca.atan2(pose.rotation[1, 0], pose.rotation[0, 0]) for pose in poses))
     column, effects = ca.vertcat(*values.values()), dict[str, dict[int, ca.SX]]()
     for c in vehicle.of(kind):

@@ -41,7 +41,6 @@ from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Label, leaves, pack, symbols
 from slipfree.core.schema import Positive
-from slipfree.geometry.frame import Pose
 from slipfree.laws.least_slip import LeastSlip, linear_form
 from slipfree.laws.protocols import Equations, Motion, SlipLaw, wheel_labels
 from slipfree.models.base import (
@@ -203,7 +202,11 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
     parts = parts._replace(load=still[0], held=still[1])
     depths = [ca.dot(contact.normal, miss) for contact, miss in zip(contacts, misses, strict=True)]
     pressed = press(vehicle, ca.vertcat(*depths), smoothing)
-    groups = _groups(labels)
+    relaxed = {labels.z.rates.z, labels.z.rates.roll, labels.z.rates.pitch}
+    relaxed |= {*labels.z.rates.suspension}
+    groups = list[int](), list[int]()  # rates that friction balances, and that relax
+    for k, label in enumerate(leaves(labels.z.rates.motion)):
+        groups[label in relaxed].append(k)
     balanced = balance(parts, pressed, groups)
     columns = (balanced.along, balanced.across, pressed.load)
     forces = Forces(*(tuple(ca.vertsplit(vehicle.weight * each)) for each in columns))
@@ -257,21 +260,8 @@ def loaded(vehicle: Vehicle) -> Vehicle:
     """Return a vehicle with mass; if it has none, with unit weight at the wheels' centroid."""
     if vehicle.mass:
         return vehicle
-    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
-    poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
-    x, y, z = (float(each) for each in ca.vertsplit(sum(pose.origin for pose in poses)))
-    count = len(poses)
-    return replace(vehicle, body=Body(1 / vehicle.gravity, (x / count, y / count, z / count)))
-
-
-def _groups(labels: Labels) -> tuple[list[int], list[int]]:
-    """Return the indices of the rates that friction balances, and of the rates that relax."""
-    rates = labels.z.rates
-    relaxing = {rates.z, rates.roll, rates.pitch, *rates.suspension}
-    sliding, rest = list[int](), list[int]()
-    for k, label in enumerate(leaves(rates.motion)):
-        (rest if label in relaxing else sliding).append(k)
-    return sliding, rest
+    x, y, z = vehicle.centers.mean(axis=0).tolist()
+    return replace(vehicle, body=Body(1 / vehicle.gravity, (x, y, z)))
 
 
 def _holding(q: Quantities, pressed: Press, sliding: list[int]) -> Holding:
@@ -393,8 +383,7 @@ def check_rollers(vehicle: Vehicle) -> None:
     if coordinates or not all(wheel.rollers for wheel in vehicle.wheels):
         return
     vehicle = vehicle.numeric
-    size, still = extent(vehicle), {c.name: ca.SX(0) for c in vehicle.coordinates}
-    poses = vehicle.carriers(Pose(ca.SX.eye(3), ca.SX.zeros(3)), still)
+    size, poses = extent(vehicle), vehicle.carriers()
     rows = np.zeros((len(poses), 3))
     for row, wheel, pose in zip(rows, vehicle.wheels, poses, strict=True):
         (x, y), (right, forward) = (

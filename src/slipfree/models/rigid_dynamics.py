@@ -34,6 +34,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+import scipy  # scipy.spatial is imported when it is used
 
 from slipfree.contact.closure import contact_frame
 from slipfree.contact.touch import Touch
@@ -210,17 +211,20 @@ def rigid_dynamics(
         lifts = wheel_limits(vehicle, "lift_off", reaction.normal, 0.0, np.inf, why=why)
         own = (*lifts, *own)
     # the line from the contact point of the ground to that of the wheel is normal to the ground
-    nearest = list[ca.SX]()
-    for at, frame in zip(z.contacts, frames, strict=True):
+    nearest, names = list[ca.SX](), list[Label]()
+    words = "distance of the wheel from its contact point on the ground, {} the wheel"
+    for wheel, at, frame in zip(vehicle.wheels, z.contacts, frames, strict=True):
         away = frame.point - ca.vertcat(at.x, at.y, ground.height(at.x, at.y, lookups))
-        nearest += [ca.dot(frame.along, away), ca.dot(frame.across, away)]
+        for axis, line in (("along", frame.along), ("across", frame.across)):
+            nearest.append(ca.dot(line, away))
+            names.append(Label(f"nearest_{axis}", "m", words.format(axis), wheel.name))
     below = [each.motion.pose.origin[:2] for each in body.wheels]
     return vehicle_dae(
         q,
         labels,
         x,
         z,
-        (Equations(_nearest_labels(vehicle), ca.vertcat(*nearest)), reaction.equations),
+        (Equations(tuple(names), ca.vertcat(*nearest)), reaction.equations),
         forces,
         ode=ode,
         y=_without_unknowns(y),
@@ -260,16 +264,6 @@ def _without_unknowns(y: DynamicOutputs) -> DynamicOutputs:
     return y._replace(contact_x=(), contact_y=(), common=common)
 
 
-def _nearest_labels(vehicle: Vehicle) -> tuple[Label, ...]:
-    """Return the labels of the residuals of the contact points."""
-    words = "distance of the wheel from its contact point on the ground, {} the wheel"
-    return tuple(
-        Label(f"nearest_{axis}", "m", words.format(axis), wheel.name)
-        for wheel in vehicle.wheels
-        for axis in ("along", "across")
-    )
-
-
 def dynamic_guess(model: Dae, start: Trajectory, run: Trajectory) -> Trajectory:
     """Return the motion of a dynamic model along the path of a kinematic model's motion.
 
@@ -292,14 +286,11 @@ def dynamic_guess(model: Dae, start: Trajectory, run: Trajectory) -> Trajectory:
     t = run.t - run.t[0]
     at_rest = not any(start.of(label)[-1] for label in model.labels.x.velocity)
     progress = t[-1] * (t / t[-1]) ** EASE_IN if at_rest else t
-    moved = Trajectory(
-        t,
-        {
-            name: Column(column.label, _resampled(column.values, t, progress))
-            for name, column in run.columns.items()
-        },
-        run.wheels,
-    )
+    resampled = dict[str, Column]()
+    for name, (label, samples) in run.columns.items():
+        rows = [np.interp(progress, t, row) for row in samples.reshape(t.size, -1).T]
+        resampled[name] = Column(label, np.column_stack(rows).reshape(samples.shape))
+    moved = Trajectory(t, resampled, run.wheels)
     known = dict(_states(model, moved, np.gradient(progress, t)))
     known |= _inputs(model, moved, np.gradient(progress, t))
     columns = dict[str, Column]()
@@ -316,22 +307,18 @@ def dynamic_guess(model: Dae, start: Trajectory, run: Trajectory) -> Trajectory:
     return Trajectory(t, columns, run.wheels, ground=run.ground)
 
 
-def _resampled(values: Array, t: Array, at: Array) -> Array:
-    """Return samples at times ``t`` interpolated at times ``at``, along the first axis."""
-    rows = values.reshape(t.size, -1)
-    return np.column_stack([np.interp(at, t, row) for row in rows.T]).reshape(values.shape)
-
-
 def _states(model: Dae, run: Trajectory, pace: Array) -> Iterator[tuple[str, Array]]:
     """Yield the states and contact points by name; ``pace`` is the rate of the progress [1]."""
     labels = model.labels.x
     for label in (labels.x, labels.y, labels.z, *labels.joints):
         yield label.full, run[label.name]
-    attitude = _attitude(run)
+    angles = np.column_stack([run[name] for name in ("heading", "roll", "pitch")])
+    turned = scipy.spatial.transform.Rotation.from_euler("ZYX", angles)
+    attitude = np.roll(turned.as_quat(), 1, axis=1).T  # (w, x, y, z)
     rates = np.gradient(attitude, run.t, axis=1)
-    omega = 2 * _product(rates, attitude * np.array([[1.0], [-1.0], [-1.0], [-1.0]]))[1:]
-    vectors = (labels.attitude, attitude), (labels.omega, omega)
-    for names, rows in vectors:
+    omega = attitude[0] * rates[1:] - rates[0] * attitude[1:]
+    omega = 2 * (omega - np.cross(rates[1:], attitude[1:], axis=0))
+    for names, rows in ((labels.attitude, attitude), (labels.omega, omega)):
         yield from zip((label.full for label in names), rows, strict=True)
     for label, name in zip(labels.velocity, "xyz", strict=True):
         yield label.full, np.gradient(run[name], run.t)
@@ -363,20 +350,3 @@ def _inputs(model: Dae, run: Trajectory, pace: Array) -> dict[str, Array]:
         change = np.gradient(run[coordinate.name], run.t)
         inputs[label.full] = np.zeros_like(change) if coordinate.drive.takes_effort else change
     return inputs
-
-
-def _attitude(run: Trajectory) -> Array:
-    """Return the quaternion (w, x, y, z) of the platform, shape (4, n)."""
-    attitude = np.vstack([np.ones(run.t.size), np.zeros((3, run.t.size))])
-    for name, axis in (("heading", 3), ("roll", 2), ("pitch", 1)):
-        turn = np.zeros_like(attitude)
-        turn[0], turn[axis] = np.cos(run[name] / 2), np.sin(run[name] / 2)
-        attitude = _product(attitude, turn)
-    return attitude
-
-
-def _product(p: Array, q: Array) -> Array:
-    """Return the products of quaternions (w, x, y, z), shape (4, n)."""
-    scalar = p[0] * q[0] - (p[1:] * q[1:]).sum(axis=0)
-    vector = p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:], axis=0)
-    return np.vstack([scalar, vector])

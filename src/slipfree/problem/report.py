@@ -21,7 +21,7 @@ from slipfree.files.atlas_files import is_atlas, open_atlas, tiles_in
 from slipfree.files.netcdf import MAP_TRANSFORM, ORIGIN, read
 from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.files.vehicle_toml import Draft, VehicleError
-from slipfree.geometry.frame import AXES, Pose, unit_vector
+from slipfree.geometry.frame import AXES, unit_vector
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.records import is_determinate
@@ -227,20 +227,12 @@ def _description(vehicle: Vehicle, dae: Dae, terrain: Terrain, start: Trajectory
     return Description(_drawn_tree(vehicle), wheel_rows(vehicle), facts, (), [*details, *solved])
 
 
-def _places(vehicle: Vehicle) -> Array:
-    """Return the centres of the wheels with all coordinates at zero, shape (n_wheels, 3) [m]."""
-    zero = {c.name: ca.SX(0) for c in vehicle.coordinates}
-    parts = vehicle.parts(Pose(ca.SX.eye(3), ca.SX.zeros(3)), zero)
-    centers = [(parts[wheel.parent] @ wheel.mount).origin for wheel in vehicle.wheels]
-    return np.array([np.array(ca.evalf(center)).ravel() for center in centers])
-
-
 def wheel_rows(vehicle: Vehicle) -> list[Mapping[str, str]]:
     """Return the rows of the table of a vehicle's wheels: values by the heading of the column.
 
     Places are those with all coordinates at zero. The partner is the wheel at the mirror image.
     """
-    places, wheels = _places(vehicle), vehicle.wheels
+    places, wheels = vehicle.centers, vehicle.wheels
     joints = {joint.name: joint for joint in vehicle.joints}
     kinds = {c.name: c.kind for c in vehicle.coordinates}
     rows = list[Mapping[str, str]]()
@@ -271,9 +263,8 @@ def wheel_rows(vehicle: Vehicle) -> list[Mapping[str, str]]:
 
 def dimensions(vehicle: Vehicle) -> Lines:
     """Return track, wheelbase, and total mass with its centre, with all coordinates at zero."""
-    across, along, _ = np.ptp(_places(vehicle), axis=0)
-    zero = {c.name: ca.SX(0) for c in vehicle.coordinates}
-    masses = vehicle.masses(Pose(ca.SX.eye(3), ca.SX.zeros(3)), zero)
+    across, along, _ = np.ptp(vehicle.centers, axis=0)
+    masses = [*vehicle.masses()]
     total = sum(mass for _, mass, _ in masses)
     center = "no mass"
     if total:

@@ -10,14 +10,12 @@ import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from slipfree.atlas.atlas import Atlas, atlas
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask
-from slipfree.geometry.frame import Pose
 from slipfree.geometry.regions import Region
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.terrain.base import Grid
@@ -317,9 +315,7 @@ def extents(vehicle: Vehicle) -> tuple[float, float, float]:
     The circle about the platform's centre encloses all wheels, each as a sphere, since a wheel may
     be steered and tilted.
     """
-    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
-    poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
-    at = np.array([np.array(ca.evalf(pose.origin)).ravel()[:2] for pose in poses])
+    at = vehicle.centers[:, :2]
     radius = np.array([wheel.radius for wheel in vehicle.wheels])
     half_width = np.array([wheel.half_width for wheel in vehicle.wheels])
     size = np.stack([half_width, radius], axis=1)

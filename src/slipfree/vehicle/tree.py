@@ -16,6 +16,7 @@ from slipfree.core.errors import ModelError, listed, similar
 from slipfree.core.records import Array, field_overview, overview
 from slipfree.core.schema import Finite, NonNegative, Positive
 from slipfree.geometry.frame import (
+    FIXED,
     Axis,
     Elements,
     Pose,
@@ -362,7 +363,15 @@ class Vehicle:
         """Total weight, wheels included [N]."""
         return self.mass * self.gravity
 
-    def carriers(self, platform: Pose, values: Mapping[str, ca.SX]) -> tuple[Pose, ...]:
+    @property
+    def centers(self) -> Array:
+        """Centres of the wheels relative to the platform at zero coordinates, (n_wheels, 3) [m]."""
+        origins = (pose.origin for pose in self.carriers())
+        return np.array(ca.evalf(ca.horzcat(*origins))).T
+
+    def carriers(
+        self, platform: Pose = FIXED, values: Mapping[str, ca.SX] = {}
+    ) -> tuple[Pose, ...]:
         """Return the pose of each wheel's carrier: origin at the centre, x axis along the axle.
 
         Parameters
@@ -370,13 +379,13 @@ class Vehicle:
         platform : Pose
             Pose of the platform.
         values : mapping of str to SX
-            Value of every coordinate, by name. [rad or m]
+            Values of coordinates by name; the others are zero. [rad or m]
         """
         parts = self.parts(platform, values)
         return tuple(parts[wheel.parent] @ wheel.mount for wheel in self.wheels)
 
     def masses(
-        self, platform: Pose, values: Mapping[str, ca.SX]
+        self, platform: Pose = FIXED, values: Mapping[str, ca.SX] = {}
     ) -> Iterator[tuple[str, float, ca.SX]]:
         """Yield name, mass [kg] and centre of mass [m] of every part and wheel with a mass.
 
@@ -391,12 +400,13 @@ class Vehicle:
             if body.mass:
                 yield part, body.mass, (parts[part] @ translation(*body.at)).origin
 
-    def parts(self, platform: Pose, values: Mapping[str, ca.SX]) -> dict[str, Pose]:
+    def parts(self, platform: Pose = FIXED, values: Mapping[str, ca.SX] = {}) -> dict[str, Pose]:
         """Return the poses of the platform and of the parts of all joints, by name.
 
         Parameters are those of `carriers`.
         """
         parts = {"platform": platform}
+        values = {c.name: ca.SX(0) for c in self.coordinates} | dict(values)
         for joint in self.joints:
             parts[joint.name] = parts[joint.parent] @ joint.pose(values)
         return parts
