@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from helpers.commands import printed, refused
 from slipfree import Bicubic, Grid, ModelError, catalog, inverse_kinematics, settle, simulate
-from slipfree.files.controller import _c_name, controller_code, export_controller
+from slipfree.files.controller import _c_name, export_controller
 from slipfree.system import codegen_cache
 from slipfree.vehicle.sections import section_of_radii
 from slipfree.vehicle.tree import Vehicle
@@ -245,17 +245,17 @@ def test_refusals_name_the_remedy(tmp_path):
     (tmp_path / "out.nc").write_bytes(b"CDF")
     assert "expected a problem file" in refused("export", tmp_path / "out.nc", "--c", tmp_path)
     with pytest.raises(ModelError, match="locked to a plane"):
-        controller_code(catalog.step_climber())
+        export_controller(catalog.step_climber(), tmp_path)
 
 
-def test_names_that_are_equal_in_c_are_refused():
+def test_names_that_are_equal_in_c_are_refused(tmp_path):
     wheels = [("a-b", 0.3, 0.0), ("a_b", -0.3, 0.0), ("front", 0.0, 0.5)]
     disc = section_of_radii(0.0, 0.1)
     twins = Vehicle(
         "x", (), (), tuple(Wheel(n, "platform", (x, y, 0.0), disc, True) for n, x, y in wheels)
     )
     with pytest.raises(ModelError, match=r"'contact_x\[a-b\]' and 'contact_x\[a_b\]'; rename"):
-        controller_code(twins)
+        export_controller(twins, tmp_path)
 
 
 @pytest.mark.parametrize("name", ["NULL", "M_PI", "bool", "linux", "operator"])

@@ -184,32 +184,6 @@ def export_controller(
     DataError
         If a file cannot be written.
     """
-    texts = controller_code(vehicle, given=given, exact=exact, frame=frame)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(
-            f"{folder}: expected a folder to write, found that it cannot be made "
-            f"({error.strerror}); choose another name"
-        ) from error
-    files = [folder / name for name in texts]
-    for file, text in zip(files, texts.values(), strict=True):
-        replace_file(file, partial(Path.write_text, data=text, encoding="utf-8"))
-    sources = " ".join(shlex.quote(str(file)) for file in files[1:])
-    program = str(files[-1].with_suffix(""))
-    program = shlex.quote(program if os.sep in program else f"./{program}")
-    command = f"cc -std=c99 -pedantic -Wall -O2 -o {program} {sources} -lm && {program}"
-    return ControllerCode(files, command)
-
-
-def controller_code(
-    vehicle: Vehicle,
-    *,
-    given: Sequence[str] = tuple(COMMANDS),
-    exact: bool = False,
-    frame: Frame = "rep103",
-) -> dict[str, str]:
-    """Return the texts of the files of `export_controller` by their names."""
     if vehicle.planar:
         raise ModelError(
             f"{vehicle.name!r}: expected a vehicle that moves in all directions, found one that is "
@@ -235,13 +209,28 @@ def controller_code(
         **_source_text(level, fields, name),
         **_test_text(vehicle, (level, _model(vehicle, grid, rates)), grid, fields),
     }
-    folder = Path(__file__).parent
-    return {
+    templates = Path(__file__).parent
+    texts = {
         file.format(name): re.sub(
-            "@([A-Za-z_]+)@", lambda key: text[key[1]], (folder / template).read_text("utf-8")
+            "@([A-Za-z_]+)@", lambda key: text[key[1]], (templates / template).read_text("utf-8")
         )
         for file, template in FILES
     }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(
+            f"{folder}: expected a folder to write, found that it cannot be made "
+            f"({error.strerror}); choose another name"
+        ) from error
+    files = [folder / name for name in texts]
+    for file, content in zip(files, texts.values(), strict=True):
+        replace_file(file, partial(Path.write_text, data=content, encoding="utf-8"))
+    sources = " ".join(shlex.quote(str(file)) for file in files[1:])
+    program = str(files[-1].with_suffix(""))
+    program = shlex.quote(program if os.sep in program else f"./{program}")
+    command = f"cc -std=c99 -pedantic -Wall -O2 -o {program} {sources} -lm && {program}"
+    return ControllerCode(files, command)
 
 
 def _model(vehicle: Vehicle, grid: Grid, rates: GivenRates) -> _Model:

@@ -9,13 +9,13 @@ import json
 import keyword
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from itertools import starmap
 from math import degrees, isfinite
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import tomlkit
@@ -59,11 +59,19 @@ from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS, names_in
 from slipfree.vehicle.sections import SECTIONS, Omni, Section, section_of_radii
 from slipfree.vehicle.shapes import SHAPES, Ball, BodyShape, Box, Hull
-from slipfree.vehicle.tree import PARENT, Body, Coordinate, Joint, Kind, Vehicle, part_faults
+from slipfree.vehicle.tree import (
+    PARENT,
+    Body,
+    Coordinate,
+    Joint,
+    Kind,
+    Vehicle,
+    VehicleParts,
+    part_faults,
+)
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 RESERVED_NAMES = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
-NO_BODY = Body()
 MAX_LENGTH = 100.0  # largest length in a vehicle [m]
 # rotation from axes x forward, y left (rep103) to axes x right, y forward
 FORWARD_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -113,26 +121,14 @@ def toml_line(table: str, name: str, **values: Value) -> str:
 
 
 @dataclass(frozen=True)
-class Draft:
+class Draft(VehicleParts):
     """Parts of a vehicle read from a file, not yet validated as a vehicle."""
 
-    name: str
-    coordinates: tuple[Coordinate, ...]
-    joints: tuple[Joint, ...]
-    wheels: tuple[Wheel, ...]
-    body: Body = NO_BODY
-    notes: tuple[str, ...] = ()
     guesses: tuple[Guess, ...] = ()  # guesses that the reader made
-    planar: bool = False  # whether the vehicle is locked to a plane
-
-    def of(self, kind: Kind) -> tuple[Coordinate, ...]:
-        """Return the coordinates of a given kind, in the order of the file."""
-        return tuple(c for c in self.coordinates if c.kind == kind)
 
     def vehicle(self) -> Vehicle:
         """Return the vehicle; raise ModelError if the parts do not form one."""
-        parts = self.coordinates, self.joints, self.wheels, self.body, self.notes
-        return Vehicle(self.name, *parts, planar=self.planar)
+        return Vehicle(*(getattr(self, part.name) for part in fields(VehicleParts)))
 
 
 class VehicleError(ProblemError):
@@ -411,27 +407,30 @@ def _known_section(_: Any) -> None:
     raise expected_error(f"one of {', '.join(map(repr, SECTIONS))}")
 
 
-def _kind_in(data: Any, kinds: Collection[str]) -> str:
-    """Return the kind that a table states, which must be one of some."""
-    kind = data.get("kind") if isinstance(data, dict) else None
-    if not isinstance(kind, str) or kind not in kinds:
-        raise expected_error(f"a table whose 'kind' is one of {', '.join(map(repr, kinds))}")
-    return kind
+class KindTable(Record):
+    """Table with a key ``kind``, on which its other keys depend."""
 
-
-class DriveKind(Record):
-    """Key of the table of a drive that is not a parameter of its kind."""
-
+    tables: ClassVar[Mapping[str, type[Record]]]  # records with the keys of each kind
     kind: str
 
     @classmethod
     def schema_for(cls, data: Any) -> type[Record]:
-        """Return the record with the parameters of the kind."""
-        if cls is not DriveKind:
+        """Return the record with the keys of the kind."""
+        if "tables" not in vars(cls):  # a record of one kind
             return cls
-        drive: Any = DRIVES[_kind_in(data, DRIVES)]
-        schema: type[Record] = record_of(drive, DriveKind)
-        return schema
+        kind = data.get("kind") if isinstance(data, dict) else None
+        if not isinstance(kind, str) or kind not in cls.tables:
+            words = ", ".join(map(repr, cls.tables))
+            raise expected_error(f"a table whose 'kind' is one of {words}")
+        return cls.tables[kind]
+
+
+class DriveKind(KindTable):
+    """Table of a drive."""
+
+
+_drives: Mapping[str, Any] = DRIVES
+DriveKind.tables = {kind: record_of(drive, DriveKind) for kind, drive in _drives.items()}
 
 
 def _drive(data: Any) -> Drive:
@@ -450,17 +449,8 @@ Length = Annotated[Positive, AfterValidator(_meters)]
 DriveTable: Any = Annotated[DriveKind | Any, PlainValidator(_drive)]
 
 
-class AnyShapeTable(Record):
-    """Table of a shape of a body: the key that all kinds have."""
-
-    kind: str
-
-    @classmethod
-    def schema_for(cls, data: Any) -> type[Record]:
-        """Return the record with the dimensions of the kind."""
-        if cls is not AnyShapeTable:
-            return cls
-        return SHAPE_TABLES[_kind_in(data, SHAPE_TABLES)]
+class AnyShapeTable(KindTable):
+    """Table of a shape of a body."""
 
 
 class BoxTable(AnyShapeTable):
@@ -484,11 +474,7 @@ class HullTable(AnyShapeTable):
     points: Annotated[tuple[At, ...], Field(strict=False, min_length=1)]
 
 
-SHAPE_TABLES: dict[str, type[AnyShapeTable]] = {
-    "box": BoxTable,
-    "ball": BallTable,
-    "hull": HullTable,
-}
+AnyShapeTable.tables = {"box": BoxTable, "ball": BallTable, "hull": HullTable}
 Shapes = Annotated[tuple[AnyShapeTable, ...], Field(strict=False)]
 
 

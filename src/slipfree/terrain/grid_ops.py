@@ -89,7 +89,21 @@ def parts(
     DataError is raised if the window is empty, the map or the window has fewer than 4 nodes along
     an axis, more than ``most`` are selected, or rounding would lose the distances of the nodes.
     """
-    _check_axes(x, y)
+    if min(x.size, y.size) < 4:
+        raise DataError(
+            f"expected a map of at least 4 nodes along x and along y, found {x.size} by {y.size}; "
+            "use a larger map"
+        )
+    for name, axis in (("x", x), ("y", y)):
+        size = min(axis.size, 10**18)  # a header may contain any number
+        farthest = max(abs(axis.first), abs(axis.first + axis.step * size))
+        if not (farthest < MAX_COORDINATE and axis.step > MIN_RELATIVE_STEP * farthest):
+            raise DataError(
+                f"expected node coordinates up to {MAX_COORDINATE:g} with a step above "
+                f"{MIN_RELATIVE_STEP:g} of the largest, found "
+                f"{float(size):.3g} nodes from {name} = {axis.first:g} with step {axis.step:g}; "
+                "correct the coordinates of the map"
+            )
     selected = slice(0, x.size), slice(0, y.size)
     reach = f"the map extends from {_extent(x)} in x and from {_extent(y)} in y"
     if window is not None:
@@ -114,25 +128,6 @@ def parts(
             f"window = [x_min, x_max, y_min, y_max]: {reach}"
         )
     return selected
-
-
-def _check_axes(x: UniformAxis, y: UniformAxis) -> None:
-    """Raise DataError for axes with too few nodes, large coordinates or steps lost by rounding."""
-    if min(x.size, y.size) < 4:
-        raise DataError(
-            f"expected a map of at least 4 nodes along x and along y, found {x.size} by {y.size}; "
-            "use a larger map"
-        )
-    for name, axis in (("x", x), ("y", y)):
-        size = min(axis.size, 10**18)  # a header may contain any number
-        farthest = max(abs(axis.first), abs(axis.first + axis.step * size))
-        if not (farthest < MAX_COORDINATE and axis.step > MIN_RELATIVE_STEP * farthest):
-            raise DataError(
-                f"expected node coordinates up to {MAX_COORDINATE:g} with a step above "
-                f"{MIN_RELATIVE_STEP:g} of the largest, found "
-                f"{float(size):.3g} nodes from {name} = {axis.first:g} with step {axis.step:g}; "
-                "correct the coordinates of the map"
-            )
 
 
 def _part(axis: UniformAxis, low: float, high: float) -> slice:

@@ -248,9 +248,26 @@ class Joint:
         return place @ translation(*(value * along for along in unit_vector(self.axis)))
 
 
+@dataclass(frozen=True)
+class VehicleParts:
+    """Parts of a vehicle, whether or not they fit each other; the fields are those of `Vehicle`."""
+
+    name: str
+    coordinates: tuple[Coordinate, ...]
+    joints: tuple[Joint, ...]
+    wheels: tuple[Wheel, ...]
+    body: Body = Body()
+    notes: tuple[str, ...] = ()
+    planar: bool = False
+
+    def of(self, kind: Kind) -> tuple[Coordinate, ...]:
+        """Return the coordinates of a given kind, in the vehicle's order."""
+        return tuple(c for c in self.coordinates if c.kind == kind)
+
+
 @checked
 @dataclass(frozen=True)
-class Vehicle:
+class Vehicle(VehicleParts):
     """A vehicle: platform, joints and wheels.
 
     Models and results keep the order of coordinates, joints and wheels.
@@ -287,13 +304,6 @@ class Vehicle:
         and finite.
     """
 
-    name: str
-    coordinates: tuple[Coordinate, ...]
-    joints: tuple[Joint, ...]
-    wheels: tuple[Wheel, ...]
-    body: Body = Body()
-    notes: tuple[str, ...] = ()
-    planar: bool = False
     nominal: Vehicle | None = field(default=None, compare=False)
     gravity: Positive = EARTH_GRAVITY
 
@@ -333,10 +343,6 @@ class Vehicle:
     def numeric(self) -> Vehicle:
         """The vehicle with numbers in place of parameters."""
         return self.nominal or self
-
-    def of(self, kind: Kind) -> tuple[Coordinate, ...]:
-        """Return the coordinates of a given kind, in the vehicle's order."""
-        return tuple(c for c in self.coordinates if c.kind == kind)
 
     def unit(self, name: str) -> Literal["rad", "m"]:
         """Return the unit of a coordinate: "rad" if joints rotate with it, "m" if they slide."""

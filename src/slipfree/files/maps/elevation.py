@@ -331,7 +331,33 @@ def jacksboro(scale: float = 1.0) -> Grid:
 
 
 def _read_npz(path: Path, ask: Reading) -> Heights:
-    x, y, z = _arrays(path)
+    try:
+        with path.open("rb") as stream, warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of files written by Python 2
+            file = np.load(stream, allow_pickle=False)
+            if not isinstance(file, np.lib.npyio.NpzFile):
+                refuse("an archive of arrays x, y, z", "a single array", TO_NPZ)
+            largest = max((each.file_size for each in zipfile.ZipFile(path).infolist()), default=0)
+            if largest > 8 * MAX_NODES + HEADER:
+                remedy = "crop it, or convert it to GeoTIFF and set a window"
+                size = f"an array of {largest / 1e9:.3g} GB"
+                refuse(f"at most {MAX_NODES:g} nodes", size, remedy)
+            missing = sorted({"x", "y", "z"} - set(file.files))
+            if missing:
+                refuse("the arrays x, y, z", f"{sorted(file.files)} without {missing}", TO_NPZ)
+            arrays = {name: file[name] for name in ("x", "y", "z")}
+    except DataError:
+        raise
+    except Exception as error:  # numpy raises errors of many kinds for a damaged archive
+        raise DataError(
+            f"expected a numpy archive, found a file that cannot be read "
+            f"({str(error).split(': ')[0]}); {TO_NPZ}"
+        ) from error
+    for name, array in arrays.items():
+        if array.dtype.kind not in "iuf":
+            expected = f"numbers in the array {name!r}"
+            refuse(expected, f"{array.dtype}", "convert it to float")
+    x, y, z = (array.astype(np.float64) for array in arrays.values())
     try:
         grid = Grid(x, y, np.where(np.isnan(z), 0.0, z))  # checks axes and shapes
     except ModelError as error:
@@ -381,35 +407,3 @@ READERS: tuple[MapReader, ...] = (
     MapReader((".las", ".laz", ".ply", ".pcd"), read_point_cloud, ("spacing",)),
 )
 KEYS = ("cell", "registration", "spacing")  # arguments of some formats only
-
-
-def _arrays(path: Path) -> tuple[Array, Array, Array]:
-    """Return the arrays x, y, z of a numpy archive; raise DataError if it is not usable."""
-    try:
-        with path.open("rb") as stream, warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of files written by Python 2
-            file = np.load(stream, allow_pickle=False)
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                refuse("an archive of arrays x, y, z", "a single array", TO_NPZ)
-            largest = max((each.file_size for each in zipfile.ZipFile(path).infolist()), default=0)
-            if largest > 8 * MAX_NODES + HEADER:
-                remedy = "crop it, or convert it to GeoTIFF and set a window"
-                size = f"an array of {largest / 1e9:.3g} GB"
-                refuse(f"at most {MAX_NODES:g} nodes", size, remedy)
-            missing = sorted({"x", "y", "z"} - set(file.files))
-            if missing:
-                refuse("the arrays x, y, z", f"{sorted(file.files)} without {missing}", TO_NPZ)
-            arrays = {name: file[name] for name in ("x", "y", "z")}
-    except DataError:
-        raise
-    except Exception as error:  # numpy raises errors of many kinds for a damaged archive
-        raise DataError(
-            f"expected a numpy archive, found a file that cannot be read "
-            f"({str(error).split(': ')[0]}); {TO_NPZ}"
-        ) from error
-    for name, array in arrays.items():
-        if array.dtype.kind not in "iuf":
-            expected = f"numbers in the array {name!r}"
-            refuse(expected, f"{array.dtype}", "convert it to float")
-    x, y, z = (array.astype(np.float64) for array in arrays.values())
-    return x, y, z

@@ -119,7 +119,7 @@ def _draft(file: Tree, roles: UrdfTable, findings: Findings) -> Draft:
         tuple(wheel for wheel in built if wheel is not None),
         _body(tree, tree.root, shapes),
         (*findings.notes, *shape_notes),
-        tuple(findings.guesses),
+        guesses=tuple(findings.guesses),
     )
 
 

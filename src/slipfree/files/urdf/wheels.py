@@ -157,7 +157,26 @@ class Wheels:
 
     def add_notes(self) -> None:
         """Add notes on the shapes and centres of mass of the wheels."""
-        self._add_shape_notes()
+        alike: dict[str, list[tuple[str, float]]] = {}
+        for joint in self.joints:
+            shapes, chosen = self.tree.links[joint.child].shapes, self._shape(joint)
+            is_given = self._role(joint).radius is not None
+            if chosen is None or is_given or all(shape == chosen for shape in shapes):
+                continue
+            counts = Counter((shape.kind, shape.radius) for shape in shapes)
+            listed = ", ".join(
+                f"{n} {kind}{'s' * (n > 1)} of {radius:g} m" for (kind, radius), n in counts.items()
+            )
+            message = (
+                f"several shapes ({listed}), of which the one about the axle that touches level "
+                f"ground first gives the radius, {chosen.radius:g} m"
+            )
+            radius = max((s.radius for s in shapes if s.radius != chosen.radius), default=0.0)
+            alike.setdefault(message, []).append((joint.name, radius))
+        for message, wheels in alike.items():
+            _, radius = wheels[0]
+            other = partial(toml_line, "wheels", radius=radius) if radius else None
+            self._findings.note(message, dict(wheels), other)
         radii = [radius for radius in map(self._rolling_radius, self.joints) if radius]
         off, bare, thin = list[str](), list[str](), list[str]()
         for joint in self.joints:
@@ -544,29 +563,6 @@ class Wheels:
         if abs(axis[2]) > STEEP or abs(axis[1]) < MIN_AXLE_LEFT:
             return np.asarray(RIGHT)
         return np.asarray(-np.sign(axis[1]) * axis)
-
-    def _add_shape_notes(self) -> None:
-        """Add notes on the wheels whose links have several shapes, with the chosen radius."""
-        alike: dict[str, list[tuple[str, float]]] = {}
-        for joint in self.joints:
-            shapes, chosen = self.tree.links[joint.child].shapes, self._shape(joint)
-            is_given = self._role(joint).radius is not None
-            if chosen is None or is_given or all(shape == chosen for shape in shapes):
-                continue
-            counts = Counter((shape.kind, shape.radius) for shape in shapes)
-            listed = ", ".join(
-                f"{n} {kind}{'s' * (n > 1)} of {radius:g} m" for (kind, radius), n in counts.items()
-            )
-            note = (
-                f"several shapes ({listed}), of which the one about the axle that touches level "
-                f"ground first gives the radius, {chosen.radius:g} m"
-            )
-            radius = max((s.radius for s in shapes if s.radius != chosen.radius), default=0.0)
-            alike.setdefault(note, []).append((joint.name, radius))
-        for note, wheels in alike.items():
-            _, radius = wheels[0]
-            other = partial(toml_line, "wheels", radius=radius) if radius else None
-            self._findings.note(note, dict(wheels), other)
 
 
 def _with_fixed_shapes(tree: Tree) -> Tree:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -180,7 +178,6 @@ class _Values:
         self.given = frozenset(arguments)
         self.properties: dict[str, str] = {}
         self.variables: dict[str, str] = {}
-        self._numbers: dict[str, ca.SX] = {}  # properties that are finite numbers
         self._count = self._length = 0
 
     def text(self, text: str) -> str:
@@ -200,11 +197,7 @@ class _Values:
         if element.tag == "xacro:property":
             value = self.text(element.attributes.get("value", "${}"))
             same = self.properties.setdefault(name, value) == value
-            self.properties[name] = value = value if same else "${}"
-            self._numbers.pop(name, None)
-            with suppress(ValueError):
-                if math.isfinite(number := float(value)):
-                    self._numbers[name] = ca.SX(number)
+            self.properties[name] = value if same else "${}"
 
     def _limited(self, value: Callable[[re.Match[str]], str]) -> Callable[[re.Match[str]], str]:
         """Return a function of a match that raises DataError beyond the limits of the file."""
@@ -236,12 +229,11 @@ class _Values:
         if text in self.properties and "$" not in self.properties[text]:
             return self.properties[text]
         try:
-            if not names_in(text) <= self._numbers.keys():
-                return match[0]
-            number = float(ca.evalf(evaluate(text, self._numbers)))
-        except ModelError:
+            values = {name: ca.SX(float(self.properties[name])) for name in names_in(text)}
+            number = float(ca.evalf(evaluate(text, values)))
+        except (ModelError, KeyError, ValueError):
             return match[0]
-        if not math.isfinite(number):
+        if not all(each.is_regular() for each in (ca.SX(number), *values.values())):
             return match[0]
         is_whole = number.is_integer() and not re.search(r"[./e]", text)
         return str(int(number)) if is_whole and abs(number) < 1e15 else repr(number)
