@@ -535,6 +535,31 @@ def test_a_range_is_drawn_as_an_area(run_plan, ax):
     assert (*patch.get_xy(), patch.get_width(), patch.get_height()) == (10.0, 20.0, 4.0, 6.0)
 
 
+def test_map_shows_regions_and_places_of_a_plan(run_plan, grid_plan):
+    marks = {"keep_out": [Region.disc(6.5, 8.0, 0.2)], "places": (START, GOAL)}
+    found = motion_figures.motion_plots(run_plan, grid_plan, marks=marks)
+    for ax in plots.draw(found[:1])["map"].axes[:2]:
+        (goal,) = (line for line in ax.lines if line.get_label() == "goal")
+        assert goal.get_xydata()[0] == pytest.approx(GOAL[1:])
+        assert "keep-out region" in labels(ax)
+        assert labels(ax).count("start") == 0  # the path marks it
+
+
+def test_paths_that_follow_a_plan_are_above_it(run_plan, grid_plan):
+    marks = {"keep_out": [Region.disc(6.5, 8.0, 0.2)], "places": (START, GOAL)}
+    late = moved(run_plan, x=0.1)
+    plot = plan_figures.tracking_plot("t", run_plan, [("replan", late)], grid_plan, marks)
+    left, right = plots.draw([plot])["t"].axes
+    lines = {line.get_label(): line for line in left.lines}
+    (follower,) = (each for each in left.lines if each.get_xdata()[0] == late["x"][0])
+    assert follower.zorder > lines["plan"].zorder
+    assert follower.get_linewidth() < lines["plan"].get_linewidth()
+    assert left.images  # the ground
+    assert left.get_xlabel() == "east $x$ [m]"
+    assert "keep-out region" in labels(left)
+    assert right.lines[0].get_ydata() == pytest.approx(0.1)
+
+
 def test_room_is_the_distance_less_what_the_wheels_reach(run_plan, layers, ax):
     plan_figures.keep_out_distance(run_plan, layers, ax)
     expected = np.hypot(run_plan["x"] - 14, run_plan["y"] - 16) - 1.5 - layers.limits.reach

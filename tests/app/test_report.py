@@ -278,6 +278,13 @@ def test_numbers_of_unknowns_are_printed_with_verbose():
         assert "partner" in out
 
 
+def test_slip_in_soil_is_not_the_least():
+    found = describe(Path(__file__).parents[2] / "problems" / "moon_craters.toml")
+    assert (
+        "the wheels slip as the wheel-ground law determines" in facts(found)["no-slip conditions"]
+    )
+
+
 BROKEN = (DATA / "six_wheels_without_suspension.toml").read_text()
 
 

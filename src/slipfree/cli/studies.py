@@ -277,10 +277,14 @@ def track(
         if out is not None and results:
             print_line(f"wrote {out}")
         if picture is not None and results and not is_interrupted:
+            from slipfree.problem.verbs.plan import PlanVerb
             from slipfree.show.plan_figures import tracking_plot
 
             named = [(name, result.trajectory) for name, result in results]
-            draw_plots([tracking_plot(picture.stem, test.plan, named)], picture.parent)
+            problem, setup = results[-1][1].problem, results[-1][1].setup
+            marks = PlanVerb().marks(problem, setup.terrain.domain)
+            plot = tracking_plot(picture.stem, test.plan, named, setup.ground.grid, marks)
+            draw_plots([plot], picture.parent)
             print_line(f"wrote {picture}")
         code = max((result.outcome.exit_code for _, result in results), default=0)
         _exit(*written(), GO_ON, is_interrupted=is_interrupted, code=code)

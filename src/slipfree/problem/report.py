@@ -384,12 +384,15 @@ def counts(vehicle: Vehicle, dae: Dae) -> Lines:
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
     passive = [c.name for c in vehicle.of("passive")]
     given, needed = len(passive) + len(free), _tangential(vehicle) - 3
-    if given == needed:
+    more = "too few by" if given < needed else "too many by"
+    balance = "as many as needed" if given == needed else f"{more} {abs(needed - given)}"
+    if _has_ground_law(dae):
+        rolls = f"{balance}: the wheels slip as the wheel-ground law determines"
+    elif given == needed:
         law = "least" if any(wheel.rollers for wheel in vehicle.wheels) else "rolling"
-        rolls = f"as many as needed: it can roll without slip (slip = '{law}')"
+        rolls = f"{balance}: it can roll without slip (slip = '{law}')"
     else:
-        more = "too few by" if given < needed else "too many by"
-        rolls = f"{more} {abs(needed - given)}: it moves with least slip (slip = 'least')"
+        rolls = f"{balance}: it moves with least slip (slip = 'least')"
     equations = (
         "equilibrium and the wheel-ground law; they also determine the normal forces"
         if _has_ground_law(dae)

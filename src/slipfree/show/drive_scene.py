@@ -17,7 +17,7 @@ from slipfree.geometry.regions import Region
 from slipfree.models.samples import CLOSEST, FramePoses, part_poses, wheel_poses
 from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing, style
-from slipfree.show.ground_drawing import Window
+from slipfree.show.ground_drawing import Place, Window
 from slipfree.show.meshes import (
     Surface,
     extruded,
@@ -78,7 +78,8 @@ class Driven(NamedTuple):
     terrain: Bicubic
     vehicle: Vehicle
     keep_out: tuple[Region, ...] = ()  # of a plan
-    places: tuple[tuple[str, float, float], ...] = ()  # names, x, y of start, way-points, goal [m]
+    places: tuple[Place, ...] = ()  # start, way-points and goal of a plan
+    areas: Mapping[str, Window] = {}  # of places that are no points, by name
     plan: Trajectory | None = None  # the plan that the motion simulates, with contact points
     prisms: tuple[Prism, ...] = ()  # solids on the ground
     robot: Robot | None = None  # URDF of the vehicle; None without one
@@ -212,12 +213,7 @@ def _backdrop(
 
     def draw(ax: Axes) -> Axes:
         ground_drawing.solids(first.prisms, ground_drawing.muted(terrain.grid, ax, window))
-        for region in first.keep_out:
-            ax.fill(*region.outline.T, fill=False, ec="black", hatch=ground_drawing.HATCH, lw=0.8)
-        for name, x, y in first.places:
-            marker = {"start": "o", "goal": "*"}.get(name, "D")
-            ax.plot(x, y, marker, mfc="white", mec="black", ms=9 if name == "goal" else 5)
-        return ax
+        return ground_drawing.plan_marks(ax, first.keep_out, first.places, first.areas)
 
     return Backdrop(draw, near, AROUND * reach)
 

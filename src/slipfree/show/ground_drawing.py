@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -18,6 +18,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import Trajectory
+from slipfree.geometry.regions import Region
 from slipfree.show import style
 from slipfree.show.meshes import clipped
 from slipfree.show.plots import Plot, PlottedDrive
@@ -36,6 +37,9 @@ INSIDE = 0.44  # largest distance of text on a map from its middle [width of the
 SOLID: dict[str, Any] = {"fc": (0.55, 0.55, 0.55, 0.45), "ec": "black", "lw": 0.8, "zorder": 2}
 
 Window = tuple[float, float, float, float]
+Place = tuple[str, float, float]
+MARKERS = {"start": ("o", 5), "goal": ("*", 9)}  # shapes and sizes of places of a plan [points]
+WAY_POINT = "D", 4
 POSES = 8  # number of drawn positions of the vehicle
 ROOM = 0.04  # margin around the motion [m]
 LATEST = 0.85  # used part of the colour scale: its yellow end is too light for lines
@@ -115,6 +119,34 @@ def solids(prisms: Sequence[Prism], ax: Axes) -> Axes:
             outline = Polygon(face @ axes.T + place, label="solids", **SOLID)
             outline.set_path_effects(style.halo(2.0))
             ax.add_patch(outline)
+    return ax
+
+
+def plan_marks(
+    ax: Axes,
+    keep_out: Sequence[Region] = (),
+    places: Sequence[Place] = (),
+    areas: Mapping[str, Window] = {},
+) -> Axes:
+    """Draw keep-out regions, start, way-points and goal of a plan in plan view, within the axes.
+
+    ``places`` are names, x and y; those with an area by their name in ``areas`` are drawn as areas.
+    """
+    west, east, south, north = *ax.get_xlim(), *ax.get_ylim()
+    for region in keep_out:
+        x_min, x_max, y_min, y_max = region.bounds
+        if x_min < east and x_max > west and y_min < north and y_max > south:
+            looks: dict[str, Any] = {"fill": False, "ec": "black", "lw": 1.0, "hatch": "////"}
+            ax.add_patch(Polygon(region.outline, label="keep-out region", zorder=2, **looks))
+    for name, (x_min, x_max, y_min, y_max) in areas.items():
+        look: dict[str, Any] = {"fill": False, "ls": "--", "lw": 1.0, "zorder": 4, "label": name}
+        outline = Rectangle((x_min, y_min), x_max - x_min, y_max - y_min, **look)
+        outline.set_path_effects(style.halo(2.2))
+        ax.add_patch(outline)
+    for name, x, y in (place for place in places if place[0] not in areas):
+        shape, size = MARKERS.get(name, WAY_POINT)
+        marks: dict[str, Any] = {"ls": "none", "mfc": "white", "mec": "black", "zorder": 6}
+        ax.plot(x, y, shape, ms=size, label=name, **marks)
     return ax
 
 

@@ -7,7 +7,7 @@ Angles are drawn in radians, with degrees on a second axis.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, cast
 
@@ -153,10 +153,17 @@ def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
 
 
 def motion_plots(
-    run: Trajectory, grid: Grid, surface: Terrain | None = None, prisms: tuple[Prism, ...] = ()
+    run: Trajectory,
+    grid: Grid,
+    surface: Terrain | None = None,
+    prisms: tuple[Prism, ...] = (),
+    marks: Mapping[str, Any] = {},
 ) -> tuple[Plot, ...]:
-    """Return the figures of `FIGURES` that have content, the most important first."""
-    drive = PlottedDrive(run, grid, surface or Bicubic(grid), prisms)
+    """Return the figures of `FIGURES` that have content, the most important first.
+
+    ``marks`` are the keyword arguments of `plan_marks` for the regions and places of a plan.
+    """
+    drive = PlottedDrive(run, grid, surface or Bicubic(grid), prisms, marks)
     return tuple(plot for compose in FIGURES if (plot := compose(drive)) is not None)
 
 
@@ -313,8 +320,10 @@ def _map(drive: PlottedDrive) -> Figure:
     panel = min((85 if columns == 1 else 58) * MM / ratio, 110 * MM)
     figure = style.figure(PAGE if columns == 2 else COLUMN, rows * (panel + 11 * MM) + 16 * MM)
     panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    places = [each for each in drive.marks.get("places", ()) if each[0] != "start"]  # of the path
     for ax, part in zip(panels, (whole, window), strict=False):
-        path(run, ground_drawing.solids(drive.prisms, ground(grid, ax, part)))
+        ground_drawing.solids(drive.prisms, ground(grid, ax, part))
+        path(run, ground_drawing.plan_marks(ax, **{**drive.marks, "places": places}))
     if _tracks_differ(run, spans[-1][0]):
         tracks(run, panels[-1])
     if twice:

@@ -16,15 +16,13 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon, Rectangle
 
 from slipfree.core.facts import printed_unit, starting_with
 from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import Trajectory
-from slipfree.geometry.regions import Region
 from slipfree.routing.traversability import Traversability, blocked_by
 from slipfree.show import ground_drawing, motion_figures, style
-from slipfree.show.ground_drawing import Window
+from slipfree.show.ground_drawing import Place, Window
 from slipfree.show.plots import Panel, Plot, stack
 from slipfree.show.style import COLUMN, MM, PAGE, PLATFORM
 from slipfree.terrain.base import Grid
@@ -47,7 +45,6 @@ NO_GUESS = np.zeros((0, 2))
 TRACKING_HEIGHT = 70.0  # [mm]
 ENTRIES = 7  # lines of a legend beside a row of that height
 Range = tuple[float, float]
-Place = tuple[str, float, float]
 NO_AREAS: Mapping[str, Window] = {}
 
 
@@ -69,10 +66,7 @@ def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Ax
     ax.imshow(_blocked(layers, part, ax).transpose(1, 0, 2), **where)
     ground_drawing.contours(grid, ax, window)
     ground_drawing.hatch(grid, grid.holes, window, "no heights", "0.4", ax)
-    for region in layers.limits.keep_out:
-        x_min, x_max, y_min, y_max = region.bounds
-        if x_min < window[1] and x_max > window[0] and y_min < window[3] and y_max > window[2]:
-            ax.add_patch(_outline(region))
+    ground_drawing.plan_marks(ax, layers.limits.keep_out)
     if layers.poses is None:
         return ax
     dearer = inside.size > 0 and inside.max() > top
@@ -120,18 +114,7 @@ def motion(
         label="planned motion",
         path_effects=style.halo(3.0),
     )
-    marks: dict[str, Any] = {"ls": "none", "mec": "black", "zorder": 5}
-    for name, (west, east, south, north) in areas.items():
-        look: dict[str, Any] = {"fill": False, "ls": "--", "lw": 1.0, "zorder": 4, "label": name}
-        outline = Rectangle((west, south), east - west, north - south, **look)
-        outline.set_path_effects(style.halo(2.2))
-        ax.add_patch(outline)
-    for name, x, y in (place for place in places if place[0] not in areas):
-        shape, color, size = {"start": ("o", "white", 5), "goal": ("*", "white", 9)}.get(
-            name, ("D", "white", 4)
-        )
-        ax.plot(x, y, shape, mfc=color, ms=size, label=name, **marks)
-    return ax
+    return ground_drawing.plan_marks(ax, (), places, areas)
 
 
 def inputs(run: Trajectory, bounds: Mapping[str, Range], ax: Axes) -> Axes:
@@ -199,30 +182,37 @@ def plan_plots(
     return (planned, ground) if panels else (ground,)
 
 
-def tracking_plot(name: str, plan: Trajectory, motions: Sequence[tuple[str, Trajectory]]) -> Plot:
-    """Return the figure of motions that follow a plan, with the names of their controllers."""
+def tracking_plot(
+    name: str,
+    plan: Trajectory,
+    motions: Sequence[tuple[str, Trajectory]],
+    grid: Grid,
+    marks: Mapping[str, Any] = {},
+) -> Plot:
+    """Return the figure of motions that follow a plan, with the names of their controllers.
+
+    ``marks`` are the keyword arguments of `plan_marks` for the regions and places of the plan.
+    """
     caption = "Paths of a plan and of the motions that follow it, and distances at equal times."
 
     def make() -> Figure:
         figure = style.figure(PAGE, TRACKING_HEIGHT * MM)
         ground, error = figure.subplots(1, 2)
-        ground.plot(plan["x"], plan["y"], color=PLATFORM, lw=1.6, label="plan", zorder=3)
+        runs = [plan, *(run for _, run in motions)]
+        x, y = (np.concatenate([run[axis] for run in runs]) for axis in "xy")
+        ground_drawing.muted(grid, ground, ground_drawing.about(x, y, grid, 0.15))
+        ground_drawing.plan_marks(ground, **marks)
+        wide: dict[str, Any] = {"color": PLATFORM, "lw": 3.5, "alpha": 0.4}
+        ground.plot(plan["x"], plan["y"], label="plan", **wide)
         names = list(dict.fromkeys(name for name, _ in motions))
         for way, run in motions:
             look = style.look(names.index(way))
-            ground.plot(run["x"], run["y"], lw=0.8, **look)
+            ground.plot(run["x"], run["y"], lw=1.0, zorder=3, **look)
             at = [np.interp(run.t, plan.t, plan[axis]) for axis in "xy"]
             distance = np.hypot(run["x"] - at[0], run["y"] - at[1])
-            seen = error.get_legend_handles_labels()[1]
-            error.plot(run.t, distance, lw=0.8, label=None if way in seen else way, **look)
-        ground.set_aspect("equal", adjustable="datalim")
-        ground.set_xlabel("x [m]")
-        ground.set_ylabel("y [m]")
-        ground.legend()
-        error.set_xlabel("time [s]")
-        error.set_ylabel("distance from the plan [m]")
-        error.legend()
-        return figure
+            error.plot(run.t, distance, lw=1.0, label=way, **look)
+        style.time_axis(plan, error).set_ylabel("distance from the plan [m]")
+        return style.finished(figure, plan, [ground, error])
 
     return Plot(name, caption, make)
 
@@ -319,8 +309,3 @@ def _blocked(layers: Traversability, part: Mask, ax: Axes) -> Array:
         if (mine & part).any():
             ax.plot([], [], "s", color=color, ms=6, label=words)
     return colors
-
-
-def _outline(region: Region) -> Polygon:
-    looks: dict[str, Any] = {"fill": False, "ec": "black", "lw": 1.0, "hatch": "////", "zorder": 2}
-    return Polygon(region.outline, label="keep-out region", **looks)

@@ -7,7 +7,7 @@ and labels the artists for the legend.
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -53,6 +53,8 @@ class PlottedDrive(NamedTuple):
     grid: Grid
     surface: Terrain  # surface of the ground as used by the model
     prisms: tuple[Prism, ...] = ()
+    # keyword arguments of `slipfree.show.ground_drawing.plan_marks`: regions and places of a plan
+    marks: Mapping[str, Any] = {}
 
 
 def stack(run: Trajectory, panels: Sequence[Panel], note: str = "", width: float = PAGE) -> Figure:

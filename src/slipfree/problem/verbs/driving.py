@@ -52,6 +52,7 @@ from slipfree.terrain.base import Grid
 
 if TYPE_CHECKING:
     from slipfree.plan.polynomial_motion import SavedPlan
+    from slipfree.problem.verbs.plan_schema import Domain
     from slipfree.show.drive_scene import Driven
     from slipfree.show.plots import Plot
 
@@ -182,7 +183,12 @@ class DriveVerb(Verb, ABC):
         from slipfree.show.motion_figures import motion_plots
 
         world = world_of(result)
-        return motion_plots(result.trajectory, world.ground.grid, prisms=world.prisms)
+        marks = self.marks(result.problem, world.terrain.domain)
+        return motion_plots(result.trajectory, world.ground.grid, prisms=world.prisms, marks=marks)
+
+    def marks(self, problem: Problem[Any], domain: Domain) -> dict[str, Any]:
+        """Return keep-out regions and places of a plan; none for other motions."""
+        return {}
 
     def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground and vehicle, as input of the viewer."""
@@ -191,10 +197,9 @@ class DriveVerb(Verb, ABC):
         run, problem, world = result.trajectory, result.problem, world_of(result)
         contents = vehicle_file(problem.spec.vehicle, problem)
         robot, visuals = contents.robot, visual_meshes(contents)
-        solids = world.prisms
-        return Driven(
-            name, run, world.terrain, world.vehicle, prisms=solids, robot=robot, visuals=visuals
-        )
+        drawn = {"prisms": world.prisms, "robot": robot, "visuals": visuals}
+        drawn |= self.marks(problem, world.terrain.domain)
+        return Driven(name, run, world.terrain, world.vehicle, **drawn)
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return attributes of the result: input names, coordinates of the map file."""

@@ -69,7 +69,7 @@ from slipfree.problem.verbs.plan_facts import (
     optimality_facts,
 )
 from slipfree.problem.verbs.plan_over_solids import OverSolids, build_over_solids, drive_over_solids
-from slipfree.problem.verbs.plan_schema import areas_of, places_of, regions
+from slipfree.problem.verbs.plan_schema import Domain, areas_of, places_of, regions
 from slipfree.problem.verbs.plan_search import (
     UNTESTED,
     Tested,
@@ -230,10 +230,18 @@ class PlanVerb(DriveVerb):
 
     def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground, vehicle, keep-out regions and plan."""
-        driven, problem = super().shown(result, name), result.problem
+        driven = super().shown(result, name)
         planned = poses_of_plan(result.trajectory, result.arrays, driven.terrain)
-        places, _ = places_of(problem, driven.terrain.domain)
-        return driven._replace(keep_out=regions(problem), plan=planned, places=places)
+        return driven._replace(plan=planned)
+
+    def marks(self, problem: Problem[Any], domain: Domain) -> dict[str, Any]:
+        """Return keep-out regions, places, and areas of those that are no points."""
+        places, _ = places_of(problem, domain)
+        return {
+            "keep_out": regions(problem),
+            "places": places,
+            "areas": areas_of(problem, domain),
+        }
 
 
 def _lines_as_arrays(name: str, lines: Sequence[Array]) -> dict[str, Array]:
@@ -256,9 +264,9 @@ def figure_options(result: Result, world: World) -> dict[str, Any]:
     unbounded = dict.fromkeys(run.attributes["inputs"].split(), (-np.inf, np.inf))
     routes, grid = _line_points("route", arrays), world.ground.grid
     ends = np.flatnonzero(np.isnan(routes[:, 0]))
+    marks = PlanVerb().marks(problem, grid.domain)
     return {
-        "places": places_of(problem, grid.domain)[0],
-        "areas": areas_of(problem, grid.domain),
+        **{name: marks[name] for name in ("places", "areas")},
         "found": [line[~np.isnan(line[:, 0])] for line in np.split(routes, ends)[:-1]],
         "guess": _line_points("guess", arrays),
         "bounds": unbounded | spec.bounds,
