@@ -24,7 +24,7 @@ from slipfree.files import netcdf
 from slipfree.models.samples import measured_slip, part_poses, wheel_poses
 from slipfree.show import ground_drawing, motion_figures
 from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
-from slipfree.show.film import draw_faces, film_writer, projected
+from slipfree.show.film import draw_faces, film_writer, picture, projected
 from slipfree.show.html_page import with_legend
 from slipfree.show.meshes import MOST, clipped, extruded, plate, rod, roller_axles, spokes
 from slipfree.show.scene import BLOCKED, arrow_scales, map_lines
@@ -380,6 +380,32 @@ def test_places_are_checked_before_anything_is_drawn(
     assert {path.name for path in tmp_path.iterdir()} == {"d.html"}
 
 
+def test_pictures_have_fine_ground_a_scale_and_paths_on_the_ground(drive: Driven) -> None:
+    """As far as the ground is drawn, which is finer than in films."""
+    scene = drive_scene([drive])
+    ax = picture(scene, "title").make().axes[0]
+    (ground,) = (each for each in ax.collections if each.get_zorder() == 0)
+    assert len(ground.get_paths()) == 89**2
+    assert ground.get_clip_on()
+    (bar,), (words,) = ax.lines, ax.texts
+    assert words.get_text() == f"{np.ptp(bar.get_xdata()):g} m"
+    body = scene.actors[0].bodies[0]
+    body = body._replace(origins=body.origins + np.linspace(0, 90, len(body.origins))[:, None])
+    away = scene._replace(actors=(scene.actors[0]._replace(bodies=(body,)),))
+    ax = picture(away, "title", 0.0).make().axes[0]
+    (path,) = (each for each in ax.collections if each.get_zorder() == 1)
+    assert 0 < np.nanmax(np.abs(path.get_segments()[0])) < 2 * ax.get_xlim()[1]
+
+
+def test_nothing_covers_the_text_below_a_film(file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "film.gif"
+    invoke("show", file, "--animation", out, code=0)
+    assert out.stat().st_size < 21 * 20_000
+    with Image.open(out) as film:
+        seen = np.asarray(film.convert("RGB"), dtype=int)[-18:]
+    assert (seen[:, -200:] > 250).all()  # no ground beside the text
+
+
 def test_an_interrupted_film_leaves_nothing(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -414,8 +440,8 @@ def test_holes_are_drawn_empty(drive: Driven) -> None:
     x, _, _ = (mesh.vertices[mesh.faces].mean(axis=1) + drawn.origin).T
     assert len(x) > 1000
     assert x.min() > grid.x[6] - np.ptp(grid.x) / SIDE
-    around = drawn.backdrop.near(np.array([grid.x[6], 0.0, 0.0]) - drawn.origin, 1.0)
-    assert 0 < len(around) < len(drive_scene([drive]).backdrop.near(np.zeros(3), 1.0))
+    around = drawn.backdrop.near(np.array([grid.x[6], 0.0, 0.0]) - drawn.origin, 1.0, 24)
+    assert 0 < len(around) < len(drive_scene([drive]).backdrop.near(np.zeros(3), 1.0, 24))
     figure = Figure()
     assert motion_figures.ground(terrain.grid, figure.add_subplot()).has_data()
     FigureCanvasAgg(figure).draw()

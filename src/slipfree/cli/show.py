@@ -105,20 +105,19 @@ def show(
             speed = animate(scene, animation, title, progress)
         print_line(f"wrote {animation}, {speed}")
         add_json_file(animation)
-    if html is not None:
-        from slipfree.show.viewer import page
+    if html is not None or (animation is None and picture is None):
+        from slipfree.show.viewer import page, serve
 
         text = page(scene, title, color)
-        _write_page(html, text)
-        print_line(f"wrote {html}, {len(text) / 1e6:.1f} MB")
+        if html is None:
+            serve(text, port, warn, lambda url: open_page(url, browser))
+        else:
+            _write_page(html, text)
+            print_line(f"wrote {html}, {len(text) / 1e6:.1f} MB")
     if picture is not None:
         from slipfree.show.film import picture as drawn
 
         save_picture(drawn(scene, title, time), picture)
-    if html is None and animation is None and picture is None:
-        from slipfree.show.viewer import serve
-
-        serve(scene, title, color, port, warn, lambda url: open_page(url, browser))
 
 
 def _write_page(file: Path, text: str) -> None:

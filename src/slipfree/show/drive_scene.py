@@ -61,7 +61,6 @@ NEXT = 3.0  # smallest margin [reach of the vehicle]
 FINE = 0.125  # distance of nodes near the paths [reach of the vehicle]
 SEEN = 0.1  # larger distances of wheels from the drawn ground cause a warning [wheel radius]
 AROUND = 1.6  # half the width of the ground around the vehicle in a film [reach of the vehicle]
-CELLS = 24  # nodes of the ground around the vehicle in a film, per side
 PLACE_COLOR = (0, 0, 0)  # of start, way-points and goal of a plan
 CLOSEST_COLOR = (120, 0, 160)  # of the place where a body came closest to the ground
 ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform [wheel radius]
@@ -195,10 +194,10 @@ def _backdrop(
     terrain = first.terrain
     blocks = [mesh.vertices[face] for mesh in solids for face in mesh.faces]
 
-    def near(middle: Array, half: float) -> Sequence[Array]:
+    def near(middle: Array, half: float, count: int) -> Sequence[Array]:
         west, east, south, north = terrain.domain
         x, y = (
-            np.clip(np.linspace(at - half, at + half, CELLS) + start, low, high)
+            np.clip(np.linspace(at - half, at + half, count) + start, low, high)
             for at, start, low, high in zip(
                 middle, origin, (west, south), (east, north), strict=False
             )

@@ -20,23 +20,28 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
+from PIL import Image
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.show import style
 from slipfree.show.ground_drawing import DARKEST, LIGHT
 from slipfree.show.plots import Plot
-from slipfree.show.scene import ARROWS, PLAN_LINES, Color, Scene, layer
+from slipfree.show.scene import ARROWS, PLAN_LINES, Color, Scene, round_step
 from slipfree.show.style import MM, PAGE, STYLE
 from slipfree.system.regular_files import replace_file
 
 FRAMES, FILM_DPI = 20, 110  # frames per second, and dots per inch
+FILM_COLORS, OCTREE = 128, Image.Quantize.FASTOCTREE  # of a GIF; keeps the few pixels of arrows
 ENDINGS = (".mp4", ".gif")
 MOST = 400  # maximum number of frames of a film; longer motions are shown faster
 COLUMNS = {"width_ratios": (2, 3)}  # widths of the two axes
 FILM_HEIGHT, PICTURE_HEIGHT = 90.0, 110.0  # [mm]
 HEIGHT = 0.62  # height of the view over its width
 WIDE = 2.2  # width of the ground in a picture over that in a film [1]
+FILM_NODES, PICTURE_NODES = 24, 90  # nodes of the ground per side
+GROUND = (0.90, 0.85, 0.77)  # colour of the ground
+SCALE = 0.3  # least length of the scale bar [half the width of the view]
 CAMERA = np.radians((28.0, -55.0))  # elevation and azimuth of the viewer
 TITLE = 80  # number of characters in a line of the title
 HEAD = 0.3, 0.4  # length of an arrow's head over the arrow's, and its width over its length
@@ -53,13 +58,27 @@ def film_writer(file: Path, rate: int) -> AbstractMovieWriter:
             f"{repr(file.suffix) if file.suffix else 'no ending'}; choose another name"
         )
     if file.suffix == ".gif":
-        return PillowWriter(fps=rate)
+        return _GifWriter(fps=rate)
     if not FFMpegWriter.isAvailable():
         raise DataError(
             f"{file}: films in MP4 need the program ffmpeg, found none; install it (Debian: apt "
             "install ffmpeg; conda: conda install ffmpeg) or write a .gif"
         )
     return FFMpegWriter(fps=rate)
+
+
+class _GifWriter(PillowWriter):
+    """Writer of films whose frames have one palette without dithering, and need less space."""
+
+    def finish(self) -> None:
+        """Write the file."""
+        frames: list[Image.Image] = [each.convert("RGB") for each in self._frames]  # type: ignore[attr-defined]
+        palette = frames[len(frames) // 2].quantize(FILM_COLORS, OCTREE)
+        drawn = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in frames]
+        duration = int(1000 / self.fps)
+        drawn[0].save(
+            self.outfile, save_all=True, append_images=drawn[1:], duration=duration, loop=0
+        )
 
 
 def write_film(
@@ -118,9 +137,10 @@ def picture(scene: Scene, title: str, time: float | None = None) -> Plot:
         figure = style.figure(PAGE, PICTURE_HEIGHT * MM)
         FigureCanvasAgg(figure)
         is_level = np.ptp(scene.ground.mesh.vertices[:, 2]) < style.FLAT
-        view = View(figure.subplots(), (1.0 if is_level else WIDE) * scene.backdrop.half)
+        wide = (1.0 if is_level else WIDE) * scene.backdrop.half
+        view = View(figure.subplots(), wide, PICTURE_NODES)
         view.add_paths(scene)
-        view.show(scene, at, None if is_level else view.coloured(scene, at))
+        view.show(scene, at)
         figure.suptitle(title, x=0.02, ha="left", fontsize=9, weight="bold", parse_math=False)
         words = "; ".join([f"t = {at:.4g} s", *_told(scene)])
         figure.supxlabel(words, x=0.02, ha="left", fontsize=7, parse_math=False, bbox=BELOW)
@@ -144,7 +164,7 @@ class Film:
         self.canvas = cast("Any", FigureCanvasAgg(figure))  # most of its methods have no types
         self.scene = scene
         flat, space = figure.subplots(1, 2, gridspec_kw=COLUMNS)
-        self.view = View(space, scene.backdrop.half)
+        self.view = View(space, scene.backdrop.half, FILM_NODES)
         self.markers = _draw_paths(flat, scene)
         head = textwrap.fill(title, TITLE) or " "  # keeps the line of the clock free
         figure.suptitle(head, x=0.02, ha="left", fontsize=9, weight="bold", parse_math=False)
@@ -153,16 +173,18 @@ class Film:
         lines = ["; ".join(told), *scene.warnings]
         lines += [f"{actor.name} {actor.stop}" for actor in scene.actors if actor.stop]
         words = "\n".join(textwrap.fill(line, WIDTH) for line in lines)
-        figure.supxlabel(words, x=0.02, ha="left", fontsize=7, parse_math=False, bbox=BELOW)
+        look: dict[str, Any] = {"ha": "left", "fontsize": 7, "parse_math": False, "bbox": BELOW}
+        caption = figure.supxlabel(words, x=0.02, **look)
         self.moving = [*self.markers, *self.view.artists, self.clock]
         for artist in self.moving:
             artist.set_animated(True)
         for _ in range(2):  # passes of the layout
             figure.draw_without_rendering()
         figure.set_layout_engine("none")
-        beside = Bbox([[flat.bbox.x1 + 2, 0], [figure.bbox.x1, figure.bbox.y1]])
+        low = caption.get_window_extent().y1 + 2
+        beside = Bbox([[flat.bbox.x1 + 2, low], [figure.bbox.x1, figure.bbox.y1]])
         for artist in self.view.artists:
-            artist.set(clip_on=True, clip_box=beside)
+            artist.set_clip_box(beside)
         self.canvas.draw()
         self.still = self.canvas.copy_from_bbox(figure.bbox)
 
@@ -181,45 +203,45 @@ class Film:
 class View:
     """View of a vehicle on its ground from above, ahead and the left."""
 
-    def __init__(self, ax: Axes, half: float) -> None:
-        self.ax, self.half = ax, half
+    def __init__(self, ax: Axes, half: float, count: int) -> None:
+        self.ax, self.half, self.count = ax, half, count
         ax.set_axis_off()
         high = HEIGHT * half
         ax.set(xlim=(-half, half), ylim=(-high, high), aspect="equal")
-        look: dict[str, Any] = {"clip_on": False}
-        self.ground = PolyCollection([], lw=0.2, **look)
+        self.ground = PolyCollection([], lw=0.4)
         self.paths = list[tuple[Array, LineCollection]]()
-        self.vehicle = PolyCollection([], lw=0.3, **look)
-        self.arrows = LineCollection([], lw=1.4, **look)
+        self.vehicle = PolyCollection([], lw=0.3)
+        self.arrows = LineCollection([], lw=1.4)
         self.artists = [self.ground, self.vehicle, self.arrows]
         for number, artist in enumerate(self.artists):
             artist.set_zorder(2 * number)
             ax.add_collection(artist, autolim=False)
+        length, low = round_step(SCALE * half), -0.98 * high
+        ax.plot([-half, length - half], [low, low], color="black", lw=1.5, solid_capstyle="butt")
+        ax.text(-half, low + 0.03 * half, f"{length:g} m", fontsize=7)
 
     def add_paths(self, scene: Scene) -> None:
         """Add the paths of all platforms, keep-out regions, start and goal."""
-        for actor in scene.actors:
-            line = LineCollection([], colors=[_shares(actor.color)], zorder=1, lw=1.2)
-            line.set_linestyle("--" if actor.ghost else "-")
+        lines = [(each.bodies[0].origins[None], each.color, each.ghost) for each in scene.actors]
+        plan = (each for each in scene.ground.lines if each.name in PLAN_LINES)
+        for points, color, dashed in [
+            *lines,
+            *((each.segments, each.color, False) for each in plan),
+        ]:
+            line = LineCollection([], colors=[_shares(color)], zorder=1, lw=1.4)
+            line.set(linestyle="--" if dashed else "-", path_effects=style.halo(2.6))
             self.ax.add_collection(line, autolim=False)
-            self.paths.append((actor.bodies[0].origins[None], line))
-        for each in scene.ground.lines:
-            if each.name in PLAN_LINES:
-                line = LineCollection([], colors=[_shares(each.color)], zorder=1, lw=1.2)
-                self.ax.add_collection(line, autolim=False)
-                self.paths.append((each.segments, line))
+            self.paths.append((points, line))
 
-    def show(self, scene: Scene, t: float, ground: tuple[Array, Array] | None = None) -> None:
-        """Draw the first vehicle of a scene at a time [s], by default on gray ground."""
+    def show(self, scene: Scene, t: float) -> None:
+        """Draw the first vehicle of a scene at a time [s] on the ground around it."""
         actor = scene.actors[0].at(t)
         middle = actor.bodies[0].origins[0]
-        if ground is None:
-            faces = scene.backdrop.near(middle, self.half)
-            draw_faces(self.ground, faces, np.full((len(faces), 3), 0.95), middle)
-        else:
-            draw_faces(self.ground, *ground, middle)
-        for path, line in self.paths:
-            line.set_segments([*projected(path, middle)[..., :2]])
+        near = scene.backdrop.near(middle, self.half, self.count)
+        draw_faces(self.ground, near, np.tile(GROUND, (len(near), 1)), middle)
+        for path, line in self.paths:  # as far as the ground
+            is_near = (np.abs(path - middle)[..., :2] <= self.half).all(axis=-1, keepdims=True)
+            line.set_segments([*projected(np.where(is_near, path, np.nan), middle)[..., :2]])
         faces, colors = list[Array](), list[Array]()
         for body in actor.bodies:
             for mesh, color in body.meshes:
@@ -234,16 +256,6 @@ class View:
             looks += [_shares(ARROWS[each.name])] * len(segments)
         self.arrows.set_segments(lines)
         self.arrows.set_color(looks)
-
-    def coloured(self, scene: Scene, t: float) -> tuple[Array, Array]:
-        """Return the faces of the ground around the first vehicle, and colours of heights."""
-        actor, ground = scene.actors[0].at(t), scene.ground
-        away = ground.mesh.vertices - actor.bodies[0].origins[0]
-        near = (np.abs(away[:, :2]) < self.half).all(axis=1)
-        faces = ground.mesh.faces[near[ground.mesh.faces].all(axis=1)]
-        heights = ground.mesh.vertices[faces, 2].mean(axis=1)
-        colors = layer("height", heights, "", heights.min(), heights.max()).colors
-        return ground.mesh.vertices[faces], colors / 255
 
 
 _ELEVATION, _AZIMUTH = CAMERA

@@ -1,36 +1,26 @@
-"""Servers of pages on this machine, and checks of the requests and values that reach them.
+"""Server of pages on this machine, and checks of the requests that reach it.
 
-viser answers every request to its port and stores every value that it receives. A malicious page in
-the user's browser could send such requests and values, directly or by a domain name that resolves
-to this machine (DNS rebinding). Programs of other users of this machine reach the port as well;
-they do not know the secret in the address of the page.
+A malicious page in the user's browser could send requests, directly or by a domain name that
+resolves to this machine (DNS rebinding). Programs of other users of this machine reach the port as
+well; they do not know the secret in the address of the page.
 """
 
 from __future__ import annotations
 
-import asyncio
 import hmac
-import io
 import json
-import logging
-import math
 import os
 import secrets
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import redirect_stdout
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from slipfree.core.errors import DataError, SlipfreeError
-
-if TYPE_CHECKING:
-    import viser
 
 HOST = "127.0.0.1"  # not reachable from the network
 NAMES = (HOST, "localhost", "[::1]")  # names of this machine
 DEFAULT_PORT = 80  # port of http, which browsers omit
-MAX_WARNINGS = 20  # maximum number of warnings
 LONGEST = 60  # maximum number of characters of a value in a warning
 MAX_REQUEST = 1_000_000  # maximum size of a request [bytes]
 TIMEOUT = 20.0  # longest wait for the rest of a request [s]
@@ -85,150 +75,17 @@ class Gate:
             self._show(f"refused {self._refused} requests")
 
 
-class Guard:
-    """Factory of viser servers that accept only requests and values from their own page."""
-
-    def __init__(self, report: Callable[[str], None]) -> None:
-        self._show, self._shown, self._is_used = report, set[str](), False
-        self.gate = Gate("slipfree show", report)
-        self._script = f"<script>{page_script('viewer_keys.js')}</script>".encode()
-
-    def start(self, port: int) -> viser.ViserServer:
-        """Return a server on this machine; port zero selects a free port."""
-        import viser
-        from websockets.asyncio import server as web
-
-        serve = web.serve
-
-        logger, handler = logging.Logger("slipfree.show", logging.WARNING), logging.Handler()
-        handler.emit = self._log  # type: ignore[method-assign]
-        logger.addHandler(handler)
-
-        def guarded(*words: Any, **options: Any) -> Any:
-            self._is_used = True
-            asyncio.get_running_loop().set_exception_handler(self._report)
-            answer = options["process_request"]
-
-            def check(connection: Any, request: Any) -> Any:
-                refusal = self._refusal(connection, request)
-                if "Accept-Encoding" in request.headers:  # the page is changed before compression
-                    del request.headers["Accept-Encoding"]
-                return refusal or _with_script(answer(connection, request), self._script)
-
-            options |= {"process_request": check, "logger": logger}
-            return serve(*words, **options)
-
-        web.serve = guarded  # type: ignore[assignment, misc]  # viser has no option for it
-        try:
-            with redirect_stdout(io.StringIO()):  # viser prints a banner despite verbose=False
-                server = viser.ViserServer(host=HOST, port=port, verbose=False)
-        finally:
-            web.serve = serve  # type: ignore[misc]
-        if not self._is_used:
-            stop(server)
-            raise DataError(
-                "show: expected a version of viser whose requests slipfree can check, found "
-                f"{viser.__version__}; install one: python -m pip install 'viser>=1.1,<1.2'"
-            )
-        if port and server.get_port() != port:
-            stop(server)
-            raise taken(port)
-        self._check_values(server)
-        return server
-
-    def warn(self, words: str) -> None:
-        """Report a warning unless it was reported before; report at most 20 warnings."""
-        if words not in self._shown and len(self._shown) < MAX_WARNINGS:
-            self._shown.add(words)
-            more = "; further warnings are not shown" if len(self._shown) == MAX_WARNINGS else ""
-            self._show(words + more)
-
-    def _refusal(self, connection: Any, request: Any) -> Any:
-        hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
-        port = connection.local_address[1]
-        path, refusal = self.gate.admit(request.path, hosts, origins, port)
-        request.path = path or request.path
-        return connection.respond(403, refusal) if refusal else None
-
-    def _check_values(self, server: viser.ViserServer) -> None:
-        """Install a handler that passes only valid values to the controls of the page."""
-        from viser._messages import GuiUpdateMessage, ShareUrlRequest
-
-        gui, socket = server.gui, server._websock_server
-
-        async def update(client: Any, message: Any) -> None:
-            control = gui._gui_input_handle_from_uuid.get(message.uuid)
-            if control is None:
-                return
-            if words := _misfit(control, message.updates):
-                self.warn(f"ignored a value of {control.label!r}: {words}")
-                return
-            await gui._handle_gui_updates(client, message)
-
-        socket.unregister_handler(GuiUpdateMessage)
-        socket.register_handler(GuiUpdateMessage, update)
-        socket.unregister_handler(ShareUrlRequest)  # it would publish the page on another host
-
-    def _report(self, _loop: object, context: Mapping[str, Any]) -> None:
-        self.warn(f"ignored a message: {_short(context.get('exception', context['message']))}")
-
-    def _log(self, record: logging.LogRecord) -> None:
-        """Report an error of a connection without its traceback."""
-        from websockets.exceptions import InvalidStatus
-
-        error = record.exc_info[1] if record.exc_info else ""
-        if isinstance(error, InvalidStatus):
-            return  # a response was sent, which websockets before version 14 reports
-        self.warn(f"closed a connection: {record.getMessage()}: {_short(error)}")
-
-
-def _with_script(response: Any, script: bytes) -> Any:
-    """Return a response with a script at the end of the page, unchanged if it has no page."""
-    before, end, after = response.body.rpartition(b"</body>") if response else (b"", b"", b"")
-    if end:
-        response.body = before + script + end + after
-        del response.headers["Content-Length"]
-        response.headers["Content-Length"] = str(len(response.body))
-    return response
-
-
 def page_script(name: str) -> str:
     """Return the text of a script of this package."""
     return files("slipfree.show").joinpath(name).read_text("utf-8")
 
 
-def stop(server: viser.ViserServer) -> None:
-    """Stop a server and suppress its messages."""
-    with redirect_stdout(io.StringIO()):
-        server.stop()
-
-
-def _misfit(control: Any, updates: object) -> str | None:
-    """Return the error message for an update of a control; None for a valid update."""
-    if not isinstance(updates, Mapping) or set(updates) != {"value"}:
-        return f"expected a value, found {_short(updates)}"
-    value = updates["value"]
-    if isinstance(control.value, bool):
-        fits, expected = isinstance(value, bool), "true or false"
-    elif isinstance(control.value, str):
-        fits, expected = value in control.options, f"one of {', '.join(control.options)}"
-    else:
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        fits, expected = is_number and math.isfinite(value), "a finite number"
-    return None if fits else f"expected {expected}, found {_short(value)}"
-
-
-def _short(value: object) -> str:
-    """Return a value as one short line without control characters."""
-    words = ascii(value)
-    return words if len(words) <= LONGEST else f"{words[:LONGEST]}..."
-
-
 class Content(NamedTuple):
-    """Body of a response and its media type."""
+    """Body of a response, its media type and its content security policy."""
 
     body: bytes
     kind: str
+    policy: str = POLICY
 
 
 Get = Callable[[], Content]
@@ -300,7 +157,7 @@ def start_server(
             self.send_header("Content-Type", content.kind)
             self.send_header("Content-Length", str(len(content.body)))
             self.send_header("Cache-Control", "no-store")
-            self.send_header("Content-Security-Policy", POLICY)
+            self.send_header("Content-Security-Policy", content.policy)
             self.send_header("X-Content-Type-Options", "nosniff")
             self.send_header("Referrer-Policy", "no-referrer")  # the address has a secret
             self.end_headers()
@@ -340,3 +197,9 @@ def json_content(value: object) -> Content:
 
 def _text(words: str) -> Content:
     return Content(words.encode(), "text/plain; charset=utf-8")
+
+
+def _short(value: object) -> str:
+    """Return a value as one short line without control characters."""
+    words = ascii(value)
+    return words if len(words) <= LONGEST else f"{words[:LONGEST]}..."

@@ -15,7 +15,7 @@ from contourpy import contour_generator
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from slipfree.core.records import Array
 from slipfree.geometry.mesh import TriangleMesh
@@ -69,14 +69,12 @@ class SceneGround(NamedTuple):
 
     mesh: TriangleMesh
     layers: tuple[Layer, ...]  # colourings to choose from
-    shade: Array | None = None  # shape (n,): brightness of the vertices in a hillshade
+    shade: Array  # shape (n,): brightness of the vertices in a hillshade
     lines: tuple[Lines, ...] = ()  # lines on the surface: contours, grid, arrow to the north
 
-    def colors(self, name: str, *, shaded: bool) -> Colors:
-        """Return the colours of the vertices in a layer, with or without hillshade."""
+    def colors(self, name: str) -> Colors:
+        """Return the colours of the vertices in a layer, with hillshade."""
         colors = next(each.colors for each in self.layers if each.name == name)
-        if self.shade is None or not shaded:
-            return colors
         return np.asarray(np.rint(colors * self.shade[:, None]), dtype=np.uint8)
 
 
@@ -116,29 +114,31 @@ class Actor(NamedTuple):
     ghost: bool = False  # whether the motion is a plan, which is drawn as wireframe
     stop: str = ""  # time and reason of an early stop, or outcome of an incomplete plan
 
-    def at(self, t: float) -> Actor:
-        """Return the actor with one sample, at a time [s] that is moved into the motion.
+    def at(self, times: float | Array) -> Actor:
+        """Return the actor at given times [s], which are moved into the motion.
 
         Positions and vectors are linear between samples, rotations have a constant rate. Contacts
         that begin or end between two samples are those of the nearest sample.
         """
-        t = float(np.clip(t, self.t[0], self.t[-1]))
-        after = min(int(np.searchsorted(self.t, t)), self.t.size - 1)
-        ends = [max(after - 1, 0), after]
-        step = self.t[after] - self.t[ends[0]]
-        share = (t - self.t[ends[0]]) / step if step > 0 else 1.0
+        t = np.clip(np.atleast_1d(times), self.t[0], self.t[-1])
+        after = np.minimum(np.searchsorted(self.t, t), self.t.size - 1)
+        before = np.maximum(after - 1, 0)
+        step = self.t[after] - self.t[before]
+        share = np.divide(t - self.t[before], step, out=np.ones_like(t), where=step > 0)
+        nearest = np.where(share > 0.5, after, before)
 
         def between(values: Array) -> Array:
-            first, last = values[ends]
-            mixed = (1 - share) * first + share * last
-            return np.asarray(np.where(np.isfinite(mixed), mixed, values[ends[round(share)]])[None])
+            part = share.reshape(-1, *[1] * (values.ndim - 1))
+            mixed = (1 - part) * values[before] + part * values[after]
+            return np.asarray(np.where(np.isfinite(mixed), mixed, values[nearest]))
 
         def turned(rotations: Array) -> Array:
-            pair = Rotation.from_matrix(rotations[ends])
-            return np.asarray(Slerp([0, 1], pair)([share]).as_matrix())
+            first, last = (Rotation.from_matrix(rotations[ends]) for ends in (before, after))
+            turn = share[:, None] * (first.inv() * last).as_rotvec()
+            return np.asarray((first * Rotation.from_rotvec(turn)).as_matrix())
 
         return self._replace(
-            t=np.array([t]),
+            t=t,
             bodies=tuple(
                 each._replace(origins=between(each.origins), rotations=turned(each.rotations))
                 for each in self.bodies
@@ -155,8 +155,9 @@ class Backdrop(NamedTuple):
     """Ground of a film: plan view with all paths, and the surroundings of a vehicle."""
 
     draw: Callable[[Axes], Any]  # draws the ground on axes in map coordinates
-    # ``near(point, half)`` returns the faces of the ground around a point, each of shape (n, 3) [m]
-    near: Callable[[Array, float], Sequence[Array]]
+    # ``near(point, half, count)`` returns faces of the ground around a point, each of shape (n, 3)
+    # [m], with ``count`` nodes per side
+    near: Callable[[Array, float, int], Sequence[Array]]
     half: float  # half the width of the surroundings in the view of the vehicle [m]
 
 

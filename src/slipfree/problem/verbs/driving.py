@@ -197,7 +197,7 @@ class DriveVerb(Verb, ABC):
         run, problem, world = result.trajectory, result.problem, world_of(result)
         contents = vehicle_file(problem.spec.vehicle, problem)
         robot, visuals = contents.robot, visual_meshes(contents)
-        drawn = {"prisms": world.prisms, "robot": robot, "visuals": visuals}
+        drawn: dict[str, Any] = {"prisms": world.prisms, "robot": robot, "visuals": visuals}
         drawn |= self.marks(problem, world.terrain.domain)
         return Driven(name, run, world.terrain, world.vehicle, **drawn)
 
