@@ -219,6 +219,7 @@ class _RunNodes:
         return np.asarray(self.actor.bodies[0].origins[k])
 
     def show(self, k: int) -> None:
+        """Move the vehicle to its pose at the k-th time."""
         actor, middle = self.actor, self.position(k)
         for node, body, turned in zip(self.frames, actor.bodies, self.quaternions, strict=True):
             node.position, node.wxyz = body.origins[k], turned[k]
