@@ -50,6 +50,7 @@ from slipfree.files.toml.types import (
     expected_error,
     given_values,
     in_radians,
+    is_number,
     parse_unit,
     record_of,
     unit_faults,
@@ -377,11 +378,10 @@ def _all(check: Callable[[float], float]) -> AfterValidator:
 def _axis(value: Any) -> str | Vector:
     if isinstance(value, str) and value in ("x", "y", "z"):
         return value
-    numbers = value if isinstance(value, list) and len(value) == 3 else [True]
-    if not any(isinstance(n, bool) or not isinstance(n, int | float) for n in numbers):
-        x, y, z = numbers
-        if max(map(abs, numbers)) < MAX_LENGTH and math.hypot(*numbers) > 0:
-            return float(x), float(y), float(z)
+    if isinstance(value, list) and len(value) == 3 and all(map(is_number, value)):
+        x, y, z = map(float, value)
+        if max(map(abs, value)) < MAX_LENGTH and math.hypot(x, y, z) > 0:
+            return x, y, z
     raise expected_error(
         "'x', 'y', 'z' or a vector [x, y, z] other than zero, with absolute values below "
         f"{MAX_LENGTH:g}"

@@ -313,10 +313,7 @@ class Bicubic(GroundFriction):
         """Lookup function of a cell with the arguments x, y and key, and the value of the key."""
         if self._kernel is not None:
             return self._kernel.function, self._kernel.key
-        return self._interpolated_cell(), 0.0
-
-    def _interpolated_cell(self) -> ca.Function:
-        """Return the lookup function of a cell without `kernel.c`, as a CasADi interpolant."""
+        # without `kernel.c`, CasADi interpolants look up the coefficients
         (i_0, i_last), (j_0, j_last) = self._cells
         x_0, y_0, _ = self.origin
         h_x, h_y = self.grid.spacing
@@ -330,7 +327,7 @@ class Bicubic(GroundFriction):
             self.grid.x[i_0] - x_0 + (i + 0.5) * h_x,
             self.grid.y[j_0] - y_0 + (j + 0.5) * h_y,
         ]
-        return ca.Function("cell", [at], [ca.vertcat(*center, ca.vec(left @ c @ right.T))])
+        return ca.Function("cell", [at], [ca.vertcat(*center, ca.vec(left @ c @ right.T))]), 0.0
 
     @cached_property
     def _margin(self) -> Bicubic | None:

@@ -215,7 +215,8 @@ def _numbers(value: Any) -> Iterator[float]:
             yield from _numbers(part)
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Return whether a value is a number that fits a float; a bool is not."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return False
     return abs(value) <= MAX_NUMBER  # integers may exceed all floats
@@ -228,13 +229,13 @@ def _number(value: Any) -> float:
 def _piecewise_constant(value: Any) -> float | Piecewise:
     """Return a number, or the (time, value) pairs of a piecewise-constant function."""
     value = parse_unit(value)
-    if _is_number(value):
+    if is_number(value):
         return _number(value)
     pairs = value if isinstance(value, list) else []
     if not pairs or not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
         raise expected_error(PAIRS)
     pairs = [(time, parse_unit(rate)) for time, rate in pairs]
-    if not all(map(_is_number, (number for pair in pairs for number in pair))):
+    if not all(map(is_number, (number for pair in pairs for number in pair))):
         raise expected_error(PAIRS)
     times = [time for time, _ in pairs]
     if times[0] != 0 or any(b <= a for a, b in pairwise(times)):
@@ -250,7 +251,7 @@ def _piecewise_constant_or_file(value: Any) -> float | Piecewise | str:
 def _time_function(value: Any) -> float | Piecewise | str:
     value = parse_unit(value)
     is_formula = isinstance(value, str) and value
-    if not (is_formula or _is_number(value) or isinstance(value, list)):
+    if not (is_formula or is_number(value) or isinstance(value, list)):
         raise expected_error(
             "a number, an array of [time, value] pairs, or a formula of t in quotes"
         )
@@ -260,7 +261,7 @@ def _time_function(value: Any) -> float | Piecewise | str:
 def _range(value: Any) -> tuple[float, float]:
     value = [*map(parse_unit, value)] if isinstance(value, list) else parse_unit(value)
     ends = value if isinstance(value, list) else [value, value]
-    if len(ends) == 2 and all(map(_is_number, ends)):
+    if len(ends) == 2 and all(map(is_number, ends)):
         low, high = map(_number, ends)
         if low <= high:
             return low, high
@@ -271,7 +272,7 @@ def coefficient(value: Any) -> float | str:
     """Return a coefficient of friction, or the name of a friction map file."""
     if isinstance(value, str) and value:
         return value
-    if _is_number(value) and value > 0:
+    if is_number(value) and value > 0:
         return float(value)
     raise expected_error("a number greater than 0, or the name of a file in quotes")
 

@@ -98,7 +98,21 @@ class Wheels:
         for joint in self.joints:
             if joint.name in guesses:
                 self._add_guess(joint, guesses[joint.name])
-        self._add_mesh_findings()
+        # wheels measured in a mesh are guesses, unreadable meshes of moving joints are errors
+        for joint in self.joints:
+            shape = self._shape(joint)
+            if shape is not None and shape.kind == "mesh" and joint.name not in self._given:
+                values = {"radius": shape.radius, "tube": shape.tube or self._roles.tube}
+                other = toml_line("joints", joint.name, kind="fixed")
+                self._findings.guess("wheels", joint.name, values, "a wheel: a round mesh", other)
+        alike: dict[str, list[UrdfJoint]] = {}
+        for name, message in self._unread.items():
+            joint = self.tree.joints[name]
+            if joint not in self.joints and joint.moves:
+                alike.setdefault(message, []).append(joint)
+        for message, joints in alike.items():
+            line = self._radius_line(joints, usual_radius(self.tree, joints))
+            self._findings.ask(joints, f"{message}; or,", line)
         for name, guess in sliding_wheels(self.tree, self.joints):
             self._add_guess(self.tree.joints[name], guess)
         bare = [joint for joint in self.joints if self._role(joint).rollers is None]
@@ -264,23 +278,6 @@ class Wheels:
             values["rollers"] = angle_text(values["rollers"])
         if values:
             self._findings.guess("wheels", name, values, f"a wheel: {guess.words}", other)
-
-    def _add_mesh_findings(self) -> None:
-        """Add a guess for each wheel measured in a mesh, and an error for each unreadable mesh."""
-        for joint in self.joints:
-            shape = self._shape(joint)
-            if shape is not None and shape.kind == "mesh" and joint.name not in self._given:
-                values = {"radius": shape.radius, "tube": shape.tube or self._roles.tube}
-                other = toml_line("joints", joint.name, kind="fixed")
-                self._findings.guess("wheels", joint.name, values, "a wheel: a round mesh", other)
-        alike: dict[str, list[UrdfJoint]] = {}
-        for name, message in self._unread.items():
-            joint = self.tree.joints[name]
-            if joint not in self.joints and joint.moves:
-                alike.setdefault(message, []).append(joint)
-        for message, joints in alike.items():
-            line = self._radius_line(joints, usual_radius(self.tree, joints))
-            self._findings.ask(joints, f"{message}; or,", line)
 
     def _check_guessed_radii(self) -> None:
         """Add an error for the guessed radii that do not suit the distances of the wheels."""

@@ -110,7 +110,20 @@ def _expand(path: Path, arguments: Mapping[str, str]) -> Expansion:
     import xacro
 
     if find_spec(FINDER) is None:
-        _find_packages_above(path)
+        # xacro asks this package of ROS for folders
+        def folder_of(package: str) -> str:
+            for folder in package_folders(package, path.parent):
+                if folder.is_dir():
+                    return str(folder)
+            raise DataError(
+                f"{path}: expected the package {package!r} in a folder above this file or in "
+                "ROS_PACKAGE_PATH, found none; put it there, or add its parent folder to "
+                "ROS_PACKAGE_PATH"
+            )
+
+        finder, packages = ModuleType(FINDER), ModuleType(f"{FINDER}.packages")
+        packages.__dict__["get_package_share_directory"] = folder_of
+        sys.modules.update({FINDER: finder, f"{FINDER}.packages": packages})
     macros: set[str] = set()
     parse, grab = xacro.parse, xacro.grab_macro
 
@@ -145,24 +158,6 @@ def _expand(path: Path, arguments: Mapping[str, str]) -> Expansion:
             f"{len(data) / 1e6:.3g} MB; correct macros that multiply"
         )
     return Expansion(data, frozenset(macros))
-
-
-def _find_packages_above(path: Path) -> None:
-    """Let xacro find packages without ROS, in the folders of `package_folders`."""
-
-    def folder_of(package: str) -> str:
-        for folder in package_folders(package, path.parent):
-            if folder.is_dir():
-                return str(folder)
-        raise DataError(
-            f"{path}: expected the package {package!r} in a folder above this file or in "
-            "ROS_PACKAGE_PATH, found none; put it there, or add its parent folder to "
-            "ROS_PACKAGE_PATH"
-        )
-
-    finder, packages = ModuleType(FINDER), ModuleType(f"{FINDER}.packages")
-    packages.__dict__["get_package_share_directory"] = folder_of
-    sys.modules.update({FINDER: finder, f"{FINDER}.packages": packages})
 
 
 class _Values:
