@@ -1,16 +1,16 @@
-"""Measurements: a robot's log, wheels in soil, and fits of known truth.
+"""Measurements: robots on level ground, and wheels in soil.
 
 ``python benchmarks measured FOLDER [--figures DIR]`` reads public data that are not part of the
 project (sources: docs/measured.md, docs/measured_wheels.md):
 
-- ``drive/husky_long.csv.gz``: windows of 2 s of a Husky, wheel rates and poses of a lidar;
+- ``drive/*.csv.gz``: windows of 2 s of a Husky, and of a Warthog on four surfaces: wheel rates,
+  poses of a lidar, turning rates of an inertial unit;
 - ``single_wheel/cmu_smooth.csv``: a smooth wheel in sand;
 - ``single_wheel/ishigami2005.csv``: two wheels in a regolith simulant;
 - ``single_wheel/single_wheel_experiments.csv``: three papers on wheels in soil;
 - ``single_wheel/mgru3_gentle_slopes.csv``: a wheel on slopes, which predicts steeper ones.
 
-Nothing is fitted to the points that judge it. Without FOLDER, only the fits of synthetic data with
-known truth are made: bias, and coverage of the 95 % intervals.
+Nothing is fitted to the points that judge it.
 """
 
 from __future__ import annotations
@@ -28,27 +28,18 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree import (
-    Analytic,
-    Coulomb,
-    LeastSlip,
-    catalog,
-    direct_kinematics,
-    quasi_statics,
-    settle,
-    simulate,
-)
-from slipfree.fit import estimate as fits
-from slipfree.fit.body_motion import body_motion
-from slipfree.fit.unknowns import Unknown, parametric_model
+from slipfree.fit.drive_fit import DriveFit, age_priors, fit_on_uncertain_map, folds_of, rms
+from slipfree.fit.drives import DriveLog, Windows, held_for, windows_of, without_holds
+from slipfree.fit.force_balance import four_wheels
+from slipfree.fit.prediction import Model
+from slipfree.fit.unknowns import BALANCE, Unknown
 from slipfree.fit.wheel_soil import QUANTITIES, fit_soil, repeat_spread
-from slipfree.fit.windows import Log, Windows, cut
 from slipfree.laws.soil import Soil, WheelSize, forces_at_slip
 from slipfree.laws.soils import known_soil
 from slipfree.models.single_wheel import WheelRuns, motion_at_slip
 
-LEVEL = Analytic(lambda x, _: 0 * x, mu=0.6)
-DRAWS, WINDOWS = 200, 60  # of synthetic poses
+JUMP, TURN_JUMP = 1.5, 0.3  # of rates between windows that do not follow each other [rad/s]
+LEAST_SPAN, FASTEST = 14, 6.0  # samples between first and last pose, speed of poses [m/s]
 STEADY, TURNING = 0.6, 2.0  # of the rates of the sides: spread, least difference [rad/s]
 HUSKY_STEP = 0.05  # time between samples of the log [s]
 HUSKY_RADIUS, HUSKY_TRACK, HUSKY_BASE = 0.165, 0.57, 0.51  # of the data sheet [m]
@@ -58,160 +49,110 @@ SEED = 0
 
 
 # ---------------------------------------------------------------------------------------------
-# Fits of known truth
+# Robots on level ground
 
 
-def sides(end: str) -> tuple[str, str]:
-    """Return the names of the wheels on one side."""
-    return f"front_{end}", f"rear_{end}"
+WHEELS = ("front_left", "rear_left", "front_right", "rear_right")
+ROBOTS = {
+    "husky": (HUSKY_TRACK / 2, HUSKY_BASE / 2),
+    "warthog": (0.58, 0.46),
+}  # half track, base [m]
+USUAL = ("stiffness", "gyration", "delay", "center_of_mass_ahead", "friction", "age")
 
 
-SKID_UNKNOWNS = (
-    Unknown("radius_left", "radius", sides("left")),
-    Unknown("radius_right", "radius", sides("right")),
-    Unknown("track", "track"),
-    Unknown("center_of_mass_ahead", "center_of_mass_ahead", lower=-0.25, upper=0.25),
-    Unknown("creep", "creep"),
-)
-
-
-def kinematic(vehicle: Any, law: Any) -> Any:
-    """Return a kinematic model on level ground."""
-    return direct_kinematics(vehicle, LEVEL, slip=law)
-
-
-def static(vehicle: Any, law: Any) -> Any:
-    """Return a quasi-static model on level ground."""
-    return quasi_statics(vehicle, LEVEL, law=law)
-
-
-def true_windows(names: Sequence[str]) -> Windows:
-    """Return windows of the simulated motion of a skid-steer cart with other numbers.
-
-    The rates of both sides are constant within a window.
-    """
-    truth = catalog.skid_steer(half_track=0.31, r2=0.125, center_of_mass=(0.0, 0.04, 0.0))
-    model, rng = static(truth, Coulomb(0.05)), np.random.default_rng(SEED)
-    left, right = rng.uniform(-6, 6, (2, WINDOWS))
-    rates = {name: left if "left" in name else right for name in names}
-    times = 2.0 * np.arange(WINDOWS + 1)
-    run = simulate(model, settle(model), model.inputs(**rates), times)
-    rows = np.column_stack([np.arange(WINDOWS), np.arange(1, WINDOWS + 1)]).ravel()
-    given = np.column_stack([np.repeat(rates[name], 2) for name in names])
-    pose = np.column_stack([run[key] for key in ("x", "y", "heading")])
-    return _cut_at(run.t[rows], given, pose[rows])
-
-
-def _cut_at(t: np.ndarray, given: np.ndarray, pose: np.ndarray) -> Windows:
-    """Return windows of two samples each; headings may turn by more than half a turn."""
-    found = cut(Log(t, given, pose, np.repeat(np.arange(len(t) // 2), 2)))
-    turned = pose[1::2, 2] - pose[::2, 2]
-    return found._replace(end=np.column_stack([found.end[:, :2], turned]))
-
-
-def synthetic() -> Iterator[str]:
-    """Yield bias and coverage of fits of synthetic windows with normal errors of the end poses."""
-    true = np.array([0.155, 0.155, 0.62, 0.04, 0.05])
-    nominal, law = catalog.skid_steer(), Coulomb(0.1)
-    dae = parametric_model(static, nominal, law, SKID_UNKNOWNS)
-    windows = true_windows(body_motion(dae).names)
-    exact = fits.estimate(dae, law, SKID_UNKNOWNS, windows, "linear")
-    yield f"{WINDOWS} windows without errors: largest error {np.abs(exact.values - true).max():.1e}"
-    rng, found = np.random.default_rng(SEED), []
-    for _ in range(DRAWS):
-        noise = rng.normal(size=windows.end.shape) * [0.01, 0.01, 0.005]
-        found.append(
-            fits.estimate(dae, law, SKID_UNKNOWNS, windows._replace(end=windows.end + noise))
-        )
-    values = np.array([each.values for each in found])
-    inside = np.mean(
-        [(each.intervals[:, 0] <= true) & (true <= each.intervals[:, 1]) for each in found], axis=0
+def drive_log(path: Path, name: str, half: tuple[float, float]) -> tuple[DriveLog, Windows]:
+    """Return the log of a robot, and its windows between new poses."""
+    with gzip.open(path, "rt") as file:
+        names = file.readline().strip().split(",")
+        table = dict(zip(names, np.loadtxt(file, delimiter=",", ndmin=2).T, strict=True))
+    is_husky = "wl_radps" in table
+    keys = ("wl_radps", "wr_radps") if is_husky else ("left_wheel_vel", "right_wheel_vel")
+    prefix = "" if is_husky else "icp_"
+    left, right = (table[key] for key in keys)
+    window = table["window"].astype(int)
+    rate = None if is_husky else table["imu_yaw"] * (-1 if name in ("ice", "gravel") else 1)
+    step = np.append(0, np.diff(window))
+    jump = np.abs(np.diff([left, right], prepend=0, axis=1)).max(axis=0) > JUMP
+    if rate is not None:
+        jump |= np.abs(np.diff(rate, prepend=0)) > TURN_JUMP
+    run = np.cumsum((step > 0) & (jump | is_husky))
+    manoeuvre = table["calib_step" if is_husky else "manoeuvre"].astype(int)
+    place = table[f"{prefix}x"] + 1j * table[f"{prefix}y"]
+    is_new = np.append(False, (np.diff(place) != 0) & (np.diff(window) == 0))
+    inputs = np.column_stack([without_holds(side, run)[0] for side in (left, right)])
+    log = DriveLog(
+        *(name, name, name, HUSKY_STEP, four_wheels(*half), inputs, run, window, manoeuvre, place),
+        *(np.ones(run.size, bool), is_new if held_for(is_new) > 1 else np.ones(run.size, bool)),
+        np.unwrap(table[f"{prefix}yaw"]),
+        rate,
     )
-    spread = values.std(axis=0, ddof=1)
-    stated = np.mean([np.sqrt(np.diag(each.covariance)) for each in found], axis=0)
-    yield f"{DRAWS} draws, errors of 10 mm and 5 mrad: bias, deviation, stated, coverage of 95 %"
-    for k, unknown in enumerate(SKID_UNKNOWNS):
-        bias, error = values[:, k].mean() - true[k], spread[k] / np.sqrt(DRAWS)
-        yield (
-            f"  {unknown.name:21} truth {true[k]:5.3f}, bias {bias:+.1e} (standard error "
-            f"{error:.1e}), deviation {spread[k]:.2e}, stated {stated[k]:.2e}, coverage "
-            f"{100 * inside[k]:.1f} %"
-        )
-    yield f"  all {values.shape[1]}: {100 * inside.mean():.1f} % inside"
+    found = windows_of([log])
+    moved = np.abs(place[found.end] - place[found.begin])
+    is_short = found.end - found.begin < LEAST_SPAN
+    # positions of the lidar that are impossible
+    return log, found.take(~is_short & (moved < FASTEST * HUSKY_STEP * (found.end - found.begin)))
 
 
-# ---------------------------------------------------------------------------------------------
-# Husky
+def model_of(
+    half: tuple[float, float], surfaces: Sequence[str], *names: str, **fixed: float
+) -> Model:
+    """Return the force balance of a robot with some unknowns."""
+    sides = (("radius_left", WHEELS[:2]), ("radius_right", WHEELS[2:]))
+    unknowns = [Unknown(name, "radius", own) for name, own in sides if name in names]
+    for name in names:
+        if not name.startswith("radius"):
+            own = surfaces if BALANCE[name].of and len(surfaces) > 1 else [""]
+            unknowns += [Unknown(f"{name}_{each}".rstrip("_"), name, of=each) for each in own]
+    radii = np.array([fixed.pop(name, 0.3) for name, _ in sides]).repeat(2)
+    return Model(tuple(unknowns), {"gyration": 0.35} | fixed, radii, WHEELS, half[0])
 
 
-class Robot(NamedTuple):
-    """A model of the Husky, and its unknowns."""
-
-    words: str
-    vehicle: Any
-    law: Any
-    build: Callable[[Any, Any], Any]
-    unknowns: tuple[Unknown, ...]
-    rates: str = "measured"
-
-
-SHAPE = {"half_track": HUSKY_TRACK / 2, "r1": 0.05, "r2": HUSKY_RADIUS - 0.05}
-RIGID = catalog.rigid_skid_steer(wheelbase=HUSKY_BASE, **SHAPE)
-ROCKING = catalog.skid_steer(
-    wheelbase=HUSKY_BASE, mass=42.0, center_of_mass=(0.0, 0.0, 0.05), **SHAPE
-)
-CART = catalog.differential_drive(caster_scale=0.3, **SHAPE)
-SENSOR = (Unknown("sensor_right", "sensor_right"), Unknown("sensor_ahead", "sensor_ahead"))
-CART_UNKNOWNS = (
-    Unknown("radius_left", "radius", ("left",)),
-    Unknown("radius_right", "radius", ("right",)),
-    Unknown("track", "track"),
-)
-ROBOTS = (
-    Robot("differential drive", CART, LeastSlip(), kinematic, CART_UNKNOWNS),
-    Robot("differential drive, commands", CART, LeastSlip(), kinematic, CART_UNKNOWNS, "commanded"),
-    Robot("least slip", RIGID, LeastSlip(), kinematic, SKID_UNKNOWNS[:3]),
-    Robot("least slip, sensor", RIGID, LeastSlip(), kinematic, (*SKID_UNKNOWNS[:3], *SENSOR)),
-    Robot("quasi-static friction", ROCKING, Coulomb(0.1), static, SKID_UNKNOWNS),
-)
+def left_out(model: Model, log: DriveLog, windows: Windows) -> tuple[np.ndarray, DriveFit]:
+    """Return errors of windows by fits to other manoeuvres, and the fit to all of them."""
+    model = model._replace(unknowns=age_priors(model.unknowns, [log]))
+    errors, parts = np.empty((windows.log.size, 3)), folds_of([log], windows)
+    whole = fit_on_uncertain_map(model, [log], windows, (None, []))
+    for part in np.unique(parts):
+        kept = windows.take(parts != part)
+        fit = fit_on_uncertain_map(model, [log], kept, (None, []), whole)
+        errors[parts == part] = fit.known.predict([log], windows.take(parts == part), None)
+    return errors, whole
 
 
-def husky_log(folder: Path, names: Sequence[str], rates: str) -> Log:
-    """Return the log of the Husky for the inputs of a model."""
-    with gzip.open(folder / "drive/husky_long.csv.gz", "rt") as file:
-        rows = list(csv.DictReader(file))
-    column = {name: np.array([float(row[name]) for row in rows]) for name in rows[0] if name != "z"}
-    keys = ("wl_radps", "wr_radps") if rates == "measured" else ("cmd_left", "cmd_right")
-    left, right = (column[key] for key in keys)
-    inputs = {True: left, False: right}
-    given = np.column_stack(
-        [inputs["left" in name] if name.endswith("_rate") else 0 * left for name in names]
-    )
-    pose = np.column_stack([-column["y"], column["x"], column["yaw"]])
-    return Log(HUSKY_STEP * column["k"], given, pose, column["window"])
-
-
-def husky(folder: Path, figures: Path | None) -> Iterator[str]:
-    """Yield the errors of end poses of the nominal and of the fitted models."""
-    yield (
-        f"{'model':30} {'values':8} {'position rms (95 %) [m]':27} {'median':7} "
-        f"{'heading rms (95 %) [deg]':25} {'median':6}"
-    )
-    for robot in ROBOTS:
-        known = robot.build, robot.vehicle, robot.law, robot.unknowns
-        dae = parametric_model(*known)
-        windows = cut(husky_log(folder, body_motion(dae).names, robot.rates))
-        began = time.process_time()
-        found = fits.calibrate(*known, windows, seed=SEED)
-        took = time.process_time() - began
-        for words, errors in (("nominal", found.test.nominal), ("fitted", found.test.fitted)):
-            yield f"{robot.words:30} {words:8} {_accuracy(errors)}"
-        yield from _estimates(found, took)
-        if figures and robot.words == "quasi-static friction":
-            from slipfree.show.fit_figures import fit_plot
-            from slipfree.show.plots import save
-
-            save([fit_plot("measured_husky", found)], figures)
+def drives(folder: Path) -> Iterator[str]:
+    """Yield errors of the force balance by surface, whole manoeuvres left out, and constants."""
+    known = dict[str, float]()
+    yield "surface, unknowns: yaw rms (median) [deg], position rms (median) [m], CPU [s]"
+    for path in sorted((folder / "drive").glob("*.csv.gz")):
+        name = path.name.split(".")[0].removeprefix("warthog_")
+        half = ROBOTS["husky" if "husky" in name else "warthog"]
+        log, windows = drive_log(path, name, half)
+        all_names = ("radius_left", "radius_right", "track", *USUAL)
+        cases = {"all": model_of(half, [name], *all_names)}
+        cases["quasi-static"] = model_of(half, [name], *all_names, inertia=0.0)
+        if known and "husky" not in name:
+            given = {key: value for key, value in known.items() if key not in ("friction", "age")}
+            width = given.pop("track") / 2
+            log = log._replace(chassis=four_wheels(width, half[1]))
+            own = (width, half[1])
+            cases["friction, rest of asphalt"] = model_of(own, [name], "friction", "age", **given)
+            more = ("friction", "age", "rolling")
+            cases["friction, radius, rest of asphalt"] = model_of(own, [name], *more, **given)
+        for words, model in cases.items():
+            began = time.process_time()
+            is_own = model.half_track == half[0]
+            own_log = log._replace(chassis=four_wheels(*half)) if is_own else log
+            errors, whole = left_out(model, own_log, windows)
+            took = time.process_time() - began
+            turns, away = np.rad2deg(np.abs(errors[:, 2])), np.hypot(*errors.T[:2])
+            yield (
+                f"{name:9} {words:38} {rms(turns):.1f} ({np.median(turns):.1f}), {rms(away):.2f} "
+                f"({np.median(away):.2f}), {took:.0f}"
+            )
+            values = dict(zip((u.name for u in model.unknowns), whole.values.tolist(), strict=True))
+            if words == "all":
+                known = values if name == "asphalt" else known
+                yield "  " + ", ".join(f"{key} {value:.3f}" for key, value in values.items())
 
 
 def turning(folder: Path) -> Iterator[str]:
@@ -298,30 +239,6 @@ def _turning_by_ratio(
             f"over the wheels' travel {np.median(moved[rows]):.2f}, in the first decile "
             f"{np.median(moved[least]):.2f}"
         )
-
-
-def _accuracy(errors: np.ndarray) -> str:
-    """Return the errors of end poses in words, with bootstrap intervals."""
-    statistics = fits.position_rms, fits.heading_rms
-    place, turn = (fits.bootstrap(errors, each) for each in statistics)
-    low, high = np.rad2deg([turn.lower, turn.upper])
-    away, off = np.median([np.hypot(*errors.T[:2]), np.abs(errors[:, 2])], axis=1)
-    return (
-        f"{place.value:.3f} ({place.lower:.3f} to {place.upper:.3f})      "
-        f"{away:.3f}   {np.rad2deg(turn.value):5.1f} ({low:.1f} to {high:.1f})"
-        f"       {np.rad2deg(off):.1f}"
-    )
-
-
-def _estimates(found: fits.Calibration, took: float) -> Iterator[str]:
-    """Yield the estimates of a fit in words."""
-    result = found.estimate
-    parts = []
-    for k, label in enumerate(result.labels):
-        low, high = result.intervals[k]
-        edge = "at its bound" if result.at_bound[k] else f"{low:.4f} to {high:.4f}"
-        parts.append(f"{label.name} {result.values[k]:.4f} ({edge})")
-    yield (f"  {len(found.train.measured)} windows, {took:.1f} s CPU: {', '.join(parts)}")
 
 
 # ---------------------------------------------------------------------------------------------
@@ -672,27 +589,21 @@ def weighted_deviation(values: np.ndarray, weight: np.ndarray) -> float:
 def main() -> None:
     """Print the comparison with measurements."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("folder", nargs="?", type=Path)
-    parser.add_argument("--figures", type=Path)
+    parser.add_argument("folder", type=Path)
     parser.add_argument("--wheels", action="store_true", help="only wheels in soil")
     given = parser.parse_args()
-    if given.wheels and not given.folder:
-        parser.error("expected a folder for --wheels")
-    parts: list[Iterator[str]] = [synthetic()]
-    if given.folder:
-        parts = [
-            husky(given.folder, given.figures),
-            turning(given.folder),
-            *(
-                cross_validated(case)
-                for cases in (cmu, ishigami, papers)
-                for case in cases(given.folder)
-            ),
-            slopes(given.folder),
-            *parts,
-        ]
+    parts = [
+        drives(given.folder),
+        turning(given.folder),
+        *(
+            cross_validated(case)
+            for cases in (cmu, ishigami, papers)
+            for case in cases(given.folder)
+        ),
+        slopes(given.folder),
+    ]
     if given.wheels:
-        parts = parts[2:-1]
+        parts = parts[2:]
     for part in parts:
         for line in part:
             print(line, flush=True)

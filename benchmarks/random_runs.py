@@ -62,7 +62,7 @@ from slipfree.files.netcdf import export_path
 from slipfree.problem.load import load_problem, verb_of
 from slipfree.problem.report import report
 from slipfree.problem.result import motion_facts, run_problem
-from slipfree.problem.verbs.fit import estimate_rows, facts, fit
+from slipfree.problem.verbs.fit import constant_rows, facts, fit
 from slipfree.show.html_page import page
 from slipfree.show.plots import save
 from slipfree.solve import integrator
@@ -254,7 +254,9 @@ def _fitted(data: Table, folder: Path, rng: Random) -> str:
     (folder / "p.toml").write_text(document(data))
     problem: Any = load_problem(folder / "p.toml", command="fit")
     found = fit(problem)
-    facts(found), estimate_rows(found)
+    facts(found)
+    if found.fit is not None:
+        constant_rows(found.fit)
     return "complete"
 
 

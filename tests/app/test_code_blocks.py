@@ -34,7 +34,6 @@ from slipfree.files.atlas_files import Site, write_atlas
 from slipfree.files.toml.source import load_toml
 from slipfree.files.urdf.roles import UrdfTable
 from slipfree.files.vehicle_toml import file_of, validated
-from slipfree.fit.windows import Log, cut
 from slipfree.problem.load import load_problem
 from slipfree.problem.wheel_test import read_wheel_file
 
@@ -90,7 +89,7 @@ def given(page: str) -> dict[str, Any]:
     """Return the names that a page takes as given; write the files that it reads."""
     axis = np.linspace(-4.0, 4.0, 17)
     ground = sf.Bicubic(sf.Grid(axis, axis, np.zeros((17, 17))), mu=0.6)
-    vehicle = sf.catalog.skid_steer() if page in ("soil", "fit") else sf.catalog.three_wheeler()
+    vehicle = sf.catalog.skid_steer() if page == "soil" else sf.catalog.three_wheeler()
     model = sf.direct_kinematics(vehicle, ground)
     names = {"ground": ground, "vehicle": vehicle, "model": model, "Cost": sf.Cost}
     if page == "atlas":
@@ -102,22 +101,7 @@ def given(page: str) -> dict[str, Any]:
         )
         names |= {"found": found}
         names |= {"measured": partial(next, (model.rows("x", found.replay, k) for k in count()))}
-    if page == "fit":
-        names["windows"] = cut(_log(sf.quasi_statics(vehicle, ground), vehicle))
     return names
-
-
-def _log(model, vehicle):
-    """Return a log of eight short motions of a skid-steered vehicle."""
-    t, windows = np.linspace(0, 2, 21), []
-    for k, (left, right) in enumerate(((0.5, 0.5), (0.6, 0.3), (0.2, 0.6), (-0.4, 0.5)) * 2):
-        rates = [right if "right" in wheel.name else left for wheel in vehicle.wheels]
-        names = [f"{wheel.name}_rate" for wheel in vehicle.wheels]
-        inputs = model.inputs(**dict(zip(names, rates, strict=True)))
-        run = sf.simulate(model, sf.settle(model), inputs, t)
-        pose = np.column_stack([run[name] for name in ("x", "y", "heading")])
-        windows.append((t, np.tile(rates, (t.size, 1)), pose, np.full(t.size, k)))
-    return Log(*map(np.concatenate, zip(*windows, strict=True)))
 
 
 @pytest.mark.slow

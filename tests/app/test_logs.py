@@ -18,9 +18,9 @@ from helpers.commands import printed, refuses
 from slipfree import DataError, catalog
 from slipfree.core.records import Array
 from slipfree.files.toml.source import ProblemError
-from slipfree.fit.windows import cut
+from slipfree.fit.drives import DriveLog
 from slipfree.problem.load import load_problem
-from slipfree.problem.verbs.fit import _read_log
+from slipfree.problem.verbs.fit import _Reader, inputs_of
 from slipfree.problem.verbs.inverse import _points
 from slipfree.problem.verbs.inverse_schema import _read_file
 
@@ -28,6 +28,15 @@ pytestmark = pytest.mark.usefixtures("folder")
 
 RADIUS, TRACK, HEAD = 0.153, 0.52, "t,left,right,x,y,heading"
 PROBLEM = (DATA / "fit_of_a_log.toml").read_text()
+
+LEAST_SLIP = """
+[constants]
+inertia = 0
+stiffness = 1e-3
+friction = 1
+delay = 0
+age = 0
+"""
 
 
 def drive(seed: int = 0, start: complex = 0j) -> Array:
@@ -120,25 +129,30 @@ READ = {  # text, further columns in the problem
 }
 
 
-def windows_of(text: str, columns: str = "") -> tuple[tuple[Array, ...], list[str], dict[str, int]]:
-    """Return the windows of a log, notes, and numbers of windows that are left out."""
+def read(text: str, columns: str = "") -> tuple[DriveLog, str]:
+    """Return a log at equal intervals, and the line on what is left out of it."""
     Path("log.csv").write_text(text)
     Path("fit.toml").write_text(PROBLEM + columns)
-    problem = load_problem("fit.toml", command="fit")
-    names = ("right_rate", "left_rate")
-    log, notes, left_out = _read_log(problem, Path("log.csv"), names, catalog.differential_drive())
-    return cut(log), notes, dict(left_out)
+    problem, rows = load_problem("fit.toml", command="fit"), list[tuple[str, str]]()
+    reader = _Reader(problem, inputs_of(problem), None, rows)
+    (log,) = reader.read([Path("log.csv")], ())
+    return log, rows[0][1]
 
 
 @pytest.mark.parametrize("kind", READ)
 def test_logs_that_are_read_as_they_are_meant(kind: str) -> None:
-    wanted, _, _ = windows_of(table(DRIVE))
-    found, _, left_out = windows_of(*READ[kind])
-    assert not left_out
-    for name in ("start", "end"):
-        assert_allclose(getattr(found, name), getattr(wanted, name), atol=2e-5)
-    given = found.given[:, :: found.given.shape[1] // wanted.given.shape[1]]
-    assert_allclose(given[:, : wanted.given.shape[1]], wanted.given, atol=1e-3)
+    wanted, _ = read(table(DRIVE))
+    found, words = read(*READ[kind])
+    assert words.startswith("400 samples")
+    assert "gaps" not in words
+    assert "begin or end" not in words
+    assert wanted.heading is not None
+    assert found.heading is not None
+    turned = found.heading - wanted.heading
+    assert_allclose(turned, 2 * np.pi * np.round(turned[0] / 2 / np.pi), atol=2e-5)
+    assert_allclose(found.place, wanted.place, atol=2e-5)
+    assert_allclose(found.inputs, wanted.inputs, atol=1e-3)
+    assert found.good.all()
 
 
 COMPASS = {5: lambda heading: np.pi / 2 - heading}
@@ -213,7 +227,7 @@ REFUSED = {
 @pytest.mark.parametrize("kind", REFUSED)
 def test_logs_that_are_refused(kind: str) -> None:
     text, words = REFUSED[kind]
-    refuses(DataError, words, windows_of, text)
+    refuses(DataError, words, read, text)
 
 
 def test_a_drive_to_one_side_has_no_sense_of_turning() -> None:
@@ -221,36 +235,38 @@ def test_a_drive_to_one_side_has_no_sense_of_turning() -> None:
     rows = DRIVE.copy()
     rows[:, 1] = rows[:, 2] = 2.0
     rows[:, 3:] = np.column_stack([2 * RADIUS * rows[:, 0], 0 * rows[:, 0], 0 * rows[:, 0]])
-    assert windows_of(table(rows))[2] == {}
+    assert read(table(rows))[1] == "400 samples"
 
 
 def test_remedies_work() -> None:
     """Parts of a divided log are one fit or a test; degrees are projected; a compass is turned."""
     for name, rows in (("a.csv", DRIVE), ("b.csv", OTHER)):
         Path(name).write_text(table(rows))
-    Path("fit.toml").write_text(PROBLEM.replace('"log.csv"', '["a.csv", "b.csv"]'))
+    problem = PROBLEM + LEAST_SLIP
+    Path("fit.toml").write_text(problem.replace('"log.csv"', '["a.csv", "b.csv"]'))
     shown = json.loads(printed("--json", "fit", "fit.toml", "--no-draw"))
-    assert shown["facts"]["windows"] == "27 for training, 11 others"
-    for each, true in zip(shown["estimates"], (RADIUS, TRACK), strict=True):
-        assert each["value"] == pytest.approx(true, rel=1e-4)
+    assert shown["facts"]["fitted windows"] == "38"
+    found = {each["name"]: each["value"] for each in shown["estimates"]}
+    for name, true in (("radius", RADIUS), ("track", TRACK)):
+        assert found[name] == pytest.approx(true, rel=1e-4)
 
-    Path("fit.toml").write_text(PROBLEM.replace("log.csv", "a.csv"))
+    Path("fit.toml").write_text(problem.replace("log.csv", "a.csv"))
     own = ("fit", "fit.toml", "--no-draw", "--predict")
     shown = json.loads(printed("--json", *own, "b.csv"))
-    assert shown["facts"]["windows"] == "19 for training, 19 others"
-    error = {(row["set"], row["when"]): row["position_rms"]["value"] for row in shown["errors"]}
-    assert error["test", "after"] < 1e-3 < error["test", "before"]
+    assert shown["facts"]["fitted windows"] == "19"
+    assert shown["errors"][0]["position_rms"] < 1e-3
     assert "found a.csv in both" in printed(*own, "a.csv", code=2)
 
     degrees = changed({3: lambda x: -4.5 + x / 89e3, 4: lambda y: 36.7 + y / 111e3})
     with pytest.raises(DataError) as refused:
-        windows_of(degrees.replace("x,y", "lon,lat"), 'x = "lon"\ny = "lat"')
+        read(degrees.replace("x,y", "lon,lat"), 'x = "lon"\ny = "lat"')
     command = re.search(r'python -c "(.*)"', str(refused.value))
     assert command is not None
     subprocess.run([sys.executable, "-c", command[1]], check=True)
     # the scale of the projection, and its north
-    ends = windows_of(Path("log_m.csv").read_text())[0].end
-    assert_allclose(ends, windows_of(table(DRIVE))[0].end, atol=0.02)
+    found, wanted = read(Path("log_m.csv").read_text())[0], read(table(DRIVE))[0]
+    moved = [np.diff(each.place[::20]) for each in (found, wanted)]
+    assert_allclose(*moved, atol=0.02)
 
 
 def test_rows_and_windows_are_left_out_by_reason() -> None:
@@ -260,14 +276,15 @@ def test_rows_and_windows_are_left_out_by_reason() -> None:
     rows[300:, 3:5] += 4
     text = table(np.delete(rows, np.arange(102, 119), axis=0), HEAD + ",sigma")
     text = text.replace(f",{rows[350, 5]:.9f},", ",nan,")
-    _, notes, left_out = windows_of(text, 'error = "sigma"')
-    assert notes == [
+    _, words = read(text, 'error = "sigma"')
+    for part in (
         "1 rows left out: no position or heading",
         "10 rows left out: stated error above 0.1 m",
         "1 rows left out: position that jumps away and back",
         "inputs not given for at most 1.8 s, from t = 10.1 s",
-    ]
-    assert left_out == {"with a gap": 1, "with a leap of the position": 1}
+        "2 gaps or leaps of the position",
+    ):
+        assert part in words, words
 
 
 def test_commands_that_stop() -> None:

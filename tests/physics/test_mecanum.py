@@ -16,7 +16,6 @@ from helpers.commands import refuses
 from helpers.dynamics import FLAT, energy_error, moved, states
 from helpers.rounding import root
 from slipfree.contact.closure import ContactFrame, without_rolling
-from slipfree.fit.unknowns import Unknown, parametric_model
 from slipfree.laws.soils import SOILS, known_soil
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.solve.replay import replay, round_trip
@@ -437,17 +436,7 @@ def test_the_energy_ledger_of_driven_wheels_on_hills():
     assert np.abs(run["wheel_rate"]).max() > 5
 
 
-# Batches and fits
-
-
-def test_dimensions_may_be_parameters_of_a_fit():
-    unknowns = [Unknown("track", "track"), Unknown("radius", "radius")]
-
-    def build(vehicle, law):
-        return sf.direct_kinematics(vehicle, FLAT, slip=law)
-
-    model = parametric_model(build, VEHICLE, sf.LeastSlip(), unknowns)
-    assert [each.value for each in model.p] == pytest.approx([2 * HALF_TRACK, RADIUS])
+# Batches
 
 
 @pytest.mark.parametrize("model", [sf.direct_kinematics, sf.quasi_statics])

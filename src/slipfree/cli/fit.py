@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -14,7 +13,6 @@ from slipfree.cli.common import (
     INTERRUPTED,
     STOPPED,
     Draw,
-    File,
     Settings,
     Trust,
     about,
@@ -37,7 +35,13 @@ if TYPE_CHECKING:
 
 
 def fit(
-    file: File,
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...",
+            help="A problem file, a wheel file, logs, or a fit (.nc) for --predict.",
+        ),
+    ],
     settings: Settings = None,
     out: Annotated[
         Path | None,
@@ -51,6 +55,12 @@ def fit(
     write: Annotated[
         Path | None,
         typer.Option(metavar="FILE.toml", help="Write the fitted vehicle or soil."),
+    ] = None,
+    ground: Annotated[
+        Path | None, typer.Option("--map", metavar="MAP", help="Map under logs without a file.")
+    ] = None,
+    vehicle: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Vehicle of logs without a problem file.")
     ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Replace an existing vehicle or soil file.")
@@ -67,21 +77,25 @@ def fit(
     draw: Draw = True,
     trust: Trust = None,
 ) -> None:
-    """Fit a vehicle to a log of motion, or a soil to wheel tests.
+    """Fit a vehicle to logs of its motion, or a soil to wheel tests.
 
-    With verb = 'fit-over-map', fit models of a skid-steered vehicle to logs of commands and
-    positions over a map, and print the errors of their predictions on logs that were left out.
+    The vehicle is a force balance with inertia, on level ground or over a map. Print its constants
+    with 95 % intervals, and errors of predictions of whole campaigns or manoeuvres that were left
+    out, with 90 % intervals. Logs need no problem file: columns are t, x, y, heading, left and
+    right, and --set changes keys such as data.unit. The fit is kept in a file (.nc), which
+    --predict applies to other logs.
 
-    Print the estimates with 95 % intervals, the combinations of unknowns that the data do not
-    determine, and the errors of predictions that were not used for the fit. If the data do not
-    determine an unknown, the exit code is 1 and no vehicle or soil is written. A wheel file, with
-    the table [wheel], is fitted to the measured points that it names.
+    A wheel file, with the table [wheel], is fitted to the measured points that it names. If the
+    data do not determine an unknown of the file without a prior, the exit code is 1 and no vehicle
+    or soil is written.
     """
+    file = files[0]
     with about(file):
         from slipfree.files.tables import write_rows
         from slipfree.problem.wheel_test import is_wheel_file
 
-        if is_wheel_file(file):
+        is_binary = file.suffix.lower() in (".nc", ".mcap")
+        if not is_binary and is_wheel_file(file):
             work = _soil_fit(file, settings or [])
             if predict:
                 raise ModelError(
@@ -89,38 +103,36 @@ def fit(
                     "--predict"
                 )
         else:
-            problem: Any = read_problem(file, settings, trust, "fit")
-            if problem.spec.verb == "fit-over-map":
-                if write and problem.spec.vehicle is None:
-                    raise ModelError(
-                        f"{file}: expected the table [vehicle] for --write, found none; add it, or "
-                        "omit --write: the constants are in a table"
-                    )
-                work = _fit_over_map(problem, predict or [])
-            else:
-                work = _log_fit(problem, predict or [])
+            work = _log_fit(files, settings or [], (ground, vehicle), trust, predict or [])
+        if write and work.is_without_vehicle:
+            raise ModelError(
+                f"{file}: expected a vehicle for --write, found none; name one, or omit --write: "
+                "the constants are in a table"
+            )
         table = out or default_table(file, "fit", work.inputs)
         tables = [table, *(table.with_name(f"{table.stem}_{end}.csv") for end in work.ends)]
         picture = table.with_suffix(".png") if draw else None
         check_outputs([*tables, picture, write], work.inputs)
-        with held_interrupt(from_first_poll=True) if work.is_held else nullcontext():
+        with held_interrupt(from_first_poll=True):
             result = work.solve()
-            files = [
+            files_written = [
                 save(path, partial(write_rows, names=rows[0], rows=rows[1]))
                 for path, rows in zip(tables, result.tables, strict=True)
             ]
+            if result.save is not None:
+                files_written.append(save(table.with_suffix(".nc"), result.save))
             if write is not None and not result.undetermined:
                 write_new_file(result.text(), write, force)
-                files.append(write)
-            is_interrupted = work.is_held and (interrupt_requested() or result.is_interrupted)
+                files_written.append(write)
+            is_interrupted = interrupt_requested() or result.is_interrupted
         print_facts(result.facts)
         for key, objects in result.objects.items():
             add_json(key, partial(list, objects))
         if picture is not None and not is_interrupted:
-            files += draw_plots([result.plot(picture.stem)], picture.parent)
-        print_line(f"wrote {' and '.join(map(str, files))}")
+            files_written += draw_plots([result.plot(picture.stem)], picture.parent)
+        print_line(f"wrote {' and '.join(map(str, files_written))}")
         if is_interrupted:
-            print_error(f"interrupted; {files[0]} contains the estimates so far")
+            print_error(f"interrupted; {files_written[0]} contains the estimates so far")
             raise typer.Exit(INTERRUPTED)
         if result.undetermined:
             unwritten = f"; no {work.subject} was written" if write else ""
@@ -142,6 +154,7 @@ class _FitResult(NamedTuple):
     plot: Callable[[str], Plot]
     undetermined: tuple[str, ...] = ()
     is_interrupted: bool = False
+    save: Callable[..., None] | None = None  # of the fit
 
 
 class _FitWork(NamedTuple):
@@ -153,36 +166,81 @@ class _FitWork(NamedTuple):
     subject: str = ""  # what is fitted
     data: str = ""
     remedy: str = ""
-    is_held: bool = True  # whether an interrupted fit has a result
+    is_without_vehicle: bool = False
 
 
 def _objects(table: tuple[list[str], list[list[Any]]]) -> list[dict[str, Any]]:
     return [dict(zip(table[0], row, strict=True)) for row in table[1]]
 
 
-def _log_fit(problem: Any, predict: Sequence[Path]) -> _FitWork:
-    from slipfree.files.vehicle_toml import vehicle_text
+def _log_fit(
+    files: Sequence[Path],
+    settings: list[str],
+    named: tuple[Path | None, Path | None],
+    trust: list[Path] | None,
+    predict: Sequence[Path],
+) -> _FitWork:
+    from slipfree.files.netcdf import is_result
+    from slipfree.files.vehicle_toml import toml_value, vehicle_text
     from slipfree.problem.inputs import files_read
+    from slipfree.problem.load import load_again
     from slipfree.problem.verbs import fit as verb
     from slipfree.show.fit_figures import fit_plot
 
+    (file, *more), contents = files, None
+    is_fit = file.suffix == ".nc" and predict and not more and is_result(file)
+    problem: Any
+    if is_fit:
+        contents = verb.read_fit(file)
+        problem = load_again(
+            Path(contents["file"]), contents["text"], contents["settings"] + settings, command="fit"
+        )
+    elif file.suffix == ".toml" and not more:
+        problem = read_problem(file, settings, trust, "fit")
+    else:
+        tables = {"terrain.file": named[0], "vehicle.file": named[1]}
+        lines = [f"{key} = {toml_value(str(path))}" for key, path in tables.items() if path]
+        names = ", ".join(toml_value(str(path)) for path in files)
+        text = "\n".join(["verb = 'fit'", f"data.file = [{names}]", *lines, ""])
+        problem = load_again(Path(f"{file.stem}.toml"), text, settings, command="fit")
+
     def solve() -> _FitResult:
-        fitted = verb.fit(problem, predict)
-        estimate = fitted.calibration.estimate
-        estimates = verb.estimate_rows(estimate)
-        comments = verb.vehicle_comments(fitted.others)
+        if contents is not None:
+            result = verb.predict_logs(problem, contents, predict)
+        else:
+            result = verb.fit(problem, predict)
+        errors, windows = verb.error_rows(result.scores), verb.window_rows(result)
+        tables, objects = [errors, windows], {"errors": _objects(errors)}
+        if result.fit is not None:
+            constants = verb.constant_rows(result.fit)
+            tables, objects = (
+                [constants, errors, windows],
+                objects | {"estimates": _objects(constants)},
+            )
+        fitted = result.fit
         return _FitResult(
-            verb.facts(fitted),
-            [estimates, verb.window_rows(fitted)],
-            {"errors": verb.error_rows(fitted), "estimates": _objects(estimates)},
-            partial(vehicle_text, fitted.vehicle, comments),
-            partial(fit_plot, calibration=fitted.calibration),
-            estimate.undetermined,
-            estimate.is_interrupted,
+            verb.facts(result),
+            tables,
+            objects,
+            lambda: vehicle_text(*verb.fitted_vehicle(problem, fitted)) if fitted else "",
+            partial(fit_plot, scores=result.scores),
+            () if fitted is None else verb.undetermined(problem, fitted),
+            is_interrupted=fitted is not None and fitted.estimate.is_interrupted,
+            save=partial(verb.save_fit, problem=problem, settings=settings, result=result)
+            if fitted
+            else None,
         )
 
-    words = "vehicle", "a log that determines", "a log with other manoeuvres"
-    return _FitWork([*files_read(problem), *predict], ("windows",), solve, *words)
+    ends = ("windows",) if contents is not None else ("errors", "windows")
+    return _FitWork(
+        [*files_read(problem), *files, *predict],
+        ends,
+        solve,
+        "vehicle",
+        "logs that determine",
+        "logs with other manoeuvres",
+        is_without_vehicle=problem.spec.vehicle is None or contents is not None,
+    )
 
 
 def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
@@ -207,27 +265,6 @@ def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
 
     words = "soil", "runs that determine", "runs at other slip ratios, slip angles or loads"
     return _FitWork(contents.files, ("points",), solve, *words)
-
-
-def _fit_over_map(problem: Any, predict: Sequence[Path]) -> _FitWork:
-    from slipfree.files.vehicle_toml import vehicle_text
-    from slipfree.problem.inputs import files_read
-    from slipfree.problem.verbs import fit_over_map as verb
-    from slipfree.show.fit_figures import ground_plot
-
-    def solve() -> _FitResult:
-        fitted = verb.fit_over_map(problem, predict)
-        errors, constants = verb.error_rows(fitted.scores), verb.constant_rows(fitted)
-        return _FitResult(
-            verb.facts(fitted),
-            [errors, constants, verb.window_rows(fitted)],
-            {"errors": _objects(errors), "estimates": _objects(constants)},
-            lambda: vehicle_text(*verb.fitted_vehicle(problem, fitted)),
-            partial(ground_plot, scores=fitted.scores),
-        )
-
-    inputs, ends = [*files_read(problem), *predict], ("constants", "windows")
-    return _FitWork(inputs, ends, solve, is_held=False)
 
 
 def wheel(

@@ -18,21 +18,9 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 import scipy  # its parts are imported when they are used, since this takes 0.2 s
 
-from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices, Label, Mask
-from slipfree.fit.body_motion import BodyMotion, MotionError, Velocities, body_motion, velocities
-from slipfree.fit.unknowns import (
-    SENSOR,
-    Unknown,
-    label_of,
-    limits_of,
-    parametric_model,
-    value_of,
-)
-from slipfree.fit.windows import Windows, end_poses
-from slipfree.system.interrupt import check_interrupt, interrupt_requested
-from slipfree.vehicle.tree import Vehicle
+from slipfree.fit.unknowns import Unknown
+from slipfree.system.interrupt import check_interrupt
 
 Loss = Literal["soft_l1", "linear"]
 REWEIGHTINGS = 4  # estimates, each with the deviations of the residuals of the one before
@@ -97,150 +85,6 @@ class Predicting(Protocol):
         """Return the prediction for values from which a search goes on, with derivatives."""
 
 
-class Predictor:
-    """Predictions of a parametric model over windows, as a function of the unknowns.
-
-    Each prediction starts from the accepted one; others do not influence it.
-    """
-
-    def __init__(self, dae: Dae, unknowns: Sequence[Unknown], windows: Windows) -> None:
-        self.motion: BodyMotion = body_motion(dae)
-        self.windows = windows
-        self._unknowns = unknowns
-        self._of_sensor = [k for k, u in enumerate(unknowns) if u.quantity in SENSOR]
-        self._of_model = [k for k, u in enumerate(unknowns) if u.quantity not in SENSOR]
-        self._axes = [list(SENSOR).index(unknowns[k].quantity) for k in self._of_sensor]
-        count, samples, width = windows.given.shape
-        rows = windows.given.reshape(-1, width)
-        self._given, self._inverse = np.unique(rows, axis=0, return_inverse=True)
-        self._shape = count, samples, 3
-        self._near: Velocities | None = None
-        self._last: tuple[Array, Prediction, Velocities] | None = None
-
-    def __call__(self, values: Array) -> Prediction:
-        """Return the prediction for values of the unknowns; MotionError if there is no motion."""
-        if self._last is not None and np.array_equal(self._last[0], values):
-            return self._last[1]
-        try:
-            motion = velocities(self.motion, self._given, values[self._of_model], self._near)
-        except MotionError as error:
-            raise MotionError(self._message(error, values), error.sample) from error
-        sensor = np.zeros(3)
-        sensor[self._axes] = values[self._of_sensor]
-        at = self._inverse.ravel()
-        velocity = motion.values[at].reshape(self._shape)
-        end, by_velocity, by_sensor = end_poses(self.windows, velocity, sensor)
-        slopes = np.zeros((*end.shape, values.size))
-        by_model = motion.slopes[at].reshape(*self._shape, -1)
-        slopes[..., self._of_model] = np.einsum(
-            "nikj,nkjp->nip", by_velocity, by_model, optimize=True
-        )
-        slopes[..., self._of_sensor] = by_sensor[..., self._axes]
-        self._last = values.copy(), Prediction(end, slopes), motion
-        return self._last[1]
-
-    def accept(self, values: Array) -> Prediction:
-        """Return the prediction for values, from which the following ones start."""
-        prediction = self(values)
-        if self._last is not None:
-            self._near = self._last[2]
-        return prediction
-
-    def _message(self, error: MotionError, values: Array) -> str:
-        """Return the message of a sample without motion: reason, window, time, rates, values."""
-        window, k = divmod(int(np.argmax(self._inverse.ravel() == error.sample)), self._shape[1])
-        number, start, dt, *_ = (part[window] for part in self.windows)
-        rates = _words(self.motion.names, self._given[error.sample])
-        return (
-            f"window {number:g}, t = {start + dt[:k].sum():.6g} s: expected a motion of the "
-            f"vehicle at {rates}, with {_words([each.name for each in self._unknowns], values)}, "
-            f"found none: {error}; correct the log or the vehicle, or use another model"
-        )
-
-
-def estimate(
-    dae: Dae,
-    law: object,
-    unknowns: Sequence[Unknown],
-    windows: Windows,
-    loss: Loss = "soft_l1",
-) -> Estimate:
-    """Fit unknowns to windows of a log, with a loss of each residual.
-
-    ModelError is raised if the problem is not determined, the nominal values have no motion, or the
-    search does not converge or ends at an edge or extremum of the prediction.
-    """
-    sought = _sought(dae, law, unknowns)
-    if len(windows.end) <= len(unknowns):
-        raise ModelError(
-            f"estimate: expected more windows than unknowns, found {len(windows.end)} windows and "
-            f"{len(unknowns)} unknowns; use a longer log, shorter windows or fewer unknowns"
-        )
-    predict = Predictor(dae, unknowns, windows)
-    values = np.clip(sought.nominal, *sought.bounds)
-    predict.accept(values)
-    is_interrupted = False
-    for k in range(REWEIGHTINGS):
-        deviations = _deviations(predict(values).values - windows.end)
-        search = Residuals(predict, windows.end, deviations, sought)
-        try:
-            result = search.run(values, loss, xtol=1e-10)
-        except KeyboardInterrupt:
-            if not interrupt_requested() or k + len(search.accepted) < MIN_ACCEPTED:
-                raise
-            values, is_interrupted = [values, *search.accepted][-1], True
-            break
-        values = np.asarray(result.x)
-    prediction, groups = predict(values), np.arange(len(windows.end))
-    fitted = search.estimate(values, prediction, groups, loss)._replace(
-        is_interrupted=is_interrupted
-    )
-    if not is_interrupted:
-        search.check_inside(values)
-        if not result.status:
-            raise ModelError(
-                f"estimate: expected convergence, found none after {result.nfev} evaluations; give "
-                "bounds or priors of the unknowns, or fit fewer of them"
-            )
-        for k, label in enumerate(fitted.labels):
-            if label.name in fitted.undetermined:
-                other = values.copy()
-                other[k] = sought.nominal[k]
-                _check_extremum(predict, (prediction, predict(other)), label, values[k], k)
-    return fitted
-
-
-def _check_extremum(
-    predict: Predictor,
-    predictions: tuple[Prediction, Prediction],
-    label: Label,
-    value: float,
-    k: int,
-) -> None:
-    """Raise ModelError if the predicted motion has an extremum at the estimate of an unknown.
-
-    The log then favours a motion beyond all those of the model, which biases the other estimates.
-    """
-    here, there = (float(np.linalg.norm(each.slopes[:, :, k])) for each in predictions)
-    if not here < EXTREMUM * there:
-        return
-    windows = predict.windows
-    turns, others = (np.abs(each.values[:, 2]) for each in predictions)
-    sign = 1 if turns.sum() > others.sum() else -1
-    superlative, comparative = ("fastest", "faster") if sign > 0 else ("slowest", "slower")
-    row = int(np.argmax(sign * (np.abs(windows.end[:, 2]) - turns)))
-    raise ModelError(
-        "estimate: expected a log that the model can follow, found that the vehicle turns "
-        f"{superlative} with {label.name} = {value:.4g} {label.unit} and the log turns "
-        f"{comparative}: by {np.abs(windows.end[row, 2]):.4g} rad in window "
-        f"{windows.number[row]:g}, from t = {windows.start[row]:.6g} s, with "
-        f"{_words(predict.motion.names, windows.given[row, 0])}; the model turns by at "
-        f"{'most' if sign > 0 else 'least'} {turns[row]:.4g} rad with any {label.name!r}; correct "
-        "the rates of the log or the vehicle, use another model, or give a prior of "
-        f"{label.name!r}"
-    )
-
-
 class Priors(NamedTuple):
     """Indices of the unknowns with a prior, its mean values and standard deviations."""
 
@@ -280,36 +124,6 @@ def inner_bounds(limits: Array, scales: Array) -> tuple[Array, Array]:
     return limits[:, 0] + margin, limits[:, 1] - margin
 
 
-def _sought(dae: Dae, law: object, unknowns: Sequence[Unknown]) -> Sought:
-    if not unknowns:
-        raise ModelError("estimate: expected at least one unknown, found none; add one")
-    labels, vehicle = tuple(label_of(each, law) for each in unknowns), dae.vehicle.numeric
-    nominal = [value_of(each, vehicle, law) for each in unknowns]
-    limits = [limits_of(each, vehicle, law) for each in unknowns]
-    for unknown, value, (low, high) in zip(unknowns, nominal, limits, strict=True):
-        if not low <= value <= high:
-            raise ModelError(
-                f"unknown {unknown.name!r}: expected a nominal value within the bounds, {low:g} to "
-                f"{high:g}, found {value:g}; change the bounds, or the vehicle or the law"
-            )
-    sizes = [
-        each.prior[1] if each.prior else abs(value) or dae.size_of(label)
-        for each, label, value in zip(unknowns, labels, nominal, strict=True)
-    ]
-    scales = np.array(sizes)
-    bounds = inner_bounds(np.array(limits), scales)
-    return Sought(labels, np.array(nominal), bounds, scales, Priors.of(unknowns))
-
-
-def _deviations(residual: Array) -> Array:
-    """Return robust standard deviations of residuals: one of position, one of heading."""
-    spread = np.median(np.abs(residual[:, :2])), np.median(np.abs(residual[:, 2]))
-    position, heading = (each / NORMAL_MEDIAN for each in spread)
-    return np.array(
-        [max(position, LEAST_POSITION)] * 2 + [max(heading, LEAST_HEADING)], dtype=float
-    )
-
-
 class Residuals:
     """Residuals and their Jacobian at sought values, without unit; accepted and rejected values.
 
@@ -322,7 +136,6 @@ class Residuals:
     ) -> None:
         self._predict, self._measured, self._known = predict, measured, np.isfinite(measured)
         self._deviations, self._sought = deviations, sought
-        self._rejected = list[tuple[Array, MotionError]]()
         self.accepted = list[Array]()  # the first is the start
 
     def run(self, start: Array, loss: Loss, **options: float) -> Any:
@@ -339,26 +152,13 @@ class Residuals:
 
     def _residual(self, values: Array) -> Array:
         check_interrupt()
-        try:
-            missed = (self._predict(values).values - self._measured) / self._deviations
-        except MotionError as error:
-            self._rejected.append((values.copy(), error))
-            missed = np.full(self._measured.shape, np.nan)
+        missed = (self._predict(values).values - self._measured) / self._deviations
         return np.append(missed[self._known], self._sought.priors.missed(values))
 
     def _jacobian(self, values: Array) -> Array:
         self.accepted.append(values.copy())
         slopes = self._predict.accept(values).slopes / self._deviations[:, None]
         return np.concatenate([slopes[self._known], self._sought.priors.slopes(values.size)])
-
-    def check_inside(self, found: Array) -> None:
-        """Raise ModelError if a search ended beside rejected values."""
-        for values, error in self._rejected:
-            if np.abs((values - found) / self._sought.scales).max() < AT_BOUND:
-                raise ModelError(
-                    "estimate: expected estimates within the range in which the vehicle can move, "
-                    f"found that the log favours values beyond it: {error}"
-                ) from error
 
     def estimate(
         self,
@@ -402,11 +202,6 @@ class Residuals:
             directions,
             self._deviations,
         )
-
-
-def _words(names: Sequence[str], values: Array) -> str:
-    """Return names with their values, for messages."""
-    return ", ".join(f"{name} = {each:.4g}" for name, each in zip(names, values, strict=True))
 
 
 def _sandwich(
@@ -463,82 +258,12 @@ def _signed(vector: Array) -> Array:
     return np.asarray(vector * np.sign(vector[np.abs(vector).argmax()]))
 
 
-class EndErrors(NamedTuple):
-    """Predicted minus measured end poses of n windows."""
-
-    measured: Array  # shape (n, 3): measured end poses, as ``Windows.end`` [m, m, rad]
-    nominal: Array  # shape (n, 3): errors before and after the fit [m, m, rad]
-    fitted: Array
-
-
-class Calibration(NamedTuple):
-    """Result of a calibration."""
-
-    estimate: Estimate  # estimates from the windows for training
-    train: EndErrors  # errors in the windows for training and in those for testing
-    test: EndErrors
-
-
 class Interval(NamedTuple):
     """A statistic, and its 95 % confidence interval."""
 
     value: float
     lower: float
     upper: float
-
-
-def calibrate(
-    build: Callable[[Vehicle, Any], Dae],
-    vehicle: Vehicle,
-    law: Any,
-    unknowns: Sequence[Unknown],
-    windows: Windows,
-    predicted: Windows | None = None,
-    *,
-    train: float = 0.7,
-    seed: int = 0,
-    loss: Loss = "soft_l1",
-) -> Calibration:
-    """Fit unknowns to a random part of the windows, a share ``train``, and predict the others.
-
-    With windows to be ``predicted``, such as those of another log, fit to all and predict these.
-    """
-    if not 0 < train < 1:
-        raise ModelError(
-            "calibrate: train: expected the share of windows to fit to, between 0 and 1, found "
-            f"{train:g}; correct it"
-        )
-    order = np.random.default_rng(seed).permutation(len(windows.end))
-    count = round(train * len(order))
-    if count == len(order) and predicted is None:
-        raise ModelError(
-            "calibrate: expected windows for training and for testing, found only "
-            f"{len(order)}; use a longer log or shorter windows"
-        )
-    dae = parametric_model(build, vehicle, law, unknowns)
-    learnt, other = windows, predicted
-    if other is None:
-        learnt, other = windows.take(np.sort(order[:count])), windows.take(np.sort(order[count:]))
-    fitted = estimate(dae, law, unknowns, learnt, loss)
-    errors = [_errors(dae, unknowns, part, fitted) for part in (learnt, other)]
-    return Calibration(fitted, *errors)
-
-
-def _errors(dae: Dae, unknowns: Sequence[Unknown], windows: Windows, fitted: Estimate) -> EndErrors:
-    """Return the errors of end poses with nominal and with fitted values."""
-    predict = Predictor(dae, unknowns, windows)
-    errors = [predict(values).values - windows.end for values in (fitted.nominal, fitted.values)]
-    return EndErrors(windows.end, *errors)
-
-
-def position_rms(errors: Array) -> float:
-    """Return the root mean square distance of predicted from measured positions [m]."""
-    return float(np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()))
-
-
-def heading_rms(errors: Array) -> float:
-    """Return the root mean square error of the heading [rad]."""
-    return float(np.sqrt((errors[:, 2] ** 2).mean()))
 
 
 def bootstrap(

@@ -26,7 +26,6 @@ from slipfree.problem.verbs.compare import Compare
 from slipfree.problem.verbs.direct import DirectVerb
 from slipfree.problem.verbs.driving import DriveVerb
 from slipfree.problem.verbs.fit import Fit
-from slipfree.problem.verbs.fit_over_map import FitOverMap
 from slipfree.problem.verbs.inverse import InverseVerb
 from slipfree.problem.verbs.plan import PlanVerb
 
@@ -37,7 +36,6 @@ VERBS: tuple[Verb, ...] = (
     Verb(Compare, "compare"),
     Verb(Fit, "fit"),
     Verb(AtlasKeys, "atlas", "check"),
-    Verb(FitOverMap, "fit"),
 )
 
 

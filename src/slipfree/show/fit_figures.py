@@ -14,8 +14,8 @@ from matplotlib.ticker import MaxNLocator
 from scipy.stats import chi2
 
 from slipfree.core.records import Array
-from slipfree.fit.estimate import CONFIDENCE, Calibration, Estimate
-from slipfree.fit.ground_fit import Kind, Score, by_logs, rms
+from slipfree.fit.drive_fit import Kind, Score, by_logs, rms
+from slipfree.fit.estimate import CONFIDENCE, Estimate
 from slipfree.fit.wheel_soil import QUANTITIES, SoilFit
 from slipfree.show import style
 from slipfree.show.plots import Plot
@@ -25,33 +25,6 @@ MAX_ELLIPSES = 6  # drawn, with the strongest correlations first
 COLUMNS = 3
 ROW_HEIGHT = 55.0  # [mm]
 CIRCLE_POINTS = 100
-
-
-def fit_plot(name: str, calibration: Calibration) -> Plot:
-    """Return the figure of a calibration, to be drawn later, with the name of its file."""
-    words = (
-        "Predicted over measured end poses of the windows that were not used for the fit, and 95 % "
-        "confidence ellipses of the estimates with the strongest correlations."
-    )
-    return Plot(name, words, partial(fit_figure, calibration))
-
-
-def fit_figure(calibration: Calibration) -> Figure:
-    """Return the figure of a calibration."""
-    units = {"to the right [m]": 1.0, "ahead [m]": 1.0, "heading [deg]": float(np.rad2deg(1.0))}
-    test = calibration.test
-    panels = [
-        Compared(
-            words,
-            factor * test.measured[:, k],
-            {
-                name: factor * (test.measured + errors)[:, k]
-                for name, errors in (("nominal", test.nominal), ("fitted", test.fitted))
-            },
-        )
-        for k, (words, factor) in enumerate(units.items())
-    ]
-    return _compared(panels, calibration.estimate)
 
 
 class Compared(NamedTuple):
@@ -129,40 +102,36 @@ def soil_figure(measured: Array, fit: SoilFit) -> Figure:
     return _compared(panels, fit.estimate)
 
 
-def ground_plot(name: str, scores: Mapping[str, Mapping[Kind, Score]]) -> Plot:
-    """Return the figure of errors over a map, by words of the models, with the name of its file."""
+def fit_plot(name: str, scores: Mapping[Kind, Score]) -> Plot:
+    """Return the figure of errors of predictions, to be drawn later, with the name of its file."""
     words = (
-        "Errors of predictions from commands on logs that were not fitted: of the position by "
-        "length of path, and of the course and of the slip by grade."
+        "Errors of predictions of windows that were not fitted: of the position by length of path, "
+        "of heading or course over that of the position, and of the slip by grade."
     )
-    return Plot(name, words, partial(ground_figure, scores))
+    return Plot(name, words, partial(fit_figure, scores))
 
 
-def ground_figure(scores: Mapping[str, Mapping[Kind, Score]]) -> Figure:
-    """Return the figure of errors over a map; windows of a duration give slip and course."""
+def fit_figure(scores: Mapping[Kind, Score]) -> Figure:
+    """Return the figure of errors of predictions by kind of window."""
     made = style.figure(PAGE, 1.3 * ROW_HEIGHT * MM)
     place, turn, slide = made.subplots(1, 3)
-    for k, (words, own) in enumerate(scores.items()):
-        color = style.PALETTE[k % len(style.PALETTE)]
-        rows = []
-        for score in own.values():
-            value, low, high = by_logs(score.errors.position, score.windows.log, rms)
-            rows.append((score.windows.length.mean(), value, value - low, high - value))
-        path, value, *bars = np.array(sorted(rows)).T
-        place.errorbar(path, value, bars, fmt="o-", ms=3, capsize=2, color=color, label=words)
-        least = min(own, key=lambda kind: kind[0])  # no length: the windows of a duration
-        slips = own[least].slip()
+    rows = list[tuple[float, ...]]()
+    for k, ((length, duration), score) in enumerate(scores.items()):
+        color, words = style.PALETTE[k % len(style.PALETTE)], f"{duration:g} s"
+        words = f"{length:g} m" if length else words if duration else "windows"
+        value, low, high = by_logs(score.errors.position, score.windows.log, rms)
+        path = float(score.windows.length.mean())
+        rows.append((path, value, *(max(x, 0.0) for x in (value - low, high - value))))
+        share = np.linspace(0, 1, score.windows.log.size)
+        turn.plot(np.rad2deg(np.sort(np.abs(score.errors.turn))), share, color=color, label=words)
+        slips = score.slip()
         middle = np.rad2deg([(low + high) / 2 for low, high, *_ in slips])
-        errors, grade = own[least].errors, own[least].grade
-        courses = [
-            np.rad2deg(rms(errors.course[(grade >= low) & (grade < high)]))
-            for low, high, *_ in slips
-        ]
-        turn.plot(middle, courses, "o-", ms=3, color=color)
         slide.plot(middle, [100 * each[3] for each in slips], "o-", ms=3, color=color)
+    path, value, *bars = np.nan_to_num(np.array(sorted(rows)).T)
+    place.errorbar(path, value, bars, fmt="o-", ms=3, capsize=2, color=style.PALETTE[0])
     place.set(xlabel="path [m]", ylabel="position error, rms [m]", xlim=(0, None), ylim=(0, None))
-    turn.set(xlabel="grade [deg]", ylabel=f"course error after {least[1]:g} s, rms [deg]")
+    turn.set(xlabel="error of the heading or course [deg]", ylabel="share of windows")
     slide.set(xlabel="grade [deg]", ylabel="error of the slip, median [%]")
     slide.axhline(0, color="black", lw=0.6)
-    place.legend(fontsize="x-small")
+    turn.legend(fontsize="x-small")
     return made

@@ -1,120 +1,157 @@
-"""Fits: numbers of a vehicle and of a law, calibrated on a log of rates and poses."""
+"""Fits: a vehicle as a force balance, from logs of inputs and poses, on level ground or a map."""
 
 from __future__ import annotations
 
-from collections import Counter
+import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, cast
 
 import numpy as np
+import scipy
 from pydantic import Field
 
-from slipfree.core.dae import Dae
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Lines
 from slipfree.core.outcome import Outcome
+from slipfree.core.records import Array, Indices, Mask
 from slipfree.core.trajectory import Frame
+from slipfree.core.version import __version__
 from slipfree.files.logs import (
-    GAP,
+    OF_POSES,
+    OF_SPEEDS,
+    MotionLog,
     check_motion,
     is_continuous,
     longest_gap,
     rate_ratios,
     read_log,
 )
-from slipfree.files.tables import split_unit
+from slipfree.files.netcdf import ORIGIN, open_netcdf
+from slipfree.files.tables import ALIASES, PARTS, read_names, split_unit
 from slipfree.files.toml.source import name_errors, problem_error
-from slipfree.files.toml.types import Positive, Quantity, Record
-from slipfree.fit.body_motion import body_motion
-from slipfree.fit.estimate import (
-    WEAK,
-    Calibration,
-    Direction,
-    Estimate,
-    bootstrap,
-    calibrate,
-    heading_rms,
-    position_rms,
+from slipfree.files.toml.types import Pair, Positive, Quantity, Record
+from slipfree.fit.chassis import chassis_of, lateral_places, track, with_dimensions
+from slipfree.fit.drive_fit import (
+    BLOCKS,
+    DriveFit,
+    Fitted,
+    Kind,
+    Known,
+    Scale,
+    Score,
+    age_priors,
+    by_logs,
+    find_windows,
+    judge,
+    rms,
+    score_windows,
+    sought_of,
 )
-from slipfree.fit.unknowns import (
-    QUANTITIES,
-    SENSOR,
-    Unknown,
-    label_of,
-    lateral_places,
-    law_with_unknowns,
-    parametric_model,
-    value_of,
-    with_unknowns,
-)
-from slipfree.fit.windows import Log, Windows, cut, divide, joined
-from slipfree.models.kinematics import direct_kinematics
-from slipfree.models.quasi_statics import quasi_statics
-from slipfree.problem.build import model_law
-from slipfree.problem.build_ground import at
+from slipfree.fit.drives import DriveLog, conditions, held_for, without_holds
+from slipfree.fit.estimate import WEAK, Direction, Estimate
+from slipfree.fit.force_balance import Chassis, ComplexArray, four_wheels
+from slipfree.fit.ground_slope import Slopes
+from slipfree.fit.prediction import Model
+from slipfree.fit.unknowns import BALANCE, Unknown
+from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import MODEL, VERB, CommonKeys, LawKeys, VehicleSource
+from slipfree.problem.schema import VERB, CommonKeys, HeightErrors, TerrainTable, VehicleSource
 from slipfree.problem.units import moves_sideways
-from slipfree.terrain.analytic import Analytic
-from slipfree.terrain.base import Terrain
+from slipfree.system.regular_files import replace_file
+from slipfree.terrain.base import Grid
+from slipfree.terrain.grid_ops import disturbed
 from slipfree.vehicle.tree import Vehicle
 
 SHOWN_WEIGHT = 0.2  # smallest weight of an unknown that is named in a direction
-
+JUMP = 0.25  # of positions against measured velocities over a second [m/s]
+LEAST_SPEED = 0.1  # commanded speed from which the vehicle drives in one direction [m/s]
+FURTHER_MAPS = 4  # with further errors
+HALF = 0.4  # half track and half wheelbase without a vehicle [m]
+MAX_STEP = 0.1  # longest default time between samples [s]
+MANOEUVRE = 20.0  # duration of parts of a log that are left out together [s]
+MAX_HOLD = 0.6  # of readings [s]
+AS_PRIOR = 0.9  # of the deviation of a prior: an unknown that the logs do not determine
+KINDS: tuple[Kind, ...] = ((0.0, 2.0), (0.0, 5.0), (5.0, 0.0), (20.0, 0.0))
+SIDES = "left", "right"
+CLOCKWISE = -0.5  # correlation of measured turning rates and those of the wheels
 
 Name = Annotated[str, Field(min_length=1)]
 
 
-class PoseColumns(Record):
-    """Columns of the time and the pose in a table."""
+class DriveColumns(Record):
+    """Columns of a log."""
 
     t: str = Field(default="t", description="column of the time, in s")
     x: str = Field(default="x", description="column of the easting, in m")
     y: str = Field(default="y", description="column of the northing, in m")
-    heading: str = Field(
-        default="heading", description="column of the heading, from the axis of frame, in rad"
+    heading: Name | None = Field(
+        default=None,
+        description="column of the heading, from the axis of frame, in rad; by default heading or "
+        "yaw, if a log has it; without headings, courses follow from positions and velocities",
+    )
+    velocity: Annotated[tuple[Name, Name], Field(strict=False)] | None = Field(
+        default=None,
+        description="columns of the receiver's velocity along x and y, measured by the Doppler "
+        "shift, in m/s; by default, the derivative of the positions",
+    )
+    yaw_rate: Name | None = Field(
+        default=None, description="column of a measured turning rate, in rad/s"
     )
     error: Name | None = Field(
         default=None, description="column of the stated error of the position, in m"
     )
+    left: str = Field(default="left", description="column of the left side, without [data.rates]")
+    right: str = Field(default="right", description="column of the right side")
+    manoeuvre: Name | None = Field(
+        default=None, description="column with the number of the manoeuvre, left out as a whole"
+    )
 
 
-class LogKeys(Record):
-    """What of a log is used."""
+class Data(Record):
+    """The logs, and their windows."""
 
+    file: Name | Annotated[tuple[Name, ...], Field(strict=False, min_length=1)] = Field(
+        description="the log, or several: tables as text, MCAP, or results of slipfree (.nc); "
+        "those of one folder are a campaign, if there are several folders"
+    )
+    surfaces: Annotated[tuple[Name, ...], Field(strict=False)] = Field(
+        default=(), description="surface of each log, with its own friction; by default one"
+    )
+    window: Positive | Name | None = Field(
+        default=None,
+        description="duration of the fitted windows, or the column with the number of the window; "
+        "by default 2 s with headings, else 5 m of path [s]",
+    )
+    step: Annotated[Positive, Field(le=0.5)] | None = Field(
+        default=None,
+        description="time between samples; by default that of the logs, at most 0.1 [s]",
+    )
+    inputs: Literal["readings", "commands"] = Field(
+        default="readings",
+        description="measured rates, or commands, which are held and which drives follow with a "
+        "lag",
+    )
+    unit: Literal["m/s", "rad/s"] = Field(
+        default="m/s", description="unit of the columns of the sides, a speed or a rate"
+    )
     timeout: Positive | None = Field(
         default=None,
-        description="time after which a command or rate that is not given again counts as zero; by "
-        "default it is held [s]",
+        description="time after which an input that is not given again counts as zero; by default "
+        "it is held [s]",
     )
     max_error: Positive = Field(
         default=0.1,
         description="largest stated error of a position, if a column has it; other rows are left "
         "out [m]",
     )
-
-
-class Data(LogKeys):
-    """The log, and its windows."""
-
-    file: Name | Annotated[tuple[Name, ...], Field(strict=False, min_length=1)] = Field(
-        description="the log, or several: tables as text, MCAP, or results of slipfree (.nc)"
-    )
-    window: Positive | Name = Field(
-        description="duration of the windows, or the column with the number of the window [s]"
-    )
-    columns: PoseColumns = Field(
-        default=PoseColumns(), description="names of the columns of the pose"
-    )
+    columns: DriveColumns = Field(default=DriveColumns(), description="names of the columns")
     rates: dict[str, str] = Field(
         default={},
-        description="column of each input and commanded joint, by name; by default the column of "
-        "that name [rad/s, m/s, rad, m]",
+        description="column of each input and commanded joint of the vehicle, by name; by default "
+        "the column of that name [rad/s, m/s, rad, m]",
     )
 
 
@@ -123,29 +160,19 @@ class UnknownTable(Record):
 
     quantity: str | None = Field(
         default=None,
-        description=f"{', '.join(QUANTITIES)}, sensor_right, sensor_ahead, sensor_heading, or a "
-        "constant of the law; by default the name of the table",
+        description=f"{', '.join(BALANCE)}, or a constant of soil; by default the name of the "
+        "table",
     )
     wheels: Annotated[tuple[str, ...], Field(strict=False)] = Field(
         default=(), description="wheels that share the number; by default all"
     )
+    of: str = Field(default="", description="surface or campaign that has the number; else all")
     lower: Quantity | None = Field(
         default=None, description="lower bound, in the unit of the quantity [m, rad, 1]"
     )
     upper: Quantity | None = Field(
         default=None, description="upper bound, in the unit of the quantity [m, rad, 1]"
     )
-
-    def unknown(self, name: str) -> Unknown:
-        """Return the unknown of a table with a name."""
-        lower = -inf if self.lower is None else self.lower
-        upper = inf if self.upper is None else self.upper
-        return Unknown(name, self.quantity or name, self.wheels, lower, upper)
-
-
-class PriorUnknownTable(UnknownTable):
-    """A number to be fitted, of which something may be known before."""
-
     prior: Annotated[tuple[float, Positive], Field(strict=False)] | None = Field(
         default=None,
         description="mean and standard deviation before the fit, in the unit of the quantity "
@@ -154,33 +181,46 @@ class PriorUnknownTable(UnknownTable):
 
     def unknown(self, name: str) -> Unknown:
         """Return the unknown of a table with a name."""
-        return replace(super().unknown(name), prior=self.prior)
+        lower = -inf if self.lower is None else self.lower
+        upper = inf if self.upper is None else self.upper
+        quantity = self.quantity or name
+        return Unknown(name, quantity, self.wheels, lower, upper, self.prior, self.of)
 
 
-class Fit(LawKeys, CommonKeys):
-    """Fit: numbers of a vehicle and of a law, calibrated on a log of rates and poses."""
+class Fit(CommonKeys):
+    """Fit: a vehicle as a force balance with inertia, from logs of inputs and poses."""
 
     verb: Literal["fit"] = Field(description=VERB)
     frame: Frame = Field(
-        default="paper", description="axis from which the headings of the log count: y, or x"
+        default="paper", description="axis from which the headings of the logs count: y, or x"
     )
-    vehicle: VehicleSource = Field(description="the vehicle, with nominal values")
-    model: Literal["kinematics", "quasi-static"] = Field(default="kinematics", description=MODEL)
-    friction: Positive = Field(
-        default=0.6, description="coefficient of friction of the ground, which is level [1]"
+    vehicle: VehicleSource | None = Field(
+        default=None,
+        description="the vehicle, with nominal values; by default four wheels whose sides are "
+        "driven",
     )
-    data: Data = Field(description="the log")
-    unknowns: Annotated[dict[str, PriorUnknownTable], Field(min_length=1)] = Field(
-        description="the numbers to be fitted, by name [m, rad, 1]"
+    terrain: TerrainTable | None = Field(
+        default=None, description="map under the logs; by default the ground is level"
     )
-    train: Annotated[float, Field(gt=0, lt=1)] = Field(
-        default=0.7, description="share of the windows from which the numbers are estimated [1]"
+    shift: Pair = Field(
+        default=(0.0, 0.0), description="place on the map of the origin of the logs [m]"
     )
-    seed: Annotated[int, Field(ge=0)] = Field(
-        default=0, description="seed of the random choice of these windows"
+    smoothing: Quantity = Field(
+        default=0.0, ge=0, description="standard deviation over which slopes are averaged [m]"
     )
-    loss: Literal["soft_l1", "linear"] = Field(
-        default="soft_l1", description="loss of a residual: robust to outliers, or its square"
+    map_error: HeightErrors | None = Field(
+        default=None, description="error of the map: what it changes in the fit is subtracted"
+    )
+    data: Data = Field(description="the logs")
+    constants: dict[str, float] = Field(
+        default={},
+        description="numbers that are not fitted, by quantity; 'inertia' = 0 is quasi-static "
+        "[m, s, 1]",
+    )
+    unknowns: dict[str, UnknownTable] = Field(
+        default={},
+        description="numbers to be fitted, by name, beside the usual ones or in their place "
+        "[m, rad, s, 1]",
     )
 
     @property
@@ -189,26 +229,147 @@ class Fit(LawKeys, CommonKeys):
         return (self.data.file,) if isinstance(self.data.file, str) else self.data.file
 
 
-class Fitted(NamedTuple):
-    """Result of a fit, with notes on units and rows of the logs."""
+class FitResult(NamedTuple):
+    """Fitted force balance, errors of predictions, and what is used of each log."""
 
-    calibration: Calibration
-    vehicle: Vehicle  # with fitted values
-    others: dict[str, float]  # constants of the law, and pose of the sensor [m, rad]
-    notes: tuple[str, ...]
-    left_out: Counter[str]  # numbers of windows, by reason
-
-
-def build_model(
-    model: Literal["kinematics", "quasi-static"], ground: Terrain, vehicle: Vehicle, law: Any
-) -> Dae:
-    """Return the model of a fit."""
-    if model == "kinematics":
-        return direct_kinematics(vehicle, ground, slip=law)
-    return quasi_statics(vehicle, ground, law=law)
+    fit: DriveFit | None  # None for predictions with a fit in a file
+    fitted: dict[Kind, Fitted]
+    scores: dict[Kind, Score]
+    predicted: list[DriveLog]
+    rows: Lines
 
 
-def log_paths(problem: Problem[Any], predict: Sequence[Path] = ()) -> list[Path]:
+class LogInputs(NamedTuple):
+    """Columns of the inputs of a log: names of rates or sides, and of commanded joints."""
+
+    names: tuple[str, ...]
+    joints: tuple[str, ...]
+    columns: dict[str, str]
+    vehicle: Vehicle | None
+
+    @property
+    def wheels(self) -> tuple[str, ...]:
+        """Names of the wheels."""
+        usual = ("front_left", "rear_left", "front_right", "rear_right")
+        return usual if self.vehicle is None else tuple(w.name for w in self.vehicle.wheels)
+
+    @property
+    def is_by_sides(self) -> bool:
+        """Whether both sides are inputs, not the wheels."""
+        return self.names == SIDES
+
+
+def inputs_of(problem: Problem[Fit], paths: Sequence[Path] = ()) -> LogInputs:
+    """Return the inputs of a vehicle: rates of driven wheels, or its sides."""
+    data = problem.spec.data
+    vehicle = None if problem.spec.vehicle is None else build_vehicle(problem)
+    own = {name: getattr(data.columns, name) for name in SIDES}
+    if vehicle is None:
+        return LogInputs(SIDES, (), own, None)
+    commanded = tuple(each.name for each in vehicle.of("commanded"))
+    rates = tuple(f"{wheel.name}_rate" for wheel in vehicle.wheels if wheel.driven)
+    if faults := list(name_errors(("data", "rates"), data.rates, (*rates, *commanded))):
+        raise problem_error(problem.source, faults)
+    path = [*paths, problem.folder / problem.spec.named_files[0]][0]
+    if not data.rates and _is_text(path) and not {*rates} <= {*read_names(path, "a log")}:
+        return LogInputs(SIDES, commanded, own | {name: name for name in commanded}, vehicle)
+    columns = {name: data.rates.get(name, name) for name in (*rates, *commanded)}
+    return LogInputs(rates, commanded, columns, vehicle)
+
+
+def _is_text(path: Path) -> bool:
+    return path.suffix.lower() not in (".nc", ".mcap")
+
+
+def own_unknowns(problem: Problem[Fit], names: Sequence[str]) -> list[Unknown]:
+    """Return the unknowns of a problem; ``names`` are those of the wheels."""
+    found = list[Unknown]()
+    for name, table in problem.spec.unknowns.items():
+        with at(problem, ("unknowns", name)):
+            found.append(own := table.unknown(name))
+            if own.quantity not in BALANCE:
+                raise ModelError(
+                    f"unknown {name!r}: expected one of the quantities {', '.join(BALANCE)}, found "
+                    f"{own.quantity!r}; correct it"
+                )
+            if wrong := [each for each in own.wheels if each not in names]:
+                raise ModelError(
+                    f"unknown {name!r}: expected wheels of the vehicle, {', '.join(names)}, found "
+                    f"{wrong[0]!r}; correct it"
+                )
+    return found
+
+
+def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog]) -> Model:
+    """Return the model with the usual unknowns and those of the problem."""
+    spec, vehicle, names = problem.spec, inputs.vehicle, inputs.wheels
+    if vehicle is None:
+        radii = np.full(4, 1.0 if spec.data.unit == "m/s" else 0.2)
+        half, base = spec.constants.get("track", 2 * HALF) / 2, HALF
+        left, right = names[:2], names[2:]
+    else:
+        is_speed = inputs.is_by_sides and spec.data.unit == "m/s"
+        radii = np.array([1.0 if is_speed else float(w.radius) for w in vehicle.wheels])
+        half = track(vehicle) / 2
+        places = zip(vehicle.wheels, lateral_places(vehicle), strict=True)
+        driven = [(w.name, place) for w, place in places if w.driven]
+        left = tuple(name for name, place in driven if place < 0)
+        right = tuple(name for name, place in driven if place > 0)
+        base = np.ptp(logs[0].chassis.place.real) / 2
+    gyration = ((2 * half) ** 2 + (2 * base + 0.4) ** 2) / 12
+    fixed = {"gyration": gyration} | spec.constants
+    known = {*BALANCE, "inertia"}
+    for name in spec.constants:
+        if name not in known:
+            with at(problem, ("constants", name)):
+                raise ModelError(f"expected one of {', '.join(known)}, found {name!r}; correct it")
+    unknowns = [*_usual_unknowns(problem, logs, (left, right), is_known=vehicle is not None)]
+    for own in own_unknowns(problem, names):
+        replaced = [
+            each.quantity == own.quantity
+            and each.of == own.of
+            and not (own.wheels and each.wheels and not {*own.wheels} & {*each.wheels})
+            for each in unknowns
+        ]
+        unknowns = [each for each, is_out in zip(unknowns, replaced, strict=True) if not is_out]
+        unknowns.append(own)
+    kept = tuple(each for each in unknowns if each.quantity not in spec.constants)
+    model = Model(age_priors(kept, logs), fixed, radii, names, half)
+    sought_of(model)  # errors of bounds
+    return model
+
+
+def _usual_unknowns(
+    problem: Problem[Fit],
+    logs: Sequence[DriveLog],
+    sides: tuple[tuple[str, ...], ...],
+    *,
+    is_known: bool,
+) -> Iterator[Unknown]:
+    """Yield the usual unknowns of logs; `is_known` are the vehicle's dimensions."""
+    for side, wheels in zip(SIDES, sides, strict=True):
+        prior = None if is_known or problem.spec.data.unit == "m/s" else (0.2, 0.14)
+        yield Unknown(f"radius_{side}", "radius", wheels, prior=prior)
+    yield Unknown("track", "track", prior=None if is_known else (2 * HALF, HALF))
+    names = ["stiffness", "gyration", "delay"]
+    has_headings = all(log.heading is not None for log in logs)
+    names += ["center_of_mass_ahead"] if has_headings else []
+    names += ["lag"] if problem.spec.data.inputs == "commands" else []
+    names += ["turn_slope"] if problem.spec.terrain is not None else []
+    yield from (Unknown(name, name) for name in names)
+    surfaces = sorted({log.surface for log in logs})
+    kinds = ["friction"] + (["rolling"] if len(surfaces) > 1 else [])
+    for kind in kinds:
+        for surface in surfaces:
+            name = f"{kind}_{surface}" if len(surfaces) > 1 else kind
+            yield Unknown(name, kind, of=surface if len(surfaces) > 1 else "")
+    campaigns = sorted({log.campaign for log in logs}) if has_headings else []
+    for campaign in campaigns:
+        name = f"age_{Path(campaign).name}" if len(campaigns) > 1 else "age"
+        yield Unknown(name, "age", of=campaign if len(campaigns) > 1 else "")
+
+
+def log_paths(problem: Problem[Fit], predict: Sequence[Path] = ()) -> list[Path]:
     """Return the paths of the fitted logs; ModelError is raised if one is also to be predicted."""
     paths = [problem.folder / name for name in problem.spec.named_files]
     if again := {path.resolve() for path in paths} & {path.resolve() for path in predict}:
@@ -219,129 +380,316 @@ def log_paths(problem: Problem[Any], predict: Sequence[Path] = ()) -> list[Path]
     return paths
 
 
-def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> Fitted:
-    """Return the result of a fit.
-
-    The logs ``predict`` are predicted with numbers that are estimated from all windows of the
-    others; by default, a part of these windows is left out and predicted. ProblemError is raised if
-    the vehicle, the law, an unknown or the log is not valid; ModelError if the log has too few
-    windows, or the model has no motion at its rates.
-    """
+def maps_of(problem: Problem[Fit]) -> tuple[Slopes | None, list[Slopes], Grid | None]:
+    """Return the slopes of the ground, those with further errors of the map, and the map."""
     spec = problem.spec
-    vehicle = build_vehicle(problem)
-    law: Any = model_law(problem)
-    unknowns, ground = list[Unknown](), Analytic(lambda x, _: 0 * x, mu=spec.friction)
-    build = partial(build_model, spec.model, ground)
-
-    for name, table in spec.unknowns.items():
-        with at(problem, ("unknowns", name)):
-            unknowns.append(table.unknown(name))
-            label_of(unknowns[-1], law)
-            with_unknowns(vehicle, unknowns[-1:], [value_of(unknowns[-1], vehicle, law)])
-    dae = parametric_model(build, vehicle, law, unknowns)
-    names = body_motion(dae).names
-    notes, left_out, windows = list[str](), Counter[str](), list[Windows]()
-    with at(problem, ("data",)):
-        for paths in filter(None, (log_paths(problem, predict), predict)):
-            logs = [_read_log(problem, path, names, vehicle) for path in paths]
-            windows.append(cut(joined([log for log, *_ in logs])))
-            for path, (_, words, counts) in zip(paths, logs, strict=True):
-                notes += [f"{path.name}: {each}" if len(paths) > 1 else each for each in words]
-                left_out += counts
-    choice: dict[str, Any] = {"train": spec.train, "seed": spec.seed, "loss": spec.loss}
-    calibration = calibrate(build, vehicle, law, unknowns, *windows, **choice)
-    values = calibration.estimate.values.tolist()
-    new = law_with_unknowns(law, unknowns, values)
-    pairs = list(zip(unknowns, values, strict=True))
-    return Fitted(
-        calibration,
-        with_unknowns(vehicle, unknowns, values),
-        {u.quantity: getattr(new, u.quantity) for u, _ in pairs if hasattr(new, u.quantity)}
-        | {u.quantity: value for u, value in pairs if u.quantity in SENSOR},
-        tuple(notes),
-        left_out,
-    )
+    if spec.terrain is None:
+        return None, [], None
+    grid = build_ground(cast("Any", problem)).grid
+    further = list[Slopes]()
+    if spec.map_error is not None:
+        error = spec.map_error.rms, spec.map_error.correlation
+        further = [
+            Slopes(disturbed(grid, *error, seed), spec.smoothing) for seed in range(FURTHER_MAPS)
+        ]
+    return Slopes(grid, spec.smoothing), further, grid
 
 
-def _read_log(
-    problem: Problem[Fit], path: Path, names: tuple[str, ...], vehicle: Vehicle
-) -> tuple[Log, list[str], Counter[str]]:
-    """Return a log, notes on its rows, and numbers of windows that are left out, by reason.
+def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> FitResult:
+    """Return the fit of a force balance, and errors of predictions.
 
-    Passive joints are at zero.
+    Each campaign is predicted by a fit to the others; without two campaigns of each surface, blocks
+    of whole manoeuvres take their place. The logs ``predict`` are predicted by a fit to all others.
+    ProblemError is raised if the vehicle, an unknown or a log is not valid; ModelError if the logs
+    have too few windows.
     """
-    spec, data = problem.spec, problem.spec.data
-    passive = {each.name for each in vehicle.of("passive")}
-    measured = [name for name in names if name not in passive]
-    if faults := list(name_errors(("data", "rates"), data.rates, measured)):
-        raise problem_error(problem.source, faults)
-    columns = {name: data.rates.get(name, name) for name in measured}
-    sides = [each for each in lateral_places(vehicle) if f"{each[0].name}_rate" in columns]
-    wheels = [wheel for wheel, _ in sides if wheel.driven]
-    wanted = {name: column for name, column in data.columns if column} | columns
-    wanted |= {"window": data.window} if isinstance(data.window, str) else {}
-    log = read_log(
-        path,
-        wanted,
-        columns,
-        where="[data.columns] or [data.rates]",
-        units={f"{wheel.name}_rate": "rad/s" for wheel in wheels},
-        is_linear=True,
-        timeout=data.timeout,
-        max_error=data.max_error,
-    )
-    frame = {".nc": "paper", ".mcap": "rep103"}.get(path.suffix.lower(), spec.frame)
-    t, values = log.t, log.values
-    speeds = np.array([values[f"{wheel.name}_rate"] * wheel.radius for wheel in wheels])
-    places = np.array([place for wheel, place in sides if wheel.driven])
-    is_named = any(split_unit(columns[f"{wheel.name}_rate"])[1] for wheel in wheels)
-    check_motion(
-        log,
-        zero=0.0 if frame == "rep103" else np.pi / 2,
-        speed=speeds.mean(axis=0) if wheels else None,
-        turn=(places - places.mean()) @ speeds if len(measured) == len(wheels) else None,
-        ratios=None if is_named else rate_ratios([wheel.radius for wheel in wheels]),
-        is_aligned=not moves_sideways(vehicle),
-        may_turn="sensor_heading" in {u.quantity or name for name, u in spec.unknowns.items()},
-    )
-    window = values.get("window", np.zeros(t.size))
-    steps = np.append(0.0, np.diff(t))
-    is_first = np.append(True, ~is_continuous(t, values["x"] + 1j * values["y"], window))
-    rows = np.arange(t.size)
-    if isinstance(data.window, float):
-        rows, window = divide(t, data.window)
-    inside = is_first[rows] & np.append(False, np.diff(window) == 0)
-    is_gap = inside & (steps[rows] > longest_gap(t))
-    left_out = Counter({"with a gap": np.unique(window[is_gap]).size})
-    lost = np.unique(window[inside])
-    left_out["with a leap of the position"] = lost.size - left_out["with a gap"]
-    kept = ~np.isin(window, lost)
-    if not kept.any():
-        raise ModelError(
-            f"expected windows without gaps and leaps, found none of {np.unique(window).size}; use "
-            "a longer log or shorter windows"
+    spec, rows, inputs = problem.spec, list[tuple[str, str]](), inputs_of(problem)
+    own_unknowns(problem, inputs.wheels)
+    slopes, further, grid = maps_of(problem)
+    with at(problem, ("data", "file")):
+        paths = log_paths(problem, predict)
+        if spec.data.surfaces and len(spec.data.surfaces) != len(paths):
+            raise ModelError(
+                f"expected a surface of each of the {len(paths)} logs, found "
+                f"{len(spec.data.surfaces)} in 'surfaces'; correct them"
+            )
+        reader = _Reader(problem, inputs, grid, rows)
+        logs = reader.read(paths, spec.data.surfaces)
+        others = reader.read(predict, ()) if predict else []
+        model = model_of(problem, inputs, logs)
+        kinds = _kinds(problem, logs)
+        found, fitted, scores = judge(model, logs, (slopes, further), kinds, others)
+    return FitResult(found, fitted, scores, others or logs, rows)
+
+
+def _kinds(problem: Problem[Fit], logs: Sequence[DriveLog]) -> list[Kind]:
+    """Return the kinds of windows; the first are fitted."""
+    window = problem.spec.data.window
+    if isinstance(window, str):
+        return [(0.0, 0.0), *KINDS]
+    first = (0.0, window) if window else KINDS[0 if logs[0].heading is not None else 2]
+    return [first, *(kind for kind in KINDS if kind != first)]
+
+
+class _Reader(NamedTuple):
+    """Reader of logs at equal intervals."""
+
+    problem: Problem[Fit]
+    inputs: LogInputs
+    grid: Grid | None
+    rows: list[tuple[str, str]]  # lines on what is used of each log
+
+    def read(self, paths: Sequence[Path], surfaces: Sequence[str]) -> list[DriveLog]:
+        """Return logs at the same intervals."""
+        tables = [self._table(path) for path in paths]
+        waits = [np.diff(each.t) for each in tables]
+        usual = [float(np.median(each[each > 0])) for each in waits if (each > 0).any()]
+        step = self.problem.spec.data.step or round(min([MAX_STEP, *usual]), 6)
+        alone = len({path.parent for path in paths}) == 1
+        names = [path.stem if alone else str(path.parent) for path in paths]
+        kinds = surfaces or ["ground"] * len(paths)
+        return [self._log(*each, step) for each in zip(tables, names, kinds, strict=True)]
+
+    def _table(self, path: Path) -> MotionLog:
+        data, inputs = self.problem.spec.data, self.inputs
+        columns = dict(data.columns)
+        vx, vy = columns.pop("velocity") or (None, None)
+        columns = {name: each for name, each in columns.items() if name not in SIDES}
+        if not columns["heading"]:
+            names = read_names(path, "a log") if _is_text(path) else ["heading"]
+            has_heading = any(each.lower() in ALIASES[4] for each in names)
+            has_heading |= any(PARTS["heading"][0].match(each) is not None for each in names)
+            columns["heading"] = "heading" if has_heading else None
+        wanted = {name: each for name, each in (columns | {"vx": vx, "vy": vy}).items() if each}
+        wanted |= inputs.columns
+        wanted |= {"window": data.window} if isinstance(data.window, str) else {}
+        units = {"vx": "m/s", "vy": "m/s", "yaw_rate": "rad/s"}
+        units |= dict.fromkeys(inputs.names, "rad/s" if not inputs.is_by_sides else data.unit)
+        return read_log(
+            path,
+            wanted,
+            inputs.columns,
+            where="[data.columns] or [data.rates]",
+            units=units,
+            is_linear=data.inputs == "readings",
+            timeout=data.timeout,
+            max_error=data.max_error,
         )
-    place = (values["x"], values["y"]) if frame == "paper" else (-values["y"], values["x"])
-    inputs = [values.get(name, np.zeros(t.size)) for name in names]
-    given, pose = np.column_stack(inputs), np.column_stack([*place, values["heading"]])
-    notes = [*log.notes, *log.rows_left_out, *([log.hold] if log.held[0] > GAP else [])]
-    rows = rows[kept]
-    return Log(t[rows], given[rows], pose[rows], window[kept]), notes, +left_out
+
+    def _check(self, log: MotionLog, frame: str) -> None:
+        """Raise DataError if columns of a log contradict each other."""
+        inputs, values = self.inputs, log.values
+        is_speed = inputs.is_by_sides and self.problem.spec.data.unit == "m/s"
+        vehicle, ratios = inputs.vehicle, OF_SPEEDS | OF_POSES
+        if inputs.is_by_sides:
+            place, radii = np.array([-1.0, 1.0]), np.ones(2)
+            if not is_speed:
+                radii = radii * (float(vehicle.wheels[0].radius) if vehicle else 0.2)
+        else:
+            assert vehicle is not None  # noqa: S101
+            wheels = zip(vehicle.wheels, lateral_places(vehicle), strict=True)
+            pairs = [(w.radius, place) for w, place in wheels if w.driven]
+            radii, place = np.array(pairs, float).T.reshape(2, -1)
+        if not is_speed:
+            ratios = rate_ratios(radii.tolist())
+        speeds = radii[:, None] * np.array([values[name] for name in inputs.names])
+        is_named = any(split_unit(inputs.columns[name])[1] for name in inputs.names)
+        check_motion(
+            log,
+            zero=0.0 if frame == "rep103" else np.pi / 2,
+            speed=speeds.mean(axis=0) if radii.size else None,
+            turn=(place - place.mean()) @ speeds if not inputs.joints and radii.size else None,
+            ratios=None if is_named or (vehicle is None and not is_speed) else ratios,
+            is_aligned=vehicle is None or not moves_sideways(vehicle),
+            may_turn="sensor_heading"
+            in {u.quantity or name for name, u in self.problem.spec.unknowns.items()},
+        )
+
+    def _log(self, log: MotionLog, campaign: str, surface: str, step: float) -> DriveLog:
+        """Return a log at equal intervals, and add a line on what is left out of it."""
+        spec, path, t, table = self.problem.spec, log.path, log.t, log.values
+        data = spec.data
+        frame = {".nc": "paper", ".mcap": "rep103"}.get(path.suffix.lower(), spec.frame)
+        if t.size < 2 or np.ptp(t) < 2 * step:
+            found = np.ptp(t) if t.size else 0
+            raise ModelError(
+                f"{path}: expected a log longer than {2 * step:g} s, found {found:g} s; omit it"
+            )
+        self._check(log, frame)
+        once = np.append(True, (np.diff(t) != 0) | (np.diff(table.get("window", t)) != 0))
+        t, table = t[once], {name: each[once] for name, each in table.items()}
+        z, window = table["x"] + 1j * table["y"], table.get("window", np.zeros(t.size))
+        wait, is_other = np.diff(t), np.diff(window) != 0
+        follows = is_continuous(t, z, window)
+        ends = (wait < 0) | (wait > np.where(is_other, 1.5 * np.median(wait), longest_gap(t)))
+        run = np.append(0, np.cumsum(ends))
+        parts = [np.flatnonzero(run == number) for number in range(run[-1] + 1)]
+        even = [np.arange(t[own[0]], t[own[-1]] + 1e-6 * step, step) for own in parts]
+        at_even = np.concatenate(even)
+        runs = np.repeat(np.arange(len(even)), [own.size for own in even])
+        rows, held = _nearest(t, parts, even)
+        pieces = np.append(0, np.cumsum(~follows | ends))
+        place, is_fresh, is_held = _places(t, z + complex(*spec.shift), pieces, at_even, rows)
+
+        def between(values: Array) -> Array:
+            pairs = zip(even, parts, strict=True)
+            return np.concatenate([np.interp(own, t[part], values[part]) for own, part in pairs])
+
+        notes, signals = list(log.notes), list[Array]()
+        for name in self.inputs.names:
+            if data.inputs == "commands":
+                is_late = at_even - t[held] > (data.timeout or inf)
+                signals.append(np.where(is_late, 0.0, table[name][held]))
+                continue
+            longest = MAX_HOLD / float(np.median(wait))
+            values, period = without_holds(table[name], run, longest)
+            words = f"readings new every {period * float(np.median(wait)):.3g} s, linear between"
+            notes += [words] if period > 1 and words not in notes else []
+            signals.append(between(values))
+        notes += ["poses are held"] if is_held else []
+        heading, rate, velocity = None, None, None
+        if "heading" in table:
+            turned = np.unwrap(table["heading"]) + (np.pi / 2 if frame == "paper" else 0.0)
+            heading = turned[rows] if is_held else between(turned)
+        if "yaw_rate" in table:
+            rate, turn = between(table["yaw_rate"]), self._turn(np.array(signals))
+            if float(turn @ rate) < CLOCKWISE * float(np.linalg.norm(turn) * np.linalg.norm(rate)):
+                rate = -rate
+                notes.append("turning rates are positive clockwise: their sign is reversed")
+        if "vx" in table:
+            velocity = between(table["vx"]) + 1j * between(table["vy"])
+        part = min(MANOEUVRE, float(np.ptp(at_even)) / BLOCKS + step)
+        numbers = (at_even - at_even[0]) // part
+        speed = np.mean(signals, axis=0)
+        bad = self._bad(path, place, velocity, step)
+        drive = DriveLog(
+            *(path.stem, campaign, surface, step, self._chassis(table, rows)),
+            np.column_stack(signals),
+            runs,
+            pieces[rows],
+            (table["manoeuvre"][rows] if "manoeuvre" in table else numbers).astype(int),
+            place,
+            ~np.logical_or.reduce([*bad.values()]),
+            is_fresh,
+            heading,
+            rate,
+            velocity,
+            np.sign(speed) * (np.abs(speed) > LEAST_SPEED) if data.inputs == "commands" else None,
+        )
+        no_end = {reason: ~each for reason, each in conditions(drive).items()}
+        used, places = (
+            ", ".join(f"{each.sum()} {reason}" for reason, each in masks.items() if each.any())
+            for masks in ({"samples": at_even > -inf} | bad, no_end)
+        )
+        leaps = int((~follows & ~is_other).sum())
+        parts_of_line = [used, f"{leaps} gaps or leaps of the position" if leaps else ""]
+        parts_of_line += [
+            f"windows do not begin or end at {places}" if places else "",
+            *log.rows_left_out,
+        ]
+        parts_of_line += [log.hold if log.held[0] > longest_gap(t) else "", *notes]
+        self.rows.append((f"log {path.stem}", "; ".join(filter(None, parts_of_line))))
+        return drive
+
+    def _turn(self, signals: Array) -> Array:
+        """Return a number of the sign of the turning rate of the wheels."""
+        vehicle = self.inputs.vehicle
+        if self.inputs.is_by_sides or vehicle is None:
+            return np.asarray(signals[1] - signals[0])
+        places = zip(vehicle.wheels, lateral_places(vehicle), strict=True)
+        place = np.array([each for wheel, each in places if wheel.driven])
+        return np.asarray((place - place.mean()) @ signals)
+
+    def _bad(
+        self, path: Path, place: ComplexArray, velocity: ComplexArray | None, step: float
+    ) -> dict[str, Mask]:
+        """Return samples whose positions are not reliable, by the reason."""
+        bad = {"not finite": ~np.isfinite(place)}
+        if self.grid is not None:
+            west, east, south, north = *self.grid.x[[0, -1]], *self.grid.y[[0, -1]]
+            on_map = (place.real >= west) & (place.real <= east)
+            on_map &= (place.imag >= south) & (place.imag <= north)
+            if not on_map.any():
+                raise ModelError(
+                    f"{path}: expected positions on the map, x from {west:g} to {east:g} m and y "
+                    f"from {south:g} to {north:g} m, found none, the first at x = "
+                    f"{place[0].real:g}, y = {place[0].imag:g} m; correct 'shift' or the columns"
+                )
+            bad["beyond the map"] = ~on_map
+        if velocity is not None:
+            bad["at positions against the velocities"] = _jumps(place, np.abs(velocity), step)
+        return bad
+
+    def _chassis(self, table: Mapping[str, Array], rows: Indices) -> Chassis:
+        """Return the wheels at the samples."""
+        inputs, vehicle = self.inputs, self.inputs.vehicle
+        if vehicle is None:
+            return four_wheels(self.problem.spec.constants.get("track", 2 * HALF) / 2, HALF)
+        if inputs.is_by_sides:
+            places = zip(vehicle.wheels, lateral_places(vehicle), strict=True)
+            signals = [int(place > 0) if wheel.driven else -1 for wheel, place in places]
+        else:
+            names = [f"{wheel.name}_rate" for wheel in vehicle.wheels]
+            signals = [inputs.names.index(name) if name in inputs.names else -1 for name in names]
+        joints = {name: table[name][rows] for name in inputs.joints}
+        return chassis_of(vehicle, signals, joints)
 
 
-def facts(fitted: Fitted) -> Lines:
-    """Return the facts of a fit: estimates, identifiable directions, and errors of predictions."""
-    calibration = fitted.calibration
-    train, test = (len(part.measured) for part in (calibration.train, calibration.test))
-    left_out = [f"{count} left out {reason}" for reason, count in fitted.left_out.items()]
-    outcome = Outcome.INTERRUPTED if calibration.estimate.is_interrupted else Outcome.COMPLETE
+def _nearest(t: Array, parts: Sequence[Indices], even: Sequence[Array]) -> tuple[Indices, Indices]:
+    """Return for each sample the nearest row of its run, and the last one before it."""
+    near, held = list[Indices](), list[Indices]()
+    for part, own in zip(parts, even, strict=True):
+        last = np.maximum(np.searchsorted(t[part], own + 1e-9, side="right") - 1, 0)
+        after = np.minimum(last + 1, part.size - 1)
+        is_after = t[part][after] - own < own - t[part][last]
+        near.append(part[np.where(is_after, after, last)])
+        held.append(part[last])
+    return np.concatenate(near), np.concatenate(held)
+
+
+def _places(
+    t: Array, z: ComplexArray, pieces: Indices, even: Array, rows: Indices
+) -> tuple[ComplexArray, Mask, bool]:
+    """Return positions at samples, whether a pose is new there, and whether poses are held."""
+    is_same = np.diff(pieces) == 0
+    moved = np.append(False, (np.diff(z) != 0) & is_same)
+    is_held = held_for(moved) > 1
+    is_new = np.asarray(moved | (not is_held), bool)
+    place, own = z[rows].copy(), pieces[rows]
+    for number in np.unique(own):
+        new, here = np.flatnonzero(is_new & (pieces == number)), own == number
+        if new.size > 1:
+            place[here] = np.interp(even[here], t[new], z[new])
+    step = np.median(np.diff(even)) / 2 + 1e-9
+    return place, is_new[rows] & (np.abs(t[rows] - even) <= step), is_held
+
+
+def _jumps(place: ComplexArray, speed: Array, step: float) -> Mask:
+    """Return samples about which positions and measured velocities disagree, over a second."""
+    half = max(round(0.5 / step), 1)
+    wide = np.pad(place, half, mode="reflect", reflect_type="odd")
+    chord = np.abs(wide[2 * half :] - wide[: -2 * half]) / (2 * half * step)
+
+    def mean(values: Array) -> Array:
+        width = 2 * half + 1
+        return np.convolve(np.pad(values, half, mode="edge"), np.ones(width) / width, "valid")
+
+    return mean((np.abs(chord - mean(speed)) > JUMP).astype(float)) > 0
+
+
+def facts(result: FitResult) -> Lines:
+    """Return the facts of a fit: constants, weak directions, and errors of predictions."""
+    if result.fit is None:
+        return [*result.rows, *_error_lines(result.scores)]
+    estimate = result.fit.estimate
+    outcome = Outcome.INTERRUPTED if estimate.is_interrupted else Outcome.COMPLETE
     return [
         ("outcome", outcome.title),
-        *([("log", "; ".join(fitted.notes))] if fitted.notes else []),
-        ("windows", "; ".join([f"{train} for training, {test} others", *left_out])),
-        *estimate_lines(calibration.estimate),
-        *direction_lines(calibration.estimate),
-        *map(_error_line, error_rows(fitted)),
+        *result.rows,
+        ("fitted windows", str(len(result.fit.errors))),
+        *_constant_lines(result.fit),
+        *(line for line in direction_lines(estimate) if line[0] != "determined best"),
+        *_error_lines(result.scores),
     ]
 
 
@@ -393,17 +741,6 @@ def _combination(direction: Direction, names: list[str]) -> str:
     return names[int(np.abs(direction.weights).argmax())] if len(terms) == 1 else " ".join(terms)
 
 
-def _error_line(row: Mapping[str, Any]) -> tuple[str, str]:
-    position, heading = row["position_rms"], row["heading_rms"]
-    value, low, high = (np.rad2deg(heading[key]) for key in ("value", "lower", "upper"))
-    words = {"train": "training windows", "test": "other windows"}[row["set"]]
-    return (
-        f"{words}, {row['when']}",
-        f"rms {position['value']:.4g} m ({position['lower']:.4g} to {position['upper']:.4g}), "
-        f"{value:.3g} deg ({low:.3g} to {high:.3g})",
-    )
-
-
 def estimate_rows(estimate: Estimate) -> tuple[list[str], list[list[Any]]]:
     """Return column names and rows of the estimates, in SI units."""
     deviation = np.sqrt(np.diag(estimate.covariance))
@@ -420,34 +757,218 @@ def estimate_rows(estimate: Estimate) -> tuple[list[str], list[list[Any]]]:
     ]
 
 
-def error_rows(fitted: Fitted) -> list[dict[str, Any]]:
-    """Return errors of end poses with bootstrap intervals, before and after the fit [m, rad]."""
-    sets = (("train", fitted.calibration.train), ("test", fitted.calibration.test))
-    return [
-        {
-            "set": name,
-            "when": when,
-            "position_rms": bootstrap(values, position_rms)._asdict(),
-            "heading_rms": bootstrap(values, heading_rms)._asdict(),
-        }
-        for name, errors in sets
-        for when, values in (("before", errors.nominal), ("after", errors.fitted))
-    ]
+def _constant_lines(fit: DriveFit) -> Iterator[tuple[str, str]]:
+    """Yield the constants with their intervals."""
+    for row in constant_rows(fit)[1]:
+        name, unit, before, value, _, low, high, at_bound, as_prior = row
+        words = f"95 % interval {low:.4g} to {high:.4g}"
+        words += ", as its prior: not determined by these data" if as_prior else ""
+        words = "at its bound: the data favour values beyond it" if at_bound else words
+        yield name, f"{value:.4g}{'' if unit == '1' else f' {unit}'} ({words}), before {before:.4g}"
 
 
-def window_rows(fitted: Fitted) -> tuple[list[str], list[list[Any]]]:
-    """Return column names and rows of the windows: measured ends and errors [m, rad]."""
-    axes = ("right", "ahead", "heading")
-    names = ["set", *(f"{kind}_{a}" for kind in ("measured", "before", "after") for a in axes)]
-    calibration = fitted.calibration
+def constant_rows(fit: DriveFit) -> tuple[list[str], list[list[Any]]]:
+    """Return column names and rows of the constants, in SI units."""
+    names = ["name", "unit", "nominal", "value", "deviation", "lower", "upper", "at_bound"]
+    names.append("as_prior")
+    estimate, scale = fit.estimate, Scale.of(fit.model.unknowns)
+    deviation = np.sqrt(np.diag(estimate.covariance))
+    low, high = (scale.values(each) for each in estimate.intervals.T)
+    start = scale.values(estimate.nominal)
+    is_as_prior = deviation > AS_PRIOR * estimate.scales
+    spread = np.where(scale.is_log, fit.values * deviation, deviation)
     return names, [
-        [words, *np.concatenate(row).tolist()]
-        for words, errors in (("train", calibration.train), ("test", calibration.test))
-        for row in zip(*errors, strict=True)
+        [
+            *(label.name, _unit(fit, k)),
+            *(float(each[k]) for each in (start, fit.values, spread, low, high)),
+            *(int(estimate.at_bound[k]), int(is_as_prior[k])),
+        ]
+        for k, label in enumerate(estimate.labels)
     ]
+
+
+def undetermined(problem: Problem[Fit], fit: DriveFit) -> tuple[str, ...]:
+    """Return the unknowns of the file without a prior that the logs do not determine."""
+    own = {name for name, table in problem.spec.unknowns.items() if table.prior is None}
+    rows = constant_rows(fit)[1]
+    return tuple(name for name, *_, is_as_prior in rows if is_as_prior and name in own)
+
+
+def _unit(fit: DriveFit, k: int) -> str:
+    """Return the unit of a constant; radii of sides whose speeds are given are factors."""
+    is_factor = fit.model.unknowns[k].quantity == "radius" and (fit.model.radii == 1).all()
+    return "1" if is_factor else fit.estimate.labels[k].unit
+
+
+def _kind_words(kind: Kind) -> str:
+    length, duration = kind
+    return f"{length:g} m of path" if length else f"{duration:g} s" if duration else "windows"
+
+
+def _error_lines(scores: Mapping[Kind, Score]) -> Iterator[tuple[str, str]]:
+    """Yield errors, intervals and coverage by kind of window, and errors of the slip by grade."""
+    for kind, score in scores.items():
+        row = dict(zip(COLUMNS, _row(kind, score), strict=True))
+        interval = f" ({row['position_lower']:.3g} to {row['position_upper']:.3g})"
+        yield (
+            _kind_words(kind),
+            f"rms {row['position_rms']:.3g} m{interval if row['logs'] > 1 else ''}, "
+            f"{np.rad2deg(row['turn_rms']):.3g} deg; median {row['position_median']:.3g} m, "
+            f"{np.rad2deg(row['turn_median']):.3g} deg; {row['windows']} windows, 90 % intervals "
+            f"+-{row['reach_along']:.2g} m, +-{row['reach_across']:.2g} m, "
+            f"+-{np.rad2deg(row['reach_turn']):.2g} deg hold {100 * row['coverage_along']:.0f}, "
+            f"{100 * row['coverage_across']:.0f}, {100 * row['coverage_turn']:.0f} %; they rest on "
+            f"{score.campaigns} campaign{'s' if score.campaigns > 1 else ''}",
+        )
+        if count := int(score.is_beyond.sum()):
+            low, high = np.rad2deg([score.grade.min(), score.grade.max()])
+            yield (
+                f"{_kind_words(kind)}, extrapolated",
+                f"{count} of {score.grade.size} windows, with grades from {low:.1f} to {high:.1f} "
+                "deg, are beyond those that were fitted; intervals do not hold there",
+            )
+    for score in [*scores.values()][:1]:
+        words = (
+            f"{np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} deg: {error:+.3f} ({count})"
+            for low, high, count, error in score.slip()
+        )
+        if score.grade.any():
+            yield "error of slip", ", ".join(words)
+
+
+AXES = "along", "across", "turn"
+COLUMNS = (
+    *("length", "duration", "windows", "logs", "campaigns"),
+    *("position_rms", "position_lower", "position_upper", "position_median"),
+    *("along_rms", "across_rms", "turn_rms", "turn_lower", "turn_upper", "turn_median"),
+    *("reach_along", "reach_across", "reach_turn"),
+    *("coverage_along", "coverage_across", "coverage_turn"),
+)
+
+
+def _row(kind: Kind, score: Score) -> list[Any]:
+    errors, log = score.errors, score.windows.log
+    return [
+        *(*kind, log.size, np.unique(log).size, score.campaigns),
+        *by_logs(errors.position, log, rms),
+        float(np.median(errors.position)),
+        *(rms(errors.along), rms(errors.across)),
+        *by_logs(errors.turn, log, rms),
+        float(np.median(np.abs(errors.turn))),
+        *score.reach.mean(axis=1).tolist(),
+        *score.coverage.tolist(),
+    ]
+
+
+def error_rows(scores: Mapping[Kind, Score]) -> tuple[list[str], list[list[Any]]]:
+    """Return column names and rows of the errors by kind of window [m, s, rad]."""
+    return list(COLUMNS), [_row(kind, score) for kind, score in scores.items()]
+
+
+def window_rows(result: FitResult) -> tuple[list[str], list[list[Any]]]:
+    """Return column names and rows of the predicted windows [m, s, rad]."""
+    names = ["length", "duration", "log", "start", "path", "grade", "beyond"]
+    names += [f"{kind}_{axis}" for kind in ("error", "reach") for axis in AXES]
+    return names, [
+        [*kind, log.name, first * log.dt, path, grade, int(is_beyond), *errors, *reach]
+        for kind, score in result.scores.items()
+        for k, first, path, grade, is_beyond, errors, reach in zip(
+            score.windows.log.tolist(),
+            score.windows.first.tolist(),
+            score.windows.length.tolist(),
+            score.grade.tolist(),
+            score.is_beyond.tolist(),
+            np.column_stack(score.errors).tolist(),
+            score.reach.T.tolist(),
+            strict=True,
+        )
+        for log in [result.predicted[k]]
+    ]
+
+
+def fitted_vehicle(problem: Problem[Fit], fit: DriveFit) -> tuple[Vehicle, list[str]]:
+    """Return the vehicle with fitted dimensions, and lines of a comment with other constants."""
+    vehicle, radii = build_vehicle(problem), dict[str, float]()
+    others, width, center = dict[str, float](), None, dict[int, float]()
+    for unknown, value in zip(fit.model.unknowns, fit.values.tolist(), strict=True):
+        if unknown.quantity == "radius":
+            for wheel in vehicle.wheels:
+                if wheel.name in unknown.wheels or not unknown.wheels:
+                    factor = float(wheel.radius) if (fit.model.radii == 1).all() else 1.0
+                    radii[wheel.name] = factor * value
+        elif unknown.quantity == "track":
+            width = value
+        elif unknown.quantity.startswith("center_of_mass"):
+            center[int(unknown.quantity.endswith("ahead"))] = value
+        else:
+            others[unknown.name] = value
+    frictions = [name for name in others if name.startswith("friction")]
+    creeps = {
+        name.replace("friction", "creep"): others[name] / others["stiffness"]
+        for name in frictions
+        if "stiffness" in others
+    }
+    return with_dimensions(vehicle, radii, width, center), vehicle_comments(others | creeps)
 
 
 def vehicle_comments(others: Mapping[str, float]) -> list[str]:
     """Return fitted numbers that are not in a vehicle file, as lines of a comment."""
     lines = (f"{name} = {value!r} (not part of the vehicle)" for name, value in others.items())
     return ["fitted by slipfree fit", *lines]
+
+
+def save_fit(path: Path, problem: Problem[Fit], settings: Sequence[str], result: FitResult) -> None:
+    """Write a fit as netCDF, with its problem and settings, for predictions of other logs."""
+    assert result.fit is not None  # noqa: S101
+    model = result.fit.model
+    contents = {
+        "file": str(problem.source.path.resolve()),
+        "text": problem.source.text,
+        "settings": [*settings],
+        "unknowns": [[u.name, u.quantity, u.wheels, u.of] for u in model.unknowns],
+        "model": [dict(model.fixed), model.radii.tolist(), model.wheels, model.half_track],
+        "values": result.fit.values.tolist(),
+        "fitted": [[kind, [each.tolist() for each in own]] for kind, own in result.fitted.items()],
+    }
+
+    def fill(part: Path) -> None:
+        with scipy.io.netcdf_file(part, "w", version=2) as file:
+            setattr(file, ORIGIN, __version__)
+            file.fit = json.dumps(contents).encode()
+
+    replace_file(path, fill)
+
+
+def read_fit(path: Path) -> dict[str, Any]:
+    """Return the contents of a fit that `save_fit` wrote; raise DataError for other files."""
+    file = open_netcdf(path)
+    file.stream.close()
+    text = file.attributes.get("fit")
+    if not isinstance(text, str):
+        raise DataError(
+            f"{path}: expected a fit, found another result; give the file that slipfree fit wrote"
+        )
+    contents: dict[str, Any] = json.loads(text)
+    return contents
+
+
+def predict_logs(
+    problem: Problem[Fit], contents: Mapping[str, Any], paths: Sequence[Path]
+) -> FitResult:
+    """Return the errors of logs that are predicted with the contents of a fit."""
+    unknowns = tuple(
+        Unknown(name, quantity, tuple(wheels), of=of)
+        for name, quantity, wheels, of in contents["unknowns"]
+    )
+    fixed, radii, wheels, half_track = contents["model"]
+    model = Model(unknowns, fixed, np.array(radii), tuple(wheels), half_track)
+    known = Known(model, np.array(contents["values"]))
+    slopes, _, grid = maps_of(problem)
+    rows = list[tuple[str, str]]()
+    logs = _Reader(problem, inputs_of(problem, paths), grid, rows).read(paths, ())
+    scores = dict[Kind, Score]()
+    for kind, own in contents["fitted"]:
+        fitted = Fitted(*map(np.array, own))
+        if (windows := find_windows(logs, tuple(kind))) is not None:
+            scores[tuple(kind)] = score_windows(known, fitted, logs, windows, slopes)
+    return FitResult(None, {}, scores, logs, rows)

@@ -1,0 +1,126 @@
+"""Wheels of a vehicle for the force balance, and vehicles with fitted numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array
+from slipfree.fit.force_balance import Chassis
+from slipfree.geometry.frame import Pose, Vector, unit_vector
+from slipfree.vehicle.sections import Disc, Omni, Section, Sphere, Torus
+from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+
+def chassis_of(vehicle: Vehicle, signals: Sequence[int], joints: Mapping[str, Array]) -> Chassis:
+    """Return the wheels of a vehicle on level ground.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Vehicle. Wheels on passive joints swivel without friction; other joints are at zero.
+    signals : sequence of int
+        Index of the input that drives each wheel; -1 for wheels that roll freely.
+    joints : mapping of arrays, shape (r,)
+        Values of commanded joints, by name. [rad or m]
+    """
+    names = [each.name for each in vehicle.coordinates]
+    values = ca.SX.sym("values", len(names))
+    poses = vehicle.carriers(
+        Pose(ca.SX.eye(3), ca.SX.zeros(3)), {name: values[k] for k, name in enumerate(names)}
+    )
+    axles = [unit_vector(wheel.axle) for wheel in vehicle.wheels]
+    rows = [
+        ca.vertcat(pose.origin[:2], (pose.rotation @ ca.DM(list(axle)))[:2])
+        for pose, axle in zip(poses, axles, strict=True)
+    ]
+    suspension = [k for k, each in enumerate(vehicle.coordinates) if each.kind == "suspension"]
+    heights = ca.vertcat(*(pose.origin[2] for pose in poses))
+    lift = ca.densify(ca.jacobian(heights, values)[:, suspension])
+    function = ca.Function("wheels", [values], [ca.horzcat(*rows)])
+    passive = [k for k, each in enumerate(vehicle.coordinates) if each.kind == "passive"]
+    count = max((each.size for each in joints.values()), default=1)
+    table = np.zeros((len(names), count))
+    for name, own in joints.items():
+        table[names.index(name)] = own
+    x, y, ax, ay = np.array([function(column).full() for column in table.T]).transpose(1, 2, 0)
+    moving = ca.which_depends(ca.vertcat(*rows), values[passive], 1, True) if passive else ()
+    swivels = np.reshape(moving, (-1, 4)).any(axis=1) if passive else np.zeros(len(rows), bool)
+    # the axle points to the right: ahead + i left is i times it
+    direction = (ax + 1j * ay) / np.hypot(ax, ay)
+    place = y - 1j * x
+    is_driven = np.array(signals) >= 0
+    rollers = np.array([wheel.section.rollers or 0.0 for wheel in vehicle.wheels])
+    turned = direction * np.exp(1j * rollers)[:, None]
+    is_free = (rollers != 0) | ~is_driven
+    return Chassis(
+        place,
+        direction,
+        np.where(is_free[:, None], turned, 0),
+        np.maximum(signals, 0),
+        np.where(swivels, 0.0, [float(wheel.grip) for wheel in vehicle.wheels]),
+        ca.DM(ca.Function("lift", [values], [lift])(table[:, 0])).full(),
+    )
+
+
+def lateral_places(vehicle: Vehicle) -> list[float]:
+    """Return the lateral places of the wheels' centres, joints at zero [m]."""
+    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
+    poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
+    return [float(ca.evalf(pose.origin)[0]) for pose in poses]
+
+
+def track(vehicle: Vehicle) -> float:
+    """Return the lateral distance between the outermost wheels' centres, joints at zero [m]."""
+    places = lateral_places(vehicle)
+    return max(places) - min(places)
+
+
+def with_dimensions(
+    vehicle: Vehicle,
+    radii: Mapping[str, float],
+    width: float | None = None,
+    center: Mapping[int, float] | None = None,
+) -> Vehicle:
+    """Return a vehicle with other rolling radii, by wheel, track, and coordinates of its centre.
+
+    All lateral distances between joints and wheels grow with the track. [m]
+    """
+    factor = 1.0 if width is None else width / track(vehicle)
+
+    def wider(at: Vector) -> Vector:
+        return at[0] * factor, at[1], at[2]
+
+    def changed(wheel: Wheel) -> Wheel:
+        own = replace(wheel, at=wider(wheel.at))
+        if wheel.name not in radii:
+            return own
+        return replace(own, section=_section(wheel.section, radii[wheel.name], wheel.name))
+
+    x, y, z = ((center or {}).get(k, value) for k, value in enumerate(vehicle.body.at))
+    return replace(
+        vehicle,
+        body=replace(vehicle.body, at=(x, y, z)),
+        joints=tuple(replace(joint, at=wider(joint.at)) for joint in vehicle.joints),
+        wheels=tuple(map(changed, vehicle.wheels)),
+    )
+
+
+def _section(section: Section, radius: float, name: str) -> Section:
+    """Return a section with another rolling radius and the same tube."""
+    if isinstance(section, Omni):
+        return replace(section, rim=_section(section.rim, radius, name))
+    if section.torus_radii is None:
+        raise ModelError(
+            f"wheel {name!r}: expected a torus, disc or sphere, whose radius can be fitted, found "
+            f"{section}"
+        )
+    tube, circle = section.torus_radii
+    if tube and circle:
+        return Torus(tube, radius - tube)
+    return Disc(radius) if circle else Sphere(radius)

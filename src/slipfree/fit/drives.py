@@ -1,0 +1,230 @@
+"""Logs of drives: inputs and poses at equal intervals, and the windows that are predicted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.core.errors import ModelError
+from slipfree.core.records import Array, Indices, Mask
+from slipfree.fit.force_balance import Chassis, ComplexArray
+
+CHORD = 1.0  # half the time over which a line through positions gives a course [s]
+SETTLED = 1.0  # time from the start of a run, whose motion is unknown, to the first window [s]
+SLOW = 0.25  # speed below which a course is not known [m/s]
+GOOD_SHARE = 0.85  # least share of good samples of a window
+DRIFT = 0.1, 0.05  # largest difference of positions and velocities [m], [path]
+HELD = 2.0  # median number of samples between new values from which values are held
+OLD = 0.5  # time from the start of a window to the first pose, where poses are held [s]
+MAX_AGE = 1.0  # of poses [s]
+LEAST_TURN = 0.5  # turn from which the age of headings is known [rad]
+MIN_SPAN = 0.35  # least time between first and last pose [window]
+
+
+class DriveLog(NamedTuple):
+    """A log with n samples at equal intervals.
+
+    Positions are those of the receiver, x + i y on the map or in a plane; headings count from x.
+    """
+
+    name: str
+    campaign: str  # logs that are left out together
+    surface: str
+    dt: float  # time between samples [s]
+    chassis: Chassis  # with 1 or n rows
+    inputs: Array  # shape (n, q): rates of wheels [rad/s], or speeds of sides [m/s]
+    run: Indices  # shape (n,): number of the run: inputs continue within a run
+    piece: Indices  # shape (n,): number of the piece: positions continue within a piece
+    manoeuvre: Indices  # shape (n,): number of the manoeuvre
+    place: ComplexArray  # shape (n,) [m]
+    good: Mask  # shape (n,): samples with reliable positions
+    fresh: Mask  # shape (n,): samples with a new pose
+    heading: Array | None = None  # shape (n,): continuous over turns [rad]
+    yaw_rate: Array | None = None  # shape (n,): measured turning rate [rad/s]
+    velocity: ComplexArray | None = None  # shape (n,): measured by the receiver [m/s]
+    direction: Array | None = None  # shape (n,): 1 where inputs drive ahead, -1 back, 0 neither
+
+    @property
+    def moved(self) -> ComplexArray:
+        """Velocity of the receiver, measured or from the positions, shape (n,) [m/s]."""
+        return np.gradient(self.place, self.dt) if self.velocity is None else self.velocity
+
+
+class Windows(NamedTuple):
+    """Parts of logs."""
+
+    log: Indices  # index of the log
+    first: Indices  # first and last sample
+    last: Indices
+    begin: Indices  # first and last sample with a new pose
+    end: Indices
+    length: Array  # of the path [m]
+
+    def take(self, rows: Mask | Indices) -> Windows:
+        """Return some of the windows."""
+        log, first, last, begin, end = (part[rows] for part in self[:5])
+        return Windows(log, first, last, begin, end, self.length[rows])
+
+
+def age_of_poses(log: DriveLog) -> float | None:
+    """Return the age at which turns of headings and of the measured rate agree best [s].
+
+    None is returned without a heading, a turning rate, or turns.
+    """
+    if log.heading is None or log.yaw_rate is None:
+        return None
+    sums = np.append(0.0, np.cumsum(log.yaw_rate[1:] + log.yaw_rate[:-1]) * log.dt / 2)
+    rows = np.flatnonzero(log.fresh)
+    rows = rows[rows >= round(MAX_AGE / log.dt)]
+    pairs = np.column_stack([rows[:-4], rows[4:]])
+    pairs = pairs[(np.diff(log.piece[pairs], axis=1) == 0)[:, 0]]
+    if not pairs.size or np.ptp(sums) < LEAST_TURN:
+        return None
+    ages, turned = np.arange(0.0, MAX_AGE, 0.025), np.diff(log.heading[pairs], axis=1)[:, 0]
+    samples = np.arange(sums.size)
+    missed = [
+        np.abs(np.diff(np.interp(pairs - age / log.dt, samples, sums), axis=1)[:, 0] - turned)
+        for age in ages
+    ]
+    return float(ages[int(np.mean(missed, axis=1).argmin())])
+
+
+def held_for(changes: Mask) -> int:
+    """Return the usual number of samples between new values; 1 if each sample is new."""
+    rows = np.flatnonzero(changes)
+    period = float(np.median(np.diff(rows))) if rows.size > 2 else 1.0
+    return round(period) if period >= HELD else 1
+
+
+def without_holds(values: Array, run: Indices, longest: float = np.inf) -> tuple[Array, int]:
+    """Return readings that are linear between new ones, and the usual number of samples.
+
+    A reading that does not change for longer is new after the usual number of samples. Readings
+    that are new more rarely than every `longest` samples change in steps.
+    """
+    is_new = np.append(False, (np.diff(values) != 0) & (np.diff(run) == 0))
+    period = held_for(is_new)
+    if period == 1 or period > longest:
+        return values, 1
+    rows = np.flatnonzero(is_new | np.append(True, np.diff(run) != 0))
+    waits = np.diff(np.append(rows, values.size))
+    again = rows[waits > 1.5 * period] + waits[waits > 1.5 * period] - period
+    rows = np.union1d(rows, again)
+    linear = np.empty(values.size)
+    for number in np.unique(run):
+        part = np.flatnonzero(run == number)
+        own = rows[(rows >= part[0]) & (rows <= part[-1])]
+        linear[part] = np.interp(part, own, values[own])
+    return linear, period
+
+
+def courses(log: DriveLog) -> ComplexArray:
+    """Return velocities along a line through the positions of a chord, shape (n,).
+
+    With measured velocities, the result is the mean direction of both, since a line through
+    positions weighs the velocities between them by a parabola.
+    """
+    half = chord(log.dt)
+    k = np.arange(-half, half + 1)
+    line = k / (log.dt * (k**2).sum())
+    course = np.convolve(np.pad(log.place, half, mode="edge"), line[::-1], "valid")
+    if log.velocity is None:
+        return np.asarray(course)
+    weights = half * (half + 1) - k**2
+    speeds = np.convolve(np.pad(log.velocity, half, mode="edge"), weights / weights.sum(), "valid")
+    return np.asarray(mean_course(course, speeds))
+
+
+def mean_course(one: ComplexArray, other: ComplexArray) -> ComplexArray:
+    """Return the mean direction of velocities, as complex numbers of size one."""
+    with np.errstate(invalid="ignore"):
+        mean = one / np.abs(one) + other / np.abs(other)
+        return np.asarray(mean / np.abs(mean))
+
+
+def chord(dt: float) -> int:
+    """Return the number of samples of half a chord."""
+    return round(CHORD / dt)
+
+
+def windows_of(logs: Sequence[DriveLog], length: float = 0.0, duration: float = 0.0) -> Windows:
+    """Return the windows of a length of path [m] or a duration [s]; they do not overlap.
+
+    Without both, the windows are the pieces of the logs. A window lies in one piece and one run,
+    85 % of its samples are good, and its positions agree with measured velocities to 0.1 m + 5 % of
+    the path. It begins a second after the start of a run or later, since the motion before a run is
+    unknown. Without headings, it begins and ends where the vehicle drives in one direction with
+    good positions for a second before and after.
+    """
+    rows = list[tuple[int, int, int, int, int, float]]()
+    for k, log in enumerate(logs):
+        ends = np.logical_and.reduce([*conditions(log).values()])
+        first_of_run = np.searchsorted(log.run, log.run)
+        begins = ends & (np.arange(ends.size) - first_of_run >= round(SETTLED / log.dt))
+        speed = np.abs(log.moved)
+        path = np.append(0.0, np.cumsum(speed[1:] * (speed[1:] > SLOW / 2)) * log.dt)
+        held, old = held_for(log.fresh), 0
+        if held > 1:
+            old = round(OLD / log.dt)
+        fresh = np.flatnonzero(log.fresh & log.good)
+        whole = np.flatnonzero(np.append(True, np.diff(log.piece) != 0))
+        pieces = np.column_stack([whole, np.append(whole[1:], log.piece.size) - 1])
+        i, count = 0, log.place.size
+        step = max(chord(log.dt) // 2, 1)
+        spans = list[tuple[int, int]]()
+        if not length and not duration:
+            spans = [(int(a), int(b)) for a, b in pieces if b > a]
+        while (length or duration) and i < count - 1:
+            far = length and int(np.searchsorted(path, path[i] + length))
+            j = far or i + round(duration / log.dt)
+            is_inside = begins[i] and j < count and log.piece[i] == log.piece[j]
+            if is_inside and log.run[i] == log.run[j] and ends[j]:
+                spans.append((i, j))
+            i += 1 if not begins[i] else (j - i if spans and spans[-1] == (i, j) else step)
+        for i, j in spans:
+            own = fresh[np.searchsorted(fresh, i + old) : np.searchsorted(fresh, j, side="right")]
+            if own.size < 2 or own[-1] - own[0] < MIN_SPAN * (j - i):
+                continue
+            if log.velocity is not None:
+                drift = log.velocity[i:j].sum() * log.dt - log.place[j] + log.place[i]
+                if np.abs(drift) > DRIFT[0] + DRIFT[1] * (path[j] - path[i]):
+                    continue
+            if log.good[i:j].mean() >= GOOD_SHARE:
+                rows.append((k, i, j, int(own[0]), int(own[-1]), float(path[j] - path[i])))
+    if not rows:
+        raise ModelError(
+            "windows: expected at least one part of a log in which the vehicle drives with good "
+            "positions, found none; use longer logs or shorter windows"
+        )
+    table = np.array(rows)
+    log_rows, first, last, begin, end = table[:, :5].T.astype(int)
+    return Windows(log_rows, first, last, begin, end, table[:, 5])
+
+
+def conditions(log: DriveLog) -> dict[str, Mask]:
+    """Return where a window may begin or end, by the reason for which it may not elsewhere."""
+    if log.heading is not None:
+        return {"at positions that are not good": log.good}
+    half = chord(log.dt)
+    # with a margin of half a second
+    inside = _throughout(np.ones(log.place.size, bool), half + 5)
+    found = {
+        "near the ends of the log": inside,
+        "near positions that are not good": _throughout(log.good, half),
+        f"slower than {SLOW:g} m/s": _throughout(np.abs(log.moved) > SLOW, half),
+    }
+    if log.direction is not None:
+        wide = half + 2  # of commands, which precede the motion
+        ways = [_throughout(sign * log.direction > 0, wide) for sign in (1, -1)]
+        found["commands to stand or to turn back"] = ways[0] | ways[1]
+    return found
+
+
+def _throughout(mask: Mask, half: int) -> Mask:
+    """Return where a mask holds for ``half`` samples before and after."""
+    width = 2 * half + 1
+    if mask.size < width:
+        return np.zeros(mask.size, bool)
+    return np.convolve(mask, np.ones(width), "same") > width - 0.5
