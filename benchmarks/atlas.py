@@ -1,4 +1,4 @@
-"""Mobility maps: times, accuracy against single poses, and errors of heights against draws.
+"""Mobility maps: times, accuracy against single poses, and guarantees.
 
 ``python benchmarks atlas [PART ...]`` prints, for vehicles on the Jacksboro map of matplotlib (403
 x 344 nodes; the vehicles are scaled to its cells, about 0.4 m here):
@@ -11,11 +11,9 @@ x 344 nodes; the vehicles are scaled to its cells, about 0.4 m here):
     tip-over margin, of a rigid vehicle from the nearest rest that `settle` finds from five starts;
     poses whose least friction is outside its bounds, and the widths of the bounds; the same on
     rough maps.
-``errors``
-    At 20 places: standard deviations over draws of the heights, beside the predicted ones, also
-    apart for places where the edge of the margin and the point of the clearance stay the same;
-    even draws that exceed the worst case, and the change by errors with the signs of the
-    derivatives, which follow from a regression over the draws, beside it.
+``guarantees``
+    At random nodes: share of poses that are proved for every ground within an error of the map,
+    median widths of their bounds, also relative to those of the computed extremes, and CPU time.
 ``memory``
     Largest memory of a process of ``slipfree atlas`` on GeoTIFFs of 1000, 4000 and 20 000 nodes a
     side, at equal numbers of nodes that are spread over the whole map.
@@ -33,13 +31,11 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import replace
-from itertools import product
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import rasterio
 from batch import ROUGH, cpu, ground
@@ -47,7 +43,6 @@ from common import PROBLEMS, run_parts
 
 from slipfree import (
     Bicubic,
-    Grid,
     ModelError,
     SlipfreeError,
     catalog,
@@ -56,18 +51,11 @@ from slipfree import (
     run_problem,
     settle,
 )
-from slipfree.atlas.atlas import SAME_REST, TILT, atlas, other_rests
-from slipfree.batch.evaluator import evaluator_of
-from slipfree.batch.many import columns_of, stand, stand_checked, start_states
-from slipfree.batch.motion import COMPLETE
-from slipfree.contact.clearance import BodyClearance
-from slipfree.core.evaluation import evaluate as run
+from slipfree.atlas.atlas import SAME_REST, TILT, atlas
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import leaves
 from slipfree.core.trajectory import path_length
 from slipfree.files.maps.elevation import jacksboro
 from slipfree.models.friction_feasibility import best_utilisation
-from slipfree.vehicle.shapes import Box
 
 CELL = 0.4  # to which the map is scaled [m]
 VEHICLES = {
@@ -77,12 +65,7 @@ VEHICLES = {
     "rigid four-wheeler": catalog.rigid_skid_steer(),
 }
 HEADINGS, COMPARED = 16, 100
-PLACES, GROUP, DRAWS = 20, 5, 1000  # of errors; places on a map together; draws at a place
-PATCH = 32  # nodes of the side of the ground that is copied for each draw
-BORDER = 6  # nodes of a copy that do not matter
-ERROR, HEADING = 0.02, 0.5  # of the heights [m], and of the poses [rad]
-# share of the draws; cosine of gradients and distance [m] for the same edge and point
-SAME, ALIKE, POINT = 0.95, 0.9, 0.1
+NODES, ERRORS = 7, (0.001, 0.005, 0.02, 0.05)  # along each axis, and of the heights [m]
 MAPS = 20  # of plans
 SIDES = 1000, 4000, 20_000  # nodes of maps whose memory is measured
 HILLS = (0.4, 0.6), (0.7, 0.8)  # root mean square of the heights [m], and friction, in turn
@@ -94,7 +77,6 @@ FIELD = (  # 18 m across hills
     *("plan.accuracy=0.002", "plan.duration=", "time.step=0.25"),
     *("driver={name='route', speed=0.5, turning_radius=2.5}", "solver.tolerance=1e-8"),
 )
-FOLLOWED = "roll", "pitch", "tip_over_margin", "clearance_body"
 
 
 def scaled() -> Bicubic:
@@ -110,22 +92,19 @@ def rates() -> None:
     for name, vehicle in VEHICLES.items():
         model = direct_kinematics(vehicle, terrain)
         atlas(model, headings=1, x=grid.x[:64:8], y=grid.y[:64:8])  # compiles
-        for error in (None, 0.05):
-            took, found = cpu(
-                lambda m=model, e=error: atlas(
-                    m, terrain, headings=HEADINGS, y=grid.y[2::16], error=e
-                ),
-                1,
-            )
-            count = found["reason"].size
-            whole = HEADINGS * grid.x.size * grid.y.size
-            reasons = Counter(found["reason"].ravel().astype(int).tolist())
-            print(
-                f"{name:20} error {error}: {took:6.1f} s, {count / took:7.0f} poses/s, all rows "
-                f"{whole * took / count:6.0f} s;",
-                {found.reasons[k][:40]: n for k, n in reasons.most_common(5)},
-                flush=True,
-            )
+        took, found = cpu(
+            lambda m=model: atlas(m, terrain, headings=HEADINGS, y=grid.y[2::16]),
+            1,
+        )
+        count = found["reason"].size
+        whole = HEADINGS * grid.x.size * grid.y.size
+        reasons = Counter(found["reason"].ravel().astype(int).tolist())
+        print(
+            f"{name:20} {took:6.1f} s, {count / took:7.0f} poses/s, all rows "
+            f"{whole * took / count:6.0f} s;",
+            {found.reasons[k][:40]: n for k, n in reasons.most_common(5)},
+            flush=True,
+        )
 
 
 def accuracy() -> None:
@@ -198,119 +177,34 @@ def vehicle_of(name: str) -> Any:
     return VEHICLES[name]
 
 
-def errors() -> None:
-    """Print deviations over draws and largest changes of poses, relative to the predicted ones."""
+def guarantees() -> None:
+    """Print shares of proved poses, widths of their bounds, and times."""
     terrain, rng = scaled(), np.random.default_rng(1)
-    grid, side = terrain.grid, PATCH // 2
-    for name, vehicle in VEHICLES.items():
-        box = Box((0.3, 0.4, 0.1), (0.0, 0.1, 0.0))
-        vehicle = replace(vehicle, body=replace(vehicle.body, shapes=(box,)))
-        model = direct_kinematics(vehicle, terrain)
-        ratios: dict[str, list[tuple[float, ...]]] = {quantity: [] for quantity in FOLLOWED}
-        places = list[tuple[Any, Any]]()  # predicted errors, and the ground around
-        while len(places) < PLACES:
-            i, j = (int(rng.integers(side, axis.size - side)) for axis in (grid.x, grid.y))
-            place = {"headings": [HEADING], "x": grid.x[[i]], "y": grid.y[[j]]}
-            found = atlas(model, error=ERROR, compiled=False, **place)
-            if found.stands.all():
-                z = grid.z[i - side : i + side, j - side : j + side]
-                predicted = {each: values.item() for each, (_, values) in found.bands.items()}
-                places.append((predicted, z))
-        beyond = 0
-        for first in range(0, PLACES, GROUP):
-            some, grounds = zip(*places[first : first + GROUP], strict=True)
-            z = np.array(grounds)[:, None]
-            normal = ERROR * rng.standard_normal((len(some), DRAWS, PATCH, PATCH))
-            drawn = changes(vehicle, z, normal, grid.spacing)
-            even = changes(vehicle, z, rng.uniform(-ERROR, ERROR, normal.shape), grid.spacing)
-            # nodes that matter, and the signs of the derivatives by them
-            near = normal[..., BORDER:-BORDER, BORDER:-BORDER].reshape(len(some), DRAWS, -1)
-            worst = np.zeros((len(some), 2 * len(FOLLOWED), PATCH, PATCH))
-            for place, (k, quantity) in product(range(len(some)), enumerate(FOLLOWED)):
-                values = drawn[quantity][0][place]
-                known = np.isfinite(values)
-                slope = np.linalg.lstsq(near[place, known], values[known])[0]
-                pattern = ERROR * np.sign(slope).reshape(PATCH - 2 * BORDER, -1)
-                worst[place, 2 * k : 2 * k + 2, BORDER:-BORDER, BORDER:-BORDER] = pattern, -pattern
-            most = changes(vehicle, z, worst, grid.spacing)
-            for place, (k, quantity) in product(range(len(some)), enumerate(FOLLOWED)):
-                deviation, bound = (some[place][f"{quantity}_{e}"] for e in ("deviation", "worst"))
-                values, same = (each[place] for each in drawn[quantity])
-                reached = np.nanmax(np.abs(most[quantity][0][place, 2 * k : 2 * k + 2]))
-                share = same[np.isfinite(values)].mean()
-                ratios[quantity].append((np.nanstd(values) / deviation, reached / bound, share))
-                beyond += int((np.abs(even[quantity][0][place]) > bound).sum())
-        for quantity, rows in ratios.items():
-            deviation, reached, same = np.array(rows).T
-            is_same = same >= SAME
-            kept, changed = _range(deviation[is_same]), _range(deviation[~is_same])
-            close, above = (np.abs(deviation - 1) <= 0.1).sum(), (reached > 1).sum()
+    grid = terrain.grid
+    for name in ("three_wheeler", "articulated", "rocky7"):
+        model = direct_kinematics(getattr(catalog, name)(), terrain)
+        x, y = (np.sort(rng.choice(axis[8:-8], NODES, replace=False)) for axis in (grid.x, grid.y))
+        headings, place = rng.uniform(0, 2 * np.pi, 2), {"x": x, "y": y, "compiled": False}
+        for error in ERRORS:
+            run_atlas = partial(atlas, model, headings=headings, **place)
+            computed = run_atlas(error=error)
+            plain, _ = cpu(run_atlas, 1)
+            took, found = cpu(partial(run_atlas, guarantee=error), 1)
+            proved, words = found["proved"] == 1, list[str]()
+            for angle in ("roll", "pitch") if proved.any() else ():
+                ends = (computed[f"{angle}_computed_{end}"][proved] for end in ("low", "high"))
+                bounds = (found[f"{angle}_{end}"][proved] for end in ("low", "high"))
+                width, reached = (np.diff(list(each), axis=0)[0] for each in (bounds, ends))
+                share, half = np.nanmedian(width / reached), np.rad2deg(np.median(width)) / 2
+                words.append(
+                    f", {angle} +-{half:.2f} degrees, {share:.3f} times the computed width"
+                )
+            count = int(found.stands.sum())
             print(
-                f"{name:14} {quantity:15} deviation over predicted {_range(deviation)}, within "
-                f"10 % at {close} of {PLACES}; same edge or point in {SAME:.0%} of the draws at "
-                f"{is_same.sum()}: {kept}, elsewhere {changed}; worst signs over worst case "
-                f"{_range(reached)}, above 1 at {above}",
+                f"{name:14} {1e3 * error:4.0f} mm: {proved.sum()} of {count} poses proved"
+                f"{''.join(words)}; {1e3 * (took - plain) / count:.1f} ms for each pose",
                 flush=True,
             )
-        print(f"{name:14} {beyond} of {4 * PLACES * DRAWS} draws beyond the worst case", flush=True)
-
-
-def _range(values: Any) -> str:
-    return f"{values.min():.3f} to {values.max():.3f}" if values.size else "none"
-
-
-def changes(
-    vehicle: Any, z: Any, noise: Any, spacing: tuple[float, float]
-) -> dict[str, tuple[Any, Any]]:
-    """Return the changes of quantities by errors of the heights around places, (n_places, n).
-
-    With each comes whether its edge or point is that without errors. The map has a copy of the
-    ground with each of the errors, far enough from each other, and without errors. The first one is
-    level instead, with the local origin on it: models of all maps then share pivots, and are
-    compiled once.
-    """
-    copies = np.concatenate([z, z + noise], axis=1)
-    shape = copies.shape[:2]
-    row = int(np.ceil(np.sqrt(1 + shape[0] * shape[1])))
-    tiles = np.zeros((row**2, PATCH, PATCH))
-    tiles[1 : 1 + shape[0] * shape[1]] = copies.reshape(-1, PATCH, PATCH)
-    tiles = tiles.reshape(row, row, PATCH, PATCH).swapaxes(1, 2).reshape(row * PATCH, -1)
-    x, y = (h * np.arange(row * PATCH) for h in spacing)
-    at = PATCH * np.arange(row) + PATCH // 2
-    ground = Bicubic(Grid(x, y, tiles), (x[at[0]], y[at[0]]), mu=0.6)
-    model = direct_kinematics(vehicle, ground)
-    evaluate = evaluator_of(model)
-    graphs = evaluate.graphs
-    places = np.stack([each.ravel() for each in np.meshgrid(x[at], y[at], indexing="ij")])
-    places = places[:, 1 : 1 + shape[0] * shape[1]]
-    start = {"heading": np.array([HEADING]), "x": places[0], "y": places[1]}
-    states = start_states(graphs, start)
-    solved = stand(evaluate, states)
-    other_rests(evaluate, states, solved)
-    codes = stand_checked(evaluate, states, solved)
-    columns = columns_of(graphs, states)
-    labels = [label.name for label in leaves((model.labels.x, model.labels.z, model.labels.y))]
-    results = list(leaves((model.x, model.z, model.y)))
-    margin = results[labels.index("tip_over_margin")]
-    tilt = ca.vertcat(*(results[labels.index(name)] for name in ("roll", "pitch")))
-    wanted = [ca.vertcat(tilt, margin), ca.densify(ca.gradient(margin, model.columns()[1]))]
-    values, lean = run(model.function("followed", [*model.columns()], wanted), *columns)
-    check = next(check for check in model.checks if isinstance(check, BodyClearance))
-    nearest = check.search(run(check.pose, *columns[:2])[0])
-    values = np.vstack([values, nearest.gap])
-    values[:, codes != COMPLETE] = np.nan
-    values = values.reshape(-1, *shape)
-    foot = (nearest.foot.T[:2] - places).reshape(-1, *shape)  # of equal headings
-    same_point = np.hypot(*(foot - foot[..., :1])) < POINT
-    lean = (lean / np.linalg.norm(lean, axis=0)).reshape(-1, *shape)
-    same_edge = (lean * lean[..., :1]).sum(axis=0) > ALIKE
-    always = np.ones_like(same_edge)
-    return {
-        name: ((each - each[:, :1])[:, 1:], same[:, 1:])
-        for name, each, same in zip(
-            FOLLOWED, values, (always, always, same_edge, same_point), strict=True
-        )
-    }
 
 
 def memory() -> None:
@@ -388,9 +282,8 @@ def plans() -> None:
 
 def main() -> None:
     """Print the parts that the command line names."""
-    run_parts(
-        {"rates": rates, "accuracy": accuracy, "errors": errors, "memory": memory, "plans": plans}
-    )
+    parts = rates, accuracy, guarantees, memory, plans
+    run_parts({part.__name__: part for part in parts})
 
 
 if __name__ == "__main__":

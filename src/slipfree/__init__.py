@@ -20,6 +20,7 @@ Model, a `Dae`
     `montana_kinematics`, a second formulation of the direct kinematics.
 Start
     `settle`, the vehicle at rest on the ground. `settle_many`, at many positions at once.
+    `guarantee`, bounds of poses for every ground within an error of the map.
 Inputs
     ``model.inputs(...)``, values or expressions. `follow` a `Path`, or drive `straight`. A model
     that is `commanded` has forward velocity and yaw rate as inputs.

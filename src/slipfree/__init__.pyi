@@ -14,6 +14,7 @@ from .core.outcome import Outcome as Outcome
 from .core.trajectory import SolverError as SolverError
 from .core.trajectory import Trajectory as Trajectory
 from .core.version import __version__ as __version__
+from .enclosure.guarantee import guarantee as guarantee
 from .files.maps.elevation import read_map as read_map
 from .geometry.path import Path as Path
 from .geometry.regions import Region as Region

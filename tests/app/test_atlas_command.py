@@ -106,6 +106,21 @@ def test_poses_of_a_rigid_vehicle_are_those_of_the_function():
         np.testing.assert_allclose(found[name], expected[name], rtol=1e-5, atol=1e-6)
 
 
+def test_guaranteed_bounds_are_bands_of_the_file():
+    words = "atlas", "site.tif", "three_wheeler", *QUICK, "--headings", "1", "--every", "4"
+    told = printed(*words, "--guarantee", "0.01", "-o", "proved.nc", "-o", "proved.tif")
+    assert "of the poses that stand, for every ground near the map" in told
+    found, _ = open_atlas("proved.nc")
+    assert {"roll_low", "roll_high", "pitch_low", "pitch_high", "proved"} <= {*found.bands}
+    proved = found["proved"] == 1
+    assert proved.any()
+    assert (found["roll_low"][proved] < found["roll"][proved]).all()
+    assert (found["roll"][proved] < found["roll_high"][proved]).all()
+    assert np.isnan(found["roll_low"][~proved]).all()
+    told = refused("atlas", "site.tif", "rigid_skid_steer", *QUICK, "--guarantee", "0.01")
+    assert "guarantee: expected a vehicle whose wheels can all touch a rigid ground" in told
+
+
 @pytest.mark.usefixtures("small_tiles")
 def test_a_killed_map_continues_and_gives_equal_files(monkeypatch):
     write_map((0.1 * np.sin(np.arange(40 * 20) / 3)).reshape(40, 20).astype("f4"))

@@ -26,6 +26,7 @@ NAMES = {
     *(
         "settle",
         "settle_many",
+        "guarantee",
         "simulate",
         "rollouts",
         "plan",

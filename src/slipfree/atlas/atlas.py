@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 from annotated_types import Unit
 
+from slipfree.atlas.corners import shifted_model
 from slipfree.atlas.friction import (
     FrictionGraphs,
     Terms,
@@ -19,7 +21,6 @@ from slipfree.atlas.friction import (
     least_friction,
     least_friction_of_loads,
 )
-from slipfree.atlas.sensitivity import SensitivityGraph, height_errors, sensitivity_graph
 from slipfree.batch.evaluator import Evaluator, EvaluatorOf, evaluator_of, evaluator_of_graphs
 from slipfree.batch.graph import Graph, Graphs, graph_of
 from slipfree.batch.many import (
@@ -35,12 +36,14 @@ from slipfree.batch.many import (
 from slipfree.batch.motion import COMPLETE, relax
 from slipfree.contact.clearance import CLEARANCE
 from slipfree.core.arguments import checked
-from slipfree.core.dae import Dae
+from slipfree.core.dae import Dae, SampledCheck
 from slipfree.core.errors import ModelError
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, Indices, Label, Mask, leaves
 from slipfree.core.schema import Count
 from slipfree.core.trajectory import Drawable
+from slipfree.enclosure.guarantee import contact_points, enclose_poses
+from slipfree.enclosure.wheel_gaps import pose_graphs
 
 TOLERANCE = 1e-3  # largest width of the bounds of the least friction coefficient
 STANDS = "the vehicle stands"
@@ -60,7 +63,10 @@ REASON, RESTS = quantity_label("reason"), quantity_label("rests")
 ENERGY = quantity_label("energy_per_metre")
 TILT = 0.06  # of the starts from which other rests are sought [rad]
 SAME_REST = 2e-3  # difference of inclinations up to which rests are the same [rad]
-DEVIATION, WORST = "{}_deviation", "{}_worst"
+COMPUTED = "tip_over_margin", CLEARANCE.name  # quantities beside pose and friction
+EXTREMES = {"low": "smallest", "high": "largest"}
+OUTWARD = {"low": np.float32(-np.inf), "high": np.float32(np.inf)}
+PROVED = Label("proved", "1", "1 where the bounds hold for every ground of the band; 0: undecided")
 
 
 class Band(NamedTuple):
@@ -157,11 +163,10 @@ def least_bounds(poses: Atlas) -> tuple[Label, Label] | None:
 
 
 class AtlasGraphs(NamedTuple):
-    """Graphs of the quantities of poses: equilibrium, least friction and errors of heights."""
+    """Graphs of the quantities of poses: equilibrium and least friction."""
 
     hold: Graph | None
     friction: FrictionGraphs | None
-    sensitivity: SensitivityGraph | None
 
     @property
     def every(self) -> tuple[Graph, ...]:
@@ -171,8 +176,6 @@ class AtlasGraphs(NamedTuple):
             graphs.append(self.hold)
         if self.friction is not None:
             graphs += [self.friction.start, self.friction.step]
-        if self.sensitivity is not None:
-            graphs.append(self.sensitivity.graph)
         return tuple(graphs)
 
 
@@ -195,6 +198,7 @@ class PoseEvaluator(NamedTuple):
     reasons: tuple[str, ...]
     power: int | None  # row of the drives' power in the outputs, of vehicles with mass
     quantities: frozenset[str] | None  # names of the bands to compute; None for all
+    corners: PoseEvaluator | None  # that of the model with shifts of the ground under the wheels
 
     @property
     def has_rests(self) -> bool:
@@ -214,6 +218,7 @@ def atlas(
     x: Array | None = None,
     y: Array | None = None,
     error: float | None = None,
+    guarantee: float | None = None,
     inputs: Mapping[str, float] | None = None,
     tolerance: float = TOLERANCE,
     quantities: Sequence[str] | None = None,
@@ -236,8 +241,12 @@ def atlas(
     x, y : ndarray, optional
         Ascending map coordinates of the places; by default the nodes of the map. [m]
     error : float, optional
-        Standard deviation and largest magnitude of the errors of the heights, for bands of the
-        resulting errors of roll, pitch, tip-over margin and clearance of bodies. [m]
+        Largest difference between the ground and the map, for bands of the extremes of pose,
+        tip-over margin, clearance of bodies and least friction that follow from shifts of the
+        ground under the wheels by this length; computed but not proved. [m]
+    guarantee : float, optional
+        Largest difference between the ground and the map, for bands of the bounds of the poses on
+        every such ground, as of `slipfree.guarantee`. [m]
     inputs : mapping of str to float, optional
         Inputs of the model at the poses, zero by default. On soil they set the slip. [rad/s, m/s]
     tolerance : float
@@ -292,14 +301,14 @@ def atlas(
         raise ModelError(f"headings: expected at least one, found {headings}; correct it")
     names = None if quantities is None else frozenset(quantities)
     evaluator = pose_evaluator(
-        model, with_errors=error is not None, quantities=names, compiled=compiled
+        model, with_corners=error is not None, quantities=names, compiled=compiled
     )
     shape = heading.size, x.size, y.size
-    labels = bands_of(evaluator, error=error, is_moving=bool(inputs))
+    labels = bands_of(evaluator, error=error, guarantee=guarantee, is_moving=bool(inputs))
     values = {name: np.full(shape, np.nan, dtype=np.float32) for name in labels}
     tiles = list(tiles_of(x.size, y.size))
     for k, (i, j) in enumerate(tiles):
-        tile = tile_of(evaluator, x[i], y[j], heading, inputs or {}, error, tolerance)
+        tile = tile_of(evaluator, x[i], y[j], heading, inputs or {}, error, tolerance, guarantee)
         for name, found in tile.items():
             values[name][:, i, j] = found
         if progress is not None:
@@ -322,7 +331,7 @@ def tiles_of(n_x: int, n_y: int) -> Iterator[tuple[slice, slice]]:
 def pose_evaluator(
     model: Dae,
     *,
-    with_errors: bool,
+    with_corners: bool,
     quantities: frozenset[str] | None = None,
     compiled: bool = True,
 ) -> PoseEvaluator:
@@ -347,8 +356,7 @@ def pose_evaluator(
         else:
             entries = ca.densify(ca.vec(holding.matrix)), entries[1], entries[2] * holding.normal
         hold = graph_of(model, graphs.state, "hold", entries)
-    sensitivity = sensitivity_graph(graphs) if with_errors else None
-    extra = AtlasGraphs(hold, friction, sensitivity)
+    extra = AtlasGraphs(hold, friction)
     more = evaluator_of_graphs(extra, compiled=compiled and bool(extra.every))
     reasons, codes = _reasons(model)
     names = [label.name for label in leaves(model.labels.y)]
@@ -358,33 +366,57 @@ def pose_evaluator(
         for name, each in _reductions(graphs).items()
         if quantities is None or name in quantities
     }
-    return PoseEvaluator(evaluate, more, reductions, least, codes, reasons, power, quantities)
+    corners = None
+    if with_corners:
+        wanted = {*pose_names(reductions), *COMPUTED, *bounds}
+        corners = pose_evaluator(
+            shifted_model(model),
+            with_corners=False,
+            quantities=frozenset(wanted if quantities is None else wanted & quantities),
+            compiled=compiled,
+        )
+    return PoseEvaluator(
+        evaluate, more, reductions, least, codes, reasons, power, quantities, corners
+    )
 
 
 def bands_of(
-    evaluator: PoseEvaluator, *, error: float | None, is_moving: bool = False
+    evaluator: PoseEvaluator,
+    *,
+    error: float | None,
+    guarantee: float | None = None,
+    is_moving: bool = False,
 ) -> dict[str, Label]:
     """Return the labels of the bands; there is one of energy if the vehicle moves."""
     labels = {REASON.name: REASON} | {
         name: each.label for name, each in evaluator.reductions.items()
     }
-    graphs = evaluator.more.graphs
     labels |= {label.name: label for label in evaluator.least or ()}
     labels |= {RESTS.name: RESTS} if evaluator.has_rests else {}
     checks = (check.label for check in evaluator.evaluate.graphs.dae.checks)
     if evaluator.computes(CLEARANCE.name):
         labels |= {label.name: label for label in checks if label.name == CLEARANCE.name}
     labels |= {ENERGY.name: ENERGY} if is_moving and evaluator.power is not None else {}
-    if graphs.sensitivity is not None:
-        for name in graphs.sensitivity.names:
-            old = labels[name]
-            for template, words in (
-                (DEVIATION, f"standard deviation for independent errors of heights of {error:g} m"),
-                (WORST, f"largest error, to first order, for errors of heights of {error:g} m"),
-            ):
-                new = template.format(name)
-                labels[new] = Label(new, old.unit, f"{old.words}: {words}")
+
+    def add_ends(names: Iterable[str], template: str, where: str) -> None:
+        for old, (end, words) in product([labels[name] for name in names], EXTREMES.items()):
+            name = template.format(old.full, end)
+            labels[name] = Label(name, old.unit, f"{old.words}: {words} {where}")
+
+    if evaluator.corners is not None:
+        names = [name for name in labels if name in (evaluator.corners.quantities or ())]
+        add_ends(names, "{}_computed_{}", f"with the ground shifted by up to {error:g} m")
+    if guarantee is not None:
+        pose_graphs(evaluator.evaluate.graphs.dae)  # raises errors for models without guarantees
+        words = f"on grounds within {guarantee:g} m of the map"
+        add_ends(pose_names(evaluator.reductions), "{}_{}", words)
+        labels[PROVED.name] = PROVED
     return labels
+
+
+def pose_names(reductions: Mapping[str, Reduction]) -> list[str]:
+    """Return the names of the bands that are coordinates of the pose."""
+    return [name for name, each in reductions.items() if not each.source.is_output]
 
 
 def tile_of(
@@ -395,11 +427,12 @@ def tile_of(
     inputs: Mapping[str, float],
     error: float | None,
     tolerance: float,
+    guarantee: float | None = None,
 ) -> dict[str, Array]:
     """Return the bands of a tile, shape (n_headings, n_x, n_y)."""
     places = np.stack([each.ravel() for each in np.meshgrid(heading, x, y, indexing="ij")])
     parts = [
-        _bands(evaluator, places[:, k : k + CHUNK], inputs, error, tolerance)
+        _bands(evaluator, places[:, k : k + CHUNK], inputs, error, tolerance, guarantee)
         for k in range(0, places.shape[1], CHUNK)
     ]
     shape = heading.size, x.size, y.size
@@ -414,6 +447,7 @@ def _bands(
     inputs: Mapping[str, float],
     error: float | None,
     tolerance: float,
+    guarantee: float | None,
 ) -> dict[str, Array]:
     """Return the bands of some poses, shape (n,); ``places`` are heading, x and y."""
     evaluate, graphs = evaluator.evaluate, evaluator.evaluate.graphs
@@ -427,24 +461,36 @@ def _bands(
             rests = other_rests(evaluate, states, solved)
         states[graphs.rows.u] = given  # a vehicle relaxes at rest
         outcomes = stand_checked(evaluate, states, solved)
-        outputs = evaluate(graphs.outputs, states)
-        bands = dict[str, Array]()
-        for name, (source, _, reduce) in evaluator.reductions.items():
-            values = (outputs if source.is_output else states)[source.rows]
-            bands[name] = reduce(values, axis=0)
+        bands = _quantities(evaluator, graphs.dae.checks, states, tolerance)
         if evaluator.has_rests:
             bands[RESTS.name] = rests.astype(float)
-        for check in graphs.dae.checks:
-            # margins of checks are only bounds
-            if check.label.name == CLEARANCE.name and evaluator.computes(CLEARANCE.name):
-                bands[CLEARANCE.name] = check.margin(*columns_of(graphs, states)[:2])
         if inputs and evaluator.power is not None:
-            bands[ENERGY.name] = outputs[evaluator.power] / _speed(evaluate, states)
-        bands |= _friction_bands(evaluator, states, tolerance)
-        bands |= _error_bands(evaluator, states, error)
-    stands = outcomes == COMPLETE
+            power = evaluate(graphs.outputs, states)[evaluator.power]
+            bands[ENERGY.name] = power / _speed(evaluate, states)
+        stands = outcomes == COMPLETE
+        if evaluator.corners is not None and error is not None:
+            bands |= _computed_bands(evaluator, states, stands, tolerance, error)
+    if guarantee is not None:
+        bands |= _proved_bands(evaluator, states, stands, guarantee)
     bands = {name: np.where(stands, values, np.nan) for name, values in bands.items()}
     return {REASON.name: evaluator.codes[outcomes + 2].astype(float)} | bands
+
+
+def _quantities(
+    evaluator: PoseEvaluator, checks: Sequence[SampledCheck], states: Array, tolerance: float
+) -> dict[str, Array]:
+    """Return the bands of poses that do not depend on other poses; ``checks`` have clearances."""
+    evaluate, graphs = evaluator.evaluate, evaluator.evaluate.graphs
+    outputs = evaluate(graphs.outputs, states)
+    bands = dict[str, Array]()
+    for name, (source, _, reduce) in evaluator.reductions.items():
+        values = (outputs if source.is_output else states)[source.rows]
+        bands[name] = reduce(values, axis=0)
+    for check in checks:
+        # margins of checks are only bounds
+        if check.label.name == CLEARANCE.name and evaluator.computes(CLEARANCE.name):
+            bands[CLEARANCE.name] = check.margin(*columns_of(graphs, states)[:2])
+    return bands | _friction_bands(evaluator, states, tolerance)
 
 
 def _friction_bands(evaluator: PoseEvaluator, states: Array, tolerance: float) -> dict[str, Array]:
@@ -461,17 +507,56 @@ def _friction_bands(evaluator: PoseEvaluator, states: Array, tolerance: float) -
     return {label.name: bound for label, bound in zip(evaluator.least, bounds, strict=True)}
 
 
-def _error_bands(evaluator: PoseEvaluator, states: Array, error: float | None) -> dict[str, Array]:
-    """Return the effects of errors of the heights [m], if there is an error."""
-    sensitivity = evaluator.more.graphs.sensitivity
-    if sensitivity is None or error is None:
-        return {}
-    errors = height_errors(sensitivity, evaluator.evaluate.graphs, evaluator.more, states)
-    return {
-        template.format(name): error * values
-        for template, each in zip((DEVIATION, WORST), errors, strict=True)
-        for name, values in zip(sensitivity.names, each, strict=True)
+def _proved_bands(
+    evaluator: PoseEvaluator, states: Array, stands: Mask, error: float
+) -> dict[str, Array]:
+    """Return the bounds of poses that stand, on grounds within an error of the map [m]."""
+    model, rows = evaluator.evaluate.graphs.dae, evaluator.evaluate.graphs.rows
+    x, p = states[rows.x][:, stands], states[rows.p][:, stands]
+    closed = [label.full for label in leaves(model.labels.z[0])][: len(model.vehicle.wheels)]
+    places = x, p[: len(closed)], contact_points(model, p)
+    found = enclose_poses(model, *places, error, np.zeros(len(x)))
+    bands = {PROVED.name: np.zeros(stands.size)}
+    bands[PROVED.name][stands] = found.is_enclosed
+    for name, (end, away) in product(pose_names(evaluator.reductions), OUTWARD.items()):
+        band = bands[f"{name}_{end}"] = np.full(stands.size, np.nan)
+        bound = getattr(found, end)[closed.index(name)]
+        band[stands] = np.nextafter(bound.astype(np.float32), away)  # bands have single precision
+    return bands
+
+
+def _computed_bands(
+    evaluator: PoseEvaluator, states: Array, stands: Mask, tolerance: float, error: float
+) -> dict[str, Array]:
+    """Return extremes of bands at the corners of the cube of shifts of the ground under the wheels.
+
+    Bands have no numbers where the vehicle does not stand at a corner.
+    """
+    corners: Any = evaluator.corners
+    dae, rows = evaluator.evaluate.graphs.dae, evaluator.evaluate.graphs.rows
+    evaluate, wheels, inputs = corners.evaluate, len(dae.vehicle.wheels), states[rows.u]
+
+    def at(shifts: Array) -> dict[str, Array]:
+        """Return the bands with shifts (n_wheels, n), in units of the error."""
+        moved = np.insert(states, [rows.c.stop] * wheels, error * shifts, axis=0)
+        solved = solve_positions(evaluate, moved)
+        if dae.rest.numel():  # to the rest that is near that of the pose
+            solved &= relax(evaluate, moved)
+        moved[evaluate.graphs.rows.u] = inputs
+        known = stands & (stand_checked(evaluate, moved, solved) == COMPLETE)
+        bands = _quantities(corners, dae.checks, moved, tolerance)
+        return {name: np.where(known, values, np.nan) for name, values in bands.items()}
+
+    cube = [at(np.array(signs)[:, None]) for signs in product((-1.0, 1.0), repeat=wheels)]
+    bands = {
+        f"{name}_computed_{end}": extreme([each[name] for each in cube], axis=0)
+        for name in cube[0]
+        for end, extreme in (("low", np.min), ("high", np.max))
     }
+    for end, sign in (("low", -1.0), ("high", 1.0)):  # the ground under the bodies shifts, too
+        if (name := f"{CLEARANCE.name}_computed_{end}") in bands:
+            bands[name] += sign * error
+    return bands
 
 
 def _speed(evaluate: Evaluator, states: Array) -> Array:

@@ -16,7 +16,8 @@ ELEVATION = quantity_label("elevation")
 SLIDES = "friction does not hold the vehicle"
 UNDECIDED = "the bounds of the least friction do not decide"
 OUT_OF_BOUNDS = "{} is not within its bounds"
-SMALLEST = "tip_over_margin", "clearance"  # beginnings of bands whose smallest values matter
+# beginnings of bands whose smallest values matter
+SMALLEST = "tip_over_margin", "clearance", "proved"
 SIGNED = "energy_per_metre"  # negative where the vehicle brakes
 STANDING, ALLOWED, LIMIT = "share_standing", "share_allowed", "limit"
 Bounds = Mapping[str, tuple[float, float]]
@@ -114,9 +115,8 @@ def _friction_maps(poses: Atlas, least: tuple[Label, Label], frame: str) -> Sequ
 
 def _extremes(label: Label, values: Array) -> Iterator[Band]:
     """Yield the smallest value of margins, both of signed quantities, or the largest magnitude."""
-    is_error = label.name.endswith(("_deviation", "_worst"))
     kinds = ["magnitude"]
-    if label.name.startswith(SMALLEST) and not is_error:
+    if label.name.startswith(SMALLEST):
         kinds = ["smallest"]
     elif label.name == SIGNED:
         kinds = ["smallest", "largest"]

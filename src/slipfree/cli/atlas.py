@@ -43,7 +43,7 @@ ARGUMENTS = {  # of the command, by the settings that they stand for
     "--set vehicle.catalog": "VEHICLE",
     "--set terrain.friction": "--friction",
     "--set atlas.within.": "--within ",
-    **{f"--set atlas.{name}": f"--{name}" for name in ("headings", "every", "error")},
+    **{f"--set atlas.{name}": f"--{name}" for name in ("headings", "every", "error", "guarantee")},
 }
 
 
@@ -79,7 +79,16 @@ def atlas(
         float | None,
         typer.Option(
             metavar="METRES",
-            help="Error of the heights, for the errors of roll, pitch, margin and clearance.",
+            help="Compute the extremes of pose, margin, clearance and friction on grounds that "
+            "differ from the map by at most this.",
+        ),
+    ] = None,
+    guarantee: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            help="Prove bounds of the poses on all grounds that differ from the map by at most "
+            "this.",
         ),
     ] = None,
     within: Annotated[
@@ -123,7 +132,7 @@ def atlas(
     from slipfree.problem.verbs.atlas import build_atlas
 
     workers = workers_of(processes, scheduler)
-    own = _own_settings(headings, every, friction, error, within or [])
+    own = _own_settings(headings, every, friction, error, guarantee, within or [])
     with as_arguments():
         problem = _read(file, vehicle, [*own, *(settings or [])], trust)
     outs = out or [Path(f"{file.stem}.tif" if vehicle is None else f"{file.stem}_atlas.tif")]
@@ -165,6 +174,7 @@ def _own_settings(
     every: int | None,
     friction: str | None,
     error: float | None,
+    guarantee: float | None,
     within: Sequence[str],
 ) -> list[str]:
     """Return the settings ``key=value`` that options of the command stand for."""
@@ -172,6 +182,7 @@ def _own_settings(
         "atlas.headings": headings,
         "atlas.every": every,
         "atlas.error": error,
+        "atlas.guarantee": guarantee,
         "terrain.friction": None if friction is None else _toml(friction),
     }
     settings = [f"{key}={value}" for key, value in values.items() if value is not None]

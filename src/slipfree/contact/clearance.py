@@ -12,13 +12,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from operator import itemgetter
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from slipfree.contact.nearest_points import NEWTON_STEP, NearestPoints, frame_of, plane_gap
-from slipfree.contact.touch import Plane, jet_function, plane_of
+from slipfree.contact.touch import Plane, plane_of
 from slipfree.core.dae import Limit
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import LookupTable, lookup_function
@@ -36,18 +35,6 @@ PLANNED_STEPS = 3  # number of Newton steps of the expression for planners
 PLANNED_POINTS = 5  # largest number of grid points a side, of the expression for planners
 CLEARANCE = quantity_label("clearance_body")
 TOUCHES = "the body of the vehicle touches the ground (clearance)"
-
-
-class ClearanceSlopes(NamedTuple):
-    """Derivatives of the clearances of n poses.
-
-    Those by `BodyClearance.placing`, (n_placing, n); the foot in local coordinates, (2, n) [m]; and
-    the vertical component of the ground's normal there, by whose negative a height counts, (n,).
-    """
-
-    by_placing: Array
-    foot: Array
-    upright: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,24 +59,6 @@ class BodyClearance:
     def margin(self, x: Array, z: Array) -> Array:
         """Return the clearances for n columns of states ``x`` and unknowns ``z``, (n,) [m]."""
         return self.search(evaluate(self.pose, x, z)[0]).gap
-
-    def slopes(self, x: Array, z: Array) -> ClearanceSlopes:
-        """Return the derivatives of the clearances for n columns of states and unknowns."""
-        terrain = self.search.terrain
-        placed = evaluate(self.pose, x, z)[0]
-        gap, foot, shape = self.search(placed)
-        local = foot.T - np.reshape(terrain.origin, (3, 1))
-        jets = evaluate(jet_function(terrain), local[:2])[0]
-        upward = np.stack([-jets[1], -jets[2], np.ones_like(gap)])
-        normal = upward / np.linalg.norm(upward, axis=0)
-        frames, pose = placed.reshape(-1, 4, 3, gap.size), np.arange(gap.size)
-        origin, axes = frames[shape, 0, :, pose], frames[shape, 1:, :, pose]
-        # the nearest point of the body in its frame moves with it
-        point = np.einsum("nai,ni->na", axes, (local + gap * normal).T - origin)
-        by_placing = np.zeros_like(frames)
-        by_placing[shape, 0, :, pose] = normal.T
-        by_placing[shape, 1:, :, pose] = point[:, :, None] * normal.T[:, None]
-        return ClearanceSlopes(by_placing.reshape(placed.shape), local[:2], normal[2])
 
     def margin_at(self, placed: Array) -> Array:
         """Return the clearances at n values of ``placing``, (12 n_shapes, n), or lower bounds.

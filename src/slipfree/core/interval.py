@@ -10,7 +10,7 @@ the derivatives of a function with kinks are infinite at the kinks.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +22,7 @@ from slipfree.core.records import Array, Mask
 ROUNDING = 2.0**-51  # relative outward shift, four times the error of rounding to nearest
 TINY = 1e-300  # absolute outward shift
 LIBRARY_ERROR = 2.0**-50  # largest error of NumPy's sine and cosine, which is 4 ulp
-NEAR_EXTREME = 1e-9  # distance from an extreme of the sine that counts as on it [rad]
+NEAR_EXTREME = 1e-9  # distance from an extreme of the sine that counts as on it [angle + 1]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -32,6 +32,8 @@ class Intervals:
     low: Array
     high: Array
 
+    __array_ufunc__ = None  # NumPy must not take an interval as an element of an array
+
     def __getitem__(self, index: Any) -> Intervals:
         """Return the intervals at an index of the arrays."""
         return Intervals(self.low[index], self.high[index])
@@ -39,13 +41,18 @@ class Intervals:
     def __neg__(self) -> Intervals:
         return Intervals(-self.high, -self.low)
 
-    def __add__(self, other: Intervals) -> Intervals:
-        return _outward(self.low + other.low, self.high + other.high)
+    def __add__(self, other: Intervals | Array | float) -> Intervals:
+        low, high = _bounds(other)
+        return _outward(self.low + low, self.high + high)
 
-    def __sub__(self, other: Intervals) -> Intervals:
-        return _outward(self.low - other.high, self.high - other.low)
+    def __sub__(self, other: Intervals | Array | float) -> Intervals:
+        low, high = _bounds(other)
+        return _outward(self.low - high, self.high - low)
 
-    def __mul__(self, other: Intervals) -> Intervals:
+    def __mul__(self, other: Intervals | Array | float) -> Intervals:
+        if not isinstance(other, Intervals):
+            a, b = self.low * other, self.high * other
+            return _outward(np.minimum(a, b), np.maximum(a, b))
         a, b = self.low * other.low, self.high * other.high
         c, d = self.low * other.high, self.high * other.low
         low = np.minimum(np.minimum(a, b), np.minimum(c, d))
@@ -86,9 +93,23 @@ class Intervals:
         return np.maximum(np.abs(self.low), np.abs(self.high))
 
 
+def around(middle: Array, radius: Array | float) -> Intervals:
+    """Return the intervals with given middles and radii."""
+    return _outward(middle - radius, middle + radius)
+
+
 def exactly(values: Array) -> Intervals:
     """Return the intervals that contain one number each."""
     return Intervals(values, values)
+
+
+def stack(parts: Sequence[Intervals]) -> Intervals:
+    """Return intervals of equal shapes, stacked along a new first axis."""
+    return Intervals(np.stack([p.low for p in parts]), np.stack([p.high for p in parts]))
+
+
+def _bounds(other: Intervals | Array | float) -> tuple[Any, Any]:
+    return (other.low, other.high) if isinstance(other, Intervals) else (other, other)
 
 
 def _outward(low: Array, high: Array) -> Intervals:
@@ -100,8 +121,8 @@ def _wave(angle: Intervals, function: Callable[[Array], Array], shift: float) ->
     """Return the values of a sine or cosine, whose maxima are at ``shift`` pi plus full turns."""
     a, b = function(angle.low), function(angle.high)
     # half turns from the maximum; an extreme that is only near also counts
-    first, last = angle.low / np.pi - shift - NEAR_EXTREME, angle.high / np.pi - shift
-    last = last + NEAR_EXTREME
+    near = NEAR_EXTREME * (1 + angle.magnitude)
+    first, last = angle.low / np.pi - shift - near, angle.high / np.pi - shift + near
     has_maximum = 2 * np.ceil(first / 2) <= last
     has_minimum = 2 * np.ceil((first - 1) / 2) + 1 <= last
     low = np.maximum(np.minimum(a, b) - LIBRARY_ERROR, -1.0)

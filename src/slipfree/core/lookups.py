@@ -31,8 +31,6 @@ class Cells(NamedTuple):
     # node and last: indices of that node and of the last cell, along x and y
     node: tuple[int, int]
     last: tuple[int, int]
-    # whether the spline passes through the heights of the map; otherwise they are its coefficients
-    is_interpolated: bool = True
 
     @property
     def numbers(self) -> tuple[float, ...]:

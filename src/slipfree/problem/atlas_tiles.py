@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.atlas.atlas import Atlas, Band, least_bounds
+from slipfree.atlas.atlas import PROVED, Atlas, Band, least_bounds
 from slipfree.core.errors import DataError
 from slipfree.core.facts import Fact, Lines, lines, rows
 from slipfree.core.records import Array
@@ -51,6 +51,7 @@ least friction best: {{least_friction_best_high_median:.3g}} (median of the node
 least friction worst: {{least_friction_worst_high_median:.3g}} (median of the nodes)
 least utilisation best: {{least_utilisation_best_high_median:.3g}} (median of the nodes)
 least utilisation worst: {{least_utilisation_worst_high_median:.3g}} (median of the nodes)
+proved: bounds of {{proved_share:.3g>%}} of the poses that stand, for every ground near the map
 !bounds of friction: wider than {WIDE:g} at {{loose_bounds_share:.3g>%}} of the poses"""
 )
 
@@ -179,6 +180,7 @@ def overview(x: Array, y: Array, site: Site, tiles: Tiles) -> AtlasOverview:
     maps, reasons = dict[str, Band](), tuple[str, ...]()
     counts: Array = np.zeros(1)
     least, wide = np.zeros(3), 0  # nodes where all, some and no headings are allowed
+    proved = np.zeros(2)  # poses with proved bounds, and those that stand
     for i, j, poses in tiles:
         drawn, found = site.summary_of(poses, i, j)
         reasons = found.reasons
@@ -189,6 +191,8 @@ def overview(x: Array, y: Array, site: Site, tiles: Tiles) -> AtlasOverview:
         if (bounds := least_bounds(poses)) is not None:
             low, high = (poses[label.name] for label in bounds)
             wide += int((high - low > WIDE).sum())
+        if PROVED.name in poses.bands:
+            proved += [(poses[PROVED.name] == 1).sum(), poses.stands.sum()]
         a, b = (slice(-each.start % step, None, step) for each in (i, j))
         for name, (label, values) in drawn.items():
             if name not in maps:
@@ -203,6 +207,10 @@ def overview(x: Array, y: Array, site: Site, tiles: Tiles) -> AtlasOverview:
     for name, number, meaning in zip(("all", "some", "no"), least, words, strict=True):
         of_nodes = float(number / least.sum())
         facts[f"{name}_headings_share"] = Fact(of_nodes, "1", f"share of the nodes where {meaning}")
+    if proved[1]:
+        of_poses = float(proved[0] / proved[1])
+        meaning = "share of the standing poses whose bounds are proved"
+        facts["proved_share"] = Fact(of_poses, "1", meaning)
     friction = friction_maps(maps)
     for label, values in friction:
         known = values[np.isfinite(values)]

@@ -139,7 +139,7 @@ class Bicubic(GroundFriction):
     def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> Jet:
         """Return height, gradient and Hessian at a local point."""
         cell, key = self._cell
-        coefficients = lookups.find(cell, ca.vertcat(x, y, key), cells=self._spline)
+        coefficients = lookups.find(cell, ca.vertcat(x, y, key), cells=self.cells)
         return polynomial_jet(coefficients, CUBIC, x, y)
 
     def nearest_point(self, r1: float, r2: float, radius: float) -> ca.Function | None:
@@ -298,15 +298,16 @@ class Bicubic(GroundFriction):
         return coefficients_of(self.grid.z - self.origin[2], through=self.through)
 
     @cached_property
-    def _spline(self) -> Cells:
+    def cells(self) -> Cells:
+        """Cells of the spline, in local coordinates."""
         (x_0, y_0, _), (i, j) = self.origin, (cell[0] for cell in self._cells)
         place = float(self.grid.x[i] - x_0), float(self.grid.y[j] - y_0)
         last = self._cells[0][1], self._cells[1][1]
-        return Cells(self._table, place, self.grid.spacing, (i, j), last, self.through)
+        return Cells(self._table, place, self.grid.spacing, (i, j), last)
 
     @cached_property
     def _kernel(self) -> Opened | None:
-        return register_ground(self._spline)
+        return register_ground(self.cells)
 
     @cached_property
     def _cell(self) -> tuple[ca.Function, float]:
@@ -322,7 +323,7 @@ class Bicubic(GroundFriction):
         i = ca.fmin(ca.fmax(ca.floor(a + KNOT_TOLERANCE), -i_0), i_last - i_0)
         j = ca.fmin(ca.fmax(ca.floor(b + KNOT_TOLERANCE), -j_0), j_last - j_0)
         c = ca.reshape(_gather_function(self._table)(ca.vertcat(i + i_0, j + j_0)), 4, 4)
-        left, right = (ca.DM(middle_basis() / h ** np.arange(4)[:, None]) for h in (h_x, h_y))
+        left, right = (ca.DM(basis(0.5) / h ** np.arange(4)[:, None]) for h in (h_x, h_y))
         center = [
             self.grid.x[i_0] - x_0 + (i + 0.5) * h_x,
             self.grid.y[j_0] - y_0 + (j + 0.5) * h_y,
@@ -394,18 +395,20 @@ def _solve_not_a_knot(values: Array) -> Array:
     return solution
 
 
-def middle_basis() -> Array:
-    """Return the four B-splines times six and their derivatives in the middle of a cell.
+def basis(u: Any) -> Array:
+    """Return the four B-splines of a cell at ``u`` in [0, 1], times six, and their derivatives.
 
-    The shape is (4, 4), with one row per order; derivatives are with respect to cell coordinates.
+    The shape is (4, 4) and that of ``u``, with one row per order; derivatives are with respect to
+    cell coordinates.
     """
-    u = v = 0.5
+    v = 1 - u
+    one = u + v
     return np.array(
         [
             [v**3, 4 + 3 * (u**3 - 2 * u**2), 4 + 3 * (v**3 - 2 * v**2), u**3],
             [-3 * v**2, 3 * u * (3 * u - 4), 3 * v * (4 - 3 * v), 3 * u**2],
             [6 * v, 18 * u - 12, 18 * v - 12, 6 * u],
-            [-6.0, 18.0, -18.0, 6.0],
+            [-6 * one, 18 * one, -18 * one, 6 * one],
         ]
     )
 

@@ -63,8 +63,13 @@ class AtlasTable(Record):
     )
     error: Positive | None = Field(
         default=None,
-        description="standard deviation and largest magnitude of errors of the heights, for the "
-        "resulting errors of roll, pitch, tip-over margin and clearance of bodies [m]",
+        description="largest difference between the ground and the map, for computed extremes of "
+        "pose, tip-over margin, clearance of bodies and least friction [m]",
+    )
+    guarantee: Positive | None = Field(
+        default=None,
+        description="largest difference between the ground and the map, for bounds of the poses "
+        "that are proved for every such ground [m]",
     )
     within: dict[str, Range] = Field(
         default={},
@@ -203,19 +208,23 @@ class AtlasSetup:
 
     def labels(self, *, compiled: bool = True) -> dict[str, Label]:
         """Return the labels of the bands, in their order."""
-        error, is_moving = self.problem.spec.atlas.error, bool(self.inputs)
-        return bands_of(self.poses(compiled=compiled), error=error, is_moving=is_moving)
+        table, poses = self.problem.spec.atlas, self.poses(compiled=compiled)
+        options = {"error": table.error, "guarantee": table.guarantee}
+        return bands_of(poses, **options, is_moving=bool(self.inputs))
 
     def poses(self, *, compiled: bool = True) -> PoseEvaluator:
         """Return the evaluators of the poses."""
         table = self.problem.spec.atlas
-        with_errors, compiled = table.error is not None, compiled and table.compiled
-        return pose_evaluator(self.model, with_errors=with_errors, compiled=compiled)
+        return pose_evaluator(
+            self.model,
+            with_corners=table.error is not None,
+            compiled=compiled and table.compiled,
+        )
 
     def bands(self, i: slice, j: slice, *, compiled: bool = True) -> dict[str, Array]:
         """Return the bands at slices of the nodes, shape (n_headings, n_x, n_y)."""
         table, x, y = self.problem.spec.atlas, self.x[i], self.y[j]
-        args = self.heading, self.inputs, table.error, table.tolerance
+        args = self.heading, self.inputs, table.error, table.tolerance, table.guarantee
         poses, ground = self.poses(compiled=compiled), self.terrain
         if not isinstance(ground, PagedBicubic):
             return tile_of(poses, x, y, *args)

@@ -1,0 +1,394 @@
+"""Tests of guarantees: enclosures against vehicles placed by brute force on grounds of the band."""
+
+import sys
+from dataclasses import replace
+from fractions import Fraction
+from itertools import product
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from slipfree import Analytic, Bicubic, Grid, ModelError, atlas, catalog, direct_kinematics, settle
+from slipfree.batch.evaluator import evaluator_of
+from slipfree.batch.many import solve_positions, start_states
+from slipfree.core.interval import Intervals, around, evaluate_interval, exactly
+from slipfree.enclosure.ground_range import range_of
+from slipfree.enclosure.guarantee import OFF_MAP, Verdict, contact_points, enclose_poses, guarantee
+from slipfree.enclosure.wheel_gaps import pose_graphs
+from slipfree.files.maps.elevation import jacksboro
+
+HALF = 6.0  # half of the side of the maps [m]
+FAR = 0.3  # change of a pose to another rest [m, rad]
+MESH = 4e-5  # error of the gaps of a mesh of a wheel, and tolerance of the search [m]
+
+
+def rough(rms=0.15, shortest=1.2, seed=1, h=0.2):
+    """Return a map of waves of random directions with an rms slope along both axes."""
+    rng, axis = np.random.default_rng(seed), np.linspace(-HALF, HALF, round(2 * HALF / h) + 1)
+    k = np.geomspace(2 * np.pi / 12, 2 * np.pi / shortest, 80)
+    a = k**-0.8
+    a *= rms / np.sqrt(0.25 * (a**2 * k**2).sum())
+    turn, phase = rng.uniform(0, 2 * np.pi, (2, k.size))
+    waves = k * np.cos(turn) * axis[:, None, None] + k * np.sin(turn) * axis[:, None] + phase
+    return Bicubic(Grid(axis, axis, (a * np.cos(waves)).sum(axis=-1)))
+
+
+class Placing:
+    """Poses of a model, and rigid wheels as dense meshes, independent of the enclosures."""
+
+    def __init__(self, model, seed=0, n=5, reach=3.0):
+        rng, evaluate = np.random.default_rng(seed), evaluator_of(model, compiled=False)
+        names = [label.full for label in (*model.labels.x[:3],)]
+        places = rng.uniform(-reach, reach, (3, n))
+        places[:2] += np.array(model.ground.origin[:2])[:, None]
+        start = dict(zip(names, places, strict=True))
+        states = start_states(evaluate.graphs, start)
+        found = solve_positions(evaluate, states)
+        states = states[:, found]
+        rows = evaluate.graphs.rows
+        self.model, self.x, self.z = model, states[rows.x], states[rows.p]
+        self.n, self.count = states.shape[1], len(model.vehicle.wheels)
+        self.q = self.z[: self.count]
+        self._meshes = []
+        for wheel in model.vehicle.wheels:
+            r1, r2 = wheel.section.torus_radii
+            v = np.linspace(-np.pi, 0, 401) if r2 else np.linspace(-np.pi, 0, 721)
+            u, v = np.meshgrid(np.linspace(0, np.pi, 61 if r1 else 1), v)
+            u = u if r1 else np.full_like(u, np.pi / 2)
+            rho = r2 + r1 * np.sin(u)
+            mesh = np.stack([r1 * np.cos(u), rho * np.cos(v), rho * np.sin(v)], -1)
+            self._meshes.append(mesh.reshape(-1, 3))
+
+    def enclose(self, error, spread=0.0):
+        radius = np.zeros(len(self.x))
+        radius[:3] = spread
+        contacts = contact_points(self.model, self.z)
+        return enclose_poses(self.model, self.x, self.q, contacts, error, radius)
+
+    def gaps(self, x, q, extra):
+        """Return the smallest heights of the wheels above the map plus ``extra``."""
+        poses = pose_graphs(self.model).poses(np.concatenate([x, q]))
+        ground, gaps = self.model.ground, []
+        columns = np.reshape(np.array(poses), (-1, 4, 3))
+        for mesh, (center, *axes) in zip(self._meshes, columns, strict=True):
+            points = center + mesh @ np.array(axes) + ground.origin
+            height = ground.elevation(points[:, 0], points[:, 1]) + extra(*points.T[:2])
+            gaps.append((points[:, 2] - height).min())
+        return np.array(gaps)
+
+    def place(self, x, q, extra, tries=40):
+        """Return a pose at which all wheels touch the ground; None if the search finds none."""
+        step = 1e-4
+        jacobian = np.empty((q.size, q.size))
+        for k, unit in enumerate(np.eye(q.size)):
+            ahead, behind = (self.gaps(x, q + s * step * unit, extra) for s in (1, -1))
+            jacobian[:, k] = (ahead - behind) / (2 * step)
+        for damping in (1.0, 0.4):
+            best = q
+            for _ in range(tries):
+                gap = self.gaps(x, best, extra)
+                if np.abs(gap).max() < MESH:
+                    return best
+                best = best - damping * np.linalg.solve(jacobian, gap)
+        return None
+
+
+def bands(rng, error, contacts):
+    """Return differences from the map of magnitude ``error``: blocks, kinks, stones and waves."""
+    side = rng.choice([-1.0, 1.0], contacts.shape[1])
+
+    def blocks(x, y):  # one sign under each wheel, with walls between, smooth enough to be found
+        away = np.hypot(x[:, None] - contacts[0], y[:, None] - contacts[1])
+        return error * side[away.argmin(axis=1)] * (0.9 + 0.1 * np.sin(31 * x + 17 * y))
+
+    k, phase = rng.uniform(5, 60, (2, 2)), rng.uniform(0, 2 * np.pi, 2)
+    sharp = rng.choice([1.0, 5.0])
+
+    def kinks(x, y):
+        wave = np.sin(k[0, 0] * x + k[0, 1] * y + phase[0])
+        return error * np.clip(sharp * wave * np.sin(k[1, 0] * x - k[1, 1] * y + phase[1]), -1, 1)
+
+    spots = contacts[:, rng.integers(0, contacts.shape[1], 12)] + rng.normal(0, 0.08, (2, 12))
+
+    def stones(x, y):
+        away = np.hypot(x[:, None] - spots[0], y[:, None] - spots[1]).min(axis=1)
+        return error * np.clip(2 - 2 * away / 0.05, -1, 1)
+
+    return blocks, kinks, stones
+
+
+def is_within(pose, found, lane):
+    """Return whether a pose is within bounds, up to the error of the mesh."""
+    room = 40 * MESH
+    low, high = found.low[:, lane], found.high[:, lane]
+    return bool(((pose > low - room) & (pose < high + room)).all())
+
+
+def used(placing, found, error, kinds, spread=0.0):
+    """Return the used shares of the bounds by vehicles on grounds of the band; assert all < 1."""
+    rng, shares = np.random.default_rng(7), list[float]()
+    contacts = contact_points(placing.model, placing.z)
+    contacts += np.array(placing.model.ground.origin[:2])[:, None, None]
+    for lane in np.flatnonzero(found.is_enclosed):
+        x, q = placing.x[:, lane].copy(), placing.q[:, lane]
+        x[:3] += spread * rng.choice([-1.0, 1.0], 3)
+        for extra in bands(rng, error, contacts[..., lane])[:kinds]:
+            pose = placing.place(x, q, extra)
+            if pose is not None and np.abs(pose - q).max() < FAR:  # others are other rests
+                assert is_within(pose, found, lane)
+                shares.append(np.abs((pose - q) / (found.high[:, lane] - q)).max())
+    return np.array(shares)
+
+
+@pytest.fixture(scope="module")
+def wheeler():
+    return Placing(direct_kinematics(catalog.three_wheeler(), rough()))
+
+
+def test_interval_operations_contain_exact_results():
+    rng = np.random.default_rng(3)
+    scale = 10.0 ** rng.integers(-12, 12, (4, 400))
+    ends = np.sort(rng.normal(size=(4, 400)) * scale, axis=0)[[0, 2, 1, 3]]
+    a, b = Intervals(*np.sort(ends[:2], axis=0)), Intervals(*np.sort(ends[2:], axis=0))
+    point = rng.uniform(size=(2, 400))
+    inside = [
+        np.clip(each.low + s * (each.high - each.low), each.low, each.high)
+        for each, s in zip((a, b), point, strict=True)
+    ]
+    found = {
+        "sum": (a + b, lambda p, q: p + q),
+        "difference": (a - b, lambda p, q: p - q),
+        "product": (a * b, lambda p, q: p * q),
+        "square": (a.square(), lambda p, _: p * p),
+        "inverse": (b.inverse(), lambda _, q: 1 / q),
+        "multiple": (a * 0.1, lambda p, _: p * Fraction(0.1)),
+    }
+    for name, (result, exact) in found.items():
+        for k in range(400):
+            low, high = result.low[k], result.high[k]
+            if np.isinf(low):
+                assert name == "inverse"
+                assert b.low[k] <= 0 <= b.high[k]
+                continue
+            ends = (a.low[k], a.high[k], inside[0][k]), (b.low[k], b.high[k], inside[1][k])
+            for p, q in product(*ends):
+                assert Fraction(low) <= exact(Fraction(p), Fraction(q)) <= Fraction(high)
+    values = np.array([2.0, 3e-7, 5e11, 1.0])
+    root = exactly(values).sqrt()
+    for low, high, value in zip(root.low, root.high, values, strict=True):
+        assert Fraction(low) ** 2 <= Fraction(value) <= Fraction(high) ** 2
+
+
+def test_interval_sines_contain_all_values():
+    rng = np.random.default_rng(5)
+    low = rng.uniform(-10, 10, 3000)
+    box = Intervals(low, low + rng.uniform(0, 8, 3000) ** 2 / 8)
+    share = np.linspace(0, 1, 101)[:, None]
+    angles = box.low + share * (box.high - box.low)
+    for function in ("sin", "cos"):
+        found, values = getattr(box, function)(), getattr(np, function)(angles)
+        assert (found.low <= values).all()
+        assert (values <= found.high).all()
+        assert (found.high - found.low <= np.ptp(values, axis=0) + 0.02).all()
+
+
+def test_interval_evaluation_contains_values():
+    x = ca.SX.sym("x", 2)
+    function = ca.Function(
+        "f", [x], [ca.vertcat(ca.sin(x[0]) / (2 + x[1] ** 2), ca.sqrt(3 + x[0]))]
+    )
+    rng = np.random.default_rng(1)
+    box = around(rng.uniform(-1, 1, (2, 50)), 0.1)
+    found = evaluate_interval(function, box)
+    for s in product((0.0, 0.5, 1.0), repeat=2):
+        values = np.array(function(box.low + np.array(s)[:, None] * (box.high - box.low)))
+        assert ((found.low <= values) & (values <= found.high)).all()
+
+
+@pytest.mark.parametrize("h", [0.05, 0.2])
+def test_ground_bounds_contain_heights_and_slopes(h):
+    terrain = rough(h=h, shortest=0.6)
+    ground, rng = range_of(terrain), np.random.default_rng(2)
+    x, y = rng.uniform(-4, 4, (2, 200))
+    jets = ground.jets(np.stack([x, y]))
+    for reach in (0.0, 0.01, 0.3):
+        box = np.full((2, 200), reach)
+        heights, slopes = ground.heights(jets, box), ground.slopes(jets, Intervals(-box, box))
+        for a, b in rng.uniform(-1, 1, (40, 2)) * reach:
+            z = terrain.elevation(x + a, y + b) - terrain.origin[2]
+            assert ((heights.low <= z + 1e-14) & (z - 1e-14 <= heights.high)).all()
+            step = 1e-5
+            for k, (dx, dy) in enumerate(((step, 0), (0, step))):
+                ahead, behind = (terrain.elevation(x + a + s * dx, y + b + s * dy) for s in (1, -1))
+                slope = (ahead - behind) / (2 * step)
+                assert (slopes[k].low < slope + 1e-7).all()
+                assert (slope - 1e-7 < slopes[k].high).all()
+    assert_allclose(jets.height, terrain.elevation(x, y) - terrain.origin[2], atol=1e-12)
+
+
+@pytest.mark.parametrize("error", [0.001, 0.005, 0.02, 0.05])
+def test_bounds_of_a_mobility_map_contain_the_computed_extremes_and_are_tight(wheeler, error):
+    places = {"headings": [0.3, 2.5], "x": [-1.0, 0.5], "y": [0.2], "compiled": False}
+    found = atlas(wheeler.model, **places, error=error, guarantee=error)
+    assert (found["proved"] == 1).all()
+    for name in ("roll", "pitch"):
+        bounds, ends = (
+            [found[f"{name}{kind}_{end}"] for end in ("low", "high")] for kind in ("", "_computed")
+        )
+        assert (bounds[0] <= ends[0]).all()
+        assert (ends[0] < found[name]).all()
+        assert (found[name] < ends[1]).all()
+        assert (ends[1] <= bounds[1]).all()
+        widths = [each[1] - each[0] for each in (bounds, ends)]
+        assert (widths[0] <= widths[1] * (1.005 + 4 * error) + 4e-5).all()
+
+
+@pytest.mark.parametrize("error", [0.005, 0.02, 0.05])
+def test_vehicles_placed_on_grounds_of_the_band_are_within_bounds(wheeler, error):
+    shares = used(wheeler, wheeler.enclose(error), error, kinds=3)
+    assert shares.size > wheeler.n  # others are kinked so much that the search does not converge
+    assert shares.max() > 0.7
+
+
+def test_starts_within_the_spread_are_within_bounds(wheeler):
+    found = wheeler.enclose(0.005, spread=0.02)
+    assert found.is_enclosed.all()
+    assert used(wheeler, found, 0.005, kinds=1, spread=0.02).size > wheeler.n / 2
+
+
+def test_without_error_the_bounds_are_those_of_rounding_and_patches(wheeler):
+    found = wheeler.enclose(0.0)
+    assert found.is_enclosed.all()
+    assert ((found.low <= wheeler.q) & (wheeler.q <= found.high)).all()
+    assert (found.high - found.low < 2e-5).all()
+
+
+def test_errors_larger_than_the_vehicle_are_undecided(wheeler):
+    for error in (0.6, 2.0, 1e3):
+        found = wheeler.enclose(error)
+        assert not found.is_enclosed.any()
+        assert found.on_map.all() or error > 0.6
+        assert np.isnan(found.low).all()
+
+
+def test_poses_with_too_many_patches_are_given_up(wheeler, monkeypatch):
+    monkeypatch.setattr(sys.modules["slipfree.enclosure.wheel_gaps"], "MAX_PATCHES", 100)
+    found = wheeler.enclose(0.005)
+    assert not found.is_enclosed.any()
+    assert found.on_map.all()
+    assert np.isnan(found.high).all()
+
+
+def test_poses_on_a_measured_map_are_guaranteed():
+    model = direct_kinematics(catalog.three_wheeler(), Bicubic(jacksboro(0.005)))
+    placing = Placing(model, n=40, reach=15.0)
+    assert placing.enclose(0.02).is_enclosed.all()
+
+
+@pytest.mark.parametrize("name", ["articulated", "rocky7", "differential_drive"])
+def test_vehicles_with_more_wheels_are_within_bounds(name):
+    model = direct_kinematics(getattr(catalog, name)(), rough(rms=0.08))
+    placing, error = Placing(model, n=3), 0.005
+    found = placing.enclose(error)
+    assert found.is_enclosed.all()
+    assert used(placing, found, error, kinds=2).size >= placing.n
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_hostile_grounds_are_never_guaranteed_wrongly(seed):
+    """Walls, folds and hollows narrower than the wheels: a guarantee holds where it is given."""
+    rng = np.random.default_rng(seed)
+    ground = rough(rms=0.2 + 0.1 * seed, shortest=0.3 + 0.1 * seed, seed=seed, h=0.1)
+    z = ground.grid.z.copy()
+    wall = rng.uniform(-2, 2)
+    z[:, ground.grid.y > wall] += rng.uniform(0.1, 0.3)
+    ground = Bicubic(Grid(ground.grid.x, ground.grid.y, z))
+    placing = Placing(direct_kinematics(catalog.three_wheeler(), ground), seed=seed, n=6)
+    for error in (0.002, 0.02):
+        found = placing.enclose(error)
+        assert not (found.is_enclosed & found.penetrates).any()
+        for lane in range(placing.n):
+            nominal = placing.gaps(placing.x[:, lane], placing.q[:, lane], lambda x, _: 0 * x)
+            if nominal.min() < -1e-3:  # the contact of the model is not that of a rigid wheel
+                assert found.penetrates[lane]
+            if found.penetrates[lane]:
+                assert nominal.min() < MESH - 1e-6
+        used(placing, found, error, kinds=2)
+
+
+def test_several_contacts_of_a_wheel_are_enclosed():
+    """A wheel in a groove touches both of its edges: no single contact is assumed."""
+    axis = np.linspace(-4, 4, 161)
+    groove = -0.05 * np.exp(-(((axis - 1.0) / 0.06) ** 2))
+    model = direct_kinematics(
+        catalog.three_wheeler(), Bicubic(Grid(axis, axis, np.tile(groove, (161, 1))))
+    )
+    placing = Placing(model, n=1)
+    placing.x[:] = 0.0
+    level = placing.place(
+        placing.x[:, 0],
+        np.array([0.3 - model.ground.origin[2], 0.0, 0.0]),
+        lambda x, _: 0 * x,
+    )
+    placing.q[:, 0] = level + np.array([2 * MESH, 0, 0])  # the mesh is slightly inside the wheel
+    found = placing.enclose(0.002)
+    assert found.is_enclosed.all()
+    assert is_within(level, found, 0)
+
+
+def test_edges_of_the_map_and_holes_are_undecided():
+    axis = np.linspace(-4, 4, 41)
+    grid = Grid(axis, axis, np.zeros((41, 1)) + 0.01 * axis)
+    model = direct_kinematics(catalog.three_wheeler(), Bicubic(grid))
+    run = settle(replace(model, limits=()), y=2.8)
+    found = guarantee(model, run, 0.01)
+    assert found.verdicts == (Verdict.UNDECIDED,)
+    assert found.reasons == (OFF_MAP,)
+    assert guarantee(model, settle(model, y=2.0), 0.01).is_guaranteed.all()
+    holes = np.zeros((41, 41), dtype=bool)
+    holes[20, 26] = True
+    pierced = Bicubic(replace(grid, holes=holes))
+    near = direct_kinematics(catalog.three_wheeler(), pierced)
+    run = settle(replace(near, limits=(), checks=()), y=0.0)
+    assert guarantee(near, run, 0.01).reasons == (OFF_MAP,)
+    away = settle(near, y=-2.5)
+    assert guarantee(near, away, 0.01).is_guaranteed.all()
+
+
+def test_a_second_contact_refutes_the_nominal_pose():
+    axis = np.linspace(-4, 4, 161)
+    z = 0.2 * np.exp(-(axis[:, None] ** 2 + (axis - 1.25) ** 2) / (2 * 0.06**2))
+    model = direct_kinematics(catalog.three_wheeler(), Bicubic(Grid(axis, axis, z)))
+    with pytest.raises(ModelError, match="touches a second time"):
+        settle(model)
+    found = guarantee(model, settle(replace(model, checks=())), 0.01)
+    assert found.verdicts == (Verdict.REFUTED,)
+    assert np.isnan(found.low["roll"]).all()
+
+
+def test_a_mobility_map_has_the_bounds_of_its_poses(wheeler):
+    model, error = wheeler.model, 0.01
+    x = np.array([-1.0, 0.5, HALF - 0.1])  # the last one is too close to the border to stand
+    found = atlas(model, headings=[0.3], x=x, y=[0.2], guarantee=error, compiled=False)
+    assert found["proved"][0, :2, 0].tolist() == [1, 1]
+    assert np.isnan(found["proved"][0, 2, 0])
+    run = settle(model, x=-1.0, y=0.2, heading=0.3)
+    alone = guarantee(model, run, error)
+    for name in ("roll", "pitch"):
+        low, high = found[f"{name}_low"][0, 0, 0], found[f"{name}_high"][0, 0, 0]
+        assert low < alone.low[name][0] < run[name][0] < alone.high[name][0] < high
+        assert_allclose([low, high], [alone.low[name][0], alone.high[name][0]], rtol=1e-6)
+
+
+def test_invalid_models_and_names_are_refused(wheeler):
+    model = wheeler.model
+    run = settle(model)
+    with pytest.raises(ModelError, match="spread: expected names among x, y, heading"):
+        guarantee(model, run, 0.01, spread={"z": 0.1})
+    plane = direct_kinematics(catalog.three_wheeler(), Analytic(lambda x, y: 0.1 * x + 0 * y))
+    with pytest.raises(ModelError, match="expected a model of a vehicle on a map"):
+        guarantee(plane, settle(plane), 0.01)
+    with pytest.raises(ModelError, match="expected a map"):
+        atlas(plane, x=[0.0], y=[0.0], error=0.01, compiled=False)
