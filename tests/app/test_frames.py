@@ -16,6 +16,7 @@ import xarray
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 
+from helpers.cases import DATA
 from helpers.commands import invoke, printed
 from helpers.problem_files import PROBLEM
 from helpers.rasters import from_origin, geotiff
@@ -219,31 +220,8 @@ def test_facts_of_other_types_are_refused_by_name(problem):
 # Angles and rates with units in files, and of bare numbers that look like degrees
 
 ROOT = Path(__file__).parents[2]
-ANGLES_PROBLEM = """\
-verb = "direct"
-terrain.synthetic = { x = [-3, 3], y = [-3, 3], spacing = 0.5 }
-vehicle = { catalog = "three_wheeler", tilt_stop = "30 deg" }
-start = { x = 0.5, heading = "90 deg" }
-time = { duration = 1, step = 0.5 }
-
-[inputs]
-right_rate = "90 deg/s"
-left_rate = [[0, "45 deg/s"], [0.5, 1.0]]
-steer_rate = "0.1 rad/s"
-"""
-ANGLES_PLAN = """\
-verb = "plan"
-terrain.synthetic = { x = [-3, 3], y = [-3, 3], spacing = 0.5 }
-vehicle = { catalog = "three_wheeler" }
-start = { heading = 0.0 }
-inputs = { right_rate = 0.5, left_rate = 0.5, steer_rate = 0.0 }
-goal = { y = 0.5, heading = "1 deg" }
-costs = { slip = 1 }
-limits = { pitch = ["-20 deg", "20 deg"] }
-bounds = { right_rate = ["-200 deg/s", "200 deg/s"] }
-accelerations = { right_rate = ["-90 deg/s2", "90 deg/s2"] }
-time = { duration = 1, step = 0.5 }
-"""
+ANGLES_PROBLEM = (DATA / "direct_in_degrees.toml").read_text()
+ANGLES_PLAN = (DATA / "plan_in_degrees.toml").read_text()
 INVERSE = """\
 verb = "inverse"
 terrain.synthetic = { x = [-3, 3], y = [-3, 3], spacing = 0.5 }

@@ -1,6 +1,7 @@
 """Tests of plans in problem files: routes, keep-out regions, cusps, windows, and errors."""
 
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,19 @@ QUICK = (
     *("plan.intervals=8", "plan.duration=10.0", "goal.x=0.1", "goal.y=1.3", "costs.slip=1e3"),
     "solver.tolerance=1e-6",
 )
+
+
+@pytest.mark.slow
+def test_the_conditions_of_a_goal_are_made_once(monkeypatch):
+    module, made = sys.modules["slipfree.plan.problem"], []
+
+    def counted(dae, name, bounds, original=module._conditions):
+        made.append(name)
+        return original(dae, name, bounds)
+
+    monkeypatch.setattr(module, "_conditions", counted)
+    assert run_problem(load_problem(HILLS, QUICK)).trajectory.stop is None
+    assert sorted(name for name in made if name in ("x", "y")) == ["x", "y"]
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from helpers.cases import DATA
 from helpers.commands import invoke, refused, sets, shown
 from helpers.figures import moved
 from helpers.problem_files import rough_ground
@@ -33,17 +34,7 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.sections import Disc, Torus
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
-PROBLEM = """\
-verb = "direct"
-model = "quasi-static"
-vehicle = { catalog = "three_wheeler", stiffness = 60.0 }
-law.coulomb.creep = 1e-3
-start = { x = 0.0, y = -2.0, heading = 0.4 }
-driver = { name = "straight", speed = 0.3 }
-time = { duration = 1.0, step = 0.02 }
-
-[terrain]
-friction = 0.6""" + rough_ground(
+PROBLEM = (DATA / "scene_of_a_hill.toml").read_text() + rough_ground(
     "[-6, 6]", "[-6, 6]", 0.25, "rms = 0.1, longest = 8.0, shortest = 2.0", 11
 )
 NAMED = (
@@ -51,17 +42,7 @@ NAMED = (
     '[start]\nheading = 0.2\n[driver]\nname = "straight"\nspeed = 0.3\n'
     "[time]\nduration = 0.4\nstep = 0.1\n"
 )
-CLIMB = """\
-verb = "direct"
-model = "dynamics"
-terrain.friction = 0.8
-terrain.synthetic = { x = [-2, 2], y = [-3, 3], spacing = 0.5 }
-terrain.obstacles = [{ step = { height = 0.09 }, half_width = 0.4 }]
-vehicle.catalog = "step_climber"
-driver = { name = "step-climbing", speed = 0.25 }
-start = { y = -0.371, speed = 0.25 }
-time = { duration = 0.1, step = 0.01 }
-"""
+CLIMB = (DATA / "scene_of_a_climb.toml").read_text()
 
 
 def solved(folder: Path, name: str, text: str, *settings: str) -> Path:

@@ -116,17 +116,7 @@ def test_turned_parts_of_any_frame(rng):
 
 
 LONG = (DATA / "cart_in_long_form.toml").read_text()
-SHORT = """\
-name = "cart"
-frame = "rep103"
-coordinates = [{ name = "swivel", kind = "passive" }]
-joints = [{ name = "fork", parent = "platform", axis = "z", at = [0.35, 0, 0], value = "swivel" }]
-wheels = [
-    { name = "left", parent = "platform", at = [0, 0.25, 0], radius = 0.15, driven = true },
-    { name = "right", parent = "platform", at = [0, -0.25, 0], radius = 0.15, driven = true },
-    { name = "caster", parent = "fork", at = [-0.08, 0, -0.05], radius = 0.1 },
-]
-"""
+SHORT = (DATA / "cart_in_short_form.toml").read_text()
 
 
 def read(folder, text):
