@@ -234,18 +234,18 @@ def test_a_vehicle_file_by_itself():
         "  wheel left_drive: driven, torus r1 0.02, r2 0.13 m, 1.5 kg",
         "  wheel right_drive: driven, torus r1 0.02, r2 0.13 m, 1.5 kg",
     ]
-    assert facts(found)["inputs"] == "2: left_drive_rate, right_drive_rate"
-    assert facts(found)["suspension"] == "0 of 0 for exact contact of all wheels"
-    assert facts(found)["condition of rates"].endswith(
-        "at the start, least determined: caster_rate"
-    )
+    known = facts(found)
+    assert known["inputs"] == "2: left_drive_rate, right_drive_rate"
+    assert known["suspension"] == "0 of 0 for exact contact of all wheels"
+    assert known["condition of rates"].endswith("at the start, least determined: caster_rate")
+    assert known["total mass"] == "15.4 kg, centre of mass at (-0.0008, 0.0863, 0.0387) m"
     assert dict(found.wheels[0]) == {
         "wheel": "left_drive", "place (m)": "-0.25, 0, 0", "radius (m)": "0.15",
         "width (m)": "0.04", "driven": "yes", "steered": "no", "mass (kg)": "1.5",
         "partner": "right_drive",
     }  # fmt: skip
     assert found.wheels[2]["steered"] == "free"
-    assert facts(found)["track"] == "0.5 m"
+    assert known["track"] == "0.5 m"
     notes = [words for name, words in found.facts if name == "vehicle file"]
     assert notes[0] == "omitted, since they carry no wheel and no mass: lidar_mount"
     assert notes[1].startswith("wheel right_drive: its rate is positive forward, opposite")
