@@ -51,7 +51,8 @@ exclude_patterns = ["_build", "*.py"]  # notebooks lie in a folder
 
 html_theme = "furo"
 html_title = f"slipfree {release}"
-html_static_path = [str(Path(SHIPPED.origin).parent / "static/mathjax/tex-svg.js")]
+html_static_path = [str(Path(SHIPPED.origin).parent / "static/mathjax/tex-svg.js"), "wrap.css"]
+html_css_files = ["wrap.css"]  # long lines of code blocks, such as printed tables
 html_copy_source = html_show_sourcelink = False
 mathjax_path = "tex-svg.js"
 mathjax3_config = {"options": {"enableMenu": False}}  # the menu would load more files

@@ -196,6 +196,12 @@ def test_dragged_handles_change_values_and_the_saved_file(page: EditPage) -> Non
     page.click("add")
     drag(page, "keep-1", -round(2 * metre), 0)
     assert value(page, "keep-x") == pytest.approx(-2.0, abs=tolerance)
+    field, moved = page.driver.find_element("id", "value-start-y"), value(page, "start-y")
+    field.clear()
+    field.send_keys("1e9\t")
+    assert value(page, "start-y") == 5.0  # the edge of the map
+    page.click("undo")
+    assert value(page, "start-y") == moved
     before = {name: value(page, name) for name in ("start-x", "start-y", "goal-y")}
     page.click("save")
     until(lambda: page.line() == "saved short.toml")

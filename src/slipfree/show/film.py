@@ -229,7 +229,10 @@ class View:
             *((each.segments, each.color, False) for each in plan),
         ]:
             line = LineCollection([], colors=[_shares(color)], zorder=1, lw=1.4)
-            line.set(linestyle="--" if dashed else "-", path_effects=style.halo(2.6))
+            line.set(
+                linestyle="--" if dashed else "-",
+                path_effects=style.halo(2.6) if len(points) == 1 else [],
+            )
             self.ax.add_collection(line, autolim=False)
             self.paths.append((points, line))
 

@@ -44,6 +44,7 @@ td, th { text-align: left; vertical-align: top; padding: .22rem .8rem .22rem 0;
 th { font-weight: 600; width: 14rem; } th.below { font-weight: 400; padding-left: 1rem; }
 figure { margin: 1.4rem 0; break-inside: avoid; } figure img { max-width: 100%; height: auto; }
 figcaption { color: #444; font-size: .92rem; }
+@media (max-width: 40rem) { th { width: 35%; } td, th { padding-right: .4rem; } }
 pre { background: #f5f5f5; padding: .8rem; overflow-x: auto; font-size: .85rem; }
 """
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"

@@ -116,13 +116,9 @@ def figure(swept: Swept) -> Figure:
     return made
 
 
-def save_sweep_figures(
-    quantities: Sequence[Swept], folder: str | Path, formats: Sequence[str] = ("png", "pdf")
-) -> list[Path]:
+def save_sweep_figures(quantities: Sequence[Swept], folder: str | Path) -> list[Path]:
     """Write one figure per metric to a folder, and return the paths of the files."""
-    return save(
-        [Plot(each.name, "", partial(figure, each)) for each in quantities], folder, formats
-    )
+    return save([Plot(each.name, "", partial(figure, each)) for each in quantities], folder)
 
 
 def _over(reduce: Any, values: Array) -> Array:

@@ -144,7 +144,8 @@ def _spreads(swept: Swept) -> Iterator[tuple[str, str]]:
     for k, axis in enumerate(swept.axes):
         parts = np.moveaxis(swept.values, k, 0)
         for value, part in list(zip(axis.values, parts, strict=True))[:MAX_VALUES]:
-            yield f"  {axis.name} = {value}", _spread(part, unit)
+            short = f"{float(value):.6g}" if axis.numbers else value
+            yield f"  {axis.name} = {short}", _spread(part, unit)
         if len(parts) > MAX_VALUES:
             yield "  ...", f"{len(parts) - MAX_VALUES} more values; {TABLE} lists all"
 
@@ -153,10 +154,10 @@ def _spread(values: Array, unit: str) -> str:
     there = values[np.isfinite(values)]
     if not there.size:
         return "no run"
-    return (
-        f"mean {there.mean():.5g}, {there.min():.5g} to {there.max():.5g}{unit} "
-        f"({there.size} {'run' if there.size == 1 else 'runs'})"
-    )
+    if there.size == 1:
+        return f"{there[0]:.5g}{unit} (1 run)"
+    spread = f"mean {there.mean():.5g}, {there.min():.5g} to {there.max():.5g}"
+    return f"{spread}{unit} ({there.size} runs)"
 
 
 def drawn_grids(rows: Rows, tables: Mapping[str, Swept], figures: Sequence[str]) -> list[Swept]:
