@@ -10,9 +10,11 @@ import pytest
 from slipfree.core.outcome import Outcome
 from slipfree.files.netcdf import write
 from slipfree.plan import search as searching
+from slipfree.plan.ipopt import SOLVED_STATUS
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, motion_facts, open_result, run_problem
+from slipfree.problem.verbs import plan_facts
 from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan import PlanVerb, figure_options
 from slipfree.problem.verbs.plan_schema import regions
@@ -57,12 +59,8 @@ def test_several_routes_start_the_search():
 @pytest.mark.slow
 def test_the_law_of_friction_plans_a_gentle_ground():
     """The motion is a prediction then, so that nothing is left to drive by friction again."""
-    hills = FIELD.with_name("plan_rigid_hills.toml")
-    settings = [
-        *("model='quasi-static'", "law.coulomb.creep=1e-2", "terrain.friction=0.6"),
-        *("costs.slip=1e3", "plan.intervals=8", "plan.duration=10.0", "goal.x=0.1", "goal.y=1.3"),
-    ]
-    motion = run_problem(load_problem(hills, settings)).trajectory
+    law = "model='quasi-static'", "law.coulomb.creep=1e-2", "terrain.friction=0.6"
+    motion = run_problem(load_problem(HILLS, [*QUICK, *law])).trajectory
     assert motion.stop is None
     assert "friction_used_along" in motion.columns
     assert not any(name.startswith("friction_") for name in motion.facts)
@@ -159,6 +157,14 @@ def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch
     assert "no usable plan: its simulation misses x by" in stop.words
     assert " m, " in stop.words
     assert "plan.accuracy allows 1e-07: refinements of its mesh did not suffice" in stop.words
+
+
+@pytest.mark.slow
+def test_a_time_limit_that_ended_the_search_is_in_the_summary(bounded, monkeypatch):
+    assert "time limit" not in dict(motion_facts(bounded.trajectory))
+    monkeypatch.setattr(plan_facts, "TIME_STATUS", SOLVED_STATUS)
+    told = dict(motion_facts(run_problem(load_problem(HILLS, QUICK)).trajectory))["time limit"]
+    assert told.endswith("the plan meets all constraints, its cost may not be least")
 
 
 @pytest.mark.slow

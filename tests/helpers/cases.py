@@ -13,6 +13,7 @@ from slipfree.core.lookups import LookupTable, lookup_function
 
 DATA = Path(__file__).parents[1] / "data"
 PAPER_RATES = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.0}
+BOUNDED_RATES = dict.fromkeys(("right_rate", "left_rate", "steer_rate"), (-2.0, 2.0))
 LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 # What was compiled of a model serves every motion of it.
 closure_model = lru_cache(maxsize=8)(direct_kinematics)
@@ -41,6 +42,14 @@ def case1():
     contacts = np.array(reference["contacts"])  # (right x, right y, left x, ...) by sample
     samples["contact_x"], samples["contact_y"] = contacts[0::2].T, contacts[1::2].T
     return Bicubic(Grid(grid["x"], grid["y"], grid["z"])), samples
+
+
+def straight_on(vehicle, terrain, rate, t):
+    """Return a model of a three-wheeler, its start, and its motion at equal rates of the wheels."""
+    dae = direct_kinematics(vehicle, terrain)
+    start = settle(dae)
+    inputs = dae.inputs(right_rate=rate, left_rate=rate, steer_rate=0.0)
+    return dae, start, simulate(dae, start, inputs, t)
 
 
 def drive(terrain, t, *, vehicle=None, rates=None, tolerance=1e-8, **start):

@@ -1,25 +1,26 @@
 """Tests of infeasible plans and their conflicts, of second-order conditions, and of prices."""
 
+import re
 from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from helpers.cases import hills
+from helpers.cases import BOUNDED_RATES, hills, straight_on
 from helpers.toy_models import task, toy
-from slipfree import Analytic, Outcome, direct_kinematics, settle, simulate
+from slipfree import Analytic, Outcome, direct_kinematics, settle
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
 from slipfree.plan.constraints import conflicts
 from slipfree.plan.explanation import explanation, relax, violation_words, violations
-from slipfree.plan.ipopt import NlpSolution, solve_program
+from slipfree.plan.ipopt import TIME_STATUS, NlpSolution, solve_program
 from slipfree.plan.optimality import check_optimality, limit_prices, price_rows, prices_words
 from slipfree.plan.plan import plan
 from slipfree.plan.polynomial_motion import guess_unknowns
 from slipfree.plan.problem import limits_of
-from slipfree.plan.search import Search
+from slipfree.plan.search import Search, SearchState, solve_relaxed
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import CollocationMesh, Mesh, PlanTask, TimedCondition, transcribe
 
@@ -174,6 +175,20 @@ def test_what_is_solved_violates_nothing_and_gives_nothing_up():
     assert "no bound has to be relaxed" in told
 
 
+def test_the_motion_of_the_relaxation_is_the_result_after_the_time_limit():
+    """Unless a bound has to be relaxed."""
+    dae = integrator()
+    for goal in (0.5, 4.0):
+        places = [at_end(dae.x.values[0], goal)]
+        asked = task(dae, [0.0], costs=[effort(dae)], inputs=(-1, 1), places=places, deadline=0.0)
+        program, over, first = attempted(asked)
+        found = solve_relaxed(SearchState(program, over, first, ()), np.inf, None)
+        assert (over.success, over.status) == (False, TIME_STATUS)
+        assert (found.found.success, found.found.status) == (goal < 1, TIME_STATUS)
+        missed = violations(program, found.found)
+        assert bool(missed) == bool(found.relaxation.relaxed) == (goal > 1)
+
+
 def test_equations_without_a_solution_and_stopped_searches_are_said_to_be_so():
     """z = x0^2 and x0' = sqrt(-1 - z): no input helps."""
     dae = toy(1, lambda _t, _x, z, u: [u + ca.sqrt(-1 - z)])
@@ -234,10 +249,8 @@ def test_values_are_told_in_map_coordinates():
 @pytest.mark.slow
 def test_limits_of_wheels_and_of_the_model_are_named():
     """A stop of the tilt that the goal exceeds, and a limit that one wheel does not keep to."""
-    dae = direct_kinematics(three_wheeler(tilt_stop=0.04), Analytic(hills))
-    start = settle(dae)
-    inputs = dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0)
-    guess = simulate(dae, start, inputs, np.linspace(0, 5, 31))
+    vehicle, t = three_wheeler(tilt_stop=0.04), np.linspace(0, 5, 31)
+    dae, start, guess = straight_on(vehicle, Analytic(hills), 0.45, t)
     asked = PlanTask(
         dae,
         dae.rows("x", start, -1),
@@ -357,10 +370,8 @@ def test_bounds_that_are_touched_without_a_multiplier_are_told():
 
 @pytest.fixture(scope="module")
 def model():
-    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
-    start = settle(dae)
-    inputs = dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0)
-    return dae, start, simulate(dae, start, inputs, np.linspace(0, DURATION, 31))
+    t = np.linspace(0, DURATION, 31)
+    return straight_on(three_wheeler(axle="fixed"), Analytic(hills), 0.45, t)
 
 
 def planned(model, *, steer=STEER, x=GOAL[0], duration=DURATION, rate=0.1, **options):
@@ -439,3 +450,17 @@ def test_a_plan_that_is_not_solved_has_no_prices(model, limit):
     assert (found.success, found.run.outcome is Outcome.TIME_LIMIT) == (False, "seconds" in limit)
     assert found.optimality is None
     assert found.prices == ()
+
+
+@pytest.mark.slow
+def test_a_bank_that_is_too_high_is_named_with_its_place():
+    bank = Analytic(lambda x, y: 0 * x + 0.6 * (1 + ca.tanh((y - 1.5) / 0.4)))
+    dae = direct_kinematics(three_wheeler(axle="fixed"), bank)
+    goal, limits = {"x": 0.0, "y": (2.5, 3.0)}, {"z": (-1.0, 0.4)}
+    given = {"costs": {"effort": 0.01}, "duration": 12.0, "mesh": Mesh(8, degree=2, accuracy=1.0)}
+    stop = plan(dae, settle(dae), goal=goal, limits=limits, inputs=BOUNDED_RATES, **given).run.stop
+    assert stop.outcome is Outcome.INFEASIBLE
+    place = r"at t = .* s, x = -?0\.\d+ m, y = (.*) m"
+    assert re.search(rf"largest violations .*\n  .* {place}", stop.words)
+    (y,) = re.findall(rf"z of the vehicle: 1\.\d+ m instead of 0\.4 m {place}", stop.words)
+    assert 2.0 < float(y) <= 3.0  # on the bank

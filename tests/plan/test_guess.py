@@ -82,9 +82,8 @@ def test_a_goal_and_costs_suffice(model):
     assert found.accurate
     low, high = found.program.task.duration
     assert high == pytest.approx(4 * low)
-    assert found.motion.duration == pytest.approx(
-        high, rel=1e-4
-    )  # effort alone: as slowly as possible
+    # effort alone: as slowly as possible
+    assert found.motion.duration == pytest.approx(high, rel=1e-4)
     stop = Stop(PLAN, 0.0, "no plan: contradiction", sf.Outcome.INFEASIBLE)
     failed = replace(found, success=False, run=replace(found.run, stop=stop))
     assert repr(failed).startswith("no plan: contradiction\nPlan: not solved")
@@ -99,10 +98,7 @@ def test_a_model_without_vehicle_needs_a_guess(model):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (
-            {"goal": (1.0, 2.0)},
-            r"goal\[0\]: expected Limit, found float 1.0; give values by name",
-        ),
+        ({"goal": (1.0, 2.0)}, r"goal\[0\]: expected Limit, found float 1.0; give values by name"),
         ({"goal": {"y": "1"}}, r"goal\['y'\]: expected a number or 2 numbers, found str '1'"),
         ({"costs": ["slip"]}, r"costs\[0\]: expected Cost, found str 'slip'; give weights by name"),
         ({"costs": {"slip": "1"}}, r"costs\['slip'\]: expected a number, found str '1'"),
@@ -112,10 +108,7 @@ def test_a_model_without_vehicle_needs_a_guess(model):
             r"mesh: expected Mesh, found int 20; give a record, as in Mesh\(intervals=20\)",
         ),
         ({"duration": "9 s"}, "duration: expected a number or 2 numbers, found str '9 s'"),
-        (
-            {"goal": {"x": 100.0}},
-            "goal: expected a goal on the map, which extends from",
-        ),
+        ({"goal": {"x": 100.0}}, "goal: expected a goal on the map, which extends from"),
         ({"smooth": "a"}, "smooth: expected a number, found str 'a'"),
         ({"inputs": [1]}, "inputs: expected a mapping, found list"),
         ({"model": VEHICLE}, "model: expected Dae, found Vehicle; build a model"),

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import slipfree as sf
-from helpers.cases import hills
+from helpers.cases import BOUNDED_RATES, hills, straight_on
 from helpers.commands import refuses
 from slipfree.catalog import differential_drive, skid_steer, three_wheeler
 from slipfree.plan.ipopt import warm_solver
@@ -22,7 +22,6 @@ from slipfree.terrain.grid_ops import disturbed
 pytestmark = pytest.mark.slow
 
 GOAL, DURATION, COUNT = {"x": 0.2, "y": 0.9}, 8.0, 12
-RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
 VEHICLE = three_wheeler(axle="fixed")
 AXIS = np.arange(-3.0, 4.0, 0.25)
 GRID = sf.Grid(AXIS, AXIS, sf.Analytic(hills).elevation(*np.meshgrid(AXIS, AXIS, indexing="ij")))
@@ -30,19 +29,13 @@ GRID = sf.Grid(AXIS, AXIS, sf.Analytic(hills).elevation(*np.meshgrid(AXIS, AXIS,
 
 @pytest.fixture(scope="module")
 def found():
-    dae = sf.direct_kinematics(VEHICLE, sf.Bicubic(GRID))
-    start = sf.settle(dae)
-    rates = dae.inputs(right_rate=0.4, left_rate=0.4, steer_rate=0.0)
-    guess = sf.simulate(dae, start, rates, np.linspace(0, DURATION, 30))
     return plan(
-        dae,
-        start,
-        guess,
+        *straight_on(VEHICLE, sf.Bicubic(GRID), 0.4, np.linspace(0, DURATION, 30)),
         goal=GOAL,
         costs={"slip": 7e4, "effort": 0.01},
         smooth=0.002,
         duration=DURATION,
-        inputs=RATES,
+        inputs=BOUNDED_RATES,
         limits={"steer": (-1.0, 1.0)},
         mesh=sf.Mesh(COUNT),
     )
@@ -235,8 +228,7 @@ def test_what_is_no_window_period_world_or_state_is_refused(found, window):
     with pytest.raises(sf.ModelError, match="a goal that do not depend on time"):
         horizon(replace(found, program=late), span=4.0)
     words = "period: expected a period above 0 and at most 8 s, the duration"
-    with pytest.raises(sf.ModelError, match=words):
-        track(window, task.dae, sf.settle(task.dae), period=0.0)
+    refuses(sf.ModelError, words, track, window, task.dae, sf.settle(task.dae), period=0.0)
     other = sf.direct_kinematics(differential_drive(), sf.Bicubic(GRID))
     with pytest.raises(sf.ModelError, match="world: expected the states and inputs of the plan's"):
         track(window, other, sf.settle(other), period=0.8)

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import binomtest
 
 import slipfree as sf
-from helpers.cases import hills
+from helpers.cases import BOUNDED_RATES, hills, straight_on
 from helpers.commands import invoke, refuses, sets
 from slipfree.catalog import three_wheeler
 from slipfree.core.outcome import Outcome
@@ -32,7 +32,6 @@ from slipfree.plan.verification import inputs_along
 from slipfree.problem.load import verb_of
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
-RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
 GOAL = {"x": 0.6, "y": 2.6}
 WEIGHTS = {"slip": 7e4, "effort": 0.01}
 VEHICLE = three_wheeler(axle="fixed")
@@ -40,10 +39,7 @@ STEER = {"steer": (-1.0, 1.0)}
 
 
 def asked(vehicle=VEHICLE, *, goal=None, costs=None, duration=20.0, **options):
-    dae = sf.direct_kinematics(vehicle, sf.Analytic(hills))
-    start = sf.settle(dae)
-    rates = dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0)
-    first = sf.simulate(dae, start, rates, np.linspace(0, 20, 61))
+    dae, start, first = straight_on(vehicle, sf.Analytic(hills), 0.45, np.linspace(0, 20, 61))
     found = plan(
         dae,
         start,
@@ -52,7 +48,7 @@ def asked(vehicle=VEHICLE, *, goal=None, costs=None, duration=20.0, **options):
         costs=costs or WEIGHTS,
         duration=duration,
         smooth=0.002,
-        inputs=RATES,
+        inputs=BOUNDED_RATES,
         **options,
     )
     return dae, start, found
@@ -130,7 +126,7 @@ def test_a_pose_a_way_point_and_a_range_of_durations():
         way_points={0.5: {"x": 0.2}},
         duration=(5.0, 30.0),
         costs={"slip": 1e3, "time": 0.01},
-        accelerations=dict.fromkeys(RATES, (-1.0, 1.0)),
+        accelerations=dict.fromkeys(BOUNDED_RATES, (-1.0, 1.0)),
         mesh=Mesh(20),
     )
     assert found.success
@@ -255,12 +251,9 @@ def by_opti(dae, start, count):
     return float(solution.value(cost)), solution.value(states)
 
 
-def planned(dae, start, count):
-    rates = dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0)
+def planned(driven, count):
     found = plan(
-        dae,
-        start,
-        sf.simulate(dae, start, rates, np.linspace(0, DURATION, 31)),
+        *driven,
         goal=dict(zip("xy", INDEPENDENT_GOAL, strict=True)),
         costs={"slip": SLIP, "effort": EFFORT},
         smooth=SMOOTH,
@@ -275,10 +268,10 @@ def planned(dae, start, count):
 @pytest.mark.slow
 def test_an_optimum_is_that_of_another_transcription():
     """The two differ by less than the mesh does: half of the intervals are another plan."""
-    dae, count = sf.direct_kinematics(three_wheeler(axle="fixed"), sf.Analytic(hills)), 16
-    start = sf.settle(dae)
-    coarse, fine = (planned(dae, start, each) for each in (count // 2, count))
-    cost, states = by_opti(dae, start, count)
+    count, t = 16, np.linspace(0, DURATION, 31)
+    driven = straight_on(VEHICLE, sf.Analytic(hills), 0.45, t)
+    coarse, fine = (planned(driven, each) for each in (count // 2, count))
+    cost, states = by_opti(*driven[:2], count)
     assert abs(cost - fine.solution.cost) < 0.2 * abs(coarse.solution.cost - fine.solution.cost)
     layout, unknowns = fine.program.layout, fine.solution.unknowns
     places = np.vstack([unknowns[layout.first], unknowns[layout.states[:, -1]]])

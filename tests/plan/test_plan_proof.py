@@ -4,21 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import slipfree as sf
-from helpers.cases import hills
+from helpers.cases import BOUNDED_RATES, hills
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
 from slipfree.plan import search as searching
-from slipfree.plan.ipopt import MAX_VIOLATION_GROWTH
 from slipfree.plan.plan import plan
 from slipfree.plan.polynomial_motion import motion_of, transfer_motion
 from slipfree.plan.transcription import CollocationMesh
 from slipfree.plan.verification import Verification, refine_mesh, simulate_plan
 
-RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
 VEHICLE = three_wheeler(axle="fixed")
 
 
@@ -39,7 +37,7 @@ def asked(model, *guesses, goal=(0.1, 1.3), **options):
         "costs": {"slip": 1e3, "effort": 0.01},
         "duration": 10.0,
         "smooth": 0.002,
-        "inputs": RATES,
+        "inputs": BOUNDED_RATES,
         "mesh": sf.Mesh(8),
     } | options
     return plan(*model, guesses or guess(model), goal=dict(zip("xy", goal, strict=True)), **given)
@@ -66,6 +64,12 @@ def test_the_course_is_the_plan_at_its_points_and_the_simulation_between(coarse)
     gaps = np.abs(between - [replay[name] for name in names]).max(axis=1)
     assert_allclose(gaps, list(coarse.difference.values()), atol=1e-12)
     assert gaps.max() < 1e-3
+
+
+@pytest.mark.slow
+def test_a_time_limit_that_is_not_reached_changes_nothing(model, coarse):
+    found = asked(model, search=sf.Search(seconds=1e4))
+    assert_array_equal(found.motion.unknowns, coarse.motion.unknowns)
 
 
 @pytest.mark.slow
@@ -156,24 +160,22 @@ def test_what_is_violated_between_the_points_is_told_and_made_small(model):
 
 
 @pytest.mark.slow
-def test_a_search_that_gets_stuck_is_made_again_with_a_wider_filter(model, monkeypatch):
-    growths, solve = [], searching.solve_program
+def test_a_search_that_gets_stuck_starts_again_from_a_motion_without_costs(
+    model, coarse, monkeypatch
+):
+    left = iter([{"status": "Restoration_Failed", "success": False}])
+    solve = searching.solve_program
 
-    def stuck(*args, growth=MAX_VIOLATION_GROWTH, **options):
-        growths.append(growth)
-        found = solve(*args, growth=growth, **options)
-        failed = {"status": "Restoration_Failed", "success": False}
-        return found._replace(**failed) if len(growths) == 1 else found
+    def stuck(*args, **options):
+        return solve(*args, **options)._replace(**next(left, {}))
 
     monkeypatch.setattr(searching, "solve_program", stuck)
     plan = asked(model)
-    assert growths[:2] == [MAX_VIOLATION_GROWTH, searching.OTHER_VIOLATION_GROWTH]
-    assert [stage.words for stage in plan.stages[:2]] == [
-        "without slip cost",
-        "without slip cost, again",
-    ]
+    again = [f"from a motion without costs, {each} slip cost" for each in ("without", "with")]
+    assert [stage.words for stage in plan.stages] == ["without slip cost", *again]
     assert plan.stages[0].status == "Restoration_Failed"
     assert plan.run.stop is None
+    assert plan.solution.cost == pytest.approx(coarse.solution.cost, rel=1e-6)
 
 
 @pytest.mark.slow

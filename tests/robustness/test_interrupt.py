@@ -17,7 +17,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import slipfree.__main__ as entry
-from helpers.cases import hills
+from helpers.cases import BOUNDED_RATES, hills, straight_on
 from helpers.commands import invoke, press, pressing, sets
 from helpers.problem_files import PROBLEM
 from helpers.toy_models import model
@@ -234,20 +234,12 @@ def test_between_the_samples_of_a_controller(monkeypatch):
 
 
 def planned(progress=None):
-    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
-    start = settle(dae)
-    rates = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
-    first = simulate.simulate(
-        dae, start, dae.inputs(right_rate=0.4, left_rate=0.4, steer_rate=0.0), T
-    )
     return planning.plan(
-        dae,
-        start,
-        first,
+        *straight_on(three_wheeler(axle="fixed"), Analytic(hills), 0.4, T),
         goal={"y": 0.2},
         costs={"effort": 0.01},
         duration=2.0,
-        inputs=rates,
+        inputs=BOUNDED_RATES,
         mesh=Mesh(3, accuracy=1.0),
         search=Search(progress=progress),
     )

@@ -248,8 +248,13 @@ def violation_words(violation: Violation) -> str:
     return f"{subject(label, role)} is {size} {side} {number(label, violation.bound)} {at}"
 
 
-def explanation(program: Program, solution: NlpSolution, first: Array) -> Explanation:
-    """Explain the end of a search: IPOPT's status, the violations, and the bounds to relax."""
+def explanation(
+    program: Program, solution: NlpSolution, first: Array, relaxation: Relaxation | None = None
+) -> Explanation:
+    """Explain the end of a search: IPOPT's status, the violations, and the bounds to relax.
+
+    Without a ``relaxation``, it is searched from ``first``, unless the search was stopped.
+    """
     missed = violations(program, solution)
     is_infeasible = solution.status == INFEASIBLE_STATUS
     if missed:
@@ -263,37 +268,34 @@ def explanation(program: Program, solution: NlpSolution, first: Array) -> Explan
         lines += [f"  {violation_words(each)}" for each in missed[:MAX_NAMED_VIOLATIONS]]
     if solution.status == STOPPED_STATUS:  # no further search after an interruption
         return Explanation(Outcome.INTERRUPTED, "\n".join(lines))
-    relaxation = relax(program, first)
-    lines += _relaxation_lines(relaxation)
-    if relaxation.success:
-        is_infeasible = bool(relaxation.relaxed)
-    outcome = Outcome.INFEASIBLE if is_infeasible else Outcome.SOLVER_FAILURE
-    return Explanation(outcome, "\n".join(lines))
-
-
-def _relaxation_lines(relaxation: Relaxation) -> list[str]:
-    """Return lines on the bounds that were relaxed and those that oppose a motion."""
+    relaxation = relax(program, first) if relaxation is None else relaxation
     if not relaxation.success:
-        return [
+        lines.append(
             "no motion was found, although all bounds except those of the start and the duration "
             f"could be relaxed: {ipopt_words(relaxation.status)}; try another initial guess"
-        ]
-    if not relaxation.relaxed:
-        return [
+        )
+    elif relaxation.relaxed:
+        is_infeasible = True
+        lines.append(
+            "a motion was found with relaxed bounds (one sufficient set; others may exist):"
+        )
+    else:
+        is_infeasible = False
+        lines.append(
             "no bound has to be relaxed: without the costs, a motion that meets all constraints "
             "was found; try another initial guess"
-        ]
-    lines = ["a motion was found with relaxed bounds (one sufficient set; others may exist):"]
-    for each in relaxation.relaxed:
+        )
+    for each in relaxation.relaxed if relaxation.success else ():
         given, needed = (number(each.label, value) for value in (each.bound, each.value))
         lines.append(
             f"  {subject(each.label, each.role)}: {needed} instead of {given} at {each.place}"
         )
-    if relaxation.opposing:
+    if relaxation.success and relaxation.opposing:
         lines.append(
             "these bounds were not relaxed; relaxing one of them reduces the relaxations above:"
         )
-    for other in relaxation.opposing:
-        bound = f"{other.side} {number(other.label, other.bound)}".lstrip()
-        lines.append(f"  {subject(other.label, other.role)}: {bound}")
-    return lines
+        for other in relaxation.opposing:
+            bound = f"{other.side} {number(other.label, other.bound)}".lstrip()
+            lines.append(f"  {subject(other.label, other.role)}: {bound}")
+    outcome = Outcome.INFEASIBLE if is_infeasible else Outcome.SOLVER_FAILURE
+    return Explanation(outcome, "\n".join(lines))

@@ -148,7 +148,15 @@ def choose_guide(
     map; directly along the places if there is no map or no route, or where the first route is
     hardly cheaper; or straight ahead without a place to reach.
     """
-    radius, speed = turning_radius(trip.vehicle), _default_speed(trip, bounds)
+    radius, size = turning_radius(trip.vehicle), trip.dae.size
+    speed = FROUDE * math.sqrt(trip.vehicle.gravity * size) if trip.has_inertia else PACE * size
+    fastest = [
+        wheel.radius * bounds[name][1]
+        for wheel in trip.vehicle.wheels
+        if (name := f"{wheel.name}_rate") in bounds and 0 < bounds[name][1] < np.inf
+    ]
+    if fastest:
+        speed = BOUND_SHARE * min(fastest)
     wheels = [f"{wheel.name}_rate" for wheel in trip.vehicle.wheels if wheel.driven]
     can_reverse = all(bounds.get(name, (-np.inf, np.inf))[0] < 0 for name in wheels)
     length = np.hypot(*np.diff(trip.places, axis=0).T).sum()
@@ -165,18 +173,6 @@ def choose_guide(
                 return Guide("route", speed, radius, (first, *others))
             return Guide("follow", speed, radius, (trip.places, *others))
     return Guide("follow", speed, radius, (trip.places,))
-
-
-def _default_speed(trip: Trip, bounds: Mapping[str, Range]) -> float:
-    fastest = [
-        wheel.radius * bounds[name][1]
-        for wheel in trip.vehicle.wheels
-        if (name := f"{wheel.name}_rate") in bounds and 0 < bounds[name][1] < np.inf
-    ]
-    if fastest:
-        return BOUND_SHARE * min(fastest)
-    size = trip.dae.size
-    return FROUDE * math.sqrt(trip.vehicle.gravity * size) if trip.has_inertia else PACE * size
 
 
 def _needs_cusps(trip: Trip, radius: float) -> bool:

@@ -27,8 +27,6 @@ RISING_SPAN = 10  # iterations after which a larger violation counts as rising
 LEAST_SECONDS = 1e-3  # smallest time limit: IPOPT then evaluates its first iterate
 MAX_ITERATIONS = 500
 MAX_VIOLATION_GROWTH = 10.0  # searches stall more often with larger values
-OTHER_VIOLATION_GROWTH = 100.0  # for the repetition of a search without progress
-STUCK_STATUSES = ("Restoration_Failed", "Maximum_Iterations_Exceeded")
 IPOPT_TOLERANCE = 1e-8
 WARM_BARRIER = 1e-5  # initial barrier parameter of a start near a solution
 WARM_MONOTONE_BARRIER = 1e-3  # the same with the monotone strategy, for models with a replay
@@ -155,15 +153,13 @@ def solve_program(
     warm: NlpSolution | None = None,
     iterations: int = MAX_ITERATIONS,
     on_iterate: IterateCallback | None = None,
-    growth: float = MAX_VIOLATION_GROWTH,
 ) -> NlpSolution:
     """Return the solution of a nonlinear program, warm-started by the multipliers of ``warm``.
 
     If IPOPT fails, return the iterate with the smallest constraint violation; if it reports an
     infeasible problem, its last iterate. The search ends at the deadline of the task, or after
     `MAX_FUTILE_ITERATIONS` that do not halve the violation. Roots of squared cost terms
-    (`stage_functions`) in ``first`` are computed from the other unknowns. ``growth`` is IPOPT's
-    ``theta_max_fact``.
+    (`stage_functions`) in ``first`` are computed from the other unknowns.
     """
     arguments = {
         "x0": completed(program, first) / program.scale,
@@ -177,7 +173,6 @@ def solve_program(
         arguments |= {"lam_g0": warm.row_multipliers, "lam_x0": warm.bound_multipliers}
     ipopt = ({} if warm is None else WARM_OPTIONS) | {
         "max_iter": iterations,
-        "theta_max_fact": growth,
         "max_wall_time": min(seconds_left(program.task.deadline), 1e20),  # IPOPT's default
     }
     if warm is not None and program.task.dae.replay:  # see "mu_strategy" in `_ipopt_solver`

@@ -53,6 +53,7 @@ from slipfree.plan.search import (
     cost_weights,
     further_guesses,
     solve_guesses,
+    solve_relaxed,
     solve_resumed,
 )
 from slipfree.plan.stage import Cost
@@ -367,12 +368,13 @@ def solve_task(
             state.program, state.found.unknowns, start, accuracy=mesh.accuracy, step=mesh.step
         )
 
+    if not (searches[0].found.success or searches[0].found.status == STOPPED_STATUS):
+        searches[0] = solve_relaxed(searches[0], begun + search.seconds, search.progress)
     best, verification, optima = best_verified(searches, verify, search.progress)
     program, solution = best.program, best.found
     run = sample_plan(program, solution.unknowns) if best.run is None else best.run
     if not solution.success:
-        longer = replace(program, task=replace(program.task, deadline=begun + search.seconds))
-        why = explanation(longer, solution, best.first)
+        why = explanation(program, solution, best.first, best.relaxation)
         outcome = Outcome.TIME_LIMIT if solution.status == TIME_STATUS else why.outcome
         run = replace(run, stop=Stop(PLAN, float(run.t[-1]), why.words, outcome))
     iterations = sum(stage.iterations for stage in best.stages)

@@ -281,18 +281,14 @@ def near_conditions(
         limits = []
         for limit in condition.limits:
             k = next((k for k, x in symbols if ca.is_equal(limit.expression, x)), None)
-            near = [] if k is None else [float(each[k]) for each in states]
-            limits.append(_near_limit(limit, near))
+            if k is not None and limit.upper - limit.lower < TURN:
+                middle, values = (
+                    (limit.lower + limit.upper) / 2,
+                    [float(each[k]) for each in states],
+                )
+                if min(abs(value - middle) for value in values) > HALF_TURN:
+                    turns = TURN * round((values[0] - middle) / TURN)
+                    limit = limit._replace(lower=limit.lower + turns, upper=limit.upper + turns)
+            limits.append(limit)
         near_ones.append(condition._replace(limits=tuple(limits)))
     return tuple(near_ones)
-
-
-def _near_limit(limit: Limit, values: Sequence[float]) -> Limit:
-    """Return a limit on an angle, turned to the first of some values if it is near to none."""
-    middle = (limit.lower + limit.upper) / 2
-    if not limit.upper - limit.lower < TURN:
-        return limit
-    if not values or min(abs(value - middle) for value in values) <= HALF_TURN:
-        return limit
-    turns = TURN * round((values[0] - middle) / TURN)
-    return limit._replace(lower=limit.lower + turns, upper=limit.upper + turns)

@@ -18,10 +18,9 @@ from slipfree.core.dae import Dae, Limit
 from slipfree.core.records import Array, with_overview
 from slipfree.core.trajectory import Trajectory
 from slipfree.plan.constraints import VIOLATION_TOLERANCE
+from slipfree.plan.explanation import Relaxation, relax
 from slipfree.plan.ipopt import (
     ENDED_STATUSES,
-    OTHER_VIOLATION_GROWTH,
-    STUCK_STATUSES,
     TIME_STATUS,
     Iterate,
     NlpSolution,
@@ -234,6 +233,7 @@ class SearchState(NamedTuple):
     run: Trajectory | None = None
     name: str = ""
     number: int = 0
+    relaxation: Relaxation | None = None  # of a search that failed
 
 
 def solve_guesses(
@@ -248,6 +248,27 @@ def solve_guesses(
         if search.found.status in ENDED_STATUSES:
             break
     return sorted(searches, key=partial(_rank, program))
+
+
+def solve_relaxed(
+    search: SearchState, deadline: float, progress: PlanProgress | None
+) -> SearchState:
+    """Solve a failed search again from the motion of its smallest relaxation.
+
+    This is tried if no bound has to be relaxed: the motion then meets all constraints, which a
+    search that also reduces the costs may miss. The relaxation ends at ``deadline``, later than the
+    searches: after their deadline, the motion is the result.
+    """
+    longer = replace(search.program.task, deadline=deadline)
+    relaxation = relax(replace(search.program, task=longer), search.first)
+    if not relaxation.success or relaxation.relaxed:
+        return search._replace(relaxation=relaxation)
+    of = "from a motion without costs, "
+    again = _solve_in_stages(search.program, relaxation.solution, of, progress)
+    stages = search.stages + again.stages
+    if again.found.success:
+        search = again._replace(name=search.name, number=search.number)
+    return search._replace(relaxation=relaxation, stages=stages)
 
 
 def best_verified(
@@ -374,22 +395,12 @@ def _solve_stage(
     warm: NlpSolution | None = None,
 ) -> SearchState:
     on_iterate = None if progress is None else lambda iterate: progress(words, iterate)
-    solve = partial(solve_program, program, cost_weights(program, part), first)
-    solution = solve(warm=warm, on_iterate=on_iterate)
-    stages = [_stage_of(words, solution)]
-    if solution.status in STUCK_STATUSES:  # rounding decides whether long searches succeed
-        again = solve(warm=warm, on_iterate=on_iterate, growth=OTHER_VIOLATION_GROWTH)
-        words = f"{words}, again"
-        stages.append(_stage_of(words, again))
-        missed = [largest_violation(program, each.rows) for each in (solution, again)]
-        if again.success or missed[1] < missed[0]:
-            solution = again
-    return SearchState(program, solution, first, tuple(stages))
-
-
-def _stage_of(words: str, solution: NlpSolution) -> SolvedStage:
+    solution = solve_program(
+        program, cost_weights(program, part), first, warm=warm, on_iterate=on_iterate
+    )
     names = ("iterations", "status", "seconds", "cost")
-    return SolvedStage(words, *(getattr(solution, name) for name in names))
+    stage = SolvedStage(words, *(getattr(solution, name) for name in names))
+    return SearchState(program, solution, first, (stage,))
 
 
 def cost_weights(program: Program, part: float) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from slipfree.core.dae import Limit
 from slipfree.core.lookups import Lookup, found_column, needed_lookups
 from slipfree.core.records import Array, Label, leaves, with_overview
-from slipfree.solve.system import Block, System
+from slipfree.solve.system import System
 
 
 @with_overview
@@ -83,8 +83,11 @@ def stage_functions(
     unknowns of the model, these are unknowns of the plan too.
     """
     wanted = [*conditions, *(cost.expression for cost in costs)]
-    dae, blocks = system.dae, _needed_blocks(system, ca.vertcat(ca.SX(0, 1), *wanted))
+    dae, blocks = system.dae, system.blocks
     x, z, u = dae.columns()
+    later = z[system.motion_size :]
+    if later.numel() and ca.depends_on(ca.vertcat(ca.SX(0, 1), *wanted), later):
+        blocks = (*blocks, *system.dependent_blocks)
     z = z[: blocks[-1].span.stop]
     alg = ca.vertcat(*dae.alg[: len(blocks)])
     r, equations, paid = _split_costs(costs, ca.vertcat(x, z))
@@ -115,13 +118,6 @@ def stage_functions(
         np.append(zeros, [limit.lower for limit in limits]),
         np.append(zeros, [limit.upper for limit in limits]),
     )
-
-
-def _needed_blocks(system: System, expressions: ca.SX) -> tuple[Block, ...]:
-    """Return the blocks of the motion, and the dependent blocks if expressions contain them."""
-    z = system.dae.columns()[1][system.motion_size :]
-    follows = ca.depends_on(expressions, z) if z.numel() else False
-    return (*system.blocks, *system.dependent_blocks) if follows else system.blocks
 
 
 def _split_costs(

@@ -255,7 +255,9 @@ def track_plan(
         cpu += time.process_time() - clock
         if progress is not None:
             progress(t)
-        applied = _still(decisions[k], end - t) if k < late else decisions[k - late]
+        applied = decisions[max(k - late, 0)]
+        if k < late:
+            applied = Decision(dict.fromkeys(applied.inputs, 0.0), np.array([0.0, end - t]))
         try:
             here = _drive(world, here, applied, t, options)
         except KeyboardInterrupt:
@@ -294,10 +296,6 @@ def _measured(planned: Dae, here: Trajectory, *, compiled: bool) -> Array:
         planned, quantities=names, compiled=compiled, **dict(zip(free, x, strict=False))
     )
     return x if rest["reason"].item() else np.array([rest[name].item() for name in names])
-
-
-def _still(decision: Decision, span: float) -> Decision:
-    return Decision(dict.fromkeys(decision.inputs, 0.0), np.array([0.0, span]))
 
 
 def _drive(

@@ -211,7 +211,8 @@ def traversability(
         compiled=count > INTERPRETED,
     )
     outside = out_of_bounds(layers)
-    is_known = ~(outside["edge"] | outside["hole"])[np.ix_(*_nodes_of(layers, poses))]
+    nodes = nearest_nodes(layers.x, poses.x), nearest_nodes(layers.y, poses.y)
+    is_known = ~(outside["edge"] | outside["hole"])[np.ix_(*nodes)]
     cost = _spread(pose_costs(poses), is_known, poses, layers)
     cost[:, np.isinf(layers.cost[0])] = math.inf
     return layers._replace(heading=heading, cost=cost, poses=poses)
@@ -240,10 +241,6 @@ def pose_costs(poses: Atlas) -> Array:
             margin = poses["tip_over_margin"]
             cost += TIPPING * (inclination / np.maximum(inclination + margin, 1e-9)) ** 2
     return np.where(poses.stands, cost, math.inf).astype(float)
-
-
-def _nodes_of(layers: Traversability, poses: Atlas) -> tuple[npt.NDArray[np.intp], ...]:
-    return nearest_nodes(layers.x, poses.x), nearest_nodes(layers.y, poses.y)
 
 
 def _spread(cost: Array, is_known: Mask, poses: Atlas, layers: Traversability) -> Array:

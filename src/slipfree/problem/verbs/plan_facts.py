@@ -12,6 +12,7 @@ from slipfree.core.facts import Fact, Facts, rows, starting_with
 from slipfree.core.records import leaves
 from slipfree.core.trajectory import PLAN, Trajectory
 from slipfree.plan.constraints import COST, DURATION, missed_words
+from slipfree.plan.ipopt import TIME_STATUS
 from slipfree.plan.optimality import Optimality, price_rows, prices_words
 from slipfree.plan.plan import Plan
 from slipfree.plan.problem import spelled
@@ -22,9 +23,11 @@ from slipfree.solve.sampling import TURN
 DIFFERENCE, VIOLATION, PLAN_COST = "plan_difference_", "plan_violation_", "plan_cost_"
 ROUNDING = 1e-6  # smaller violations count as rounding, in the unit of the limit
 SLIDING = 0.95  # wheels with a larger utilisation count as sliding
+TIME_LIMITED = "the search ended early; the plan meets all constraints, its cost may not be least"
 ROWS = rows(
     """\
 iterate: {iterate}
+!time limit: {plan_time_limit}
 plan: {plan_iterations:.0f} iterations, {plan_seconds:.3g}, of which \
 {plan_seconds_functions:.3g} in functions; <plan_cost_*> {name} {fact:.6g}
 whole turns: <whole_turns> {fact}
@@ -69,6 +72,7 @@ prices of limits: {prices}
 def facts_of(plan: Plan | LongPlan, setup: Planning) -> dict[str, Fact]:
     """Return the facts of a plan: iterations, times, costs, differences and violations."""
     times = [stage.seconds for stage in plan.stages]
+    is_limited = plan.accurate and any(stage.status == TIME_STATUS for stage in plan.stages)
     return {
         "plan_iterations": Fact(sum(stage.iterations for stage in plan.stages), "1"),
         "plan_seconds": Fact(sum(each["total"] for each in times), "s"),
@@ -86,6 +90,7 @@ def facts_of(plan: Plan | LongPlan, setup: Planning) -> dict[str, Fact]:
         "plan_intervals": Fact(plan.motion.mesh.ends.size - 1, "1"),
         "plan_searches": Fact([stage.words for stage in plan.stages]),
         **_turns(setup, plan),
+        **({"plan_time_limit": Fact(TIME_LIMITED)} if is_limited else {}),
     }
 
 

@@ -105,7 +105,7 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     ProblemError is raised if its values are not valid, the goal cannot be reached, or limits,
     windows, drawn worlds or initial guess do not suit vehicle and ground.
     """
-    spec = problem.spec
+    spec, deadline = problem.spec, time.monotonic() + problem.spec.plan.seconds
     world = build_world(problem)
     terrain, vehicle = world.terrain, world.vehicle
     is_dynamic = spec.model == "dynamics"
@@ -148,7 +148,7 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     if guide.name:
         words += f"; initial guess: {guide.name} at {guide.speed:.3g} m/s"
     return Planning(
-        deadline=time.monotonic() + spec.plan.seconds,
+        deadline=deadline,
         **vars(world),
         model=dae,
         dae=dae,
