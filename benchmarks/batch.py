@@ -244,9 +244,8 @@ def poses() -> None:
             states = start_states(evaluate.graphs, place)
 
             def stood(evaluate: Any = evaluate, states: Any = states) -> Any:
-                return np.concatenate(
-                    [stand(evaluate, states[:, k : k + 512].copy()) for k in range(0, count, 512)]
-                )
+                blocks = (states[:, k : k + 512].copy() for k in range(0, count, 512))
+                return np.concatenate([stand(evaluate, block).has_pose for block in blocks])
 
             took, found = cpu(stood)
             whole, many = cpu(lambda m=model, p=place: settle_many(m, **p), 2)

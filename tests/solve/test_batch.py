@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
 
 import slipfree as sf
 from slipfree.batch.evaluator import evaluator_of
@@ -25,15 +26,8 @@ def _cache(tmp_path_factory):
 
 
 def hills(rms=0.03, shortest=1.0, half=5.0):
-    grid = power_law(
-        blank((-half, half), (-half, half), 0.1),
-        rms=rms,
-        hurst=0.9,
-        longest=4.0,
-        shortest=shortest,
-        seed=3,
-    )
-    return sf.Bicubic(grid, mu=0.6)
+    waves = {"rms": rms, "hurst": 0.9, "longest": 4.0, "shortest": shortest, "seed": 3}
+    return sf.Bicubic(power_law(blank((-half, half), (-half, half), 0.1), **waves), mu=0.6)
 
 
 @pytest.fixture(scope="module")
@@ -64,12 +58,8 @@ def near_the_edge(model, count):
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_graphs_equal_the_model(vehicle, compiled, rng):
     """Derivatives, rates, forces and limits at perturbed positions are those of `simulate`."""
-    made = {
-        "three_wheeler": sf.catalog.three_wheeler,
-        "rocky7": lambda: sf.catalog.rocky7(steered="corners"),
-        "ackermann": sf.catalog.ackermann,
-    }
-    dae = sf.direct_kinematics(made[vehicle](), hills())
+    options = {"steered": "corners"} if vehicle == "rocky7" else {}
+    dae = sf.direct_kinematics(getattr(sf.catalog, vehicle)(**options), hills())
     evaluate = evaluator_of(dae, compiled=compiled)
     graphs = evaluate.graphs
     start = sf.settle(dae, x=0.4, y=-0.3, heading=0.7)
@@ -78,9 +68,7 @@ def test_graphs_equal_the_model(vehicle, compiled, rng):
     run = sf.simulate(dae, start, inputs, np.linspace(0, 1e-6, 2), options=EXACT)
     states = np.zeros((graphs.rows.t.stop, 3))
     for part, record in ((graphs.rows.x, "x"), (graphs.rows.u, "u")):
-        values = [run.of(label)[0] for label in leaves(getattr(dae.labels, record))]
-        states[part] = np.array(values)[:, None]
-    states[graphs.rows.x] -= dae.shift[0][:, None]
+        states[part] = dae.rows(record, run, 0)[:, None]
     z = dae.rows("z", run, 0)
     states[graphs.rows.p] = z[: graphs.rows.p.stop - graphs.rows.p.start, None]
     states[graphs.rows.p] += 1e-7 * rng.standard_normal(states[graphs.rows.p].shape)
@@ -111,9 +99,8 @@ def test_compiled_and_interpreted_graphs_agree(model, rng):
     for graph in (graphs.guess, graphs.place, graphs.motion, graphs.checked, graphs.outputs):
         expected = interpreted(graph, states)
         assert_allclose(compiled(graph, states), expected, rtol=1e-10, atol=1e-11)
-        assert_allclose(
-            compiled(graph, states[:, 30:31]), expected[:, 30:31], rtol=1e-10, atol=1e-11
-        )
+        one = compiled(graph, states[:, 30:31])
+        assert_allclose(one, expected[:, 30:31], rtol=1e-10, atol=1e-11)
 
 
 @pytest.mark.slow
@@ -149,9 +136,8 @@ def test_poses_equal_those_of_settle(model, rng):
                 assert_allclose(poses[name][k], start[name][0], atol=1e-12)
 
 
-@pytest.mark.parametrize("rough", [(0.5, 0.4, 2.0), (0.1, 0.2, 4.0)])
-def test_poses_that_do_not_exist_or_violate_a_limit_are_named(rough):
-    dae = sf.direct_kinematics(sf.catalog.three_wheeler(axle="fixed"), hills(*rough))
+def test_poses_that_do_not_exist_or_violate_a_limit_are_named():
+    dae = sf.direct_kinematics(sf.catalog.three_wheeler(axle="fixed"), hills(0.5, 0.4, 2.0))
     x, names = np.linspace(-2.5, 1.2, 200), ["z", "force_normal"]
     poses = sf.settle_many(dae, x=x, compiled=False, quantities=names)
     outcomes = poses["outcome"].values
@@ -159,6 +145,24 @@ def test_poses_that_do_not_exist_or_violate_a_limit_are_named(rough):
     assert ((outcomes == "complete") == (poses["reason"] == "")).all()
     assert np.isnan(poses["z"].values[outcomes == "failed"]).all()
     assert np.isfinite(poses["force_normal"].values[outcomes != "failed"]).all()
+
+
+def test_rests_on_ground_rougher_than_wheels_are_found_and_penetrate_nowhere(rng):
+    ground, (x, y, turn) = hills(0.1, 0.2, 4.0), rng.uniform(-2.5, 2.5, (3, 200))
+    dae = sf.direct_kinematics(sf.catalog.three_wheeler(axle="fixed"), ground)
+    names = [f"{k}_{a}" for k, axes in (("quaternion", "xyzw"), ("center", "xyz")) for a in axes]
+    poses = sf.settle_many(dae, x=x, y=y, heading=turn, quantities=[*names, "force_normal"])
+    # a rest may violate limits of forces
+    found = [not r or "lifts off" in r for r in poses["reason"].values]
+    assert np.mean(found) > 0.98
+    assert np.isfinite(poses["force_normal"].values[found]).all()
+    u, v = np.mgrid[0 : 2 * np.pi : 40j, 0 : 2 * np.pi : 240j].reshape(2, -1)
+    rho, across = 0.25 + 0.05 * np.sin(u), 0.05 * np.cos(u)
+    tread = np.array([rho * np.cos(v), across, rho * np.sin(v)])  # forward, left, up
+    turned = Rotation.from_quat(np.array([poses[k] for k in names[:4]]).T).as_matrix() @ tread
+    centers = np.array([poses[k] for k in names[4:]])[:, :, :2]  # wheels that do not steer
+    px, py, pz = centers[..., None] + turned.transpose(1, 0, 2)[:, :, None]
+    assert (pz > ground.elevation(px, py) - 1e-5)[found].all()
 
 
 def test_motions_converge_with_third_order(model):
@@ -229,17 +233,14 @@ def test_a_second_contact_ends_a_motion_as_in_simulate():
     """The clearance of a wheel ends a lane at the same time as in `simulate`."""
     axis = np.linspace(-4, 4, 161)
     ledge = 0.12 / (1 + np.exp(-(axis - 1.4) / 0.02))
-    dae = sf.direct_kinematics(sf.catalog.three_wheeler(), sf.Bicubic(_grid(axis, ledge)))
+    grid = sf.Grid(axis, axis, np.tile(ledge, (axis.size, 1)))
+    dae = sf.direct_kinematics(sf.catalog.three_wheeler(), sf.Bicubic(grid))
     inputs = {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": np.array([[0.0], [0.1]])}
     exact = sf.rollouts(dae, {}, inputs, T, options=EXACT)
     lanes = sf.rollouts(dae, {}, inputs, T, method="batch", step=0.05)
     assert set(exact["outcome"].values) == {"limit"}
     assert_array_equal(lanes["outcome"], exact["outcome"])
     assert_allclose(lanes["end"], exact["end"], atol=1e-3)
-
-
-def _grid(axis, heights):
-    return sf.Grid(axis, axis, np.broadcast_to(heights, (axis.size, axis.size)).copy())
 
 
 def test_pressed_wheels_relax_as_in_simulate():
@@ -252,14 +253,8 @@ def test_pressed_wheels_relax_as_in_simulate():
     for name in ("z", "roll", "pitch"):
         assert_allclose(poses[name], [start[name][0] for start in starts], atol=1e-10)
     t = np.linspace(0, 1, 3)
-    rates = {
-        "left": np.array([[6.0, 4.0], [3.0, 5.0]]),
-        "right": np.array([[5.0, 6.0], [5.0, 2.0]]),
-    }
-    inputs = {
-        label.full: rates["left" if "left" in label.full else "right"]
-        for label in leaves(dae.labels.u)
-    }
+    left, right = np.array([[[6.0, 4.0], [3.0, 5.0]], [[5.0, 6.0], [5.0, 2.0]]])
+    inputs = {name: left if "left" in name else right for name in dae.input_names}
     exact = sf.rollouts(dae, starts, inputs, t, options=sf.SolverOptions(tolerance=1e-8))
     array = np.stack([inputs[label.full].T for label in leaves(dae.labels.u)])
     states = np.stack([states_of(evaluate.graphs, start) for start in starts], axis=1)
@@ -279,9 +274,8 @@ def test_pressed_wheels_relax_as_in_simulate():
 
 def test_friction_is_solved_without_continuation():
     """Quasi-static motions equal those of `simulate`, also just after jumps of the inputs."""
-    dae = sf.quasi_statics(
-        sf.catalog.three_wheeler(axle="fixed"), hills(rms=0.05), law=sf.Coulomb(1e-3)
-    )
+    vehicle = sf.catalog.three_wheeler(axle="fixed")
+    dae = sf.quasi_statics(vehicle, hills(rms=0.05), law=sf.Coulomb(1e-3))
     evaluate = evaluator_of(dae, compiled=False)
     inputs, start = rates(2, spread=0.1), sf.settle(dae)
     exact = sf.rollouts(dae, start, inputs, T, options=sf.SolverOptions(tolerance=1e-9))
@@ -301,10 +295,9 @@ def test_starts_from_trajectories_and_formulas_of_the_ground():
     inputs = rates(2)
     starts = [sf.settle(dae, heading=0.1), sf.settle(dae, y=0.5)]
     exact = sf.rollouts(dae, starts, inputs, T, options=EXACT)
-    lanes = sf.rollouts(
-        dae, starts, inputs, T, method="batch", step=0.05, quantities=["x", "pitch"]
-    )
-    for name in ("x", "pitch"):
+    names = ["x", "pitch"]
+    lanes = sf.rollouts(dae, starts, inputs, T, method="batch", step=0.05, quantities=names)
+    for name in names:
         assert_allclose(lanes[name], exact[name], atol=1e-6)
 
 

@@ -25,6 +25,7 @@ from slipfree.batch.evaluator import Evaluator, EvaluatorOf, evaluator_of, evalu
 from slipfree.batch.graph import Graph, Graphs, graph_of
 from slipfree.batch.many import (
     CHUNK,
+    Rests,
     Wanted,
     columns_of,
     solve_positions,
@@ -456,11 +457,11 @@ def _bands(
     given = np.array([[inputs.get(label.full, 0.0)] for label in labels])
     states[graphs.rows.u] = given
     with np.errstate(all="ignore"):
-        solved = stand(evaluate, states)
+        stands = stand(evaluate, states)
         if evaluator.has_rests:
-            rests = other_rests(evaluate, states, solved)
+            rests = other_rests(evaluate, states, stands.has_pose)
         states[graphs.rows.u] = given  # a vehicle relaxes at rest
-        outcomes = stand_checked(evaluate, states, solved)
+        outcomes = stand_checked(evaluate, states, stands)
         bands = _quantities(evaluator, graphs.dae.checks, states, tolerance)
         if evaluator.has_rests:
             bands[RESTS.name] = rests.astype(float)
@@ -539,11 +540,12 @@ def _computed_bands(
     def at(shifts: Array) -> dict[str, Array]:
         """Return the bands with shifts (n_wheels, n), in units of the error."""
         moved = np.insert(states, [rows.c.stop] * wheels, error * shifts, axis=0)
-        solved = solve_positions(evaluate, moved)
+        rests = solve_positions(evaluate, moved)
         if dae.rest.numel():  # to the rest that is near that of the pose
-            solved &= relax(evaluate, moved)
+            is_relaxed = relax(evaluate, moved)
+            rests = Rests(rests.has_pose & is_relaxed, np.zeros_like(is_relaxed))
         moved[evaluate.graphs.rows.u] = inputs
-        known = stands & (stand_checked(evaluate, moved, solved) == COMPLETE)
+        known = stands & (stand_checked(evaluate, moved, rests) == COMPLETE)
         bands = _quantities(corners, dae.checks, moved, tolerance)
         return {name: np.where(known, values, np.nan) for name, values in bands.items()}
 
@@ -563,8 +565,7 @@ def _speed(evaluate: Evaluator, states: Array) -> Array:
     """Return the speed of the platform over the ground [m/s]."""
     graphs = evaluate.graphs
     rates = evaluate(graphs.motion, states)[graphs.motion.parts[0]]
-    names = [label.name for label in leaves(graphs.dae.labels.x)]
-    return np.asarray(np.hypot(*(rates[names.index(name)] for name in ("x", "y"))))
+    return np.asarray(np.hypot(*rates[graphs.places[:2]]))
 
 
 def other_rests(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
@@ -577,14 +578,13 @@ def other_rests(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
     count = solved.astype(int)
     if not dae.rest.numel():
         return count
-    names = [label.name for label in leaves(dae.labels.x)]
-    tilt = [names.index(name) for name in ("roll", "pitch")]
+    tilt = dae.state_rows("roll", "pitch")
     rests, is_stable = [states.copy()], np.zeros_like(solved)
     for turn in np.pi / 4 + np.pi / 2 * np.arange(4):
         other = rests[0].copy()
         other[tilt] += TILT * np.array([[np.cos(turn)], [np.sin(turn)]])
         part = other[:, solved]
-        is_solved = solve_positions(evaluate, part) & relax(evaluate, part)
+        is_solved = solve_positions(evaluate, part).has_pose & relax(evaluate, part)
         other[:, solved] = np.where(is_solved, part, np.nan)
         apart = np.array([np.hypot(*(other[tilt] - each[tilt])) for each in rests])
         is_stable |= apart[0] <= SAME_REST

@@ -21,7 +21,7 @@ from slipfree.batch.graph import Graph, Graphs, graphs_of
 from slipfree.core.dae import Dae
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import Cells
-from slipfree.core.records import Array, Indices, Mask
+from slipfree.core.records import Array, Indices
 from slipfree.system.codegen_cache import compiler, shared_library
 
 FLAGS = ("-shared", "-fPIC", "-ffp-contract=fast", "-fno-math-errno")
@@ -85,43 +85,36 @@ class GraphSet(Protocol):
 G = TypeVar("G", bound=GraphSet)
 
 
-class EvaluatorOf(Protocol[G]):
-    """Evaluation of graphs at the columns of an array of states.
+class EvaluatorOf(Generic[G]):
+    """Evaluation of graphs at the columns of an array of states, here by CasADi.
 
     Only compiled graphs (``is_compiled``) may be evaluated by several threads at the same time.
     """
 
-    graphs: G
-    is_compiled: bool
+    is_compiled = False
 
-    def __call__(self, graph: Graph, states: Array, slope: float = 1.0) -> Array:
+    def __init__(self, graphs: G) -> None:
+        self.graphs = graphs
+
+    def __call__(self, graph: Graph, states: Array) -> Array:
         """Return the results of a graph, shape (n_results, n).
 
-        The ``states`` (n_rows, n) have contiguous rows. ``slope`` is a factor of all derivatives of
-        the ground, for a start on a flattened ground.
+        The ``states`` (n_rows, n) have contiguous rows.
         """
+        if not states.shape[1]:
+            return np.empty((graph.function.numel_out(0), 0))
+        results = np.zeros((graph.function.size1_in(1), states.shape[1]))
+        row = 0
+        for lookup, argument in zip(graph.lookups, graph.arguments, strict=True):
+            (at,) = evaluate(argument, states, results)
+            (values,) = evaluate(lookup.function, at)
+            results[row : row + len(values)] = values
+            row += len(values)
+        return evaluate(graph.function, states, results)[0]
 
-    def advance(
-        self,
-        states: Array,
-        rates: Array,
-        h: Array,
-        count: Indices,
-        bounds: tuple[float, float],
-    ) -> tuple[Array, Mask] | None:
-        """Return the result of compiled steps; None without them."""
-
-    def drive(
-        self,
-        states: Array,
-        inputs: Array,
-        t: Array,
-        kept: int,
-        numbers: Sequence[float],
-        order: Indices,
-        *results: Array,
-    ) -> bool:
-        """Fill in the results of motions; return whether there are compiled steps."""
+    def drive(self, *_: Any) -> bool:
+        """Fill in the results of motions if there are compiled steps; return whether there are."""
+        return False
 
 
 Evaluator = EvaluatorOf[Graphs]
@@ -148,46 +141,16 @@ def evaluator_of_graphs(
         source = _Source(graphs.every, steps)
         if source.unknown is None and (loaded := _compiled(source, lanes)) is not None:
             return _Compiled(graphs, source, loaded)
-    return _Interpreted(graphs)
+    return EvaluatorOf(graphs)
 
 
-class _Interpreted(Generic[G]):
-    """Evaluation by CasADi."""
-
-    is_compiled = False
-
-    def __init__(self, graphs: G) -> None:
-        self.graphs = graphs
-
-    def __call__(self, graph: Graph, states: Array, slope: float = 1.0) -> Array:
-        if not states.shape[1]:
-            return np.empty((graph.function.numel_out(0), 0))
-        results = np.zeros((graph.function.size1_in(1), states.shape[1]))
-        row = 0
-        for lookup, argument in zip(graph.lookups, graph.arguments, strict=True):
-            (at,) = evaluate(argument, states, results)
-            (values,) = evaluate(lookup.function, at)
-            if slope != 1.0:
-                values[3:] *= slope
-            results[row : row + len(values)] = values
-            row += len(values)
-        return evaluate(graph.function, states, results)[0]
-
-    def advance(self, *_: Any) -> None:
-        """Return None: there are no compiled steps."""
-
-    def drive(self, *_: Any) -> bool:
-        """Return False: there are no compiled steps."""
-        return False
-
-
-class _Compiled(Generic[G]):
+class _Compiled(EvaluatorOf[G]):
     """Evaluation by a compiled library."""
 
     is_compiled = True
 
     def __init__(self, graphs: G, source: _Source, loaded: ctypes.CDLL) -> None:
-        self.graphs = graphs
+        super().__init__(graphs)
         self._functions = {name: getattr(loaded, name) for name in source.names}
         self._steps = loaded if source.has_steps else None
         self._constants = np.array([*source.constants, 0.0])
@@ -199,7 +162,7 @@ class _Compiled(Generic[G]):
             )
         )
 
-    def __call__(self, graph: Graph, states: Array, slope: float = 1.0) -> Array:
+    def __call__(self, graph: Graph, states: Array) -> Array:
         count, states = states.shape[1], np.ascontiguousarray(states)
         results = np.empty((graph.function.numel_out(0), count))
         self._functions[graph.name](
@@ -209,42 +172,8 @@ class _Compiled(Generic[G]):
             ctypes.c_void_p(results.ctypes.data),
             ctypes.c_void_p(self._constants.ctypes.data),
             self._cells,
-            ctypes.c_double(slope),
         )
         return results
-
-    def advance(
-        self,
-        states: Array,
-        rates: Array,
-        h: Array,
-        count: Indices,
-        bounds: tuple[float, float],
-    ) -> tuple[Array, Mask] | None:
-        """Return the states after steps, and which lanes are solved, as `motion.advance`.
-
-        ``bounds`` are the largest correction and error. The result is None for a model whose rates
-        need iterations.
-        """
-        if self._steps is None:
-            return None
-        n = states.shape[1]
-        states, rates, h, counts = (
-            np.ascontiguousarray(each, dtype=float) for each in (states, rates, h, count)
-        )
-        results = np.empty((len(states) + 1, n))
-        self._in_blocks(
-            self._steps.advance,
-            n,
-            ctypes.c_void_p(states.ctypes.data),
-            ctypes.c_long(states.strides[0] // 8),
-            ctypes.c_void_p(rates.ctypes.data),
-            ctypes.c_void_p(h.ctypes.data),
-            ctypes.c_void_p(counts.ctypes.data),
-            *(ctypes.c_double(each) for each in bounds),
-            ctypes.c_void_p(results.ctypes.data),
-        )
-        return results[:-1], results[-1] > 0
 
     def drive(
         self,
@@ -259,7 +188,7 @@ class _Compiled(Generic[G]):
         """Fill in the results of motions as `motion._drive_plainly`; return whether there is code.
 
         It is not for a model whose rates need iterations. Lanes of a vector are neighbours in
-        ``order``.
+        ``order``. Signals are served between blocks of lanes.
         """
         if self._steps is None:
             return False
@@ -267,26 +196,21 @@ class _Compiled(Generic[G]):
             np.ascontiguousarray(each, dtype=float) for each in (states, inputs, t)
         )
         order = np.ascontiguousarray(order, dtype=ctypes.c_long)
-        self._in_blocks(
-            self._steps.drive,
-            states.shape[1],
-            ctypes.c_void_p(order.ctypes.data),
-            ctypes.c_void_p(states.ctypes.data),
-            ctypes.c_void_p(inputs.ctypes.data),
-            ctypes.c_long(t.size),
+        arguments = (
+            *(ctypes.c_void_p(each.ctypes.data) for each in (order, states, inputs)),
+            ctypes.c_long(len(t)),
             ctypes.c_void_p(t.ctypes.data),
             ctypes.c_long(kept),
             *(ctypes.c_double(each) for each in numbers),
             *(ctypes.c_void_p(each.ctypes.data) for each in results),
+            ctypes.c_void_p(self._constants.ctypes.data),
+            self._cells,
         )
-        return True
-
-    def _in_blocks(self, function: Any, n: int, *arguments: Any) -> None:
-        """Call a compiled function for blocks of lanes; signals are served between the calls."""
-        constants = ctypes.c_void_p(self._constants.ctypes.data)
+        n = states.shape[1]
         for begin in range(0, n, BLOCK):
             lanes = (ctypes.c_long(each) for each in (begin, min(begin + BLOCK, n), n))
-            function(*lanes, *arguments, constants, self._cells)
+            self._steps.drive(*lanes, *arguments)
+        return True
 
 
 class _Cells(ctypes.Structure):
@@ -394,23 +318,21 @@ class _Source(CodeWriter):
                 self.cells.append(lookup.cells)
             lines.append(f"q_{graph.name}_{k}(a, found, q, K);")
             lines.append(f"look(cells + {index}, q[0], q[1], found + {row});")
-            if_sloped = f"for (int k = 3; k < 18; k++) found[{row} + k] *= splat(slope);"
-            lines.append(f"if (slope != 1.0) {if_sloped}")
             row += lookup.found.numel()
         n_in, n_out = graph.function.numel_in(0), max(1, graph.function.numel_out(0))
         body = "\n  ".join(lines)
         return "\n".join(functions) + (
             f"\nstatic void eval_{graph.name}(const vd *a, vd *r, const double *K, "
-            "const Cells *cells, double slope) {\n"
+            "const Cells *cells) {\n"
             f"  vd found[{max(1, row)}], q[3];\n"
             f"  {body}\n"
             f"  f_{graph.name}(a, found, r, K);\n}}\n"
             f"\nvoid {graph.name}(long n, const double *in, long stride, double *out, "
-            "const double *K, const Cells *cells, double slope) {\n"
+            "const double *K, const Cells *cells) {\n"
             f"  vd a[{n_in}], r[{n_out}];\n"
             "  for (long g = 0; g < n; g += LANES) {\n"
             f"    for (int k = 0; k < {n_in}; k++) a[k] = load(in + k * stride + g, n - g);\n"
-            f"    eval_{graph.name}(a, r, K, cells, slope);\n"
+            f"    eval_{graph.name}(a, r, K, cells);\n"
             f"    for (int k = 0; k < {graph.function.numel_out(0)}; k++) "
             "store(out + k * n + g, r[k], n - g);\n"
             "  }\n}\n"

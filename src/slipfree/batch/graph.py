@@ -96,10 +96,9 @@ class Graphs(NamedTuple):
     linear: bool  # whether the rates are the solution of linear equations
 
     @property
-    def places(self) -> tuple[int, int, int]:
+    def places(self) -> list[int]:
         """Rows of ``x``, ``y`` and ``heading``."""
-        names = [label.full for label in leaves(self.dae.labels.x)]
-        return names.index("x"), names.index("y"), names.index("heading")
+        return self.dae.state_rows("x", "y", "heading")
 
     @property
     def stages(self) -> tuple[float, ...]:
@@ -211,8 +210,7 @@ def _moved(
     k = leading.numel()
     drift = ca.jtimes(closure, ca.vertcat(x, p[:k]), ca.vertcat(ode, leading))
     follow = ca.vertcat(leading, -eliminate(jacobian[:, k:], drift))
-    names = [label.full for label in leaves(dae.labels.x)]
-    v_x, v_y, turn = (ode[names.index(name)] for name in ("x", "y", "heading"))
+    v_x, v_y, turn = (ode[k] for k in dae.state_rows("x", "y", "heading"))
     # a contact may be much faster than the platform, as under a wheel that is almost flat
     places = [k for k, label in enumerate(leaves(dae.labels.z[0])) if label.name == "contact_x"]
     fast = [ca.hypot(follow[k], follow[k + 1]) for k in places]
@@ -333,8 +331,7 @@ def _sampled_states(dae: Dae, state: ca.SX, rows: StateRows) -> Array:
         [x, ca.vertcat(*(each.symbol for each in dae.p))],
         [ca.densify(dae.guess), ca.densify(dae.rest)],
     )
-    for k, each in enumerate(dae.p):
-        samples[rows.c.start + k] = each.value
+    samples[rows.c] = np.reshape([each.value for each in dae.p], (-1, 1))
     _, rest = evaluate(guess, samples[rows.x], samples[rows.c])
     relaxing = slice(rows.x.stop - dae.rest.numel(), rows.x.stop)
     samples[relaxing] = rest + TILT_SPREAD * samples[relaxing]  # most wheels bear load

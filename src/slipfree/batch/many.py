@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from slipfree.batch.evaluator import Evaluator, evaluator_of
@@ -23,8 +24,9 @@ from slipfree.batch.motion import (
     solve_forces,
 )
 from slipfree.core.arguments import BY_NAME, checked
-from slipfree.core.dae import Dae
+from slipfree.core.dae import Dae, WheelCheck, invalid_start
 from slipfree.core.errors import ModelError, require
+from slipfree.core.evaluation import evaluate as evaluate_at
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Indices, Label, Mask, leaves
 from slipfree.core.trajectory import WHEELS, Column, Trajectory
@@ -37,12 +39,16 @@ if TYPE_CHECKING:
 CHUNK = 1016
 LARGEST = 2**22  # numbers in the samples of lanes computed together
 STEP, RELAXING_STEP = 0.5, 0.05  # default length of a step [size of the vehicle]
-PLAIN_STEPS = 8  # steps of Newton's method without bound
-BOUNDED_STEPS = 40  # steps of bounded length
-MAX_LENGTH = 4.0  # length of a bounded step, as the sum of the changes of positions [typical sizes]
-RAMP_STEPS = 8  # steps in which the slopes of the ground grow to their values
+PLAIN_STEPS = 8  # steps of Newton's method from the guess of the model
+LOWERING_STEPS = 40  # steps of a vehicle that is lowered onto the ground
+CONTACT_STEPS = 5  # Newton steps between two searches for deeper points
+DAMPED = 12  # number of such steps after which they are limited more and more
+MAX_LENGTH = 4.0  # length of a step, as the sum of the changes of positions [typical sizes]
+CONTACT = 1e-7  # gap of a wheel in contact [size]
+NEIGHBOUR = 0.02  # least distance of a deeper point that becomes the contact [size]
+# roll and pitch added to the poses from which vehicles are lowered, one after the other [rad]
+TILTS = ((0.0, 0.0), (0.1, 0.0), (-0.1, 0.0), (0.0, 0.1), (0.0, -0.1))
 CONVERGED = 1e-7  # last step of Newton's method, whose error is about its square [typical size]
-GATHER = 0.75  # the remaining lanes are gathered if their share falls below this
 FAILED = "failed"  # outcome without a pose
 NO_POSE = (
     "no pose was found at which all wheels touch the ground; choose another place, or a ground "
@@ -85,7 +91,7 @@ def settle_many(
     """Return the vehicle at rest at many positions.
 
     Each pose equals that of `settle`. On ground that is more concave than a wheel there may be
-    several, of which both find one.
+    several, of which both find one. Vehicles are lowered onto the ground from above.
 
     Parameters
     ----------
@@ -145,7 +151,26 @@ class _Poses(NamedTuple):
     reasons: list[str]
 
 
-def stand(evaluate: Evaluator, states: Array) -> Mask:
+class Rests(NamedTuple):
+    """Which of n vehicles stand, and which wheels of these touch the ground only at contacts."""
+
+    has_pose: Mask
+    is_clear: Mask  # only of vehicles whose pose does not relax after the search
+
+
+class Placement(NamedTuple):
+    """Equations of the positions of states, arrays with a row for each variable of n vehicles."""
+
+    dae: Dae
+    p: slice  # rows of the positions, the first block of the unknowns
+    # one Newton step of the positions of states: new positions, and the sum of their changes in
+    # typical sizes
+    step: Callable[[Array], tuple[Array, Array]]
+    # values of ``placing`` of each of the `wheel_checks` at states
+    placed: Callable[[Array], Sequence[Array]]
+
+
+def stand(evaluate: Evaluator, states: Array) -> Rests:
     """Let the vehicle stand at given states; return which poses were found."""
     graphs = evaluate.graphs
     count = graphs.dae.rest.numel()
@@ -154,73 +179,146 @@ def stand(evaluate: Evaluator, states: Array) -> Mask:
     with np.errstate(all="ignore"):
         first = evaluate(graphs.guess, states)[graphs.guess.parts[3]]
         states[graphs.rows.x.stop - count : graphs.rows.x.stop] = first
-        return solve_positions(evaluate, states) & relax(evaluate, states)
+        has_pose = solve_positions(evaluate, states).has_pose & relax(evaluate, states)
+        return Rests(has_pose, np.zeros_like(has_pose))
 
 
-def solve_positions(evaluate: Evaluator, states: Array) -> Mask:
-    """Solve the positions of states for the other rows; return which were found, shape (n,).
+def solve_positions(evaluate: Evaluator, states: Array) -> Rests:
+    """Solve the positions of states for the other rows by `find_rests`, from the model's guess."""
+    graphs, placing = evaluate.graphs, evaluate.graphs.placing
+    wheels = [graphs.checks.index(check) for check in wheel_checks(graphs.dae)]
 
-    Newton's method starts from the guess of the model. Where plain steps do not converge, steps of
-    bounded length follow, and then steps on a ground whose slopes grow from zero: either finds
-    poses on rough ground that the other misses.
-    """
-    graphs = evaluate.graphs
+    def step(states: Array) -> tuple[Array, Array]:
+        values = evaluate(graphs.place, states)
+        return values[graphs.place.parts[0]], values[graphs.place.parts[1]][0]
+
+    def placed(states: Array) -> list[Array]:
+        values = evaluate(placing, states)
+        return [values[placing.parts[k]] for k in wheels]
+
     with np.errstate(all="ignore"):
         guess = evaluate(graphs.guess, states)
         for rows, part in zip(graphs.rows.z, graphs.guess.parts[:3], strict=True):
             states[rows] = guess[part]
-        first = guess[graphs.guess.parts[0]]
-        solved = _newton(evaluate, states, PLAIN_STEPS, np.inf, 0)
-        for ramp in (0, RAMP_STEPS):
-            left = ~solved
-            if not left.any():
-                break
-            some = states[:, left]
-            some[graphs.rows.p] = first[:, left]
-            solved[left] = _newton(evaluate, some, BOUNDED_STEPS, MAX_LENGTH, ramp)
-            states[:, left] = some
-    return solved
+        return find_rests(Placement(graphs.dae, graphs.rows.p, step, placed), states)
 
 
-def _newton(evaluate: Evaluator, states: Array, count: int, longest: float, ramp: int) -> Mask:
-    """Correct the positions by at most ``count`` steps; return which steps converged."""
-    place, p = evaluate.graphs.place, evaluate.graphs.rows.p
-    solved, lanes = np.zeros(states.shape[1], dtype=bool), np.arange(states.shape[1])
-    part, done = states, solved.copy()
-    for k in range(count):
-        slope = min(1.0, (k + 1) / ramp) if ramp else 1.0
-        values = evaluate(place, part, slope)
-        new, change = values[place.parts[0]], values[place.parts[1]][0]
-        if np.isfinite(longest):
-            new = part[p] + (new - part[p]) * np.minimum(1.0, longest / change)
+def wheel_checks(dae: Dae) -> list[WheelCheck]:
+    """Return the checks of the wheels whose contacts are positions of a model."""
+    known = {label.wheel for label in leaves(dae.labels.z[:1]) if label.name == "contact_x"}
+    wheels = [check for check in dae.checks if isinstance(check, WheelCheck)]
+    return [check for check in wheels if check.label.wheel in known]
+
+
+def find_rests(placement: Placement, states: Array) -> Rests:
+    """Solve the positions of vehicles at rest from the first positions in their states.
+
+    Newton's method starts there. Where it fails, or a wheel is in the ground apart from its
+    contact, the vehicle is lowered onto the ground from several poses, one after the other. Poses
+    that penetrate the ground are kept only if no other pose was found. The positions of a vehicle
+    that does not stand are those of the last step.
+    """
+    p, first = placement.p, states[placement.p].copy()
+    wheels = wheel_checks(placement.dae)
+    rows = {label.full: p.start + k for k, label in enumerate(leaves(placement.dae.labels.z[0]))}
+    angles = [rows[name] for name in ("roll", "pitch") if name in rows]
+    has_pose = _newton(placement, states, PLAIN_STEPS, np.inf)
+    is_clear = _clear(placement, wheels, states, has_pose)
+    for attempt, tilt in enumerate(TILTS if wheels and angles else TILTS[:1]):
+        lanes = np.flatnonzero(~is_clear)
+        if not lanes.size:
+            break
+        # lowered from the worst penetration of a pose in the ground, else from the guess
+        part, is_kept = states[:, lanes], has_pose[lanes] & (attempt == 0)
+        part[p] = np.where(is_kept, part[p], first[:, lanes])
+        part[angles] += np.reshape(tilt[: len(angles)], (-1, 1))
+        rests = _lower(placement, wheels, rows, part)
+        is_better = rests.is_clear | ~has_pose[lanes]
+        states[:, lanes[is_better]] = part[:, is_better]
+        has_pose[lanes] |= rests.has_pose
+        is_clear[lanes] = rests.is_clear
+    return Rests(has_pose, is_clear)
+
+
+def _lower(
+    placement: Placement, wheels: list[WheelCheck], rows: Mapping[str, int], states: Array
+) -> Rests:
+    """Lower vehicles onto the ground.
+
+    Each wheel has one contact, the point of its tread that is deepest in the ground. Newton steps
+    put the contacts on the ground; a contact leaves when another point of the wheel is deeper.
+    Wheels without a check keep their contacts.
+    """
+    size = placement.dae.size
+    contacts = [[rows[f"contact_{a}[{check.label.wheel}]"] for a in "xy"] for check in wheels]
+    has_pose, is_clear = np.zeros((2, states.shape[1]), dtype=bool)
+    for k in range(LOWERING_STEPS):
+        lanes = np.flatnonzero(~is_clear)
+        part = states[:, lanes]
+        deepest = [c.deepest(at) for c, at in zip(wheels, placement.placed(part), strict=True)]
+        if k == 0 and wheels and "z" in rows:
+            part[rows["z"]] -= np.min([gap for gap, _ in deepest], axis=0)
+        for contact, (gap, foot) in zip(contacts, deepest, strict=True):
+            is_apart = np.hypot(*(foot - part[contact])) > NEIGHBOUR * size
+            is_moved = (np.abs(gap) > CONTACT * size) & (is_apart | (k == 0))
+            part[contact] = np.where(is_moved, foot, part[contact])
+        longest = MAX_LENGTH * min(1.0, DAMPED / (k + 1))
+        has_pose[lanes] = _newton(placement, part, CONTACT_STEPS, longest)
+        is_clear[lanes] = _clear(placement, wheels, part, has_pose[lanes])
+        states[:, lanes] = part
+        if is_clear.all():
+            break
+    return Rests(has_pose, is_clear)
+
+
+def _clear(placement: Placement, wheels: list[WheelCheck], states: Array, has_pose: Mask) -> Mask:
+    """Return which vehicles with a pose touch the ground only at their contacts."""
+    is_clear = has_pose.copy()
+    if wheels and has_pose.any():
+        placed = placement.placed(states if has_pose.all() else states[:, has_pose])
+        margins = [c.margin_at(each) for c, each in zip(wheels, placed, strict=True)]
+        is_clear[has_pose] = np.min(margins, axis=0) >= 0
+    return is_clear
+
+
+def _newton(placement: Placement, states: Array, count: int, longest: float) -> Mask:
+    """Correct the positions by Newton steps of limited length; return which converged."""
+    p, done = placement.p, np.zeros(states.shape[1], dtype=bool)
+    for _ in range(count):
         # a lane that is done keeps its result, whatever the others need
-        part[p] = np.where(done, part[p], new)
-        done |= (change < CONVERGED) & (slope == 1.0)
-        if done.sum() > (1 - GATHER) * done.size or k == count - 1:
-            states[:, lanes], solved[lanes] = part, done
-            lanes, part, done = lanes[~done], part[:, ~done], done[~done]
-            if not lanes.size:
-                break
-    return solved
+        lanes: Any = np.flatnonzero(~done) if done.any() else slice(None)
+        if done.all():
+            break
+        part = states[:, lanes]
+        new, change = placement.step(part)
+        new = part[p] + (new - part[p]) * np.minimum(1.0, longest / change)
+        states[p, lanes] = np.where(np.isfinite(new).all(axis=0), new, part[p])
+        done[lanes] = change < CONVERGED
+    return done
 
 
-def stand_checked(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
-    """Return codes of the reasons why poses are not valid; ``solved`` are those that were found.
+def stand_checked(evaluate: Evaluator, states: Array, rests: Rests) -> Indices:
+    """Return codes of the reasons why poses are not valid.
 
     Codes are `COMPLETE`, `UNSOLVED` without a pose, the index of a violated limit, or, after the
     limits, that of a failed check. The states get positions, rates and forces.
     """
     graphs = evaluate.graphs
+    last = states[:, ~rests.has_pose]
     distances = solve_forces(evaluate, states)
-    codes = np.where(solved, COMPLETE, UNSOLVED)
-    beyond = solved & ~(margins(distances) >= 0)
+    states[:, ~rests.has_pose] = last  # of these, only the positions are of interest
+    codes = np.where(rests.has_pose, COMPLETE, UNSOLVED)
+    beyond = rests.has_pose & ~(margins(distances) >= 0)
     if beyond.any():
         worst = smallest(distances[:, beyond])
         codes[beyond] = np.array(graphs.bounds)[worst]
-    inside = codes == COMPLETE
-    clear = clearances(evaluate, states[:, inside])
-    failed = np.where(clear.min(axis=0) >= 0, COMPLETE, smallest(clear) + len(graphs.dae.limits))
-    codes[inside] = failed
+    inside, every = codes == COMPLETE, np.arange(len(graphs.checks))
+    others = every[[not isinstance(check, WheelCheck) for check in graphs.checks]]
+    for lanes, checks in ((inside & rests.is_clear, others), (inside & ~rests.is_clear, every)):
+        if checks.size and lanes.any():
+            clear = clearances(evaluate, states[:, lanes], checks)
+            failed = checks[smallest(clear)] + len(graphs.dae.limits)
+            codes[lanes] = np.where(clear.min(axis=0) >= 0, COMPLETE, failed)
     return codes
 
 
@@ -228,13 +326,32 @@ def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, Wanted]) ->
     graphs = evaluate.graphs
     codes = stand_checked(evaluate, states, stand(evaluate, states))
     outcomes, reasons = ["complete"] * codes.size, [""] * codes.size
-    for k in np.flatnonzero(codes != COMPLETE):
-        outcomes[k], reasons[k] = FAILED, NO_POSE
-        if codes[k] != UNSOLVED:
-            outcomes[k], reasons[k] = _end(graphs, int(codes[k]), states[:, k])
-    states[:, codes == UNSOLVED] = np.nan
+    for k in np.flatnonzero(codes >= 0):
+        outcomes[k], reasons[k] = _end(graphs, int(codes[k]), states[:, k])
+    if (failed := np.flatnonzero(codes == UNSOLVED)).size:
+        words = obstacles(graphs.dae, *columns_of(graphs, states[:, failed])[:2])
+        for k, reason in zip(failed, words, strict=True):
+            outcomes[k], reasons[k] = FAILED, reason
+        states[:, failed] = np.nan
     values = _values(evaluate, sources, states[None])
     return _Poses({n: v[:, 0] for n, v in values.items()}, outcomes, reasons)
+
+
+def obstacles(dae: Dae, x: Array, z: Array) -> list[str]:
+    """Return why vehicles do not stand: a limit that their last positions violate, if any."""
+    x_symbols, unknowns, inputs = dae.columns()
+    others = ca.vertcat(unknowns[dae.alg[0].numel() :], inputs, *(each.symbol for each in dae.p))
+    limits = [each for each in dae.limits if not ca.depends_on(each.expression, others)]
+    columns = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
+    function = dae.function("limits", [x_symbols, unknowns], [ca.densify(columns)])
+    messages = [NO_POSE] * x.shape[1]
+    for k, values in enumerate(evaluate_at(function, x, z)[0].T):
+        for limit, value in zip(limits, values, strict=True):
+            if limit.violated_by(value, dae.size_of(limit.label)):
+                words = limit.message(value, x[:, k], z[:, k])
+                messages[k] = f"no pose was found: {words}; choose another place"
+                break
+    return messages
 
 
 def _pose_dataset(sources: Mapping[str, Wanted], parts: Sequence[_Poses]) -> xarray.Dataset:
@@ -290,14 +407,11 @@ def states_of(graphs: Graphs, run: Trajectory) -> Array:
 
 def assemble_state(graphs: Graphs, x: Array, z: Array, q: Array) -> Array:
     """Return a state, shape (n_rows,), from local states, unknowns and all quadratures."""
-    rows = graphs.rows
-    state = np.zeros(rows.t.stop)
+    rows, state = graphs.rows, start_states(graphs, {})[:, 0]
     state[rows.x], state[rows.q] = x, q[list(graphs.quadratures)]
     edges = np.cumsum([part.stop - part.start for part in rows.z[:2]])
     for part, values in zip(rows.z, np.split(z, edges), strict=True):
         state[part] = values
-    state[rows.c] = [parameter.value for parameter in graphs.dae.p]
-    state[rows.stage] = graphs.stages[-1:]
     return state
 
 
@@ -358,7 +472,7 @@ def _run(
     """Return the motions of many lanes, with an outcome and a reason for each."""
     graphs = evaluate.graphs
     n = states.shape[1]
-    has_pose = np.ones(n, dtype=bool) if placed else stand(evaluate, states)
+    has_pose = np.ones(n, dtype=bool) if placed else stand(evaluate, states).has_pose
     states[graphs.rows.p, ~has_pose] = np.nan
     motions = integrate_lanes(evaluate, states, inputs, t, step)
     outcomes, reasons = ["complete"] * n, [""] * n
@@ -367,18 +481,11 @@ def _run(
         outcomes[k], reasons[k] = FAILED, NO_POSE
     for k in np.flatnonzero(has_pose & (motions.reason == INVALID_START)):
         distances, state = motions.distances[:, k], motions.beyond[:, k]
+        code = graphs.bounds[int(smallest(distances[:, None])[0])] if distances.size else 0
         if margins(distances) >= 0:
-            failed = int(clearances(evaluate, state[:, None])[:, 0].argmin())
-            words = _check_end(graphs, failed, state)[1]
-        else:
-            words = _limit_end(graphs, graphs.bounds[int(smallest(distances[:, None])[0])], state)[
-                1
-            ]
-        outcomes[k] = FAILED
-        reasons[k] = (
-            "start: expected a sample within the limits of the model, found a violation: "
-            f"{words}; choose another start or other inputs"
-        )
+            code = len(graphs.dae.limits) + int(clearances(evaluate, state[:, None])[:, 0].argmin())
+        words = _end(graphs, code, state)[1]
+        outcomes[k], reasons[k] = FAILED, str(invalid_start(words))
     for k in np.flatnonzero(has_pose & (motions.reason == TOO_FAST)):
         outcomes[k] = Outcome.SOLVER_FAILURE.name.lower()
         reasons[k] = (
@@ -397,26 +504,15 @@ def _run(
 
 def _end(graphs: Graphs, code: int, state: Array) -> tuple[str, str]:
     """Return outcome and message of a violated limit or, after the limits, of a failed check."""
-    count = len(graphs.dae.limits)
-    if code < count:
-        return _limit_end(graphs, code, state)
-    return _check_end(graphs, code - count, state)
-
-
-def _limit_end(graphs: Graphs, index: int, state: Array) -> tuple[str, str]:
-    """Return outcome and message of the end of a motion at a limit."""
-    limit, dae = graphs.dae.limits[index], graphs.dae
-    x, z, u = columns_of(graphs, state)
+    dae, (x, z, u) = graphs.dae, columns_of(graphs, state)
+    if code >= len(dae.limits):
+        return Outcome.LIMIT.name.lower(), dae.checks[code - len(dae.limits)].describe(x, z)
+    limit = dae.limits[code]
     symbols = [dae.t, *dae.columns(), *(each.symbol for each in dae.p)]
     value = dae.function("value", symbols, [limit.expression])(
         state[graphs.rows.t], x, z, u, *state[graphs.rows.c]
     )
     return limit.outcome.name.lower(), limit.message(float(value), x, z)
-
-
-def _check_end(graphs: Graphs, index: int, state: Array) -> tuple[str, str]:
-    x, z, _ = columns_of(graphs, state)
-    return Outcome.LIMIT.name.lower(), graphs.dae.checks[index].describe(x, z)
 
 
 def columns_of(graphs: Graphs, states: Array) -> tuple[Array, Array, Array]:

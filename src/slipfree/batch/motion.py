@@ -11,7 +11,6 @@ not depend on the other lanes.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,10 +78,9 @@ class Candidates(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """States, rates and lengths [s] of the last steps of lanes."""
+    """States at the begin and lengths [s] of the last steps of lanes."""
 
     states: Array
-    rates: Array
     h: Array
 
     def of(self, lanes: Mask) -> _Step:
@@ -105,6 +103,10 @@ class _Numbers(NamedTuple):
     shortest: float = 0.0
     change: float = MAX_CHANGE
     error: float = MAX_ERROR
+
+
+# steps of given numbers, without limits
+GIVEN = _Numbers(np.inf, np.inf, 0, 1, estimated=False, rounding=np.inf, repeats=-1)
 
 
 class _Course(NamedTuple):
@@ -187,9 +189,9 @@ def _integrate(
         numbers = numbers._replace(graded=GRADED, shortest=LAST_SHARE * dae.relaxation_time)
     run = _drive(evaluate, states, inputs, t, numbers, rows.t.stop)
     samples, reached = run.samples[:, : rows.t.stop], run.reached
-    lanes, kept = np.arange(reached.size), np.maximum(reached, 0)
+    lanes = np.arange(reached.size)
     if is_stiff:
-        errors = _errors_by_halving(evaluate, states, inputs, t, numbers, run)
+        errors = _errors_by_halving(evaluate, states, inputs, t, run)
     ends = _Ends(evaluate, t, run, certify=certify)
     started = reached >= 0
     ends.reason[~started & (run.reason >= 0)] = INVALID_START
@@ -206,12 +208,11 @@ def _integrate(
 
 
 def _errors_by_halving(
-    evaluate: Evaluator, states: Array, inputs: Array, t: Array, numbers: _Numbers, run: _Course
+    evaluate: Evaluator, states: Array, inputs: Array, t: Array, run: _Course
 ) -> Array:
     """Return the errors of ``x`` at the last samples from motions with half the step."""
     x, lanes, reached = evaluate.graphs.rows.x, np.arange(states.shape[1]), run.reached
-    halved = numbers._replace(tries=0, estimated=False, rounding=np.inf, repeats=-1, graded=0)
-    finer = _drive(evaluate, states, inputs, t, halved, x.stop, 2 * run.counts)
+    finer = _drive(evaluate, states, inputs, t, GIVEN, x.stop, 2 * run.counts)
     kept = np.maximum(reached, 0)
     apart = (run.samples[:, x] - finer.samples)[kept, :, lanes].T
     return apart / (1 - 0.5 ** (ORDER if evaluate.graphs.dae.lag is None else RELAXING_ORDER))
@@ -228,16 +229,18 @@ def _drive(
 ) -> _Course:
     """Integrate lanes by compiled code, or by `_drive_plainly`.
 
-    ``kept`` is the number of rows of the samples. Numbers of steps may be given.
+    ``kept`` is the number of rows of the samples. Times have the shape (m,), or (m, n) for lanes
+    with times of their own. Numbers of steps may be given.
     """
     rows, n = evaluate.graphs.rows, states.shape[1]
+    t = np.broadcast_to(t.reshape(len(t), -1), (len(t), n))
     errors = rows.x.stop if numbers.estimated else 0
-    samples = np.full((t.size, kept + errors, n), np.nan)
-    counts = np.zeros((t.size - 1, n)) if counts is None else counts
-    sizes = np.cumsum([1, 1, rows.t.stop, rows.t.stop, rows.q.stop])
+    samples = np.full((len(t), kept + errors, n), np.nan)
+    counts = np.zeros((len(t) - 1, n)) if counts is None else counts
+    sizes = np.cumsum([1, 1, rows.t.stop, rows.t.stop])
     out = np.empty((sizes[-1] + 1, n))
-    end, reason, beyond, *last = np.split(out, sizes)
-    run = _Course(samples, counts, end[0], reason[0], beyond, _Step(last[0], last[1], last[2][0]))
+    end, reason, beyond, last, h = np.split(out, sizes)
+    run = _Course(samples, counts, end[0], reason[0], beyond, _Step(last, h[0]))
     # lanes of a vector take as many steps as the slowest one
     order = np.argsort(np.abs(inputs).sum(axis=(0, 1)), kind="stable")
     if not evaluate.drive(states, inputs, t, kept, numbers, order, samples, counts, out):
@@ -261,8 +264,8 @@ def _drive_plainly(
     graded = int(numbers.graded)
     n, a, is_given = states.shape[1], states.copy(), numbers.tries == 0
     run.end[:], run.reason[:], run.beyond[:] = t[-1], COMPLETE, a
-    last.states[:], last.rates[:], last.h[:] = a, 0.0, 0.0
-    rates, slopes, means = np.zeros((3, rows.q.stop, n))
+    last.states[:], last.h[:] = a, 0.0
+    rates, slopes, before, means = np.zeros((4, rows.q.stop, n))
     sums, speed, number = np.zeros((rows.x.stop, n)), np.zeros(n), np.ones(n)
 
     def check(lanes: Indices) -> tuple[Indices, Indices]:
@@ -278,15 +281,16 @@ def _drive_plainly(
         return lanes[inside], lanes[~solved]
 
     for k, now in enumerate(t):  # from sample k - 1 to sample k
-        span, left = now - t[k - 1] if k else 0.0, np.flatnonzero(run.reason == COMPLETE)
+        since, left = t[max(k - 1, 0)], np.flatnonzero(run.reason == COMPLETE)
         halves = 2.0**graded - 1  # sum of the lengths of graded steps, in those of the last one
-        shortest = min(numbers.shortest, span / 2 / max(halves, 1))
+        span = now - since
+        shortest = np.minimum(numbers.shortest, span / (2 * max(halves, 1)))
         if k:
             needed = speed * span / numbers.step
             number = np.clip(np.ceil(needed - 1e-9), 1, numbers.longest)
             number = run.counts[k - 1].copy() if is_given else number
             fast = left[(number == 0 if is_given else ~(needed <= numbers.fastest))[left]]
-            run.reason[fast], run.end[fast] = TOO_FAST, t[k - 1]
+            run.reason[fast], run.end[fast] = TOO_FAST, since[fast]
             left = np.setdiff1d(left, fast)
         first = a.copy(), rates.copy(), sums.copy()
         for _ in range(int(numbers.tries) if k and not is_given else 1):
@@ -302,10 +306,10 @@ def _drive_plainly(
             # steps of equal length, then graded ones, each half as long as the one before
             for taken in range(1, int(number[going].max(initial=0)) + graded + 1 if k else 1):
                 past = np.maximum(taken - number[going], 0)
-                equal = (span - halves * shortest) / number[going]
-                h = np.where(past > 0, shortest * 2.0 ** (graded - past), equal)
+                equal = (span - halves * shortest)[going] / number[going]
+                h = np.where(past > 0, shortest[going] * 2.0 ** (graded - past), equal)
                 some, slope = a[:, going], slopes[:, going]
-                last.states[:, going], last.rates[:, going], last.h[going] = some, slope, h
+                last.states[:, going], before[:, going], last.h[going] = some, slope, h
                 a[:, going], solved, means[:, going] = _stepped(evaluate, some, slope, h)
                 lost.append(going[~solved])
                 is_last = number[going] + graded <= taken
@@ -316,21 +320,21 @@ def _drive_plainly(
                 if numbers.estimated:  # with the inputs of this interval
                     slopes[:, here] = derivatives(evaluate, a[:, here])[0]
                     which = np.concatenate([going, here])
-                    ends = a[:, which], slopes[:, which]
+                    parts = (each[:, which] for each in (before, means, a, slopes))
                     step = _Step(*(each[..., which] for each in last))
-                    sums[:, which] += _step_errors(evaluate, step, means[:, which], *ends)
+                    sums[:, which] += _step_errors(evaluate, step, *parts)
                 if not going.size:
                     break
             there = np.concatenate(arrived)
-            a[rows.t, there] = now
-            if k < t.size - 1:
+            a[rows.t, there] = now[there]
+            if k < len(t) - 1:
                 a[rows.u, there] = inputs[:, k, there]
             there, unsolved = check(there)
             rates[:, there] = slopes[:, there]
             # lanes with a failed step repeat the whole interval with shorter steps
             left = np.concatenate([*lost, unsolved])
             number[left] *= numbers.finer
-        run.end[left], run.reason[left] = t[max(k - 1, 0)], UNSOLVED
+        run.end[left], run.reason[left] = since[left], UNSOLVED
         alive = run.reason == COMPLETE
         run.samples[k, :kept, alive] = a[:kept, alive].T
         if numbers.estimated:
@@ -342,19 +346,21 @@ def _drive_plainly(
             run.samples[k, kept:, alive] = errors[:, alive].T
 
 
-def _step_errors(evaluate: Evaluator, step: _Step, mean: Array, end: Array, slope: Array) -> Array:
+def _step_errors(
+    evaluate: Evaluator, step: _Step, rates: Array, mean: Array, end: Array, slope: Array
+) -> Array:
     """Return the errors of steps: the integral of the defect on the cubic path by the 3/8 rule.
 
-    ``slope`` are the rates at the ends. The errors of ``x`` and ``y`` get the part that is due to
-    the error of the heading when the path is turned about its origin; at any later point the error
-    of the heading times its coordinates is to be subtracted.
+    ``rates`` and ``slope`` are those at the begins and ends. The errors of ``x`` and ``y`` get the
+    part that is due to the error of the heading when the path is turned about its origin; at any
+    later point the error of the heading times its coordinates is to be subtracted.
     """
     rows, h = evaluate.graphs.rows, step.h
     moving = slice(0, rows.q.stop)
-    errors = ((step.rates + slope) / 8 - mean)[rows.x]
+    errors = ((rates + slope) / 8 - mean)[rows.x]
     for c in (1 / 3, 2 / 3):
         at, d = step.states.copy(), 1 - c
-        parts = c * d**2 * step.rates, c**2 * (3 - 2 * c) * mean, -(c**2) * d * slope
+        parts = c * d**2 * rates, c**2 * (3 - 2 * c) * mean, -(c**2) * d * slope
         at[moving] += h * sum(parts)
         at[rows.t] += c * h
         errors += 0.375 * derivatives(evaluate, at)[0][rows.x]
@@ -399,8 +405,8 @@ class _Ends:
     def _interval(self, lanes: Indices, k: Any, time: Any) -> tuple[_Step, Indices]:
         """Return steps of lanes from sample ``k`` to a time, and their numbers."""
         states = self.run.samples[k, : self.rows.t.stop, lanes].T.copy()
-        rates, number = derivatives(self.evaluate, states)[0], self.run.counts[k, lanes].astype(int)
-        return _Step(states, rates, (time - states[self.rows.t][0]) / number), number
+        number = self.run.counts[k, lanes].astype(int)
+        return _Step(states, (time - states[self.rows.t][0]) / number), number
 
     def locate_limits(self, lanes: Indices) -> None:
         """Locate limits in the last steps of lanes; end at contacts that come before them."""
@@ -427,7 +433,7 @@ class _Ends:
             return
         step, number = self._interval(lanes, self.run.reached[lanes], time)
         for part in range(1, PARTS + 1):
-            at, _ = advance(self.evaluate, *step._replace(h=step.h * part / PARTS), number)
+            at = self._advanced(step._replace(h=step.h * part / PARTS), number)
             bad = ~(clearances(self.evaluate, at).min(axis=0) >= 0)
             self._end_at_checks(_of(bad, lanes), _of(bad, at), step.of(bad), _of(bad, number))
             lanes, number, step = _of(~bad, lanes), _of(~bad, number), step.of(~bad)
@@ -441,10 +447,12 @@ class _Ends:
         failed = smallest(clearances(self.evaluate, states))
         for check in np.unique(failed):
             chosen = failed == check
-            margin = partial(_clearance, self.evaluate, int(check))
-            low, high, lost = self._locate(
-                step.of(chosen), number[chosen], _of(chosen, states), margin
-            )
+
+            def margin(at: Array, _: Array, only: Indices = check[None]) -> Array:
+                return np.asarray(clearances(self.evaluate, at, only)[0])
+
+            at = _of(chosen, states)
+            low, high, lost = self._locate(step.of(chosen), number[chosen], at, margin)
             which, reason = lanes[chosen], check + len(self.evaluate.graphs.dae.limits)
             self.reason[which] = np.where(lost, LOST, reason)
             self._close(which, low, high)
@@ -454,6 +462,15 @@ class _Ends:
     def _close(self, lanes: Indices, last: Array, beyond: Array) -> None:
         self.end[lanes] = last[self.rows.t]
         self.beyond[:, lanes] = beyond
+
+    def _advanced(self, step: _Step, count: Indices) -> Array:
+        """Return the states after steps without limits, NaN where they are not solved."""
+        start = step.states[self.rows.t]
+        times = np.concatenate([start, start + step.h * count])
+        inputs, kept = step.states[self.rows.u][:, None], self.rows.t.stop
+        counts = count[None].astype(float)
+        run = _drive(self.evaluate, step.states, inputs, times, GIVEN, kept, counts)
+        return np.asarray(run.samples[1])
 
     def _locate(
         self, step: _Step, count: Indices, at: Array, margin: Callable[[Array, Array], Array]
@@ -478,21 +495,19 @@ class _Ends:
             share = (low + (high - low) * (share if k else 1.0))[wide]
             part = step.of(wide)
             part = part._replace(h=part.h * share)
-            states, solved = advance(self.evaluate, *part, count[wide])
+            states = self._advanced(part, count[wide])
             _, good, _, distances = _checked(self.evaluate, states)
-            value = np.where(solved & good, margin(states, margins(distances)), np.nan)
-            fine = value >= 0  # not for NaN
-            shares = np.full(high.shape, 0.0)
-            shares[wide] = share
-            values = np.full(high.shape, np.nan)
-            values[wide] = value
-            good = np.zeros(high.shape, dtype=bool)
-            good[wide] = fine
-            low, at_low = np.where(good, shares, low), np.where(good, values, at_low)
-            bad = wide & ~good
-            high, at_high = np.where(bad, shares, high), np.where(bad, values, at_high)
-            inside[:, good] = states[:, fine]
-            beyond[:, bad] = states[:, ~fine] if k else beyond[:, bad]
+            value = np.where(good, margin(states, margins(distances)), np.nan)
+            fine, lanes = value >= 0, np.flatnonzero(wide)  # not for NaN
+            before, after = lanes[fine], lanes[~fine]
+            low[before], at_low[before], inside[:, before] = (
+                share[fine],
+                value[fine],
+                states[:, fine],
+            )
+            high[after], at_high[after] = share[~fine], value[~fine]
+            if k:
+                beyond[:, after] = states[:, ~fine]
         return inside, beyond, np.isnan(at_high) & (low < 1)
 
 
@@ -511,18 +526,14 @@ def solve_forces(evaluate: Evaluator, states: Array) -> Array:
     The forces of a lane that is solved do not change, whatever the others need.
     """
     graph, rows = evaluate.graphs.checked, evaluate.graphs.rows
-    distances = np.empty((0, 0))
+    distances = np.empty((len(evaluate.graphs.bounds), states.shape[1]))
     lanes, part = np.arange(states.shape[1]), states
-    for k in range(FORCE_STEPS):
+    for _ in range(FORCE_STEPS):
         values = _iterated(evaluate, graph, part)
         _derivatives(evaluate, graph, values, part)
         change = np.abs(values[graph.parts[FORCES]] - part[rows.f]).sum(axis=0)
         part[rows.f] = values[graph.parts[FORCES]]
-        found = values[graph.parts[DISTANCES]]
-        if k:
-            states[:, lanes], distances[:, lanes] = part, found
-        else:
-            distances = found.copy()
+        states[:, lanes], distances[:, lanes] = part, values[graph.parts[DISTANCES]]
         moving = ~(change <= FORCE_CHANGE * np.abs(part[rows.f]).sum(axis=0))
         if not moving.any():
             break
@@ -556,8 +567,8 @@ def margins(distances: Array, rounding: float = LIMIT_ROUNDING) -> Array:
     return np.asarray(distances.min(axis=0, initial=np.inf) + rounding)
 
 
-def clearances(evaluate: Evaluator, states: Array, only: int | None = None) -> Array:
-    """Return the margins of the checks, or of one, (n_checks, n); infinite without checks.
+def clearances(evaluate: Evaluator, states: Array, only: Indices | None = None) -> Array:
+    """Return the margins of the checks, or of some, (n_checks, n); infinite without checks.
 
     The positions in the states are corrected to rounding first: a wheel that is a micrometre in the
     ground would touch it all around its contact.
@@ -573,12 +584,8 @@ def clearances(evaluate: Evaluator, states: Array, only: int | None = None) -> A
         moving[moving] = values[place.parts[1]][0] > POSITION_CHANGE
         if not moving.any():
             break
-    placed, chosen = evaluate(graph, states), range(len(checks)) if only is None else [only]
+    placed, chosen = evaluate(graph, states), range(len(checks)) if only is None else only
     return np.stack([checks[k].margin_at(placed[graph.parts[k]]) for k in chosen])
-
-
-def _clearance(evaluate: Evaluator, check: int, states: Array, _: Array) -> Array:
-    return np.asarray(clearances(evaluate, states, check)[0])
 
 
 def derivatives(evaluate: Evaluator, states: Array) -> tuple[Array, Mask, Array]:
@@ -633,28 +640,6 @@ def _derivatives(
     states[rows.p], states[rows.w] = values[p], values[w]
     good = (values[change][0] < MAX_CHANGE) & (values[error][0] <= MAX_ERROR)
     return values[rates], good, values[speed][0]
-
-
-def advance(
-    evaluate: Evaluator, states: Array, rates: Array, h: Array, count: Indices
-) -> tuple[Array, Mask]:
-    """Return the states after steps, and which are solved.
-
-    The positions of the result are predicted, not yet corrected. The compiled code does the same.
-    ``count`` are the numbers of steps of the lanes.
-    """
-    compiled = evaluate.advance(states, rates, h, count, (MAX_CHANGE, MAX_ERROR))
-    if compiled is not None:
-        return compiled
-    states, solved, _ = _stepped(evaluate, states, rates, h)
-    for k in range(1, count.max(initial=1)):
-        on_way = count > k
-        some = states[:, on_way]
-        rates, good, _ = derivatives(evaluate, some)
-        states[:, on_way], also_good, _ = _stepped(evaluate, some, rates, h[on_way])
-        solved[on_way] &= good & also_good
-        states[:, ~solved] = np.nan  # such a lane needs no more Newton steps
-    return states, solved
 
 
 def _stepped(

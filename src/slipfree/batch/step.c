@@ -28,13 +28,13 @@ static vl stepped(vd *s, const vd *a, const vd *k1, vd h, vd *mean, vd *r, doubl
   (void)k1; (void)mean; /* of another lag */
   memcpy(s, a, ROWS * sizeof *s);
   s[LAG] = half;
-  eval_motion(s, r, K, cells, 1.0);
+  eval_motion(s, r, K, cells);
   vl good = corrected(s, r, most, worst);
   memcpy(start, s, sizeof start);
   moved(s, start, r, half);
   s[TIME] = a[TIME] + half;
   memcpy(middle, s, sizeof middle);
-  eval_motion(s, r, K, cells, 1.0);
+  eval_motion(s, r, K, cells);
   good &= corrected(s, r, most, worst);
   moved(s, start, r, h);
   for (int i = FIRST_RELAXING; i < LAST_RELAXING; i++) s[i] = middle[i] + half * r[i];
@@ -49,12 +49,12 @@ static vl stepped(vd *s, const vd *a, const vd *k1, vd h, vd *mean, vd *r, doubl
   memcpy(s, a, ROWS * sizeof *s);
   moved(s, a, k1, SPLAT(0.5) * h);
   s[TIME] = a[TIME] + SPLAT(0.5) * h;
-  eval_motion(s, r, K, cells, 1.0);
+  eval_motion(s, r, K, cells);
   vl good = corrected(s, r, most, worst);
   memcpy(k2, r, sizeof k2);
   moved(s, a, k2, SPLAT(0.75) * h);
   s[TIME] = a[TIME] + SPLAT(0.75) * h;
-  eval_motion(s, r, K, cells, 1.0);
+  eval_motion(s, r, K, cells);
   good &= corrected(s, r, most, worst);
   for (int i = 0; i < MOVING; i++)
     mean[i] = (SPLAT(2.0) * k1[i] + SPLAT(3.0) * k2[i] + SPLAT(4.0) * r[i]) / SPLAT(9.0);
@@ -64,34 +64,6 @@ static vl stepped(vd *s, const vd *a, const vd *k1, vd h, vd *mean, vd *r, doubl
 }
 #endif
 
-void advance(long from, long to, long n, const double *in, long stride, const double *rates, const double *lengths,
-             const double *counts, double most, double worst, double *out, const double *K, const Cells *cells) {
-  vd a[ROWS], s[ROWS], r[RESULTS], k1[MOVING], mean[MOVING];
-  for (long g = from; g < to; g += LANES) {
-    vd h = load(lengths + g, n - g);
-    vl good = ~(vl)SPLAT(0.0);
-    for (int i = 0; i < ROWS; i++) a[i] = load(in + i * stride + g, n - g);
-    for (int i = 0; i < MOVING; i++) k1[i] = load(rates + i * n + g, n - g);
-    vd count = load(counts + g, n - g);
-    double steps = count[0];
-    for (int l = 1; l < LANES; l++) steps = fmax(steps, count[l]);
-    for (double step = 0; step < steps; step++) {
-      vl done = count <= splat(step);
-      memcpy(s, a, sizeof s);
-      if (step) {
-        eval_motion(s, r, K, cells, 1.0);
-        good &= corrected(s, r, most, worst) | done;
-        memcpy(k1, r, sizeof k1);
-        for (int i = 0; i < ROWS; i++) a[i] = pick(done, a[i], s[i]);
-      }
-      good &= stepped(s, a, k1, h, mean, r, most, worst, K, cells) | done;
-      for (int i = 0; i < ROWS; i++) a[i] = pick(done, a[i], s[i]);
-    }
-    for (int i = 0; i < ROWS; i++) store(out + i * n + g, a[i], n - g);
-    store(out + ROWS * n + g, truth(good), n - g);
-  }
-}
-
 /* Correct a state by the graph "checked": k is the derivative; return which lanes are solved.
  *
  * Forces near a limit may need further Newton steps; other lanes keep their values. If `repeats` is
@@ -99,8 +71,8 @@ void advance(long from, long to, long n, const double *in, long stride, const do
  */
 static vl checked_at(vd *a, vd *k, vd *r, double most, double worst, double repeats, const double *K, const Cells *cells) {
   vd more[CHECKED_RESULTS];
-  if (repeats < 0) eval_motion(a, r, K, cells, 1.0);
-  else eval_checked(a, r, K, cells, 1.0);
+  if (repeats < 0) eval_motion(a, r, K, cells);
+  else eval_checked(a, r, K, cells);
   vl good = corrected(a, r, most, worst);
   memcpy(k, r, MOVING * sizeof *k);
   if (repeats >= 0)
@@ -108,7 +80,7 @@ static vl checked_at(vd *a, vd *k, vd *r, double most, double worst, double repe
   for (double j = 0; j < repeats; j++) {
     vl rough = good & ~(r[DOUBT] <= SPLAT(0.0));
     if (!any(rough)) break;
-    eval_checked(a, more, K, cells, 1.0);
+    eval_checked(a, more, K, cells);
     for (int i = NEW_FORCES; i < CHECKED_RESULTS; i++) r[i] = pick(rough, more[i], r[i]);
     for (int i = 0; i < FORCES; i++) a[FIRST_FORCE + i] = r[NEW_FORCES + i];
   }
@@ -151,7 +123,7 @@ static void add_errors(const vd *a, const vd *k1, const vd *mean, const vd *end,
     for (int i = 0; i < MOVING; i++)
       z[i] = a[i] + h * (splat(c * d * d) * k1[i] + splat(c * c * (3 - 2 * c)) * mean[i] - splat(c * c * d) * k2[i]);
     z[TIME] = a[TIME] + splat(c) * h;
-    eval_motion(z, r, K, cells, 1.0);
+    eval_motion(z, r, K, cells);
     for (int i = 0; i < STATES; i++) e[i] = e[i] + SPLAT(0.375) * r[i];
   }
   for (int i = 0; i < STATES; i++) e[i] = h * e[i];
@@ -170,12 +142,12 @@ static inline void scatter(double *row, const long *order, vd r, long n) {
   for (int l = 0; l < LANES && l < n; l++) row[order[l]] = r[l];
 }
 
-/* Motions over m samples, as `_drive_plainly` of motion.py.
+/* Motions over m samples at times t (m, n), as `_drive_plainly` of motion.py.
  *
  * `samples` has the shape (m, width, n): `kept` rows of states, then estimated errors if wanted. `counts` (m - 1, n) are
  * the numbers of steps; they are given if `tries` is zero. They are followed by `graded` steps, each of half the length
  * of the one before, to `last`. `out` has the rows time and reason of the
- * ends, states there, states, rates and length of the last step.
+ * ends, states there, states and length of the last step.
  */
 void drive(long from, long to, long n, const long *order, const double *in, const double *inputs, long m,
            const double *t, long kept, double length, double longest, double tries, double finer, double estimated,
@@ -191,23 +163,24 @@ void drive(long from, long to, long n, const long *order, const double *in, cons
   for (long g = from; g < to; g += LANES) {
     const long *own = order + g;
     vl every = ~(vl)SPLAT(0.0), alive = every;
-    Ends ends = {splat(t[m - 1]), splat(COMPLETE)};
+    Ends ends = {gather(t + (m - 1) * n, own, n - g), splat(COMPLETE)};
     for (int i = 0; i < ROWS; i++) ends.beyond[i] = from_state[i] = b[i] = gather(in + i * n, own, n - g);
     for (int i = 0; i < STATES; i++) sums[i] = SPLAT(0.0);
     for (int i = 0; i < MOVING; i++) from_rates[i] = rates[i] = SPLAT(0.0);
     memcpy(a, b, sizeof a);
     for (long k = 0; k < m; k++) { /* from sample k - 1 to sample k */
-      double span = k ? t[k] - t[k - 1] : 0.0, halves = ldexp(1.0, (int)graded) - 1;
-      double shortest = fmin(last, span / 2 / fmax(halves, 1));
+      vd now = gather(t + k * n, own, n - g), before = gather(t + (k ? k - 1 : 0) * n, own, n - g), span = now - before;
+      double halves = ldexp(1.0, (int)graded) - 1;
+      vd shortest = vmin(splat(last), span / splat(2 * fmax(halves, 1)));
       vl open = alive;
       vd used = SPLAT(0.0);
       if (k) {
-        vd needed = speed * splat(span / length);
+        vd needed = speed * span / splat(length);
         count = given ? gather(counts + (k - 1) * n, own, n - g)
                       : vmin(vmax(vceil(needed - SPLAT(1e-9)), SPLAT(1.0)), splat(longest));
         vl fast = given ? count == SPLAT(0.0) : ~(needed <= splat(fastest));
         ends.reason = pick(open & fast, splat(TOO_FAST), ends.reason);
-        ends.time = pick(open & fast, splat(t[k - 1]), ends.time);
+        ends.time = pick(open & fast, before, ends.time);
         open &= ~fast;
       }
       memcpy(b, a, sizeof b);
@@ -225,8 +198,9 @@ void drive(long from, long to, long n, const long *order, const double *in, cons
         for (int i = 0; i < STATES; i++) sums[i] = pick(open, begun[i], sums[i]);
         vl arrived = k ? ~every : going;
         for (double step = 1; step <= steps && any(going); step++) {
-          vd next = splat(span - halves * shortest) / count;
-          for (int l = 0; l < LANES; l++) next[l] = step > count[l] ? ldexp(shortest, (int)(graded - step + count[l])) : next[l];
+          vd next = (span - splat(halves) * shortest) / count;
+          for (int l = 0; l < LANES; l++)
+            next[l] = step > count[l] ? ldexp(shortest[l], (int)(graded - step + count[l])) : next[l];
           h = pick(going, next, h);
           for (int i = 0; i < ROWS; i++) from_state[i] = pick(going, a[i], from_state[i]);
           for (int i = 0; i < MOVING; i++) from_rates[i] = pick(going, k1[i], from_rates[i]);
@@ -247,13 +221,13 @@ void drive(long from, long to, long n, const long *order, const double *in, cons
           }
           if (estimated && any(here)) { /* with the inputs of this interval */
             memcpy(s, a, sizeof s);
-            eval_motion(s, r, K, cells, 1.0);
+            eval_motion(s, r, K, cells);
             for (int i = 0; i < MOVING; i++) k1[i] = pick(here, r[i], k1[i]);
           }
           if (estimated) add_errors(from_state, from_rates, mean, a, k1, h, going | here, sums, K, cells);
         }
         memcpy(s, a, sizeof s);
-        s[TIME] = splat(t[k]);
+        s[TIME] = now;
         if (k < m - 1)
           for (int i = 0; i < INPUTS; i++) s[FIRST_INPUT + i] = gather(inputs + (i * (m - 1) + k) * n, own, n - g);
         vl solved = checked_at(s, k1, r, most, worst, repeats, K, cells);
@@ -266,7 +240,7 @@ void drive(long from, long to, long n, const long *order, const double *in, cons
         open = lost;
       }
       if (k && !given) scatter(counts + (k - 1) * n, own, used, n - g);
-      ends.time = pick(open, splat(t[k ? k - 1 : 0]), ends.time);
+      ends.time = pick(open, before, ends.time);
       ends.reason = pick(open, splat(UNSOLVED), ends.reason);
       alive = ends.reason == splat(COMPLETE);
       double *row = samples + k * width * n;
@@ -283,7 +257,6 @@ void drive(long from, long to, long n, const long *order, const double *in, cons
     scatter(row += n, own, ends.reason, n - g);
     for (int i = 0; i < ROWS; i++) scatter(row += n, own, ends.beyond[i], n - g);
     for (int i = 0; i < ROWS; i++) scatter(row += n, own, from_state[i], n - g);
-    for (int i = 0; i < MOVING; i++) scatter(row += n, own, from_rates[i], n - g);
     scatter(row += n, own, h, n - g);
   }
 }

@@ -35,6 +35,7 @@ from slipfree.vehicle.wheel import Wheel
 RIM_ANGLES = np.deg2rad(np.linspace(-180.0, 180.0, 121))  # about the axle, from the contact [rad]
 SPACING = np.deg2rad(3.0)  # distance of neighbouring points on the tread [rolling radii]
 CHUNK = 256  # number of samples evaluated together, which limits the memory
+NEAR = 0.1  # gaps below which minima are refined [rolling radius]
 TOLERANCE = 1e-7  # penetration that counts as contact [size]
 
 
@@ -68,17 +69,30 @@ class SecondContact:
         A penetration below `TOLERANCE` does not make a clearance negative. Where the curvature of
         the ground excludes a second contact, the clearance is infinite.
         """
-        return self.margin_at(evaluate(self.pose, x, z)[0])
+        return self._clearances(evaluate(self.pose, x, z)[0], np.inf)
 
     def margin_at(self, placed: Array) -> Array:
-        """Return the clearances of wheels at n values of ``placing``, (15, n), as `margin`."""
-        pose = np.split(placed, (3, 12))
+        """Return the clearances of wheels at n values of ``placing``, (15, n), or lower bounds.
+
+        Clearances above `NEAR` are not searched: only contacts matter here.
+        """
+        return self._clearances(placed, NEAR * self.wheel.radius)
+
+    def _clearances(self, placed: Array, most: float) -> Array:
+        """Return the clearances of wheels; at most ``most`` where a second contact is possible."""
         clearance = np.full(placed.shape[1], np.inf)
-        open_ = np.flatnonzero(~self._has_single_contact(*pose[:2]))
-        for k in range(0, open_.size, CHUNK):
-            part = open_[k : k + CHUNK]
-            clearance[part] = self._nearest(*(each[:, part] for each in pose))[0]
+        open_ = np.flatnonzero(~self._has_single_contact(*np.split(placed, (3, 12))[:2]))
+        touching = TOLERANCE * self.size
+        clearance[open_] = self._nearest(placed[:, open_], touching, most)[0] + touching
         return clearance
+
+    def deepest(self, placed: Array) -> tuple[Array, Array]:
+        """Return the smallest gaps at n values of ``placing``, with the contact, and their places.
+
+        The gaps are vertical, shape (n,) [m]; the places are local points x, y, shape (2, n) [m].
+        """
+        gaps, points = self._nearest(placed, -np.inf)
+        return gaps, points[:, :2].T
 
     def _has_single_contact(self, center: Array, rotation: Array) -> Mask:
         """Return at which samples the curvature of the ground excludes a second contact."""
@@ -94,23 +108,33 @@ class SecondContact:
     def describe(self, x: Array, z: Array) -> str:
         """Return a message that locates the second contact, in map coordinates."""
         placed = evaluate(self.pose, x[:, None], z[:, None])[0]
-        spot = self._nearest(*np.split(placed, (3, 12)))[1][0]
+        spot = self._nearest(placed, TOLERANCE * self.size)[1][0] + self.terrain.origin
         return (
             f"wheel {self.wheel.name} touches a second time at ({spot[0]:.3f}, {spot[1]:.3f}) m, "
             "apart from its contact point; fill hollows narrower than the wheel (terrain.rolled), "
             "or choose another path"
         )
 
-    def _nearest(self, center: Array, rotation: Array, normal: Array) -> tuple[Array, Array]:
-        middles, radii, spokes = self._tread(center, rotation, normal)
-        touching, near = TOLERANCE * self.size, self.wheel.radius / 10
+    def _nearest(self, placed: Array, touching: float, most: float = np.inf) -> tuple[Array, Array]:
+        """Return the smallest gaps apart from the contact or above a penetration, and the points.
+
+        Gaps are at most ``most``. The points of the tread are local, shape (n, 3) [m].
+        """
+        gaps, points = np.empty(placed.shape[1]), np.empty((placed.shape[1], 3))
         compiled = getattr(self.terrain, "smallest_gaps", None)
-        found = None if compiled is None else compiled(middles, radii, spokes, touching, near)
-        gaps, index = found or _smallest_gaps(self.terrain, middles, radii, spokes, touching, near)
-        rim, across = np.divmod(index, radii.shape[1])
-        rows = np.arange(index.size)
-        points = middles[rows, across] + radii[rows, across, None] * spokes[rows, rim]
-        return gaps + touching, points + self.terrain.origin
+        near = NEAR * self.wheel.radius
+        for k in range(0, gaps.size, CHUNK):
+            part = slice(k, k + CHUNK)
+            middles, radii, spokes = tread = self._tread(*np.split(placed[:, part], (3, 12)))
+            if compiled is None:
+                least, index = _smallest_gaps(self.terrain, *tread, touching, near)
+            else:
+                least, index = compiled(*tread, touching, near, most)
+            gaps[part] = np.minimum(least, most)
+            rim, across = np.divmod(index, radii.shape[1])
+            rows = np.arange(index.size)
+            points[part] = middles[rows, across] + radii[rows, across, None] * spokes[rows, rim]
+        return gaps, points
 
     def _tread(self, center: Array, rotation: Array, normal: Array) -> tuple[Array, Array, Array]:
         """Return points on the axles (n, section, 3) in local coordinates, radii, and spokes.

@@ -94,6 +94,14 @@ def limit_message(words: str, value: float, lower: float, upper: float, unit: st
     return f"{words}: {round(value, 6) + 0.0:.4g}, allowed {allowed}{unit}"
 
 
+def invalid_start(words: str) -> ModelError:
+    """Return the error of a start that violates a limit, check or equation, from its message."""
+    return ModelError(
+        f"start: expected a sample within the limits of the model, found a violation: {words}; "
+        "choose another start or other inputs"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class PiecewiseLinear:
     """An input that is linear in time on every interval between samples."""
@@ -152,6 +160,18 @@ class PlacedCheck(SampledCheck, Protocol):
 
     def margin_at(self, placed: Array) -> Array:
         """Return the margins, shape (n,), at n columns of values of ``placing``."""
+
+
+@runtime_checkable
+class WheelCheck(PlacedCheck, Protocol):
+    """A check of the contact of the wheel of its label, by which a vehicle is lowered to rest."""
+
+    @property
+    def pose(self) -> ca.Function:
+        """``placing`` as a function of states and unknowns."""
+
+    def deepest(self, placed: Array) -> tuple[Array, Array]:
+        """Return the smallest gaps to the ground, (n,), and their local x and y, (2, n) [m]."""
 
 
 class Standing(NamedTuple):

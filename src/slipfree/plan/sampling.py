@@ -25,7 +25,7 @@ import numpy as np
 
 from slipfree.batch.evaluator import Evaluator, EvaluatorOf, evaluator_of, evaluator_of_graphs
 from slipfree.batch.graph import Graph, graph_of
-from slipfree.batch.many import solve_positions
+from slipfree.batch.many import solve_positions, start_states
 from slipfree.batch.motion import (
     COMPLETE,
     UNSOLVED,
@@ -313,12 +313,9 @@ def _candidates(task: SamplingTask, mean: Array, number: int) -> Array:
 
 def _first_state(task: SamplingTask, x: Array) -> Array:
     """Return the rows of the vehicle at a state, shape (n_rows, 1)."""
-    rows = task.evaluate.graphs.rows
-    first = np.zeros((rows.t.stop, 1))
-    first[rows.x, 0] = task.model.local_state(x)
-    first[rows.c] = np.reshape([each.value for each in task.model.p], (-1, 1))
-    first[rows.stage] = np.reshape(task.evaluate.graphs.stages[-1:], (-1, 1))
-    if not solve_positions(task.evaluate, first).all():
+    first = start_states(task.evaluate.graphs, {})
+    first[task.evaluate.graphs.rows.x, 0] = task.model.local_state(x)
+    if not solve_positions(task.evaluate, first).has_pose.all():
         raise SolverError("sampling: no pose was found at this state; correct it")
     return first
 

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.polynomial import legendre
 
-from slipfree.core.dae import Dae
+from slipfree.core.dae import Dae, invalid_start
 from slipfree.core.errors import ModelError
 from slipfree.core.newton import solve_equations, solve_linear
 from slipfree.core.records import Array, Mask, Record, leaves
@@ -28,7 +28,7 @@ from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, complete_samples, linearize, to_trajectory
 from slipfree.solve.simulate import check_times
-from slipfree.solve.stops import first_violation, invalid_start
+from slipfree.solve.stops import first_violation
 from slipfree.solve.system import System, with_inputs
 from slipfree.system.forks import computing
 

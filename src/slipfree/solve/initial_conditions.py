@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from slipfree.core.dae import limit_message
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import dense, evaluate
 from slipfree.core.newton import ROUNDING, solve_equations, solve_linear
@@ -49,7 +48,7 @@ def solve_initial_conditions(
         if block.linear:
             # A step from zero gives the solution itself, so that it does not depend on the guess.
             z[block.span] = 0.0
-            residual, jacobian = _linearized(block, (t, x, z, u, block.stages[-1]))
+            residual, jacobian = linearized(block, (t, x, z, u, block.stages[-1]))
             size = system.dae.sizes.z[block.span]
             step = solve_linear((jacobian * size)[None], residual[None], WEAK_SINGULAR_VALUE)
             z[block.span] = -size * step[0]
@@ -92,7 +91,7 @@ def _solve_block(
 
     def equations(unknowns: Array, _: Any) -> tuple[Array, Array]:
         z[block.span] = unknowns[0]
-        residual, jacobian = _linearized(block, (t, x, z, u, continuation))
+        residual, jacobian = linearized(block, (t, x, z, u, continuation))
         return residual[None], jacobian[None]
 
     solution = solve_equations(
@@ -112,7 +111,7 @@ def _solve_block(
     return z
 
 
-def _linearized(block: Block, point: tuple[Any, ...]) -> tuple[Array, Array]:
+def linearized(block: Block, point: tuple[Any, ...]) -> tuple[Array, Array]:
     """Return the residual of a block, shape (m,), and its Jacobian, shape (m, m)."""
     residual, slopes = evaluate(block.newton, *(np.reshape(each, (-1, 1)) for each in point))
     return residual[:, 0], dense(slopes, block.newton.sparsity_out(1))[0]
@@ -149,17 +148,9 @@ def _failure_message(system: System, block: Block, point: tuple[Any, ...], first
         f"of {residual.max() * system.dae.size_of(worst):.2g} {worst.unit}"
     )
     for state in (first, z):
-        words = _violation_message(system, x, state, u)
-        if words:
-            return f"{message}; {words}; choose another start or initial guess"
+        _, values, _ = system.outputs(0.0, x, state, u)
+        for limit, value in zip(system.dae.limits, np.array(values).ravel(), strict=True):
+            if limit.violated_by(value, system.dae.size_of(limit.label)):
+                words = limit.message(value, x, state)
+                return f"{message}; {words}; choose another start or initial guess"
     return f"{message}; choose another start or initial guess"
-
-
-def _violation_message(system: System, x: Array, z: Array, u: Array) -> str:
-    _, values, _ = system.outputs(0.0, x, z, u)
-    for limit, value in zip(system.dae.limits, np.array(values).ravel(), strict=True):
-        if limit.violated_by(value, system.dae.size_of(limit.label)):
-            return limit_message(
-                limit.label.words, value, limit.lower, limit.upper, limit.label.unit
-            )
-    return ""

@@ -19,12 +19,11 @@ from slipfree.solve.sampling import (
     correct_samples,
     periodic_states,
     same_turn,
-    to_trajectory,
 )
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
-from slipfree.solve.stops import first_violation, invalid_start
-from slipfree.solve.system import System, with_inputs
+from slipfree.solve.stops import consistent_start
+from slipfree.solve.system import with_inputs
 
 MAX_EVALUATIONS = 50  # maximum number of evaluations per state to find
 TRIM_TOLERANCE = 1e-13  # relative change at which states count as found
@@ -39,7 +38,7 @@ def apply_inputs(
     Raises ModelError if the equations have no solution or do not determine the unknowns, or a limit
     is violated.
     """
-    return _consistent_start(
+    return consistent_start(
         with_inputs(dae, inputs, 0, options), dae.rows("x", start, -1), _known_unknowns(dae, start)
     )
 
@@ -65,17 +64,19 @@ def trim_states(
     """
     from scipy.optimize import least_squares  # imported where it is used: it takes 0.2 s
 
-    x_names = [label.full for label in leaves(dae.labels.x)]
     rows = [k for k, label in enumerate(leaves(dae.labels.y)) if label.name in least]
     found = {label.name for label in leaves(dae.labels.y)}
-    for argument, names, known in (("states", states, x_names), ("least", least, sorted(found))):
+    for argument, names, known in (
+        ("states", states, dae.state_names),
+        ("least", least, sorted(found)),
+    ):
         for name in names:
             if name not in known:
                 raise ModelError(
                     f"trim_states: {argument}: expected one of {', '.join(known)}, found {name!r}; "
                     "correct the name"
                 )
-    where = [x_names.index(name) for name in states]
+    where = dae.state_rows(*states)
     system = with_inputs(dae, inputs, 0, options)
     together, unknowns = ca.vertcat(*(list(leaves(dae.y))[k] for k in rows)), dae.columns()[1]
     needed = (ca.depends_on(together, unknowns[block.span]) for block in system.blocks)
@@ -99,7 +100,7 @@ def trim_states(
             gtol=TRIM_TOLERANCE,
         )
         x[where] = result.x
-    return _consistent_start(system, x, first)
+    return consistent_start(system, x, first)
 
 
 def _known_unknowns(dae: Dae, start: Trajectory) -> Array:
@@ -111,18 +112,6 @@ def _known_unknowns(dae: Dae, start: Trajectory) -> Array:
             for label, shift in pairs
         ]
     )
-
-
-def _consistent_start(system: System, x: Array, z: Array) -> Trajectory:
-    u = system.u[:, :1]
-    z = solve_initial_conditions(system, 0.0, x, z, u[:, 0])
-    still = np.zeros((system.dae.quad.numel(), 1))
-    start, report = correct_samples(system, Samples(np.zeros(1), x[:, None], z[:, None], still, u))
-    run = to_trajectory(system, start, report)
-    fault = first_violation(system, run, start)
-    if fault is not None:
-        raise invalid_start(fault[1].words)
-    return run
 
 
 def round_trip(
@@ -209,13 +198,10 @@ def replay(
             break
     motion = joined(*(part.part(slice(-1)) for part in parts[:-1]), parts[-1])
     n = motion.t.size if motion.stop is None else motion.t.size - 1
-    first, second = (
-        np.array([each.of(label)[:n] for label in leaves(dae.labels.x)]) for each in (motion, run)
-    )
+    first, second = (dae.rows("x", each, slice(n)) for each in (motion, run))
     periodic = periodic_states(dae, dae.rows("x", motion, 0))
     gaps = np.abs(same_turn(first, second, periodic) - second).max(axis=1, initial=0.0)
-    names = [label.full for label in leaves(dae.labels.x)]
-    return motion, dict(zip(names, gaps.tolist(), strict=True))
+    return motion, dict(zip(dae.state_names, gaps.tolist(), strict=True))
 
 
 def spline_inputs(

@@ -11,20 +11,25 @@ import casadi as ca
 import numpy as np
 from annotated_types import Ge
 
+from slipfree.batch.many import Placement, find_rests, obstacles, wheel_checks
 from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae, Standing
 from slipfree.core.errors import ModelError
+from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import check_order, needed_lookups
+from slipfree.core.newton import solve_linear
 from slipfree.core.outcome import ipopt_words
 from slipfree.core.rearrange import blocks, rearrange, variables
 from slipfree.core.records import Array, leaves, unpack
 from slipfree.core.schema import Finite
 from slipfree.core.trajectory import SolverError, Trajectory
-from slipfree.solve.initial_conditions import solve_initial_conditions
+from slipfree.solve.initial_conditions import (
+    WEAK_SINGULAR_VALUE,
+    linearized,
+)
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.sampling import Samples, correct_samples, to_trajectory
 from slipfree.solve.simulate import simulate
-from slipfree.solve.stops import first_violation, invalid_start
+from slipfree.solve.stops import consistent_start
 from slipfree.solve.system import with_inputs
 from slipfree.system.forks import computing
 from slipfree.system.interrupt import with_interrupt_guard
@@ -99,13 +104,12 @@ def _exact_pose(
     """Return the pose of a vehicle in exact contact by name, empty if there is no such pose."""
     if standing.guess is None:
         return {}
-    wanted = [label.full for label in leaves(standing.model.labels.x)]
-    names = [label.full for label in leaves(standing.guess.labels.x)]
+    wanted = set(standing.model.state_names) - {*standing.guess.state_names}
     try:
         run = settle(standing.guess, options=options, **start)
     except ModelError:  # a wrong start is reported by the model at rest
         return {}
-    return {name: float(run[name][0]) for name in wanted if name not in names}
+    return {name: float(run[name][0]) for name in wanted}
 
 
 def _moving_states(standing: Standing, run: Trajectory, speed: float) -> Array:
@@ -172,7 +176,7 @@ def _settle_by_relaxation(
     The relaxation starts from the guessed pose; the model's initial pose completes it. If that
     fails or the vehicle overturns, the relaxation starts from the model's initial pose.
     """
-    states, model = [label.full for label in leaves(dae.labels.x)], _relaxation_model(dae)
+    states, model = dae.state_names, _relaxation_model(dae)
     level = np.array(dae.function("rest", [dae.columns()[0]], [dae.rest])(x)).ravel()
     still, shift = x.size - level.size, dae.shift[0][x.size - level.size :]
     given = [(start | guess).get(name, np.nan) for name in states[still:]] - shift
@@ -213,7 +217,7 @@ def _relax(model: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
     rates = np.array(system.core(0.0, x, z[: system.motion_size], system.u[:, 0])[0]).ravel()
     rates /= system.dae.sizes.x
     if not np.abs(rates).max() < REST_RATE:
-        name = list(leaves(model.labels.x))[int(np.abs(rates).argmax())].full
+        name = model.state_names[int(np.abs(rates).argmax())]
         raise ModelError(
             f"no equilibrium was found at the start: after {RELAXATION_TIME:g} s of relaxation, "
             f"expected all rates below {REST_RATE:g} 1/s (lengths divided by the vehicle's size), "
@@ -223,17 +227,29 @@ def _relax(model: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
 
 
 def _one_sample(dae: Dae, x: Array, first: Array, options: SolverOptions) -> Trajectory:
+    """Return the vehicle at rest; wheels whose contacts are unknowns are lowered to the ground."""
     system = with_inputs(dae, dae.zero_inputs, 0, options)
-    z = solve_initial_conditions(system, 0.0, x, first, system.u[:, 0])
-    samples = Samples(
-        np.zeros(1), x[:, None], z[:, None], np.zeros((dae.quad.numel(), 1)), system.u
-    )
-    samples, report = correct_samples(system, samples)
-    run = to_trajectory(system, samples, report)
-    violation = first_violation(system, run, samples)
-    if violation is not None:
-        raise invalid_start(violation[1].words)
-    return run
+    n, wheels = x.size, wheel_checks(dae)
+    if not wheels:
+        return consistent_start(system, x, first)
+    block, p = system.blocks[0], slice(n, n + system.blocks[0].span.stop)
+
+    def step(states: Array) -> tuple[Array, Array]:
+        point = 0.0, states[:n], states[n:], system.u[:, 0], block.stages[-1]
+        residual, jacobian = linearized(block, point)
+        change = solve_linear(jacobian[None], residual[None], WEAK_SINGULAR_VALUE).T
+        lengths = np.abs(change / dae.scale[block.span, None]).sum(axis=0)
+        return states[p] - change, lengths
+
+    def placed(states: Array) -> list[Array]:
+        return [evaluate(check.pose, states[:n], states[n:])[0] for check in wheels]
+
+    states = np.concatenate([x, first])[:, None]
+    with np.errstate(all="ignore"):
+        rests = find_rests(Placement(dae, p, step, placed), states)
+    if not rests.has_pose[0]:
+        raise ModelError(obstacles(dae, states[:n], states[n:])[0])
+    return consistent_start(system, x, states[n:, 0])
 
 
 def first_guess(dae: Dae, x: Array, given: Mapping[str, float]) -> Array:
@@ -267,9 +283,7 @@ def settle_exchanged(
     ModelError is raised if a name is unknown, an unknown is given for two states, units differ, or
     the vehicle cannot stand there.
     """
-    names, pose = (
-        [label.full for label in leaves(record)] for record in (dae.labels.x, dae.labels.z[0])
-    )
+    names, pose = dae.state_names, [label.full for label in leaves(dae.labels.z[0])]
     for name, known in (*((n, names) for n in exchange), *((n, pose) for n in exchange.values())):
         if name not in known:
             raise ModelError(

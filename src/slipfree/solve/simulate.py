@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slipfree.core.arguments import checked
-from slipfree.core.dae import Dae
+from slipfree.core.dae import Dae, invalid_start
 from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Record
@@ -43,7 +43,6 @@ from slipfree.solve.stops import (
     diagnose_stop,
     event_values,
     first_violation,
-    invalid_start,
     limit_at_failure,
     watch_events,
 )

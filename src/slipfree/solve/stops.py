@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.core.dae import LIMIT_ROUNDING, Dae
+from slipfree.core.dae import LIMIT_ROUNDING, Dae, invalid_start
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import found_column
@@ -16,7 +16,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Mask, leaves, with_overview
 from slipfree.core.trajectory import Stop, Trajectory
 from slipfree.solve.initial_conditions import UnsolvedError, solve_initial_conditions
-from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples
+from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples, correct_samples, to_trajectory
 from slipfree.solve.system import System
 
 NEARLY_REACHED = 1e-3  # margin at a failure [largest margin of the motion]
@@ -26,12 +26,20 @@ MIN_JUMP = 0.05  # smallest jump of an unknown in the prediction time [its typic
 MIN_LASTING_JUMP = 5e-3  # the same, if at least half of the jump occurs in the fraction `SHARE`
 
 
-def invalid_start(words: str) -> ModelError:
-    """Return the error of a start that violates a limit, check or equation, from its message."""
-    return ModelError(
-        f"start: expected a sample within the limits of the model, found a violation: {words}; "
-        "choose another start or other inputs"
-    )
+def consistent_start(system: System, x: Array, z: Array) -> Trajectory:
+    """Return one sample at states and at unknowns solved from a guess.
+
+    ModelError is raised if the equations have no solution there, or a limit is violated.
+    """
+    u = system.u[:, :1]
+    z = solve_initial_conditions(system, 0.0, x, z, u[:, 0])
+    still = np.zeros((system.dae.quad.numel(), 1))
+    found, report = correct_samples(system, Samples(np.zeros(1), x[:, None], z[:, None], still, u))
+    run = to_trajectory(system, found, report)
+    violation = first_violation(system, run, found)
+    if violation is not None:
+        raise invalid_start(violation[1].words)
+    return run
 
 
 def first_violation(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
@@ -175,13 +176,10 @@ class Bicubic(GroundFriction):
             heights[part] = local_heights(flat_x[part] - x_0, flat_y[part] - y_0)
         return heights.reshape(x.shape) + z_0
 
-    def smallest_gaps(
-        self, middles: Array, radii: Array, spokes: Array, touching: float, near: float
-    ) -> tuple[Array, Indices] | None:
-        """Return `slipfree.terrain.kernel.Opened.smallest_gaps`; None without kernel."""
-        if self._kernel is None:
-            return None
-        return self._kernel.smallest_gaps(middles, radii, spokes, touching, near)
+    @property
+    def smallest_gaps(self) -> Callable[..., tuple[Array, Indices]] | None:
+        """`slipfree.terrain.kernel.Opened.smallest_gaps`; None without kernel."""
+        return None if self._kernel is None else self._kernel.smallest_gaps
 
     def derivative_bounds(self, x: Array, y: Array, reach: float) -> tuple[Array, Array]:
         """Return upper bounds of the slope and of the curvature around points.

@@ -20,7 +20,7 @@
 #endif
 
 #define SLOTS 64
-#define LAYOUT 4 /* of the numbers below; kernel.py expects it */
+#define LAYOUT 5 /* of the numbers below; kernel.py expects it */
 #define ON_KNOT 1e-10 /* a point nearer to a knot than this, in cells, lies on it */
 
 typedef long long int casadi_int;
@@ -346,50 +346,99 @@ static double drop(double before, double at, double after) {
   return bend > 0 ? slope * slope / (2 * bend) : 0;
 }
 
-/* The smallest of the gaps (rim, across) of a wheel that are second minima, refined by parabolas, or
- * inside the ground; `_smallest_gaps` of contact/certify.py does the same. */
-static double smallest_gap(const double *gap, casadi_int rim, casadi_int across, double touching,
-                           double near, casadi_int *index) {
-  double best = INFINITY;
-  casadi_int i, j, k, l, middle_i = rim / 2, middle_j = across / 2;
-  *index = 0;
-  for (i = 0; i < rim; i++)
-    for (j = 0; j < across; j++) {
-      const double *at = gap + i * across + j;
-      double value = *at;
-      int low = i < middle_i - 1 || i > middle_i + 1 || j < middle_j - 1 || j > middle_j + 1;
-      for (k = i ? -1 : 0; low && k <= (i < rim - 1); k++)
-        for (l = j ? -1 : 0; low && l <= (j < across - 1); l++) low = *at <= at[k * across + l];
-      if (!low && !(value < -touching)) continue;
-      if (low && value < near) {
-        if (i > 0 && i < rim - 1) value -= drop(at[-across], *at, at[across]);
-        if (j > 0 && j < across - 1) value -= drop(at[-1], *at, at[1]);
-      }
-      if (value < best) {
-        best = value;
-        *index = i * across + j;
-      }
+/* The points of a wheel's tread, middles (across, 3) + radii (across) * spokes (rim, 3), and their
+ * gaps (rim, across) to the ground, those of a row of the rim as they are needed. */
+typedef struct {
+  const Ground *ground;
+  casadi_int rim, across;
+  const double *middles, *radii, *spokes;
+  double *gap, *known; /* the gaps, and which rows are known */
+} Tread;
+
+/* Bound from below of the gaps of a row: a spline lies below the largest coefficient of its cells.
+ * Beyond the map, where polynomials continue, there is none. */
+static double row_bound(const Tread *t, casadi_int i) {
+  const double *spoke = t->spokes + 3 * i, *first, *c;
+  const Ground *g = t->ground;
+  double low = INFINITY, top = -INFINITY, ends[2][2], a[2], b[2], m[2], n[2];
+  casadi_int j, k, l, rows, columns;
+  for (k = 0; k < 2; k++) ends[k][0] = INFINITY, ends[k][1] = -INFINITY;
+  for (j = 0; j < t->across; j++) {
+    const double *middle = t->middles + 3 * j;
+    double r = t->radii[j];
+    for (k = 0; k < 2; k++) {
+      double at = middle[k] + r * spoke[k];
+      if (!(at >= ends[k][0])) ends[k][0] = at;
+      if (!(at <= ends[k][1])) ends[k][1] = at;
     }
+    low = fmin(low, middle[2] + r * spoke[2]);
+  }
+  first = corner(g, ends[0][0], ends[1][0], a, b, m, n);
+  corner(g, ends[0][1], ends[1][1], a + 1, b + 1, m + 1, n + 1);
+  if (!(*a >= *m && *b >= *n && a[1] <= m[1] + 1 && b[1] <= n[1] + 1)) return -INFINITY;
+  rows = (casadi_int)(m[1] - *m) + 4, columns = (casadi_int)(n[1] - *n) + 4;
+  for (k = 0; k < rows; k++)
+    for (c = first + k * g->width, l = 0; l < columns; l++)
+      if (c[l] > top) top = c[l];
+  return low - top * 36;
+}
+
+static void compute_row(const Tread *t, casadi_int i) {
+  const double *spoke = t->spokes + 3 * i;
+  casadi_int j;
+  if (i < 0 || i >= t->rim || t->known[i]) return;
+  t->known[i] = 1;
+  for (j = 0; j < t->across; j++) {
+    const double *middle = t->middles + 3 * j;
+    double r = t->radii[j];
+    t->gap[i * t->across + j] = middle[2] + r * spoke[2]
+                                - height(t->ground, middle[0] + r * spoke[0], middle[1] + r * spoke[1]);
+  }
+}
+
+/* The smallest of `best` and the gaps of a row that are second minima, refined by parabolas, or
+ * inside the ground; `_smallest_gaps` of contact/certify.py does the same. */
+static double smallest_of_row(const Tread *t, casadi_int i, double touching, double near, double best,
+                              casadi_int *index) {
+  casadi_int j, k, l, rim = t->rim, across = t->across, middle_i = rim / 2, middle_j = across / 2;
+  for (k = -1; k < 2; k++) compute_row(t, i + k);
+  for (j = 0; j < across; j++) {
+    const double *at = t->gap + i * across + j;
+    double value = *at;
+    int low = i < middle_i - 1 || i > middle_i + 1 || j < middle_j - 1 || j > middle_j + 1;
+    for (k = i ? -1 : 0; low && k <= (i < rim - 1); k++)
+      for (l = j ? -1 : 0; low && l <= (j < across - 1); l++) low = *at <= at[k * across + l];
+    if (!low && !(value < -touching)) continue;
+    if (low && value < near) {
+      if (i > 0 && i < rim - 1) value -= drop(at[-across], *at, at[across]);
+      if (j > 0 && j < across - 1) value -= drop(at[-1], *at, at[1]);
+    }
+    if (value < best) {
+      best = value;
+      *index = i * across + j;
+    }
+  }
   return best;
 }
 
-/* For n wheels: the gap between points of their treads and the ground, and the smallest one of
- * `smallest_gap`. Points are middles (n, across, 3) + radii (n, across) * spokes (n, rim, 3). */
+/* For n wheels: the smallest gap of `smallest_of_row` below the value of `best` at the call, or that
+ * value. From the contact outwards, rows of the rim are searched whose bound does not exceed the
+ * smallest gap so far, and `near`. `work` has rim (across + 1) numbers. */
 API void kernel_gaps(int slot, casadi_int n, casadi_int rim, casadi_int across, const double *middles,
                      const double *radii, const double *spokes, double touching, double near,
-                     double *gap, double *best, casadi_int *index) {
-  casadi_int w, i, j;
+                     double *work, double *best, casadi_int *index) {
+  casadi_int w, i, k;
   for (w = 0; w < n; w++) {
-    for (i = 0; i < rim; i++) {
-      const double *spoke = spokes + 3 * (w * rim + i);
-      for (j = 0; j < across; j++) {
-        const double *middle = middles + 3 * (w * across + j);
-        double r = radii[w * across + j];
-        gap[i * across + j] = middle[2] + r * spoke[2]
-                              - height(&grounds[slot], middle[0] + r * spoke[0], middle[1] + r * spoke[1]);
-      }
+    Tread t = {&grounds[slot], rim, across, middles + 3 * w * across, radii + w * across,
+               spokes + 3 * w * rim, work, work + rim * across};
+    double most = best[w];
+    index[w] = 0;
+    for (i = 0; i < rim; i++) t.known[i] = 0;
+    for (k = 0; k < rim; k++) {
+      i = rim / 2 + (k % 2 ? -(k + 1) / 2 : k / 2);
+      if (!(row_bound(&t, i) > fmin(fmax(best[w], near), most)))
+        best[w] = smallest_of_row(&t, i, touching, near, best[w], index + w);
     }
-    best[w] = smallest_gap(gap, rim, across, touching, near, index + w);
   }
 }
 

@@ -22,7 +22,7 @@ from slipfree.core.lookups import Cells
 from slipfree.core.records import Array, Indices
 
 KEY_BITS = 52  # bits of integers that a double represents exactly
-LAYOUT = 4  # version of the arguments of `kernel.c`; libraries of other versions are not used
+LAYOUT = 5  # version of the arguments of `kernel.c`; libraries of other versions are not used
 
 
 class Opened(NamedTuple):
@@ -51,7 +51,7 @@ class Opened(NamedTuple):
         return heights
 
     def smallest_gaps(
-        self, middles: Array, radii: Array, spokes: Array, touching: float, near: float
+        self, middles: Array, radii: Array, spokes: Array, touching: float, near: float, most: float
     ) -> tuple[Array, Indices]:
         """Return the smallest gaps of n wheels and the indices of their points on the tread.
 
@@ -65,16 +65,18 @@ class Opened(NamedTuple):
             Unit vectors from the axle to points around the rim. [1]
         touching, near : float
             Penetration that counts as contact, and gap below which minima are refined. [m]
+        most : float
+            Gap above which nothing is searched; results are not larger. [m]
         """
         (n, across), rim = radii.shape, spokes.shape[1]
-        best, index = np.empty(n), np.empty(n, dtype=np.int64)
+        best, index = np.full(n, most), np.empty(n, dtype=np.int64)
         arrays = [np.ascontiguousarray(each) for each in (middles, radii, spokes)]
         self.library.kernel_gaps(
             self.slot,
             *(ctypes.c_longlong(each) for each in (n, rim, across)),
             *(_pointer(each) for each in arrays),
             *(ctypes.c_double(each) for each in (touching, near)),
-            *(_pointer(each) for each in (np.empty(rim * across), best, index)),
+            *(_pointer(each) for each in (np.empty(rim * (across + 1)), best, index)),
         )
         return best, index
 
