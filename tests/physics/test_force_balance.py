@@ -292,10 +292,10 @@ def test_known_truth_is_found() -> None:
     assert np.abs(found.errors[windows.first > 0]).max() < 0.02
 
 
-ROBOTS = {  # constants, and factor of the speed
-    "usual": (Truth(), 1.0),
-    "on ice": (Truth(1.0, 1.0, 0.15, 2.0, 0.5, -0.08), 1.0),
-    "fast": (Truth(0.95, 1.05, 0.8, 1.5, 0.15, 0.1), 2.0),
+ROBOTS = {  # constants, factor of the speed, and least coverage
+    "usual": (Truth(), 1.0, 0.9),
+    "on ice": (Truth(1.0, 1.0, 0.15, 2.0, 0.5, -0.08), 1.0, 0.85),
+    "fast": (Truth(0.95, 1.05, 0.8, 1.5, 0.15, 0.1), 2.0, 0.9),
 }
 
 
@@ -324,10 +324,11 @@ def draws_of_fits(truth: Truth, speed: float, count: int) -> tuple[Array, Array,
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_bias_is_below_half_a_deviation(robot: str) -> None:
-    errors, deviations, inside = draws_of_fits(*ROBOTS[robot], 20)
+    truth, speed, coverage = ROBOTS[robot]
+    errors, deviations, inside = draws_of_fits(truth, speed, 20)
     bias = errors.mean(axis=0) / deviations.mean(axis=0)
     assert (np.abs(bias) < 0.5).all(), bias
-    assert 0.9 <= inside.mean() <= 0.98
+    assert coverage <= inside.mean() <= 0.98
 
 
 def late(log: DriveLog, age: int, held: int) -> DriveLog:
