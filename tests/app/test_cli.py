@@ -133,8 +133,8 @@ def test_verbose_says_what_is_done_and_when() -> None:
     done = ("read p.toml", "settled the vehicle at the start", "solved: steps ", "wrote p.nc")
     assert all(words in result.stderr for words in done)
     assert "integrated to" not in result.stderr  # it took no second
-    names = [[line.split("  ")[0] for line in each.stdout.splitlines()] for each in (plain, result)]
-    assert names[0] == names[1]
+    names = [{line.split("  ")[0] for line in each.stdout.splitlines()} for each in (plain, result)]
+    assert names[0] < names[1]
     both = invoke("run", "p.toml", "-v", "-q", code=2)
     assert both.stderr == "expected --quiet or --verbose, found both; remove one of them\n"
 
@@ -304,7 +304,7 @@ def _broken(name: str, monkeypatch: pytest.MonkeyPatch, raised: BaseException) -
 
 @pytest.mark.slow
 def test_run_writes_the_result_and_draws(folder):
-    result = invoke("run", "p.toml", code=0)
+    result = invoke("run", "p.toml", "-v", code=0)
     for words in (
         *("ground height ", "three_wheeler: right 0.3 m driven", "path length ", "end position "),
         *("a lower bound, not a prediction", "wheel front", "contact error", "x the tolerance"),
@@ -317,6 +317,21 @@ def test_run_writes_the_result_and_draws(folder):
     assert motion["y"][-1] == pytest.approx(0.5, abs=1e-6)
     assert motion.attributes["problem"] == PROBLEM
     assert list((folder / "p_figures").iterdir())
+
+
+@pytest.mark.usefixtures("folder")
+def test_runs_print_the_main_facts_and_info_all_of_them():
+    names = ["outcome", "path length", "end position", "slip", "largest angles", "friction"]
+    names += ["tip-over margin", "contact certificate"]
+    main, all_facts = (
+        invoke("run", "p.toml", "--no-draw", *more, code=0).stdout.splitlines()
+        for more in ((), ("-v",))
+    )
+    assert [line.partition("  ")[0] for line in main[:-1]] == names
+    assert main[-1] == "wrote p.nc; all facts: slipfree info p.nc"
+    assert {line.split("  ")[0] for line in main} < {line.split("  ")[0] for line in all_facts}
+    shown = invoke("info", "p.nc", code=0).stdout
+    assert all(line.partition("  ")[2].strip() in shown for line in all_facts[:-1])
 
 
 def test_leaving_the_map_saves_the_motion_to_the_edge(folder):
@@ -457,7 +472,7 @@ def test_formulations_agree_at_the_shell():
     run = ("run", "p.toml", "--no-draw", *sets("time.duration=0.5"))
     told = invoke(*run, "--cross-check", code=0).stdout
     assert "largest differences from formulation = 'montana'" in told
-    montana = invoke(*run, *sets("formulation=montana"), code=0)
+    montana = invoke(*run, "-v", *sets("formulation=montana"), code=0)
     assert "drift of the assembly" in montana.stdout
 
 

@@ -54,7 +54,7 @@ def folder(folder):
 
 @pytest.mark.slow
 def test_given_rates(folder: Path) -> None:
-    result = invoke("run", "p.toml", "--csv", "p.csv")
+    result = invoke("run", "p.toml", "-v", "--csv", "p.csv")
     assert (result.exit_code, result.stderr) == (0, ""), result.output
     for words in (
         "driven by  ",
@@ -99,7 +99,7 @@ def test_check_and_vehicle() -> None:
 
 @pytest.mark.slow
 def test_along_a_path() -> None:
-    result = invoke("run", "file.toml", "--no-draw", *sets("time.duration=1", LOOSE, RIDGES))
+    result = invoke("run", "file.toml", "--no-draw", "-v", *sets("time.duration=1", LOOSE, RIDGES))
     assert (result.exit_code, result.stderr) == (0, ""), result.output
     for words in ("path of 6 way-points in 5 s", "collocation ", "differs by at most x "):
         assert words in result.stdout, words
@@ -129,7 +129,9 @@ def test_a_tilt_stop_ends_the_motion() -> None:
 @pytest.mark.slow
 def test_steering_by_rate_warns_where_it_is_unstable() -> None:
     settings = sets("steering=rate", "time.duration=0.03", "time.step=0.01")
-    result = invoke("run", str(PROBLEMS / "paper_inverse.toml"), "--no-draw", *settings, code=0)
+    result = invoke(
+        "run", str(PROBLEMS / "paper_inverse.toml"), "--no-draw", "-v", *settings, code=0
+    )
     assert result.stderr.startswith("warning: unstable steering from t = 0 s: errors of the")
     assert "warning  " in result.stdout
     assert "steering rate  " in result.stdout

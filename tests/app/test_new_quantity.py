@@ -59,7 +59,7 @@ def test_a_quantity_with_a_limit_and_a_figure(setting, folder, monkeypatch):
     figures = (*FIGURES[:2], over_time("load", "Pitch of the load over time."))
     monkeypatch.setattr("slipfree.show.motion_figures.FIGURES", figures)
     (folder / "p.toml").write_text(PROBLEM)
-    result = invoke("run", "p.toml", "--figures-all", "--csv", "p.csv", "--set", setting)
+    result = invoke("run", "p.toml", "-v", "--figures-all", "--csv", "p.csv", "--set", setting)
     run = read("p.nc")
     metadata, greatest = run.columns["nose_up"].metadata, run["nose_up"].max()
     assert metadata == {"units": "rad", "long_name": NOSE_UP.words}

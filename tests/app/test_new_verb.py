@@ -39,7 +39,7 @@ class StandVerb(DriveVerb):
 
     schema = Stand
     metrics_shown = ("load_least",)
-    rows = rows("load on wheel {name}: <loads> {fact:.4g} N")
+    rows = rows("*load on wheel {name}: <loads> {fact:.4g} N")
 
     def build(self, problem: Any) -> Setup:
         """Return the model and the settled start."""

@@ -43,7 +43,7 @@ def plan_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def run(file: str, *words: str, code: int = 0) -> str:
-    result = invoke("run", file, "--no-draw", *words)
+    result = invoke("run", file, "--no-draw", "-v", *words)
     assert result.exit_code == code, result.output
     return result.stdout
 

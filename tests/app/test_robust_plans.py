@@ -48,7 +48,7 @@ def test_gains_of_the_inputs_tighten_the_goal_by_their_quantile(tmp_path, monkey
     monkeypatch.setattr(plan_search, "replay_draw", pressed)
     command = ["run", str(HILLS), "-o", str(file), "--no-draw", *sets(*FLAT)]
     assert "without --resume" in invoke(*command, code=130).stdout
-    result = invoke(*command, code=0)
+    result = invoke(*command, "-v", code=0)
     draws = [task.draw for (task,) in begun]
     assert [draws.count(draw) for draw in draws[:8]] == [1] * 8
     assert [each.name for each in tmp_path.iterdir()] == ["robust.nc"]

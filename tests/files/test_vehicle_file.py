@@ -366,7 +366,7 @@ def test_a_file_lies_beside_the_problem(folder, monkeypatch):
 
 @pytest.mark.usefixtures("folder")
 def test_a_problem_drives_a_vehicle_file():
-    result = invoke("run", "p.toml", "--no-draw", code=0)
+    result = invoke("run", "p.toml", "--no-draw", "-v", code=0)
     assert "cart: left 0.15 m driven, right 0.15 m driven, caster 0.1 m free" in result.stdout
     invoke("check", "p.toml", *sets('vehicle.actuated=["swivel"]', "inputs.swivel_rate=0"), code=0)
     scaled = 'vehicle={catalog="differential_drive", caster_scale=0.5}'
@@ -390,7 +390,7 @@ def test_a_run_parses_its_vehicle_and_reads_its_map_once(monkeypatch):
 
         monkeypatch.setattr(module, name, counted)
     ground = ["--set", "terrain={file='g.npz'}"]
-    assert "cart: left" in invoke("run", "p.toml", *ground, code=0).stdout
+    assert "cart: left" in invoke("run", "p.toml", "-v", *ground, code=0).stdout
     assert sorted(files) == ["g.npz", "v.toml"]
 
 

@@ -58,7 +58,10 @@ CONTROL = re.compile(
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Print every step with its time on stderr.")
+    bool,
+    typer.Option(
+        "--verbose", "-v", help="Print all facts, and every step with its time on stderr."
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 FIRST_LINE = 2.0  # time before the first line of a computation [s]
@@ -276,11 +279,17 @@ def add_json(name: str, make: Callable[[], Any]) -> None:
         output.content[name] = make()
 
 
-def print_facts(facts: list[tuple[str, str]], details: Sequence[tuple[str, str]] = ()) -> None:
+def print_facts(
+    facts: list[tuple[str, str]],
+    details: Sequence[tuple[str, str]] = (),
+    *,
+    main: Sequence[tuple[str, str]] | None = None,
+) -> None:
     """Print facts (pairs of name and text), and add them to the JSON output of the command.
 
-    ``details`` are added, but printed only with ``--verbose``. The key of an indented name is
-    "NAME: INDENTED", where NAME is the last name without indent.
+    ``details`` are added, but printed only with ``--verbose``; without it, ``main`` is printed in
+    place of the facts if it is given. The key of an indented name is "NAME: INDENTED", where NAME
+    is the last name without indent.
     """
     output = _current_output()
     values, above = output.content.setdefault("facts", {}), ""
@@ -288,7 +297,8 @@ def print_facts(facts: list[tuple[str, str]], details: Sequence[tuple[str, str]]
         above = above if name.startswith(" ") else name
         key = f"{above}: {name.strip()}" if name.startswith(" ") and above else name.strip()
         values[key] = f"{values[key]}\n{text}" if key in values else text
-    show([*facts, *details] if output.options.verbose else facts)
+    short = facts if main is None else main
+    show([*facts, *details] if output.options.verbose else short)
 
 
 def add_json_file(file: object) -> None:

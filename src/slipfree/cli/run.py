@@ -139,13 +139,15 @@ def run(
         is_interrupted = interrupt_requested() or result.outcome.exit_code == INTERRUPTED
     with _after(files[0], "summary"):
         motion = result.trajectory
-        print_facts([outcome_fact(motion), *result.setup.facts, *verb.summary(motion)])
+        outcome = outcome_fact(motion)
+        main = [outcome, *verb.summary(motion, main=True)]
+        print_facts([outcome, *result.setup.facts, *verb.summary(motion)], main=main)
         add_json("outcome", motion.outcome.name.lower)
         add_json("result", lambda: motion_json(motion, verb.facts(motion)))
         for words in verb.warnings(motion):
             warn(words)
     names = ", ".join(map(str, files))
-    print_line(f"wrote {names}")
+    print_line(f"wrote {names}; all facts: slipfree info {files[0]}")
     detail(f"wrote {names}")
     if cross_check and not is_interrupted:
         with _after(files[0], "cross-check"):

@@ -48,6 +48,7 @@ class Row(NamedTuple):
     name: str
     parts: tuple[str, ...]  # of the text; those that mention unknown values are left out
     is_check: bool  # whether the line is about accuracy or validity
+    is_main: bool  # whether the line is printed without --verbose
     table: str  # name of a table, whose entries are further values; empty without one
     lead: str  # text before the rows of the table
 
@@ -56,10 +57,11 @@ def rows(text: str) -> tuple[Row, ...]:
     r"""Return the rows of a summary, in lines of the form ``NAME: TEXT``.
 
     A row is left out if it mentions values that a computation does not have, and so is a part of it
-    in brackets. A row about accuracy or validity begins with an exclamation mark. ``NAME: LEAD
-    <TABLE> TEXT`` shows the rows of a table: a line for each one if the name depends on it,
-    otherwise all in one line. The rows of ``gap_*`` are the facts whose names begin with ``gap_``:
-    ``name`` is the rest of the name, ``fact`` the fact.
+    in brackets. A row about accuracy or validity begins with an exclamation mark; one that commands
+    print without ``--verbose`` with an asterisk, before that mark. ``NAME: LEAD <TABLE> TEXT``
+    shows the rows of a table: a line for each one if the name depends on it, otherwise all in one
+    line. The rows of ``gap_*`` are the facts whose names begin with ``gap_``: ``name`` is the rest
+    of the name, ``fact`` the fact.
 
     Examples
     --------
@@ -69,11 +71,12 @@ def rows(text: str) -> tuple[Row, ...]:
     """
     facts = []
     for line in text.splitlines():
-        name, _, words = line.removeprefix("!").partition(": ")
+        name, _, words = line.lstrip("*!").partition(": ")
         *before, words = re.split(r"<([\w*]+)> ", words)
         lead, table = before or ["", ""]
         parts = tuple(filter(None, re.split(r"[\[\]]", words)))
-        facts.append(Row(name, parts, line.startswith("!"), table, lead))
+        is_check, is_main = line.lstrip("*").startswith("!"), line.startswith("*")
+        facts.append(Row(name, parts, is_check, is_main, table, lead))
     return tuple(facts)
 
 
@@ -87,7 +90,7 @@ def printed_unit(unit: str) -> str:
 def lines(rows: Iterable[Row], values: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the lines of a summary, pairs of name and text, from facts and other values."""
     found = list[tuple[str, str]]()
-    for name, parts, _, table, lead in rows:
+    for name, parts, *_, table, lead in rows:
         entries = [{**values, **entry} for entry in _table(table, values)] if table else [values]
         if not table or "{" in name:
             known = (each for each in entries if _has(name + parts[0], each))

@@ -331,14 +331,17 @@ def cross_check(first: Trajectory, second: Trajectory) -> tuple[Difference, ...]
             "cross_check: expected two motions with the same sample times, found different times; "
             "simulate both with the same times"
         )
-    numerical = {"newton_step", "singular_value", "clearance"}
-    numerical |= {name for name in first if name.startswith("quaternion_")}
-    shared = [
-        name
-        for name in first
-        if name in second.columns and name not in numerical and not name.endswith("_residual")
-    ]
+    shared = [name for name in first if name in second.columns and _describes_motion(name)]
     return tuple(_difference(first, second, name, n) for name in shared)
+
+
+def _describes_motion(name: str) -> bool:
+    return not name.endswith("_residual") and name not in {
+        "newton_step",
+        "singular_value",
+        "clearance",
+        *(f"quaternion_{axis}" for axis in "xyzw"),
+    }
 
 
 def _difference(first: Trajectory, second: Trajectory, name: str, n: int) -> Difference:

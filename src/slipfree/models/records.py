@@ -268,15 +268,7 @@ def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels
     closures = component_labels(vehicle, "closure", "m", "contact condition")
     forces, equations = _force_labels(vehicle, rates) if follow else (Forces(), ())
     are_unknown = any(label.name == "force_along" for label in leaves((law, forces)))
-    names = Outputs._fields[: Outputs._fields.index("yaw")]
-    wheels: dict[str, Any] = {name: quantity_labels(vehicle, name) for name in names}
-    words = "{} of the platform's quaternion (x forward)"
-    y = Outputs(
-        **wheels,
-        yaw=quantity_label("yaw"),
-        quaternion=tuple(Label(f"quaternion_{k}", "1", words.format(k)) for k in "xyzw"),
-        forces=_force_output_labels(vehicle, follow=are_unknown) if vehicle.mass else (),
-    )
+    y = _output_labels(vehicle, follow=are_unknown)
     z = Algebraic(position, rates, forces)
     return Labels(x, z, q, u, y, (closures, (), equations))
 
@@ -330,6 +322,18 @@ def equilibrium_labels(rates: Rates) -> tuple[Label, ...]:
             f"respect to {label.words.removeprefix('rate of ')}",
         )
         for label in leaves(rates.motion)
+    )
+
+
+def _output_labels(vehicle: Vehicle, *, follow: bool) -> Outputs:
+    names = Outputs._fields[: Outputs._fields.index("yaw")]
+    wheels: dict[str, Any] = {name: quantity_labels(vehicle, name) for name in names}
+    words = "{} of the platform's quaternion (x forward)"
+    return Outputs(
+        **wheels,
+        yaw=quantity_label("yaw"),
+        quaternion=tuple(Label(f"quaternion_{k}", "1", words.format(k)) for k in "xyzw"),
+        forces=_force_output_labels(vehicle, follow=follow) if vehicle.mass else (),
     )
 
 

@@ -370,12 +370,7 @@ def obstacle_ending(
         return ObstacleEnding("climbs", t, words)
     count = f"{up.any(axis=0).sum()} of {len(vehicle.wheels)} wheels had reached the top"
     count = f"{count}, z = {_top(highest):.3g} m" if touched else "no wheel touched an obstacle"
-    # wheels whose centre is past the front edge of the top
-    low = _top(highest) - highest.z - HEIGHT_TOLERANCE
-    front = min(x for x, z in highest.section.points if z > low)
-    along, _, _ = highest.axes.T
-    x, y = run["center_x"] - highest.x, run["center_y"] - highest.y
-    past = np.asarray(along[0] * x + along[1] * y > front)
+    past = _is_past_front(run, highest)
     if past.any(axis=0).all() and not past[0].all():
         t = _last_time(run, past)
         words = f"by t = {t:.3g} s every wheel had crossed the line of the front edge; {count}"
@@ -401,6 +396,15 @@ def is_on_top(run: Trajectory, vehicle: Vehicle, top: float) -> Mask:
     rise = top + radii - run["center_z"][0]
     below = np.minimum((1 - TOP_SHARE) * radii, np.where(rise > 0, rise / 2, np.inf))
     return np.asarray(run["center_z"] > top + radii - below)
+
+
+def _is_past_front(run: Trajectory, prism: Prism) -> Mask:
+    """Return whether each wheel's centre is past the front edge of a top, shape (n, n_wheels)."""
+    top = _top(prism) - prism.z - HEIGHT_TOLERANCE
+    front = min(x for x, z in prism.section.points if z > top)
+    forward, _, _ = prism.axes.T
+    x, y = run["center_x"] - prism.x, run["center_y"] - prism.y
+    return np.asarray(forward[0] * x + forward[1] * y > front)
 
 
 def _last_time(run: Trajectory, reached: Mask) -> float:

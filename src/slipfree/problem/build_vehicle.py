@@ -190,15 +190,18 @@ def _draft(path: Path, trusted: frozenset[str]) -> tuple[Draft, Robot | None]:
         return _urdf(path, trusted)
     if path.suffix.lower() == ".toml":
         file = open_file(path)
-        if "urdf" not in file.data:
-            return read_toml(file), None
-        table: UrdfTable = validated(UrdfTable, file)  # a URDF that a vehicle file completes
-        draft, robot = _urdf(file.source.path.parent / table.urdf, trusted, (table, file))
-        return draft if table.name is None else replace(draft, name=table.name), robot
+        return _completed(file, trusted) if "urdf" in file.data else (read_toml(file), None)
     raise DataError(
         f"{path}: expected a vehicle file that ends in .toml, .urdf or .xacro, found "
         f"{repr(path.suffix) if path.suffix else 'no ending'}; check the name"
     )
+
+
+def _completed(file: File, trusted: frozenset[str]) -> tuple[Draft, Robot | None]:
+    """Return the draft of the vehicle in a URDF that a vehicle file completes."""
+    table: UrdfTable = validated(UrdfTable, file)
+    draft, robot = _urdf(file.source.path.parent / table.urdf, trusted, (table, file))
+    return draft if table.name is None else replace(draft, name=table.name), robot
 
 
 def _tree(path: Path, trusted: frozenset[str], table: UrdfTable | None, file: File | None) -> Tree:

@@ -6,8 +6,6 @@ import pickle
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from math import ceil
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import casadi as ca
@@ -127,24 +125,7 @@ def rollouts(
     """
     require("xarray")
     t = check_times(t)
-    if processes > 1 and isinstance(model, Dae):
-        raise ModelError(
-            f"model: expected a function for {processes} processes, found a model, which cannot be "
-            "sent to other processes; give a function at the level of a module that returns it"
-        )
-    values = {
-        name: each if isinstance(each, ca.SX | PiecewiseLinear) else np.asarray(each, dtype=float)
-        for name, each in inputs.items()
-    }
-    states: list[Trajectory] | dict[str, Array]
-    if isinstance(starts, Mapping):
-        states = {name: np.asarray(each, dtype=float) for name, each in starts.items()}
-    else:
-        states = [starts] if isinstance(starts, Trajectory) else [*starts]
-    if not states and isinstance(states, list):
-        raise ModelError(
-            "starts: expected a trajectory for each run, found none; give at least one"
-        )
+    states, values = _check_kinds(model, starts, inputs, processes)
     parameters = {name: np.asarray(each) for name, each in (p or {}).items()}
     count = _count_runs(parameters, states, values, t.size - 1)
     if isinstance(model, Dae) and parameters:
@@ -177,17 +158,9 @@ def rollouts(
         for task in tasks:
             table.add(execute(common, task))
     elif tasks:
-        try:
-            pickled = pickle.dumps(model)
-        except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise ModelError(
-                "model: expected a function at the level of a module, or functools.partial of one, "
-                f"that can be sent to other processes; found {model!r}: {error}"
-            ) from error
-        with TemporaryDirectory() as folder, local_tasks(_execute_part, processes) as finish:
-            file = Path(folder, "model")
-            file.write_bytes(pickled)
-            parts = ((file, common.part(task), execute, task) for task in tasks)
+        function = _pickled(model)
+        parts = ((function, common.part(task), execute, task) for task in tasks)
+        with local_tasks(_execute_part, processes) as finish:
             for done in finish(parts, lambda: None):
                 table.add(done)
     return table.dataset({"tolerance": options.tolerance} if method == "simulate" else {})
@@ -251,6 +224,29 @@ class _Results(NamedTuple):
     reasons: list[str]
     ends: Array
     errors: Array | None = None
+
+
+def _check_kinds(
+    model: Model, starts: Any, inputs: Mapping[str, Any], processes: int
+) -> tuple[list[Trajectory] | dict[str, Array], dict[str, Any]]:
+    """Return starts and inputs as a list or dictionaries; raise ModelError for other types."""
+    if processes > 1 and isinstance(model, Dae):
+        raise ModelError(
+            f"model: expected a function for {processes} processes, found a model, which cannot be "
+            "sent to other processes; give a function at the level of a module that returns it"
+        )
+    values = {
+        name: each if isinstance(each, ca.SX | PiecewiseLinear) else np.asarray(each, dtype=float)
+        for name, each in inputs.items()
+    }
+    if isinstance(starts, Mapping):
+        return {name: np.asarray(each, dtype=float) for name, each in starts.items()}, values
+    states = [*starts] if isinstance(starts, Sequence) else [starts]
+    if not states:
+        raise ModelError(
+            "starts: expected a trajectory for each run, found none; give at least one"
+        )
+    return states, values
 
 
 def _count_runs(
@@ -447,16 +443,26 @@ class _Table:
         return dataset
 
 
+def _pickled(model: Model) -> bytes:
+    try:
+        return pickle.dumps(model)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ModelError(
+            "model: expected a function at the level of a module, or functools.partial of one, "
+            f"that can be sent to other processes; found {model!r}: {error}"
+        ) from error
+
+
 @lru_cache(maxsize=1)
-def _loaded(file: Path) -> Model:
-    """Return the function in a file, the same object for all tasks of a process: see `_built`."""
-    model: Model = pickle.loads(file.read_bytes())
+def _loaded(function: bytes) -> Model:
+    """Return a pickled function, the same object for all tasks of a process: see `_built`."""
+    model: Model = pickle.loads(function)
     return model
 
 
 def _execute_part(
-    task: tuple[Path, _Common, Callable[..., list[_Results]], Array],
+    task: tuple[bytes, _Common, Callable[..., list[_Results]], Array],
 ) -> list[_Results]:
-    file, common, execute, numbers = task
-    found = execute(common._replace(model=_loaded(file)), np.arange(numbers.size))
+    function, common, execute, numbers = task
+    found = execute(common._replace(model=_loaded(function)), np.arange(numbers.size))
     return [each._replace(numbers=numbers[each.numbers]) for each in found]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,8 +17,8 @@ from slipfree.problem.inputs import recipe_of
 from slipfree.problem.load import verb_of
 from slipfree.problem.units import unit_of
 from slipfree.show.swept import Swept
-from slipfree.sweep.grid import Sweep
-from slipfree.sweep.runs import COMPLETE, FAILED, LOST, Rows, RunTask, without_motion, work
+from slipfree.sweep.grid import Run, Sweep
+from slipfree.sweep.runs import COMPLETE, FAILED, LOST, Rows, RunRow, RunTask, without_motion, work
 from slipfree.system.parts import PartsWatch, study
 from slipfree.system.processes import Pool, Processes
 
@@ -45,13 +45,13 @@ def write_table(file: Path, sweep: Sweep, rows: Rows) -> None:
     """
     units = rows.units
     head = ["run", *sweep.keys, "outcome", "words", "time_reached", *units]
-    lines = list[list[object]]()
-    for row in rows:
-        run, time = sweep.run(row.run), "" if row.t is None else row.t
-        values = [row.figures[name][0] if name in row.figures else "" for name in units]
-        own = [run.number, *run.values, *run.seeds, row.outcome, _line_of(row.words), time]
-        lines.append([*own, *values])
-    write_rows(file, head, lines)
+    write_rows(file, head, (_line(sweep.run(row.run), row, units) for row in rows))
+
+
+def _line(run: Run, row: RunRow, names: Iterable[str]) -> list[object]:
+    values = [row.figures[name][0] if name in row.figures else "" for name in names]
+    time = "" if row.t is None else row.t
+    return [run.number, *run.values, *run.seeds, row.outcome, _line_of(row.words), time, *values]
 
 
 def _line_of(words: str) -> str:

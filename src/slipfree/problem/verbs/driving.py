@@ -63,13 +63,13 @@ UNIQUE = ("clearance", "relative_curvature")  # not negative if every wheel has 
 AT_END = "x", "heading"  # quantities whose lines of the summary come first
 FIRST_LINES = """\
 duration: {duration:g}, {samples} samples
-path length: {path_length:.6g}, heights {z_least.value:.4f} to {z_greatest:.4f}
-obstacles: {obstacles}: {obstacles.words}
+*path length: {path_length:.6g} in {duration:g}, heights {z_least.value:.4f} to {z_greatest:.4f}
+*obstacles: {obstacles}: {obstacles.words}
 filled ground: {filled_samples} of {samples} samples have a wheel on interpolated heights; along \
 the contact points: <filled_paths> {wheel} {length:.4g} of {path_length:.4g} m"""
 LAST_LINES = """\
-!not converged: <not_converged> {name} at {fact} of {samples} samples
-!diagnostics failed: <failed_diagnostics> {fact}
+*!not converged: <not_converged> {name} at {fact} of {samples} samples
+*!diagnostics failed: <failed_diagnostics> {fact}
 !integrator: {steps:.0f} steps, {residuals:.0f} evaluations, {cpu_seconds:.3g} s CPU, tolerance \
 {tolerance:g}"""
 START_ROWS = rows(
@@ -141,15 +141,8 @@ class DriveVerb(Verb, ABC):
         pose = ", ".join(f"{name} {start[name][0]:.6g}" for name in names)
         facts = drive_facts(start) | closest_fact(setup.vehicle, setup.terrain, setup.start)
         if has_pressed_wheels(start):
-            model, poses = setup.model, [setup.start]
-            if model.standing is not None and model.standing.guess is None:
-                model = model.standing.model
-            if relaxed := model.rest.numel():
-                states = [label.full for label in leaves(model.labels.x)][:-relaxed]
-                held: dict[str, Any] = {name: float(setup.start[name][0]) for name in states}
-                poses = [*stable_poses(model, options=spec.solver.options, **held)] or poses
-            rows = [pose_row(pose.in_frame(spec.frame)) for pose in poses]
-            facts["stable_poses"] = Fact(rows)
+            poses = _stable_poses(problem, setup)
+            facts["stable_poses"] = Fact([pose_row(pose) for pose in poses])
         return start, [
             ("start", f"{pose} (m, rad)"),
             *lines(START_ROWS, facts),
@@ -169,9 +162,10 @@ class DriveVerb(Verb, ABC):
         """Return last values, extremes, path length, slip and stored facts of a motion."""
         return {**drive_facts(run), **run.facts}
 
-    def summary(self, run: Trajectory) -> Lines:
-        """Return the summary of a motion, pairs of name and text, which show its facts."""
-        return lines(self.rows, values_of(run, self.facts(run)))
+    def summary(self, run: Trajectory, *, main: bool = False) -> Lines:
+        """Return the lines of the summary of a motion, all or the main ones."""
+        chosen = (row for row in self.rows if row.is_main or not main)
+        return lines(chosen, values_of(run, self.facts(run)))
 
     def warnings(self, run: Trajectory) -> Sequence[str]:
         """Return warnings about a motion; none by default."""
@@ -215,6 +209,19 @@ class DriveVerb(Verb, ABC):
             "inputs": " ".join(setup.dae.input_names),
             **({MAP_TRANSFORM: encode_map_coordinates(coordinates)} if coordinates else {}),
         }
+
+
+def _stable_poses(problem: Problem[MotionKeys], setup: Setup) -> tuple[Trajectory, ...]:
+    """Return the stable poses at the start, the motion's own first, in the problem's frame."""
+    model, spec = setup.model, problem.spec
+    if model.standing is not None and model.standing.guess is None:
+        model = model.standing.model
+    poses: Sequence[Trajectory] = ()
+    if relaxed := model.rest.numel():
+        states = [label.full for label in leaves(model.labels.x)][:-relaxed]
+        held: dict[str, Any] = {name: float(setup.start[name][0]) for name in states}
+        poses = stable_poses(model, options=spec.solver.options, **held)
+    return tuple(pose.in_frame(spec.frame) for pose in poses or (setup.start,))
 
 
 def drive_facts(run: Trajectory) -> dict[str, Fact]:

@@ -26,19 +26,19 @@ SLIDING = 0.95  # wheels with a larger utilisation count as sliding
 TIME_LIMITED = "the search ended early; the plan meets all constraints, its cost may not be least"
 ROWS = rows(
     """\
-iterate: {iterate}
-!time limit: {plan_time_limit}
+*iterate: {iterate}
+*!time limit: {plan_time_limit}
 plan: {plan_iterations:.0f} iterations, {plan_seconds:.3g}, of which \
 {plan_seconds_functions:.3g} in functions; <plan_cost_*> {name} {fact:.6g}
-whole turns: <whole_turns> {fact}
+*whole turns: <whole_turns> {fact}
 windows: {windows}
 starts: {plan_optima:.0f} local optima from {start_count} starts
   {start}: <plan_starts> {outcome}, cost {cost:.6g}, duration {duration:.4g} s, path up to \
 {distance:.2g} m from the best one; {seconds:.2g} s of search
-!simulated: {simulated}
+*!simulated: {simulated}
 !optimality: {optimality}
 prices of limits: {prices}
-!robust plan: holds in {plan_share:.3g>%} of {plan_share_draws:.0f} drawn worlds \
+*!robust plan: holds in {plan_share:.3g>%} of {plan_share_draws:.0f} drawn worlds \
 ({plan_share_low.words} {plan_share_low:.3g>%} to {plan_share_high:.3g>%}), before tightening in \
 {plan_share_first:.3g>%}
   tightened: <plan_tightened> {bound} by {size:.3g}{unit}
