@@ -56,7 +56,8 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.plan.ipopt import Iterate
-from slipfree.problem.problem import Recipe
+from slipfree.problem.inputs import recipe_of
+from slipfree.problem.load import load_problem
 from slipfree.show.sweep_figures import save_sweep_figures
 from slipfree.solve import integrator as module
 from slipfree.sweep.grid import sweep_of
@@ -270,7 +271,7 @@ def of_sweep(points: int) -> Costs:
     """Return the costs of a sweep by number of points, without the runs."""
     sweep, checking = timed(lambda: sweep_of(PROBLEM, [f"start.heading=0:1:{points}"]))
     first = sweep.run(1)
-    task = RunTask(1, Recipe(PROBLEM, PROBLEM.read_text(), first.settings), first.settings)
+    task = RunTask(1, recipe_of(load_problem(PROBLEM), *first.settings), first.settings)
     pool = Idle(work(task).row)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -24,7 +24,8 @@ from pathlib import Path
 
 from common import HERE, PROBLEMS
 
-from slipfree.problem.problem import Recipe
+from slipfree.problem.inputs import recipe_of
+from slipfree.problem.load import load_problem
 from slipfree.sweep.runs import KEPT, RunTask, work
 
 PROBLEM = PROBLEMS / "paper_direct.toml"
@@ -95,7 +96,7 @@ def shared(name: str, key: str, values: tuple[float, ...]) -> str:
     """Return the CPU time of runs that share their model, and whether results are identical."""
     file = PROBLEM.with_name(f"{name}.toml")
     tasks = [
-        RunTask(k, Recipe(file, file.read_text(), (f"{key}={value}",)), ())
+        RunTask(k, recipe_of(load_problem(file), f"{key}={value}"), ())
         for k, value in enumerate(values)
     ]
 

@@ -283,7 +283,7 @@ def print_facts(
     facts: list[tuple[str, str]],
     details: Sequence[tuple[str, str]] = (),
     *,
-    main: Sequence[tuple[str, str]] | None = None,
+    main: list[tuple[str, str]] | None = None,
 ) -> None:
     """Print facts (pairs of name and text), and add them to the JSON output of the command.
 
