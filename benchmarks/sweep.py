@@ -94,11 +94,8 @@ def killed(folder: Path, runs: int) -> list[dict[str, object]]:
 
 def shared(name: str, key: str, values: tuple[float, ...]) -> str:
     """Return the CPU time of runs that share their model, and whether results are identical."""
-    file = PROBLEM.with_name(f"{name}.toml")
-    tasks = [
-        RunTask(k, recipe_of(load_problem(file), f"{key}={value}"), ())
-        for k, value in enumerate(values)
-    ]
+    problem = load_problem(PROBLEM.with_name(f"{name}.toml"))
+    tasks = [RunTask(k, recipe_of(problem, f"{key}={x}"), ()) for k, x in enumerate(values)]
 
     def results(*, share: bool) -> tuple[float, list[object]]:
         work(tasks[0])

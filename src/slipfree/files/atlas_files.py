@@ -230,7 +230,9 @@ def _define(file: Any, poses: Atlas, site: Site) -> None:
             variable.axis = label.name.upper()
     mapped = {}
     if site.crs:
-        annotate(file.createVariable(CRS, "i4", ()), grid_mapping(site.crs))
+        mapping = file.createVariable(CRS, "i4", ())
+        mapping[...] = 0
+        annotate(mapping, grid_mapping(site.crs))
         mapped = {"coordinates": " ".join(_add_map_axes(add, poses, site)), "grid_mapping": CRS}
     annotate(add(ELEVATION, DIMENSIONS[1:], site.elevation[:, :].T, "f8"), mapped)
     for name, (label, values) in poses.bands.items():

@@ -323,7 +323,9 @@ def _define(file: Any, run: Trajectory, on_map: Mapping[str, Column]) -> None:
         number[...] = 1
         annotate(number, TRAJECTORY_ATTRIBUTES)
     if on_map:
-        annotate(file.createVariable(CRS, "i4", ()), grid_mapping(run.attributes[MAP_CRS]))
+        mapping = file.createVariable(CRS, "i4", ())
+        mapping[...] = 0  # without a value, what memory contained is written
+        annotate(mapping, grid_mapping(run.attributes[MAP_CRS]))
     for name, column in {**on_map, **run.columns}.items():
         variable = file.createVariable(name, "f8", column.dimensions[::-1])
         annotate(variable, column.metadata | coordinate_attributes(run, [*on_map], name))
