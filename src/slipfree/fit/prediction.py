@@ -12,7 +12,7 @@ import scipy  # its parts are imported when they are used, since this takes 0.3 
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices
-from slipfree.fit.drives import DriveLog, Windows, chord, courses
+from slipfree.fit.drives import SLOW, DriveLog, Windows, chord, courses
 from slipfree.fit.force_balance import Chassis, ComplexArray, Constants, integrate, simulate
 from slipfree.fit.ground_slope import Slopes
 from slipfree.fit.unknowns import BALANCE, Unknown
@@ -272,6 +272,7 @@ class _PathSlopes:
         self._rows, self._lead, self._dt, self._slopes = p._rows, p._lead, p._dt, slopes
         course, place = p._course, p._place
         self._course = np.where(np.isfinite(course) & (course != 0), course, 1.0)
+        self._has_headings = p._has_headings
         self._place, self._receiver, self._mounted = place, receiver, mounted
         self._pose: tuple[Any, ...] | None = None
 
@@ -280,6 +281,9 @@ class _PathSlopes:
         if k <= self._lead:
             rows = self._rows[k, :n]
             heading = np.angle(self._course[rows]) - self._mounted[..., :n]
+            if not self._has_headings:  # the vehicle slides sideways from its heading to its course
+                moved = velocity + 1j * turning * self._receiver
+                heading = heading - np.where(np.abs(moved) > SLOW, np.angle(moved), 0.0)
             heading = np.broadcast_to(heading, velocity.shape)
             place = self._place[rows] - self._receiver * np.exp(1j * heading)
         else:
