@@ -42,7 +42,7 @@ def test_a_problem_drives_on_a_map_of_the_new_format(file, tmp_path):
     begin, end = text.index("[terrain.synthetic]"), text.index("[vehicle]")
     problem = tmp_path / "p.toml"
     problem.write_text(f'{text[:begin]}[terrain]\nfile = "{file.name}"\n\n{text[end:]}')
-    words = ("run", problem, "-o", tmp_path / "r.nc", "--no-draw", *sets("time.duration=0.2"))
+    words = ("run", problem, "-o", tmp_path / "r.nc", "--no-draw", "-v", *sets("time.duration=0.2"))
     assert "JSON" in printed(*words)
 
 

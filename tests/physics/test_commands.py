@@ -285,7 +285,8 @@ def folder(folder):
 
 
 def _run(*settings: str, code: int = 0) -> Any:
-    result = invoke("run", "p.toml", "-o", "p.nc", "--no-draw", *sets(*settings), code=code)
+    words = ["--no-draw"] if code else ["--no-draw", "-v"]
+    result = invoke("run", "p.toml", "-o", "p.nc", *words, *sets(*settings), code=code)
     return result.stderr if code else (result.stdout, netcdf.read("p.nc"))
 
 
@@ -543,6 +544,7 @@ def _run_rover(*settings: str) -> Any:
 def test_problem_file():
     result = _run_rover("given.yaw_rate=0.1*cos(0.5*t)")
     assert (result.exit_code, result.stderr) == (0, ""), result.output
+    result = invoke("info", "p.nc")
     for words in (
         *("forward 0.1 m/s, yaw_rate 0.1*cos(0.5*t) rad/s", "rate of wheel front_right "),
         *("steering steer_front_left ", " rad at most", "round trip  ", "wheel middle_left  "),
@@ -566,7 +568,8 @@ def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(monkeyp
 
     monkeypatch.setattr("slipfree.problem.verbs.inverse.replay", fail)
     jump = "given.forward=[[0, 0.1], [0.3, 0.12]]"
-    result = _run_rover(*CAR, "start.steer=0.2", "time.step=0.05", jump)
+    _run_rover(*CAR, "start.steer=0.2", "time.step=0.05", jump)
+    result = invoke("info", "p.nc")
     assert "forward 0.1 then 0.12 m/s" in result.stdout, result.output
     assert "replay stopped early  " in result.stdout
     assert "it gave up" in result.stdout

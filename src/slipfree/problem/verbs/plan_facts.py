@@ -55,10 +55,10 @@ prices of limits: {prices}
 !driven slowly: without inertia the same path needs torques of {slow_torque:.3g} in all (at x = \
 {slow_x:.2f}, y = {slow_y:.2f}); the plan needs at most {slow_torque_plan:.3g}
 !driven slowly: {slow_failure}
-!simulated with friction: ends {friction_end_distance:.3g} from the plan, slips \
+*!simulated with friction: ends {friction_end_distance:.3g} from the plan, slips \
 {friction_slip_per_path:.3g>mm/m} per wheel, utilisation at most \
 {friction_utilisation_largest:.3g}[ ({slides})]
-!simulated with friction: {friction_failure}
+*!simulated with friction: {friction_failure}
 !simulated with inertia: ends {soil_end_distance:.3g} from the plan, slip ratio \
 {soil_slip_ratio_largest:.3g} at most, sinkage {soil_sinkage_largest:.3g>mm} at most, work \
 {soil_work:.4g} (plan: {soil_slip_ratio_largest_plan:.3g}, {soil_sinkage_largest_plan:.3g>mm}, \
