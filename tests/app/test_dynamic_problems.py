@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from helpers.commands import invoke, sets
+from helpers.commands import invoke, printed, sets
 from helpers.dynamics import energy_error
 from slipfree import Bicubic, Outcome, Solids, catalog, load_problem, open_result, run_problem
 from slipfree.core.trajectory import Stop
@@ -23,9 +23,9 @@ ROCKS = str(PROBLEMS / "dynamics_rocks.toml")
 @pytest.mark.slow
 def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path, monkeypatch):
     file = tmp_path / "r.nc"
-    done = invoke("run", ROCKS, "-o", file, "--set", "time.duration=0.5", "--no-draw", code=0)
+    invoke("run", ROCKS, "-o", file, "--set", "time.duration=0.5", "--no-draw", code=0)
     for name in ("compliant contact", "vehicle in the air", "energy balance", "a prediction with"):
-        assert name in done.output
+        assert name in printed("info", file)
     result = open_result(file)
     run, figures = result.trajectory, verb_of(result.problem).figures(result)
     assert {"contact", "energy", "checks"} <= {each.name for each in figures}
@@ -41,12 +41,13 @@ def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path, monkeypatch):
 def test_a_car_jumps_from_a_ledge(tmp_path):
     file = tmp_path / "r.nc"
     name = PROBLEMS / "dynamics_ledge.toml"
-    done = invoke("run", name, "-o", file, "--set", "time.duration=0.8", "--no-draw", code=0)
+    invoke("run", name, "-o", file, "--set", "time.duration=0.8", "--no-draw", code=0)
+    told = printed("info", file)
     run = open_result(file).trajectory
     flying = (run["depth"] < 0).all(axis=1)
     t = run.t[flying]
-    assert f"{t[-1] - t[0] + 0.005:.3g} s in all" in done.output
-    assert "4 lift-offs, counted per wheel" in done.output
+    assert f"{t[-1] - t[0] + 0.005:.3g} s in all" in told
+    assert "4 lift-offs, counted per wheel" in told
     lifted = run["depth"] < 0
     for quantity in ("slip_along", "slip_across", "slip_ratio", "force_normal"):
         assert np.abs(run[quantity][lifted]).max() == 0
@@ -105,8 +106,8 @@ def test_a_sampled_driver_ends_near_the_continuous_one(tmp_path):
     for name, sampled in (("continuous", []), ("sampled", ["--set", "driver.period=0.01"])):
         file = tmp_path / f"{name}.nc"
         short = ["--set", "time.duration=0.8", "--set", "time.step=0.02"]
-        done = invoke("run", ROCKS, "-o", file, "--no-draw", *short, *sampled, code=0)
-        assert ("driver straight, every 0.01 s" in done.output) == (name == "sampled")
+        invoke("run", ROCKS, "-o", file, "--no-draw", *short, *sampled, code=0)
+        assert ("driver straight, every 0.01 s" in printed("info", file)) == (name == "sampled")
         run = open_result(file).trajectory
         assert run.t == pytest.approx(0.02 * np.arange(41))
         ends.append(np.array([run["x"][-1], run["y"][-1], run["z"][-1]]))
