@@ -169,7 +169,8 @@ def run_file(*settings):
 def test_run_plans_simulates_and_tells():
     result = run_file("plan.intervals=10", "costs.slip=")
     assert result.exit_code == 0, result.output
-    told = dict(line.split("  ", 1) for line in result.stdout.splitlines() if "  " in line)
+    shown = invoke("info", "p.nc").stdout
+    told = dict(line.split("  ", 1) for line in shown.splitlines() if "  " in line)
     assert told["driven by"].strip().startswith("plan to x 0.6, y 2.6 in 20 s")
     assert "effort" in told["plan"]
     assert "iterations" in told["plan"]
