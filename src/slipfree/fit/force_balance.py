@@ -1,7 +1,7 @@
 """Force balance of a vehicle in the plane of the ground, for many motions at once.
 
 Unknowns at each instant are the velocity of the centre of mass in the vehicle's axes, ahead and to
-the left, and the turning rate. Per unit of mass,
+the left, and the turning rate. Per unit of mass::
 
     dv/dt + omega x v = sum F_i + g_t,    k^2 domega/dt = sum r_i x F_i,
     F_i = -mu N_i s_i / sqrt(|s_i|^2 + (mu / K)^2),    s_i = v + omega x r_i - u_i d_i,
