@@ -308,10 +308,11 @@ def test_run_writes_the_result_and_draws(folder):
     for words in (
         *("ground height ", "three_wheeler: right 0.3 m driven", "path length ", "end position "),
         *("a lower bound, not a prediction", "wheel front", "contact error", "x the tolerance"),
-        *("certificate  ", "; samples at most ", "steps, ", "outcome               complete\n"),
+        *("certificate  ", "; samples at most ", "steps, "),
         "wrote p.nc",
     ):
         assert words in result.stdout, words
+    assert re.match("outcome +complete\n", result.stdout)
     motion = netcdf.read("p.nc")
     assert motion.t[-1] == 0.5
     assert motion["y"][-1] == pytest.approx(0.5, abs=1e-6)
@@ -323,13 +324,10 @@ def test_run_writes_the_result_and_draws(folder):
 def test_runs_print_the_main_facts_and_info_all_of_them():
     names = ["outcome", "path length", "end position", "slip", "largest angles", "friction"]
     names += ["tip-over margin", "contact certificate"]
-    main, all_facts = (
-        invoke("run", "p.toml", "--no-draw", *more, code=0).stdout.splitlines()
-        for more in ((), ("-v",))
-    )
+    main = invoke("run", "p.toml", "--no-draw", code=0).stdout.splitlines()
+    all_facts = invoke("run", "p.toml", "--no-draw", "-v", code=0).stdout.splitlines()
     assert [line.partition("  ")[0] for line in main[:-1]] == names
     assert main[-1] == "wrote p.nc; all facts: slipfree info p.nc"
-    assert {line.split("  ")[0] for line in main} < {line.split("  ")[0] for line in all_facts}
     shown = invoke("info", "p.nc", code=0).stdout
     assert all(line.partition("  ")[2].strip() in shown for line in all_facts[:-1])
 

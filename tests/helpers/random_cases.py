@@ -332,6 +332,7 @@ CAUSES = {  # what a refusal says, and what it is counted as
     r"found a violation: the ground under wheel \w+ is more concave": "too concave",
     r"found a violation: wheel \w+ touches a second time at \(": "second touch",
     r"found a violation: wheel \w+ lies flat": "wheel flat",
+    r"found a violation: wheel \w+ lifts off: equilibrium would need a negative": "lifts off",
     r"found a violation: the platform overturns": "overturned",
     r"found a violation: joint \w+ \(.*\) reaches its stop: .*, allowed": "at a stop",
     r"model is singular here: no equation determines \S+ \(": "singular",

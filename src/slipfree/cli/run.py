@@ -100,7 +100,6 @@ def run(
     from slipfree.problem.load import check_option, verb_of
     from slipfree.problem.result import run_problem
     from slipfree.problem.verbs.base import CROSS_CHECK, RESUME, outcome_fact
-    from slipfree.show.plots import main_plots
 
     problem = read_problem(file, settings, trust)
     verb = verb_of(problem)
@@ -154,6 +153,8 @@ def run(
             _cross_check(result)
     if folder is not None and not is_interrupted:
         with _after(files[0], "figures"):
+            from slipfree.show.plots import main_plots
+
             plots = verb.figures(result)
             drawn = draw_plots(plots if figures_all else main_plots(plots), folder)
             rest = len(plots) - len(drawn)
