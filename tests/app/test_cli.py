@@ -324,10 +324,10 @@ def test_run_writes_the_result_and_draws(folder):
 def test_runs_print_the_main_facts_and_info_all_of_them():
     names = ["outcome", "path length", "end position", "slip", "largest angles", "friction"]
     names += ["tip-over margin", "contact certificate"]
-    main = invoke("run", "p.toml", "--no-draw", code=0).stdout.splitlines()
+    main = invoke("run", "p.toml", "--no-draw", "-o", "a b.nc", code=0).stdout.splitlines()
     all_facts = invoke("run", "p.toml", "--no-draw", "-v", code=0).stdout.splitlines()
     assert [line.partition("  ")[0] for line in main[:-1]] == names
-    assert main[-1] == "wrote p.nc; all facts: slipfree info p.nc"
+    assert main[-1] == "wrote a b.nc; all facts: slipfree info 'a b.nc'"
     shown = invoke("info", "p.nc", code=0).stdout
     assert all(line.partition("  ")[2].strip() in shown for line in all_facts[:-1])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -146,7 +147,7 @@ def run(
         for words in verb.warnings(motion):
             warn(words)
     names = ", ".join(map(str, files))
-    print_line(f"wrote {names}; all facts: slipfree info {files[0]}")
+    print_line(f"wrote {names}; all facts: {shlex.join(['slipfree', 'info', str(files[0])])}")
     detail(f"wrote {names}")
     if cross_check and not is_interrupted:
         with _after(files[0], "cross-check"):

@@ -47,10 +47,8 @@ MAX_EVALUATIONS, REFINEMENTS = 25, 6  # of a search, and from the values of anot
 AGE_DEVIATION = 0.05  # of ages that turning rates show [s]
 STEP = 1e-4  # of derivatives [scales]
 COVERED = 0.9  # share of the errors inside a prediction interval
-SPREAD, PRIOR_CAMPAIGNS = (
-    0.25,
-    3,
-)  # of log scales of campaigns before they are known, and its weight
+SPREAD = 0.25  # of log scales of campaigns before they are known
+PRIOR_CAMPAIGNS = 3  # weight of this spread
 QUANTILE = 0.84  # of a standard normal variable, at 80 %
 SLIP_SPREAD = 0.15  # deviation of the slip over the sine of the grade between campaigns
 LEAST_WINDOWS = 8  # of a campaign whose scale is known
