@@ -64,6 +64,25 @@ def test_children_compute_while_another_thread_does() -> None:
         thread.join()
 
 
+def test_a_child_reads_a_property_that_another_thread_computed() -> None:
+    begun, over = threading.Event(), threading.Event()
+
+    class Owner:
+        @forks.cached_property
+        def value(self) -> bool:
+            begun.set()
+            return over.wait()
+
+    thread = threading.Thread(target=lambda: Owner().value)
+    thread.start()
+    begun.wait()
+    try:
+        assert _child(lambda: over.set() or os._exit(0 if Owner().value else 2)) == 0
+    finally:
+        over.set()
+        thread.join()
+
+
 def test_a_fork_waits_for_a_computation_and_no_longer() -> None:
     ended = []
 

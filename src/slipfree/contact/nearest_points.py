@@ -26,7 +26,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -36,6 +35,7 @@ from slipfree.contact.touch import Plane, jet_function, plane_of
 from slipfree.core.evaluation import evaluate
 from slipfree.core.records import Array, Indices
 from slipfree.geometry.frame import Pose, translation
+from slipfree.system.forks import cached_property
 from slipfree.terrain.base import Jet, Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull

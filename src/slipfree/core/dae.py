@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, runtime_checkable
 
@@ -32,6 +31,7 @@ from slipfree.core.records import (
 )
 from slipfree.core.schema import Finite
 from slipfree.core.trajectory import Trajectory
+from slipfree.system.forks import cached_property
 
 if TYPE_CHECKING:
     from slipfree.terrain.base import Terrain

@@ -13,9 +13,8 @@ NOT_FINITE = "the residuals of the equations are not finite"
 RATES_NOT_FINITE = "the rates are not finite"
 INTEGRAL_NOT_FINITE = "an integrated quantity is not finite"
 TOO_LONG = "the search reached its time limit"
-FUTILE_STATUS = (
-    "Violation_Not_Reduced"  # own status: IPOPT was stopped, see `MAX_FUTILE_ITERATIONS`
-)
+# own status: IPOPT was stopped, see `MAX_FUTILE_ITERATIONS`
+FUTILE_STATUS = "Violation_Not_Reduced"
 MALFORMED = "the nonlinear program is malformed: please report this as a bug in slipfree"
 IPOPT_STATUSES = {
     "Solve_Succeeded": "the plan is solved",

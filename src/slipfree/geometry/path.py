@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -12,6 +11,7 @@ import numpy as np
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
+from slipfree.system.forks import cached_property
 
 MAX_COORDINATE = 1e12  # larger way-points are input errors [m]
 NODES = 64  # nodes of the arc-length table per way-point

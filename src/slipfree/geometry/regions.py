@@ -6,7 +6,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -15,6 +14,7 @@ from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 from slipfree.core.schema import Finite, Positive
+from slipfree.system.forks import cached_property
 
 TIP_ROUNDING = 1e-3  # rounding of the distance at the centre of a disc, in radii
 CORNER_ROUNDING = 1e-12  # rounding of the distance at a corner of a polygon, relative to its size

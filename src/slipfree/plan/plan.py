@@ -12,7 +12,6 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -60,7 +59,7 @@ from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import CollocationMesh, Mesh, PlanTask, Program, transcribe
 from slipfree.plan.verification import Verification, inputs_along, verify_plan
 from slipfree.solve.options import SolverOptions
-from slipfree.system.forks import computing
+from slipfree.system.forks import cached_property, computing
 from slipfree.system.interrupt import with_interrupt_guard
 
 MIN_INTERVALS = 40  # least default number of intervals

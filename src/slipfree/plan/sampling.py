@@ -17,7 +17,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Annotated, NamedTuple
 
 import casadi as ca
@@ -44,6 +43,7 @@ from slipfree.core.trajectory import SolverError
 from slipfree.geometry.regions import Region
 from slipfree.plan.problem import Range, costs_of, range_of
 from slipfree.plan.stage import Cost
+from slipfree.system.forks import cached_property
 
 CORRELATION = 0.7  # of the noise in neighbouring intervals
 EFFECTIVE = 0.02  # share of the candidates that shall have weight

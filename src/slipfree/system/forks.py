@@ -1,4 +1,4 @@
-"""Postponement of process forks until no other thread is computing.
+"""Postponement of process forks until no other thread is computing, and properties without locks.
 
 A forked child has a single thread. Locks of CasADi, functools and the linear algebra library that
 other threads held at the fork stay locked in the child forever. OpenBLAS can even hang in ``fork``
@@ -7,11 +7,12 @@ itself, since it waits for computing threads.
 
 from __future__ import annotations
 
+import functools
 import os
 import threading
 from collections.abc import Callable
-from functools import wraps
-from typing import ParamSpec, TypeVar
+from contextlib import nullcontext
+from typing import Any, ParamSpec, TypeVar
 
 from slipfree.core.errors import SlipfreeError
 
@@ -91,7 +92,7 @@ def computing(function: Callable[P, R]) -> Callable[P, R]:
     was forked while another thread computed.
     """
 
-    @wraps(function)
+    @functools.wraps(function)
     def alone(*args: P.args, **more: P.kwargs) -> R:
         if _forks.unsafe:
             raise SlipfreeError(
@@ -106,3 +107,14 @@ def computing(function: Callable[P, R]) -> Callable[P, R]:
             _forks.leave()
 
     return alone
+
+
+class cached_property(functools.cached_property[R]):  # noqa: N801 - as in functools
+    """`functools.cached_property` as it is from Python 3.12 on, without its lock of Python 3.11.
+
+    Two threads may both compute the value; both values are equal.
+    """
+
+    def __init__(self, function: Callable[[Any], R]) -> None:
+        super().__init__(function)
+        self.lock = nullcontext()

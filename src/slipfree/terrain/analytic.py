@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -15,6 +14,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.interval import Intervals, evaluate_interval
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, field_overview
+from slipfree.system.forks import cached_property
 from slipfree.terrain.base import (
     TAYLOR,
     DerivativeBounds,

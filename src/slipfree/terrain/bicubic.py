@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -15,6 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from slipfree.core.arguments import checked
 from slipfree.core.lookups import Cells, LookupTable
 from slipfree.core.records import Array, Indices
+from slipfree.system.forks import cached_property
 from slipfree.terrain.base import (
     DerivativeBounds,
     Friction,

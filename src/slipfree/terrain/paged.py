@@ -11,11 +11,12 @@ from __future__ import annotations
 import mmap
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
 from slipfree.core.records import Array
+from slipfree.system.forks import cached_property
 from slipfree.terrain.base import REPEATED, Grid, pad_axes
 from slipfree.terrain.bicubic import HOLE_CLEARANCE, Bicubic, coefficients_of, friction_map
 from slipfree.terrain.grid_ops import Window, any_of_four, continue_over_holes, hole_distance

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Annotated
 
 import casadi as ca
@@ -23,6 +22,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate
 from slipfree.core.records import Array
 from slipfree.core.schema import Finite, Length
+from slipfree.system.forks import cached_property
 from slipfree.terrain.base import Terrain
 
 Point = tuple[float, float]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -16,6 +15,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import field_overview
 from slipfree.core.schema import NonNegative, Positive
 from slipfree.geometry.frame import Axis, Pose, Vector, translation, turn, unit_vector
+from slipfree.system.forks import cached_property
 from slipfree.vehicle.drives import NO_DRIVE, RATE, Drive
 from slipfree.vehicle.sections import Section
 

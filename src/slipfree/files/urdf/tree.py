@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import PurePath
 from typing import Any, Literal, NamedTuple, NoReturn, TypeVar
 
@@ -22,6 +21,7 @@ from slipfree.files.vehicle_toml import (
     vector_of,
 )
 from slipfree.geometry.frame import Elements, Vector, in_axes, unit_vector
+from slipfree.system.forks import cached_property
 from slipfree.vehicle.shapes import Box
 from slipfree.vehicle.wheel import ORIGIN
 
