@@ -61,8 +61,7 @@ from slipfree.problem.load import load_problem
 from slipfree.show.sweep_figures import save_sweep_figures
 from slipfree.solve import integrator as module
 from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.run import choose_figures, grids, run_sweep
-from slipfree.sweep.runs import Done, Rows, RunRow, RunTask, work
+from slipfree.sweep.runs import Done, Rows, RunRow, RunTask, choose_figures, grids, run_sweep, work
 from slipfree.system.threads import NAMES
 from slipfree.vehicle.sections import Torus
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle

@@ -32,7 +32,7 @@ def test_a_run_tells_contact_and_energy_and_is_reported(tmp_path, monkeypatch):
     exchanged = np.abs(run["work"]).max() + run["lost_energy"][-1]
     assert np.abs(energy_error(run)).max() < 100 * 1e-6 * exchanged
     assert run["velocity_x"][0] == pytest.approx(1.0, abs=0.01)  # the initial speed
-    monkeypatch.setattr("slipfree.problem.verbs.driving.DriveVerb.figures", lambda *_: ())
+    monkeypatch.setattr("slipfree.problem.verbs.base.DriveVerb.figures", lambda *_: ())
     invoke("report", file, "-o", tmp_path / "r.html", code=0)
     invoke("show", file, "--html", tmp_path / "page.html", code=0)
 

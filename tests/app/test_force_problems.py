@@ -18,16 +18,15 @@ from slipfree.models.force_distribution import least_utilisation
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, run_problem
-from slipfree.problem.verbs import driving as runner
+from slipfree.problem.verbs import base as runner
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PROBLEM = (DATA / "quasi_static_hill.toml").read_text()
 
 
 @pytest.fixture(autouse=True)
-def file(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    path = tmp_path / "p.toml"
+def file(folder):
+    path = folder / "p.toml"
     path.write_text(PROBLEM)
     return path
 

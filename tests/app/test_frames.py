@@ -45,9 +45,8 @@ time = { duration = 0.5, step = 0.25 }
 
 
 @pytest.fixture
-def problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    Path("p.toml").write_text(FRAMES_PROBLEM)
+def problem(folder: Path) -> Path:
+    (folder / "p.toml").write_text(FRAMES_PROBLEM)
     return Path("p.toml")
 
 

@@ -21,8 +21,7 @@ from slipfree.files.toml.source import ProblemError
 from slipfree.fit.drives import DriveLog
 from slipfree.problem.load import load_problem
 from slipfree.problem.verbs.fit import _Reader, inputs_of
-from slipfree.problem.verbs.inverse import _points
-from slipfree.problem.verbs.inverse_schema import _read_file
+from slipfree.problem.verbs.inverse import _points, _read_file
 
 pytestmark = pytest.mark.usefixtures("folder")
 

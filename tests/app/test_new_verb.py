@@ -22,7 +22,7 @@ from slipfree.problem import load
 from slipfree.problem.build import Setup, build_start, build_world
 from slipfree.problem.result import open_result
 from slipfree.problem.schema import VERB, MotionKeys, Time
-from slipfree.problem.verbs.driving import DriveVerb
+from slipfree.problem.verbs.base import DriveVerb
 from slipfree.show.plots import Plot
 from slipfree.system.processes import Processes
 
@@ -81,9 +81,8 @@ start = { heading = 0.5 }
 
 
 @pytest.fixture(autouse=True)
-def _added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("p.toml").write_text(PROBLEM)
+def _added(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (folder / "p.toml").write_text(PROBLEM)
     monkeypatch.setattr(load, "VERBS", (*load.VERBS, StandVerb()))
 
 
@@ -121,7 +120,7 @@ class InProcess(Processes[Any, Any]):
 
 @pytest.mark.slow
 def test_it_is_swept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slipfree.sweep.run.Processes", InProcess)
+    monkeypatch.setattr("slipfree.sweep.runs.Processes", InProcess)
     found = printed("sweep", "p.toml", "--vary", "vehicle.mass=20:40:3", "--no-draw")
     assert "load_least" in found
     assert len(Path("p_sweep/table.csv").read_text().splitlines()) == 4

@@ -14,11 +14,10 @@ from slipfree.plan.ipopt import SOLVED_STATUS
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, motion_facts, open_result, run_problem
-from slipfree.problem.verbs import plan_facts
 from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan import PlanVerb, figure_options
-from slipfree.problem.verbs.plan_schema import regions
 from slipfree.problem.verbs.plan_search import start_motion
+from slipfree.problem.verbs.plan_setup import regions
 from slipfree.show.plan_figures import plan_plots
 from slipfree.show.plots import draw
 
@@ -162,7 +161,7 @@ def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch
 @pytest.mark.slow
 def test_a_time_limit_that_ended_the_search_is_in_the_summary(bounded, monkeypatch):
     assert "time limit" not in dict(motion_facts(bounded.trajectory))
-    monkeypatch.setattr(plan_facts, "TIME_STATUS", SOLVED_STATUS)
+    monkeypatch.setattr("slipfree.problem.verbs.plan.TIME_STATUS", SOLVED_STATUS)
     told = dict(motion_facts(run_problem(load_problem(HILLS, QUICK)).trajectory))["time limit"]
     assert told.endswith("the plan meets all constraints, its cost may not be least")
 

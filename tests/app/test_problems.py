@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from helpers.commands import build_errors
+from helpers.commands import build_errors, refuses
+from helpers.problem_files import FILE, VALID, _read
 from slipfree.cli import app
+from slipfree.files.toml.source import ProblemError
 from slipfree.problem.load import load_problem
-from slipfree.problem.result import run_problem
+from slipfree.problem.result import build, run_problem
+from slipfree.problem.verbs.direct import Direct
+from slipfree.solve.sampling import input_samples
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 HALF_RADIUS = 0.15
@@ -190,3 +194,201 @@ SLOW = [
 def test_settings_that_cannot_be_built_are_refused(name, words):
     errors = build_errors(PROBLEMS / name, REFUSED[name][words])
     assert words in " ".join(errors.split())
+
+
+def _faults(folder: Path, text: str, *settings: str) -> list[str]:
+    """Return the faults with the path of the file taken out."""
+    with pytest.raises(ProblemError) as caught:
+        _read(folder, text, *settings)
+    path = str(folder / "p.toml")
+    assert all(each.startswith((path, "--set")) for each in caught.value.faults)
+    return [each.replace(path, "p.toml") for each in caught.value.faults]
+
+
+def _changed(old: str, new: str) -> str:
+    assert VALID.count(old) == 1
+    return VALID.replace(old, new)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ("r1 = 0.05", "r3 = 0.05", "p.toml:11: vehicle.r3: expected one of catalog, axle, half_tr"),
+        ("x = 0.1", "x = -1e155", "p.toml:14: start.x: expected a number with an absolute value o"),
+        ("x = 0.1", f"x = 0x{'f' * 5000}", "p.toml:14: start.x: expected a number, found a whole"),
+        ("step = 0.25", "step = 2", "p.toml:24: time.step: expected at most the duration, 1 s, fo"),
+        ("step = 0.25", "step = 1\n[solver]\ntolerance = 0", "p.toml:26: solver.tolerance: expect"),
+        ("step = 0.25", 'step = 1\n[output]\nfile = ""', "p.toml:26: output.file: expected text t"),
+        ("steer_rate = 0", "steer_rate = [[0, 1], [0, 2]]", "p.toml:20: inputs.steer_rate: expect"),
+        (
+            "base = 2.0",
+            "ramp = { start = 1, end = 2, rise = 1, smooth = 1 }",
+            "p.toml:7: terrain.synthetic.ramp.smooth: expected true or false, found 1",
+        ),
+    ],
+)
+def test_one_fault(old: str, new: str, fault: str, tmp_path: Path) -> None:
+    (found,) = _faults(tmp_path, _changed(old, new))
+    assert found.startswith(fault)
+
+
+def test_all_faults_at_once_in_order(tmp_path: Path) -> None:
+    text = _changed("spacing = 0.5", 'spacing = "a"').replace("r1", "rr").replace("step", "stepp")
+    found = _faults(tmp_path, text, "time.duration=-1", "frame=map")
+    assert [re.split(":? expected", each)[0] for each in found] == [
+        *("p.toml:6: terrain.synthetic.spacing", "p.toml:11: vehicle.rr", "p.toml:22: time.step"),
+        *("p.toml:24: time.stepp: did you mean 'step'?", "--set time.duration", "--set frame"),
+    ]
+
+
+def test_an_empty_file_lacks_its_tables(tmp_path: Path) -> None:
+    found = _faults(tmp_path, "")
+    assert "p.toml:1: expected exactly one of inputs, driver, found none" in found
+    assert "p.toml:1: time: expected a table [time], found none" in found
+    assert "p.toml:1: verb: expected a value, found none" in found
+    assert len(found) == 6
+
+
+def test_inputs_and_driver_exclude_each_other(tmp_path: Path) -> None:
+    driver = '[driver]\nname = "straight"\nspeed = 1\n'
+    (both,) = _faults(tmp_path, VALID + driver)
+    assert both.startswith("p.toml:25: driver: expected exactly one of inputs, driver, found inp")
+    inputs = VALID[VALID.index("[inputs]") : VALID.index("[time]")]
+    (none,) = _faults(tmp_path, VALID.replace(inputs, ""))
+    assert none == "p.toml:1: expected exactly one of inputs, driver, found none"
+    (still,) = _faults(tmp_path, VALID.replace(inputs, "") + driver, "driver.speed=0")
+    assert still == "--set driver.speed: expected a speed other than zero, found 0"
+
+
+def test_unreadable_files(tmp_path: Path) -> None:
+    (found,) = _faults(tmp_path, 'verb = "direct"\nx = = 1\n')
+    assert found.startswith("p.toml:2: expected TOML, found an error in column 5")
+    with pytest.raises(ProblemError, match=r"no\.toml: expected a problem file.*No such file"):
+        load_problem(tmp_path / "no.toml")
+    (tmp_path / "p.toml").write_bytes(b'a = 1\nb = "\xff"\n')
+    with pytest.raises(ProblemError, match=r"p\.toml:2: expected text in UTF-8, found the byte 0x"):
+        load_problem(tmp_path / "p.toml")
+
+
+def test_a_byte_order_mark_and_windows_lines_are_fine(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + VALID.replace("\n", "\r\n").encode())
+    assert load_problem(path).spec.start == {"x": 0.1, "heading": 0.2}
+
+
+def test_settings(tmp_path: Path) -> None:
+    settings = ["time.duration=2", "title=a-b", "frame='rep103'", "vehicle.r1="]
+    settings += ["inputs.steer_rate=[[0, 0.1], [1, 0.2]]", "solver.tolerance=1e-6"]
+    spec = _read(tmp_path, VALID, *settings).spec
+    assert spec.time.duration == 2
+    assert (spec.title, spec.frame) == ("a-b", "rep103")
+    assert spec.inputs["steer_rate"] == ((0.0, 0.1), (1.0, 0.2))
+    assert "r1" not in spec.vehicle.keywords
+    assert spec.solver.tolerance == 1e-6
+
+
+@pytest.mark.parametrize("setting", ["time.step", "time.step=[1", "time.step=1\nb=2"])
+def test_bad_settings(setting: str, tmp_path: Path) -> None:
+    (found,) = _faults(tmp_path, VALID, setting)
+    assert found.startswith(f"--set {setting.partition('=')[0]}: expected key=value with")
+
+
+def test_settings_that_do_not_fit(tmp_path: Path) -> None:
+    assert _faults(tmp_path, VALID, "vehicle.r1=-1", "foo.bar=1", "time={duration=1, stp=1}") == [
+        "--set time: time.step: expected a value, found none",
+        "--set time: time.stp: did you mean 'step'? expected one of duration, step, found the "
+        "unknown key 'stp'",
+        "--set vehicle.r1: expected a number of at least 0, found -1",
+        "--set foo: expected one of verb, title, gravity, time, solver, output, terrain, start, "
+        "frame, vehicle, model, slip, law, inputs, driver, formulation, found the unknown key "
+        "'foo'",
+    ]
+
+
+def test_every_table_is_frozen_and_strict() -> None:
+    wanted = {"frozen": True, "strict": True, "extra": "forbid"}
+    for name, field in Direct.model_fields.items():
+        kind = field.annotation
+        if hasattr(kind, "model_config"):
+            assert kind.model_config.items() >= wanted.items(), name
+
+
+def test_samples_contain_the_jumps() -> None:
+    inputs = {"a": ((0.0, 1.0), (0.5, 2.0), (0.8, 3.0), (7.0, 4.0)), "b": 5.0}
+    t, rates = input_samples(1.0, 0.4, inputs)
+    np.testing.assert_allclose(t, [0, 0.4, 0.5, 0.8, 1.0])
+    np.testing.assert_array_equal(rates["a"], [1, 1, 2, 3])
+    assert rates["b"] == 5.0
+    assert input_samples(0.3, 0.1, {})[0].tolist() == pytest.approx([0, 0.1, 0.2, 0.3])
+
+
+def test_piecewise_inputs_on_flat_ground(tmp_path: Path) -> None:
+    rates = [f"inputs.{side}_rate=[[0, 0.5], [0.3, 1.0]]" for side in ("right", "left")]
+    motion = run_problem(_read(tmp_path, VALID, *rates)).trajectory
+    expected = 0.3 * (0.5 * 0.3 + 1.0 * 0.7)
+    assert motion["wheel_angle", "left"][-1] == pytest.approx(0.5 * 0.3 + 0.7, abs=1e-9)
+    assert np.hypot(motion["x"][-1] - 0.1, motion["y"][-1]) == pytest.approx(expected, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["inputs.left_rate="], "--set inputs.left_rate: expected a rate, found no"),
+        (["inputs.rigth_rate=1"], "--set inputs.rigth_rate: did you mean 'right_rate'\\? expected"),
+        (["start.x=50"], "--set start.x: expected a start on the map, which extends from -3 to 3"),
+        (["vehicle.r1=0", "vehicle.r2=0"], r"p.toml:9: vehicle: r1, r2: expected a positive radiu"),
+        (["terrain.synthetic.x=[0, 1]"], "p.toml:3: terrain.synthetic: .*at least 4 nodes"),
+        (["terrain.synthetic.spacing=1e-6"], "expected a ground of at most 5e.07 nodes, found 4"),
+        (["terrain.window=[7, 8, 7, 8]"], "--set terrain.window: .*at least 4 nodes.*found 0"),
+    ],
+)
+def test_what_only_the_model_knows(settings: list[str], words: str, tmp_path: Path) -> None:
+    problem = _read(tmp_path, VALID, *settings)
+    refuses(ProblemError, words, build, problem)
+
+
+def _npz(path: Path, **changes: object) -> None:
+    x, y = np.linspace(-3, 3, 25), np.linspace(-3, 4, 29)
+    arrays = {"x": x, "y": y, "z": np.zeros((25, 29))} | changes
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"z": np.full((25, 29), np.nan)}, "expected heights, found none at any node"),
+        ({"x": np.linspace(-3, 3, 25) ** 3}, "axis x must be uniform"),
+    ],
+)
+def test_bad_grounds(changes: dict[str, object], words: str, tmp_path: Path) -> None:
+    _npz(tmp_path / "g.npz", **changes)
+    problem = _read(tmp_path, FILE)
+    refuses(ProblemError, rf"p\.toml:4: terrain\.file: .*g\.npz: .*{words}", build, problem)
+
+
+def test_ground_file_scaled_and_cut(tmp_path: Path) -> None:
+    _npz(tmp_path / "g.npz", z=np.full((25, 29), 3.0))
+    setup = build(_read(tmp_path, FILE, "terrain.scale=2", "terrain.window=[-4, 5, -6, 8]"))
+    grid = setup.ground.grid
+    assert (grid.x[0], grid.x[-1], grid.y[0], grid.y[-1]) == (-4, 5, -6, 8)
+    assert grid.z.max() == 6
+    assert setup.start["z"][0] == pytest.approx(6.3, abs=1e-12)
+
+
+def test_a_wheel_over_a_narrow_pit_stands_on_its_rim(tmp_path: Path) -> None:
+    x, y = np.linspace(-3, 3, 121), np.linspace(-3, 4, 141)
+    pit = -0.5 * np.exp(-((x[:, None] - 1.0) ** 2 + (y + 0.5) ** 2) / 0.01)
+    np.savez(tmp_path / "g.npz", x=x, y=y, z=pit)
+    start = build(_read(tmp_path, FILE, "start.x=0", "start.heading=0")).start
+    assert start["clearance", "right"][0] >= 0
+    assert np.hypot(start["contact_x", "right"] - 1, start["contact_y", "right"] + 0.5)[0] > 0.1
+
+
+def test_the_sample_and_rolled(tmp_path: Path) -> None:
+    settings = ["synthetic=", "sample=jacksboro", "scale=0.005", "rolled=0.3"]
+    settings = [f"terrain.{each}" for each in (*settings, "window=[90, 100, 110, 120]")]
+    settings += ["start.x=95", "start.y=115"]
+    ground = build(_read(tmp_path, VALID, *settings)).ground
+    assert ground.rolled is not None
+    assert 0 < ground.rolled.rms < ground.rolled.largest < 0.1
+    assert ground.source.endswith("scaled by 0.005")

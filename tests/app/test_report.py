@@ -76,7 +76,7 @@ def _invoke(*words: str) -> Any:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out what takes long."""
-    monkeypatch.setattr("slipfree.problem.verbs.driving.DriveVerb.figures", lambda *_: ())
+    monkeypatch.setattr("slipfree.problem.verbs.base.DriveVerb.figures", lambda *_: ())
 
 
 @pytest.mark.slow

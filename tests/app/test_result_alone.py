@@ -17,12 +17,10 @@ from slipfree.core.errors import DataError
 from slipfree.core.records import Array
 from slipfree.files import netcdf
 from slipfree.geometry.mesh import sheet
-from slipfree.problem import stored_world
 from slipfree.problem.build_ground import build_ground
 from slipfree.problem.load import load_problem
-from slipfree.problem.result import build, problem_of, run_problem
-from slipfree.problem.stored_world import STORED
-from slipfree.problem.verbs.driving import world_of
+from slipfree.problem.result import STORED, build, problem_of, run_problem
+from slipfree.problem.verbs.base import world_of
 from slipfree.show.meshes import reduced
 from slipfree.terrain.bicubic import Bicubic
 
@@ -180,7 +178,7 @@ def test_a_damaged_world_is_refused(
 def test_a_large_map_is_cut_to_the_motion(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stored_world, "MAX_NODES", 4000)
+    monkeypatch.setattr("slipfree.problem.result.MAX_NODES", 4000)
     settings = ("terrain.synthetic.x=[-50,50]", "terrain.synthetic.y=[-40,60]", "start.x=7.0")
     settings += ("terrain.synthetic.power_law={rms=0.05,hurst=0.9,longest=4,shortest=2,seed=1}",)
     file = solved(folder, "inverse", tmp_path, *settings)

@@ -35,10 +35,9 @@ plan = { intervals = 8, smooth = 1e-4, accuracy = 0.01 }
 
 
 @pytest.fixture
-def plan_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+def plan_file(folder: Path) -> str:
     """Write the problem of a plan into an empty current folder."""
-    monkeypatch.chdir(tmp_path)
-    Path("p.toml").write_text(DRIVE.replace('"direct"', f'"plan"{GOAL}'))
+    (folder / "p.toml").write_text(DRIVE.replace('"direct"', f'"plan"{GOAL}'))
     return "p.toml"
 
 

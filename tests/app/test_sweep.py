@@ -32,8 +32,7 @@ from slipfree.problem.load import load_problem
 from slipfree.show import sweep_figures as show
 from slipfree.show.swept import Swept, Varied
 from slipfree.sweep.grid import axis_of, sweep_of
-from slipfree.sweep.run import _spreads, drawn_grids, grids
-from slipfree.sweep.runs import Rows, RunRow, RunTask, work
+from slipfree.sweep.runs import Rows, RunRow, RunTask, _spreads, drawn_grids, grids, work
 from slipfree.system import dask_pool, processes
 from slipfree.system.parts import LOG
 from slipfree.system.processes import finish_tasks
@@ -42,10 +41,9 @@ PROBLEMS = Path(__file__).parents[2] / "problems"
 
 
 @pytest.fixture
-def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "p.toml").write_text(PROBLEM)
-    return tmp_path / "p.toml"
+def file(folder: Path) -> Path:
+    (folder / "p.toml").write_text(PROBLEM)
+    return folder / "p.toml"
 
 
 @pytest.fixture(scope="module")

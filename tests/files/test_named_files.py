@@ -17,7 +17,7 @@ from slipfree.core.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.maps.elevation import read_map
 from slipfree.problem.load import load_problem
-from slipfree.problem.verbs.driving import DriveVerb
+from slipfree.problem.verbs.base import DriveVerb
 from slipfree.sweep.grid import sweep_of
 from slipfree.system import regular_files
 

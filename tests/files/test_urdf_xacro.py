@@ -21,7 +21,7 @@ from slipfree.problem.build_vehicle import (
 from slipfree.problem.inputs import recipe_of
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, open_result
-from slipfree.problem.verbs.driving import world_of
+from slipfree.problem.verbs.base import world_of
 from slipfree.sweep.grid import sweep_of
 from slipfree.sweep.runs import RunTask, work
 

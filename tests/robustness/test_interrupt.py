@@ -35,8 +35,8 @@ from slipfree.plan.mpc import horizon
 from slipfree.plan.search import Search
 from slipfree.plan.transcription import Mesh
 from slipfree.plan.verification import simulate_plan
+from slipfree.problem.verbs import base as runner
 from slipfree.problem.verbs import compare
-from slipfree.problem.verbs import driving as runner
 from slipfree.problem.verbs import plan as plan_verb
 from slipfree.solve import integrator, simulate, zero_order_hold
 from slipfree.system import codegen_cache, interrupt

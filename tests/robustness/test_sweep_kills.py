@@ -19,8 +19,7 @@ from helpers.commands import refuses
 from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.version import __version__
 from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.run import sweep_facts
-from slipfree.sweep.runs import Rows, without_motion, work
+from slipfree.sweep.runs import Rows, sweep_facts, without_motion, work
 from slipfree.system import dask_pool
 from slipfree.system.dask_pool import DaskPool
 from slipfree.system.parts import LOG
@@ -36,10 +35,9 @@ SLOW = [
 
 
 @pytest.fixture
-def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "p.toml").write_text(sweep_cases.PROBLEM)
-    return tmp_path / "p.toml"
+def file(folder: Path) -> Path:
+    (folder / "p.toml").write_text(sweep_cases.PROBLEM)
+    return folder / "p.toml"
 
 
 def cluster(workers: int, **options: Any) -> Any:

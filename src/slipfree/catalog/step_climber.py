@@ -7,7 +7,7 @@ of the joint, along the body, and above the joint.
 
 from __future__ import annotations
 
-from slipfree.catalog.layouts import described
+from slipfree.catalog.vehicles import described
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.schema import Factor, Force, Length, Mass, Position, Stiffness

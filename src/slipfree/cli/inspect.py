@@ -173,8 +173,7 @@ def info(
     with about(file):
         from slipfree.files.atlas_files import is_atlas
         from slipfree.files.netcdf import read
-        from slipfree.problem.result import facts_of, motion_facts
-        from slipfree.problem.stored_world import STORED
+        from slipfree.problem.result import STORED, facts_of, motion_facts
         from slipfree.problem.verbs.base import outcome_fact, ranges
 
         if is_atlas(file):

@@ -93,15 +93,17 @@ def sweep(
     from slipfree.problem.inputs import files_read
     from slipfree.show.sweep_figures import save_sweep_figures
     from slipfree.sweep.grid import sweep_of
-    from slipfree.sweep.run import (
+    from slipfree.sweep.runs import (
+        FAILED,
+        LOST,
         TABLE,
+        Rows,
         choose_figures,
         drawn_grids,
         grids,
         run_sweep,
         sweep_facts,
     )
-    from slipfree.sweep.runs import FAILED, LOST, Rows
     from slipfree.system.codegen_cache import obstacle
     from slipfree.system.parts import LOG
     from slipfree.system.processes import available_cores
@@ -154,8 +156,7 @@ def sweep(
 
 def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
     """Print the size of a sweep and the time that its remaining runs will take."""
-    from slipfree.sweep.run import plan_facts
-    from slipfree.sweep.runs import Rows
+    from slipfree.sweep.runs import Rows, plan_facts
     from slipfree.system.parts import LOG
 
     facts = plan_facts(plan)
@@ -174,7 +175,7 @@ def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
 
 def _warn_missing(plan: Sweep, rows: Rows) -> None:
     """Warn about finished runs without a result file, such as those run without ``--keep``."""
-    from slipfree.sweep.run import missing_results
+    from slipfree.sweep.runs import missing_results
 
     if missing := missing_results(rows):
         (first,) = rows.read(missing[:1])

@@ -12,7 +12,7 @@ from slipfree.models.given_rates import COMMANDS, ROBOT
 from slipfree.problem.build_vehicle import build_vehicle, is_vehicle_file, read_vehicle
 from slipfree.problem.load import load_problem
 from slipfree.problem.problem import Problem
-from slipfree.problem.verbs.inverse_schema import Inverse, are_commands, read_commands
+from slipfree.problem.verbs.inverse import Inverse, are_commands, read_commands
 
 
 def export_code(file: Path, folder: Path, trust: Sequence[Path] = ()) -> ControllerCode:

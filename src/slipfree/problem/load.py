@@ -21,10 +21,9 @@ from slipfree.problem.build_ground import convert_places
 from slipfree.problem.problem import Problem, validated_problem
 from slipfree.problem.schema import CommonKeys, Runnable
 from slipfree.problem.verbs.atlas import AtlasKeys
-from slipfree.problem.verbs.base import Verb
+from slipfree.problem.verbs.base import DriveVerb, Verb
 from slipfree.problem.verbs.compare import Compare
 from slipfree.problem.verbs.direct import DirectVerb
-from slipfree.problem.verbs.driving import DriveVerb
 from slipfree.problem.verbs.fit import Fit
 from slipfree.problem.verbs.inverse import InverseVerb
 from slipfree.problem.verbs.plan import PlanVerb

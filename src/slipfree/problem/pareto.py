@@ -26,7 +26,7 @@ from slipfree.problem.load import verb_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import build, open_result, run_problem
 from slipfree.problem.verbs.base import Result
-from slipfree.problem.verbs.plan_schema import PlanKeys
+from slipfree.problem.verbs.plan_setup import PlanKeys
 from slipfree.system.parts import PartsWatch, study
 
 if TYPE_CHECKING:

@@ -32,7 +32,7 @@ from slipfree.problem.build_ground import at
 from slipfree.problem.load import load_again
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import region_of
-from slipfree.problem.verbs.plan_schema import PlanKeys, wanted_places
+from slipfree.problem.verbs.plan_setup import PlanKeys, wanted_places
 from slipfree.system.regular_files import replace_file
 
 SAME = 1e-9  # smaller changes are rounding [m, rad]

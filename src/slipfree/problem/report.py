@@ -37,10 +37,8 @@ from slipfree.problem.build_vehicle import (
 from slipfree.problem.inputs import digest
 from slipfree.problem.load import find_motion_verb, load_problem, verb_of
 from slipfree.problem.problem import Problem
-from slipfree.problem.result import build, motion_facts, open_result
-from slipfree.problem.stored_world import STORED
-from slipfree.problem.verbs.base import PLAIN_ROWS, Result, outcome_fact, ranges
-from slipfree.problem.verbs.driving import START_ROWS
+from slipfree.problem.result import STORED, build, motion_facts, open_result
+from slipfree.problem.verbs.base import PLAIN_ROWS, START_ROWS, Result, outcome_fact, ranges
 from slipfree.routing.traversability import extents
 from slipfree.show.atlas_figures import atlas_plots
 from slipfree.show.drive_scene import Driven, drive_scene

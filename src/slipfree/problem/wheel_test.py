@@ -36,9 +36,10 @@ from slipfree.models.single_wheel import (
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, validated_problem
 from slipfree.problem.schema import GRAVITY, FileKeys, Gravity, NamedSoil, soil_of
-from slipfree.problem.verbs.fit import direction_lines, estimate_lines, estimate_rows
+from slipfree.problem.verbs.fit import BoundsTable, direction_lines, estimate_lines, estimate_rows
 from slipfree.vehicle.gravity import gravity_of, gravity_words
 
+UNDETERMINED = "not determined by these data"
 MAX_POINTS = 100_000  # slip ratios times slip angles
 
 
@@ -74,22 +75,6 @@ class TestTable(Record):
     )
 
 
-class SoilUnknownTable(Record):
-    """A constant of the soil to be fitted."""
-
-    lower: Angle | None = Field(
-        default=None, description="lower bound, in the unit of the constant [rad, Pa, m, 1]"
-    )
-    upper: Angle | None = Field(
-        default=None, description="upper bound, in the unit of the constant [rad, Pa, m, 1]"
-    )
-    prior: Annotated[tuple[Angle, Angle], Field(strict=False)] | None = Field(
-        default=None,
-        description="mean and standard deviation before the fit, in the unit of the constant "
-        "[rad, Pa, m, 1]",
-    )
-
-
 class WheelFile(FileKeys):
     """Wheel file; the table ``[soil]`` has the constants of `Soil`."""
 
@@ -98,7 +83,7 @@ class WheelFile(FileKeys):
     wheel: TestedWheelTable = Field(description="the wheel")
     soil: NamedSoil = Field(default=NamedSoil(), description="the soil")
     test: TestTable = Field(default=TestTable(), description="the test")
-    unknowns: dict[str, SoilUnknownTable] = Field(
+    unknowns: dict[str, BoundsTable] = Field(
         default={}, description="constants of the soil that slipfree fit estimates, by name"
     )
     folds: Annotated[int, Field(ge=2, le=1000)] = Field(
@@ -196,9 +181,7 @@ def fit_wheel_file(file: WheelContents) -> FittedWheel:
     unknowns = []
     for name, table in spec.unknowns.items():
         with at(file.problem, ("unknowns", name)):
-            low = -np.inf if table.lower is None else table.lower
-            high = np.inf if table.upper is None else table.upper
-            unknowns.append(Unknown(name, name, (), low, high, table.prior))
+            unknowns.append(Unknown(name, name, **given_values(table)))
             check_constant(unknowns[-1], file.soil)
     fit = fit_soil(
         file.soil,
@@ -332,13 +315,14 @@ def measured_points(runs: WheelRuns | None) -> dict[str, tuple[Array, Array, Arr
 def fit_facts(fitted: FittedWheel) -> Lines:
     """Return the facts of a fit of a soil: constants, directions, and errors of the quantities."""
     file, runs, fit = fitted
+    weak = fit.estimate.undetermined
     outcome = Outcome.INTERRUPTED if fit.estimate.is_interrupted else Outcome.COMPLETE
     facts = [
         ("outcome", outcome.title),
         ("wheel", f"radius {file.size.radius:g} m, width {file.size.width:g} m"),
         ("gravity", gravity_words(file.gravity)),
         ("measured", f"{runs.load.size} points of {np.unique(runs.run).size} runs"),
-        *estimate_lines(fit.estimate),
+        *estimate_lines(estimate_rows(fit.estimate)[1], dict.fromkeys(weak, UNDETERMINED)),
         *direction_lines(fit.estimate),
     ]
     if np.isfinite(fit.excess):

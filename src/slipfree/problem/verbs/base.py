@@ -6,29 +6,60 @@ interface and `slipfree.problem.load`; everything specific to a verb is in the m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, get_args
 
 import numpy as np
 from typing_extensions import TypeVar
 
-from slipfree.core.facts import Fact, Facts, Lines, rows
+from slipfree.contact.closure import has_exact_closure
+from slipfree.core.errors import DataError
+from slipfree.core.facts import Fact, Facts, Lines, Row, lines, rows
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import Array
-from slipfree.core.trajectory import SolverError, Stop, Trajectory, outcome_words
-from slipfree.files.netcdf import NOTHING
-from slipfree.models.samples import has_friction
+from slipfree.core.quantities import QUANTITIES, extremes, joint_angles
+from slipfree.core.records import Array, leaves
+from slipfree.core.trajectory import SolverError, Stop, Trajectory, outcome_words, path_length
+from slipfree.files.netcdf import MAP_TRANSFORM, NOTHING, encode_map_coordinates
+from slipfree.laws.soil import Soil
+from slipfree.models.friction_feasibility import BEST, best_utilisation
+from slipfree.models.records import is_determinate
+from slipfree.models.samples import (
+    CLOSEST,
+    closest_fact,
+    has_friction,
+    has_pressed_wheels,
+    lightest_wheel,
+    obstacle_ending,
+    rocks,
+)
+from slipfree.models.single_wheel import RESERVE, drawbar_reserve
+from slipfree.problem.build import (
+    Setup,
+    World,
+    build_world,
+    law_name,
+    model_law,
+)
+from slipfree.problem.build_vehicle import vehicle_file, visual_meshes
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import CommonKeys
+from slipfree.problem.schema import CommonKeys, Modelled, MotionKeys
 from slipfree.solve.options import SolverOptions
+from slipfree.solve.settle import stable_poses
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.system.interrupt import check_interrupt
+from slipfree.terrain.base import Grid
 
 if TYPE_CHECKING:
     from slipfree.models.montana import Difference
+    from slipfree.plan.polynomial_motion import SavedPlan
+    from slipfree.problem.verbs.plan_setup import Domain
+    from slipfree.show.drive_scene import Driven
+    from slipfree.show.plots import Plot
 
 
 VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
@@ -212,3 +243,370 @@ class Verb:
         """Value of the key ``verb``."""
         (name,) = get_args(self.schema.model_fields["verb"].annotation)
         return str(name)
+
+
+FORMULATION = "formulation"  # attribute of results of direct problems
+OBSTACLES = "obstacles"  # fact of motions over solids: their ending
+FILLED = "filled_samples"  # fact of motions on a map with filled holes
+UNIQUE = ("clearance", "relative_curvature")  # not negative if every wheel has one contact point
+AT_END = "x", "heading"  # quantities whose lines of the summary come first
+FIRST_LINES = """\
+duration: {duration:g}, {samples} samples
+*path length: {path_length:.6g} in {duration:g}, heights {z_least.value:.4f} to {z_greatest:.4f}
+*obstacles: {obstacles}: {obstacles.words}
+filled ground: {filled_samples} of {samples} samples have a wheel on interpolated heights; along \
+the contact points: <filled_paths> {wheel} {length:.4g} of {path_length:.4g} m"""
+LAST_LINES = """\
+*!not converged: <not_converged> {name} at {fact} of {samples} samples
+*!diagnostics failed: <failed_diagnostics> {fact}
+!integrator: {steps:.0f} steps, {residuals:.0f} evaluations, {cpu_seconds:.3g} s CPU, tolerance \
+{tolerance:g}"""
+START_ROWS = rows(
+    """\
+stable poses: <stable_poses> pitch {pitch:.3f}, roll {roll:.3f} rad with {wheel} least loaded, \
+{share:.2g} of an equal share of the weight
+!contact certificate: {contact_certificate}
+"""
+    + QUANTITIES["clearance_body"].line
+)
+Diagnostic = Callable[[Trajectory], Trajectory]
+
+
+class DriveVerb(Verb, ABC):
+    """Base class of the verbs whose solution is the motion of one vehicle over terrain."""
+
+    commands = ("run", "check", "vehicle")
+    options: ClassVar[tuple[str, ...]] = ()  # of slipfree run: CROSS_CHECK, RESUME
+    is_timed: ClassVar[bool] = True  # whether the solver proceeds along the time, as integrators do
+    # rows of the summary of a motion that only this verb has: after those of the pose, and last
+    own_rows: ClassVar[tuple[Row, ...]] = ()
+    last_rows: ClassVar[tuple[Row, ...]] = ()
+    metrics_shown: ClassVar[tuple[str, ...]] = ("slip_rms", "tilt_largest", "utilisation_largest")
+    verified: ClassVar[tuple[str, ...]] = ()  # beginnings of the facts of `verification`
+
+    def __init__(self) -> None:
+        super().__init__(self.schema, *self.commands)
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """Rows of the summary of a motion, with the lines of the table of quantities."""
+        texts = {name: each.line for name, each in QUANTITIES.items() if each.line}
+        first = [FIRST_LINES, *(texts.pop(name) for name in AT_END)]
+        others = rows("\n".join([*texts.values(), LAST_LINES]))
+        return *rows("\n".join(first)), *self.own_rows, *others, *self.last_rows
+
+    @abstractmethod
+    def build(self, problem: Problem[Any]) -> Setup:
+        """Return model, start and inputs of a problem; raise ProblemError for an invalid one."""
+
+    @abstractmethod
+    def drive(
+        self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
+    ) -> tuple[Trajectory, Mapping[str, Array]]:
+        """Return the motion without diagnostics, and further arrays for the result file by name.
+
+        ``watch`` reports the progress, ``resume`` is a plan for a warm start. SolverError is raised
+        if the solver fails before the first sample; a later failure is the stop of the trajectory.
+        """
+
+    def solve(
+        self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
+    ) -> tuple[Trajectory, Mapping[str, Array]]:
+        """Return the motion of a problem with its diagnostics, and arrays as `drive` does."""
+        run, arrays = self.drive(problem, setup, watch, resume)
+        if setup.vehicle.mass:
+            run = run.with_facts({"gravity": Fact(setup.vehicle.gravity, "m s-2")})
+        law = model_law(problem) if isinstance(problem.spec, Modelled) else None
+        return with_diagnostics(run, _diagnostics(setup, law, run), watch, arrays), arrays
+
+    def describe_start(
+        self, problem: Problem[MotionKeys], setup: Setup
+    ) -> tuple[Trajectory, Lines]:
+        """Return the start in the frame of the problem, and facts about start and samples."""
+        spec = problem.spec
+        start = setup.start.in_frame(spec.frame)
+        own = [name for name in spec.start if name in start.columns]
+        names = dict.fromkeys([*own, "z", "pitch", "roll"])
+        pose = ", ".join(f"{name} {start[name][0]:.6g}" for name in names)
+        facts = drive_facts(start) | closest_fact(setup.vehicle, setup.terrain, setup.start)
+        if has_pressed_wheels(start):
+            poses = _stable_poses(problem, setup)
+            facts["stable_poses"] = Fact([pose_row(pose) for pose in poses])
+        return start, [
+            ("start", f"{pose} (m, rad)"),
+            *lines(START_ROWS, facts),
+            ("samples", self.describe_samples(problem, setup)),
+        ]
+
+    def describe_samples(self, problem: Problem[Any], setup: Setup) -> str:
+        """Return the description of the sampling of the result."""
+        return f"{setup.t[:: setup.every or 1].size} to {setup.t[-1]:g} s"
+
+    def describe_end(self, run: Trajectory) -> str:
+        """Return the ending of a motion over solids; empty without solids."""
+        ending = run.facts.get(OBSTACLES)
+        return f"{ending.value}: {ending.words}" if ending else ""
+
+    def facts(self, run: Trajectory) -> dict[str, Fact]:
+        """Return last values, extremes, path length, slip and stored facts of a motion."""
+        return {**drive_facts(run), **run.facts}
+
+    def summary(self, run: Trajectory, *, main: bool = False) -> Lines:
+        """Return the lines of the summary of a motion, all or the main ones."""
+        chosen = (row for row in self.rows if row.is_main or not main)
+        return lines(chosen, values_of(run, self.facts(run)))
+
+    def warnings(self, run: Trajectory) -> Sequence[str]:
+        """Return warnings about a motion; none by default."""
+        return ()
+
+    def verification(self, run: Trajectory) -> dict[str, Fact]:
+        """Return differences from an independent computation and violations of limits, by name."""
+        return {name: fact for name, fact in run.facts.items() if name.startswith(self.verified)}
+
+    def cross_check(self, result: Result) -> CrossCheck:
+        """Return the differences from the other formulation of contact, if the verb offers them."""
+        raise NotImplementedError(CROSS_CHECK)
+
+    def figures(self, result: Result) -> tuple[Plot, ...]:
+        """Return the figures of a motion, the most important first."""
+        from slipfree.show.motion_figures import motion_plots
+
+        world = world_of(result)
+        marks = self.marks(result.problem, world.terrain.domain)
+        return motion_plots(result.trajectory, world.ground.grid, prisms=world.prisms, marks=marks)
+
+    def marks(self, problem: Problem[Any], domain: Domain) -> dict[str, Any]:
+        """Return keep-out regions and places of a plan; none for other motions."""
+        return {}
+
+    def shown(self, result: Result, name: str) -> Driven:
+        """Return the motion of a result with ground and vehicle, as input of the viewer."""
+        from slipfree.show.drive_scene import Driven
+
+        run, problem, world = result.trajectory, result.problem, world_of(result)
+        contents = vehicle_file(problem.spec.vehicle, problem)
+        robot, visuals = contents.robot, visual_meshes(contents)
+        drawn: dict[str, Any] = {"prisms": world.prisms, "robot": robot, "visuals": visuals}
+        drawn |= self.marks(problem, world.terrain.domain)
+        return Driven(name, run, world.terrain, world.vehicle, **drawn)
+
+    def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
+        """Return attributes of the result: input names, coordinates of the map file."""
+        coordinates = setup.ground.coordinates
+        return {
+            "inputs": " ".join(setup.dae.input_names),
+            **({MAP_TRANSFORM: encode_map_coordinates(coordinates)} if coordinates else {}),
+        }
+
+
+def _stable_poses(problem: Problem[MotionKeys], setup: Setup) -> tuple[Trajectory, ...]:
+    """Return the stable poses at the start, the motion's own first, in the problem's frame."""
+    model, spec = setup.model, problem.spec
+    if model.standing is not None and model.standing.guess is None:
+        model = model.standing.model
+    poses: Sequence[Trajectory] = ()
+    if relaxed := model.rest.numel():
+        states = [label.full for label in leaves(model.labels.x)][:-relaxed]
+        held: dict[str, Any] = {name: float(setup.start[name][0]) for name in states}
+        poses = stable_poses(model, options=spec.solver.options, **held)
+    return tuple(pose.in_frame(spec.frame) for pose in poses or (setup.start,))
+
+
+def drive_facts(run: Trajectory) -> dict[str, Fact]:
+    """Return the facts of a motion: last values, extremes, path length, slip, energy, rocking."""
+    facts = extremes(run)
+    duration, length = float(run.t[-1] - run.t[0]), path_length(run)
+    facts["duration"], facts["path_length"] = Fact(duration, "s"), Fact(length, "m")
+    tilts = [name for name in joint_angles(run) if name.startswith("tilt_")]
+    if largest := extremes(run, dict.fromkeys(tilts, "largest")):
+        facts |= largest
+        facts["tilt_largest"] = Fact(max(fact.value for fact in largest.values()), "rad")
+    slip = np.hypot(run["slip_along"], run["slip_across"])
+    facts["slip_largest"] = Fact(float(slip.max()), "m s-1")
+    facts["slip_by_wheel"] = Fact(
+        [
+            {
+                "wheel": wheel,
+                "along_largest": float(np.abs(run["slip_along", wheel]).max()),
+                "across_largest": float(np.abs(run["slip_across", wheel]).max()),
+                "rms": float(np.sqrt(np.mean(slip[:, k] ** 2))),
+            }
+            for k, wheel in enumerate(run.wheels)
+        ]
+    )
+    if duration > 0:
+        squares = np.trapezoid(slip**2, run.t, axis=0).mean()
+        facts["slip_rms"] = Fact(float(np.sqrt(squares / duration)), "m s-1")
+    if length > 0:
+        total = np.trapezoid(slip, run.t, axis=0).mean()
+        facts["slip_per_path"] = Fact(float(total / length), "m m-1")
+    steps = np.hypot(np.diff(run["x"]), np.diff(run["y"]))
+    facts["sample_distance_largest"] = Fact(float(steps.max(initial=0.0)), "m")
+    unknown = {
+        name: int(np.isnan(column.values).reshape(run.t.size, -1).any(axis=1).sum())
+        for name, column in run.columns.items()
+    }
+    facts["not_converged"] = Fact({name: count for name, count in unknown.items() if count})
+    if "drawbar_reserve" in run:
+        reserve = run["drawbar_reserve"].sum(axis=1)
+        least = int(np.nanargmin(reserve))
+        facts["drawbar_least"] = Fact(float(reserve[least]), "N", f"t = {run.t[least]:.4g} s")
+    if "body_load" in run:
+        facts["body_on_ground"] = Fact(float((run["body_load"] > 0).mean()), "1")
+    if "utilisation_largest" in facts:
+        facts["friction"] = Fact(_friction(run, facts["utilisation_largest"]))
+    if has_pressed_wheels(run):
+        facts |= _pressed_facts(run)
+    model, law = run.attributes.get("model"), run.attributes.get("law", "least")
+    meaning = f"by the slip law {law!r}, not a prediction"
+    if law == "least":
+        meaning = "the least that kinematics allows: a lower bound, not a prediction"
+    if model == "dynamics":
+        energy = run["kinetic_energy"] + run["potential_energy"] + run["contact_energy"]
+        work, lost = (run[name] - run[name][0] for name in ("work", "lost_energy"))
+        balance = float(np.abs(energy - energy[0] - work + lost).max())
+        facts["energy_imbalance"] = Fact(balance, "J")
+        meaning = f"a prediction with inertia, by the wheel-ground law {law!r}"
+    else:
+        facts["contact_certificate"] = Fact(_certificate(run, facts))
+    if model == "quasi-static":
+        meaning = f"a quasi-static prediction by the wheel-ground law {law!r}"
+    facts["slip_law"] = Fact(meaning)
+    return facts
+
+
+def _pressed_facts(run: Trajectory) -> dict[str, Fact]:
+    """Return facts about pressed wheels: time in the air, lift-offs and rocking."""
+    depth = run["depth"]
+    flying = np.concatenate([[False], (depth < 0).all(axis=1), [False]])
+    ends = np.append(run.t, run.t[-1])  # of flights, with all wheels in the air
+    edges = np.flatnonzero(np.diff(flying)).reshape(-1, 2).tolist()
+    flights = [float(ends[last] - run.t[first]) for first, last in edges]
+    lifted, heights = (depth < 0).mean(axis=0), -depth.min(axis=0)
+    in_air = [
+        {"wheel": wheel, "share_of_samples": float(share), "height": float(height)}
+        for wheel, share, height in zip(run.wheels, lifted, heights, strict=True)
+        if share
+    ]
+    changes = [rock._asdict() for rock in rocks(run)]
+    facts = {
+        "time_in_air": Fact(sum(flights), "s"),
+        "longest_flight": Fact(max(flights, default=0.0), "s"),
+        "wheels_in_air": Fact(in_air),
+        "lift_offs": Fact(int(((depth[:-1] >= 0) & (depth[1:] < 0)).sum()), "1"),
+        "rocks": Fact(changes),
+        "wheel_contact": Fact("compliant contact"),
+    }
+    if run.attributes.get("model") == "dynamics":
+        return facts
+    return facts | {
+        "wheel_contact": Fact("pressed wheels"),
+        "least_loaded": Fact(lightest_wheel(run, 0)[0]),
+        "load_changes": Fact(str(len(changes))),
+    }
+
+
+def _friction(run: Trajectory, used: Fact) -> str:
+    """Return the largest utilisation of friction, or without friction the coefficient needed."""
+    where = f"{used:.4g} at most ({used.words})"
+    if "ground_friction" not in run.attributes:
+        return f"coefficient needed {where}; the ground has no given coefficient"
+    spread = ", for the forces that this motion needs"
+    if "utilisation_best" in run.columns:
+        spread += ", distributed by load"
+    if run.attributes.get("model") in ("quasi-static", "dynamics"):
+        spread = f" by the law {run.attributes['law']!r}"
+    enough = "" if used.value <= 1 else "; friction is not sufficient for this motion"
+    coefficient = run.attributes["ground_friction"]
+    return f"utilisation {where}, of a coefficient of {coefficient}{spread}{enough}"
+
+
+def _certificate(run: Trajectory, facts: Mapping[str, Fact]) -> str:
+    """Return the text of the contact certificate: whether each wheel has a single contact point.
+
+    It begins with "clean" if this is certain at all samples, otherwise with "broken".
+    """
+    if UNIQUE[0] not in run:
+        return "clean: the ground is a plane"
+    clearance, curvature = (facts[f"{name}_least"].value for name in UNIQUE)
+    clean = "clean" if min(clearance, curvature) >= 0 else "broken"
+    if run.stop is not None and run.stop.name.partition("[")[0] in UNIQUE:
+        clean += " up to the stop"
+    room = (
+        "no other part of the ground near the wheels"
+        if np.isinf(clearance)
+        else f"clearance beside the contacts {clearance:.4g} m at least"
+    )
+    words = f"{clean}: {room}, relative curvature {curvature:.4g} 1/m at least"
+    if run.t.size == 1:
+        return words
+    return f"{words}; samples at most {facts['sample_distance_largest'].value:.3g} m apart"
+
+
+def pose_row(pose: Trajectory) -> dict[str, Any]:
+    """Return a stable pose at the start, with its least loaded wheel."""
+    wheel, share, depth = lightest_wheel(pose, 0)
+    angles = {name: float(pose[name][0]) for name in ("pitch", "roll")}
+    return {**angles, "wheel": wheel, "share": share, "depth": depth}
+
+
+def model_attributes(spec: Modelled) -> dict[str, str]:
+    """Return the names of the model and the law of a problem, for its result file."""
+    return {"model": spec.model, "law": law_name(spec)}
+
+
+def world_of(result: Result) -> World:
+    """Return ground and vehicle of a result; raise DataError if they do not match the motion."""
+    if result.setup is not None:
+        setup: Setup = result.setup
+        return setup
+    world = build_world(result.problem)
+    vehicle = world.vehicle
+    run, names = result.trajectory, tuple(wheel.name for wheel in vehicle.wheels)
+    if names != run.wheels or not {c.name for c in vehicle.coordinates} <= {*run.columns}:
+        raise DataError(
+            f"expected the vehicle of the motion, with wheels {', '.join(run.wheels)}, found "
+            f"{vehicle.name!r} with other wheels or joints; run the problem again"
+        )
+    return world
+
+
+def _diagnostics(setup: Setup, law: object, run: Trajectory) -> dict[str, Diagnostic]:
+    vehicle = setup.vehicle
+    diagnostics: dict[str, Diagnostic] = {
+        "filled_ground": partial(_with_filled, setup.ground.grid),
+        OBSTACLES: partial(_with_ending, setup),
+        CLOSEST: lambda run: run.with_facts(closest_fact(vehicle, setup.terrain, run)),
+    }
+    has_choice = vehicle.mass and has_exact_closure(vehicle) and not is_determinate(vehicle)
+    if has_choice and "kinetic_energy" not in run:  # dynamics has one distribution of forces
+        diagnostics[BEST.name] = partial(best_utilisation, vehicle, setup.terrain)
+    if isinstance(law, Soil):
+        diagnostics[RESERVE.name] = partial(drawbar_reserve, vehicle, law)
+    return diagnostics
+
+
+def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
+    """Return a motion with facts about wheel paths over filled holes, if the map has holes."""
+    if grid.filled is None:
+        return run
+    on = grid.touches(grid.filled, run["contact_x"], run["contact_y"])
+    steps = np.sqrt(sum(np.diff(run[f"contact_{axis}"], axis=0) ** 2 for axis in "xyz"))
+    lengths = (0.5 * (on[:-1].astype(float) + on[1:]) * steps).sum(axis=0)
+    rows = [
+        {"wheel": wheel, "length": length, "path_length": whole}
+        for wheel, length, whole in zip(
+            run.wheels, lengths.tolist(), steps.sum(axis=0).tolist(), strict=True
+        )
+    ]
+    samples = int(np.count_nonzero(on.any(axis=1)))
+    return run.with_facts({FILLED: Fact(samples, "1"), "filled_paths": Fact(rows)})
+
+
+def _with_ending(setup: Setup, run: Trajectory) -> Trajectory:
+    """Return a motion with a fact about its ending on solids, if there are solids."""
+    ending = obstacle_ending(run, setup.vehicle, setup.prisms)
+    if ending is None:
+        return run
+    return run.with_facts({OBSTACLES: Fact(ending.name, words=ending.words)})

@@ -45,8 +45,16 @@ from slipfree.problem.schema import (
     MotionKeys,
     TerrainKeys,
 )
-from slipfree.problem.verbs.base import CROSS_CHECK, CrossCheck, Result, Watch, integrate
-from slipfree.problem.verbs.driving import FORMULATION, DriveVerb, model_attributes
+from slipfree.problem.verbs.base import (
+    CROSS_CHECK,
+    FORMULATION,
+    CrossCheck,
+    DriveVerb,
+    Result,
+    Watch,
+    integrate,
+    model_attributes,
+)
 from slipfree.solve.sampling import input_samples
 from slipfree.vehicle.tree import Vehicle
 

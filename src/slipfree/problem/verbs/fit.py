@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, cast
@@ -31,7 +32,7 @@ from slipfree.files.logs import (
 from slipfree.files.netcdf import ORIGIN, open_netcdf
 from slipfree.files.tables import ALIASES, PARTS, read_names, split_unit
 from slipfree.files.toml.source import name_errors, problem_error
-from slipfree.files.toml.types import Pair, Positive, Quantity, Record
+from slipfree.files.toml.types import Angle, Pair, Positive, Quantity, Record, given_values
 from slipfree.fit.chassis import chassis_of, lateral_places, track, with_dimensions
 from slipfree.fit.drive_fit import (
     BLOCKS,
@@ -55,11 +56,11 @@ from slipfree.fit.force_balance import Chassis, ComplexArray, four_wheels
 from slipfree.fit.ground_slope import Slopes
 from slipfree.fit.prediction import Model
 from slipfree.fit.unknowns import BALANCE, Unknown
+from slipfree.problem.build import moves_sideways
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import VERB, CommonKeys, HeightErrors, TerrainTable, VehicleSource
-from slipfree.problem.units import moves_sideways
 from slipfree.system.regular_files import replace_file
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import disturbed
@@ -73,6 +74,7 @@ HALF = 0.4  # half track and half wheelbase without a vehicle [m]
 MAX_STEP = 0.1  # longest default time between samples [s]
 MANOEUVRE = 20.0  # duration of parts of a log that are left out together [s]
 MAX_HOLD = 0.6  # of readings [s]
+AS_ITS_PRIOR = "{}, as its prior: not determined by these data"
 AS_PRIOR = 0.9  # of the deviation of a prior: an unknown that the logs do not determine
 KINDS: tuple[Kind, ...] = ((0.0, 2.0), (0.0, 5.0), (5.0, 0.0), (20.0, 0.0))
 SIDES = "left", "right"
@@ -155,7 +157,23 @@ class Data(Record):
     )
 
 
-class UnknownTable(Record):
+class BoundsTable(Record):
+    """Bounds and prior of a number to be fitted."""
+
+    lower: Angle = Field(
+        default=-inf, description="lower bound, in the unit of the quantity [m, rad, Pa, 1]"
+    )
+    upper: Angle = Field(
+        default=inf, description="upper bound, in the unit of the quantity [m, rad, Pa, 1]"
+    )
+    prior: Annotated[tuple[Angle, Angle], Field(strict=False)] | None = Field(
+        default=None,
+        description="mean and standard deviation before the fit, in the unit of the quantity "
+        "[m, rad, Pa, 1]",
+    )
+
+
+class UnknownTable(BoundsTable):
     """A number to be fitted."""
 
     quantity: str | None = Field(
@@ -167,24 +185,6 @@ class UnknownTable(Record):
         default=(), description="wheels that share the number; by default all"
     )
     of: str = Field(default="", description="surface or campaign that has the number; else all")
-    lower: Quantity | None = Field(
-        default=None, description="lower bound, in the unit of the quantity [m, rad, 1]"
-    )
-    upper: Quantity | None = Field(
-        default=None, description="upper bound, in the unit of the quantity [m, rad, 1]"
-    )
-    prior: Annotated[tuple[float, Positive], Field(strict=False)] | None = Field(
-        default=None,
-        description="mean and standard deviation before the fit, in the unit of the quantity "
-        "[m, rad, 1]",
-    )
-
-    def unknown(self, name: str) -> Unknown:
-        """Return the unknown of a table with a name."""
-        lower = -inf if self.lower is None else self.lower
-        upper = inf if self.upper is None else self.upper
-        quantity = self.quantity or name
-        return Unknown(name, quantity, self.wheels, lower, upper, self.prior, self.of)
 
 
 class Fit(CommonKeys):
@@ -286,7 +286,7 @@ def own_unknowns(problem: Problem[Fit], names: Sequence[str]) -> list[Unknown]:
     found = list[Unknown]()
     for name, table in problem.spec.unknowns.items():
         with at(problem, ("unknowns", name)):
-            found.append(own := table.unknown(name))
+            found.append(own := Unknown(**{"name": name, "quantity": name, **given_values(table)}))
             if own.quantity not in BALANCE:
                 raise ModelError(
                     f"unknown {name!r}: expected one of the quantities {', '.join(BALANCE)}, found "
@@ -681,33 +681,31 @@ def facts(result: FitResult) -> Lines:
     """Return the facts of a fit: constants, weak directions, and errors of predictions."""
     if result.fit is None:
         return [*result.rows, *_error_lines(result.scores)]
-    estimate = result.fit.estimate
+    estimate, rows = result.fit.estimate, constant_rows(result.fit)[1]
+    weak = [name for name, *_, is_as_prior in rows if is_as_prior]
     outcome = Outcome.INTERRUPTED if estimate.is_interrupted else Outcome.COMPLETE
     return [
         ("outcome", outcome.title),
         *result.rows,
         ("fitted windows", str(len(result.fit.errors))),
-        *_constant_lines(result.fit),
+        *estimate_lines(rows, dict.fromkeys(weak, AS_ITS_PRIOR)),
         *(line for line in direction_lines(estimate) if line[0] != "determined best"),
         *_error_lines(result.scores),
     ]
 
 
-def estimate_lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
-    """Yield the estimates, with 95 % intervals."""
-    for k, label in enumerate(estimate.labels):
-        unit = "" if label.unit == "1" else f" {label.unit}"
-        low, high = estimate.intervals[k]
-        if estimate.at_bound[k]:
-            words = "at its bound: the data favour values beyond it"
-        elif label.name in estimate.undetermined:
-            words = "not determined by these data"
-        else:
-            words = f"95 % interval {low:.5g} to {high:.5g}"
-        yield (
-            label.name,
-            f"{estimate.values[k]:.5g}{unit} ({words}), before {estimate.nominal[k]:.5g}",
-        )
+def estimate_lines(
+    rows: Sequence[Sequence[Any]], weak: Mapping[str, str]
+) -> Iterator[tuple[str, str]]:
+    """Yield estimates with 95 % intervals, from rows of `estimate_rows`.
+
+    ``weak`` are the words on estimates that the data do not determine, by name, with braces in the
+    place of the interval.
+    """
+    for name, unit, before, value, _, low, high, at_bound, *_ in rows:
+        words = weak.get(name, "{}").format(f"95 % interval {low:.4g} to {high:.4g}")
+        words = "at its bound: the data favour values beyond it" if at_bound else words
+        yield name, f"{value:.4g}{'' if unit == '1' else f' {unit}'} ({words}), before {before:.4g}"
 
 
 def direction_lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
@@ -757,34 +755,27 @@ def estimate_rows(estimate: Estimate) -> tuple[list[str], list[list[Any]]]:
     ]
 
 
-def _constant_lines(fit: DriveFit) -> Iterator[tuple[str, str]]:
-    """Yield the constants with their intervals."""
-    for row in constant_rows(fit)[1]:
-        name, unit, before, value, _, low, high, at_bound, as_prior = row
-        words = f"95 % interval {low:.4g} to {high:.4g}"
-        words += ", as its prior: not determined by these data" if as_prior else ""
-        words = "at its bound: the data favour values beyond it" if at_bound else words
-        yield name, f"{value:.4g}{'' if unit == '1' else f' {unit}'} ({words}), before {before:.4g}"
-
-
 def constant_rows(fit: DriveFit) -> tuple[list[str], list[list[Any]]]:
-    """Return column names and rows of the constants, in SI units."""
-    names = ["name", "unit", "nominal", "value", "deviation", "lower", "upper", "at_bound"]
-    names.append("as_prior")
-    estimate, scale = fit.estimate, Scale.of(fit.model.unknowns)
-    deviation = np.sqrt(np.diag(estimate.covariance))
-    low, high = (scale.values(each) for each in estimate.intervals.T)
-    start = scale.values(estimate.nominal)
-    is_as_prior = deviation > AS_PRIOR * estimate.scales
+    """Return column names and rows of the constants, in SI units.
+
+    Radii of sides whose speeds are given are factors.
+    """
+    estimate, unknowns = fit.estimate, fit.model.unknowns
+    scale, deviation = Scale.of(unknowns), np.sqrt(np.diag(estimate.covariance))
+    factors = {"radius"} if (fit.model.radii == 1).all() else set()
+    pairs = zip(estimate.labels, unknowns, strict=True)
     spread = np.where(scale.is_log, fit.values * deviation, deviation)
-    return names, [
-        [
-            *(label.name, _unit(fit, k)),
-            *(float(each[k]) for each in (start, fit.values, spread, low, high)),
-            *(int(estimate.at_bound[k]), int(is_as_prior[k])),
-        ]
-        for k, label in enumerate(estimate.labels)
-    ]
+    names, rows = estimate_rows(
+        estimate._replace(
+            labels=tuple(replace(a, unit="1") if u.quantity in factors else a for a, u in pairs),
+            nominal=scale.values(estimate.nominal),
+            values=fit.values,
+            covariance=np.diag(spread**2),
+            intervals=np.column_stack([scale.values(each) for each in estimate.intervals.T]),
+        )
+    )
+    is_as_prior = (deviation > AS_PRIOR * estimate.scales).astype(int).tolist()
+    return [*names, "as_prior"], [[*a, b] for a, b in zip(rows, is_as_prior, strict=True)]
 
 
 def undetermined(problem: Problem[Fit], fit: DriveFit) -> tuple[str, ...]:
@@ -792,12 +783,6 @@ def undetermined(problem: Problem[Fit], fit: DriveFit) -> tuple[str, ...]:
     own = {name for name, table in problem.spec.unknowns.items() if table.prior is None}
     rows = constant_rows(fit)[1]
     return tuple(name for name, *_, is_as_prior in rows if is_as_prior and name in own)
-
-
-def _unit(fit: DriveFit, k: int) -> str:
-    """Return the unit of a constant; radii of sides whose speeds are given are factors."""
-    is_factor = fit.model.unknowns[k].quantity == "radius" and (fit.model.radii == 1).all()
-    return "1" if is_factor else fit.estimate.labels[k].unit
 
 
 def _kind_words(kind: Kind) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -14,10 +15,11 @@ from slipfree.contact.closure import has_exact_closure
 from slipfree.control.path_following import follow
 from slipfree.core.dae import Dae
 from slipfree.core.errors import SlipfreeError
-from slipfree.core.facts import Fact
+from slipfree.core.facts import Fact, Facts, rows, starting_with
 from slipfree.core.outcome import Outcome, ipopt_words
-from slipfree.core.records import Array
+from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import (
+    PLAN,
     PLAN_ACCURACY,
     Column,
     SolverError,
@@ -31,7 +33,7 @@ from slipfree.laws.soil import Soil
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
-from slipfree.plan.constraints import missed_words
+from slipfree.plan.constraints import COST, DURATION, missed_words
 from slipfree.plan.guess import settled_start
 from slipfree.plan.ipopt import (
     SOLVED_STATUS,
@@ -40,36 +42,26 @@ from slipfree.plan.ipopt import (
     Iterate,
     seconds_left,
 )
+from slipfree.plan.optimality import Optimality, price_rows, prices_words
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import ARRAY_PREFIX, SavedPlan, from_arrays, motion_of
+from slipfree.plan.problem import spelled
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.windows import LongPlan, plan_windows
 from slipfree.problem.build import Setup, World, model_law, wheel_angles_at
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
-from slipfree.problem.verbs import plan_schema
 from slipfree.problem.verbs.base import (
     RESUME,
-    Result,
-    Watch,
-    with_diagnostics,
-)
-from slipfree.problem.verbs.driving import (
     Diagnostic,
     DriveVerb,
+    Result,
+    Watch,
     model_attributes,
+    with_diagnostics,
     world_of,
 )
-from slipfree.problem.verbs.plan_facts import (
-    DIFFERENCE,
-    ROWS,
-    VIOLATION,
-    described,
-    facts_of,
-    optimality_facts,
-)
 from slipfree.problem.verbs.plan_over_solids import OverSolids, build_over_solids, drive_over_solids
-from slipfree.problem.verbs.plan_schema import Domain, areas_of, places_of, regions
 from slipfree.problem.verbs.plan_search import (
     UNTESTED,
     Tested,
@@ -79,12 +71,18 @@ from slipfree.problem.verbs.plan_search import (
     start_motion,
 )
 from slipfree.problem.verbs.plan_setup import (
+    Domain,
+    PlanKeys,
     Planning,
+    areas_of,
     build_layers,
     build_planning,
     mesh_of,
+    places_of,
+    regions,
 )
 from slipfree.solve.options import SolverOptions
+from slipfree.solve.sampling import TURN
 from slipfree.solve.settle import SPEED, settle
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.bicubic import Bicubic
@@ -92,6 +90,197 @@ from slipfree.terrain.bicubic import Bicubic
 if TYPE_CHECKING:
     from slipfree.show.drive_scene import Driven
     from slipfree.show.plots import Plot
+
+
+DIFFERENCE, VIOLATION, PLAN_COST = "plan_difference_", "plan_violation_", "plan_cost_"
+ROUNDING = 1e-6  # smaller violations count as rounding, in the unit of the limit
+SLIDING = 0.95  # wheels with a larger utilisation count as sliding
+TIME_LIMITED = "the search ended early; the plan meets all constraints, its cost may not be least"
+ROWS = rows(
+    """\
+*iterate: {iterate}
+*!time limit: {plan_time_limit}
+plan: {plan_iterations:.0f} iterations, {plan_seconds:.3g}, of which \
+{plan_seconds_functions:.3g} in functions; <plan_cost_*> {name} {fact:.6g}
+*whole turns: <whole_turns> {fact}
+windows: {windows}
+starts: {plan_optima:.0f} local optima from {start_count} starts
+  {start}: <plan_starts> {outcome}, cost {cost:.6g}, duration {duration:.4g} s, path up to \
+{distance:.2g} m from the best one; {seconds:.2g} s of search
+*!simulated: {simulated}
+!optimality: {optimality}
+prices of limits: {prices}
+*!robust plan: holds in {plan_share:.3g>%} of {plan_share_draws:.0f} drawn worlds \
+({plan_share_low.words} {plan_share_low:.3g>%} to {plan_share_high:.3g>%}), before tightening in \
+{plan_share_first:.3g>%}
+  tightened: <plan_tightened> {bound} by {size:.3g}{unit}
+  cost of this: total {plan_total_cost:.6g}; without tightening <plan_untightened_*> {name} \
+{fact:.6g}
+  violated: <plan_violated> {bound} in {draws}
+  tighter limits: not solved: {plan_tightening_failure}
+  end: {plan_share_distance:.3g} from that of the plan at the median, \
+{plan_share_distance_95:.3g} at 95 %
+!simulated with compliant contacts: on compliant contacts the platform stays within \
+{momentum_distance:.2g>mm} of the plan; least normal force of a wheel \
+{momentum_force_normal_plan:.3g} ({momentum_force_normal_plan.words}) in the plan, \
+{momentum_force_normal:.3g} ({momentum_force_normal.words}) in the simulation
+!driven slowly: without inertia the same path needs torques of {slow_torque:.3g} in all (at x = \
+{slow_x:.2f}, y = {slow_y:.2f}); the plan needs at most {slow_torque_plan:.3g}
+!driven slowly: {slow_failure}
+*!simulated with friction: ends {friction_end_distance:.3g} from the plan, slips \
+{friction_slip_per_path:.3g>mm/m} per wheel, utilisation at most \
+{friction_utilisation_largest:.3g}[ ({slides})]
+*!simulated with friction: {friction_failure}
+!simulated with inertia: ends {soil_end_distance:.3g} from the plan, slip ratio \
+{soil_slip_ratio_largest:.3g} at most, sinkage {soil_sinkage_largest:.3g>mm} at most, work \
+{soil_work:.4g} (plan: {soil_slip_ratio_largest_plan:.3g}, {soil_sinkage_largest_plan:.3g>mm}, \
+{soil_work_plan:.4g})
+!simulated with inertia: {soil_failure}
+!with wheels ten times stiffer: ends {stiff_end_distance:.3g} from the plan
+!with wheels ten times stiffer: {stiff_failure}"""
+)
+
+
+def facts_of(plan: Plan | LongPlan, setup: Planning) -> dict[str, Fact]:
+    """Return the facts of a plan: iterations, times, costs, differences and violations."""
+    times = [stage.seconds for stage in plan.stages]
+    is_limited = plan.accurate and any(stage.status == TIME_STATUS for stage in plan.stages)
+    return {
+        "plan_iterations": Fact(sum(stage.iterations for stage in plan.stages), "1"),
+        "plan_seconds": Fact(sum(each["total"] for each in times), "s"),
+        "plan_seconds_functions": Fact(sum(each["functions"] for each in times), "s"),
+        **{f"{PLAN_COST}{name}": Fact(value) for name, value in plan.costs.items()},
+        **_differences(plan),
+        **{
+            VIOLATION + re.sub("[^a-zA-Z0-9.]+", "_", name).strip("_"): Fact(
+                size, plan.units[name], name
+            )
+            for name, size in plan.violation.items()
+        },
+        "plan_accuracy": Fact(setup.spec.plan.accuracy),
+        "plan_compiled": Fact(float(plan.compiled), "1"),
+        "plan_intervals": Fact(plan.motion.mesh.ends.size - 1, "1"),
+        "plan_searches": Fact([stage.words for stage in plan.stages]),
+        **_turns(setup, plan),
+        **({"plan_time_limit": Fact(TIME_LIMITED)} if is_limited else {}),
+    }
+
+
+def _differences(plan: Plan | LongPlan) -> dict[str, Fact]:
+    facts = dict[str, Fact]()
+    for name, size in plan.difference.items():
+        key = DIFFERENCE + name.partition("[")[0]  # the largest of the wheels
+        if key not in facts or size > facts[key].value:
+            facts[key] = Fact(size, plan.units[name])
+    return facts
+
+
+def _turns(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
+    """Return a table of angles that differ by whole turns from the goal or the plan."""
+    rows = list[dict[str, Any]]()
+    end = plan.motion.states(np.ones(1))[:, 0] + setup.dae.shift[0] if plan.success else ()
+    for label, value in zip(leaves(setup.dae.labels.x), end, strict=False):
+        if label.unit != "rad":
+            continue
+        name = label.full
+        apart = round((float(plan.replay.of(label)[-1]) - value) / TURN)
+        if apart and plan.accurate:
+            rows.append({"angle": name, "turns": apart, "than": "plan"})
+        low, high = setup.spec.goal.get(name, (-np.inf, np.inf))
+        reached = float(value) + setup.dae.reported.get(name, 0.0)
+        turns = round((reached - (low + high) / 2) / TURN) if high - low < TURN else 0
+        if turns and not low - np.pi < reached < high + np.pi:
+            goal = spelled((low, high))
+            rows.append(
+                {"angle": name, "turns": turns, "than": "goal", "end": reached, "goal": goal}
+            )
+    return {"plan_turns": Fact(rows)} if rows else {}
+
+
+def optimality_facts(plan: Plan) -> dict[str, Fact]:
+    """Return the second-order conditions and the prices of the limits of a solved plan."""
+    facts = {
+        f"plan_price_{price.label.name}": Fact(price.rate)
+        for price in plan.prices
+        if price.role in (COST, DURATION)
+    }
+    if plan.optimality is None:
+        return facts
+    checked = {f"plan_{name}": Fact(v, "1") for name, v in plan.optimality._asdict().items()}
+    return {**facts, **checked, "plan_prices": Fact(price_rows(plan.prices))}
+
+
+def described(run: Trajectory) -> dict[str, Fact]:
+    """Return the facts of a plan in words, and its largest violation of limits."""
+    facts = run.facts
+    sizes = [fact.value for fact in starting_with(VIOLATION, facts).values()]
+    violation = max(sizes, default=0.0)
+    is_kept = run.stop is None and violation <= facts["plan_accuracy"].value
+    is_solved = run.stop is None or run.stop.name != PLAN
+    texts = {"simulated": _simulated_words(facts, is_solved=is_solved)}
+    if not is_solved:
+        texts["iterate"] = "the motion is that of an iterate, not of a solution"
+    if facts.get("friction_utilisation_largest", Fact(0.0)).value > SLIDING:
+        texts["slides"] = "a wheel slides"
+    if "plan_windows" in facts:
+        texts["windows"] = _windows_words(facts["plan_windows"].value)
+    if "plan_starts" in facts:
+        texts["start_count"] = str(len(facts["plan_starts"].value))
+    if "plan_curvature" in facts:
+        checked = Optimality(*(facts[f"plan_{name}"].value for name in Optimality._fields))
+        texts |= {"optimality": checked.words, "prices": prices_words(facts["plan_prices"].value)}
+    turns = facts["plan_turns"].value if "plan_turns" in facts else []
+    return {
+        **{name: Fact(text) for name, text in texts.items()},
+        "whole_turns": Fact([_turn_words(row) for row in turns]),
+        "plan_violation": Fact(violation),
+        "within_limits": Fact(float(is_kept), "1"),
+    }
+
+
+def _turn_words(row: Mapping[str, Any]) -> str:
+    turns = row["turns"]
+    count = "a turn" if abs(turns) == 1 else f"{abs(turns)} turns"
+    more = f"{count} {'more' if turns > 0 else 'less'}"
+    if row["than"] == "plan":
+        return (
+            f"{row['angle']} ends {more} in the simulation than in the plan: the same position, "
+            "after a swing to the other side"
+        )
+    return (
+        f"{row['angle']} is {row['end']:.6g} rad at the end, {more} than {row['goal']}: the same "
+        "position, reached the short way"
+    )
+
+
+def _simulated_words(facts: Facts, *, is_solved: bool) -> str:
+    gaps = starting_with(DIFFERENCE, facts)
+    if not gaps:
+        return "not yet; the motion is that of the plan"
+    listed = ", ".join(f"{name} {gap:.1e}" for name, gap in gaps.items())
+    words = f"differs from the {'plan' if is_solved else 'iterate'} by at most {listed}"
+    if not is_solved:  # the outcome names the violations
+        return words
+    violations = [f for f in starting_with(VIOLATION, facts).values() if f.value > ROUNDING]
+    if not violations:
+        return f"{words}; meets all constraints"
+    missed = missed_words(
+        {fact.words: fact.value for fact in violations},
+        {fact.words: fact.unit for fact in violations},
+    )
+    return f"{words}; violates {missed}; plan.accuracy allows {facts['plan_accuracy'].value:g}"
+
+
+def _windows_words(rows: list[dict[str, Any]]) -> str:
+    metres, seconds = rows[-1]["end"], sum(row["seconds"] for row in rows)
+    inaccurate = ", ".join(f"{row['t']:.6g} s" for row in rows if not row["accurate"])
+    return (
+        f"{len(rows)} windows up to {metres:.6g} m of the route, "
+        f"{max(row['iterations'] for row in rows)} iterations at most, "
+        f"{1e3 * seconds / metres:.3g} s of search per kilometre"
+        + (f"; not accurate: those that begin at {inaccurate}" if inaccurate else "")
+    )
+
 
 MAX_SAMPLES = 401  # largest number of samples of a plan in the viewer
 PATH_SAMPLES = 121  # samples of the path of an iterate
@@ -107,14 +296,14 @@ FRICTION_TOLERANCE = 1e-6  # smallest tolerance of quasi-statics, which may fail
 class PlanVerb(DriveVerb):
     """Planning: inputs that reach a goal at least cost, and the resulting motion."""
 
-    schema = plan_schema.PlanKeys
+    schema = PlanKeys
     options = (RESUME,)
     is_timed = False
     own_rows = ROWS
     verified = (DIFFERENCE, VIOLATION)
     metrics_shown = ("within_limits", "plan_violation", "slip_rms")
 
-    def build(self, problem: Problem[plan_schema.PlanKeys]) -> Setup:
+    def build(self, problem: Problem[PlanKeys]) -> Setup:
         """Return the set-up of the search; over solids, that of the simulation of a plan."""
         if problem.spec.terrain.obstacles:
             return build_over_solids(problem)
@@ -122,7 +311,7 @@ class PlanVerb(DriveVerb):
 
     def drive(
         self,
-        problem: Problem[plan_schema.PlanKeys],
+        problem: Problem[PlanKeys],
         setup: Planning | OverSolids,
         watch: Watch,
         resume: SavedPlan | None,
@@ -203,7 +392,7 @@ class PlanVerb(DriveVerb):
         """Return the attributes of the result, including model and law."""
         return super().attributes(problem, setup) | model_attributes(problem.spec)
 
-    def describe_samples(self, problem: Problem[plan_schema.PlanKeys], setup: Setup) -> str:
+    def describe_samples(self, problem: Problem[PlanKeys], setup: Setup) -> str:
         """Return the description of the sampling, without the duration, which may be unknown."""
         return f"{problem.spec.time.step:g} s apart or less, depending on the intervals of the plan"
 
@@ -274,7 +463,7 @@ def figure_options(result: Result, world: World) -> dict[str, Any]:
     }
 
 
-def _inaccurate(spec: plan_schema.PlanKeys, plan: Plan | LongPlan) -> Stop:
+def _inaccurate(spec: PlanKeys, plan: Plan | LongPlan) -> Stop:
     sizes = plan.difference | plan.violation
     missed = {name: size for name, size in sizes.items() if size > spec.plan.accuracy}
     worst = missed_words(missed, plan.units) or "a narrow limit"
@@ -383,7 +572,7 @@ def _by_friction(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
     return _simulated("friction", setup, plan, build, options, slip)
 
 
-def start_values(spec: plan_schema.PlanKeys, start: Trajectory) -> dict[str, Any]:
+def start_values(spec: PlanKeys, start: Trajectory) -> dict[str, Any]:
     """Return the values of a problem's start by name, with the heading, from the settled start."""
     return {name: float(start[name][0]) for name in {**spec.start, "heading": 0.0}}
 

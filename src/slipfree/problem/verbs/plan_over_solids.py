@@ -43,7 +43,7 @@ from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import STEP_CLIMBING, Modelled
 from slipfree.problem.verbs.base import Watch, integrate
-from slipfree.problem.verbs.plan_schema import GuideTable, PlanKeys
+from slipfree.problem.verbs.plan_setup import GuideTable, PlanKeys
 from slipfree.solve.sampling import input_samples
 from slipfree.terrain.solids import Profile
 from slipfree.vehicle.tree import Vehicle

@@ -58,9 +58,9 @@ from slipfree.problem.build import build_model, build_start, in_frame, model_law
 from slipfree.problem.build_ground import at
 from slipfree.problem.inputs import ProblemParts, Recipe, recipe_of
 from slipfree.problem.verbs.base import Watch
-from slipfree.problem.verbs.plan_schema import Robust
 from slipfree.problem.verbs.plan_setup import (
     Planning,
+    Robust,
     build_planning,
     mesh_of,
     momentum_models,

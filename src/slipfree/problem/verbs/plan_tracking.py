@@ -36,8 +36,7 @@ from slipfree.problem.build import World, build_model, build_start, build_world,
 from slipfree.problem.inputs import ProblemParts, file_states, input_files
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import open_result, problem_of, result_of
-from slipfree.problem.verbs.base import VERB_ATTRIBUTE, Result
-from slipfree.problem.verbs.driving import drive_facts
+from slipfree.problem.verbs.base import VERB_ATTRIBUTE, Result, drive_facts
 from slipfree.problem.verbs.plan import FRICTION_TOLERANCE, PlanVerb, initial_speed, start_values
 from slipfree.problem.verbs.plan_search import find_plan, scaled_friction
 from slipfree.problem.verbs.plan_setup import build_planning
