@@ -218,16 +218,9 @@ def test_tiles_in_degrees(tmp_path):
     heights[300, 700] = -32768
     path = tmp_path / "S12W071.hgt"
     path.write_bytes(heights.tobytes())
-    refuses(
-        path.rename(tmp_path / "S12W071.HGT"),
-        r"found degrees \(EPSG:4326\): x from -71 to -70, y from -12",
-    )
-    found = read_map(
-        tmp_path / "S12W071.HGT",
-        geographic="local",
-        window=(-70.5, -70.4, -11.3, -11.2),
-        fill="linear",
-    )
+    path, window = path.rename(tmp_path / "S12W071.HGT"), (-70.5, -70.4, -11.3, -11.2)
+    refuses(path, r"found degrees \(EPSG:4326\): x from -71 to -70, y from -12")
+    found = read_map(path, geographic="local", window=window, fill="linear")
     assert "SRTM tile of int16, EPSG:4326, heights at nodes" in dict(found.facts)["ground map"]
     assert dict(found.facts)["ground holes filled"].startswith("1 nodes in 1 holes")
     hole = found.grid.filled
@@ -348,19 +341,11 @@ def test_more_geotiffs_refused(tmp_path):
     with rasterio.open(path, "w", driver="GTiff", gcps=points, **profile) as file:
         file.write(ROWS.astype("float32"), 1)
     refuses(path, "3 ground control points; resample it: gdalwarp")
-    refuses(
-        geotiff(tmp_path / "map.tif"),
-        r"no 'cell' for a raster that contains coordinates, found",
-        cell=0.25,
-    )
-    refuses(
-        geotiff(tmp_path / "map.tif"),
-        "expected a map in degrees, found EPSG:32633",
-        geographic="local",
-    )
-    words = "geographic: expected 'local' or Frame, found bool True"
-    with pytest.raises(ModelError, match=words):
-        read_map(geotiff(tmp_path / "map.tif"), geographic=True)
+    path = geotiff(tmp_path / "map.tif")
+    refuses(path, r"no 'cell' for a raster that contains coordinates, found", cell=0.25)
+    refuses(path, "expected a map in degrees, found EPSG:32633", geographic="local")
+    with pytest.raises(ModelError, match="geographic: expected 'local' or Frame, found bool True"):
+        read_map(path, geographic=True)
 
 
 def test_damaged_tiffs_lead_to_one_error(tmp_path):

@@ -285,18 +285,6 @@ def test_ratios_of_the_forces():
     assert_allclose(run["utilisation"], needed / offered, rtol=1e-12)
 
 
-def equilibrium(steer):
-    """Return the matrix of the slip in the free rates on flat ground, as the model has it."""
-    dae = closure_model(VEHICLE, LEVEL)
-    run = sf.settle(dae)
-    x, z, _ = dae.columns()
-    unknown = ca.vertcat(*leaves(dae.z.forces))
-    of = ca.Function("of", [x, z], [ca.jacobian(dae.alg[2], unknown)])
-    values = dae.rows("x", run, 0)
-    values[[label.name for label in leaves(dae.labels.x)].index("steer")] = steer
-    return np.array(of(values, dae.rows("z", run, 0))) * WEIGHT
-
-
 # Tipping over and lifting off
 
 TALL = {"axle": "fixed", "center_of_mass": (0.0, 0.0, 0.9)}

@@ -114,6 +114,15 @@ def support_fault(vehicle: Vehicle) -> str:
     return ""
 
 
+def check_support(vehicle: Vehicle, model: str = "") -> None:
+    """Raise ModelError if contacts and springs do not determine a vehicle's pose.
+
+    The message begins with ``model``.
+    """
+    if fault := support_fault(vehicle):
+        raise ModelError(f"{model}{vehicle.name!r}: expected {fault}")
+
+
 def check_exact_closure(
     vehicle: Vehicle,
     model: str,
@@ -125,9 +134,7 @@ def check_exact_closure(
     The message begins with ``model``, the model or law that requires it. It ends
     with ``remedy`` if the vehicle can be modelled with pressed wheels.
     """
-    fault = support_fault(vehicle)
-    if fault:
-        raise ModelError(f"{model}: {vehicle.name!r}: expected {fault}")
+    check_support(vehicle, f"{model}: ")
     if not has_exact_closure(vehicle):
         wheels, given = len(vehicle.wheels), len(vehicle.of("suspension"))
         raise ModelError(

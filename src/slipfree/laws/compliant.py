@@ -16,7 +16,7 @@ import casadi as ca
 from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
 from slipfree.core.arguments import checked
-from slipfree.core.errors import ModelError
+from slipfree.laws.coulomb import check_friction
 from slipfree.laws.protocols import BodyTouch, GroundForce, WheelContact
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
@@ -76,11 +76,7 @@ class Compliant:
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
         """Raise ModelError if the ground has no friction coefficient."""
-        if not terrain.has_friction:
-            raise ModelError(
-                "dynamics: expected a ground with a coefficient of friction, found none; set 'mu' "
-                "of the ground, or 'terrain.friction' in a problem file"
-            )
+        check_friction("dynamics", terrain)
 
     def static_depth(self, wheel: Wheel, load: float) -> float:  # noqa: ARG002 - of the protocol
         """Return the static depth of a wheel, which determines the stiffness [m]."""

@@ -12,6 +12,7 @@ from slipfree.contact.certify import second_contacts
 from slipfree.contact.clearance import BodyClearance, body_clearance
 from slipfree.contact.closure import ContactFrame, contact_frame, wheel_coordinates
 from slipfree.core.dae import Dae, Labels
+from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, leaves, pack, symbols
 from slipfree.geometry.frame import Pose, platform, quaternion
@@ -129,6 +130,15 @@ def values_of(state: State) -> dict[str, ca.SX]:
 def masses_of(state: State) -> list[tuple[str, float, ca.SX]]:
     """Return the masses of a vehicle, as `Vehicle.masses` does."""
     return list(state.vehicle.masses(platform_pose(state), values_of(state)))
+
+
+def check_mass(vehicle: Vehicle, model: str) -> None:
+    """Raise ModelError if a vehicle has no mass; the message begins with the model."""
+    if not vehicle.mass:
+        raise ModelError(
+            f"{model}: expected a vehicle with mass, found none in {vehicle.name!r}; give its "
+            "platform or its wheels a mass"
+        )
 
 
 def body_checks(q: Quantities, x: Any, z: Any) -> tuple[BodyClearance, ...]:

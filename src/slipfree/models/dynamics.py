@@ -31,7 +31,7 @@ from slipfree.core.records import leaves, pack, symbols
 from slipfree.geometry.frame import Pose, rotation_of, turn
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.protocols import BodyLaw, ContactLaw, WheelContact
-from slipfree.models.base import body_checks, extent, raised_poses, vehicle_dae
+from slipfree.models.base import body_checks, check_mass, extent, raised_poses, vehicle_dae
 from slipfree.models.body_contact import body_contacts
 from slipfree.models.dynamic_outputs import (
     Contact,
@@ -210,11 +210,7 @@ def _pace(body: Multibody, u: Inputs) -> ca.SX:
 
 def check_dynamic(vehicle: Vehicle) -> None:
     """Raise ModelError if a vehicle cannot be used in dynamics."""
-    if not vehicle.mass:
-        raise ModelError(
-            f"dynamics: expected a vehicle with mass, found none in {vehicle.name!r}; give its "
-            "platform and its wheels a mass"
-        )
+    check_mass(vehicle, "dynamics")
     for wheel in vehicle.wheels:
         if not (wheel.mass or wheel.inertia or wheel.acting_drive.prescribed):
             raise ModelError(

@@ -145,40 +145,22 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
 
 def _check(matrix: Array, load: Array, friction: Array) -> None:
     """Raise ModelError if shapes or values of the arrays do not fit together."""
-    if friction.ndim != 2:
-        raise ModelError(
-            f"friction: expected shape (n, m) for n samples and m wheels, found {friction.shape}; "
-            "reshape the array"
-        )
-    if 0 in friction.shape:
-        raise ModelError(
-            "friction: expected at least one sample and one wheel, found shape "
-            f"{friction.shape} (samples, wheels); use a motion with samples"
-        )
-    n, m = friction.shape
+    n, m = friction.shape if friction.ndim == 2 else (0, 0)
     w = matrix.shape[1] if matrix.ndim == 3 else 0
-    if w == 0 or matrix.shape != (n, w, 3 * m):
+    found = matrix.shape, load.shape, friction.shape
+    if 0 in (n, w, m) or found != ((n, w, 3 * m), (n, w), (n, m)):
         raise ModelError(
-            f"matrix: expected shape ({n}, w, {3 * m}) for w > 0 equations of equilibrium, since "
-            f"friction has {n} samples of {m} wheels, found {matrix.shape}; reshape matrix or "
-            "friction"
-        )
-    if load.shape != (n, w):
-        raise ModelError(
-            f"load: expected shape ({n}, {w}), the first two dimensions of matrix, found "
-            f"{load.shape}; reshape load"
+            "expected matrix, load and friction of the shapes (n, w, 3 m), (n, w) and (n, m) for n "
+            "samples, w equations of equilibrium and m wheels, at least one each, found "
+            f"{', '.join(map(str, found))}; reshape them"
         )
     for name, values in (("matrix", matrix), ("load", load), ("friction", friction)):
-        if not np.isfinite(values).all():
+        good = np.isfinite(values) & ((values > 0) | (name != "friction"))
+        if not good.all():
             raise ModelError(
-                f"{name}: expected finite numbers, found NaN or infinity; remove such samples from "
-                "all arrays"
+                f"{name}: expected finite numbers, positive ones for friction, found "
+                f"{values[~good][0]}; remove such samples from all arrays, or give a small friction"
             )
-    if friction.min() <= 0:
-        raise ModelError(
-            f"friction: expected positive numbers, found {friction.min()}; for ice give a small "
-            "number"
-        )
 
 
 def _solutions(matrix: Array, load: Array) -> tuple[Array, Array, Mask]:

@@ -16,7 +16,6 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.closure import ContactFrame, check_exact_closure
-from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, leaves, pack, symbols
@@ -27,6 +26,7 @@ from slipfree.models.base import (
     State,
     VehicleState,
     carriers,
+    check_mass,
     contact_frames,
     masses_of,
     platform_pose,
@@ -195,11 +195,7 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
         If the vehicle has no mass, if not all of its wheels can touch a rigid ground, or if the
         motion lacks a coordinate or a rate.
     """
-    if not vehicle.mass:
-        raise ModelError(
-            f"best friction utilisation: expected a vehicle with mass, found none in "
-            f"{vehicle.name!r}; give its platform or its wheels a mass"
-        )
+    check_mass(vehicle, "best friction utilisation")
     check_exact_closure(
         vehicle,
         "best friction utilisation",

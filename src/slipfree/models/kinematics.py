@@ -30,11 +30,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.closure import (
-    closure,
-    has_exact_closure,
-    support_fault,
-)
+from slipfree.contact.closure import check_support, closure, has_exact_closure
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Holding, Labels
 from slipfree.core.errors import ModelError
@@ -180,9 +176,7 @@ def relaxation_time(vehicle: Vehicle) -> float:
 
 def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: float) -> Dae:
     """Return the kinematic model of a vehicle with pressed wheels; see `direct_kinematics`."""
-    fault = support_fault(vehicle)
-    if fault:
-        raise ModelError(f"{vehicle.name!r}: expected {fault}")
+    check_support(vehicle)
     labels = _labels(vehicle, slip)
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
     position = Dependent(x.z, x.roll, x.pitch, x.suspension, z.position.contacts)
@@ -359,7 +353,7 @@ def direct_kinematics(
       inputs: right_rate, left_rate, steer_rate
       outputs: wheel_angle, work, contact_z, center_x, center_y, center_z, slip_along, ...
     """
-    check_slip_law(vehicle, slip)
+    slip.check(vehicle)
     check_rollers(vehicle)
     if not has_exact_closure(vehicle):
         return pressed_dae(vehicle, ground, slip, smoothing)
@@ -420,11 +414,6 @@ def check_driven(vehicle: Vehicle) -> None:
         f"{', '.join(wheel.name for wheel in vehicle.wheels)}, or use model = 'dynamics', in which "
         "gravity moves the vehicle"
     )
-
-
-def check_slip_law(vehicle: Vehicle, slip: SlipLaw) -> None:
-    """Raise ModelError if ``slip`` is not a slip law, or cannot be used with the vehicle."""
-    slip.check(vehicle)
 
 
 def slip_equations(slip: SlipLaw, labels: Labels, q: Quantities) -> Equations:

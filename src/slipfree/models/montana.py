@@ -49,7 +49,7 @@ from slipfree.models.friction_feasibility import (
     mechanics,
     with_tangential,
 )
-from slipfree.models.kinematics import check_slip_law, contact_labels, slip_equations
+from slipfree.models.kinematics import contact_labels, slip_equations
 from slipfree.models.limits import limits_of, tip_over_margin
 from slipfree.models.records import (
     Configuration,
@@ -158,7 +158,7 @@ def montana_kinematics(
       inputs: right_rate, left_rate, steer_rate
       outputs: wheel_angle, work, contact_z, center_x, center_y, center_z, slip_along, ...
     """
-    check_slip_law(vehicle, slip)
+    slip.check(vehicle)
     _check(vehicle)
     labels = _assembly_labels(
         labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle))), vehicle

@@ -10,11 +10,10 @@ import casadi as ca
 
 from slipfree.contact.closure import check_exact_closure
 from slipfree.core.arguments import checked
-from slipfree.core.errors import ModelError
 from slipfree.core.records import pack
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.protocols import Equations, GroundLaw, SlidingContacts, quantity_labels
-from slipfree.models.base import Quantities
+from slipfree.models.base import Quantities, check_mass
 from slipfree.models.closure_model import closure_dae, closure_quantities
 from slipfree.models.friction_feasibility import diagnosis, equilibrium
 from slipfree.models.kinematics import check_rollers
@@ -76,11 +75,7 @@ def quasi_statics(
     >>> print(f"{run['utilisation'].max():.2f}")
     0.33
     """
-    if not vehicle.mass:
-        raise ModelError(
-            f"quasi-statics: expected a vehicle with mass, found none in {vehicle.name!r}; give "
-            "its platform or its wheels a mass"
-        )
+    check_mass(vehicle, "quasi-statics")
     check_exact_closure(vehicle, "quasi-static model")
     check_rollers(vehicle)
     law.check(vehicle, ground)

@@ -36,7 +36,7 @@ import casadi as ca
 import numpy as np
 import scipy  # scipy.spatial is imported when it is used
 
-from slipfree.contact.closure import contact_frame
+from slipfree.contact.closure import check_support, contact_frame
 from slipfree.contact.touch import Touch
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Replay
@@ -136,8 +136,8 @@ def rigid_dynamics(
     Raises
     ------
     ModelError
-        If the vehicle has fewer than three wheels or is locked to a plane, or the vehicle, the
-        ground or the law does not suit dynamics.
+        If the vehicle has fewer than three wheels or is locked to a plane, if contacts and springs
+        do not determine its pose, or the vehicle, the ground or the law does not suit dynamics.
 
     Examples
     --------
@@ -150,7 +150,7 @@ def rigid_dynamics(
     check_dynamic(vehicle)
     contact.check(vehicle, ground)
     law.check(vehicle, ground)
-    _check_wheels(vehicle)
+    check_support(vehicle, "rigid-body dynamics: ")
     vehicle = with_depths(vehicle)
     labels = dynamic_labels(vehicle)  # with contact points and the law's unknowns as unknowns
     pairs = zip(labels.y.contact_x, labels.y.contact_y, strict=True)
@@ -237,20 +237,6 @@ def rigid_dynamics(
         standing=standing_start(vehicle, ground, (), labels),
         replay=Replay(dynamics(vehicle, ground, law=contact), own),
     )
-
-
-def _check_wheels(vehicle: Vehicle) -> None:
-    """Raise ModelError if a vehicle is locked to a plane or has fewer than three wheels."""
-    if vehicle.planar:
-        raise ModelError(
-            f"rigid-body dynamics: {vehicle.name!r}: expected a vehicle that moves in space, "
-            "found one locked to a plane; use another model"
-        )
-    if len(vehicle.wheels) < 3:
-        raise ModelError(
-            f"rigid-body dynamics: {vehicle.name!r}: expected at least 3 wheels, found "
-            f"{len(vehicle.wheels)}; add wheels"
-        )
 
 
 def _stays_on_ground(vehicle: Vehicle) -> bool:
