@@ -110,7 +110,7 @@ def computing(function: Callable[P, R]) -> Callable[P, R]:
 
 
 class cached_property(functools.cached_property[R]):  # noqa: N801 - as in functools
-    """`functools.cached_property` as it is from Python 3.12 on, without its lock of Python 3.11.
+    """`functools.cached_property` without the lock that it has in Python 3.11.
 
     Two threads may both compute the value; both values are equal.
     """
