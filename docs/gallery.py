@@ -44,7 +44,7 @@ PICTURES = (
     Picture("parking", "plan_parking", "traversability"),
     Picture("map", "rover_rocks_direct", "map"),
     Picture("elevation", "rover_rocks_direct", "elevation"),
-    Picture("friction", "traction_hills", "utilisation_map"),
+    Picture("friction", "traction_hills", "map"),
     Picture("checks", "rover_rocks_direct", "checks"),
     Picture("energy", "dynamics_ledge", "energy"),
 )

@@ -76,7 +76,7 @@ print(f"friction needed {run['friction_needed'].max():.2f}")
 figure = style.figure(5.4, 4.4)
 ax = motion_figures.ground(grid, figure.subplots())
 motion_figures.path(run, ax)
-motion_figures.tracks(run, ax)
+ax.plot(run["contact_x"], run["contact_y"], lw=1, label=run.wheels)
 figure.legend(loc="outside lower center", ncols=3)
 figure
 

@@ -98,7 +98,7 @@ for name in ("car", "ackermann"):
 figure = style.figure(6.6, 3.2)
 left, right = figure.subplots(1, 2)
 motion_figures.ground(grid, left)
-motion_figures.tracks(runs["ackermann"], left)
+left.plot(runs["ackermann"]["contact_x"], runs["ackermann"]["contact_y"], lw=1)
 for k, (name, motion) in enumerate(runs.items()):
     size = np.hypot(motion["slip_along"], motion["slip_across"]).max(axis=1)
     right.plot(motion.t, 1000 * size, label=name, **style.look(k))

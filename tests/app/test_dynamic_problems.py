@@ -137,11 +137,7 @@ def test_a_rover_meets_a_step(tmp_path):
     result = open_result(file)
     run = result.trajectory
     assert run["solid_load_1"].max() > 10
-    maps = [
-        each
-        for each in verb_of(result.problem).figures(result)
-        if each.name in ("map", "utilisation_map")
-    ]
+    maps = [each for each in verb_of(result.problem).figures(result) if each.name == "map"]
     for name, figure in plots.draw(maps).items():
         for ax in (ax for ax in figure.axes if ax.get_xlabel()):
             (outline,) = [each for each in ax.patches if each.get_label() == "solids"]

@@ -35,6 +35,7 @@ def test_slopes_and_hollows_of_a_bowl():
     assert values["wheel_radius"] == pytest.approx(BOWL, rel=1e-9)
     assert values["spikes"] == values["hole_share"] == 0
     assert "rounded_to" not in values
+    assert (values["west"], values["north"]) == (-10.0, 10.0)
 
 
 def test_spikes_holes_and_rounded_heights_are_named():

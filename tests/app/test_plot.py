@@ -22,12 +22,12 @@ from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Trajectory, path_length
 from slipfree.geometry.regions import Region
 from slipfree.routing.traversability import blocked_by, free_space, traversability
-from slipfree.show import force_figures, ground_drawing, motion_figures, plan_figures, plots
+from slipfree.show import force_figures, ground_drawing, motion_figures, plan_figures, plots, style
 from slipfree.terrain.synthetic import blank, craters
 
 DOMAIN = (-5.0, 5.0, -4.0, 4.0)
 NAMES = ["map", "elevation", "tilts", "checks", "rates"]
-LOADS = ["utilisation", "forces", "utilisation_map", "energy"]
+LOADS = ["utilisation", "forces", "energy"]
 WITH_LOADS = [*NAMES[:2], LOADS[0], *NAMES[2:], *LOADS[1:]]
 
 
@@ -356,7 +356,8 @@ def test_utilisation_is_measured_against_all_that_friction_gives(loaded, ax):
     force_figures.utilisation(loaded, ax)
     drawn(ax.figure)
     wheels = ["right", "left", "front"]
-    assert labels(ax) == [*wheels, "optimal distribution of forces", "friction limit"]
+    assert labels(ax)[:-1] == [*wheels, "optimal distribution of forces", "friction limit"]
+    assert labels(ax)[-1].startswith("largest, front: ")
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), loaded["utilisation", "right"])
     np.testing.assert_array_equal(ax.lines[3].get_ydata(), loaded["utilisation_best"])
     assert list(ax.lines[4].get_ydata()) == [1, 1]
@@ -370,22 +371,24 @@ def test_huge_utilisation_is_cut_and_said_to_be(loaded, ax, value):
     drawn(ax.figure)
     assert ax.get_ylim() == (0, force_figures.CEILING)
     assert ax.lines[-1].get_xydata()[0] == pytest.approx([loaded.t[10], force_figures.CEILING])
-    remark, worst = (text.get_text() for text in ax.texts)
+    remark, worst = labels(ax)[-2:]
     assert remark.startswith("not drawn above 3")
     assert remark.endswith("infinite where a wheel bears no load") == np.isinf(value)
-    assert worst == f"left: {'infinite' if np.isinf(value) else '47'} at {loaded.t[10]:.4g} s"
+    assert (
+        worst == f"largest, left: {'infinite' if np.isinf(value) else '47'} at {loaded.t[10]:.4g} s"
+    )
     values = ax.lines[1].get_ydata()
     assert np.isfinite(values).all()
     assert (values[10:13] > force_figures.CEILING).all()
 
 
-def test_without_the_friction_of_the_ground_it_is_the_friction_needed(loaded, grid, ax):
+def test_without_the_friction_of_the_ground_it_is_the_friction_needed(loaded, ax):
     columns = {**loaded.columns, "utilisation": loaded.columns["friction_needed"]}
     run = replace(loaded, attributes={}, columns=columns)
     force_figures.utilisation(run, ax)
     assert ax.get_ylabel() == "friction needed $|f_t|/N$ [1]"
-    assert labels(ax)[-1] == "a friction coefficient of 1"
-    bar = force_figures.utilisation_map(run, grid, ax).child_axes[-1]
+    assert labels(ax)[-2] == "a friction coefficient of 1"
+    bar = force_figures.tracks(run, ax).child_axes[-1]
     assert bar.get_ylabel() == "friction needed $|f_t|/N$ [1]"
 
 
@@ -398,9 +401,9 @@ def test_tip_over_margin_has_degrees(loaded, grid):
     assert ax.get_ylim()[0] <= 0
 
 
-def test_tracks_are_coloured_by_utilisation(loaded, grid, ax):
+def test_tracks_are_coloured_by_utilisation(loaded, ax):
     loaded = lifted(loaded)
-    assert force_figures.utilisation_map(loaded, grid, ax) is ax
+    assert force_figures.tracks(loaded, ax) is ax
     drawn(ax.figure)
     (lines,) = (each for each in ax.collections if isinstance(each, LineCollection))
     assert lines.get_clim() == (0, 1)
@@ -410,15 +413,22 @@ def test_tracks_are_coloured_by_utilisation(loaded, grid, ax):
     over = values > 1
     assert over.sum() == 4  # three samples lie between four pieces
     np.testing.assert_allclose(colours[over], np.tile(to_rgba(force_figures.OVER), (4, 1)))
-    np.testing.assert_allclose(colours[~over], mpl.colormaps[force_figures.COLOURS](values[~over]))
+    np.testing.assert_allclose(colours[~over], style.RISK(values[~over]))
     at = np.column_stack([loaded["contact_x", "left"], loaded["contact_y", "left"]])
     worst = [piece for piece, much in zip(lines.get_segments(), over, strict=True) if much]
     np.testing.assert_allclose(worst, np.stack([at[9:13], at[10:14]], axis=1))
     assert labels(ax) == [
-        "start, 0 s",
         f"largest, left: infinite at {loaded.t[10]:.4g} s",
         "above the friction limit",
     ]
+
+
+def test_tracks_without_forces_are_coloured_by_slip(run, ax):
+    values = np.outer(np.sin(run.t), [1e-3, 2e-3, 3e-3])
+    bar = force_figures.tracks(changed(run, "slip_across", values), ax).child_axes[-1]
+    assert bar.get_ylabel() == "slip [mm/s]"
+    (lines,) = (each for each in ax.collections if isinstance(each, LineCollection))
+    assert lines.get_array().max() == pytest.approx(3 * np.sin(run.t).max(), rel=1e-6)
 
 
 def test_energies_and_powers_have_panels_of_their_own(loaded, grid):
@@ -538,7 +548,7 @@ def test_a_range_is_drawn_as_an_area(run_plan, ax):
 def test_map_shows_regions_and_places_of_a_plan(run_plan, grid_plan):
     marks = {"keep_out": [Region.disc(6.5, 8.0, 0.2)], "places": (START, GOAL)}
     found = motion_figures.motion_plots(run_plan, grid_plan, marks=marks)
-    for ax in plots.draw(found[:1])["map"].axes[:2]:
+    for ax in plots.draw(found[:1])["map"].axes[:1]:
         (goal,) = (line for line in ax.lines if line.get_label() == "goal")
         assert goal.get_xydata()[0] == pytest.approx(GOAL[1:])
         assert "keep-out region" in labels(ax)

@@ -100,6 +100,8 @@ def test_results_are_drawn():
     for result, name, axes in ((run, None, "east"), (run, "tilts", "time"), (poses, None, "east")):
         (ax, *_) = slipfree.plot(result, name).axes
         assert axes in ax.get_xlabel()
+    for record in (run, poses, model.vehicle, model.ground):
+        assert record._repr_html_().count("<tr>") == len(lines_of(record)) - 1 > 1
     refuses(slipfree.ModelError, "did you mean 'tilts'", slipfree.plot, run, "tilt")
     refuses(slipfree.ModelError, "result: expected Trajectory", slipfree.plot, model)
 

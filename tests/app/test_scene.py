@@ -210,7 +210,7 @@ def test_runs_share_a_ground_and_say_where_it_differs(drive: Driven) -> None:
         "along that motion."
     )
     assert scene.warnings == (said,)
-    assert said in with_legend("<body></body>", scene, "title", "height", [])
+    assert said in with_legend("<body></body>", scene, "title", "height", "", [])
     radius = drive.vehicle.wheels[0].radius
     with pytest.raises(ModelError, match=r"differs from that of hills by at most"):
         drive_scene([drive, lifted(drive, 1.01 * radius)])
@@ -272,7 +272,7 @@ def test_a_motion_that_stopped_says_so(drive: Driven) -> None:
     run = replace(drive.run, stop=Stop("grip", 1.0, "a wheel has no grip", Outcome.LIMIT))
     scene = drive_scene([drive._replace(run=run)])
     assert scene.actors[0].stop == "stopped at t = 1 s: a wheel has no grip"
-    assert scene.actors[0].stop in with_legend("<body></body>", scene, "title", "height", [])
+    assert scene.actors[0].stop in with_legend("<body></body>", scene, "title", "height", "", [])
     assert drive_scene([drive]).actors[0].stop == ""
 
 

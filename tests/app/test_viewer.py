@@ -182,6 +182,28 @@ def watched(driver: Any) -> list[np.ndarray]:
     return seen
 
 
+def check_plots(driver: Any) -> None:
+    """Assert that cursors and values of the plots are those of the time, which a click sets."""
+    read = """return [...document.querySelectorAll("#plots svg")].map(plot => {
+      const k = plot.querySelector("line").transform.baseVal[0].matrix.e;
+      const {points} = plot.querySelector("polyline");
+      const {textContent} = plot.previousElementSibling.querySelector("b");
+      return [k, points.length, textContent, points[k].y];
+    })"""
+    click = """const plot = document.querySelector("#plots svg");
+      const {left, top, width} = plot.getBoundingClientRect();
+      const at = {clientX: left + arguments[0] * width, clientY: top + 5};
+      plot.dispatchEvent(new MouseEvent("click", at))"""
+    for share in (0.25, 0.75):
+        driver.execute_script(click, share)
+        time.sleep(1.0)
+        plots = driver.execute_script(read)
+        assert len(plots) >= 2
+        for at, count, text, value in plots:
+            assert at == pytest.approx(share * count, abs=2)
+            assert float(text) == pytest.approx(value, rel=5e-3)
+
+
 def asked(driver: Any) -> set[str]:
     """Return the addresses that the page asked for since the last call."""
     found = set()
@@ -233,6 +255,7 @@ def test_a_saved_page_plays_from_disk(files: list[Path], browser: Any, tmp_path:
     asked(browser), complaints(browser)  # those of the other page
     browser.get(out.as_uri())
     assert missing(watched(browser)) == []
+    check_plots(browser)
     text = browser.find_element("id", "slipfree").text
     assert "Over <hills> & back" in text
     assert "height: " in text
@@ -250,6 +273,21 @@ def test_a_quiet_page_says_where_it_is(files: list[Path], monkeypatch: pytest.Mo
     monkeypatch.setattr(viewer, "serve", serve)
     done = invoke("show", files[0], "--no-browser", "--quiet", code=0)
     assert done.stderr == "http://127.0.0.1:1 shows the motions; Ctrl-C ends the server\n"
+
+
+def test_run_shows_its_result(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from slipfree.show import viewer
+
+    pages = list[str]()
+    monkeypatch.setattr(viewer, "serve", lambda html, *_: pages.append(html))
+    (folder / "p.toml").write_text(PROBLEM, encoding="utf-8")
+    short = sets("time.duration=0.2")
+    invoke("run", "p.toml", "--no-draw", "--show", *short, code=0)
+    assert "Over &lt;hills&gt; &amp; back" in pages[0]
+    monkeypatch.setitem(sys.modules, "viser", None)
+    (folder / "p.nc").unlink()
+    assert "run --show: expected the package 'viser'" in refused("run", "p.toml", "--show", *short)
+    assert not (folder / "p.nc").exists()
 
 
 def test_the_colors_of_a_page_are_those_asked_for(files: list[Path], tmp_path: Path) -> None:
@@ -301,17 +339,42 @@ def test_nodes_have_the_poses_of_the_motion(files: list[Path]) -> None:
 
 
 def test_tracks_have_a_white_edge(files: list[Path]) -> None:
-    from slipfree.show import viewer
-
     server, _ = motion_nodes(files, np.zeros(1))
     edge, track = (
-        server.scene.get_handle_by_name(f"/world/run 1/tracks/lines {width:g}")
-        for width in (viewer.CASING, viewer.TRACK)
+        server.scene.get_handle_by_name(f"/world/run 1/tracks/{name}") for name in ("edge", "own")
     )
-    assert (np.asarray(edge.colors) == 255).all()
-    assert edge.points[..., 2].max() < track.points[..., 2].max()
-    assert edge.thickness > 2 * track.thickness
+    assert tuple(edge.color) == (255, 255, 255)
+    assert edge.vertices[..., 2].max() < track.vertices[..., 2].max()
+    widths = [np.linalg.norm(np.diff(each.vertices[:2], axis=0)) for each in (edge, track)]
+    assert widths[0] > 1.5 * widths[1] > 0
     stop(server)
+
+
+def test_tracks_are_ribbons_beside_the_contact_points() -> None:
+    from slipfree.show import viewer
+
+    points = np.zeros((4, 2, 3))
+    points[:, :, 1] = np.arange(4)[:, None]  # northwards
+    points[:, 1, 0] = 5.0
+    points[2, 1] = np.nan  # without contact
+    mesh = viewer.tracks(points, 0.2, dashed=False)
+    assert sorted(set(mesh.vertices[:8, 0])) == pytest.approx([-0.1, 0.1])
+    assert len(mesh.faces) == 6 + 2
+    assert len(viewer.tracks(points[:, :1], 0.2, dashed=True).faces) == 4
+
+
+def test_plots_show_slip_in_millimetres_per_second(files: list[Path]) -> None:
+    from slipfree.show.drive_scene import drive_scene
+
+    result = shown(files[0], "a")
+    scene = drive_scene([result])
+    slip = 1e3 * np.hypot(result.run["slip_along"], result.run["slip_across"])
+    np.testing.assert_allclose(scene.actors[0].values["slip"], slip)
+    ends = {each.name: pair for each, pair in scene.plotted.items()}
+    assert ends["slip"] == (0.0, pytest.approx(max(slip.max(), 1.0)))
+    names = [layer.name for layer in scene.track_layers(scene.actors[0])]
+    assert names[0] == "slip"
+    assert not {"tip_over_margin", "clearance"} & {*names}
 
 
 @pytest.mark.parametrize("is_far", [False, True])
@@ -323,7 +386,7 @@ def test_long_motions_are_followed_and_shown_faster(files: list[Path], is_far: b
     actor = scene.actors[0]._replace(t=60 * scene.actors[0].t)
     scene = scene._replace(actors=(actor,), reach=0.05 if is_far else scene.reach)
     html = viewer.page(scene, "title", "height")
-    assert "Played at 2 times real speed." in html
+    assert "Played at 8 times real speed." in html
     assert ("The view follows a." in html) == is_far == scene.is_far
 
 

@@ -40,7 +40,7 @@ from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, SampledCheck
 from slipfree.core.errors import ModelError
 from slipfree.core.quantities import quantity_label
-from slipfree.core.records import Array, Indices, Label, Mask, leaves
+from slipfree.core.records import Array, Indices, Label, Mask, leaves, overview
 from slipfree.core.schema import Count
 from slipfree.core.trajectory import Drawable
 from slipfree.enclosure.guarantee import contact_points, enclose_poses
@@ -101,6 +101,11 @@ class Atlas(Drawable):
     bands: Mapping[str, Band]
     reasons: tuple[str, ...]
     ground: object = None
+
+    def __repr__(self) -> str:
+        spans = {n: (f"{v[0]:.9g} to {v[-1]:.9g} m",) for n, v in (("x", self.x), ("y", self.y))}
+        title = f"Atlas: {self.x.size} x {self.y.size} nodes, {self.heading.size} headings"
+        return overview(title, **spans, bands=self.bands)
 
     def __getitem__(self, name: str) -> Array:
         """Return the values of a band, shape (n_headings, n_x, n_y)."""

@@ -36,7 +36,8 @@ from slipfree.cli.outputs import (
     save,
 )
 from slipfree.cli.outputs import draw as draw_plots
-from slipfree.core.errors import SlipfreeError, WriteError
+from slipfree.cli.show import show as show_results
+from slipfree.core.errors import SlipfreeError, WriteError, require
 from slipfree.system.interrupt import held_interrupt, interrupt_requested
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ Figures = Annotated[
     typer.Option(metavar="DIR", help="Folder for figures; default: OUT_figures beside OUT.nc."),
 ]
 Draw = Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")]
+Show = Annotated[bool, typer.Option("--show", help="Show the motion in a browser afterwards.")]
 DrawAll = Annotated[
     bool, typer.Option("--figures-all", help="Draw all figures, not only the main ones.")
 ]
@@ -87,6 +89,7 @@ def run(
     figures: Figures = None,
     draw: Draw = True,
     figures_all: DrawAll = False,
+    show_page: Show = False,
     cross_check: CrossCheck = False,
     resume: Resume = None,
     trust: Trust = None,
@@ -102,6 +105,8 @@ def run(
     from slipfree.problem.result import run_problem
     from slipfree.problem.verbs.base import CROSS_CHECK, RESUME, outcome_fact
 
+    if show_page:
+        require("viser", "view", "run --show: ")
     problem = read_problem(file, settings, trust)
     verb = verb_of(problem)
     options = [] if out is None else ["-o", str(out)]
@@ -162,6 +167,9 @@ def run(
             more = f"; {rest} more with --figures-all" if rest else ""
             print_line(f"drew {', '.join(file.stem for file in drawn)} in {folder}{more}")
             detail(f"drew {len(drawn)} figures in {folder}")
+    if show_page and not is_interrupted:
+        with _after(files[0], "show"):
+            show_results([files[0]])
     if result.outcome.exit_code:
         print_incomplete(motion, files[0], resume_command(motion, files[0], *options))
     elif is_interrupted:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
+from html import escape
 from typing import Any
 
 import casadi as ca
@@ -94,6 +95,26 @@ def overview(title: str, **names: Iterable[object]) -> str:
     lines = [title, *(f"{key}: {text}" for key, text in lists if text)]
     cut = [textwrap.shorten(line, LINE_WIDTH - 2, placeholder=" ...") for line in lines]
     return "\n  ".join(cut)
+
+
+class HtmlRepr:
+    """A record that notebooks show as a table of the lines of its `repr`."""
+
+    def _repr_html_(self) -> str:
+        """Return the HTML of the record."""
+        title, *lines = repr(self).splitlines()
+        rows = (line.strip().partition(": ")[::2] for line in lines)
+        return f"<b>{escape(title)}</b>{html_table(rows)}"
+
+
+def html_table(rows: Iterable[tuple[str, ...]]) -> str:
+    """Return an HTML table with a row per name and its cells; names may be indented."""
+    lines = list[str]()
+    for name, *cells in rows:
+        below = ' class="below"' if name.startswith(" ") else ""
+        values = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+        lines.append(f'<tr><th scope="row"{below}>{escape(name.strip())}</th>{values}</tr>')
+    return "\n".join(["<table>", *lines, "</table>"])
 
 
 def field_overview(record: Any) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from slipfree.core.errors import ModelError, SlipfreeError, require, similar
 from slipfree.core.facts import Fact, Facts, encode
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import Array, Label, overview, with_overview
+from slipfree.core.records import Array, HtmlRepr, Label, overview, with_overview
 
 if TYPE_CHECKING:
     import pandas
@@ -104,7 +104,7 @@ def heading_column(heading: Array | float, frame: str, *, own: str = "paper") ->
     return Column(Label("heading", "rad", words), values)
 
 
-class Drawable:
+class Drawable(HtmlRepr):
     """A result that is drawn over its ground."""
 
     if TYPE_CHECKING:

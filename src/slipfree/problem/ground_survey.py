@@ -32,6 +32,7 @@ TOUCHING = 0.99  # share of the nodes at which a wheel touches once
 
 SURVEY_ROWS = rows(
     """\
+extent: x {west:.9g} to {east:.9g}, y {south:.9g} to {north:.9g}
 slope: median {slope_median.value:.3g} deg, 95 % below {slope_high.value:.3g} deg, largest \
 {slope_largest.value:.3g} deg; {share_above_20:.3g>%} above 20 deg, {share_above_30:.3g>%} above \
 30 deg
@@ -59,7 +60,9 @@ def survey(ground: GroundMap) -> dict[str, Fact]:
     xx, xy = np.gradient(along_x, *grid.spacing)
     yy = np.gradient(along_y, grid.spacing[1], axis=1)
     concave = np.asarray((xx + yy) / 2 + np.hypot((xx - yy) / 2, xy))[known]
+    ends = zip(("west", "east", "south", "north"), grid.domain, strict=True)
     facts = {
+        **{side: Fact(float(value), "m", "edge of the map") for side, value in ends},
         "slope_median": Fact(float(np.median(slope)), "degree", "median slope"),
         "slope_high": Fact(float(np.percentile(slope, 95)), "degree", "95th percentile of slopes"),
         "slope_largest": Fact(float(slope.max()), "degree", "largest slope"),

@@ -57,6 +57,7 @@ ELSEWHERE = (  # attributes reported in other sections
     *("problem", "settings", "history", "title", "date_created", "problem_folder"),
     *(STORED, MAP_TRANSFORM),
 )
+MAPS = "map", "side"  # first figures of reports
 LEVEL = 6.0  # half the width of the level ground in a picture [reach of the vehicle]
 MIN_SHARE = 0.3  # smallest named entry of a singular vector, relative to the largest
 SAME_PLACE = 0.05  # largest distance from a mirror image [distance from the platform's origin]
@@ -71,6 +72,7 @@ def report(file: Path) -> Report:
     result = open_result(file, samples=FIGURE_SAMPLES)
     run, verb = read(file, lazy=True), find_motion_verb(result.kind)
     facts = [outcome_fact(run), *motion_facts(run)]
+    main = [outcome_fact(run), *(verb.summary(run, main=True) if verb else [])]
     names = {row.name for row in (verb.rows if verb else PLAIN_ROWS) if row.is_check}
     attributes = run.attributes
     tables: dict[str, Sequence[tuple[str, ...]]] = {
@@ -84,7 +86,9 @@ def report(file: Path) -> Report:
     if run.stop is None and verb is not None:
         lead = verb.describe_end(run) or lead
     head = attributes["title"], f"{lead[0].upper()}{lead[1:]}.", run.stop is None
-    return Report(*head, tables, *_drawn(result, run.t.size), _texts(file, attributes))
+    figures, note = _drawn(result, run.t.size)
+    first = sorted(figures, key=lambda plot: plot.name not in MAPS)
+    return Report(*head, main, tables, first, note, _texts(file, attributes))
 
 
 def atlas_lines(file: Path) -> tuple[Lines, Lines, AtlasOverview]:
@@ -108,7 +112,6 @@ def _atlas_report(file: Path) -> Report:
     view = overview.view
     attributes = view.site.attributes
     tables: dict[str, Sequence[tuple[str, ...]]] = {
-        "Result": summary,
         "Set-up": set_up,
         "Maps": [
             (name, printed_unit(label.unit), label.words) for name, (label, _) in view.maps.items()
@@ -117,7 +120,7 @@ def _atlas_report(file: Path) -> Report:
     }
     texts = {"Problem": attributes["problem"]} if "problem" in attributes else {}
     head = attributes.get("title", file.stem), "Where and how the vehicle can stand.", True
-    return Report(*head, tables, atlas_plots(view), "", texts)
+    return Report(*head, summary, tables, atlas_plots(view), "", texts)
 
 
 def _versions(file: Path, attributes: Mapping[str, str]) -> Lines:
@@ -191,8 +194,8 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
     level, facts, details = Analytic(lambda x, _: 0 * x, mu=1.0), _shares(vehicle), Lines()
     try:
         dae: Dae = dynamics(vehicle, level) if vehicle.planar else direct_kinematics(vehicle, level)
-        inputs, *details = counts(vehicle, dae)
-        facts = [inputs, *dimensions(vehicle), *_notes(vehicle)]
+        main, details = counts(vehicle, dae)
+        facts = [*main, *dimensions(vehicle), *_notes(vehicle)]
         check_driven(vehicle)
         return _description(vehicle, dae, level, settle(dae))
     except ModelError as error:
@@ -220,8 +223,8 @@ def vehicle_plot(path: Path, settings: Sequence[str] = (), trust: Sequence[Path]
 def _description(vehicle: Vehicle, dae: Dae, terrain: Terrain, start: Trajectory) -> Description:
     solved = conditioning(dae, start) if dae.labels.z else []
     clear = lines(START_ROWS, closest_fact(vehicle, terrain, start))
-    inputs, *details = counts(vehicle, dae)
-    facts = [inputs, *dimensions(vehicle), *clear, *_notes(vehicle)]
+    main, details = counts(vehicle, dae)
+    facts = [*main, *dimensions(vehicle), *clear, *_notes(vehicle)]
     return Description(_drawn_tree(vehicle), wheel_rows(vehicle), facts, (), [*details, *solved])
 
 
@@ -369,15 +372,15 @@ def _listed(names: Iterable[str]) -> str:
     return f"{len(names)}: {', '.join(names) or 'none'}"
 
 
-def counts(vehicle: Vehicle, dae: Dae) -> Lines:
-    """Return the facts about the numbers of unknowns and equations of a vehicle's motion."""
+def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
+    """Return main facts and details of the unknowns and equations of a vehicle's motion."""
 
     def listed(record: Any) -> str:
         return _listed(label.full for label in leaves(record))
 
     inputs, states = ("inputs", listed(dae.labels.u)), ("states", listed(dae.labels.x))
     if not dae.labels.z:  # dynamics has no algebraic unknowns
-        return [inputs, states]
+        return [inputs], [states]
     position, rates, _ = dae.labels.z
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
     passive = [c.name for c in vehicle.of("passive")]
@@ -385,19 +388,27 @@ def counts(vehicle: Vehicle, dae: Dae) -> Lines:
     more = "too few by" if given < needed else "too many by"
     balance = "as many as needed" if given == needed else f"{more} {abs(needed - given)}"
     if _has_ground_law(dae):
-        rolls = f"{balance}: the wheels slip as the wheel-ground law determines"
+        can_roll = rolls = "the wheels slip as the wheel-ground law determines"
     elif given == needed:
         law = "least" if any(wheel.rollers for wheel in vehicle.wheels) else "rolling"
-        rolls = f"{balance}: it can roll without slip (slip = '{law}')"
+        can_roll, rolls = "yes", f"it can roll without slip (slip = '{law}')"
     else:
-        rolls = f"{balance}: it moves with least slip (slip = 'least')"
+        can_roll = f"no: passive joints and free wheels are {balance}"
+        rolls = "it moves with least slip (slip = 'least')"
+    ground = ["height", "pitch", "roll", *(c.name for c in vehicle.of("suspension"))]
+    if not has_exact_closure(vehicle):
+        ground.append("depths of the wheels")
     equations = (
         "equilibrium and the wheel-ground law; they also determine the normal forces"
         if _has_ground_law(dae)
         else dae.labels.alg[1][0].name.replace("_", " ")
     )
-    return [
+    main = [
         inputs,
+        ("can roll without slip", can_roll),
+        ("the ground determines", ", ".join(ground)),
+    ]
+    return main, [
         states,
         *_contact_facts(vehicle, dae, listed(position)),
         ("rates", listed((rates.motion, rates.law))),
@@ -406,7 +417,7 @@ def counts(vehicle: Vehicle, dae: Dae) -> Lines:
         ("free wheels", _listed(free)),
         (
             "no-slip conditions",
-            f"{needed} besides the contacts; passive joints and free wheels: {rolls}",
+            f"{needed} besides the contacts; passive joints and free wheels: {balance}: {rolls}",
         ),
         *_forces(vehicle, dae),
     ]

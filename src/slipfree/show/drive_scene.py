@@ -9,12 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from slipfree.core.errors import ModelError
+from slipfree.core.facts import SCALES
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory, stop_words
 from slipfree.files.urdf.links import Robot, poses_on_map, wheel_name
 from slipfree.geometry.mesh import TriangleMesh
 from slipfree.geometry.regions import Region
-from slipfree.models.samples import CLOSEST, FramePoses, part_poses, wheel_poses
+from slipfree.models.samples import CLOSEST, FramePoses, has_friction, part_poses, wheel_poses
 from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing, style
 from slipfree.show.ground_drawing import Place, Window
@@ -33,6 +34,7 @@ from slipfree.show.scene import (
     BLOCKED,
     LIFT,
     PLAN_LINES,
+    PLOTTED,
     RED,
     Actor,
     Arrows,
@@ -66,6 +68,7 @@ CLOSEST_COLOR = (120, 0, 160)  # of the place where a body came closest to the g
 ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform [wheel radius]
 NARROW = 0.55  # width of the platform [width of the vehicle]
 TYRE = (90, 90, 90)
+LARGEST = 1e9  # value in plots over time
 SAME = 1e-9  # smaller differences of grounds are rounding [m]
 
 
@@ -270,6 +273,7 @@ def _actor(
     if drive.robot is not None and drive.visuals and not ghost:
         bodies = [*_with_visuals(bodies, drive, drive.robot, color)]
     arrows = [] if ghost else _arrows(run, drive, contacts, wheels.rotations[..., 0])
+    values = {} if ghost else _plotted(run)
     return Actor(
         name,
         color,
@@ -279,7 +283,23 @@ def _actor(
         tuple(a._replace(starts=a.starts - origin) for a in arrows),
         ghost,
         stop_words(run),
+        run.wheels,
+        values,
     )
+
+
+def _plotted(run: Trajectory) -> dict[str, Array]:
+    """Return the quantities of a motion for the plots of a page, in the units of the plots."""
+    values = {name: run[name] for name in run}
+    if "slip_along" in run:
+        values["slip"] = np.hypot(run["slip_along"], run["slip_across"])
+    values.pop("friction_needed" if has_friction(run) else "utilisation", None)
+    known = (each for each in PLOTTED if each.name in values)
+    # infinite values cannot be interpolated
+    return {
+        each.name: np.minimum(SCALES.get(each.unit, 1.0) * values[each.name], LARGEST)
+        for each in known
+    }
 
 
 def _part_bodies(
@@ -397,16 +417,8 @@ def _arrows(run: Trajectory, drive: Driven, contacts: Array, axles: Array) -> li
 
 def ground_normals(terrain: Bicubic, points: Array) -> Array:
     """Return the upward unit normals of a ground at map points; both have the shape (..., 3)."""
-    slopes = []
-    for axis, cell in enumerate(terrain.grid.spacing):
-        step = 1e-3 * cell
-        away = np.zeros(2)
-        away[axis] = step
-        ahead, behind = points[..., :2] + away, points[..., :2] - away
-        rise = terrain.elevation(*np.moveaxis(ahead, -1, 0))
-        rise = rise - terrain.elevation(*np.moveaxis(behind, -1, 0))
-        slopes.append(rise / (2 * step))
-    normals = np.stack([-slopes[0], -slopes[1], np.ones_like(slopes[0])], axis=-1)
+    dz_dx, dz_dy = ground_drawing.gradient(terrain, points[..., 0], points[..., 1])
+    normals = np.stack([-dz_dx, -dz_dy, np.ones_like(dz_dx)], axis=-1)
     return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
 
 

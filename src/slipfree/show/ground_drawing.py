@@ -22,7 +22,7 @@ from slipfree.geometry.regions import Region
 from slipfree.show import style
 from slipfree.show.meshes import clipped
 from slipfree.show.plots import Plot, PlottedDrive
-from slipfree.show.style import MM, PAGE
+from slipfree.show.style import COLUMN, MM, PAGE
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.solids import Prism, Profile, section_of
 
@@ -31,6 +31,7 @@ DIGITS = 9  # decimals of drawn heights, so that flat ground looks flat [m]
 STEEP_SHADE, MAX_EXAGGERATION = 0.7, 20.0  # exaggerated slope of steep parts, largest factor
 LEVEL, DARKEST = 0.9, 0.45  # brightness of level ground and of the darkest slopes
 LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)])  # direction to the light: north-west, 45 degrees high
+RELIEF = "#EDE4D6"
 HATCH = "//////"
 INSIDE = 0.44  # largest distance of text on a map from its middle [width of the map]
 
@@ -40,6 +41,7 @@ Window = tuple[float, float, float, float]
 Place = tuple[str, float, float]
 MARKERS = {"start": ("o", 5), "goal": ("*", 9)}  # shapes and sizes of places of a plan [points]
 WAY_POINT = "D", 4
+FAR = 0.6  # of a motion with a smaller extent only a part of the map is drawn [map]
 POSES = 8  # number of drawn positions of the vehicle
 ROOM = 0.04  # margin around the motion [m]
 LATEST = 0.85  # used part of the colour scale: its yellow end is too light for lines
@@ -87,7 +89,8 @@ def brightness(x: Array, y: Array, z: Array) -> Array:
 
 
 def muted(grid: Grid, ax: Axes, window: Window) -> Axes:
-    """Draw a part of the ground in grey, below coloured content."""
+    """Draw a part of the ground in grey-brown, below coloured content."""
+    ax.set_facecolor(RELIEF)
     shade(*patch(grid, window, HEATMAP), ax)
     return contours(grid, ax, window)
 
@@ -148,6 +151,19 @@ def plan_marks(
         marks: dict[str, Any] = {"ls": "none", "mfc": "white", "mec": "black", "zorder": 6}
         ax.plot(x, y, shape, ms=size, label=name, **marks)
     return ax
+
+
+def map_figure(x: Array, y: Array, grid: Grid, pad: float) -> tuple[Figure, Axes, Window]:
+    """Return a figure of a map, its axes, and its window around positions [m].
+
+    The window is that of `about`, or the whole ground unless this is much larger.
+    """
+    window, (west, east, south, north) = about(x, y, grid, pad), whole(grid)
+    spans = window[1] - window[0], window[3] - window[2]
+    if max(spans[0] / (east - west), spans[1] / (north - south)) >= FAR:
+        window, spans = whole(grid), (east - west, north - south)
+    figure = style.figure(COLUMN, min(92 * MM * spans[1] / spans[0], 120 * MM) + 32 * MM)
+    return figure, figure.subplots(), window
 
 
 def in_window(
@@ -236,16 +252,21 @@ def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
     return fine[0], fine[1], z
 
 
-def slope_along(ground: Terrain, x: Array, y: Array, heading: Array) -> Array:
-    """Return the slope at map points along headings from the x axis, positive uphill [rad]."""
+def gradient(ground: Terrain, x: Array, y: Array) -> Array:
+    """Return the derivatives of the height along x and y at map points, shape (2, ...) [1]."""
     at = ca.SX.sym("x"), ca.SX.sym("y")
     lookups = LookupTable()
     expressions = [ca.densify(ground.jet(*at, lookups).gradient)]
-    gradient = lookup_function(lookups.lookups, "gradient", at, expressions)
+    derivatives = lookup_function(lookups.lookups, "gradient", at, expressions)
     x_0, y_0, _ = ground.origin
-    rise = gradient(ca.DM(x - x_0).T, ca.DM(y - y_0).T)
-    along = np.stack([np.cos(heading), np.sin(heading)])
-    return np.asarray(np.arctan(np.sum(along * np.array(rise), axis=0)))
+    values = derivatives(ca.DM(np.ravel(x - x_0)).T, ca.DM(np.ravel(y - y_0)).T)
+    return np.array(values).reshape(2, *np.shape(x))
+
+
+def slope_along(ground: Terrain, x: Array, y: Array, heading: Array) -> Array:
+    """Return the slope at map points along headings from the x axis, positive uphill [rad]."""
+    dz_dx, dz_dy = gradient(ground, x, y)
+    return np.asarray(np.arctan(np.cos(heading) * dz_dx + np.sin(heading) * dz_dy))
 
 
 def side_plot(drive: PlottedDrive) -> Plot | None:

@@ -12,18 +12,27 @@ from html import escape
 from io import BytesIO
 from typing import NamedTuple
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from slipfree.core.records import Array, html_table
 from slipfree.show.local_server import page_script
 from slipfree.show.plots import Plot, draw
-from slipfree.show.scene import Color, Entry, Layer, Scene
-from slipfree.show.style import DPI, STYLE
+from slipfree.show.scene import WORLD, Color, Entry, Layer, Plotted, Scene
+from slipfree.show.style import DPI, PALETTE, STYLE
 
-BOX = (
-    "position:fixed;left:8px;bottom:52px;z-index:2;max-width:22em;padding:6px 10px;"
-    "font:12px/1.4 sans-serif;color:#222;background:rgba(255,255,255,.85);border-radius:4px"
-)
+PAGE_STYLES = """
+#slipfree, #plots { position: fixed; bottom: 52px; z-index: 2; padding: 6px 10px; color: #222;
+  font: 12px/1.4 sans-serif; background: rgba(255, 255, 255, .85); border-radius: 4px; }
+#slipfree { left: 8px; max-width: 22em; }
+#plots { right: 8px; width: min(30em, 30vw); } #plots:empty { display: none; }
+#plots svg { width: 100%; height: 54px; background: #fff; cursor: crosshair; }
+polyline, line { fill: none; stroke-width: 1.5; vector-effect: non-scaling-stroke; }
+line { stroke: #222; } #plots div:last-child { display: flex; justify-content: space-between; }
+@media (max-width: 48rem) { #slipfree { max-height: 30vh; overflow: auto; max-width: 45vw; }
+  #plots { width: 40vw; } #plots svg { height: 30px; } }
+"""
 HOLLOW = "background:none;border:2px dotted"
 SQUARE = "display:inline-block;width:12px;height:12px;margin-right:6px"
 WARNING = "color:#a00"
@@ -34,9 +43,11 @@ PIXELS = 120  # pixels of the page per inch of a figure
 VECTOR = {"svg.fonttype": "path", "svg.hashsalt": "slipfree"}  # for reproducible pages
 STYLES = """
 body { font: 16px/1.45 system-ui, sans-serif; color: #1a1a1a; background: #fff;
-       max-width: 60rem; margin: 0 auto; padding: 1rem 1.2rem 4rem; }
-h1 { line-height: 1.15; margin-bottom: .2rem; } h2 { margin-top: 2.2rem; }
-nav a { margin-right: 1rem; } .lead { color: #444; margin-top: 0; }
+       max-width: 75rem; margin: 0 auto; padding: 1rem 1.2rem 4rem; }
+h1 { line-height: 1.15; margin-bottom: .2rem; } .lead { font-size: 1.15rem; margin-top: 0; }
+summary { font-size: 1.2rem; font-weight: 600; cursor: pointer; margin-top: 1.2rem; }
+.columns { display: grid; gap: 0 2rem; align-items: start;
+           grid-template-columns: repeat(auto-fit, minmax(min(32rem, 100%), 1fr)); }
 .bad { border-left: .4rem solid #D55E00; padding-left: .8rem; }
 table { border-collapse: collapse; width: 100%; font-size: .92rem; }
 td, th { text-align: left; vertical-align: top; padding: .22rem .8rem .22rem 0;
@@ -59,24 +70,30 @@ def legend(layer: Layer) -> str:
     )
 
 
-def swatch(color: Color, words: str = "", *, ghost: bool = False) -> str:
-    """Return HTML of a coloured square with text; with a dotted border for wireframes."""
-    look = f"{HOLLOW} {_css(color)}" if ghost else f"background:{_css(color)}"
-    return f'<div><span style="{SQUARE};{look}"></span>{escape(words)}</div>'
+def with_legend(
+    html: str, scene: Scene, title: str, color: str, colored: str, words: Iterable[str]
+) -> str:
+    """Return a page exported by viser with title, legend, plots and notes.
 
-
-def warned(scene: Scene) -> str:
-    """Return the HTML of the warnings of a scene."""
-    return "".join(f'<p style="{WARNING}">{escape(each)}</p>' for each in scene.warnings)
-
-
-def with_legend(html: str, scene: Scene, title: str, color: str, words: Iterable[str]) -> str:
-    """Return a page exported by viser with title, legend and notes; ``color`` names a layer."""
+    Motions of the scene have the times of the page. ``color`` names a layer of the ground,
+    ``colored`` one of the tracks, or none.
+    """
     switches = "".join(map(_switch, scene.entries))
+    warned = "".join(f'<p style="{WARNING}">{escape(each)}</p>' for each in scene.warnings)
     notes = "".join(f"<p>{escape(note)}</p>" for note in (*scene.notes, *words, SAVED_KEYS))
+    grounds = {
+        layer.name: (layer, [f"{WORLD}/ground {layer.name}"]) for layer in scene.ground.layers
+    }
+    tracks: dict[str, tuple[Layer | None, list[str]]] = {"as the vehicle": (None, [])}
+    for k, actor in enumerate(scene.actors, 1):
+        for layer in scene.track_layers(actor):
+            _, nodes = tracks.setdefault(layer.name, (layer, []))
+            nodes.append(f"{WORLD}/run {k}/tracks/{layer.name}")
     box = (
-        f'<div id="slipfree" style="{BOX}"><b>{escape(title)}</b>{_layers(scene, color)}'
-        f"{switches}{warned(scene)}<details><summary>notes</summary>{notes}</details></div>"
+        f'<style>{PAGE_STYLES}</style><div id="slipfree"><b>{escape(title)}</b>'
+        f"{_choice('ground', grounds, color)}{_choice('tracks', tracks, colored)}"
+        f"{switches}{warned}<details><summary>notes</summary>{notes}</details></div>"
+        f'<div id="plots">{_plots(scene)}</div>'
         f"<script>{page_script('viewer_keys.js')}{page_script('viewer_saved.js')}</script>"
     )
     html = html.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
@@ -84,24 +101,66 @@ def with_legend(html: str, scene: Scene, title: str, color: str, words: Iterable
     return html[:end] + box + html[end:]
 
 
-def _layers(scene: Scene, color: str) -> str:
-    options = "".join(
-        f'<option value="layer-{layer.name}" data-ground="/world/ground {layer.name}"'
-        f"{' selected' if layer.name == color else ''}>{escape(layer.name)}</option>"
-        for layer in scene.ground.layers
-    )
-    legends = "".join(
-        f'<div id="layer-{layer.name}"{"" if layer.name == color else " hidden"}>'
-        f"{legend(layer)}</div>"
-        for layer in scene.ground.layers
-    )
-    return f'<div>ground <select data-layer="">{options}</select></div>{legends}'
+def _choice(
+    name: str, layers: Mapping[str, tuple[Layer | None, Sequence[str]]], chosen: str
+) -> str:
+    """Return HTML to choose a colouring, each with the nodes that show it."""
+    options, legends = "", ""
+    for key, (layer, nodes) in layers.items():
+        at = f"{name}-{key}"
+        is_chosen = key == chosen
+        options += (
+            f'<option value="{escape(at)}" data-nodes="{escape("|".join(nodes))}"'
+            f"{' selected' if is_chosen else ''}>{escape(key.replace('_', ' '))}</option>"
+        )
+        shown = legend(layer) if layer else ""
+        legends += f'<div id="{escape(at)}"{"" if is_chosen else " hidden"}>{shown}</div>'
+    return f"<div>{name} <select>{options}</select></div>{legends}"
+
+
+def _plots(scene: Scene) -> str:
+    """Return HTML of the plots over time of a scene; vertices of lines are values at the frames."""
+    names, plots = dict[str, str](), ""
+    for each, (low, high) in scene.plotted.items():
+        now, drawn, size = "", "", 0
+        for name, color, values in _curves(scene, each):
+            names[name], size = color, values.size
+            shown = np.clip(np.nan_to_num(values, nan=low), low, high)
+            points = " ".join(f"{k},{value:.4g}" for k, value in enumerate(shown))
+            now += f' <b style="color:{color}"></b>'
+            drawn += f'<polyline stroke="{color}" points="{points}"/>'
+        unit = f" {each.unit}" if each.unit else ""
+        plots += (
+            f"<div>{escape(each.name.replace('_', ' '))}, {low:.3g} to {high:.3g}{unit}:{now}</div>"
+            f'<svg preserveAspectRatio="none" viewBox="0 {-high} {size - 1} {high - low}">'
+            f'<g transform="scale(1,-1)">{drawn}<line y1="{low}" y2="{high}"/></g></svg>'
+        )
+    if not plots:
+        return ""
+    first, last = scene.span
+    lines = " ".join(f'<b style="color:{color}">{escape(n)}</b>' for n, color in names.items())
+    return f"{lines}{plots}<div><span>{first:g} s</span><span>{last:g} s</span></div>"
+
+
+def _curves(scene: Scene, plotted: Plotted) -> Iterator[tuple[str, str, Array]]:
+    """Yield name, colour and values of lines: of each wheel, or the worst ones of each motion."""
+    actors = [actor for actor in scene.actors if plotted.name in actor.values]
+    for actor in actors:
+        values = actor.values[plotted.name]
+        if len(actors) > 1 or values.ndim == 1:
+            worst = np.min if plotted.is_margin else np.max
+            yield actor.name, _css(actor.color), worst(values.reshape(len(values), -1), axis=1)
+        else:
+            for k, wheel in enumerate(actor.wheels):
+                yield wheel, PALETTE[(k + 1) % len(PALETTE)], values[:, k]
 
 
 def _switch(entry: Entry) -> str:
     names = escape("|".join(entry.nodes))
-    box = f'<input type="checkbox" checked data-node="{names}" style="{CHECK}">'
-    words = swatch(entry.color, entry.label, ghost=entry.ghost)
+    box = f'<input type="checkbox" checked data-nodes="{names}" style="{CHECK}">'
+    css = _css(entry.color)
+    look = f"{HOLLOW} {css}" if entry.ghost else f"background:{css}"
+    words = f'<span style="{SQUARE};{look}"></span>{escape(entry.label)}'
     if entry.stop:
         words += f'<div style="{WARNING}">{escape(entry.stop)}</div>'
     return f'<label style="display:flex;align-items:baseline">{box}<span>{words}</span></label>'
@@ -117,56 +176,41 @@ class Report(NamedTuple):
     title: str
     lead: str  # sentence on the outcome of the motion
     good: bool  # whether the motion is complete
+    main: Sequence[tuple[str, ...]]  # main facts, beside the first figure
     tables: Mapping[str, Sequence[tuple[str, ...]]]  # by heading; names may be indented
-    figures: Sequence[Plot]
+    figures: Sequence[Plot]  # the first one is shown above the tables
     note: str  # why there are no figures
     texts: Mapping[str, str]  # preformatted, by heading
 
 
 def page(report: Report, progress: Callable[[int, int], object] | None = None) -> str:
     """Return a report as a self-contained HTML page without scripts."""
-    parts = {name: _table(rows) for name, rows in report.tables.items() if rows}
-    first, *others = parts
     figures = list[str]()
     for plot in report.figures:
         figures.append(_figure(plot))
         if progress is not None:
             progress(len(figures), len(report.figures))
-    note = f"<p>{escape(report.note)}</p>\n" if report.note else ""
-    shown = note + "".join(figures)
-    sections = {
-        first: parts[first],
-        **({"Figures": shown} if shown else {}),
-        **{name: parts[name] for name in others},
-        **{name: f"<pre>{escape(text)}</pre>" for name, text in report.texts.items()},
-    }
-    return "\n".join(_lines(report, sections)) + "\n"
-
-
-def _lines(report: Report, sections: Mapping[str, str]) -> Iterator[str]:
-    """Yield the lines of the HTML page of a report."""
-    ids = {name: name.lower().replace(" ", "-") for name in sections}
-    yield '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">'
-    yield f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
-    yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
-    yield '<link rel="icon" href="data:,">'
-    yield f"<title>{escape(report.title)}</title>\n<style>{STYLES}</style>\n</head>\n<body>"
-    yield f"<h1>{escape(report.title)}</h1>"
-    yield f'<p class="lead{"" if report.good else " bad"}">{escape(report.lead)}</p>'
-    links = "\n".join(f'<a href="#{ids[name]}">{escape(name)}</a>' for name in sections)
-    yield f"<nav>\n{links}\n</nav>"
-    for name, content in sections.items():
-        yield f'<section id="{ids[name]}">\n<h2>{escape(name)}</h2>\n{content}\n</section>'
-    yield "</body>\n</html>"
-
-
-def _table(rows: Sequence[tuple[str, ...]]) -> str:
-    lines = []
-    for name, *cells in rows:
-        below = ' class="below"' if name.startswith(" ") else ""
-        values = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
-        lines.append(f'<tr><th scope="row"{below}>{escape(name.strip())}</th>{values}</tr>')
-    return "<table>\n" + "\n".join(lines) + "\n</table>"
+    tables = {name: html_table(rows) for name, rows in report.tables.items() if rows}
+    texts = {name: f"<pre>{escape(text)}</pre>" for name, text in report.texts.items()}
+    others = f'<div class="columns">{"".join(figures[1:])}</div>'
+    sections = {**({"Figures": others} if figures[1:] else {}), **tables, **texts}
+    lines = [
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        '<link rel="icon" href="data:,">',
+        f"<title>{escape(report.title)}</title>\n<style>{STYLES}</style>\n</head>\n<body>",
+        f"<h1>{escape(report.title)}</h1>",
+        f'<p class="lead{"" if report.good else " bad"}">{escape(report.lead)}</p>',
+        f'<div class="columns">{html_table(report.main)}{"".join(figures[:1])}</div>',
+        f"<p>{escape(report.note)}</p>" if report.note else "",
+        *(
+            f"<details>\n<summary>{escape(name)}</summary>\n{content}\n</details>"
+            for name, content in sections.items()
+        ),
+        "</body>\n</html>\n",
+    ]
+    return "\n".join(lines)
 
 
 def _figure(plot: Plot) -> str:

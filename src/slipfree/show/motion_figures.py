@@ -27,10 +27,10 @@ from slipfree.models.samples import CLOSEST
 from slipfree.plan.plan import Plan
 from slipfree.show import ground_drawing, style
 from slipfree.show.atlas_figures import atlas_plots, view_of
-from slipfree.show.force_figures import utilisation_map_plot, utilisation_plot
-from slipfree.show.ground_drawing import HEATMAP, Window, side_plot
+from slipfree.show.force_figures import tracks, utilisation_plot
+from slipfree.show.ground_drawing import HEATMAP, side_plot
 from slipfree.show.plots import Panel, Plot, PlottedDrive, draw, stack
-from slipfree.show.style import COLUMN, FLAT, MM, PAGE, PLATFORM, STOPPED
+from slipfree.show.style import FLAT, MM, PAGE, PLATFORM, STOPPED
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.solids import Prism, Solids
@@ -41,16 +41,16 @@ FILLED = "#D60093"  # hatching of filled holes
 ROUNDING = 1e-9  # smaller slip is rounding [m/s]
 STILL = 1e-9  # a joint that moves less counts as fixed [rad]
 BELOW: dict[str, Any] = {"color": "0.75", "lw": 2.6, "zorder": 1}  # visible below other lines
-DISTINCT = 0.01  # smallest distance of distinguishable lines [width of the axes]
-NEAR = 0.6  # a path with a smaller extent is drawn again, enlarged [extent of the map]
+DISTINCT = 0.01  # smallest distance of distinguishable lines [height of the axes]
+INSET = 150  # samples of the small map along an axis
 STEEP = 40.0  # end of the colour scale of slopes [deg]
 AROUND = 0.5  # margin of the ground drawn around a motion [extent of the motion]
 NODES = 101  # of an axis of the ground of a formula
 
 
-def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
+def ground(grid: Grid, ax: Axes) -> Axes:
     """Draw the heights of a ground as a shaded map with contour lines and a colour bar."""
-    window = window or ground_drawing.whole(grid)
+    window = ground_drawing.whole(grid)
     x, y, z = ground_drawing.patch(grid, window, HEATMAP)
     heights = ax.imshow(z.T, **_colours(z), **ground_drawing.extent(x, y))
     ground_drawing.shade(x, y, z, ax)
@@ -111,21 +111,6 @@ def path(run: Trajectory, ax: Axes) -> Axes:
         at = run.facts[CLOSEST].value
         words = f"a body closest to the ground, {at['t']:.4g} s"
         ax.plot(at["x"], at["y"], "v", mfc="white", label=words, **marks)
-    return ax
-
-
-def tracks(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the tracks of the contact points in plan view, one line per wheel."""
-    for k, wheel in enumerate(run.wheels):
-        u, v = run["contact_x", wheel], run["contact_y", wheel]
-        ax.plot(
-            u,
-            v,
-            lw=1,
-            label=f"contact {style.words(wheel)}",
-            path_effects=style.halo(1.8),
-            **style.look(k),
-        )
     return ax
 
 
@@ -234,8 +219,9 @@ def _grid_around(run: Trajectory, ground: Any) -> Grid:
 
 
 def map_plot(drive: PlottedDrive) -> Plot:
-    """Return the figure of ground and path in plan view."""
-    return Plot("map", "Ground and path in plan view.", lambda: _map(drive))
+    """Return the figure of ground, path and tracks in plan view."""
+    words = "Ground and path in plan view, with tracks in the colours of utilisation or slip."
+    return Plot("map", words, lambda: _map(drive))
 
 
 def elevation_plot(drive: PlottedDrive) -> Plot:
@@ -304,43 +290,31 @@ FIGURES: tuple[Compose, ...] = (
     over_time("checks", "Accuracy and validity: residuals and margins over time."),
     over_time("rates", "Rates of wheels and joints over time."),
     over_time("forces", "Forces between wheels and ground, and torques of the drives."),
-    utilisation_map_plot,
     over_time("energy", "Work of the drives, energy of the vehicle, and losses."),
 )  # of a motion over terrain, the most important first
 
 
 def _map(drive: PlottedDrive) -> Figure:
-    """Draw the path on the whole ground and, if it is much smaller, on the ground around it."""
-    run, grid = drive.run, drive.grid
-    whole, window = ground_drawing.whole(grid), ground_drawing.around(run, grid, pad=0.15)
-    spans = [(w[1] - w[0], w[3] - w[2]) for w in (whole, window)]
-    ratio = spans[0][0] / spans[0][1]
-    twice = max(spans[1][0] / spans[0][0], spans[1][1] / spans[0][1]) < NEAR
-    rows, columns = (1, 1) if not twice else (2, 1) if ratio > 1.4 else (1, 2)
-    panel = min((85 if columns == 1 else 58) * MM / ratio, 110 * MM)
-    figure = style.figure(PAGE if columns == 2 else COLUMN, rows * (panel + 11 * MM) + 16 * MM)
-    panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    """Draw path and tracks on the ground around them, with a small map of the whole ground."""
+    run, grid, whole = drive.run, drive.grid, ground_drawing.whole(drive.grid)
+    x, y = (np.append(run[name], run[f"contact_{name}"]) for name in "xy")
+    figure, ax, window = ground_drawing.map_figure(x, y, grid, 0.15)
+    ground_drawing.solids(drive.prisms, ground_drawing.muted(grid, ax, window))
+    ground_drawing.hatch(grid, grid.filled, window, "filled holes", FILLED, ax)
     places = [each for each in drive.marks.get("places", ()) if each[0] != "start"]  # of the path
-    for ax, part in zip(panels, (whole, window), strict=False):
-        ground_drawing.solids(drive.prisms, ground(grid, ax, part))
-        path(run, ground_drawing.plan_marks(ax, **{**drive.marks, "places": places}))
-    if _tracks_differ(run, spans[-1][0]):
-        tracks(run, panels[-1])
-    if twice:
-        corner, size = (window[0], window[2]), spans[1]
-        box: dict[str, Any] = {"fill": False, "ec": "white", "lw": 1.0}
-        panels[0].add_patch(Rectangle(corner, *size, **box, zorder=4))
-        panels[0].set_title("whole ground")
-        panels[1].set_title("around the path")
-    style.finished(figure, run, panels)
-    figure.draw_without_rendering()  # the first layout sees the colour bars of wider axes
+    path(run, ground_drawing.plan_marks(ax, **{**drive.marks, "places": places}))
+    if "slip_along" in run:
+        tracks(run, ax)
+    if window != whole:
+        counts = [np.sum((x > np.mean(window[:2])) == e) for e in (True, False)]
+        inset = ax.inset_axes((0.74 if counts[0] < counts[1] else 0.01, 0.74, 0.25, 0.25), zorder=7)
+        ground_drawing.shade(*ground_drawing.patch(grid, whole, INSET), inset)
+        inset.set(xticks=[], yticks=[], xlabel="", ylabel="", facecolor=ground_drawing.RELIEF)
+        size = window[1] - window[0], window[3] - window[2]
+        inset.add_patch(Rectangle(window[::2], *size, fill=False, ec=STOPPED, lw=1.2))
+    style.finished(figure, run, [ax])
+    figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
     return figure
-
-
-def _tracks_differ(run: Trajectory, width: float) -> bool:
-    """Return whether tracks and path are distinguishable on a map with a width in metres."""
-    away = [run[f"contact_{axis}"] - run[axis][:, None] for axis in "xy"]
-    return bool(np.hypot(*away).max() > DISTINCT * width)
 
 
 def _law(run: Trajectory) -> str:

@@ -21,10 +21,10 @@ from slipfree.core.facts import printed_unit, starting_with
 from slipfree.core.records import Array, Mask
 from slipfree.core.trajectory import Trajectory
 from slipfree.routing.traversability import Traversability, blocked_by
-from slipfree.show import ground_drawing, motion_figures, style
+from slipfree.show import ground_drawing, style
 from slipfree.show.ground_drawing import Place, Window
 from slipfree.show.plots import Panel, Plot, stack
-from slipfree.show.style import COLUMN, MM, PAGE, PLATFORM
+from slipfree.show.style import MM, PAGE, PLATFORM
 from slipfree.terrain.base import Grid
 
 # The scale is light blue, so that warm colours mark blocked nodes; all differ in lightness too.
@@ -38,7 +38,6 @@ BLOCKED = {  # colour and description of blocked nodes by reason, in order of pr
     "friction": ("#D55E00", "friction holds no heading"),
     "pose": ("#CC79A7", "the vehicle does not stand"),
 }
-FAR = 0.6  # for a motion with a smaller extent only a part of the map is drawn [map]
 WRAP = 20  # characters of a line of labels and legends beside axes
 ROW = 34.0  # height of a row of the figure of a plan [mm]
 NO_GUESS = np.zeros((0, 2))
@@ -229,15 +228,8 @@ def _traversability(
     """Draw the motion, its initial guess and the routes on the cost map."""
     known = guess[np.isfinite(guess).all(axis=1)]
     points = np.concatenate([np.stack([run["x"], run["y"]], axis=1), *lines, known])
-    window = ground_drawing.about(points[:, 0], points[:, 1], grid, pad=0.25)
-    whole = ground_drawing.whole(grid)
-    spans = [(w[1] - w[0], w[3] - w[2]) for w in (whole, window)]
-    if max(spans[1][0] / spans[0][0], spans[1][1] / spans[0][1]) >= FAR:
-        window = whole
-    ratio = (window[1] - window[0]) / (window[3] - window[2])
-    panel = min(92 * MM / ratio, 120 * MM)
-    figure = style.figure(COLUMN, panel + 32 * MM)
-    ax = cost_map(layers, grid, figure.subplots(), window)
+    figure, ax, window = ground_drawing.map_figure(points[:, 0], points[:, 1], grid, 0.25)
+    cost_map(layers, grid, ax, window)
     initial_routes(lines, ax)
     if guess.size:
         initial_guess(guess, ax)
@@ -260,10 +252,6 @@ def _panels(
     drawings += [(1.0, partial(limited, run, name, pair)) for name, pair in limits.items()]
     if layers.limits.keep_out:
         drawings.append((1.0, partial(keep_out_distance, run, layers)))
-    drawings += [
-        (1.0, partial(style.history, run, names))
-        for names in motion_figures.panels(run, ["slip_along", "slip_across"])
-    ]
     return [Panel(_beside(draw), ROW * height, has_legend=False) for height, draw in drawings]
 
 

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.trajectory import Trajectory
 from slipfree.show import style
-from slipfree.show.style import DPI, MM, PAGE, STYLE
+from slipfree.show.style import COLUMN, DPI, MM, PAGE, STYLE
 from slipfree.system.regular_files import replace_file
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.solids import Prism
@@ -57,17 +57,23 @@ class PlottedDrive(NamedTuple):
     marks: Mapping[str, Any] = {}
 
 
-def stack(run: Trajectory, panels: Sequence[Panel], note: str = "", width: float = PAGE) -> Figure:
-    """Return a figure of panels over one axis, with one legend and a note."""
+def stack(run: Trajectory | None, panels: Sequence[Panel], note: str = "") -> Figure:
+    """Return a figure of panels over one axis, with one legend and a note.
+
+    Of a motion, the note states the reason of an early stop.
+    """
     heights = [panel.height for panel in panels]
-    figure = style.figure(width, (sum(heights) + MARGIN) * MM)
+    figure = style.figure(COLUMN if run is None else PAGE, (sum(heights) + MARGIN) * MM)
     axes = list(
         figure.subplots(len(panels), 1, sharex=True, height_ratios=heights, squeeze=False).ravel()
     )
     for panel, ax in zip(panels, axes, strict=True):
         panel.draw(ax)
+        if ax is not axes[-1]:
+            ax.set_xlabel("")
+    figure.align_ylabels(axes)
     legends = [ax for panel, ax in zip(panels, axes, strict=True) if panel.has_legend]
-    return style.finished(style.stacked(figure, axes), run, legends, note)
+    return style.finished(figure, run, legends, note)
 
 
 def main_plots(plots: Iterable[Plot]) -> tuple[Plot, ...]:

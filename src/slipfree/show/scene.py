@@ -6,7 +6,7 @@ as a web page by `slipfree.show.viewer` and as a film by `slipfree.show.film`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,13 +45,34 @@ PLAN_LINES = "keep-out", "places"  # lines that pictures have as well
 GRAY, BROWN, RED = (70, 70, 70), (60, 40, 20), (190, 30, 30)
 
 
+class Plotted(NamedTuple):
+    """A quantity in the plots of a page; those whose large values are bad colour tracks."""
+
+    name: str
+    unit: str  # that of the plot
+    least: float  # smallest upper end of the axis, in that unit
+    most: float = np.inf  # largest upper end
+    is_margin: bool = False  # whether small values are bad
+
+
+PLOTTED = (
+    Plotted("slip", "mm/s", 1.0),
+    Plotted("utilisation", "%", 100.0, 300.0),
+    Plotted("friction_needed", "", 1.0, 3.0),
+    Plotted("sinkage", "mm", 1.0),
+    Plotted("tip_over_margin", "deg", 10.0, is_margin=True),
+    Plotted("clearance_body", "m", 0.1, is_margin=True),
+    Plotted("clearance", "m", 0.1, 1.0, is_margin=True),
+)
+
+
 class Layer(NamedTuple):
-    """A colouring of the ground."""
+    """A colouring of the ground, or of tracks."""
 
     name: str  # name of the quantity that determines the colour
     legend: str  # description of the range of values, with unit
     scale: tuple[Color, ...]  # colours of the scale from its lowest to its highest value
-    colors: Colors  # shape (n, 3): red, green and blue of the vertices
+    colors: Colors  # shape (..., 3): red, green and blue of the vertices, or of samples
 
 
 class Lines(NamedTuple):
@@ -113,6 +134,8 @@ class Actor(NamedTuple):
     arrows: tuple[Arrows, ...]  # slip and forces, if the motion has them
     ghost: bool = False  # whether the motion is a plan, which is drawn as wireframe
     stop: str = ""  # time and reason of an early stop, or outcome of an incomplete plan
+    wheels: tuple[str, ...] = ()
+    values: Mapping[str, Array] = {}  # quantities of `PLOTTED`, in their units, by name
 
     def at(self, times: float | Array) -> Actor:
         """Return the actor at given times [s], which are moved into the motion.
@@ -144,6 +167,7 @@ class Actor(NamedTuple):
                 for each in self.bodies
             ),
             contacts=between(self.contacts),
+            values={name: between(values) for name, values in self.values.items()},
             arrows=tuple(
                 each._replace(starts=between(each.starts), vectors=between(each.vectors))
                 for each in self.arrows
@@ -216,6 +240,33 @@ class Scene(NamedTuple):
         return (*lines, *arrows, *motions)
 
     @property
+    def plotted(self) -> dict[Plotted, tuple[float, float]]:
+        """Quantities that motions have, with the ends of their axes."""
+        ends = dict[Plotted, tuple[float, float]]()
+        for each in PLOTTED:
+            known = [np.ravel(a.values[each.name]) for a in self.actors if each.name in a.values]
+            values = np.concatenate([*known, np.zeros(1)])
+            values = values[np.isfinite(values)]
+            if values.size > 1:
+                high = min(max(float(values.max()), each.least), each.most)
+                ends[each] = min(float(values.min()), 0.0), high
+        return ends
+
+    def track_layers(self, actor: Actor) -> list[Layer]:
+        """Return the colourings of the tracks of a motion."""
+        return [
+            layer(
+                each.name,
+                actor.values[each.name],
+                f"{low:.3g} to {high:.3g} {each.unit}",
+                low,
+                high,
+            )
+            for each, (low, high) in self.plotted.items()
+            if not each.is_margin and each.name in actor.values
+        ]
+
+    @property
     def paths(self) -> Array:
         """Positions of all platforms at all times, shape (n, 3) [m]."""
         return np.concatenate([actor.bodies[0].origins for actor in self.actors])
@@ -272,11 +323,11 @@ def rgb(name: str) -> Color:
 
 
 def layer(name: str, values: Array, legend: str, low: float, high: float) -> Layer:
-    """Return the colouring of vertices by a quantity; ``low`` and ``high`` end the colour scale."""
-    scale = colormaps[MAPS[name]]
+    """Return the colours of values of a quantity; ``low`` and ``high`` end the colour scale."""
+    scale = colormaps[MAPS[name]] if name in MAPS else style.RISK
     parts = np.clip((values - low) / max(high - low, style.FLAT), 0, 1)
     ends = tuple(rgb(scale(part)) for part in np.linspace(0, 1, 9))
-    return Layer(name, legend, ends, scale(parts, bytes=True)[:, :3])
+    return Layer(name, legend, ends, scale(parts, bytes=True)[..., :3])
 
 
 def map_lines(

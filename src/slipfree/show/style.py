@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
@@ -35,6 +36,8 @@ STYLE = {
 }
 DPI = 200
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito
+# from good to bad: no colour is pale, since tracks have a white edge
+RISK = LinearSegmentedColormap.from_list("risk", ["#1a9850", "#f5c400", "#d7191c"])
 DASHES = ("-", "--", ":", "-.")  # for lines beyond the palette
 PLATFORM = "black"
 STOPPED = "#D55E00"
@@ -52,15 +55,9 @@ def figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def stacked(figure: Figure, panels: Sequence[Axes]) -> Figure:
-    """Remove the x labels of all panels but the lowest one, and align the y labels."""
-    for ax in panels[:-1]:
-        ax.set_xlabel("")
-    figure.align_ylabels(panels)
-    return figure
-
-
-def finished(figure: Figure, run: Trajectory, legends: Sequence[Axes], note: str = "") -> Figure:
+def finished(
+    figure: Figure, run: Trajectory | None, legends: Sequence[Axes], note: str = ""
+) -> Figure:
     """Add a legend at the top of a figure, and a note with the reason of a stop below."""
     entries: dict[str, Any] = {}
     for ax in legends:
@@ -70,7 +67,7 @@ def finished(figure: Figure, run: Trajectory, legends: Sequence[Axes], note: str
     if entries:
         columns = _columns(list(entries), int(width * 18))
         figure.legend(entries.values(), entries, loc="outside upper center", ncols=columns)
-    if run.stop is not None:
+    if run is not None and run.stop is not None:
         reason = stop_words(run)
         note = f"{reason[0].upper()}{reason[1:]}\n{note}".strip()
     if note:

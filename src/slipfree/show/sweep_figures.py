@@ -21,7 +21,7 @@ from slipfree.core.facts import printed_unit
 from slipfree.core.records import Array
 from slipfree.plan.pareto import FrontPoint
 from slipfree.show import style
-from slipfree.show.plots import MARGIN, PANEL, Plot, save
+from slipfree.show.plots import Panel, Plot, save, stack
 from slipfree.show.style import COLUMN, MM, PALETTE, STOPPED
 from slipfree.show.swept import Swept, Varied
 
@@ -178,17 +178,18 @@ def front_figure(
     ``against`` and ``unit`` are those of the second objective. Solutions of ``points``, and of the
     plan ``given`` with the costs of the problem, have the slip per wheel and metre in ``slip``.
     """
-    made = style.figure(COLUMN, (2 * PANEL + MARGIN) * MM)
-    upper, lower = made.subplots(2, 1, sharex=True)
-    _draw_points(points, given, lambda point: 1e6 * point.first, upper)
-    _draw_tangents(points, upper)
-    upper.set_ylabel("squared slip and\nsmoothness [mm$^2$/s]")
-    _draw_points(points, given, lambda point: 1e3 * point.solution.slip, lower)
-    lower.set_ylabel("slip [mm per\nwheel and metre]")
-    lower.set_xlabel(f"{style.words(against)} [{printed_unit(unit)}]")
-    handles, labels = upper.get_legend_handles_labels()
-    made.legend(handles, labels, loc="outside upper center", ncols=3)
-    return style.stacked(made, [upper, lower])
+
+    def upper(ax: Axes) -> None:
+        _draw_points(points, given, lambda point: 1e6 * point.first, ax)
+        _draw_tangents(points, ax)
+        ax.set_ylabel("squared slip and\nsmoothness [mm$^2$/s]")
+
+    def lower(ax: Axes) -> None:
+        _draw_points(points, given, lambda point: 1e3 * point.solution.slip, ax)
+        ax.set_ylabel("slip [mm per\nwheel and metre]")
+        ax.set_xlabel(f"{style.words(against)} [{printed_unit(unit)}]")
+
+    return stack(None, [Panel(upper), Panel(lower)])
 
 
 def _draw_points(
@@ -249,18 +250,11 @@ def wheel_plot(name: str, test: DrawnWheel) -> Plot:
 
 def wheel_figure(test: DrawnWheel) -> Figure:
     """Return the figure of a single-wheel test: a panel per quantity, a line per slip angle."""
-    made = style.figure(COLUMN, (len(PANELS) * PANEL + MARGIN) * MM)
-    axes = made.subplots(len(PANELS), 1, sharex=True)
-    for (name, words, factor), ax in zip(PANELS, axes, strict=True):
-        _draw(test, name, factor, ax)
-        ax.set_ylabel(words)
-    axes[-1].set_xlabel("slip ratio [1]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    made.legend(handles, labels, loc="outside upper center", ncols=4)
-    return style.stacked(made, list(axes))
+    return stack(None, [Panel(partial(_draw, test, *each)) for each in PANELS])
 
 
-def _draw(test: DrawnWheel, name: str, factor: float, ax: Axes) -> None:
+def _draw(test: DrawnWheel, name: str, words: str, factor: float, ax: Axes) -> None:
+    ax.set(xlabel="slip ratio [1]", ylabel=words)
     for k, angle in enumerate(test.angle):
         label = f"{np.rad2deg(angle):.3g} deg"
         ax.plot(test.slip, factor * test.values[name][k], label=label, **style.look(k))

@@ -14,22 +14,24 @@ import numpy as np
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
+from slipfree.geometry.mesh import TriangleMesh, sheet
 from slipfree.show.html_page import with_legend
 from slipfree.show.local_server import HOST, Content, Gate, start_server
-from slipfree.show.scene import ARROWS, WORLD, Actor, Colors, Scene, SceneGround
+from slipfree.show.meshes import joined
+from slipfree.show.scene import ARROWS, WORLD, Actor, Colors, Scene
 from slipfree.system.interrupt import interrupt_arrived
 
 if TYPE_CHECKING:
     import viser
 
-RATE, MOST_FRAMES = 20.0, 1500  # frames per second, and maximum number of frames
-LONGEST = 120.0  # maximum duration of a page; longer motions are shown faster [s]
+RATE = 20.0  # frames per second
+LONGEST = 30.0  # maximum duration of a page; longer motions are shown faster [s]
 MOST = 400  # maximum number of points of a track
-LIFT = 0.006  # height of the first track above the ground; others are higher [reach]
+LIFT = 0.006  # height of the last track above the ground; others are higher [reach]
 CONTACT_SIZE = 0.05  # [reach of the vehicle]
 ARROW = {"shaft_radius": 0.014, "head_radius": 0.035, "head_length": 0.08}  # [reach]
 WHITE = (255, 255, 255)  # of contact points, and around tracks
-TRACK, CASING = 2.0, 4.5  # thickness of tracks, and of their white edge [pixels]
+TRACK, CASING = 0.08, 0.13  # widths of tracks, and of their white edge [reach]
 SKY = 0.5  # ambient light, in addition to viser's two lamps
 FAR = 1000.0  # far plane of the camera, unless the ground is larger [m]
 CLOSE, NEAREST = 3.5, 0.05  # distance of the following camera, and near plane [reach]
@@ -65,10 +67,14 @@ def page(scene: Scene, title: str, color: str) -> str:
     try:
         first, last = scene.span
         speed = max(1.0, (last - first) / LONGEST)
-        count = int(np.clip(np.ceil(RATE * (last - first)) + 1, 2, MOST_FRAMES))
+        count = max(int(np.ceil(RATE * (last - first) / speed)) + 1, 2)
         times = np.linspace(first, last, count)
         world = _add_world(server, scene, color)
         runs = [_RunNodes(server, scene, k, times) for k in range(len(scene.actors))]
+        motions = [run for run in runs if run.tracks]
+        colored = next(iter(motions[0].tracks)) if len(motions) == 1 else ""
+        if colored:
+            motions[0].tracks[colored].visible = True
         for run in runs:
             run.show(0)
         recording = server.get_scene_serializer()
@@ -83,7 +89,8 @@ def page(scene: Scene, title: str, color: str) -> str:
         stop(server)
     words = [f"Played at {speed:.3g} times real speed."] if speed > 1 else []
     words += [f"The view follows {scene.actors[0].name}."] if scene.is_far else []
-    return with_legend(html, scene, title, color, words)
+    shown = scene._replace(actors=tuple(run.actor for run in runs))
+    return with_legend(html, shown, title, color, colored, words)
 
 
 def recorder() -> viser.ViserServer:
@@ -136,7 +143,9 @@ def _add_world(server: viser.ViserServer, scene: Scene, color: str) -> Any:
             look: dict[str, Any] = {"anchor": "center-center", "font_screen_scale": 0.8}
             server.scene.add_label(f"{root}/{k}", words, position=at, **look)
     for layer in scene.ground.layers:
-        _add_ground(server, scene.ground, layer.name).visible = layer.name == color
+        name, colors = f"{WORLD}/ground {layer.name}", scene.ground.colors(layer.name)
+        node = _add_colored(server, name, scene.ground.mesh, colors)
+        node.visible = layer.name == color
     low, high = scene.paths.min(axis=0), scene.paths.max(axis=0)
     middle = (low + high) / 2
     away = max(0.7 * float(np.linalg.norm(high - low)), 2.5 * scene.reach)
@@ -202,18 +211,31 @@ class _RunNodes:
                 self.arrows[each.name] = server.scene.add_arrows(
                     f"{node}/arrows", np.zeros((1, 2, 3)), ARROWS[each.name], **sizes
                 )
-        self._add_tracks(server, whole, f"{root}/tracks", LIFT * (1 + k) * scene.reach)
+        self.tracks = dict[str, Any]()  # nodes of colourings, by name
+        self._add_tracks(
+            server, scene, whole, f"{root}/tracks", LIFT * (len(scene.actors) - k) * scene.reach
+        )
 
-    def _add_tracks(self, server: viser.ViserServer, whole: Actor, root: str, lift: float) -> None:
-        """Add the tracks of contact points, raised against flicker; those of plans are dashed."""
-        points = whole.contacts[:: max(1, whole.t.size // MOST)] + np.array([0.0, 0.0, lift])
-        lines = np.stack([points[:-1], points[1:]], axis=2)[:: 2 if whole.ghost else 1]
-        lines = lines.reshape(-1, 2, 3)
-        lines = lines[np.isfinite(lines).all(axis=(1, 2))]
-        if len(lines):
-            below = lines - np.array([0.0, 0.0, 0.2 * lift])
-            _add_lines(server, root, below, WHITE, CASING)
-            _add_lines(server, root, lines, whole.color, TRACK)
+    def _add_tracks(
+        self, server: viser.ViserServer, scene: Scene, whole: Actor, root: str, lift: float
+    ) -> None:
+        """Add the tracks of contact points, raised against flicker; those of plans are dashed.
+
+        Tracks in the colours of quantities lie above the others, hidden.
+        """
+        every = max(1, whole.t.size // MOST)
+        points, up = whole.contacts[::every], np.array([0.0, 0.0, lift])
+        for width, color, height in ((CASING, WHITE, 0.5), (TRACK, whole.color, 1.0)):
+            mesh = tracks(points + height * up, width * scene.reach, dashed=whole.ghost)
+            name = f"{root}/{'edge' if color == WHITE else 'own'}"
+            server.scene.add_mesh_simple(
+                name, mesh.vertices, mesh.faces, color=color, side="double"
+            )
+        mesh = tracks(points + 1.5 * up, TRACK * scene.reach, dashed=whole.ghost)
+        for layer in scene.track_layers(whole):
+            colors = np.repeat(layer.colors[::every].swapaxes(0, 1).reshape(-1, 3), 2, axis=0)
+            node = _add_colored(server, f"{root}/{layer.name}", mesh, colors)
+            node.visible, self.tracks[layer.name] = False, node
 
     def position(self, k: int) -> Array:
         return np.asarray(self.actor.bodies[0].origins[k])
@@ -244,15 +266,30 @@ class _RunNodes:
                 node.points = lines
 
 
-def _add_ground(server: viser.ViserServer, ground: SceneGround, name: str) -> Any:
+def tracks(points: Array, width: float, *, dashed: bool) -> TriangleMesh:
+    """Return the mesh of level ribbons of a width [m] along tracks, shape (n, n_wheels, 3)."""
+    ribbons = list[TriangleMesh]()
+    for track in points.swapaxes(0, 1):
+        ahead = np.gradient(track[:, :2], axis=0) if len(track) > 1 else np.zeros((1, 2))
+        ahead = np.nan_to_num(ahead)  # beside points without contact
+        size = np.linalg.norm(ahead, axis=1, keepdims=True)
+        aside = np.pad(ahead / np.where(size > 0, size, 1.0), ((0, 0), (0, 1)))[:, [1, 0, 2]]
+        aside *= (-width / 2, width / 2, 0.0)
+        ribbon = sheet(np.stack([track - aside, track + aside], axis=1))
+        faces = ribbon.faces.reshape(-1, 2, 3)[:: 2 if dashed else 1]
+        faces = faces[np.isfinite(ribbon.vertices[faces]).all(axis=(1, 2, 3))]
+        vertices = np.nan_to_num(ribbon.vertices)
+        ribbons.append(TriangleMesh(vertices, faces.reshape(-1, 3)))
+    return joined(*ribbons)
+
+
+def _add_colored(server: viser.ViserServer, name: str, mesh: TriangleMesh, colors: Colors) -> Any:
     import trimesh
 
-    colors = linear(ground.colors(name))  # glTF expects colours in linear light, not in sRGB
-    mesh = trimesh.Trimesh(
-        ground.mesh.vertices, ground.mesh.faces, vertex_colors=colors, process=False
-    )
-    data: Any = mesh.export(file_type="glb", tree_postprocessor=_matt)
-    return server.scene.add_glb(f"{WORLD}/ground {name}", data)
+    light = linear(colors)  # glTF expects colours in linear light, not in sRGB
+    drawn = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=light, process=False)
+    data: Any = drawn.export(file_type="glb", tree_postprocessor=_matt)
+    return server.scene.add_glb(name, data)
 
 
 def _matt(tree: dict[str, Any]) -> None:

@@ -19,20 +19,37 @@
   }
   const box = document.getElementById("slipfree");
   box.addEventListener("change", event => {
-    const {node, layer} = event.target.dataset;
-    if (node) for (const each of node.split("|")) show(each, event.target.checked);
-    if (layer !== undefined) for (const option of event.target.options) {
-      const chosen = option.selected;
-      show(option.dataset.ground, chosen ? "on" : false);
-      document.getElementById(option.value).hidden = !chosen;
+    const {nodes} = event.target.dataset, split = text => text.split("|").filter(Boolean);
+    if (nodes) for (const node of split(nodes)) show(node, event.target.checked);
+    for (const option of event.target.options ?? []) {
+      for (const node of split(option.dataset.nodes)) show(node, option.selected ? "on" : false);
+      document.getElementById(option.value).hidden = !option.selected;
     }
   });
+  const plots = [...document.querySelectorAll("#plots svg")];
+  const time = () => document.querySelector(".mantine-Slider-root input")?.value;
+  for (const plot of plots) plot.addEventListener("click", event => {
+    const now = playback();
+    now?.onChange(event.offsetX / plot.clientWidth * now.max * 0.9999);
+  });
+  function follow(before) {  // cursors and values of the plots
+    const t = time(), max = t !== before && playback()?.max;
+    if (max) for (const plot of plots) {
+      const lines = plot.querySelectorAll("polyline"), count = lines[0].points.length;
+      const k = Math.min(Math.floor(t / max * count), count - 1);
+      plot.querySelector("line").setAttribute("transform", `translate(${k})`);
+      plot.previousElementSibling.querySelectorAll("b").forEach((value, n) => {
+        value.textContent = Number(lines[n].points[k].y.toPrecision(3));
+      });
+    }
+    requestAnimationFrame(() => follow(max ? t : before));
+  }
+  if (plots.length) follow();
   addEventListener("keydown", event => {
     if (["INPUT", "SELECT"].includes(event.target.tagName)) return;
     const now = playback();
     if (!now) return;
     const step = {ArrowLeft: -0.02, ArrowRight: 0.02, Home: -1, End: 1}[event.key];
-    const t = Number(document.querySelector(".mantine-Slider-root input").value);
-    if (step) now.onChange(Math.min(Math.max(t + step * now.max, 0), now.max * 0.9999));
+    if (step) now.onChange(Math.min(Math.max(+time() + step * now.max, 0), now.max * 0.9999));
   }, true);
 })();

@@ -22,7 +22,7 @@ import numpy as np
 from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.lookups import LookupTable
-from slipfree.core.records import Array, Mask, overview
+from slipfree.core.records import Array, HtmlRepr, Mask, overview
 from slipfree.core.schema import Positive
 
 MAX_BLOCKS = 256  # whose bounds of derivatives are kept; 64 MB
@@ -207,7 +207,7 @@ class Terrain(Protocol):
 
 @checked
 @dataclass(frozen=True, eq=False)
-class Grid:
+class Grid(HtmlRepr):
     """Heights or friction coefficients on a uniform grid, ``z[i, j]`` at ``(x[i], y[j])``.
 
     Attributes
@@ -451,7 +451,7 @@ def check_friction(mu: Friction) -> None:
         check_formula(mu, "friction", "coefficient")
 
 
-class GroundFriction:
+class GroundFriction(HtmlRepr):
     """Friction of a ground: its coefficient ``mu``, or the surface of a map of coefficients."""
 
     mu: Friction

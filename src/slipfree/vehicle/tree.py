@@ -13,7 +13,7 @@ from annotated_types import Gt
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, listed, similar
-from slipfree.core.records import Array, field_overview, overview
+from slipfree.core.records import Array, HtmlRepr, field_overview, overview
 from slipfree.core.schema import Finite, NonNegative, Positive
 from slipfree.geometry.frame import (
     FIXED,
@@ -267,7 +267,7 @@ class VehicleParts:
 
 @checked
 @dataclass(frozen=True)
-class Vehicle(VehicleParts):
+class Vehicle(HtmlRepr, VehicleParts):
     """A vehicle: platform, joints and wheels.
 
     Models and results keep the order of coordinates, joints and wheels.

@@ -412,10 +412,10 @@ class PlanVerb(DriveVerb):
         if layers is None:
             layers = build_layers(result.problem, world.terrain, world.vehicle, options["places"])
         plots = plan_plots(result.trajectory, world.ground.grid, layers, **options)
-        shown = {"slip"}  # in the panels of the figure of the plan
-        if all(name.endswith("_rate") for name in options["bounds"]):
-            shown.add("rates")
-        return *plots, *(plot for plot in super().figures(result) if plot.name not in shown)
+        others = super().figures(result)
+        if all(name.endswith("_rate") for name in options["bounds"]):  # in the figure of the plan
+            others = tuple(plot for plot in others if plot.name != "rates")
+        return *plots, *others
 
     def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground, vehicle, keep-out regions and plan."""
