@@ -241,6 +241,9 @@ def test_slip_is_drawn_in_millimetres_per_second(run, grid):
     assert labels(ax) == ["right", "left", "front"]
     assert ax.get_ylabel() == "slip across [mm/s]"
     np.testing.assert_allclose(ax.lines[1].get_ydata(), 2 * np.sin(run.t))
+    force_figures.tracks(changed(run, "slip_across", values), ax)  # of a motion without forces
+    assert ax.child_axes[-1].get_ylabel() == "slip [mm/s]"
+    assert ax.collections[-1].get_array().max() == pytest.approx(3 * np.sin(run.t).max(), rel=1e-6)
 
 
 def test_checks_have_scale_and_reference(run, grid):
@@ -423,14 +426,6 @@ def test_tracks_are_coloured_by_utilisation(loaded, ax):
     ]
 
 
-def test_tracks_without_forces_are_coloured_by_slip(run, ax):
-    values = np.outer(np.sin(run.t), [1e-3, 2e-3, 3e-3])
-    bar = force_figures.tracks(changed(run, "slip_across", values), ax).child_axes[-1]
-    assert bar.get_ylabel() == "slip [mm/s]"
-    (lines,) = (each for each in ax.collections if isinstance(each, LineCollection))
-    assert lines.get_array().max() == pytest.approx(3 * np.sin(run.t).max(), rel=1e-6)
-
-
 def test_energies_and_powers_have_panels_of_their_own(loaded, grid):
     energy, power = figures(loaded, grid, "energy")["energy"].axes
     assert labels(energy) == ["work", "potential energy"]
@@ -578,17 +573,10 @@ def test_room_is_the_distance_less_what_the_wheels_reach(run_plan, layers, ax):
 
 
 def test_figures_of_a_plan_are_complete_and_fit(run_plan, grid_plan, layers):
-    drawn = figures_plan(
-        run_plan,
-        grid_plan,
-        layers,
-        places=(START, GOAL),
-        found=[way()],
-        bounds=BOUNDS,
-        limits=LIMITS,
-    )
+    options = {"places": (START, GOAL), "found": [way()], "bounds": BOUNDS, "limits": LIMITS}
+    drawn = figures_plan(run_plan, grid_plan, layers, **options)
     assert list(drawn) == ["plan", "traversability"]
-    assert len(drawn["plan"].axes) == 1 + 2 + 1 + 2
+    assert len(drawn["plan"].axes) == 1 + 2 + 1
     note = " ".join(text.get_text() for text in drawn["plan"].texts).replace("\n", " ")
     assert "deviates from the plan by x 1.2e-04 m, heading 3.0e-05 rad." in note
     for figure in drawn.values():

@@ -23,19 +23,8 @@ NAMES = {
     *("dynamics", "rigid_dynamics", "planar", "in_gravity", "Compliant", "Rate", "Torque", "Motor"),
     *("LeastSlip", "Rolling", "Coulomb", "LinearCreep", "Soil"),
     *("follow", "commanded", "straight", "Path"),
-    *(
-        "settle",
-        "settle_many",
-        "guarantee",
-        "simulate",
-        "rollouts",
-        "plan",
-        "replan",
-        "sample_plan",
-        "cross_check",
-        "atlas",
-        "plot",
-    ),
+    *("settle", "settle_many", "guarantee", "simulate", "rollouts", "plan", "replan"),
+    *("sample_plan", "cross_check", "atlas", "plot"),
     *("Cost", "Mesh", "Region", "Route", "SamplingTask", "Search"),
     *("Dae", "Trajectory", "Outcome", "SolverOptions"),
     *("load_problem", "run_problem", "open_result"),
@@ -44,10 +33,8 @@ NAMES = {
 }
 DOCUMENTED = (
     *("direct_kinematics", "inverse_kinematics", "quasi_statics", "montana_kinematics"),
-    *(
-        *("dynamics", "rigid_dynamics", "settle", "settle_many", "simulate", "rollouts"),
-        *("follow", "plan", "replan", "cross_check", "atlas"),
-    ),
+    *("dynamics", "rigid_dynamics", "settle", "settle_many", "simulate", "rollouts"),
+    *("follow", "plan", "replan", "cross_check", "atlas"),
     *("Cost", "Region", "Path", "Grid", "Bicubic", "Analytic", "Trajectory", "Dae"),
 )
 

@@ -184,24 +184,20 @@ def watched(driver: Any) -> list[np.ndarray]:
 
 def check_plots(driver: Any) -> None:
     """Assert that cursors and values of the plots are those of the time, which a click sets."""
-    read = """return [...document.querySelectorAll("#plots svg")].map(plot => {
-      const k = plot.querySelector("line").transform.baseVal[0].matrix.e;
-      const {points} = plot.querySelector("polyline");
-      const {textContent} = plot.previousElementSibling.querySelector("b");
-      return [k, points.length, textContent, points[k].y];
-    })"""
-    click = """const plot = document.querySelector("#plots svg");
-      const {left, top, width} = plot.getBoundingClientRect();
+    run = """const plots = [...document.querySelectorAll("#plots svg")];
+      const {left, top, width} = plots[0].getBoundingClientRect();
       const at = {clientX: left + arguments[0] * width, clientY: top + 5};
-      plot.dispatchEvent(new MouseEvent("click", at))"""
+      plots[0].dispatchEvent(new MouseEvent("click", at));
+      setTimeout(() => arguments[1](plots.map(plot => {
+        const k = plot.querySelector("line").transform.baseVal[0].matrix.e;
+        const {points} = plot.querySelector("polyline");
+        const {textContent} = plot.previousElementSibling.querySelector("b");
+        return [k / points.length - arguments[0], textContent - points[k].y];
+      })), 1500)"""
     for share in (0.25, 0.75):
-        driver.execute_script(click, share)
-        time.sleep(1.0)
-        plots = driver.execute_script(read)
+        plots = driver.execute_async_script(run, share)
         assert len(plots) >= 2
-        for at, count, text, value in plots:
-            assert at == pytest.approx(share * count, abs=2)
-            assert float(text) == pytest.approx(value, rel=5e-3)
+        np.testing.assert_allclose(plots, 0.0, atol=0.03)
 
 
 def asked(driver: Any) -> set[str]:
@@ -284,10 +280,6 @@ def test_run_shows_its_result(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
     short = sets("time.duration=0.2")
     invoke("run", "p.toml", "--no-draw", "--show", *short, code=0)
     assert "Over &lt;hills&gt; &amp; back" in pages[0]
-    monkeypatch.setitem(sys.modules, "viser", None)
-    (folder / "p.nc").unlink()
-    assert "run --show: expected the package 'viser'" in refused("run", "p.toml", "--show", *short)
-    assert not (folder / "p.nc").exists()
 
 
 def test_the_colors_of_a_page_are_those_asked_for(files: list[Path], tmp_path: Path) -> None:
@@ -353,28 +345,12 @@ def test_tracks_have_a_white_edge(files: list[Path]) -> None:
 def test_tracks_are_ribbons_beside_the_contact_points() -> None:
     from slipfree.show import viewer
 
-    points = np.zeros((4, 2, 3))
-    points[:, :, 1] = np.arange(4)[:, None]  # northwards
-    points[:, 1, 0] = 5.0
+    points = np.stack(np.broadcast_arrays([0.0, 5.0], np.arange(4.0)[:, None], 0.0), axis=-1)
     points[2, 1] = np.nan  # without contact
     mesh = viewer.tracks(points, 0.2, dashed=False)
     assert sorted(set(mesh.vertices[:8, 0])) == pytest.approx([-0.1, 0.1])
     assert len(mesh.faces) == 6 + 2
     assert len(viewer.tracks(points[:, :1], 0.2, dashed=True).faces) == 4
-
-
-def test_plots_show_slip_in_millimetres_per_second(files: list[Path]) -> None:
-    from slipfree.show.drive_scene import drive_scene
-
-    result = shown(files[0], "a")
-    scene = drive_scene([result])
-    slip = 1e3 * np.hypot(result.run["slip_along"], result.run["slip_across"])
-    np.testing.assert_allclose(scene.actors[0].values["slip"], slip)
-    ends = {each.name: pair for each, pair in scene.plotted.items()}
-    assert ends["slip"] == (0.0, pytest.approx(max(slip.max(), 1.0)))
-    names = [layer.name for layer in scene.track_layers(scene.actors[0])]
-    assert names[0] == "slip"
-    assert not {"tip_over_margin", "clearance"} & {*names}
 
 
 @pytest.mark.parametrize("is_far", [False, True])

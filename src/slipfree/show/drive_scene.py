@@ -293,7 +293,8 @@ def _plotted(run: Trajectory) -> dict[str, Array]:
     values = {name: run[name] for name in run}
     if "slip_along" in run:
         values["slip"] = np.hypot(run["slip_along"], run["slip_across"])
-    values.pop("friction_needed" if has_friction(run) else "utilisation", None)
+    if "utilisation" in run:
+        del values["friction_needed" if has_friction(run) else "utilisation"]
     known = (each for each in PLOTTED if each.name in values)
     # infinite values cannot be interpolated
     return {

@@ -264,7 +264,8 @@ def _beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
         entries = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
         lines = {textwrap.fill(words, WRAP): handle for words, handle in entries.items()}
         if lines:
-            ax.legend(lines.values(), lines, loc="center left", bbox_to_anchor=(1.01, 0.5))
+            right = 1.11 if ax.child_axes else 1.01  # of the axis in degrees
+            ax.legend(lines.values(), lines, loc="center left", bbox_to_anchor=(right, 0.5))
 
     return drawn
 
