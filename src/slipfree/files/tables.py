@@ -10,6 +10,7 @@ import io
 import math
 import operator as op
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
@@ -31,36 +32,18 @@ SHOWN, LONG = 60, 300  # longest line, and longest list of names, in messages
 SAMPLE = 200, 200_000  # most lines and characters from which the layout is inferred
 SEPARATORS = (";", "|", "\t", ",", None)  # None: blanks
 COMMENTS = ("#", "%", "//")
+UNIT_FACTORS = {  # factors to SI units, by the SI unit, or "heights", and the name of the unit
+    unit: {name: float(factor) for names, factor in rows.items() for name in names.split(", ")}
+    for unit, rows in tomllib.loads(
+        Path(__file__).with_name("units.toml").read_text("utf-8")
+    ).items()
+}
 UNITS = {  # SI unit of a column, and factor to it
     name: (unit, factor)
-    for names, unit, factor in (
-        ("s sec secs second seconds", "s", 1.0),
-        ("ms msec milliseconds", "s", 1e-3),
-        ("us µs μs usec microseconds", "s", 1e-6),
-        ("ns nsec nanosec nanoseconds", "s", 1e-9),
-        ("minutes", "s", 60.0),
-        ("rad radians", "rad", 1.0),
-        ("deg degree degrees °", "rad", math.pi / 180),
-        ("m metre metres meter meters", "m", 1.0),
-        ("km", "m", 1e3),
-        ("cm", "m", 1e-2),
-        ("mm", "m", 1e-3),
-        ("ft feet", "m", 0.3048),
-        ("m/s mps", "m/s", 1.0),
-        ("cm/s", "m/s", 1e-2),
-        ("mm/s", "m/s", 1e-3),
-        ("km/h kmh kph", "m/s", 1 / 3.6),
-        ("rad/s", "rad/s", 1.0),
-        ("deg/s °/s dps", "rad/s", math.pi / 180),
-        ("rpm 1/min min-1", "rad/s", math.pi / 30),
-        ("-", "1", 1.0),
-        ("%", "1", 1e-2),
-        ("N", "N", 1.0),
-        ("kN", "N", 1e3),
-        ("Nm N*m", "N m", 1.0),
-    )
-    for name in names.split()
-} | {"N m": ("N m", 1.0)}
+    for unit, factors in UNIT_FACTORS.items()
+    if unit != "heights"
+    for name, factor in factors.items()
+}
 UNIT_IN_NAME = (  # "x [m]", "time(s)"; "t / s"; "yaw_deg"
     re.compile(r"^(.*?)[\s_]*[\[(]\s*(.*?)\s*[\])]$"),
     re.compile(r"^(.*?)\s*/\s*(\S+)$"),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, similar
-from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle
+from slipfree.vehicle.tree import Vehicle
 
 
 class CelestialBody(NamedTuple):
@@ -18,26 +20,10 @@ class CelestialBody(NamedTuple):
     radius: float
 
 
-# Equatorial radii of planets, mean radii of other bodies, and G M / R^2 to three digits, except for
-# the earth: NASA/JPL Solar System Dynamics (planetary physical parameters; planetary satellite
-# physical parameters; small-body database), as of 2024.
-BODIES = {
-    "earth": CelestialBody(EARTH_GRAVITY, 6.378137e6),
-    "moon": CelestialBody(1.62, 1.7374e6),
-    "mars": CelestialBody(3.71, 3.39619e6),
-    "mercury": CelestialBody(3.70, 2.44053e6),
-    "venus": CelestialBody(8.87, 6.0518e6),
-    "ceres": CelestialBody(0.284, 4.697e5),
-    "vesta": CelestialBody(0.253, 2.61385e5),
-    "io": CelestialBody(1.80, 1.82149e6),
-    "europa": CelestialBody(1.31, 1.5608e6),
-    "ganymede": CelestialBody(1.43, 2.6312e6),
-    "callisto": CelestialBody(1.24, 2.4103e6),
-    "titan": CelestialBody(1.35, 2.57476e6),
-    "enceladus": CelestialBody(0.113, 2.521e5),
-    "triton": CelestialBody(0.781, 1.3526e6),
-    "pluto": CelestialBody(0.616, 1.1883e6),
-}
+TABLE: dict[str, dict[str, float]] = tomllib.loads(
+    Path(__file__).with_name("bodies.toml").read_text("utf-8")
+)
+BODIES = {name: CelestialBody(**row) for name, row in TABLE.items()}
 SAME_RADIUS = 0.005  # relative difference of the radii of one body in various reference systems
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from slipfree.core.errors import DataError
 from slipfree.core.records import Array
+from slipfree.files.tables import UNIT_FACTORS
 
 STRETCH, SPAN = 0.01, 1000.0  # largest scale error [1], and length over which it is measured [m]
 SPHEROID = re.compile(r'SPHEROID\["[^"]*",([\d.]+),([\d.]+)')
@@ -18,16 +19,7 @@ UTM = -80.0, 84.0  # latitudes at which UTM is used, UPS beyond [deg]
 COMPOUND = re.compile(r'AUTHORITY\["EPSG","(\d+)"\]\],VERT_CS')
 UNKNOWN_ZONE = "EPSG:326xx (xx: the UTM zone)"
 LOCAL = ("LOCAL_CS", "ENGCRS")
-METRES = {"", "m", "metre", "meter", "metres", "meters"}
-LENGTHS = {  # units of heights [m]
-    **dict.fromkeys(METRES, 1.0),
-    **dict.fromkeys(("ft", "foot", "feet", "international foot", "international feet"), 0.3048),
-    **dict.fromkeys(("us survey foot", "us survey feet", "us-ft", "ftus"), 1200 / 3937),
-    **dict.fromkeys(("cm", "centimetre", "centimeter", "centimetres", "centimeters"), 0.01),
-    **dict.fromkeys(("dm", "decimetre", "decimeter"), 0.1),
-    **dict.fromkeys(("mm", "millimetre", "millimeter"), 0.001),
-    **dict.fromkeys(("km", "kilometre", "kilometer"), 1000.0),
-}
+LENGTHS = {"": 1.0, **UNIT_FACTORS["m"], **UNIT_FACTORS["heights"]}  # units of heights [m]
 
 
 def refuse(expected: str, found: str, remedy: str) -> NoReturn:

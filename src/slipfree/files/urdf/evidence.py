@@ -1,24 +1,27 @@
 """Evidence for the roles of joints and links in a URDF: one table, and the function that walks it.
 
-Each row of `ROWS` is a kind of evidence: the choice that it supports in a question, its weight, and
-the words for it in notes, questions and guesses. `weigh` adds the weights. Evidence for two choices
-of about the same weight is contradictory, and leaves the choice open.
+Each row of ``evidence.toml`` is a kind of evidence: the choice that it supports in a question, its
+weight, and the words for it in notes, questions and guesses. `weigh` adds the weights. Evidence for
+two choices of about the same weight is contradictory, and leaves the choice open.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from slipfree.files.urdf.xml import Element
 
 CONTRADICTORY = 0.85  # weight of the second choice that leaves the choice open [first choice]
-HINT, USUAL, STRONG, COMMAND, NAMES = 1.0, 2.0, 3.0, 4.0, 20.0  # weights of evidence
+TABLE: dict[str, Any] = tomllib.loads(Path(__file__).with_name("evidence.toml").read_text("utf-8"))
+WEIGHTS: dict[str | float, float] = TABLE.pop("weights")
+USUAL = WEIGHTS["usual"]
 AXLES = "along the axles"  # contradicts the direction in which wheels roll
-CONVENTION = 2.5  # weight of the frame convention of URDF
 RADIUS = {"wheelradius": 1.0, "wheeldiameter": 0.5}  # elements of plugins, without _
 INTERFACES = ("position", "velocity", "posvel", "effort")  # of actuators
 
@@ -31,10 +34,7 @@ def _words(pattern: str) -> re.Pattern[str]:
 WHEEL = _words("wheel|tire|tyre")
 CASTER = _words("cast[eo]r|ball_?wheel|omni_?ball")
 TRAILER = _words("cast[eo]r|trailer|hitch|drawbar|swivel")
-SUSPENSION = _words("suspension|rocker|bogie|spring|shock|damper|strut|swing")
-LIFT = _words("lift|leg|hip|knee|flipper|arm|elbow")
 STEERING = _words("steer|ackerman|knuckle")
-PASSIVE = _words("passive|idle|free.?wheel|undriven|odom|encoder")
 OMNI = _words("omni|mecanum|swedish")
 MECANUM = _words("mecanum|swedish")
 FOOTPRINT = _words("footprint")  # link on the ground, by REP 120
@@ -57,90 +57,16 @@ class EvidenceRow(NamedTuple):
     pattern: re.Pattern[str] | None = None  # the first match in the fact, a text, replaces it
 
 
-ROWS = (
-    # kind of the coordinate of a joint that carries wheels
-    EvidenceRow("kind", "rocks", "it lets wheels follow the ground", "suspension", USUAL),
-    EvidenceRow("kind", "rocker", "{!r} in its name", "suspension", USUAL, SUSPENSION),
-    EvidenceRow("kind", "rocker", "{!r} in its name", "commanded", HINT, LIFT),
-    EvidenceRow("kind", "slides", "it slides a wheel sideways", "commanded", USUAL),
-    EvidenceRow("kind", "turns", "a steep axis above a wheel steers it", "commanded", USUAL),
-    EvidenceRow("kind", "swivels", "a caster or a trailer swivels", "passive", COMMAND + HINT),
-    EvidenceRow("kind", "position", "{}", "commanded", COMMAND),
-    EvidenceRow("kind", "velocity", "{}", "commanded", COMMAND),
-    EvidenceRow("kind", "posvel", "{}", "commanded", COMMAND),
-    EvidenceRow("kind", "effort", "{}", "commanded", USUAL),  # also of springs in simulators
-    EvidenceRow("kind", "interface", "{}", "commanded", STRONG),
-    EvidenceRow("kind", "plugin", "plugin of a simulator", "commanded", COMMAND),
-    EvidenceRow("kind", "spring", "a spring in the simulator", "suspension", COMMAND),
-    EvidenceRow("kind", "no wheel", "it carries no wheel", "fixed"),
-    EvidenceRow("kind", "balls", "it carries only balls, which slide freely", "fixed"),
-    EvidenceRow(
-        "kind",
-        "too many",
-        "with so few wheels, it and its counterpart cannot follow the ground",
-        "fixed",
-    ),
-    # drive of a wheel
-    EvidenceRow("driven", "actuator", "it has an actuator", "driven", COMMAND),
-    EvidenceRow("driven", "actuator of others", "other wheels have an actuator", "free", USUAL),
-    EvidenceRow("driven", "names", "its name", "free", USUAL, PASSIVE),
-    EvidenceRow("driven", "caster", "a caster", "free", USUAL),
-    EvidenceRow("driven", "nothing", "no wheel has an actuator", "driven", HINT),
-    # round shape far above the ground: a wheel, or a part that does not move
-    EvidenceRow("ground", "high", "its shape ends far above the lowest wheel", "fixed", USUAL),
-    EvidenceRow("ground", "alike", "radius of other wheels", "wheel", USUAL),
-    EvidenceRow("ground", "names", "its name", "wheel", HINT, WHEEL),
-    # radius of opposite wheels with different shapes
-    EvidenceRow("radius", "height", "height above the ground of the other wheels", "{}", USUAL),
-    EvidenceRow("radius", "plugin of large", "plugin of a simulator", "{}", COMMAND),
-    EvidenceRow("radius", "plugin of small", "plugin of a simulator", "{}", COMMAND),
-    EvidenceRow("radius", "large", "shape of {names[0]}", "{}", USUAL),
-    EvidenceRow("radius", "small", "shape of {names[1]}", "{}", USUAL),
-    EvidenceRow("radius", "tiny", "shape of {names[1]}", "{}", HINT),
-    # forward direction
-    EvidenceRow("forward", "front of wheels", "names of front and rear", "{}", NAMES),
-    EvidenceRow("forward", "front on axles", f"names of front and rear: {AXLES}", AXLES, NAMES),
-    EvidenceRow("forward", "front", "names of front and rear", "{}", HINT),
-    EvidenceRow("forward", "left of wheels", "names of left and right", "{}", NAMES),
-    EvidenceRow("forward", "left on axles", f"names of left and right: {AXLES}", AXLES, NAMES),
-    EvidenceRow("forward", "left", "names of left and right", "{}", HINT),
-    EvidenceRow("forward", "steered", "steered wheels", "{}", USUAL),
-    EvidenceRow("forward", "view", "views of cameras", "{}", HINT),
-    EvidenceRow("forward", "axes", "signs of the wheels' axes", "{}", HINT),
-    EvidenceRow(
-        "forward", "front misplaced", "names of front and rear disagree with the places of {}"
-    ),
-    EvidenceRow(
-        "forward", "left misplaced", "names of left and right disagree with the places of {}"
-    ),
-    EvidenceRow("forward", "convention", "the frame convention of URDF", "x", CONVENTION),
-    # wheels, whose facts are their roles: the first one counts
-    EvidenceRow("wheel", "given radius", "a mesh, its given radius"),
-    EvidenceRow("wheel", "plugin", "its radius in a plugin of a simulator"),
-    EvidenceRow("wheel", "full turn", "a round shape and a full turn, in spite of its limits"),
-    EvidenceRow("wheel", "shape and limits", "its name and a round shape, in spite of its limits"),
-    EvidenceRow("wheel", "shape", "its name and a round shape"),
-    EvidenceRow(
-        "wheel",
-        "footprint",
-        "its name, without a round shape; radius from the least height above the footprint",
-    ),
-    EvidenceRow("wheel", "name", "its name"),
-    EvidenceRow("wheel", "trail", "it trails the axis of a caster"),
-    EvidenceRow("wheel", "ball", "a caster slides freely as a ball; {reason}"),
-    EvidenceRow("wheel", "mirrored", "its counterpart on the other side, {other}, is one"),
-    EvidenceRow("wheel", "rollers", "with rollers, at the angle of their axes"),
-    EvidenceRow(
-        "wheel", "odd", "its rollers have axes along its own, or at different angles to it"
-    ),
-    EvidenceRow(
-        "wheel",
-        "mecanum",
-        "with oblique rollers: its name; on top of the wheels, their axes form an X",
-    ),
-    EvidenceRow("wheel", "no swivel", "a caster without a swivel slides freely along its axle"),
-    EvidenceRow("wheel", "oblique", "with rollers, since the axles are not parallel"),
-)
+def _read_rows() -> Iterator[EvidenceRow]:
+    for question, rows in TABLE.items():
+        for row in rows:
+            weight = row.get("weight", 0.0)
+            pattern = _words(row["pattern"]) if "pattern" in row else None
+            others = {"weight": WEIGHTS.get(weight, weight), "pattern": pattern}
+            yield EvidenceRow(**{**row, "question": question, **others})
+
+
+ROWS = tuple(_read_rows())
 
 
 class Evidence(NamedTuple):

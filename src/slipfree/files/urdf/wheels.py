@@ -431,7 +431,7 @@ class Wheels:
         low = [shapes[joint].radius for joint in shapes if lows[joint] <= most]
         for joint in (joint for joint in shapes if lows[joint] > most):
             alike = any(math.isclose(shapes[joint].radius, r, rel_tol=ALIKE) for r in low)
-            facts = {"high": True, "alike": alike, "names": joint.names}
+            facts = {"high": True, "alike": alike, "names": WHEEL.search(joint.names)}
             choice = weigh(evidence("ground", facts))
             if choice.is_open:
                 self._findings.ask(

@@ -9,7 +9,7 @@ from pathlib import Path, PurePath
 from xml.parsers import expat
 
 from slipfree.core.errors import DataError
-from slipfree.files.foreign_formats import PACKED
+from slipfree.files.foreign_formats import FORMATS
 from slipfree.system.regular_files import regular_file
 
 REMEDIES = {
@@ -26,40 +26,8 @@ REMEDIES = {
     expat.errors.XML_ERROR_INVALID_TOKEN: "save the file as UTF-8, and write &amp; for & and "
     "&lt; for <; comments must not contain --",
 }
-OR_TOML = "or describe the vehicle in a vehicle file (TOML)"
-SDF = (
-    "SDF of Gazebo",
-    "convert it to URDF, for example with sdf2urdf.py of the ROS package pysdf, or give the URDF "
-    f"or xacro from which it was made, {OR_TOML}",
-)
-MJCF = (
-    "MJCF of MuJoCo",
-    "convert it to URDF, for example with the Python package mjcf-urdf-simple-converter, "
-    f"{OR_TOML}",
-)
-MESH = ("a mesh, which has no joints", f"give the URDF that names the mesh, {OR_TOML}")
-USD = (
-    "a scene of USD",
-    f"convert it to URDF, for example with the Python package nvidia-srl-usd-to-urdf, {OR_TOML}",
-)
-LAUNCH = ("a launch file of ROS", "give the URDF that it loads, as 'robot_description'")
-SRDF = ("SRDF of MoveIt, which has no joints", "give the URDF to which it belongs")
-CAD = ("a CAD model", f"export URDF from the CAD program, {OR_TOML}")
-WEBOTS = ("a world or PROTO of Webots", f"export URDF in Webots, {OR_TOML}")
-PACKAGE = ("information about a package or model", "give the URDF in it")
-# by the root element; ".../x" are endings
-FORMATS = {
-    **dict.fromkeys(("sdf", "gazebo", "world", "gazebo:world", ".sdf", ".world"), SDF),
-    **dict.fromkeys(("mujoco", "mujocoinclude", ".mjcf"), MJCF),
-    **dict.fromkeys(("COLLADA", "X3D", "amf", ".dae", ".stl", ".obj", ".ply", ".glb"), MESH),
-    **dict.fromkeys((".gltf", ".fbx", ".3ds", ".off", ".3mf"), MESH),
-    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), USD),
-    **dict.fromkeys(("launch", ".launch", ".py"), LAUNCH),
-    **dict.fromkeys(("srdf", ".srdf"), SRDF),
-    **dict.fromkeys((".step", ".stp", ".iges", ".igs", ".sldasm", ".blend", ".fcstd"), CAD),
-    **dict.fromkeys((".wbt", ".proto"), WEBOTS),
-    **dict.fromkeys(("model", "package", ".config"), PACKAGE),
-}
+# by endings, and by names of root elements
+REFUSED = {key: each for each in FORMATS if each.robot for key in (*each.endings, *each.roots)}
 ROBOTS = (".urdf", ".xacro", ".xml")  # endings of robot descriptions
 MAX_ELEMENTS = 50_000  # robots have at most some thousands
 HEAD = 200  # bytes that decide whether a file is XML
@@ -150,11 +118,11 @@ def is_markup(head: bytes) -> bool:
 
 
 def _check_contents(data: bytes, name: str) -> None:
-    start = data[:200].lstrip(b"\xef\xbb\xbf \t\r\n").lower()
-    for found, _, head, remedy in PACKED:
-        if head and start.startswith(head.lower()):
-            words = remedy.format(PurePath(name).name)
-            raise DataError(f"{name}: expected XML, found {found}; {words}")
+    start = data[:HEAD].lstrip(b"\xef\xbb\xbf \t\r\n")
+    for known in FORMATS:
+        if known.packed and start.startswith(known.magic):
+            words = known.packed.format(PurePath(name).name)
+            raise DataError(f"{name}: expected XML, found {known.name}; {words}")
     if not data.strip(b"\xef\xbb\xbf \t\r\n\0"):
         raise DataError(f"{name}: expected XML, found an empty file; copy it again")
     if not is_markup(data[:200]):
@@ -168,7 +136,7 @@ def is_description(path: Path) -> bool:
     Files of other formats are included, so that `parse_robot` or `check_ending` names them.
     """
     endings = [each.lower() for each in path.suffixes]
-    if {*endings} & {*ROBOTS, *FORMATS} and endings[-1] != ".toml":
+    if {*endings} & {*ROBOTS, *REFUSED} and endings[-1] != ".toml":
         return True
     try:
         with regular_file(path, "a vehicle file") as size, path.open("rb") as file:
@@ -179,15 +147,15 @@ def is_description(path: Path) -> bool:
 
 def check_ending(data: bytes, path: Path) -> None:
     """Raise DataError for contents that are not XML in a file with the ending of another format."""
-    if path.suffix.lower() in FORMATS and not is_markup(data[:HEAD]):
+    if path.suffix.lower() in REFUSED and not is_markup(data[:HEAD]):
         _refuse(str(path), path.suffix.lower())
 
 
 def parse_robot(data: bytes, file: str) -> Element:
     """Return the root element <robot> of a URDF file; raise DataError for another format."""
     root = parse(data, file)
-    tag = root.tag.rpartition(":")[2] if root.tag not in FORMATS else root.tag
-    if tag in FORMATS:
+    tag = root.tag.rpartition(":")[2] if root.tag not in REFUSED else root.tag
+    if tag in REFUSED:
         _refuse(f"{file}:{root.line}", tag)
     for each in (root, *root.children):
         lower = each.tag.lower()
@@ -210,8 +178,8 @@ def parse_robot(data: bytes, file: str) -> Element:
 
 
 def _refuse(where: str, kind: str) -> None:
-    found, remedy = FORMATS[kind]
-    raise DataError(f"{where}: expected URDF, found {found}, which is not read; {remedy}")
+    found = REFUSED[kind]
+    raise DataError(f"{where}: expected URDF, found {found.name}, which is not read; {found.robot}")
 
 
 def _line_of_sdf(robot: Element) -> int | None:
