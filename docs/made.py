@@ -37,7 +37,7 @@ TAKES = {
     "Name": "text",
     "Quantity": 'a number, or text as in `"30 deg"`',
     "tuple": "`[numbers]`",
-    "tuple[float, Positive]": "`[mean, deviation]`",
+    "tuple[Angle, Angle]": "`[mean, deviation]`",
     "tuple[Positive, ...]": "`[numbers]`",
     "Pair": "`[a, b]`",
     "Column": "`[numbers]`",
@@ -145,7 +145,7 @@ def _keys(_: str) -> str:
     seen: set[tuple[str, ...]] = set()
     parts = []
     for verb in VERBS:
-        parts += [f"## {verb.name}", verb.schema.__doc__ or "", *_tables(verb.schema, (), seen)]
+        parts += [f"## {verb.name}", _summary(verb.schema), *_tables(verb.schema, (), seen)]
     return "\n\n".join(parts)
 
 
@@ -166,7 +166,7 @@ def _tables(
             seen.add((*place, found.__name__))
             inner.append((found, place))
     if path:
-        yield f"`[{'.'.join(path)}]`: {record.__doc__}"
+        yield f"`[{'.'.join(path)}]`: {_summary(record)}"
     yield "\n".join(rows)
     for found, place in inner:
         yield from _tables(found, place, seen)

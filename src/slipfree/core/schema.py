@@ -1,12 +1,14 @@
-"""Schema of dataclasses and functions: bounds, unit and meaning of numbers, as annotations.
+"""Schema of dataclasses and functions: bounds and units of numbers, as annotations, and meanings.
 
-A key is a field of a dataclass or a parameter of a function with such an annotation. Checks of
-bounds, tables of TOML files, their reference pages and completion are made from `keys_of`.
+A key is a field of a dataclass or a parameter of a function with such an annotation. Its meaning is
+that in the docstring, unless an annotation has another one. Checks of bounds, tables of TOML files,
+their reference pages and completion are made from `keys_of`.
 """
 
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
 from math import inf
@@ -60,11 +62,30 @@ def keys_of(kind: Callable[..., Any]) -> tuple[Key, ...]:
     else:
         parameters = inspect.signature(kind).parameters.values()
         defaults = {p.name: MISSING if p.default is p.empty else p.default for p in parameters}
-    return tuple(_key(name, hints[name], default) for name, default in defaults.items())
+    known = meanings(kind)
+    return tuple(
+        _key(name, hints[name], default, known.get(name, "")) for name, default in defaults.items()
+    )
 
 
-def _key(name: str, hint: Any, default: Any) -> Key:
-    notes = getattr(hint, "__metadata__", ())
+def meanings(kind: Callable[..., Any]) -> dict[str, str]:
+    """Return the descriptions of parameters or attributes in a numpydoc docstring, by name.
+
+    Units follow in brackets, as in ``sinkage exponent [1]``.
+    """
+    text, found = inspect.cleandoc(kind.__doc__ or ""), dict[str, str]()
+    section = re.search(r"^(?:Parameters|Attributes)\n-+\n(.*?)(\n\n\w+\n--|\Z)", text, re.S | re.M)
+    for entry in re.split(r"\n(?=\w)", section[1]) if section else ():
+        names, _, words = entry.partition(" : ")
+        words = " ".join(words.partition("\n")[2].replace("`", "").split())
+        words = re.sub(r"\.( \[[^][]*\])?$", r"\1", words)
+        words = words[:1].lower() + words[1:] if re.match("[A-Z][a-z]", words) else words
+        found |= dict.fromkeys(names.split(", "), words)
+    return found
+
+
+def _key(name: str, hint: Any, default: Any, text: str) -> Key:
+    notes, first = getattr(hint, "__metadata__", ()), re.split(r"\. | \[[^][]*\]$", text)[0]
     unit = next((note.unit for note in notes if isinstance(note, Unit)), "")
-    meaning = next((note.documentation for note in notes if isinstance(note, DocInfo)), "")
+    meaning = next((note.documentation for note in notes if isinstance(note, DocInfo)), first)
     return Key(name, hint, default, unit, meaning)

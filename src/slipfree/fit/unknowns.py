@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, get_type_hints
-
-from annotated_types import DocInfo, Unit
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Label
+from slipfree.core.schema import keys_of
 
 
 @dataclass(frozen=True)
@@ -141,10 +140,4 @@ def law_limits(unknown: Unknown, law: Any) -> tuple[float, float]:
 
 def law_constants(law: Any) -> dict[str, Label]:
     """Return the constants of a law, by name, from the annotations of its dataclass."""
-    hints, constants = get_type_hints(type(law), include_extras=True), {}
-    for each in fields(law):
-        metadata = getattr(hints[each.name], "__metadata__", ())
-        unit = next((m.unit for m in metadata if isinstance(m, Unit)), "1")
-        words = next((m.documentation for m in metadata if isinstance(m, DocInfo)), "")
-        constants[each.name] = Label(each.name, unit, words)
-    return constants
+    return {key.name: Label(key.name, key.unit or "1", key.meaning) for key in keys_of(type(law))}

@@ -13,7 +13,7 @@ from math import inf, sqrt
 from typing import Annotated
 
 import casadi as ca
-from annotated_types import Ge, Gt, Le, Lt, Unit, doc
+from annotated_types import Ge, Gt, Le, Lt, Unit
 
 from slipfree.core.arguments import checked
 from slipfree.laws.coulomb import check_friction
@@ -54,25 +54,11 @@ class Compliant:
         If a number is outside its bounds.
     """
 
-    damping_ratio: Annotated[
-        float, Ge(0), Le(10), Unit("1"), doc("damping ratio of the vehicle on its wheels")
-    ] = 0.5
-    creep: Annotated[
-        float, Gt(0), Le(1), Unit("m/s"), doc("slip at which friction reaches 71 % of its limit")
-    ] = 1e-3
-    sliding: Annotated[
-        float, Gt(0), Le(1), Unit("1"), doc("friction at fast slip, divided by that at slow slip")
-    ] = 1.0
-    stribeck_speed: Annotated[
-        float, Gt(0), Unit("m/s"), doc("slip at 63 % of the change from slow to fast friction")
-    ] = 0.01
-    body_depth: Annotated[
-        float,
-        Ge(0),
-        Lt(inf),
-        Unit("m"),
-        doc("depth of a point of a body under the vehicle's weight; 0: a touch ends the motion"),
-    ] = 0.0
+    damping_ratio: Annotated[float, Ge(0), Le(10), Unit("1")] = 0.5
+    creep: Annotated[float, Gt(0), Le(1), Unit("m/s")] = 1e-3
+    sliding: Annotated[float, Gt(0), Le(1), Unit("1")] = 1.0
+    stribeck_speed: Annotated[float, Gt(0), Unit("m/s")] = 0.01
+    body_depth: Annotated[float, Ge(0), Lt(inf), Unit("m")] = 0.0
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
         """Raise ModelError if the ground has no friction coefficient."""

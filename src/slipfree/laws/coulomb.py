@@ -13,7 +13,7 @@ from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from annotated_types import Ge, Gt, Le, Lt, Unit, doc
+from annotated_types import Ge, Gt, Le, Lt, Unit
 
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Continuation, Limit
@@ -67,20 +67,8 @@ class Coulomb:
         If ``creep`` or ``reserve`` is outside its bounds.
     """
 
-    creep: Annotated[
-        float,
-        Gt(0),
-        Le(MAX_CREEP),
-        Unit("m/s"),
-        doc("slip at which a wheel transmits 71 % of the friction limit"),
-    ] = 1e-4
-    reserve: Annotated[
-        float,
-        Ge(0),
-        Lt(math.inf),
-        Unit("s/m"),
-        doc("viscous friction per newton of normal force"),
-    ] = 0.0
+    creep: Annotated[float, Gt(0), Le(MAX_CREEP), Unit("m/s")] = 1e-4
+    reserve: Annotated[float, Ge(0), Lt(math.inf), Unit("s/m")] = 0.0
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
         """Raise ModelError if the ground has no friction coefficient."""

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import casadi as ca
 import numpy as np
-from annotated_types import Gt, Le, Unit, doc
+from annotated_types import Gt, Le, Unit
 
 from slipfree.core.arguments import checked
 from slipfree.laws.coulomb import (
@@ -48,9 +48,7 @@ class LinearCreep:
         If ``creep`` is outside its bounds.
     """
 
-    creep: Annotated[
-        float, Gt(0), Le(MAX_CREEP), Unit("m/s"), doc("slip velocity at the friction limit")
-    ] = 1e-3
+    creep: Annotated[float, Gt(0), Le(MAX_CREEP), Unit("m/s")] = 1e-3
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
         """Raise ModelError if the ground has no friction coefficient."""

@@ -160,17 +160,22 @@ class Soil:
         Modulus ``k_phi`` of the pressure-sinkage relation (3). [N/m^(n+2)]
     exponent : float
         Sinkage exponent ``n``. [1]
-    shear_along, shear_along_rate : float
-        Shear deformation modulus along the wheel, ``k_x0`` [m], and its increase per slip angle,
-        ``k_x1`` [m/rad].
-    shear_across, shear_across_rate : float
-        Shear deformation modulus across the wheel, ``k_y0`` [m], and its increase per slip angle,
-        ``k_y1`` [m/rad].
-    exponent_slip, exponent_skid : float
-        Increase of ``n`` with the slip ratio of a driven wheel, and with the skid ratio (9). [1]
-    peak, peak_rate : float
-        Ratio of the angle of largest stress to the entry angle at slip zero, ``a_0``, and its
-        increase per slip ratio, ``a_1``. [1]
+    shear_along : float
+        Shear deformation modulus along the wheel, ``k_x0``. [m]
+    shear_along_rate : float
+        Increase of ``shear_along`` with the slip angle, ``k_x1``. [m/rad]
+    shear_across : float
+        Shear deformation modulus across the wheel, ``k_y0``. [m]
+    shear_across_rate : float
+        Increase of ``shear_across`` with the slip angle, ``k_y1``. [m/rad]
+    exponent_slip : float
+        Increase of ``exponent`` with the slip ratio of a driven wheel. [1]
+    exponent_skid : float
+        Increase of ``exponent`` with the skid ratio (9). [1]
+    peak : float
+        Ratio of the angle of largest stress to the entry angle at slip zero, ``a_0``. [1]
+    peak_rate : float
+        Increase of ``peak`` with the slip ratio, ``a_1``. [1]
     exit_depth : float
         Ratio ``lambda`` of the depth at which the soil leaves the wheel to the wheel's depth. [1]
     density : float
@@ -193,56 +198,24 @@ class Soil:
         at all slip ratios: ``peak_rate < peak`` and ``peak + peak_rate < 1``.
     """
 
-    cohesion: Annotated[float, Ge(0), Lt(inf), Unit("Pa"), doc("cohesion")] = 800.0
-    friction_angle: Annotated[
-        float, Gt(0), Lt(pi / 2), Unit("rad"), doc("angle of internal friction")
-    ] = radians(37.2)
-    cohesive_modulus: Annotated[
-        float, Ge(0), Lt(inf), Unit("N/m^(n+1)"), doc("cohesive modulus of sinkage")
-    ] = 1.37e3
-    frictional_modulus: Annotated[
-        float, Gt(0), Lt(inf), Unit("N/m^(n+2)"), doc("frictional modulus of sinkage")
-    ] = 8.14e5
-    exponent: Annotated[float, Gt(0), Le(3), Unit("1"), doc("sinkage exponent")] = 1.0
-    shear_along: Annotated[
-        float, Gt(0), Lt(inf), Unit("m"), doc("shear deformation modulus along the wheel")
-    ] = 0.036
-    shear_along_rate: Annotated[
-        float, Ge(0), Lt(inf), Unit("m/rad"), doc("increase of 'shear_along' with the slip angle")
-    ] = 0.043
-    shear_across: Annotated[
-        float, Gt(0), Lt(inf), Unit("m"), doc("shear deformation modulus across the wheel")
-    ] = 0.013
-    shear_across_rate: Annotated[
-        float, Ge(0), Lt(inf), Unit("m/rad"), doc("increase of 'shear_across' with the slip angle")
-    ] = 0.020
-    exponent_slip: Annotated[
-        float, Ge(0), Le(3), Unit("1"), doc("increase of 'exponent' with the slip ratio, driven")
-    ] = 0.0
-    exponent_skid: Annotated[
-        float, Ge(0), Le(3), Unit("1"), doc("increase of 'exponent' with the skid ratio (9)")
-    ] = 0.0
-    peak: Annotated[
-        float, Gt(0), Lt(1), Unit("1"), doc("ratio of the angle of largest stress to that of entry")
-    ] = 0.4
-    peak_rate: Annotated[
-        float, Ge(0), Lt(1), Unit("1"), doc("increase of 'peak' with the slip ratio")
-    ] = 0.15
-    exit_depth: Annotated[
-        float, Ge(0), Le(1.5), Unit("1"), doc("ratio of the soil's exit depth to the wheel's depth")
-    ] = 0.9
-    density: Annotated[
-        float, Ge(0), Lt(inf), Unit("kg/m^3"), doc("density of the soil, for bulldozing")
-    ] = 1600.0
-    grouser_height: Annotated[
-        float, Ge(0), Lt(inf), Unit("m"), doc("effective height of grousers")
-    ] = 0.0
-    damping_ratio: Annotated[
-        float, Ge(0), Le(10), Unit("1"), doc("damping ratio about the static sinkage")
-    ] = 0.5
-    creep: Annotated[
-        float, Gt(0), Le(1), Unit("m/s"), doc("rim speed below which shear stress is reduced")
-    ] = 1e-3
+    cohesion: Annotated[float, Ge(0), Lt(inf), Unit("Pa")] = 800.0
+    friction_angle: Annotated[float, Gt(0), Lt(pi / 2), Unit("rad")] = radians(37.2)
+    cohesive_modulus: Annotated[float, Ge(0), Lt(inf), Unit("N/m^(n+1)")] = 1.37e3
+    frictional_modulus: Annotated[float, Gt(0), Lt(inf), Unit("N/m^(n+2)")] = 8.14e5
+    exponent: Annotated[float, Gt(0), Le(3), Unit("1")] = 1.0
+    shear_along: Annotated[float, Gt(0), Lt(inf), Unit("m")] = 0.036
+    shear_along_rate: Annotated[float, Ge(0), Lt(inf), Unit("m/rad")] = 0.043
+    shear_across: Annotated[float, Gt(0), Lt(inf), Unit("m")] = 0.013
+    shear_across_rate: Annotated[float, Ge(0), Lt(inf), Unit("m/rad")] = 0.020
+    exponent_slip: Annotated[float, Ge(0), Le(3), Unit("1")] = 0.0
+    exponent_skid: Annotated[float, Ge(0), Le(3), Unit("1")] = 0.0
+    peak: Annotated[float, Gt(0), Lt(1), Unit("1")] = 0.4
+    peak_rate: Annotated[float, Ge(0), Lt(1), Unit("1")] = 0.15
+    exit_depth: Annotated[float, Ge(0), Le(1.5), Unit("1")] = 0.9
+    density: Annotated[float, Ge(0), Lt(inf), Unit("kg/m^3")] = 1600.0
+    grouser_height: Annotated[float, Ge(0), Lt(inf), Unit("m")] = 0.0
+    damping_ratio: Annotated[float, Ge(0), Le(10), Unit("1")] = 0.5
+    creep: Annotated[float, Gt(0), Le(1), Unit("m/s")] = 1e-3
     coupled_shear: Annotated[
         bool, doc("whether the resultant of the shear stresses is limited, not each of them")
     ] = False

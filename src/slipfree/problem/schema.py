@@ -76,14 +76,24 @@ KINDS = (*OBSTACLES, "points")
 
 
 class RegionTable(Record):
-    """A region of the ground: a disc or a polygon."""
+    """A region of the ground: a disc or a polygon.
 
-    x: float | None = Field(default=None, description="coordinate of the centre of a disc [m]")
-    y: float | None = Field(default=None, description="coordinate of the centre of a disc [m]")
-    radius: Positive | None = Field(default=None, description="radius of a disc [m]")
-    points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
-        default=None, description="corners of a polygon [m]"
-    )
+    Attributes
+    ----------
+    x : float or None
+        Coordinate of the centre of a disc. [m]
+    y : float or None
+        Coordinate of the centre of a disc. [m]
+    radius : float or None
+        Radius of a disc. [m]
+    points : tuple of tuple of 2 floats or None
+        Corners of a polygon. [m]
+    """
+
+    x: float | None = None
+    y: float | None = None
+    radius: Positive | None = None
+    points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = None
 
 
 def region_of(table: RegionTable) -> Region:
@@ -119,33 +129,51 @@ else:
 
 
 class Obstacle(Shapes):
-    """An obstacle on the ground: a profile with vertical sides, at a position and heading."""
+    """An obstacle on the ground: a profile with vertical sides, at a position and heading.
 
-    points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
-        default=None,
-        description="corners of a convex polygon: distance along the heading, and height [m]",
-    )
-    x: float = Field(default=0.0, description="x of the point where the profile begins [m]")
-    y: float = Field(default=0.0, description="y of the point where the profile begins [m]")
-    heading: Angle = Field(
-        default=0.0,
-        description="direction of the profile, counter-clockwise from the axis of frame [rad]",
-    )
-    half_width: Positive = Field(
-        default=inf, description="half the width across the heading; infinite by default [m]"
-    )
+    Attributes
+    ----------
+    points : tuple of tuple of 2 floats or None
+        Corners of a convex polygon: distance along the heading, and height. [m]
+    x : float
+        x of the point where the profile begins. [m]
+    y : float
+        y of the point where the profile begins. [m]
+    heading : float
+        Direction of the profile, counter-clockwise from the axis of frame. [rad]
+    half_width : float
+        Half the width across the heading; infinite by default. [m]
+    """
+
+    points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = None
+    x: float = 0.0
+    y: float = 0.0
+    heading: Angle = 0.0
+    half_width: Positive = inf
 
 
 class MadeGround(Record):
-    """A synthetic ground: a level grid, to which features are added in the order of these keys."""
+    """A synthetic ground: a level grid, to which features are added in the order of these keys.
 
-    x: Pair = Field(description="x of the first and the last node [m]")
-    y: Pair = Field(description="y of the first and the last node [m]")
-    spacing: Positive = Field(description="distance between nodes [m]")
-    base: float = Field(default=0.0, description="height of the level grid [m]")
-    placed_rocks: Annotated[tuple[Rock, ...], Field(strict=False)] = Field(
-        default=(), description="rocks at given positions, added last [m]"
-    )
+    Attributes
+    ----------
+    x : tuple of 2 floats
+        x of the first and the last node. [m]
+    y : tuple of 2 floats
+        y of the first and the last node. [m]
+    spacing : float
+        Distance between nodes. [m]
+    base : float
+        Height of the level grid. [m]
+    placed_rocks : tuple of tuple of 4 floats
+        Rocks at given positions, added last. [m]
+    """
+
+    x: Pair
+    y: Pair
+    spacing: Positive
+    base: float = 0.0
+    placed_rocks: Annotated[tuple[Rock, ...], Field(strict=False)] = ()
 
     def with_features(self, grid: Grid) -> Grid:
         """Return a grid with the features of the ground added, in order."""
@@ -174,63 +202,90 @@ else:
 
 
 class HeightErrors(Record):
-    """Random errors of the heights of a map."""
+    """Random errors of the heights of a map.
 
-    rms: Positive = Field(description="standard deviation [m]")
-    correlation: Positive = Field(
-        description="distance at which the correlation has fallen to 1/e [m]"
-    )
+    Attributes
+    ----------
+    rms : float
+        Standard deviation. [m]
+    correlation : float
+        Distance at which the correlation has fallen to 1/e. [m]
+    """
+
+    rms: Positive
+    correlation: Positive
 
 
 class ElevationError(HeightErrors):
-    """A random error of the heights of a map."""
+    """A random error of the heights of a map.
 
-    seed: Count = Field(description="seed of the random numbers")
+    Attributes
+    ----------
+    seed : int
+        Seed of the random numbers.
+    """
+
+    seed: Count
 
 
 class TerrainTable(Record):
-    """Ground of a problem, from a map file, a sample map or a description, and its friction."""
+    """Ground of a problem, from a map file, a sample map or a description, and its friction.
 
-    file: str | None = Field(default=None, description="map file, relative to the problem file")
-    sample: Literal["jacksboro"] | None = Field(
-        default=None, description="the sample map of matplotlib"
-    )
-    synthetic: Synthetic | None = Field(default=None, description="a synthetic ground")
-    cell: Positive | None = Field(
-        default=None, description="width of a cell, for pictures without coordinates [m]"
-    )
-    registration: Literal["area", "point"] | None = Field(
-        default=None,
-        description="'area': values of a picture are at cell centres; 'point': at nodes",
-    )
-    spacing: Positive | None = Field(
-        default=None, description="distance between nodes, for scattered points [m]"
-    )
-    geographic: Literal["local"] | None = Field(
-        default=None, description="conversion of degrees to metres; by default degrees are an error"
-    )
-    fill: Literal["linear"] | None = Field(
-        default=None,
-        description="interpolation of holes inside the map; wheels must not touch other holes",
-    )
-    scale: Positive = Field(default=1.0, description="factor of x, y and heights [1]")
-    horizontal_scale: Positive = Field(default=1.0, description="further factor of x and y [1]")
-    vertical_scale: Positive = Field(default=1.0, description="further factor of heights [1]")
-    window: Window | None = Field(default=None, description="part of the scaled ground to use [m]")
-    smooth: Positive | None = Field(
-        default=None, description="standard deviation of a Gaussian filter of the heights [m]"
-    )
-    error: ElevationError | None = Field(default=None, description="a random error of the heights")
-    rolled: Positive | None = Field(
-        default=None,
-        description="radius of the largest wheel; hollows that it cannot touch are filled [m]",
-    )
-    friction: Annotated[float | str | None, PlainValidator(coefficient)] = Field(
-        default=None, description="coefficient of friction, or the name of a friction map [1]"
-    )
-    obstacles: Annotated[tuple[Obstacle, ...], Field(strict=False)] = Field(
-        default=(), description="solids on the ground, for model = 'dynamics'"
-    )
+    Attributes
+    ----------
+    file : str or None
+        Map file, relative to the problem file.
+    sample : {"jacksboro"} or None
+        The sample map of matplotlib.
+    synthetic : Synthetic or None
+        a synthetic ground.
+    cell : float or None
+        Width of a cell, for pictures without coordinates. [m]
+    registration : {"area", "point"} or None
+        'area': values of a picture are at cell centres; 'point': at nodes.
+    spacing : float or None
+        Distance between nodes, for scattered points. [m]
+    geographic : {"local"} or None
+        Conversion of degrees to metres; by default degrees are an error.
+    fill : {"linear"} or None
+        Interpolation of holes inside the map; wheels must not touch other holes.
+    scale : float
+        Factor of x, y and heights. [1]
+    horizontal_scale : float
+        Further factor of x and y. [1]
+    vertical_scale : float
+        Further factor of heights. [1]
+    window : tuple of 4 floats or None
+        Part of the scaled ground to use. [m]
+    smooth : float or None
+        Standard deviation of a Gaussian filter of the heights. [m]
+    error : ElevationError or None
+        a random error of the heights.
+    rolled : float or None
+        Radius of the largest wheel; hollows that it cannot touch are filled. [m]
+    friction : float or str or None
+        Coefficient of friction, or the name of a friction map. [1]
+    obstacles : tuple of Obstacle
+        Solids on the ground, for model = 'dynamics'.
+    """
+
+    file: str | None = None
+    sample: Literal["jacksboro"] | None = None
+    synthetic: Synthetic | None = None
+    cell: Positive | None = None
+    registration: Literal["area", "point"] | None = None
+    spacing: Positive | None = None
+    geographic: Literal["local"] | None = None
+    fill: Literal["linear"] | None = None
+    scale: Positive = 1.0
+    horizontal_scale: Positive = 1.0
+    vertical_scale: Positive = 1.0
+    window: Window | None = None
+    smooth: Positive | None = None
+    error: ElevationError | None = None
+    rolled: Positive | None = None
+    friction: Annotated[float | str | None, PlainValidator(coefficient)] = None
+    obstacles: Annotated[tuple[Obstacle, ...], Field(strict=False)] = ()
 
 
 class SoilKeys(Record):
@@ -242,15 +297,19 @@ class SoilKeys(Record):
 
 
 class SoilRegionKeys(SoilKeys, RegionTable):
-    """A region with another soil: a disc or a polygon."""
+    """A region with another soil: a disc or a polygon.
 
-    width: Positive = Field(
-        description="width in which the soil around the region becomes its soil [m]"
-    )
+    Attributes
+    ----------
+    width : float
+        Width in which the soil around the region becomes its soil. [m]
+    """
+
+    width: Positive
 
 
 NamedSoil: Any = record_of(Soil, SoilKeys)
-REGION_MEANING = SoilRegionKeys.__doc__ or ""
+REGION_MEANING = (SoilRegionKeys.__doc__ or "").partition("\n")[0]
 SoilRegions: Any = Annotated[
     tuple[record_of(Soil, SoilRegionKeys, omitted=OF_THE_LAW, meaning=REGION_MEANING), ...],  # type: ignore[misc]
     Field(strict=False),
@@ -258,11 +317,15 @@ SoilRegions: Any = Annotated[
 
 
 class SoilTable(NamedSoil):  # type: ignore[misc]
-    """Loose soil under rigid wheels, for dynamics and quasi-statics."""
+    """Loose soil under rigid wheels, for dynamics and quasi-statics.
 
-    regions: SoilRegions = Field(
-        default=(), description="regions of other soils; later ones cover earlier ones"
-    )
+    Attributes
+    ----------
+    regions : SoilRegions
+        Regions of other soils; later ones cover earlier ones.
+    """
+
+    regions: SoilRegions = ()
 
 
 OF_REGIONS = (*RegionTable.model_fields, "width")  # keys of a region that are not of its soil
@@ -310,17 +373,21 @@ SlipName = Annotated[str, one_of(SLIP_LAWS)]
 
 
 class VehicleSource(Record):
-    """A vehicle from the catalogue, with the keywords of its function, or from a file."""
+    """A vehicle from the catalogue, with the keywords of its function, or from a file.
 
-    catalog: Literal[tuple(CATALOG)] | None = Field(  # type: ignore[valid-type]
-        default=None, description="name in the catalogue"
-    )
-    file: Annotated[str, Field(min_length=1)] | None = Field(
-        default=None, description="a vehicle file or a URDF"
-    )
-    actuated: Annotated[tuple[str, ...], Field(strict=False)] = Field(
-        default=(), description="passive joints with an actuator, which moves or holds them"
-    )
+    Attributes
+    ----------
+    catalog : str or None
+        Name in the catalogue.
+    file : str or None
+        a vehicle file or a URDF.
+    actuated : tuple of str
+        Passive joints with an actuator, which moves or holds them.
+    """
+
+    catalog: Literal[tuple(CATALOG)] | None = None  # type: ignore[valid-type]
+    file: Annotated[str, Field(min_length=1)] | None = None
+    actuated: Annotated[tuple[str, ...], Field(strict=False)] = ()
 
     @classmethod
     def schema_for(cls, data: Any) -> type[Record]:
@@ -354,25 +421,39 @@ class VehicleSource(Record):
 
 
 class DriverTable(Record):
-    """A driving law: straight ahead from the start, or along a path."""
+    """A driving law: straight ahead from the start, or along a path.
 
-    name: Literal["straight", "follow"] = Field(description="name of the law")
-    speed: Annotated[float, AfterValidator(not_zero)] = Field(
-        description="speed; negative to drive backward [m/s]"
-    )
-    path: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
-        default=None, description="way-points to follow [m]"
-    )
-    file: str | None = Field(
-        default=None, description="a file with the way-points to follow, x and y"
-    )
+    Attributes
+    ----------
+    name : {"straight", "follow"}
+        Name of the law.
+    speed : float
+        Speed; negative to drive backward. [m/s]
+    path : tuple of tuple of 2 floats or None
+        Way-points to follow. [m]
+    file : str or None
+        a file with the way-points to follow, x and y.
+    """
+
+    name: Literal["straight", "follow"]
+    speed: Annotated[float, AfterValidator(not_zero)]
+    path: Annotated[tuple[Pair, ...], Field(strict=False)] | None = None
+    file: str | None = None
 
 
 class Time(Record):
-    """Duration and sampling of the motion."""
+    """Duration and sampling of the motion.
 
-    duration: Positive = Field(description="duration of the motion [s]")
-    step: Positive = Field(description="time between samples of the result [s]")
+    Attributes
+    ----------
+    duration : float
+        Duration of the motion. [s]
+    step : float
+        Time between samples of the result. [s]
+    """
+
+    duration: Positive
+    step: Positive
 
 
 OfSolver: Any = record_of(SolverOptions)
@@ -388,11 +469,15 @@ class Solver(OfSolver):  # type: ignore[misc]
 
 
 class Output(Record):
-    """Destination of the result."""
+    """Destination of the result.
 
-    file: Annotated[str, Field(min_length=1)] = Field(
-        description="the result file (.nc), in the working folder or the problem's folder"
-    )
+    Attributes
+    ----------
+    file : str
+        The result file (.nc), in the working folder or the problem's folder.
+    """
+
+    file: Annotated[str, Field(min_length=1)]
 
 
 class FileKeys(Record):
@@ -407,10 +492,16 @@ class FileKeys(Record):
 
 
 class CommonKeys(FileKeys):
-    """Common keys of all problems: verb, title and gravity."""
+    """Common keys of all problems: verb, title and gravity.
+
+    Attributes
+    ----------
+    title : str or None
+        Title of the result and its figures.
+    """
 
     verb: str = Field(description=VERB)
-    title: str | None = Field(default=None, description="title of the result and its figures")
+    title: str | None = None
     gravity: Gravity = Field(default="earth", description=GRAVITY)
 
     @property
@@ -420,10 +511,18 @@ class CommonKeys(FileKeys):
 
 
 class Timed(CommonKeys):
-    """Common keys of problems with motions: time and solver."""
+    """Common keys of problems with motions: time and solver.
 
-    time: Time = Field(description="duration and sampling")
-    solver: Solver = Field(default=Solver(), description="options of the integrator")
+    Attributes
+    ----------
+    time : Time
+        Duration and sampling.
+    solver : Solver
+        Options of the integrator.
+    """
+
+    time: Time
+    solver: Solver = Solver()
 
     def faults(self) -> Iterator[Fault]:
         """Yield an error for each value that contradicts another one."""
@@ -438,20 +537,32 @@ class Timed(CommonKeys):
 
 
 class Runnable(Timed):
-    """Common keys of the problems that ``slipfree run`` solves."""
+    """Common keys of the problems that ``slipfree run`` solves.
 
-    output: Output | None = Field(default=None, description="destination of the result")
+    Attributes
+    ----------
+    output : Output or None
+        Destination of the result.
+    """
+
+    output: Output | None = None
 
 
 class TerrainKeys(Timed):
-    """Common keys of problems on terrain: ground and start."""
+    """Common keys of problems on terrain: ground and start.
 
-    terrain: TerrainTable = Field(description="the ground")
-    start: dict[str, Quantity] = Field(
-        description="x, y (or longitude, latitude in degrees, on a map with a reference system), "
-        "heading (counter-clockwise, from the axis of frame), joints, and with model = 'dynamics' "
-        "the speed along the forward axis; zero by default [m, rad, m/s]"
-    )
+    Attributes
+    ----------
+    terrain : TerrainTable
+        The ground.
+    start : mapping of str to float
+        x, y (or longitude, latitude in degrees, on a map with a reference system), heading
+        (counter-clockwise, from the axis of frame), joints, and with model = 'dynamics' the speed
+        along the forward axis; zero by default. [m, rad, m/s]
+    """
+
+    terrain: TerrainTable
+    start: dict[str, Quantity]
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
         ("terrain",): ("file", "sample", "synthetic")
@@ -468,14 +579,19 @@ class TerrainKeys(Timed):
 
 
 class MotionKeys(TerrainKeys, Runnable):
-    """Common keys of problems with the motion of one vehicle."""
+    """Common keys of problems with the motion of one vehicle.
 
-    frame: Frame = Field(
-        default="paper",
-        description="axis from which headings are measured, also in summaries, exports, figures: "
-        "y, or x (REP 103)",
-    )
-    vehicle: VehicleSource = Field(description="the vehicle")
+    Attributes
+    ----------
+    frame : Frame
+        Axis from which headings are measured, also in summaries, exports, figures: y, or x (REP
+        103).
+    vehicle : VehicleSource
+        The vehicle.
+    """
+
+    frame: Frame = "paper"
+    vehicle: VehicleSource
 
 
 class LawKeys(Record):

@@ -44,11 +44,21 @@ MAX_POINTS = 100_000  # slip ratios times slip angles
 
 
 class TestedWheelTable(Record):
-    """Table ``[wheel]``: dimensions and load of the wheel."""
+    """Table ``[wheel]``: dimensions and load of the wheel.
 
-    radius: Positive = Field(description="radius, without grousers [m]")
-    width: Positive = Field(description="width [m]")
-    load: Positive = Field(description="vertical load [N]")
+    Attributes
+    ----------
+    radius : float
+        Radius, without grousers. [m]
+    width : float
+        Width. [m]
+    load : float
+        Vertical load. [N]
+    """
+
+    radius: Positive
+    width: Positive
+    load: Positive
 
 
 SlipRatio = Annotated[float, Field(ge=-1, le=1)]
@@ -56,17 +66,21 @@ SlipAngle = Annotated[Angle, Field(gt=-np.pi / 2, lt=np.pi / 2)]
 
 
 class TestTable(Record):
-    """Table ``[test]``: slip ratios, slip angles and measured points."""
+    """Table ``[test]``: slip ratios, slip angles and measured points.
 
-    slip: Annotated[tuple[SlipRatio, SlipRatio], Field(strict=False)] = Field(
-        default=(0.0, 0.8), description="lowest and highest slip ratio [1]"
-    )
-    points: Annotated[int, Field(ge=2, le=10_000)] = Field(
-        default=81, description="number of slip ratios"
-    )
-    slip_angles: Annotated[tuple[SlipAngle, ...], Field(strict=False, min_length=1)] = Field(
-        default=(0.0,), description='slip angles [rad], or text as in "15 deg"'
-    )
+    Attributes
+    ----------
+    slip : tuple of float
+        Lowest and highest slip ratio. [1]
+    points : int
+        Number of slip ratios.
+    slip_angles : tuple of float
+        Slip angles [rad], or text as in "15 deg".
+    """
+
+    slip: Annotated[tuple[SlipRatio, SlipRatio], Field(strict=False)] = (0.0, 0.8)
+    points: Annotated[int, Field(ge=2, le=10_000)] = 81
+    slip_angles: Annotated[tuple[SlipAngle, ...], Field(strict=False, min_length=1)] = (0.0,)
     measured: str | None = Field(
         default=None,
         description="CSV file of measured points: a column 'slip', or 'rim_speed' and 'speed' "
@@ -76,26 +90,40 @@ class TestTable(Record):
 
 
 class WheelFile(FileKeys):
-    """Wheel file; the table ``[soil]`` has the constants of `Soil`."""
+    """Wheel file; the table ``[soil]`` has the constants of `Soil`.
 
-    title: str | None = Field(default=None, description="title of the summary")
+    Attributes
+    ----------
+    title : str or None
+        Title of the summary.
+    wheel : TestedWheelTable
+        The wheel.
+    soil : NamedSoil
+        The soil.
+    test : TestTable
+        The test.
+    unknowns : mapping of str to BoundsTable
+        Constants of the soil that slipfree fit estimates, by name.
+    folds : int
+        Number of parts of the runs, each predicted by a fit to the others.
+    resamples : int
+        Number of fits to runs drawn at random, for intervals.
+    seed : int
+        Seed of both choices.
+    loss : {"soft_l1", "linear"}
+        Loss of a residual: robust to outliers, or its square.
+    """
+
+    title: str | None = None
     gravity: Gravity = Field(default="earth", description=GRAVITY)
-    wheel: TestedWheelTable = Field(description="the wheel")
-    soil: NamedSoil = Field(default=NamedSoil(), description="the soil")
-    test: TestTable = Field(default=TestTable(), description="the test")
-    unknowns: dict[str, BoundsTable] = Field(
-        default={}, description="constants of the soil that slipfree fit estimates, by name"
-    )
-    folds: Annotated[int, Field(ge=2, le=1000)] = Field(
-        default=5, description="number of parts of the runs, each predicted by a fit to the others"
-    )
-    resamples: Annotated[int, Field(ge=0, le=10_000)] = Field(
-        default=100, description="number of fits to runs drawn at random, for intervals"
-    )
-    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="seed of both choices")
-    loss: Literal["soft_l1", "linear"] = Field(
-        default="soft_l1", description="loss of a residual: robust to outliers, or its square"
-    )
+    wheel: TestedWheelTable
+    soil: NamedSoil = NamedSoil()
+    test: TestTable = TestTable()
+    unknowns: dict[str, BoundsTable] = Field(default={})
+    folds: Annotated[int, Field(ge=2, le=1000)] = 5
+    resamples: Annotated[int, Field(ge=0, le=10_000)] = 100
+    seed: Annotated[int, Field(ge=0)] = 0
+    loss: Literal["soft_l1", "linear"] = "soft_l1"
 
     def faults(self) -> Iterator[Fault]:
         """Yield an error for each value that contradicts another one."""

@@ -25,8 +25,8 @@ class SolverOptions:
     Attributes
     ----------
     tolerance : float
-        Relative and absolute tolerance of the integrator. The absolute tolerance of a length is
-        multiplied by the size of the vehicle, ``dae.size``. [size, rad]
+        Relative and absolute tolerance of the integrator; that of a length is multiplied by the
+        size of the vehicle, ``dae.size``. [size, rad]
     method : {"idas", "cvodes", "explicit"} or None
         Name of the integrator. By default CVODES for motions without algebraic unknowns, and IDAS
         for motions with them, which CVODES cannot solve. The error test of CVODES includes the
@@ -44,16 +44,7 @@ class SolverOptions:
         If the tolerance is not between 1e-14 and 0.01, or the method is unknown.
     """
 
-    tolerance: Annotated[
-        float,
-        Ge(MIN_TOLERANCE),
-        Le(MAX_TOLERANCE),
-        Unit("1"),
-        doc(
-            "tolerance of the integrator, absolute and relative; lengths relative to the vehicle "
-            "size"
-        ),
-    ] = 1e-8
+    tolerance: Annotated[float, Ge(MIN_TOLERANCE), Le(MAX_TOLERANCE), Unit("1")] = 1e-8
     method: Method | None = None
     compiled: Annotated[
         bool,

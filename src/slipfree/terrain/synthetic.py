@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Unit, doc
+from annotated_types import Ge, Gt, Le, Unit
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
@@ -21,7 +21,7 @@ from slipfree.core.schema import Factor, Length, Position
 from slipfree.terrain.base import Grid
 
 WAVES = 1000  # number of plane waves of a rough ground
-Seed = Annotated[int, Ge(0), doc("seed of the random numbers")]
+Seed = Annotated[int, Ge(0)]
 SIZE_EXPONENT = 2.0  # the number of craters or rocks above a diameter falls with its square
 
 
@@ -77,12 +77,10 @@ def blank(x_range: tuple[float, float], y_range: tuple[float, float], spacing: L
 def power_law(
     grid: Grid,
     *,
-    rms: Annotated[Length, doc("root mean square of the added heights")],
-    hurst: Annotated[
-        float, Gt(0), Le(1), Unit("1"), doc("Hurst exponent: 0.5 is jagged, 1 is smooth")
-    ],
-    longest: Annotated[Length, doc("longest wavelength")],
-    shortest: Annotated[Length, doc("shortest wavelength, at least twice the spacing")],
+    rms: Length,
+    hurst: Annotated[float, Gt(0), Le(1), Unit("1")],
+    longest: Length,
+    shortest: Length,
     seed: Seed,
 ) -> Grid:
     """Return the grid with self-affine roughness added.
@@ -94,11 +92,13 @@ def power_law(
     rms : float
         Root mean square of the added heights over the nodes, exactly; their mean is zero. [m]
     hurst : float
-        Hurst exponent in (0, 1]; natural ground has 0.5 to 0.9. The two-dimensional power
-        spectral density falls as the wave number to the power ``-2 (hurst + 1)``. [1]
-    longest, shortest : float
-        Largest and smallest wavelength of the roughness; ``shortest`` is at least twice the
-        spacing. [m]
+        Exponent of Hurst in (0, 1], from jagged to smooth; natural ground has 0.5 to 0.9. The
+        two-dimensional power spectral density falls as the wave number to the power
+        ``-2 (hurst + 1)``. [1]
+    longest : float
+        Largest wavelength of the roughness. [m]
+    shortest : float
+        Smallest wavelength of the roughness, at least twice the spacing. [m]
     seed : int
         Seed of the random numbers.
 
@@ -142,14 +142,8 @@ def power_law(
 def craters(
     grid: Grid,
     *,
-    count: Annotated[
-        int,
-        Ge(0),
-        doc("number of craters; a larger number adds craters to those of a smaller number"),
-    ],
-    diameters: Annotated[
-        tuple[float, float], Unit("m"), doc("smallest and largest diameter of the rim crests")
-    ],
+    count: Annotated[int, Ge(0)],
+    diameters: Annotated[tuple[float, float], Unit("m")],
     seed: Seed,
 ) -> Grid:
     """Return the grid with scattered fresh craters added.
@@ -200,13 +194,9 @@ def craters(
 def rocks(
     grid: Grid,
     *,
-    count: Annotated[
-        int, Ge(0), doc("number of rocks; a larger number adds rocks to those of a smaller number")
-    ],
-    diameters: Annotated[
-        tuple[float, float], Unit("m"), doc("smallest and largest diameter of the rocks")
-    ],
-    height_ratio: Annotated[Factor, doc("height of a rock divided by its diameter")],
+    count: Annotated[int, Ge(0)],
+    diameters: Annotated[tuple[float, float], Unit("m")],
+    height_ratio: Factor,
     seed: Seed,
 ) -> Grid:
     """Return the grid with scattered rocks added.
@@ -268,16 +258,11 @@ def place_rocks(grid: Grid, placed: Iterable[Rock]) -> Grid:
 def ramp(
     grid: Grid,
     *,
-    start: Annotated[Position, doc("y at which the ramp begins")],
-    end: Annotated[Position, doc("y at which the ramp ends")],
-    rise: Annotated[Position, doc("height behind the ramp")],
-    smooth: Annotated[
-        bool,
-        doc("whether the slope is continuous, at most 15/8 of its mean; otherwise constant"),
-    ] = True,
-    rounding: Annotated[
-        float, Ge(0), Unit("m"), doc("length of the rounding of each edge of a constant slope")
-    ] = 0.0,
+    start: Position,
+    end: Position,
+    rise: Position,
+    smooth: bool = True,
+    rounding: Annotated[float, Ge(0), Unit("m")] = 0.0,
 ) -> Grid:
     """Return the grid with a ramp along y added.
 
@@ -285,13 +270,15 @@ def ramp(
     ----------
     grid : Grid
         The ground below.
-    start, end : float
-        Values of y where the ramp begins and ends, ``start < end``. [m]
+    start : float
+        Value of y where the ramp begins. [m]
+    end : float
+        Value of y where the ramp ends, ``start < end``. [m]
     rise : float
         Height added behind the ramp; the ground before the ramp is unchanged. [m]
     smooth : bool
-        True: slope and curvature are continuous, the steepest slope is 15/8 of the mean.
-        False: a constant slope between two edges.
+        Whether slope and curvature are continuous, with a steepest slope of 15/8 of the mean;
+        otherwise the slope is constant between two edges.
     rounding : float
         Length of the rounding of each edge, centred at ``start`` or ``end``; zero for kinks. Slope
         and curvature are continuous; the curvature is at most 3/2 of the constant slope divided by
@@ -331,9 +318,9 @@ def ramp(
 def ridge(
     grid: Grid,
     *,
-    middle: Annotated[Position, doc("y of the crest")],
-    height: Annotated[Position, doc("height of the crest; negative for a trench")],
-    width: Annotated[Length, doc("distance from the crest to 1/e of its height")],
+    middle: Position,
+    height: Position,
+    width: Length,
 ) -> Grid:
     """Return the grid with a Gaussian ridge added, its crest perpendicular to the y axis.
 

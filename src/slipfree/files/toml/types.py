@@ -28,7 +28,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from slipfree.core.arguments import MAX_NUMBER, WithUnit, degrees_question
-from slipfree.core.schema import Key, keys_of
+from slipfree.core.schema import Key, keys_of, meanings
 from slipfree.files.toml.source import Fault, Place, format_value
 
 EXAMPLE = 'a number, or text with an angular unit, as in "30 deg" or "5 deg/s"'
@@ -41,6 +41,13 @@ class Record(BaseModel):
     """Base class of the tables of TOML files: frozen, without type conversion or unknown keys."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        """Describe the keys as the docstring does."""
+        for name, words in meanings(cls).items():
+            if name in cls.model_fields:
+                cls.model_fields[name].description = words
 
     @classmethod
     def schema_for(cls, data: Any) -> type[Record]:  # noqa: ARG003 - for records that depend on it

@@ -53,55 +53,62 @@ ROOM = 3.0  # width of the ground that is known around places [radius of the veh
 
 
 class AtlasTable(Record):
-    """Headings, nodes and quantities of a mobility map."""
+    """Headings, nodes and quantities of a mobility map.
 
-    headings: Annotated[int, Field(ge=1, le=MAX_HEADINGS)] = Field(
-        default=HEADINGS, description="number of equally spaced headings"
-    )
-    every: Annotated[int, Field(ge=1)] = Field(
-        default=1, description="distance between nodes of the result, in nodes of the map"
-    )
-    error: Positive | None = Field(
-        default=None,
-        description="largest difference between the ground and the map, for computed extremes of "
-        "pose, tip-over margin, clearance of bodies and least friction [m]",
-    )
-    guarantee: Positive | None = Field(
-        default=None,
-        description="largest difference between the ground and the map, for bounds of the poses "
-        "that are proved for every such ground [m]",
-    )
-    within: dict[str, Range] = Field(
-        default={},
-        description="bounds of quantities by name: headings at which one is outside are not "
-        "allowed [rad, m, 1]",
-    )
-    speed: float = Field(
-        default=0.0,
-        description="speed that the driven wheels would have without slip, for the work of the "
-        "drives per metre; on soil, the poses are those at this speed [m/s]",
-    )
-    tolerance: Annotated[float, Field(gt=0, le=0.1)] = Field(
-        default=TOLERANCE,
-        description="width of the bounds of the least coefficient of friction [1]",
-    )
-    compiled: bool = Field(
-        default=True,
-        description="whether to compile the equations; the first compilation for a vehicle takes "
-        "up to a minute, its result is cached",
-    )
+    Attributes
+    ----------
+    headings : int
+        Number of equally spaced headings.
+    every : int
+        Distance between nodes of the result, in nodes of the map.
+    error : float or None
+        Largest difference between the ground and the map, for computed extremes of pose, tip-over
+        margin, clearance of bodies and least friction. [m]
+    guarantee : float or None
+        Largest difference between the ground and the map, for bounds of the poses that are proved
+        for every such ground. [m]
+    within : mapping of str to tuple of 2 floats
+        Bounds of quantities by name: headings at which one is outside are not allowed. [rad, m, 1]
+    speed : float
+        Speed that the driven wheels would have without slip, for the work of the drives per metre;
+        on soil, the poses are those at this speed. [m/s]
+    tolerance : float
+        Width of the bounds of the least coefficient of friction. [1]
+    compiled : bool
+        Whether to compile the equations; the first compilation for a vehicle takes up to a minute,
+        its result is cached.
+    """
+
+    headings: Annotated[int, Field(ge=1, le=MAX_HEADINGS)] = HEADINGS
+    every: Annotated[int, Field(ge=1)] = 1
+    error: Positive | None = None
+    guarantee: Positive | None = None
+    within: dict[str, Range] = Field(default={})
+    speed: float = 0.0
+    tolerance: Annotated[float, Field(gt=0, le=0.1)] = TOLERANCE
+    compiled: bool = True
 
 
 class AtlasKeys(LawKeys, CommonKeys):
-    """Mobility map: where and how a vehicle stands at the nodes of a map, for several headings."""
+    """Mobility map: where and how a vehicle stands at the nodes of a map, for several headings.
+
+    Attributes
+    ----------
+    frame : Frame
+        Axis from which headings are measured: y, or x (REP 103).
+    terrain : TerrainTable
+        The ground.
+    vehicle : VehicleSource
+        The vehicle.
+    atlas : AtlasTable
+        Headings, nodes and quantities.
+    """
 
     verb: Literal["atlas"] = Field(description=VERB)
-    frame: Frame = Field(
-        default="paper", description="axis from which headings are measured: y, or x (REP 103)"
-    )
-    terrain: TerrainTable = Field(description="the ground")
-    vehicle: VehicleSource = Field(description="the vehicle")
-    atlas: AtlasTable = Field(default=AtlasTable(), description="headings, nodes and quantities")
+    frame: Frame = "paper"
+    terrain: TerrainTable
+    vehicle: VehicleSource
+    atlas: AtlasTable = AtlasTable()
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = TerrainKeys.alternatives
 

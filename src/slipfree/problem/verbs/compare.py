@@ -32,20 +32,32 @@ RANK = 1e-9  # smaller singular values, relative to the largest, count as zero
 
 
 class NamedVehicle(VehicleSource):
-    """A named vehicle of a comparison."""
+    """A named vehicle of a comparison.
 
-    name: Annotated[str, Field(min_length=1)] = Field(description="name of the vehicle")
+    Attributes
+    ----------
+    name : str
+        Name of the vehicle.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
 
 
 class Compare(TerrainKeys):
-    """Several vehicles on one ground: at common rates, and at the rates of a driving law."""
+    """Several vehicles on one ground: at common rates, and at the rates of a driving law.
+
+    Attributes
+    ----------
+    vehicles : tuple of NamedVehicle
+        The vehicles to compare.
+    driver : DriverTable
+        The driving law.
+    """
 
     verb: Literal["compare"] = Field(description=VERB)
-    vehicles: Annotated[tuple[NamedVehicle, ...], Field(strict=False, min_length=1)] = Field(
-        description="the vehicles to compare"
-    )
+    vehicles: Annotated[tuple[NamedVehicle, ...], Field(strict=False, min_length=1)]
     inputs: dict[str, Quantity] = Field(description=INPUTS)
-    driver: DriverTable = Field(description="the driving law")
+    driver: DriverTable
 
 
 def compare(

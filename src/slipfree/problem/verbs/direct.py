@@ -157,33 +157,40 @@ def _actuators(vehicle: Vehicle, robot: Robot | None) -> dict[str, _Actuator]:
 
 
 class SampledDriver(ClimbingDriver):
-    """A driving law: straight ahead, along a path, or of a step climber; continuous or sampled."""
+    """A driving law: straight ahead, along a path, or of a step climber; continuous or sampled.
 
-    name: Literal["straight", "follow", "step-climbing"] = Field(  # type: ignore[assignment]
-        description="name of the law"
-    )
-    period: Positive | None = Field(
-        default=None,
-        description="with model = 'dynamics': time between evaluations of the law, a divisor of "
-        "time.step; the inputs are constant in between. By default the law is continuous, which is "
-        "3 to 40 times as fast [s]",
-    )
+    Attributes
+    ----------
+    name : {"straight", "follow", "step-climbing"}
+        Name of the law.
+    period : float or None
+        With model = 'dynamics': time between evaluations of the law, a divisor of time.step; the
+        inputs are constant in between. By default the law is continuous, which is 3 to 40 times as
+        fast. [s]
+    """
+
+    name: Literal["straight", "follow", "step-climbing"]  # type: ignore[assignment]
+    period: Positive | None = None
 
 
 class Direct(Modelled):
-    """Direct problem: the motion at given rates, or under a driving law."""
+    """Direct problem: the motion at given rates, or under a driving law.
+
+    Attributes
+    ----------
+    inputs : mapping of str to float, tuple or str or None
+        Rates of driven wheels and commanded joints, by name, or 'file', an MCAP file with commands
+        of joints. [rad/s, m/s]
+    driver : SampledDriver or None
+        a driving law.
+    formulation : {"closure", "montana"}
+        Formulation of contact: closure of positions, or Montana's equations of rates.
+    """
 
     verb: Literal["direct"] = Field(description=VERB)
-    inputs: dict[str, PiecewiseConstantOrFile] | None = Field(
-        default=None,
-        description="rates of driven wheels and commanded joints, by name, or 'file', an MCAP file "
-        "with commands of joints [rad/s, m/s]",
-    )
-    driver: SampledDriver | None = Field(default=None, description="a driving law")
-    formulation: Literal["closure", "montana"] = Field(
-        default="closure",
-        description="formulation of contact: closure of positions, or Montana's equations of rates",
-    )
+    inputs: dict[str, PiecewiseConstantOrFile] | None = None
+    driver: SampledDriver | None = None
+    formulation: Literal["closure", "montana"] = "closure"
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
         **TerrainKeys.alternatives,

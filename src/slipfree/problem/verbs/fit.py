@@ -84,144 +84,161 @@ Name = Annotated[str, Field(min_length=1)]
 
 
 class DriveColumns(Record):
-    """Columns of a log."""
+    """Columns of a log.
 
-    t: str = Field(default="t", description="column of the time, in s")
-    x: str = Field(default="x", description="column of the easting, in m")
-    y: str = Field(default="y", description="column of the northing, in m")
-    heading: Name | None = Field(
-        default=None,
-        description="column of the heading, from the axis of frame, in rad; by default heading or "
-        "yaw, if a log has it; without headings, courses follow from positions and velocities",
-    )
-    velocity: Annotated[tuple[Name, Name], Field(strict=False)] | None = Field(
-        default=None,
-        description="columns of the receiver's velocity along x and y, measured by the Doppler "
-        "shift, in m/s; by default, the derivative of the positions",
-    )
-    yaw_rate: Name | None = Field(
-        default=None, description="column of a measured turning rate, in rad/s"
-    )
-    error: Name | None = Field(
-        default=None, description="column of the stated error of the position, in m"
-    )
-    left: str = Field(default="left", description="column of the left side, without [data.rates]")
-    right: str = Field(default="right", description="column of the right side")
-    manoeuvre: Name | None = Field(
-        default=None, description="column with the number of the manoeuvre, left out as a whole"
-    )
+    Attributes
+    ----------
+    t : str
+        Column of the time, in s.
+    x : str
+        Column of the easting, in m.
+    y : str
+        Column of the northing, in m.
+    heading : str or None
+        Column of the heading, from the axis of frame, in rad; by default heading or yaw, if a log
+        has it; without headings, courses follow from positions and velocities.
+    velocity : tuple of str or None
+        Columns of the receiver's velocity along x and y, measured by the Doppler shift, in m/s; by
+        default, the derivative of the positions.
+    yaw_rate : str or None
+        Column of a measured turning rate, in rad/s.
+    error : str or None
+        Column of the stated error of the position, in m.
+    left : str
+        Column of the left side, without. [data.rates]
+    right : str
+        Column of the right side.
+    manoeuvre : str or None
+        Column with the number of the manoeuvre, left out as a whole.
+    """
+
+    t: str = "t"
+    x: str = "x"
+    y: str = "y"
+    heading: Name | None = None
+    velocity: Annotated[tuple[Name, Name], Field(strict=False)] | None = None
+    yaw_rate: Name | None = None
+    error: Name | None = None
+    left: str = "left"
+    right: str = "right"
+    manoeuvre: Name | None = None
 
 
 class Data(Record):
-    """The logs, and their windows."""
+    """The logs, and their windows.
 
-    file: Name | Annotated[tuple[Name, ...], Field(strict=False, min_length=1)] = Field(
-        description="the log, or several: tables as text, MCAP, or results of slipfree (.nc); "
-        "those of one folder are a campaign, if there are several folders"
-    )
-    surfaces: Annotated[tuple[Name, ...], Field(strict=False)] = Field(
-        default=(), description="surface of each log, with its own friction; by default one"
-    )
-    window: Positive | Name | None = Field(
-        default=None,
-        description="duration of the fitted windows, or the column with the number of the window; "
-        "by default 2 s with headings, else 5 m of path [s]",
-    )
-    step: Annotated[Positive, Field(le=0.5)] | None = Field(
-        default=None,
-        description="time between samples; by default that of the logs, at most 0.1 [s]",
-    )
-    inputs: Literal["readings", "commands"] = Field(
-        default="readings",
-        description="measured rates, or commands, which are held and which drives follow with a "
-        "lag",
-    )
-    unit: Literal["m/s", "rad/s"] = Field(
-        default="m/s", description="unit of the columns of the sides, a speed or a rate"
-    )
-    timeout: Positive | None = Field(
-        default=None,
-        description="time after which an input that is not given again counts as zero; by default "
-        "it is held [s]",
-    )
-    max_error: Positive = Field(
-        default=0.1,
-        description="largest stated error of a position, if a column has it; other rows are left "
-        "out [m]",
-    )
-    columns: DriveColumns = Field(default=DriveColumns(), description="names of the columns")
-    rates: dict[str, str] = Field(
-        default={},
-        description="column of each input and commanded joint of the vehicle, by name; by default "
-        "the column of that name [rad/s, m/s, rad, m]",
-    )
+    Attributes
+    ----------
+    file : str or tuple of str
+        The log, or several: tables as text, MCAP, or results of slipfree (.nc); those of one folder
+        are a campaign, if there are several folders.
+    surfaces : tuple of str
+        Surface of each log, with its own friction; by default one.
+    window : float or str or None
+        Duration of the fitted windows, or the column with the number of the window; by default 2 s
+        with headings, else 5 m of path. [s]
+    step : float or None
+        Time between samples; by default that of the logs, at most 0.1. [s]
+    inputs : {"readings", "commands"}
+        Measured rates, or commands, which are held and which drives follow with a lag.
+    unit : {"m/s", "rad/s"}
+        Unit of the columns of the sides, a speed or a rate.
+    timeout : float or None
+        Time after which an input that is not given again counts as zero; by default it is held. [s]
+    max_error : float
+        Largest stated error of a position, if a column has it; other rows are left out. [m]
+    columns : DriveColumns
+        Names of the columns.
+    rates : mapping of str to str
+        Column of each input and commanded joint of the vehicle, by name; by default the column of
+        that name. [rad/s, m/s, rad, m]
+    """
+
+    file: Name | Annotated[tuple[Name, ...], Field(strict=False, min_length=1)]
+    surfaces: Annotated[tuple[Name, ...], Field(strict=False)] = ()
+    window: Positive | Name | None = None
+    step: Annotated[Positive, Field(le=0.5)] | None = None
+    inputs: Literal["readings", "commands"] = "readings"
+    unit: Literal["m/s", "rad/s"] = "m/s"
+    timeout: Positive | None = None
+    max_error: Positive = 0.1
+    columns: DriveColumns = DriveColumns()
+    rates: dict[str, str] = Field(default={})
 
 
 class BoundsTable(Record):
-    """Bounds and prior of a number to be fitted."""
+    """Bounds and prior of a number to be fitted.
 
-    lower: Angle = Field(
-        default=-inf, description="lower bound, in the unit of the quantity [m, rad, Pa, 1]"
-    )
-    upper: Angle = Field(
-        default=inf, description="upper bound, in the unit of the quantity [m, rad, Pa, 1]"
-    )
-    prior: Annotated[tuple[Angle, Angle], Field(strict=False)] | None = Field(
-        default=None,
-        description="mean and standard deviation before the fit, in the unit of the quantity "
-        "[m, rad, Pa, 1]",
-    )
+    Attributes
+    ----------
+    lower : float
+        Lower bound, in the unit of the quantity. [m, rad, Pa, 1]
+    upper : float
+        Upper bound, in the unit of the quantity. [m, rad, Pa, 1]
+    prior : tuple of float or None
+        Mean and standard deviation before the fit, in the unit of the quantity. [m, rad, Pa, 1]
+    """
+
+    lower: Angle = -inf
+    upper: Angle = inf
+    prior: Annotated[tuple[Angle, Angle], Field(strict=False)] | None = None
 
 
 class UnknownTable(BoundsTable):
-    """A number to be fitted."""
+    """A number to be fitted.
+
+    Attributes
+    ----------
+    wheels : tuple of str
+        Wheels that share the number; by default all.
+    of : str
+        Surface or campaign that has the number; else all.
+    """
 
     quantity: str | None = Field(
         default=None,
         description=f"{', '.join(BALANCE)}, or a constant of soil; by default the name of the "
         "table",
     )
-    wheels: Annotated[tuple[str, ...], Field(strict=False)] = Field(
-        default=(), description="wheels that share the number; by default all"
-    )
-    of: str = Field(default="", description="surface or campaign that has the number; else all")
+    wheels: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    of: str = ""
 
 
 class Fit(CommonKeys):
-    """Fit: a vehicle as a force balance with inertia, from logs of inputs and poses."""
+    """Fit: a vehicle as a force balance with inertia, from logs of inputs and poses.
+
+    Attributes
+    ----------
+    frame : Frame
+        Axis from which the headings of the logs count: y, or x.
+    vehicle : VehicleSource or None
+        The vehicle, with nominal values; by default four wheels whose sides are driven.
+    terrain : TerrainTable or None
+        Map under the logs; by default the ground is level.
+    shift : tuple of 2 floats
+        Place on the map of the origin of the logs. [m]
+    smoothing : float
+        Standard deviation over which slopes are averaged. [m]
+    map_error : HeightErrors or None
+        Error of the map: what it changes in the fit is subtracted.
+    data : Data
+        The logs.
+    constants : mapping of str to float
+        Numbers that are not fitted, by quantity; 'inertia' = 0 is quasi-static. [m, s, 1]
+    unknowns : mapping of str to UnknownTable
+        Numbers to be fitted, by name, beside the usual ones or in their place. [m, rad, s, 1]
+    """
 
     verb: Literal["fit"] = Field(description=VERB)
-    frame: Frame = Field(
-        default="paper", description="axis from which the headings of the logs count: y, or x"
-    )
-    vehicle: VehicleSource | None = Field(
-        default=None,
-        description="the vehicle, with nominal values; by default four wheels whose sides are "
-        "driven",
-    )
-    terrain: TerrainTable | None = Field(
-        default=None, description="map under the logs; by default the ground is level"
-    )
-    shift: Pair = Field(
-        default=(0.0, 0.0), description="place on the map of the origin of the logs [m]"
-    )
-    smoothing: Quantity = Field(
-        default=0.0, ge=0, description="standard deviation over which slopes are averaged [m]"
-    )
-    map_error: HeightErrors | None = Field(
-        default=None, description="error of the map: what it changes in the fit is subtracted"
-    )
-    data: Data = Field(description="the logs")
-    constants: dict[str, float] = Field(
-        default={},
-        description="numbers that are not fitted, by quantity; 'inertia' = 0 is quasi-static "
-        "[m, s, 1]",
-    )
-    unknowns: dict[str, UnknownTable] = Field(
-        default={},
-        description="numbers to be fitted, by name, beside the usual ones or in their place "
-        "[m, rad, s, 1]",
-    )
+    frame: Frame = "paper"
+    vehicle: VehicleSource | None = None
+    terrain: TerrainTable | None = None
+    shift: Pair = (0.0, 0.0)
+    smoothing: Quantity = Field(default=0.0, ge=0)
+    map_error: HeightErrors | None = None
+    data: Data
+    constants: dict[str, float] = Field(default={})
+    unknowns: dict[str, UnknownTable] = Field(default={})
 
     @property
     def named_files(self) -> tuple[str, ...]:

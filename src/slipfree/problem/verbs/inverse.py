@@ -82,34 +82,52 @@ TIMEOUT = "timeout"  # key of [given] beside 'file'
 
 
 class PathTable(Record):
-    """Timed path: positions and headings of the platform's centre, as arrays or from a file."""
+    """Timed path: positions and headings of the platform's centre, as arrays or from a file.
 
-    t: Column | None = Field(default=None, description="times, increasing from 0 [s]")
-    x: Column | None = Field(default=None, description="x at these times [m]")
-    y: Column | None = Field(default=None, description="y at these times [m]")
-    heading: Angles | None = Field(default=None, description="headings at these times [rad]")
-    file: str | None = Field(default=None, description="CSV file with the columns t, x, y, heading")
+    Attributes
+    ----------
+    t : tuple of float or None
+        Times, increasing from 0. [s]
+    x : tuple of float or None
+        x at these times. [m]
+    y : tuple of float or None
+        y at these times. [m]
+    heading : tuple of float or None
+        Headings at these times. [rad]
+    file : str or None
+        CSV file with the columns t, x, y, heading.
+    """
+
+    t: Column | None = None
+    x: Column | None = None
+    y: Column | None = None
+    heading: Angles | None = None
+    file: str | None = None
 
 
 class Inverse(MotionKeys):
-    """Inverse problem: wheel and steering rates for given platform rates or a platform path."""
+    """Inverse problem: wheel and steering rates for given platform rates or a platform path.
+
+    Attributes
+    ----------
+    given : mapping of str to float, tuple or str or None
+        Rates of the platform by name, or 'file', a CSV file of rates over time, with 'timeout', the
+        time after which a rate that is not given again is zero; by default it is held. [m/s, rad/s,
+        s]
+    exact : bool or None
+        Whether rates in the heading frame are met exactly; otherwise their errors are minimised;
+        true by default unless all three are given.
+    path : PathTable or None
+        a timed path, instead of given rates.
+    steering : {"rate", "angle"}
+        Unknown of the steering: its rate or its angle.
+    """
 
     verb: Literal["inverse"] = Field(description=VERB)
-    given: dict[str, TimeFunction] | None = Field(
-        default=None,
-        description="rates of the platform by name, or 'file', a CSV file of rates over time, with "
-        "'timeout', the time after which a rate that is not given again is zero; by default it is "
-        "held [m/s, rad/s, s]",
-    )
-    exact: bool | None = Field(
-        default=None,
-        description="whether rates in the heading frame are met exactly; otherwise their errors "
-        "are minimised; true by default unless all three are given",
-    )
-    path: PathTable | None = Field(default=None, description="a timed path, instead of given rates")
-    steering: Literal["rate", "angle"] = Field(
-        default="angle", description="unknown of the steering: its rate or its angle"
-    )
+    given: dict[str, TimeFunction] | None = None
+    exact: bool | None = None
+    path: PathTable | None = None
+    steering: Literal["rate", "angle"] = "angle"
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
         **TerrainKeys.alternatives,

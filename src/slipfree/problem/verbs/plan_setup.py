@@ -98,75 +98,96 @@ GuideName = Literal["straight", "follow", "route", "reeds-shepp", "step-climbing
 
 
 class GuideTable(ClimbingDriver):
-    """Initial guess of a plan: a driving law along paths or along routes over the ground."""
+    """Initial guess of a plan: a driving law along paths or along routes over the ground.
 
-    name: GuideName = Field(  # type: ignore[assignment]
-        description="law; 'route': follow a path that a search finds on the map; 'reeds-shepp': "
-        "drive forwards and backwards along the shortest path of a car on even ground; "
-        "'step-climbing': plan of a step climber over solids"
-    )
-    turning_radius: NonNegative | None = Field(
-        default=None,
-        description="smallest turning radius of a route, or of the shortest path of a car; "
-        "default: that of the driving law [m]",
-    )
+    Attributes
+    ----------
+    name : str
+        Law; 'route': follow a path that a search finds on the map; 'reeds-shepp': drive forwards
+        and backwards along the shortest path of a car on even ground; 'step-climbing': plan of a
+        step climber over solids.
+    turning_radius : float or None
+        Smallest turning radius of a route, or of the shortest path of a car; default: that of the
+        driving law. [m]
+    paths : tuple of tuple of tuple of 2 floats or None
+        Several paths of way-points; the plan of least cost is returned. [m]
+    count : int
+        Number of routes, which pass obstacles on different sides; the plan of least cost is
+        returned.
+    """
+
+    name: GuideName  # type: ignore[assignment]
+    turning_radius: NonNegative | None = None
     paths: Annotated[
         tuple[Annotated[tuple[Pair, ...], Field(strict=False)], ...] | None,
         Field(strict=False, min_length=1),
-    ] = Field(
-        default=None,
-        description="several paths of way-points; the plan of least cost is returned [m]",
-    )
-    count: Annotated[int, Field(ge=1, le=100)] = Field(
-        default=1,
-        description="number of routes, which pass obstacles on different sides; the plan of least "
-        "cost is returned",
-    )
+    ] = None
+    count: Annotated[int, Field(ge=1, le=100)] = 1
 
 
 class KeepOut(RegionTable):
-    """A region that no wheel may touch: a disc or a polygon."""
+    """A region that no wheel may touch: a disc or a polygon.
 
-    longitude: float | None = Field(default=None, description="longitude, instead of x [deg]")
-    latitude: float | None = Field(default=None, description="latitude, instead of y [deg]")
+    Attributes
+    ----------
+    longitude : float or None
+        Longitude, instead of x. [deg]
+    latitude : float or None
+        Latitude, instead of y. [deg]
+    """
+
+    longitude: float | None = None
+    latitude: float | None = None
 
 
 class Robust(Record):
-    """Random worlds in which a plan is simulated, and the share in which its limits must hold."""
+    """Random worlds in which a plan is simulated, and the share in which its limits must hold.
 
-    share: Annotated[float, Field(gt=0, lt=1)] = Field(
-        default=0.95, description="share of draws for which the plan must satisfy its limits [1]"
-    )
-    draws: Annotated[int, Field(ge=1, le=100_000)] = Field(
-        default=50, description="number of draws that determine the tightening of a round"
-    )
-    final_draws: Annotated[int, Field(ge=1, le=100_000)] = Field(
-        default=200, description="number of further draws, which determine the final share"
-    )
-    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="seed of all draws")
-    map: HeightErrors | None = Field(default=None, description="errors of the heights of the map")
-    friction: NonNegative = Field(
-        default=0.0, description="relative standard deviation of the friction of the ground [1]"
-    )
-    inputs: NonNegative = Field(
-        default=0.0, description="relative standard deviation of the gain of each input [1]"
-    )
-    goal: Positive | None = Field(
-        default=None,
-        description="tolerance of goals and way-points that are values, not ranges; by default "
-        "draws may miss them [m, rad]",
-    )
+    Attributes
+    ----------
+    share : float
+        Share of draws for which the plan must satisfy its limits. [1]
+    draws : int
+        Number of draws that determine the tightening of a round.
+    final_draws : int
+        Number of further draws, which determine the final share.
+    seed : int
+        Seed of all draws.
+    map : HeightErrors or None
+        Errors of the heights of the map.
+    friction : float
+        Relative standard deviation of the friction of the ground. [1]
+    inputs : float
+        Relative standard deviation of the gain of each input. [1]
+    goal : float or None
+        Tolerance of goals and way-points that are values, not ranges; by default draws may miss
+        them. [m, rad]
+    """
+
+    share: Annotated[float, Field(gt=0, lt=1)] = 0.95
+    draws: Annotated[int, Field(ge=1, le=100_000)] = 50
+    final_draws: Annotated[int, Field(ge=1, le=100_000)] = 200
+    seed: Annotated[int, Field(ge=0)] = 0
+    map: HeightErrors | None = None
+    friction: NonNegative = 0.0
+    inputs: NonNegative = 0.0
+    goal: Positive | None = None
 
 
 class PlanTime(Time):
-    """Sampling of the motion, and its duration."""
+    """Sampling of the motion, and its duration.
 
-    duration: Positive = Field(
-        default=inf,
-        description="duration of the plan, if plan.duration does not give it, and of the initial "
-        "guess with [inputs]; longest one with a driver, by default up to the goal [s]",
-    )
-    step: Positive = Field(default=SAMPLE_STEP, description="time between samples [s]")
+    Attributes
+    ----------
+    duration : float
+        Duration of the plan, if plan.duration does not give it, and of the initial guess with
+        [inputs]; longest one with a driver, by default up to the goal. [s]
+    step : float
+        Time between samples. [s]
+    """
+
+    duration: Positive = inf
+    step: Positive = SAMPLE_STEP
 
 
 OfMesh: Any = record_of(Mesh, omitted=("step",))
@@ -174,34 +195,34 @@ Options: Any = record_of(Search, OfMesh)
 
 
 class PlanTable(Options):  # type: ignore[misc]
-    """Options of the search for a plan."""
+    """Options of the search for a plan.
 
-    duration: Range = Field(
-        default=None,
-        description="duration of the plan, or its range; default: time.duration, otherwise half to "
-        "twice that of the initial guess [s]",
-    )
-    smooth: NonNegative = Field(
-        default=0.0, description="weight of the squared rates of the inputs [1]"
-    )
-    window: Positive | None = Field(
-        default=None,
-        description="length of the windows of a long plan along its route, with 'intervals' each; "
-        "default: one plan for the whole motion [m]",
-    )
-    overlap: Positive | None = Field(
-        default=None,
-        description="length at the end of a window that is planned again in the next window; "
-        "default: a third of the window [m]",
-    )
-    robust: Robust | None = Field(
-        default=None, description="random worlds in which the plan must satisfy its limits"
-    )
-    sliding: bool = Field(
-        default=False,
-        description="with model = 'dynamics': whether wheels may slide, as in a turn of a "
-        "skid-steered vehicle; otherwise they roll within the limits of friction",
-    )
+    Attributes
+    ----------
+    duration : tuple of 2 floats
+        Duration of the plan, or its range; default: time.duration, otherwise half to twice that of
+        the initial guess. [s]
+    smooth : float
+        Weight of the squared rates of the inputs. [1]
+    window : float or None
+        Length of the windows of a long plan along its route, with 'intervals' each; default: one
+        plan for the whole motion. [m]
+    overlap : float or None
+        Length at the end of a window that is planned again in the next window; default: a third of
+        the window. [m]
+    robust : Robust or None
+        Random worlds in which the plan must satisfy its limits.
+    sliding : bool
+        With model = 'dynamics': whether wheels may slide, as in a turn of a skid-steered vehicle;
+        otherwise they roll within the limits of friction.
+    """
+
+    duration: Range = None
+    smooth: NonNegative = 0.0
+    window: Positive | None = None
+    overlap: Positive | None = None
+    robust: Robust | None = None
+    sliding: bool = False
 
     @property
     def shared_length(self) -> float:
@@ -210,47 +231,54 @@ class PlanTable(Options):  # type: ignore[misc]
 
 
 class PlanKeys(Modelled):
-    """Planning problem: the inputs that reach a goal at least cost."""
+    """Planning problem: the inputs that reach a goal at least cost.
+
+    Attributes
+    ----------
+    goal : mapping of str to tuple of 2 floats
+        Ranges of states or unknowns at the end, by name; also longitude and latitude in degrees, as
+        in start. [m, rad]
+    costs : mapping of str to float
+        Weights of integrals over time: slip, effort, time, energy, or any quantity squared. [1]
+    cost_limits : mapping of str to float
+        Upper bounds of integrals over time, named as in costs. [1]
+    limits : mapping of str to tuple of 2 floats
+        Ranges of quantities during the motion, in their units. [m, rad, 1]
+    bounds : mapping of str to tuple of 2 floats
+        Ranges of the inputs. [rad/s, m/s]
+    accelerations : mapping of str to tuple of 2 floats
+        Ranges of the time derivatives of the inputs. [rad/s2, m/s2]
+    plan : PlanTable
+        Options of the search.
+    time : PlanTime
+        Sampling, and duration of the guess.
+    start : mapping of str to float
+        As in other problems; zero by default. [m, rad, m/s]
+    keep_out : tuple of KeepOut
+        Regions that no wheel may touch.
+    way_points : tuple of mapping of str to tuple of 2 floats
+        Ranges as in the goal, at the fraction 'at' of the duration. [m, rad]
+    driver : GuideTable or None
+        Driving law of the initial guess, instead of inputs; without both, a law that suits the
+        goal.
+    """
 
     verb: Literal["plan"] = Field(description=VERB)
-    goal: dict[str, Range] = Field(
-        description="ranges of states or unknowns at the end, by name; also longitude and latitude "
-        "in degrees, as in start [m, rad]"
-    )
-    costs: dict[str, NonNegative] = Field(
-        description="weights of integrals over time: slip, effort, time, energy, or any quantity "
-        "squared [1]"
-    )
-    cost_limits: dict[str, Positive] = Field(
-        default={}, description="upper bounds of integrals over time, named as in costs [1]"
-    )
-    limits: dict[str, Range] = Field(
-        default={}, description="ranges of quantities during the motion, in their units [m, rad, 1]"
-    )
-    bounds: dict[str, Range] = Field(default={}, description="ranges of the inputs [rad/s, m/s]")
-    accelerations: dict[str, Range] = Field(
-        default={}, description="ranges of the time derivatives of the inputs [rad/s2, m/s2]"
-    )
-    plan: PlanTable = Field(default=PlanTable(), description="options of the search")
-    time: PlanTime = Field(default=PlanTime(), description="sampling, and duration of the guess")
-    start: dict[str, Quantity] = Field(
-        default={}, description="as in other problems; zero by default [m, rad, m/s]"
-    )
-    keep_out: Annotated[tuple[KeepOut, ...], Field(strict=False)] = Field(
-        default=(), description="regions that no wheel may touch"
-    )
-    way_points: Annotated[tuple[dict[str, Range], ...], Field(strict=False)] = Field(
-        default=(),
-        description="ranges as in the goal, at the fraction 'at' of the duration [m, rad]",
-    )
+    goal: dict[str, Range]
+    costs: dict[str, NonNegative]
+    cost_limits: dict[str, Positive] = Field(default={})
+    limits: dict[str, Range] = Field(default={})
+    bounds: dict[str, Range] = Field(default={})
+    accelerations: dict[str, Range] = Field(default={})
+    plan: PlanTable = PlanTable()
+    time: PlanTime = PlanTime()
+    start: dict[str, Quantity] = Field(default={})
+    keep_out: Annotated[tuple[KeepOut, ...], Field(strict=False)] = ()
+    way_points: Annotated[tuple[dict[str, Range], ...], Field(strict=False)] = ()
     inputs: dict[str, PiecewiseConstant] | None = Field(
         default=None, description=f"inputs of the initial guess, rates with any model: {INPUTS}"
     )
-    driver: GuideTable | None = Field(
-        default=None,
-        description="driving law of the initial guess, instead of inputs; without both, a law that "
-        "suits the goal",
-    )
+    driver: GuideTable | None = None
 
     @property
     def duration(self) -> Range | float | None:
