@@ -19,6 +19,10 @@ from jupyter_client.manager import KernelManager
 from nbclient import NotebookClient
 
 import slipfree
+from slipfree import load_problem, run_problem
+from slipfree.problem.load import verb_of
+from slipfree.show import viewer
+from slipfree.show.drive_scene import drive_scene
 from slipfree.system.threads import single
 
 DOCS = Path(__file__).parent
@@ -28,7 +32,7 @@ from made import fill  # noqa: E402
 
 single()  # notebooks are executed side by side
 
-NOTEBOOKS = DOCS / "notebooks"
+NOTEBOOKS, INTERACTIVE = DOCS / "notebooks", DOCS / "interactive"
 SHIPPED = find_spec("sphinx-mathjax-offline")  # a package of MathJax's files
 if SHIPPED is None or SHIPPED.origin is None:
     raise ImportError("pages need MathJax without network: python -m pip install '.[docs]'")
@@ -52,6 +56,7 @@ exclude_patterns = ["_build", "*.py"]  # notebooks lie in a folder
 html_theme = "furo"
 html_title = f"slipfree {release}"
 html_static_path = [str(Path(SHIPPED.origin).parent / "static/mathjax/tex-svg.js"), "wrap.css"]
+html_extra_path = ["interactive"]
 html_css_files = ["wrap.css"]  # long lines of code blocks, such as printed tables
 html_copy_source = html_show_sourcelink = False
 mathjax_path = "tex-svg.js"
@@ -101,6 +106,19 @@ def _copy_notebooks(*_: Any) -> None:
             shutil.copyfile(source, target)
 
 
+def _save_motion(*_: Any) -> None:
+    """Save the page of a motion for the first page, unless it is up to date."""
+    page = INTERACTIVE / "motion.html"
+    state = f"<!-- {_sources_digest()} -->"
+    if page.exists() and page.read_text(encoding="utf-8").endswith(state):
+        return
+    result = run_problem(load_problem(DOCS.parent / "problems" / "moon_craters.toml"))
+    scene = drive_scene([verb_of(result.problem).shown(result, "rocky7")])
+    html = viewer.page(scene, "Rocky 7 over small craters on the moon", "height")
+    INTERACTIVE.mkdir(exist_ok=True)
+    page.write_text(html + state, encoding="utf-8")
+
+
 def _fill(app: Any, _page: str, source: list[str]) -> None:
     """Generate the parts of a page that come from the package and from lists of other pages."""
     text = fill(source[0])
@@ -133,6 +151,7 @@ def _renumber(_app: Any, page: Any, _name: str) -> None:
 def setup(app: Any) -> None:
     """Register what is done before pages are read."""
     app.connect("config-inited", _copy_notebooks)
+    app.connect("config-inited", _save_motion)
     app.connect("source-read", _fill)
     app.connect("autodoc-skip-member", _leave_out)
     app.connect("autodoc-process-docstring", _tame, priority=0)

@@ -20,9 +20,9 @@ from slipfree.show.plots import draw
 
 DOCS = Path(__file__).parent
 FOLDER = DOCS / "figures" / "gallery"
-DPI, COLORS = 80, 128  # of the figures
+DPI, COLORS = 150, 64  # of the figures, which pages show at half their size or less
 FILM = "film"  # name of a film instead of a figure
-STRIDE, WIDTH, FILM_COLORS = 4, 440, 64  # every fourth frame of a film, its pixels and colours
+STRIDE, WIDTH, FILM_COLORS = 4, 640, 48  # every fourth frame of a film, its pixels and colours
 FRAME = 200  # duration of a frame [ms]
 OCTREE = Image.Quantize.FASTOCTREE  # keeps greys grey, and the few pixels of arrows magenta
 
