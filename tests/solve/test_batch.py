@@ -181,8 +181,7 @@ def test_motions_converge_with_third_order(model):
 
 
 def test_estimates_have_the_size_of_the_errors(model):
-    count = 24
-    inputs = rates(count, seed=2)
+    inputs = rates(24, seed=2)
     coarse, fine = (
         sf.rollouts(model, {}, inputs, T, method="batch", step=step, quantities=["x", "y"])
         for step in (0.04, 0.005)
@@ -375,14 +374,15 @@ def test_one_motion_is_refined_to_the_tolerance(model):
 
 
 @pytest.mark.slow
-def test_ends_on_rough_ground_are_those_of_simulate(rng):
+@pytest.mark.parametrize("shortest", [0.5, 0.2])
+def test_ends_on_rough_ground_are_those_of_simulate(rng, shortest):
     """Ground nearly as curved as the wheels: near second contacts, folds and stops."""
-    dae = sf.direct_kinematics(sf.catalog.three_wheeler(), hills(rms=0.1, shortest=0.5))
-    count = 10
-    starts = {"x": rng.uniform(-3, 3, count), "y": rng.uniform(-3, 3, count)}
-    inputs = {name: 3 * values for name, values in rates(count, spread=0.1).items()}
+    dae = sf.direct_kinematics(sf.catalog.three_wheeler(), hills(rms=0.1, shortest=shortest))
+    starts = dict(zip("xy", rng.uniform(-3, 3, (2, 10)), strict=True))
+    inputs = {name: 3 * values for name, values in rates(10, spread=0.1).items()}
     exact = sf.rollouts(dae, starts, inputs, T, options=sf.SolverOptions(tolerance=1e-8))
     lanes = sf.rollouts(dae, starts, inputs, T, method="batch", step=0.1)
     assert_array_equal(lanes["outcome"], exact["outcome"])
     assert_allclose(lanes["end"], exact["end"], atol=0.01)
-    assert {"complete", "limit"} <= set(exact["outcome"].values)
+    assert np.isnan(lanes["error"]).sum() <= 1  # motions that are left to `simulate`
+    assert ({"complete", "limit"} if shortest == 0.5 else {"limit"}) <= {*exact["outcome"].values}

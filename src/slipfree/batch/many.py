@@ -415,6 +415,11 @@ def assemble_state(graphs: Graphs, x: Array, z: Array, q: Array) -> Array:
     return state
 
 
+def lanes_at_once(graphs: Graphs, t: Array) -> int:
+    """Return the largest number of lanes that are computed together."""
+    return int(min(CHUNK, max(8, LARGEST // (graphs.rows.t.stop * t.size))))
+
+
 def run_lanes(
     evaluate: Evaluator,
     states: Array,
@@ -425,53 +430,17 @@ def run_lanes(
     quantities: Sequence[str] | None = None,
     placed: bool = False,
 ) -> LaneResults:
-    """Return the motions of many lanes.
+    """Return the motions of lanes, with an outcome and a reason for each.
 
     The states (n_rows, n) at the start are those of `start_states` or, if ``placed``, have
     consistent positions; the inputs have the shape (n_u, m - 1, n). The largest length of a step is
     by default half the size of the vehicle [m]. ``quantities`` are the names of those to keep, by
     default all. ModelError is raised for unknown quantities.
     """
-    sources = sources_of(evaluate.graphs, quantities)
-    dae = evaluate.graphs.dae
+    graphs, states, n = evaluate.graphs, states.copy(), states.shape[1]
+    sources = sources_of(graphs, quantities)
     if step is None:
-        step = dae.size * (STEP if dae.lag is None else RELAXING_STEP)
-    size = min(CHUNK, max(8, LARGEST // (len(states) * t.size)))
-    parts = [
-        _run(
-            evaluate,
-            states[:, k : k + size].copy(),
-            inputs[..., k : k + size],
-            t,
-            step,
-            sources,
-            placed=placed,
-        )
-        for k in range(0, states.shape[1], size)
-    ]
-    columns = {
-        name: Column(source.label, np.concatenate([part.columns[name].values for part in parts]))
-        for name, source in sources.items()
-    }
-    wheels = next((source.wheels for source in sources.values() if source.wheels), ())
-    texts = [[text for part in parts for text in part[k]] for k in (2, 3)]
-    numbers: list[Any] = [np.concatenate([part[k] for part in parts]) for k in (4, 5, 6)]
-    return LaneResults(columns, wheels, texts[0], texts[1], *numbers)
-
-
-def _run(
-    evaluate: Evaluator,
-    states: Array,
-    inputs: Array,
-    t: Array,
-    step: float,
-    sources: Mapping[str, Wanted],
-    *,
-    placed: bool,
-) -> LaneResults:
-    """Return the motions of many lanes, with an outcome and a reason for each."""
-    graphs = evaluate.graphs
-    n = states.shape[1]
+        step = graphs.dae.size * (STEP if graphs.dae.lag is None else RELAXING_STEP)
     has_pose = np.ones(n, dtype=bool) if placed else stand(evaluate, states).has_pose
     states[graphs.rows.p, ~has_pose] = np.nan
     motions = integrate_lanes(evaluate, states, inputs, t, step)
@@ -499,7 +468,8 @@ def _run(
     end = np.where(has_pose & (motions.reason != INVALID_START), motions.end, np.nan)
     x, y, _ = graphs.places
     error = np.hypot(motions.errors[x], motions.errors[y])
-    return LaneResults(columns, (), outcomes, reasons, end, error, disputed)
+    wheels = next((source.wheels for source in sources.values() if source.wheels), ())
+    return LaneResults(columns, wheels, outcomes, reasons, end, error, disputed)
 
 
 def _end(graphs: Graphs, code: int, state: Array) -> tuple[str, str]:

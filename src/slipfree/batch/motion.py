@@ -38,7 +38,9 @@ MAX_BISECTIONS = 90
 # of half the length follow each other, down to a share of the relaxation time.
 GRADED, LAST_SHARE = 6, 1 / 8
 NEAR = 0.05  # clearance at a limit below which a second contact may be earlier [size]
-PARTS = 16  # of the time before such a limit, at whose ends clearances are computed
+# parts of the time before such a limit or an unsolved step, at whose ends clearances are computed;
+# a contact often vanishes soon after a second one
+PARTS = (*np.arange(8) / 8, *1 - 0.5 ** np.arange(4, 12), 1.0)
 MIN_SHARE = 0.02  # of a bracket on either side of a secant
 SETTLED = 1e-3  # correction of the positions beyond a limit [typical sizes]
 POSITION_STEPS = 12  # most Newton steps of the positions at samples
@@ -198,6 +200,8 @@ def _integrate(
     failed = ends.check_samples() if certify else np.full(reached.size, t.size)
     ends.locate_limits(np.flatnonzero(started & (run.reason >= 0) & (failed == t.size)))
     ends.end_at_samples(failed)
+    if certify and (run.reason == UNSOLVED).any():
+        ends.end_unsolved(np.flatnonzero((run.reason == UNSOLVED) & started & (failed == t.size)))
     for k in np.unique(failed[failed < t.size]):
         run.samples[k:, :, failed == k] = np.nan
     if not is_stiff:
@@ -392,21 +396,25 @@ class _Ends:
         return failed
 
     def end_at_samples(self, failed: Indices) -> None:
-        """End lanes at checks that fail at samples, before which they are located."""
-        for k in np.unique(failed[failed < self.t.size]):
-            lanes = np.flatnonzero(failed == k)
-            states = self.run.samples[k, : self.rows.t.stop, lanes].T.copy()
-            if k:
-                self._end_at_checks(lanes, states, *self._interval(lanes, k - 1, self.t[k]))
-            else:
-                self.reason[lanes] = INVALID_START
-                self._close(lanes, states, states)
+        """End lanes at the checks of samples that they fail, before which they are located."""
+        start = np.flatnonzero(failed == 0)
+        if start.size:
+            states = self.run.samples[0, : self.rows.t.stop, start].T
+            self.reason[start] = INVALID_START
+            self._close(start, states, states)
+        lanes = np.flatnonzero((failed > 0) & (failed < self.t.size))
+        self.reason[lanes] = LOST
+        self._search_contacts(lanes, failed[lanes] - 1, self.t[failed[lanes]])
 
-    def _interval(self, lanes: Indices, k: Any, time: Any) -> tuple[_Step, Indices]:
-        """Return steps of lanes from sample ``k`` to a time, and their numbers."""
-        states = self.run.samples[k, : self.rows.t.stop, lanes].T.copy()
-        number = self.run.counts[k, lanes].astype(int)
-        return _Step(states, (time - states[self.rows.t][0]) / number), number
+    def end_unsolved(self, lanes: Indices) -> None:
+        """End lanes that are not solved beyond their last steps at second contacts before, if any.
+
+        Beyond a second contact, the contact of a wheel may vanish.
+        """
+        last = _Step(*(each[..., lanes] for each in self.run.last))
+        self._search_contacts(lanes, self.run.reached[lanes], last.states[self.rows.t][0])
+        left = self.reason[lanes] == UNSOLVED
+        self._search_parts(lanes[left], last.of(left), np.ones(left.sum(), dtype=int))
 
     def locate_limits(self, lanes: Indices) -> None:
         """Locate limits in the last steps of lanes; end at contacts that come before them."""
@@ -425,18 +433,33 @@ class _Ends:
         if self.certify:
             near = NEAR * self.evaluate.graphs.dae.size
             close = clearances(self.evaluate, low).min(axis=0) < near
-            self._search_contacts(lanes[close], low[self.rows.t][0, close])
+            which = lanes[close]
+            self._search_contacts(which, self.run.reached[which], low[self.rows.t][0, close])
 
-    def _search_contacts(self, lanes: Indices, time: Array) -> None:
-        """End lanes at a second contact that came and went between the last sample and a limit."""
+    def _search_contacts(self, lanes: Indices, k: Indices, time: Array) -> None:
+        """End lanes at their first second contact between samples ``k`` and times, if any."""
         if not lanes.size:
             return
-        step, number = self._interval(lanes, self.run.reached[lanes], time)
-        for part in range(1, PARTS + 1):
-            at = self._advanced(step._replace(h=step.h * part / PARTS), number)
-            bad = ~(clearances(self.evaluate, at).min(axis=0) >= 0)
-            self._end_at_checks(_of(bad, lanes), _of(bad, at), step.of(bad), _of(bad, number))
-            lanes, number, step = _of(~bad, lanes), _of(~bad, number), step.of(~bad)
+        states = self.run.samples[k, : self.rows.t.stop, lanes].T.copy()
+        number = self.run.counts[k, lanes].astype(int)
+        h = (time - states[self.rows.t][0]) / number
+        self._search_parts(lanes, _Step(states, h), number)
+
+    def _search_parts(self, lanes: Indices, step: _Step, number: Indices) -> None:
+        """End lanes at their first second contact within steps, if any."""
+        if not lanes.size:
+            return
+        times = step.states[self.rows.t] + np.reshape(PARTS, (-1, 1)) * step.h * number
+        counts = np.ceil(np.diff(PARTS)[:, None] * number)
+        parts = self._driven(step.states, times, counts)
+        for k in range(1, len(PARTS)):
+            at = parts[k].copy()
+            bad = clearances(self.evaluate, at).min(axis=0) < 0  # not where it is unsolved
+            part = _Step(parts[k - 1], (times[k] - times[k - 1]) / counts[k - 1])
+            few = counts[k - 1].astype(int)
+            self._end_at_checks(_of(bad, lanes), _of(bad, at), part.of(bad), _of(bad, few))
+            lanes, parts = _of(~bad, lanes), _of(~bad, parts)
+            times, counts = _of(~bad, times), _of(~bad, counts)
             if not lanes.size:
                 break
 
@@ -456,8 +479,18 @@ class _Ends:
             which, reason = lanes[chosen], check + len(self.evaluate.graphs.dae.limits)
             self.reason[which] = np.where(lost, LOST, reason)
             self._close(which, low, high)
-            earlier = ~(clearances(self.evaluate, low).min(axis=0) >= 0)  # of another wheel
+            earlier = clearances(self.evaluate, low).min(axis=0) < 0  # of another wheel
             self.reason[which[earlier]] = LOST
+            part = step.of(chosen)
+            h = (low - part.states)[self.rows.t][0] / number[chosen]
+            for width in (h, part.h - h):  # neither at the begin nor as late as before
+                earlier &= width * number[chosen] > CROSSING_TOLERANCE
+            self._end_at_checks(
+                which[earlier],
+                low[:, earlier],
+                part._replace(h=h).of(earlier),
+                number[chosen][earlier],
+            )
 
     def _close(self, lanes: Indices, last: Array, beyond: Array) -> None:
         self.end[lanes] = last[self.rows.t]
@@ -467,10 +500,13 @@ class _Ends:
         """Return the states after steps without limits, NaN where they are not solved."""
         start = step.states[self.rows.t]
         times = np.concatenate([start, start + step.h * count])
-        inputs, kept = step.states[self.rows.u][:, None], self.rows.t.stop
-        counts = count[None].astype(float)
-        run = _drive(self.evaluate, step.states, inputs, times, GIVEN, kept, counts)
-        return np.asarray(run.samples[1])
+        return np.asarray(self._driven(step.states, times, count[None].astype(float))[1])
+
+    def _driven(self, states: Array, times: Array, counts: Array) -> Array:
+        """Return the states at times (m, n) after given numbers of steps (m - 1, n) between."""
+        inputs = np.repeat(states[self.rows.u][:, None], len(counts), axis=1)
+        run = _drive(self.evaluate, states, inputs, times, GIVEN, self.rows.t.stop, counts)
+        return np.asarray(run.samples)
 
     def _locate(
         self, step: _Step, count: Indices, at: Array, margin: Callable[[Array, Array], Array]

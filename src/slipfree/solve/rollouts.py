@@ -13,7 +13,7 @@ import numpy as np
 
 from slipfree.batch.evaluator import evaluator_of
 from slipfree.batch.graph import graphs_of
-from slipfree.batch.many import run_lanes, start_states, states_of
+from slipfree.batch.many import lanes_at_once, run_lanes, start_states, states_of
 from slipfree.core.arguments import BY_NAME, check_angles, checked
 from slipfree.core.dae import Dae, InputValue, PiecewiseLinear
 from slipfree.core.errors import ModelError, SlipfreeError, require
@@ -338,17 +338,20 @@ def _run_batch(common: _Common, numbers: Array) -> list[_Results]:
             if values.ndim == 2:
                 values = (values if len(values) == 1 else values[chosen]).T
             row[:] = values.reshape(-1, 1) if values.ndim < 2 else values
-        lanes = run_lanes(
-            evaluator_of(dae),
-            np.broadcast_to(states, (len(states), chosen.size)).copy(),
-            inputs,
-            common.t,
-            step=common.step,
-            quantities=common.quantities,
-            placed=placed,
-        )
-        results.append(_Results(chosen, *lanes[:6]))
-        results += _simulate_runs(common, chosen[lanes.disputed])
+        states = np.broadcast_to(states, (len(states), chosen.size))
+        size = lanes_at_once(graphs, common.t)
+        for part in (slice(k, k + size) for k in range(0, chosen.size, size)):
+            lanes = run_lanes(
+                evaluator_of(dae),
+                states[:, part],
+                inputs[..., part],
+                common.t,
+                step=common.step,
+                quantities=common.quantities,
+                placed=placed,
+            )
+            results.append(_Results(chosen[part], *lanes[:6]))
+            results += _simulate_runs(common, chosen[part][lanes.disputed])
     return results
 
 
