@@ -23,6 +23,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from slipfree.contact.nearest_points import minima
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import lookup_function
 from slipfree.core.quantities import quantity_label
@@ -198,12 +199,7 @@ def _smallest_gaps(
 
 
 def _second_minima(gap: Array) -> Mask:
-    rim, tube = gap.shape[1:]
-    padded = np.pad(gap, ((0, 0), (1, 1), (1, 1)), constant_values=np.inf)
-    low = np.ones(gap.shape, dtype=bool)
-    for i in (0, 1, 2):
-        for j in (0, 1, 2):
-            low &= gap <= padded[:, i : i + rim, j : j + tube]
+    (rim, tube), low = gap.shape[1:], minima(gap)
     # the contact point lies in the middle of the grid, which starts from its normal
     low[:, rim // 2 - 1 : rim // 2 + 2, max(tube // 2 - 1, 0) : tube // 2 + 2] = False
     return low

@@ -33,10 +33,10 @@ import numpy as np
 
 from slipfree.contact.touch import Plane, jet_function, plane_of
 from slipfree.core.evaluation import evaluate
-from slipfree.core.records import Array, Indices
+from slipfree.core.records import Array, Indices, Mask
 from slipfree.geometry.frame import Pose, translation
 from slipfree.system.forks import cached_property
-from slipfree.terrain.base import Jet, Terrain
+from slipfree.terrain.base import Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.shapes import Ball, BodyShape, Box, Hull
 
@@ -267,7 +267,7 @@ class NearestPoints:
         steps = 2 * reach / (np.array(counts) - 1)
         slack = SLACK * steps.max(axis=1)
         least = distance.reshape(n, -1).min(axis=1)
-        chosen = _minima(distance) & (distance <= (least + slack)[:, None, None])
+        chosen = minima(distance) & (distance <= (least + slack)[:, None, None])
         slopes = (
             np.abs(np.diff(height, axis=k + 1)).max(axis=(1, 2)) / steps[:, k] for k in (0, 1)
         )
@@ -399,7 +399,7 @@ def _upright(shape: Box | Ball, axes: Array) -> tuple[Array, Array]:
     return np.take_along_axis(axes, order[:, None], axis=2), (np.array(shape.size) / 2)[order]
 
 
-def _minima(values: Array) -> Array:
+def minima(values: Array) -> Mask:
     """Return the mask of the local minima of each grid, (n, i, j); also at its border."""
     padded = np.pad(values, ((0, 0), (1, 1), (1, 1)), constant_values=np.inf)
     rows, columns = values.shape[1:]
@@ -408,43 +408,6 @@ def _minima(values: Array) -> Array:
         for j in (0, 1, 2):
             low &= values <= padded[:, i : i + rows, j : j + columns]
     return low
-
-
-def _newton_step(
-    jet: Jet, at: ca.SX, foot: ca.SX, frame: Pose, bounds: tuple[ca.SX, ca.SX]
-) -> tuple[ca.SX, ca.SX]:
-    """Return the next point of a box, in its axes, and the next foot of its perpendicular.
-
-    ``jet`` is that of the ground at the foot; ``bounds`` are those of the coordinates of the point
-    and of their steps.
-
-    With the tangents ``T`` and the normal ``N = (-h_x, -h_y, 1)``, the equations are
-    ``T' (P - F) = 0`` and, for each edge ``e`` along which the point is free, ``e . N = 0``.
-    """
-    height, gradient, hessian = jet
-    axes = frame.rotation
-    away = frame.origin + axes @ at - ca.vertcat(foot, height)
-    residual = away[:2] + away[2] * gradient
-    metric = ca.SX.eye(2) + gradient @ gradient.T
-    matrix = metric - away[2] * hessian
-    # in a hollow whose radius is smaller than the distance, the foot is a maximum of the distance
-    is_least = ca.logic_and(ca.det(matrix) > MIN_DETERMINANT, ca.trace(matrix) > 0)
-    inverse = _inverse(ca.if_else(is_least, matrix, metric))
-    farthest = ca.sqrt(ca.sumsqr(away) + ROOT_OFFSET)
-    half, most = bounds
-    along = axes[:2, :] + gradient @ axes[2, :]
-    slope = axes.T @ ca.vertcat(-gradient, 1)
-    turning = axes[:2, :].T @ hessian @ inverse
-    bend, wanted = -turning @ along, turning @ residual - slope
-    held = ca.logic_or(ca.logic_and(at <= -half, slope >= 0), ca.logic_and(at >= half, slope <= 0))
-    # along a concave direction the least distance is at a bound
-    free = ca.logic_and(ca.logic_not(held), ca.diag(bend) > MIN_CURVATURE)
-    solved = _free_solution(bend, wanted, free)
-    change = ca.if_else(free, solved, ca.if_else(held, 0, -ca.sign(slope) * most))
-    change = ca.fmin(ca.fmax(change, -most), most)
-    change = ca.fmin(ca.fmax(at + change, -half), half) - at
-    farthest += ca.sqrt(ca.sumsqr(change) + ROOT_OFFSET)
-    return at + change, foot + _limited(inverse @ (residual + along @ change), farthest)
 
 
 def _limited(step: ca.SX, most: ca.SX) -> ca.SX:
@@ -486,19 +449,43 @@ def _free_solution(matrix: ca.SX, right: ca.SX, free: ca.SX) -> ca.SX:
 
 
 def _step_function() -> ca.Function:
-    """Return `_newton_step` as a function of columns, as `BodyClearance` evaluates it."""
+    """Return the function of the next point of a box, in its axes, and of the next foot.
+
+    Its arguments are the jet of the ground at the foot of the perpendicular, the point, the foot,
+    the box's frame (origin and axes by columns), and bounds of the coordinates of the point and of
+    their steps.
+
+    With the tangents ``T`` and the normal ``N = (-h_x, -h_y, 1)``, the equations are
+    ``T' (P - F) = 0`` and, for each edge ``e`` along which the point is free, ``e . N = 0``.
+    """
     jet, at, foot, frame, bounds = (
         ca.SX.sym(name, size)
         for name, size in (("jet", 7), ("at", 3), ("foot", 2), ("frame", 12), ("bounds", 6))
     )
-    step = _newton_step(
-        Jet(jet[0], jet[1:3], ca.reshape(jet[3:], 2, 2)),
-        at,
-        foot,
-        Pose(ca.reshape(frame[3:], 3, 3), frame[:3]),
-        (bounds[:3], bounds[3:]),
-    )
-    return ca.Function("step", [jet, at, foot, frame, bounds], [*step], {"cse": True})
+    gradient, hessian, axes = jet[1:3], ca.reshape(jet[3:], 2, 2), ca.reshape(frame[3:], 3, 3)
+    away = frame[:3] + axes @ at - ca.vertcat(foot, jet[0])
+    residual = away[:2] + away[2] * gradient
+    metric = ca.SX.eye(2) + gradient @ gradient.T
+    matrix = metric - away[2] * hessian
+    # in a hollow whose radius is smaller than the distance, the foot is a maximum of the distance
+    is_least = ca.logic_and(ca.det(matrix) > MIN_DETERMINANT, ca.trace(matrix) > 0)
+    inverse = _inverse(ca.if_else(is_least, matrix, metric))
+    farthest = ca.sqrt(ca.sumsqr(away) + ROOT_OFFSET)
+    half, most = bounds[:3], bounds[3:]
+    along = axes[:2, :] + gradient @ axes[2, :]
+    slope = axes.T @ ca.vertcat(-gradient, 1)
+    turning = axes[:2, :].T @ hessian @ inverse
+    bend, wanted = -turning @ along, turning @ residual - slope
+    held = ca.logic_or(ca.logic_and(at <= -half, slope >= 0), ca.logic_and(at >= half, slope <= 0))
+    # along a concave direction the least distance is at a bound
+    free = ca.logic_and(ca.logic_not(held), ca.diag(bend) > MIN_CURVATURE)
+    solved = _free_solution(bend, wanted, free)
+    change = ca.if_else(free, solved, ca.if_else(held, 0, -ca.sign(slope) * most))
+    change = ca.fmin(ca.fmax(change, -most), most)
+    change = ca.fmin(ca.fmax(at + change, -half), half) - at
+    farthest += ca.sqrt(ca.sumsqr(change) + ROOT_OFFSET)
+    results = at + change, foot + _limited(inverse @ (residual + along @ change), farthest)
+    return ca.Function("step", [jet, at, foot, frame, bounds], [*results], {"cse": True})
 
 
 NEWTON_STEP = _step_function()

@@ -38,7 +38,7 @@ from slipfree.files.netcdf import (
     result_fault,
     standard_name,
 )
-from slipfree.system.regular_files import replace_file, replacing
+from slipfree.system.regular_files import replacing
 from slipfree.terrain.paged import Elevation
 
 MAX_BYTES = 2**32 - 4  # of a variable of netCDF-3
@@ -199,12 +199,8 @@ def write_atlas(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:
             f"{path}: expected bands of at most {MAX_BYTES / 1e9:.3g} GB, found "
             f"{largest / 1e9:.3g} GB; write a GeoTIFF instead, or use fewer headings or nodes"
         )
-
-    def fill(part: Path) -> None:
-        with scipy.io.netcdf_file(str(part), "w", version=2) as file:
-            _define(file, poses, site)
-
-    replace_file(Path(path), fill)
+    with replacing(Path(path)) as part, scipy.io.netcdf_file(str(part), "w", version=2) as file:
+        _define(file, poses, site)
 
 
 def _define(file: Any, poses: Atlas, site: Site) -> None:
@@ -255,14 +251,7 @@ def _add_map_axes(add: Callable[..., Any], poses: Atlas, site: Site) -> Iterator
         yield label.name
 
 
-class StoredAtlas(NamedTuple):
-    """Contents of a netCDF file of `write_atlas`."""
-
-    poses: Atlas
-    site: Site
-
-
-def open_atlas(path: str | os.PathLike[str]) -> StoredAtlas:
+def open_atlas(path: str | os.PathLike[str]) -> tuple[Atlas, Site]:
     """Return the atlas in a netCDF file, and the ground on which it was computed.
 
     Raises
@@ -290,7 +279,7 @@ def is_atlas(path: str | os.PathLike[str]) -> bool:
     return ATLAS in file.attributes
 
 
-def _stored(file: NetcdfFile) -> StoredAtlas:
+def _stored(file: NetcdfFile) -> tuple[Atlas, Site]:
     """Return the atlas in an open file; raise an error of one of many classes without one."""
     conditions = json.loads(str(file.attributes[ATLAS]))
     bands = {}
@@ -322,4 +311,4 @@ def _stored(file: NetcdfFile) -> StoredAtlas:
         },
     )
     heading = heading_column(heading, "paper", own=frame).values
-    return StoredAtlas(Atlas(x, y, heading, bands, tuple(map(str, reasons))), site)
+    return Atlas(x, y, heading, bands, tuple(map(str, reasons))), site

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from itertools import pairwise
@@ -51,31 +52,10 @@ COMMAND = 0.3  # largest velocity in its commands [m/s, rad/s]
 AXES = {"paper": ("right", "forward"), "rep103": ("forward", "left")}
 FILES = ("{}.h", "controller.h"), ("{}.c", "controller.c"), ("{}_test.c", "controller_test.c")
 STACK = 3000  # other variables on the stack [bytes]
-OPERATORS = {
-    "lt": "({0}<{1})",
-    "le": "({0}<={1})",
-    "eq": "({0}=={1})",
-    "ne": "({0}!={1})",
-    "and": "({0}&&{1})",
-    "or": "({0}||{1})",
-    "not": "(!{0})",
-    "if_else_zero": "({0}!=0?{1}:0)",
-    "vsign": "(({0}>0)-({0}<0))",
-    "vmin": "fmin({0},{1})",
-    "vmax": "fmax({0},{1})",
-    "vabs": "fabs({0})",
-}
-RESERVED = re.compile(  # keywords of C and, for the header, of C++; macros of compilers; constants
-    "alignas|alignof|and|and_eq|asm|auto|bitand|bitor|bool|break|case|catch|char|char16_t|char32_t"
-    "|char8_t|class|co_await|co_return|co_yield|compl|concept|const|const_cast|consteval|constexpr"
-    "|constinit|continue|decltype|default|delete|do|double|dynamic_cast|else|enum|explicit|export"
-    "|extern|false|float|for|friend|goto|if|inline|int|long|mutable|namespace|new|noexcept|not"
-    "|not_eq|nullptr|operator|or|or_eq|private|protected|public|register|reinterpret_cast|requires"
-    "|restrict|return|short|signed|sizeof|static|static_assert|static_cast|struct|switch|template"
-    "|this|thread_local|throw|true|try|typedef|typeid|typename|typeof|typeof_unqual|union|unsigned"
-    "|using|virtual|void|volatile|wchar_t|while|xor|xor_eq|linux|unix|i386|errno|math_errhandling"
-    "|[A-Z0-9_]*"
+TABLE: dict[str, Any] = tomllib.loads(
+    Path(__file__).with_name("controller.toml").read_text("utf-8")
 )
+RESERVED = re.compile("|".join([*TABLE["reserved"].split(), "[A-Z0-9_]*"]))
 MET = {
     True: "The motion is met exactly, with the least slip of the wheels.",
     False: "Where the wheels cannot impose all velocities, the rates are of the nearest motion.",
@@ -317,7 +297,7 @@ class _PlainCode(CodeWriter):
         return repr(value) if value >= 0 else f"({value!r})"
 
     def call(self, name: str, arguments: list[str]) -> str:
-        operator = OPERATORS.get(name)
+        operator: str | None = TABLE["operators"].get(name)
         return operator.format(*arguments) if operator else f"{name[1:]}({','.join(arguments)})"
 
     def function(self, name: str, function: ca.Function) -> str:

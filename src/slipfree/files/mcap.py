@@ -28,7 +28,7 @@ from slipfree.files.urdf.links import (
 )
 from slipfree.models.samples import wheel_poses
 from slipfree.system.processes import bounded_read
-from slipfree.system.regular_files import read_bytes, regular_file, replace_file
+from slipfree.system.regular_files import read_bytes, regular_file, replacing
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
@@ -287,24 +287,20 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None
         frames = [root, *link_poses(robot, {name: value for name, (value, _) in joints.items()})]
     slips = (_slip(run, wheel, base) for wheel in run.wheels)
     tracks = [_transforms(frames), _joint_states(joints, base, run.t.size), *slips]
+    with replacing(out) as part, part.open("wb") as stream:
+        writer, schemas = ros.writer.Writer(stream), dict[str, Any]()
 
-    def fill(part: Path) -> None:
-        with part.open("wb") as stream:
-            writer, schemas = ros.writer.Writer(stream), dict[str, Any]()
+        def write(time: int, topic: str, kind: str, content: dict[str, Any]) -> None:
+            if kind not in schemas:
+                name = kind.replace("/", "/msg/")
+                schemas[kind] = writer.register_msgdef(name, definition(kind))
+            writer.write_message(topic, schemas[kind], content, log_time=time)
 
-            def write(time: int, topic: str, kind: str, content: dict[str, Any]) -> None:
-                if kind not in schemas:
-                    name = kind.replace("/", "/msg/")
-                    schemas[kind] = writer.register_msgdef(name, definition(kind))
-                writer.write_message(topic, schemas[kind], content, log_time=time)
-
-            write(times[0], *_path(origins, rotation, times))
-            for time, *messages in zip(times, *tracks, strict=True):
-                for topic, kind, content in messages:
-                    write(time, topic, kind, _stamped(content, time))
-            writer.finish()
-
-    replace_file(out, fill)
+        write(times[0], *_path(origins, rotation, times))
+        for time, *messages in zip(times, *tracks, strict=True):
+            for topic, kind, content in messages:
+                write(time, topic, kind, _stamped(content, time))
+        writer.finish()
 
 
 def definition(name: str) -> str:

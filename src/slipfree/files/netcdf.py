@@ -47,7 +47,7 @@ from slipfree.core.trajectory import (
 )
 from slipfree.core.version import __version__
 from slipfree.files.tables import write_rows
-from slipfree.system.regular_files import escape_name, regular_file, replace_file, resolve_links
+from slipfree.system.regular_files import escape_name, regular_file, replacing, resolve_links
 
 DEGREES = ("longitude", "latitude")
 MAP_TRANSFORM = "map_transform"  # attribute of a result: its map coordinates as JSON
@@ -198,8 +198,7 @@ def write(
     """
     _check(run)
     on_map = position_columns(run)
-
-    def fill(part: Path) -> None:
+    with replacing(Path(path)) as part:
         with scipy.io.netcdf_file(str(part), "w", version=2) as file:
             _define(file, run, on_map)
             for name, values in arrays.items():
@@ -212,8 +211,6 @@ def write(
                 variable[:] = values
                 variable.long_name = name.replace("_", " ")
         _write_values(part, {**on_map, **run.columns})
-
-    replace_file(Path(path), fill)
 
 
 def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
@@ -684,8 +681,5 @@ def _write_geojson(run: Trajectory, out: Path) -> None:
         code = re.fullmatch(r"EPSG:(\d+)", crs)
         name = f"urn:ogc:def:crs:EPSG::{code[1]}" if code else crs
         content["crs"] = {"type": "name", "properties": {"name": name}}
-
-    def fill(part: Path) -> None:
+    with replacing(out) as part:
         part.write_text(json.dumps(content) + "\n", encoding="utf-8")
-
-    replace_file(out, fill)

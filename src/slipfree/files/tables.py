@@ -26,7 +26,7 @@ from slipfree.core.quantities import QUANTITIES
 from slipfree.core.records import Array
 from slipfree.files.foreign_formats import check_contents, check_ending
 from slipfree.files.mcap import is_mcap, read_mcap, yaw_of
-from slipfree.system.regular_files import read_bytes, replace_file
+from slipfree.system.regular_files import read_bytes, replacing
 
 SHOWN, LONG = 60, 300  # longest line, and longest list of names, in messages
 SAMPLE = 200, 200_000  # most lines and characters from which the layout is inferred
@@ -132,14 +132,13 @@ class Columns(NamedTuple):
 
 def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a table of comma-separated values; an existing file is replaced when it is complete."""
-
-    def fill(part: Path) -> None:
-        with part.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(names)
-            writer.writerows(rows)
-
-    replace_file(path, fill)
+    with (
+        replacing(path) as part,
+        part.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file,
+    ):
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows(rows)
 
 
 def read_names(path: Path, expected: str) -> list[str]:

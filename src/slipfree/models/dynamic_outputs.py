@@ -122,16 +122,10 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0, *, bears: bool = False) ->
     position, rates = still.z.position, still.z.rates
     forces: Any = still.y.forces
     forces = forces._replace(joint_effort=output_efforts(vehicle, forces.joint_effort))
-    y = DynamicOutputs(
-        still.x.x if vehicle.planar else (),
-        still.x.heading,
-        position.roll,
-        () if vehicle.planar else position.pitch,
-        rates.heading,
-        rates.roll,
-        rates.pitch,
-        tuple(each.x for each in position.contacts),
-        tuple(each.y for each in position.contacts),
+    y = _outputs(
+        vehicle,
+        (still.x, position, rates),
+        position.contacts,
         still.y._replace(
             forces=forces,
             **pressed_labels(vehicle),
@@ -143,6 +137,20 @@ def dynamic_labels(vehicle: Vehicle, solids: int = 0, *, bears: bool = False) ->
         tuple(_solid_labels(vehicle, k) for k in range(solids + 1 if solids else 0)),
     )
     return Labels(_state_labels(vehicle, still), (), q, u, y, ())
+
+
+def _outputs(
+    vehicle: Vehicle,
+    motion: tuple[Configuration, Dependent, Rates],
+    contacts: Sequence[Sequence[Any]],
+    *others: Any,
+) -> DynamicOutputs:
+    """Return the outputs, or their labels, from those of kinematic models and contact points."""
+    x, position, rates = motion
+    angles = x.heading, position.roll, () if vehicle.planar else position.pitch
+    turning = rates.heading, rates.roll, rates.pitch
+    places: Any = zip(*contacts, strict=True)
+    return DynamicOutputs(x.x if vehicle.planar else (), *angles, *turning, *places, *others)
 
 
 def _wheel_input(wheel: Wheel) -> Label:
@@ -388,17 +396,10 @@ def dynamic_outputs(
     normal, wheels = q.forces.normal, contacts.wheels
     slips = tuple(ca.if_else(each.touch.gap < 0, each.slip, 0) for each in shown)
     q = q._replace(slips=slips)
-    planar = q.vehicle.planar
-    return DynamicOutputs(
-        q.x.x if planar else (),
-        q.x.heading,
-        q.position.roll,
-        () if planar else q.position.pitch,
-        q.rates.heading,
-        q.rates.roll,
-        q.rates.pitch,
-        tuple(each.point[0] + o_x for each in q.contacts),
-        tuple(each.point[1] + o_y for each in q.contacts),
+    return _outputs(
+        q.vehicle,
+        (q.x, q.position, q.rates),
+        [(each.point[0] + o_x, each.point[1] + o_y) for each in q.contacts],
         outputs(q, forces)._replace(
             depth=tuple(-each.touch.gap for each in shown),
             load_share=tuple(each * len(normal) / q.vehicle.weight for each in normal),

@@ -270,16 +270,6 @@ def _inputs(vehicle: Vehicle) -> list[str]:
     return driven + [c.name for c in vehicle.of("commanded")]
 
 
-class GuidingMotion(NamedTuple):
-    """Guiding motion: its conditions, and the unknown rates of pose and suspension.
-
-    Passive joints are fixed; wheels that swivel on passive joints are ignored.
-    """
-
-    conditions: Minimum
-    motion: tuple[ModelVariable, ...]
-
-
 def steering_effects(direct: Dae, kind: Kind = "commanded") -> dict[str, dict[int, ca.SX]]:
     """Return the effects of coordinates of a kind on the directions of wheels.
 
@@ -301,10 +291,14 @@ def steering_effects(direct: Dae, kind: Kind = "commanded") -> dict[str, dict[in
     return effects
 
 
-def guiding_motion(direct: Dae, inputs: Sequence[ModelVariable]) -> GuidingMotion:
-    """Return the guiding motion: least sideways slip of unsteered wheels under given rates.
+def guiding_motion(
+    direct: Dae, inputs: Sequence[ModelVariable]
+) -> tuple[Minimum, tuple[ModelVariable, ...]]:
+    """Return the conditions of the guiding motion, and its unknown rates of pose and suspension.
 
-    Wheels on rollers do not count. ``inputs`` are the given rates.
+    It has the least sideways slip of unsteered wheels under given rates. Passive joints are fixed;
+    wheels that swivel on passive joints are ignored. Wheels on rollers do not count. ``inputs`` are
+    the given rates.
     """
     kinds: tuple[Kind, ...] = ("commanded", "passive")
     turned = {k for kind in kinds for each in steering_effects(direct, kind).values() for k in each}
@@ -334,8 +328,7 @@ def guiding_motion(direct: Dae, inputs: Sequence[ModelVariable]) -> GuidingMotio
     ]
     goal, *rows = guided(direct, motion, [goal, touching, *missed])
     label = Label("guide", "", "least sideways slip of wheels that are not steered")
-    conditions = minimum(direct, goal, ca.vertcat(*rows), motion, multipliers, label)
-    return GuidingMotion(conditions, motion)
+    return minimum(direct, goal, ca.vertcat(*rows), motion, multipliers, label), motion
 
 
 def _pose_rates(rates: Any) -> tuple[Any, ...]:

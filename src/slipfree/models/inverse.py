@@ -227,8 +227,8 @@ def _commanded(direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
     vehicle = direct.vehicle
     (x, z, u), imposed = variables(direct), impose(direct, given)
     inputs, plane = imposed.inputs, derived_rates(direct)
-    guide = guiding_motion(direct, inputs)
-    errors = steering_errors(direct, guide.motion)
+    conditions, guide = guiding_motion(direct, inputs)
+    errors = steering_errors(direct, guide)
     off = [each.symbol - plane[each.label.name].expression for each in inputs]
     met = given
     if not exact:
@@ -249,7 +249,7 @@ def _commanded(direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
         along, driving = ca.vertcat(*direct.y.slip_along), ca.vertcat(*direct.u.wheels)
         turning = ca.jacobian(along, driving)
         driven = [k for k in range(along.numel()) if turning[k, :].nnz()]
-        (moving,) = guided(direct, guide.motion, [along])
+        (moving,) = guided(direct, guide, [along])
         slip, sizes = (moving + turning @ driving)[driven], command_sizes(vehicle, given)
         misses = ca.vertcat(*(size * error for size, error in zip(sizes, off, strict=True)))
         goal = ca.SX(0.5 * (ca.sumsqr(slip) + ERROR_WEIGHT * ca.sumsqr(misses)))
@@ -264,7 +264,7 @@ def _commanded(direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
     closure, _, forces = blocks(direct)
     parts = [(z.position, *closure), (motion.unknowns, *motion[1:]), (z.forces, *forces)]
     if errors or not met:
-        parts.insert(1, (guide.conditions.unknowns, *guide.conditions[1:]))
+        parts.insert(1, (conditions.unknowns, *conditions[1:]))
     unknowns = tuple(part[0] for part in parts)
     dae = rearrange(direct, x, unknowns, inputs, [part[1:] for part in parts])
     joints = {each.name: each for each in direct.labels.x.joints}

@@ -109,11 +109,18 @@ def planar_start(
         lookups=lookups.lookups,
     )
     forward = turn("x", x.attitude[0]).rotation[1:, 1]
-    rolling = [speed / wheel.radius for wheel in vehicle.wheels]
-    rest = ca.SX.zeros(1 + len(vehicle.coordinates))
-    motors = ca.SX.zeros(len(names.drives) + len(names.joint_drives))
-    states = ca.vertcat(*leaves(x[:5]), speed * forward, rest, *rolling, motors)
+    states = _rolling_states(vehicle, labels, [*leaves(x[:5])], forward, speed)
     return Standing(model, None, speed, states)
+
+
+def _rolling_states(
+    vehicle: Vehicle, labels: Labels, pose: Sequence[ca.SX], forward: ca.SX, speed: ca.SX
+) -> ca.SX:
+    """Return the states of a vehicle in a pose that rolls straight ahead at a speed."""
+    rest = ca.SX.zeros((1 if vehicle.planar else 3) + len(vehicle.coordinates))
+    rolling = [speed / wheel.radius for wheel in vehicle.wheels]
+    motors = ca.SX.zeros(len(labels.x.drives) + len(labels.x.joint_drives))
+    return ca.vertcat(*pose, speed * forward, rest, *rolling, motors)
 
 
 def standing_start(
@@ -141,22 +148,10 @@ def standing_start(
         least = (ca.mmin(ca.vertcat(*each)) for each in gaps)
         clear = wheel_limits(vehicle, "start_gap", least, 0.0, np.inf)
         model = replace(model, limits=(*model.limits, *clear))
-    joints = [values[c.name] for c in vehicle.coordinates]
-    count, speed = len(joints), ca.SX.sym("speed")
-    rolling = [speed / wheel.radius for wheel in vehicle.wheels]
-    motors = ca.SX.zeros(len(labels.x.drives) + len(labels.x.joint_drives))
-    exact = has_exact_closure(vehicle)
-    law = LeastSlip()
-    guess = replace(exact_dae(vehicle, terrain, law), limits=(), checks=()) if exact else None
-    return Standing(
-        model,
-        guess,
-        speed,
-        ca.vertcat(
-            *(still.x, still.y, still.z, w, x, y, z, *joints),
-            speed * base.rotation[:, 1],
-            ca.SX.zeros(3 + count),
-            *rolling,
-            motors,
-        ),
-    )
+    joints, speed = [values[c.name] for c in vehicle.coordinates], ca.SX.sym("speed")
+    guess = None
+    if has_exact_closure(vehicle):
+        guess = replace(exact_dae(vehicle, terrain, LeastSlip()), limits=(), checks=())
+    pose = [still.x, still.y, still.z, w, x, y, z, *joints]
+    states = _rolling_states(vehicle, labels, pose, base.rotation[:, 1], speed)
+    return Standing(model, guess, speed, states)

@@ -6,6 +6,7 @@ import io
 import math
 import re
 import sys
+import tomllib
 import warnings
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator
@@ -26,53 +27,15 @@ from slipfree.terrain.grid_ops import Heights, UniformAxis, Window, parts
 
 CLASSIC = (b"CDF\1", b"CDF\2")
 DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)
-DRIVERS = (  # GDAL drivers that read one file, and follow no references to others
-    *("GTiff", "AAIGrid", "SRTMHGT", "DTED", "HFA", "GPKG", "PNG", "GSBG", "GS7BG", "GSAG", "BT"),
-    *("NWT_GRD", "Terragen", "HF2", "GRIB", "JP2OpenJPEG", "NITF", "PCIDSK", "SIGDEM"),
-    *("GRASSASCIIGrid", "Leveller", "RMF", "BLX", "FIT", "GXF", "ISG", "KRO", "BMP", "GIF", "JPEG"),
-    *("PNM", "SGI", "WEBP"),
-    *("USGSDEM", "ZMap", "GTX", "BYN", "ACE2", "JDEM", "LAN", "LCP", "NGSGEOID", "NOAA_B", "TGA"),
-)  # the last line: formats without a signature in their first bytes
-FORMATS = {  # names of formats by their usual file endings
-    **dict.fromkeys((".tif", ".tiff"), "GeoTIFF"),
-    ".asc": "ESRI ASCII grid",
-    ".hgt": "SRTM tile",
-    **dict.fromkeys((".dt0", ".dt1", ".dt2"), "DTED"),
-    ".img": "ERDAS IMG",
-    ".gpkg": "GeoPackage",
-    ".nc": "netCDF file",
-    ".grd": "Surfer grid",
-    ".bt": "Binary Terrain file",
-    ".ter": "Terragen file",
-    ".dem": "USGS DEM",
-    ".jp2": "JPEG 2000 file",
-    ".png": "PNG",
-    ".pgm": "PGM picture",
-}
-NAMES = {  # names of formats by drivers
-    "AAIGrid": "ESRI ASCII grid",
-    "GPKG": "GeoPackage",
-    "GTiff": "GeoTIFF",
-    "HFA": "ERDAS IMG",
-    "SRTMHGT": "SRTM tile",
-}
-BEGINNINGS = {  # remedies for files that no driver recognizes
-    ".hgt": "name the file after its position, as in N45E006.hgt; if it has such a name, ",
-    ".asc": (
-        "begin the file with the lines ncols, nrows, xllcorner, yllcorner, cellsize and, if "
-        "heights are missing, NODATA_value; if it has these lines, "
-    ),
+TABLE: dict[str, Any] = tomllib.loads(Path(__file__).with_name("rasters.toml").read_text("utf-8"))
+FORMATS: dict[str, str] = {  # names of formats by their usual file endings
+    each: name for endings, name in TABLE["endings"].items() for each in endings.split()
 }
 OPTIONS: dict[str, dict[str, str]] = {
     "AAIGrid": {"DATATYPE": "Float64"}
 }  # the default loses digits
-BY_NAME = {  # drivers that open files only by name, by the first bytes of the files
-    b"CDF\x01": "netCDF",
-    b"CDF\x02": "netCDF",
-    b"CDF\x05": "netCDF",
-    b"\x89HDF": "netCDF",
-    b"RUU ": "PCRaster",
-}
+# drivers that open files only by name, by the first bytes of the files
+BY_NAME = {head.encode("latin1"): driver for head, driver in TABLE["by_name"].items()}
 UNKNOWN = "not recognized as being in a supported file format"  # in errors of GDAL
 CACHE = 64  # GDAL's cache of blocks [MB]
 EDITABLE = "GTiff", "HFA"  # formats whose missing value gdal_edit.py changes in the file
@@ -237,7 +200,7 @@ def _use_dataset(path: Path, use: Callable[[Any, bool], T]) -> T:
         raise
     except Exception as error:  # GDAL raises various exceptions for damaged files
         words = re.sub(r"/vsi\w+/", "", str(error.__cause__ or error)).replace(name, path.name)
-        hint = BEGINNINGS.get(ending, "") if UNKNOWN in words else ""
+        hint = TABLE["beginnings"].get(ending, "") if UNKNOWN in words else ""
         raise DataError(
             f"expected a readable {FORMATS.get(ending, 'raster')}, found {words.rstrip('.')}; "
             f"{hint}copy or download it again: it may be truncated or damaged"
@@ -250,7 +213,7 @@ def _first_dataset(name: str, opener: Callable[..., BinaryIO]) -> Any:
     from rasterio.errors import RasterioIOError
 
     known: RasterioIOError | None = None
-    for driver in DRIVERS:
+    for driver in TABLE["drivers"]:
         try:
             return rasterio.open(name, driver=driver, opener=opener, **OPTIONS.get(driver, {}))
         except RasterioIOError as error:
@@ -324,7 +287,7 @@ def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heigh
     if file.driver == "AAIGrid":
         _check_numbers(path, file.shape, rows)
     crs = place.crs or ("CRS not given" if place.placed else "placed by cell and registration")
-    source = f"{NAMES.get(file.driver, file.driver)} of {file.dtypes[0]}"
+    source = f"{TABLE['names'].get(file.driver, file.driver)} of {file.dtypes[0]}"
     scale, offset, unit = file.scales[0], file.offsets[0], file.units[0]
     words = "in metres" if unit else "unit not stated: taken as metres"
     if _unit(file) != 1:

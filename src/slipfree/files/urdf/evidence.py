@@ -21,6 +21,7 @@ CONTRADICTORY = 0.85  # weight of the second choice that leaves the choice open 
 TABLE: dict[str, Any] = tomllib.loads(Path(__file__).with_name("evidence.toml").read_text("utf-8"))
 WEIGHTS: dict[str | float, float] = TABLE.pop("weights")
 USUAL = WEIGHTS["usual"]
+SIDES = {side: re.compile(pattern) for side, pattern in TABLE.pop("sides").items()}
 AXLES = "along the axles"  # contradicts the direction in which wheels roll
 RADIUS = {"wheelradius": 1.0, "wheeldiameter": 0.5}  # elements of plugins, without _
 INTERFACES = ("position", "velocity", "posvel", "effort")  # of actuators

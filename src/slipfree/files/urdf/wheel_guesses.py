@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -21,6 +20,7 @@ from slipfree.files.urdf.evidence import (
     FOOTPRINT,
     LEG,
     MECANUM,
+    SIDES,
     STEERING,
     TRACK,
     TRAILER,
@@ -55,24 +55,6 @@ OPPOSITE = {"x": "-x", "-x": "x", "y": "-y", "-y": "y"}
 CLEAR = 0.5  # a piece of evidence for a direction has at least this component along it
 SMALL = 1e-3  # smaller vectors between places have no direction [m]
 ENDS = {"front": "rear", "left": "right"}
-END = r"(front|rear|back|hind|mid|middle|center|centre)?"
-# words of names: front, left_front, leftFront, FL, lf, ...
-SIDES = {  # also in German, French, Italian, Spanish and Portuguese
-    "front": re.compile(
-        "front|fore|(left|right)front|front(left|right)|f|[fl]f|f[lr]|rf|v[lr]|vorne?|vorder.*|"
-        "avant|anteriore?|delanter[ao]|dianteir[ao]"
-    ),
-    "rear": re.compile(
-        "(left|right)?(rear|back|hind)(left|right)?|[rb][lr]|[lr]b|lr|h[lr]|hinten|hinter.*|"
-        "arriere|posteriore?|traser[ao]|traseir[ao]"
-    ),
-    "left": re.compile(
-        f"{END}left{END}|l|[frbmcvh]l|l[frbmc]|links?|gauche|sinistr[ao]|izquierd[ao]|esquerd[ao]"
-    ),
-    "right": re.compile(
-        f"{END}right{END}|r|[frbmcvh]r|r[fbmc]|rechts?|droite?|destr[ao]|derech[ao]|direit[ao]"
-    ),
-}
 PARTS = (
     "wheels to the URDF: joints of type 'continuous' about a level axis to links with a cylinder, "
     "or links with a sphere at a fixed joint, as of a caster"

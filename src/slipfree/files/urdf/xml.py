@@ -9,23 +9,10 @@ from pathlib import Path, PurePath
 from xml.parsers import expat
 
 from slipfree.core.errors import DataError
-from slipfree.files.foreign_formats import FORMATS
+from slipfree.files.foreign_formats import FORMATS, TABLE
 from slipfree.system.regular_files import regular_file
 
-REMEDIES = {
-    expat.errors.XML_ERROR_MISPLACED_XML_PI: "move <?xml ... ?> to the beginning of the first "
-    "line, before comments, blanks and blank lines, and keep one",
-    expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT: "keep one root element",
-    expat.errors.XML_ERROR_TAG_MISMATCH: "close each element with its own name",
-    expat.errors.XML_ERROR_UNCLOSED_TOKEN: "the file may be truncated: copy it again",
-    expat.errors.XML_ERROR_NO_ELEMENTS: "the file may be truncated: copy it again",
-    expat.errors.XML_ERROR_DUPLICATE_ATTRIBUTE: "remove one of the attributes of the same name",
-    expat.errors.XML_ERROR_UNDEFINED_ENTITY: "write the character itself",
-    expat.errors.XML_ERROR_INCORRECT_ENCODING: "save the file as UTF-8 and write "
-    'encoding="utf-8" in its first line',
-    expat.errors.XML_ERROR_INVALID_TOKEN: "save the file as UTF-8, and write &amp; for & and "
-    "&lt; for <; comments must not contain --",
-}
+REMEDIES = {getattr(expat.errors, f"XML_ERROR_{name}"): text for name, text in TABLE["xml"].items()}
 # by endings, and by names of root elements
 REFUSED = {key: each for each in FORMATS if each.robot for key in (*each.endings, *each.roots)}
 ROBOTS = (".urdf", ".xacro", ".xml")  # endings of robot descriptions
