@@ -9,9 +9,6 @@ INTERRUPTED_EXIT_CODE = 130  # convention of shells for programs ended by Ctrl-C
 INCOMPLETE_EXIT_CODE = 1
 NO_START = "no consistent initial conditions were found"
 SINGULAR = "the Jacobian is singular"
-NOT_FINITE = "the residuals of the equations are not finite"
-RATES_NOT_FINITE = "the rates are not finite"
-INTEGRAL_NOT_FINITE = "an integrated quantity is not finite"
 TOO_LONG = "the search reached its time limit"
 # own status: IPOPT was stopped, see `MAX_FUTILE_ITERATIONS`
 FUTILE_STATUS = "Violation_Not_Reduced"
@@ -36,37 +33,25 @@ IPOPT_STATUSES = {
     "Invalid_Option": MALFORMED,
     "Insufficient_Memory": "there is not enough memory: use fewer intervals",
 }
-SUNDIALS_FLAGS = {  # flags of IDAS and CVODES without the prefixes IDA_ and CV_
+SUNDIALS_FLAGS = {  # parts of flags of IDAS and CVODES; the first that a flag contains counts
     "TOO_MUCH_WORK": "too many steps between two samples",
     "TOO_MUCH_ACC": "the tolerance is too small for double precision",
-    "ERR_FAIL": "the error test failed at the smallest step",
-    "ERR_FAILURE": "the error test failed at the smallest step",
+    "QRHS": "an integrated quantity is not finite",
+    "RHSFUNC": "the rates are not finite",
+    "RES_": "the residuals of the equations are not finite",
+    "_ERR_FAIL": "the error test failed at the smallest step",
     "CONV_FAIL": "the equations of a step could not be solved",
-    "CONV_FAILURE": "the equations of a step could not be solved",
-    "LINIT_FAIL": SINGULAR,
-    "LSETUP_FAIL": SINGULAR,
-    "LSOLVE_FAIL": SINGULAR,
-    "RES_FAIL": NOT_FINITE,
-    "FIRST_RES_FAIL": NOT_FINITE,
-    "REP_RES_ERR": NOT_FINITE,
-    "RHSFUNC_FAIL": RATES_NOT_FINITE,
-    "FIRST_RHSFUNC_ERR": RATES_NOT_FINITE,
-    "REPTD_RHSFUNC_ERR": RATES_NOT_FINITE,
-    "UNREC_RHSFUNC_ERR": RATES_NOT_FINITE,
-    "QRHS_FAIL": INTEGRAL_NOT_FINITE,
-    "FIRST_QRHS_ERR": INTEGRAL_NOT_FINITE,
-    "REP_QRHS_ERR": INTEGRAL_NOT_FINITE,
-    "QRHSFUNC_FAIL": INTEGRAL_NOT_FINITE,
-    "FIRST_QRHSFUNC_ERR": INTEGRAL_NOT_FINITE,
-    "REPTD_QRHSFUNC_ERR": INTEGRAL_NOT_FINITE,
     "LINESEARCH_FAIL": NO_START,
     "NO_RECOVERY": NO_START,
+    "_LINIT_FAIL": SINGULAR,
+    "_LSETUP_FAIL": SINGULAR,
+    "_LSOLVE_FAIL": SINGULAR,
     "BAD_EWT": "an unknown is not finite",
     "ILL_INPUT": "an input of the integrator, such as an initial value, is invalid",
     "TOO_CLOSE": "consecutive sample times are too close for double precision",
     "MEM_FAIL": "there is not enough memory",
 }
-FLAG = re.compile(r"\b(IDA|CV)_([A-Z_]+)\b")
+FLAG = re.compile(r"\b(IDA|CV)_[A-Z_]+\b")
 SOURCE = re.compile(r"^\S+\.[ch]pp:\d+: ")  # line of CasADi's source code in a message
 
 
@@ -111,5 +96,6 @@ def sundials_words(message: str) -> str:
     For a message without a flag, return its last line.
     """
     if found := FLAG.search(message):
-        return f"{SUNDIALS_FLAGS.get(found[2], 'the integrator failed')} ({found[0]})"
+        meanings = (words for part, words in SUNDIALS_FLAGS.items() if part in found[0])
+        return f"{next(meanings, 'the integrator failed')} ({found[0]})"
     return SOURCE.sub("", message.strip().splitlines()[-1])

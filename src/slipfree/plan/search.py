@@ -82,10 +82,10 @@ class Search:
         Plan from which the search starts instead of from a guess. Its mesh, ground and goal may
         differ. If it starts in another state, only its part after the nearest state is used.
     seconds : float
-        Time limit of the whole search; a fifth of it is for the verification or the explanation of
-        the result. When it passes, the plan is the cheapest motion found that meets all
-        constraints, and is verified as always; its cost may not be minimal. If there is none, the
-        plan is the iterate with the smallest violation. [s]
+        Time limit of the whole search, by default none. A fifth of it is for the verification or
+        the explanation of the result. When it passes, the plan is the cheapest motion found that
+        meets all constraints, and is verified as always; its cost may not be minimal. If there is
+        none, the plan is the iterate with the smallest violation. [s]
     progress : callable or None
         Function called with a description of the program and every iterate. If it returns False,
         the search ends, and the plan is the iterate with the smallest violation.
@@ -108,13 +108,8 @@ class Search:
             "inputs; the verified plan of least cost is returned"
         ),
     ] = 1
-    seed: Annotated[int, Ge(0), doc("seed of the perturbations of the starts")] = 0
-    seconds: Annotated[
-        float,
-        Gt(0),
-        Unit("s"),
-        doc("time limit of the search; it then ends with the best motion found; default: none"),
-    ] = math.inf
+    seed: Annotated[int, Ge(0)] = 0
+    seconds: Annotated[float, Gt(0), Unit("s")] = math.inf
     resume: SavedPlan | None = None
     progress: PlanProgress | None = None
     keep: Callable[..., None] | None = None

@@ -89,22 +89,12 @@ class Mesh:
         If a number is out of its range.
     """
 
-    intervals: Annotated[
-        int | None,
-        Ge(1),
-        doc("number of intervals of the first mesh; default: 40, or more for a long initial guess"),
-    ] = None
-    degree: Annotated[int, Ge(1), Le(5), doc("degree of the polynomials on an interval")] = 3
+    intervals: Annotated[int | None, Ge(1)] = None
+    degree: Annotated[int, Ge(1), Le(5)] = 3
     continuous: Annotated[
         bool, doc("whether inputs are continuous and linear on intervals; otherwise constant")
     ] = True
-    accuracy: Annotated[
-        float,
-        Gt(0),
-        Le(1),
-        Unit("m, rad"),
-        doc("largest deviation of the simulation from the plan and its limits"),
-    ] = 1e-3
+    accuracy: Annotated[float, Gt(0), Le(1), Unit("m, rad")] = 1e-3
     step: Annotated[float, Gt(0), Unit("s")] = SAMPLE_STEP
 
 

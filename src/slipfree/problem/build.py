@@ -21,7 +21,7 @@ from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import Column, Trajectory, heading_column
 from slipfree.files.maps.reference_systems import semi_major_axis
 from slipfree.files.tables import read_columns
-from slipfree.files.toml.source import Fault, ProblemError, key_path, name_errors, problem_error
+from slipfree.files.toml.source import Fault, key_path, name_errors
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import unit_faults
 from slipfree.geometry.path import Path
@@ -99,11 +99,9 @@ def build_terrain(problem: Problem[S], ground: GroundMap) -> Bicubic:
     for axis, nodes in (("x", grid.x), ("y", grid.y)):
         place = start.get(axis, 0.0)
         if not nodes[0] <= place <= nodes[-1]:
-            raise ProblemError(
-                f"{problem.source.where(('start', axis))}: expected a start on the map, which "
-                f"extends from {nodes[0]:.10g} to {nodes[-1]:.10g} m in {axis}, found {axis} = "
-                f"{place:.10g} m; move the start, or enlarge the ground in [terrain]"
-            )
+            extent = f"extends from {nodes[0]:.10g} to {nodes[-1]:.10g} m in {axis}"
+            found = f"{axis} = {place:.10g} m; move the start, or enlarge the ground in [terrain]"
+            problem.refuse(Fault(("start", axis), f"a start on the map, which {extent}", found))
     return Bicubic(grid, (start.get("x", 0.0), start.get("y", 0.0)), ground.mu)
 
 
@@ -153,12 +151,11 @@ def sampled_times(problem: Problem[Any], key: KeyPath, period: float) -> Sampled
     time = problem.spec.time
     if time.duration / period > schema.MAX_SAMPLES:
         expected = f"a period with at most {schema.MAX_SAMPLES} steps in {time.duration:g} s"
-        raise problem_error(problem.source, [Fault(key, expected, f"{period:g} s; increase it")])
+        problem.refuse(Fault(key, expected, f"{period:g} s; increase it"))
     every = round(time.step / period)
     if every < 1 or abs(every * period - time.step) > EVEN * period:
         expected = f"a multiple of {'.'.join(map(str, key))}, {period:g} s"
-        fault = Fault(("time", "step"), expected, f"{time.step:g}; change one of them")
-        raise problem_error(problem.source, [fault])
+        problem.refuse(Fault(("time", "step"), expected, f"{time.step:g}; change one of them"))
     count = every * int(time.duration / time.step + EVEN) + 1
     return SampledTimes(np.asarray(period * np.arange(count)), every)
 
@@ -178,9 +175,7 @@ def check_names(
         faults += [
             Fault(("inputs", name), "a rate", "none") for name in known if name not in inputs
         ]
-    faults = faults or [*check_units(problem.spec, dae)]
-    if faults:
-        raise problem_error(problem.source, faults)
+    problem.refuse(*faults or check_units(problem.spec, dae))
 
 
 def _start_names(dae: Dae) -> list[str]:
@@ -233,7 +228,7 @@ def build_solids(problem: Problem[S], terrain: Bicubic) -> tuple[Prism, ...]:
         if len(kinds) != 1:
             expected = f"one of {', '.join(KINDS)}"
             found = f"{', '.join(kinds) or 'none'}; give one of them"
-            raise problem_error(problem.source, [Fault(place, expected, found)])
+            problem.refuse(Fault(place, expected, found))
         kind, shape = kinds[0], getattr(spec, kinds[0])
         with at(problem, (*place, kind)):
             profile = (
@@ -245,7 +240,7 @@ def build_solids(problem: Problem[S], terrain: Bicubic) -> tuple[Prism, ...]:
         if not (west <= spec.x <= east and south <= spec.y <= north):
             expected = f"x from {west:g} to {east:g} m and y from {south:g} to {north:g} m"
             found = f"x = {spec.x:g} m, y = {spec.y:g} m, off the map; move the obstacle"
-            raise problem_error(problem.source, [Fault(place, expected, found)])
+            problem.refuse(Fault(place, expected, found))
         heading = spec.heading + heading_offset(problem)
         z = float(terrain.elevation(np.array(spec.x), np.array(spec.y)))
         where: dict[str, Any] = {"x": spec.x, "y": spec.y, "z": z, "heading": heading}
@@ -289,11 +284,9 @@ def model_law(problem: Problem[Any]) -> Any:
     name, known = law_name(spec), LAWS[spec.model]
     if spec.model != "kinematics" and "slip" in spec.model_fields_set:
         expected = f"no slip law with model = {spec.model!r}, where forces determine the slip"
-        raise problem_error(
-            problem.source, [Fault(("slip",), expected, f"{spec.slip!r}; remove the key")]
-        )
+        problem.refuse(Fault(("slip",), expected, f"{spec.slip!r}; remove the key"))
     for other in spec.law.model_fields_set - ({name} & set(known)):
-        raise problem_error(problem.source, [_wrong_law(spec, other)])
+        problem.refuse(_wrong_law(spec, other))
     make: Any = MAKERS.get(name, known[name])
     values = spec.law.parameters(name)
     for key, parameter in signature(make).parameters.items():
@@ -301,7 +294,7 @@ def model_law(problem: Problem[Any]) -> Any:
             parameter.kind is parameter.VAR_KEYWORD or parameter.default is not parameter.empty
         )
         if not optional and key not in values:
-            raise problem_error(problem.source, [Fault(("law", name, key), "a value", "none")])
+            problem.refuse(Fault(("law", name, key), "a value", "none"))
     with at(problem, ("law", name)):
         return make(**values)
 

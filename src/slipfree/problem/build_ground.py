@@ -26,8 +26,8 @@ from slipfree.files.maps.elevation import (
 from slipfree.files.maps.raster import RasterParts, Reading, raster_parts
 from slipfree.files.maps.reference_systems import from_degrees
 from slipfree.files.netcdf import DEGREES, MapCoordinate
+from slipfree.files.toml.source import Fault, ProblemError
 from slipfree.files.toml.source import Place as KeyPath
-from slipfree.files.toml.source import ProblemError
 from slipfree.files.toml.types import AngleWithUnit
 from slipfree.problem import schema
 from slipfree.problem.problem import A, Problem, S, shared
@@ -97,11 +97,8 @@ def build_ground(problem: Problem[S], known: dict[str, Extremes] | None = None) 
     for key in OF_FILES:
         read = spec.file is not None or isinstance(spec.friction, str)
         if not read and getattr(spec, key) is not None:
-            where = problem.source.where(("terrain", key))
-            raise ProblemError(
-                f"{where}: expected this key only with a map file, found no map file; remove the "
-                "key, or give a file in [terrain]"
-            )
+            found = "no map file; remove the key, or give a file in [terrain]"
+            problem.refuse(Fault(("terrain", key), "this key only with a map file", found))
     horizontal, vertical = _scales(spec)
     ground_map, source = _source(problem, known)
     grid = ground_map.grid.scaled(horizontal, vertical)

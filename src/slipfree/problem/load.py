@@ -10,7 +10,6 @@ from typing import Any, cast
 from slipfree.core.arguments import checked
 from slipfree.files.toml.source import (
     Fault,
-    ProblemError,
     Source,
     format_value,
     problem_error,
@@ -64,10 +63,8 @@ def check_option(problem: Problem[Any], option: str) -> None:
     if option in verb_of(problem).options:
         return
     able = [v.name for v in VERBS if isinstance(v, DriveVerb) and option in v.options]
-    raise ProblemError(
-        f"{problem.source.where(('verb',))}: expected {' or '.join(map(repr, able))} for "
-        f"--{option}, found {problem.spec.verb!r}; omit --{option}"
-    )
+    expected = f"{' or '.join(map(repr, able))} for --{option}"
+    problem.refuse(Fault(("verb",), expected, f"{problem.spec.verb!r}; omit --{option}"))
 
 
 @checked

@@ -16,7 +16,7 @@ from slipfree.core.facts import Lines, TableColumn, table
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import SolverError, outcome_words
 from slipfree.files.netcdf import write
-from slipfree.files.toml.source import ProblemError
+from slipfree.files.toml.source import Fault
 from slipfree.plan.constraints import unit_words
 from slipfree.plan.pareto import FrontPoint, FrontTask, check_count, is_better, pareto_front
 from slipfree.plan.polynomial_motion import SavedPlan, from_arrays
@@ -231,17 +231,12 @@ def _checked(problem: Problem[Any], against: str) -> str:
     """Return the unit of the second objective, after a check of problem and objective."""
     spec = problem.spec
     if not isinstance(spec, PlanKeys):
-        where = problem.source.where(("verb",))
-        raise ProblemError(
-            f"{where}: expected 'plan' for slipfree pareto, found {spec.verb!r}; give a planning "
-            "problem"
-        )
+        found = f"{spec.verb!r}; give a planning problem"
+        problem.refuse(Fault(("verb",), "'plan' for slipfree pareto", found))
     if not spec.costs.get(SLIP):
         found = ", ".join(f"{name} = {weight:g}" for name, weight in spec.costs.items())
-        raise ProblemError(
-            f"{problem.source.where(('costs',))}: expected a positive weight costs.slip, found "
-            f"{found or 'no costs'}; set it, for example with --set costs.slip=1e4"
-        )
+        found = f"{found or 'no costs'}; set it, for example with --set costs.slip=1e4"
+        problem.refuse(Fault(("costs",), "a positive weight costs.slip", found))
     if against == DURATION:
         return "s"
     known = f"expected {', '.join(USUAL)} or the name of a quantity of the model"

@@ -84,6 +84,11 @@ class Problem(Generic[A]):
         """Folder of the problem file, to which the names of input files are relative."""
         return self.source.path.parent
 
+    def refuse(self, *faults: Fault) -> None:
+        """Raise ProblemError with the messages of all errors, sorted by line, if there are any."""
+        if faults:
+            raise problem_error(self.source, faults)
+
 
 def validated_problem(
     schema_of: Callable[[Mapping[str, Any], Source], type[FileKeys]],

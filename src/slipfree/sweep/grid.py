@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import permutations
 from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -217,19 +218,12 @@ def _check_keys(axes: Sequence[Varied], settings: Sequence[str]) -> None:
     A table may be set and one of its keys varied; the varied values then replace the key's value.
     """
     paths = [key_path(axis.name) for axis in axes]
-    for k, path in enumerate(paths):
-        for other in paths[:k]:
-            if path == other:
-                key = axes[k].name
-                raise DataError(
-                    f"--vary {key}: expected every key once, found {key} twice; remove one"
-                )
-            short, long = sorted((path, other), key=len)
-            if long[: len(short)] == short:
-                raise DataError(
-                    f"--vary {'.'.join(long)}: expected keys that do not contain one another, "
-                    f"found --vary {'.'.join(short)} as well; remove one of the two"
-                )
+    for long, short in permutations(paths, 2):
+        if long[: len(short)] == short:
+            raise DataError(
+                f"--vary {'.'.join(long)}: expected keys that do not contain one another, "
+                f"found --vary {'.'.join(short)} as well; remove one of the two"
+            )
     for setting in settings:
         try:
             set_path = key_path(setting.partition("=")[0])

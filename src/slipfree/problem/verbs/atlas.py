@@ -23,7 +23,7 @@ from slipfree.core.facts import Lines
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import Frame, heading_column
 from slipfree.files.atlas_files import EMPTY, Site
-from slipfree.files.toml.source import Fault, name_errors, problem_error
+from slipfree.files.toml.source import Fault, name_errors
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import Positive, Range, Record
 from slipfree.problem.build import build_model, build_vehicle, law_name, vehicle_facts
@@ -271,8 +271,7 @@ def build_atlas(problem: Problem[AtlasKeys], known: Mapping[str, Extremes] = EMP
     most = min(grid.x.size, grid.y.size) - 1
     if table.every > most:
         expected = f"at most {most}, for two nodes along each axis of the map"
-        fault = Fault(("atlas", "every"), expected, f"{table.every}; reduce it")
-        raise problem_error(problem.source, [fault])
+        problem.refuse(Fault(("atlas", "every"), expected, f"{table.every}; reduce it"))
     origin = float(grid.x.mean()), float(grid.y.mean())
     terrain = Bicubic(grid, origin, ground.mu)
     if isinstance(grid, Outline):
@@ -289,6 +288,5 @@ def build_atlas(problem: Problem[AtlasKeys], known: Mapping[str, Extremes] = EMP
     setup = AtlasSetup(problem, ground, vehicle, terrain, model, x, y, heading, inputs, extremes)
     if table.within:
         bands = setup.labels(compiled=False)
-        if faults := [*name_errors(("atlas", "within"), table.within, list(bands))]:
-            raise problem_error(problem.source, faults)
+        problem.refuse(*name_errors(("atlas", "within"), table.within, list(bands)))
     return setup

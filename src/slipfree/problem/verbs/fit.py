@@ -31,7 +31,7 @@ from slipfree.files.logs import (
 )
 from slipfree.files.netcdf import ORIGIN, open_netcdf
 from slipfree.files.tables import ALIASES, PARTS, read_names, split_unit
-from slipfree.files.toml.source import name_errors, problem_error
+from slipfree.files.toml.source import name_errors
 from slipfree.files.toml.types import Angle, Pair, Positive, Quantity, Record, given_values
 from slipfree.fit.chassis import chassis_of, lateral_places, track, with_dimensions
 from slipfree.fit.drive_fit import (
@@ -275,6 +275,14 @@ class LogInputs(NamedTuple):
         """Whether both sides are inputs, not the wheels."""
         return self.names == SIDES
 
+    @property
+    def places(self) -> Array:
+        """Lateral places of the inputs, to the right [m]; -1 and 1 for sides."""
+        if self.is_by_sides or self.vehicle is None:
+            return np.array([-1.0, 1.0])
+        wheels = zip(self.vehicle.wheels, lateral_places(self.vehicle), strict=True)
+        return np.array([place for wheel, place in wheels if wheel.driven], float)
+
 
 def inputs_of(problem: Problem[Fit], paths: Sequence[Path] = ()) -> LogInputs:
     """Return the inputs of a vehicle: rates of driven wheels, or its sides."""
@@ -285,8 +293,7 @@ def inputs_of(problem: Problem[Fit], paths: Sequence[Path] = ()) -> LogInputs:
         return LogInputs(SIDES, (), own, None)
     commanded = tuple(each.name for each in vehicle.of("commanded"))
     rates = tuple(f"{wheel.name}_rate" for wheel in vehicle.wheels if wheel.driven)
-    if faults := list(name_errors(("data", "rates"), data.rates, (*rates, *commanded))):
-        raise problem_error(problem.source, faults)
+    problem.refuse(*name_errors(("data", "rates"), data.rates, (*rates, *commanded)))
     path = [*paths, problem.folder / problem.spec.named_files[0]][0]
     if not data.rates and _is_text(path) and not {*rates} <= {*read_names(path, "a log")}:
         return LogInputs(SIDES, commanded, own | {name: name for name in commanded}, vehicle)
@@ -498,15 +505,11 @@ class _Reader(NamedTuple):
         inputs, values = self.inputs, log.values
         is_speed = inputs.is_by_sides and self.problem.spec.data.unit == "m/s"
         vehicle, ratios = inputs.vehicle, OF_SPEEDS | OF_POSES
-        if inputs.is_by_sides:
-            place, radii = np.array([-1.0, 1.0]), np.ones(2)
-            if not is_speed:
-                radii = radii * (float(vehicle.wheels[0].radius) if vehicle else 0.2)
-        else:
-            assert vehicle is not None  # noqa: S101
-            wheels = zip(vehicle.wheels, lateral_places(vehicle), strict=True)
-            pairs = [(w.radius, place) for w, place in wheels if w.driven]
-            radii, place = np.array(pairs, float).T.reshape(2, -1)
+        place, radii = inputs.places, np.ones(2)
+        if vehicle is not None and not inputs.is_by_sides:
+            radii = np.array([wheel.radius for wheel in vehicle.wheels if wheel.driven], float)
+        elif not is_speed:
+            radii = radii * (float(vehicle.wheels[0].radius) if vehicle else 0.2)
         if not is_speed:
             ratios = rate_ratios(radii.tolist())
         speeds = radii[:, None] * np.array([values[name] for name in inputs.names])
@@ -569,7 +572,8 @@ class _Reader(NamedTuple):
             turned = np.unwrap(table["heading"]) + (np.pi / 2 if frame == "paper" else 0.0)
             heading = turned[rows] if is_held else between(turned)
         if "yaw_rate" in table:
-            rate, turn = between(table["yaw_rate"]), self._turn(np.array(signals))
+            rate, place_of = between(table["yaw_rate"]), self.inputs.places
+            turn = (place_of - place_of.mean()) @ np.array(signals)  # has its sign
             if float(turn @ rate) < CLOCKWISE * float(np.linalg.norm(turn) * np.linalg.norm(rate)):
                 rate = -rate
                 notes.append("turning rates are positive clockwise: their sign is reversed")
@@ -607,15 +611,6 @@ class _Reader(NamedTuple):
         parts_of_line += [log.hold if log.held[0] > longest_gap(t) else "", *notes]
         self.rows.append((f"log {path.stem}", "; ".join(filter(None, parts_of_line))))
         return drive
-
-    def _turn(self, signals: Array) -> Array:
-        """Return a number of the sign of the turning rate of the wheels."""
-        vehicle = self.inputs.vehicle
-        if self.inputs.is_by_sides or vehicle is None:
-            return np.asarray(signals[1] - signals[0])
-        places = zip(vehicle.wheels, lateral_places(vehicle), strict=True)
-        place = np.array([each for wheel, each in places if wheel.driven])
-        return np.asarray((place - place.mean()) @ signals)
 
     def _bad(
         self, path: Path, place: ComplexArray, velocity: ComplexArray | None, step: float

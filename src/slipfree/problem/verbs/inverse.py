@@ -21,7 +21,7 @@ from slipfree.files.logs import check_motion, read_log
 from slipfree.files.mcap import is_mcap
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.tables import read_names
-from slipfree.files.toml.source import Fault, format_value, name_errors, problem_error
+from slipfree.files.toml.source import Fault, format_value, name_errors
 from slipfree.files.toml.source import Place as KeyPath
 from slipfree.files.toml.types import (
     Angles,
@@ -173,10 +173,8 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
     given, columns, descriptions = dict(spec.given or {}), dict[str, Any](), []
     timeout = given.pop(TIMEOUT, None)
     if timeout is not None and not (FILE in given and isinstance(timeout, float) and timeout > 0):
-        fault = Fault(
-            ("given", TIMEOUT), "a positive time in s, beside 'file'", format_value(timeout)
-        )
-        raise problem_error(problem.source, [fault])
+        expected = "a positive time in s, beside 'file'"
+        problem.refuse(Fault(("given", TIMEOUT), expected, format_value(timeout)))
     if (file := given.pop(FILE, None)) is not None:
         with at(problem, ("given", FILE)):
             if not isinstance(file, str):
@@ -186,8 +184,7 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
                 )
             columns, notes = _read_file(problem.folder / file, spec.time.duration, timeout)
         descriptions = ["; ".join([f"{', '.join(columns)} of {file}", *notes])]
-    if faults := [*_faults(spec, given, columns)]:
-        raise problem_error(problem.source, faults)
+    problem.refuse(*_faults(spec, given, columns))
     for name, value in given.items():
         if isinstance(value, str):
             with at(problem, ("given", name)):
@@ -413,8 +410,7 @@ class InverseVerb(DriveVerb):
             direct = direct_kinematics(vehicle, world.terrain, slip=rates.slip)
         dae = invert(direct, rates)
         check_names(problem, direct, None)
-        if faults := [*unit_faults(("given",), spec.given or {}, UNITS)]:
-            raise problem_error(problem.source, faults)
+        problem.refuse(*unit_faults(("given",), spec.given or {}, UNITS))
         stand = build_start(problem, direct)
         texts = {name: value for name, value in given.items() if isinstance(value, str)}
         formulas = {name: evaluate(text, {"t": dae.t}) for name, text in texts.items()}
@@ -491,8 +487,7 @@ def _given_rates(
             "steering = 'angle'"
         )
         faults.append(Fault(("exact",), expected, f"{str(spec.exact).lower()}; remove the key"))
-    if faults:
-        raise problem_error(problem.source, faults)
+    problem.refuse(*faults)
     words = ", ".join(
         f"{name} {value:g} {printed_unit(UNITS[name])}" for name, value in given.items()
     )
@@ -549,8 +544,7 @@ def _points(problem: Problem[Inverse], vehicle: Vehicle) -> tuple[Array | None, 
             check_motion(log, zero=zero, is_aligned=not moves_sideways(vehicle))
     with at(problem, place):
         check_way_points(*points)
-    if faults := [*_path_faults(points, place, problem.spec)]:
-        raise problem_error(problem.source, faults)
+    problem.refuse(*_path_faults(points, place, problem.spec))
     points[3] += heading_offset(problem)
     return points, notes
 

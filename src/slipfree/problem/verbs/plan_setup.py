@@ -463,12 +463,10 @@ def guide_paths(
 
 def _check_goal_place(problem: Problem[Any], places: tuple[Place, ...]) -> None:
     if places[-1][0] != "goal":
-        where, goal = problem.source.where(("goal",)), problem.spec.goal
+        goal = problem.spec.goal
         missing = " and ".join(name for name in ("x", "y") if name not in goal)
-        raise ProblemError(
-            f"{where}: expected values for x and y, which the driver needs, found "
-            f"{'only ' if goal else ''}{', '.join(goal) or 'none'}; add {missing}"
-        )
+        found = f"{'only ' if goal else ''}{', '.join(goal) or 'none'}; add {missing}"
+        problem.refuse(Fault(("goal",), "values for x and y, which the driver needs", found))
 
 
 def _check_cusps(problem: Problem[PlanKeys], driver: GuideTable, places: tuple[Place, ...]) -> None:
