@@ -1,10 +1,9 @@
 """A skid-steered robot on a hillside: errors of predictions on the map.
 
-``python benchmarks hill FOLDER [--judge OTHER] [--from-positions] [--figures DIR]`` reads public
-logs that are not part of the project (source: docs/measured.md): folders of logs ``*.txt.gz``, one
-for each campaign, and the elevation model. Each campaign is predicted with constants that were
-fitted to the others; with ``--judge``, the logs of OTHER with constants that were fitted to all of
-FOLDER.
+``python benchmarks hill FOLDER [--judge OTHER] [--from-positions]`` reads public logs that are not
+part of the project (source: docs/measured.md): folders of logs ``*.txt.gz``, one for each campaign,
+and the elevation model. Each campaign is predicted with constants that were fitted to the others;
+with ``--judge``, the logs of OTHER with constants that were fitted to all of FOLDER.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pyproj
 
 from slipfree.fit.drive_fit import by_logs, judge, rms
 from slipfree.fit.drives import DriveLog
@@ -25,6 +25,7 @@ from slipfree.fit.unknowns import Unknown
 from slipfree.problem.verbs.fit import constant_rows
 from slipfree.terrain.base import Grid
 
+UTM = pyproj.Transformer.from_crs(4326, 32630, always_xy=True)
 DT = 0.1  # between samples [s]
 DELAY = 2  # from a command to the drives, in samples
 UNIT, LEVER = 0.0217, 0.12  # [m/s] of a unit of the drives; units of an angular command, each side
@@ -34,26 +35,6 @@ GAP, CHORD_ERROR, STATED = 1.5, 0.25, 0.1  # of good positions [s, m/s, m]
 WHEELS = ("front_left", "rear_left", "front_right", "rear_right")
 HALF, FRICTION = 0.4, 0.6  # half track and half wheelbase [m], friction: assumed, not stated
 KINDS = {(5.0, 0.0): "5 m of path", (20.0, 0.0): "20 m of path", (0.0, 5.0): "5 s"}
-
-
-def utm(lat: np.ndarray, lon: np.ndarray, meridian: float = -3.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return easting and northing on WGS 84 (Krueger's series) [m]."""
-    flattening = 1 / 298.257223563
-    n = flattening / (2 - flattening)
-    radius = 6378137.0 / (1 + n) * (1 + n**2 / 4 + n**4 / 64)
-    series = (
-        n / 2 - 2 / 3 * n**2 + 5 / 16 * n**3,
-        13 / 48 * n**2 - 3 / 5 * n**3,
-        61 / 240 * n**3,
-    )
-    p, q, c = np.radians(lat), np.radians(lon - meridian), 2 * np.sqrt(n) / (1 + n)
-    t = np.sinh(np.arctanh(np.sin(p)) - c * np.arctanh(c * np.sin(p)))
-    xi, eta = np.arctan2(t, np.cos(q)), np.arctanh(np.sin(q) / np.hypot(1, t))
-    east, north = eta.copy(), xi.copy()
-    for j, s in enumerate(series, 1):
-        east += s * np.cos(2 * j * xi) * np.sinh(2 * j * eta)
-        north += s * np.sin(2 * j * xi) * np.cosh(2 * j * eta)
-    return 5e5 + 0.9996 * radius * east, 0.9996 * radius * north
 
 
 def percent_to_reading(u: np.ndarray) -> np.ndarray:
@@ -72,7 +53,8 @@ def read_log(path: Path, origin: np.ndarray) -> DriveLog | None:
     a = np.array(rows)
     clock = a[:, 15] - a[0, 15]
     fix = np.append(True, np.any(np.diff(a[:, [9, 10, 12, 13]], axis=0) != 0, axis=1))
-    east, north = (each[fix] - o for each, o in zip(utm(a[:, 9], a[:, 10]), origin, strict=True))
+    places = UTM.transform(a[fix, 10], a[fix, 9])
+    east, north = (each - o for each, o in zip(places, origin, strict=True))
     t, when = np.arange(0, clock[-1], DT), clock[fix]
     if t.size <= 50:
         return None
@@ -129,7 +111,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--judge", type=Path)
-    parser.add_argument("--figures", type=Path)
     parser.add_argument("--from-positions", action="store_true", help="courses from positions only")
     given = parser.parse_args()
     folder = given.folder
@@ -164,8 +145,3 @@ def main() -> None:
     print(f"\nerror of slip: {', '.join(slips)}")
     for name, *_, value, deviation, low, high, _, _ in constant_rows(fit)[1]:
         print(f"{name} {value:.3f} ({low:.3f} to {high:.3f}), deviation {deviation:.3f}")
-    if given.figures:
-        from slipfree.show.fit_figures import fit_plot
-        from slipfree.show.plots import save
-
-        save([fit_plot("measured_hill", scores)], given.figures)

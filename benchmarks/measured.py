@@ -28,15 +28,23 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.fit.drive_fit import DriveFit, age_priors, fit_on_uncertain_map, folds_of, rms
+from slipfree.fit.drive_fit import (
+    DriveFit,
+    age_priors,
+    fit_drives,
+    folds_of,
+    manoeuvres_of,
+    rms,
+)
 from slipfree.fit.drives import DriveLog, Windows, held_for, windows_of, without_holds
 from slipfree.fit.force_balance import four_wheels
-from slipfree.fit.prediction import Model
+from slipfree.fit.prediction import Lanes, Model, Predictor
 from slipfree.fit.unknowns import BALANCE, Unknown
 from slipfree.fit.wheel_soil import QUANTITIES, fit_soil, repeat_spread
 from slipfree.laws.soil import Soil, WheelSize, forces_at_slip
 from slipfree.laws.soils import known_soil
 from slipfree.models.single_wheel import WheelRuns, motion_at_slip
+from slipfree.vehicle.tree import EARTH_GRAVITY
 
 JUMP, TURN_JUMP = 1.5, 0.3  # of rates between windows that do not follow each other [rad/s]
 LEAST_SPAN, FASTEST = 14, 6.0  # samples between first and last pose, speed of poses [m/s]
@@ -60,11 +68,16 @@ ROBOTS = {
 USUAL = ("stiffness", "gyration", "delay", "center_of_mass_ahead", "friction", "age")
 
 
-def drive_log(path: Path, name: str, half: tuple[float, float]) -> tuple[DriveLog, Windows]:
-    """Return the log of a robot, and its windows between new poses."""
+def columns(path: Path) -> dict[str, np.ndarray]:
+    """Return the columns of a log."""
     with gzip.open(path, "rt") as file:
         names = file.readline().strip().split(",")
-        table = dict(zip(names, np.loadtxt(file, delimiter=",", ndmin=2).T, strict=True))
+        return dict(zip(names, np.loadtxt(file, delimiter=",", ndmin=2).T, strict=True))
+
+
+def drive_log(path: Path, name: str, half: tuple[float, float]) -> tuple[DriveLog, Windows]:
+    """Return the log of a robot, and its windows between new poses."""
+    table = columns(path)
     is_husky = "wl_radps" in table
     keys = ("wl_radps", "wr_radps") if is_husky else ("left_wheel_vel", "right_wheel_vel")
     prefix = "" if is_husky else "icp_"
@@ -107,72 +120,95 @@ def model_of(
     return Model(tuple(unknowns), {"gyration": 0.35} | fixed, radii, WHEELS, half[0])
 
 
-def left_out(model: Model, log: DriveLog, windows: Windows) -> tuple[np.ndarray, DriveFit]:
+class Icr(Predictor):
+    """Kinematics: the turning rate is the difference of the sides over a track.
+
+    The centre of rotation is behind the centre of mass, and turns push the vehicle outward by
+    ``v omega / (K g)``, the slip of the force balance at small slip.
+    """
+
+    def motion(self, lanes: Lanes) -> tuple[np.ndarray, np.ndarray]:
+        """Return velocities and turning rates at samples."""
+        q = {name: value[:, None] for name, value in lanes.values.items()}
+        sides = self._signals(lanes.values)[:, :, self._rows]
+        left, right = (lanes.radius[2 * k, :, None] * side for k, side in enumerate(sides))
+        v, w = (left + right) / 2, (right - left) / q["track"]
+        outward = (q["center_of_mass_ahead"] + v / (EARTH_GRAVITY * q["stiffness"])) * w
+        return (v - 1j * outward).swapaxes(0, 1), w.swapaxes(0, 1)
+
+
+def kinematics_of(half: tuple[float, float], *names: str, **fixed: float) -> Model:
+    """Return kinematics of a robot, with wide priors."""
+    known = ("radius_left", "radius_right", "track", "center_of_mass_ahead", "age")
+    wide = {"radius": (0.3, 0.3), "track": (2.0, 2.0), "center_of_mass_ahead": (0.0, 0.5)}
+    model = model_of(half, [""], *known, *names, **fixed)
+    unknowns = (replace(each, prior=wide.get(each.quantity)) for each in model.unknowns)
+    return model._replace(unknowns=tuple(unknowns))
+
+
+def left_out(
+    model: Model, log: DriveLog, windows: Windows, kind: type[Predictor]
+) -> tuple[np.ndarray, DriveFit]:
     """Return errors of windows by fits to other manoeuvres, and the fit to all of them."""
     model = model._replace(unknowns=age_priors(model.unknowns, [log]))
-    errors, parts = np.empty((windows.log.size, 3)), folds_of([log], windows)
-    whole = fit_on_uncertain_map(model, [log], windows, (None, []))
+    parts, groups = folds_of([log], windows), manoeuvres_of([log], windows)
+
+    def fitted(rows: np.ndarray, *start: np.ndarray) -> DriveFit:
+        return fit_drives(model, kind(model, [log], windows.take(rows)), groups[rows], *start)
+
+    whole, errors = fitted(parts >= 0), np.empty((parts.size, 3))
     for part in np.unique(parts):
-        kept = windows.take(parts != part)
-        fit = fit_on_uncertain_map(model, [log], kept, (None, []), whole)
-        errors[parts == part] = fit.known.predict([log], windows.take(parts == part), None)
+        own = parts == part
+        values = fitted(~own, whole.values, whole.estimate.deviations).values
+        errors[own] = kind(model, [log], windows.take(own)).errors(values[None])[:, 0]
     return errors, whole
 
 
 def drives(folder: Path) -> Iterator[str]:
-    """Yield errors of the force balance by surface, whole manoeuvres left out, and constants."""
+    """Yield errors by model and surface, whole manoeuvres left out, and constants."""
     known = dict[str, float]()
-    yield "surface, unknowns: yaw rms (median) [deg], position rms (median) [m], CPU [s]"
+    yield "surface, model: yaw rms (median) [deg], position rms (median) [m], CPU [s]"
     for path in sorted((folder / "drive").glob("*.csv.gz")):
         name = path.name.split(".")[0].removeprefix("warthog_")
         half = ROBOTS["husky" if "husky" in name else "warthog"]
         log, windows = drive_log(path, name, half)
         all_names = ("radius_left", "radius_right", "track", *USUAL)
-        cases = {"all": model_of(half, [name], *all_names)}
-        cases["quasi-static"] = model_of(half, [name], *all_names, inertia=0.0)
+        cases: dict[str, tuple[Model, DriveLog, type[Predictor]]] = {
+            "five-parameter ICR": (kinematics_of(half, stiffness=1e4), log, Icr),
+            "ICR, lags, sideslip": (kinematics_of(half, "stiffness", "delay", "lag"), log, Icr),
+            "force balance": (model_of(half, [name], *all_names), log, Predictor),
+            "quasi-static": (model_of(half, [name], *all_names, inertia=0.0), log, Predictor),
+        }
         if known and "husky" not in name:
             given = {key: value for key, value in known.items() if key not in ("friction", "age")}
-            width = given.pop("track") / 2
-            log = log._replace(chassis=four_wheels(width, half[1]))
-            own = (width, half[1])
-            cases["friction, rest of asphalt"] = model_of(own, [name], "friction", "age", **given)
-            more = ("friction", "age", "rolling")
-            cases["friction, radius, rest of asphalt"] = model_of(own, [name], *more, **given)
-        for words, model in cases.items():
+            own = (given.pop("track") / 2, half[1])
+            wide = log._replace(chassis=four_wheels(*own))
+            for words, more in (("friction", ()), ("friction, radius", ("rolling",))):
+                model = model_of(own, [name], "friction", "age", *more, **given)
+                cases[f"{words}, rest of asphalt"] = model, wide, Predictor
+        for words, (model, own_log, kind) in cases.items():
             began = time.process_time()
-            is_own = model.half_track == half[0]
-            own_log = log._replace(chassis=four_wheels(*half)) if is_own else log
-            errors, whole = left_out(model, own_log, windows)
+            errors, whole = left_out(model, own_log, windows, kind)
             took = time.process_time() - began
             turns, away = np.rad2deg(np.abs(errors[:, 2])), np.hypot(*errors.T[:2])
             yield (
-                f"{name:9} {words:38} {rms(turns):.1f} ({np.median(turns):.1f}), {rms(away):.2f} "
+                f"{name:10} {words:33} {rms(turns):.1f} ({np.median(turns):.1f}), {rms(away):.2f} "
                 f"({np.median(away):.2f}), {took:.0f}"
             )
             values = dict(zip((u.name for u in model.unknowns), whole.values.tolist(), strict=True))
-            if words == "all":
-                known = values if name == "asphalt" else known
+            if words == "force balance" and name == "asphalt":
+                known = values
+            if "rest" not in words:
                 yield "  " + ", ".join(f"{key} {value:.3f}" for key, value in values.items())
 
 
 def turning(folder: Path) -> Iterator[str]:
     """Yield the scatter of the turning rate over the difference of the sides, at steady rates."""
-    with gzip.open(folder / "drive/husky_long.csv.gz", "rt") as file:
-        rows = list(csv.DictReader(file))
-    names = (
-        "calib_step",
-        "window",
-        "wl_radps",
-        "wr_radps",
-        "yaw",
-        "x",
-        "y",
-        "cmd_left",
-        "cmd_right",
+    log = columns(folder / "drive/husky_long.csv.gz")
+    step, number, left, right, yaw = (
+        log[name] for name in ("calib_step", "window", "wl_radps", "wr_radps", "yaw")
     )
-    step, number, left, right, yaw, x, y, *commands = (
-        np.array([float(row[name]) for row in rows]) for name in names
-    )
+    x, y, *commands = (log[name] for name in ("x", "y", "cmd_left", "cmd_right"))
     windows = [np.flatnonzero(number == each) for each in np.unique(number)]
     rates = np.array([[left[k].mean(), right[k].mean()] for k in windows])
     spread = np.array([max(left[k].std(), right[k].std()) for k in windows])
@@ -259,13 +295,12 @@ class WheelCase(NamedTuple):
 
 PUBLISHED, SINKAGE, SHEAR, BOTH = "published law", "slip sinkage", "coupled shear", "both"
 RATE = 0.5  # deviation of the priors of the constants of slip sinkage, whose mean is zero
-FOLDINGS = 1  # random partitions of the runs
 
 
 def variants(case: WheelCase) -> Iterator[tuple[str, Soil, list[Unknown]]]:
     """Yield the laws that are compared: name, soil before the fit, unknowns."""
     is_oblique = bool((case.runs.motion[2] != 0).any())
-    rates = ["exponent_slip", *(["exponent_skid"] if (case.runs.motion[2] != 0).any() else [])]
+    rates = ["exponent_slip", *(["exponent_skid"] if is_oblique else [])]
     for name in (PUBLISHED, SINKAGE, SHEAR, BOTH) if is_oblique else (PUBLISHED, SINKAGE):
         own = dict(case.priors)
         if name in (SINKAGE, BOTH):
@@ -286,16 +321,11 @@ def cross_validated(case: WheelCase) -> Iterator[str]:
         words = ", ".join(f"{name} {value:.3g}" for name, value in pairs if np.isfinite(value))
         yield f"  deviation between repeats: {words}"
     for k, (name, soil, unknowns) in enumerate(variants(case)):
-        computed = []
-        for seed in range(FOLDINGS if case.folds < runs.load.size else 1):
-            fit = fit_soil(
-                soil, case.size, unknowns, runs, folds=case.folds, resamples=0, seed=seed
-            )
-            computed.append(fit.validated - runs.values)
+        fit = fit_soil(soil, case.size, unknowns, runs, folds=case.folds, resamples=0)
         if k == 0:
-            before = [fit.nominal - runs.values]
+            before = fit.nominal - runs.values
             yield "  " + _errors_in_words("constants before the fit", case, before)
-        yield "  " + _errors_in_words(name, case, computed)
+        yield "  " + _errors_in_words(name, case, fit.validated - runs.values)
         labels = zip(fit.estimate.labels, fit.estimate.intervals, strict=True)
         values = zip(labels, fit.estimate.values, fit.estimate.at_bound, strict=True)
         yield "    " + ", ".join(
@@ -306,7 +336,7 @@ def cross_validated(case: WheelCase) -> Iterator[str]:
             yield f"    not determined: {', '.join(lost)}"
 
 
-def _errors_in_words(name: str, case: WheelCase, errors: list[np.ndarray] | None) -> str:
+def _errors_in_words(name: str, case: WheelCase, errors: np.ndarray | None) -> str:
     """Return rms errors in each region in words; without errors, the deviation of the data."""
     lines = []
     for region, rows in case.regions.items():
@@ -314,9 +344,9 @@ def _errors_in_words(name: str, case: WheelCase, errors: list[np.ndarray] | None
         for k, quantity in enumerate(QUANTITIES):
             measured = case.runs.values[rows, k]
             if np.isfinite(measured).any():
-                squares = [np.nanmean(e[rows, k] ** 2) for e in errors or ()]
-                value = np.sqrt(np.mean(squares)) if errors else np.nanstd(measured)
-                parts.append(f"{quantity} {value:.3g}")
+                squares = (measured if errors is None else errors[rows, k]) ** 2
+                mean = 0.0 if errors is not None else np.nanmean(measured)
+                parts.append(f"{quantity} {np.sqrt(np.nanmean(squares) - mean**2):.3g}")
         lines.append(f"{region} ({rows.sum()}): {', '.join(parts)}")
     return f"{name:26} " + "; ".join(lines)
 
@@ -415,6 +445,9 @@ def ishigami(folder: Path) -> Iterator[WheelCase]:
         yield WheelCase(f"Ishigami, {words}", runs, WheelSize(0.09, 0.11), soil, priors, 2, regions)
 
 
+PAPERS = "drawbar_pull_n", "torque_nm", "sinkage_m"  # columns of measured values
+
+
 def papers(folder: Path) -> Iterator[WheelCase]:
     """Yield the wheels of three papers, with the constants that the collection states."""
     simulants = {row["simulant"]: row for row in table(folder / "single_wheel/soil_simulants.csv")}
@@ -433,13 +466,7 @@ def papers(folder: Path) -> Iterator[WheelCase]:
         )
         slip, load, pull, torque, sinkage = (
             np.array([float(row[name] or "nan") for row in own])
-            for name in (
-                "slip",
-                "vertical_load_n",
-                "meas_drawbar_pull_n",
-                "meas_torque_nm",
-                "meas_sinkage_m",
-            )
+            for name in ("slip", "vertical_load_n", *(f"meas_{name}" for name in PAPERS))
         )
         values = np.column_stack([pull, np.full(slip.size, np.nan), torque, sinkage])
         runs = WheelRuns(motion_at_slip(slip, 0 * slip), load, values, np.arange(float(slip.size)))
@@ -520,14 +547,15 @@ def slopes(folder: Path) -> Iterator[str]:
         for slope in (*measured[:, 0], *PREDICTED_SLOPES):
             slip = slip_on_slope(model, theta[:, kept], slope)
             blurred = slip + rng.normal(0, SLIP_DEVIATION, slip.size)
-            low, middle, high = weighted_quantiles(blurred, weight[kept], (0.025, 0.5, 0.975))
+            levels, shares = (0.025, 0.5, 0.975), weight[kept]
+            low, middle, high = np.quantile(blurred, levels, weights=shares, method="inverted_cdf")
             stuck = weight[kept][slip >= SLIPS[-1]].sum() / weight[kept].sum()
             yield (
                 f"    {slope:5.1f} deg: slip {middle:.3f} (95 % interval {low:.3f} to "
                 f"{min(high, 1):.3f}), cannot climb with probability {stuck:.2f}"
             )
         narrowed = {
-            key: weighted_deviation(values, weight) / values.std()
+            key: np.sqrt(np.cov(values, aweights=weight, ddof=0)) / values.std()
             for key, values in constants.items()
         }
         words = ", ".join(f"{key} {ratio:.2f}" for key, ratio in narrowed.items())
@@ -569,21 +597,6 @@ def slip_on_slope(model: ca.Function, theta: np.ndarray, degrees: float) -> np.n
     share = np.where(first > 0, (needed - a) / np.where(b > a, b - a, 1), 0)
     found = SLIPS[before] + share * (SLIPS[first] - SLIPS[before])
     return np.where(enough.any(axis=1), found, 1.0)
-
-
-def weighted_quantiles(
-    values: np.ndarray, weight: np.ndarray, levels: tuple[float, ...]
-) -> np.ndarray:
-    """Return quantiles of weighted values."""
-    order = np.argsort(values)
-    share = np.cumsum(weight[order]) / weight.sum()
-    return np.interp(levels, share, values[order])
-
-
-def weighted_deviation(values: np.ndarray, weight: np.ndarray) -> float:
-    """Return the standard deviation of weighted values."""
-    mean = (weight * values).sum() / weight.sum()
-    return float(np.sqrt((weight * (values - mean) ** 2).sum() / weight.sum()))
 
 
 def main() -> None:

@@ -1,6 +1,7 @@
 """Tests of ``slipfree wheel`` (table, figure, measured points, errors) and of soil in problems."""
 
 import csv
+import re
 import tomllib
 from dataclasses import replace
 from math import radians
@@ -166,17 +167,7 @@ def test_errors_of_regions_name_the_key(tmp_path, old, new, words):
     assert words in " ".join(done.output.split())
 
 
-FIT = """
-wheel = { radius = 0.09, width = 0.11, load = 50.0 }
-soil = { shear_along_rate = 0.0, shear_across_rate = 0.0 }
-test = { measured = "points.csv" }
-folds = 3
-resamples = 0
-[unknowns.friction_angle]
-lower = "20 deg"
-[unknowns.shear_along]
-prior = [0.03, 0.02]
-"""
+FIT = (DATA / "fit_soil.toml").read_text()
 
 
 @pytest.fixture
@@ -237,6 +228,34 @@ def test_errors_of_fits_of_soil(tested, tmp_path, old, new, words):
     done = invoke("fit", str(tested), "-o", str(tmp_path / "fit.csv"))
     assert done.exit_code == 2
     assert words in " ".join(done.output.split())
+
+
+def test_three_tests_without_a_wheel_file(tmp_path):
+    """Usual constants have priors, and those that the tests do not determine are named."""
+    truth = replace(known_soil("lunar"), friction_angle=radians(28))
+    found = single_wheel(truth, WheelSize(0.09, 0.11), 60.0, [0.1, 0.3, 0.5])
+    rows = zip(found.slip, found.pull[0], found.sinkage[0], strict=True)
+    lines = ["slip,pull,sinkage,load", *(f"{s},{pull},{depth},60" for s, pull, depth in rows)]
+    table, written = tmp_path / "tests.csv", tmp_path / "soil.toml"
+    table.write_text("\n".join(lines))
+    words = [table, "--fit", "-o", tmp_path / "fit.csv", "--write", written]
+    options = sets("wheel.radius=0.09", "wheel.width=0.11", "soil.name=lunar")
+    done = run(*words, *options)
+    assert done.exit_code == 0, done.output
+    shown = " ".join(done.output.split())
+    assert "3 points of 3 runs" in shown
+    assert re.search(r"cohesion [^)]*as its prior: not determined by these data", shown)
+    assert "weakly determined frictional_modulus" in shown
+    with (tmp_path / "fit.csv").open() as stream:
+        rows = {row["name"]: row for row in csv.DictReader(stream)}
+    angle = rows["friction_angle"]
+    assert float(angle["lower"]) < radians(28) < float(angle["upper"])
+    assert abs(float(angle["value"]) - radians(28)) < radians(2)
+    assert tomllib.loads(written.read_text())["law"]["soil"]["shear_across"] == truth.shear_across
+    done = run(table, "--fit", *sets("wheel.radius=0.09"))
+    assert "tests.csv: wheel.width: expected a value, found none" in done.output
+    done = run(table, "--write", written, *options)
+    assert "expected --fit with --write" in done.output
 
 
 def test_undetermined_soil_is_not_written(tested, tmp_path):

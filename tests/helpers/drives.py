@@ -1,15 +1,19 @@
-"""Logs of skid-steered vehicles with known constants, integrated by explicit steps of their own."""
+"""Logs of skid-steered vehicles with known constants, by explicit steps of their own, and fits."""
 
 from __future__ import annotations
 
 from functools import cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from slipfree.core.records import Array
-from slipfree.fit.drives import DriveLog
+from slipfree.fit.drive_fit import Scale, fit_drives
+from slipfree.fit.drives import DriveLog, windows_of
 from slipfree.fit.force_balance import four_wheels
+from slipfree.fit.prediction import Model, Predictor
+from slipfree.fit.unknowns import Unknown
 from slipfree.terrain.base import Grid
 
 AXIS = np.arange(-40.0, 41.0)
@@ -138,3 +142,50 @@ def log_of(
         *(np.ones(n, bool), np.ones(n, bool)),
         heading[:, k] + noise * rng.normal(size=n) if has_headings else None,
     )
+
+
+WHEELS = ("front_left", "rear_left", "front_right", "rear_right")
+TRUE = {"radius_left": 0.98, "radius_right": 1.02, "stiffness": 3.0, "gyration": 0.3}
+TRUE |= {"friction": 0.6, "center_of_mass_ahead": 0.05}
+DRAWN = tuple(name for name in TRUE if name != "gyration")
+
+
+def unknowns(*names: str) -> tuple[Unknown, ...]:
+    """Return unknowns of a vehicle that is driven by its sides."""
+    sides = {"radius_left": WHEELS[:2], "radius_right": WHEELS[2:]}
+    return tuple(
+        Unknown(name, "radius" if name in sides else name, sides.get(name, ())) for name in names
+    )
+
+
+def model(*names: str, **fixed: float) -> Model:
+    """Return the model of the synthetic vehicle."""
+    return Model(unknowns(*names), {"gyration": 0.3} | fixed, np.ones(4), WHEELS, HALF)
+
+
+ROBOTS = {  # constants, factor of the speed
+    "usual": (Truth(), 1.0),
+    "on ice": (Truth(1.0, 1.0, 0.15, 2.0, 0.5, -0.08), 1.0),
+    "fast": (Truth(0.95, 1.05, 0.8, 1.5, 0.15, 0.1), 2.0),
+}
+
+
+def draws_of_fits(truth: Truth, speed: float, count: int) -> tuple[Array, Array, Array]:
+    """Return errors, deviations and whether intervals hold of fits to logs with errors of 1 cm.
+
+    Each drive has two draws with errors of opposite signs, whose mean is the bias.
+    """
+    made = drives(count // 2, truth, speed=speed)
+    own = model(*DRAWN, gyration=truth.gyration)
+    named = truth._asdict() | {"center_of_mass_ahead": truth.ahead}
+    true = Scale.of(own.unknowns).sought(np.array([named[name] for name in DRAWN]))
+    rows = []
+    for k, sign in product(range(count // 2), (1, -1)):
+        logs = [log_of(made, k, noise=sign * 0.01)]
+        windows = windows_of(logs, duration=2.0)
+        found = fit_drives(own, Predictor(own, logs, windows), np.arange(windows.log.size))
+        low, high = found.estimate.intervals.T
+        deviation = np.sqrt(np.diag(found.estimate.covariance))
+        rows.append([found.estimate.values - true, deviation, (low < true) & (true < high)])
+    errors, deviations, inside = np.array(rows).swapaxes(0, 1)
+    return errors, deviations, inside

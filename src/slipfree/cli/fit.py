@@ -91,7 +91,6 @@ def fit(
     """
     file = files[0]
     with about(file):
-        from slipfree.files.tables import write_rows
         from slipfree.problem.wheel_test import is_wheel_file
 
         is_binary = file.suffix.lower() in (".nc", ".mcap")
@@ -109,39 +108,48 @@ def fit(
                 f"{file}: expected a vehicle for --write, found none; name one, or omit --write: "
                 "the constants are in a table"
             )
-        table = out or default_table(file, "fit", work.inputs)
-        tables = [table, *(table.with_name(f"{table.stem}_{end}.csv") for end in work.ends)]
-        picture = table.with_suffix(".png") if draw else None
-        check_outputs([*tables, picture, write], work.inputs)
-        with held_interrupt(from_first_poll=True):
-            result = work.solve()
-            files_written = [
-                save(path, partial(write_rows, names=rows[0], rows=rows[1]))
-                for path, rows in zip(tables, result.tables, strict=True)
-            ]
-            if result.save is not None:
-                files_written.append(save(table.with_suffix(".nc"), result.save))
-            if write is not None and not result.undetermined:
-                write_new_file(result.text(), write, force)
-                files_written.append(write)
-            is_interrupted = interrupt_requested() or result.is_interrupted
-        print_facts(result.facts)
-        for key, objects in result.objects.items():
-            add_json(key, partial(list, objects))
-        if picture is not None and not is_interrupted:
-            files_written += draw_plots([result.plot(picture.stem)], picture.parent)
-        print_line(f"wrote {' and '.join(map(str, files_written))}")
-        if is_interrupted:
-            print_error(f"interrupted; {files_written[0]} contains the estimates so far")
-            raise typer.Exit(INTERRUPTED)
-        if result.undetermined:
-            unwritten = f"; no {work.subject} was written" if write else ""
-            print_error(
-                f"{file}: expected {work.data} all unknowns, found no information on "
-                f"{', '.join(result.undetermined)}{unwritten}; give priors, fit fewer unknowns, or "
-                f"use {work.remedy}"
-            )
-            raise typer.Exit(STOPPED)
+        _write_fit(file, work, out, write, force=force, draw=draw)
+
+
+def _write_fit(
+    file: Path, work: _FitWork, out: Path | None, write: Path | None, *, force: bool, draw: bool
+) -> None:
+    """Solve a fit, print its facts, and write its files."""
+    from slipfree.files.tables import write_rows
+
+    table = out or default_table(file, "fit", work.inputs)
+    tables = [table, *(table.with_name(f"{table.stem}_{end}.csv") for end in work.ends)]
+    picture = table.with_suffix(".png") if draw else None
+    check_outputs([*tables, picture, write], work.inputs)
+    with held_interrupt(from_first_poll=True):
+        result = work.solve()
+        files_written = [
+            save(path, partial(write_rows, names=rows[0], rows=rows[1]))
+            for path, rows in zip(tables, result.tables, strict=True)
+        ]
+        if result.save is not None:
+            files_written.append(save(table.with_suffix(".nc"), result.save))
+        if write is not None and not result.undetermined:
+            write_new_file(result.text(), write, force)
+            files_written.append(write)
+        is_interrupted = interrupt_requested() or result.is_interrupted
+    print_facts(result.facts)
+    for key, objects in result.objects.items():
+        add_json(key, partial(list, objects))
+    if picture is not None and not is_interrupted:
+        files_written += draw_plots([result.plot(picture.stem)], picture.parent)
+    print_line(f"wrote {' and '.join(map(str, files_written))}")
+    if is_interrupted:
+        print_error(f"interrupted; {files_written[0]} contains the estimates so far")
+        raise typer.Exit(INTERRUPTED)
+    if result.undetermined:
+        unwritten = f"; no {work.subject} was written" if write else ""
+        print_error(
+            f"{file}: expected {work.data} all unknowns, found no information on "
+            f"{', '.join(result.undetermined)}{unwritten}; give priors, fit fewer unknowns, or "
+            f"use {work.remedy}"
+        )
+        raise typer.Exit(STOPPED)
 
 
 class _FitResult(NamedTuple):
@@ -181,6 +189,7 @@ def _log_fit(
     predict: Sequence[Path],
 ) -> _FitWork:
     from slipfree.files.netcdf import is_result
+    from slipfree.files.toml.source import MADE
     from slipfree.files.vehicle_toml import toml_value, vehicle_text
     from slipfree.problem.inputs import files_read
     from slipfree.problem.load import load_again
@@ -202,7 +211,7 @@ def _log_fit(
         lines = [f"{key} = {toml_value(str(path))}" for key, path in tables.items() if path]
         names = ", ".join(toml_value(str(path)) for path in files)
         text = "\n".join(["verb = 'fit'", f"data.file = [{names}]", *lines, ""])
-        problem = load_again(Path(f"{file.stem}.toml"), text, settings, command="fit")
+        problem = load_again(Path(file.name), MADE + text, settings, command="fit")
 
     def solve() -> _FitResult:
         if contents is not None:
@@ -259,7 +268,7 @@ def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
             {"errors": wheel_test.error_rows(fit), "estimates": _objects(constants)},
             partial(wheel_test.soil_text, fitted),
             lambda name: soil_plot(name, fitted.runs.values, fit),
-            fit.estimate.undetermined,
+            tuple(name for name in fit.estimate.undetermined if name not in fitted.priors),
             fit.estimate.is_interrupted,
         )
 
@@ -269,7 +278,12 @@ def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
 
 def wheel(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Wheel file (TOML): wheel, load, soil and test.")
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="Wheel file (TOML): wheel, load, soil and test; or a table of tests, whose wheel "
+            "--set names (wheel.radius, wheel.width).",
+        ),
     ],
     settings: Settings = None,
     out: Annotated[
@@ -281,15 +295,28 @@ def wheel(
             "input.",
         ),
     ] = None,
+    fit: Annotated[
+        bool, typer.Option("--fit", help="Fit the soil to the measured points.")
+    ] = False,
+    write: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="Write the soil of --fit.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing soil file.")] = False,
     draw: Draw = True,
 ) -> None:
     """Compute the forces on a single wheel in soil.
 
     Print a summary, and write drawbar pull, side force, torque and sinkage over slip ratio and
     slip angle as a table and a figure. Measured points of a CSV file are drawn over the curves,
-    and compared with them.
+    and compared with them; --fit fits constants of the soil to them, from three points on.
     """
     with about(file):
+        if fit:
+            work = _soil_fit(file, settings or [])
+            _write_fit(file, work, out, write, force=force, draw=draw)
+            return
+        if write:
+            raise ModelError(f"{file}: expected --fit with --write, found none; add --fit")
         from slipfree.files.tables import write_rows
         from slipfree.fit.wheel_soil import QUANTITIES
         from slipfree.problem.wheel_test import (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -13,8 +14,8 @@ from slipfree.core.records import Array
 from slipfree.fit.force_balance import Chassis
 from slipfree.geometry.frame import Pose, Vector, unit_vector
 from slipfree.vehicle.sections import Disc, Omni, Section, Sphere, Torus
-from slipfree.vehicle.tree import Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.tree import Vehicle, body_inertia
+from slipfree.vehicle.wheel import Wheel, wheel_inertia
 
 
 def chassis_of(vehicle: Vehicle, signals: Sequence[int], joints: Mapping[str, Array]) -> Chassis:
@@ -85,11 +86,29 @@ def with_dimensions(
     vehicle: Vehicle,
     radii: Mapping[str, float],
     width: float | None = None,
-    center: Mapping[int, float] | None = None,
+    center: Mapping[int, float] = MappingProxyType({}),
+    gyration: float | None = None,
 ) -> Vehicle:
-    """Return a vehicle with other rolling radii, by wheel, track, and coordinates of its centre.
+    """Return a vehicle with other dimensions.
 
-    All lateral distances between joints and wheels grow with the track. [m]
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Vehicle.
+    radii : mapping of float
+        Rolling radii, by wheel. [m]
+    width : float, optional
+        Track; all lateral distances between joints and wheels grow with it. [m]
+    center : mapping of float
+        Coordinates 0 and 1 of the centre of all masses, to which the platform's is moved. [m]
+    gyration : float, optional
+        Moment of inertia about the vertical over mass, of which the platform has what other parts
+        leave. [m^2]
+
+    Raises
+    ------
+    ModelError
+        If a wheel has no radius that can be changed, or other parts exceed the moment of inertia.
     """
     factor = 1.0 if width is None else width / track(vehicle)
 
@@ -102,13 +121,37 @@ def with_dimensions(
             return own
         return replace(own, section=_section(wheel.section, radii[wheel.name], wheel.name))
 
-    x, y, z = ((center or {}).get(k, value) for k, value in enumerate(vehicle.body.at))
-    return replace(
+    found = replace(
         vehicle,
-        body=replace(vehicle.body, at=(x, y, z)),
         joints=tuple(replace(joint, at=wider(joint.at)) for joint in vehicle.joints),
         wheels=tuple(map(changed, vehicle.wheels)),
     )
+    body, own = found.body, found.body.mass
+    if not own or not (center or gyration):
+        return found
+    others = [*replace(found, body=replace(body, mass=0.0)).masses()]
+    masses = np.array([own, *(mass for _, mass, _ in others)])
+    places = np.array([body.at, *(ca.evalf(place).full().ravel() for *_, place in others)])
+    wanted = masses @ places / masses.sum()
+    for k, value in center.items():
+        places[0, k] += (value - wanted[k]) * masses.sum() / own
+        wanted[k] = value
+    found = replace(found, body=replace(body, at=tuple(places[0].tolist())))
+    if gyration is None:
+        return found
+    squares = ((places - wanted)[:, :2] ** 2).sum(axis=1)
+    spins = [body_inertia(found, joint.name)[2, 2] for joint in found.joints if joint.body.mass]
+    spins += [wheel_inertia(wheel)[1] for wheel in found.wheels]
+    spin = gyration * masses.sum() - masses @ squares - sum(spins)
+    if spin <= 0:
+        raise ModelError(
+            f"vehicle: expected a moment of inertia over mass above "
+            f"{gyration - spin / masses.sum():.3g} "
+            f"m^2, that of the other parts, found {gyration:.3g} m^2; reduce their masses, or set "
+            "'constants.gyration'"
+        )
+    (xx, xy, xz), (_, yy, yz), _ = body_inertia(found, "platform").tolist()
+    return replace(found, body=replace(found.body, inertia=(xx, yy, float(spin), xy, xz, yz)))
 
 
 def _section(section: Section, radius: float, name: str) -> Section:

@@ -208,7 +208,7 @@ def fit_drives(
                 break
     prediction = errors.accept(values)
     search = Residuals(errors, none, spread, sought)
-    estimate = search.estimate(values, prediction, groups, "soft_l1", spent=1)
+    estimate = search.estimate(values, prediction, groups, "soft_l1")
     estimate = estimate._replace(is_interrupted=is_interrupted)
     return DriveFit(Known(model, scale.values(values)), estimate, prediction.values)
 

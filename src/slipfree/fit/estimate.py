@@ -4,10 +4,15 @@ The residuals are the differences between predicted and measured poses at the en
 divided by their standard deviations, which follow from the residuals themselves. The estimate
 minimises a robust loss of the residuals and of the deviations from priors (Gauss-Newton with trust
 region, `scipy.optimize.least_squares`, exact Jacobian). The covariance is the sandwich estimate for
-independent windows: ``B^-1 M B^-1`` with the Hessian ``B`` of the loss without second derivatives
-of the prediction, and ``M`` the sum over the windows of the products of their gradients (Huber,
-Robust Statistics, 1981, 6.3; Liang and Zeger, Biometrika 73, 1986). Fits of soils and of motions
-over a map minimise the same loss; their independent groups are the runs of a wheel, or whole logs.
+independent groups: ``B^-1 M B^-1`` with the Hessian ``B`` of the loss without second derivatives of
+the prediction, and ``M`` the sum over the groups of the products of their gradients (Huber, Robust
+Statistics, 1981, 6.3; Liang and Zeger, Biometrika 73, 1986). Groups are windows, manoeuvres, whole
+logs, or runs of a wheel.
+
+The estimate follows groups that alone determine an unknown, such as the windows in which friction
+saturates, and their gradients are then too small. Gradients are therefore enlarged by the leverage
+of their group, and intervals are those of Student's distribution, whose degrees of freedom are the
+effective number of groups of each unknown (Bell and McCaffrey, Survey Methodology 28, 2002).
 """
 
 from __future__ import annotations
@@ -35,6 +40,7 @@ EXTREMUM = 0.02  # ratio of derivatives, to that at the nominal value, at an ext
 RESAMPLES = 2000  # of a bootstrap
 MIN_ACCEPTED = 2  # accepted values, with the start, from which an interrupted fit is kept
 EDGE = 1e-4  # distance of estimates from their bounds [scales]
+MAX_LEVERAGE = 0.99  # of a group on an estimate
 AT_BOUND = 1e-3  # distance from a bound that counts as zero [scales]
 
 
@@ -166,31 +172,26 @@ class Residuals:
         prediction: Prediction,
         groups: Array | Indices,
         loss: Loss,
-        spent: int = 0,
     ) -> Estimate:
         """Return the estimate for a prediction at its values.
 
-        The rows of a prediction belong to independent ``groups``, shape (n,); their number less the
-        ``spent`` one, by default that of the unknowns, is that of the degrees of freedom.
+        The rows of a prediction belong to independent ``groups``, shape (n,).
         """
         labels, nominal, bounds, scales, priors = self._sought
         edges = np.minimum(np.abs(values - bounds[0]), np.abs(values - bounds[1]))
         at_bound = edges < AT_BOUND * scales
         missed = (prediction.values - self._measured) / self._deviations
         slopes = prediction.slopes[..., ~at_bound] / self._deviations[:, None] * scales[~at_bound]
-        numbers, of_row = np.unique(groups, return_inverse=True)
-        covariance, directions = _sandwich(
+        covariance, directions, freedom = _sandwich(
             np.where(self._known, missed, 0.0),
             np.where(self._known[..., None], slopes, 0.0),
-            (of_row, max(numbers.size - (spent or int((~at_bound).sum())), 1)),
+            np.unique(groups, return_inverse=True)[1].ravel(),
             priors,
             scales,
             ~at_bound,
             loss,
         )
-        freedom = max(numbers.size - (spent or values.size), 1)
-        quantile = float(scipy.special.stdtrit(freedom, 0.5 + CONFIDENCE / 2))
-        reach = quantile * np.sqrt(np.diag(covariance))
+        reach = scipy.special.stdtrit(freedom, EDGES[1]) * np.sqrt(np.diag(covariance))
         return Estimate(
             labels,
             nominal,
@@ -207,39 +208,44 @@ class Residuals:
 def _sandwich(
     missed: Array,
     slopes: Array,
-    groups: tuple[Indices, int],
+    of_row: Indices,
     priors: Priors,
     scales: Array,
     free: Mask,
     loss: Loss,
-) -> tuple[Array, tuple[Direction, ...]]:
-    """Return the covariance of estimates, and the principal directions of the free ones.
+) -> tuple[Array, tuple[Direction, ...], Array]:
+    """Return the covariance of estimates, the principal directions of the free ones, and freedom.
 
     ``missed``, shape (n, m), are residuals without unit, ``slopes`` their derivatives by the p free
-    unknowns in units of their scales; ``groups`` are the index of the independent group of each
-    row, and the number of degrees of freedom of the groups.
+    unknowns in units of their scales; ``of_row`` is the index of the independent group of each row.
+    The last array, shape (p_all,), are the degrees of freedom of each unknown.
     """
     size = 1 + missed**2 if loss == "soft_l1" else np.ones_like(missed)
-    of_row, freedom = groups
     count, p = int(of_row.max()) + 1, int(free.sum())
-    scores = np.zeros((count, p))
+    scores, parts = np.zeros((count, p)), np.zeros((count, p, p))
     np.add.at(scores, of_row, np.einsum("ni,nip->np", missed / np.sqrt(size), slopes))
-    bread = np.einsum("nip,ni,niq->pq", slopes, size**-1.5, slopes)
-    meat = scores.T @ scores * count / freedom
+    np.add.at(parts, of_row, np.einsum("nip,ni,niq->npq", slopes, size**-1.5, slopes))
     known = priors.slopes(scales.size).sum(axis=0)
     prior = np.diag((known * scales)[free] ** 2)
-    bread, meat = bread + prior, meat + prior
-    values, vectors = np.linalg.eigh(bread)
+    values, vectors = np.linalg.eigh(parts.sum(axis=0) + prior)
     lost = values <= SINGULAR * max(values.max(initial=0.0), 1e-300)
-    inverse = vectors[:, ~lost] / values[~lost] @ vectors[:, ~lost].T
-    scaled = inverse @ meat @ inverse
+    half = vectors[:, ~lost] / np.sqrt(values[~lost])  # inverse of the Hessian: half @ half.T
+    leverage, axes = np.linalg.eigh(half.T @ parts @ half)
+    larger = np.sqrt(1 - np.minimum(leverage, MAX_LEVERAGE))
+    scores = np.einsum("gij,gj->gi", axes, np.einsum("gij,gi->gj", axes, scores @ half) / larger)
+    own = half.T @ prior @ half
+    scaled = half @ (scores.T @ scores + own) @ half.T
+    shares = np.einsum("pi,gij,pj->gp", half, half.T @ parts @ half, half)  # of the variances
+    total = shares.sum(axis=0) + np.diag(half @ own @ half.T)
+    freedom = np.ones(scales.size)
+    freedom[free] = np.maximum(total**2 / np.maximum((shares**2).sum(axis=0), 1e-300) - 1, 1)
     directions = _directions(scaled, vectors, lost)
     undetermined = (vectors[:, lost] ** 2).sum(axis=1) > LOST_SHARE
     covariance = np.zeros((scales.size, scales.size))
     part = scaled * np.outer(scales[free], scales[free])
     part[np.diag_indices(p)] = np.where(undetermined, np.inf, np.diag(part))
     covariance[np.ix_(free, free)] = part
-    return covariance, directions
+    return covariance, directions, freedom
 
 
 def _directions(scaled: Array, vectors: Array, lost: Mask) -> tuple[Direction, ...]:

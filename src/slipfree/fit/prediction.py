@@ -154,16 +154,7 @@ class Predictor:
         lanes = lanes_of(self.model, values, self._names)
         q = lanes.values
         receiver = q["sensor_ahead"] - 1j * q["sensor_right"]
-        velocity, turning = simulate(
-            self._chassis,
-            self._constants(lanes),
-            self._signals(q),
-            self._rows,
-            self._dt,
-            self._tilt(receiver, q["sensor_heading"]) if self._slopes else None,
-            self._lengths,
-            self._lead - round(RECENT / self._dt),
-        )
+        velocity, turning = self.motion(lanes)
         half = self._half
         part = slice(self._lead - half, None)
         path, heading = integrate(velocity[part], turning[part], self._dt)
@@ -207,6 +198,21 @@ class Predictor:
         is_measured = np.isfinite(self._turn)[:, None]
         bent = np.where(is_measured, turned - self._turn[:, None], bent)
         return np.stack([missed.real, missed.imag, bent], axis=-1)[np.argsort(self._order)]
+
+    def motion(self, lanes: Lanes) -> tuple[ComplexArray, Array]:
+        """Return velocities of the platform's centre and turning rates, shape (k, m, n) each."""
+        q = lanes.values
+        receiver = q["sensor_ahead"] - 1j * q["sensor_right"]
+        return simulate(
+            self._chassis,
+            self._constants(lanes),
+            self._signals(q),
+            self._rows,
+            self._dt,
+            self._tilt(receiver, q["sensor_heading"]) if self._slopes else None,
+            self._lengths,
+            self._lead - round(RECENT / self._dt),
+        )
 
     def names(self, kind: str) -> npt.NDArray[np.str_]:
         """Return the names of the surface or campaign of each window."""

@@ -40,6 +40,7 @@ from slipfree.vehicle.tree import EARTH_GRAVITY
 QUANTITIES = {"pull": "N", "side": "N", "torque": "N m", "sinkage": "m"}
 FIRST_SHARE = 0.3  # of the variation of a quantity, as deviation of residuals in the first estimate
 SAME_MOTION = 0.05  # largest difference of the speeds of repeats, over the largest speed
+LEAST_SHARE = 0.02  # of the largest value of a quantity, as deviation without repeats
 SMALLEST = 1e-9  # deviation of a quantity that is not measured, or fitted exactly
 TOLERANCE = 1e-7  # of searches
 NOT_STEADY = ("damping_ratio", "creep", "regions", "coupled_shear")  # of a soil
@@ -186,12 +187,12 @@ def fit_soil(
     Raises
     ------
     ModelError
-        If an unknown is no constant of steady motion in soil, the number of runs is smaller than
-        that of unknowns or folds, or the search does not converge.
+        If an unknown is no constant of steady motion in soil, there are fewer runs than folds or
+        not more than unknowns without a prior, or the search does not converge.
     """
     problem = SoilProblem(soil, size, unknowns, runs, loss, gravity)
     numbers = np.unique(runs.run)
-    needed = max(len(unknowns) + 1, folds)
+    needed = max(sum(each.prior is None for each in unknowns) + 1, folds)
     if numbers.size < needed:
         raise ModelError(
             f"fit of soil: expected at least {needed} runs, for {len(unknowns)} unknowns and "
@@ -271,6 +272,10 @@ class SoilProblem:
     ) -> None:
         self._runs, self._loss = runs, loss
         self._spread = repeat_spread(runs)
+        # with priors, few points can be fitted exactly
+        share = LEAST_SHARE if any(each.prior for each in unknowns) else 0.0
+        known = np.where(np.isfinite(runs.values), np.abs(runs.values), 0.0)
+        self._least = np.where(np.isnan(self._spread), share * known.max(axis=0), 0.0) + SMALLEST
         self.names = [unknown.quantity for unknown in unknowns]
         for unknown in unknowns:
             check_constant(unknown, soil)
@@ -324,7 +329,7 @@ class SoilProblem:
         """Return robust deviations of residuals, at least those of repeats."""
         missed = np.where(np.isfinite(missed).any(axis=0), missed, 0)  # no quantity without values
         robust = np.nanmedian(np.abs(missed), axis=0) / NORMAL_MEDIAN
-        return np.fmax(np.fmax(robust, self._spread), SMALLEST)
+        return np.fmax(np.fmax(robust, self._spread), self._least)
 
     def estimate(self, values: Array, deviations: Array) -> Estimate:
         """Return the estimate with its covariance, for independent runs."""

@@ -2,8 +2,8 @@
 
 With the depth ``d`` of a wheel below the ground, the normal force is
 ``N = k max(d, 0) max(0, 1 + c d')``, and the friction force is
-``f = -mu N s / sqrt(|s|^2 + eps^2)`` for the slip velocity ``s``. A wheel at rest on a slope
-therefore creeps.
+``f = -mu N s / sqrt(|s|^2 + eps^2 + (mu / K)^2)`` for the slip velocity ``s``. A wheel at rest on a
+slope therefore creeps.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import casadi as ca
 from annotated_types import Ge, Gt, Le, Lt, Unit
 
 from slipfree.core.arguments import checked
-from slipfree.laws.coulomb import check_friction
+from slipfree.laws.coulomb import SlipStiffness, check_friction, squared_creep
 from slipfree.laws.protocols import BodyTouch, GroundForce, WheelContact
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
@@ -47,6 +47,8 @@ class Compliant:
     body_depth : float
         Depth of a point of a body, such as a corner of a box, in the ground under the weight of the
         vehicle; zero to end the motion where a body touches the ground. [m]
+    slip_stiffness : float
+        Slip stiffness ``K``: force over normal force and slip velocity, at slow slip. [s/m]
 
     Raises
     ------
@@ -59,6 +61,7 @@ class Compliant:
     sliding: Annotated[float, Gt(0), Le(1), Unit("1")] = 1.0
     stribeck_speed: Annotated[float, Gt(0), Unit("m/s")] = 0.01
     body_depth: Annotated[float, Ge(0), Lt(inf), Unit("m")] = 0.0
+    slip_stiffness: SlipStiffness = inf
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
         """Raise ModelError if the ground has no friction coefficient."""
@@ -111,9 +114,10 @@ class Compliant:
         tangential = touch.slip - separating * touch.normal
         squared_slip = ca.sumsqr(tangential)
         friction = touch.friction
+        squared_creep_speed = squared_creep(self.creep, self.slip_stiffness, friction)
         if self.sliding < 1:
             speed = ca.sqrt(squared_slip + SMALLEST_SPEED**2)
             slow = ca.exp(-((speed / self.stribeck_speed) ** 2))
             friction *= self.sliding + (1 - self.sliding) * slow
-        friction_force = -friction * load / ca.sqrt(squared_slip + self.creep**2) * tangential
+        friction_force = -friction * load / ca.sqrt(squared_slip + squared_creep_speed) * tangential
         return GroundForce(load, friction_force, elastic, ca.SX(0))

@@ -1,4 +1,4 @@
-"""Coulomb friction, regularised by a creep speed.
+"""Coulomb friction, regularised by a creep speed or a slip stiffness.
 
 A wheel that transmits a tangential force slips; the slip grows as the force approaches the friction
 limit. The used fraction of the friction is a separate unknown, which keeps the equations well
@@ -36,6 +36,15 @@ CREEP_RATIO = 0.2  # ratio of consecutive creep speeds of the continuation
 MAX_EXCESS_SLIP = 1.0  # a motion ends if slip exceeds ten times the rim speed by this [m/s]
 
 
+SlipStiffness = Annotated[float, Gt(0), Unit("s/m")]
+
+
+def squared_creep(creep: Any, slip_stiffness: float, friction: Any) -> Any:
+    """Return the square of the slip at which friction reaches 71 % of its limit [m^2/s^2]."""
+    # the terms of a law without slip stiffness stay as they are
+    return creep**2 + ((friction / slip_stiffness) ** 2 if slip_stiffness < math.inf else 0)
+
+
 class FrictionUnknowns(NamedTuple):
     """Normal forces [N] and used fractions of the friction, along and across the wheels [1]."""
 
@@ -49,9 +58,9 @@ class FrictionUnknowns(NamedTuple):
 class Coulomb:
     """Coulomb friction with creep.
 
-    The tangential force on a wheel is ``mu N p - c N s`` with ``p sqrt(|s|^2 + eps^2) + s = 0``,
-    where ``s`` is its slip velocity, ``N`` its normal force and ``p`` the used fraction of the
-    friction.
+    The tangential force on a wheel is ``mu N p - c N s`` with ``p sqrt(|s|^2 + eps^2 + (mu / K)^2)
+    + s = 0``, where ``s`` is its slip velocity, ``N`` its normal force and ``p`` the used fraction
+    of the friction. Without creep, small slip needs the force ``K N s``.
 
     Attributes
     ----------
@@ -60,15 +69,18 @@ class Coulomb:
     reserve : float
         Coefficient ``c`` of viscous friction per newton of normal force. If it is positive,
         equilibria with fast slip exist beyond the friction limit. [s/m]
+    slip_stiffness : float
+        Slip stiffness ``K``: force over normal force and slip velocity. [s/m]
 
     Raises
     ------
     ModelError
-        If ``creep`` or ``reserve`` is outside its bounds.
+        If a number is outside its bounds.
     """
 
     creep: Annotated[float, Gt(0), Le(MAX_CREEP), Unit("m/s")] = 1e-4
     reserve: Annotated[float, Ge(0), Lt(math.inf), Unit("s/m")] = 0.0
+    slip_stiffness: SlipStiffness = math.inf
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
         """Raise ModelError if the ground has no friction coefficient."""
@@ -90,7 +102,10 @@ class Coulomb:
             for parts, slip in zip(used, slips, strict=True)
         )
         continuation = creep_continuation(self.creep)
-        sizes = [ca.sqrt(a**2 + c**2 + continuation.symbol**2) for a, c in zip(*slips, strict=True)]
+        sizes = [
+            ca.sqrt(a**2 + c**2 + squared_creep(continuation.symbol, self.slip_stiffness, mu))
+            for a, c, mu in zip(*slips, contacts.friction, strict=True)
+        ]
         # the used fraction p stays an unknown: eliminated, -s / size would be stiff in 1 / eps
         friction = [
             p * size + s

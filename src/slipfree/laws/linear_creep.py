@@ -8,6 +8,7 @@ for the side forces of a rigid axle.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -19,9 +20,11 @@ from slipfree.core.arguments import checked
 from slipfree.laws.coulomb import (
     MAX_CREEP,
     FrictionUnknowns,
+    SlipStiffness,
     check_friction,
     equation_labels,
     friction_unknowns,
+    squared_creep,
 )
 from slipfree.laws.protocols import Equations, Reaction, SlidingContacts, wheel_limits
 from slipfree.terrain.base import Terrain
@@ -33,22 +36,25 @@ from slipfree.vehicle.tree import Vehicle
 class LinearCreep:
     """Linear creep up to the friction limit.
 
-    The tangential force on a wheel is ``mu N p`` with ``eps p + s = 0``, where ``s`` is its slip
-    velocity, ``N`` its normal force and ``p`` the used fraction of the friction. The law is valid
-    for ``|p| <= 1``: the friction cone.
+    The tangential force on a wheel is ``mu N p`` with ``sqrt(eps^2 + (mu / K)^2) p + s = 0``, where
+    ``s`` is its slip velocity, ``N`` its normal force and ``p`` the used fraction of the friction.
+    The law is valid for ``|p| <= 1``: the friction cone.
 
     Attributes
     ----------
     creep : float
         Slip velocity ``eps`` at the friction limit. [m/s]
+    slip_stiffness : float
+        Slip stiffness ``K``: force over normal force and slip velocity. [s/m]
 
     Raises
     ------
     ModelError
-        If ``creep`` is outside its bounds.
+        If a number is outside its bounds.
     """
 
     creep: Annotated[float, Gt(0), Le(MAX_CREEP), Unit("m/s")] = 1e-3
+    slip_stiffness: SlipStiffness = math.inf
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
         """Raise ModelError if the ground has no friction coefficient."""
@@ -67,9 +73,9 @@ class LinearCreep:
             for parts in used
         )
         creep = [
-            self.creep * p + s
+            ca.sqrt(squared_creep(self.creep, self.slip_stiffness, mu)) * p + s
             for parts, slip in zip(used, slips, strict=True)
-            for p, s in zip(parts, slip, strict=True)
+            for p, s, mu in zip(parts, slip, contacts.friction, strict=True)
         ]
         labels = equation_labels(contacts.vehicle)
         squares = (a**2 + c**2 for a, c in zip(*used, strict=True))

@@ -1,6 +1,7 @@
 """Wheel files: a wheel, its load, a soil, slip ratios and slip angles; measured points and fits.
 
-``slipfree wheel`` computes the forces on the wheel, ``slipfree fit`` fits the soil to the points.
+``slipfree wheel`` computes the forces on the wheel; ``slipfree fit``, or ``--fit``, fits the soil
+to the points. A table of measured points takes the place of a file whose other keys are options.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ from slipfree.core.facts import Lines
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.files.tables import read_columns, read_names
-from slipfree.files.toml.source import Fault, problem_error, read_text
+from slipfree.files.toml.source import MADE, Fault, problem_error, read_text
 from slipfree.files.toml.types import Angle, Positive, Record, given_values
+from slipfree.files.vehicle_toml import toml_value
 from slipfree.fit.estimate import Interval
 from slipfree.fit.unknowns import Unknown, law_constants
 from slipfree.fit.wheel_soil import QUANTITIES, SoilFit, check_constant, fit_soil
@@ -36,10 +38,25 @@ from slipfree.models.single_wheel import (
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, validated_problem
 from slipfree.problem.schema import GRAVITY, FileKeys, Gravity, NamedSoil, soil_of
-from slipfree.problem.verbs.fit import BoundsTable, direction_lines, estimate_lines, estimate_rows
+from slipfree.problem.verbs.fit import (
+    AS_ITS_PRIOR,
+    AS_PRIOR,
+    BoundsTable,
+    direction_lines,
+    estimate_lines,
+    estimate_rows,
+)
 from slipfree.vehicle.gravity import gravity_of, gravity_words
 
 UNDETERMINED = "not determined by these data"
+PRIOR_SHARES = {  # deviation over mean of the priors of constants that are fitted by default
+    "cohesion": 1.0,
+    "friction_angle": 0.15,
+    "frictional_modulus": 1.0,
+    "exponent": 0.3,
+    "shear_along": 1.0,
+    "shear_across": 1.0,  # with slip angles
+}
 MAX_POINTS = 100_000  # slip ratios times slip angles
 
 
@@ -103,9 +120,11 @@ class WheelFile(FileKeys):
     test : TestTable
         The test.
     unknowns : mapping of str to BoundsTable
-        Constants of the soil that slipfree fit estimates, by name.
+        Constants of the soil that slipfree fit estimates, by name; by default the usual ones, with
+        priors.
     folds : int
-        Number of parts of the runs, each predicted by a fit to the others.
+        Number of parts of the runs, each predicted by a fit to the others; by default at most that
+        of the runs.
     resamples : int
         Number of fits to runs drawn at random, for intervals.
     seed : int
@@ -164,6 +183,7 @@ class FittedWheel(NamedTuple):
     file: WheelContents
     runs: WheelRuns
     fit: SoilFit
+    priors: dict[str, float]  # deviations of priors, by constant
 
 
 def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
@@ -194,19 +214,18 @@ def run_wheel_file(path: Path, settings: Sequence[str] = ()) -> WheelTest:
 def fit_wheel_file(file: WheelContents) -> FittedWheel:
     """Return the fit of the soil of a wheel file to its measured points.
 
-    ProblemError is raised if the file has no unknowns or no measured points, or an unknown is not
-    valid; other errors are those of `fit_soil`.
+    ProblemError is raised if the file has no measured points, or an unknown is not valid; other
+    errors are those of `fit_soil`.
     """
     spec = file.spec
-    faults = []
     if file.runs is None:
-        faults.append(Fault(("test", "measured"), "a CSV file of measured points", "none; add it"))
-    if not spec.unknowns:
-        expected = "at least one constant of the soil to be fitted, as in [unknowns.cohesion]"
-        faults.append(Fault(("unknowns",), expected, "none; add one"))
-    if file.runs is None or faults:
-        raise problem_error(file.problem.source, faults)
-    unknowns = []
+        fault = Fault(("test", "measured"), "a CSV file of measured points", "none; add it")
+        raise problem_error(file.problem.source, [fault])
+    unknowns = list[Unknown]()
+    for name, share in PRIOR_SHARES.items() if not spec.unknowns else ():
+        if name != "shear_across" or file.runs.motion[2].any():
+            mean = float(getattr(file.soil, name))
+            unknowns.append(Unknown(name, name, prior=(mean, share * mean)))
     for name, table in spec.unknowns.items():
         with at(file.problem, ("unknowns", name)):
             unknowns.append(Unknown(name, name, **given_values(table)))
@@ -216,13 +235,15 @@ def fit_wheel_file(file: WheelContents) -> FittedWheel:
         file.size,
         unknowns,
         file.runs,
-        folds=spec.folds,
+        folds=spec.folds
+        if "folds" in spec.model_fields_set
+        else min(spec.folds, np.unique(file.runs.run).size),
         resamples=spec.resamples,
         seed=spec.seed,
         loss=spec.loss,
         gravity=file.gravity,
     )
-    return FittedWheel(file, file.runs, fit)
+    return FittedWheel(file, file.runs, fit, {u.name: u.prior[1] for u in unknowns if u.prior})
 
 
 def is_wheel_file(path: Path) -> bool:
@@ -231,8 +252,17 @@ def is_wheel_file(path: Path) -> bool:
 
 
 def read_wheel_file(path: Path, settings: Sequence[str]) -> WheelContents:
-    """Return the contents of a wheel file, and of its file of measured points."""
-    text = read_text(path, "a wheel file")
+    """Return the contents of a wheel file, and of its file of measured points.
+
+    A file with another ending than .toml is that of the measured points.
+    """
+    if path.suffix.lower() == ".toml":
+        text = read_text(path, "a wheel file")
+    else:
+        text = f"{MADE}test.measured = {toml_value(path.name)}\n"
+        if "load" in read_names(path, "measured points"):
+            load = np.median(read_columns(path, ["load"], "measured points").values["load"])
+            text += f"wheel.load = {float(load)!r}\n"
     problem: Problem[Any] = validated_problem(lambda *_: WheelFile, path, text, settings)
     spec: WheelFile = problem.spec
     with at(problem, ("gravity",)):
@@ -242,6 +272,7 @@ def read_wheel_file(path: Path, settings: Sequence[str]) -> WheelContents:
     runs, files = None, [path]
     if spec.test.measured is not None:
         files.append(path.parent / spec.test.measured)
+        files = [*dict.fromkeys(files)]
         runs = _read_measured(files[-1], spec.wheel.load)
     return WheelContents(spec, spec.title or path.stem, soil, size, gravity, runs, files, problem)
 
@@ -342,15 +373,21 @@ def measured_points(runs: WheelRuns | None) -> dict[str, tuple[Array, Array, Arr
 
 def fit_facts(fitted: FittedWheel) -> Lines:
     """Return the facts of a fit of a soil: constants, directions, and errors of the quantities."""
-    file, runs, fit = fitted
-    weak = fit.estimate.undetermined
+    file, runs, fit, priors = fitted
+    rows = estimate_rows(fit.estimate)[1]
+    weak = dict.fromkeys(fit.estimate.undetermined, UNDETERMINED)
+    weak |= {
+        name: AS_ITS_PRIOR
+        for name, *_, deviation, _, _, _ in rows
+        if deviation > AS_PRIOR * priors.get(name, np.inf)
+    }
     outcome = Outcome.INTERRUPTED if fit.estimate.is_interrupted else Outcome.COMPLETE
     facts = [
         ("outcome", outcome.title),
         ("wheel", f"radius {file.size.radius:g} m, width {file.size.width:g} m"),
         ("gravity", gravity_words(file.gravity)),
         ("measured", f"{runs.load.size} points of {np.unique(runs.run).size} runs"),
-        *estimate_lines(estimate_rows(fit.estimate)[1], dict.fromkeys(weak, UNDETERMINED)),
+        *estimate_lines(rows, weak),
         *direction_lines(fit.estimate),
     ]
     if np.isfinite(fit.excess):

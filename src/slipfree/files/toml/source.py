@@ -55,6 +55,7 @@ EXPECTED = {
     "literal_error": "{expected}",
     "too_long": "an array of {max_length} elements",
 }
+MADE = "# keys of the command line\n"  # first line of a text that is in no file
 MAX_BYTES = 10_000_000  # size of the largest accepted TOML file
 BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a value that needs no quotes
 
@@ -75,8 +76,13 @@ class Source:
         if (part := _longest(place, self.settings)) is not None:
             option = "--vary" if part in self.varied else "--set"
             return f"{option} {spelled(part)}" + (f": {key}" if part != place else "")
-        line = f"{self.path}:{self._line(place)}"
+        line = f"{self.path}" if self.is_made else f"{self.path}:{self._line(place)}"
         return f"{line}: {key}" if key else line
+
+    @property
+    def is_made(self) -> bool:
+        """Whether the keys follow from the command line; ``path`` then names its data."""
+        return self.text.startswith(MADE)
 
     def is_set(self, place: Place) -> bool:
         """Return whether the command line sets a value or its table."""

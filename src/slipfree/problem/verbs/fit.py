@@ -78,6 +78,10 @@ AS_ITS_PRIOR = "{}, as its prior: not determined by these data"
 AS_PRIOR = 0.9  # of the deviation of a prior: an unknown that the logs do not determine
 KINDS: tuple[Kind, ...] = ((0.0, 2.0), (0.0, 5.0), (5.0, 0.0), (20.0, 0.0))
 SIDES = "left", "right"
+LAW_KEYS = {  # keys of problem files with fitted constants
+    "friction": ("terrain.friction",),
+    "stiffness": ("law.coulomb.slip_stiffness", "law.compliant.slip_stiffness"),
+}
 CLOCKWISE = -0.5  # correlation of measured turning rates and those of the wheels
 
 Name = Annotated[str, Field(min_length=1)]
@@ -493,7 +497,9 @@ class _Reader(NamedTuple):
             path,
             wanted,
             inputs.columns,
-            where="[data.columns] or [data.rates]",
+            where="--set data.columns or data.rates, their unit with --set data.unit"
+            if self.problem.source.is_made
+            else "[data.columns] or [data.rates]",
             units=units,
             is_linear=data.inputs == "readings",
             timeout=data.timeout,
@@ -715,9 +721,14 @@ def estimate_lines(
     place of the interval.
     """
     for name, unit, before, value, _, low, high, at_bound, *_ in rows:
-        words = weak.get(name, "{}").format(f"95 % interval {low:.4g} to {high:.4g}")
+        size, reach = max(abs(low), abs(high)), (high - low) / 2
+        n = 4  # digits that show the interval
+        if np.isfinite(reach) and 0 < reach < size:
+            n = int(np.clip(2 - np.floor(np.log10(reach / size)), 4, 12))
+        words = weak.get(name, "{}").format(f"95 % interval {low:.{n}g} to {high:.{n}g}")
         words = "at its bound: the data favour values beyond it" if at_bound else words
-        yield name, f"{value:.4g}{'' if unit == '1' else f' {unit}'} ({words}), before {before:.4g}"
+        after = f"{value:.{n}g}{'' if unit == '1' else f' {unit}'}"
+        yield name, f"{after} ({words}), before {before:.4g}"
 
 
 def direction_lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
@@ -884,9 +895,14 @@ def window_rows(result: FitResult) -> tuple[list[str], list[list[Any]]]:
 
 
 def fitted_vehicle(problem: Problem[Fit], fit: DriveFit) -> tuple[Vehicle, list[str]]:
-    """Return the vehicle with fitted dimensions, and lines of a comment with other constants."""
+    """Return the vehicle with fitted dimensions, and lines of a comment with other constants.
+
+    The moment of inertia of a vehicle stays if the logs do not determine it.
+    """
     vehicle, radii = build_vehicle(problem), dict[str, float]()
-    others, width, center = dict[str, float](), None, dict[int, float]()
+    others = {name: value for name, value in fit.model.fixed.items() if name in LAW_KEYS}
+    width, center = None, dict[int, float]()
+    gyration, weak = None, {name for name, *_, is_as_prior in constant_rows(fit)[1] if is_as_prior}
     for unknown, value in zip(fit.model.unknowns, fit.values.tolist(), strict=True):
         if unknown.quantity == "radius":
             for wheel in vehicle.wheels:
@@ -897,21 +913,21 @@ def fitted_vehicle(problem: Problem[Fit], fit: DriveFit) -> tuple[Vehicle, list[
             width = value
         elif unknown.quantity.startswith("center_of_mass"):
             center[int(unknown.quantity.endswith("ahead"))] = value
+        elif unknown.quantity == "gyration" and unknown.name not in weak:
+            gyration = value
         else:
             others[unknown.name] = value
-    frictions = [name for name in others if name.startswith("friction")]
-    creeps = {
-        name.replace("friction", "creep"): others[name] / others["stiffness"]
-        for name in frictions
-        if "stiffness" in others
-    }
-    return with_dimensions(vehicle, radii, width, center), vehicle_comments(others | creeps)
-
-
-def vehicle_comments(others: Mapping[str, float]) -> list[str]:
-    """Return fitted numbers that are not in a vehicle file, as lines of a comment."""
-    lines = (f"{name} = {value!r} (not part of the vehicle)" for name, value in others.items())
-    return ["fitted by slipfree fit", *lines]
+    lines = ["fitted by slipfree fit; keys of a problem file, or of --set:"]
+    for name, value in others.items():
+        kind, _, surface = name.partition("_")
+        on = f"  # on {surface}" if surface else ""
+        lines += [f"{key} = {value!r}{on}" for key in LAW_KEYS.get(kind, ())]
+    lines += [
+        f"{name}: {value:.6g} (not part of vehicle and law)"
+        for name, value in others.items()
+        if name.partition("_")[0] not in LAW_KEYS
+    ]
+    return with_dimensions(vehicle, radii, width, center, gyration), lines
 
 
 def save_fit(path: Path, problem: Problem[Fit], settings: Sequence[str], result: FitResult) -> None:

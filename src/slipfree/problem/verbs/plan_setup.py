@@ -616,9 +616,10 @@ def momentum_models(problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicub
     """
     spec, contact = problem.spec, model_law(problem)
     with at(problem, ("model",)):
-        laws: list[GroundLaw] = [LinearCreep(contact.creep)]
+        stiffness = contact.slip_stiffness
+        laws: list[GroundLaw] = [LinearCreep(contact.creep, stiffness)]
         if spec.plan.sliding:
-            laws = [Coulomb(creep) for creep in SLIDING_CREEPS]
+            laws = [Coulomb(creep, slip_stiffness=stiffness) for creep in SLIDING_CREEPS]
         models = (rigid_dynamics(vehicle, terrain, law=law, contact=contact) for law in laws)
         return [in_frame(problem, model) for model in models]
 
