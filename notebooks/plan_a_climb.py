@@ -88,9 +88,7 @@ looks = {"color": "black", "lw": 2.5}, {"color": style.PALETTE[1], "lw": 1.5, "l
 figure = style.figure(7.2, 4.4)
 for k, (words, outcome) in enumerate(outcomes.items()):
     ax = figure.add_subplot(1, 2, k + 1, title=words, aspect="equal")
-    ground_drawing.shade(
-        *ground_drawing.patch(ground, ground_drawing.whole(ground), ground_drawing.HEATMAP), ax
-    )
+    ground_drawing.shade(*ground_drawing.patch(ground, ground.domain, ground_drawing.HEATMAP), ax)
     for motion, look in ((outcome.trajectory, looks[0]), (driven[words], looks[1])):
         ax.plot(motion["x"], motion["y"], **look)
     ax.set_xlabel("east x [m]")
@@ -152,7 +150,7 @@ field = build(load_problem(problems / "plan_crater_field.toml", ["plan.starts=3"
 grid = field.ground.grid
 figure = style.figure(5.6, 5.6)
 ax = figure.add_subplot(aspect="equal", xlabel="east x [m]", ylabel="north y [m]")
-cost_map(field.layers, grid, ax, ground_drawing.whole(grid))
+cost_map(field.layers, grid, ax, grid.domain)
 initial_routes(field.guide.paths, ax)
 figure.legend(loc="outside upper center", ncols=3)
 figure

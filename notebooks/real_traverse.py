@@ -40,7 +40,7 @@ from slipfree.files.maps.elevation import jacksboro
 from slipfree.files.netcdf import export_path, write
 from slipfree.routing.search import routes
 from slipfree.routing.traversability import blocking_reasons, traversability
-from slipfree.show import ground_drawing, motion_figures, style
+from slipfree.show import motion_figures, style
 from slipfree.show.plan_figures import cost_map, initial_routes
 from slipfree.show.plots import draw
 from slipfree.terrain.base import Grid
@@ -79,7 +79,7 @@ print(f"at ({x:.0f}, {y:.0f}) m: {blocking_reasons(layers, x, y)}")
 # %%
 figure = style.figure(6.0, 5.4)
 ax = figure.add_subplot(aspect="equal", xlabel="east x [m]", ylabel="north y [m]")
-cost_map(layers, grid, ax, ground_drawing.whole(grid))
+cost_map(layers, grid, ax, grid.domain)
 initial_routes([route.points for route in found], ax)
 figure.legend(loc="outside lower center", ncols=3)
 figure

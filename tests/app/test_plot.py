@@ -22,7 +22,7 @@ from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Trajectory, path_length
 from slipfree.geometry.regions import Region
 from slipfree.routing.traversability import blocked_by, free_space, traversability
-from slipfree.show import force_figures, ground_drawing, motion_figures, plan_figures, plots, style
+from slipfree.show import force_figures, motion_figures, plan_figures, plots, style
 from slipfree.terrain.synthetic import blank, craters
 
 DOMAIN = (-5.0, 5.0, -4.0, 4.0)
@@ -479,7 +479,7 @@ def figures_plan(*args, **options) -> dict[str, Figure]:
 
 
 def test_costs_and_what_blocks_lie_where_they_belong(layers, grid_plan, ax):
-    plan_figures.cost_map(layers, grid_plan, ax, ground_drawing.whole(grid_plan))
+    plan_figures.cost_map(layers, grid_plan, ax, grid_plan.domain)
     costs, blocked = (image.get_array() for image in ax.images[:2])
     assert costs.T.shape == layers.cost.shape[1:]
     free = np.isfinite(layers.least_cost)
@@ -493,7 +493,7 @@ def test_costs_and_what_blocks_lie_where_they_belong(layers, grid_plan, ax):
 
 
 def test_the_legend_names_only_what_blocks_in_the_part_that_is_drawn(layers, grid_plan, ax):
-    plan_figures.cost_map(layers, grid_plan, ax, ground_drawing.whole(grid_plan))
+    plan_figures.cost_map(layers, grid_plan, ax, grid_plan.domain)
     assert "friction holds no heading" in labels(ax)
     assert "keep-out region" in labels(ax)
     blocked = [each for each in labels(ax) if each.startswith("too close")]

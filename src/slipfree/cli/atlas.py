@@ -132,7 +132,15 @@ def atlas(
     from slipfree.problem.verbs.atlas import build_atlas
 
     workers = workers_of(processes, scheduler)
-    own = _own_settings(headings, every, friction, error, guarantee, within or [])
+    values = {
+        "atlas.headings": headings,
+        "atlas.every": every,
+        "atlas.error": error,
+        "atlas.guarantee": guarantee,
+        "terrain.friction": None if friction is None else _toml(friction),
+    }
+    own = [f"{key}={value}" for key, value in values.items() if value is not None]
+    own += map(_bounds_setting, within or [])
     with as_arguments():
         problem = _read(file, vehicle, [*own, *(settings or [])], trust)
     outs = out or [Path(f"{file.stem}.tif" if vehicle is None else f"{file.stem}_atlas.tif")]
@@ -169,34 +177,16 @@ def atlas(
         print_line(f"drew {', '.join(each.stem for each in plots)} in {figures}")
 
 
-def _own_settings(
-    headings: int | None,
-    every: int | None,
-    friction: str | None,
-    error: float | None,
-    guarantee: float | None,
-    within: Sequence[str],
-) -> list[str]:
-    """Return the settings ``key=value`` that options of the command stand for."""
-    values = {
-        "atlas.headings": headings,
-        "atlas.every": every,
-        "atlas.error": error,
-        "atlas.guarantee": guarantee,
-        "terrain.friction": None if friction is None else _toml(friction),
-    }
-    settings = [f"{key}={value}" for key, value in values.items() if value is not None]
-    for words in within:
-        name, equals, bounds = words.partition("=")
-        low, dots, high = bounds.partition("..")
-        if not (name and equals and dots):
-            raise DataError(
-                f"--within: expected NAME=LOW..HIGH, as in roll=-0.2..0.2, found {words!r}; "
-                "correct it"
-            )
-        ends = _toml(low, f"-{UNBOUNDED}"), _toml(high, UNBOUNDED)
-        settings.append(f"atlas.within.{name}=[{', '.join(ends)}]")
-    return settings
+def _bounds_setting(words: str) -> str:
+    """Return the setting ``key=value`` that a value ``NAME=LOW..HIGH`` of --within stands for."""
+    name, equals, bounds = words.partition("=")
+    low, dots, high = bounds.partition("..")
+    if not (name and equals and dots):
+        raise DataError(
+            f"--within: expected NAME=LOW..HIGH, as in roll=-0.2..0.2, found {words!r}; correct it"
+        )
+    ends = _toml(low, f"-{UNBOUNDED}"), _toml(high, UNBOUNDED)
+    return f"atlas.within.{name}=[{', '.join(ends)}]"
 
 
 def _toml(text: str, default: str = "") -> str:

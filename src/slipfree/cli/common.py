@@ -111,7 +111,8 @@ Scheduler = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="Compute on the workers of this Dask scheduler."),
 ]
-Draw = Annotated[bool, typer.Option("--draw/--no-draw", help="Draw the figure.")]
+Draw = Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace existing files.")]
 ResultFile = Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")]
 
 

@@ -13,6 +13,7 @@ from slipfree.cli.common import (
     INTERRUPTED,
     STOPPED,
     Draw,
+    Force,
     Settings,
     Trust,
     about,
@@ -62,9 +63,7 @@ def fit(
     vehicle: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Vehicle of logs without a problem file.")
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace an existing vehicle or soil file.")
-    ] = False,
+    force: Force = False,
     predict: Annotated[
         list[Path] | None,
         typer.Option(

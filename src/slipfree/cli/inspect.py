@@ -14,6 +14,7 @@ from slipfree.cli.common import (
     BAD_INPUT,
     Draw,
     File,
+    Force,
     ResultFile,
     Settings,
     Trust,
@@ -130,7 +131,7 @@ def vehicle(
             "--write", metavar="FILE", help="Write a vehicle file with the guesses made for a URDF."
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    force: Force = False,
     picture: Picture = None,
     trust: Trust = None,
 ) -> None:

@@ -17,7 +17,7 @@ import tomlkit
 import typer
 
 from slipfree.cli.atlas import as_arguments, ground_of
-from slipfree.cli.common import Settings, Trust, add_json, add_json_file, print_line
+from slipfree.cli.common import Force, Settings, Trust, add_json, add_json_file, print_line
 from slipfree.cli.outputs import check_outputs
 from slipfree.core.errors import DataError, similar
 from slipfree.system.regular_files import check_name, replace_file
@@ -56,7 +56,7 @@ def new(
         typer.Argument(metavar="KIND", help="Kind of the problem: direct, inverse, plan or atlas."),
     ],
     name: Annotated[Path, typer.Argument(metavar="NAME", help="Name of the problem.")],
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    force: Force = False,
     ground: Annotated[
         Path | None, typer.Option(metavar="MAP", help="Map of the heights, with --vehicle.")
     ] = None,
@@ -186,9 +186,7 @@ def examples(
             metavar="DIR", help="Destination folder, created if needed; default: the current one."
         ),
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace files of the same names.")
-    ] = False,
+    force: Force = False,
 ) -> None:
     """List the shipped problems, or copy them.
 

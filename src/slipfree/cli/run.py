@@ -11,6 +11,7 @@ import typer
 
 from slipfree.cli.common import (
     INTERRUPTED,
+    Draw,
     File,
     Settings,
     Trust,
@@ -59,7 +60,6 @@ Figures = Annotated[
     Path | None,
     typer.Option(metavar="DIR", help="Folder for figures; default: OUT_figures beside OUT.nc."),
 ]
-Draw = Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")]
 Show = Annotated[bool, typer.Option("--show", help="Show the motion in a browser afterwards.")]
 DrawAll = Annotated[
     bool, typer.Option("--figures-all", help="Draw all figures, not only the main ones.")
@@ -159,10 +159,10 @@ def run(
             _cross_check(result)
     if folder is not None and not is_interrupted:
         with _after(files[0], "figures"):
-            from slipfree.show.plots import main_plots
+            from slipfree.show.plots import MAIN_COUNT
 
             plots = verb.figures(result)
-            drawn = draw_plots(plots if figures_all else main_plots(plots), folder)
+            drawn = draw_plots(plots if figures_all else plots[:MAIN_COUNT], folder)
             rest = len(plots) - len(drawn)
             more = f"; {rest} more with --figures-all" if rest else ""
             print_line(f"drew {', '.join(file.stem for file in drawn)} in {folder}{more}")

@@ -80,7 +80,7 @@ def show(
         check_outputs([html, animation], files)
         film_writer(animation, FRAMES)
     check_picture(picture, files)
-    if html is not None or (animation is None and picture is None):
+    if has_page := html is not None or (animation is None and picture is None):
         require("viser", "view", "show: ")
     from slipfree.show.drive_scene import drive_scene
 
@@ -105,7 +105,7 @@ def show(
             speed = animate(scene, animation, title, progress)
         print_line(f"wrote {animation}, {speed}")
         add_json_file(animation)
-    if html is not None or (animation is None and picture is None):
+    if has_page:
         from slipfree.show.viewer import page, serve
 
         text = page(scene, title, color)

@@ -10,6 +10,7 @@ import typer
 
 from slipfree.cli.common import (
     STOPPED,
+    Draw,
     File,
     Processes,
     Scheduler,
@@ -76,7 +77,7 @@ def sweep(
             "--figure", metavar="NAME", help="Metric of the runs to print and draw; repeatable."
         ),
     ] = None,
-    draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")] = True,
+    draw: Draw = True,
     dry_run: Annotated[
         bool,
         typer.Option(

@@ -161,10 +161,7 @@ def _limit(drawn: AtlasView) -> Figure:
     present, counts = np.unique(codes[np.isfinite(codes)].astype(int), return_counts=True)
     order = [int(code) for code in present[np.argsort(-counts)] if code]
     colors: Sequence[Any] = [ALLOWED_COLOR, *(REASONS[k % len(REASONS)] for k in range(len(order)))]
-    numbers = {0: 0} | {code: k for k, code in enumerate(order, 1)}
-    shown = np.vectorize(lambda code: numbers.get(int(code), 0), otypes=[float])(
-        np.nan_to_num(codes)
-    )
+    shown = sum(k * (codes == code) for k, code in enumerate(order, 1)) + np.zeros(codes.shape)
     words = {0: "all headings are allowed"} | {code: drawn.reasons[code] for code in order}
     shares = dict(zip(present.tolist(), counts / counts.sum(), strict=True))
     labels = [

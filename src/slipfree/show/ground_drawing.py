@@ -158,10 +158,10 @@ def map_figure(x: Array, y: Array, grid: Grid, pad: float) -> tuple[Figure, Axes
 
     The window is that of `about`, or the whole ground unless this is much larger.
     """
-    window, (west, east, south, north) = about(x, y, grid, pad), whole(grid)
+    window, (west, east, south, north) = about(x, y, grid, pad), grid.domain
     spans = window[1] - window[0], window[3] - window[2]
     if max(spans[0] / (east - west), spans[1] / (north - south)) >= FAR:
-        window, spans = whole(grid), (east - west, north - south)
+        window, spans = grid.domain, (east - west, north - south)
     figure = style.figure(COLUMN, min(92 * MM * spans[1] / spans[0], 120 * MM) + 32 * MM)
     return figure, figure.subplots(), window
 
@@ -194,14 +194,9 @@ def hatch(grid: Grid, nodes: Mask | None, window: Window, words: str, color: str
     return ax
 
 
-def whole(grid: Grid) -> Window:
-    """Return the window of a whole ground [m]."""
-    return float(grid.x[0]), float(grid.x[-1]), float(grid.y[0]), float(grid.y[-1])
-
-
 def padded(window: Window, by: tuple[float, float], grid: Grid) -> Window:
     """Return a window with margins along x and y on the ground [m]."""
-    x_min, x_max, y_min, y_max = whole(grid)
+    x_min, x_max, y_min, y_max = grid.domain
     return (
         max(window[0] - by[0], x_min),
         min(window[1] + by[0], x_max),
@@ -218,7 +213,7 @@ def around(run: Trajectory, grid: Grid, pad: float) -> Window:
 
 def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
     """Return the window around positions, with the proportions of the map if possible [m]."""
-    west, east, south, north = whole(grid)
+    west, east, south, north = grid.domain
     sides = []
     for name, at, low, high in (("x", x, west, east), ("y", y, south, north)):
         if at.max() < low or at.min() > high:

@@ -17,47 +17,15 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from slipfree.core.records import Array, html_table
-from slipfree.show.local_server import page_script
+from slipfree.show.local_server import page_file
 from slipfree.show.plots import Plot, draw
 from slipfree.show.scene import WORLD, Color, Entry, Layer, Plotted, Scene
 from slipfree.show.style import DPI, PALETTE, STYLE
 
-PAGE_STYLES = """
-#slipfree, #plots { position: fixed; bottom: 52px; z-index: 2; padding: 6px 10px; color: #222;
-  font: 12px/1.4 sans-serif; background: rgba(255, 255, 255, .85); border-radius: 4px; }
-#slipfree { left: 8px; max-width: 22em; }
-#plots { right: 8px; width: min(30em, 30vw); } #plots:empty { display: none; }
-#plots svg { width: 100%; height: 54px; background: #fff; cursor: crosshair; }
-polyline, line { fill: none; stroke-width: 1.5; vector-effect: non-scaling-stroke; }
-line { stroke: #222; } #plots div:last-child { display: flex; justify-content: space-between; }
-@media (max-width: 48rem) { #slipfree { max-height: 30vh; overflow: auto; max-width: 45vw; }
-  #plots { width: 40vw; } #plots svg { height: 30px; } }
-"""
-HOLLOW = "background:none;border:2px dotted"
-SQUARE = "display:inline-block;width:12px;height:12px;margin-right:6px"
-WARNING = "color:#a00"
-CHECK = "margin:0 6px 0 0"
 SAVED_KEYS = "Keys: space: play or pause; left, right: step; home, end: first and last time."
 MOST = 400_000  # larger vector graphics become raster graphics [bytes]
 PIXELS = 120  # pixels of the page per inch of a figure
 VECTOR = {"svg.fonttype": "path", "svg.hashsalt": "slipfree"}  # for reproducible pages
-STYLES = """
-body { font: 16px/1.45 system-ui, sans-serif; color: #1a1a1a; background: #fff;
-       max-width: 75rem; margin: 0 auto; padding: 1rem 1.2rem 4rem; }
-h1 { line-height: 1.15; margin-bottom: .2rem; } .lead { font-size: 1.15rem; margin-top: 0; }
-summary { font-size: 1.2rem; font-weight: 600; cursor: pointer; margin-top: 1.2rem; }
-.columns { display: grid; gap: 0 2rem; align-items: start;
-           grid-template-columns: repeat(auto-fit, minmax(min(32rem, 100%), 1fr)); }
-.bad { border-left: .4rem solid #D55E00; padding-left: .8rem; }
-table { border-collapse: collapse; width: 100%; font-size: .92rem; }
-td, th { text-align: left; vertical-align: top; padding: .22rem .8rem .22rem 0;
-         border-bottom: 1px solid #e3e3e3; overflow-wrap: anywhere; }
-th { font-weight: 600; width: 14rem; } th.below { font-weight: 400; padding-left: 1rem; }
-figure { margin: 1.4rem 0; break-inside: avoid; } figure img { max-width: 100%; height: auto; }
-figcaption { color: #444; font-size: .92rem; }
-@media (max-width: 40rem) { th { width: 35%; } td, th { padding-right: .4rem; } }
-pre { background: #f5f5f5; padding: .8rem; overflow-x: auto; font-size: .85rem; }
-"""
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
@@ -65,7 +33,7 @@ def legend(layer: Layer) -> str:
     """Return HTML that shows the scale of a layer of the ground."""
     stops = ",".join(map(_css, layer.scale))
     return (
-        f'<div style="height:10px;background:linear-gradient(to right,{stops})"></div>'
+        f'<div class="scale" style="background:linear-gradient(to right,{stops})"></div>'
         f"<div>{escape(layer.name)}: {escape(layer.legend)}</div>"
     )
 
@@ -79,7 +47,7 @@ def with_legend(
     ``colored`` one of the tracks, or none.
     """
     switches = "".join(map(_switch, scene.entries))
-    warned = "".join(f'<p style="{WARNING}">{escape(each)}</p>' for each in scene.warnings)
+    warned = "".join(f'<p class="warning">{escape(each)}</p>' for each in scene.warnings)
     notes = "".join(f"<p>{escape(note)}</p>" for note in (*scene.notes, *words, SAVED_KEYS))
     grounds = {
         layer.name: (layer, [f"{WORLD}/ground {layer.name}"]) for layer in scene.ground.layers
@@ -90,11 +58,11 @@ def with_legend(
             _, nodes = tracks.setdefault(layer.name, (layer, []))
             nodes.append(f"{WORLD}/run {k}/tracks/{layer.name}")
     box = (
-        f'<style>{PAGE_STYLES}</style><div id="slipfree"><b>{escape(title)}</b>'
+        f'<style>{page_file("viewer.css")}</style><div id="slipfree"><b>{escape(title)}</b>'
         f"{_choice('ground', grounds, color)}{_choice('tracks', tracks, colored)}"
         f"{switches}{warned}<details><summary>notes</summary>{notes}</details></div>"
         f'<div id="plots">{_plots(scene)}</div>'
-        f"<script>{page_script('viewer_keys.js')}{page_script('viewer_saved.js')}</script>"
+        f"<script>{page_file('viewer_keys.js')}{page_file('viewer_saved.js')}</script>"
     )
     html = html.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
     end = html.rindex("</body>")
@@ -157,13 +125,13 @@ def _curves(scene: Scene, plotted: Plotted) -> Iterator[tuple[str, str, Array]]:
 
 def _switch(entry: Entry) -> str:
     names = escape("|".join(entry.nodes))
-    box = f'<input type="checkbox" checked data-nodes="{names}" style="{CHECK}">'
-    css = _css(entry.color)
-    look = f"{HOLLOW} {css}" if entry.ghost else f"background:{css}"
-    words = f'<span style="{SQUARE};{look}"></span>{escape(entry.label)}'
+    box = f'<input type="checkbox" checked data-nodes="{names}">'
+    look, css = "swatch ghost" if entry.ghost else "swatch", _css(entry.color)
+    words = f'<span class="{look}" style="color:{css};background:{css}"></span>'
+    words += escape(entry.label)
     if entry.stop:
-        words += f'<div style="{WARNING}">{escape(entry.stop)}</div>'
-    return f'<label style="display:flex;align-items:baseline">{box}<span>{words}</span></label>'
+        words += f'<div class="warning">{escape(entry.stop)}</div>'
+    return f"<label>{box}<span>{words}</span></label>"
 
 
 def _css(color: Color) -> str:
@@ -199,7 +167,7 @@ def page(report: Report, progress: Callable[[int, int], object] | None = None) -
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         '<link rel="icon" href="data:,">',
-        f"<title>{escape(report.title)}</title>\n<style>{STYLES}</style>\n</head>\n<body>",
+        f"<title>{escape(report.title)}</title>\n<style>{page_file('report.css')}</style>\n</head>\n<body>",
         f"<h1>{escape(report.title)}</h1>",
         f'<p class="lead{"" if report.good else " bad"}">{escape(report.lead)}</p>',
         f'<div class="columns">{html_table(report.main)}{"".join(figures[:1])}</div>',

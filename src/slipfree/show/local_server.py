@@ -75,8 +75,8 @@ class Gate:
             self._show(f"refused {self._refused} requests")
 
 
-def page_script(name: str) -> str:
-    """Return the text of a script of this package."""
+def page_file(name: str) -> str:
+    """Return the text of a page, a script or a style sheet of this package."""
     return files("slipfree.show").joinpath(name).read_text("utf-8")
 
 

@@ -50,13 +50,17 @@ NODES = 101  # of an axis of the ground of a formula
 
 def ground(grid: Grid, ax: Axes) -> Axes:
     """Draw the heights of a ground as a shaded map with contour lines and a colour bar."""
-    window = ground_drawing.whole(grid)
-    x, y, z = ground_drawing.patch(grid, window, HEATMAP)
-    heights = ax.imshow(z.T, **_colours(z), **ground_drawing.extent(x, y))
+    x, y, z = ground_drawing.patch(grid, grid.domain, HEATMAP)
+    scale: dict[str, Any] = {
+        "cmap": HEIGHTS,
+        "vmin": np.nanmin(z),
+        "vmax": max(np.nanmax(z), np.nanmin(z) + FLAT),
+    }
+    heights = ax.imshow(z.T, **scale, **ground_drawing.extent(x, y))
     ground_drawing.shade(x, y, z, ax)
     if np.nanmax(z) > np.nanmin(z):
         ax.contour(x, y, z.T, levels=12, colors="white", linewidths=0.4, alpha=0.6)
-    ground_drawing.hatch(grid, grid.filled, window, "filled holes", FILLED, ax)
+    ground_drawing.hatch(grid, grid.filled, grid.domain, "filled holes", FILLED, ax)
     bar = style.side_bar(heights, ax, "height $z$ [m], relief shaded")
     bar.locator, bar.formatter = style.ticks(6), ScalarFormatter(useOffset=False)
     return ax
@@ -69,7 +73,7 @@ def ground_plot(grid: Grid, place: tuple[float, float] | None = None) -> Plot:
 
 def _ground(grid: Grid, place: tuple[float, float] | None) -> Figure:
     """Draw the heights and the slopes of the ground, and the start."""
-    x, y, z = ground_drawing.patch(grid, ground_drawing.whole(grid), HEATMAP)
+    x, y, z = ground_drawing.patch(grid, grid.domain, HEATMAP)
     slope = np.degrees(np.arctan(np.hypot(*np.gradient(z, x[1] - x[0], y[1] - y[0]))))
     figure = style.figure(
         PAGE, PAGE * (0.12 + 0.42 * float(np.clip(np.ptp(y) / np.ptp(x), 0.3, 2)))
@@ -296,7 +300,7 @@ FIGURES: tuple[Compose, ...] = (
 
 def _map(drive: PlottedDrive) -> Figure:
     """Draw path and tracks on the ground around them, with a small map of the whole ground."""
-    run, grid, whole = drive.run, drive.grid, ground_drawing.whole(drive.grid)
+    run, grid, whole = drive.run, drive.grid, drive.grid.domain
     x, y = (np.append(run[name], run[f"contact_{name}"]) for name in "xy")
     figure, ax, window = ground_drawing.map_figure(x, y, grid, 0.15)
     ground_drawing.solids(drive.prisms, ground_drawing.muted(grid, ax, window))
@@ -323,10 +327,6 @@ def _law(run: Trajectory) -> str:
     if run.attributes.get("model") == "quasi-static":
         return "Slip of quasi-static equilibrium under friction, without inertia."
     return "Least slip that the kinematics allows, a lower bound; real slip depends on friction."
-
-
-def _colours(z: Array) -> dict[str, Any]:
-    return {"cmap": HEIGHTS, "vmin": np.nanmin(z), "vmax": max(np.nanmax(z), np.nanmin(z) + FLAT)}
 
 
 def _moving_joints(run: Trajectory) -> list[str]:

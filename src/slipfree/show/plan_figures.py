@@ -91,12 +91,6 @@ def initial_routes(routes: Sequence[Array], ax: Axes) -> Axes:
     return ax
 
 
-def initial_guess(points: Array, ax: Axes) -> Axes:
-    """Draw the paths of the initial guesses, shape (n, 2), with NaN between them [m]."""
-    ax.plot(*points.T, color="0.35", lw=0.7, zorder=3, label="initial guess")
-    return ax
-
-
 def motion(
     run: Trajectory, places: Sequence[Place], ax: Axes, areas: Mapping[str, Window] = NO_AREAS
 ) -> Axes:
@@ -232,7 +226,7 @@ def _traversability(
     cost_map(layers, grid, ax, window)
     initial_routes(lines, ax)
     if guess.size:
-        initial_guess(guess, ax)
+        ax.plot(*guess.T, color="0.35", lw=0.7, zorder=3, label="initial guess")
     motion(run, places, ax, areas)
     style.finished(figure, run, [ax])
     figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes

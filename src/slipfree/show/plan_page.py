@@ -6,13 +6,12 @@ import hashlib
 import io
 import json
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
 from slipfree.routing.traversability import extents
-from slipfree.show.ground_drawing import muted, whole
-from slipfree.show.local_server import Content
+from slipfree.show.ground_drawing import muted
+from slipfree.show.local_server import Content, page_file
 from slipfree.show.style import figure
 from slipfree.terrain.base import Grid
 from slipfree.vehicle.tree import Vehicle
@@ -41,7 +40,7 @@ class PlanPage(NamedTuple):
 
 def plan_page(plan_map: PlanMap) -> PlanPage:
     """Return the page for planning by hand."""
-    x_min, x_max, y_min, y_max = whole(plan_map.grid)
+    x_min, x_max, y_min, y_max = plan_map.grid.domain
     image = map_image(plan_map.grid)
     data = {
         "domain": [x_min, x_max, y_min, y_max],
@@ -51,7 +50,7 @@ def plan_page(plan_map: PlanMap) -> PlanPage:
         "way_points": plan_map.way_points,
     }
     identity = _digest(image.body, json.dumps([data, plan_map.title]).encode())
-    text = files("slipfree.show").joinpath("plan_page.html").read_text("utf-8")
+    text = page_file("plan_page.html")
     script_safe = json.dumps({**data, "page": identity}).replace("<", "\\u003c")  # </script>
     html = text.replace("@TITLE@", escape(plan_map.title)).replace("@DATA@", script_safe)
     body = html.encode("utf-8", errors="backslashreplace")
@@ -64,13 +63,13 @@ def _digest(*parts: bytes) -> str:
 
 def map_image(grid: Grid) -> Content:
     """Return the map with hillshade and contours as PNG; its edges are those of the ground."""
-    x_min, x_max, y_min, y_max = whole(grid)
+    x_min, x_max, y_min, y_max = grid.domain
     width, height = x_max - x_min, y_max - y_min
     scale = PIXELS / max(width, height) / DPI
     drawn = figure(max(width * scale, 0.1), max(height * scale, 0.1))
     drawn.set_layout_engine("none")
     ax = drawn.add_axes((0, 0, 1, 1))
-    muted(grid, ax, whole(grid))
+    muted(grid, ax, grid.domain)
     ax.set_axis_off()
     ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="auto")
     stream = io.BytesIO()

@@ -76,11 +76,6 @@ def stack(run: Trajectory | None, panels: Sequence[Panel], note: str = "") -> Fi
     return style.finished(figure, run, legends, note)
 
 
-def main_plots(plots: Iterable[Plot]) -> tuple[Plot, ...]:
-    """Return the first four figures, which are the most important ones."""
-    return tuple(plots)[:MAIN_COUNT]
-
-
 def draw(plots: Iterable[Plot]) -> dict[str, Figure]:
     """Draw figures and return them by name."""
     with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type

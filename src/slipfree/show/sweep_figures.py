@@ -59,17 +59,15 @@ def curve(swept: Swept, ax: Axes) -> Axes:
     x, values = _positions(varied), swept.values
     order = np.argsort(x)
     x, values = x[order], values[order]
-    there = np.isfinite(values).any(axis=1)
     mean, low, high = (_over(f, values) for f in (np.nanmean, np.nanmin, np.nanmax))
     line = "-" if varied.numbers else "none"
     ax.plot(x, mean, "o", ls=line, ms=4, color=PALETTE[0], label="mean", zorder=3)
     if values.shape[1] > 1:
+        look: dict[str, Any] = {"color": PALETTE[0], "alpha": 0.3, "label": "range"}
         if varied.numbers:
-            ax.fill_between(x, low, high, color=PALETTE[0], alpha=0.2, lw=0, label="range")
+            ax.fill_between(x, low, high, lw=0, **look)
         else:
-            ax.vlines(
-                x[there], low[there], high[there], color=PALETTE[0], lw=3, alpha=0.3, label="range"
-            )
+            ax.vlines(x, low, high, lw=3, **look)
         at = np.repeat(x, values.shape[1])
         ax.plot(at, values.ravel(), ".", ms=3, mew=0, color="0.35", label="runs", zorder=2)
     _name_axis(ax.xaxis, varied)
