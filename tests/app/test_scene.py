@@ -126,7 +126,6 @@ def test_arrows_are_slip_and_forces(drive: Driven) -> None:
     assert labels["force"] == "force: 1 m of arrow length represents 150 N"
     speeds = 1e3 * np.linalg.norm(slip.vectors, axis=-1)
     assert_allclose(scene.actors[0].values["slip"], speeds, rtol=1e-6, atol=1e-9)
-    assert [layer.name for layer in scene.track_layers(scene.actors[0])] == ["slip", "utilisation"]
     for vectors, scale in ((10 * slip.vectors, scene.scales["slip"]), (0 * slip.vectors + 3e-5, 0)):
         changed = scene.actors[0]._replace(arrows=(slip._replace(vectors=vectors),))
         assert arrow_scales([changed], scene.reach)[0]["slip"] == scale

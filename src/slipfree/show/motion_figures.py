@@ -51,14 +51,11 @@ NODES = 101  # of an axis of the ground of a formula
 def ground(grid: Grid, ax: Axes) -> Axes:
     """Draw the heights of a ground as a shaded map with contour lines and a colour bar."""
     x, y, z = ground_drawing.patch(grid, grid.domain, HEATMAP)
-    scale: dict[str, Any] = {
-        "cmap": HEIGHTS,
-        "vmin": np.nanmin(z),
-        "vmax": max(np.nanmax(z), np.nanmin(z) + FLAT),
-    }
-    heights = ax.imshow(z.T, **scale, **ground_drawing.extent(x, y))
+    low, high = np.nanmin(z), np.nanmax(z)
+    ends, where = (low, max(high, low + FLAT)), ground_drawing.extent(x, y)
+    heights = ax.imshow(z.T, cmap=HEIGHTS, clim=ends, **where)
     ground_drawing.shade(x, y, z, ax)
-    if np.nanmax(z) > np.nanmin(z):
+    if high > low:
         ax.contour(x, y, z.T, levels=12, colors="white", linewidths=0.4, alpha=0.6)
     ground_drawing.hatch(grid, grid.filled, grid.domain, "filled holes", FILLED, ax)
     bar = style.side_bar(heights, ax, "height $z$ [m], relief shaded")
