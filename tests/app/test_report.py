@@ -36,7 +36,7 @@ SETTINGS = {
     "inverse": ["time.duration=1", "time.step=0.1"],
     "plan": ["plan.intervals=8", "time.step=0.5"],
 }
-FIGURES = {"direct": 0, "inverse": 9, "plan": 0}
+FIGURES = {"direct": 0, "inverse": 8, "plan": 0}
 VOID = {"meta", "link", "img"}
 
 
