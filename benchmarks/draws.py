@@ -20,11 +20,10 @@ def main() -> None:
     for robot, (truth, speed) in ROBOTS.items():
         errors, deviations, inside = draws_of_fits(truth, speed, count)
         print(f"{robot}, {count} draws: {100 * inside.mean():.1f} % inside")
-        stated = np.median(deviations, axis=0)
+        spread, stated = errors.std(axis=0), np.median(deviations, axis=0)
         for k, name in enumerate(DRAWN):
             print(
-                f"  {name:21} bias {errors[:, k].mean() / stated[k]:+.2f} deviations, deviation "
-                f"over stated {errors[:, k].std() / stated[k]:.2f}, inside "
-                f"{100 * inside[:, k].mean():.1f} %",
+                f"  {name:21} bias {errors[:, k].mean() / spread[k]:+.2f} deviations, stated "
+                f"{stated[k] / spread[k]:.2f} of one, inside {100 * inside[:, k].mean():.1f} %",
                 flush=True,
             )

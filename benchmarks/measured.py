@@ -138,11 +138,13 @@ class Icr(Predictor):
 
 
 def kinematics_of(half: tuple[float, float], *names: str, **fixed: float) -> Model:
-    """Return kinematics of a robot, with wide priors."""
+    """Return kinematics of a robot, with wide priors; on ice it would shrink without a bound."""
     known = ("radius_left", "radius_right", "track", "center_of_mass_ahead", "age")
-    wide = {"radius": (0.3, 0.3), "track": (2.0, 2.0), "center_of_mass_ahead": (0.0, 0.5)}
     model = model_of(half, [""], *known, *names, **fixed)
-    unknowns = (replace(each, prior=wide.get(each.quantity)) for each in model.unknowns)
+    wide = {"radius": (half[0] / 4, (0.3, 0.3)), "track": (0.1, (2.0, 2.0))}  # bound and prior
+    usual = (-np.inf, None)
+    rows = ((each, *wide.get(each.quantity, usual)) for each in model.unknowns)
+    unknowns = (replace(each, lower=low, prior=prior) for each, low, prior in rows)
     return model._replace(unknowns=tuple(unknowns))
 
 
@@ -189,15 +191,13 @@ def drives(folder: Path) -> Iterator[str]:
         for words, (model, own_log, kind) in cases.items():
             began = time.process_time()
             errors, whole = left_out(model, own_log, windows, kind)
-            took = time.process_time() - began
             turns, away = np.rad2deg(np.abs(errors[:, 2])), np.hypot(*errors.T[:2])
             yield (
                 f"{name:10} {words:33} {rms(turns):.1f} ({np.median(turns):.1f}), {rms(away):.2f} "
-                f"({np.median(away):.2f}), {took:.0f}"
+                f"({np.median(away):.2f}), {time.process_time() - began:.0f}"
             )
             values = dict(zip((u.name for u in model.unknowns), whole.values.tolist(), strict=True))
-            if words == "force balance" and name == "asphalt":
-                known = values
+            known = values if (words, name) == ("force balance", "asphalt") else known
             if "rest" not in words:
                 yield "  " + ", ".join(f"{key} {value:.3f}" for key, value in values.items())
 

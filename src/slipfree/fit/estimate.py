@@ -32,6 +32,7 @@ REWEIGHTINGS = 4  # estimates, each with the deviations of the residuals of the 
 NORMAL_MEDIAN = 0.6745  # median of the absolute value of a standard normal variable
 LEAST_POSITION, LEAST_HEADING = 1e-6, 1e-6  # smallest deviations of residuals [m], [rad]
 SINGULAR = 1e-12  # smaller eigenvalues of the Hessian, over the largest, count as zero
+KNOWN = 0.1  # larger eigenvalues never do: priors have at least one
 LOST_SHARE = 1e-6  # share of an undetermined direction from which an unknown is undetermined
 WEAK = 0.1  # deviation of a direction, relative to its scale, from which it is weakly determined
 CONFIDENCE = 0.95
@@ -228,7 +229,7 @@ def _sandwich(
     known = priors.slopes(scales.size).sum(axis=0)
     prior = np.diag((known * scales)[free] ** 2)
     values, vectors = np.linalg.eigh(parts.sum(axis=0) + prior)
-    lost = values <= SINGULAR * max(values.max(initial=0.0), 1e-300)
+    lost = values <= min(SINGULAR * max(values.max(initial=0.0), 1e-300), KNOWN)
     half = vectors[:, ~lost] / np.sqrt(values[~lost])  # inverse of the Hessian: half @ half.T
     leverage, axes = np.linalg.eigh(half.T @ parts @ half)
     larger = np.sqrt(1 - np.minimum(leverage, MAX_LEVERAGE))
