@@ -616,7 +616,7 @@ def momentum_models(problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicub
     """
     spec, contact = problem.spec, model_law(problem)
     with at(problem, ("model",)):
-        stiffness = contact.slip_stiffness
+        stiffness = getattr(contact, "slip_stiffness", inf)  # of soil, which the model refuses
         laws: list[GroundLaw] = [LinearCreep(contact.creep, stiffness)]
         if spec.plan.sliding:
             laws = [Coulomb(creep, slip_stiffness=stiffness) for creep in SLIDING_CREEPS]
