@@ -272,8 +272,8 @@ class SoilProblem:
     ) -> None:
         self._runs, self._loss = runs, loss
         self._spread = repeat_spread(runs)
-        # with priors, few points can be fitted exactly
-        share = LEAST_SHARE if any(each.prior for each in unknowns) else 0.0
+        # with priors, so few points can be fitted exactly
+        share = LEAST_SHARE if np.unique(runs.run).size <= len(unknowns) else 0.0
         known = np.where(np.isfinite(runs.values), np.abs(runs.values), 0.0)
         self._least = np.where(np.isnan(self._spread), share * known.max(axis=0), 0.0) + SMALLEST
         self.names = [unknown.quantity for unknown in unknowns]
