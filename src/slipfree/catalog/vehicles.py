@@ -6,19 +6,17 @@ The platform's axes are x right, y forward, z up. Masses are rounded values; wit
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cache
 from math import inf, pi
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import casadi as ca
 from annotated_types import Gt, Unit
 
 from slipfree.core.arguments import checked
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, read_table
 from slipfree.core.schema import Angle, Factor, JointConstant, Length, Mass, Position, Radius
 from slipfree.geometry.frame import Vector
 from slipfree.vehicle.drives import DRIVES
@@ -472,7 +470,7 @@ def described(name: str, keywords: Mapping[str, Any]) -> Vehicle:
 
 @cache
 def _tables() -> dict[str, Any]:
-    return tomllib.loads(Path(__file__).with_name("vehicles.toml").read_text("utf-8"))
+    return read_table(__file__, "vehicles.toml")
 
 
 def _rows(rows: Iterable[dict[str, Any]], known: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

@@ -1,10 +1,12 @@
-"""Exceptions raised by the package."""
+"""Exceptions raised by the package, texts of messages, and tables of data beside modules."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 MAX_LISTED = 60  # largest number of names in a message
@@ -55,3 +57,8 @@ def require(package: str, extra: str = "xarray", place: str = "") -> Any:
         return import_module(package)
     except ImportError as error:
         raise DataError(place + missing_package(package, extra)) from error
+
+
+def read_table(module: str, name: str) -> dict[str, Any]:
+    """Return the data in a TOML file beside a module, given as its ``__file__``."""
+    return tomllib.loads(Path(module).with_name(name).read_text("utf-8"))

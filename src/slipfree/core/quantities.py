@@ -8,13 +8,12 @@ equation in a model.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+from slipfree.core.errors import read_table
 from slipfree.core.facts import Fact
 from slipfree.core.records import Label
 from slipfree.core.trajectory import Trajectory
@@ -67,8 +66,10 @@ class QuantityRow:
 
 
 def _read_table() -> dict[str, QuantityRow]:
-    text = Path(__file__).with_name("quantities.toml").read_text("utf-8")
-    return {name: QuantityRow(name, **row) for name, row in tomllib.loads(text).items()}
+    return {
+        name: QuantityRow(name, **row)
+        for name, row in read_table(__file__, "quantities.toml").items()
+    }
 
 
 QUANTITIES = _read_table()  # by name, in the order of facts, summaries and figures

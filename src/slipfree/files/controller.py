@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 import re
 import shlex
-import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from itertools import pairwise
@@ -26,7 +25,7 @@ from slipfree.batch.graph import Graph, Solve, elimination, graph_of, state_of
 from slipfree.batch.many import stand, stand_checked, start_states
 from slipfree.batch.motion import COMPLETE
 from slipfree.core.dae import Dae
-from slipfree.core.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError, read_table
 from slipfree.core.evaluation import dense, evaluate
 from slipfree.core.newton import solve_equations
 from slipfree.core.records import Array, Label, leaves
@@ -52,9 +51,7 @@ COMMAND = 0.3  # largest velocity in its commands [m/s, rad/s]
 AXES = {"paper": ("right", "forward"), "rep103": ("forward", "left")}
 FILES = ("{}.h", "controller.h"), ("{}.c", "controller.c"), ("{}_test.c", "controller_test.c")
 STACK = 3000  # other variables on the stack [bytes]
-TABLE: dict[str, Any] = tomllib.loads(
-    Path(__file__).with_name("controller.toml").read_text("utf-8")
-)
+TABLE: dict[str, Any] = read_table(__file__, "controller.toml")
 RESERVED = re.compile("|".join([*TABLE["reserved"].split(), "[A-Z0-9_]*"]))
 MET = {
     True: "The motion is met exactly, with the least slip of the wheels.",

@@ -5,15 +5,14 @@ They are rows of ``formats.toml``.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from slipfree.core.errors import DataError
+from slipfree.core.errors import DataError, read_table
 
 HEAD = 512  # bytes that are compared
-TABLE: dict[str, Any] = tomllib.loads(Path(__file__).with_name("formats.toml").read_text("utf-8"))
+TABLE: dict[str, Any] = read_table(__file__, "formats.toml")
 REMEDIES: dict[str, str] = TABLE["remedies"]
 Purpose = Literal["map", "table"]
 
@@ -50,24 +49,24 @@ FORMATS = tuple(_read_formats())
 def check_ending(path: Path, purpose: Purpose, expected: str, read: tuple[str, ...] = ()) -> None:
     """Raise DataError if a file ends as a known format; files with endings in ``read`` are read."""
     ending = path.suffix.lower()
-    for known in FORMATS:
-        remedy = known.remedy(purpose)
-        if remedy and ending in known.endings and ending not in read:
-            found = f"{ending!r}, {known.name}"
-            raise DataError(
-                f"{path}: expected {expected}, found {found}; {remedy.format(path.name)}"
-            )
+    if ending not in read:
+        known = (each for each in FORMATS if ending in each.endings)
+        _refuse(path, purpose, expected, f"{ending!r}, ", known)
 
 
 def check_contents(path: Path, purpose: Purpose, expected: str) -> None:
     """Raise DataError if a file begins as a known format that is not read; see `check_ending`."""
     with path.open("rb") as file:
         head = file.read(HEAD)
-    for known in FORMATS:
-        remedy = known.remedy(purpose)
-        if remedy and head.startswith(known.magic):
-            raise DataError(
-                f"{path}: expected {expected}, found {known.name}; {remedy.format(path.name)}"
-            )
+    known = (each for each in FORMATS if head.startswith(each.magic))
+    _refuse(path, purpose, expected, "", known)
     if purpose == "table" and b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise DataError(f"{path}: expected {expected}, found binary data; {REMEDIES['csv']}")
+
+
+def _refuse(
+    path: Path, purpose: Purpose, expected: str, found: str, known: Iterator[Format]
+) -> None:
+    for each in known:
+        if remedy := each.remedy(purpose).format(path.name):
+            raise DataError(f"{path}: expected {expected}, found {found}{each.name}; {remedy}")

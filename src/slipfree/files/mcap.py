@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import nan
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from slipfree.core.errors import DataError, missing_package
+from slipfree.core.errors import DataError, missing_package, read_table
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.urdf.links import (
@@ -42,9 +41,7 @@ MESSAGES = {  # types of the messages from which a table is read, by the names o
     ("v_x", "v_y", "omega_z"): ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
     ("x", "y", "heading"): ("nav_msgs/msg/Path", "nav_msgs/msg/Odometry"),
 }
-DEFINITIONS: dict[str, str] = tomllib.loads(
-    Path(__file__).with_name("messages.toml").read_text("utf-8")
-)
+DEFINITIONS: dict[str, str] = read_table(__file__, "messages.toml")
 BASE = "base_link"  # frame of REP 105
 Message = tuple[str, str, dict[str, Any]]  # topic, type, content
 

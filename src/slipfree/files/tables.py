@@ -10,7 +10,6 @@ import io
 import math
 import operator as op
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
@@ -21,7 +20,7 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 
-from slipfree.core.errors import DataError
+from slipfree.core.errors import DataError, read_table
 from slipfree.core.quantities import QUANTITIES
 from slipfree.core.records import Array
 from slipfree.files.foreign_formats import check_contents, check_ending
@@ -34,9 +33,7 @@ SEPARATORS = (";", "|", "\t", ",", None)  # None: blanks
 COMMENTS = ("#", "%", "//")
 UNIT_FACTORS = {  # factors to SI units, by the SI unit, or "heights", and the name of the unit
     unit: {name: float(factor) for names, factor in rows.items() for name in names.split(", ")}
-    for unit, rows in tomllib.loads(
-        Path(__file__).with_name("units.toml").read_text("utf-8")
-    ).items()
+    for unit, rows in read_table(__file__, "units.toml").items()
 }
 UNITS = {  # SI unit of a column, and factor to it
     name: (unit, factor)

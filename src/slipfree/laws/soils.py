@@ -6,13 +6,11 @@ other parameters have the defaults of `Soil`: angles of largest stress, exit dep
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from math import radians
-from pathlib import Path
 from typing import NamedTuple
 
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, read_table
 from slipfree.laws.soil import Soil
 
 
@@ -24,8 +22,7 @@ class KnownSoil(NamedTuple):
 
 
 def _read_soils() -> Iterator[tuple[str, KnownSoil]]:
-    text = Path(__file__).with_name("soils.toml").read_text("utf-8")
-    for name, row in tomllib.loads(text).items():
+    for name, row in read_table(__file__, "soils.toml").items():
         source, shear = row.pop("source"), row.pop("shear", None)
         if shear is not None:
             row["friction_angle"] = radians(row.pop("degrees"))

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from slipfree.core.arguments import checked
-from slipfree.core.errors import ModelError, similar
+from slipfree.core.errors import ModelError, read_table, similar
 from slipfree.vehicle.tree import Vehicle
 
 
@@ -20,10 +18,7 @@ class CelestialBody(NamedTuple):
     radius: float
 
 
-TABLE: dict[str, dict[str, float]] = tomllib.loads(
-    Path(__file__).with_name("bodies.toml").read_text("utf-8")
-)
-BODIES = {name: CelestialBody(**row) for name, row in TABLE.items()}
+BODIES = {n: CelestialBody(**row) for n, row in read_table(__file__, "bodies.toml").items()}
 SAME_RADIUS = 0.005  # relative difference of the radii of one body in various reference systems
 
 

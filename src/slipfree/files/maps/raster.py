@@ -6,7 +6,6 @@ import io
 import math
 import re
 import sys
-import tomllib
 import warnings
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator
@@ -19,7 +18,7 @@ from typing import Any, BinaryIO, Literal, NamedTuple, TypeVar
 import numpy as np
 import scipy  # scipy.io is imported when it is used, since this takes 0.2 s
 
-from slipfree.core.errors import DataError
+from slipfree.core.errors import DataError, read_table
 from slipfree.core.records import Array
 from slipfree.files.maps.missing_values import Marker, check_values
 from slipfree.files.maps.reference_systems import LENGTHS, refuse, scale_facts, system_name
@@ -27,7 +26,7 @@ from slipfree.terrain.grid_ops import Heights, UniformAxis, Window, parts
 
 CLASSIC = (b"CDF\1", b"CDF\2")
 DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)
-TABLE: dict[str, Any] = tomllib.loads(Path(__file__).with_name("rasters.toml").read_text("utf-8"))
+TABLE: dict[str, Any] = read_table(__file__, "rasters.toml")
 FORMATS: dict[str, str] = {  # names of formats by their usual file endings
     each: name for endings, name in TABLE["endings"].items() for each in endings.split()
 }

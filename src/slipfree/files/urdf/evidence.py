@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from slipfree.core.errors import read_table
 from slipfree.files.urdf.xml import Element
 
 CONTRADICTORY = 0.85  # weight of the second choice that leaves the choice open [first choice]
-TABLE: dict[str, Any] = tomllib.loads(Path(__file__).with_name("evidence.toml").read_text("utf-8"))
+TABLE: dict[str, Any] = read_table(__file__, "evidence.toml")
 WEIGHTS: dict[str | float, float] = TABLE.pop("weights")
 USUAL = WEIGHTS["usual"]
 SIDES = {side: re.compile(pattern) for side, pattern in TABLE.pop("sides").items()}
