@@ -5,7 +5,6 @@ from dataclasses import replace
 from fractions import Fraction
 from itertools import product
 
-import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -13,10 +12,10 @@ from numpy.testing import assert_allclose
 from slipfree import Analytic, Bicubic, Grid, ModelError, atlas, catalog, direct_kinematics, settle
 from slipfree.batch.evaluator import evaluator_of
 from slipfree.batch.many import solve_positions, start_states
-from slipfree.core.interval import Intervals, around, evaluate_interval, exactly
+from slipfree.core.interval import Intervals, exactly
 from slipfree.enclosure.ground_range import range_of
 from slipfree.enclosure.guarantee import OFF_MAP, Verdict, contact_points, enclose_poses, guarantee
-from slipfree.enclosure.wheel_gaps import pose_graphs
+from slipfree.enclosure.wheel_gaps import _box, _single_contacts, gap_bounds, pose_graphs
 from slipfree.files.maps.elevation import jacksboro
 
 HALF = 6.0  # half of the side of the maps [m]
@@ -40,10 +39,8 @@ class Placing:
 
     def __init__(self, model, seed=0, n=5, reach=3.0):
         rng, evaluate = np.random.default_rng(seed), evaluator_of(model, compiled=False)
-        names = [label.full for label in (*model.labels.x[:3],)]
-        places = rng.uniform(-reach, reach, (3, n))
-        places[:2] += np.array(model.ground.origin[:2])[:, None]
-        start = dict(zip(names, places, strict=True))
+        (x, y, heading), origin = rng.uniform(-reach, reach, (3, n)), model.ground.origin
+        start = {"x": x + origin[0], "y": y + origin[1], "heading": heading}
         states = start_states(evaluate.graphs, start)
         states = states[:, solve_positions(evaluate, states).has_pose]
         rows = evaluate.graphs.rows
@@ -54,8 +51,7 @@ class Placing:
         for wheel in model.vehicle.wheels:
             r1, r2 = wheel.section.torus_radii
             v = np.linspace(-np.pi, 0, 401) if r2 else np.linspace(-np.pi, 0, 721)
-            u, v = np.meshgrid(np.linspace(0, np.pi, 61 if r1 else 1), v)
-            u = u if r1 else np.full_like(u, np.pi / 2)
+            u, v = np.meshgrid(np.linspace(0, np.pi, 61) if r1 else np.pi / 2, v)
             rho = r2 + r1 * np.sin(u)
             mesh = np.stack([r1 * np.cos(u), rho * np.cos(v), rho * np.sin(v)], -1)
             self._meshes.append(mesh.reshape(-1, 3))
@@ -66,7 +62,7 @@ class Placing:
         contacts = contact_points(self.model, self.z)
         return enclose_poses(self.model, self.x, self.q, contacts, error, radius)
 
-    def gaps(self, x, q, extra):
+    def gaps(self, x, q, extra=lambda x, _: 0 * x):
         """Return the smallest heights of the wheels above the map plus ``extra``."""
         poses = pose_graphs(self.model).poses(np.concatenate([x, q]))
         ground, gaps = self.model.ground, []
@@ -77,7 +73,7 @@ class Placing:
             gaps.append((points[:, 2] - height).min())
         return np.array(gaps)
 
-    def place(self, x, q, extra, tries=40):
+    def place(self, x, q, extra=lambda x, _: 0 * x):
         """Return a pose at which all wheels touch the ground; None if the search finds none."""
         step = 1e-4
         jacobian = np.empty((q.size, q.size))
@@ -86,7 +82,7 @@ class Placing:
             jacobian[:, k] = (ahead - behind) / (2 * step)
         for damping in (1.0, 0.4):
             best = q
-            for _ in range(tries):
+            for _ in range(40):
                 gap = self.gaps(x, best, extra)
                 if np.abs(gap).max() < MESH:
                     return best
@@ -193,19 +189,6 @@ def test_interval_sines_contain_all_values():
         assert (found.high - found.low <= np.ptp(values, axis=0) + 0.02).all()
 
 
-def test_interval_evaluation_contains_values():
-    x = ca.SX.sym("x", 2)
-    function = ca.Function(
-        "f", [x], [ca.vertcat(ca.sin(x[0]) / (2 + x[1] ** 2), ca.sqrt(3 + x[0]))]
-    )
-    rng = np.random.default_rng(1)
-    box = around(rng.uniform(-1, 1, (2, 50)), 0.1)
-    found = evaluate_interval(function, box)
-    for s in product((0.0, 0.5, 1.0), repeat=2):
-        values = np.array(function(box.low + np.array(s)[:, None] * (box.high - box.low)))
-        assert ((found.low <= values) & (values <= found.high)).all()
-
-
 @pytest.mark.parametrize("h", [0.05, 0.2])
 def test_ground_bounds_contain_heights_and_slopes(h):
     terrain = rough(h=h, shortest=0.6)
@@ -225,6 +208,25 @@ def test_ground_bounds_contain_heights_and_slopes(h):
                 assert (slopes[k].low < slope + 1e-7).all()
                 assert (slope - 1e-7 < slopes[k].high).all()
     assert_allclose(jets.height, terrain.elevation(x, y) - terrain.origin[2], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["three_wheeler", "articulated", "differential_drive"])
+def test_gap_bounds_of_single_and_divided_contacts_contain_gaps_of_meshes(name):
+    placing = Placing(direct_kinematics(getattr(catalog, name)(), rough(rms=0.1)), n=6)
+    contacts, rng = contact_points(placing.model, placing.z), np.random.default_rng(4)
+    middle, ground = np.concatenate([placing.x, placing.q]), range_of(placing.model.ground)
+    radius = np.full_like(middle, 0.004)
+    place = pose_graphs(placing.model), ground, middle, radius, contacts
+    assert _single_contacts(_box(*place), ground, None).is_single.mean() > 0.6
+    for divided in (False, True):
+        found = gap_bounds(*place, divided=divided)
+        for _ in range(12):
+            away = radius * rng.choice([-1.0, -0.3, 0.6, 1.0], radius.shape)
+            poses = (np.split(pose, [len(placing.x)]) for pose in (middle + away).T)
+            gaps = np.transpose([placing.gaps(*pose) for pose in poses])
+            change = found.mean_slope * away[:, None]
+            assert (found.gap.low + change.low.sum(axis=0) < gaps + 1e-9).all()
+            assert (gaps - MESH < found.gap.high + change.high.sum(axis=0)).all()
 
 
 @pytest.mark.parametrize("error", [0.001, 0.005, 0.02, 0.05])
@@ -273,7 +275,11 @@ def test_errors_larger_than_the_vehicle_are_undecided(wheeler):
 
 
 def test_poses_with_too_many_patches_are_given_up(wheeler, monkeypatch):
-    monkeypatch.setattr(sys.modules["slipfree.enclosure.wheel_gaps"], "MAX_PATCHES", 100)
+    for module, name, value in (
+        ("wheel_gaps", "MAX_PATCHES", 100),
+        ("guarantee", "QUICK_TRIES", 0),
+    ):
+        monkeypatch.setattr(sys.modules[f"slipfree.enclosure.{module}"], name, value)
     found = wheeler.enclose(0.005)
     assert not found.is_enclosed.any()
     assert found.on_map.all()
@@ -309,7 +315,7 @@ def test_hostile_grounds_are_never_guaranteed_wrongly(seed):
         found = placing.enclose(error)
         assert not (found.is_enclosed & found.penetrates).any()
         for lane in range(placing.n):
-            nominal = placing.gaps(placing.x[:, lane], placing.q[:, lane], lambda x, _: 0 * x)
+            nominal = placing.gaps(placing.x[:, lane], placing.q[:, lane])
             if nominal.min() < -1e-3:  # the contact of the model is not that of a rigid wheel
                 assert found.penetrates[lane]
             if found.penetrates[lane]:
@@ -321,16 +327,11 @@ def test_several_contacts_of_a_wheel_are_enclosed():
     """A wheel in a groove touches both of its edges: no single contact is assumed."""
     axis = np.linspace(-4, 4, 161)
     groove = -0.05 * np.exp(-(((axis - 1.0) / 0.06) ** 2))
-    model = direct_kinematics(
-        catalog.three_wheeler(), Bicubic(Grid(axis, axis, np.tile(groove, (161, 1))))
-    )
+    ground = Bicubic(Grid(axis, axis, np.tile(groove, (161, 1))))
+    model = direct_kinematics(catalog.three_wheeler(), ground)
     placing = Placing(model, n=1)
     placing.x[:] = 0.0
-    level = placing.place(
-        placing.x[:, 0],
-        np.array([0.3 - model.ground.origin[2], 0.0, 0.0]),
-        lambda x, _: 0 * x,
-    )
+    level = placing.place(placing.x[:, 0], np.array([0.3 - model.ground.origin[2], 0.0, 0.0]))
     placing.q[:, 0] = level + np.array([2 * MESH, 0, 0])  # the mesh is slightly inside the wheel
     found = placing.enclose(0.002)
     assert found.is_enclosed.all()
@@ -348,8 +349,7 @@ def test_edges_of_the_map_and_holes_are_undecided():
     assert guarantee(model, settle(model, y=2.0), 0.01).is_guaranteed.all()
     holes = np.zeros((41, 41), dtype=bool)
     holes[20, 26] = True
-    pierced = Bicubic(replace(grid, holes=holes))
-    near = direct_kinematics(catalog.three_wheeler(), pierced)
+    near = direct_kinematics(catalog.three_wheeler(), Bicubic(replace(grid, holes=holes)))
     run = settle(replace(near, limits=(), checks=()), y=0.0)
     assert guarantee(near, run, 0.01).reasons == (OFF_MAP,)
     away = settle(near, y=-2.5)

@@ -101,7 +101,7 @@ class GroundRange:
     def heights(self, jets: Jets, reach: Array) -> Intervals:
         """Return bounds of the heights over rectangles about points; reach (2, n) [m]."""
         dx, dy = reach + jets.inexact
-        t = self._third_bounds(jets, reach)
+        t = self.third_bounds(jets, reach)
         (gx, gy), (xx, xy, yy) = np.abs(jets.slope), np.abs(jets.second)
         height, slope, second = jets.error
         away = (
@@ -117,7 +117,7 @@ class GroundRange:
         low, high = away.low - jets.inexact, away.high + jets.inexact
         box = Intervals(low, high)
         dx, dy = box.magnitude
-        t = self._third_bounds(jets, box.magnitude)
+        t = self.third_bounds(jets, box.magnitude)
         _, slope, second = jets.error
         rest = (t[:2] * dx**2 + 2 * t[1:3] * dx * dy + t[2:] * dy**2) / 2
         rest = (rest + slope + second * (dx + dy)) * (1 + 1e-14)
@@ -130,7 +130,7 @@ class GroundRange:
         cell = np.clip(np.nan_to_num(np.floor(a)), 0, self._counts - 1)
         return a, cell.astype(np.intp)
 
-    def _third_bounds(self, jets: Jets, reach: Array) -> Array:
+    def third_bounds(self, jets: Jets, reach: Array) -> Array:
         """Return the largest third derivatives within a reach (2, n) of points, shape (4, n)."""
         i, j = jets.cell
         bounds = np.full((4, i.size), np.inf)

@@ -36,7 +36,8 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.enclosure.ground_range import GroundRange, range_of
 from slipfree.enclosure.wheel_gaps import GapBounds, PoseGraphs, gap_bounds, pose_graphs
 
-TRIES = 8  # boxes that are tried, each larger than the one before
+QUICK_TRIES = 2  # boxes that are tried first, without patches where a wheel has a single contact
+TRIES = 8  # boxes that are tried then, each larger than the one before
 INFLATION = 1.1  # of the next box, relative to the bounds found
 FIRST_INFLATION = 1.05  # of the first box, relative to the bounds to first order
 SMALLEST_RADIUS = 1e-8  # of a box [m, rad]
@@ -44,7 +45,7 @@ LARGEST_TURN = 0.5  # largest half-size of a box of angles that is tried [rad]
 PENETRATION = 1e-6  # of a wheel of the nominal pose that refutes it [m]
 MAX_CONDITION = 1e12  # of the derivatives of the gaps
 POWER_STEPS = 4  # towards the weights with which uniqueness is tested
-LANES = 256  # poses that are enclosed together
+LANES = 2048  # poses that are enclosed together
 
 
 class Verdict(StrEnum):
@@ -239,16 +240,22 @@ def _enclose(
     low, high = np.full((2, count, n), np.nan)
     is_enclosed, penetrates, refined = np.zeros((3, n), dtype=bool)
     on_map, tried = np.ones(n, dtype=bool), np.isfinite(middle).all(axis=0)
+    first, able = radius, tried
     with np.errstate(all="ignore"):
-        for k in range(TRIES + 1):
+        for k in range(QUICK_TRIES + TRIES + 1):
+            if k == QUICK_TRIES + 1:
+                tried, radius = (
+                    able & ~is_enclosed & ~penetrates,
+                    np.where(is_enclosed, radius, first),
+                )
             lanes = np.flatnonzero(tried)
             if not lanes.size:
-                break
+                continue
             box = np.concatenate([start[:, lanes], radius[:, lanes]])
             if not k:  # a box without extent: bounds to first order
                 box[: graphs.given] = 0.0
             place = middle[:, lanes], box, contacts[..., lanes]
-            gaps = gap_bounds(graphs, ground, *place, coarse=not k)
+            gaps = gap_bounds(graphs, ground, *place, coarse=not k, divided=k > QUICK_TRIES)
             penetrates[lanes] |= (gaps.gap.high < -PENETRATION).any(axis=0)
             box[: graphs.given] = start[:, lanes]
             found, is_unique = _krawczyk(gaps, box, graphs, error)
@@ -262,6 +269,8 @@ def _enclose(
             radius[:, lanes] = np.where(inside, size, growth * size + SMALLEST_RADIUS)
             valid = np.isfinite(size).all(axis=0) & (size[1:] < LARGEST_TURN).all(axis=0)
             tried[lanes] = valid & ~inside & ~penetrates[lanes]
+            if not k:
+                first, able = radius.copy(), tried.copy()
             refined |= (k > 1) & is_enclosed & ~tried
         lanes = np.flatnonzero(refined)
         if lanes.size:  # once more in the smaller box that was found
@@ -282,9 +291,9 @@ def _krawczyk(
 
     Also return whether a box has at most one pose for given gaps of the wheels, shape (n,).
     """
-    given, (count, n_y, n) = graphs.given, gaps.slope.low.shape
-    middle = (gaps.mean_slope.low[:, given:] + gaps.mean_slope.high[:, given:]) / 2
-    matrices = np.nan_to_num(middle.transpose(2, 0, 1), nan=0.0, posinf=0.0, neginf=0.0)
+    given, (n_y, count, n) = graphs.given, gaps.slope.low.shape
+    middle = (gaps.mean_slope.low[given:] + gaps.mean_slope.high[given:]) / 2
+    matrices = np.nan_to_num(middle.transpose(2, 1, 0), nan=0.0, posinf=0.0, neginf=0.0)
     regular = np.linalg.cond(matrices) < MAX_CONDITION
     matrices[~regular] = np.eye(count)
     inverse = np.where(regular, np.linalg.inv(matrices).transpose(1, 2, 0), np.nan)
@@ -295,8 +304,8 @@ def _krawczyk(
         offset, (mean, whole) = exactly(np.zeros(n)), (exactly(unit + np.zeros(n)),) * 2
         for j in range(count):
             offset -= gaps.gap[j] * inverse[i, j]
-            mean += gaps.mean_slope[j] * inverse[i, j]
-            whole += gaps.slope[j] * inverse[i, j]
+            mean += gaps.mean_slope[:, j] * inverse[i, j]
+            whole += gaps.slope[:, j] * inverse[i, j]
         away = (mean.magnitude * radius).sum(axis=0) + np.abs(inverse[i]).sum(axis=0) * error
         images.append(offset + around(np.zeros(n), away * (1 + 1e-12)))
         contraction[i] = whole[given:].magnitude

@@ -7,12 +7,20 @@ divided into patches. A patch is discarded if, for all poses of the box, its poi
 the ground than the reference point, or the distance changes along it; the remaining patches are
 divided until they are small. They contain all points that touch the ground first, wherever these
 are: nothing is assumed on the number of contacts.
+
+Most wheels are bounded without patches. Let ``b0`` be the lowest point of the tread for the normal
+``N0``, and ``b`` another one, whose normal from the tube is turned by a chord ``A`` and whose
+direction from the axle by a chord ``V``. Then ``N0 . (b - b0) = (r1 |N0| A^2 + r2 |N0'| V^2) / 2``,
+with the component ``N0'`` perpendicular to the axle. This is compared with the curvature of the
+ground and the change of its normal in the box: where it is larger, ``b`` does not touch, and
+the contact is a single one, in a small region about ``b0``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Iterator, Sequence
+from functools import lru_cache, reduce
+from operator import add
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -24,7 +32,7 @@ from slipfree.core.errors import ModelError
 from slipfree.core.interval import Intervals, around, evaluate_interval, exactly, stack
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, Indices, Mask, leaves, pack
-from slipfree.enclosure.ground_range import GroundRange
+from slipfree.enclosure.ground_range import GroundRange, Jets
 from slipfree.models.base import VehicleState, carriers
 from slipfree.terrain.bicubic import Bicubic
 
@@ -34,6 +42,11 @@ COARSE_TURN = 2e-2  # half-size of the smallest patches for a first look [rad]
 SHARE = 0.15  # half-size of the smallest patches, relative to the turn of the wheel in the box
 EDGE = 1e-6  # patches closer to an edge of the tread touch it [rad]
 MAX_PATCHES = 6000  # of a pose, which is given up if it has more
+RINGS = 16  # parts of a tread outside the region of a single contact
+FACTOR = 2.5  # half-size of this region, relative to the displacement of the contact in the box
+REGION = 0.05, 0.4  # its bounds: halves of chords of the unit circle
+CHUNK = 256  # boxes whose treads are divided together
+SLACK = 1e-9  # for rounding in inequalities of magnitudes, relative
 PARTS = 4  # boxes, one inside the other, over which slopes are averaged; a power of two
 
 
@@ -127,7 +140,7 @@ class GapBounds(NamedTuple):
     """Bounds of the gaps of n boxes of poses; not a number where they are not known."""
 
     gap: Intervals  # at the middle of the box, shape (n_wheels, n) [m]
-    slope: Intervals  # over the box, by all coordinates, shape (n_wheels, n_y, n)
+    slope: Intervals  # over the box, by all coordinates, shape (n_y, n_wheels, n)
     mean_slope: Intervals  # averages along lines from the middle to points of the box
     on_map: Mask  # whether the wheels stay on the map, shape (n,)
 
@@ -164,7 +177,11 @@ class _PoseBox(NamedTuple):
     over: WheelPoses
     moving: PoseSlopes
     spot: Intervals  # reference points in the frames of the carriers, shape (3, n_wheels, n)
+    angles: Array  # of the reference points on the tread, shape (2, n_wheels, n) [rad]
+    place: Array  # horizontal positions of the reference points at the middle, shape (2, n)
+    jets: Jets  # of the ground under them at the middle
     gap: Intervals  # distances of the reference points from the ground at the middle
+    flat: Intervals  # slopes of the ground under the reference points at the middle
     slopes: Intervals  # of the ground under the reference points, over the box, (2, n_wheels, n)
     turn: Array  # sums of the turns about the axes of the carrier, (3, n_wheels, n) [rad]
     shift: Array  # sums of the horizontal changes of the reference point, (2, n_wheels, n)
@@ -178,6 +195,7 @@ def gap_bounds(
     contacts: Array,
     *,
     coarse: bool = False,
+    divided: bool = False,
 ) -> GapBounds:
     """Return bounds of the gaps for boxes of coordinates.
 
@@ -193,37 +211,280 @@ def gap_bounds(
         Points of the ground close to the contacts, which only affect the speed. [m]
     coarse : bool
         Whether wide bounds suffice, for small boxes.
+    divided : bool
+        Whether to divide all treads, which takes longer and gives narrower bounds.
     """
+    parts = 1 if coarse else PARTS
+    region: Array | None = None
+    averages = list[Intervals]()
+    is_single: Mask = np.full(contacts.shape[1:], not divided)
+    for k in range(parts, 0, -1):  # a line from the middle passes through the smaller boxes first
+        box = _box(graphs, ground, middle, radius * (k / parts * (1 + 1e-12)), contacts)
+        found = _single_contacts(box, ground, region)
+        normals = _normals(box.over, found.slopes)
+        on_axle = _on_axle(box.moving, normals, graphs.radii[1][:, None])
+        averages.append((_moved(box.moving, found.slopes) + on_axle) * (1 / parts))
+        if region is None:
+            region, slope = found.region, averages[0] * parts
+            is_single &= _are_rings_clear(graphs, ground, middle, radius, contacts, found)
+        is_single &= found.is_single
+    gap = Intervals(box.gap.low - found.lost, box.gap.high.copy())
+    on_map: Mask = np.logical_and.reduce(is_single)
+    bounds = GapBounds(gap, slope, reduce(add, averages), on_map)
+    for rest in _chunks(~on_map):
+        place = middle[:, rest], radius[:, rest], contacts[..., rest]
+        others = ~is_single[:, rest]
+        own = _divided(graphs, ground, *place, others, coarse)
+        on_map[rest] = own.on_map
+        wheels, lanes = np.nonzero(others)
+        for old, new in zip(bounds[:3], own[:3], strict=True):
+            old.low[..., wheels, rest[lanes]] = new.low[..., wheels, lanes]
+            old.high[..., wheels, rest[lanes]] = new.high[..., wheels, lanes]
+    return bounds
+
+
+def _chunks(lanes: Mask) -> Iterator[Indices]:
+    found = np.flatnonzero(lanes)
+    return (found[first : first + CHUNK] for first in range(0, found.size, CHUNK))
+
+
+def _are_rings_clear(
+    graphs: PoseGraphs,
+    ground: GroundRange,
+    middle: Array,
+    radius: Array,
+    contacts: Array,
+    found: _SingleContacts,
+) -> Mask:
+    """Return which wheels touch nowhere outside the regions, shape (n_wheels, n).
+
+    Only the rings that are not clear by curvature are divided into patches.
+    """
+    is_clear: Mask = np.logical_and.reduce(found.rings)
+    for k in _chunks(np.logical_or.reduce(found.is_single & ~is_clear)):
+        box = _box(graphs, ground, middle[:, k], radius[:, k], contacts[..., k])
+        region, rings = found.region[:, k], found.rings[..., k]
+        patches = _whole_treads(graphs.radii, k.size)
+        here = patches.wheel, patches.lane
+        near, far = _chord_range(box, patches)
+        is_open = np.zeros(patches.lane.size, dtype=bool)
+        for number, ring in enumerate(rings):
+            inner, outer = (region[here] ** (1 - j / RINGS) for j in (number, number + 1))
+            is_open |= ~ring[here] & (far >= inner) & (near <= outer)
+        patches = patches.at(is_open & found.is_single[:, k][here])
+        left, _, on_map, is_complete = _touching(box, ground, patches, SMALLEST_TURN, region)
+        is_clear[:, k] |= on_map & is_complete
+        is_clear[left.wheel, k[left.lane]] = False
+    return is_clear
+
+
+def _chord_range(box: _PoseBox, patches: _Patches) -> tuple[Array, Array]:
+    """Return bounds of halves of chords around the axle, from the reference point."""
+    turn = patches.middle[0] - box.angles[0, patches.wheel, patches.lane]
+    away, half = np.abs(np.mod(turn + np.pi, 2 * np.pi) - np.pi), patches.half[0] + SLACK
+    near, far = np.maximum(away - half, 0.0), np.minimum(away + half, np.pi)
+    return np.sin(near / 2) - SLACK, np.sin(far / 2) + SLACK
+
+
+def _divided(
+    graphs: PoseGraphs,
+    ground: GroundRange,
+    middle: Array,
+    radius: Array,
+    contacts: Array,
+    wheels: Mask,
+    coarse: bool,
+) -> GapBounds:
+    """Return the bounds of some wheels (n_wheels, n) by dividing their whole treads."""
     box = _box(graphs, ground, middle, radius, contacts)
-    n, shape = middle.shape[1], (graphs.radii.shape[1], middle.shape[1])
+    shape = wheels.shape
     smallest = COARSE_TURN if coarse else SMALLEST_TURN
-    patches, least, on_map, is_complete = _touching(box, ground, n, smallest)
+    patches = _whole_treads(graphs.radii, wheels.shape[1])
+    patches = patches.at(wheels[patches.wheel, patches.lane])
+    patches, least, on_map, is_complete = _touching(box, ground, patches, smallest)
     slope = _hull(_slopes(box, ground, patches), patches, shape)
     parts = 1 if coarse else PARTS
     mean, lost = slope * (1 / parts), np.where(is_complete, 0.0, np.nan)
-    # a line from the middle passes through the smaller boxes first
     inner = box
     for k in range(parts - 1, 0, -1):
         inner = _box(graphs, ground, middle, radius * (k / parts * (1 + 1e-12)), contacts)
         patches = patches.at(_examine(inner, ground, patches).is_open)
         mean = mean + _hull(_slopes(inner, ground, patches), patches, shape) * (1 / parts)
-    below = _hull(_examine(inner, ground, patches).gap[None], patches, shape).low[:, 0]
+    below = _hull(_examine(inner, ground, patches).gap[None], patches, shape).low[0]
     return GapBounds(Intervals(np.minimum(below, least) + lost, least + lost), slope, mean, on_map)
 
 
+class _SingleContacts(NamedTuple):
+    """Wheels that touch the ground at one smooth point of the tread at all poses of a box."""
+
+    is_single: Mask  # in the region, shape (n_wheels, n); elsewhere other values are meaningless
+    region: Array  # halves of the chords V of the regions
+    rings: Mask  # whether there is no contact in the rings outside, shape (RINGS, n_wheels, n)
+    slopes: Intervals  # of the ground at the contacts, shape (2, n_wheels, n)
+    lost: Array  # largest height of the reference point above the contact at the middle [m]
+
+
+class _Curvature(NamedTuple):
+    """Bounds of the curvature of the ground under a ring of the tread [1/m]."""
+
+    along: Array  # along chords of the circle, signed
+    mixed: Array  # norm of the product of second derivatives and the direction of such a chord
+    any: Array  # magnitude in all directions
+
+
+def _single_contacts(box: _PoseBox, ground: GroundRange, region: Array | None) -> _SingleContacts:
+    """Return which wheels have a single contact, and bounds of the slopes there.
+
+    Without a region that is known to contain the contacts, the rings outside of one are examined.
+
+    With the chords ``V = 2 s`` and ``A`` of the module, a point of the tread is displaced from the
+    reference point by ``r2 V (c t - s e)`` and at most ``r1 A``, for the tangent ``t`` of the
+    circle, the direction ``e`` from the axle, and ``c^2 + s^2 = 1``. Its distance from the ground
+    is larger by at least ``x' M x / 2 - g' x`` for ``x = (V, A)``. The contact is excluded where
+    this is positive, and remains in a region. There, the normals of ground and tread agree.
+    With the angle ``v`` of the chord ``V``, their difference along the tangent at the contact is
+    zero, ``|N0'| sin v <= r2 V (k + 0.6 V G) + r1 A (G + 0.6 V K) + g_v / r2``, since tangent and
+    chord differ by an angle ``v / 2``; in all, ``A sqrt(|N0| |N|)`` is at most the change of the
+    normal. These are rows of ``M x <= g``, and ``x <= M^-1 g``, since the inverse has no negative
+    elements.
+
+    Without a region that is known to contain the contacts, the rings outside of one are examined.
+
+    With the chords ``V = 2 s`` and ``A`` of the module, a point of the tread is displaced from the
+    reference point by ``r2 V (c t - s e)`` and at most ``r1 A``, for the tangent ``t`` of the
+    circle, the direction ``e`` from the axle, and ``c^2 + s^2 = 1``. Its distance from the ground
+    is larger by at least ``x' M x / 2 - g' x`` for ``x = (V, A)``. The contact is excluded where
+    this is positive. Ground and tread have the same normal at an inner contact, so that the sum of
+    this difference, and of that with both points exchanged, gives ``x' M x < g' x`` there.
+    """
+    (tube, circle), shape = box.radii[:, :, None], box.gap.low.shape
+    is_disc, is_sphere = tube == 0, circle == 0
+    angles, jets = exactly(box.angles), box.jets
+    (cos_v, cos_u), (sin_v, sin_u) = ((each[0], each[1]) for each in (angles.cos(), angles.sin()))
+    level = _normals(box.start, box.flat)
+    length = np.sqrt(
+        np.where(is_disc, 0, level.low[0] ** 2) + level.low[1] ** 2 + level.low[2] ** 2
+    )
+    plane = length * sin_u.low  # component perpendicular to the axle
+
+    def changes(normal: Intervals) -> Array:
+        """Return the largest changes of a normal along the axle, t and e."""
+        along = normal[2] * cos_v - normal[1] * sin_v
+        away = normal[1] * cos_v + normal[2] * sin_v + sin_u * length
+        found = stack([normal[0] + cos_u * length, along, away]).magnitude
+        found[0] = np.where(is_disc, 0.0, found[0])  # discs have no extent along the axle
+        return found * (1 + SLACK) + SLACK**2
+
+    change = changes(_normals(box.over, box.slopes))
+    spread, turned = (np.sqrt((each**2).sum(axis=0)) for each in (change, box.turn))
+    axes = (box.start.rotation.low + box.start.rotation.high)[:2] / 2
+    tangent = axes[:, 2] * cos_v.low - axes[:, 1] * sin_v.low
+    away = axes[:, 1] * cos_v.low + axes[:, 2] * sin_v.low
+    xx, xy, yy = jets.second.reshape(3, *shape)
+    norm = (np.abs(xx + yy) + np.hypot(xx - yy, 2 * xy)) / 2
+    bent, bent_away = (
+        np.stack([xx * each[0] + xy * each[1], xy * each[0] + yy * each[1]])
+        for each in (tangent, away)
+    )
+    along, mixed, across = (
+        (a * b).sum(axis=0) for a, b in ((tangent, bent), (away, bent), (away, bent_away))
+    )
+    lean = np.hypot(*(axes[:, 0] * cos_u.low + away * sin_u.low))
+    widest = tube * np.minimum(2.0, 1 + lean + turned)  # horizontal extent of the tube
+    error, moved = jets.error[2].reshape(shape), box.shift + jets.inexact.reshape(shape)
+
+    def curvature(inner: Array, outer: Array, wide: Array, share: float) -> _Curvature:
+        """Return bounds for ``inner <= s <= outer``; ``share`` of the way to the point counts."""
+        c, least = np.sqrt(1 - inner**2), np.sqrt(np.maximum(1 - outer**2, 0))
+        x, y = direction = c * np.abs(tangent) + outer * np.abs(away) + turned
+        chord = direction * (2 * circle * outer)
+        reach = (moved + chord + wide) * (1 + SLACK)
+        third = ground.third_bounds(jets, reach.reshape(2, -1)).reshape(4, *shape)
+        dx, dy = moved + share * (chord + wide)
+        e_xx, e_xy, e_yy = third[:3] * dx + third[1:] * dy + error
+        more = np.maximum(e_xx, e_yy) + e_xy
+        value = np.maximum(c**2 * along, least**2 * along) + 2 * outer * c * np.abs(mixed)
+        value += outer**2 * np.maximum(across, 0) + turned * (2 + turned) * norm
+        value += x**2 * e_xx + 2 * x * y * e_xy + y**2 * e_yy
+        product = c * np.hypot(*bent) + outer * np.hypot(*bent_away) + more + turned * norm
+        return _Curvature(value, product, norm + more)
+
+    rings = np.ones((RINGS, *shape), dtype=bool)
+    if region is None:
+        region = change[1] / np.maximum(plane - circle * np.maximum(along, 0), 0.2)
+        region = inner = np.clip(FACTOR * region, *REGION)
+        for k in range(RINGS):  # the worst A is that of the minimum
+            outer = region ** (1 - (k + 1) / RINGS)
+            bound = curvature(inner, outer, widest, 1 / 3)
+            stiff = length - tube * bound.any
+            lift = circle * (plane - circle * bound.along)
+            lift -= tube / stiff * (circle * bound.mixed) ** 2
+            push = circle * (change[1] + outer * change[2])
+            push += tube / stiff * spread * (circle * bound.mixed + spread / (4 * inner))
+            is_lower = inner * lift > push * (1 + SLACK) + SLACK * circle
+            rings[k] = (stiff > 0) & is_lower | is_sphere
+            inner = outer
+
+    def solve(
+        bound: _Curvature, less: tuple[Array, Array], mixed: Array, change: Array
+    ) -> tuple[Mask, Array, Array, Array]:
+        """Return whether M is positive definite, M^-1 g, the diagonal of M^-1, and g' M^-1 g."""
+        m_v = np.where(is_sphere, 1.0, circle * (plane - less[0] - circle * bound.along))
+        m_a = np.where(is_disc, 1.0, tube * (length - less[1] - tube * bound.any))
+        g_v = circle * (change[1] + region * change[2])
+        g_a = tube * np.sqrt((change**2).sum(axis=0))
+        cross = tube * circle * mixed
+        det = m_v * m_a - cross**2
+        good = (m_v > 1e-3 * circle) & (m_a > 1e-3 * tube) & (det > 1e-3 * m_v * m_a)
+        x = np.stack([m_a * g_v + cross * g_a, m_v * g_a + cross * g_v]) / det * (1 + 1e-6)
+        return good, x, np.stack([m_a, m_v]) / det, g_v * x[0] + g_a * x[1]
+
+    none = np.zeros(shape)
+    bound = curvature(none, region, widest, 1 / 3)
+    lost = solve(bound, (none, none), bound.mixed, changes(level))[3] / 2
+    is_clear, x, diagonal, product = solve(bound, (none, none), bound.mixed, change)
+    v, a = (x + np.sqrt(diagonal * product)) * np.stack(np.broadcast_arrays(~is_sphere, ~is_disc))
+    edge = np.minimum(box.angles[1], np.pi - box.angles[1])
+    is_clear &= (v <= 2 * region) & ((2 * np.arcsin(np.minimum(a / 2, 1)) + EDGE < edge) | is_disc)
+    for _ in range(2):
+        bound = curvature(none, v / 2, tube * a, 1 / 2)
+        other = spread + bound.any * (circle * v + tube * a)  # change of the normal
+        is_clear &= (length * (1 - a**2 / 2) > other) & (plane * (1 - v**2 / 2) > other)
+        less = v * (0.6 * circle * bound.mixed + plane * v / 4) + change[2], other
+        good, (smaller, narrower), _, _ = solve(
+            bound, less, bound.mixed + 0.6 * v * bound.any, change
+        )
+        is_clear &= good
+        v, a = np.minimum(v, smaller), np.minimum(a, narrower)
+    reach = (np.abs(tangent) + v * np.abs(away) + turned) * (circle * v) + tube * a + moved
+    reach = (reach * (1 + SLACK)).reshape(2, -1)
+    slopes = ground.slopes(jets, Intervals(-reach, reach))
+    whole = box.shift.max(axis=0) + 2 * (circle + tube)
+    is_clear &= ground.is_known(box.place, whole.ravel())[1].reshape(shape)
+    return _SingleContacts(is_clear, region, rings, _shaped(slopes, (2, *shape)), lost)
+
+
 def _touching(
-    box: _PoseBox, ground: GroundRange, n: int, smallest: float
+    box: _PoseBox,
+    ground: GroundRange,
+    patches: _Patches,
+    smallest: float,
+    region: Array | None = None,
 ) -> tuple[_Patches, Array, Mask, Mask]:
-    """Return small patches that contain the points that may touch the ground first.
+    """Return small patches of the given ones, with their points that may touch the ground first.
 
     Also return upper bounds of the gaps at the middles of the boxes, shape (n_wheels, n), and
-    whether the wheels stay on the map, and whether the patches are complete, shape (n,).
+    whether the wheels stay on the map, and whether the patches are complete, shape (n,). Patches in
+    a region are left out.
     """
-    patches, done = _whole_treads(box.radii, n), list[_Patches]()
+    n, done = box.gap.low.shape[1], list[_Patches]()
     target = np.maximum(SHARE * box.turn.max(axis=0), smallest)
     on_map, given_up = np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
     least = box.gap.high.copy()
     while patches.lane.size:
+        if region is not None:
+            outside = _chord_range(box, patches)[1] > region[patches.wheel, patches.lane]
+            patches = patches.at(outside)
         found = _examine(box, ground, patches)
         np.minimum.at(least, (patches.wheel, patches.lane), found.above)
         sizes = _sizes(box.radii, patches)
@@ -240,19 +501,18 @@ def _touching(
 def _hull(values: Intervals, patches: _Patches, shape: tuple[int, int]) -> Intervals:
     """Return the hulls of intervals (n_rows, n) of patches, by wheels and lanes.
 
-    The result has the shape (n_wheels, n_rows, n_lanes); wheels without patches have no bounds.
+    The result has the shape (n_rows, n_wheels, n_lanes); wheels without patches have no bounds.
     """
     wheels, n = shape
     rows = values.low.shape[0]
-    hulls = np.full((2, wheels, n, rows), np.nan)
+    hulls = np.full((2, rows, wheels * n), np.nan)
     order = np.lexsort((patches.lane, patches.wheel))
     key = patches.wheel[order] * n + patches.lane[order]
     found, first = np.unique(key, return_index=True)
     if found.size:
-        flat = hulls.reshape(2, wheels * n, rows)
-        flat[0, found] = np.minimum.reduceat(values.low[:, order], first, axis=1).T
-        flat[1, found] = np.maximum.reduceat(values.high[:, order], first, axis=1).T
-    return Intervals(hulls[0].swapaxes(1, 2), hulls[1].swapaxes(1, 2))
+        hulls[0][:, found] = np.minimum.reduceat(values.low[:, order], first, axis=1)
+        hulls[1][:, found] = np.maximum.reduceat(values.high[:, order], first, axis=1)
+    return Intervals(*hulls.reshape(2, rows, wheels, n))
 
 
 def _box(
@@ -272,10 +532,9 @@ def _box(
     spot = _tread(graphs.radii[:, :, None], exactly(angles))[0]
     place = _placed(start, spot)
     center, away = _flat(place)
-    height = ground.heights(ground.jets(center), away.magnitude)
-    gap = place[2] - Intervals(
-        *(each.reshape(slope[0].shape) for each in (height.low, height.high))
-    )
+    jets = ground.jets(center)
+    height, flat = ground.heights(jets, away.magnitude), ground.slopes(jets, away)
+    gap = place[2] - _shaped(height, slope[0].shape)
     turns = np.einsum("k...n,kn->...n", moving.turning.magnitude, radius)
     turned = _turned(moving.turning, spot)
     moved = moving.center[:, :2]
@@ -284,7 +543,19 @@ def _box(
     shifts = np.einsum("k...n,kn->...n", moved.magnitude, radius)
     slopes, grown = _ground_slopes(ground, _placed(over, spot)), 1 + 1e-12
     return _PoseBox(
-        graphs.radii, start, over, moving, spot, gap, slopes, turns * grown, shifts * grown
+        graphs.radii,
+        start,
+        over,
+        moving,
+        spot,
+        angles,
+        center,
+        jets,
+        gap,
+        _shaped(flat, slope.shape),
+        slopes,
+        turns * grown,
+        shifts * grown,
     )
 
 
@@ -365,8 +636,16 @@ def _flat(place: Intervals) -> tuple[Array, Intervals]:
 def _ground_slopes(ground: GroundRange, place: Intervals) -> Intervals:
     """Return bounds of the slopes of the ground under points (3, ...), shape (2, ...)."""
     center, away = _flat(place)
-    found, shape = ground.slopes(ground.jets(center), away), (2, *place.low.shape[1:])
-    return Intervals(found.low.reshape(shape), found.high.reshape(shape))
+    return _shaped(ground.slopes(ground.jets(center), away), (2, *place.low.shape[1:]))
+
+
+def _shaped(values: Intervals, shape: tuple[int, ...]) -> Intervals:
+    return Intervals(values.low.reshape(shape), values.high.reshape(shape))
+
+
+def _normals(poses: WheelPoses, slopes: Intervals) -> Intervals:
+    """Return the upward normals of the ground in the frames of carriers, shape (3, ...)."""
+    return poses.rotation[2] - poses.rotation[0] * slopes[0] - poses.rotation[1] * slopes[1]
 
 
 def _examine(box: _PoseBox, ground: GroundRange, patches: _Patches) -> _Examined:
@@ -382,7 +661,7 @@ def _examine(box: _PoseBox, ground: GroundRange, patches: _Patches) -> _Examined
     jets, away = ground.jets(center), place[:2] - center
     height, slopes = ground.heights(jets, near.magnitude), ground.slopes(jets, away)
     points, squares = ground.is_known(center, away.magnitude.max(axis=0))
-    normal = wide.rotation[2] - wide.rotation[0] * slopes[0] - wide.rotation[1] * slopes[1]
+    normal = _normals(wide, slopes)
 
     around_slope = _dot(normal, turned)
     across_slope = _dot(normal, rolled)
@@ -420,17 +699,27 @@ def _slopes(box: _PoseBox, ground: GroundRange, patches: _Patches) -> Intervals:
     angles = around(patches.middle, patches.half)
     spot = _tread(radii, angles)[0]
     slopes = _ground_slopes(ground, _placed(wide, spot))
-    x, y = slopes[0], slopes[1]
-    normal = wide.rotation[2] - wide.rotation[0] * x - wide.rotation[1] * y
-    moved, turning = box.moving.center[:, :, *here], box.moving.turning[:, :, *here]
+    normal, moving = _normals(wide, slopes), PoseSlopes(*(e[:, :, *here] for e in box.moving))
     below = (angles[0].cos() * normal[1] + angles[0].sin() * normal[2]).high < 0
     is_smooth = below & (_is_inside(patches) | (tube == 0))
-    axial = normal[0] * (normal[1].square() + normal[2].square()).sqrt().inverse() * -circle
-    on_axle = (turning[:, 0] * normal[1] + turning[:, 1] * normal[2]) * axial
-    anywhere = _dot(_turned(turning, spot), normal)
+    on_axle, anywhere = (
+        _on_axle(moving, normal, circle),
+        _dot(_turned(moving.turning, spot), normal),
+    )
     low = np.where(is_smooth, on_axle.low, anywhere.low)
     high = np.where(is_smooth, on_axle.high, anywhere.high)
-    return moved[:, 2] - moved[:, 0] * x - moved[:, 1] * y + Intervals(low, high)
+    return _moved(moving, slopes) + Intervals(low, high)
+
+
+def _on_axle(moving: PoseSlopes, normal: Intervals, circle: Array) -> Intervals:
+    """Return the terms of turns at the lowest point of the tread for a normal of the ground."""
+    axial = normal[0] * (normal[1].square() + normal[2].square()).sqrt().inverse() * -circle
+    return (moving.turning[:, 0] * normal[1] + moving.turning[:, 1] * normal[2]) * axial
+
+
+def _moved(moving: PoseSlopes, slopes: Intervals) -> Intervals:
+    """Return the terms of displacements of the centre."""
+    return moving.center[:, 2] - moving.center[:, 0] * slopes[0] - moving.center[:, 1] * slopes[1]
 
 
 def _at(poses: WheelPoses, here: tuple[Indices, Indices]) -> WheelPoses:
