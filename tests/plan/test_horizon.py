@@ -15,7 +15,7 @@ from slipfree.catalog import differential_drive, skid_steer, three_wheeler
 from slipfree.plan.ipopt import warm_solver
 from slipfree.plan.mpc import cycle_inputs, first_cycle, horizon, refine, replan
 from slipfree.plan.plan import plan
-from slipfree.plan.tracking import Following, Replanning, TrackingWorld, track_plan
+from slipfree.plan.tracking import Following, Replanning, Sampling, TrackingWorld, track_plan
 from slipfree.plan.verification import simulate_plan
 from slipfree.terrain.grid_ops import disturbed
 
@@ -46,10 +46,13 @@ def window(found):
     return horizon(found, span=DURATION / 2, intervals=COUNT // 2)
 
 
-def track(window, world, start, *, latency=0.0, **options):
+def track(window, world, start, *, period, latency=0.0, **options):
     """Drive in another world by replanning."""
-    place, planned = TrackingWorld(world, None, start, latency), window.program.task.dae
-    return track_plan(Replanning(window), planned, place, duration=DURATION, **options)
+    place, controller = (
+        TrackingWorld(world, None, start, latency),
+        Replanning(window, period=period),
+    )
+    return track_plan(controller, place, duration=DURATION, **options)
 
 
 def traverse(found, window, **start):
@@ -163,11 +166,11 @@ def test_the_velocities_of_a_plan_with_a_cusp_are_followed_backwards_and_forward
         return np.array([np.cos(angle) - 1, y, angle])
 
     dae, period = sf.direct_kinematics(skid_steer(), sf.Analytic(lambda x, _: 0 * x)), 0.1
-    law = Following(dae, SimpleNamespace(duration=10.0, states=states), 0.25)
+    law = Following(dae, SimpleNamespace(duration=10.0, states=states), 0.25, period=period)
     x, y, heading = 0.03, 0.02, 0.1
     for k in range(100):
         t = period * k
-        sent = law.decide(t, t + period, np.array([x, y, heading])).inputs
+        sent = law.step(np.array([x, y, heading]), t)
         v, turning = sent["forward"], sent["yaw_rate"]
         assert (v < 0) == (t < 1.95)
         assert abs(turning) < 0.6
@@ -175,6 +178,69 @@ def test_the_velocities_of_a_plan_with_a_cusp_are_followed_backwards_and_forward
         x, y = x - v * period * np.sin(heading), y + v * period * np.cos(heading)
         heading += turning * period / 2
     assert_allclose([x, y, heading], states(np.array([1.0]))[:, 0], rtol=0, atol=2e-3)
+
+
+class Slow(Replanning):
+    """The inputs of the plan; every other step takes two and a half periods."""
+
+    def decide(self, t, end, x):
+        decision = super().decide(t, end, x)
+        self.seconds[-1] = 0.0 if len(self.seconds) % 2 else 2.5 * self.period
+        self.times = [*getattr(self, "times", []), t]
+        return decision
+
+
+def test_the_time_of_the_controller_is_charged_to_the_loop(window):
+    """Cycles 0 and 1 decide, the second for cycle 3; cycles 2 and 3 are missed; and so on."""
+    dae, period = window.program.task.dae, DURATION / COUNT
+    slow = Slow(window, period=period, updated=False)
+    world = TrackingWorld(dae, None, sf.settle(dae))
+    tracked = track_plan(slow, world, duration=DURATION)
+    assert (tracked.cycles, tracked.missed) == (COUNT, COUNT // 2)
+    assert_allclose(slow.times, period * np.array([0, 1, 4, 5, 8, 9]))
+    assert_allclose(tracked.seconds, 2.5 * period * np.array([0, 1, 0, 1, 0, 1]))
+    shown = np.array([0, 1, 1, 1, 4, 5, 5, 5, 8, 9, 9, 9])  # times of the inputs, in periods
+    rates = window.plan.inputs(shown / COUNT)[dae.input_names.index("right_rate")]
+    starts = period * np.arange(COUNT)
+    assert_allclose(np.interp(starts, tracked.run.t, tracked.run["right_rate"]), rates, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["inputs", "follow", "replan", "sampling"])
+def test_steps_of_controllers_build_no_graphs(found, window, monkeypatch, name):
+    """Steps return the inputs of the plan's model, or commands, and only evaluate functions."""
+    dae, period, motion = found.program.task.dae, 0.2, found.motion
+    if name in ("inputs", "replan"):
+        controller = Replanning(window, period=period, updated=name == "replan")
+    elif name == "follow":
+        controller = Following(dae, motion, 0.12, period=period)
+    else:
+        driven = sf.commanded(dae, speed=0.12)
+        ranges = {"forward": (0.0, 0.3), "yaw_rate": (-0.3, 0.3)}
+        task = sf.SamplingTask(
+            driven, {"slip": 1.0}, {}, 2.0, ranges, candidates=16, intervals=4, compiled=False
+        )
+        controller = Sampling(task, motion, period=period)
+    at = np.array([0.0, period, 2 * period])
+    states = motion.states(at / DURATION).T + dae.shift[0]
+    controller.prepare(states[0])
+    controller.step(states[0], 0.0)
+
+    def refuse(*_, **__):
+        raise AssertionError("a step builds a graph")
+
+    for kind in ("Function", "nlpsol", "integrator", "rootfinder", "substitute", "jacobian"):
+        monkeypatch.setattr(f"casadi.{kind}", refuse)
+    monkeypatch.setattr("casadi.SX.sym", refuse)
+    monkeypatch.setattr("casadi.MX.sym", refuse)
+    for x, t in zip(states[1:], at[1:], strict=True):
+        inputs = controller.step(x, t)
+        assert all(type(value) is float for value in inputs.values())
+    expected = dae.input_names if name in ("inputs", "replan") else ("forward", "yaw_rate")
+    assert tuple(inputs) == tuple(expected)
+    assert len(controller.seconds) == 3
+    if name == "inputs":  # linear in each interval of 2 / 3 s: the mean is that of the middle
+        middle = motion.inputs((at[-1:] + period / 2) / DURATION)[:, 0]
+        assert_allclose(list(inputs.values()), middle, atol=1e-9)
 
 
 def test_sampled_inputs_are_refined(found):

@@ -553,9 +553,9 @@ def test_a_tracking_keeps_its_cycles(monkeypatch):
     monkeypatch.setattr(tracking, "_drive", pressed)
     frame = horizon(planned(), span=1.0)
     world = tracking.TrackingWorld(dae, None, settle(dae))
-    controller, model = tracking.Replanning(frame), frame.program.task.dae
+    controller = tracking.Replanning(frame, period=0.25)
     with interrupt.held_interrupt():
-        found = tracking.track_plan(controller, model, world, duration=2.0, period=0.25)
+        found = tracking.track_plan(controller, world, duration=2.0)
     assert found.run.stop.name == "interrupted"
     assert_allclose(found.run.t[-1], 0.5)
 

@@ -1,22 +1,25 @@
 """Follow a plan in closed loop: four controllers, and the simulation of a vehicle under them.
 
 A controller decides at every period, from the measured states, about the inputs of the period that
-follows. It knows the ground and the vehicle of the plan; the vehicle moves in another world, where
-inputs may arrive late.
+follows: `Controller.step` in the loop of a robot, `track_plan` in simulation. It knows the ground
+and the vehicle of the plan; the vehicle moves in another world, where inputs may arrive late.
 """
 
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from slipfree.batch.many import settle_many
-from slipfree.core.dae import Dae, InputValue
+from slipfree.core.dae import Dae, InputValue, PiecewiseLinear
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import SolverError, Trajectory, joined
@@ -43,32 +46,123 @@ class Decision(NamedTuple):
     failed: bool = False
 
 
-class Controller(Protocol):
-    """A way to follow a plan, with a memory: use each for one motion."""
+class Controller(ABC):
+    """A way to follow a plan, with a memory: use each for one motion.
+
+    All functions are built by the constructor and by `prepare`; `step` only evaluates them.
+
+    Parameters
+    ----------
+    model : Dae
+        Model of the plan, whose states are measured.
+    period : float
+        Time between two steps. [s]
+    compiled : bool
+        Whether rest poses of pressed wheels are computed by compiled code.
+
+    Attributes
+    ----------
+    seconds : list of float
+        CPU time of each step. [s]
+    """
 
     name: str
 
-    def decide(self, t: float, end: float, x: Array) -> Decision:
-        """Return inputs from a time to the end of its period, for the states then.
+    def __init__(self, model: Dae, period: float, *, compiled: bool) -> None:
+        self.model, self.period, self.seconds = model, period, list[float]()
+        self._compiled = compiled
 
-        ``x`` are the states of the plan's model in map coordinates; times count since the beginning
-        of the plan. [s]
+    def step(self, state: Array, time: float) -> dict[str, float]:
+        """Return the inputs to apply from now on, until the next step a period later.
+
+        Parameters
+        ----------
+        state : ndarray, shape (n_x,)
+            Measured states of ``model``, in map coordinates and the order of
+            ``model.state_names``. Height, roll and pitch of a vehicle with pressed wheels are
+            replaced by those of rest on the ground of the plan, since measured ones that
+            contradict it make predictions diverge.
+        time : float
+            Time since the beginning of the plan. [s]
+
+        Returns
+        -------
+        dict of str to float
+            Means over the period of the inputs of the plan's model, or of the commands ``forward``
+            [m/s] and ``yaw_rate`` [rad/s], by name. If no new inputs are found, those of an earlier
+            step are continued.
+
+        Raises
+        ------
+        ModelError
+            If ``state`` is not finite or has another shape, or the times do not increase.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from slipfree import Analytic, Mesh, catalog, direct_kinematics, plan, settle
+        >>> from slipfree.plan.tracking import Following
+        >>> vehicle = catalog.three_wheeler(axle="fixed")
+        >>> model = direct_kinematics(vehicle, Analytic(lambda x, y: 0.1 * x * y))
+        >>> wish = {"goal": {"y": 1.0}, "costs": {"effort": 1.0}, "duration": 4.0, "mesh": Mesh(4)}
+        >>> found = plan(model, settle(model), **wish)
+        >>> controller = Following(model, found.motion, 0.25, period=0.1)
+        >>> commands = controller.step(np.zeros(4), 0.0)
+        >>> sorted(commands)
+        ['forward', 'yaw_rate']
         """
+        decision = self.decide(time, time + self.period, state)
+        weights = np.diff(decision.times) / np.ptp(decision.times)
+        middles = (decision.times[1:] + decision.times[:-1]) / 2
+
+        def mean(value: InputValue) -> float:
+            if isinstance(value, PiecewiseLinear):
+                value = value.base + value.slope * middles
+            return float(np.sum(weights * np.asarray(value)))
+
+        return {name: mean(value) for name, value in decision.inputs.items()}
+
+    def decide(self, t: float, end: float, x: Array) -> Decision:
+        """Return the course of the inputs from a time to the end of its period.
+
+        ``x`` are states as in `step`; times count since the beginning of the plan. [s]
+        """
+        clock = time.process_time()
+        decision = self._decide(t, end, self._at_rest(x))
+        self.seconds.append(time.process_time() - clock)
+        return decision
+
+    def prepare(self, x: Array) -> None:
+        """Build or compile all functions that steps need, from states as in `step`."""
+        self._at_rest(x)
+
+    @abstractmethod
+    def _decide(self, t: float, end: float, x: Array) -> Decision:
+        """Return the inputs for states at rest on the ground of the plan."""
+
+    def _at_rest(self, x: Array) -> Array:
+        if not self.model.rest.numel():
+            return x
+        names = self.model.state_names
+        free = dict(zip(names[: -self.model.rest.numel()], x, strict=False))
+        rest = settle_many(self.model, quantities=names, compiled=self._compiled, **free)
+        return x if rest["reason"].item() else np.array([rest[name].item() for name in names])
 
 
-class Replanning:
+class Replanning(Controller):
     """The inputs of the plan, updated by `slipfree.replan` over a moving window; or unchanged."""
 
-    def __init__(self, window: Horizon, *, updated: bool = True) -> None:
+    def __init__(self, window: Horizon, *, period: float, updated: bool = True) -> None:
+        program = window.program
+        super().__init__(program.task.dae, period, compiled=program.options.compiled)
         self.name = "replan" if updated else "inputs"
-        self._window, self._dae = window, window.program.task.dae
+        self._window = window
         none = np.zeros(0)
         self._whole = Cycle(0.0, window.plan, none, none, 0.0)
         self._cycle = first_cycle(window) if updated else self._whole
         self._updated = updated
 
-    def decide(self, t: float, end: float, x: Array) -> Decision:
-        """Return the inputs of the plan for a period."""
+    def _decide(self, t: float, end: float, x: Array) -> Decision:
         failed = False
         try:
             if self._updated:
@@ -77,11 +171,11 @@ class Replanning:
             failed = True
         begun = t < self._cycle.t + self._cycle.motion.duration - TIME_TOLERANCE
         inputs, times = cycle_inputs(self._window, self._cycle if begun else self._whole, t, end)
-        named = dict(zip(self._dae.input_names, leaves(inputs), strict=True))
+        named = dict(zip(self.model.input_names, leaves(inputs), strict=True))
         return Decision(named, times, failed)
 
 
-class Following:
+class Following(Controller):
     """The velocities of the plan, corrected for the errors of place and heading.
 
     The law is that of Kanayama et al. (1990), A stable tracking control method for an autonomous
@@ -92,17 +186,17 @@ class Following:
 
     name = "follow"
 
-    def __init__(self, dae: Dae, plan: PolynomialMotion, speed: float) -> None:
-        self._dae, self._plan, self._speed = dae, plan, speed
+    def __init__(self, model: Dae, plan: PolynomialMotion, speed: float, *, period: float) -> None:
+        super().__init__(model, period, compiled=False)
+        self._plan, self._speed = plan, speed
 
-    def decide(self, t: float, end: float, x: Array) -> Decision:
-        """Return commands that are held for a period."""
-        planned = _places(self._dae, self._plan, np.array([t, end]))
+    def _decide(self, t: float, end: float, x: Array) -> Decision:
+        planned = _places(self.model, self._plan, np.array([t, end]))
         (r_x, v_x), (r_y, v_y), (heading, yaw_rate) = (
             (float(value[0]), float(np.diff(value)[0]) / (end - t)) for value in planned.values()
         )
-        at = dict(zip(self._dae.state_names, x, strict=True))
-        middle, size = heading + yaw_rate * (end - t) / 2, self._dae.size
+        at = dict(zip(self.model.state_names, x, strict=True))
+        middle, size = heading + yaw_rate * (end - t) / 2, self.model.size
         v = v_y * np.cos(middle) - v_x * np.sin(middle)
         cos, sin = np.cos(at["heading"]), np.sin(at["heading"])
         ahead = (r_y - at["y"]) * cos - (r_x - at["x"]) * sin
@@ -114,7 +208,7 @@ class Following:
         return Decision({"forward": forward, "yaw_rate": yaw_rate}, np.array([t, end]))
 
 
-class Sampling:
+class Sampling(Controller):
     """Commands by `slipfree.sample_plan`, which track the places and headings of the plan.
 
     Beyond its end, the plan is continued at its last velocity. The task's model is that of the plan
@@ -123,13 +217,19 @@ class Sampling:
 
     name = "sampling"
 
-    def __init__(self, task: SamplingTask, plan: PolynomialMotion) -> None:
+    def __init__(self, task: SamplingTask, plan: PolynomialMotion, *, period: float) -> None:
+        super().__init__(task.model, period, compiled=task.compiled)
         self._task, self._plan = task, plan
         self._cycle: SampledPlan | None = None
         self._last = 0.0
 
-    def decide(self, t: float, end: float, x: Array) -> Decision:
-        """Return the first commands of the cheapest candidate."""
+    def prepare(self, x: Array) -> None:
+        """Compile the candidates' equations."""
+        super().prepare(x)
+        with suppress(SolverError):  # a vehicle that cannot start; the first step reports it
+            sample_plan(self._task, self._at_rest(x))
+
+    def _decide(self, t: float, end: float, x: Array) -> Decision:
         failed = False
         try:
             elapsed, goal = t - self._last, _places(self._task.model, self._plan, t + self._task.t)
@@ -185,40 +285,36 @@ class TrackedMotion(NamedTuple):
 
     run: Trajectory  # the simulated motion, with times since the beginning of the plan
     cycles: int  # number of simulated cycles
-    failures: int  # cycles without solution, which used the inputs of the last solved one
-    cpu: float  # CPU time of the controller per cycle [s]
+    failures: int  # decisions without solution, which used the inputs of the last solved one
+    missed: int  # cycles in which the controller was still busy with an earlier decision
+    seconds: Array  # CPU time of each decision [s]
 
 
 @computing
 def track_plan(
     controller: Controller,
-    planned: Dae,
     world: TrackingWorld,
     *,
     duration: float,
-    period: float,
     options: SolverOptions = SolverOptions(),
     progress: Callable[[float], None] | None = None,
 ) -> TrackedMotion:
     """Simulate a vehicle that follows a plan under a controller.
 
-    The controller measures all states without error or delay, but not height, roll and pitch of a
-    vehicle whose wheels are pressed into the ground: they are those of rest on the controller's own
-    ground, since states that contradict it make predictions diverge.
+    The controller measures all states without error or delay. Its CPU time is charged to the loop:
+    a decision that takes longer than n periods takes effect n periods later, and until then the
+    controller makes no other one. Meanwhile, the last values of the inputs are held.
 
     Parameters
     ----------
     controller : Controller
-        For example `slipfree.plan.tracking.Replanning`.
-    planned : Dae
-        Model of the plan, whose states the controller measures.
+        For example `slipfree.plan.tracking.Replanning`. Its period is at most the duration, of
+        which it becomes the nearest whole part; so inputs that are late last as long as those that
+        they replace.
     world : TrackingWorld
         World in which the vehicle moves.
     duration : float
         Duration of the motion. [s]
-    period : float
-        Time between two cycles, at most the duration, of which it becomes the nearest whole part;
-        so inputs that are late last as long as those that they replace. [s]
     options : SolverOptions
         Options of the simulation.
     progress : callable, optional
@@ -238,6 +334,7 @@ def track_plan(
     SolverError
         If a simulation cannot be started.
     """
+    planned, period = controller.model, controller.period
     if not 0 < period <= duration:
         raise ModelError(
             f"period: expected a period above 0 and at most {duration:g} s, the duration of the "
@@ -245,19 +342,24 @@ def track_plan(
         )
     _check_world(planned, world)
     times = np.linspace(0.0, duration, round(duration / period) + 1)
-    late, cpu = round(world.latency / times[1]), 0.0
+    latency, length = round(world.latency / times[1]), times[1]
     decisions, runs = list[Decision](), list[Trajectory]()
-    here = world.start
+    waiting, free, here = deque[tuple[int, Decision]](), 0, world.start
+    controller.prepare(_measured(planned, here))
     for k, (t, end) in enumerate(pairwise(times)):
-        x = _measured(planned, here, compiled=options.compiled)
-        clock = time.process_time()
-        decisions.append(controller.decide(t, end, x))
-        cpu += time.process_time() - clock
         if progress is not None:
             progress(t)
-        applied = decisions[max(k - late, 0)]
-        if k < late:
-            applied = Decision(dict.fromkeys(applied.inputs, 0.0), np.array([0.0, end - t]))
+        if k >= free:
+            decisions.append(controller.decide(t, end, _measured(planned, here)))
+            busy = int(controller.seconds[-1] / length)
+            waiting.append((k + busy + latency, decisions[-1]))
+            free = k + busy + 1
+        if waiting and waiting[0][0] <= k:
+            applied = waiting.popleft()[1]
+        elif k == 0:
+            applied = Decision(dict.fromkeys(decisions[0].inputs, 0.0), np.array([0.0, length]))
+        else:
+            applied = _held(applied, length)
         try:
             here = _drive(world, here, applied, t, options)
         except KeyboardInterrupt:
@@ -269,8 +371,9 @@ def track_plan(
         if here.stop is not None or here.t[-1] < end - TIME_TOLERANCE * duration:
             break
     run = joined(*(each.part(slice(-1)) for each in runs[:-1]), runs[-1])
-    failures = sum(each.failed for each in decisions[: len(runs)])
-    return TrackedMotion(run, len(runs), failures, cpu / len(decisions))
+    failures = sum(each.failed for each in decisions)
+    seconds = np.array(controller.seconds[-len(decisions) :])
+    return TrackedMotion(run, len(runs), failures, k + 1 - len(decisions), seconds)
 
 
 def _check_world(planned: Dae, world: TrackingWorld) -> None:
@@ -285,17 +388,20 @@ def _check_world(planned: Dae, world: TrackingWorld) -> None:
         )
 
 
-def _measured(planned: Dae, here: Trajectory, *, compiled: bool) -> Array:
+def _held(decision: Decision, length: float) -> Decision:
+    """Return the last values of the inputs of a decision, for a period that follows."""
+    values = {
+        name: value.base[-1:] + value.slope[-1:] * decision.times[-1]
+        if isinstance(value, PiecewiseLinear)
+        else np.ravel(value)[-1:]
+        for name, value in decision.inputs.items()
+    }
+    return Decision(values, np.array([0.0, length]))
+
+
+def _measured(planned: Dae, here: Trajectory) -> Array:
     """Return the states of a plan's model at the last sample of a motion, in map coordinates."""
-    x = planned.rows("x", here, -1) + planned.shift[0]
-    if not planned.rest.numel():
-        return x
-    names = planned.state_names
-    free = names[: -planned.rest.numel()]
-    rest = settle_many(
-        planned, quantities=names, compiled=compiled, **dict(zip(free, x, strict=False))
-    )
-    return x if rest["reason"].item() else np.array([rest[name].item() for name in names])
+    return planned.rows("x", here, -1) + planned.shift[0]
 
 
 def _drive(
