@@ -7,7 +7,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from slipfree import Bicubic, Grid, SolverOptions, direct_kinematics, settle, simulate
+from slipfree import Bicubic, Grid, Region, SolverOptions, direct_kinematics, settle, simulate
 from slipfree.catalog import rocky7, three_wheeler
 from slipfree.core.lookups import LookupTable, lookup_function
 
@@ -17,6 +17,11 @@ BOUNDED_RATES = dict.fromkeys(("right_rate", "left_rate", "steer_rate"), (-2.0, 
 LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 # What was compiled of a model serves every motion of it.
 closure_model = lru_cache(maxsize=8)(direct_kinematics)
+
+
+def box(x_min: float, x_max: float, y_min: float, y_max: float) -> Region:
+    """Return a rectangle to keep out of."""
+    return Region.polygon(((x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)))
 
 
 def function_of(symbols, make):

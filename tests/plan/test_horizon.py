@@ -1,7 +1,7 @@
 """Tests of moving horizons along a plan, and of closed loops: they return to the plan."""
 
+import itertools
 from dataclasses import replace
-from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +12,7 @@ import slipfree as sf
 from helpers.cases import BOUNDED_RATES, hills, straight_on
 from helpers.commands import refuses
 from slipfree.catalog import differential_drive, skid_steer, three_wheeler
+from slipfree.plan import tracking
 from slipfree.plan.ipopt import warm_solver
 from slipfree.plan.mpc import cycle_inputs, first_cycle, horizon, refine, replan
 from slipfree.plan.plan import plan
@@ -46,24 +47,10 @@ def window(found):
     return horizon(found, span=DURATION / 2, intervals=COUNT // 2)
 
 
-def track(window, world, start, *, period, latency=0.0, **options):
+def track(window, world, start, *, latency=0.0, progress=None, **options):
     """Drive in another world by replanning."""
-    place, controller = (
-        TrackingWorld(world, None, start, latency),
-        Replanning(window, period=period),
-    )
-    return track_plan(controller, place, duration=DURATION, **options)
-
-
-def traverse(found, window, **start):
-    """Drive to the end of the plan, one cycle an interval; return the way's end and all cycles."""
-    dae, cycle = found.program.task.dae, first_cycle(window)
-    here, cycles, times = sf.settle(dae, **start), [], found.motion.ends
-    for t, end in pairwise(times):
-        cycle = replan(window, cycle, t, dae.rows("x", here, -1) + dae.shift[0])
-        here = sf.simulate(dae, here, *cycle_inputs(window, cycle, t, end))
-        cycles.append(cycle)
-    return here, cycles
+    place, controller = TrackingWorld(world, None, start, latency), Replanning(window, **options)
+    return track_plan(controller, place, duration=DURATION, progress=progress)
 
 
 def state_at_start(task):
@@ -102,13 +89,14 @@ def test_steps_converge(found):
 
 
 def test_steps_lead_back_to_the_plan_and_end_at_its_goal(found, window):
-    many = horizon(found, span=DURATION / 2, intervals=COUNT // 2, iterations=50)
-    off = {"x": 0.02, "y": -0.02, "heading": 0.03}
-    (end, cycles), (converged, _) = (traverse(found, each, **off) for each in (window, many))
+    many, dae = replace(window, solver=warm_solver(window.program, 50)), found.program.task.dae
+    start, period = sf.settle(dae, x=0.02, y=-0.02, heading=0.03), DURATION / COUNT
+    end, converged = (track(each, dae, start, period=period).run for each in (window, many))
     assert away(end) < 1e-3
     assert away(converged) < 1e-3
     assert np.hypot(end["x"][-1] - converged["x"][-1], end["y"][-1] - converged["y"][-1]) < 1e-3
-    assert cycles[-1] is cycles[-2]  # what is left of the last one that decides is driven on
+    cycle = first_cycle(window)  # what is left of the last cycle that decides is driven on
+    assert replan(window, cycle, 0.9 * DURATION, state_at_start(found.program.task)) is cycle
 
 
 def test_inputs_keep_to_their_bounds(found, window):
@@ -143,17 +131,15 @@ def test_on_a_wrong_ground_and_beside_the_start_replanning_ends_nearer(window):
 
 def test_a_cycle_far_from_the_equations_is_repeated_with_a_line_search(window):
     idle = warm_solver(window.program, 0)  # stays at the guess
-    first, away = (
-        first_cycle(window),
-        state_at_start(window.program.task) + np.array([0.3, 0, 0, 0]),
-    )
+    first = first_cycle(window)
+    far = state_at_start(window.program.task) + np.array([0.3, 0, 0, 0])
     with pytest.raises(sf.SolverError, match="the inputs of the previous cycle may still be used"):
-        replan(replace(window, solver=idle, careful=idle), first, 0.0, away)
-    cycle = replan(replace(window, solver=idle), first, 0.0, away)
+        replan(replace(window, solver=idle, careful=idle), first, 0.0, far)
+    cycle = replan(replace(window, solver=idle), first, 0.0, far)
     assert cycle.violation < 0.02
     assert_allclose(
         cycle.motion.states(np.array([0.0]))[:, 0] + window.program.task.dae.shift[0],
-        away,
+        far,
         atol=1e-12,
     )
 
@@ -180,72 +166,41 @@ def test_the_velocities_of_a_plan_with_a_cusp_are_followed_backwards_and_forward
     assert_allclose([x, y, heading], states(np.array([1.0]))[:, 0], rtol=0, atol=2e-3)
 
 
-class Slow(Replanning):
-    """The inputs of the plan; every other step takes two and a half periods."""
-
-    def decide(self, t, end, x):
-        decision = super().decide(t, end, x)
-        self.seconds[-1] = 0.0 if len(self.seconds) % 2 else 2.5 * self.period
-        self.times = [*getattr(self, "times", []), t]
-        return decision
-
-
-def test_the_time_of_the_controller_is_charged_to_the_loop(window):
-    """Cycles 0 and 1 decide, the second for cycle 3; cycles 2 and 3 are missed; and so on."""
+def test_the_time_of_the_controller_is_charged_to_the_loop(window, monkeypatch):
+    """Every other decision takes two and a half periods; meanwhile the last inputs are held."""
     dae, period = window.program.task.dae, DURATION / COUNT
-    slow = Slow(window, period=period, updated=False)
-    world = TrackingWorld(dae, None, sf.settle(dae))
-    tracked = track_plan(slow, world, duration=DURATION)
+    clock = itertools.cycle([0.0, 0.0, 0.0, 2.5 * period])  # read before and after each decision
+    monkeypatch.setattr(tracking, "time", SimpleNamespace(process_time=clock.__next__))
+    tracked = track(window, dae, sf.settle(dae), period=period, updated=False)
     assert (tracked.cycles, tracked.missed) == (COUNT, COUNT // 2)
-    assert_allclose(slow.times, period * np.array([0, 1, 4, 5, 8, 9]))
-    assert_allclose(tracked.seconds, 2.5 * period * np.array([0, 1, 0, 1, 0, 1]))
     shown = np.array([0, 1, 1, 1, 4, 5, 5, 5, 8, 9, 9, 9])  # times of the inputs, in periods
     rates = window.plan.inputs(shown / COUNT)[dae.input_names.index("right_rate")]
     starts = period * np.arange(COUNT)
     assert_allclose(np.interp(starts, tracked.run.t, tracked.run["right_rate"]), rates, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["inputs", "follow", "replan", "sampling"])
-def test_steps_of_controllers_build_no_graphs(found, window, monkeypatch, name):
+def test_steps_of_controllers_build_no_graphs(found, window, monkeypatch):
     """Steps return the inputs of the plan's model, or commands, and only evaluate functions."""
-    dae, period, motion = found.program.task.dae, 0.2, found.motion
-    if name in ("inputs", "replan"):
-        controller = Replanning(window, period=period, updated=name == "replan")
-    elif name == "follow":
-        controller = Following(dae, motion, 0.12, period=period)
-    else:
-        driven = sf.commanded(dae, speed=0.12)
-        ranges = {"forward": (0.0, 0.3), "yaw_rate": (-0.3, 0.3)}
-        task = sf.SamplingTask(
-            driven, {"slip": 1.0}, {}, 2.0, ranges, candidates=16, intervals=4, compiled=False
-        )
-        controller = Sampling(task, motion, period=period)
-    at = np.array([0.0, period, 2 * period])
-    states = motion.states(at / DURATION).T + dae.shift[0]
-    controller.prepare(states[0])
-    controller.step(states[0], 0.0)
-
-    def refuse(*_, **__):
-        raise AssertionError("a step builds a graph")
-
-    for kind in ("Function", "nlpsol", "integrator", "rootfinder", "substitute", "jacobian"):
-        monkeypatch.setattr(f"casadi.{kind}", refuse)
-    monkeypatch.setattr("casadi.SX.sym", refuse)
-    monkeypatch.setattr("casadi.MX.sym", refuse)
-    for x, t in zip(states[1:], at[1:], strict=True):
-        inputs = controller.step(x, t)
-        assert all(type(value) is float for value in inputs.values())
-    expected = dae.input_names if name in ("inputs", "replan") else ("forward", "yaw_rate")
-    assert tuple(inputs) == tuple(expected)
-    assert len(controller.seconds) == 3
-    if name == "inputs":  # linear in each interval of 2 / 3 s: the mean is that of the middle
-        middle = motion.inputs((at[-1:] + period / 2) / DURATION)[:, 0]
-        assert_allclose(list(inputs.values()), middle, atol=1e-9)
+    dae, motion = found.program.task.dae, found.motion
+    driven = sf.commanded(dae, speed=0.12)
+    ranges = dict.fromkeys(driven.input_names, (-0.3, 0.3))
+    task = sf.SamplingTask(driven, {"slip": 1.0}, {}, 2.0, ranges, candidates=16, compiled=False)
+    alone, planned = (Replanning(window, period=0.2, updated=each) for each in (False, True))
+    law = Following(dae, motion, 0.12, period=0.2)
+    first, later = motion.states(np.array([0.0, 0.4]) / DURATION).T + dae.shift[0]
+    controllers = alone, planned, law, Sampling(task, motion, period=0.2)
+    for each in controllers:
+        each.prepare(first)
+        each.step(first, 0.0)
+    for name in ("Function", "nlpsol", "integrator", "substitute", "SX.sym", "MX.sym"):
+        monkeypatch.setattr(f"casadi.{name}", None)
+    inputs, *_ = [each.step(later, 0.4) for each in controllers]
+    middle = motion.inputs(np.array([0.5]) / DURATION)[:, 0]  # linear in each interval of 2 / 3 s
+    assert_allclose([inputs[name] for name in dae.input_names], middle, atol=1e-9)
 
 
-def test_sampled_inputs_are_refined(found):
+def test_sampled_inputs_are_refined(found, window):
     """The motion ends at the same place, with less cost; an early end is named."""
-    window = horizon(found, span=DURATION / 2, intervals=COUNT // 2, iterations=1)
     dae = found.program.task.dae
     start = sf.settle(dae, x=0.02)
     noise = 0.2 * np.random.default_rng(3).standard_normal((3, COUNT // 2))
@@ -259,8 +214,7 @@ def test_sampled_inputs_are_refined(found):
         return run, np.trapezoid(7e4 * slip + 0.01 * effort, run.t)
 
     fine = np.linspace(0.0, DURATION / 2, 20 * (COUNT // 2) + 1)
-    names = [f"{name}_rate" for name in ("right", "left", "steer")]
-    rows = dict(zip(names, np.repeat(sampled, 20, axis=1), strict=True))
+    rows = dict(zip(dae.input_names, np.repeat(sampled, 20, axis=1), strict=True))
     before, paid = driven(dae.inputs(**rows), fine)
     after, less = driven(*cycle_inputs(window, cycle, 0.0, DURATION / 2))
     assert np.hypot(*(after[axis][-1] - before[axis][-1] for axis in "xy")) < 0.01
@@ -300,13 +254,13 @@ def test_what_is_no_window_period_world_or_state_is_refused(found, window):
         track(window, other, sf.settle(other), period=0.8)
     with pytest.raises(sf.ModelError, match=r"expected 'begin' from 0 to below 4 s"):
         cycle_inputs(window, first, 8.5, 9.0)
-    for state in (start[:-1], start * np.nan, start[0]):
-        with pytest.raises(sf.ModelError, match=r"expected (finite values|an array)"):
-            replan(window, first, 0.0, state)
-    with pytest.raises(sf.ModelError, match="t: expected a number, found float nan"):
-        replan(window, first, np.nan, start)
-    with pytest.raises(sf.ModelError, match="expected a time t of at least 1 s"):
-        replan(window, first._replace(t=1.0), 0.5, start)
+    states = start[:-1], start * np.nan, start[0]
+    for given, words in (
+        *(((first, 0.0, state), "expected (finite values|an array)") for state in states),
+        ((first, np.nan, start), "t: expected a number, found float nan"),
+        ((first._replace(t=1.0), 0.5, start), "expected a time t of at least 1 s"),
+    ):
+        refuses(sf.ModelError, words, replan, window, *given)
     with pytest.raises(sf.SolverError, match="the inputs of the previous cycle may still be used"):
         replan(window, first, 0.0, start + np.array([0, 1e308, 0, 0]))
     assert replan(window, first, 0.0, start).violation < 1e-6

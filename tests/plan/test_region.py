@@ -11,6 +11,7 @@ import pytest
 from matplotlib.path import Path as Outline
 from numpy.testing import assert_allclose
 
+from helpers.cases import box
 from helpers.commands import refuses
 from slipfree import Analytic, Bicubic, Grid, catalog, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
@@ -146,10 +147,6 @@ START = ("start", 5.0, 5.0)
 
 def flat(**options):
     return free_space(Bicubic(blank((0, 30), (0, 30), 0.25), mu=0.6), ROVER, **options)
-
-
-def box(x_min, x_max, y_min, y_max):
-    return Region.polygon(((x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)))
 
 
 def told(layers, *places):

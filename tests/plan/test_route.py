@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.sparse.csgraph import dijkstra
 
+from helpers.cases import box
 from helpers.commands import refuses
 from slipfree import Bicubic, Grid, Path, direct_kinematics, follow, settle, simulate
 from slipfree.catalog import three_wheeler
@@ -18,22 +19,13 @@ from slipfree.geometry.regions import Region
 from slipfree.routing import search as search
 from slipfree.routing import smoothing
 from slipfree.routing.search import homotopy_class, obstacle_points, route, routes
-from slipfree.routing.traversability import (
-    STEEP,
-    blocking_reasons,
-    free_space,
-    traversability,
-)
+from slipfree.routing.traversability import STEEP, blocking_reasons, free_space, traversability
 from slipfree.terrain.synthetic import blank, craters
 
 ROVER = three_wheeler(axle="fixed")  # half width 1.05 m, half length 1.05 m, reach 1.42 m
 SMALL = three_wheeler(axle="fixed", half_track=0.3, wheelbase=0.5, r1=0.02, r2=0.08)
 REACH = math.hypot(1.0, 0.5) + 0.3
 UTM = (400_000.0, 5_500_000.0)
-
-
-def box(x_min, x_max, y_min, y_max):
-    return Region.polygon(((x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)))
 
 
 def corridor(width=2.0):

@@ -41,21 +41,20 @@ def state(task, run):
     return task.model.rows("x", run, -1) + task.model.shift[0]
 
 
-def inputs_of(task, inputs):
-    names = ("right_rate", "left_rate", "steer_rate")
-    return task.model.inputs(**dict(zip(names, inputs, strict=True)))
+def simulated(task, start, found):
+    """Return the simulated motion of a result, with 20 samples in each interval."""
+    inputs = dict(zip(RANGES, np.repeat(found.inputs, 20, axis=1), strict=True))
+    return sf.simulate(task.model, start, task.model.inputs(**inputs), np.linspace(0.0, 2.0, 101))
 
 
 def test_the_cost_is_that_of_a_simulation(task):
     """Motion and cost of the result are those of simulate, up to the rule of integration."""
     start = sf.settle(task.model, y=-1.0)
     found = sf.sample_plan(task, state(task, start))
-    times = np.linspace(0.0, 2.0, 101)
-    inputs = inputs_of(task, np.repeat(found.inputs, 20, axis=1))
-    run = sf.simulate(task.model, start, inputs, times)
+    run = simulated(task, start, found)
     assert_allclose(found.x[:2, -1], [run["x"][-1], run["y"][-1]], atol=1e-4)
     slip = (run["slip_along"] ** 2 + run["slip_across"] ** 2).sum(axis=1)
-    paid = ((slip[1:] + slip[:-1]) / 2 * np.diff(times)).sum()
+    paid = ((slip[1:] + slip[:-1]) / 2 * np.diff(run.t)).sum()
     away = ((run["x"][-1] - 0.3) ** 2 + (run["y"][-1] - 1.0) ** 2) / task.model.size**2
     assert found.cost == pytest.approx(paid + 5.0 * away, rel=1e-3)
 
@@ -99,10 +98,8 @@ def test_forces_are_costs(task):
     loaded = replace(task, costs=costs, goal={}, candidates=1)
     start = sf.settle(task.model, y=-1.0)
     found = sf.sample_plan(loaded, state(task, start))
-    times = np.linspace(0.0, 2.0, 101)
-    inputs = inputs_of(task, np.repeat(found.inputs, 20, axis=1))
-    run = sf.simulate(task.model, start, inputs, times)
-    paid = np.trapezoid((run["drive_torque"] ** 2).sum(axis=1), times)
+    run = simulated(task, start, found)
+    paid = np.trapezoid((run["drive_torque"] ** 2).sum(axis=1), run.t)
     assert found.cost == pytest.approx(paid, rel=0.05)  # trapezoids of 0.4 s
 
 
@@ -166,9 +163,7 @@ def test_candidates_with_a_second_contact_have_no_weight(task):
     """A trench narrower than a wheel crosses the way: the vehicle stays before it."""
     axis = np.linspace(-4.0, 4.0, 161)
     z = np.where(np.abs(axis - 0.6) < 0.06, -0.15, 0.0) * np.ones((161, 1))
-    model = sf.direct_kinematics(
-        sf.catalog.three_wheeler(axle="fixed"), sf.Bicubic(sf.Grid(axis, axis, z))
-    )
+    model = sf.direct_kinematics(task.model.vehicle, sf.Bicubic(sf.Grid(axis, axis, z)))
     trench = replace(task, model=model)
     found = sf.sample_plan(trench, state(trench, sf.settle(model, y=-1.0)))
     assert any("apart from the contact point" in words for words in found.ends)
@@ -194,10 +189,8 @@ def test_early_ends_have_infinite_cost_and_starts_beyond_a_limit_are_named(task)
     assert found.cost == np.inf
     assert np.isnan(found.x[0, -1])
     start[1] = 3.6  # metres: the front wheel is off the map
-    with pytest.raises(
-        sf.SolverError, match="cannot start at this state: wheel front leaves the map"
-    ):
-        sf.sample_plan(edge, start)
+    words = "cannot start at this state: wheel front leaves the map"
+    refuses(sf.SolverError, words, sf.sample_plan, edge, start)
 
 
 def test_inputs_are_shifted_by_the_time_since_the_last_cycle(task):

@@ -430,12 +430,9 @@ def test_initial_inputs_of_a_plan(case):
     guess = sf.simulate(dae, start, law(route), np.linspace(0, 3, 13))
     goal = {"y": float(guess["y"][-1])}
     still = {"right_rate": 0.0, "left_rate": 0.0, "steer_rate": 0.0}
-    found = sf.plan(
-        dae, start, guess, goal=goal, duration=4.0, mesh=sf.Mesh(8), initial_inputs=still, **COMMON
-    )
+    wish = {"goal": goal, "duration": 4.0, **COMMON}
+    found = sf.plan(dae, start, guess, mesh=sf.Mesh(8), initial_inputs=still, **wish)
     assert found.success
     assert_allclose(found.motion.inputs(np.array([0.0])), 0.0, atol=1e-9)
     with pytest.raises(sf.ModelError, match="initial value of 'left_rate'"):
-        sf.plan(
-            dae, start, guess, goal=goal, duration=4.0, initial_inputs={"left_rate": 3}, **COMMON
-        )
+        sf.plan(dae, start, guess, initial_inputs={"left_rate": 3}, **wish)
