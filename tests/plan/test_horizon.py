@@ -188,7 +188,7 @@ def test_steps_of_controllers_build_no_graphs(found, window, monkeypatch):
     alone, planned = (Replanning(window, period=0.2, updated=each) for each in (False, True))
     law = Following(dae, motion, 0.12, period=0.2)
     first, later = motion.states(np.array([0.0, 0.4]) / DURATION).T + dae.shift[0]
-    controllers = alone, planned, law, Sampling(task, motion, period=0.2)
+    controllers = alone, planned, law, Sampling(dae, task, motion, period=0.2)
     for each in controllers:
         each.prepare(first)
         each.step(first, 0.0)

@@ -217,8 +217,10 @@ class Sampling(Controller):
 
     name = "sampling"
 
-    def __init__(self, task: SamplingTask, plan: PolynomialMotion, *, period: float) -> None:
-        super().__init__(task.model, period, compiled=task.compiled)
+    def __init__(
+        self, model: Dae, task: SamplingTask, plan: PolynomialMotion, *, period: float
+    ) -> None:
+        super().__init__(model, period, compiled=task.compiled)
         self._task, self._plan = task, plan
         self._cycle: SampledPlan | None = None
         self._last = 0.0

@@ -188,7 +188,7 @@ def follow_plan(
                         spread=SPREAD,
                         compiled=options.compiled,
                     )
-                    controller = Sampling(task, plan.motion, period=period)
+                    controller = Sampling(dae, task, plan.motion, period=period)
         except ModelError as error:
             return Followed(name, seed, str(error))
         try:
