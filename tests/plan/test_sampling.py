@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import slipfree as sf
 from helpers.commands import refuses
-from slipfree.system import codegen_cache
 
 RANGES = {"right_rate": (-1.0, 3.0), "left_rate": (-1.0, 3.0), "steer_rate": (-0.5, 0.5)}
 
@@ -75,8 +74,7 @@ def test_cycles_lower_the_cost_and_reach_the_goal(task):
 
 
 def test_the_seed_decides_and_threads_do_not(task, tmp_path_factory, monkeypatch):
-    shared = tmp_path_factory.getbasetemp().parent / "compiled"
-    monkeypatch.setenv(codegen_cache.FOLDER, str(shared))
+    monkeypatch.setenv("SLIPFREE_CACHE", str(tmp_path_factory.getbasetemp().parent / "compiled"))
     x = state(task, sf.settle(task.model, y=-1.0))
     one = sf.sample_plan(replace(task, compiled=True), x)
     two = sf.sample_plan(replace(task, compiled=True, threads=2), x)

@@ -186,7 +186,6 @@ def follow_plan(
                         goal_weight=GOAL_WEIGHT,
                         candidates=CANDIDATES,
                         spread=SPREAD,
-                        compiled=options.compiled,
                     )
                     controller = Sampling(dae, task, plan.motion, period=period)
         except ModelError as error:
