@@ -96,7 +96,7 @@ def given(page: str) -> dict[str, Any]:
     if page == "atlas":
         poses = sf.atlas(model, headings=2, compiled=False)
         write_atlas("poses.nc", poses, Site(ground.grid.z, 0.6))
-    if page == "speed":
+    if page in ("speed", "control"):
         found = sf.plan(
             model, sf.settle(model), goal={"y": 1.2}, costs={"effort": 1}, duration=10.0
         )
