@@ -7,7 +7,7 @@ import importlib
 import sys
 from pathlib import Path
 
-HELPERS = {"__main__", "common", "mjcf", "stock"}
+HELPERS = {"__main__", "common", "scenes"}
 SCRIPTS = {
     file.stem: file
     for file in sorted(Path(__file__).parent.glob("*.py"))

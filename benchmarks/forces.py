@@ -2,7 +2,7 @@
 
 ``python benchmarks forces [PART ...]`` prints the values of docs/accuracy.md and docs/papers.md:
 the work of the drives against the energy gained; the convergence towards three limits of friction;
-random starts; steps by creep speed; the least coefficient of friction with which four axles can
+the least coefficient of friction with which four axles can
 stand, from the best distribution of forces and from the existence of an equilibrium; and the
 friction that the paper's direct run needs.
 """
@@ -19,14 +19,11 @@ from helpers.cases import hills
 from helpers.friction_cases import (
     PLACE,
     RATES,
-    T,
     dissipation,
     flat,
     from_linear,
     from_rolling,
-    moved,
     order,
-    random_starts,
     slope,
 )
 from slipfree import (
@@ -44,7 +41,6 @@ from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import run_problem
 
-SEED = 20261121
 RISE, LENGTH = 0.3, 1.5  # height of the centre of mass, wheelbase [m]
 PLACES = ((10, 90), (20, 90), (20, 45), (20, 0), (20, 180))  # slope, heading from uphill [degrees]
 LAB = {
@@ -106,33 +102,6 @@ def limits() -> None:
     )
 
 
-def starts() -> None:
-    """Print the number of random starts that converge, and of different solutions."""
-    rng, total, apart = np.random.default_rng(SEED), 0, 0.0
-    for axle in ("tilting", "fixed", "prismatic", "sliding"):
-        counts = []
-        for mu in (0.6, 1.5):
-            for eps in (1e-2, 1e-3):
-                converged, most = random_starts(axle, mu, eps, 200, rng)
-                counts.append(converged)
-                apart = max(apart, most)
-        total += sum(counts)
-        print(f"{axle}: of 4 x 200 random starts converge {', '.join(map(str, counts))}")
-    print(f"{total} of 3200 converge, all to one solution: at most {apart:.1e} apart")
-
-
-def steps() -> None:
-    """Print the integrator steps for 10 s of hills at tolerance 1e-8."""
-    sizes = (1e-3, 1e-4, 1e-5, 1e-6)
-    for axle in ("tilting", "sliding", "fixed", "prismatic"):
-        runs = [
-            moved(three_wheeler(axle=axle), Analytic(hills, mu=0.6), Coulomb(eps), T, **PLACE)
-            for eps in sizes
-        ]
-        words = ", ".join(f"{run.statistics['steps']:.0f}" for run in runs)
-        print(f"{axle}: steps for 10 s of hills, eps 1e-3 to 1e-6: {words}")
-
-
 def standing() -> None:
     """Print the least coefficient of friction with which each axle can stand on a slope."""
     print("least friction to stand on: best distribution / equilibrium exists / lab")
@@ -178,5 +147,5 @@ def paper() -> None:
 
 def main() -> None:
     """Print the parts."""
-    parts = (energy, limits, starts, steps, standing, paper)
+    parts = (energy, limits, standing, paper)
     run_parts({part.__name__: part for part in parts})

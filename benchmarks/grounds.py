@@ -23,7 +23,6 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 from common import apart, run_parts
-from stock import Stock
 
 from slipfree import Bicubic, Grid, SlipfreeError, direct_kinematics, follow, settle, simulate
 from slipfree.catalog import three_wheeler
@@ -31,6 +30,7 @@ from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.files.maps.elevation import read_map
 from slipfree.geometry.path import Path as Way
 from slipfree.terrain import bicubic, kernel
+from slipfree.terrain.base import Jet, jet_of
 
 SIZES = (20, 200, 1000, 4000)
 STOCK = 200  # nodes a side up to which the stock spline is fitted
@@ -40,7 +40,38 @@ WEST, SOUTH = 500000.0, 4495000.0  # [m]
 PLACE = WEST + 2500.0, SOUTH + 2500.0  # where the drive begins [m]
 WINDOWS = (20.0, 100.0, 400.0)  # widths around it [m]
 WRITTEN = 512.0  # width of the part of the file that is written [m]
+EXTENT = 20.0  # side of the map of the stock spline [m]
 SPEED, DURATION = 0.25, 20.0  # [m/s], [s]
+
+
+class Stock:
+    """Terrain with CasADi's own spline: a fitted B-spline as one node of the graph."""
+
+    origin = (0.0, 0.0, 0.0)
+    has_friction, friction_domain = False, None
+
+    def __init__(self, grid: Grid) -> None:
+        nodes = [list(grid.x), list(grid.y)]
+        spline = ca.interpolant("spline", "bspline", nodes, grid.z.ravel(order="F"))
+        place = ca.MX.sym("place", 2)
+        self.function = ca.Function("height", [place], [spline(place)], {"never_inline": True})
+        self.domain = (0.0, EXTENT, 0.0, EXTENT)
+        self.elevation = Bicubic(grid).elevation  # for the check of the start only
+
+    def height(self, x: ca.SX, y: ca.SX, _lookups: LookupTable | None = None) -> ca.SX:
+        """Return the height as a call of the node. [m]."""
+        return self.function(ca.vertcat(x, y))
+
+    def jet(self, x: ca.SX, y: ca.SX, _lookups: LookupTable | None = None) -> Jet:
+        """Return height, gradient and Hessian, by CasADi's differentiation of the node."""
+        return jet_of(self.height(x, y), x, y)
+
+    def friction(self, _x: ca.SX, _y: ca.SX, _lookups: LookupTable) -> ca.SX:
+        """Return a coefficient of friction of one, which is never used. [1]."""
+        return ca.SX(1)
+
+    def hole_margin(self, _x: ca.SX, _y: ca.SX, _lookups: LookupTable) -> None:
+        """Return no distance: the map has no holes."""
 
 
 def least(task: Callable[[], object]) -> float:

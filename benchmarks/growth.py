@@ -1,4 +1,4 @@
-"""How CPU times grow: samples, wheels, map nodes, plan intervals, sweep points; start-up.
+"""How CPU times grow: samples, wheels, map nodes, plan intervals; start-up.
 
 ``python benchmarks growth [PART ...]``; the last lines of a table are exponents: the slope of a
 line through the logarithms of all rows, and that of the last two rows, to which fixed costs
@@ -9,8 +9,6 @@ wheels   vehicles of 3 to 12 wheels, three of them rigid and the others on sprin
          interpreted: building the model with its start, a step of the integrator, a sample
 map      nodes of a map: its ground, the model with its start, integration over 8 m
 plan     intervals: an iteration of IPOPT with compiled and cached functions
-sweep    points, with runs that cost nothing and without waiting for the disk: checking the values,
-         the runs with their log and table, reading this log and writing the table again, a figure
 calls    Rocky 7 over 5 m and the three-wheeler on hills, the least of a few calls: integration
          alone, the rest of a call with two samples, each further sample, the call with 101 samples;
          `rollouts` of Rocky 7 over 2 m with 21 samples: runs a minute in one process, with inputs
@@ -20,13 +18,10 @@ start    imports and help in new processes, wall time
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -35,7 +30,6 @@ from typing import Any
 import numpy as np
 from common import apart, run_parts
 from common import least as least_wall
-from sweep import PROBLEM
 
 from helpers.cases import hills, rocky_case, rover_ground
 from plan import planned
@@ -56,19 +50,14 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.plan.ipopt import Iterate
-from slipfree.problem.inputs import recipe_of
-from slipfree.problem.load import load_problem
-from slipfree.show.sweep_figures import save_sweep_figures
 from slipfree.solve import integrator as module
-from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.runs import Done, Rows, RunRow, RunTask, choose_figures, grids, run_sweep, work
 from slipfree.system.threads import NAMES
 from slipfree.vehicle.sections import Torus
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
+SIDES = (200, 500, 1000, 2000, 4000)  # nodes of maps along a side
 SAMPLES, WHEELS = (1001, 10001, 100001), (3, 4, 6, 8, 10, 12)
-SIDES, POINTS = (200, 500, 1000, 2000, 4000), (100, 1000, 10000, 100000)
 MODELS = {"kinematics": direct_kinematics, "quasi-statics": quasi_statics, "dynamics": dynamics}
 SPACING, SPEED, FEW, MANY = 0.1, 0.5, 2, 101  # [m], [m/s], samples
 Costs = dict[str, float]
@@ -241,48 +230,6 @@ def of_plan(intervals: int) -> Costs:
     return {"iteration": 1e3 * float(np.mean(each))}
 
 
-class Idle:
-    """Pool whose runs all end like the first one, without computation."""
-
-    def __init__(self, row: RunRow) -> None:
-        self.row = row
-
-    def room(self) -> int:
-        """Return the number of tasks at a time."""
-        return 1
-
-    def submit(self, task: tuple[int, RunTask]) -> Future[tuple[int, Done]]:
-        """Return the finished future of a task."""
-        future = Future[tuple[int, Done]]()
-        row = self.row._replace(run=task[0], settings=task[1].own)
-        future.set_result((task[0], Done(row)))
-        return future
-
-    def result(self, future: Future[tuple[int, Done]], _task: object) -> tuple[int, Done]:
-        """Return the result of a future."""
-        return future.result()
-
-    def close(self) -> None:
-        """Do nothing."""
-
-
-def of_sweep(points: int) -> Costs:
-    """Return the costs of a sweep by number of points, without the runs."""
-    sweep, checking = timed(lambda: sweep_of(PROBLEM, [f"start.heading=0:1:{points}"]))
-    first = sweep.run(1)
-    task = RunTask(1, recipe_of(load_problem(PROBLEM), *first.settings), first.settings)
-    pool = Idle(work(task).row)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        with Rows(folder, sweep.count, sweep.head) as rows:
-            _, running = timed(lambda: run_sweep(sweep, rows, lambda _: pool))
-        rows, reading = timed(lambda: Rows(folder, sweep.count, sweep.head))
-        names = choose_figures(sweep, rows, ())[:1]
-        found = grids(sweep, rows, names)
-        _, drawing = timed(lambda: save_sweep_figures([found[names[0]]], folder, ["png"]))
-    return {"checking": checking, "log": running, "resumed": reading, "figure": drawing}
-
-
 def call(case: Case, options: SolverOptions, clock: Clock) -> None:
     """Print the costs of one call."""
     model, start, inputs, duration = case
@@ -363,9 +310,6 @@ def print_table(subject: str) -> None:
     elif subject == "plan":
         of_plan(SIZES[0])  # compiles the functions
         table("intervals of a plan [ms]", SIZES, of_plan)
-    elif subject == "sweep":
-        os.fsync = lambda _file: None  # 100 000 times a few milliseconds
-        table("points of a sweep [ms]", POINTS, of_sweep)
     elif subject == "calls":
         calls()
     else:
@@ -375,5 +319,5 @@ def print_table(subject: str) -> None:
 def main() -> None:
     """Print the parts."""
     threads = dict.fromkeys(NAMES, "1")
-    names = ("samples", "wheels", "map", "plan", "sweep", "calls", "start")
+    names = ("samples", "wheels", "map", "plan", "calls", "start")
     run_parts({name: partial(apart, print_table, name, variables=threads) for name in names})

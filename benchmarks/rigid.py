@@ -1,6 +1,6 @@
-"""Vehicles with pressed wheels: settling, limits, steps per metre, and plans.
+"""Vehicles with pressed wheels: limits, steps per metre, and plans.
 
-``python benchmarks rigid [settle|limit|drive|plan ...]``
+``python benchmarks rigid [limit|drive|plan ...]``
 """
 
 from __future__ import annotations
@@ -27,8 +27,6 @@ from slipfree import (
     settle,
     simulate,
 )
-from slipfree.core.errors import ModelError
-from slipfree.core.records import leaves
 from slipfree.models.kinematics import SMOOTHING, pressed_dae
 from slipfree.solve.options import SolverOptions
 
@@ -38,7 +36,7 @@ ROBOTS = {
     "four wheels, rocker": catalog.skid_steer(),
     "three-wheeler": catalog.three_wheeler(axle="fixed"),
 }
-STARTS, LENGTH = 200, 100.0
+LENGTH = 100.0  # [m]
 GOAL = {"x": 0.5, "y": 4.8}
 
 
@@ -78,30 +76,6 @@ def forward(model, vehicle, speed: float, weave: float = 0.0):
     }
     others = [label.full for label in model.labels.u.joints]
     return model.inputs(**rates, **dict.fromkeys(others, 0.0))
-
-
-def settled() -> None:
-    """Print the number of poor starts that settle."""
-    print(f"\n{STARTS} poor starts: z -0.2 to 0.4 m, roll and pitch +-0.5 rad off")
-    for rms, share in ((0.05, 1 / 250), (0.05, 1 / 50)):
-        ground = hills_map(rms, 8.0, 10.0)
-        for name, vehicle in ROBOTS.items():
-            rng, good, clock = np.random.default_rng(1), 0, time.perf_counter()
-            model = pressed(vehicle, ground, share)
-            joints = {label.full: 0.3 for label in leaves(model.labels.x.suspension)}
-            for _ in range(STARTS):
-                x, y, turn, up, *angles = rng.uniform(
-                    [-5, 0, -3, -0.2, -0.5, -0.5], [5, 7, 3, 0.4, 0.5, 0.5]
-                )
-                guess = {"z": vehicle.wheels[0].radius + up, "roll": angles[0], "pitch": angles[1]}
-                guess |= {n: rng.uniform(-most, most) for n, most in joints.items()}
-                try:
-                    settle(model, x=x, y=y, heading=turn, guess=guess)
-                    good += 1
-                except ModelError as error:
-                    print("   ", error)
-            each = 1e3 * (time.perf_counter() - clock) / STARTS
-            print(f"{name:22} rms {rms:g}, R/{1 / share:.0f}: {good}, {each:.0f} ms each")
 
 
 def limits() -> None:
@@ -224,4 +198,4 @@ def _slip(run) -> str:
 
 def main() -> None:
     """Print the parts."""
-    run_parts({"settle": settled, "limit": limits, "drive": drives, "plan": plans})
+    run_parts({"limit": limits, "drive": drives, "plan": plans})

@@ -113,6 +113,7 @@ def test_python_runs(page, monkeypatch):
         module = ModuleType(name)
         vars(module).update({member: type(member, (), {}) for member in members})
         monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
     names = {"__name__": "page"} | given(page.stem)
     for text in blocks_of(page, "python", "{code-cell} ipython3"):
         exec(compile(text, page.name, "exec"), names)

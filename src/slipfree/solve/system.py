@@ -157,7 +157,7 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
         motion,
         dependent,
         equations.jacobian,
-        ca.Function("outputs", given, [*outputs(*given[:3], driven), driven]),
+        ca.Function("outputs", given, [*outputs(*given[:3], driven), ca.densify(driven)]),
     )
 
 

@@ -1,0 +1,379 @@
+"""Engines: error against CPU time of MuJoCo, Drake, PyBullet and slipfree on six tasks.
+
+``python benchmarks compared [TASK ...] [--write FOLDER]`` (packages mujoco, drake, pybullet; an
+engine that is not installed has no rows)
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import pkgutil
+from collections.abc import Callable, Mapping
+from importlib.metadata import distributions
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import casadi as ca
+import engines
+import matplotlib as mpl
+import numpy as np
+from engines.on_slipfree import poses, start_of, vehicle_of
+from scenes import (
+    CELL,
+    HALF_BASE,
+    HALF_TRACK,
+    RADIUS,
+    Motion,
+    Pose,
+    Scene,
+    cart,
+    rocker_bogie,
+    share,
+)
+from scipy.spatial.transform import Rotation
+
+from slipfree import Analytic, SolverOptions, direct_kinematics, simulate
+from slipfree.vehicle.formula import evaluate
+
+FIGURE = Path(__file__).parent.parent / "docs" / "figures" / "compared.png"
+REPEATS, LONG = 3, 1.0  # runs, of which the median counts; one if it is longer [s]
+FLAT, SLOPE = 0.0, 0.3  # slopes along y
+FRICTION = 0.8
+RATE = 2.0  # of wheels that drive [rad/s]
+EXACT = SolverOptions(tolerance=1e-11)
+PLACES = ((0.4, 0.3, 0.2), (-0.9, 0.8, 1.4), (1.1, -0.7, -2.0), (0.2, -1.2, 2.9))
+ENGINES = ("mujoco", "drake", "pybullet")  # packages
+COLOURS = {"MuJoCo": "C1", "Drake": "C2", "PyBullet": "C3", "slipfree": "C0"}
+MARKERS = "os^D"
+
+
+class Task(NamedTuple):
+    """A task: scenes, and the errors of a motion of a scene [m]."""
+
+    title: str
+    scenes: tuple[Scene, ...]
+    error: Callable[[Scene, Motion], float]
+
+
+def relief(x: Any, y: Any, of: Any) -> Any:
+    """Return hills [m], whose curvature is at most a third of that of the balls."""
+    return 0.06 * of.sin(2.3 * x + 0.4) * of.cos(1.9 * y) + 0.03 * of.sin(1.1 * y - 0.7 * x)
+
+
+def waves(x: Any, y: Any, of: Any) -> Any:
+    """Return waves along x [m]."""
+    return 0.04 * (1 - of.cos(2 * np.pi * x / 1.2)) + 0 * y
+
+
+def inclined(slope: float) -> Callable[[Any, Any, Any], Any]:
+    """Return a plane that rises along y."""
+    return lambda x, y, _: slope * y + 0 * x
+
+
+def nodes(x: float, y: float) -> dict[str, np.ndarray]:
+    """Return axes of a map from -2 m to x and from -y to y [m]."""
+    return {"x": np.arange(-2.0, x + CELL, CELL), "y": np.arange(-y, y + CELL, CELL)}
+
+
+def of(
+    urdf: str, height: Any, start: Any, rates: Mapping[str, float], end: float, **more: Any
+) -> Scene:
+    """Return a scene with samples every 0.1 s."""
+    given = {"couplings": {}, "raised": 0.0, "friction": FRICTION, **nodes(4.5, 2.0), **more}
+    return Scene(
+        urdf=urdf,
+        height=height,
+        start=start,
+        rates=rates,
+        t=np.linspace(0, end, round(10 * end) + 1),
+        **given,
+    )
+
+
+def wheels(urdf: str, left: float, right: float) -> dict[str, float]:
+    """Return rates of the driven wheels of both sides [rad/s]."""
+    names = [f"wheel_{w.name.removeprefix('wheel_')}" for w in vehicle_of(urdf).wheels if w.driven]
+    return {name: left if name.endswith("left") else right for name in names}
+
+
+def ground_of(scene: Scene) -> Analytic:
+    """Return the true ground."""
+    return Analytic(lambda x, y: scene.height(x, y, ca), mu=scene.friction)
+
+
+def exact_pose(scene: Scene) -> Pose:
+    """Return the pose at rest on the true ground, raised."""
+    vehicle = vehicle_of(scene.urdf)
+    run = start_of(direct_kinematics(vehicle, ground_of(scene)), scene)
+    position, rotation = poses(run)
+    joints = {joint.name: _angle(joint, run) for joint in vehicle.joints}
+    return Pose(position[0] + [0, 0, scene.raised], rotation[0], joints)
+
+
+def _angle(joint: Any, run: Any) -> float:
+    """Return the angle of a passive joint [rad]."""
+    (name,) = joint.coordinates
+    return float(evaluate(joint.value, {name: ca.SX(run[name][0])}))
+
+
+def missed_rest(scene: Scene, motion: Motion) -> float:
+    """Return the error of height, and of angles times half the wheelbase, at the final place."""
+    at, turned = motion.position[-1], motion.rotation[-1]
+    heading = yaw = _yaw(turned)
+    for _ in range(3):  # headings of `settle` are those before pitch and roll
+        start = (at[0], at[1], heading)
+        pose = exact_pose(scene._replace(start=start, raised=0.0))
+        heading += yaw - _yaw(pose.rotation)
+    angle = Rotation.from_matrix(pose.rotation.T @ turned).magnitude()
+    return max(abs(at[2] - pose.position[2]), HALF_BASE * angle)
+
+
+def _yaw(rotation: np.ndarray) -> float:
+    """Return the direction of the axis ahead on the map [rad]."""
+    return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+
+
+def missed_way(scene: Scene, motion: Motion) -> float:
+    """Return the largest error of position and, times half the wheelbase, of rotation."""
+    position, rotation = reference(scene)
+    angle = Rotation.from_matrix(np.swapaxes(rotation, 1, 2) @ motion.rotation).magnitude()
+    return float(
+        max(np.linalg.norm(motion.position - position, axis=1).max(), HALF_BASE * angle.max())
+    )
+
+
+REFERENCES: dict[int, Any] = {}
+
+
+def reference(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and rotations by the kinematics on the true ground."""
+    if id(scene) not in REFERENCES:
+        model = direct_kinematics(vehicle_of(scene.urdf), ground_of(scene))
+        rates = {f"{k}_rate": v * share(model.t, ca) for k, v in scene.rates.items()}
+        run = simulate(model, start_of(model, scene), model.inputs(**rates), scene.t, options=EXACT)
+        REFERENCES[id(scene)] = poses(run)
+    return REFERENCES[id(scene)]
+
+
+def missed_turn(scene: Scene, motion: Motion) -> float:
+    """Return displacement, or the error of the angle times half the wheelbase.
+
+    Four equal loads slide at the same speed; the sum of the moments of friction vanishes if the
+    vehicle turns at v b / (b^2 + l^2), with the speed v of the treads, half track b and half
+    wheelbase l, for every coefficient of friction.
+    """
+    speed = RADIUS * max(scene.rates.values())
+    fine = np.linspace(0, scene.t[-1], 100001)
+    angle = speed * HALF_TRACK / (HALF_TRACK**2 + HALF_BASE**2) * np.trapezoid(share(fine), fine)
+    heading = np.unwrap(np.arctan2(motion.rotation[:, 1, 0], motion.rotation[:, 0, 0]))
+    moved = np.linalg.norm((motion.position - motion.position[0])[-1, :2])
+    return max(moved, HALF_BASE * abs(heading[-1] - heading[0] - angle))
+
+
+def missed_line(scene: Scene, motion: Motion) -> float:
+    """Return the distance of the end from the way r phi along x."""
+    fine = np.linspace(0, scene.t[-1], 100001)
+    rate = max(scene.rates.values())
+    moved = motion.position[-1] - motion.position[0]
+    return float(np.linalg.norm(moved - [RADIUS * rate * np.trapezoid(share(fine), fine), 0, 0]))
+
+
+def tasks() -> dict[str, Task]:
+    """Return the tasks by name."""
+    four, rear, rover = cart(), cart("rear"), rocker_bogie()
+    still, around = wheels(four, 0, 0), wheels(four, -RATE, RATE)
+    linked = {"rock_left_rocker": "rock_right_rocker"}
+    fallen = {"raised": 0.03}
+    return {
+        "rest": Task(
+            "Rest of a four-wheeler",
+            tuple(of(four, relief, place, still, 2.0, **fallen) for place in PLACES),
+            missed_rest,
+        ),
+        "bogie": Task(
+            "Rest of a rocker-bogie",
+            tuple(
+                of(rover, relief, p, wheels(rover, 0, 0), 2.0, couplings=linked, **fallen)
+                for p in PLACES
+            ),
+            missed_rest,
+        ),
+        "waves": Task(
+            "Straight over waves, 3 m",
+            (of(rear, waves, (0.0, 0.0, 0.0), wheels(rear, RATE, RATE), 10.0),),
+            missed_way,
+        ),
+        "turn": Task(
+            "Turning on the spot",
+            (of(four, inclined(FLAT), (0.0, 0.0, 0.0), around, 6.0),),
+            missed_turn,
+        ),
+        "creep": Task(
+            "Standing across a slope, 10 s",
+            (of(four, inclined(SLOPE), (0.0, 0.0, 0.0), still, 10.0),),
+            missed_line,
+        ),
+        "slope": Task(
+            "Driving across a slope, 3 m",
+            (of(four, inclined(SLOPE), (0.0, 0.0, 0.0), wheels(four, RATE, RATE), 10.0),),
+            missed_line,
+        ),
+    }
+
+
+class Row(NamedTuple):
+    """A setting of an engine in a task."""
+
+    task: str
+    series: str
+    setting: str
+    milliseconds: float
+    error: float
+
+
+def measured(name: str, task: Task) -> list[Row]:
+    """Run and print all settings of all engines."""
+    rows = []
+    for found in pkgutil.iter_modules(engines.__path__):
+        try:
+            engine = importlib.import_module(f"engines.{found.name}")
+        except ImportError as error:
+            print(f"  {found.name}: {error}")
+            continue
+        for series, settings in engine.SERIES.items():
+            for setting in settings:
+                words = ", ".join(
+                    f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}"
+                    for k, v in setting.items()
+                )
+                try:
+                    seconds, errors = [], []
+                    for scene in task.scenes:
+                        pose = exact_pose(scene)
+                        runs = [engine.motion(scene, pose, **setting)]
+                        while len(runs) < REPEATS and runs[0].seconds < LONG:
+                            runs.append(engine.motion(scene, pose, **setting))
+                        seconds.append(np.median([run.seconds for run in runs]))
+                        errors.append(task.error(scene, runs[0]))
+                except Exception as error:
+                    print(f"  {series:20} {words:34} {str(error).strip().splitlines()[-1][:90]}")
+                    continue
+                row = Row(name, series, words, 1e3 * float(np.mean(seconds)), float(max(errors)))
+                print(
+                    f"  {series:20} {words:34} {row.milliseconds:10.3f} ms {row.error:10.2e} m",
+                    flush=True,
+                )
+                rows.append(row)
+    return rows
+
+
+def ratios(rows: list[Row]) -> None:
+    """Print our time over that of each other engine, at the error of its most accurate setting."""
+    for name in [each for each in COLOURS if each != "slipfree"]:
+        theirs = [row for row in rows if row.series.startswith(name) and np.isfinite(row.error)]
+        if not theirs:
+            continue
+        best = min(theirs, key=lambda row: row.error)
+        ours = [
+            r.milliseconds
+            for r in rows
+            if r.series.startswith("slipfree") and r.error <= best.error
+        ]
+        ratio = f"{min(ours) / best.milliseconds:.2g} times its time" if ours else "none of ours"
+        print(f"  {name}, least error {best.error:.1e} m ({best.milliseconds:.3g} ms): {ratio}")
+
+
+def draw(rows: list[Row], shown: dict[str, Task]) -> None:
+    """Draw error against CPU time."""
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(2, 3, figsize=(11, 6.5), layout="constrained")
+    for axis, (name, task) in zip(axes.flat, shown.items(), strict=False):
+        drawn: dict[str, int] = {}
+        for series in dict.fromkeys(row.series for row in rows):
+            line = [
+                (r.milliseconds, max(r.error, 1e-13))
+                for r in rows
+                if r.task == name and r.series == series
+            ]
+            if not line:
+                continue
+            program = series.partition(",")[0]
+            mark = MARKERS[drawn.setdefault(program, 0)]
+            drawn[program] += 1
+            style = {"color": COLOURS.get(program, "0.4"), "marker": mark, "label": series}
+            axis.loglog(*np.transpose(line), lw=1, ms=4, **style)
+        axis.set_title(task.title, fontsize=10)
+        axis.grid(alpha=0.3)
+    for axis in axes[-1]:
+        axis.set_xlabel("CPU time [ms]")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("error [m]")
+    handles, labels = axes.flat[-1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
+    figure.savefig(FIGURE, dpi=110)
+
+
+LICENCE = """Reference data of `python benchmarks compared` (slipfree), licence CC BY 4.0.
+
+TASK_N.urdf: vehicle, x ahead; wheels are balls. TASK_N_map.csv: nodes x, y, z [m].
+TASK_N_drive.csv: time [s] and rates of the driven wheels [rad/s], which rise as
+tanh((t / 0.5)^2).
+TASK_N_reference.csv: time, position of the root link [m] and its quaternion (x, y, z, w): the
+pose at rest, or the motion that rolls without slip, on the true ground, at a tolerance of 1e-11.
+Turning on the spot: no displacement, angle v b / (b^2 + l^2) t for the speed v of the treads.
+Standing and driving across a slope: no drift; the way is the radius times the wheels' angle.
+"""
+
+
+def write(folder: Path, known: Mapping[str, Task]) -> None:
+    """Write vehicles, maps, rates and references, for use without slipfree."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "README.md").write_text(LICENCE, encoding="utf-8")
+    for name, task in known.items():
+        for k, scene in enumerate(task.scenes):
+            stem, even = folder / f"{name}_{k}", list(scene.rates.values())
+            stem.with_suffix(".urdf").write_text(scene.urdf, encoding="utf-8")
+            tables = {
+                "map": ("x,y,z", scene.triangles()[0]),
+                "drive": (
+                    ",".join(["t", *scene.rates]),
+                    np.column_stack([scene.t, np.outer(share(scene.t), even)]),
+                ),
+            }
+            if task.error is not missed_turn and task.error is not missed_line:
+                pose = exact_pose(scene._replace(raised=0.0))
+                way = (
+                    reference(scene)
+                    if task.error is missed_way
+                    else (pose.position[None], pose.rotation[None])
+                )
+                turned = Rotation.from_matrix(way[1]).as_quat()
+                rows = np.column_stack([scene.t[: len(turned)], way[0], turned])
+                tables["reference"] = ("t,x,y,z,qx,qy,qz,qw", rows)
+            for kind, (header, rows) in tables.items():
+                file = folder / f"{name}_{k}_{kind}.csv"
+                np.savetxt(file, rows, fmt="%.10g", delimiter=",", header=header, comments="")
+
+
+def main() -> None:
+    """Run the tasks that are named, or all."""
+    known = tasks()
+    parser = argparse.ArgumentParser()
+    parser.add_argument("tasks", nargs="*", choices=[[], *known], default=[])
+    parser.add_argument("--write", type=Path)
+    given = parser.parse_args()
+    print(", ".join(f"{d.name} {d.version}" for d in distributions() if d.name in ENGINES))
+    rows = []
+    shown = {name: known[name] for name in given.tasks or known}
+    for name, task in shown.items():
+        print(f"\n{task.title}", flush=True)
+        rows += (new := measured(name, task))
+        ratios(new)
+    if not given.tasks:
+        draw(rows, shown)
+    if given.write:
+        write(given.write, shown)
+        print(f"wrote the data of {len(shown)} tasks to {given.write}")

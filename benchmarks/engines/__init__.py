@@ -1,0 +1,1 @@
+"""Engines that `python benchmarks compared` runs, one module each."""

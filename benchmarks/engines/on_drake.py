@@ -1,0 +1,113 @@
+"""Drake: discrete contact solver SAP, compliant balls on a rigid mesh (hydroelastic contact)."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import (
+    AddContactMaterial,
+    AddRigidHydroelasticProperties,
+    Mesh,
+    ProximityProperties,
+)
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import (
+    AddMultibodyPlantSceneGraph,
+    CoulombFriction,
+    DiscreteContactApproximation,
+)
+from pydrake.multibody.tree import PdControllerGains
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from scenes import Motion, Pose, Scene, share
+
+STEPS = (0.01, 0.005, 0.002, 0.001, 0.0005)  # [s]
+SERIES: dict[str, list[dict[str, Any]]] = {
+    "Drake": [{"step": step} for step in STEPS],
+    "Drake, fine": [{"step": step, "size": 0.01} for step in STEPS[:2]],
+}
+GAIN, ROTOR = 1000.0, 1.0  # of servos [N m s/rad]; inertia of their rotors [kg m^2]
+MODULUS = 1e8  # of the balls [Pa]
+SETTLING = 0.5  # [s]
+
+
+class Rates(LeafSystem):
+    """Wanted angles, which have no gain, and rates of the wheels."""
+
+    def __init__(self, rates: np.ndarray) -> None:
+        super().__init__()
+        self.DeclareVectorOutputPort("wanted", 2 * rates.size, self.calculate)
+        self.rates = rates
+
+    def calculate(self, context: Any, output: Any) -> None:
+        """Set the output at a time; wheels stand still before time zero."""
+        part = share(max(context.get_time(), 0.0))
+        output.SetFromVector(np.concatenate([0 * self.rates, part * self.rates]))
+
+
+def motion(scene: Scene, pose: Pose, step: float, size: float = 0.03) -> Motion:
+    """Return the motion of a scene from a pose, with cells of the balls of a size [m]."""
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, step)
+    plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
+    properties = (
+        "<drake:proximity_properties><drake:compliant_hydroelastic/>"
+        f'<drake:hydroelastic_modulus value="{MODULUS}"/>'
+        f'<drake:mesh_resolution_hint value="{size}"/>'
+        '<drake:hunt_crossley_dissipation value="10"/>'
+        f'<drake:mu_dynamic value="{scene.friction}"/><drake:mu_static value="{scene.friction}"/>'
+        "</drake:proximity_properties>"
+    )
+    urdf = scene.urdf.replace("</geometry></collision>", f"</geometry>{properties}</collision>")
+    urdf = urdf.replace("<robot ", '<robot xmlns:drake="http://drake.mit.edu" ')
+    Parser(plant).AddModelsFromString(urdf, "urdf")
+    ground = ProximityProperties()
+    AddRigidHydroelasticProperties(ground)
+    AddContactMaterial(friction=CoulombFriction(scene.friction, scene.friction), properties=ground)
+    vertices, faces = scene.triangles()
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "ground.obj")
+        lines = [*("v {} {} {}".format(*v) for v in vertices)]
+        lines += ["f {} {} {}".format(*(f + 1)) for f in faces]
+        file.write_text("\n".join(lines))
+        plant.RegisterCollisionGeometry(
+            plant.world_body(), RigidTransform(), Mesh(str(file)), "ground", ground
+        )
+        wanted = []
+        for index in plant.GetJointActuatorIndices():  # from the transmissions of the URDF
+            servo = plant.get_joint_actuator(index)
+            servo.set_default_rotor_inertia(ROTOR)
+            servo.set_default_gear_ratio(1.0)
+            servo.set_controller_gains(PdControllerGains(p=0.0, d=GAIN))
+            wanted.append(scene.rates[servo.joint().name()])
+        plant.Finalize()
+        vehicle = plant.GetBodyByName("base").model_instance()
+        rates = builder.AddSystem(Rates(np.array(wanted)))
+        builder.Connect(rates.GetOutputPort("wanted"), plant.get_desired_state_input_port(vehicle))
+        simulator = Simulator(builder.Build())
+    context = simulator.get_mutable_context()
+    inside = plant.GetMyMutableContextFromRoot(context)
+    base = plant.GetBodyByName("base")
+    place = RigidTransform(RotationMatrix(pose.rotation), pose.position)
+    plant.SetFreeBodyPose(inside, base, place)
+    for name, angle in pose.joints.items():
+        plant.GetJointByName(name).set_angle(inside, angle)
+    context.SetTime(0.0 if scene.raised else -round(SETTLING / step) * step)
+    simulator.Initialize()
+    simulator.AdvanceTo(0.0)
+    poses, seconds = [], 0.0
+    for t in scene.t:
+        begin = time.process_time()
+        simulator.AdvanceTo(t)
+        seconds += time.process_time() - begin
+        poses.append(plant.EvalBodyPoseInWorld(inside, base))
+    return Motion(
+        seconds,
+        np.array([p.translation() for p in poses]),
+        np.array([p.rotation().matrix() for p in poses]),
+    )

@@ -1,0 +1,123 @@
+"""PyBullet: sequential impulses with fixed steps, motors on wheels, height field or mesh."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pybullet
+from pybullet_utils.bullet_client import BulletClient
+from scenes import Motion, Pose, Scene, share
+
+STEPS = (1 / 120, 1 / 240, 1 / 480, 1 / 1000, 1 / 2000)  # [s]
+SERIES: dict[str, list[dict[str, Any]]] = {
+    "PyBullet": [{"step": step} for step in STEPS],
+    "PyBullet, mesh": [{"step": step, "mesh": True} for step in STEPS],
+}
+ITERATIONS, TORQUE = 200, 1e3  # of the solver; of motors, more than needed [N m]
+SETTLING = 0.5  # [s]
+
+
+def ground_of(engine: Any, scene: Scene, mesh: bool) -> None:
+    """Add the map, as a height field or as a mesh."""
+    z = scene.nodes
+    if mesh:
+        vertices, faces = scene.triangles()
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder, "ground.obj")
+            lines = [*("v {} {} {}".format(*v) for v in vertices)]
+            lines += ["f {} {} {}".format(*(f + 1)) for f in faces]
+            file.write_text("\n".join(lines))
+            shape = engine.createCollisionShape(
+                pybullet.GEOM_MESH, fileName=str(file), flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH
+            )
+        place = [0.0, 0.0, 0.0]
+    else:
+        shape = engine.createCollisionShape(
+            pybullet.GEOM_HEIGHTFIELD,
+            meshScale=[np.diff(scene.x)[0], np.diff(scene.y)[0], 1.0],
+            heightfieldData=z.T.ravel().tolist(),
+            numHeightfieldRows=scene.x.size,
+            numHeightfieldColumns=scene.y.size,
+        )
+        place = [scene.x.mean(), scene.y.mean(), (z.min() + z.max()) / 2]
+    body = engine.createMultiBody(0, shape, basePosition=place)
+    engine.changeDynamics(body, -1, lateralFriction=1.0)
+
+
+def motion(scene: Scene, pose: Pose, step: float, mesh: bool = False) -> Motion:
+    """Return the motion of a scene from a pose."""
+    engine = BulletClient(pybullet.DIRECT)
+    engine.setGravity(0, 0, -9.81)
+    engine.setPhysicsEngineParameter(fixedTimeStep=step, numSolverIterations=ITERATIONS)
+    ground_of(engine, scene, mesh)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "vehicle.urdf")
+        file.write_text(scene.urdf)
+        x, y, z, w = _quaternion(pose.rotation)
+        body = engine.loadURDF(
+            str(file), pose.position, [x, y, z, w], flags=pybullet.URDF_USE_INERTIA_FROM_FILE
+        )
+    numbers = {
+        engine.getJointInfo(body, k)[1].decode(): k for k in range(engine.getNumJoints(body))
+    }
+    for number in (-1, *numbers.values()):
+        engine.changeDynamics(body, number, linearDamping=0, angularDamping=0)
+    for name, number in numbers.items():
+        if name.startswith("wheel_"):
+            engine.changeDynamics(
+                body, number, lateralFriction=scene.friction, rollingFriction=0, spinningFriction=0
+            )
+        else:
+            engine.resetJointState(body, number, pose.joints[name])
+        if name not in scene.rates:  # joints have motors by default
+            engine.setJointMotorControl2(body, number, pybullet.VELOCITY_CONTROL, force=0)
+    for one, other in scene.couplings.items():
+        link = engine.createConstraint(
+            body,
+            numbers[one],
+            body,
+            numbers[other],
+            pybullet.JOINT_GEAR,
+            [0, 1, 0],
+            [0] * 3,
+            [0] * 3,
+        )
+        engine.changeConstraint(link, gearRatio=1, maxForce=1e5, erp=0.8)
+    mass_center = engine.getDynamicsInfo(body, -1)[3]
+    wheels = [numbers[name] for name in scene.rates]
+    rates, forces = np.array(list(scene.rates.values())), [TORQUE] * len(wheels)
+
+    def drive(part: float) -> None:
+        engine.setJointMotorControlArray(
+            body, wheels, pybullet.VELOCITY_CONTROL, targetVelocities=part * rates, forces=forces
+        )
+        engine.stepSimulation()
+
+    if not scene.raised:
+        for _ in range(round(SETTLING / step)):
+            drive(0.0)
+    count = round(scene.t[-1] / step)
+    wanted, poses = set(np.round(scene.t / step).astype(int)), []
+    seconds = 0.0
+    parts = share(step * np.arange(count))
+    for k in range(count + 1):
+        if k in wanted:
+            at, turned = engine.getBasePositionAndOrientation(body)  # of the centre of mass
+            rotation = np.reshape(engine.getMatrixFromQuaternion(turned), (3, 3))
+            poses.append((at - rotation @ mass_center, rotation))
+        if k < count:
+            begin = time.process_time()
+            drive(parts[k])
+            seconds += time.process_time() - begin
+    engine.disconnect()
+    return Motion(seconds, np.array([p for p, _ in poses]), np.array([r for _, r in poses]))
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(rotation).as_quat()

@@ -1,0 +1,144 @@
+"""Scenes of the comparison of engines: vehicles on balls as URDF, grounds as nodes, wheel rates.
+
+Wheels are balls, which every engine represents exactly. All engines get the same text, the same
+nodes and the same rates; x points ahead. A new engine needs a `Scene`, and returns a `Motion`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+RADIUS, HALF_TRACK, HALF_BASE = 0.15, 0.3, 0.35  # of the balls and between them [m]
+MASS, WHEEL_MASS, LINK_MASS = 20.0, 1.0, 1.0  # [kg]
+RISE = 0.5  # time in which wheels reach their rate [s]
+CELL = 0.05  # of the map [m]
+
+
+class Scene(NamedTuple):
+    """A vehicle on a ground, driven by given rates of its wheels."""
+
+    urdf: str  # vehicle; the joints of its wheels are called wheel_..., passive ones otherwise
+    couplings: Mapping[str, str]  # joints that turn by the same angle against each other
+    height: Callable[[Any, Any, Any], Any]  # true ground [m] at x, y [m], by numpy or CasADi
+    x: np.ndarray  # nodes of the map, from low to high [m]
+    y: np.ndarray
+    friction: float
+    start: tuple[float, float, float]  # x, y [m] and heading from the x axis [rad]
+    raised: float  # above its pose at rest, from which it falls [m]
+    rates: Mapping[str, float]  # of the driven wheels, when they turn evenly [rad/s]
+    t: np.ndarray  # times of the samples [s]
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """Heights of the nodes, shape (x, y) [m]."""
+        return self.height(*np.meshgrid(self.x, self.y, indexing="ij"), np) + np.zeros(
+            (self.x.size, self.y.size)
+        )
+
+    def triangles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return vertices [m] and faces of the map as a mesh, counterclockwise from above."""
+        x, y = np.meshgrid(self.x, self.y, indexing="ij")
+        number = np.arange(x.size).reshape(x.shape)
+        a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+        faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+        return np.column_stack([x.ravel(), y.ravel(), self.nodes.ravel()]), faces
+
+
+class Pose(NamedTuple):
+    """Pose from which an engine begins."""
+
+    position: np.ndarray  # of the root link [m]
+    rotation: np.ndarray  # of the root link, shape (3, 3)
+    joints: Mapping[str, float]  # angles of the passive joints [rad]
+
+
+class Motion(NamedTuple):
+    """What an engine returns."""
+
+    seconds: float  # CPU time of the motion, without preparation and settling [s]
+    position: np.ndarray  # of the root link at the samples, shape (n, 3) [m]
+    rotation: np.ndarray  # of the root link at the samples, shape (n, 3, 3)
+
+
+def share(t: Any, of: Any = np) -> Any:
+    """Return the share of the even rate that wheels have at a time, by numpy or CasADi."""
+    return of.tanh((t / RISE) ** 2)
+
+
+def _link(name: str, mass: float, size: float, ball: float = 0.0) -> str:
+    """Return a link as a ball, or without shape and with the inertia of a cube of a size [m]."""
+    inertia = 0.4 * mass * ball**2 if ball else mass * size**2 / 6
+    shape = f'<collision><geometry><sphere radius="{ball}"/></geometry></collision>'
+    return (
+        f'<link name="{name}"><inertial><mass value="{mass}"/><inertia ixx="{inertia}" '
+        f'iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial>'
+        f"{shape if ball else ''}</link>"
+    )
+
+
+def _joint(
+    name: str, parent: str, at: tuple[float, float, float], axis: str, more: str = ""
+) -> str:
+    """Return a joint to the link of the same name without the first word."""
+    kind = "continuous" if name.startswith("wheel_") else "revolute"
+    limit = "" if kind == "continuous" else '<limit lower="-1" upper="1" effort="0" velocity="99"/>'
+    child = name.partition("_")[2]
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{at[0]} {at[1]} {at[2]}"/><axis xyz="{axis}"/>{limit}{more}</joint>'
+    )
+
+
+def _urdf(name: str, ahead: float, parts: list[str], driven: str) -> str:
+    """Return a vehicle whose platform has its centre of mass ahead of the origin [m]."""
+    base = _link("base", MASS, 0.3).replace("<mass", f'<origin xyz="{ahead} 0 0"/><mass')
+    drives = "".join(
+        f'<transmission name="drive_{wheel}"><type>SimpleTransmission</type><joint name="{wheel}"/>'
+        f'<actuator name="motor_{wheel}"/></transmission>'
+        for wheel in re.findall(f'joint name="(wheel_{driven}[^"]*)"', "".join(parts))
+    )
+    return f'<robot name="{name}">{base}{"".join(parts)}{drives}</robot>'
+
+
+def cart(driven: str = "") -> str:
+    """Return a cart on four balls, whose front axle rocks; all four carry the same load.
+
+    ``driven`` is the beginning of the names of the driven wheels; others turn freely.
+    """
+    parts = [_joint("rock_axle", "base", (HALF_BASE, 0, 0), "1 0 0"), _link("axle", LINK_MASS, 0.2)]
+    for end, parent, x in (("front", "axle", 0.0), ("rear", "base", -HALF_BASE)):
+        for side, y in (("left", HALF_TRACK), ("right", -HALF_TRACK)):
+            name = f"{end}_{side}"
+            parts += [
+                _joint(f"wheel_{name}", parent, (x, y, 0), "0 1 0"),
+                _link(name, WHEEL_MASS, 0, RADIUS),
+            ]
+    return _urdf("cart", -LINK_MASS * HALF_BASE / MASS, parts, driven)
+
+
+def rocker_bogie() -> str:
+    """Return a rover with six driven balls, rockers joined by a differential, and bogies."""
+    parts = []
+    for side, y in (("left", HALF_TRACK), ("right", -HALF_TRACK)):
+        same = '<mimic joint="rock_left_rocker" multiplier="-1"/>' if side == "right" else ""
+        parts += [
+            _joint(f"rock_{side}_rocker", "base", (0, y, 0), "0 1 0", same),
+            _link(f"{side}_rocker", LINK_MASS, 0.2),
+            _joint(f"rock_{side}_bogie", f"{side}_rocker", (-0.25, 0, 0), "0 1 0"),
+            _link(f"{side}_bogie", LINK_MASS, 0.2),
+        ]
+        for end, parent, x in (
+            ("front", "rocker", 0.45),
+            ("middle", "bogie", 0.2),
+            ("rear", "bogie", -0.2),
+        ):
+            name = f"{end}_{side}"
+            parts += [
+                _joint(f"wheel_{name}", f"{side}_{parent}", (x, 0, -0.1), "0 1 0"),
+                _link(name, WHEEL_MASS, 0, RADIUS),
+            ]
+    return _urdf("rover", 0.0, parts, "")
