@@ -284,27 +284,29 @@ def ratios(rows: list[Row]) -> None:
         print(f"  {name}, least error {best.error:.1e} m ({best.milliseconds:.3g} ms): {ratio}")
 
 
+def _program(series: str) -> str:
+    return series.partition(",")[0]
+
+
 def draw(rows: list[Row], shown: dict[str, Task]) -> None:
     """Draw error against CPU time."""
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
+    marks = dict[str, str]()
+    for series in dict.fromkeys(row.series for row in rows):
+        marks[series] = MARKERS[sum(_program(each) == _program(series) for each in marks)]
     figure, axes = plt.subplots(2, 3, figsize=(11, 6.5), layout="constrained")
     for axis, (name, task) in zip(axes.flat, shown.items(), strict=False):
-        drawn: dict[str, int] = {}
-        for series in dict.fromkeys(row.series for row in rows):
+        for series, mark in marks.items():
             line = [
                 (r.milliseconds, max(r.error, 1e-13))
                 for r in rows
-                if r.task == name and r.series == series
+                if (r.task, r.series) == (name, series)
             ]
-            if not line:
-                continue
-            program = series.partition(",")[0]
-            mark = MARKERS[drawn.setdefault(program, 0)]
-            drawn[program] += 1
-            style = {"color": COLOURS.get(program, "0.4"), "marker": mark, "label": series}
-            axis.loglog(*np.transpose(line), lw=1, ms=4, **style)
+            if line:
+                style = {"color": COLOURS.get(_program(series), "0.4"), "marker": mark}
+                axis.loglog(*np.transpose(line), lw=1, ms=4, label=series, **style)
         axis.set_title(task.title, fontsize=10)
         axis.grid(alpha=0.3)
     for axis in axes[-1]:
