@@ -38,7 +38,7 @@ from slipfree.vehicle.formula import evaluate
 
 FIGURE = Path(__file__).parent.parent / "docs" / "figures" / "compared.png"
 REPEATS, LONG = 3, 1.0  # runs, of which the median counts; one if it is longer [s]
-FLAT, SLOPE = 0.0, 0.3  # slopes along y
+SLOPE = 0.3  # along y
 FRICTION = 0.8
 RATE = 2.0  # of wheels that drive [rad/s]
 EXACT = SolverOptions(tolerance=1e-11)
@@ -57,7 +57,7 @@ class Task(NamedTuple):
 
 
 def relief(x: Any, y: Any, of: Any) -> Any:
-    """Return hills [m], whose curvature is at most a third of that of the balls."""
+    """Return hills [m], whose curvature is far below that of the balls."""
     return 0.06 * of.sin(2.3 * x + 0.4) * of.cos(1.9 * y) + 0.03 * of.sin(1.1 * y - 0.7 * x)
 
 
@@ -93,7 +93,7 @@ def of(
 
 def wheels(urdf: str, left: float, right: float) -> dict[str, float]:
     """Return rates of the driven wheels of both sides [rad/s]."""
-    names = [f"wheel_{w.name.removeprefix('wheel_')}" for w in vehicle_of(urdf).wheels if w.driven]
+    names = [wheel.name for wheel in vehicle_of(urdf).wheels if wheel.driven]
     return {name: left if name.endswith("left") else right for name in names}
 
 
@@ -206,7 +206,7 @@ def tasks() -> dict[str, Task]:
         ),
         "turn": Task(
             "Turning on the spot",
-            (of(four, inclined(FLAT), (0.0, 0.0, 0.0), around, 6.0),),
+            (of(four, inclined(0.0), (0.0, 0.0, 0.0), around, 6.0),),
             missed_turn,
         ),
         "creep": Task(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +17,9 @@ RADIUS, HALF_TRACK, HALF_BASE = 0.15, 0.3, 0.35  # of the balls and between them
 MASS, WHEEL_MASS, LINK_MASS = 20.0, 1.0, 1.0  # [kg]
 RISE = 0.5  # time in which wheels reach their rate [s]
 CELL = 0.05  # of the map [m]
+SETTLING = 0.5  # time for which engines hold the wheels before the motion [s]
+# of servos [N m s/rad]; inertia of their rotors, with a lag of 1 ms [kg m^2]
+GAIN, ROTOR = 1000.0, 1.0
 
 
 class Scene(NamedTuple):
@@ -46,6 +50,13 @@ class Scene(NamedTuple):
         a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
         faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
         return np.column_stack([x.ravel(), y.ravel(), self.nodes.ravel()]), faces
+
+    def write_mesh(self, file: Path) -> None:
+        """Write the map as a mesh (.obj)."""
+        vertices, faces = self.triangles()
+        lines = ["v {} {} {}".format(*vertex) for vertex in vertices]
+        lines += ["f {} {} {}".format(*(face + 1)) for face in faces]
+        file.write_text("\n".join(lines))
 
 
 class Pose(NamedTuple):

@@ -24,16 +24,14 @@ from pydrake.multibody.plant import (
 from pydrake.multibody.tree import PdControllerGains
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from scenes import Motion, Pose, Scene, share
+from scenes import GAIN, ROTOR, SETTLING, Motion, Pose, Scene, share
 
 STEPS = (0.01, 0.005, 0.002, 0.001, 0.0005)  # [s]
 SERIES: dict[str, list[dict[str, Any]]] = {
     "Drake": [{"step": step} for step in STEPS],
     "Drake, fine": [{"step": step, "size": 0.01} for step in STEPS[:2]],
 }
-GAIN, ROTOR = 1000.0, 1.0  # of servos [N m s/rad]; inertia of their rotors [kg m^2]
 MODULUS = 1e8  # of the balls [Pa]
-SETTLING = 0.5  # [s]
 
 
 class Rates(LeafSystem):
@@ -69,12 +67,9 @@ def motion(scene: Scene, pose: Pose, step: float, size: float = 0.03) -> Motion:
     ground = ProximityProperties()
     AddRigidHydroelasticProperties(ground)
     AddContactMaterial(friction=CoulombFriction(scene.friction, scene.friction), properties=ground)
-    vertices, faces = scene.triangles()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "ground.obj")
-        lines = [*("v {} {} {}".format(*v) for v in vertices)]
-        lines += ["f {} {} {}".format(*(f + 1)) for f in faces]
-        file.write_text("\n".join(lines))
+        scene.write_mesh(file)
         plant.RegisterCollisionGeometry(
             plant.world_body(), RigidTransform(), Mesh(str(file)), "ground", ground
         )

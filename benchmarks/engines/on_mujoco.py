@@ -8,15 +8,13 @@ from typing import Any
 import mujoco
 import numpy as np
 from mujoco import rollout
-from scenes import Motion, Pose, Scene, share
+from scenes import GAIN, ROTOR, SETTLING, Motion, Pose, Scene, share
 
 STEPS = (0.004, 0.002, 0.001, 0.0005, 0.00025)  # [s]
 SERIES: dict[str, list[dict[str, Any]]] = {
     "MuJoCo": [{"step": step} for step in STEPS],
     "MuJoCo, no-slip": [{"step": step, "noslip": 10} for step in STEPS],
 }
-GAIN, ROTOR = 1000.0, 1.0  # of servos [N m s/rad]; inertia of their rotors, a lag of 1 ms [kg m^2]
-SETTLING = 0.5  # [s]
 
 
 def model_of(scene: Scene, step: float, noslip: int) -> Any:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pybullet
 from pybullet_utils.bullet_client import BulletClient
-from scenes import Motion, Pose, Scene, share
+from scenes import SETTLING, Motion, Pose, Scene, share
+from scipy.spatial.transform import Rotation
 
 STEPS = (1 / 120, 1 / 240, 1 / 480, 1 / 1000, 1 / 2000)  # [s]
 SERIES: dict[str, list[dict[str, Any]]] = {
@@ -18,19 +19,15 @@ SERIES: dict[str, list[dict[str, Any]]] = {
     "PyBullet, mesh": [{"step": step, "mesh": True} for step in STEPS],
 }
 ITERATIONS, TORQUE = 200, 1e3  # of the solver; of motors, more than needed [N m]
-SETTLING = 0.5  # [s]
 
 
 def ground_of(engine: Any, scene: Scene, mesh: bool) -> None:
     """Add the map, as a height field or as a mesh."""
     z = scene.nodes
     if mesh:
-        vertices, faces = scene.triangles()
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder, "ground.obj")
-            lines = [*("v {} {} {}".format(*v) for v in vertices)]
-            lines += ["f {} {} {}".format(*(f + 1)) for f in faces]
-            file.write_text("\n".join(lines))
+            scene.write_mesh(file)
             shape = engine.createCollisionShape(
                 pybullet.GEOM_MESH, fileName=str(file), flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH
             )
@@ -57,9 +54,9 @@ def motion(scene: Scene, pose: Pose, step: float, mesh: bool = False) -> Motion:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "vehicle.urdf")
         file.write_text(scene.urdf)
-        x, y, z, w = _quaternion(pose.rotation)
+        turned = Rotation.from_matrix(pose.rotation).as_quat()
         body = engine.loadURDF(
-            str(file), pose.position, [x, y, z, w], flags=pybullet.URDF_USE_INERTIA_FROM_FILE
+            str(file), pose.position, turned, flags=pybullet.URDF_USE_INERTIA_FROM_FILE
         )
     numbers = {
         engine.getJointInfo(body, k)[1].decode(): k for k in range(engine.getNumJoints(body))
@@ -115,9 +112,3 @@ def motion(scene: Scene, pose: Pose, step: float, mesh: bool = False) -> Motion:
             seconds += time.process_time() - begin
     engine.disconnect()
     return Motion(seconds, np.array([p for p, _ in poses]), np.array([r for _, r in poses]))
-
-
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(rotation).as_quat()

@@ -347,15 +347,6 @@ def _single_contacts(box: _PoseBox, ground: GroundRange, region: Array | None) -
     chord differ by an angle ``v / 2``; in all, ``A sqrt(|N0| |N|)`` is at most the change of the
     normal. These are rows of ``M x <= g``, and ``x <= M^-1 g``, since the inverse has no negative
     elements.
-
-    Without a region that is known to contain the contacts, the rings outside of one are examined.
-
-    With the chords ``V = 2 s`` and ``A`` of the module, a point of the tread is displaced from the
-    reference point by ``r2 V (c t - s e)`` and at most ``r1 A``, for the tangent ``t`` of the
-    circle, the direction ``e`` from the axle, and ``c^2 + s^2 = 1``. Its distance from the ground
-    is larger by at least ``x' M x / 2 - g' x`` for ``x = (V, A)``. The contact is excluded where
-    this is positive. Ground and tread have the same normal at an inner contact, so that the sum of
-    this difference, and of that with both points exchanged, gives ``x' M x < g' x`` there.
     """
     (tube, circle), shape = box.radii[:, :, None], box.gap.low.shape
     is_disc, is_sphere = tube == 0, circle == 0
