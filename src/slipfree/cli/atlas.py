@@ -48,66 +48,15 @@ ARGUMENTS = {  # of the command, by the settings that they stand for
 
 
 def atlas(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MAP|FILE", help="Map of the heights, or problem file with verb = 'atlas'."
-        ),
-    ],
-    vehicle: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="VEHICLE",
-            help="With a map: vehicle file (TOML, URDF or xacro), or name of the catalogue.",
-        ),
-    ] = None,
-    headings: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Number of equally spaced headings; default: 16."),
-    ] = None,
-    every: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Use every N-th node of the map along both axes."),
-    ] = None,
-    friction: Annotated[
-        str | None,
-        typer.Option(
-            metavar="MU", help="Coefficient of friction of the ground, or a map file of it."
-        ),
-    ] = None,
-    error: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="Compute the extremes of pose, margin, clearance and friction on grounds that "
-            "differ from the map by at most this.",
-        ),
-    ] = None,
-    guarantee: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="Prove bounds of the poses on all grounds that differ from the map by at most "
-            "this.",
-        ),
-    ] = None,
-    within: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=LOW..HIGH",
-            help="Bounds of a quantity, as in roll=-0.2..0.2: other headings are not allowed; "
-            "repeatable.",
-        ),
-    ] = None,
-    out: Annotated[
-        list[Path] | None,
-        output_option(
-            "OUT.tif|OUT.nc",
-            "GeoTIFF of the maps over the headings, or netCDF file of all poses; repeatable. "
-            "Default: the name of the problem with .tif, or of the map with _atlas.tif, in the "
-            "current folder.",
-        ),
-    ] = None,
+    file: Annotated[Path, typer.Argument(metavar="MAP|FILE")],
+    vehicle: Annotated[str | None, typer.Argument(metavar="VEHICLE")] = None,
+    headings: Annotated[int | None, typer.Option(metavar="N")] = None,
+    every: Annotated[int | None, typer.Option(metavar="N")] = None,
+    friction: Annotated[str | None, typer.Option(metavar="MU")] = None,
+    error: Annotated[float | None, typer.Option(metavar="METRES")] = None,
+    guarantee: Annotated[float | None, typer.Option(metavar="METRES")] = None,
+    within: Annotated[list[str] | None, typer.Option(metavar="NAME=LOW..HIGH")] = None,
+    out: Annotated[list[Path] | None, output_option("OUT.tif|OUT.nc")] = None,
     processes: Processes = None,
     scheduler: Scheduler = None,
     settings: Settings = None,
@@ -119,6 +68,29 @@ def atlas(
     Print a summary, write maps of pose, tip-over margin and least friction, and draw figures. Tiles
     that are finished are kept in a folder beside the output until all files are written: repeat the
     command to continue.
+
+    Parameters
+    ----------
+    file : path
+        Map of the heights, or problem file with verb = 'atlas'.
+    vehicle : str, optional
+        With a map: vehicle file (TOML, URDF or xacro), or name of the catalogue.
+    headings : int, optional
+        Number of equally spaced headings; default: 16.
+    every : int, optional
+        Use every N-th node of the map along both axes.
+    friction : str, optional
+        Coefficient of friction of the ground, or a map file of it.
+    error : float, optional
+        Compute the extremes of pose, margin, clearance and friction on grounds that differ from
+        the map by at most this.
+    guarantee : float, optional
+        Prove bounds of the poses on all grounds that differ from the map by at most this.
+    within : list of str, optional
+        Bounds of a quantity, as in roll=-0.2..0.2: other headings are not allowed; repeatable.
+    out : list of path, optional
+        GeoTIFF of the maps over the headings, or netCDF file of all poses; repeatable. Default:
+        the name of the problem with .tif, or of the map with _atlas.tif, in the current folder.
     """
     from slipfree.problem.atlas_tiles import (
         TileFolder,

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn, TextIO, 
 import typer
 
 from slipfree.core.errors import DataError, ModelError, SlipfreeError, WriteError
+from slipfree.core.schema import descriptions
 from slipfree.core.version import __version__
 from slipfree.system.interrupt import (
     check_interrupt,
@@ -116,9 +117,9 @@ Force = Annotated[bool, typer.Option("--force", help="Replace existing files.")]
 ResultFile = Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")]
 
 
-def output_option(metavar: str, meaning: str) -> Any:
+def output_option(metavar: str) -> Any:
     """Return the option ``-o`` of a command."""
-    return typer.Option("-o", "--output", metavar=metavar, help=meaning)
+    return typer.Option("-o", "--output", metavar=metavar)
 
 
 class OutputOptions(NamedTuple):
@@ -154,9 +155,14 @@ def store_options(quiet: bool, verbose: bool, json: bool) -> None:
 
 
 def with_output_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return the command with the additional options ``--quiet``, ``--verbose`` and ``--json``."""
+    """Return the command with the additional options ``--quiet``, ``--verbose`` and ``--json``.
+
+    The help of its own options is the description of the parameter in its docstring.
+    """
     annotations = {"quiet": Quiet, "verbose": Verbose, "json": Json}
     hints = get_type_hints(command, include_extras=True) | annotations
+    for name, words in descriptions(command).items():
+        hints[name].__metadata__[0].help = words
     own, kind = inspect.signature(command).parameters.values(), inspect.Parameter.KEYWORD_ONLY
     more = (inspect.Parameter(name, kind, default=False) for name in annotations)
 
@@ -177,6 +183,7 @@ def with_output_options(command: Callable[..., None]) -> Callable[..., None]:
     parameters = [each.replace(annotation=hints[each.name], kind=kind) for each in (*own, *more)]
     wrapped.__dict__["__signature__"] = inspect.Signature(parameters)
     wrapped.__annotations__ = hints
+    wrapped.__doc__ = (command.__doc__ or "").partition("\n\n    Parameters\n")[0]
     del wrapped.__dict__["__wrapped__"]  # its signature lacks the options
     return wrapped
 

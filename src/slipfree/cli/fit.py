@@ -36,43 +36,14 @@ if TYPE_CHECKING:
 
 
 def fit(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILE...",
-            help="A problem file, a wheel file, logs, or a fit (.nc) for --predict.",
-        ),
-    ],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...")],
     settings: Settings = None,
-    out: Annotated[
-        Path | None,
-        output_option(
-            "OUT.csv",
-            "Table of the estimates; the table of the windows and the figure have the same "
-            "name with _windows.csv and .png. Default: the name of the file, in the current "
-            "folder; with _fit if that is an input.",
-        ),
-    ] = None,
-    write: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.toml", help="Write the fitted vehicle or soil."),
-    ] = None,
-    ground: Annotated[
-        Path | None, typer.Option("--map", metavar="MAP", help="Map under logs without a file.")
-    ] = None,
-    vehicle: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Vehicle of logs without a problem file.")
-    ] = None,
+    out: Annotated[Path | None, output_option("OUT.csv")] = None,
+    write: Annotated[Path | None, typer.Option(metavar="FILE.toml")] = None,
+    ground: Annotated[Path | None, typer.Option("--map", metavar="MAP")] = None,
+    vehicle: Annotated[Path | None, typer.Option(metavar="FILE")] = None,
     force: Force = False,
-    predict: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="LOG",
-            help="Another log, to be predicted with numbers that are fitted to all logs of the "
-            "file; may be repeated. By default, windows that are left out are predicted, or over a "
-            "map the logs of each folder.",
-        ),
-    ] = None,
+    predict: Annotated[list[Path] | None, typer.Option(metavar="LOG")] = None,
     draw: Draw = True,
     trust: Trust = None,
 ) -> None:
@@ -87,6 +58,25 @@ def fit(
     A wheel file, with the table [wheel], is fitted to the measured points that it names. If the
     data do not determine an unknown of the file without a prior, the exit code is 1 and no vehicle
     or soil is written.
+
+    Parameters
+    ----------
+    files : list of path
+        A problem file, a wheel file, logs, or a fit (.nc) for --predict.
+    out : path, optional
+        Table of the estimates; the table of the windows and the figure have the same name with
+        _windows.csv and .png. Default: the name of the file, in the current folder; with _fit
+        if that is an input.
+    write : path, optional
+        Write the fitted vehicle or soil.
+    ground : path, optional
+        Map under logs without a file.
+    vehicle : path, optional
+        Vehicle of logs without a problem file.
+    predict : list of path, optional
+        Another log, to be predicted with numbers that are fitted to all logs of the file; may
+        be repeated. By default, windows that are left out are predicted, or over a map the logs
+        of each folder.
     """
     file = files[0]
     with about(file):
@@ -276,31 +266,12 @@ def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
 
 
 def wheel(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FILE",
-            help="Wheel file (TOML): wheel, load, soil and test; or a table of tests, whose wheel "
-            "--set names (wheel.radius, wheel.width).",
-        ),
-    ],
+    file: Annotated[Path, typer.Argument(metavar="FILE")],
     settings: Settings = None,
-    out: Annotated[
-        Path | None,
-        output_option(
-            "OUT.csv",
-            "Table of the curves; the figure has the same name with .png. "
-            "Default: the name of the file, in the current folder; with _wheel if that is an "
-            "input.",
-        ),
-    ] = None,
-    fit: Annotated[
-        bool, typer.Option("--fit", help="Fit the soil to the measured points.")
-    ] = False,
-    write: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="Write the soil of --fit.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing soil file.")] = False,
+    out: Annotated[Path | None, output_option("OUT.csv")] = None,
+    fit: Annotated[bool, typer.Option("--fit")] = False,
+    write: Annotated[Path | None, typer.Option(metavar="FILE.toml")] = None,
+    force: Annotated[bool, typer.Option("--force")] = False,
     draw: Draw = True,
 ) -> None:
     """Compute the forces on a single wheel in soil.
@@ -308,6 +279,21 @@ def wheel(
     Print a summary, and write drawbar pull, side force, torque and sinkage over slip ratio and
     slip angle as a table and a figure. Measured points of a CSV file are drawn over the curves,
     and compared with them; --fit fits constants of the soil to them, from three points on.
+
+    Parameters
+    ----------
+    file : path
+        Wheel file (TOML): wheel, load, soil and test; or a table of tests, whose wheel --set
+        names (wheel.radius, wheel.width).
+    out : path, optional
+        Table of the curves; the figure has the same name with .png. Default: the name of the
+        file, in the current folder; with _wheel if that is an input.
+    fit : bool
+        Fit the soil to the measured points.
+    write : path, optional
+        Write the soil of --fit.
+    force : bool
+        Replace an existing soil file.
     """
     with about(file):
         if fit:

@@ -67,18 +67,8 @@ def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
 
 
 def ground(
-    file: Annotated[
-        Path,
-        typer.Argument(metavar="MAP|FILE", help="Map of the heights, or problem file (TOML)."),
-    ],
-    vehicle: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="VEHICLE",
-            help="With a map: vehicle file (TOML, URDF or xacro), or name of the catalogue, to "
-            "find a start at which it stands.",
-        ),
-    ] = None,
+    file: Annotated[Path, typer.Argument(metavar="MAP|FILE")],
+    vehicle: Annotated[str | None, typer.Argument(metavar="VEHICLE")] = None,
     settings: Settings = None,
     draw: Draw = True,
     trust: Trust = None,
@@ -87,6 +77,14 @@ def ground(
 
     Print size, reference system, slopes, holes and doubtful heights. Maps in degrees are converted
     as by --set terrain.geographic=local. The figure shows heights, slopes and the start.
+
+    Parameters
+    ----------
+    file : path
+        Map of the heights, or problem file (TOML).
+    vehicle : str, optional
+        With a map: vehicle file (TOML, URDF or xacro), or name of the catalogue, to find a
+        start at which it stands.
     """
     from slipfree.problem.build_ground import ground_facts
     from slipfree.problem.ground_survey import stand, survey, survey_lines
@@ -120,17 +118,9 @@ def ground(
 
 
 def vehicle(
-    file: Annotated[
-        Path,
-        typer.Argument(metavar="FILE", help="Problem file, or vehicle file (TOML, URDF or xacro)."),
-    ],
+    file: Annotated[Path, typer.Argument(metavar="FILE")],
     settings: Settings = None,
-    write: Annotated[
-        Path | None,
-        typer.Option(
-            "--write", metavar="FILE", help="Write a vehicle file with the guesses made for a URDF."
-        ),
-    ] = None,
+    write: Annotated[Path | None, typer.Option("--write", metavar="FILE")] = None,
     force: Force = False,
     picture: Picture = None,
     trust: Trust = None,
@@ -139,6 +129,13 @@ def vehicle(
 
     Print parts, wheels, inputs, dimensions and mass of the vehicle, and the errors of an invalid
     one. With --verbose, also print numbers of unknowns and equations, and condition numbers.
+
+    Parameters
+    ----------
+    file : path
+        Problem file, or vehicle file (TOML, URDF or xacro).
+    write : path, optional
+        Write a vehicle file with the guesses made for a URDF.
     """
     from slipfree.problem.build_vehicle import guessed_completion
     from slipfree.problem.inputs import files_named_in
@@ -164,13 +161,14 @@ def vehicle(
         save_picture(vehicle_plot(file, settings or [], trust or []), picture)
 
 
-def info(
-    file: ResultFile,
-    problem: Annotated[
-        bool, typer.Option("--problem", help="Print the stored problem file instead.")
-    ] = False,
-) -> None:
-    """Print the outcome of a result and ranges of its quantities."""
+def info(file: ResultFile, problem: Annotated[bool, typer.Option("--problem")] = False) -> None:
+    """Print the outcome of a result and ranges of its quantities.
+
+    Parameters
+    ----------
+    problem : bool
+        Print the stored problem file instead.
+    """
     with about(file):
         from slipfree.files.atlas_files import is_atlas
         from slipfree.files.netcdf import read
@@ -209,34 +207,11 @@ def info(
 
 
 def export(
-    file: Annotated[
-        Path,
-        typer.Argument(metavar="FILE", help="Result file; with --c, a problem or vehicle file."),
-    ],
-    path: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.csv|.geojson", help="Write the platform's path in map coordinates."
-        ),
-    ] = None,
-    rates: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.csv", help="Write the rates of driven wheels and joints."),
-    ] = None,
-    mcap: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.mcap", help="Write path, joints, transforms and slip for ROS 2."
-        ),
-    ] = None,
-    code: Annotated[
-        Path | None,
-        typer.Option(
-            "--c",
-            metavar="DIR",
-            help="Write inverse kinematics and contact of the vehicle as C code with a test.",
-        ),
-    ] = None,
+    file: Annotated[Path, typer.Argument(metavar="FILE")],
+    path: Annotated[Path | None, typer.Option(metavar="FILE.csv|.geojson")] = None,
+    rates: Annotated[Path | None, typer.Option(metavar="FILE.csv")] = None,
+    mcap: Annotated[Path | None, typer.Option(metavar="FILE.mcap")] = None,
+    code: Annotated[Path | None, typer.Option("--c", metavar="DIR")] = None,
     trust: Trust = None,
 ) -> None:
     """Export a motion for ROS or GIS, or a vehicle as C code.
@@ -244,6 +219,19 @@ def export(
     The path is for geographic information systems, the rates are for robots, the motion is for
     Foxglove and RViz. The C code is for the controller of a robot: it returns the rates of wheels
     and joints for velocities of the platform, and the pose on the ground.
+
+    Parameters
+    ----------
+    file : path
+        Result file; with --c, a problem or vehicle file.
+    path : path, optional
+        Write the platform's path in map coordinates.
+    rates : path, optional
+        Write the rates of driven wheels and joints.
+    mcap : path, optional
+        Write path, joints, transforms and slip for ROS 2.
+    code : path, optional
+        Write inverse kinematics and contact of the vehicle as C code with a test.
     """
     with about(file):
         from slipfree.files.mcap import ros_package

@@ -51,22 +51,11 @@ class Kind(StrEnum):
 
 
 def new(
-    kind: Annotated[
-        Kind,
-        typer.Argument(metavar="KIND", help="Kind of the problem: direct, inverse, plan or atlas."),
-    ],
-    name: Annotated[Path, typer.Argument(metavar="NAME", help="Name of the problem.")],
+    kind: Annotated[Kind, typer.Argument(metavar="KIND")],
+    name: Annotated[Path, typer.Argument(metavar="NAME")],
     force: Force = False,
-    ground: Annotated[
-        Path | None, typer.Option(metavar="MAP", help="Map of the heights, with --vehicle.")
-    ] = None,
-    vehicle: Annotated[
-        str | None,
-        typer.Option(
-            metavar="VEHICLE",
-            help="With --ground: vehicle file (TOML, URDF or xacro), or name of the catalogue.",
-        ),
-    ] = None,
+    ground: Annotated[Path | None, typer.Option(metavar="MAP")] = None,
+    vehicle: Annotated[str | None, typer.Option(metavar="VEHICLE")] = None,
     settings: Settings = None,
     trust: Trust = None,
 ) -> None:
@@ -74,6 +63,17 @@ def new(
 
     With --ground and --vehicle it has your map and vehicle, with a start at which the vehicle
     stands; --set gives further keys of [terrain] or [vehicle], such as terrain.vertical_scale=0.01.
+
+    Parameters
+    ----------
+    kind : {"direct", "inverse", "plan", "atlas"}
+        Kind of the problem: direct, inverse, plan or atlas.
+    name : path
+        Name of the problem.
+    ground : path, optional
+        Map of the heights, with --vehicle.
+    vehicle : str, optional
+        With --ground: vehicle file (TOML, URDF or xacro), or name of the catalogue.
     """
     if not (name.name and str(name).isprintable()):
         raise DataError(
@@ -173,24 +173,21 @@ def _complete(begun: str) -> list[str]:
 
 def examples(
     names: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="NAME",
-            help="Problems to copy; all if only --to is given.",
-            autocompletion=_complete,
-        ),
+        list[str] | None, typer.Argument(metavar="NAME", autocompletion=_complete)
     ] = None,
-    to: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Destination folder, created if needed; default: the current one."
-        ),
-    ] = None,
+    to: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
     force: Force = False,
 ) -> None:
     """List the shipped problems, or copy them.
 
     Copies include the input files that the problems need.
+
+    Parameters
+    ----------
+    names : list of str, optional
+        Problems to copy; all if only --to is given.
+    to : path, optional
+        Destination folder, created if needed; default: the current one.
     """
     shipped = _shipped()
     if not names and to is None:

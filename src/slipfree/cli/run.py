@@ -47,56 +47,41 @@ if TYPE_CHECKING:
     from slipfree.problem.verbs.base import Result
 
 
-Out = Annotated[
-    Path | None,
-    output_option(
-        "OUT.nc",
-        "Result file; default: the [output] file of the problem, or its name with .nc in the "
-        "current folder.",
-    ),
-]
-Csv = Annotated[Path | None, typer.Option(metavar="OUT.csv", help="Also write the samples as CSV.")]
-Figures = Annotated[
-    Path | None,
-    typer.Option(metavar="DIR", help="Folder for figures; default: OUT_figures beside OUT.nc."),
-]
-Show = Annotated[bool, typer.Option("--show", help="Show the motion in a browser afterwards.")]
-DrawAll = Annotated[
-    bool, typer.Option("--figures-all", help="Draw all figures, not only the main ones.")
-]
-CrossCheck = Annotated[
-    bool,
-    typer.Option(
-        "--cross-check",
-        help="Also solve with the other formulation of contact (closure or montana), and print the "
-        "largest differences.",
-    ),
-]
-Resume = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="OUT.nc",
-        help="Start the search from the plan in a result file; mesh, ground or goal may differ.",
-    ),
-]
-
-
 def run(
     file: File,
-    out: Out = None,
-    csv: Csv = None,
+    out: Annotated[Path | None, output_option("OUT.nc")] = None,
+    csv: Annotated[Path | None, typer.Option(metavar="OUT.csv")] = None,
     settings: Settings = None,
-    figures: Figures = None,
+    figures: Annotated[Path | None, typer.Option(metavar="DIR")] = None,
     draw: Draw = True,
-    figures_all: DrawAll = False,
-    show_page: Show = False,
-    cross_check: CrossCheck = False,
-    resume: Resume = None,
+    figures_all: Annotated[bool, typer.Option("--figures-all")] = False,
+    show_page: Annotated[bool, typer.Option("--show")] = False,
+    cross_check: Annotated[bool, typer.Option("--cross-check")] = False,
+    resume: Annotated[Path | None, typer.Option(metavar="OUT.nc")] = None,
     trust: Trust = None,
 ) -> None:
     """Solve a problem and write the result.
 
     Print a summary and draw figures.
+
+    Parameters
+    ----------
+    out : path, optional
+        Result file; default: the [output] file of the problem, or its name with .nc in the current
+        folder.
+    csv : path, optional
+        Also write the samples as CSV.
+    figures : path, optional
+        Folder for figures; default: OUT_figures beside OUT.nc.
+    figures_all : bool
+        Draw all figures, not only the main ones.
+    show_page : bool
+        Show the motion in a browser afterwards.
+    cross_check : bool
+        Also solve with the other formulation of contact (closure or montana), and print the largest
+        differences.
+    resume : path, optional
+        Start the search from the plan in a result file; mesh, ground or goal may differ.
     """
     from slipfree.files.netcdf import read_arrays, write, write_csv
     from slipfree.plan.polynomial_motion import from_arrays

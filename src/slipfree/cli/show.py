@@ -43,34 +43,32 @@ STEP = 0.05  # longest time between steps of the session [s]
 
 
 def show(
-    files: Annotated[
-        list[Path], typer.Argument(metavar="OUT.nc", help="Result files on the same ground.")
-    ],
-    html: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Save a self-contained page instead.")
-    ] = None,
-    animation: Annotated[
-        Path | None, typer.Option(metavar="FILE.mp4|.gif", help="Save an animation instead.")
-    ] = None,
+    files: Annotated[list[Path], typer.Argument(metavar="OUT.nc")],
+    html: Annotated[Path | None, typer.Option(metavar="FILE.html")] = None,
+    animation: Annotated[Path | None, typer.Option(metavar="FILE.mp4|.gif")] = None,
     picture: Picture = None,
-    time: Annotated[
-        float | None,
-        typer.Option("--at", metavar="SECONDS", help="Time of the picture; default: the end."),
-    ] = None,
-    color: Annotated[
-        Layer,
-        typer.Option(
-            metavar="LAYER",
-            help="Initial colours: height, slope or traversability, which is that of poses and "
-            "takes a while.",
-        ),
-    ] = "height",
+    time: Annotated[float | None, typer.Option("--at", metavar="SECONDS")] = None,
+    color: Annotated[Layer, typer.Option(metavar="LAYER")] = "height",
     port: Port = 0,
     browser: Browser = True,
 ) -> None:
     """Show motions in a web page, or save a film or a picture.
 
     The page shows ground, vehicles, contact points, slip and forces in three dimensions.
+
+    Parameters
+    ----------
+    files : list of path
+        Result files on the same ground.
+    html : path, optional
+        Save a self-contained page instead.
+    animation : path, optional
+        Save an animation instead.
+    time : float, optional
+        Time of the picture; default: the end.
+    color : {"height", "slope", "traversability"}
+        Initial colours: height, slope or traversability, which is that of poses and takes a
+        while.
     """
     if html is not None:
         check_page(html, files)
@@ -169,16 +167,15 @@ def open_page(url: str, browser: bool, does: str = "shows the motions") -> None:
         webbrowser.open(Path(name).as_uri())
 
 
-def report(
-    file: ResultFile,
-    out: Annotated[
-        Path | None,
-        output_option("OUT.html", "Page to write; default: OUT.html."),
-    ] = None,
-) -> None:
+def report(file: ResultFile, out: Annotated[Path | None, output_option("OUT.html")] = None) -> None:
     """Write a result as one HTML page.
 
     The page has facts, checks, figures, the problem file and versions.
+
+    Parameters
+    ----------
+    out : path, optional
+        Page to write; default: OUT.html.
     """
     with about(file):
         from slipfree.problem.report import report as made
@@ -198,7 +195,7 @@ def report(
 
 
 def edit(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Planning problem (TOML).")],
+    file: Annotated[Path, typer.Argument(metavar="FILE")],
     port: Port = 0,
     browser: Browser = True,
     trust: Trust = None,
@@ -207,6 +204,11 @@ def edit(
 
     Drag start, goal and keep-out regions. The page shows the search while it runs and compares the
     plan with the last one. It saves the start, goal and regions to the problem file.
+
+    Parameters
+    ----------
+    file : path
+        Planning problem (TOML).
     """
     _serve(file, port, trust or [], browser=browser)
 

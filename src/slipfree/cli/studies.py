@@ -101,28 +101,12 @@ def _exit(*kept: str, is_interrupted: bool, code: int = 0) -> None:
 
 def pareto(
     file: File,
-    against: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="Second objective: duration, effort, energy, or the square of any quantity.",
-        ),
-    ] = "duration",
-    points: Annotated[
-        int, typer.Option(min=2, max=1000, metavar="N", help="Number of points of the front.")
-    ] = 7,
+    against: Annotated[str, typer.Option(metavar="NAME")] = "duration",
+    points: Annotated[int, typer.Option(min=2, max=1000, metavar="N")] = 7,
     settings: Settings = None,
-    out: Annotated[
-        Path | None,
-        output_option(
-            "DIR", "Folder of table, plans and figure; default: the problem's name with _pareto."
-        ),
-    ] = None,
+    out: Annotated[Path | None, output_option("DIR")] = None,
     processes: Annotated[
-        int,
-        typer.Option(
-            "-j", "--processes", min=1, max=MAX_PROCESSES, metavar="P", help="Number of processes."
-        ),
+        int, typer.Option("-j", "--processes", min=1, max=MAX_PROCESSES, metavar="P")
     ] = 1,
     draw: Draw = True,
     trust: Trust = None,
@@ -130,6 +114,17 @@ def pareto(
     """Plan motions of least slip against duration, effort or energy.
 
     Print the Pareto front, and write its table, its figure and the plan of every point.
+
+    Parameters
+    ----------
+    against : str
+        Second objective: duration, effort, energy, or the square of any quantity.
+    points : int
+        Number of points of the front.
+    out : path, optional
+        Folder of table, plans and figure; default: the problem's name with _pareto.
+    processes : int
+        Number of processes.
     """
     from slipfree.files.netcdf import write
     from slipfree.files.tables import write_rows
@@ -184,50 +179,14 @@ def pareto(
 
 
 def track(
-    file: Annotated[Path, typer.Argument(metavar="PLAN.nc", help="Result file of a plan.")],
+    file: Annotated[Path, typer.Argument(metavar="PLAN.nc")],
     settings: Settings = None,
-    by: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="WAY",
-            help="Way to follow the plan: inputs, follow, replan or sampling; may be repeated. "
-            "Default: all.",
-        ),
-    ] = None,
-    disturb: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=SIZE",
-            help="Random disturbance of the world: heights (rms) [m]; friction, radii, inputs, "
-            "relative; latency [s]. May be repeated.",
-        ),
-    ] = None,
-    seeds: Annotated[
-        int, typer.Option(metavar="COUNT", min=1, help="Number of worlds, seeds 1, 2, ...")
-    ] = 1,
-    period: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS",
-            help="Time between decisions, rounded to a part of the plan's duration; default: a "
-            "twentieth of the window.",
-        ),
-    ] = None,
-    window: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS",
-            help="Horizon of replan and sampling; default: a fifth of the plan's duration.",
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        output_option(
-            "OUT.nc",
-            "File for the last motion, by the last way with the last seed; the figure has the "
-            "same name with .png. Default: neither.",
-        ),
-    ] = None,
+    by: Annotated[list[str] | None, typer.Option(metavar="WAY")] = None,
+    disturb: Annotated[list[str] | None, typer.Option(metavar="NAME=SIZE")] = None,
+    seeds: Annotated[int, typer.Option(metavar="COUNT", min=1)] = 1,
+    period: Annotated[float | None, typer.Option(metavar="SECONDS")] = None,
+    window: Annotated[float | None, typer.Option(metavar="SECONDS")] = None,
+    out: Annotated[Path | None, output_option("OUT.nc")] = None,
     draw: Draw = True,
 ) -> None:
     """Follow a plan in a changed world, in several ways.
@@ -237,6 +196,27 @@ def track(
     controllers know the ground and the vehicle of the plan. Changes of the world are given by
     --set, as in model=quasi-static, and drawn at random by --disturb; every way meets the same
     worlds.
+
+    Parameters
+    ----------
+    file : path
+        Result file of a plan.
+    by : list of str, optional
+        Way to follow the plan: inputs, follow, replan or sampling; may be repeated. Default:
+        all.
+    disturb : list of str, optional
+        Random disturbance of the world: heights (rms) [m]; friction, radii, inputs, relative;
+        latency [s]. May be repeated.
+    seeds : int
+        Number of worlds, seeds 1, 2, ...
+    period : float, optional
+        Time between decisions, rounded to a part of the plan's duration; default: a twentieth
+        of the window.
+    window : float, optional
+        Horizon of replan and sampling; default: a fifth of the plan's duration.
+    out : path, optional
+        File for the last motion, by the last way with the last seed; the figure has the same
+        name with .png. Default: neither.
     """
     with about(file):
         from slipfree.files.netcdf import write

@@ -38,58 +38,45 @@ FIGURES = "figures"
 
 def sweep(
     file: File,
-    vary: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY=VALUES",
-            help="Vary a key: KEY=a:b:n for n numbers from a to b, or KEY=v1,v2,...; repeatable, "
-            "all combinations are run.",
-        ),
-    ] = None,
-    repeat: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=100_000,
-            metavar="N",
-            help="Run each combination N times with different seeds.",
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option(metavar="SEED", min=0, help="First seed of --repeat.")] = 1,
+    vary: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUES")] = None,
+    repeat: Annotated[int | None, typer.Option(min=1, max=100000, metavar="N")] = None,
+    seed: Annotated[int, typer.Option(metavar="SEED", min=0)] = 1,
     settings: Settings = None,
-    out: Annotated[
-        Path | None,
-        output_option(
-            "DIR",
-            "Folder of the results; default: the problem's name with _sweep. "
-            "Runs of this sweep that it already contains are not repeated.",
-        ),
-    ] = None,
+    out: Annotated[Path | None, output_option("DIR")] = None,
     processes: Processes = None,
     scheduler: Scheduler = None,
-    keep: Annotated[
-        bool, typer.Option("--keep", help="Write the result of every run: DIR/run_0001.nc.")
-    ] = False,
-    again: Annotated[bool, typer.Option("--again", help="Repeat runs that failed.")] = False,
-    figures: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--figure", metavar="NAME", help="Metric of the runs to print and draw; repeatable."
-        ),
-    ] = None,
+    keep: Annotated[bool, typer.Option("--keep")] = False,
+    again: Annotated[bool, typer.Option("--again")] = False,
+    figures: Annotated[list[str] | None, typer.Option("--figure", metavar="NAME")] = None,
     draw: Draw = True,
-    dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run", help="Print the runs and the estimated time, without running them."
-        ),
-    ] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run")] = False,
     trust: Trust = None,
 ) -> None:
     """Run a problem for many values and seeds.
 
     Write one table, print a summary and draw figures. Repeat the command to continue a sweep that
     was interrupted or killed.
+
+    Parameters
+    ----------
+    vary : list of str, optional
+        Vary a key: KEY=a:b:n for n numbers from a to b, or KEY=v1,v2,...; repeatable, all
+        combinations are run.
+    repeat : int, optional
+        Run each combination N times with different seeds.
+    seed : int
+        First seed of --repeat.
+    out : path, optional
+        Folder of the results; default: the problem's name with _sweep. Runs of this sweep that
+        it already contains are not repeated.
+    keep : bool
+        Write the result of every run: DIR/run_0001.nc.
+    again : bool
+        Repeat runs that failed.
+    figures : list of str, optional
+        Metric of the runs to print and draw; repeatable.
+    dry_run : bool
+        Print the runs and the estimated time, without running them.
     """
     from slipfree.problem.inputs import files_read
     from slipfree.show.sweep_figures import save_sweep_figures

@@ -69,17 +69,24 @@ def keys_of(kind: Callable[..., Any]) -> tuple[Key, ...]:
 
 
 def meanings(kind: Callable[..., Any]) -> dict[str, str]:
-    """Return the descriptions of parameters or attributes in a numpydoc docstring, by name.
+    """Return the descriptions of parameters or attributes in a docstring, as phrases, by name.
 
     Units follow in brackets, as in ``sinkage exponent [1]``.
     """
+    found = dict[str, str]()
+    for name, words in descriptions(kind).items():
+        words = re.sub(r"\.( \[[^][]*\])?$", r"\1", words.replace("`", ""))
+        found[name] = words[:1].lower() + words[1:] if re.match("[A-Z][a-z]", words) else words
+    return found
+
+
+def descriptions(kind: Callable[..., Any]) -> dict[str, str]:
+    """Return the descriptions of parameters or attributes in a numpydoc docstring, by name."""
     text, found = inspect.cleandoc(kind.__doc__ or ""), dict[str, str]()
     section = re.search(r"^(?:Parameters|Attributes)\n-+\n(.*?)(\n\n\w+\n--|\Z)", text, re.S | re.M)
     for entry in re.split(r"\n(?=\w)", section[1]) if section else ():
         names, _, words = entry.partition(" : ")
-        words = " ".join(words.partition("\n")[2].replace("`", "").split())
-        words = re.sub(r"\.( \[[^][]*\])?$", r"\1", words)
-        words = words[:1].lower() + words[1:] if re.match("[A-Z][a-z]", words) else words
+        words = " ".join(words.partition("\n")[2].split())
         found |= dict.fromkeys(names.split(", "), words)
     return found
 
