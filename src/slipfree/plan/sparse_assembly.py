@@ -77,19 +77,21 @@ def nlp_block(
     """
     lookups = needed_lookups(lookups, [cost, rows])
     check_order(lookups, DERIVATIVE_ORDER, "a plan")
-    v, arguments, shared = symbols[0], [*symbols, found_column(lookups)], {"cse": True}
+    v, arguments = symbols[0], [*symbols, found_column(lookups)]
+    # Derivatives of these rows have few common subexpressions (5 % of the operations of Hessians);
+    # the search for them would take a third of a transcription.
     cost, rows = ca.densify(cost), ca.cse(ca.densify(rows))
 
     def large() -> list[ca.Function]:
         s, multipliers = ca.SX.sym("s"), ca.SX.sym("l", rows.numel())
         hessian = ca.triu(ca.hessian(s * cost + ca.dot(multipliers, rows), v)[0])
         return [
-            ca.Function("rows", arguments, [rows], shared),
-            ca.Function("jacobian", arguments, [rows, ca.jacobian(rows, v)], shared),
-            ca.Function("hessian", [*arguments, s, multipliers], [hessian], shared),
+            ca.Function("rows", arguments, [rows]),
+            ca.Function("jacobian", arguments, [rows, ca.jacobian(rows, v)]),
+            ca.Function("hessian", [*arguments, s, multipliers], [hessian]),
         ]
 
-    key = ca.Function("values", arguments, [cost, rows], shared)
+    key = ca.Function("values", arguments, [cost, rows])
     block_lookups = tuple(
         BlockLookup(
             ca.Function("argument", [*symbols, found_column(lookups[:k])], [each.argument]),
