@@ -22,7 +22,7 @@ import slipfree
 from slipfree import load_problem, run_problem
 from slipfree.problem.load import verb_of
 from slipfree.show import viewer
-from slipfree.show.drive_scene import drive_scene
+from slipfree.show.scene import drive_scene
 from slipfree.system.threads import single
 
 DOCS = Path(__file__).parent

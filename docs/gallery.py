@@ -14,9 +14,9 @@ from PIL import Image
 
 from slipfree import load_problem, run_problem
 from slipfree.problem.load import verb_of
-from slipfree.show.drive_scene import drive_scene
 from slipfree.show.film import animate
 from slipfree.show.plots import draw
+from slipfree.show.scene import drive_scene
 
 DOCS = Path(__file__).parent
 FOLDER = DOCS / "figures" / "gallery"

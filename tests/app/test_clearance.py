@@ -9,9 +9,9 @@ from helpers.cases import DATA
 from helpers.commands import invoke
 from slipfree import open_result
 from slipfree.problem.load import verb_of
-from slipfree.show.drive_scene import drive_scene
 from slipfree.show.meshes import shape_mesh
 from slipfree.show.plots import draw
+from slipfree.show.scene import drive_scene
 from slipfree.vehicle.shapes import Ball, Box, Hull
 
 VEHICLE = (DATA / "cart_with_a_box.toml").read_text()

@@ -19,7 +19,7 @@ from helpers.commands import invoke, sets, shown
 from slipfree.core.schema import Length
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.netcdf import read
-from slipfree.show.drive_scene import Driven, drive_scene
+from slipfree.show.scene import Driven, drive_scene
 from slipfree.vehicle.sections import SECTIONS, Section
 
 

@@ -27,8 +27,8 @@ from slipfree.problem.plan_edit import (
     saved,
 )
 from slipfree.problem.plan_session import IDLE, PLANNING, Desk, state_of
+from slipfree.show.html_page import PlanPage
 from slipfree.show.local_server import ConflictError, Content, Gate, json_content, start_server
-from slipfree.show.plan_page import PlanPage
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PARKING = PROBLEMS / "plan_parking.toml"

@@ -22,7 +22,7 @@ from slipfree.core.records import Label
 from slipfree.core.trajectory import Column, Trajectory, path_length
 from slipfree.geometry.regions import Region
 from slipfree.routing.traversability import blocked_by, free_space, traversability
-from slipfree.show import force_figures, motion_figures, plan_figures, plots, style
+from slipfree.show import motion_figures, plan_figures, plots, style
 from slipfree.terrain.synthetic import blank, craters
 
 DOMAIN = (-5.0, 5.0, -4.0, 4.0)
@@ -241,7 +241,7 @@ def test_slip_is_drawn_in_millimetres_per_second(run, grid):
     assert labels(ax) == ["right", "left", "front"]
     assert ax.get_ylabel() == "slip across [mm/s]"
     np.testing.assert_allclose(ax.lines[1].get_ydata(), 2 * np.sin(run.t))
-    force_figures.tracks(changed(run, "slip_across", values), ax)  # of a motion without forces
+    motion_figures.tracks(changed(run, "slip_across", values), ax)  # of a motion without forces
     assert ax.child_axes[-1].get_ylabel() == "slip [mm/s]"
     assert ax.collections[-1].get_array().max() == pytest.approx(3 * np.sin(run.t).max(), rel=1e-6)
 
@@ -356,7 +356,7 @@ def test_forces_have_a_line_a_wheel(loaded, grid):
 
 
 def test_utilisation_is_measured_against_all_that_friction_gives(loaded, ax):
-    force_figures.utilisation(loaded, ax)
+    motion_figures.utilisation(loaded, ax)
     drawn(ax.figure)
     wheels = ["right", "left", "front"]
     assert labels(ax)[:-1] == [*wheels, "optimal distribution of forces", "friction limit"]
@@ -370,10 +370,10 @@ def test_utilisation_is_measured_against_all_that_friction_gives(loaded, ax):
 
 @pytest.mark.parametrize("value", [47.0, np.inf])
 def test_huge_utilisation_is_cut_and_said_to_be(loaded, ax, value):
-    force_figures.utilisation(lifted(loaded, value), ax)
+    motion_figures.utilisation(lifted(loaded, value), ax)
     drawn(ax.figure)
-    assert ax.get_ylim() == (0, force_figures.CEILING)
-    assert ax.lines[-1].get_xydata()[0] == pytest.approx([loaded.t[10], force_figures.CEILING])
+    assert ax.get_ylim() == (0, motion_figures.CEILING)
+    assert ax.lines[-1].get_xydata()[0] == pytest.approx([loaded.t[10], motion_figures.CEILING])
     remark, worst = labels(ax)[-2:]
     assert remark.startswith("not drawn above 3")
     assert remark.endswith("infinite where a wheel bears no load") == np.isinf(value)
@@ -382,16 +382,16 @@ def test_huge_utilisation_is_cut_and_said_to_be(loaded, ax, value):
     )
     values = ax.lines[1].get_ydata()
     assert np.isfinite(values).all()
-    assert (values[10:13] > force_figures.CEILING).all()
+    assert (values[10:13] > motion_figures.CEILING).all()
 
 
 def test_without_the_friction_of_the_ground_it_is_the_friction_needed(loaded, ax):
     columns = {**loaded.columns, "utilisation": loaded.columns["friction_needed"]}
     run = replace(loaded, attributes={}, columns=columns)
-    force_figures.utilisation(run, ax)
+    motion_figures.utilisation(run, ax)
     assert ax.get_ylabel() == "friction needed $|f_t|/N$ [1]"
     assert labels(ax)[-2] == "a friction coefficient of 1"
-    bar = force_figures.tracks(run, ax).child_axes[-1]
+    bar = motion_figures.tracks(run, ax).child_axes[-1]
     assert bar.get_ylabel() == "friction needed $|f_t|/N$ [1]"
 
 
@@ -406,7 +406,7 @@ def test_tip_over_margin_has_degrees(loaded, grid):
 
 def test_tracks_are_coloured_by_utilisation(loaded, ax):
     loaded = lifted(loaded)
-    assert force_figures.tracks(loaded, ax) is ax
+    assert motion_figures.tracks(loaded, ax) is ax
     drawn(ax.figure)
     (lines,) = (each for each in ax.collections if isinstance(each, LineCollection))
     assert lines.get_clim() == (0, 1)
@@ -415,7 +415,7 @@ def test_tracks_are_coloured_by_utilisation(loaded, ax):
     assert (np.diff(values) >= 0).all()  # the largest lie on top
     over = values > 1
     assert over.sum() == 4  # three samples lie between four pieces
-    np.testing.assert_allclose(colours[over], np.tile(to_rgba(force_figures.OVER), (4, 1)))
+    np.testing.assert_allclose(colours[over], np.tile(to_rgba(motion_figures.OVER), (4, 1)))
     np.testing.assert_allclose(colours[~over], style.RISK(values[~over]))
     at = np.column_stack([loaded["contact_x", "left"], loaded["contact_y", "left"]])
     worst = [piece for piece, much in zip(lines.get_segments(), over, strict=True) if much]

@@ -24,11 +24,11 @@ from slipfree.core.trajectory import Stop
 from slipfree.files import netcdf
 from slipfree.models.samples import measured_slip, part_poses, wheel_poses
 from slipfree.show import ground_drawing, motion_figures
-from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
+from slipfree.show import scene as scenes
 from slipfree.show.film import draw_faces, film_writer, picture, projected
 from slipfree.show.html_page import with_legend
 from slipfree.show.meshes import MOST, clipped, extruded, plate, rod, roller_axles, spokes
-from slipfree.show.scene import BLOCKED, arrow_scales, map_lines
+from slipfree.show.scene import Driven, drive_scene
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.sections import Disc, Torus
@@ -128,7 +128,7 @@ def test_arrows_are_slip_and_forces(drive: Driven) -> None:
     assert_allclose(scene.actors[0].values["slip"], speeds, rtol=1e-6, atol=1e-9)
     for vectors, scale in ((10 * slip.vectors, scene.scales["slip"]), (0 * slip.vectors + 3e-5, 0)):
         changed = scene.actors[0]._replace(arrows=(slip._replace(vectors=vectors),))
-        assert arrow_scales([changed], scene.reach)[0]["slip"] == scale
+        assert scenes.arrow_scales([changed], scene.reach)[0]["slip"] == scale
 
 
 def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:
@@ -136,7 +136,7 @@ def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:
     points = scene.ground.mesh.vertices + scene.origin
     heights = drive.terrain.elevation(points[:, 0], points[:, 1])
     assert_allclose(points[:, 2], heights, atol=1e-4)  # the spline of nodes near by
-    assert len(scene.ground.mesh.faces) <= 2 * SIDE**2
+    assert len(scene.ground.mesh.faces) <= 2 * scenes.SIDE**2
     by_name = {layer.name: layer for layer in scene.ground.layers}
     assert list(by_name) == ["height", "slope"]
     order = np.argsort(points[:, 2])
@@ -147,7 +147,7 @@ def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:
         f"{np.ptp(points[:, 0]):.4g} x {np.ptp(points[:, 1]):.4g} m of 12 x 12 m" in scene.notes[0]
     )
     contacts = scene.actors[0].contacts + scene.origin
-    normals = ground_normals(drive.terrain, contacts)
+    normals = scenes.ground_normals(drive.terrain, contacts)
     assert_allclose(np.linalg.norm(normals, axis=-1), 1)
     assert (normals[..., 2] > 0.8).all()
 
@@ -161,7 +161,7 @@ def test_blocked_ground_is_gray(drive: Driven) -> None:
     assert_allclose(np.linalg.norm(border, axis=-1), 0.5, rtol=2e-3)
     assert [layer.name for layer in scene.ground.layers[2:]] == ["traversability"]
     away = np.hypot(*(scene.ground.mesh.vertices + scene.origin)[:, :2].T - [[1.5], [0.0]])
-    gray = (scene.ground.layers[2].colors == BLOCKED).all(axis=1)
+    gray = (scene.ground.layers[2].colors == scenes.BLOCKED).all(axis=1)
     assert gray[away < 1.5].all()
     assert not gray.all()
 
@@ -188,7 +188,7 @@ def test_relief_is_lit_from_the_north_west_in_all_pictures() -> None:
 def test_labels_of_a_grid_differ_and_are_complete(drive: Driven) -> None:
     grid = drive.terrain.grid
     large = Bicubic(Grid(500_000 + 1000 * grid.x, 4_512_000 + 1000 * grid.y, grid.z))
-    lines = map_lines(large.grid, large, large.grid.domain, np.zeros(3), 1.0)
+    lines = scenes.map_lines(large.grid, large, large.grid.domain, np.zeros(3), 1.0)
     labels = [words for words, _ in next(each for each in lines if each.name == "grid").labels]
     assert {"x 500000 m", "y 4512000 m"} <= {*labels}
     assert len({*labels}) == len(labels) > 8
@@ -252,7 +252,7 @@ def test_a_long_way_is_drawn_finely_and_followed(drive: Driven) -> None:
     assert scene.is_far
     assert not drive_scene([drive]).is_far
     points = scene.ground.mesh.vertices + scene.origin
-    fine = points[SIDE**2 :]
+    fine = points[scenes.SIDE**2 :]
     assert 10_000 < len(fine) <= MOST
     assert all(len(layer.colors) == len(points) for layer in scene.ground.layers)
     x, y = fine[:, 0], fine[:, 1]
@@ -422,7 +422,7 @@ def test_holes_are_drawn_empty(drive: Driven) -> None:
     mesh = drawn.ground.mesh
     x, _, _ = (mesh.vertices[mesh.faces].mean(axis=1) + drawn.origin).T
     assert len(x) > 1000
-    assert x.min() > grid.x[6] - np.ptp(grid.x) / SIDE
+    assert x.min() > grid.x[6] - np.ptp(grid.x) / scenes.SIDE
     around = drawn.backdrop.near(np.array([grid.x[6], 0.0, 0.0]) - drawn.origin, 1.0, 24)
     assert 0 < len(around) < len(drive_scene([drive]).backdrop.near(np.zeros(3), 1.0, 24))
     figure = Figure()

@@ -315,7 +315,7 @@ def test_a_port_that_is_taken_is_refused(files: list[Path]) -> None:
 def motion_nodes(files: list[Path], times: np.ndarray) -> tuple[Any, Any]:
     """Return a recorder, and the nodes of the first motion at given times."""
     from slipfree.show import viewer
-    from slipfree.show.drive_scene import drive_scene
+    from slipfree.show.scene import drive_scene
 
     server = viewer.recorder()
     return server, viewer._RunNodes(server, drive_scene([shown(files[0], "a")]), 0, times)
@@ -359,7 +359,7 @@ def test_tracks_are_ribbons_beside_the_contact_points() -> None:
 @pytest.mark.parametrize("is_far", [False, True])
 def test_long_motions_are_followed_and_shown_faster(files: list[Path], is_far: bool) -> None:
     from slipfree.show import viewer
-    from slipfree.show.drive_scene import drive_scene
+    from slipfree.show.scene import drive_scene
 
     scene = drive_scene([shown(files[0], "a")])
     actor = scene.actors[0]._replace(t=60 * scene.actors[0].t)

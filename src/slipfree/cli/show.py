@@ -32,7 +32,7 @@ from slipfree.system.regular_files import escape_name, regular_file, replace_fil
 
 if TYPE_CHECKING:
     from slipfree.problem.plan_edit import Document
-    from slipfree.show.plan_page import PlanPage
+    from slipfree.show.html_page import PlanPage
 
 Layer = Literal["height", "slope", "traversability"]
 Port = Annotated[
@@ -80,7 +80,7 @@ def show(
     check_picture(picture, files)
     if has_page := html is not None or (animation is None and picture is None):
         require("viser", "view", "show: ")
-    from slipfree.show.drive_scene import drive_scene
+    from slipfree.show.scene import drive_scene
 
     motions = _read(files)
     title = motions[0].run.attributes.get("title", motions[0].name)
@@ -248,7 +248,7 @@ def _page_drawer() -> Callable[[Document], PlanPage]:
     from slipfree.problem.build_ground import build_ground
     from slipfree.problem.build_vehicle import build_vehicle
     from slipfree.problem.plan_edit import PLACES, way_points_in
-    from slipfree.show.plan_page import PlanMap, plan_page
+    from slipfree.show.html_page import PlanMap, plan_page
 
     last: tuple[object, PlanPage] | None = None
 

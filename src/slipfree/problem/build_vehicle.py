@@ -19,10 +19,9 @@ from slipfree.files.toml.source import Fault, Place, name_errors
 from slipfree.files.urdf.elements import read_tree
 from slipfree.files.urdf.links import Robot
 from slipfree.files.urdf.meshes import MeshFiles
-from slipfree.files.urdf.reader import read_urdf
+from slipfree.files.urdf.reader import forward_guess, read_urdf
 from slipfree.files.urdf.roles import NO_ROLES, JointRole, UrdfTable, completed
 from slipfree.files.urdf.tree import Tree
-from slipfree.files.urdf.wheel_guesses import forward_guess
 from slipfree.files.urdf.xacro import (
     MAX_BYTES,
     check_macro_calls,

@@ -21,8 +21,8 @@ from slipfree.problem.plan_edit import (
     read_document,
     saved,
 )
+from slipfree.show.html_page import PlanPage
 from slipfree.show.local_server import ConflictError
-from slipfree.show.plan_page import PlanPage
 from slipfree.system.processes import for_children, prepare_process
 
 INTERVAL = 0.08  # shortest time between two reported iterates [s]

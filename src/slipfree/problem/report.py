@@ -41,10 +41,10 @@ from slipfree.problem.result import STORED, build, motion_facts, open_result
 from slipfree.problem.verbs.base import PLAIN_ROWS, START_ROWS, Result, outcome_fact, ranges
 from slipfree.routing.traversability import extents
 from slipfree.show.atlas_figures import atlas_plots
-from slipfree.show.drive_scene import Driven, drive_scene
 from slipfree.show.film import picture
 from slipfree.show.html_page import Report
 from slipfree.show.plots import Plot
+from slipfree.show.scene import Driven, drive_scene
 from slipfree.solve.settle import settle
 from slipfree.solve.system import with_inputs
 from slipfree.terrain.analytic import Analytic

@@ -1,15 +1,19 @@
-"""HTML of the legend of a scene, and of the report of a result: one page without scripts.
+"""HTML of the legend of a scene, of the report of a result, and of the page for planning by hand.
 
-Figures of a report are vector graphics; large ones become raster graphics. The content security
-policy of the page forbids all requests.
+A report is one page without scripts, whose content security policy forbids all requests. Its
+figures are vector graphics; large ones become raster graphics. The page for planning is a map with
+handles, served by `slipfree.show.local_server`.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from html import escape
 from io import BytesIO
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -17,16 +21,21 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from slipfree.core.records import Array, html_table
-from slipfree.show.local_server import page_file
+from slipfree.routing.traversability import extents
+from slipfree.show.ground_drawing import muted
+from slipfree.show.local_server import Content, page_file
 from slipfree.show.plots import Plot, draw
 from slipfree.show.scene import WORLD, Color, Entry, Layer, Plotted, Scene
-from slipfree.show.style import DPI, PALETTE, STYLE
+from slipfree.show.style import DPI, PALETTE, STYLE, figure
+from slipfree.terrain.base import Grid
+from slipfree.vehicle.tree import Vehicle
 
 SAVED_KEYS = "Keys: space: play or pause; left, right: step; home, end: first and last time."
 MOST = 400_000  # larger vector graphics become raster graphics [bytes]
 PIXELS = 120  # pixels of the page per inch of a figure
 VECTOR = {"svg.fonttype": "path", "svg.hashsalt": "slipfree"}  # for reproducible pages
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+MAP_PIXELS, MAP_DPI = 1600, 200  # longer side of the map for planning, pixels per inch of its text
 
 
 def legend(layer: Layer) -> str:
@@ -205,3 +214,61 @@ def _written(figure: Figure, ending: str) -> bytes:
     with rc_context(STYLE | VECTOR):  # type: ignore[arg-type]  # its keys are a literal type
         figure.savefig(file, format=ending, dpi=DPI, metadata=metadata)
     return file.getvalue()
+
+
+class PlanMap(NamedTuple):
+    """Fixed contents of the page."""
+
+    title: str
+    file: Path
+    frame: str  # frame of the headings
+    grid: Grid
+    vehicle: Vehicle
+    way_points: tuple[tuple[str, float, float], ...] = ()  # name, x and y of way-points [m]
+
+
+class PlanPage(NamedTuple):
+    """Page for planning by hand, and its map."""
+
+    identity: str  # text that differs between pages with different contents
+    html: Content  # the HTML page, and the map as PNG
+    image: Content
+
+
+def plan_page(plan_map: PlanMap) -> PlanPage:
+    """Return the page for planning by hand."""
+    x_min, x_max, y_min, y_max = plan_map.grid.domain
+    image = map_image(plan_map.grid)
+    data = {
+        "domain": [x_min, x_max, y_min, y_max],
+        "reach": extents(plan_map.vehicle)[2],
+        "north_heading": plan_map.frame == "paper",
+        "file": _digest(str(plan_map.file.resolve()).encode(errors="backslashreplace")),
+        "way_points": plan_map.way_points,
+    }
+    identity = _digest(image.body, json.dumps([data, plan_map.title]).encode())
+    text = page_file("plan_page.html")
+    script_safe = json.dumps({**data, "page": identity}).replace("<", "\\u003c")  # </script>
+    html = text.replace("@TITLE@", escape(plan_map.title)).replace("@DATA@", script_safe)
+    body = html.encode("utf-8", errors="backslashreplace")
+    return PlanPage(identity, Content(body, "text/html; charset=utf-8"), image)
+
+
+def _digest(*parts: bytes) -> str:
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
+
+
+def map_image(grid: Grid) -> Content:
+    """Return the map with hillshade and contours as PNG; its edges are those of the ground."""
+    x_min, x_max, y_min, y_max = grid.domain
+    width, height = x_max - x_min, y_max - y_min
+    scale = MAP_PIXELS / max(width, height) / MAP_DPI
+    drawn = figure(max(width * scale, 0.1), max(height * scale, 0.1))
+    drawn.set_layout_engine("none")
+    ax = drawn.add_axes((0, 0, 1, 1))
+    muted(grid, ax, grid.domain)
+    ax.set_axis_off()
+    ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max), aspect="auto")
+    stream = BytesIO()
+    drawn.savefig(stream, dpi=MAP_DPI, format="png")
+    return Content(stream.getvalue(), "image/png")

@@ -20,7 +20,7 @@ from slipfree.files.urdf.tree import (
     Tree,
     UrdfJoint,
 )
-from slipfree.files.urdf.wheel_guesses import with_separate_balls
+from slipfree.files.urdf.wheels import with_separate_balls
 from slipfree.files.urdf.xacro import (
     check_macro_calls,
     link_at,

@@ -1,21 +1,50 @@
-"""Conversion of a URDF to a vehicle: kinds of joints, coordinates, joints, wheels and masses."""
+"""Conversion of a URDF to a vehicle: forward direction, kinds of joints, coordinates, masses."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from slipfree.files.urdf.evidence import Choice, Evidence, evidence, weigh
+from slipfree.core.records import Array
+from slipfree.files.urdf.evidence import (
+    AXLES,
+    CAMERA,
+    CASTER,
+    LEG,
+    SIDES,
+    STEERING,
+    TRACK,
+    WHEEL,
+    Choice,
+    Evidence,
+    evidence,
+    weigh,
+    words_of,
+)
 from slipfree.files.urdf.meshes import body_shapes
-from slipfree.files.urdf.roles import NO_ROLES, JointRole, UrdfTable, completed, coupled
+from slipfree.files.urdf.roles import (
+    NO_ROLES,
+    JointRole,
+    UrdfTable,
+    WheelRole,
+    completed,
+    coupled,
+)
 from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint, facing_forward
-from slipfree.files.urdf.wheel_guesses import TRACKS, forward_guess, swivels, tracks, wheel_remedy
-from slipfree.files.urdf.wheels import Wheels
+from slipfree.files.urdf.wheels import (
+    PARALLEL,
+    SMALL,
+    Wheels,
+    caster_wheels,
+    swivels,
+    usual_radius,
+    with_fixed_rollers,
+)
 from slipfree.files.vehicle_toml import (
     MAX_LENGTH,
     Draft,
@@ -35,6 +64,23 @@ from slipfree.vehicle.tree import Body, Coordinate, Joint
 
 MIN_WHEELS = 3
 LATERAL = 0.9  # axes of opposite rockers have at least this component to the left, or to the right
+DIRECTIONS = {"x": (1.0, 0.0), "y": (0.0, 1.0), "-x": (-1.0, 0.0), "-y": (0.0, -1.0)}
+OPPOSITE = {"x": "-x", "-x": "x", "y": "-y", "-y": "y"}
+CLEAR = 0.5  # a piece of evidence for a direction has at least this component along it
+ENDS = {"front": "rear", "left": "right"}
+PARTS = (
+    "wheels to the URDF: joints of type 'continuous' about a level axis to links with a cylinder, "
+    "or links with a sphere at a fixed joint, as of a caster"
+)
+TRACKS = (
+    "tracks are not modelled ({}): describe each as a row of wheels, each with a link with a "
+    "cylinder at a joint of type 'continuous' about the axis to the left in the URDF, or an entry "
+    "in [[wheels]] of a vehicle file (TOML)"
+)
+LEGS = (
+    "legs are not modelled ({}): describe the robot with wheels in their place, each with a link "
+    "with a cylinder at a joint of type 'continuous' about a level axis"
+)
 
 
 def read_urdf(tree: Tree, roles: UrdfTable = NO_ROLES) -> Draft:
@@ -531,3 +577,184 @@ class _Coordinates:
         if expected:
             self._findings.wrong(joint, f"expected {key} in {expected}, found {value:g}")
         return value
+
+
+def tracks(tree: Tree, wheels: Collection[str]) -> list[str]:
+    """Return the names of links called tracks that carry no wheels, and of plugins for tracks."""
+    plugins = (plugin.name.split() for plugin in tree.plugins)
+    names = [word for words in plugins for word in words[:1] if "track" in word.lower()]
+    for joint in tree.joints.values():
+        parts = {joint.name, *(below.name for below in tree.below(joint.child))}
+        if parts.isdisjoint(wheels) and any(map(TRACK.fullmatch, words_of(joint.child))):
+            names.append(joint.child)
+    return names
+
+
+def wheel_remedy(tree: Tree, wheels: Collection[str]) -> tuple[str, dict[str, WheelRole]]:
+    """Return what to do about too few wheels: words, and the wheels that names or axes suggest."""
+    ends = [j for j in tree.joints.values() if tree.is_last(j) and j.name not in wheels]
+    if found := tracks(tree, wheels):
+        return TRACKS.format(", ".join(found)), {}
+    steering = [
+        j.name
+        for j in ends
+        if j.moves
+        and j.type != "prismatic"
+        and not tree.is_level(j)
+        and (tree.links[j.child].shapes or STEERING.search(j.names))
+    ]
+    if len(steering) + len(wheels) > 2:
+        return (
+            f"the axles of the wheels are missing: {', '.join(steering)} turn about steep axes, "
+            "which steers wheels; add to the link of each a joint of type 'continuous' about a "
+            "level axis, whose child is the wheel",
+            {},
+        )
+    chains = {
+        end.name: [j for j in tree.joints.values() if j.moves and end in tree.below(j.child)]
+        for end in ends
+    }
+    legs = [
+        e.name
+        for e in ends
+        if any(map(LEG.fullmatch, words_of(e.names))) or (e.moves and len(chains[e.name]) > 1)
+    ]
+    if len(legs) > 2:
+        return LEGS.format(", ".join(legs)), {}
+    named = [j for j in ends if WHEEL.search(j.names) or CASTER.search(j.names)]
+    level = [j for j in ends if j.type == "continuous" and tree.is_level(j)]
+    radius = usual_radius(tree, named or level)
+    return f"add {PARTS}", {
+        joint.name: WheelRole(radius=None if tree.links[joint.child].shapes else radius)
+        for joint in named or level
+    }
+
+
+def _sides(name: str) -> set[str]:
+    words = words_of(name)
+    return {side for side, pattern in SIDES.items() if any(map(pattern.fullmatch, words))}
+
+
+def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Choice:
+    """Return the axis of the root link that probably points forward.
+
+    The reason is empty if the evidence agrees with the convention; the choice is open without
+    evidence, too.
+    """
+    tree, _ = with_fixed_rollers(tree)
+    turning = [
+        joint
+        for joint in tree.joints.values()
+        if joint.type == "continuous"
+        and tree.is_last(joint)
+        and (tree.links[joint.child].shapes or tree.links[joint.child].meshes)
+        and not CASTER.search(joint.names)
+        and tree.is_level(joint)
+    ]
+    radii = [tree.radius_of(joint) for joint in turning]
+    bottoms = [tree.frames[j.child][1][2] - r for j, r in zip(turning, radii, strict=True)]
+    most = min(bottoms, default=0.0) + max(radii, default=0.0)
+    rolling = [j for j, low in zip(turning, bottoms, strict=True) if low <= most or not any(radii)]
+    excluded = {*excluded, *caster_wheels(tree, rolling)}
+    wheels = [joint for joint in rolling if joint.name not in excluded]
+    line = _along(tree, wheels)
+    called = [j for j in tree.joints.values() if WHEEL.search(j.names)]
+    named = {ahead: _named_vector(tree, wheels, called, ahead) for ahead in ENDS}
+    misplaced = _misplaced(tree, wheels, line, np.sum([v for v, _ in named.values()], axis=0))
+    view = np.zeros(2)
+    for link, (rotation, _) in tree.frames.items():
+        if CAMERA.search(link) and not _sides(link) & {"rear", "left", "right"}:
+            view += rotation[:2, 2 if "optical" in link.lower() else 0]
+    vectors = {"steered": _to_steered(tree, wheels), "view": view}
+    if "x" not in line:
+        x, y = np.sum([tree.axis(joint)[:2] for joint in wheels], axis=0)
+        vectors["axes"] = np.array([y, -x])
+    for side, (vector, is_of_wheels) in named.items():
+        vectors[f"{side} of wheels" if is_of_wheels and not misplaced else side] = vector
+    facts: dict[str, Any] = {**misplaced, "convention": "x" in line}
+    for fact, vector in vectors.items():
+        size = float(np.linalg.norm(vector))
+        along = {name: float(vector @ DIRECTIONS[name]) for name in line}
+        ahead = max(line, key=lambda name: along[name])
+        if size > SMALL and along[ahead] > CLEAR * size:
+            facts[fact] = ahead
+        else:
+            facts[fact.replace(" of wheels", " on axles")] = size > SMALL and " of " in fact
+    pieces = [*evidence("forward", facts)]
+    best, reason, rival, is_open, _ = weigh(pieces, line[0])
+    if "x" not in line and not any(piece.weight for piece in pieces):
+        words = "the axles point along x, and no name distinguishes front from rear"
+        return Choice(best, reason or words, OPPOSITE[best], True)
+    if best == AXLES:
+        best, rival, is_open = line[0], "", True
+    is_noted = best != "x" or any(piece.choice != "x" for piece in pieces)
+    other = rival if rival in OPPOSITE else OPPOSITE[best]
+    return Choice(best, reason if is_noted else "", other, is_open)
+
+
+def _along(tree: Tree, wheels: Sequence[UrdfJoint]) -> tuple[str, ...]:
+    """Return the directions in which the unsteered wheels roll, or all without a common one."""
+    turned = tree.steered
+    axles = [np.abs(tree.axis(joint)) for joint in wheels if joint.name not in turned]
+    least = np.min(axles, axis=0) if axles else np.zeros(3)
+    if least[0] >= PARALLEL:
+        return "y", "-y"
+    return ("x", "-x") if least[1] >= PARALLEL else ("x", "-x", "y", "-y")
+
+
+def _named_vector(
+    tree: Tree, wheels: Sequence[UrdfJoint], rolling: Sequence[UrdfJoint], first: str
+) -> tuple[Array, bool]:
+    """Return the forward vector by names of two ends, and whether they are those of wheels."""
+    ends, group = (first, ENDS[first]), [*wheels, *rolling]
+    is_of_wheels = any({*ends} & _sides(j.names) for j in group)
+    group = group if is_of_wheels else [*tree.joints.values()]
+    ahead, behind = ([j for j in group if end in _sides(j.names)] for end in ends)
+    if not (ahead or behind) or not (wheels or (ahead and behind)):
+        return np.zeros(2), is_of_wheels
+    to, start = (  # the mean of all wheels replaces a missing one
+        np.mean([tree.frames[joint.child][1][:2] for joint in side or wheels], axis=0)
+        for side in (ahead, behind)
+    )
+    x, y = to - start
+    return np.array([y, -x] if first == "left" else [x, y]), is_of_wheels
+
+
+def _misplaced(
+    tree: Tree, wheels: Sequence[UrdfJoint], line: Sequence[str], forward: Array
+) -> dict[str, str]:
+    """Return the wheels whose names contradict the places of others, as facts on the names."""
+    places = {wheel.name: tree.frames[wheel.child][1][:2] for wheel in wheels}
+    along = {name: float(forward @ axis) for name, axis in DIRECTIONS.items()}
+    ahead = max(along, key=lambda name: along[name])
+    x, y = DIRECTIONS[ahead if along[ahead] > SMALL else line[0]]
+    facts: dict[str, str] = {}
+    for (first, second), axis in zip(ENDS.items(), ((x, y), (-y, x)), strict=True):
+        of = {
+            side: {
+                wheel: float(places[wheel.name] @ axis)
+                for wheel in wheels
+                if _sides(wheel.names) & {first, second} == {side}
+            }
+            for side in (first, second)
+        }
+        if not all(of.values()):
+            continue
+        middle = sum(float(np.mean([*each.values()])) for each in of.values()) / 2
+        wrong = [wheel.name for wheel, at in of[first].items() if at < middle - SMALL]
+        wrong += [wheel.name for wheel, at in of[second].items() if at > middle + SMALL]
+        if len(wrong) < sum(map(len, of.values())):
+            facts[f"{first} misplaced"] = ", ".join(wrong)
+    return {fact: names for fact, names in facts.items() if names}
+
+
+def _to_steered(tree: Tree, wheels: Sequence[UrdfJoint]) -> Array:
+    """Return the vector to steered wheels from the others; zero for steered wheels at both ends."""
+    turned = tree.steered
+    places = {wheel.name: tree.frames[wheel.child][1][:2] for wheel in wheels}
+    rest = [place for name, place in places.items() if name not in turned]
+    if len(rest) in (0, len(places)):
+        return np.zeros(2)
+    offsets = [place - np.mean(rest, axis=0) for name, place in places.items() if name in turned]
+    mean = np.mean(offsets, axis=0)
+    return np.asarray(mean) if min(offset @ mean for offset in offsets) > 0 else np.zeros(2)

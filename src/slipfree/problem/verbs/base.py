@@ -58,8 +58,8 @@ if TYPE_CHECKING:
     from slipfree.models.montana import Difference
     from slipfree.plan.polynomial_motion import SavedPlan
     from slipfree.problem.verbs.plan_setup import Domain
-    from slipfree.show.drive_scene import Driven
     from slipfree.show.plots import Plot
+    from slipfree.show.scene import Driven
 
 
 VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
@@ -382,7 +382,7 @@ class DriveVerb(Verb, ABC):
 
     def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground and vehicle, as input of the viewer."""
-        from slipfree.show.drive_scene import Driven
+        from slipfree.show.scene import Driven
 
         run, problem, world = result.trajectory, result.problem, world_of(result)
         contents = vehicle_file(problem.spec.vehicle, problem)

@@ -88,8 +88,8 @@ from slipfree.solve.simulate import simulate
 from slipfree.terrain.bicubic import Bicubic
 
 if TYPE_CHECKING:
-    from slipfree.show.drive_scene import Driven
     from slipfree.show.plots import Plot
+    from slipfree.show.scene import Driven
 
 
 DIFFERENCE, VIOLATION, PLAN_COST = "plan_difference_", "plan_violation_", "plan_cost_"
