@@ -137,7 +137,10 @@ def test_a_killed_map_continues_and_gives_equal_files(monkeypatch):
 
 @pytest.mark.usefixtures("small_tiles")
 def test_only_tiles_as_they_were_written_are_used(monkeypatch):
-    """Tiles of zeros, of another shape, truncated, foreign or exchanged are computed again."""
+    """Tiles of zeros, of another shape, truncated, foreign or exchanged are computed again.
+
+    What a killed process left of a tile is removed.
+    """
     write_map((0.1 * np.sin(np.arange(40 * 20) / 3)).reshape(40, 20).astype("f4"))
     words = "atlas", "site.tif", "three_wheeler", *QUICK, "--headings", "1", "-j", "1"
     kept = pytest.MonkeyPatch()
@@ -149,8 +152,8 @@ def test_only_tiles_as_they_were_written_are_used(monkeypatch):
     np.save(files[0], 0 * np.load(files[0]))
     np.save(files[1], np.load(files[1])[:1])
     files[2].write_bytes(files[2].read_bytes()[:-9])
-    files[3].write_bytes(b"foreign")
-    (folder / "part_of_mine.npy").write_text("")
+    for file in (files[3], folder / ".0123456789ab.part.npy", folder / "part_of_mine.npy"):
+        file.write_bytes(b"foreign")
     first, last = files[4].read_bytes(), files[5].read_bytes()
     files[4].write_bytes(last)
     files[5].write_bytes(first)

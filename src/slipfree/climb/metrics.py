@@ -124,7 +124,10 @@ def slip_ratio(run: Trajectory, vehicle: Vehicle) -> Array:
 
 
 def axle_speeds(run: Trajectory, vehicle: Vehicle) -> Array:
-    """Return the speeds of the axles, shape (n, 3) [m/s]."""
+    """Return the speeds of the axles of a step climber, shape (n, 3) [m/s].
+
+    The front axle turns with the first joint, the others with the platform.
+    """
     front = run["omega_x"] + run[f"{vehicle.coordinates[0].name}_rate"]
     turning = np.stack([run["omega_x"], run["omega_x"], front], axis=1)
     arm_y, arm_z = (run[f"center_{axis}"] - run[axis][:, None] for axis in "yz")

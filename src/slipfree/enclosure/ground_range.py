@@ -87,7 +87,10 @@ class GroundRange:
         )
 
     def is_known(self, at: Array, reach: Array) -> tuple[Mask, Mask]:
-        """Return which points, and which squares about them, are on the map and in no hole."""
+        """Return which points, and which squares about them, are on the map and in no hole.
+
+        The points ``at`` have the shape (2, n); the squares have the half-sizes ``reach`` (n,) [m].
+        """
         a, (i, j) = self._cell(at)
         away = reach / self._spacing + 1e-9
         points = ((a >= 0) & (a <= self._counts)).all(axis=0) & ~self._missing[0][i, j]

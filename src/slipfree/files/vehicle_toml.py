@@ -241,6 +241,7 @@ def turned_right(vector: Vector) -> Vector:
 
 
 def _turned_body(body: Body) -> Body:
+    """Return a body converted from axes x forward, y left to axes x right, y forward."""
     inertia = None if body.inertia is None else in_axes(FORWARD_UP, body.inertia)
     # a box keeps its own axes: x forward, y left
     shapes = tuple(placed(shape, FORWARD_UP, np.zeros(3)) for shape in body.shapes)

@@ -19,7 +19,7 @@ from slipfree.vehicle.wheel import Wheel, wheel_inertia
 
 
 def chassis_of(vehicle: Vehicle, signals: Sequence[int], joints: Mapping[str, Array]) -> Chassis:
-    """Return the wheels of a vehicle on level ground.
+    """Return positions and rolling directions of the wheels of a vehicle on level ground.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def chassis_of(vehicle: Vehicle, signals: Sequence[int], joints: Mapping[str, Ar
     x, y, ax, ay = np.array([function(column).full() for column in table.T]).transpose(1, 2, 0)
     moving = ca.which_depends(ca.vertcat(*rows), values[passive], 1, True) if passive else ()
     swivels = np.reshape(moving, (-1, 4)).any(axis=1) if passive else np.zeros(len(rows), bool)
-    # the axle points to the right: ahead + i left is i times it
+    # The axle points to the right: the rolling direction is the axle turned by 90 degrees.
     direction = (ax + 1j * ay) / np.hypot(ax, ay)
     place = y - 1j * x
     is_driven = np.array(signals) >= 0

@@ -120,7 +120,8 @@ def dynamics(
     the least gap; the outputs of solid ``k`` are ``solid_gap_k``, ``solid_load_k`` and others, with
     ``k = 0`` for the base.
 
-    The start of a planar vehicle has the position ``y`` and joints that are not suspension.
+    For a planar vehicle, give `settle` the position ``y`` and the values of joints that are not
+    suspension.
 
     Examples
     --------

@@ -190,7 +190,7 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
         for contact, miss in zip(contacts, misses, strict=True)
     )
     slips = slip_velocities(state, surface)
-    parts = mechanics(state._replace(vehicle=loaded(vehicle)), surface, slips)
+    parts = mechanics(state._replace(vehicle=with_mass(vehicle)), surface, slips)
     moving = ca.vertcat(pack(z.rates.motion), pack(u))  # at rest, dampers have no force
     still = ca.substitute([parts.load, parts.held], [moving], [ca.SX.zeros(moving.shape)])
     parts = parts._replace(load=still[0], held=still[1])
@@ -250,7 +250,7 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
     )
 
 
-def loaded(vehicle: Vehicle) -> Vehicle:
+def with_mass(vehicle: Vehicle) -> Vehicle:
     """Return a vehicle with mass; if it has none, with unit weight at the wheels' centroid."""
     if vehicle.mass:
         return vehicle

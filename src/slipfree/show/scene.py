@@ -277,7 +277,7 @@ class Scene(NamedTuple):
 
     @property
     def plotted(self) -> dict[Plotted, tuple[float, float]]:
-        """Quantities that motions have, with the ends of their axes."""
+        """Quantities to plot, those of at least one motion, with the limits of their axes."""
         ends = dict[Plotted, tuple[float, float]]()
         for each in PLOTTED:
             known = [np.ravel(a.values[each.name]) for a in self.actors if each.name in a.values]

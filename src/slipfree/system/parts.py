@@ -20,7 +20,7 @@ from typing import IO, Any, Generic, NamedTuple, Self, TypeVar
 from slipfree.core.errors import DataError
 from slipfree.system.interrupt import interrupt_requested
 from slipfree.system.processes import Poll, Pool, finish_tasks, local_tasks
-from slipfree.system.regular_files import check_name, replace_file
+from slipfree.system.regular_files import TEMPORARY, check_name, replace_file
 
 try:
     import fcntl
@@ -90,6 +90,8 @@ class Parts(Generic[D]):
             raise self._unwritable(error) from error
         try:
             self._lock()
+            for file in folder.glob(TEMPORARY):  # of a killed process: the lock excludes others
+                file.unlink(missing_ok=True)
             self._read()
         except BaseException:
             self.close()

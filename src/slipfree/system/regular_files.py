@@ -20,6 +20,7 @@ KINDS = {
     stat.S_IFBLK: "a device",
     stat.S_IFSOCK: "a socket",
 }
+TEMPORARY = f".{'[0-9a-f]' * 12}.part*"  # pattern of the names that `replacing` writes
 WRONG_NAME = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG, errno.ELOOP)
 
 
