@@ -21,6 +21,8 @@ KINDS = {
     stat.S_IFSOCK: "a socket",
 }
 TEMPORARY = f".{'[0-9a-f]' * 12}.part*"  # pattern of the names that `replacing` writes
+# None: numpy wrote less than it should, and does not say why
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, None)
 WRONG_NAME = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG, errno.ELOOP)
 
 
@@ -133,8 +135,11 @@ def replacing(path: Path) -> Iterator[Path]:
             os.fsync(file.fileno())
         part.replace(target)
     except OSError as error:
+        remedy = "choose another name or folder"
+        if error.errno in DISK_FULL:
+            remedy = "free disk space or choose another folder"
         raise WriteError(
-            f"{path}: cannot be written ({error.strerror or error}); choose another name or folder"
+            f"{path}: cannot be written ({error.strerror or error}); {remedy}"
         ) from error
     finally:
         with suppress(OSError):  # the folder may be read-only
