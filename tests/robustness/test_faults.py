@@ -152,13 +152,13 @@ def test_a_log_on_a_full_disk_tells_so_and_goes_on_later(tmp_path: Path) -> None
     code = f"""
 import resource, sys
 from pathlib import Path
-from slipfree.core.errors import DataError
+from slipfree.core.errors import DataError, WriteError
 from slipfree.sweep.runs import Rows, RunRow
 resource.setrlimit(resource.RLIMIT_FSIZE, ({size + 20}, {size + 20}))
 try:
     with Rows(Path({str(tmp_path)!r}), 2, {HEAD!r}) as rows:
         rows.append(RunRow(2, (), "complete", "", 1.0, {{}}, 0.1))
-except DataError as error:
+except WriteError as error:
     sys.exit(f"refused: {{error}}")
 """
     command = [sys.executable, "-B", "-c", code]

@@ -166,7 +166,8 @@ def write_geotiff(
                     written.checksum(k)  # reads all blocks
         except RasterioError as error:
             raise WriteError(
-                f"{path}: cannot be written ({error.__cause__ or error}); free disk space or choose another folder"
+                f"{path}: cannot be written ({error.__cause__ or error}); free disk space or "
+                "choose another folder"
             ) from error
 
 

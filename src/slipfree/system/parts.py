@@ -17,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Generic, NamedTuple, Self, TypeVar
 
-from slipfree.core.errors import DataError
+from slipfree.core.errors import DataError, WriteError
 from slipfree.system.interrupt import interrupt_requested
 from slipfree.system.processes import Poll, Pool, finish_tasks, local_tasks
 from slipfree.system.regular_files import TEMPORARY, check_name, replace_file
@@ -62,7 +62,8 @@ class Parts(Generic[D]):
     Raises
     ------
     DataError
-        If the log cannot be written, is used by another process, or belongs to another computation.
+        If the log is used by another process, or belongs to another computation; as `WriteError`,
+        if it cannot be written.
     """
 
     def __init__(
@@ -268,8 +269,8 @@ class Parts(Generic[D]):
             raise self._unwritable(error) from error
         return offset
 
-    def _unwritable(self, error: OSError) -> DataError:
-        return DataError(
+    def _unwritable(self, error: OSError) -> WriteError:
+        return WriteError(
             f"{self._log}: cannot be written ({error.strerror}); free disk space or "
             f"{ANOTHER_FOLDER}; what is finished is kept"
         )
