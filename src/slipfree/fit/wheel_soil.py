@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from annotated_types import Ge, Le
 
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Indices
@@ -154,9 +155,9 @@ def fit_soil(
     unknowns: Sequence[Unknown],
     runs: WheelRuns,
     *,
-    folds: int = 5,
-    resamples: int = 100,
-    seed: int = 0,
+    folds: Annotated[int, Ge(2), Le(1000)] = 5,
+    resamples: Annotated[int, Ge(0), Le(10_000)] = 100,
+    seed: Annotated[int, Ge(0)] = 0,
     loss: Loss = "soft_l1",
     gravity: float = EARTH_GRAVITY,
 ) -> SoilFit:
@@ -174,13 +175,14 @@ def fit_soil(
         Measured points. Those with the same number of a run stay together in cross-validation and
         bootstrap; they are repeats if their motion is the same.
     folds : int
-        Number of parts of the runs; each is predicted by a fit to the others.
+        Number of parts of the runs, each predicted by a fit to the others; in a wheel file, by
+        default at most that of the runs.
     resamples : int
-        Number of fits to runs drawn at random, for intervals; may be zero.
+        Number of fits to runs drawn at random, for intervals.
     seed : int
-        Seed of both random choices.
-    loss : str
-        "soft_l1" limits the influence of outliers, "linear" does not.
+        Seed of both choices.
+    loss : {"soft_l1", "linear"}
+        Loss of a residual: robust to outliers, or its square.
     gravity : float
         Gravitational acceleration, for the soil that the wheel pushes aside. [m/s^2]
 

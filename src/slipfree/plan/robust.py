@@ -11,10 +11,11 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import itemgetter
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Annotated, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import scipy  # its parts are imported when they are used, since scipy.stats takes 0.3 s
+from annotated_types import Ge, Gt, Le, Lt, Unit
 
 from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError, SlipfreeError
@@ -127,10 +128,10 @@ def robust_plan(
     solve: Callable[[Tightening, P], P],
     replay: Callable[[Sequence[P], Sequence[Draw]], Sequence[Replays]],
     *,
-    share: float,
-    draws: int,
-    final_draws: int,
-    seed: int,
+    share: Annotated[float, Gt(0), Lt(1), Unit("1")] = 0.95,
+    draws: Annotated[int, Ge(1), Le(100_000)] = 50,
+    final_draws: Annotated[int, Ge(1), Le(100_000)] = 200,
+    seed: Annotated[int, Ge(0)] = 0,
 ) -> RobustPlan[P]:
     """Tighten the limits of a plan until a required share of its simulations satisfies them.
 
@@ -139,6 +140,23 @@ def robust_plan(
     that only half as many of these draws would fail as the share allows: few draws are an uncertain
     sample. If the next plan is not solved, the limits are tightened in smaller steps, as far as
     possible. The result, with simulations of the final draws, may miss the share.
+
+    Parameters
+    ----------
+    first : plan
+        Plan without tightening.
+    solve : callable
+        Function of the tightening and the previous plan that returns the next plan.
+    replay : callable
+        Function of plans and draws that returns the simulations of each plan.
+    share : float
+        Share of draws for which the plan must satisfy its limits. [1]
+    draws : int
+        Number of draws that determine the tightening of a round.
+    final_draws : int
+        Number of further draws, which determine the final share.
+    seed : int
+        Seed of all draws.
     """
     now, tightening, rounds, failure = first, dict[Bound, float](), 0, ""
     for stream in range(FINAL + 1, FINAL + 1 + MAX_ROUNDS):

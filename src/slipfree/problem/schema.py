@@ -54,17 +54,9 @@ CATALOG: dict[str, Callable[..., Vehicle]] = {
 OWN = ("catalog", "file", "actuated", "name")  # keys that are not keywords of the function
 DEFAULT_SOIL = next(iter(SOILS))
 MAX_SAMPLES = 1_000_000  # largest number of samples of a motion
-VERB = "kind of the problem"
-MODEL = (
-    "kinematics: a slip law determines the rates; quasi-static: a wheel-ground law and "
-    "equilibrium without inertia; dynamics: a contact law and inertia"
-)
-SLIP = "slip law, for model = 'kinematics': 'least' (least slip) or 'rolling' (without slip)"
-LAW = "parameters of the law of the model, in a table with the name of the law"
 Gravity = Any  # checked by `gravity_of`
 GRAVITY = f"gravity, or the body with that gravity: {', '.join(BODIES)} [m/s^2]"
 FILE = "file"  # key of [inputs] and [given] that names a file
-INPUTS = "rates of driven wheels and commanded joints, by name [rad/s, m/s]"
 STEP_CLIMBING = "step-climbing"
 OBSTACLES: dict[str, tuple[Callable[..., Profile], str]] = {  # and their descriptions
     "ramp": (solids.ramp, "a ramp up to a plateau, which begins at x = 0"),
@@ -496,11 +488,13 @@ class CommonKeys(FileKeys):
 
     Attributes
     ----------
+    verb : str
+        Kind of the problem.
     title : str or None
         Title of the result and its figures.
     """
 
-    verb: str = Field(description=VERB)
+    verb: str
     title: str | None = None
     gravity: Gravity = Field(default="earth", description=GRAVITY)
 
@@ -595,13 +589,22 @@ class MotionKeys(TerrainKeys, Runnable):
 
 
 class LawKeys(Record):
-    """Model and law of a problem."""
+    """Model and law of a problem.
 
-    model: Literal["kinematics", "quasi-static", "dynamics"] = Field(
-        default="kinematics", description=MODEL
-    )
-    slip: SlipName = Field(default="least", description=SLIP)
-    law: Law = Field(default=Law.model_construct(), description=LAW)
+    Attributes
+    ----------
+    model : {"kinematics", "quasi-static", "dynamics"}
+        kinematics: a slip law determines the rates; quasi-static: a wheel-ground law and
+        equilibrium without inertia; dynamics: a contact law and inertia.
+    slip : str
+        Slip law, for model = 'kinematics': 'least' (least slip) or 'rolling' (without slip).
+    law : Law
+        Parameters of the law of the model, in a table with the name of the law.
+    """
+
+    model: Literal["kinematics", "quasi-static", "dynamics"] = "kinematics"
+    slip: SlipName = "least"
+    law: Law = Law.model_construct()
 
 
 class Modelled(LawKeys, MotionKeys):

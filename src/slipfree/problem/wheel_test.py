@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -20,7 +20,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.files.tables import read_columns, read_names
 from slipfree.files.toml.source import MADE, Fault, problem_error, read_text
-from slipfree.files.toml.types import Angle, Positive, Record, given_values
+from slipfree.files.toml.types import Angle, Positive, Record, given_values, record_of
 from slipfree.files.vehicle_toml import toml_value
 from slipfree.fit.estimate import Interval
 from slipfree.fit.unknowns import Unknown, law_constants
@@ -106,7 +106,11 @@ class TestTable(Record):
     )
 
 
-class WheelFile(FileKeys):
+NOT_KEYS = ("soil", "size", "unknowns", "runs", "gravity")
+OfFit: Any = record_of(fit_soil, FileKeys, omitted=NOT_KEYS)  # options of a fit
+
+
+class WheelFile(OfFit):  # type: ignore[misc]
     """Wheel file; the table ``[soil]`` has the constants of `Soil`.
 
     Attributes
@@ -122,15 +126,6 @@ class WheelFile(FileKeys):
     unknowns : mapping of str to BoundsTable
         Constants of the soil that slipfree fit estimates, by name; by default the usual ones, with
         priors.
-    folds : int
-        Number of parts of the runs, each predicted by a fit to the others; by default at most that
-        of the runs.
-    resamples : int
-        Number of fits to runs drawn at random, for intervals.
-    seed : int
-        Seed of both choices.
-    loss : {"soft_l1", "linear"}
-        Loss of a residual: robust to outliers, or its square.
     """
 
     title: str | None = None
@@ -139,10 +134,6 @@ class WheelFile(FileKeys):
     soil: NamedSoil = NamedSoil()
     test: TestTable = TestTable()
     unknowns: dict[str, BoundsTable] = Field(default={})
-    folds: Annotated[int, Field(ge=2, le=1000)] = 5
-    resamples: Annotated[int, Field(ge=0, le=10_000)] = 100
-    seed: Annotated[int, Field(ge=0)] = 0
-    loss: Literal["soft_l1", "linear"] = "soft_l1"
 
     def faults(self) -> Iterator[Fault]:
         """Yield an error for each value that contradicts another one."""
@@ -230,19 +221,11 @@ def fit_wheel_file(file: WheelContents) -> FittedWheel:
         with at(file.problem, ("unknowns", name)):
             unknowns.append(Unknown(name, name, **given_values(table)))
             check_constant(unknowns[-1], file.soil)
-    fit = fit_soil(
-        file.soil,
-        file.size,
-        unknowns,
-        file.runs,
-        folds=spec.folds
-        if "folds" in spec.model_fields_set
-        else min(spec.folds, np.unique(file.runs.run).size),
-        resamples=spec.resamples,
-        seed=spec.seed,
-        loss=spec.loss,
-        gravity=file.gravity,
-    )
+    options = {name: getattr(spec, name) for name in OfFit.model_fields}
+    if "folds" not in spec.model_fields_set:
+        options["folds"] = min(spec.folds, np.unique(file.runs.run).size)
+    world = file.soil, file.size, unknowns, file.runs
+    fit = fit_soil(*world, gravity=file.gravity, **options)
     return FittedWheel(file, file.runs, fit, {u.name: u.prior[1] for u in unknowns if u.prior})
 
 

@@ -44,10 +44,12 @@ class Record(BaseModel):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
-        """Describe the keys as the docstring does."""
-        for name, words in meanings(cls).items():
-            if name in cls.model_fields:
-                cls.model_fields[name].description = words
+        """Describe the keys as the docstrings of this record and of those above it do."""
+        for base in cls.__mro__:
+            for name, words in meanings(base).items():
+                field = cls.model_fields.get(name)
+                if field is not None and (base is cls or field.description is None):
+                    field.description = words
 
     @classmethod
     def schema_for(cls, data: Any) -> type[Record]:  # noqa: ARG003 - for records that depend on it

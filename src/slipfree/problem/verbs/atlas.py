@@ -35,7 +35,6 @@ from slipfree.problem.build_ground import (
 )
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import (
-    VERB,
     CommonKeys,
     LawKeys,
     TerrainKeys,
@@ -104,7 +103,7 @@ class AtlasKeys(LawKeys, CommonKeys):
         Headings, nodes and quantities.
     """
 
-    verb: Literal["atlas"] = Field(description=VERB)
+    verb: Literal["atlas"]
     frame: Frame = "paper"
     terrain: TerrainTable
     vehicle: VehicleSource

@@ -22,7 +22,7 @@ from slipfree.problem.build import (
 )
 from slipfree.problem.build_ground import GroundMap, build_ground
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import INPUTS, VERB, DriverTable, TerrainKeys, VehicleSource
+from slipfree.problem.schema import DriverTable, TerrainKeys, VehicleSource
 from slipfree.solve.sampling import input_samples
 from slipfree.solve.system import with_inputs
 from slipfree.system.parts import PartsWatch, study, until_interrupt
@@ -50,13 +50,15 @@ class Compare(TerrainKeys):
     ----------
     vehicles : tuple of NamedVehicle
         The vehicles to compare.
+    inputs : mapping of str to float
+        Rates of driven wheels and commanded joints, by name. [rad/s, m/s]
     driver : DriverTable
         The driving law.
     """
 
-    verb: Literal["compare"] = Field(description=VERB)
+    verb: Literal["compare"]
     vehicles: Annotated[tuple[NamedVehicle, ...], Field(strict=False, min_length=1)]
-    inputs: dict[str, Quantity] = Field(description=INPUTS)
+    inputs: dict[str, Quantity]
     driver: DriverTable
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
-from pydantic import Field
 
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.records import Array
@@ -39,7 +38,6 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.schema import (
     FILE,
     STEP_CLIMBING,
-    VERB,
     ClimbingDriver,
     Modelled,
     MotionKeys,
@@ -187,7 +185,7 @@ class Direct(Modelled):
         Formulation of contact: closure of positions, or Montana's equations of rates.
     """
 
-    verb: Literal["direct"] = Field(description=VERB)
+    verb: Literal["direct"]
     inputs: dict[str, PiecewiseConstantOrFile] | None = None
     driver: SampledDriver | None = None
     formulation: Literal["closure", "montana"] = "closure"

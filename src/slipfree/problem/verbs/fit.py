@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 from pydantic import Field
 
+from slipfree.catalog import rigid_skid_steer
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Lines
 from slipfree.core.outcome import Outcome
@@ -52,7 +53,7 @@ from slipfree.fit.drive_fit import (
 )
 from slipfree.fit.drives import DriveLog, conditions, held_for, without_holds
 from slipfree.fit.estimate import WEAK, Direction, Estimate
-from slipfree.fit.force_balance import Chassis, ComplexArray, four_wheels
+from slipfree.fit.force_balance import Chassis, ComplexArray
 from slipfree.fit.ground_slope import Slopes
 from slipfree.fit.prediction import Model
 from slipfree.fit.unknowns import BALANCE, Unknown
@@ -60,7 +61,7 @@ from slipfree.problem.build import moves_sideways
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_vehicle import build_vehicle
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import VERB, CommonKeys, HeightErrors, TerrainTable, VehicleSource
+from slipfree.problem.schema import CommonKeys, HeightErrors, TerrainTable, VehicleSource
 from slipfree.system.regular_files import replace_file
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import disturbed
@@ -70,7 +71,7 @@ SHOWN_WEIGHT = 0.2  # smallest weight of an unknown that is named in a direction
 JUMP = 0.25  # of positions against measured velocities over a second [m/s]
 LEAST_SPEED = 0.1  # commanded speed from which the vehicle drives in one direction [m/s]
 FURTHER_MAPS = 4  # with further errors
-HALF = 0.4  # half track and half wheelbase without a vehicle [m]
+HALF, RADIUS = 0.4, 0.2  # half track and half wheelbase, and radius, without a vehicle [m]
 MAX_STEP = 0.1  # longest default time between samples [s]
 MANOEUVRE = 20.0  # duration of parts of a log that are left out together [s]
 MAX_HOLD = 0.6  # of readings [s]
@@ -233,7 +234,7 @@ class Fit(CommonKeys):
         Numbers to be fitted, by name, beside the usual ones or in their place. [m, rad, s, 1]
     """
 
-    verb: Literal["fit"] = Field(description=VERB)
+    verb: Literal["fit"]
     frame: Frame = "paper"
     vehicle: VehicleSource | None = None
     terrain: TerrainTable | None = None
@@ -261,18 +262,13 @@ class FitResult(NamedTuple):
 
 
 class LogInputs(NamedTuple):
-    """Columns of the inputs of a log: names of rates or sides, and of commanded joints."""
+    """Vehicle of logs, and columns of its inputs: rates or sides, and commanded joints."""
 
+    vehicle: Vehicle
     names: tuple[str, ...]
     joints: tuple[str, ...]
     columns: dict[str, str]
-    vehicle: Vehicle | None
-
-    @property
-    def wheels(self) -> tuple[str, ...]:
-        """Names of the wheels."""
-        usual = ("front_left", "rear_left", "front_right", "rear_right")
-        return usual if self.vehicle is None else tuple(w.name for w in self.vehicle.wheels)
+    are_speeds: bool  # [m/s], else rates [rad/s]
 
     @property
     def is_by_sides(self) -> bool:
@@ -280,29 +276,42 @@ class LogInputs(NamedTuple):
         return self.names == SIDES
 
     @property
+    def driven(self) -> dict[str, float]:
+        """Lateral places of the driven wheels, to the right, by name [m]."""
+        wheels = zip(self.vehicle.wheels, lateral_places(self.vehicle), strict=True)
+        return {wheel.name: place for wheel, place in wheels if wheel.driven}
+
+    @property
     def places(self) -> Array:
         """Lateral places of the inputs, to the right [m]; -1 and 1 for sides."""
-        if self.is_by_sides or self.vehicle is None:
-            return np.array([-1.0, 1.0])
-        wheels = zip(self.vehicle.wheels, lateral_places(self.vehicle), strict=True)
-        return np.array([place for wheel, place in wheels if wheel.driven], float)
+        return np.array([-1.0, 1.0] if self.is_by_sides else [*self.driven.values()])
+
+    @property
+    def radii(self) -> Array:
+        """Radius of each wheel [m], or 1 for speeds of sides."""
+        return np.array([1.0 if self.are_speeds else w.radius for w in self.vehicle.wheels], float)
 
 
 def inputs_of(problem: Problem[Fit], paths: Sequence[Path] = ()) -> LogInputs:
     """Return the inputs of a vehicle: rates of driven wheels, or its sides."""
-    data = problem.spec.data
-    vehicle = None if problem.spec.vehicle is None else build_vehicle(problem)
+    spec, data = problem.spec, problem.spec.data
     own = {name: getattr(data.columns, name) for name in SIDES}
-    if vehicle is None:
-        return LogInputs(SIDES, (), own, None)
+    are_speeds = data.unit == "m/s"
+    if spec.vehicle is None:
+        with at(problem, ("constants", "track")):
+            half = spec.constants.get("track", 2 * HALF) / 2
+            made = rigid_skid_steer(half_track=half, wheelbase=2 * HALF, r1=0.0, r2=RADIUS)
+        return LogInputs(made, SIDES, (), own, are_speeds)
+    vehicle = build_vehicle(problem)
     commanded = tuple(each.name for each in vehicle.of("commanded"))
     rates = tuple(f"{wheel.name}_rate" for wheel in vehicle.wheels if wheel.driven)
     problem.refuse(*name_errors(("data", "rates"), data.rates, (*rates, *commanded)))
-    path = [*paths, problem.folder / problem.spec.named_files[0]][0]
+    path = [*paths, problem.folder / spec.named_files[0]][0]
     if not data.rates and _is_text(path) and not {*rates} <= {*read_names(path, "a log")}:
-        return LogInputs(SIDES, commanded, own | {name: name for name in commanded}, vehicle)
+        own |= {name: name for name in commanded}
+        return LogInputs(vehicle, SIDES, commanded, own, are_speeds)
     columns = {name: data.rates.get(name, name) for name in (*rates, *commanded)}
-    return LogInputs(rates, commanded, columns, vehicle)
+    return LogInputs(vehicle, rates, commanded, columns, are_speeds=False)
 
 
 def _is_text(path: Path) -> bool:
@@ -330,20 +339,8 @@ def own_unknowns(problem: Problem[Fit], names: Sequence[str]) -> list[Unknown]:
 
 def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog]) -> Model:
     """Return the model with the usual unknowns and those of the problem."""
-    spec, vehicle, names = problem.spec, inputs.vehicle, inputs.wheels
-    if vehicle is None:
-        radii = np.full(4, 1.0 if spec.data.unit == "m/s" else 0.2)
-        half, base = spec.constants.get("track", 2 * HALF) / 2, HALF
-        left, right = names[:2], names[2:]
-    else:
-        is_speed = inputs.is_by_sides and spec.data.unit == "m/s"
-        radii = np.array([1.0 if is_speed else float(w.radius) for w in vehicle.wheels])
-        half = track(vehicle) / 2
-        places = zip(vehicle.wheels, lateral_places(vehicle), strict=True)
-        driven = [(w.name, place) for w, place in places if w.driven]
-        left = tuple(name for name, place in driven if place < 0)
-        right = tuple(name for name, place in driven if place > 0)
-        base = np.ptp(logs[0].chassis.place.real) / 2
+    spec, names = problem.spec, tuple(wheel.name for wheel in inputs.vehicle.wheels)
+    half, base = track(inputs.vehicle) / 2, np.ptp(logs[0].chassis.place.real) / 2
     gyration = ((2 * half) ** 2 + (2 * base + 0.4) ** 2) / 12
     fixed = {"gyration": gyration} | spec.constants
     known = {*BALANCE, "inertia"}
@@ -351,7 +348,7 @@ def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog])
         if name not in known:
             with at(problem, ("constants", name)):
                 raise ModelError(f"expected one of {', '.join(known)}, found {name!r}; correct it")
-    unknowns = [*_usual_unknowns(problem, logs, (left, right), is_known=vehicle is not None)]
+    unknowns = [*_usual_unknowns(problem, logs, inputs.driven)]
     for own in own_unknowns(problem, names):
         replaced = [
             each.quantity == own.quantity
@@ -362,21 +359,19 @@ def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog])
         unknowns = [each for each, is_out in zip(unknowns, replaced, strict=True) if not is_out]
         unknowns.append(own)
     kept = tuple(each for each in unknowns if each.quantity not in spec.constants)
-    model = Model(age_priors(kept, logs), fixed, radii, names, half)
+    model = Model(age_priors(kept, logs), fixed, inputs.radii, names, half)
     sought_of(model)  # errors of bounds
     return model
 
 
 def _usual_unknowns(
-    problem: Problem[Fit],
-    logs: Sequence[DriveLog],
-    sides: tuple[tuple[str, ...], ...],
-    *,
-    is_known: bool,
+    problem: Problem[Fit], logs: Sequence[DriveLog], driven: Mapping[str, float]
 ) -> Iterator[Unknown]:
-    """Yield the usual unknowns of logs; `is_known` are the vehicle's dimensions."""
-    for side, wheels in zip(SIDES, sides, strict=True):
-        prior = None if is_known or problem.spec.data.unit == "m/s" else (0.2, 0.14)
+    """Yield the usual unknowns of logs; ``driven`` are the lateral places of driven wheels."""
+    is_known = problem.spec.vehicle is not None
+    for side, sign in zip(SIDES, (-1, 1), strict=True):
+        wheels = tuple(name for name, place in driven.items() if sign * place > 0)
+        prior = None if is_known or problem.spec.data.unit == "m/s" else (RADIUS, 0.14)
         yield Unknown(f"radius_{side}", "radius", wheels, prior=prior)
     yield Unknown("track", "track", prior=None if is_known else (2 * HALF, HALF))
     names = ["stiffness", "gyration", "delay"]
@@ -432,7 +427,7 @@ def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> FitResult:
     have too few windows.
     """
     spec, rows, inputs = problem.spec, list[tuple[str, str]](), inputs_of(problem)
-    own_unknowns(problem, inputs.wheels)
+    own_unknowns(problem, [wheel.name for wheel in inputs.vehicle.wheels])
     slopes, further, grid = maps_of(problem)
     with at(problem, ("data", "file")):
         paths = log_paths(problem, predict)
@@ -492,7 +487,7 @@ class _Reader(NamedTuple):
         wanted |= inputs.columns
         wanted |= {"window": data.window} if isinstance(data.window, str) else {}
         units = {"vx": "m/s", "vy": "m/s", "yaw_rate": "rad/s"}
-        units |= dict.fromkeys(inputs.names, "rad/s" if not inputs.is_by_sides else data.unit)
+        units |= dict.fromkeys(inputs.names, "m/s" if inputs.are_speeds else "rad/s")
         return read_log(
             path,
             wanted,
@@ -508,27 +503,22 @@ class _Reader(NamedTuple):
 
     def _check(self, log: MotionLog, frame: str) -> None:
         """Raise DataError if columns of a log contradict each other."""
-        inputs, values = self.inputs, log.values
-        is_speed = inputs.is_by_sides and self.problem.spec.data.unit == "m/s"
-        vehicle, ratios = inputs.vehicle, OF_SPEEDS | OF_POSES
-        place, radii = inputs.places, np.ones(2)
-        if vehicle is not None and not inputs.is_by_sides:
-            radii = np.array([wheel.radius for wheel in vehicle.wheels if wheel.driven], float)
-        elif not is_speed:
-            radii = radii * (float(vehicle.wheels[0].radius) if vehicle else 0.2)
-        if not is_speed:
-            ratios = rate_ratios(radii.tolist())
-        speeds = radii[:, None] * np.array([values[name] for name in inputs.names])
+        inputs, spec = self.inputs, self.problem.spec
+        radii = inputs.radii[[wheel.driven for wheel in inputs.vehicle.wheels]]
+        radii = np.repeat(inputs.radii[:1], 2) if inputs.is_by_sides else radii
+        ratios = OF_SPEEDS | OF_POSES if inputs.are_speeds else rate_ratios(radii.tolist())
+        place = inputs.places
+        speeds = radii[:, None] * np.array([log.values[name] for name in inputs.names])
         is_named = any(split_unit(inputs.columns[name])[1] for name in inputs.names)
+        is_guessed = spec.vehicle is None and not inputs.are_speeds
         check_motion(
             log,
             zero=0.0 if frame == "rep103" else np.pi / 2,
             speed=speeds.mean(axis=0) if radii.size else None,
             turn=(place - place.mean()) @ speeds if not inputs.joints and radii.size else None,
-            ratios=None if is_named or (vehicle is None and not is_speed) else ratios,
-            is_aligned=vehicle is None or not moves_sideways(vehicle),
-            may_turn="sensor_heading"
-            in {u.quantity or name for name, u in self.problem.spec.unknowns.items()},
+            ratios=None if is_named or is_guessed else ratios,
+            is_aligned=not moves_sideways(inputs.vehicle),
+            may_turn="sensor_heading" in {u.quantity or name for name, u in spec.unknowns.items()},
         )
 
     def _log(self, log: MotionLog, campaign: str, surface: str, step: float) -> DriveLog:
@@ -640,17 +630,17 @@ class _Reader(NamedTuple):
 
     def _chassis(self, table: Mapping[str, Array], rows: Indices) -> Chassis:
         """Return the wheels at the samples."""
-        inputs, vehicle = self.inputs, self.inputs.vehicle
-        if vehicle is None:
-            return four_wheels(self.problem.spec.constants.get("track", 2 * HALF) / 2, HALF)
-        if inputs.is_by_sides:
-            places = zip(vehicle.wheels, lateral_places(vehicle), strict=True)
-            signals = [int(place > 0) if wheel.driven else -1 for wheel, place in places]
-        else:
-            names = [f"{wheel.name}_rate" for wheel in vehicle.wheels]
-            signals = [inputs.names.index(name) if name in inputs.names else -1 for name in names]
+        inputs, driven = self.inputs, self.inputs.driven
+        signals = [
+            -1
+            if wheel.name not in driven
+            else int(driven[wheel.name] > 0)
+            if inputs.is_by_sides
+            else inputs.names.index(f"{wheel.name}_rate")
+            for wheel in inputs.vehicle.wheels
+        ]
         joints = {name: table[name][rows] for name in inputs.joints}
-        return chassis_of(vehicle, signals, joints)
+        return chassis_of(inputs.vehicle, signals, joints)
 
 
 def _nearest(t: Array, parts: Sequence[Indices], even: Sequence[Array]) -> tuple[Indices, Indices]:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
-from pydantic import Field
 
 from slipfree.control.path_following import check_way_points, path_inputs, track_path
 from slipfree.core.errors import DataError, ModelError, SlipfreeError
@@ -58,7 +57,7 @@ from slipfree.problem.build import (
 )
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
-from slipfree.problem.schema import FILE, VERB, MotionKeys, TerrainKeys, Time
+from slipfree.problem.schema import FILE, MotionKeys, TerrainKeys, Time
 from slipfree.problem.verbs.base import (
     DriveVerb,
     Result,
@@ -123,7 +122,7 @@ class Inverse(MotionKeys):
         Unknown of the steering: its rate or its angle.
     """
 
-    verb: Literal["inverse"] = Field(description=VERB)
+    verb: Literal["inverse"]
     given: dict[str, TimeFunction] | None = None
     exact: bool | None = None
     path: PathTable | None = None

@@ -59,6 +59,7 @@ from slipfree.problem.build_ground import at
 from slipfree.problem.inputs import ProblemParts, Recipe, recipe_of
 from slipfree.problem.verbs.base import Watch
 from slipfree.problem.verbs.plan_setup import (
+    OfRobust,
     Planning,
     Robust,
     build_planning,
@@ -348,15 +349,8 @@ def make_robust(
                     done[number] = each
                 return [Replays(each) for each in zip(*(done[k] for k in numbers), strict=True)]
 
-            solved = robust_plan(
-                first,
-                solve,
-                replay,
-                share=robust.share,
-                draws=robust.draws,
-                final_draws=robust.final_draws,
-                seed=robust.seed,
-            )
+            options = {name: getattr(robust, name) for name in OfRobust.model_fields}
+            solved = robust_plan(first, solve, replay, **options)
             if parts is not None:
                 parts.remove()
     except KeyboardInterrupt:

@@ -25,7 +25,6 @@ from slipfree.files.toml.types import (
     Positive,
     Quantity,
     Range,
-    Record,
     record_of,
 )
 from slipfree.geometry.regions import Region
@@ -53,6 +52,7 @@ from slipfree.plan.problem import (
     spelled,
     task_of,
 )
+from slipfree.plan.robust import robust_plan
 from slipfree.plan.search import Search
 from slipfree.plan.transcription import SAMPLE_STEP, Mesh, PlanTask
 from slipfree.problem.build import (
@@ -69,9 +69,7 @@ from slipfree.problem.build import (
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import (
-    INPUTS,
     STEP_CLIMBING,
-    VERB,
     ClimbingDriver,
     HeightErrors,
     Modelled,
@@ -140,19 +138,14 @@ class KeepOut(RegionTable):
     latitude: float | None = None
 
 
-class Robust(Record):
+OfRobust: Any = record_of(robust_plan, omitted=("first", "solve", "replay"))
+
+
+class Robust(OfRobust):  # type: ignore[misc]
     """Random worlds in which a plan is simulated, and the share in which its limits must hold.
 
     Attributes
     ----------
-    share : float
-        Share of draws for which the plan must satisfy its limits. [1]
-    draws : int
-        Number of draws that determine the tightening of a round.
-    final_draws : int
-        Number of further draws, which determine the final share.
-    seed : int
-        Seed of all draws.
     map : HeightErrors or None
         Errors of the heights of the map.
     friction : float
@@ -164,10 +157,6 @@ class Robust(Record):
         them. [m, rad]
     """
 
-    share: Annotated[float, Field(gt=0, lt=1)] = 0.95
-    draws: Annotated[int, Field(ge=1, le=100_000)] = 50
-    final_draws: Annotated[int, Field(ge=1, le=100_000)] = 200
-    seed: Annotated[int, Field(ge=0)] = 0
     map: HeightErrors | None = None
     friction: NonNegative = 0.0
     inputs: NonNegative = 0.0
@@ -258,12 +247,15 @@ class PlanKeys(Modelled):
         Regions that no wheel may touch.
     way_points : tuple of mapping of str to tuple of 2 floats
         Ranges as in the goal, at the fraction 'at' of the duration. [m, rad]
+    inputs : mapping of str to float or tuple, or None
+        Inputs of the initial guess, rates with any model: rates of driven wheels and commanded
+        joints, by name. [rad/s, m/s]
     driver : GuideTable or None
         Driving law of the initial guess, instead of inputs; without both, a law that suits the
         goal.
     """
 
-    verb: Literal["plan"] = Field(description=VERB)
+    verb: Literal["plan"]
     goal: dict[str, Range]
     costs: dict[str, NonNegative]
     cost_limits: dict[str, Positive] = Field(default={})
@@ -275,9 +267,7 @@ class PlanKeys(Modelled):
     start: dict[str, Quantity] = Field(default={})
     keep_out: Annotated[tuple[KeepOut, ...], Field(strict=False)] = ()
     way_points: Annotated[tuple[dict[str, Range], ...], Field(strict=False)] = ()
-    inputs: dict[str, PiecewiseConstant] | None = Field(
-        default=None, description=f"inputs of the initial guess, rates with any model: {INPUTS}"
-    )
+    inputs: dict[str, PiecewiseConstant] | None = None
     driver: GuideTable | None = None
 
     @property
