@@ -36,8 +36,7 @@ from slipfree.cli.inspect import check, export, ground, info, vehicle
 from slipfree.cli.new import examples, new
 from slipfree.cli.run import run
 from slipfree.cli.show import edit, report, show
-from slipfree.cli.studies import compare, pareto, track
-from slipfree.cli.sweep import sweep
+from slipfree.cli.studies import compare, pareto, sweep, track
 from slipfree.system.interrupt import interrupt_arrived
 
 # class of click, or of the copy of click in typer
