@@ -21,7 +21,7 @@ from slipfree.batch.graph import Graph, Graphs, graphs_of
 from slipfree.core.dae import Dae
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import Cells
-from slipfree.core.records import Array, Indices
+from slipfree.core.records import Array
 from slipfree.system.codegen_cache import compiler, shared_library
 
 FLAGS = ("-shared", "-fPIC", "-ffp-contract=fast", "-fno-math-errno")
@@ -157,7 +157,7 @@ class _Compiled(EvaluatorOf[G]):
         self._tables = [np.ascontiguousarray(each.coefficients) for each in source.cells]
         self._cells = (_Cells * max(1, len(self._tables)))(
             *(
-                _Cells(table.ctypes.data, table.shape[1], *each.numbers)
+                _Cells(table.ctypes.data, table.shape[1], each.numbers)
                 for table, each in zip(self._tables, source.cells, strict=True)
             )
         )
@@ -182,45 +182,44 @@ class _Compiled(EvaluatorOf[G]):
         t: Array,
         kept: int,
         numbers: Sequence[float],
-        order: Indices,
         *results: Array,
     ) -> bool:
         """Fill in the results of motions as `motion._drive_plainly`; return whether there is code.
 
-        It is not for a model whose rates need iterations. Lanes of a vector are neighbours in
-        ``order``. Signals are served between blocks of lanes.
+        It is not for a model whose rates need iterations. Signals are served between blocks of
+        lanes.
         """
         if self._steps is None:
             return False
         states, inputs, t = (
             np.ascontiguousarray(each, dtype=float) for each in (states, inputs, t)
         )
-        order = np.ascontiguousarray(order, dtype=ctypes.c_long)
-        arguments = (
-            *(ctypes.c_void_p(each.ctypes.data) for each in (order, states, inputs)),
-            ctypes.c_long(len(t)),
-            ctypes.c_void_p(t.ctypes.data),
-            ctypes.c_long(kept),
-            *(ctypes.c_double(each) for each in numbers),
-            *(ctypes.c_void_p(each.ctypes.data) for each in results),
-            ctypes.c_void_p(self._constants.ctypes.data),
-            self._cells,
-        )
-        n = states.shape[1]
+        n, arrays = states.shape[1], (states, inputs, t, *results)
+        run = _Run(n, len(t), kept, *(each.ctypes.data for each in arrays), tuple(numbers))
+        constants = ctypes.c_void_p(self._constants.ctypes.data)
         for begin in range(0, n, BLOCK):
-            lanes = (ctypes.c_long(each) for each in (begin, min(begin + BLOCK, n), n))
-            self._steps.drive(*lanes, *arguments)
+            lanes = (ctypes.c_long(each) for each in (begin, min(begin + BLOCK, n)))
+            self._steps.drive(*lanes, ctypes.byref(run), constants, self._cells)
         return True
 
 
+class _Run(ctypes.Structure):
+    """The structure ``Run`` of ``step.c``; its numbers are those of `motion._Numbers`."""
+
+    _fields_ = (
+        *((name, ctypes.c_long) for name in ("n", "m", "kept")),
+        *((name, ctypes.c_void_p) for name in ("in", "inputs", "t", "samples", "counts", "out")),
+        ("numbers", ctypes.c_double * 12),
+    )
+
+
 class _Cells(ctypes.Structure):
-    """The structure ``Cells`` of ``lanes.c``."""
+    """The structure ``Cells`` of ``lanes.c``; its numbers are those of `Cells`."""
 
     _fields_ = (
         ("table", ctypes.c_void_p),
         ("width", ctypes.c_longlong),
-        *((name, ctypes.c_double) for name in ("x", "y", "h_x", "h_y")),
-        *((name, ctypes.c_double) for name in ("first_i", "first_j", "last_i", "last_j")),
+        ("numbers", ctypes.c_double * 8),
     )
 
 
@@ -342,7 +341,7 @@ class _Source(CodeWriter):
 def _step_code(graphs: Graphs) -> str:
     """Return the C code of steps of a model whose rates need no iteration."""
     rows, function = graphs.rows, graphs.motion.function
-    _, p, w, change, error, speed, forces, doubt, distances = graphs.checked.parts
+    _, p, w, change, error, speed, forces, doubt, distances, before = graphs.checked.parts
     sizes = {
         "ROWS": function.numel_in(0),
         "RESULTS": function.numel_out(0),
@@ -363,11 +362,14 @@ def _step_code(graphs: Graphs) -> str:
         "NEW_FORCES": forces.start,
         "DOUBT": doubt.start,
         "FIRST_DISTANCE": distances.start,
+        "END_DISTANCES": distances.stop,
         "STATES": rows.x.stop,
         **dict(zip(("X_ROW", "Y_ROW", "HEADING_ROW"), graphs.places, strict=True)),
         "INPUTS": rows.u.stop - rows.u.start,
         "FIRST_INPUT": rows.u.start,
     }
+    if before.stop > before.start:
+        sizes["BEFORE"], sizes["FIRST_BEFORE"] = before.start, rows.v.start
     if graphs.dae.lag is not None:
         sizes["LAG"], sizes["LAST_RELAXING"] = rows.lag.start, rows.x.stop
         sizes["FIRST_RELAXING"] = rows.x.stop - graphs.dae.rest.numel()

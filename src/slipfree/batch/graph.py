@@ -50,9 +50,9 @@ class StateRows(NamedTuple):
 
     ``x``, ``p`` and ``q`` are integrated: the states, the positions (first block of the unknowns),
     and the quadratures that do not depend on forces. ``w`` are the other unknowns of the motion,
-    ``f`` the unknowns that follow from it, ``u`` the inputs, ``c`` the parameters of the model,
-    ``stage`` the continuation parameter of a law without projection, ``lag`` the lag of a model
-    whose last states relax, and ``t`` is the time.
+    ``f`` the unknowns that follow from it, ``u`` the inputs, ``v`` the inputs before a sample,
+    ``c`` the parameters of the model, ``stage`` the continuation parameter of a law without
+    projection, ``lag`` the lag of a model whose last states relax, and ``t`` is the time.
     """
 
     x: slice
@@ -61,6 +61,7 @@ class StateRows(NamedTuple):
     w: slice
     f: slice
     u: slice
+    v: slice
     c: slice
     stage: slice
     lag: slice
@@ -87,7 +88,8 @@ class Graphs(NamedTuple):
     # ``w``, and the speed over the ground [m/s]
     motion: Graph
     # the results of ``motion``, then new ``f`` by one Newton step, a number that is positive if
-    # another is needed, and the distances to the bounds of the limits in sizes of the quantities
+    # another is needed, and the distances to the bounds of the limits in sizes of the quantities;
+    # for linear rates without relaxation, also the derivatives with the inputs ``v``
     checked: Graph
     bounds: tuple[int, ...]  # index of the limit to which each distance belongs
     outputs: Graph
@@ -123,7 +125,9 @@ def graphs_of(dae: Dae) -> Graphs:
     p, w, f = (dae.columns()[1][a:b] for a, b in pairwise(ends))
     late = [ca.depends_on(rate, f) for rate in ca.vertsplit(dae.quad)] if dae.quad.numel() else []
     kept = tuple(k for k, is_late in enumerate(late) if not is_late)
-    rows, state = state_of(dae, (p, w, f), len(kept))
+    linear = not ca.depends_on(ca.jacobian(dae.residuals[1], w), w)
+    n_before = dae.columns()[2].numel() if linear and dae.lag is None else 0
+    rows, state = state_of(dae, (p, w, f), len(kept), n_before)
     eliminate = elimination(dae, state, rows)
     quad = [dae.quad[k] for k in kept]
     distances, bounds = _distances(dae)
@@ -137,7 +141,8 @@ def graphs_of(dae: Dae) -> Graphs:
     doubt = _doubt(forces - f, ca.DM(dae.scale[ends[2] :]), distances, f)
     watched = ca.vertcat(forces, *_with([doubt, *distances], f, forces))
     (watched,) = _with([watched], w, moved[1])
-    derivatives, rates, error, speed, watched = _with([*moved, watched], p, new_p)
+    before = _with([moved[0]], state[rows.u], state[rows.v])[0] if n_before else ca.SX(0, 1)
+    derivatives, rates, error, speed, watched, before = _with([*moved, watched, before], p, new_p)
     motion = derivatives, new_p, rates, change, error, speed
     n_f = f.numel()
 
@@ -152,12 +157,12 @@ def graphs_of(dae: Dae) -> Graphs:
         graph("guess", *(dae.guess[a:b] for a, b in pairwise(ends)), dae.rest),
         graph("place", new_p, change),
         graph("motion", *motion),
-        graph("checked", *motion, watched[:n_f], watched[n_f], watched[n_f + 1 :]),
+        graph("checked", *motion, watched[:n_f], watched[n_f], watched[n_f + 1 :], before),
         bounds,
         graph("outputs", pack(dae.y)),
         checks,
         graph("placing", *(check.placing for check in checks)),
-        not ca.depends_on(ca.jacobian(dae.residuals[1], w), w),
+        linear,
     )
 
 
@@ -175,7 +180,7 @@ def _checks_of(dae: Dae) -> tuple[PlacedCheck, ...]:
 
 
 def state_of(
-    dae: Dae, unknowns: tuple[ca.SX, ca.SX, ca.SX], quadratures: int = 0
+    dae: Dae, unknowns: tuple[ca.SX, ca.SX, ca.SX], quadratures: int = 0, inputs_before: int = 0
 ) -> tuple[StateRows, ca.SX]:
     """Return the rows of a state and its symbols; ``unknowns`` are ``p``, ``w`` and ``f``."""
     (x, _, u), (p, w, f) = dae.columns(), unknowns
@@ -183,7 +188,8 @@ def state_of(
     lag = ca.SX(0, 1) if dae.lag is None else dae.lag
     continuation = _continuation(dae)
     stage = ca.SX(0, 1) if continuation is None else continuation.symbol
-    columns = [x, p, ca.SX.sym("q", quadratures), w, f, u, parameters, stage, lag, dae.t]
+    q, v = ca.SX.sym("q", quadratures), ca.SX.sym("v", inputs_before)
+    columns = [x, p, q, w, f, u, v, parameters, stage, lag, dae.t]
     edges = np.cumsum([0, *(each.numel() for each in columns)]).tolist()
     return StateRows(*(slice(a, b) for a, b in pairwise(edges))), ca.vertcat(*columns)
 

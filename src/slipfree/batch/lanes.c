@@ -44,7 +44,7 @@ static inline vd vsign(vd a) { return pick(a == a, truth(a > SPLAT(0.0)) - truth
 #define EACH2(name) \
   static inline vd v##name(vd a, vd b) { vd r; for (int i = 0; i < LANES; i++) r[i] = name(a[i], b[i]); return r; }
 EACH(exp) EACH(log) EACH(tan) EACH(asin) EACH(acos) EACH(sinh) EACH(cosh) EACH(tanh) EACH(floor) EACH(ceil)
-EACH(expm1) EACH(log1p) EACH2(pow) EACH2(fmod) EACH2(hypot)
+EACH(expm1) EACH(log1p) EACH2(pow) EACH2(fmod)
 
 #if LANES == 8 && defined(__AVX512F__)
 #include <immintrin.h>
@@ -55,6 +55,8 @@ static inline vd vsqrt(vd a) { return (vd)_mm256_sqrt_pd((__m256d)a); }
 #else
 EACH(sqrt)
 #endif
+/* Without scaling: numbers are far from 1e154, whose squares overflow. */
+static inline vd vhypot(vd a, vd b) { return vsqrt(a * a + b * b); }
 
 /* Sine of a + quarter pi/2, for |a| < 1e6: pi/2 in three parts is subtracted, the quadrant decides. */
 static inline vd turned_sine(vd a, long long quarter) {

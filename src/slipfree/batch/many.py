@@ -533,6 +533,7 @@ def sources_of(graphs: Graphs, names: Sequence[str] | None) -> dict[str, Wanted]
 def _values(evaluate: Evaluator, sources: Mapping[str, Wanted], samples: Array) -> dict[str, Array]:
     outputs = samples
     if any(source.is_output for source in sources.values()):
+        samples = np.ascontiguousarray(samples)
         for states in samples:  # while driving, forces are only as exact as limits need them
             solve_forces(evaluate, states)
         outputs = np.stack([evaluate(evaluate.graphs.outputs, states) for states in samples])

@@ -205,10 +205,9 @@ def _integrate(
     for k in np.unique(failed[failed < t.size]):
         run.samples[k:, :, failed == k] = np.nan
     if not is_stiff:
-        kept = np.maximum(run.reached, 0)
-        errors = run.samples[kept, rows.t.stop :, lanes].T
-    steps = run.counts.sum(axis=0).astype(int)
-    return Motions(samples, ends.end, ends.reason, ends.beyond, errors, distances, steps)
+        errors = run.samples[np.maximum(run.reached, 0), rows.t.stop :, lanes].T
+    found = samples, ends.end, ends.reason, ends.beyond, errors, distances
+    return Motions(*found, run.counts.sum(axis=0).astype(int))
 
 
 def _errors_by_halving(
@@ -217,8 +216,7 @@ def _errors_by_halving(
     """Return the errors of ``x`` at the last samples from motions with half the step."""
     x, lanes, reached = evaluate.graphs.rows.x, np.arange(states.shape[1]), run.reached
     finer = _drive(evaluate, states, inputs, t, GIVEN, x.stop, 2 * run.counts)
-    kept = np.maximum(reached, 0)
-    apart = (run.samples[:, x] - finer.samples)[kept, :, lanes].T
+    apart = (run.samples[:, x] - finer.samples)[np.maximum(reached, 0), :, lanes].T
     return apart / (1 - 0.5 ** (ORDER if evaluate.graphs.dae.lag is None else RELAXING_ORDER))
 
 
@@ -238,16 +236,13 @@ def _drive(
     """
     rows, n = evaluate.graphs.rows, states.shape[1]
     t = np.broadcast_to(t.reshape(len(t), -1), (len(t), n))
-    errors = rows.x.stop if numbers.estimated else 0
-    samples = np.full((len(t), kept + errors, n), np.nan)
+    samples = np.empty((n, len(t), kept + numbers.estimated * rows.x.stop)).transpose(1, 2, 0)
     counts = np.zeros((len(t) - 1, n)) if counts is None else counts
     sizes = np.cumsum([1, 1, rows.t.stop, rows.t.stop])
-    out = np.empty((sizes[-1] + 1, n))
+    out = np.empty((n, sizes[-1] + 1)).T
     end, reason, beyond, last, h = np.split(out, sizes)
     run = _Course(samples, counts, end[0], reason[0], beyond, _Step(last, h[0]))
-    # lanes of a vector take as many steps as the slowest one
-    order = np.argsort(np.abs(inputs).sum(axis=(0, 1)), kind="stable")
-    if not evaluate.drive(states, inputs, t, kept, numbers, order, samples, counts, out):
+    if not evaluate.drive(states, inputs, t, kept, numbers, samples, counts, out):
         _drive_plainly(evaluate, states, inputs, t, numbers, kept, run)
     codes = np.array([*evaluate.graphs.bounds, 0])
     reason = run.reason.astype(int)
@@ -267,7 +262,7 @@ def _drive_plainly(
     rows, last = evaluate.graphs.rows, run.last
     graded = int(numbers.graded)
     n, a, is_given = states.shape[1], states.copy(), numbers.tries == 0
-    run.end[:], run.reason[:], run.beyond[:] = t[-1], COMPLETE, a
+    run.end[:], run.reason[:], run.beyond[:], run.samples[:] = t[-1], COMPLETE, a, np.nan
     last.states[:], last.h[:] = a, 0.0
     rates, slopes, before, means = np.zeros((4, rows.q.stop, n))
     sums, speed, number = np.zeros((rows.x.stop, n)), np.zeros(n), np.ones(n)

@@ -1,8 +1,5 @@
-/* Motions of lanes in fixed steps, as `advance` and `_drive` of motion.py compute them without a
- * compiler. The macros are rows of the states and of the results of the graphs.
- *
- * `rates` are the derivatives at the states. After `counts` steps of length `h`, the positions are
- * predicted, not yet corrected. Lanes `from` to `to` of n are computed. The last row of `out` is 1 for lanes whose corrections stayed small.
+/* Motions of lanes in fixed steps, as `_drive_plainly` of motion.py computes them without a compiler.
+ * The macros are rows of the states and of the results of the graphs.
  */
 static void moved(vd *s, const vd *start, const vd *k, vd h) {
   for (int i = 0; i < MOVING; i++) s[i] = start[i] + h * k[i];
@@ -81,7 +78,7 @@ static vl checked_at(vd *a, vd *k, vd *r, double most, double worst, double repe
     vl rough = good & ~(r[DOUBT] <= SPLAT(0.0));
     if (!any(rough)) break;
     eval_checked(a, more, K, cells);
-    for (int i = NEW_FORCES; i < CHECKED_RESULTS; i++) r[i] = pick(rough, more[i], r[i]);
+    for (int i = NEW_FORCES; i < END_DISTANCES; i++) r[i] = pick(rough, more[i], r[i]);
     for (int i = 0; i < FORCES; i++) a[FIRST_FORCE + i] = r[NEW_FORCES + i];
   }
   return good;
@@ -95,7 +92,7 @@ typedef struct { vd time, reason, beyond[ROWS]; } Ends;
 /* End those of the lanes that are beyond a limit; return the others. */
 static vl inside(vl lanes, const vd *s, const vd *r, double rounding, Ends *ends) {
   vd least = SPLAT(INFINITY), bound = SPLAT(0.0);
-  for (int i = FIRST_DISTANCE; i < CHECKED_RESULTS; i++) {
+  for (int i = FIRST_DISTANCE; i < END_DISTANCES; i++) {
     vl less = (r[i] < least) | (r[i] != r[i]);
     least = pick(less, r[i], least);
     bound = pick(less, splat(i - FIRST_DISTANCE), bound);
@@ -107,15 +104,31 @@ static vl inside(vl lanes, const vd *s, const vd *r, double rounding, Ends *ends
   return lanes & ~beyond;
 }
 
+/* The point of a motion that lanes have reached: state, rates there, sums of the errors and speed. */
+typedef struct { vd state[ROWS], rates[MOVING], errors[STATES], speed; } Point;
+
+static void assign(vl lanes, Point *to, const Point *from) {
+  vd *a = to->state;
+  const vd *b = from->state;
+  for (size_t i = 0; i < sizeof *to / sizeof *a; i++) a[i] = pick(lanes, b[i], a[i]);
+}
+static void assign_lane(Point *to, long l, const Point *from, long k) {
+  vd *a = to->state;
+  const vd *b = from->state;
+  for (size_t i = 0; i < sizeof *to / sizeof *a; i++) a[i][l] = b[i][k];
+}
+
+#ifdef BEFORE
 /* Add the errors of a step of lanes: the integral of the defect on the cubic path by the 3/8 rule.
  *
- * `k1` and `k2` are the rates at both ends, `end` is the end. The errors of x and y get the part
+ * `k2` are the rates at the end. The errors of x and y get the part
  * that is due to the error of the heading when the path is turned about its origin; at any later
  * point the error of the heading times its coordinates is to be subtracted.
  */
-static void add_errors(const vd *a, const vd *k1, const vd *mean, const vd *end, const vd *k2, vd h, vl lanes,
-                       vd *sums, const double *K, const Cells *cells) {
+static void add_errors(const Point *at, const vd *mean, const vd *end, const vd *k2, vd h, vd *sums,
+                       const double *K, const Cells *cells) {
   vd z[ROWS], r[RESULTS], e[STATES];
+  const vd *a = at->state, *k1 = at->rates;
   for (int i = 0; i < STATES; i++) e[i] = SPLAT(0.125) * (k1[i] + k2[i]) - mean[i];
   for (int j = 1; j < 3; j++) {
     double c = j / 3.0, d = 1 - c;
@@ -129,134 +142,172 @@ static void add_errors(const vd *a, const vd *k1, const vd *mean, const vd *end,
   for (int i = 0; i < STATES; i++) e[i] = h * e[i];
   e[X_ROW] = e[X_ROW] + e[HEADING_ROW] * end[Y_ROW];
   e[Y_ROW] = e[Y_ROW] - e[HEADING_ROW] * end[X_ROW];
-  for (int i = 0; i < STATES; i++) sums[i] = pick(lanes, sums[i] + e[i], sums[i]);
+  for (int i = 0; i < STATES; i++) sums[i] = at->errors[i] + e[i];
+}
+#endif
+
+/* Motions of n lanes over m samples: arguments and results of `drive` of evaluator.py. */
+typedef struct {
+  long n, m, kept;  /* `kept` rows of the states are samples */
+  const double *in, *inputs, *t; /* (ROWS, n), (INPUTS, m - 1, n), (m, n) */
+  /* (n, m, width): kept rows, then estimated errors if wanted; (m - 1, n): numbers of steps, given if `tries` is
+   * zero; (n, OUT): time and reason of the end, state there, state and length of the last step */
+  double *samples, *counts, *out;
+  double length, longest, tries, finer, estimated, rounding, repeats, fastest;
+  /* `counts` steps are followed by `graded` steps, each of half the length of the one before, to `last` */
+  double graded, last, most, worst;
+} Run;
+enum { OUT = 2 * ROWS + 3 };
+
+static long width_of(const Run *run) { return run->estimated ? run->kept + STATES : run->kept; }
+
+/* Store the sample k of a lane, which is lane l of a vector. */
+static void record(const Run *run, long lane, long k, const Point *at, long l) {
+  double *row = run->samples + (lane * run->m + k) * width_of(run);
+  for (long i = 0; i < run->kept; i++) row[i] = at->state[i][l];
+  if (!run->estimated) return;
+  row += run->kept;
+  for (int i = 0; i < STATES; i++) row[i] = at->errors[i][l];
+  row[X_ROW] -= at->errors[HEADING_ROW][l] * at->state[Y_ROW][l];
+  row[Y_ROW] += at->errors[HEADING_ROW][l] * at->state[X_ROW][l];
 }
 
-/* Lanes of a row in an order; the last lane is repeated beyond the end. */
-static inline vd gather(const double *row, const long *order, long n) {
-  vd r;
-  for (int l = 0; l < LANES; l++) r[l] = row[order[l < n ? l : n - 1]];
-  return r;
-}
-static inline void scatter(double *row, const long *order, vd r, long n) {
-  for (int l = 0; l < LANES && l < n; l++) row[order[l]] = r[l];
+/* Store the end of a lane after its sample k - 1. */
+static void finish(const Run *run, long lane, long k, double time, double reason, const vd *beyond, const vd *last,
+                   double h, long l) {
+  double *row = run->out + lane * OUT, *none = run->samples + lane * run->m * width_of(run);
+  for (long i = k * width_of(run); i < run->m * width_of(run); i++) none[i] = NAN;
+  row[0] = time;
+  row[1] = reason;
+  for (int i = 0; i < ROWS; i++) row[2 + i] = beyond[i][l];
+  for (int i = 0; i < ROWS; i++) row[2 + ROWS + i] = last[i][l];
+  row[OUT - 1] = h;
 }
 
-/* Motions over m samples at times t (m, n), as `_drive_plainly` of motion.py.
+/* The interval of a lane of a vector, which ends at sample k, and its steps. */
+typedef struct { long lane, k; double span, shortest, count, step, attempt, h; } Interval;
+
+/* Begin the interval after a sample; return whether there is one. The lane ends otherwise. */
+static int next_interval(const Run *run, Interval *of, const Point *at, long l) {
+  const double *now = run->t + of->k * run->n + of->lane;
+  double *count = run->counts + of->k * run->n + of->lane, needed, reason = COMPLETE;
+  if (++of->k < run->m) {
+    of->span = now[run->n] - *now;
+    of->shortest = fmin(run->last, of->span / (2 * fmax(ldexp(1.0, (int)run->graded) - 1, 1)));
+    of->step = of->attempt = 0;
+    needed = at->speed[l] * of->span / run->length;
+    if (run->tries > 0 && needed <= run->fastest) *count = fmin(fmax(ceil(needed - 1e-9), 1), run->longest);
+    of->count = *count;
+    if (of->count > 0 && of->count <= run->fastest) return 1;
+    reason = of->count > 0 ? UNSOLVED : TOO_FAST;
+  }
+  finish(run, of->lane, of->k, *now, reason, at->state, at->state, of->h, l);
+  return 0;
+}
+
+/* Begin the next attempt to reach a sample, with shorter steps; return whether there is one. */
+static int next_attempt(const Run *run, Interval *of) {
+  do {
+    if (++of->attempt >= run->tries) return 0;
+    of->count *= run->finer;
+    run->counts[(of->k - 1) * run->n + of->lane] = of->count;
+  } while (of->count > run->fastest);
+  of->step = 0;
+  return 1;
+}
+
+/* Drive lanes `from` to `to`.
  *
- * `samples` has the shape (m, width, n): `kept` rows of states, then estimated errors if wanted. `counts` (m - 1, n) are
- * the numbers of steps; they are given if `tries` is zero. They are followed by `graded` steps, each of half the length
- * of the one before, to `last`. `out` has the rows time and reason of the
- * ends, states there, states and length of the last step.
+ * No lane waits for others: each lane of a vector has its own interval and step, and a lane that ends is replaced by
+ * the next one.
  */
-void drive(long from, long to, long n, const long *order, const double *in, const double *inputs, long m,
-           const double *t, long kept, double length, double longest, double tries, double finer, double estimated,
-           double rounding, double repeats, double fastest, double graded, double last, double most, double worst,
-           double *samples,
-           double *counts, double *out, const double *K, const Cells *cells) {
-  vd a[ROWS], b[ROWS], s[ROWS], from_state[ROWS], r[CHECKED_RESULTS];
-  vd rates[MOVING], first[MOVING], k1[MOVING], k2[MOVING], from_rates[MOVING], mean[MOVING], sums[STATES], begun[STATES];
-  vd nothing = SPLAT(0.0) / SPLAT(0.0), speed = SPLAT(0.0), count = SPLAT(1.0), h = SPLAT(0.0);
-  int given = tries == 0;
-  long width = estimated ? kept + STATES : kept;
+void drive(long from, long to, const Run *run, const double *K, const Cells *cells) {
+  long n = run->n, m = run->m, blocks = (to - from + LANES - 1) / LANES, next = from;
+  double halves = ldexp(1.0, (int)run->graded) - 1;
+  Interval of[LANES];
+  Point start[blocks], at, begun, end; /* `begun` is at the last sample, `end` at the end of the step */
+  vl alive[blocks], none = (vl)SPLAT(0.0), solved;
+  vd r[CHECKED_RESULTS], mean[MOVING], h = SPLAT(0.0);
+  Ends ends;
   memset(r, 0, sizeof r); /* without limits, all distances are zero */
-  for (long g = from; g < to; g += LANES) {
-    const long *own = order + g;
-    vl every = ~(vl)SPLAT(0.0), alive = every;
-    Ends ends = {gather(t + (m - 1) * n, own, n - g), splat(COMPLETE)};
-    for (int i = 0; i < ROWS; i++) ends.beyond[i] = from_state[i] = b[i] = gather(in + i * n, own, n - g);
-    for (int i = 0; i < STATES; i++) sums[i] = SPLAT(0.0);
-    for (int i = 0; i < MOVING; i++) from_rates[i] = rates[i] = SPLAT(0.0);
-    memcpy(a, b, sizeof a);
-    for (long k = 0; k < m; k++) { /* from sample k - 1 to sample k */
-      vd now = gather(t + k * n, own, n - g), before = gather(t + (k ? k - 1 : 0) * n, own, n - g), span = now - before;
-      double halves = ldexp(1.0, (int)graded) - 1;
-      vd shortest = vmin(splat(last), span / splat(2 * fmax(halves, 1)));
-      vl open = alive;
-      vd used = SPLAT(0.0);
-      if (k) {
-        vd needed = speed * span / splat(length);
-        count = given ? gather(counts + (k - 1) * n, own, n - g)
-                      : vmin(vmax(vceil(needed - SPLAT(1e-9)), SPLAT(1.0)), splat(longest));
-        vl fast = given ? count == SPLAT(0.0) : ~(needed <= splat(fastest));
-        ends.reason = pick(open & fast, splat(TOO_FAST), ends.reason);
-        ends.time = pick(open & fast, before, ends.time);
-        open &= ~fast;
-      }
-      memcpy(b, a, sizeof b);
-      memcpy(first, rates, sizeof first);
-      memcpy(begun, sums, sizeof begun);
-      for (double attempt = 0; any(open) && attempt < (k && !given ? tries : 1); attempt++) {
-        vl going = open & (count <= splat(fastest)), lost = open & ~going;
-        double steps = 0;
-        if (k) {
-          for (int l = 0; l < LANES; l++) steps = going[l] ? fmax(steps, count[l] + graded) : steps;
-          used = pick(open, count, used);
+  for (long b = 0; b < blocks; b++) {
+    long g = from + b * LANES;
+    memset(start + b, 0, sizeof *start);
+    for (int i = 0; i < ROWS; i++) ends.beyond[i] = start[b].state[i] = load(run->in + i * n + g, to - g);
+    end = start[b];
+    for (int i = 0; i < INPUTS && m > 1; i++)
+      end.state[FIRST_INPUT + i] = load(run->inputs + i * (m - 1) * n + g, to - g);
+    ends.time = end.state[TIME] = load(run->t + g, to - g);
+    ends.reason = SPLAT(UNSOLVED);
+    solved = checked_at(end.state, end.rates, r, run->most, run->worst, run->repeats, K, cells);
+    alive[b] = inside(solved, end.state, r, run->rounding, &ends);
+    end.speed = r[SPEED];
+    for (long l = 0; l < LANES && g + l < to; l++)
+      if (alive[b][l]) record(run, g + l, 0, &end, l);
+      else finish(run, g + l, 0, ends.time[l], ends.reason[l], ends.beyond, start[b].state, 0, l);
+    start[b] = end;
+  }
+  at = begun = end = start[0];
+  for (long l = 0; l < LANES; l++) of[l].lane = -1;
+  for (;;) {
+    vl busy = none, here = none, accepted = none;
+    for (long l = 0; l < LANES; l++) {
+      while (of[l].lane < 0 && next < to) {
+        long b = (next - from) / LANES, i = (next - from) % LANES;
+        if (alive[b][i]) {
+          of[l] = (Interval){next};
+          assign_lane(&at, l, start + b, i);
+          assign_lane(&begun, l, start + b, i);
+          if (!next_interval(run, of + l, &at, l)) of[l].lane = -1;
         }
-        for (int i = 0; i < ROWS; i++) a[i] = pick(open, b[i], a[i]);
-        for (int i = 0; i < MOVING; i++) k1[i] = pick(open, first[i], k1[i]);
-        for (int i = 0; i < STATES; i++) sums[i] = pick(open, begun[i], sums[i]);
-        vl arrived = k ? ~every : going;
-        for (double step = 1; step <= steps && any(going); step++) {
-          vd next = (span - splat(halves) * shortest) / count;
-          for (int l = 0; l < LANES; l++)
-            next[l] = step > count[l] ? ldexp(shortest[l], (int)(graded - step + count[l])) : next[l];
-          h = pick(going, next, h);
-          for (int i = 0; i < ROWS; i++) from_state[i] = pick(going, a[i], from_state[i]);
-          for (int i = 0; i < MOVING; i++) from_rates[i] = pick(going, k1[i], from_rates[i]);
-          vl solved = stepped(s, from_state, from_rates, h, mean, r, most, worst, K, cells);
-          for (int i = 0; i < ROWS; i++) a[i] = pick(going, s[i], a[i]);
-          lost |= going & ~solved;
-          going &= solved;
-          vl here = going & (count + splat(graded) <= splat(step));
-          arrived |= here;
-          going &= ~here;
-          if (any(going)) {
-            memcpy(s, a, sizeof s);
-            solved = checked_at(s, k2, r, most, worst, repeats, K, cells);
-            lost |= going & ~solved;
-            going = inside(going & solved, s, r, rounding, &ends);
-            for (int i = 0; i < ROWS; i++) a[i] = pick(going, s[i], a[i]);
-            for (int i = 0; i < MOVING; i++) k1[i] = pick(going, k2[i], k1[i]);
-          }
-          if (estimated && any(here)) { /* with the inputs of this interval */
-            memcpy(s, a, sizeof s);
-            eval_motion(s, r, K, cells);
-            for (int i = 0; i < MOVING; i++) k1[i] = pick(here, r[i], k1[i]);
-          }
-          if (estimated) add_errors(from_state, from_rates, mean, a, k1, h, going | here, sums, K, cells);
-        }
-        memcpy(s, a, sizeof s);
-        s[TIME] = now;
-        if (k < m - 1)
-          for (int i = 0; i < INPUTS; i++) s[FIRST_INPUT + i] = gather(inputs + (i * (m - 1) + k) * n, own, n - g);
-        vl solved = checked_at(s, k1, r, most, worst, repeats, K, cells);
-        lost |= arrived & ~solved;
-        arrived = inside(arrived & solved, s, r, rounding, &ends);
-        for (int i = 0; i < ROWS; i++) a[i] = pick(arrived, s[i], a[i]);
-        for (int i = 0; i < MOVING; i++) rates[i] = pick(arrived, k1[i], rates[i]);
-        speed = pick(arrived, r[SPEED], speed);
-        count = pick(lost, count * splat(finer), count);
-        open = lost;
+        next++;
       }
-      if (k && !given) scatter(counts + (k - 1) * n, own, used, n - g);
-      ends.time = pick(open, before, ends.time);
-      ends.reason = pick(open, splat(UNSOLVED), ends.reason);
-      alive = ends.reason == splat(COMPLETE);
-      double *row = samples + k * width * n;
-      for (int i = 0; i < kept; i++) scatter(row + i * n, own, pick(alive, a[i], nothing), n - g);
-      for (int i = 0; i < width - kept; i++) {
-        vd e = sums[i];
-        if (i == X_ROW) e = e - sums[HEADING_ROW] * a[Y_ROW];
-        if (i == Y_ROW) e = e + sums[HEADING_ROW] * a[X_ROW];
-        scatter(row + (kept + i) * n, own, pick(alive, e, nothing), n - g);
+      if (of[l].lane < 0) continue;
+      busy[l] = -1;
+      of[l].step++;
+      double past = of[l].step - of[l].count; /* graded steps are each half as long as the one before */
+      here[l] = -(past >= run->graded);
+      of[l].h = past > 0 ? ldexp(of[l].shortest, (int)(run->graded - past))
+                         : (of[l].span - halves * of[l].shortest) / of[l].count;
+      h[l] = of[l].h;
+    }
+    if (!any(busy)) return;
+    solved = stepped(end.state, at.state, at.rates, h, mean, r, run->most, run->worst, K, cells);
+#ifdef BEFORE
+    memcpy(end.state + FIRST_BEFORE, end.state + FIRST_INPUT, INPUTS * sizeof h);
+#endif
+    for (long l = 0; l < LANES; l++) {
+      if (!here[l]) continue;
+      end.state[TIME][l] = run->t[of[l].k * n + of[l].lane];
+      for (int i = 0; i < INPUTS && of[l].k < m - 1; i++)
+        end.state[FIRST_INPUT + i][l] = run->inputs[(i * (m - 1) + of[l].k) * n + of[l].lane];
+    }
+    solved &= checked_at(end.state, end.rates, r, run->most, run->worst, run->repeats, K, cells);
+    accepted = inside(busy & solved, end.state, r, run->rounding, &ends);
+    end.speed = r[SPEED];
+#ifdef BEFORE
+    if (run->estimated) add_errors(&at, mean, end.state, r + BEFORE, h, end.errors, K, cells);
+#endif
+    for (long l = 0; l < LANES; l++) {
+      if (!busy[l] || accepted[l]) continue;
+      if (solved[l]) {
+        finish(run, of[l].lane, of[l].k, ends.time[l], ends.reason[l], ends.beyond, at.state, h[l], l);
+        of[l].lane = -1;
+      } else if (next_attempt(run, of + l)) {
+        assign_lane(&at, l, &begun, l);
+      } else {
+        double before = run->t[(of[l].k - 1) * n + of[l].lane];
+        finish(run, of[l].lane, of[l].k, before, UNSOLVED, at.state, at.state, h[l], l);
+        of[l].lane = -1;
       }
     }
-    double *row = out;
-    scatter(row, own, ends.time, n - g);
-    scatter(row += n, own, ends.reason, n - g);
-    for (int i = 0; i < ROWS; i++) scatter(row += n, own, ends.beyond[i], n - g);
-    for (int i = 0; i < ROWS; i++) scatter(row += n, own, from_state[i], n - g);
-    scatter(row += n, own, h, n - g);
+    assign(accepted, &at, &end);
+    here &= accepted;
+    assign(here, &begun, &end);
+    for (long l = 0; l < LANES; l++) {
+      if (!here[l]) continue;
+      record(run, of[l].lane, of[l].k, &end, l);
+      if (!next_interval(run, of + l, &at, l)) of[l].lane = -1;
+    }
   }
 }
