@@ -1,29 +1,23 @@
 """Draw the pictures of the gallery: ``python docs/gallery.py [NAME ...]``, in a few minutes.
 
-Each picture is a figure or a film of a shipped problem, as `slipfree run` and `slipfree show` write
-it, with fewer pixels and colours. The page `gallery.md` shows them.
+Each picture is a figure of a shipped problem, as `slipfree run` writes it, with fewer pixels and
+colours. The page `gallery.md` shows them.
 """
 
 import sys
 from io import BytesIO
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from PIL import Image
 
 from slipfree import load_problem, run_problem
 from slipfree.problem.load import verb_of
-from slipfree.show.film import animate
 from slipfree.show.plots import draw
-from slipfree.show.scene import drive_scene
 
 DOCS = Path(__file__).parent
 FOLDER = DOCS / "figures" / "gallery"
 DPI, COLORS = 150, 64  # of the figures, which pages show at half their size or less
-FILM = "film"  # name of a film instead of a figure
-STRIDE, WIDTH, FILM_COLORS = 4, 640, 48  # every fourth frame of a film, its pixels and colours
-FRAME = 200  # duration of a frame [ms]
 OCTREE = Image.Quantize.FASTOCTREE  # keeps greys grey, and the few pixels of arrows magenta
 
 
@@ -37,7 +31,6 @@ class Picture(NamedTuple):
 
 
 PICTURES = (
-    Picture("drive", "rover_rocks_direct", FILM, ("time.duration=8.0",)),
     Picture("climb", "climb_step", "side"),
     Picture("craters", "plan_crater_field", "traversability"),
     Picture("inputs", "plan_crater_field", "plan"),
@@ -53,33 +46,11 @@ PICTURES = (
 def write(picture: Picture, result) -> Path:
     """Draw a picture of a result and return its file."""
     verb = verb_of(result.problem)
-    if picture.figure == FILM:
-        scene = drive_scene([verb.shown(result, "vehicle")])
-        title = result.trajectory.attributes["title"]
-        with TemporaryDirectory() as folder:
-            whole = Path(folder) / "whole.gif"
-            animate(scene, whole, title)
-            return shrink(whole, FOLDER / f"{picture.name}.gif")
     (plot,) = (each for each in verb.figures(result) if each.name == picture.figure)
     stream = BytesIO()
     draw([plot])[plot.name].savefig(stream, dpi=DPI)
     file = FOLDER / f"{picture.name}.png"
     Image.open(stream).convert("RGB").quantize(COLORS, OCTREE).save(file, optimize=True)
-    return file
-
-
-def shrink(whole: Path, file: Path) -> Path:
-    """Write a film with fewer frames, pixels and colours."""
-    frames = []
-    with Image.open(whole) as film:
-        for k in range(0, film.n_frames, STRIDE):
-            film.seek(k)
-            frame = film.convert("RGB")
-            size = WIDTH, round(WIDTH * frame.height / frame.width)
-            frames.append(frame.resize(size, Image.Resampling.LANCZOS))
-    palette = frames[len(frames) // 2].quantize(FILM_COLORS, OCTREE)
-    first, *others = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
-    first.save(file, save_all=True, append_images=others, duration=FRAME, loop=0, optimize=True)
     return file
 
 

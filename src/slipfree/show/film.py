@@ -7,7 +7,7 @@ is drawn for each frame of a film, over a picture of the rest.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from subprocess import CalledProcessError
 from typing import Any, TypeVar, cast
@@ -19,6 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.transforms import Bbox
 from PIL import Image
 
@@ -27,25 +28,27 @@ from slipfree.core.records import Array
 from slipfree.show import style
 from slipfree.show.ground_drawing import DARKEST, LIGHT
 from slipfree.show.plots import Plot
-from slipfree.show.scene import ARROWS, PLAN_LINES, Color, Scene, round_step
-from slipfree.show.style import MM, PAGE, STYLE
+from slipfree.show.scene import ARROWS, PLAN_LINES, Actor, Color, Scene, round_step
+from slipfree.show.style import MM, PAGE, STYLE, words
 from slipfree.system.regular_files import replace_file
 
 FRAMES, FILM_DPI = 20, 110  # frames per second, and dots per inch
 FILM_COLORS, OCTREE = 128, Image.Quantize.FASTOCTREE  # of a GIF; keeps the few pixels of arrows
 ENDINGS = (".mp4", ".gif")
-MOST = 400  # maximum number of frames of a film; longer motions are shown faster
+MOST = 160  # maximum number of frames of a film; longer motions are shown faster
 COLUMNS = {"width_ratios": (2, 3)}  # widths of the two axes
-FILM_HEIGHT, PICTURE_HEIGHT = 90.0, 110.0  # [mm]
+ROWS = (5, 2)  # heights of the views and of the curves
+FILM_HEIGHT, PICTURE_HEIGHT = 125.0, 110.0  # [mm]
 HEIGHT = 0.62  # height of the view over its width
 WIDE = 2.2  # width of the ground in a picture over that in a film [1]
 FILM_NODES, PICTURE_NODES = 24, 90  # nodes of the ground per side
 GROUND = (0.90, 0.85, 0.77)  # colour of the ground
+SOLID = {"lw": 1.4}  # look of lines
 SCALE = 0.3  # least length of the scale bar [half the width of the view]
 CAMERA = np.radians((28.0, -55.0))  # elevation and azimuth of the viewer
 TITLE = 80  # number of characters in a line of the title
 HEAD = 0.3, 0.4  # length of an arrow's head over the arrow's, and its width over its length
-WIDTH = 150  # number of characters in a line below the film
+WIDTH = 125  # number of characters in a line below the film
 BELOW = {"fc": "white", "ec": "none", "pad": 1.5}  # behind the text below a film
 T = TypeVar("T")
 
@@ -142,8 +145,8 @@ def picture(scene: Scene, title: str, time: float | None = None) -> Plot:
         view.add_paths(scene)
         view.show(scene, at)
         figure.suptitle(title, x=0.02, ha="left", fontsize=9, weight="bold", parse_math=False)
-        words = "; ".join([f"t = {at:.4g} s", *_told(scene)])
-        figure.supxlabel(words, x=0.02, ha="left", fontsize=7, parse_math=False, bbox=BELOW)
+        below = "; ".join([f"t = {at:.4g} s", *_told(scene)])
+        figure.supxlabel(below, x=0.02, ha="left", fontsize=7, parse_math=False, bbox=BELOW)
         return figure
 
     return Plot("vehicle", "The vehicle on its ground.", make)
@@ -163,26 +166,29 @@ class Film:
     def __init__(self, figure: Figure, scene: Scene, title: str, speed: float) -> None:
         self.canvas = cast("Any", FigureCanvasAgg(figure))  # most of its methods have no types
         self.scene = scene
-        flat, space = figure.subplots(1, 2, gridspec_kw=COLUMNS)
+        parts: Any = figure.subfigures(2, 1, height_ratios=ROWS)
+        above, below = parts
+        flat, space = above.subplots(1, 2, gridspec_kw=COLUMNS)
         self.view = View(space, scene.backdrop.half, FILM_NODES)
+        self.view.add_paths(scene)
         self.markers = _draw_paths(flat, scene)
+        self.cursors = _draw_curves(below, scene)
         head = textwrap.fill(title, TITLE) or " "  # keeps the line of the clock free
-        figure.suptitle(head, x=0.02, ha="left", fontsize=9, weight="bold", parse_math=False)
+        above.suptitle(head, x=0.02, ha="left", fontsize=9, weight="bold", parse_math=False)
         self.clock = figure.text(0.98, 0.98, "", ha="right", va="top", fontsize=9)
         told = [*_told(scene), *([f"{speed:.3g} times real speed"] if speed > 1 else [])]
         lines = ["; ".join(told), *scene.warnings]
         lines += [f"{actor.name} {actor.stop}" for actor in scene.actors if actor.stop]
-        words = "\n".join(textwrap.fill(line, WIDTH) for line in lines)
+        caption = "\n".join(textwrap.fill(line, WIDTH) for line in lines)
         look: dict[str, Any] = {"ha": "left", "fontsize": 7, "parse_math": False, "bbox": BELOW}
-        caption = figure.supxlabel(words, x=0.02, **look)
-        self.moving = [*self.markers, *self.view.artists, self.clock]
+        below.supxlabel(caption, x=0.02, **look)
+        self.moving = [*self.markers, *self.cursors, *self.view.artists, self.clock]
         for artist in self.moving:
             artist.set_animated(True)
         for _ in range(2):  # passes of the layout
             figure.draw_without_rendering()
         figure.set_layout_engine("none")
-        low = caption.get_window_extent().y1 + 2
-        beside = Bbox([[flat.bbox.x1 + 2, low], [figure.bbox.x1, figure.bbox.y1]])
+        beside = Bbox([[flat.bbox.x1 + 2, below.bbox.y1], [figure.bbox.x1, figure.bbox.y1]])
         for artist in self.view.artists:
             artist.set_clip_box(beside)
         self.canvas.draw()
@@ -193,6 +199,8 @@ class Film:
         for actor, marker in zip(self.scene.actors, self.markers, strict=True):
             x, y, _ = actor.at(t).bodies[0].origins[0] + self.scene.origin
             marker.set_data([x], [y])
+        for cursor in self.cursors:
+            cursor.set_xdata([t, t])
         self.view.show(self.scene, t)
         self.clock.set_text(f"t = {t:.2f} s")
         self.canvas.restore_region(self.still)
@@ -212,7 +220,7 @@ class View:
         self.paths = list[tuple[Array, LineCollection]]()
         self.vehicle = PolyCollection([], lw=0.3)
         self.arrows = LineCollection([], lw=1.4)
-        self.artists = [self.ground, self.vehicle, self.arrows]
+        self.artists: list[Any] = [self.ground, self.vehicle, self.arrows]
         for number, artist in enumerate(self.artists):
             artist.set_zorder(2 * number)
             ax.add_collection(artist, autolim=False)
@@ -222,19 +230,15 @@ class View:
 
     def add_paths(self, scene: Scene) -> None:
         """Add the paths of all platforms, keep-out regions, start and goal."""
-        lines = [(each.bodies[0].origins[None], each.color, each.ghost) for each in scene.actors]
         plan = (each for each in scene.ground.lines if each.name in PLAN_LINES)
-        for points, color, dashed in [
-            *lines,
-            *((each.segments, each.color, False) for each in plan),
+        for points, colors, look in [
+            *(drawn for actor in scene.actors for drawn in _path(scene, actor)),
+            *((each.segments, [_shares(each.color)], SOLID) for each in plan),
         ]:
-            line = LineCollection([], colors=[_shares(color)], zorder=1, lw=1.4)
-            line.set(
-                linestyle="--" if dashed else "-",
-                path_effects=style.halo(2.6) if len(points) == 1 else [],
-            )
+            line = LineCollection([], colors=colors, zorder=1, **look)
             self.ax.add_collection(line, autolim=False)
             self.paths.append((points, line))
+            self.artists.insert(len(self.paths), line)  # above the ground
 
     def show(self, scene: Scene, t: float) -> None:
         """Draw the first vehicle of a scene at a time [s] on the ground around it."""
@@ -299,7 +303,10 @@ def draw_faces(
 
 
 def _told(scene: Scene) -> list[str]:
-    return [each.label for each in scene.entries if each.group == "arrows"]
+    """Return the scales of arrows, and of the colours of the first track."""
+    told = [each.label for each in scene.entries if each.group == "arrows"]
+    tracks = (each for actor in scene.actors for each in scene.track_layers(actor))
+    return [*told, *(f"track by {words(each.name)}: {each.legend}" for each in [*tracks][:1])]
 
 
 def arrow_lines(starts: Array, vectors: Array, sight: Array) -> Array:
@@ -315,14 +322,52 @@ def arrow_lines(starts: Array, vectors: Array, sight: Array) -> Array:
     return np.concatenate([np.stack([starts, tips], axis=1), *sides])
 
 
+def _path(scene: Scene, actor: Actor) -> Iterator[tuple[Array, Any, dict[str, Any]]]:
+    """Yield lines, shape (n, k, 3), colours and looks: the path of a motion, and its white edge.
+
+    A motion has the colours of its largest slip of a wheel, or of the first other risk.
+    """
+    path = actor.bodies[0].origins
+    if not actor.ghost:
+        yield path[None], ["white"], {"lw": 3.0}
+    worst = {name: each.reshape(len(each), -1).max(axis=1) for name, each in actor.values.items()}
+    colored = [] if actor.ghost else scene.track_layers(actor._replace(values=worst))
+    if colored:
+        yield np.stack([path[:-1], path[1:]], axis=1), colored[0].colors[1:] / 255, SOLID
+    else:
+        yield path[None], [_shares(actor.color)], {"lw": 1.4, "ls": "--" if actor.ghost else "-"}
+
+
+def _draw_curves(figure: Any, scene: Scene) -> list[Line2D]:
+    """Draw the first risk and the first margin over time; return cursors, which are moved."""
+    kinds = [[each for each in scene.plotted if each.is_margin == kind] for kind in (False, True)]
+    shown = [kind[0] for kind in kinds if kind]
+    cursors = list[Line2D]()
+    for ax, plotted in zip(
+        figure.subplots(1, len(shown) or 1, squeeze=False)[0], shown, strict=False
+    ):
+        for name, color, t, values in scene.curves(plotted):
+            ax.plot(t, values, color=color, lw=0.8, label=words(name))
+        unit = f" [{plotted.unit}]" if plotted.unit else ""
+        over = f"{words(plotted.name)}{unit} over time [s]"
+        ax.set(xlim=scene.span, ylim=scene.plotted[plotted], xlabel=over)
+        cursors.append(ax.axvline(scene.span[0], color="black", lw=0.8))
+    if cursors:
+        handles, names = figure.axes[0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside upper left", ncols=6)
+    return cursors
+
+
 def _draw_paths(ax: Axes, scene: Scene) -> list[Any]:
     scene.backdrop.draw(ax)
     markers = []
     for actor in scene.actors:
-        path, color = actor.bodies[0].origins + scene.origin, _shares(actor.color)
-        look: dict[str, Any] = {"lw": 1, "ls": "--" if actor.ghost else "-", "zorder": 3}
-        ax.plot(*path.T[:2], color=color, label=actor.name, **look)
-        markers += ax.plot([], [], "o", mfc=color, mec="white", ms=5, zorder=4)
+        color = _shares(actor.color)
+        for lines, colors, look in _path(scene, actor):
+            flat = (lines + scene.origin)[..., :2]
+            ax.add_collection(LineCollection([*flat], colors=colors, zorder=3, **look))
+        look = {"mfc": color, "mec": "white", "ms": 5, "zorder": 4}
+        markers += ax.plot([], [], "o", label=actor.name, **look)
     for each in scene.entries:
         if each.group == "arrows":
             ax.plot([], [], color=_shares(each.color), label=f"{each.name} (arrows)")

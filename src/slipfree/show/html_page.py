@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from base64 import b64encode
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from io import BytesIO
 from pathlib import Path
@@ -20,13 +20,13 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from slipfree.core.records import Array, html_table
+from slipfree.core.records import html_table
 from slipfree.routing.traversability import extents
 from slipfree.show.ground_drawing import muted
 from slipfree.show.local_server import Content, page_file
 from slipfree.show.plots import Plot, draw
-from slipfree.show.scene import WORLD, Color, Entry, Layer, Plotted, Scene
-from slipfree.show.style import DPI, PALETTE, STYLE, figure
+from slipfree.show.scene import WORLD, Color, Entry, Layer, Scene
+from slipfree.show.style import DPI, STYLE, figure
 from slipfree.terrain.base import Grid
 from slipfree.vehicle.tree import Vehicle
 
@@ -100,7 +100,7 @@ def _plots(scene: Scene) -> str:
     names, plots = dict[str, str](), ""
     for each, (low, high) in scene.plotted.items():
         now, drawn, size = "", "", 0
-        for name, color, values in _curves(scene, each):
+        for name, color, _, values in scene.curves(each):
             names[name], size = color, values.size
             shown = np.clip(np.nan_to_num(values, nan=low), low, high)
             points = " ".join(f"{k},{value:.4g}" for k, value in enumerate(shown))
@@ -117,19 +117,6 @@ def _plots(scene: Scene) -> str:
     first, last = scene.span
     lines = " ".join(f'<b style="color:{color}">{escape(n)}</b>' for n, color in names.items())
     return f"{lines}{plots}<div><span>{first:g} s</span><span>{last:g} s</span></div>"
-
-
-def _curves(scene: Scene, plotted: Plotted) -> Iterator[tuple[str, str, Array]]:
-    """Yield name, colour and values of lines: of each wheel, or the worst ones of each motion."""
-    actors = [actor for actor in scene.actors if plotted.name in actor.values]
-    for actor in actors:
-        values = actor.values[plotted.name]
-        if len(actors) > 1 or values.ndim == 1:
-            worst = np.min if plotted.is_margin else np.max
-            yield actor.name, _css(actor.color), worst(values.reshape(len(values), -1), axis=1)
-        else:
-            for k, wheel in enumerate(actor.wheels):
-                yield wheel, PALETTE[(k + 1) % len(PALETTE)], values[:, k]
 
 
 def _switch(entry: Entry) -> str:

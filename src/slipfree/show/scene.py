@@ -288,6 +288,20 @@ class Scene(NamedTuple):
                 ends[each] = min(float(values.min()), 0.0), high
         return ends
 
+    def curves(self, plotted: Plotted) -> Iterator[tuple[str, str, Array, Array]]:
+        """Yield name, colour, times and values: of each wheel, or the worst of each motion."""
+        actors = [actor for actor in self.actors if plotted.name in actor.values]
+        for actor in actors:
+            values = actor.values[plotted.name]
+            if len(actors) > 1 or values.ndim == 1:
+                worst = np.min if plotted.is_margin else np.max
+                color = "#{:02x}{:02x}{:02x}".format(*actor.color)
+                yield actor.name, color, actor.t, worst(values.reshape(len(values), -1), axis=1)
+            else:
+                for k, wheel in enumerate(actor.wheels):
+                    color = style.PALETTE[(k + 1) % len(style.PALETTE)]
+                    yield wheel, color, actor.t, values[:, k]
+
     def track_layers(self, actor: Actor) -> list[Layer]:
         """Return the colourings of the tracks of a motion."""
         return [
