@@ -385,7 +385,8 @@ def test_nothing_covers_the_text_below_a_film(file: Path, tmp_path: Path) -> Non
     out = tmp_path / "film.gif"
     invoke("show", file, "--animation", out, code=0)
     assert out.stat().st_size < 21 * 20_000
-    seen = np.asarray(Image.open(out).convert("RGB"), dtype=int)[-18:]
+    with Image.open(out) as film:
+        seen = np.asarray(film.convert("RGB"), dtype=int)[-18:]
     assert (np.ptp(seen, axis=2) < 20).all()  # no ground, which is brown, beside the text
 
 
