@@ -116,15 +116,10 @@ def atlas(
     with as_arguments():
         problem = _read(file, vehicle, [*own, *(settings or [])], trust)
     outs = out or [Path(f"{file.stem}.tif" if vehicle is None else f"{file.stem}_atlas.tif")]
-    for each in outs:
-        if each.suffix.lower() not in ENDINGS:
-            raise DataError(
-                f"{each}: expected a name that ends in {', '.join(ENDINGS)}; choose another name"
-            )
     states = input_states(problem)
     figures = outs[0].with_name(f"{outs[0].stem}_figures")
     inputs = files_read(problem)
-    check_outputs(outs, inputs, folder=figures if draw else None)
+    check_outputs(outs, inputs, endings=ENDINGS, folder=figures if draw else None)
     with as_arguments():
         setup = build_atlas(problem)
     print_facts(setup.facts)

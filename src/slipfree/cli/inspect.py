@@ -32,9 +32,9 @@ from slipfree.cli.common import (
 )
 from slipfree.cli.new import write_new_file
 from slipfree.cli.outputs import (
+    PICTURES,
     Picture,
     check_outputs,
-    check_picture,
     motion_json,
     quantities,
     resume_command,
@@ -141,7 +141,7 @@ def vehicle(
     from slipfree.problem.inputs import files_named_in
     from slipfree.problem.report import describe, vehicle_plot
 
-    check_picture(picture, [file, *files_named_in(file)])
+    check_outputs([picture], [file, *files_named_in(file)], endings=PICTURES)
     if write is not None:
         check_outputs([write], [file, *files_named_in(file)])
         write_new_file(guessed_completion(file, write.parent, trust or []), write, force)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,7 +23,7 @@ from slipfree.cli.common import (
 from slipfree.core.errors import DataError, WriteError
 from slipfree.core.outcome import Outcome
 from slipfree.system.interrupt import held_interrupt
-from slipfree.system.regular_files import check_name, check_target, resolve_links
+from slipfree.system.regular_files import check_ending, check_name, check_target, resolve_links
 
 if TYPE_CHECKING:
     from slipfree.core.facts import Facts
@@ -110,12 +110,14 @@ def check_outputs(
     files: Sequence[Path | None],
     inputs: Iterable[Path] = (),
     *,
+    endings: Collection[str] = (),
     folder: Path | None = None,
     names: Sequence[str] = ("*.png",),
 ) -> None:
     """Raise DataError for outputs that cannot be written, or that would replace another file.
 
-    ``inputs`` are files that the command reads. Further files, whose ``names`` are patterns, go
+    ``inputs`` are files that the command reads, ``endings`` those of the names of ``files``; by
+    default a name may have any ending. Further files, whose ``names`` are patterns, go
     into the ``folder``, which is created later if it does not exist.
     """
     read, taken = list(inputs), list[Path]()
@@ -130,6 +132,8 @@ def check_outputs(
             check_separate(path)
             taken.append(path)
             _check_file(path)
+            if endings:
+                check_ending(path, endings)
     if folder is not None:
         _check_folder(folder)
         taken.clear()
@@ -160,26 +164,8 @@ def _is_same(path: Path, other: Path) -> bool:
         return False
 
 
-def check_page(out: Path, inputs: Sequence[Path]) -> None:
-    """Raise DataError if a page cannot be written, or if its name does not end in .html or .htm."""
-    check_outputs([out], inputs)
-    if out.suffix.lower() not in PAGES:
-        raise DataError(f"{out}: expected a name that ends in .html or .htm; choose another name")
-
-
-def check_picture(out: Path | None, inputs: Sequence[Path]) -> None:
-    """Raise DataError if a picture cannot be written, or its name has another ending."""
-    if out is None:
-        return
-    check_outputs([out], inputs)
-    if out.suffix.lower() not in PICTURES:
-        raise DataError(
-            f"{out}: expected a name that ends in {', '.join(PICTURES)}; choose another name"
-        )
-
-
 def save_picture(plot: Plot, out: Path) -> None:
-    """Draw a picture and write it to a file that `check_picture` has accepted."""
+    """Draw a picture and write it to a file whose name ends in one of `PICTURES`."""
     draw([plot._replace(name=out.stem)], out.parent, [out.suffix[1:]])
     print_line(f"drew {out}")
 

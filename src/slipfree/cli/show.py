@@ -25,7 +25,7 @@ from slipfree.cli.common import (
     print_line,
     warn,
 )
-from slipfree.cli.outputs import Picture, check_outputs, check_page, check_picture, save_picture
+from slipfree.cli.outputs import PAGES, PICTURES, Picture, check_outputs, save_picture
 from slipfree.core.errors import DataError, require
 from slipfree.system.interrupt import interrupt_arrived
 from slipfree.system.regular_files import escape_name, regular_file, replace_file
@@ -70,14 +70,13 @@ def show(
         Initial colours: height, slope or traversability, which is that of poses and takes a
         while.
     """
-    if html is not None:
-        check_page(html, files)
+    check_outputs([html], files, endings=PAGES)
     if animation is not None:
         from slipfree.show.film import FRAMES, film_writer
 
         check_outputs([html, animation], files)
         film_writer(animation, FRAMES)
-    check_picture(picture, files)
+    check_outputs([picture], files, endings=PICTURES)
     if has_page := html is not None or (animation is None and picture is None):
         require("viser", "view", "show: ")
     from slipfree.show.scene import drive_scene
@@ -183,7 +182,7 @@ def report(file: ResultFile, out: Annotated[Path | None, output_option("OUT.html
 
         with regular_file(file, "a result file of slipfree"):
             target = out or file.with_suffix(".html")
-        check_page(target, [file])
+        check_outputs([target], [file], endings=PAGES)
         found = made(file)
         detail(f"made {len(found.figures)} figures of {file}")
         if found.note and not found.figures:

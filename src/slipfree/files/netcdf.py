@@ -15,7 +15,7 @@ import math
 import os
 import platform
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -47,7 +47,13 @@ from slipfree.core.trajectory import (
 )
 from slipfree.core.version import __version__
 from slipfree.files.tables import write_rows
-from slipfree.system.regular_files import escape_name, regular_file, replacing, resolve_links
+from slipfree.system.regular_files import (
+    check_ending,
+    escape_name,
+    regular_file,
+    replacing,
+    resolve_links,
+)
 
 DEGREES = ("longitude", "latitude")
 MAP_TRANSFORM = "map_transform"  # attribute of a result: its map coordinates as JSON
@@ -631,13 +637,9 @@ def check_motion(file: Path, run: Trajectory, needed: Iterable[str]) -> None:
         )
 
 
-def check_name(out: Path, file: Path, endings: Iterable[str]) -> None:
+def check_name(out: Path, file: Path, endings: Collection[str]) -> None:
     """Raise DataError unless ``out`` has one of the endings and is not the result file."""
-    if out.suffix.lower() not in endings:
-        raise DataError(
-            f"{out}: expected a name that ends in {' or '.join(endings)}, found "
-            f"{repr(out.suffix) if out.suffix else 'no ending'}; choose another name"
-        )
+    check_ending(out, endings)
     if resolve_links(out) == resolve_links(file):
         raise DataError(
             f"{out}: expected a separate file, found the result file; choose another name"

@@ -37,7 +37,7 @@ from slipfree.fit.estimate import (
 )
 from slipfree.fit.ground_slope import Slopes
 from slipfree.fit.prediction import Model, Predictor, WindowErrors
-from slipfree.fit.unknowns import BALANCE, Unknown
+from slipfree.fit.unknowns import BALANCE, Unknown, check_nominal
 from slipfree.system.interrupt import interrupt_requested
 
 FIRST_DEVIATIONS = 0.25, 0.25, 0.15  # of errors before they are known [m, m, rad]
@@ -140,12 +140,8 @@ def sought_of(model: Model) -> Sought:
             for each, row in zip(model.unknowns, rows, strict=True)
         ]
     )
-    for each, value, (low, high) in zip(model.unknowns, nominal, limits.tolist(), strict=True):
-        if not low <= value <= high:
-            raise ModelError(
-                f"unknown {each.name!r}: expected a nominal value within the bounds, {low:g} to "
-                f"{high:g}, found {value:g}; change the bounds, or the vehicle"
-            )
+    for each, value, pair in zip(model.unknowns, nominal, limits.tolist(), strict=True):
+        check_nominal(each, value, pair, "vehicle")
     ends = scale.sought(limits.T)
     start = scale.sought(nominal)
     priors, sizes = list[Unknown](), np.empty(nominal.size)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple, get_type_hints
 
 from slipfree.core.errors import ModelError
@@ -117,15 +117,16 @@ BALANCE: dict[str, BalanceQuantity] = {
 }
 
 
-def label_of(unknown: Unknown, law: Any) -> Label:
-    """Return name, unit and description of a constant of a law."""
-    constants = law_constants(law)
-    if unknown.quantity not in constants:
+def check_nominal(
+    unknown: Unknown, value: float, limits: tuple[float, float], subject: str
+) -> None:
+    """Raise ModelError unless the value of a ``subject`` before the fit is within the bounds."""
+    low, high = limits
+    if not low <= value <= high:
         raise ModelError(
-            f"unknown {unknown.name!r}: expected one of the quantities {', '.join(constants)}, "
-            f"found {unknown.quantity!r}; correct it"
+            f"unknown {unknown.name!r}: expected a nominal value within the bounds, {low:g} to "
+            f"{high:g}, found {value:g}; change the bounds, or the {subject}"
         )
-    return replace(constants[unknown.quantity], name=unknown.name)
 
 
 def law_limits(unknown: Unknown, law: Any) -> tuple[float, float]:

@@ -32,7 +32,7 @@ from slipfree.fit.estimate import (
     bootstrap,
     inner_bounds,
 )
-from slipfree.fit.unknowns import Unknown, label_of, law_constants, law_limits
+from slipfree.fit.unknowns import Unknown, check_nominal, law_constants, law_limits
 from slipfree.laws.soil import STEADY_CREEP, Soil, WheelSize, forces_at_speeds
 from slipfree.models.single_wheel import WheelRuns
 from slipfree.system.interrupt import interrupt_requested
@@ -299,7 +299,8 @@ class SoilProblem:
             _scale(unknown, value, *pair)
             for unknown, value, pair in zip(unknowns, self.nominal, limits, strict=True)
         ]
-        scales, labels = np.array(sizes), tuple(label_of(each, soil) for each in unknowns)
+        scales, known = np.array(sizes), law_constants(soil)
+        labels = tuple(replace(known[each.quantity], name=each.name) for each in unknowns)
         bounds = inner_bounds(limits, scales)
         self._sought = Sought(labels, self.nominal, bounds, scales, Priors.of(unknowns))
         self._model = WheelModel(soil, size, unknowns, gravity)
@@ -348,12 +349,8 @@ def check_constant(unknown: Unknown, soil: Soil) -> None:
             f"unknown {unknown.name!r}: expected one of the constants of soil "
             f"{', '.join(STEADY_CONSTANTS)}, found {unknown.quantity!r}; correct it"
         )
-    value, (low, high) = getattr(soil, unknown.quantity), _limits(unknown, soil, ())
-    if not low <= value <= high:
-        raise ModelError(
-            f"unknown {unknown.name!r}: expected a nominal value within the bounds, {low:g} to "
-            f"{high:g}, found {value:g}; change the bounds, or the soil"
-        )
+    value = getattr(soil, unknown.quantity)
+    check_nominal(unknown, value, _limits(unknown, soil, ()), "soil")
 
 
 def _limits(unknown: Unknown, soil: Soil, names: Sequence[str]) -> tuple[float, float]:

@@ -7,7 +7,7 @@ import os
 import re
 import secrets
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -60,6 +60,15 @@ def check_name(path: Path) -> None:
             f"{path}: expected the name of a file or folder to write, found one that cannot be "
             f"used ({reason}); choose another name"
         ) from error
+
+
+def check_ending(path: Path, endings: Collection[str]) -> None:
+    """Raise DataError unless the name of a file to write has one of the endings."""
+    if path.suffix.lower() not in endings:
+        raise DataError(
+            f"{path}: expected a name that ends in {' or '.join(endings)}, found "
+            f"{repr(path.suffix) if path.suffix else 'no ending'}; choose another name"
+        )
 
 
 def resolve_links(path: Path) -> Path:

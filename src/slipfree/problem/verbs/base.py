@@ -64,12 +64,11 @@ if TYPE_CHECKING:
 
 VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
 FAILED_DIAGNOSTICS = "failed_diagnostics"  # fact with names and errors of diagnostics
-PLAIN_ROWS = rows(
-    """\
-duration: {duration:g}, {samples} samples
+DURATION_LINE = "duration: {duration:g}, {samples} samples"
+INTEGRATOR_LINE = """\
 !integrator: {steps:.0f} steps, {residuals:.0f} evaluations, {cpu_seconds:.3g} s CPU, tolerance \
 {tolerance:g}"""
-)
+PLAIN_ROWS = rows(f"{DURATION_LINE}\n{INTEGRATOR_LINE}")
 CROSS_CHECK, RESUME = "cross-check", "resume"  # options of slipfree run
 P = TypeVar("P", bound=CommonKeys, default=Any)  # record of a problem
 D = TypeVar("D", default=Any)  # its set-up, or None
@@ -251,16 +250,13 @@ FILLED = "filled_samples"  # fact of motions on a map with filled holes
 UNIQUE = ("clearance", "relative_curvature")  # not negative if every wheel has one contact point
 AT_END = "x", "heading"  # quantities whose lines of the summary come first
 FIRST_LINES = """\
-duration: {duration:g}, {samples} samples
 *path length: {path_length:.6g} in {duration:g}, heights {z_least.value:.4f} to {z_greatest:.4f}
 *obstacles: {obstacles}: {obstacles.words}
 filled ground: {filled_samples} of {samples} samples have a wheel on interpolated heights; along \
 the contact points: <filled_paths> {wheel} {length:.4g} of {path_length:.4g} m"""
 LAST_LINES = """\
 *!not converged: <not_converged> {name} at {fact} of {samples} samples
-*!diagnostics failed: <failed_diagnostics> {fact}
-!integrator: {steps:.0f} steps, {residuals:.0f} evaluations, {cpu_seconds:.3g} s CPU, tolerance \
-{tolerance:g}"""
+*!diagnostics failed: <failed_diagnostics> {fact}"""
 START_ROWS = rows(
     """\
 stable poses: <stable_poses> pitch {pitch:.3f}, roll {roll:.3f} rad with {wheel} least loaded, \
@@ -291,8 +287,8 @@ class DriveVerb(Verb, ABC):
     def rows(self) -> tuple[Row, ...]:
         """Rows of the summary of a motion, with the lines of the table of quantities."""
         texts = {name: each.line for name, each in QUANTITIES.items() if each.line}
-        first = [FIRST_LINES, *(texts.pop(name) for name in AT_END)]
-        others = rows("\n".join([*texts.values(), LAST_LINES]))
+        first = [DURATION_LINE, FIRST_LINES, *(texts.pop(name) for name in AT_END)]
+        others = rows("\n".join([*texts.values(), LAST_LINES, INTEGRATOR_LINE]))
         return *rows("\n".join(first)), *self.own_rows, *others, *self.last_rows
 
     @abstractmethod

@@ -50,13 +50,8 @@ from slipfree.vehicle.sections import Section
 CYCLES_PER_WINDOW = 20  # default number of periods in a window
 WINDOWS_PER_PLAN = 5  # duration of a plan divided by the default window
 WAYS = ("inputs", "follow", "replan", "sampling")
-DISTURBANCES = {
-    "heights": "rms of errors of the heights, correlated over twice the vehicle's size [m]",
-    "friction": "relative change of the friction coefficient, up or down at random [1]",
-    "radii": "standard deviation of the relative errors of the wheel radii [1]",
-    "inputs": "standard deviation of the relative errors of the inputs [1]",
-    "latency": "time after which inputs take effect, rounded to periods [s]",
-}
+DISTURBANCES = ("heights", "friction", "radii", "inputs", "latency")
+COUNTS = ("cycles", "failed_cycles", "missed_periods")
 MAX_RADIUS_ERROR = 0.2  # rms of relative errors: wheels of larger ones may vanish
 CORRELATION = 2.0  # length of the errors of heights [size of the vehicle]
 TURN_RANGE = 1.5  # largest yaw rate of candidates, relative to speed over size of the vehicle
@@ -128,8 +123,12 @@ def follow_plan(
     place and heading; `slipfree.replan` over a moving window; and `slipfree.sample_plan` towards
     the plan at the window's end, with commands as inputs. All decide at every ``period``, from the
     states. The controllers know the plan's ground and vehicle. The settings of the world are
-    ``changes``; its disturbances have the sizes of `DISTURBANCES` and the ``seeds`` 1, 2, ... By
-    default a window lasts a fifth of the plan, and a period a twentieth of the window. [s]
+    ``changes``; its disturbances have the sizes ``disturb`` and the ``seeds`` 1, 2, ... By default
+    a window lasts a fifth of the plan, and a period a twentieth of the window. [s]
+
+    Disturbances are the rms of errors of the heights, correlated over twice the vehicle's size [m],
+    a change of the friction, up or down at random, and standard deviations of the errors of wheel
+    radii and inputs, all relative; inputs take effect after a latency, rounded to periods [s].
 
     After a Ctrl-C held back by `held_interrupt`, the motions are those simulated until then. A
     folder next to the output ``beside`` keeps finished motions, which are not repeated.
@@ -320,11 +319,7 @@ def tracking_rows(test: TrackingTest) -> list[dict[str, Any]]:
         for each, run in motions:
             gap = float(np.hypot(*(run[axis][-1] - test.plan[axis][-1] for axis in "xy")))
             medians.append({"end_distance": gap, "cycle_cpu": each.cpu[0], **measured(run)})
-            counts = {
-                "cycles": each.cycles,
-                "failed_cycles": each.failures,
-                "missed_periods": each.missed,
-            }
+            counts = dict(zip(COUNTS, (each.cycles, each.failures, each.missed), strict=True))
             totals.append({"complete": int(run.stop is None), **counts})
         row: dict[str, Any] = {"name": name, "seeds": len(attempts)}
         if motions:
