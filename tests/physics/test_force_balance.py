@@ -38,7 +38,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.core.records import Array
-from slipfree.fit.chassis import chassis_of, lateral_places, track, with_dimensions
+from slipfree.fit.chassis import chassis_of, track, with_dimensions
 from slipfree.fit.drive_fit import (
     Fitted,
     Known,
@@ -83,7 +83,7 @@ def steady(chassis: Chassis, inputs: Array, **given: Any) -> tuple[float, float,
 
 def by_wheels(vehicle: Any) -> tuple[Chassis, Array]:
     """Return the wheels of a skid-steered vehicle, driven by its sides, and their radii."""
-    signals = [int(place > 0) for place in lateral_places(vehicle)]
+    signals = [int(place > 0) for place in vehicle.centers[:, 0]]
     radii = np.array([float(wheel.radius) for wheel in vehicle.wheels])
     return chassis_of(vehicle, signals, {}), radii
 

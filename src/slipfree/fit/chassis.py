@@ -12,7 +12,7 @@ import numpy as np
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
 from slipfree.fit.force_balance import Chassis
-from slipfree.geometry.frame import Pose, Vector, unit_vector
+from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.vehicle.sections import Disc, Omni, Section, Sphere, Torus
 from slipfree.vehicle.tree import Vehicle, body_inertia
 from slipfree.vehicle.wheel import Wheel, wheel_inertia
@@ -32,9 +32,7 @@ def chassis_of(vehicle: Vehicle, signals: Sequence[int], joints: Mapping[str, Ar
     """
     names = [each.name for each in vehicle.coordinates]
     values = ca.SX.sym("values", len(names))
-    poses = vehicle.carriers(
-        Pose(ca.SX.eye(3), ca.SX.zeros(3)), {name: values[k] for k, name in enumerate(names)}
-    )
+    poses = vehicle.carriers(values={name: values[k] for k, name in enumerate(names)})
     axles = [unit_vector(wheel.axle) for wheel in vehicle.wheels]
     rows = [
         ca.vertcat(pose.origin[:2], (pose.rotation @ ca.DM(list(axle)))[:2])
@@ -69,17 +67,9 @@ def chassis_of(vehicle: Vehicle, signals: Sequence[int], joints: Mapping[str, Ar
     )
 
 
-def lateral_places(vehicle: Vehicle) -> list[float]:
-    """Return the lateral places of the wheels' centres, joints at zero [m]."""
-    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
-    poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
-    return [float(ca.evalf(pose.origin)[0]) for pose in poses]
-
-
 def track(vehicle: Vehicle) -> float:
     """Return the lateral distance between the outermost wheels' centres, joints at zero [m]."""
-    places = lateral_places(vehicle)
-    return max(places) - min(places)
+    return float(np.ptp(vehicle.centers[:, 0]))
 
 
 def with_dimensions(

@@ -299,8 +299,8 @@ class SoilProblem:
             _scale(unknown, value, *pair)
             for unknown, value, pair in zip(unknowns, self.nominal, limits, strict=True)
         ]
-        scales, known = np.array(sizes), law_constants(soil)
-        labels = tuple(replace(known[each.quantity], name=each.name) for each in unknowns)
+        scales, constants = np.array(sizes), law_constants(soil)
+        labels = tuple(replace(constants[each.quantity], name=each.name) for each in unknowns)
         bounds = inner_bounds(limits, scales)
         self._sought = Sought(labels, self.nominal, bounds, scales, Priors.of(unknowns))
         self._model = WheelModel(soil, size, unknowns, gravity)

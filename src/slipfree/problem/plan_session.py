@@ -166,17 +166,18 @@ def _plan_of(result: Any, seconds: float) -> FoundPlan:
     import numpy as np
 
     from slipfree.core.facts import starting_with
-    from slipfree.core.trajectory import outcome_words, path_length
+    from slipfree.core.trajectory import outcome_words
+    from slipfree.problem.verbs.base import drive_facts
 
     run = result.trajectory
     costs = starting_with("plan_cost_", run.facts)
-    slip = np.hypot(run["slip_along"], run["slip_across"])
+    driven = drive_facts(run)
     facts = [
         ("outcome", outcome_words(run)),
-        ("duration", f"{run.t[-1] - run.t[0]:.4g} s"),
-        ("path length", f"{path_length(run):.4g} m"),
+        ("duration", f"{driven['duration']:.4g}"),
+        ("path length", f"{driven['path_length']:.4g}"),
         *((f"cost {name.replace('_', ' ')}", f"{cost.value:.4g}") for name, cost in costs.items()),
-        ("largest slip", f"{slip.max():.3g} m/s"),
+        ("largest slip", f"{driven['slip_largest']:.3g}"),
         ("iterations", f"{run.facts['plan_iterations'].value:.0f}"),
         ("time of the search", f"{seconds:.1f} s"),
     ]

@@ -34,7 +34,7 @@ from slipfree.files.netcdf import ORIGIN, open_netcdf
 from slipfree.files.tables import ALIASES, PARTS, read_names, split_unit
 from slipfree.files.toml.source import name_errors
 from slipfree.files.toml.types import Angle, Pair, Positive, Quantity, Record, given_values
-from slipfree.fit.chassis import chassis_of, lateral_places, track, with_dimensions
+from slipfree.fit.chassis import chassis_of, track, with_dimensions
 from slipfree.fit.drive_fit import (
     BLOCKS,
     DriveFit,
@@ -278,7 +278,8 @@ class LogInputs(NamedTuple):
     @property
     def driven(self) -> dict[str, float]:
         """Lateral places of the driven wheels, to the right, by name [m]."""
-        wheels = zip(self.vehicle.wheels, lateral_places(self.vehicle), strict=True)
+        places = self.vehicle.centers[:, 0].tolist()
+        wheels = zip(self.vehicle.wheels, places, strict=True)
         return {wheel.name: place for wheel, place in wheels if wheel.driven}
 
     @property

@@ -26,7 +26,6 @@ from slipfree.core.trajectory import (
     Stop,
     Trajectory,
     outcome_words,
-    path_length,
 )
 from slipfree.geometry.path import Path
 from slipfree.laws.soil import Soil
@@ -57,6 +56,7 @@ from slipfree.problem.verbs.base import (
     DriveVerb,
     Result,
     Watch,
+    drive_facts,
     model_attributes,
     with_diagnostics,
     world_of,
@@ -562,12 +562,8 @@ def _by_friction(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
         return model, settle(model, options=options, **start_values(setup.spec, setup.start))
 
     def slip(run: Trajectory) -> dict[str, Fact]:
-        slip = np.hypot(run["slip_along"], run["slip_across"])
-        sliding = np.trapezoid(slip, run.t, axis=0).mean() / path_length(run)
-        return {
-            "slip_per_path": Fact(float(sliding), "m m-1"),
-            "utilisation_largest": Fact(float(run["utilisation"].max()), "1"),
-        }
+        facts = drive_facts(run)
+        return {name: facts[name] for name in ("slip_per_path", "utilisation_largest")}
 
     return _simulated("friction", setup, plan, build, options, slip)
 
