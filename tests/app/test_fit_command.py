@@ -16,7 +16,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.cases import DATA
-from helpers.commands import invoke, printed, sets
+from helpers.commands import invoke, printed, refused, sets
 from helpers.drives import HALF, HILL, drives
 from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
 from slipfree.core.errors import DataError
@@ -272,7 +272,7 @@ def _drive(name: str, k: int) -> None:
 
 
 def test_logs_without_a_problem_file_over_a_map() -> None:
-    """The fit is kept, and predicts other logs as the fit with them left out does."""
+    """The fit is kept, has its facts, and predicts other logs as the fit without them does."""
     for k, name in enumerate(("a.csv", "b.csv")):
         _drive(name, k)
     rows = "\n".join(" ".join(map(str, row)) for row in HILL.z.T[::-1].tolist())
@@ -288,9 +288,9 @@ def test_logs_without_a_problem_file_over_a_map() -> None:
     assert {"radius_left", "track", "stiffness", "friction", "turn_slope"} <= names
     assert fitted["errors"][0]["duration"] == 2
     assert fitted["errors"][0]["position_rms"] < 0.05
-    found = json.loads(
-        printed("--json", "fit", "fit.nc", "--predict", "b.csv", "-o", "predicted.csv", "--no-draw")
-    )
-    assert found["errors"] == fitted["errors"]
+    again = printed("--json", "fit", "fit.nc", "--predict", "b.csv", "-o", "p.csv", "--no-draw")
+    assert json.loads(again)["errors"] == fitted["errors"]
+    assert json.loads(printed("--json", "info", "fit.nc"))["facts"] == fitted["facts"]
+    assert "a fit, which has no motion; use slipfree info" in refused("report", "fit.nc")
     Path("c.nc").write_bytes(b"CDF\x01")
     assert "expected" in printed("fit", "c.nc", "--predict", "b.csv", "--no-draw", code=2)

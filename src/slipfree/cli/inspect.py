@@ -171,7 +171,7 @@ def info(file: ResultFile, problem: Annotated[bool, typer.Option("--problem")] =
     """
     with about(file):
         from slipfree.files.atlas_files import is_atlas
-        from slipfree.files.netcdf import read
+        from slipfree.files.netcdf import FIT, attributes_of, read
         from slipfree.problem.result import STORED, facts_of, motion_facts
         from slipfree.problem.verbs.base import outcome_fact, ranges
 
@@ -180,6 +180,11 @@ def info(file: ResultFile, problem: Annotated[bool, typer.Option("--problem")] =
 
             summary, set_up, _ = atlas_lines(file)
             print_facts([*summary, *set_up])
+            return
+        if FIT in attributes_of(file):
+            from slipfree.problem.verbs.fit import read_fit
+
+            print_facts(read_fit(file)["facts"])
             return
         motion = read(file, lazy=True)
         attributes = dict(motion.attributes)

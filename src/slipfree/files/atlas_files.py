@@ -32,6 +32,7 @@ from slipfree.files.netcdf import (
     MapCoordinate,
     NetcdfFile,
     annotate,
+    attributes_of,
     grid_mapping,
     map_label,
     open_netcdf,
@@ -272,12 +273,7 @@ def open_atlas(path: str | os.PathLike[str]) -> tuple[Atlas, Site]:
 
 def is_atlas(path: str | os.PathLike[str]) -> bool:
     """Return whether a file is a netCDF file of an atlas."""
-    try:
-        file = open_netcdf(Path(path))
-    except DataError:
-        return False
-    file.stream.close()
-    return ATLAS in file.attributes
+    return ATLAS in attributes_of(path)
 
 
 def _stored(file: NetcdfFile) -> tuple[Atlas, Site]:

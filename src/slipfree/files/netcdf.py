@@ -71,6 +71,12 @@ CRS = "crs"  # variable with the reference system of the map
 CONVENTIONS = "CF-1.11"
 ORIGIN = "slipfree_version"  # attribute that identifies a result file
 ATLAS = "atlas_conditions"  # attribute with the conditions of a mobility map, as JSON
+FIT = "fit"  # attribute with the contents of a fit, as JSON
+# attributes of results without a motion: description, and commands that read them
+NO_MOTION = {
+    ATLAS: ("a mobility map", "use slipfree info or slipfree report"),
+    FIT: ("a fit", "use slipfree info, or slipfree fit with --predict"),
+}
 ORDER = "quantities"  # attribute with the names of the quantities in their order
 RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, FACTS, *STOP, *FEATURE, CRS, TRAJECTORY}
 REMEDY = "run the problem again to write a complete file"
@@ -283,11 +289,17 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float6
 
 def is_result(path: str | os.PathLike[str]) -> bool:
     """Return whether a file is a readable result file of slipfree."""
+    return bool(attributes_of(path))
+
+
+def attributes_of(path: str | os.PathLike[str]) -> Mapping[str, Attribute]:
+    """Return the attributes of a result file; empty for any other file."""
     try:
-        open_netcdf(Path(path)).stream.close()
+        file = open_netcdf(Path(path))
     except DataError:
-        return False
-    return True
+        return {}
+    file.stream.close()
+    return file.attributes
 
 
 def _check(run: Trajectory) -> None:
@@ -469,9 +481,9 @@ def _trajectory(file: NetcdfFile) -> Trajectory:
     stored, variables = file.attributes, file.variables
     order = str(stored.get(ORDER, "")).split()
     missing = {"time", *order} - set(variables)
-    if ATLAS in stored:
-        remedy = "use slipfree info or slipfree report"
-        raise result_fault(file.path, "a mobility map, which has no motion", remedy)
+    for name in NO_MOTION.keys() & stored.keys():
+        found, remedy = NO_MOTION[name]
+        raise result_fault(file.path, f"{found}, which has no motion", remedy)
     if missing:
         raise result_fault(file.path, f"no variable {min(missing)!r}")
     t = file.values("time").astype(np.float64)

@@ -30,7 +30,7 @@ from slipfree.files.logs import (
     rate_ratios,
     read_log,
 )
-from slipfree.files.netcdf import ORIGIN, open_netcdf
+from slipfree.files.netcdf import FIT, ORIGIN, open_netcdf
 from slipfree.files.tables import ALIASES, PARTS, read_names, split_unit
 from slipfree.files.toml.source import name_errors
 from slipfree.files.toml.types import Angle, Pair, Positive, Quantity, Record, given_values
@@ -932,13 +932,14 @@ def save_fit(path: Path, problem: Problem[Fit], settings: Sequence[str], result:
         "unknowns": [[u.name, u.quantity, u.wheels, u.of] for u in model.unknowns],
         "model": [dict(model.fixed), model.radii.tolist(), model.wheels, model.half_track],
         "values": result.fit.values.tolist(),
+        "facts": facts(result),
         "fitted": [[kind, [each.tolist() for each in own]] for kind, own in result.fitted.items()],
     }
 
     def fill(part: Path) -> None:
         with scipy.io.netcdf_file(part, "w", version=2) as file:
             setattr(file, ORIGIN, __version__)
-            file.fit = json.dumps(contents).encode()
+            setattr(file, FIT, json.dumps(contents).encode())
 
     replace_file(path, fill)
 
@@ -947,7 +948,7 @@ def read_fit(path: Path) -> dict[str, Any]:
     """Return the contents of a fit that `save_fit` wrote; raise DataError for other files."""
     file = open_netcdf(path)
     file.stream.close()
-    text = file.attributes.get("fit")
+    text = file.attributes.get(FIT)
     if not isinstance(text, str):
         raise DataError(
             f"{path}: expected a fit, found another result; give the file that slipfree fit wrote"
