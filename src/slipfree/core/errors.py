@@ -34,6 +34,11 @@ def similar(name: str, known: Iterable[str]) -> str:
     return f"did you mean {nearest[0]!r}? " if nearest else ""
 
 
+def shortened(text: str, most: int = 200) -> str:
+    """Return a text, or the first characters of a longer one and dots, for a message."""
+    return text if len(text) <= most else f"{text[:most]}..."
+
+
 def listed(known: Sequence[str]) -> str:
     """Return names separated by commas: at most 60, then the number of further names."""
     more = len(known) - MAX_LISTED

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -157,7 +157,15 @@ def write_geotiff(
                     if file is None:  # the first tile has the bands
                         file = rasterio.open(part, "w", count=len(maps), **profile)
                         stack.enter_context(file)
-                        _describe(file, maps, found, site)
+                        labels = [band.label for band in maps.values()]
+                        file.descriptions = tuple(f"{each.name} [{each.unit}]" for each in labels)
+                        file.units = tuple(each.unit for each in labels)
+                        codes = [f"{n}: {words}" for n, words in enumerate(found.reasons) if n]
+                        for k, label in enumerate(labels, 1):
+                            more = [*codes] if label.name == LIMIT else []
+                            file.update_tags(k, long_name="; ".join([label.words, *more]))
+                        own = {"TIFFTAG_SOFTWARE": f"slipfree {__version__}", FRAME: site.frame}
+                        file.update_tags(AREA_OR_POINT="Point", **own, **site.attributes)
                     window = (y.size - j.stop, y.size - j.start), (i.start, i.stop)
                     for k, band in enumerate(maps.values(), 1):
                         image = np.ascontiguousarray(band.values.T[::-1], dtype=np.float32)
@@ -170,19 +178,6 @@ def write_geotiff(
                 f"{path}: cannot be written ({error.__cause__ or error}); free disk space or "
                 "choose another folder"
             ) from error
-
-
-def _describe(file: Any, maps: Mapping[str, Band], decided: Verdicts, site: Site) -> None:
-    """Describe the bands of a GeoTIFF, and list the meanings of the reasons."""
-    labels = [band.label for band in maps.values()]
-    file.descriptions = tuple(f"{label.name} [{label.unit}]" for label in labels)
-    file.units = tuple(label.unit for label in labels)
-    meanings = "; ".join(f"{code}: {words}" for code, words in enumerate(decided.reasons) if code)
-    for k, label in enumerate(labels, 1):
-        words = f"{label.words}; {meanings}" if label.name == LIMIT else label.words
-        file.update_tags(k, long_name=words)
-    own = {"TIFFTAG_SOFTWARE": f"slipfree {__version__}", FRAME: site.frame}
-    file.update_tags(AREA_OR_POINT="Point", **own, **site.attributes)
 
 
 def write_atlas(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:
@@ -231,7 +226,13 @@ def _define(file: Any, poses: Atlas, site: Site) -> None:
         mapping = file.createVariable(CRS, "i4", ())
         mapping[...] = 0
         annotate(mapping, grid_mapping(site.crs))
-        mapped = {"coordinates": " ".join(_add_map_axes(add, poses, site)), "grid_mapping": CRS}
+        named = {each.axis: each.name for each in site.coordinates}
+        labels = [map_label(named.get(axis, axis), site.crs) for axis in "xy"]
+        for axis, label in zip("xy", labels, strict=True):
+            variable = add(label, [axis], site.on_map(axis, getattr(poses, axis)), "f8")
+            annotate(variable, standard_name(label.name))
+        names = " ".join(label.name for label in labels)
+        mapped = {"coordinates": names, "grid_mapping": CRS}
     annotate(add(ELEVATION, DIMENSIONS[1:], site.elevation[:, :].T, "f8"), mapped)
     for name, (label, values) in poses.bands.items():
         kind = "i2" if name == REASON.name else "f4"
@@ -242,15 +243,6 @@ def _define(file: Any, poses: Atlas, site: Site) -> None:
     meanings = {"flag_meanings": " ".join(slugs), REASONS: json.dumps(poses.reasons)}
     annotate(reason, meanings)
     reason.flag_values = codes
-
-
-def _add_map_axes(add: Callable[..., Any], poses: Atlas, site: Site) -> Iterator[str]:
-    """Write the axes in the reference system of the map file, and yield their names."""
-    named = {each.axis: each.name for each in site.coordinates}
-    for axis, values in (("x", poses.x), ("y", poses.y)):
-        label = map_label(named.get(axis, axis), site.crs)
-        annotate(add(label, [axis], site.on_map(axis, values), "f8"), standard_name(label.name))
-        yield label.name
 
 
 def open_atlas(path: str | os.PathLike[str]) -> tuple[Atlas, Site]:

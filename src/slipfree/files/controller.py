@@ -38,7 +38,7 @@ from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.system.regular_files import replace_file
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.vehicle.tree import Coordinate, Vehicle
+from slipfree.vehicle.tree import Vehicle
 
 PART = 500  # instructions in a part of a function: compilers need a time that grows with its square
 N_CASES = 100  # states in the test program, half of them on level ground
@@ -228,9 +228,8 @@ def _answers(direct: Dae, inverse: Dae) -> Iterator[tuple[Label, ca.SX]]:
     """Yield rates of wheels and joints, targets of steered joints, and velocities."""
     yield from zip(direct.labels.u.wheels, direct.u.wheels, strict=True)
     outputs = dict(zip((label.name for label in inverse.labels.y[1]), inverse.y[1], strict=True))
-    joints = dict(
-        zip((label.name for label in leaves(direct.labels.x)), leaves(direct.x), strict=True)
-    )
+    states = zip(leaves(direct.labels.x), leaves(direct.x), strict=True)
+    joints = {label.name: value for label, value in states}
     vehicle = direct.vehicle
     for c, label in zip(vehicle.of("commanded"), direct.labels.u.joints, strict=True):
         yield label, outputs.get(label.name, ca.SX(0))
@@ -265,14 +264,12 @@ def _fields(model: _Model, frame: Frame) -> _Fields:
     fields = _Fields(*([field(label) for label in labels] for labels in records))
     for labels, record in zip(records, fields, strict=True):
         names = [each.name for each in record]
-        for k, name in enumerate(names):
-            if name in names[:k]:
-                first = labels[names.index(name)].full
-                raise ModelError(
-                    "export: expected names of wheels and joints that differ in their letters and "
-                    f"digits, for C, found {first!r} and {labels[k].full!r}; rename a wheel or "
-                    "joint"
-                )
+        if k := next((k for k, name in enumerate(names) if name in names[:k]), 0):
+            raise ModelError(
+                "export: expected names of wheels and joints that differ in their letters and "
+                f"digits, for C, found {labels[names.index(names[k])].full!r} and "
+                f"{labels[k].full!r}; rename a wheel or joint"
+            )
     return fields
 
 
@@ -449,8 +446,11 @@ def _cases(
 ) -> tuple[Array, Array, Array, Array]:
     """Return random places, poses, commands and their answers, for the test of the C code."""
     size, drawn, labels = model.direct.size, TRIES * count, list(leaves(model.direct.labels.x))
-    spread = {c.name: _joint_range(vehicle, c, size) for c in vehicle.coordinates}
-    spread |= {"x": (-size, size), "y": (-size, size), "heading": (-np.pi, np.pi)}
+    spread = {"x": (-size, size), "y": (-size, size), "heading": (-np.pi, np.pi)}
+    for c in vehicle.coordinates:
+        most = JOINT_SPREAD if vehicle.unit(c.name) == "rad" else SLIDE_SPREAD * size
+        middle = min(max(c.lower, 0.0), c.upper)
+        spread[c.name] = max(c.lower, middle - most), min(c.upper, middle + most)
     start = {
         label.name: rng.uniform(*spread[label.name], drawn)
         for label in labels[: model.place.numel()]
@@ -473,20 +473,12 @@ def _cases(
     for equations, unknowns in model.blocks:
         zero = np.zeros((unknowns.numel(), count))
         known.append((unknowns, _solved(model.inverse, equations, unknowns, known, zero)))
-    symbols, values = [pair[0] for pair in known], [pair[1] for pair in known]
-    (answers,) = evaluate(
-        model.inverse.function("answers", [*symbols], [ca.densify(model.answer)]), *values
-    )
+    symbols, values = zip(*known, strict=True)
+    function = model.inverse.function("answers", [*symbols], [ca.densify(model.answer)])
+    (answers,) = evaluate(function, *values)
     shift = np.concatenate(model.direct.shift)[len(place) : len(place) + len(pose)]
     pose += shift[:, None]
     return place.T, pose.T, command.T, answers.T
-
-
-def _joint_range(vehicle: Vehicle, c: Coordinate, size: float) -> tuple[float, float]:
-    """Return the range of the values of a measured joint in the test program."""
-    spread = JOINT_SPREAD if vehicle.unit(c.name) == "rad" else SLIDE_SPREAD * size
-    middle = min(max(c.lower, 0.0), c.upper)
-    return max(c.lower, middle - spread), min(c.upper, middle + spread)
 
 
 def _at_rest(model: _Model) -> ca.SX:
@@ -506,7 +498,7 @@ def _solved(
     start: Array,
 ) -> Array:
     """Return the solutions of equations by Newton's method with dense matrices, from a start."""
-    symbols, values = [pair[0] for pair in known], [pair[1] for pair in known]
+    symbols, values = zip(*known, strict=True)
     results = [ca.densify(rows), ca.densify(ca.jacobian(rows, unknowns))]
     function = dae.function("equations", [*symbols, unknowns], results)
 

@@ -142,9 +142,10 @@ def read_log(
         left_out[reason] = int((good & bad).sum())
         good &= ~bad
     if "x" in values:
-        place = values["x"] + 1j * values["y"]
         _check_repeated(path, t, values, good)
-        good = _without_excursions(path, table, good, place, left_out)
+        is_away = _excursions(path, table, good)
+        left_out["position that jumps away and back"] = int(is_away.sum())
+        good &= ~is_away
     if not good.any() and t.size:
         found = ", ".join(f"{count} with {reason}" for reason, count in (+left_out).items())
         raise DataError(
@@ -218,13 +219,12 @@ def _check_repeated(path: Path, t: Array, values: Mapping[str, Array], good: Mas
         )
 
 
-def _without_excursions(
-    path: Path, table: Columns, good: Mask, place: Array, left_out: Counter[str]
-) -> Mask:
-    """Return the good rows without those that are far from both of their neighbours."""
+def _excursions(path: Path, table: Columns, good: Mask) -> Mask:
+    """Return whether a good row is far from both neighbours; DataError for many such rows."""
     rows = np.flatnonzero(good)
+    place = (table.values["x"] + 1j * table.values["y"])[rows]
     window = table.values.get("window", np.zeros(good.size))[rows]
-    steps, over = np.abs(np.diff(place[rows])), np.abs(place[rows][2:] - place[rows][:-2])
+    steps, over = np.abs(np.diff(place)), np.abs(place[2:] - place[:-2])
     least = np.minimum(steps[1:], steps[:-1])
     is_away = (least > FAR) & (over < RETURN * least) & (window[2:] == window[:-2])
     if is_away.sum() > MIXED * is_away.size:
@@ -235,10 +235,7 @@ def _without_excursions(
             f"t = {_time(table, k + 1)} in line {line_of(path, int(k) + 1)}: two drives were "
             "probably sorted by time into one file; use a file for each"
         )
-    left_out.update({"position that jumps away and back": int(is_away.sum())})
-    good = good.copy()
-    good[rows[1:-1][is_away]] = False
-    return good
+    return np.isin(np.arange(good.size), rows[1:-1][is_away])
 
 
 def is_continuous(t: Array, place: Array, window: Array) -> Mask:

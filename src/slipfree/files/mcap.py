@@ -31,7 +31,7 @@ from slipfree.system.regular_files import read_bytes, regular_file, replacing
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
+    pass
 
 Rows = Mapping[str, Array]
 T = TypeVar("T")
@@ -278,7 +278,11 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None
     origins, rotation = platform_poses(run, vehicle)
     joints = joint_motion(run, vehicle, robot)
     if robot is None:
-        frames = [LinkPoses(MAP, BASE, origins, rotation), *_wheel_frames(run, vehicle)]
+        frames = [LinkPoses(MAP, BASE, origins, rotation)]
+        places, turns = to_rep103(wheel_poses(vehicle, run))
+        for k, name in enumerate(run.wheels):
+            local, turn = rotation.inv().apply(places[:, k] - origins), turns[k :: len(run.wheels)]
+            frames.append(LinkPoses(BASE, name, local, rotation.inv() * turn))
     else:
         root = LinkPoses(MAP, base, origins, rotation * robot.root_turn)
         frames = [root, *link_poses(robot, {name: value for name, (value, _) in joints.items()})]
@@ -293,7 +297,16 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None
                 schemas[kind] = writer.register_msgdef(name, definition(kind))
             writer.write_message(topic, schemas[kind], content, log_time=time)
 
-        write(times[0], *_path(origins, rotation, times))
+        rows = zip(times, origins.tolist(), rotation.as_quat().tolist(), strict=True)
+        poses = [
+            {
+                "header": _header(time, MAP),
+                "pose": {"position": _vector(place), "orientation": _vector(turn, "xyzw")},
+            }
+            for time, place, turn in rows
+        ]
+        path = {"header": _header(times[0], MAP), "poses": poses}
+        write(times[0], "/path", "nav_msgs/Path", path)
         for time, *messages in zip(times, *tracks, strict=True):
             for topic, kind, content in messages:
                 write(time, topic, kind, _stamped(content, time))
@@ -302,14 +315,12 @@ def write_mcap(out: Path, run: Trajectory, vehicle: Vehicle, robot: Robot | None
 
 def definition(name: str) -> str:
     """Return the definition of a message, followed by those of the messages that it contains."""
-    others = [f"{'=' * 80}\nMSG: {part}\n{DEFINITIONS[part]}" for part in dict(_contained(name))]
+    names = [name]
+    for each in names:  # the list grows
+        contained = re.findall(r"^\w+/\w+", DEFINITIONS[each], re.MULTILINE)
+        names += [part for part in dict.fromkeys(contained) if part not in names]
+    others = [f"{'=' * 80}\nMSG: {part}\n{DEFINITIONS[part]}" for part in names[1:]]
     return "\n".join([DEFINITIONS[name], *others])
-
-
-def _contained(name: str) -> Iterator[tuple[str, None]]:
-    for part in re.findall(r"^\w+/\w+", DEFINITIONS[name], re.MULTILINE):
-        yield part, None
-        yield from _contained(part)
 
 
 def _header(time: int, frame: str) -> dict[str, Any]:
@@ -328,18 +339,6 @@ def _vector(values: Sequence[float], names: str = "xyz") -> dict[str, float]:
     return dict(zip(names, values, strict=True))
 
 
-def _path(origins: Array, rotation: Rotation, times: Sequence[int]) -> Message:
-    rows = zip(times, origins.tolist(), rotation.as_quat().tolist(), strict=True)
-    poses = [
-        {
-            "header": _header(time, MAP),
-            "pose": {"position": _vector(place), "orientation": _vector(turn, "xyzw")},
-        }
-        for time, place, turn in rows
-    ]
-    return "/path", "nav_msgs/Path", {"header": _header(times[0], MAP), "poses": poses}
-
-
 def _transforms(frames: Sequence[LinkPoses]) -> Iterator[Message]:
     places = np.stack([frame.origins for frame in frames], axis=1).tolist()
     quaternions = np.stack([frame.rotation.as_quat() for frame in frames], axis=1).tolist()
@@ -353,14 +352,6 @@ def _transforms(frames: Sequence[LinkPoses]) -> Iterator[Message]:
             for frame, at, q in zip(frames, *row, strict=True)
         ]
         yield "/tf", "tf2_msgs/TFMessage", {"transforms": transforms}
-
-
-def _wheel_frames(run: Trajectory, vehicle: Vehicle) -> Iterator[LinkPoses]:
-    base, turn = platform_poses(run, vehicle)
-    origins, rotations = to_rep103(wheel_poses(vehicle, run))
-    for k, name in enumerate(run.wheels):
-        local = turn.inv().apply(origins[:, k] - base)
-        yield LinkPoses(BASE, name, local, turn.inv() * rotations[k :: len(run.wheels)])
 
 
 def _joint_states(

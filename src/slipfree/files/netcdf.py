@@ -29,7 +29,7 @@ import numpy.typing as npt
 import scipy
 
 from slipfree.core.errors import DataError, ModelError
-from slipfree.core.facts import Fact, decode
+from slipfree.core.facts import decode
 from slipfree.core.outcome import Outcome
 from slipfree.core.quantities import QUANTITIES, quantity_label
 from slipfree.core.records import Array, Label
@@ -145,12 +145,9 @@ def position_columns(run: Trajectory) -> dict[str, Column]:
     crs = run.attributes.get(MAP_CRS)
     if not crs or not is_trajectory(run):
         return {}
-    columns = {}
-    for name, (_, values) in map_positions(run).items():
-        if name != "z":
-            label = map_label(name, crs)
-            columns[label.name] = Column(label, values)
-    return columns
+    places = map_positions(run).items()
+    columns = (Column(map_label(name, crs), values) for name, (_, values) in places if name != "z")
+    return {column.label.name: column for column in columns}
 
 
 def coordinate_attributes(run: Trajectory, on_map: Sequence[str], name: str) -> dict[str, str]:
@@ -210,9 +207,48 @@ def write(
     """
     _check(run)
     on_map = position_columns(run)
+    columns = {**on_map, **run.columns}
     with replacing(Path(path)) as part:
         with scipy.io.netcdf_file(str(part), "w", version=2) as file:
-            _define(file, run, on_map)
+            now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+            own = {
+                "Conventions": CONVENTIONS,
+                **(FEATURE if is_trajectory(run) else {}),
+                "title": "Motion of a wheeled vehicle over uneven ground",
+                "date_created": now,
+                "history": f"{now} computed by slipfree {__version__}",
+                ORIGIN: __version__,
+                "python_version": platform.python_version(),
+                **{f"{name}_version": version(name) for name in ("casadi", "numpy", "scipy")},
+                ORDER: " ".join(run.columns),
+                **({FRAME: "paper"} if "heading" in run.columns else {}),
+            }
+            annotate(file, own | run.metadata)
+            file.createDimension("time", run.t.size)
+            time = file.createVariable("time", "f8", ("time",))
+            time[:] = run.t
+            annotate(time, TIME_ATTRIBUTES)
+            if run.wheels:
+                names = [name.encode() for name in run.wheels]
+                length = (
+                    -(-max(map(len, names)) // 4) * 4
+                )  # a multiple of 4: the file needs no padding
+                file.createDimension("wheel", len(names))
+                file.createDimension("strlen", length)
+                wheel = file.createVariable("wheel", "c", ("wheel", "strlen"))
+                wheel[:] = np.array(names, f"S{length}").view("S1").reshape(len(names), length)
+                annotate(wheel, {**WHEELS, "_Encoding": "utf-8"})
+            if is_trajectory(run):
+                number = file.createVariable(TRAJECTORY, "i4", ())
+                number[...] = 1
+                annotate(number, TRAJECTORY_ATTRIBUTES)
+            if on_map:
+                mapping = file.createVariable(CRS, "i4", ())
+                mapping[...] = 0  # without a value, what memory contained is written
+                annotate(mapping, grid_mapping(run.attributes[MAP_CRS]))
+            for name, column in columns.items():
+                variable = file.createVariable(name, "f8", column.dimensions[::-1])
+                annotate(variable, column.metadata | coordinate_attributes(run, [*on_map], name))
             for name, values in arrays.items():
                 dimensions = [f"{name}{SIZE}{axis or ''}" for axis in range(values.ndim)]
                 for dimension, size in zip(dimensions, values.shape, strict=True):
@@ -222,7 +258,15 @@ def write(
                 variable = file.createVariable(name, "f4" if is_single else "f8", dimensions)
                 variable[:] = values
                 variable.long_name = name.replace("_", " ")
-        _write_values(part, {**on_map, **run.columns})
+        # values in blocks: scipy's writer would hold a copy of all quantities in memory
+        written = open_netcdf(part)
+        written.stream.close()
+        with part.open("rb+") as stream:
+            for name, column in columns.items():
+                stream.seek(written.variables[name].start)
+                for row in np.atleast_2d(column.values.T):
+                    for k in range(0, row.size, BLOCK):
+                        stream.write(row[k : k + BLOCK].astype(">f8").data)
 
 
 def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
@@ -318,49 +362,6 @@ def _check(run: Trajectory) -> None:
         )
 
 
-def _define(file: Any, run: Trajectory, on_map: Mapping[str, Column]) -> None:
-    """Write a trajectory to an open netCDF file, without the values of its quantities."""
-    annotate(file, _attributes(run))
-    file.createDimension("time", run.t.size)
-    time = file.createVariable("time", "f8", ("time",))
-    time[:] = run.t
-    annotate(time, TIME_ATTRIBUTES)
-    if run.wheels:
-        names = [name.encode() for name in run.wheels]
-        length = -(-max(map(len, names)) // 4) * 4  # a multiple of 4: the file needs no padding
-        file.createDimension("wheel", len(names))
-        file.createDimension("strlen", length)
-        wheel = file.createVariable("wheel", "c", ("wheel", "strlen"))
-        wheel[:] = np.array(names, f"S{length}").view("S1").reshape(len(names), length)
-        annotate(wheel, {**WHEELS, "_Encoding": "utf-8"})
-    if is_trajectory(run):
-        number = file.createVariable(TRAJECTORY, "i4", ())
-        number[...] = 1
-        annotate(number, TRAJECTORY_ATTRIBUTES)
-    if on_map:
-        mapping = file.createVariable(CRS, "i4", ())
-        mapping[...] = 0  # without a value, what memory contained is written
-        annotate(mapping, grid_mapping(run.attributes[MAP_CRS]))
-    for name, column in {**on_map, **run.columns}.items():
-        variable = file.createVariable(name, "f8", column.dimensions[::-1])
-        annotate(variable, column.metadata | coordinate_attributes(run, [*on_map], name))
-
-
-def _write_values(path: Path, columns: Mapping[str, Column]) -> None:
-    """Write the values of quantities to a netCDF file that defines them.
-
-    Values are converted in blocks: scipy's writer would hold a copy of all quantities in memory.
-    """
-    file = open_netcdf(path)
-    file.stream.close()
-    with path.open("rb+") as stream:
-        for name, column in columns.items():
-            stream.seek(file.variables[name].start)
-            for row in np.atleast_2d(column.values.T):
-                for k in range(0, row.size, BLOCK):
-                    stream.write(row[k : k + BLOCK].astype(">f8").data)
-
-
 def annotate(node: Any, attributes: Mapping[str, Any]) -> None:
     """Set attributes of a netCDF file or variable; raise ModelError for a name that scipy uses."""
     for name, value in attributes.items():
@@ -371,23 +372,6 @@ def annotate(node: Any, attributes: Mapping[str, Any]) -> None:
             )
         text = escape_name(value).encode() if isinstance(value, str) else None
         setattr(node, name, np.float64(value) if text is None else text)
-
-
-def _attributes(run: Trajectory) -> dict[str, Attribute]:
-    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    return {
-        "Conventions": CONVENTIONS,
-        **(FEATURE if is_trajectory(run) else {}),
-        "title": "Motion of a wheeled vehicle over uneven ground",
-        "date_created": now,
-        "history": f"{now} computed by slipfree {__version__}",
-        ORIGIN: __version__,
-        "python_version": platform.python_version(),
-        **{f"{name}_version": version(name) for name in ("casadi", "numpy", "scipy")},
-        ORDER: " ".join(run.columns),
-        **({FRAME: "paper"} if "heading" in run.columns else {}),
-        **run.metadata,
-    }
 
 
 class _Variable(NamedTuple):
@@ -501,8 +485,15 @@ def _trajectory(file: NetcdfFile) -> Trajectory:
     sizes = {("time",): (n,), ("wheel", "time"): (k, n)}
     stop = None
     if set(STOP) <= set(stored):
-        name, words = (str(stored[key]) for key in (STOP[0], STOP[2]))
-        stop = Stop(name, file.number(STOP[1]), words, _outcome(file))
+        name, words, outcome = (str(stored.get(key, "")) for key in (STOP[0], STOP[2], OUTCOME))
+        if outcome.upper() not in Outcome.__members__:
+            found = f"the unknown outcome {outcome!r}" if outcome else f"no attribute {OUTCOME!r}"
+            raise result_fault(file.path, found)
+        stop = Stop(name, file.number(STOP[1]), words, Outcome[outcome.upper()])
+    try:
+        facts = decode(str(stored.get(FACTS, "{}")))
+    except ValueError as error:
+        raise result_fault(file.path, f"an unreadable attribute {FACTS!r}") from error
     attributes = {
         name: str(value)
         for name, value in stored.items()
@@ -515,24 +506,8 @@ def _trajectory(file: NetcdfFile) -> Trajectory:
         stop,
         {k.removeprefix(STATISTICS): file.number(k) for k in stored if k.startswith(STATISTICS)},
         attributes,
-        _facts(file),
+        facts,
     )
-
-
-def _facts(file: NetcdfFile) -> dict[str, Fact]:
-    try:
-        return decode(str(file.attributes.get(FACTS, "{}")))
-    except ValueError as error:
-        raise result_fault(file.path, f"an unreadable attribute {FACTS!r}") from error
-
-
-def _outcome(file: NetcdfFile) -> Outcome:
-    name = str(file.attributes.get(OUTCOME, "")).upper()
-    if not name:
-        raise result_fault(file.path, f"no attribute {OUTCOME!r}")
-    if name not in Outcome.__members__:
-        raise result_fault(file.path, f"the unknown outcome {name.lower()!r}")
-    return Outcome[name]
 
 
 def _label(file: NetcdfFile, name: str, sizes: Mapping[tuple[str, ...], tuple[int, ...]]) -> Label:
@@ -625,24 +600,19 @@ def export_rates(file: Path, out: Path) -> None:
     """
     run = read(file)
     check_name(out, file, (".csv",))
-    inputs = run.attributes.get("inputs", "").split()
-    names = [
-        name
-        for name in inputs
-        if name in run.columns and run.columns[name].label.unit in ("rad s-1", "m s-1")
-    ]
-    if not names:
+    inputs = {name: run.columns.get(name) for name in run.attributes.get("inputs", "").split()}
+    rates = {n: c for n, c in inputs.items() if c and c.label.unit in ("rad s-1", "m s-1")}
+    if not rates:
         raise DataError(
             f"{file}: expected rates of driven wheels or actuated joints, found none; {RUN_AGAIN}"
         )
-    write_csv(out, replace(run, columns={name: run.columns[name] for name in names}))
+    write_csv(out, replace(run, columns=rates))
 
 
 def check_motion(file: Path, run: Trajectory, needed: Iterable[str]) -> None:
     """Raise DataError if the motion in a result file lacks a needed quantity."""
     names = list(needed)
-    missing = [name for name in names if name not in run.columns]
-    if missing:
+    if missing := [name for name in names if name not in run.columns]:
         listed = ", ".join(names)
         raise DataError(
             f"{file}: expected a motion with {listed}, found no {missing[0]!r}; {RUN_AGAIN}"

@@ -174,11 +174,23 @@ def read_columns(
     width, count = len(layout.row), len(names)
     wanted = f"{COUNTS.get(count, count)} numbers {','.join(names)}"
     notes = []
-    if not isinstance(columns, Mapping) and _is_in_order(layout, names, others):
+    bases = {split_unit(name)[0].lower() for name in layout.names}
+    is_strange = not bases & set.union({*names}, *ALIASES)
+    is_in_order = not layout.names or (others and is_strange and width == count)
+    if not isinstance(columns, Mapping) and is_in_order:
         chosen = {name: (k, "") for k, name in enumerate(names)}
         if width > count and others:
-            if not layout.names:
-                _check_first_column(layout, wanted, where)
+            if not layout.names:  # the first column may count or name the rows
+                cells = [_line_cells(text, layout.separator)[0] for _, text in layout.lines(wanted)]
+                first, size = cells[0], len(cells)
+                start = int(first) if first.isdigit() else 0
+                counts = [str(k) for k in range(start, start + size)]
+                if (size > 1 and cells == counts) or not _is_number(first, layout.separator):
+                    raise DataError(
+                        f"{path}:{layout.first}: expected {wanted} in the first columns, found "
+                        f"that the first column counts or names the rows, from {first!r}; name "
+                        f"the columns in {where}, as in number,{wanted.split()[-1]}"
+                    )
             notes = [f"{', '.join(names)} are the first {count} of {width} columns"]
         elif width != count and layout.row:
             text = (layout.separator or " ").join(layout.row)
@@ -204,9 +216,29 @@ def read_columns(
         index, unit = chosen[name]
         is_own = layout.names and not any(key.startswith(f"{name}:") for key in chosen)
         title = layout.names[index] if is_own else name
-        _check_unit(path, title, unit, si_units.get(name))
-        values[name], conversions, first = _converted(path, title, name, unit, read[name], where)
-        notes, start = [*notes, *conversions], first or start
+        symbol, factor = (unit and known_unit(unit)) or (si_units.get(name, ""), 1.0)
+        if symbol != si_units.get(name, symbol):
+            remedy = REMEDIES.get((si_units[name], symbol), "correct the column or its unit")
+            raise DataError(
+                f"{path}: expected a unit of {si_units[name]} of the column {title!r}, found "
+                f"{unit}; {remedy}"
+            )
+        notes += [f"{title} converted from {unit} to {symbol}"] if factor != 1 else []
+        column = read[name]
+        if name in ALIASES[0] and column.size:
+            largest = float(np.abs(column).max())
+            for word, smallest, short in LARGE_TIMES:
+                if not unit and largest >= smallest:
+                    raise DataError(
+                        f"{path}: expected times in s, found values up to {largest:.3g} in the "
+                        f"column {title!r}, probably {word}; name it {f'{title} [{short}]'!r} in "
+                        f"{where}"
+                    )
+            if factor * column.min() >= EPOCH:
+                start = factor * float(column[0])
+                notes.append(f"{title} counts from the first time, {start:.10g} s")
+                column = column - column[0]  # before the conversion: less rounding
+        values[name] = factor * column
     return Columns(values, tuple(notes), start)
 
 
@@ -341,9 +373,24 @@ def _layout_with(
             )
         elif len(cells) > 1 or not _is_number(text, separator):  # a number alone counts the rows
             heads.append((number, text, cells))
-    if separator == "," and not any(len(cells) == width for _, _, cells in heads):
-        _check_commas(path, rows)
-    _check_decimals(path, rows, separator)
+    is_named = any(len(cells) == width for _, _, cells in heads)
+    used: dict[str, str] = {}  # decimal signs, and a cell with each
+    for number, cells in rows:
+        odd = next((cell for cell in cells if re.fullmatch(r"0\d+", cell)), "")
+        if odd and separator == "," and not is_named:
+            raise DataError(
+                f"{path}:{number}: expected numbers with decimal points, found {odd!r} between "
+                "commas, probably decimals of a number with a comma; write decimal points, or "
+                "separate the columns by semicolons, and give names in the first line"
+            )
+        for cell in cells if separator != "," else ():
+            if _is_number(cell, separator):
+                used |= {sign: cell for sign in ".," if sign in cell}
+        if len(used) > 1:
+            raise DataError(
+                f"{path}:{number}: expected one decimal sign, found {' and '.join(used.values())}; "
+                "write all numbers with decimal points and without separators of thousands"
+            )
     table = [cells for _, cells in rows if len(cells) == width]
     while width > 2 and not any(cells[width - 1] for cells in table):  # separators at line ends
         width -= 1
@@ -375,52 +422,6 @@ def _commented_names(comments: Sequence[str], separator: str | None, width: int)
         if len(names) == width and any(split_unit(name)[0].lower() in known for name in names):
             return names
     return []
-
-
-def _check_commas(path: Path, rows: Iterable[tuple[int, Sequence[str]]]) -> None:
-    """Raise DataError if commas that separate columns are probably also decimal signs."""
-    for number, cells in rows:
-        if cell := next((cell for cell in cells if re.fullmatch(r"0\d+", cell)), ""):
-            raise DataError(
-                f"{path}:{number}: expected numbers with decimal points, found {cell!r} between "
-                "commas, probably decimals of a number with a comma; write decimal points, or "
-                "separate the columns by semicolons, and give names in the first line"
-            )
-
-
-def _check_decimals(
-    path: Path, rows: Iterable[tuple[int, Sequence[str]]], separator: str | None
-) -> None:
-    used: dict[str, str] = {}
-    for number, cells in rows:
-        for cell in cells:
-            if separator != "," and _is_number(cell, separator):
-                used |= {sign: cell for sign in ".," if sign in cell}
-        if len(used) > 1:
-            raise DataError(
-                f"{path}:{number}: expected one decimal sign, found {' and '.join(used.values())}; "
-                "write all numbers with decimal points and without separators of thousands"
-            )
-
-
-def _check_first_column(layout: _TextTable, wanted: str, where: str) -> None:
-    """Raise DataError if the first column counts or names the rows of a table without names."""
-    cells = [_line_cells(text, layout.separator)[0] for _, text in layout.lines(wanted)]
-    first = cells[0]
-    counts = [str(k) for k in range(int(first), int(first) + len(cells))] if first.isdigit() else []
-    if (len(cells) > 1 and cells == counts) or not _is_number(first, layout.separator):
-        raise DataError(
-            f"{layout.path}:{layout.first}: expected {wanted} in the first columns, found that the "
-            f"first column counts or names the rows, from {first!r}; name the columns in {where}, "
-            f"as in number,{wanted.split()[-1]}"
-        )
-
-
-def _is_in_order(layout: _TextTable, names: Collection[str], others: bool) -> bool:
-    """Return whether the columns are chosen by their order, not by their names."""
-    bases = {split_unit(name)[0].lower() for name in layout.names}
-    is_strange = not bases & set.union({*names}, *ALIASES)
-    return not layout.names or (others and is_strange and len(layout.row) == len(names))
 
 
 def _choose(
@@ -470,16 +471,6 @@ def _parts(key: str, name: str, names: Sequence[str]) -> dict[str, tuple[int, st
         parts for parts in stems.values() if {f"{key}:{part}" for part in required} <= {*parts}
     ]
     return complete[0] if len(complete) == 1 else {}
-
-
-def _check_unit(path: Path, title: str, unit: str, expected: str | None) -> None:
-    """Raise DataError if the unit of a column is that of another quantity."""
-    found = (unit and known_unit(unit)) or (expected, 1.0)
-    if expected and found[0] != expected:
-        remedy = REMEDIES.get((expected, str(found[0])), "correct the column or its unit")
-        raise DataError(
-            f"{path}: expected a unit of {expected} of the column {title!r}, found {unit}; {remedy}"
-        )
 
 
 def _read_numbers(
@@ -539,25 +530,3 @@ def _timestamp(text: str) -> float:
     text = text.strip(" \"'")  # times of day have the same date
     time = datetime.fromisoformat(f"2000-01-01T{text}" if text[2:3] == ":" else text)
     return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
-
-
-def _converted(
-    path: Path, title: str, name: str, unit: str, values: Array, where: str
-) -> tuple[Array, list[str], float]:
-    """Return a column in SI units, notes, and the first time if times count from a date [s]."""
-    symbol, factor = (unit and known_unit(unit)) or ("", 1.0)
-    notes = [f"{title} converted from {unit} to {symbol}"] if factor != 1 else []
-    start = 0.0
-    if name in ALIASES[0] and values.size:
-        largest = float(np.abs(values).max())
-        for word, smallest, short in LARGE_TIMES:
-            if not unit and largest >= smallest:
-                raise DataError(
-                    f"{path}: expected times in s, found values up to {largest:.3g} in the column "
-                    f"{title!r}, probably {word}; name it {f'{title} [{short}]'!r} in {where}"
-                )
-        if factor * values.min() >= EPOCH:
-            start = factor * float(values[0])
-            notes.append(f"{title} counts from the first time, {start:.10g} s")
-            values = values - values[0]  # before the conversion: less rounding
-    return factor * values, notes, start

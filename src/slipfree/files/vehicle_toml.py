@@ -404,10 +404,6 @@ def _rollers(value: Any) -> float | bool:
     )
 
 
-def _known_section(_: Any) -> None:
-    raise expected_error(f"one of {', '.join(map(repr, SECTIONS))}")
-
-
 class KindTable(Record):
     """Table with a key ``kind``, on which its other keys depend."""
 
@@ -551,7 +547,7 @@ class UnknownSectionTable(AnyWheelTable):
     """Table of a wheel with an unknown section; further keys are not checked."""
 
     model_config = ConfigDict(extra="ignore")
-    section: Annotated[Any, PlainValidator(_known_section)]
+    section: Literal[tuple(SECTIONS)]  # type: ignore[valid-type]
 
 
 class VehicleTable(Record):
@@ -610,21 +606,18 @@ def validated(model: type[Record], file: File) -> Any:
     try:
         table = model.model_validate(file.data)
     except ValidationError as error:
-        errors = error.errors(include_url=False)
-        faults = [_worded(model, file.data, dict(each)) for each in errors]
+        faults = list[Fault]()
+        words = {"frame": FRAMES, "parent": PARENT, "wheels": "at least three wheels"}
+        for each in error.errors(include_url=False):
+            place = tuple(each["loc"])
+            if each["type"] == "missing" and isinstance(place[-1], str):
+                faults.append(Fault(place, words.get(place[-1], "a value"), "none"))
+            else:
+                faults.append(validation_fault(model, file.data, dict(each)))
         raise file.error(faults) from error
     if faults := [*value_errors(file.data)]:
         raise file.error(faults)
     return table
-
-
-def _worded(model: type[Record], data: dict[str, Any], error: dict[str, Any]) -> Fault:
-    """Return a validation error of pydantic as a `Fault`, with descriptions for this file."""
-    place, kind = tuple(error["loc"]), error["type"]
-    if kind == "missing" and isinstance(place[-1], str):
-        expected = {"frame": FRAMES, "parent": PARENT, "wheels": "at least three wheels"}
-        return Fault(place, expected.get(place[-1], "a value"), "none")
-    return validation_fault(model, data, error)
 
 
 def read_toml(file: File) -> Draft:

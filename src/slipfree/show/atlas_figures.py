@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,16 +64,12 @@ def view_of(poses: Atlas, terrain: Any) -> AtlasView:
 def atlas_plots(drawn: AtlasView) -> tuple[Plot, ...]:
     """Return the figures of a mobility map, the most important first."""
     allowed = _share_words(drawn)
-    plots = [
-        Plot("headings", f"Share of headings at which {allowed}.", lambda: _headings(drawn)),
-    ]
+    plots = [Plot("headings", f"Share of headings at which {allowed}.", partial(_headings, drawn))]
     if friction_maps(drawn.maps):
         words = "Least coefficient of friction that holds the vehicle, at the best and the worst "
-        plots.append(Plot("friction", f"{words}heading.", lambda: _friction(drawn)))
-    plots.append(
-        Plot("limit", "Most frequent reason that excludes headings.", lambda: _limit(drawn))
-    )
-    return tuple(plots)
+        plots.append(Plot("friction", f"{words}heading.", partial(_friction, drawn)))
+    words = "Most frequent reason that excludes headings."
+    return (*plots, Plot("limit", words, partial(_limit, drawn)))
 
 
 def friction_maps(maps: Mapping[str, Band]) -> list[Band]:
@@ -133,21 +130,16 @@ def _headings(drawn: AtlasView) -> Figure:
     return figure
 
 
-def _friction_scale(*bands: Band) -> tuple[Colormap, Normalize]:
-    """Return colours of the friction in maps, in round steps from zero."""
-    values = np.concatenate([band.values.ravel() for band in bands])
-    values = values[np.isfinite(values)]
-    largest = float(np.percentile(values, SHOWN)) if values.size else 1.0
-    levels = style.ticks(LEVELS).tick_values(0.0, max(largest, SMALLEST))
-    scale = colormaps[FRICTION]
-    return scale, BoundaryNorm(levels, scale.N, extend="max")
-
-
 def _friction(drawn: AtlasView) -> Figure:
     figure = _sized(drawn, 2, below=6)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
-    scale, norm = _friction_scale(*friction_maps(drawn.maps))
-    for name, band, ax in zip(("best", "worst"), friction_maps(drawn.maps), axes, strict=True):
+    bands, scale = friction_maps(drawn.maps), colormaps[FRICTION]
+    values = np.concatenate([band.values.ravel() for band in bands])
+    values = values[np.isfinite(values)]
+    largest = float(np.percentile(values, SHOWN)) if values.size else 1.0
+    levels = style.ticks(LEVELS).tick_values(0.0, max(largest, SMALLEST))  # round steps from zero
+    norm = BoundaryNorm(levels, scale.N, extend="max")
+    for name, band, ax in zip(("best", "worst"), bands, axes, strict=True):
         _image(drawn, band.values, scale, norm, ax)
         ax.set_title(f"Least friction, {name} heading")
     axes[1].set_ylabel("")

@@ -83,23 +83,18 @@ def _draw_ellipse(ax: Axes, estimate: Estimate, i: int, j: int) -> None:
 
 
 def soil_plot(name: str, measured: Array, fit: SoilFit) -> Plot:
-    """Return the figure of a fit of a soil, to be drawn later, with the name of its file."""
+    """Return the figure of a fit of a soil to quantities, shape (n, 4), to be drawn later."""
     words = (
         "Computed over measured quantities, with the constants before the fit and with those "
         "fitted to other runs, and 95 % confidence ellipses with the strongest correlations."
     )
-    return Plot(name, words, partial(soil_figure, measured, fit))
-
-
-def soil_figure(measured: Array, fit: SoilFit) -> Figure:
-    """Return the figure of a fit of a soil to measured quantities, shape (n, 4)."""
     models = {"before": fit.nominal, "fitted to others": fit.validated}
     panels = [
         Compared(f"{name} [{unit}]", values, {k: each[:, at] for k, each in models.items()})
         for at, (name, unit) in enumerate(QUANTITIES.items())
         if np.isfinite(values := measured[:, at]).any()
     ]
-    return _compared(panels, fit.estimate)
+    return Plot(name, words, lambda: _compared(panels, fit.estimate))
 
 
 def fit_plot(name: str, scores: Mapping[Kind, Score]) -> Plot:

@@ -270,14 +270,14 @@ def side_plot(drive: PlottedDrive) -> Plot | None:
     if not drive.prisms or run["x"].any() or any(prism.heading for prism in drive.prisms):
         return None
     section = section_of(drive.prisms, float(drive.grid.z.max()))
-    return Plot("side", "Vehicle and solids from the side.", lambda: _side(run, section))
 
+    def make() -> Figure:
+        height, length = (float(np.ptp(run[f"center_{axis}"])) + 0.2 for axis in "zy")
+        figure = style.figure(PAGE, PAGE * height / length + 20 * MM)
+        side_view(run, section, figure.subplots())
+        return figure
 
-def _side(run: Trajectory, section: Profile) -> Figure:
-    y, z = run["center_y"], run["center_z"]
-    figure = style.figure(PAGE, PAGE * (np.ptp(z) + 0.2) / (np.ptp(y) + 0.2) + 20 * MM)
-    side_view(run, section, figure.subplots())
-    return figure
+    return Plot("side", "Vehicle and solids from the side.", make)
 
 
 def side_view(run: Trajectory, section: Profile, ax: Axes, count: int = POSES) -> Axes:

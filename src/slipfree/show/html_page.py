@@ -151,7 +151,12 @@ def page(report: Report, progress: Callable[[int, int], object] | None = None) -
     """Return a report as a self-contained HTML page without scripts."""
     figures = list[str]()
     for plot in report.figures:
-        figures.append(_figure(plot))
+        caption, (drawn,) = escape(plot.caption), draw([plot]).values()
+        width = PIXELS * float(drawn.get_figwidth())
+        figures.append(
+            f'<figure><img alt="{caption}" width="{width:.0f}" src="{image(drawn)}">'
+            f"<figcaption>{caption}</figcaption></figure>\n"
+        )
         if progress is not None:
             progress(len(figures), len(report.figures))
     tables = {name: html_table(rows) for name, rows in report.tables.items() if rows}
@@ -175,15 +180,6 @@ def page(report: Report, progress: Callable[[int, int], object] | None = None) -
         "</body>\n</html>\n",
     ]
     return "\n".join(lines)
-
-
-def _figure(plot: Plot) -> str:
-    caption, (figure,) = escape(plot.caption), draw([plot]).values()
-    width = PIXELS * float(figure.get_figwidth())
-    return (
-        f'<figure><img alt="{caption}" width="{width:.0f}" src="{image(figure)}">'
-        f"<figcaption>{caption}</figcaption></figure>\n"
-    )
 
 
 def image(figure: Figure) -> str:

@@ -16,7 +16,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from slipfree.core.errors import DataError, SlipfreeError
+from slipfree.core.errors import DataError, SlipfreeError, shortened
 
 HOST = "127.0.0.1"  # not reachable from the network
 NAMES = (HOST, "localhost", "[::1]")  # names of this machine
@@ -59,20 +59,20 @@ class Gate:
         if is_own and has_secret:
             return f"/{rest}", ""
         expected = f"expected the address that {self._command} printed, with its secret"
-        host, origin = (_short(", ".join(each).lower()) for each in (hosts, origins))
-        secret = "with" if has_secret else "without"
-        self._count(
-            f"refused a request: {expected}, found host {host}, "
-            f"origin {origin}, {secret} the secret"
+        # in one line without control characters
+        host, origin = (
+            shortened(ascii(", ".join(each).lower()), LONGEST) for each in (hosts, origins)
         )
-        return "", f"refused: {expected}; open that address in the browser\n"
-
-    def _count(self, words: str) -> None:
+        secret = "with" if has_secret else "without"
         self._refused += 1
         if self._refused == 1:
-            self._show(words)
+            self._show(
+                f"refused a request: {expected}, found host {host}, "
+                f"origin {origin}, {secret} the secret"
+            )
         elif str(self._refused).strip("0") == "1":
             self._show(f"refused {self._refused} requests")
+        return "", f"refused: {expected}; open that address in the browser\n"
 
 
 def page_file(name: str) -> str:
@@ -131,17 +131,15 @@ def start_server(
             elif not is_json or not length.isdecimal() or int(length) > MAX_REQUEST:
                 self._send(400, _text(f"expected JSON of at most {MAX_REQUEST} bytes"))
             else:
-                self._answer(act, self.rfile.read(int(length)))
-
-        def _answer(self, act: Post, body: bytes) -> None:
-            try:
-                self._send(200, json_content(act(json.loads(body))))
-            except ConflictError as error:
-                self._send(409, json_content(error.state))
-            except SlipfreeError as error:
-                self._send(400, _text(str(error)))
-            except (ValueError, RecursionError):
-                self._send(400, _text("expected JSON, found invalid JSON; reload the page"))
+                try:
+                    value = json.loads(self.rfile.read(int(length)))
+                    self._send(200, json_content(act(value)))
+                except ConflictError as error:
+                    self._send(409, json_content(error.state))
+                except SlipfreeError as error:
+                    self._send(400, _text(str(error)))
+                except (ValueError, RecursionError):
+                    self._send(400, _text("expected JSON, found invalid JSON; reload the page"))
 
         def _admitted(self) -> str | None:
             """Return the path without the secret; send the refusal and return None without it."""
@@ -197,9 +195,3 @@ def json_content(value: object) -> Content:
 
 def _text(words: str) -> Content:
     return Content(words.encode(), "text/plain; charset=utf-8")
-
-
-def _short(value: object) -> str:
-    """Return a value as one short line without control characters."""
-    words = ascii(value)
-    return words if len(words) <= LONGEST else f"{words[:LONGEST]}..."

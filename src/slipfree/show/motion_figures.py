@@ -165,31 +165,30 @@ def ground(grid: Grid, ax: Axes) -> Axes:
 
 def ground_plot(grid: Grid, place: tuple[float, float] | None = None) -> Plot:
     """Return the figure of a ground: heights and slopes, with a place where a vehicle stands."""
-    return Plot("ground", "Heights and slopes of the ground.", lambda: _ground(grid, place))
 
+    def make() -> Figure:
+        x, y, z = ground_drawing.patch(grid, grid.domain, HEATMAP)
+        slope = np.degrees(np.arctan(np.hypot(*np.gradient(z, x[1] - x[0], y[1] - y[0]))))
+        figure = style.figure(
+            PAGE, PAGE * (0.12 + 0.42 * float(np.clip(np.ptp(y) / np.ptp(x), 0.3, 2)))
+        )
+        left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+        ground(grid, left)
+        drawn = right.imshow(
+            slope.T, cmap="magma_r", vmin=0.0, vmax=STEEP, **ground_drawing.extent(x, y)
+        )
+        ground_drawing.shade(x, y, z, right)
+        right.set_ylabel("")
+        style.side_bar(drawn, right, "slope [deg], relief shaded", "max")
+        if place is not None:
+            for ax in (left, right):
+                ax.plot(*place, "o", mfc="white", mec="black", ms=5, label="start")
+        entries = dict(zip(*reversed(left.get_legend_handles_labels()), strict=True))
+        if entries:
+            figure.legend(entries.values(), entries.keys(), loc="outside upper left", ncols=3)
+        return figure
 
-def _ground(grid: Grid, place: tuple[float, float] | None) -> Figure:
-    """Draw the heights and the slopes of the ground, and the start."""
-    x, y, z = ground_drawing.patch(grid, grid.domain, HEATMAP)
-    slope = np.degrees(np.arctan(np.hypot(*np.gradient(z, x[1] - x[0], y[1] - y[0]))))
-    figure = style.figure(
-        PAGE, PAGE * (0.12 + 0.42 * float(np.clip(np.ptp(y) / np.ptp(x), 0.3, 2)))
-    )
-    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
-    ground(grid, left)
-    drawn = right.imshow(
-        slope.T, cmap="magma_r", vmin=0.0, vmax=STEEP, **ground_drawing.extent(x, y)
-    )
-    ground_drawing.shade(x, y, z, right)
-    right.set_ylabel("")
-    style.side_bar(drawn, right, "slope [deg], relief shaded", "max")
-    if place is not None:
-        for ax in (left, right):
-            ax.plot(*place, "o", mfc="white", mec="black", ms=5, label="start")
-    entries = dict(zip(*reversed(left.get_legend_handles_labels()), strict=True))
-    if entries:
-        figure.legend(entries.values(), entries.keys(), loc="outside upper left", ncols=3)
-    return figure
+    return Plot("ground", "Heights and slopes of the ground.", make)
 
 
 def path(run: Trajectory, ax: Axes) -> Axes:
@@ -321,8 +320,34 @@ def _grid_around(run: Trajectory, ground: Any) -> Grid:
 
 def map_plot(drive: PlottedDrive) -> Plot:
     """Return the figure of ground, path and tracks in plan view."""
+
+    def make() -> Figure:
+        run, grid, whole = drive.run, drive.grid, drive.grid.domain
+        x, y = (np.append(run[name], run[f"contact_{name}"]) for name in "xy")
+        figure, ax, window = ground_drawing.map_figure(x, y, grid, 0.15)
+        ground_drawing.solids(drive.prisms, ground_drawing.muted(grid, ax, window))
+        ground_drawing.hatch(grid, grid.filled, window, "filled holes", FILLED, ax)
+        places = [
+            each for each in drive.marks.get("places", ()) if each[0] != "start"
+        ]  # of the path
+        path(run, ground_drawing.plan_marks(ax, **{**drive.marks, "places": places}))
+        if "slip_along" in run:
+            tracks(run, ax)
+        if window != whole:
+            counts = [np.sum((x > np.mean(window[:2])) == e) for e in (True, False)]
+            inset = ax.inset_axes(
+                (0.74 if counts[0] < counts[1] else 0.01, 0.74, 0.25, 0.25), zorder=7
+            )
+            ground_drawing.shade(*ground_drawing.patch(grid, whole, INSET), inset)
+            inset.set(xticks=[], yticks=[], xlabel="", ylabel="", facecolor=ground_drawing.RELIEF)
+            size = window[1] - window[0], window[3] - window[2]
+            inset.add_patch(Rectangle(window[::2], *size, fill=False, ec=STOPPED, lw=1.2))
+        style.finished(figure, run, [ax])
+        figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
+        return figure
+
     words = "Ground and path in plan view, with tracks in the colours of utilisation or slip."
-    return Plot("map", words, lambda: _map(drive))
+    return Plot("map", words, make)
 
 
 def elevation_plot(drive: PlottedDrive) -> Plot:
@@ -360,7 +385,8 @@ def over_time(name: str, caption: str) -> Compose:
 
 def panels(run: Trajectory, patterns: Sequence[str]) -> list[list[str]]:
     """Return the quantities in each panel: one of wheels, or others with the same unit."""
-    names, moving = list[str](), _moving_joints(run)
+    names = list[str]()
+    moving = [n for n in joint_angles(run) if n.startswith("tilt_") or np.ptp(run[n]) > STILL]
     for pattern in patterns:
         end = pattern.removeprefix("*")
         of_moving = [f"{name}{end}" for name in moving] if end in ("", "_rate") else run
@@ -395,40 +421,12 @@ FIGURES: tuple[Compose, ...] = (
 )  # of a motion over terrain, the most important first
 
 
-def _map(drive: PlottedDrive) -> Figure:
-    """Draw path and tracks on the ground around them, with a small map of the whole ground."""
-    run, grid, whole = drive.run, drive.grid, drive.grid.domain
-    x, y = (np.append(run[name], run[f"contact_{name}"]) for name in "xy")
-    figure, ax, window = ground_drawing.map_figure(x, y, grid, 0.15)
-    ground_drawing.solids(drive.prisms, ground_drawing.muted(grid, ax, window))
-    ground_drawing.hatch(grid, grid.filled, window, "filled holes", FILLED, ax)
-    places = [each for each in drive.marks.get("places", ()) if each[0] != "start"]  # of the path
-    path(run, ground_drawing.plan_marks(ax, **{**drive.marks, "places": places}))
-    if "slip_along" in run:
-        tracks(run, ax)
-    if window != whole:
-        counts = [np.sum((x > np.mean(window[:2])) == e) for e in (True, False)]
-        inset = ax.inset_axes((0.74 if counts[0] < counts[1] else 0.01, 0.74, 0.25, 0.25), zorder=7)
-        ground_drawing.shade(*ground_drawing.patch(grid, whole, INSET), inset)
-        inset.set(xticks=[], yticks=[], xlabel="", ylabel="", facecolor=ground_drawing.RELIEF)
-        size = window[1] - window[0], window[3] - window[2]
-        inset.add_patch(Rectangle(window[::2], *size, fill=False, ec=STOPPED, lw=1.2))
-    style.finished(figure, run, [ax])
-    figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
-    return figure
-
-
 def _law(run: Trajectory) -> str:
     if run.attributes.get("model") == "dynamics":
         return "Slip of a motion with inertia and compliant contact."
     if run.attributes.get("model") == "quasi-static":
         return "Slip of quasi-static equilibrium under friction, without inertia."
     return "Least slip that the kinematics allows, a lower bound; real slip depends on friction."
-
-
-def _moving_joints(run: Trajectory) -> list[str]:
-    """Return the names of tilts, and of the other joints' angles that change."""
-    return [n for n in joint_angles(run) if n.startswith("tilt_") or np.ptp(run[n]) > STILL]
 
 
 def _distance(run: Trajectory) -> Array:

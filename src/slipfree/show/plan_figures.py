@@ -98,15 +98,8 @@ def motion(
 
     Places that have an area are drawn as areas.
     """
-    ax.plot(
-        run["x"],
-        run["y"],
-        color=PLATFORM,
-        lw=1.6,
-        zorder=4,
-        label="planned motion",
-        path_effects=style.halo(3.0),
-    )
+    look: dict[str, Any] = {"color": PLATFORM, "lw": 1.6, "path_effects": style.halo(3.0)}
+    ax.plot(run["x"], run["y"], zorder=4, label="planned motion", **look)
     return ground_drawing.plan_marks(ax, (), places, areas)
 
 
@@ -163,15 +156,39 @@ def plan_plots(
     are no points; ``found`` and ``guess`` routes and
     paths of the initial guesses, with NaN between paths, all in map coordinates [m].
     """
-    panels = _panels(run, layers, bounds or {}, limits or {})
+    bounds, limits = bounds or {}, limits or {}
+    drawings: list[tuple[float, Callable[[Axes], Any]]] = []
+    if bounds:
+        entries = sum(len(textwrap.wrap(style.words(name), WRAP)) for name in bounds)
+        drawings.append((max(1.0, (entries + 1) / ENTRIES), partial(inputs, run, bounds)))
+    drawings += [(1.0, partial(limited, run, name, pair)) for name, pair in limits.items()]
+    if layers.limits.keep_out:
+        drawings.append((1.0, partial(keep_out_distance, run, layers)))
+    panels = [Panel(_beside(draw), ROW * height, has_legend=False) for height, draw in drawings]
+    missed = [
+        f"{style.words(name)} {gap.value:.1e} {unit}"
+        for name, gap in starting_with("plan_difference_", run.facts).items()
+        if (unit := printed_unit(gap.unit))
+    ]
+    note = f"Simulated with the planned inputs; deviates from the plan by {', '.join(missed)}."
+
+    def draw_map() -> Figure:
+        known = guess[np.isfinite(guess).all(axis=1)]
+        points = np.concatenate([np.stack([run["x"], run["y"]], axis=1), *found, known])
+        figure, ax, window = ground_drawing.map_figure(points[:, 0], points[:, 1], grid, 0.25)
+        cost_map(layers, grid, ax, window)
+        initial_routes(found, ax)
+        if guess.size:
+            ax.plot(*guess.T, color="0.35", lw=0.7, zorder=3, label="initial guess")
+        motion(run, places, ax, areas)
+        style.finished(figure, run, [ax])
+        figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
+        return figure
+
     caption = "Planned inputs, and quantities with their limits."
-    planned = Plot("plan", caption, lambda: stack(run, panels, _deviation_note(run)))
+    planned = Plot("plan", caption, lambda: stack(run, panels, note if missed else ""))
     caption = "Cost per metre of path, initial guess, and the planned motion."
-    ground = Plot(
-        "traversability",
-        caption,
-        lambda: _traversability(run, grid, layers, places, areas, found, guess),
-    )
+    ground = Plot("traversability", caption, draw_map)
     return (planned, ground) if panels else (ground,)
 
 
@@ -210,45 +227,6 @@ def tracking_plot(
     return Plot(name, caption, make)
 
 
-def _traversability(
-    run: Trajectory,
-    grid: Grid,
-    layers: Traversability,
-    places: Sequence[Place],
-    areas: Mapping[str, Window],
-    lines: Sequence[Array],
-    guess: Array,
-) -> Figure:
-    """Draw the motion, its initial guess and the routes on the cost map."""
-    known = guess[np.isfinite(guess).all(axis=1)]
-    points = np.concatenate([np.stack([run["x"], run["y"]], axis=1), *lines, known])
-    figure, ax, window = ground_drawing.map_figure(points[:, 0], points[:, 1], grid, 0.25)
-    cost_map(layers, grid, ax, window)
-    initial_routes(lines, ax)
-    if guess.size:
-        ax.plot(*guess.T, color="0.35", lw=0.7, zorder=3, label="initial guess")
-    motion(run, places, ax, areas)
-    style.finished(figure, run, [ax])
-    figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
-    return figure
-
-
-def _panels(
-    run: Trajectory,
-    layers: Traversability,
-    bounds: Mapping[str, Range],
-    limits: Mapping[str, Range],
-) -> list[Panel]:
-    drawings: list[tuple[float, Callable[[Axes], Any]]] = []
-    if bounds:
-        entries = sum(len(textwrap.wrap(style.words(name), WRAP)) for name in bounds)
-        drawings.append((max(1.0, (entries + 1) / ENTRIES), partial(inputs, run, bounds)))
-    drawings += [(1.0, partial(limited, run, name, pair)) for name, pair in limits.items()]
-    if layers.limits.keep_out:
-        drawings.append((1.0, partial(keep_out_distance, run, layers)))
-    return [Panel(_beside(draw), ROW * height, has_legend=False) for height, draw in drawings]
-
-
 def _beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
     """Return a drawing function that adds a legend of its own colours beside the panel."""
 
@@ -262,19 +240,6 @@ def _beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
             ax.legend(lines.values(), lines, loc="center left", bbox_to_anchor=(right, 0.5))
 
     return drawn
-
-
-def _deviation_note(run: Trajectory) -> str:
-    missed = [
-        f"{style.words(name)} {gap.value:.1e} {unit}"
-        for name, gap in starting_with("plan_difference_", run.facts).items()
-        if (unit := printed_unit(gap.unit))
-    ]
-    return (
-        f"Simulated with the planned inputs; deviates from the plan by {', '.join(missed)}."
-        if missed
-        else ""
-    )
 
 
 def _bound(value: float, ax: Axes, color: str = "0.4", words: str = "limit") -> None:

@@ -100,17 +100,14 @@ def save(
             f"{folder}: expected a folder for figures, found one that cannot be created "
             f"({error.strerror}); choose another folder"
         ) from error
-    files = [file for plot in plots for file in _save_figure(plot, Path(folder), formats)]
+    files = list[Path]()
+    for plot in plots:
+        figure = draw([plot])[plot.name]
+        with rc_context(STYLE):  # type: ignore[arg-type]
+            for file in (Path(folder) / f"{plot.name}.{end}" for end in formats):
+                replace_file(file, partial(figure.savefig, dpi=DPI))
+                files.append(file)
     # Figures are reference cycles that hold images of several megabytes; without this, the figures
     # of one or two motions stay in memory until Python happens to collect them.
     gc.collect()
-    return files
-
-
-def _save_figure(plot: Plot, folder: Path, formats: Sequence[str]) -> list[Path]:
-    figure = draw([plot])[plot.name]
-    files = [folder / f"{plot.name}.{end}" for end in formats]
-    with rc_context(STYLE):  # type: ignore[arg-type]
-        for file in files:
-            replace_file(file, partial(figure.savefig, dpi=DPI))
     return files

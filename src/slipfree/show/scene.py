@@ -489,13 +489,33 @@ def drive_scene(drives: Sequence[Driven], *, with_poses: bool = False) -> Scene:
     fine = surface(drawn, first.terrain, ways, NEXT * reach, FINE * reach)
     origin = np.round([x.mean(), y.mean(), drawn.values.mean()])
     poses = [_pose_layer(drawn, first, window)] if with_poses else []
+    low, high = float(drawn.values.min()), float(drawn.values.max())
+    slope = np.degrees(np.arctan(np.hypot(*np.gradient(drawn.z, *drawn.spacing)))).ravel()
+    steepest = float(slope.max())
     layers = [
         each._replace(colors=np.rint(fine.interpolated(each.colors.astype(float))).astype(np.uint8))
-        for each in (*_layers(drawn), *poses)
+        for each in (
+            layer("height", drawn.z.ravel(), f"{low:.4g} to {high:.4g} m", low, high),
+            layer("slope", slope, f"0 to {steepest:.3g} degrees", 0.0, steepest),
+            *poses,
+        )
     ]
     warnings = [*_off(drives, fine, SEEN), *_others(drives)]
-    notes = [_cropped(grid, fine), *_off(drives, fine, 0.0)]
-    solids = [*_solid_meshes(first.prisms, window, drawn.values.min(), origin)]
+    (h_x, h_y), (d_x, d_y) = grid.spacing, fine.grid.spacing
+    size, whole = (f"{np.ptp(g.x):.4g} x {np.ptp(g.y):.4g} m" for g in (fine.grid, grid))
+    near = f" ({fine.spacing:.3g} m near the paths)" if fine.spacing < max(d_x, d_y) else ""
+    cropped = (
+        f"Drawn ground: {size} of {whole}, node spacing {d_x:.3g} x {d_y:.3g} m{near}; "
+        f"node spacing of the map {h_x:.3g} x {h_y:.3g} m."
+    )
+    notes = [cropped, *_off(drives, fine, 0.0)]
+    solids = list[TriangleMesh]()
+    for prism in first.prisms:  # above the lowest drawn ground
+        if found := ground_drawing.in_window(prism, window, drawn.values.min()):
+            corners, (right, left) = found
+            away = np.array([prism.x, prism.y, prism.z]) - origin
+            outline = np.insert(corners, 1, right, axis=1) @ prism.axes.T + away
+            solids.append(extruded(outline, (left - right) * prism.axes[:, 1]))
     shade = fine.interpolated(ground_drawing.brightness(x, y, drawn.z).reshape(-1, 1)).ravel()
     lines = (
         *map_lines(drawn, first.terrain, window, origin, reach),
@@ -549,29 +569,15 @@ def _plan_lines(first: Driven, window: Window, origin: Array, reach: float) -> I
         corners = np.arange(len(closed))
         at = np.linspace(0, corners[-1], 20 * len(closed))
         line = draped(np.stack([np.interp(at, corners, closed[:, k]) for k in (0, 1)], axis=1))
-        borders.append(np.stack([line[:-1], line[1:]], axis=1))
+        borders.append(_segments(line))
     if borders:
         yield Lines(PLAN_LINES[0], "regions of the plan", RED, np.concatenate(borders))
     if first.places:
         feet = draped(np.array([place[1:] for place in first.places]))
         tops = feet + np.array([0.0, 0.0, reach])
-        names = (place[0] for place in first.places)
-        labels = tuple(zip(names, tops, strict=True))
-        yield Lines(
-            PLAN_LINES[1], "of the plan", PLACE_COLOR, np.stack([feet, tops], axis=1), labels
-        )
-
-
-def _solid_meshes(
-    prisms: Iterable[Prism], window: Window, bottom: float, origin: Array
-) -> Iterator[TriangleMesh]:
-    """Yield the meshes of prisms above ``bottom`` in the drawn part, relative to an origin [m]."""
-    for prism in prisms:
-        if found := ground_drawing.in_window(prism, window, bottom):
-            corners, (right, left) = found
-            place = np.array([prism.x, prism.y, prism.z]) - origin
-            outline = np.insert(corners, 1, right, axis=1) @ prism.axes.T + place
-            yield extruded(outline, (left - right) * prism.axes[:, 1])
+        labels = tuple((place[0], top) for place, top in zip(first.places, tops, strict=True))
+        posts = np.stack([feet, tops], axis=1)
+        yield Lines(PLAN_LINES[1], "of the plan", PLACE_COLOR, posts, labels)
 
 
 def _backdrop(
@@ -621,14 +627,6 @@ def _window(drives: Sequence[Driven], grid: Grid, reach: float) -> Window:
     return float(west), float(east), float(south), float(north)
 
 
-def _layers(drawn: Grid) -> Iterator[Layer]:
-    """Yield the colourings of the ground by its heights."""
-    low, high = float(drawn.values.min()), float(drawn.values.max())
-    yield layer("height", drawn.z.ravel(), f"{low:.4g} to {high:.4g} m", low, high)
-    slope = np.degrees(np.arctan(np.hypot(*np.gradient(drawn.z, *drawn.spacing)))).ravel()
-    yield layer("slope", slope, f"0 to {slope.max():.3g} degrees", 0.0, float(slope.max()))
-
-
 def _pose_layer(drawn: Grid, drive: Driven, window: Window) -> Layer:
     """Return the colouring by the poses of a vehicle, grey where no heading is possible."""
     terrain, reach = drive.terrain, extents(drive.vehicle)[2]
@@ -653,7 +651,13 @@ def _actor(
     vehicle, color = drive.vehicle, rgb(style.PALETTE[k % len(style.PALETTE)])
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], axis=-1)
     parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
-    bodies = [*_part_bodies(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]
+    bodies = [*_part_bodies(vehicle, parts, wheels, color)]
+    for number, wheel in enumerate(vehicle.wheels):
+        looks = [(wheel.section.mesh(), TYRE), (spokes(wheel.radius * 0.97), color)]
+        if wheel.rollers:
+            looks.append((roller_axles(wheel.radius, wheel.rollers), color))
+        pose = wheels.origins[:, number], wheels.rotations[:, number]
+        bodies.append(SceneBody(wheel.name, tuple(looks), *pose))
     if drive.robot is not None and drive.visuals and not ghost:
         bodies = [*_with_visuals(bodies, drive, drive.robot, color)]
     arrows = [] if ghost else _arrows(run, drive, contacts, wheels.rotations[..., 0])
@@ -754,14 +758,6 @@ def _is_carried(part: str, by: str, parents: Mapping[str, str]) -> bool:
     return by == part
 
 
-def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[SceneBody]:
-    for k, wheel in enumerate(vehicle.wheels):
-        looks = [(wheel.section.mesh(), TYRE), (spokes(wheel.radius * 0.97), color)]
-        if wheel.rollers:
-            looks.append((roller_axles(wheel.radius, wheel.rollers), color))
-        yield SceneBody(wheel.name, tuple(looks), wheels.origins[:, k], wheels.rotations[:, k])
-
-
 def _with_visuals(
     bodies: Iterable[SceneBody], drive: Driven, robot: Robot, color: Color
 ) -> Iterable[SceneBody]:
@@ -805,16 +801,6 @@ def ground_normals(terrain: Bicubic, points: Array) -> Array:
     dz_dx, dz_dy = ground_drawing.gradient(terrain, points[..., 0], points[..., 1])
     normals = np.stack([-dz_dx, -dz_dy, np.ones_like(dz_dx)], axis=-1)
     return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
-
-
-def _cropped(grid: Grid, fine: Surface) -> str:
-    (h_x, h_y), (d_x, d_y) = grid.spacing, fine.grid.spacing
-    sizes = [f"{np.ptp(each.x):.4g} x {np.ptp(each.y):.4g} m" for each in (fine.grid, grid)]
-    near = f" ({fine.spacing:.3g} m near the paths)" if fine.spacing < max(d_x, d_y) else ""
-    return (
-        f"Drawn ground: {sizes[0]} of {sizes[1]}, node spacing {d_x:.3g} x {d_y:.3g} m{near}; "
-        f"node spacing of the map {h_x:.3g} x {h_y:.3g} m."
-    )
 
 
 def _off(drives: Sequence[Driven], fine: Surface, least: float) -> Iterable[str]:

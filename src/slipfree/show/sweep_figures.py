@@ -70,7 +70,9 @@ def curve(swept: Swept, ax: Axes) -> Axes:
             ax.vlines(x, low, high, lw=3, **look)
         at = np.repeat(x, values.shape[1])
         ax.plot(at, values.ravel(), ".", ms=3, mew=0, color="0.35", label="runs", zorder=2)
-    _name_axis(ax.xaxis, varied)
+    if not varied.numbers:
+        _ticks(ax.xaxis, varied.values)
+    ax.set_xlabel(_labelled(varied.name, varied.unit))
     ax.set_ylabel(_labelled(swept.name, swept.unit))
     return ax
 
@@ -89,8 +91,11 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
     for axis, varied, order in zip((ax.xaxis, ax.yaxis), (across, up), orders, strict=True):
         _ticks(axis, [varied.values[k] for k in order])
         axis.set_label_text(_labelled(varied.name, varied.unit))
-    if max(mean.shape) <= MOST_WORDS:
-        _write_values(mean, drawn, ax)
+    look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 6}
+    for place in np.argwhere(np.isfinite(mean)) if max(mean.shape) <= MOST_WORDS else ():
+        value = mean[*place]
+        color = "black" if drawn.norm(value) > 0.6 else "white"
+        ax.text(*place.tolist(), f"{value:.3g}", color=color, **look)
     return ax
 
 
@@ -132,12 +137,6 @@ def _positions(varied: Varied) -> Array:
     return np.array(varied.numbers or range(len(varied.values)), dtype=float)
 
 
-def _name_axis(axis: Any, varied: Varied) -> None:
-    axis.set_label_text(_labelled(varied.name, varied.unit))
-    if not varied.numbers:
-        _ticks(axis, varied.values)
-
-
 def _ticks(axis: Any, values: Sequence[str]) -> None:
     every = -(-len(values) // (2 * ROOM))
     words = [value.strip('"') for value in values[::every]]
@@ -148,20 +147,6 @@ def _ticks(axis: Any, values: Sequence[str]) -> None:
         rotation=45 if crowded else 0,
         **({"ha": "right"} if crowded else {}),
     )
-
-
-def _write_values(mean: Array, drawn: Any, ax: Axes) -> None:
-    for i, j in np.argwhere(np.isfinite(mean)).tolist():
-        light = drawn.norm(mean[i, j]) > 0.6
-        ax.text(
-            i,
-            j,
-            f"{mean[i, j]:.3g}",
-            ha="center",
-            va="center",
-            fontsize=6,
-            color="black" if light else "white",
-        )
 
 
 def _labelled(name: str, unit: str) -> str:
@@ -179,7 +164,13 @@ def front_figure(
 
     def upper(ax: Axes) -> None:
         _draw_points(points, given, lambda point: 1e6 * point.first, ax)
-        _draw_tangents(points, ax)
+        label = "slope (price)"
+        for point in points:  # short tangents, by the derivative with respect to the bound
+            away = TANGENT * point.second * np.array([-1.0, 1.0])
+            values = 1e6 * (point.first + point.slope * away)
+            if point.slope < 0 and values.min() > 0:
+                ax.plot(point.second + away, values, lw=2.5, alpha=0.5, color="0.4", label=label)
+                label = ""
         ax.set_ylabel("squared slip and\nsmoothness [mm$^2$/s]")
 
     def lower(ax: Axes) -> None:
@@ -210,24 +201,8 @@ def _draw_points(
     if missed := [point.bound for point in points if not point.is_solved]:
         heights, across = [FAILED_HEIGHT] * len(missed), ax.get_xaxis_transform()
         ax.plot(missed, heights, "x", color=STOPPED, label="not solved", transform=across)
-    star: dict[str, Any] = {
-        "ms": 8,
-        "color": PALETTE[1],
-        "label": "costs of the problem",
-        "zorder": 3,
-    }
-    ax.plot(given.second, value(given), "*", **star)
-
-
-def _draw_tangents(points: Sequence[FrontPoint], ax: Axes) -> None:
-    """Draw a short tangent at each solved point, by the derivative with respect to the bound."""
-    label = "slope (price)"
-    for point in points:
-        away = TANGENT * point.second * np.array([-1.0, 1.0])
-        values = 1e6 * (point.first + point.slope * away)
-        if point.slope < 0 and values.min() > 0:
-            ax.plot(point.second + away, values, lw=2.5, alpha=0.5, color="0.4", label=label)
-            label = ""
+    star: dict[str, Any] = {"ms": 8, "color": PALETTE[1], "zorder": 3}
+    ax.plot(given.second, value(given), "*", label="costs of the problem", **star)
 
 
 class DrawnWheel(NamedTuple):
@@ -243,12 +218,8 @@ class DrawnWheel(NamedTuple):
 def wheel_plot(name: str, test: DrawnWheel) -> Plot:
     """Return the undrawn figure of a single-wheel test, with the name of its file."""
     words = "Drawbar pull, side force, torque and sinkage over the slip ratio."
-    return Plot(name, words, partial(wheel_figure, test))
-
-
-def wheel_figure(test: DrawnWheel) -> Figure:
-    """Return the figure of a single-wheel test: a panel per quantity, a line per slip angle."""
-    return stack(None, [Panel(partial(_draw, test, *each)) for each in PANELS])
+    panels = [Panel(partial(_draw, test, *each)) for each in PANELS]  # with a line per slip angle
+    return Plot(name, words, lambda: stack(None, panels))
 
 
 def _draw(test: DrawnWheel, name: str, words: str, factor: float, ax: Axes) -> None:

@@ -18,7 +18,7 @@ from slipfree.geometry.mesh import TriangleMesh, sheet
 from slipfree.show.html_page import with_legend
 from slipfree.show.local_server import HOST, Content, Gate, start_server
 from slipfree.show.meshes import joined
-from slipfree.show.scene import ARROWS, WORLD, Actor, Colors, Scene
+from slipfree.show.scene import ARROWS, WORLD, Colors, Scene
 from slipfree.system.interrupt import interrupt_arrived
 
 if TYPE_CHECKING:
@@ -138,7 +138,14 @@ def _add_world(server: viser.ViserServer, scene: Scene, color: str) -> Any:
     for lines in scene.ground.lines:
         root = f"{WORLD}/{lines.name}"
         server.scene.add_frame(root, show_axes=False)
-        _add_lines(server, root, lines.segments, lines.color, LINES.get(lines.name, 1.0))
+        thickness, color_of_lines = LINES.get(lines.name, 1.0), np.array(lines.color)
+        server.scene.add_line_segments(
+            f"{root}/lines {thickness:g}",
+            lines.segments.astype(np.float32),
+            color_of_lines,
+            thickness=thickness,
+            thickness_units="screen",
+        )
         for k, (words, at) in enumerate(lines.labels, 1):
             look: dict[str, Any] = {"anchor": "center-center", "font_screen_scale": 0.8}
             server.scene.add_label(f"{root}/{k}", words, position=at, **look)
@@ -157,14 +164,6 @@ def _add_world(server: viser.ViserServer, scene: Scene, color: str) -> Any:
     size = float(np.linalg.norm(np.ptp(scene.ground.mesh.vertices, axis=0)))
     camera.near, camera.far = NEAREST * scene.reach, max(FAR, 10 * size)
     return world
-
-
-def _add_lines(
-    server: viser.ViserServer, root: str, segments: Array, color: Any, thickness: float
-) -> None:
-    look: dict[str, Any] = {"thickness": thickness, "thickness_units": "screen"}
-    name = f"{root}/lines {thickness:g}"
-    server.scene.add_line_segments(name, segments.astype(np.float32), np.array(color), **look)
 
 
 class _RunNodes:
@@ -212,17 +211,9 @@ class _RunNodes:
                     f"{node}/arrows", np.zeros((1, 2, 3)), ARROWS[each.name], **sizes
                 )
         self.tracks = dict[str, Any]()  # nodes of colourings, by name
-        self._add_tracks(
-            server, scene, whole, f"{root}/tracks", LIFT * (len(scene.actors) - k) * scene.reach
-        )
-
-    def _add_tracks(
-        self, server: viser.ViserServer, scene: Scene, whole: Actor, root: str, lift: float
-    ) -> None:
-        """Add the tracks of contact points, raised against flicker; those of plans are dashed.
-
-        Tracks in the colours of quantities lie above the others, hidden.
-        """
+        # Tracks of contact points are raised against flicker; those of plans are dashed. Tracks in
+        # the colours of quantities lie above the others, hidden.
+        root, lift = f"{root}/tracks", LIFT * (len(scene.actors) - k) * scene.reach
         every = max(1, whole.t.size // MOST)
         points, up = whole.contacts[::every], np.array([0.0, 0.0, lift])
         for width, color, height in ((CASING, WHITE, 0.5), (TRACK, whole.color, 1.0)):

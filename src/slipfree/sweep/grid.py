@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.core.errors import DataError
+from slipfree.core.errors import DataError, shortened
 from slipfree.core.version import __version__
-from slipfree.files.toml.source import key_path, load_toml, shortened
+from slipfree.files.toml.source import key_path, load_toml
 from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.problem.inputs import FileStates, file_states, input_files, input_names
 from slipfree.problem.load import load_variants

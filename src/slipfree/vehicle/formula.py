@@ -11,7 +11,7 @@ from typing import Any
 
 import casadi as ca
 
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, shortened
 
 FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     "sin": (1, ca.sin),
@@ -116,8 +116,8 @@ def _is_number(value: float) -> bool:
 
 
 def _formula_error(text: str, part: str) -> ModelError:
-    start = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
     return ModelError(
-        f"formula {start!r}: expected numbers up to {MAX_NUMBER:g}, coordinates, + - * / **, pi "
-        f"and {', '.join(FUNCTIONS)}, found {part!r}; correct the formula"
+        f"formula {shortened(text, MAX_SHOWN)!r}: expected numbers up to {MAX_NUMBER:g}, "
+        f"coordinates, + - * / **, pi and {', '.join(FUNCTIONS)}, found {part!r}; correct the "
+        "formula"
     )

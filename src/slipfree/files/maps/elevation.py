@@ -162,6 +162,8 @@ def read_points(path: Path, ask: Reading) -> Heights:
 
     The first node is at the smallest x and y of all points.
     """
+    from scipy.spatial import cKDTree  # imported here: the import takes 0.2 s
+
     names = [name.lower() for name in read_names(path, "points")]
     if len(names) > MAX_UNNAMED and names[0] == "1":
         remedy = "name it .asc, after the lines ncols, nrows, xllcorner, yllcorner and cellsize"
@@ -182,8 +184,11 @@ def read_points(path: Path, ask: Reading) -> Heights:
         metres=ask.vertical_scale or 1.0,
     )
     points, repeated, apart = _distinct(table)
-    spacing = ask.spacing
-    distance = _distance(points[:, :2])
+    if len(points) < 3:
+        refuse("at least 3 points with different x, y", f"{len(points)}", "add points")
+    spacing, places = ask.spacing, points[:, :2]
+    # median distance from the nearest neighbours
+    distance = float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
     if spacing is None:
         refuse(
             f"spacing, the distance between grid nodes in {unit}",
@@ -191,7 +196,7 @@ def read_points(path: Path, ask: Reading) -> Heights:
             f"the median distance of {len(points)} points from their nearest neighbours is "
             f"{distance:.3g} {unit}: set spacing = {distance:.2g}",
         )
-    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    low, high = places.min(axis=0), places.max(axis=0)
     counts = np.floor((high - low) / spacing + WINDOW_TOLERANCE).astype(int) + 1
     x, y = (UniformAxis(float(a), spacing, int(n)) for a, n in zip(low, counts, strict=True))
     if counts.min() < 4:
@@ -200,16 +205,16 @@ def read_points(path: Path, ask: Reading) -> Heights:
         refuse("points that span at least 4 by 4 nodes", size, remedy)
     i, j = parts(x, y, ask.window)
     z = interpolate_points(points, low, spacing, (i, j))
-    facts = [
+    words = (
         f"{len(points)}, a median of {distance:.3g} {unit} apart, for {z.size} nodes {spacing:g} "
         f"{unit} apart"
-    ]
+    )
     if repeated:
-        facts.append(
-            f"{repeated} at repeated positions averaged, with height differences of at most "
+        words += (
+            f"; {repeated} at repeated positions averaged, with height differences of at most "
             f"{apart:.3g} m"
         )
-    described = ("ground map", "scattered points"), ("ground points", "; ".join([*facts, *notes]))
+    described = ("ground map", "scattered points"), ("ground points", "; ".join([words, *notes]))
     return Heights(x.nodes(i), y.nodes(j), z, described, geographic=geographic)
 
 
@@ -225,15 +230,6 @@ def _distinct(points: Array) -> tuple[Array, int, float]:
     single = high == low  # averaging would round these
     z[single] = high[single]
     return np.column_stack([places, z]), repeated, float((high - low).max(initial=0.0))
-
-
-def _distance(places: Array) -> float:
-    """Return the median distance of points from their nearest neighbours [m]."""
-    from scipy.spatial import cKDTree  # imported here: the import takes 0.2 s
-
-    if len(places) < 3:
-        refuse("at least 3 points with different x, y", f"{len(places)}", "add points")
-    return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
 
 
 def interpolate_points(
@@ -594,7 +590,38 @@ def read_map(
         with regular_file(path, "a map"):
             heights = _reader(ending).read(path, reading)
         check_degrees(heights, local=geographic is not None)
-        return _mapped(heights, geographic, fill, friction)
+        facts: Facts = heights.facts
+        mask, missing = None, np.isnan(heights.z)
+        if fill is not None:
+            filled = fill_holes(heights)
+            unit = "m" if geographic is None else "deg"
+            size = " x ".join(f"{each:.6g}" for each in filled.largest)
+            words = (
+                f"{filled.nodes} nodes in {filled.holes} holes, the largest {size} {unit}, linearly"
+            )
+            facts += (("ground holes filled", words if filled.nodes else "none found"),)
+            left = np.isnan(filled.z)
+            mask, missing = missing & ~left if filled.nodes else None, left
+            heights = heights._replace(z=filled.z)
+        holes = missing if missing.any() else None
+        if holes is not None:
+            facts += (("ground holes", hole_words(int(holes.sum()), holes.size)),)
+            heights = heights._replace(z=continue_over_holes(heights.z))
+        if geographic is None:
+            grid = Grid(heights.x, heights.y, heights.z, mask, holes)
+            return Map(grid, mu=friction, crs=heights.crs, facts=facts, gray=heights.gray)
+        frame = local_frame(heights.x, heights.y) if geographic == "local" else geographic
+        x, y = (heights.x - frame.x0) / frame.kx, (heights.y - frame.y0) / frame.ky
+        facts += (("ground degrees", _degrees_words(heights.y, frame)),)
+        if (wrong := _stretch(heights.y, frame)) > MAX_STRETCH:
+            raise DataError(
+                "geographic: expected a map with errors of distances along x of at most "
+                f"{100 * MAX_STRETCH:g} %, found {100 * wrong:.2g} % at its northern or southern "
+                "border; set a window, or reproject it to metres: gdalwarp -t_srs "
+                f"{metric_system(float(heights.x.mean()), float(heights.y.mean()))} in out.tif"
+            )
+        grid = Grid(x, y, heights.z, mask, holes)
+        return Map(grid, mu=friction, frame=frame, crs=heights.crs, geographic=True, facts=facts)
 
 
 def takes_key(ending: str, key: str) -> bool:
@@ -646,45 +673,6 @@ def check_degrees(heights: Heights, *, local: bool) -> None:
             f"slopes of {steep:.2g} along y (median){remedy}; if x and y are in metres, check the "
             "unit of the heights"
         )
-
-
-def _mapped(
-    heights: Heights,
-    geographic: Literal["local"] | Frame | None,
-    fill: Literal["linear"] | None,
-    friction: Friction,
-) -> Map:
-    """Return the map of heights that were read: holes filled, degrees converted to metres."""
-    facts: Facts = heights.facts
-    mask, missing = None, np.isnan(heights.z)
-    if fill is not None:
-        filled = fill_holes(heights)
-        unit = "m" if geographic is None else "deg"
-        size = " x ".join(f"{each:.6g}" for each in filled.largest)
-        words = f"{filled.nodes} nodes in {filled.holes} holes, the largest {size} {unit}, linearly"
-        facts += (("ground holes filled", words if filled.nodes else "none found"),)
-        left = np.isnan(filled.z)
-        mask, missing = missing & ~left if filled.nodes else None, left
-        heights = heights._replace(z=filled.z)
-    holes = missing if missing.any() else None
-    if holes is not None:
-        facts += (("ground holes", hole_words(int(holes.sum()), holes.size)),)
-        heights = heights._replace(z=continue_over_holes(heights.z))
-    if geographic is None:
-        grid = Grid(heights.x, heights.y, heights.z, mask, holes)
-        return Map(grid, mu=friction, crs=heights.crs, facts=facts, gray=heights.gray)
-    frame = local_frame(heights.x, heights.y) if geographic == "local" else geographic
-    x, y = (heights.x - frame.x0) / frame.kx, (heights.y - frame.y0) / frame.ky
-    facts += (("ground degrees", _degrees_words(heights.y, frame)),)
-    if (wrong := _stretch(heights.y, frame)) > MAX_STRETCH:
-        raise DataError(
-            "geographic: expected a map with errors of distances along x of at most "
-            f"{100 * MAX_STRETCH:g} %, found {100 * wrong:.2g} % at its northern or southern "
-            "border; set a window, or reproject it to metres: gdalwarp -t_srs "
-            f"{metric_system(float(heights.x.mean()), float(heights.y.mean()))} in out.tif"
-        )
-    grid = Grid(x, y, heights.z, mask, holes)
-    return Map(grid, mu=friction, frame=frame, crs=heights.crs, geographic=True, facts=facts)
 
 
 def hole_words(count: int, size: int) -> str:

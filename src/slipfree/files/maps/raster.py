@@ -230,15 +230,11 @@ def _quiet_log() -> Iterator[None]:
     """
     hooks = sys.excepthook, sys.unraisablehook
 
-    def report(kind: type[BaseException], *rest: Any) -> None:
-        if not issubclass(kind, UnicodeDecodeError):
-            hooks[0](kind, *rest)
+    def quiet(hook: Callable[..., Any], *found: Any) -> None:  # a type, or an object that has it
+        if not issubclass(getattr(found[0], "exc_type", found[0]), UnicodeDecodeError):
+            hook(*found)
 
-    def report_unraisable(found: Any) -> None:
-        if not issubclass(found.exc_type, UnicodeDecodeError):
-            hooks[1](found)
-
-    sys.excepthook, sys.unraisablehook = report, report_unraisable
+    sys.excepthook, sys.unraisablehook = (partial(quiet, hook) for hook in hooks)
     try:
         yield
     finally:

@@ -105,27 +105,25 @@ def _is_earth(crs: Any) -> bool:
 
 def _degrees(crs: Any, x: list[float], y: list[float]) -> Array:
     """Return longitudes and latitudes, shape (2, n), NaN outside the domain of the system [deg]."""
+    a, b = _ellipsoid(crs)
+    return _transformed(crs, f"+proj=longlat +a={a!r} +b={b!r} +no_defs", x, y)
+
+
+def _transformed(source: Any, target: str, x: list[float], y: list[float]) -> Array:
+    """Return coordinates in another reference system, shape (2, n), NaN outside its domain."""
     from rasterio.crs import CRS
     from rasterio.warp import transform
 
-    a, b = _ellipsoid(crs)
     try:
-        globe = CRS.from_proj4(f"+proj=longlat +a={a!r} +b={b!r} +no_defs")
-        return np.array(transform(crs, globe, x, y))
+        return np.array(transform(source, CRS.from_user_input(target), x, y))
     except Exception:  # PROJ raises various exceptions outside the projection's domain
         return np.full((2, len(x)), np.nan)
 
 
 def from_degrees(crs: str, longitude: float, latitude: float) -> tuple[float, float]:
     """Return a WGS 84 position [deg] in a reference system; not finite outside its domain."""
-    from rasterio.crs import CRS
-    from rasterio.warp import transform
-
-    try:
-        x, y = transform(CRS.from_epsg(4326), CRS.from_string(crs), [longitude], [latitude])
-    except Exception:  # PROJ raises various exceptions outside the projection's domain
-        return math.nan, math.nan
-    return x[0], y[0]
+    (x,), (y,) = _transformed("EPSG:4326", crs, [longitude], [latitude]).tolist()
+    return x, y
 
 
 def scale_facts(crs: Any, x: float, y: float, command: str) -> tuple[tuple[str, str], ...]:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel
 
-from slipfree.core.errors import DataError, listed, similar
+from slipfree.core.errors import DataError, listed, shortened, similar
 from slipfree.system.regular_files import escape_name, read_bytes, regular_file
 
 Place = tuple[str | int, ...]
@@ -31,7 +31,6 @@ PIECE = re.compile(
 LONG_KEY = re.compile(
     r"""(?m)(?:^|[\[{,])[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}"""
 )
-MAX_SHOWN = 200  # characters of a setting in a message
 MAX_DEPTH = 100  # accepted levels of nested arrays and tables
 KEY = re.compile(r"""\s*((?:"(?:\\.|[^"\\])*"|'[^']*'|[^"'=\]])+)""")
 MAX_ERRORS = 50  # largest number of errors in a message
@@ -123,22 +122,13 @@ def load_toml(text: str) -> dict[str, Any]:
     except ValueError as error:  # Python limits the length of integers
         most = sys.get_int_max_str_digits()
         raise ValueError(f"an integer of more than {most} digits") from error
-    if values is None or _is_deep(values):
-        raise ValueError(f"arrays or tables of more than {MAX_DEPTH} nested levels")
-    return values
-
-
-def shortened(text: str) -> str:
-    """Return a text, or the first characters of a long text and dots, for a message."""
-    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
-
-
-def _is_deep(values: dict[str, Any]) -> bool:
     level: list[Any] = [values]
-    for _ in range(MAX_DEPTH):
+    for _ in range(MAX_DEPTH if values is not None else 0):
         tables = (each.values() if isinstance(each, dict) else each for each in level)
         level = [v for each in tables for v in each if isinstance(v, dict | list)]
-    return bool(level)
+    if values is None or level:
+        raise ValueError(f"arrays or tables of more than {MAX_DEPTH} nested levels")
+    return values
 
 
 @lru_cache(maxsize=64)
@@ -291,7 +281,7 @@ def validation_fault(schema: type[BaseModel], data: Any, error: dict[str, Any]) 
 def _unknown(place: Place, known: Sequence[str]) -> Fault:
     name = str(place[-1])
     expected = f"one of {listed(known)}" if known else "no key"
-    return Fault(place, expected, f"the unknown key {_cut(name)!r}", similar(name, known))
+    return Fault(place, expected, f"the unknown key {shortened(name, 40)!r}", similar(name, known))
 
 
 def record_at(schema: type[Any], place: Place, data: Any) -> type[Any]:
@@ -318,16 +308,12 @@ def _records(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from _records(part)
 
 
-def _cut(text: str) -> str:
-    return text if len(text) < 40 else text[:37] + "..."
-
-
 def format_value(value: Any, deepest: int = MAX_SHOWN_DEPTH) -> str:
     """Return a shortened text of a value for messages."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return repr(_cut(value))
+        return repr(shortened(value, 40))
     if isinstance(value, int) and abs(value) >= MAX_SHOWN_NUMBER:
         return f"a whole number of {value.bit_length()} bits"
     if isinstance(value, float | int):

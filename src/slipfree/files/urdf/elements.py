@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -28,7 +29,7 @@ from slipfree.files.urdf.xacro import (
     unknown_elements,
     without_xacro,
 )
-from slipfree.files.urdf.xml import Element, parse_robot
+from slipfree.files.urdf.xml import Element, number_in, parse_robot
 from slipfree.files.vehicle_toml import MAX_LENGTH, degrees_words, in_order, rotation_of
 from slipfree.geometry.frame import Elements, Vector, in_axes, tensor
 from slipfree.vehicle.shapes import Box
@@ -56,7 +57,16 @@ def read_tree(
     whole = robot
     robot, omitted = without_xacro(robot, file, findings)
     for tag in ("link", "joint"):
-        _check_names(robot, tag, findings)
+        lines = defaultdict[str, list[int]](list)
+        for element in robot.all(tag):
+            lines[element.attributes.get("name", "")].append(element.line)
+        for name, places in lines.items():
+            if len(places) > 1:
+                findings.add(
+                    places[1],
+                    f"{tag} {name!r}: expected a unique name, found {len(places)} {tag}s with it; "
+                    "give each a different name",
+                )
     unread: list[str] = []
     read = (_link(each, findings, unread) for each in robot.all("link"))
     links = {link.name: link for link in read}
@@ -77,35 +87,21 @@ def read_tree(
         chain += below
     while chain and not chain[-1].moves:
         chain.pop()
-    world = chain
-    for joint in world:
+    for joint in chain:
         root = joint.child
         del links[joint.parent], joints[joint.name]
     hung, _ = in_order({j.child: j.parent for j in joints.values()}, root)
     by_child = {joint.child: joint for joint in joints.values()}
     ordered = {by_child[child].name: by_child[child] for child in hung}
     name = robot.attributes.get("name", "robot")
-    if world:
-        moving = ", ".join(joint.name for joint in world)
+    if chain:
+        moving = ", ".join(joint.name for joint in chain)
         notes = (*notes, f"omitted, since they move the robot as a whole: {moving}")
     unknown = (*unknown_elements(robot), *unread)
     control = actuators(whole), plugins(whole)
     return with_separate_balls(
         Tree(file, name, root, links, ordered, *control, omitted, notes, unknown)
     )
-
-
-def _check_names(robot: Element, tag: str, findings: Findings) -> None:
-    lines: dict[str, list[int]] = {}
-    for element in robot.all(tag):
-        lines.setdefault(element.attributes.get("name", ""), []).append(element.line)
-    for name, places in lines.items():
-        if len(places) > 1:
-            findings.add(
-                places[1],
-                f"{tag} {name!r}: expected a unique name, found {len(places)} {tag}s with it; "
-                "give each a different name",
-            )
 
 
 class _UrdfElement:
@@ -139,7 +135,7 @@ class _UrdfElement:
         text = self.attributes.get(key)
         if text is None and default is not None:
             return default
-        value = _float(text or "")
+        value = number_in(text or "")
         if not math.isfinite(value):
             wrong = "none; add it" if text is None else f"{text!r}; correct it"
             self.wrong(f"expected a number in {key!r}, found {wrong}")
@@ -153,7 +149,7 @@ class _UrdfElement:
 
     def numbers(self, key: str, text: str) -> Vector:
         """Return the three numbers in the text of an attribute; ones if they are invalid."""
-        values = [_float(number) for number in text.replace(",", " ").split()]
+        values = [number_in(number) for number in text.replace(",", " ").split()]
         if len(values) != 3 or not all(map(math.isfinite, values)):
             self.wrong(f"expected three numbers in {key!r}, found {text!r}; correct them")
             return 1.0, 1.0, 1.0
@@ -258,10 +254,8 @@ def _geometry(link: _UrdfElement, shape: Element, unread: list[str]) -> Geometry
 
 def _joint(element: Element, findings: Findings) -> UrdfJoint:
     """Return the joint of a ``<joint>`` element."""
-    name, kind = (
-        _UrdfElement(element, findings, "joint").name("name"),
-        element.attributes.get("type", ""),
-    )
+    name = _UrdfElement(element, findings, "joint").name("name")
+    kind = element.attributes.get("type", "")
     joint = _UrdfElement(element, findings, f"joint {name!r}")
     if kind not in TYPES:
         wrong = repr(kind) if kind else "none"
@@ -289,22 +283,14 @@ def _joint(element: Element, findings: Findings) -> UrdfJoint:
         max_rate = rate if 0 < rate < MAX_LIMIT else math.inf
     if kind == "revolute" and math.isinf(lower) and math.isinf(upper):
         kind = "continuous"
-    mimic, follows = joint.first("mimic", "mimic"), None
-    if mimic is not None:
-        follows = Mimic(
-            mimic.name("joint"), mimic.number("multiplier", 1.0), mimic.number("offset", 0.0)
-        )
+    follows = None
+    if (mimic := joint.first("mimic", "mimic")) is not None:
+        factor, offset = mimic.number("multiplier", 1.0), mimic.number("offset", 0.0)
+        follows = Mimic(mimic.name("joint"), factor, offset)
     return UrdfJoint(
         *(name, kind, ends[0], ends[1], at, turned, axis, lower, upper, max_rate, follows),
         line=element.line,
     )
-
-
-def _float(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], findings: Findings) -> str:

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 from slipfree.core.errors import read_table
-from slipfree.files.urdf.xml import Element
+from slipfree.files.urdf.xml import Element, number_in
 
 CONTRADICTORY = 0.85  # weight of the second choice that leaves the choice open [first choice]
 TABLE: dict[str, Any] = read_table(__file__, "evidence.toml")
@@ -171,10 +171,7 @@ def plugins(robot: Element) -> tuple[Plugin, ...]:
 
 def _number(text: str) -> float:
     """Return a positive number in a text; zero without one."""
-    try:
-        value = float(text)
-    except ValueError:
-        return 0.0
+    value = number_in(text)
     return value if 0 < value < math.inf else 0.0
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import os
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
@@ -78,7 +78,10 @@ def mesh_shape(meshes: Sequence[MeshFile], axis: Array, files: MeshFiles) -> Sha
             f"with points {radius:g} m from the axis of its joint; "
             f"{unit_words(meshes[0], 1e-3)}"
         )
-    if _largest_gap(across[distance > (1 - ROUND) * radius], axis) > MAX_GAP:
+    rim = across[distance > (1 - ROUND) * radius]
+    aside = np.cross(axis, rim[0])
+    angles = np.sort(np.arctan2(rim @ aside, rim @ rim[0] * np.linalg.norm(axis)))
+    if np.diff([*angles, angles[0] + 2 * np.pi]).max() > MAX_GAP:
         return None
     tread = distance > radius / 2
     middle, tube = _tread(along[tread], distance[tread])
@@ -211,13 +214,6 @@ def find_mesh(name: str, folder: Path) -> Path:
     raise DataError(f"expected the mesh {name!r}, found no such file; {remedy}")
 
 
-def _largest_gap(across: Array, axis: Array) -> float:
-    """Return the largest angle about an axis in which there is no point [rad]."""
-    aside = np.cross(axis, across[0])
-    angles = np.sort(np.arctan2(across @ aside, across @ across[0] * np.linalg.norm(axis)))
-    return float(np.diff([*angles, angles[0] + 2 * np.pi]).max())
-
-
 def _tread(along: Array, distance: Array) -> tuple[float, float]:
     """Return the middle of a tread along the axis, and its tube radius, zero if it is flat [m]."""
     low, high = float(along.min()), float(along.max())
@@ -293,24 +289,20 @@ def body_shapes(
             reduced += [f"{link.name} {reduction}"] if reduction else []
             rotation, origin = tree.frames[owner]
             shapes[owner].append(placed(in_root, rotation.T, -rotation.T @ origin))
-    by_link = {owner: tuple(of_link) for owner, of_link in shapes.items()}
-    return by_link, [*_notes(touching, reduced, unread)]
-
-
-def _notes(
-    touching: Collection[str], reduced: Collection[str], unread: Mapping[str, str]
-) -> Iterator[str]:
+    notes = list[str]()
     if touching:
-        yield (
+        notes.append(
             "collision shapes left out of the clearance, since they reach down to the ground of "
             f"the wheels: {', '.join(dict.fromkeys(touching))}"
         )
     if reduced:
-        yield f"collision shapes as points of hulls: {', '.join(reduced)}"
+        notes.append(f"collision shapes as points of hulls: {', '.join(reduced)}")
     if unread:
         why, *more = unread
         others = f" (and {len(more)} others)" if more else ""
-        yield f"clearance without {', '.join(dict.fromkeys(unread.values()))}: {why}{others}"
+        names = ", ".join(dict.fromkeys(unread.values()))
+        notes.append(f"clearance without {names}: {why}{others}")
+    return {owner: tuple(of_link) for owner, of_link in shapes.items()}, notes
 
 
 def _parts(collision: Geometry) -> Iterator[Geometry]:
@@ -352,29 +344,19 @@ def reduced_hull(vertices: Array) -> tuple[Array, float]:
 
     At most 32 corners are returned, and the largest distance of a vertex from their hull [m].
     """
-    corners = _corners(vertices)
+    corners = np.unique(vertices, axis=0)
+    if np.linalg.matrix_rank(corners - corners[0], tol=SAME) == 3:  # not all in a plane
+        corners = corners[scipy.spatial.ConvexHull(corners).vertices]
+    # the nearest convex combination: the heavy last row makes the weights sum to one
+    heavy = 1e4 * float(np.ptp(corners, axis=0).max())
     chosen = np.unique((corners @ DIRECTIONS.T).argmax(axis=0)).tolist()
     while True:
-        distance = _distances(corners, corners[chosen])
+        matrix = np.vstack([corners[chosen].T, np.full(len(chosen), heavy)])
+        distance = np.array([scipy.optimize.nnls(matrix, [*p, heavy])[1] for p in corners])
         shrink = float(distance.max())
         if shrink <= SHRINK or len(chosen) >= MAX_CORNERS:
             return corners[chosen], shrink
         chosen.append(int(distance.argmax()))
-
-
-def _corners(vertices: Array) -> Array:
-    """Return the corners of the convex hull of vertices; all vertices if they lie in a plane."""
-    vertices = np.unique(vertices, axis=0)
-    if np.linalg.matrix_rank(vertices - vertices[0], tol=SAME) < 3:
-        return vertices
-    return np.asarray(vertices[scipy.spatial.ConvexHull(vertices).vertices])
-
-
-def _distances(points: Array, corners: Array) -> Array:
-    # the nearest convex combination: the heavy last row makes the weights sum to one
-    heavy = 1e4 * float(np.ptp(points, axis=0).max())
-    matrix = np.vstack([corners.T, np.full(len(corners), heavy)])
-    return np.array([scipy.optimize.nnls(matrix, [*point, heavy])[1] for point in points])
 
 
 def _on_lower_faces(corners: Array, up: Array) -> Array:

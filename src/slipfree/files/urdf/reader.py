@@ -105,17 +105,6 @@ def read_urdf(tree: Tree, roles: UrdfTable = NO_ROLES) -> Draft:
     return draft
 
 
-def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: Draft) -> str:
-    """Return what to do about too few wheels, with a line that adds wheels if one does."""
-    words, wheels = wheel_remedy(tree, [wheel.name for wheel in draft.wheels])
-    more = roles.model_copy(update={"wheels": {**roles.wheels, **wheels}})
-    findings = Findings(tree.file)
-    if not wheels or [*misfits(_draft(tree, more, findings))] or findings.errors:
-        return words
-    sizes = {name: {"radius": role.radius} if role.radius else {} for name, role in wheels.items()}
-    return f"{words}; or {findings.completion}, write wheels = {toml_value(sizes)}"
-
-
 def _draft(file: Tree, roles: UrdfTable, findings: Findings) -> Draft:
     """Return the vehicle of a URDF before its checks: roles and shapes given or guessed."""
     tree = coupled(completed(file, roles), roles.couple)
@@ -273,11 +262,10 @@ def _body(tree: Tree, name: str, shapes: Mapping[str, tuple[BodyShape, ...]]) ->
     return Body(link.mass or 0.0, link.center, link.inertia, shapes.get(name, ()))
 
 
-def _fixed(fact: str) -> Choice:
-    return weigh(evidence("kind", {fact: True}))._replace(rival="commanded")
-
-
-NO_WHEEL, BALLS, TOO_MANY = map(_fixed, ("no wheel", "balls", "too many"))
+NO_WHEEL, BALLS, TOO_MANY = (
+    weigh(evidence("kind", {fact: True}))._replace(rival="commanded")
+    for fact in ("no wheel", "balls", "too many")
+)
 
 
 class Joints:
@@ -413,9 +401,8 @@ class Joints:
         everything = {wheel.name for wheel in self._wheels}
         for first in rockers:
             second = self._tree.mirror_image(first, rockers)
-            if second is None or self._own[first.name] & self._own[second.name]:
-                continue
-            if self._own[first.name] | self._own[second.name] != everything:
+            own = self._own[first.name]  # and all others are those of the second one
+            if second is None or self._own[second.name] != everything - own:
                 continue
             ahead, behind = (float(self._tree.axis(rocker)[1]) for rocker in (first, second))
             multiplier = -float(np.sign(ahead * behind))
@@ -495,7 +482,9 @@ class _Coordinates:
     def _leader(self, joint: UrdfJoint) -> tuple[UrdfJoint, float, float]:
         """Return the joint that a joint follows through its mimics, with factor and offset."""
         chain, multiplier, offset = [joint], 1.0, 0.0
-        while (mimic := self._mimic(chain[-1])) is not None:
+        while chain[-1].moves and chain[-1].name not in self._roles.joints:
+            if (mimic := chain[-1].mimic) is None:
+                break
             leader, wrong = self._tree.joints.get(mimic.joint), ""
             if leader is None:
                 wrong = "no joint of that name; correct the name"
@@ -511,9 +500,6 @@ class _Coordinates:
             multiplier *= mimic.multiplier
             chain.append(leader)
         return chain[-1], multiplier, offset
-
-    def _mimic(self, joint: UrdfJoint) -> Mimic | None:
-        return None if joint.name in self._roles.joints or not joint.moves else joint.mimic
 
     def _coordinate(self, joint: UrdfJoint, joint_role: JointRole | None) -> str:
         """Return the name of a joint's coordinate; create the coordinate if it is new."""
@@ -559,22 +545,18 @@ class _Coordinates:
                 '"lower" and "upper", which override those of the URDF',
             )
             return
-        rate = (
-            c.max_rate
-            if "max_rate" in keywords
-            else min(c.max_rate, joint.max_rate / abs(multiplier))
-        )
-        self.known[name] = replace(c, lower=lower, upper=upper, max_rate=rate)
+        own = math.inf if "max_rate" in keywords else joint.max_rate / abs(multiplier)
+        self.known[name] = replace(c, lower=lower, upper=upper, max_rate=min(c.max_rate, own))
 
     def _limit(self, joint: UrdfJoint, key: str) -> float:
         """Return a limit of a joint in the URDF; add an error if its unit looks wrong."""
         value: float = getattr(joint, key)
         expected = ""
-        if not math.isinf(value) and joint.type == "prismatic" and abs(value) > MAX_LENGTH:
-            expected = length_words(value)
-        elif not math.isinf(value) and joint.type != "prismatic" and degrees_words(value):
-            expected = f"radians ({degrees_words(value)})"
-        if expected:
+        if joint.type == "prismatic":
+            expected = length_words(value) if abs(value) > MAX_LENGTH else ""
+        elif hint := degrees_words(value):
+            expected = f"radians ({hint})"
+        if expected and not math.isinf(value):
             self._findings.wrong(joint, f"expected {key} in {expected}, found {value:g}")
         return value
 
@@ -590,11 +572,12 @@ def tracks(tree: Tree, wheels: Collection[str]) -> list[str]:
     return names
 
 
-def wheel_remedy(tree: Tree, wheels: Collection[str]) -> tuple[str, dict[str, WheelRole]]:
-    """Return what to do about too few wheels: words, and the wheels that names or axes suggest."""
+def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: Draft) -> str:
+    """Return what to do about too few wheels, with the wheels that names or axes suggest."""
+    wheels = [wheel.name for wheel in draft.wheels]
     ends = [j for j in tree.joints.values() if tree.is_last(j) and j.name not in wheels]
     if found := tracks(tree, wheels):
-        return TRACKS.format(", ".join(found)), {}
+        return TRACKS.format(", ".join(found))
     steering = [
         j.name
         for j in ends
@@ -607,8 +590,7 @@ def wheel_remedy(tree: Tree, wheels: Collection[str]) -> tuple[str, dict[str, Wh
         return (
             f"the axles of the wheels are missing: {', '.join(steering)} turn about steep axes, "
             "which steers wheels; add to the link of each a joint of type 'continuous' about a "
-            "level axis, whose child is the wheel",
-            {},
+            "level axis, whose child is the wheel"
         )
     chains = {
         end.name: [j for j in tree.joints.values() if j.moves and end in tree.below(j.child)]
@@ -620,14 +602,20 @@ def wheel_remedy(tree: Tree, wheels: Collection[str]) -> tuple[str, dict[str, Wh
         if any(map(LEG.fullmatch, words_of(e.names))) or (e.moves and len(chains[e.name]) > 1)
     ]
     if len(legs) > 2:
-        return LEGS.format(", ".join(legs)), {}
+        return LEGS.format(", ".join(legs))
     named = [j for j in ends if WHEEL.search(j.names) or CASTER.search(j.names)]
-    level = [j for j in ends if j.type == "continuous" and tree.is_level(j)]
+    level = [j for j in ends if j in tree.turning]
     radius = usual_radius(tree, named or level)
-    return f"add {PARTS}", {
-        joint.name: WheelRole(radius=None if tree.links[joint.child].shapes else radius)
+    sizes: dict[str, dict[str, float]] = {
+        joint.name: {} if tree.links[joint.child].shapes else {"radius": radius}
         for joint in named or level
     }
+    more = {name: WheelRole(radius=size.get("radius")) for name, size in sizes.items()}
+    findings = Findings(tree.file)
+    trial = roles.model_copy(update={"wheels": {**roles.wheels, **more}})
+    if not sizes or [*misfits(_draft(tree, trial, findings))] or findings.errors:
+        return f"add {PARTS}"
+    return f"add {PARTS}; or {findings.completion}, write wheels = {toml_value(sizes)}"
 
 
 def _sides(name: str) -> set[str]:
@@ -644,12 +632,9 @@ def forward_guess(tree: Tree, excluded: Collection[str] = ()) -> Choice:
     tree, _ = with_fixed_rollers(tree)
     turning = [
         joint
-        for joint in tree.joints.values()
-        if joint.type == "continuous"
-        and tree.is_last(joint)
-        and (tree.links[joint.child].shapes or tree.links[joint.child].meshes)
-        and not CASTER.search(joint.names)
-        and tree.is_level(joint)
+        for joint in filter(tree.is_last, tree.turning)
+        if tree.links[joint.child].shapes or tree.links[joint.child].meshes
+        if not CASTER.search(joint.names)
     ]
     radii = [tree.radius_of(joint) for joint in turning]
     bottoms = [tree.frames[j.child][1][2] - r for j, r in zip(turning, radii, strict=True)]

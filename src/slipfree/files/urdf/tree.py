@@ -188,6 +188,12 @@ class Tree:
         return not any(below.moves for below in self.below(joint.child))
 
     @cached_property
+    def turning(self) -> tuple[UrdfJoint, ...]:
+        """Continuous joints about level axes, such as those of wheels."""
+        every = self.joints.values()
+        return tuple(j for j in every if j.type == "continuous" and self.is_level(j))
+
+    @cached_property
     def steered(self) -> frozenset[str]:
         """Names of the joints below joints that turn about steep axes."""
         return frozenset(
@@ -205,9 +211,7 @@ class Tree:
         beside the gear that drives it.
         """
         frames, fixed = self.frames, set()
-        for joint in self.joints.values():
-            if joint.type != "continuous" or not self.is_last(joint) or not self.is_level(joint):
-                continue
+        for joint in filter(self.is_last, self.turning):
             axis, hub = self.axis(joint), self.radius_of(joint)
             for below in self.below(joint.child):
                 offset = frames[below.child][1] - frames[joint.child][1]
@@ -233,8 +237,7 @@ class Tree:
         The plane is midway between the outermost links that turn about level axes.
         """
         frames = self.frames
-        turning = [j for j in self.joints.values() if j.type == "continuous" and self.is_level(j)]
-        sides = [float(frames[j.child][1][1]) for j in turning] or [0.0]
+        sides = [float(frames[j.child][1][1]) for j in self.turning] or [0.0]
         x, y, z = frames[joint.child][1] - (0, (max(sides) + min(sides)) / 2, 0)
         near = MIRROR * float(np.linalg.norm((x, y, z)))
         image = frames[joint.child][1] - (0, 2 * y, 0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -65,9 +65,7 @@ RIGHT = (0.0, -1.0, 0.0)
 ALIKE = 0.2  # largest relative difference of the radii of opposite wheels
 NEARLY = 0.02  # largest such difference that is not reported
 TRAIL, MAX_TRAIL = 0.2, 2.0  # trail of wheels that swivel freely [radii]; longer ones articulate
-SMALL_CASTER = (
-    0.8  # largest radius of casters without a name or a swivel [radii of the other wheels]
-)
+SMALL_CASTER = 0.8  # largest radius of casters without a name or a swivel [radius of others]
 PARALLEL = 0.9  # least cosine of the angle between parallel axles
 TOUCH = 0.1  # a ball touches the ground of the wheels within this part of its radius
 FULL_TURN = 6.2  # least range of joints whose limits are those of a careless export [rad]
@@ -104,12 +102,10 @@ class Wheels:
         gears: dict[str, tuple[str, dict[str, Value], str]] = {}
         for name, reason in self._high(undeclared, paired):
             gears[name] = "wheels", {"driven": True}, f"no wheel but fixed: {reason}"
-        for joint in self.tree.joints.values():
-            if joint.type == "continuous" and self.tree.is_level(joint):
-                beside = [wheel for wheel in joints if wheel in self.tree.below(joint.child)]
-                if beside and self.tree.is_last(joint):
-                    reason = "fixed: wheels are fixed to it"
-                    gears[joint.name] = "joints", {"kind": "commanded"}, reason
+        for joint in self.tree.turning:
+            if self.tree.is_last(joint) and any(w in self.tree.below(joint.child) for w in joints):
+                reason = "fixed: wheels are fixed to it"
+                gears[joint.name] = "joints", {"kind": "commanded"}, reason
         self.gears = {name: gear for name, gear in gears.items() if name not in roles.joints}
         self.joints = [joint for joint in joints if joint.name not in self.gears]
         for joint in self.joints:
@@ -122,11 +118,11 @@ class Wheels:
                 values = {"radius": shape.radius, "tube": shape.tube or self._roles.tube}
                 other = toml_line("joints", joint.name, kind="fixed")
                 self._findings.guess("wheels", joint.name, values, "a wheel: a round mesh", other)
-        alike: dict[str, list[UrdfJoint]] = {}
+        alike = defaultdict[str, list[UrdfJoint]](list)
         for name, message in self._unread.items():
             joint = self.tree.joints[name]
             if joint not in self.joints and joint.moves:
-                alike.setdefault(message, []).append(joint)
+                alike[message].append(joint)
         for message, joints in alike.items():
             line = self._radius_line(joints, usual_radius(self.tree, joints))
             self._findings.ask(joints, f"{message}; or,", line)
@@ -651,7 +647,12 @@ def _lowest_part(
             half = np.abs((rotation @ rotation_of(box.turned))[2]) @ np.asarray(box.size) / 2
             depth = max(depth, float(half - rotation[2] @ np.asarray(box.at)))
         if not link.shapes and not link.boxes:
-            depth = _mesh_depth(tree, link, rotation)
+            files = MeshFiles(link.meshes, Path(tree.file).parent)
+            try:
+                meshes = [files.triangles(mesh).vertices for mesh in link.meshes]
+            except DataError:  # the ground of the wheels gives the radius
+                meshes = []
+            depth = max((float(-(rotation @ each.T)[2].min()) for each in meshes), default=0.0)
         if depth > 0:
             bottoms.append((float(origin[2]) - depth, index, depth, "radius to its lowest point"))
     if bottoms:
@@ -659,16 +660,6 @@ def _lowest_part(
         return parts[index], radius, reason
     height = float(tree.frames[parts[-1].child][1][2]) - ground
     return (parts[-1], height, "radius to the ground of the wheels") if height > 0 else None
-
-
-def _mesh_depth(tree: Tree, link: Link, rotation: Array) -> float:
-    """Return the depth of a link's meshes below its origin; zero if they are unreadable [m]."""
-    files = MeshFiles(link.meshes, Path(tree.file).parent)
-    try:
-        points = [files.triangles(mesh).vertices for mesh in link.meshes]
-    except DataError:  # the ground of the wheels gives the radius
-        return 0.0
-    return max((float(-(rotation @ each.T)[2].min()) for each in points), default=0.0)
 
 
 def _trails(tree: Tree, head: UrdfJoint, part: UrdfJoint) -> bool:
@@ -707,12 +698,16 @@ def swivels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
         carried = [wheel for wheel in wheels if wheel.name in below]
         if not carried or not joint.moves or joint.type == "prismatic" or tree.is_level(joint):
             continue
-        trails = not STEERING.search(joint.names) and (
-            TRAIL < _trail(tree, joint, carried) < MAX_TRAIL
-        )
+        trails = list[float]()  # distances from the axis, across the axles [radii]
+        for wheel in carried:
+            axle = axle_of(tree, wheel)
+            offset = tree.frames[wheel.child][1] - tree.frames[joint.child][1]
+            across = abs(float(offset[0] * axle[1] - offset[1] * axle[0]))
+            trails.append(across / (tree.radius_of(wheel) or np.inf))
+        is_behind = not STEERING.search(joint.names) and TRAIL < min(trails) < MAX_TRAIL
         commands = [e for e in tree.evidence.get(joint.name, ()) if e.choice == "commanded"]
         is_free = joint.mimic is None and not any(each.weight > USUAL for each in commands)
-        if is_free and (TRAILER.search(joint.names) or trails):
+        if is_free and (TRAILER.search(joint.names) or is_behind):
             swivelling[joint.name] = {wheel.name for wheel in carried}
     names = {wheel.name for wheel in wheels}  # if each wheel swivels, none does so freely
     return frozenset() if names == set().union(*swivelling.values()) else frozenset(swivelling)
@@ -763,17 +758,6 @@ def axle_of(tree: Tree, wheel: UrdfJoint) -> Array:
     if wheel.type not in ("continuous", "revolute") or not tree.is_level(wheel):
         return np.array([0.0, 1.0, 0.0])
     return tree.axis(wheel)
-
-
-def _trail(tree: Tree, joint: UrdfJoint, wheels: Sequence[UrdfJoint]) -> float:
-    """Return the least distance of wheels from an axis, across their axles [radii]."""
-    trails = []
-    for wheel in wheels:
-        axle = axle_of(tree, wheel)
-        offset = tree.frames[wheel.child][1] - tree.frames[joint.child][1]
-        across = abs(float(offset[0] * axle[1] - offset[1] * axle[0]))
-        trails.append(across / (tree.radius_of(wheel) or np.inf))
-    return min(trails)
 
 
 def with_fixed_rollers(tree: Tree) -> tuple[Tree, dict[str, Evidence]]:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from slipfree.core.errors import DataError, ModelError, missing_package
+from slipfree.core.errors import DataError, ModelError, missing_package, shortened
 from slipfree.files.urdf.tree import Findings
 from slipfree.files.urdf.xml import Element
 from slipfree.system.processes import ProcessDiedError, bounded_call
@@ -43,7 +43,6 @@ PARTS = {  # elements in links and joints
 PACKAGE = re.compile(r"^(?:file://)?\$\(find\s+([\w-]+)\)")
 COMMAND = re.compile(r"(?<!\$)\$\(([^()$]*)\)")
 EXPRESSION = re.compile(r"(?<!\$)\$\{([^{}$]*)\}")
-MAX_SHOWN = 60  # characters of an attribute in a message
 
 
 def package_folders(package: str, folder: Path) -> Iterator[Path]:
@@ -328,8 +327,7 @@ def _xacro_in(element: Element) -> str:
         return f"<{element.tag}>"
     for key, text in element.attributes.items():
         if "${" in text or "$(" in text:
-            shown = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
-            return f"{shown!r} in the attribute {key!r} of <{element.tag}>"
+            return f"{shortened(text, 60)!r} in the attribute {key!r} of <{element.tag}>"
     return ""
 
 

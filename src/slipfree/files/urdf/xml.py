@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
@@ -47,19 +48,36 @@ class Element:
             left += reversed(element.children)
 
 
+def number_in(text: str) -> float:
+    """Return the number in a text; NaN without one."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
 def parse(data: bytes, name: str) -> Element:
     """Return the root element of an XML file; document types, which define entities, are errors.
 
     So are more than `MAX_ELEMENTS` elements.
     """
-    _check_contents(data, name)
+    start = data[:HEAD].lstrip(b"\xef\xbb\xbf \t\r\n")
+    for known in FORMATS:
+        if known.packed and start.startswith(known.magic):
+            words = known.packed.format(PurePath(name).name)
+            raise DataError(f"{name}: expected XML, found {known.name}; {words}")
+    if not data.strip(b"\xef\xbb\xbf \t\r\n\0"):
+        raise DataError(f"{name}: expected XML, found an empty file; copy it again")
+    if not is_markup(data[:200]):
+        words = "found a file that does not begin with '<'"
+        raise DataError(f"{name}: expected XML, {words}; give another file, or convert it")
     parser = expat.ParserCreate()
     top = Element("", {}, 0)
     stack = [top]
 
     count = itertools.count(1)
 
-    def start(tag: str, attributes: dict[str, str]) -> None:
+    def begin(tag: str, attributes: dict[str, str]) -> None:
         if next(count) > MAX_ELEMENTS:
             raise DataError(
                 f"{name}:{parser.CurrentLineNumber}: expected a robot of at most {MAX_ELEMENTS} "
@@ -79,7 +97,7 @@ def parse(data: bytes, name: str) -> Element:
             "<!DOCTYPE; remove the declaration and the entities that it defines"
         )
 
-    parser.StartElementHandler = start
+    parser.StartElementHandler = begin
     parser.EndElementHandler = lambda _: stack.pop()
     parser.CharacterDataHandler = keep
     parser.StartDoctypeDeclHandler = refuse
@@ -102,19 +120,6 @@ def parse(data: bytes, name: str) -> Element:
 def is_markup(head: bytes) -> bool:
     """Return whether the first bytes of a file are those of XML or HTML, in any encoding."""
     return head.replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n").startswith(b"<")
-
-
-def _check_contents(data: bytes, name: str) -> None:
-    start = data[:HEAD].lstrip(b"\xef\xbb\xbf \t\r\n")
-    for known in FORMATS:
-        if known.packed and start.startswith(known.magic):
-            words = known.packed.format(PurePath(name).name)
-            raise DataError(f"{name}: expected XML, found {known.name}; {words}")
-    if not data.strip(b"\xef\xbb\xbf \t\r\n\0"):
-        raise DataError(f"{name}: expected XML, found an empty file; copy it again")
-    if not is_markup(data[:200]):
-        words = "found a file that does not begin with '<'"
-        raise DataError(f"{name}: expected XML, {words}; give another file, or convert it")
 
 
 def is_description(path: Path) -> bool:
