@@ -20,7 +20,7 @@ from slipfree.cli.atlas import as_arguments, ground_of
 from slipfree.cli.common import Force, Settings, Trust, add_json, add_json_file, print_line
 from slipfree.cli.outputs import check_outputs
 from slipfree.core.errors import DataError, similar
-from slipfree.system.regular_files import check_name, replace_file
+from slipfree.system.regular_files import check_name, make_folder, replace_file
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -254,13 +254,7 @@ def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force
             "replace, or choose another folder: --to DIR"
         )
     for out, text in places.items():
-        try:
-            out.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise DataError(
-                f"{out.parent}: expected a folder that exists or can be created, found that it "
-                f"cannot be created ({error.strerror}); choose another folder: --to DIR"
-            ) from error
+        make_folder(out.parent, "choose another folder: --to DIR")
         write_new_file(text, out, force)
         print_line(f"wrote {out}")
 

@@ -25,7 +25,7 @@ from slipfree.batch.graph import Graph, Solve, elimination, graph_of, state_of
 from slipfree.batch.many import stand, stand_checked, start_states
 from slipfree.batch.motion import COMPLETE
 from slipfree.core.dae import Dae
-from slipfree.core.errors import DataError, ModelError, read_table
+from slipfree.core.errors import ModelError, read_table
 from slipfree.core.evaluation import dense, evaluate
 from slipfree.core.newton import solve_equations
 from slipfree.core.records import Array, Label, leaves
@@ -35,7 +35,7 @@ from slipfree.models.base import extent
 from slipfree.models.given_rates import COMMANDS, ROBOT, GivenRates, derived_rates
 from slipfree.models.inverse import invert
 from slipfree.models.kinematics import check_driven, direct_kinematics
-from slipfree.system.regular_files import replace_file
+from slipfree.system.regular_files import make_folder, replace_file
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.tree import Vehicle
@@ -193,13 +193,7 @@ def export_controller(
         )
         for file, template in FILES
     }
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(
-            f"{folder}: expected a folder to write, found that it cannot be made "
-            f"({error.strerror}); choose another name"
-        ) from error
+    make_folder(folder)
     files = [folder / name for name in texts]
     for file, content in zip(files, texts.values(), strict=True):
         replace_file(file, partial(Path.write_text, data=content, encoding="utf-8"))

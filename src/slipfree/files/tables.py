@@ -183,8 +183,8 @@ def read_columns(
             if not layout.names:  # the first column may count or name the rows
                 cells = [_line_cells(text, layout.separator)[0] for _, text in layout.lines(wanted)]
                 first, size = cells[0], len(cells)
-                start = int(first) if first.isdigit() else 0
-                counts = [str(k) for k in range(start, start + size)]
+                least = int(first) if first.isdigit() else 0
+                counts = [str(k) for k in range(least, least + size)]
                 if (size > 1 and cells == counts) or not _is_number(first, layout.separator):
                     raise DataError(
                         f"{path}:{layout.first}: expected {wanted} in the first columns, found "

@@ -30,11 +30,10 @@ from slipfree.show.ground_drawing import DARKEST, LIGHT
 from slipfree.show.plots import Plot
 from slipfree.show.scene import ARROWS, PLAN_LINES, Actor, Color, Scene, round_step
 from slipfree.show.style import MM, PAGE, STYLE, words
-from slipfree.system.regular_files import replace_file
+from slipfree.system.regular_files import check_ending, replace_file
 
 FRAMES, FILM_DPI = 20, 110  # frames per second, and dots per inch
 FILM_COLORS, OCTREE = 128, Image.Quantize.FASTOCTREE  # of a GIF; keeps the few pixels of arrows
-ENDINGS = (".mp4", ".gif")
 MOST = 160  # maximum number of frames of a film; longer motions are shown faster
 COLUMNS = {"width_ratios": (2, 3)}  # widths of the two axes
 ROWS = (5, 2)  # heights of the views and of the curves
@@ -55,12 +54,8 @@ T = TypeVar("T")
 
 def film_writer(file: Path, rate: int) -> AbstractMovieWriter:
     """Return the writer of a ``.gif`` or ``.mp4`` file with ``rate`` frames per second."""
-    if file.suffix not in ENDINGS:
-        raise DataError(
-            f"{file}: expected a name that ends in {' or '.join(ENDINGS)} for a film, found "
-            f"{repr(file.suffix) if file.suffix else 'no ending'}; choose another name"
-        )
-    if file.suffix == ".gif":
+    check_ending(file, (".mp4", ".gif"))
+    if file.suffix.lower() == ".gif":
         return _GifWriter(fps=rate)
     if not FFMpegWriter.isAvailable():
         raise DataError(

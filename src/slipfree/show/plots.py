@@ -17,11 +17,11 @@ from matplotlib.axes import Axes
 from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 
-from slipfree.core.errors import DataError, ModelError
+from slipfree.core.errors import ModelError
 from slipfree.core.trajectory import Trajectory
 from slipfree.show import style
 from slipfree.show.style import COLUMN, DPI, MM, PAGE, STYLE
-from slipfree.system.regular_files import replace_file
+from slipfree.system.regular_files import make_folder, replace_file
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.solids import Prism
 
@@ -93,21 +93,18 @@ def save(
                 f"formats: expected some of {', '.join(sorted(known))}, found {name!r}; choose "
                 "another format"
             )
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(
-            f"{folder}: expected a folder for figures, found one that cannot be created "
-            f"({error.strerror}); choose another folder"
-        ) from error
-    files = list[Path]()
-    for plot in plots:
-        figure = draw([plot])[plot.name]
-        with rc_context(STYLE):  # type: ignore[arg-type]
-            for file in (Path(folder) / f"{plot.name}.{end}" for end in formats):
-                replace_file(file, partial(figure.savefig, dpi=DPI))
-                files.append(file)
+    make_folder(Path(folder))
+    files = [file for plot in plots for file in _save_figure(plot, Path(folder), formats)]
     # Figures are reference cycles that hold images of several megabytes; without this, the figures
     # of one or two motions stay in memory until Python happens to collect them.
     gc.collect()
+    return files
+
+
+def _save_figure(plot: Plot, folder: Path, formats: Sequence[str]) -> list[Path]:
+    figure = draw([plot])[plot.name]
+    files = [folder / f"{plot.name}.{end}" for end in formats]
+    with rc_context(STYLE):  # type: ignore[arg-type]
+        for file in files:
+            replace_file(file, partial(figure.savefig, dpi=DPI))
     return files

@@ -84,7 +84,7 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
     orders = [np.argsort(_positions(each)) for each in (across, up)]
     mean = mean[np.ix_(*orders)]
     ax.set_facecolor(NOTHING)
-    drawn = ax.imshow(mean.T, origin="lower", aspect="auto", cmap=COLOURS)
+    drawn: Any = ax.imshow(mean.T, origin="lower", aspect="auto", cmap=COLOURS)
     bar = ax.figure.colorbar(drawn, ax=ax)
     more = ", mean" if swept.values.shape[-1] > 1 else ""
     bar.set_label(_labelled(f"{swept.name}{more}", swept.unit))
@@ -92,10 +92,10 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
         _ticks(axis, [varied.values[k] for k in order])
         axis.set_label_text(_labelled(varied.name, varied.unit))
     look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 6}
-    for place in np.argwhere(np.isfinite(mean)) if max(mean.shape) <= MOST_WORDS else ():
-        value = mean[*place]
-        color = "black" if drawn.norm(value) > 0.6 else "white"
-        ax.text(*place.tolist(), f"{value:.3g}", color=color, **look)
+    is_small = max(mean.shape) <= MOST_WORDS
+    for i, j in np.argwhere(np.isfinite(mean)).tolist() if is_small else ():
+        color = "black" if drawn.norm(mean[i, j]) > 0.6 else "white"
+        ax.text(i, j, f"{mean[i, j]:.3g}", color=color, **look)
     return ax
 
 

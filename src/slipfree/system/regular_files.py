@@ -126,6 +126,17 @@ def check_target(path: Path) -> None:
         )
 
 
+def make_folder(folder: Path, remedy: str = "choose another folder") -> None:
+    """Make a folder to write, and those above it; raise DataError if it cannot be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(
+            f"{folder}: expected a folder to write, found one that cannot be created "
+            f"({error.strerror}); {remedy}"
+        ) from error
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Replace a file by a new one only when the new one is complete.
