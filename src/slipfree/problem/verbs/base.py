@@ -488,12 +488,13 @@ def _pressed_facts(run: Trajectory) -> dict[str, Fact]:
     changes = [rock._asdict() for rock in rocks(run)]
     facts = {
         "time_in_air": Fact(sum(flights), "s"),
-        "longest_flight": Fact(max(flights, default=0.0), "s"),
         "wheels_in_air": Fact(in_air),
         "lift_offs": Fact(int(((depth[:-1] >= 0) & (depth[1:] < 0)).sum()), "1"),
         "rocks": Fact(changes),
         "wheel_contact": Fact("compliant contact"),
     }
+    if flights:
+        facts["longest_flight"] = Fact(max(flights), "s")
     if run.attributes.get("model") == "dynamics":
         return facts
     return facts | {
