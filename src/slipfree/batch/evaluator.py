@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
@@ -20,7 +20,7 @@ import numpy as np
 from slipfree.batch.graph import Graph, Graphs, graphs_of
 from slipfree.core.dae import Dae
 from slipfree.core.evaluation import evaluate
-from slipfree.core.lookups import Cells
+from slipfree.core.lookups import CellBounds, Cells
 from slipfree.core.records import Array
 from slipfree.system.codegen_cache import compiler, shared_library
 
@@ -182,20 +182,24 @@ class _Compiled(EvaluatorOf[G]):
         t: Array,
         kept: int,
         numbers: Sequence[float],
+        bounds: Mapping[int, CellBounds],
         *results: Array,
     ) -> bool:
         """Fill in the results of motions as `motion._drive_plainly`; return whether there is code.
 
-        It is not for a model whose rates need iterations. Signals are served between blocks of
-        lanes.
+        It is not for a model whose rates need iterations. Samples are certified by the ``bounds``
+        of wheels, by their rows in the graph "placing". Signals are served between blocks of lanes.
         """
         if self._steps is None:
             return False
         states, inputs, t = (
             np.ascontiguousarray(each, dtype=float) for each in (states, inputs, t)
         )
-        n, arrays = states.shape[1], (states, inputs, t, *results)
-        run = _Run(n, len(t), kept, *(each.ctypes.data for each in arrays), tuple(numbers))
+        wheels = np.array([(row, len(each.table), *each.numbers) for row, each in bounds.items()])
+        tables = np.array([each.table.ctypes.data for each in bounds.values()], dtype=np.uintp)
+        n, arrays = states.shape[1], (states, inputs, t, *results, wheels, tables)
+        sizes = n, len(t), kept, len(bounds)
+        run = _Run(*sizes, *(each.ctypes.data for each in arrays), tuple(numbers))
         constants = ctypes.c_void_p(self._constants.ctypes.data)
         for begin in range(0, n, BLOCK):
             lanes = (ctypes.c_long(each) for each in (begin, min(begin + BLOCK, n)))
@@ -207,9 +211,10 @@ class _Run(ctypes.Structure):
     """The structure ``Run`` of ``step.c``; its numbers are those of `motion._Numbers`."""
 
     _fields_ = (
-        *((name, ctypes.c_long) for name in ("n", "m", "kept")),
+        *((name, ctypes.c_long) for name in ("n", "m", "kept", "certified")),
         *((name, ctypes.c_void_p) for name in ("in", "inputs", "t", "samples", "counts", "out")),
-        ("numbers", ctypes.c_double * 12),
+        *((name, ctypes.c_void_p) for name in ("doubt", "wheels", "tables")),
+        ("numbers", ctypes.c_double * 14),
     )
 
 
@@ -365,6 +370,7 @@ def _step_code(graphs: Graphs) -> str:
         "END_DISTANCES": distances.stop,
         "STATES": rows.x.stop,
         **dict(zip(("X_ROW", "Y_ROW", "HEADING_ROW"), graphs.places, strict=True)),
+        "PLACED": graphs.placing.function.numel_out(0),
         "INPUTS": rows.u.stop - rows.u.start,
         "FIRST_INPUT": rows.u.start,
     }

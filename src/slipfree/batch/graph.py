@@ -15,7 +15,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.core.dae import Continuation, Dae, PlacedCheck
+from slipfree.core.dae import Continuation, Dae, PlacedCheck, WheelCheck
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import dense, evaluate
 from slipfree.core.lookups import Lookup, found_column, needed_lookups
@@ -94,6 +94,7 @@ class Graphs(NamedTuple):
     bounds: tuple[int, ...]  # index of the limit to which each distance belongs
     outputs: Graph
     checks: tuple[PlacedCheck, ...]  # of samples
+    wheels: dict[int, WheelCheck]  # those of wheels, by their indices
     placing: Graph  # expressions on which the checks of samples depend, one result for each check
     linear: bool  # whether the rates are the solution of linear equations
 
@@ -161,6 +162,7 @@ def graphs_of(dae: Dae) -> Graphs:
         bounds,
         graph("outputs", pack(dae.y)),
         checks,
+        {k: check for k, check in enumerate(checks) if isinstance(check, WheelCheck)},
         graph("placing", *(check.placing for check in checks)),
         linear,
     )

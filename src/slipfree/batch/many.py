@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from slipfree.batch.evaluator import Evaluator, evaluator_of
-from slipfree.batch.graph import Graphs
+from slipfree.batch.graph import Graphs, graphs_of
 from slipfree.batch.motion import (
     COMPLETE,
     INVALID_START,
@@ -313,7 +314,7 @@ def stand_checked(evaluate: Evaluator, states: Array, rests: Rests) -> Indices:
         worst = smallest(distances[:, beyond])
         codes[beyond] = np.array(graphs.bounds)[worst]
     inside, every = codes == COMPLETE, np.arange(len(graphs.checks))
-    others = every[[not isinstance(check, WheelCheck) for check in graphs.checks]]
+    others = np.setdiff1d(every, [*graphs.wheels])
     for lanes, checks in ((inside & rests.is_clear, others), (inside & ~rests.is_clear, every)):
         if checks.size and lanes.any():
             clear = clearances(evaluate, states[:, lanes], checks)
@@ -497,7 +498,23 @@ def sources_of(graphs: Graphs, names: Sequence[str] | None) -> dict[str, Wanted]
 
     Raises ModelError if a name is unknown.
     """
-    dae, rows = graphs.dae, graphs.rows
+    known = _known_sources(graphs.dae)
+    names = list(dict.fromkeys(name.split("[")[0] for name in (known if names is None else names)))
+    for name in names:
+        if name not in known:
+            raise ModelError(
+                f"quantities: expected names of states, unknowns, inputs or outputs, found "
+                f"{name!r}; use some of {', '.join(known)}, or method='simulate', which also has "
+                "limits, checks and work"
+            )
+    return {name: known[name] for name in names}
+
+
+@lru_cache(maxsize=8)
+def _known_sources(dae: Dae) -> dict[str, Wanted]:
+    """Return the sources of all quantities of lanes; cached, since it takes milliseconds."""
+    graphs = graphs_of(dae)
+    rows = graphs.rows
     z_rows = [k for part in rows.z for k in range(part.start, part.stop)]
     q_labels = [list(leaves(dae.labels.q))[k] for k in graphs.quadratures]
     groups = (
@@ -519,15 +536,7 @@ def sources_of(graphs: Graphs, names: Sequence[str] | None) -> dict[str, Wanted]
             known[label.name] = old._replace(
                 rows=[*old.rows, row], shift=np.append(old.shift, moved), wheels=wheels
             )
-    names = list(dict.fromkeys(name.split("[")[0] for name in (known if names is None else names)))
-    for name in names:
-        if name not in known:
-            raise ModelError(
-                f"quantities: expected names of states, unknowns, inputs or outputs, found "
-                f"{name!r}; use some of {', '.join(known)}, or method='simulate', which also has "
-                "limits, checks and work"
-            )
-    return {name: known[name] for name in names}
+    return known
 
 
 def _values(evaluate: Evaluator, sources: Mapping[str, Wanted], samples: Array) -> dict[str, Array]:

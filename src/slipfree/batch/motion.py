@@ -10,7 +10,7 @@ not depend on the other lanes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -105,6 +105,8 @@ class _Numbers(NamedTuple):
     shortest: float = 0.0
     change: float = MAX_CHANGE
     error: float = MAX_ERROR
+    placed: float = POSITION_CHANGE  # of positions of certified samples
+    places: int = POSITION_STEPS
 
 
 # steps of given numbers, without limits
@@ -118,6 +120,7 @@ class _Course(NamedTuple):
     # NaN after the end of a lane, shape (m, n_kept + n_errors, n)
     samples: Array
     counts: Array  # numbers of steps, shape (m - 1, n)
+    doubt: Array  # zero for samples at which each wheel has a single contact, shape (m, n)
     end: Array  # time of the first step beyond a limit, or of the last sample, shape (n,) [s]
     reason: Array  # index of the limit, or a code, shape (n,)
     beyond: Array  # states at the first step beyond a limit, shape (n_rows, n)
@@ -189,7 +192,7 @@ def _integrate(
     numbers = _Numbers(step, MAX_STEPS, MAX_TRIES, REFINEMENT, estimated=not is_stiff)
     if dae.lag is not None:
         numbers = numbers._replace(graded=GRADED, shortest=LAST_SHARE * dae.relaxation_time)
-    run = _drive(evaluate, states, inputs, t, numbers, rows.t.stop)
+    run = _drive(evaluate, states, inputs, t, numbers, rows.t.stop, certify=certify)
     samples, reached = run.samples[:, : rows.t.stop], run.reached
     lanes = np.arange(reached.size)
     if is_stiff:
@@ -228,11 +231,14 @@ def _drive(
     numbers: _Numbers,
     kept: int,
     counts: Array | None = None,
+    *,
+    certify: bool = False,
 ) -> _Course:
     """Integrate lanes by compiled code, or by `_drive_plainly`.
 
     ``kept`` is the number of rows of the samples. Times have the shape (m,), or (m, n) for lanes
-    with times of their own. Numbers of steps may be given.
+    with times of their own. Numbers of steps may be given. With ``certify``, compiled code corrects
+    the positions of samples and compares known bounds of the ground with the curvature of wheels.
     """
     rows, n = evaluate.graphs.rows, states.shape[1]
     t = np.broadcast_to(t.reshape(len(t), -1), (len(t), n))
@@ -241,8 +247,11 @@ def _drive(
     sizes = np.cumsum([1, 1, rows.t.stop, rows.t.stop])
     out = np.empty((n, sizes[-1] + 1)).T
     end, reason, beyond, last, h = np.split(out, sizes)
-    run = _Course(samples, counts, end[0], reason[0], beyond, _Step(last, h[0]))
-    if not evaluate.drive(states, inputs, t, kept, numbers, samples, counts, out):
+    doubt, graphs = np.ones((n, len(t))), evaluate.graphs
+    run = _Course(samples, counts, doubt.T, end[0], reason[0], beyond, _Step(last, h[0]))
+    wheels = graphs.wheels.items() if certify else ()
+    bounds = {graphs.placing.parts[k].start: check.known_bounds() for k, check in wheels}
+    if not evaluate.drive(states, inputs, t, kept, numbers, bounds, samples, counts, out, doubt):
         _drive_plainly(evaluate, states, inputs, t, numbers, kept, run)
     codes = np.array([*evaluate.graphs.bounds, 0])
     reason = run.reason.astype(int)
@@ -381,13 +390,16 @@ class _Ends:
     def check_samples(self) -> Indices:
         """Return the index of the first sample of each lane that fails a check, or m."""
         reached, failed = self.run.reached, np.full(self.end.size, self.t.size)
-        for k in range(self.t.size if self.evaluate.graphs.checks else 0):
+        every = range(len(self.evaluate.graphs.checks))
+        others = [k for k in every if k not in self.evaluate.graphs.wheels]
+        for k, doubt in enumerate(self.run.doubt > 0):
             on = (reached >= k) & (failed == self.t.size)
-            some = _of(on, self.run.samples[k, : self.rows.t.stop])
-            clear = clearances(self.evaluate, some).min(axis=0) >= 0
-            if not on.all():
-                self.run.samples[k, self.rows.p][:, on] = some[self.rows.p]
-            failed[np.flatnonzero(on)[~clear]] = k
+            for lanes, checks in ((on & doubt, every), (on & ~doubt, others)):
+                if checks and lanes.any():
+                    some = self.run.samples[k, : self.rows.t.stop, lanes].T.copy()
+                    clear = clearances(self.evaluate, some, checks).min(axis=0) >= 0
+                    self.run.samples[k, self.rows.p, lanes] = some[self.rows.p].T
+                    failed[np.flatnonzero(lanes)[~clear]] = k
         return failed
 
     def end_at_samples(self, failed: Indices) -> None:
@@ -598,7 +610,7 @@ def margins(distances: Array, rounding: float = LIMIT_ROUNDING) -> Array:
     return np.asarray(distances.min(axis=0, initial=np.inf) + rounding)
 
 
-def clearances(evaluate: Evaluator, states: Array, only: Indices | None = None) -> Array:
+def clearances(evaluate: Evaluator, states: Array, only: Iterable[int] | None = None) -> Array:
     """Return the margins of the checks, or of some, (n_checks, n); infinite without checks.
 
     The positions in the states are corrected to rounding first: a wheel that is a micrometre in the

@@ -146,25 +146,71 @@ static void add_errors(const Point *at, const vd *mean, const vd *end, const vd 
 }
 #endif
 
+/* Known bounds of the ground around cells, for the wheel whose centre and axle are in `row` of the graph "placing":
+ * the number of blocks of cells, then the numbers of `CellBounds`. */
+typedef struct { double row, blocks, side, reach, corner[2], spacing[2], low[2], high[2]; } Wheel;
+
+/* Places of a block, and its bounds of slope and of curvature, (2, side, side). */
+typedef struct { long long place[2]; const double *bounds; } Block;
+
+/* Whether the bounds exclude a second contact of lane l; contact/certify.py derives the condition. */
+static int has_single_contact(const Wheel *wheel, const Block *block, const vd *placed, long l) {
+  const vd *center = placed + (long)wheel->row, *axle = center + 3;
+  double at[2], place[2];
+  for (int i = 0; i < 2; i++) {
+    if (!(center[i][l] >= wheel->low[i] && center[i][l] <= wheel->high[i])) return 0;
+    at[i] = floor((center[i][l] - wheel->corner[i]) / wheel->spacing[i]);
+    place[i] = floor(at[i] / wheel->side);
+  }
+  for (long k = 0; k < wheel->blocks; k++, block++) {
+    if (block->place[0] != place[0] || block->place[1] != place[1]) continue;
+    long side = (long)wheel->side, i = (long)(at[0] - place[0] * side), j = (long)(at[1] - place[1] * side);
+    const double *slope = block->bounds + i * side + j, *curvature = slope + side * side;
+    double level = sqrt(axle[0][l] * axle[0][l] + axle[1][l] * axle[1][l]), upright = axle[2][l];
+    return wheel->reach * *curvature < level - *slope * (upright < 0 ? -upright : upright);
+  }
+  return 0;
+}
+
 /* Motions of n lanes over m samples: arguments and results of `drive` of evaluator.py. */
 typedef struct {
-  long n, m, kept;  /* `kept` rows of the states are samples */
+  long n, m, kept, certified;  /* `kept` rows of the states are samples; number of wheels that are certified */
   const double *in, *inputs, *t; /* (ROWS, n), (INPUTS, m - 1, n), (m, n) */
   /* (n, m, width): kept rows, then estimated errors if wanted; (m - 1, n): numbers of steps, given if `tries` is
-   * zero; (n, OUT): time and reason of the end, state there, state and length of the last step */
-  double *samples, *counts, *out;
+   * zero; (n, OUT): time and reason of the end, state there, state and length of the last step; (n, m): zero at samples
+   * where every wheel has a single contact */
+  double *samples, *counts, *out, *doubt;
+  const Wheel *wheels;
+  const Block *const *tables; /* blocks for each wheel */
   double length, longest, tries, finer, estimated, rounding, repeats, fastest;
   /* `counts` steps are followed by `graded` steps, each of half the length of the one before, to `last` */
   double graded, last, most, worst;
+  double moved, places; /* Newton step of the positions of a sample that needs another one, and most of them */
 } Run;
 enum { OUT = 2 * ROWS + 3 };
 
 static long width_of(const Run *run) { return run->estimated ? run->kept + STATES : run->kept; }
 
+/* Correct the positions of samples of lanes to rounding; return which lanes have single contacts by known bounds. */
+static vl placed_at(const Run *run, vl lanes, vd *s, const double *K, const Cells *cells) {
+  vd r[POSITIONS + 1], wheels[PLACED + 1];
+  vl moving = lanes, single = lanes;
+  for (int j = 0; j < run->places && any(moving); j++) {
+    eval_place(s, r, K, cells);
+    for (int i = 0; i < POSITIONS; i++) s[FIRST_POSITION + i] = pick(moving, r[i], s[FIRST_POSITION + i]);
+    moving &= r[POSITIONS] > splat(run->moved);
+  }
+  eval_placing(s, wheels, K, cells);
+  for (long l = 0; l < LANES; l++)
+    for (long w = 0; w < run->certified && single[l]; w++)
+      single[l] = -has_single_contact(run->wheels + w, run->tables[w], wheels, l);
+  return single;
+}
+
 /* Store the sample k of a lane, which is lane l of a vector. */
-static void record(const Run *run, long lane, long k, const Point *at, long l) {
+static void record(const Run *run, long lane, long k, const Point *at, const vd *state, long l) {
   double *row = run->samples + (lane * run->m + k) * width_of(run);
-  for (long i = 0; i < run->kept; i++) row[i] = at->state[i][l];
+  for (long i = 0; i < run->kept; i++) row[i] = state[i][l];
   if (!run->estimated) return;
   row += run->kept;
   for (int i = 0; i < STATES; i++) row[i] = at->errors[i][l];
@@ -187,16 +233,22 @@ static void finish(const Run *run, long lane, long k, double time, double reason
 /* The interval of a lane of a vector, which ends at sample k, and its steps. */
 typedef struct { long lane, k; double span, shortest, count, step, attempt, h; } Interval;
 
+static double halvings(double number) { return (double)(1LL << (int)number); }
+
 /* Begin the interval after a sample; return whether there is one. The lane ends otherwise. */
 static int next_interval(const Run *run, Interval *of, const Point *at, long l) {
   const double *now = run->t + of->k * run->n + of->lane;
   double *count = run->counts + of->k * run->n + of->lane, needed, reason = COMPLETE;
   if (++of->k < run->m) {
     of->span = now[run->n] - *now;
-    of->shortest = fmin(run->last, of->span / (2 * fmax(ldexp(1.0, (int)run->graded) - 1, 1)));
+    of->shortest = of->span / (run->graded ? 2 * (halvings(run->graded) - 1) : 2);
+    if (run->last < of->shortest) of->shortest = run->last;
     of->step = of->attempt = 0;
     needed = at->speed[l] * of->span / run->length;
-    if (run->tries > 0 && needed <= run->fastest) *count = fmin(fmax(ceil(needed - 1e-9), 1), run->longest);
+    if (run->tries > 0 && needed <= run->fastest) {
+      needed = needed > 1 ? ceil(needed - 1e-9) : 1;
+      *count = needed < run->longest ? needed : run->longest;
+    }
     of->count = *count;
     if (of->count > 0 && of->count <= run->fastest) return 1;
     reason = of->count > 0 ? UNSOLVED : TOO_FAST;
@@ -223,11 +275,12 @@ static int next_attempt(const Run *run, Interval *of) {
  */
 void drive(long from, long to, const Run *run, const double *K, const Cells *cells) {
   long n = run->n, m = run->m, blocks = (to - from + LANES - 1) / LANES, next = from;
-  double halves = ldexp(1.0, (int)run->graded) - 1;
+  double halves = halvings(run->graded) - 1;
   Interval of[LANES];
   Point start[blocks], at, begun, end; /* `begun` is at the last sample, `end` at the end of the step */
-  vl alive[blocks], none = (vl)SPLAT(0.0), solved;
-  vd r[CHECKED_RESULTS], mean[MOVING], h = SPLAT(0.0);
+  vl alive[blocks], none = (vl)SPLAT(0.0), single = none, solved;
+  const vd *sample = end.state;
+  vd placed[ROWS], r[CHECKED_RESULTS], mean[MOVING], h = SPLAT(0.0);
   Ends ends;
   memset(r, 0, sizeof r); /* without limits, all distances are zero */
   for (long b = 0; b < blocks; b++) {
@@ -242,9 +295,13 @@ void drive(long from, long to, const Run *run, const double *K, const Cells *cel
     solved = checked_at(end.state, end.rates, r, run->most, run->worst, run->repeats, K, cells);
     alive[b] = inside(solved, end.state, r, run->rounding, &ends);
     end.speed = r[SPEED];
-    for (long l = 0; l < LANES && g + l < to; l++)
-      if (alive[b][l]) record(run, g + l, 0, &end, l);
-      else finish(run, g + l, 0, ends.time[l], ends.reason[l], ends.beyond, start[b].state, 0, l);
+    memcpy(placed, end.state, sizeof placed);
+    if (run->certified) single = placed_at(run, alive[b], placed, K, cells);
+    for (long l = 0; l < LANES && g + l < to; l++) {
+      if (!alive[b][l]) finish(run, g + l, 0, ends.time[l], ends.reason[l], ends.beyond, start[b].state, 0, l);
+      else record(run, g + l, 0, &end, placed, l);
+      if (single[l]) run->doubt[(g + l) * m] = 0;
+    }
     start[b] = end;
   }
   at = begun = end = start[0];
@@ -267,7 +324,7 @@ void drive(long from, long to, const Run *run, const double *K, const Cells *cel
       of[l].step++;
       double past = of[l].step - of[l].count; /* graded steps are each half as long as the one before */
       here[l] = -(past >= run->graded);
-      of[l].h = past > 0 ? ldexp(of[l].shortest, (int)(run->graded - past))
+      of[l].h = past > 0 ? of[l].shortest * halvings(run->graded - past)
                          : (of[l].span - halves * of[l].shortest) / of[l].count;
       h[l] = of[l].h;
     }
@@ -304,9 +361,15 @@ void drive(long from, long to, const Run *run, const double *K, const Cells *cel
     assign(accepted, &at, &end);
     here &= accepted;
     assign(here, &begun, &end);
+    if (run->certified && any(here)) {
+      memcpy(placed, end.state, sizeof placed);
+      single = placed_at(run, here, placed, K, cells);
+      sample = placed;
+    }
     for (long l = 0; l < LANES; l++) {
       if (!here[l]) continue;
-      record(run, of[l].lane, of[l].k, &end, l);
+      record(run, of[l].lane, of[l].k, &end, sample, l);
+      if (single[l]) run->doubt[of[l].lane * m + of[l].k] = 0;
       if (!next_interval(run, of + l, &at, l)) of[l].lane = -1;
     }
   }

@@ -25,7 +25,7 @@ import numpy as np
 
 from slipfree.contact.nearest_points import minima
 from slipfree.core.evaluation import evaluate
-from slipfree.core.lookups import lookup_function
+from slipfree.core.lookups import CellBounds, lookup_function
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, Indices, Label, Mask, pack
 from slipfree.geometry.frame import Pose
@@ -105,6 +105,13 @@ class SecondContact:
         level, upright = np.hypot(rotation[0], rotation[1]), np.abs(rotation[2])
         slope[np.isinf(slope)] = 0.0  # near an edge, where the curvature is infinite
         return np.asarray(radius * curvature < level - slope * upright)
+
+    def known_bounds(self) -> CellBounds:
+        """Return the known bounds of the ground for `_has_single_contact`."""
+        known = getattr(self.terrain, "known_bounds", None)
+        if known is None or self.wheel.section.torus_radii is None:
+            return CellBounds(np.empty((0, 3), dtype=np.int64), (0.0,) * 10, [])
+        return known(self.wheel.radius)
 
     def describe(self, x: Array, z: Array) -> str:
         """Return a message that locates the second contact, in map coordinates."""

@@ -14,7 +14,7 @@ from typing_extensions import TypeVar  # with a default
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, similar
-from slipfree.core.lookups import Lookup, lookup_function
+from slipfree.core.lookups import CellBounds, Lookup, lookup_function
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import (
     Array,
@@ -172,6 +172,14 @@ class WheelCheck(PlacedCheck, Protocol):
 
     def deepest(self, placed: Array) -> tuple[Array, Array]:
         """Return the smallest gaps to the ground, (n,), and their local x and y, (2, n) [m]."""
+
+    def known_bounds(self) -> CellBounds:
+        """Return known bounds of the ground by which compiled code finds single contacts.
+
+        The wheel has a single contact if its radius, the first of the bounds' numbers, times the
+        curvature is less than ``hypot(a_x, a_y) - slope |a_z|``, where ``a`` is its axle. The rows
+        of ``placing`` begin with its centre and ``a``.
+        """
 
 
 class Standing(NamedTuple):

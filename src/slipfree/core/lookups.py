@@ -39,6 +39,17 @@ class Cells(NamedTuple):
         return tuple(number for pair in pairs for number in pair)
 
 
+class CellBounds(NamedTuple):
+    """Bounds of slope and curvature around cells of a ground, from which compiled code reads."""
+
+    # places along x and y of square blocks of cells, and addresses of their bounds; shape (n, 3)
+    table: Array
+    # cells along the side of a block; distance up to which bounds hold; local coordinates of the
+    # corner of block (0, 0); sides of the cells; least and greatest x and y where bounds hold [m]
+    numbers: tuple[float, ...]
+    blocks: list[Array]  # bounds in each block, shape (2, side, side) [1, 1/m]
+
+
 class Lookup(NamedTuple):
     """A lookup function, its argument in a model, and the symbols of its result."""
 

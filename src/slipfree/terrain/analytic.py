@@ -12,7 +12,7 @@ import numpy as np
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
 from slipfree.core.interval import Intervals, evaluate_interval
-from slipfree.core.lookups import LookupTable
+from slipfree.core.lookups import CellBounds, LookupTable
 from slipfree.core.records import Array, field_overview
 from slipfree.system.forks import cached_property
 from slipfree.terrain.base import (
@@ -137,14 +137,14 @@ class Analytic(GroundFriction):
         arithmetic bounds the derivatives of the formula in squares around the points; without
         bounds of an operation, the results are infinite.
         """
-        slope, curvature = bounds = np.full((2, x.size), np.inf)
-        x_min, x_max, y_min, y_max = self.domain
-        inside = np.isfinite(x + y) & (x_min <= x - reach) & (x + reach <= x_max)
-        inside &= (y_min <= y - reach) & (y + reach <= y_max)
-        if self._taylor is None:
-            cells = np.floor(np.stack([x, y])[:, inside] / (CELL * reach)).astype(int)
-            bounds[:, inside] = self._known_bounds.of(cells, reach)
+        if self._taylor is not None:
+            return np.full(x.size, np.inf), np.full(x.size, np.inf)
+        slope, curvature = self._known_bounds.at(x, y, reach)
         return slope, curvature
+
+    def known_bounds(self, reach: float) -> CellBounds:
+        """Return the results of `derivative_bounds` that were computed."""
+        return self._known_bounds.known(reach, self.origin)
 
     def _block_bounds(self, i: int, j: int, reach: float) -> Array:
         """Return the bounds of `derivative_bounds` for the cells of a block."""
@@ -156,7 +156,10 @@ class Analytic(GroundFriction):
 
     @cached_property
     def _known_bounds(self) -> DerivativeBounds:
-        return DerivativeBounds(BLOCK, self._block_bounds)
+        def spacing(reach: float) -> tuple[float, float]:
+            return CELL * reach, CELL * reach
+
+        return DerivativeBounds(BLOCK, self._block_bounds, self.domain, (0.0, 0.0), spacing)
 
     @cached_property
     def _derivatives(self) -> ca.Function:

@@ -21,7 +21,7 @@ import numpy as np
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError
-from slipfree.core.lookups import LookupTable
+from slipfree.core.lookups import CellBounds, LookupTable
 from slipfree.core.records import Array, HtmlRepr, Mask, overview
 from slipfree.core.schema import Positive
 
@@ -117,14 +117,35 @@ def taylor_function(formula: Formula) -> ca.Function | None:
 class DerivativeBounds(dict[tuple[int, int, float], Array]):
     """Bounds of slope and curvature around cells of a ground, computed in blocks and kept.
 
-    ``compute(i, j, reach)`` returns those of a block of ``side`` times ``side`` cells, shape (2,
-    side, side), which hold at distances up to ``reach`` from its cells. [1, 1/m]
+    ``compute(i, j, reach)`` returns those of a block of ``side`` times ``side`` cells, or fewer at
+    an edge, shape (2, side, side), which hold at distances up to ``reach`` from its cells. The
+    ``domain`` of the ground has cells from the ``corner``, of the ``spacing`` along x and y or a
+    multiple of the reach. [m, 1, 1/m]
     """
 
-    def __init__(self, side: int, compute: Callable[[int, int, float], Array]) -> None:
-        self._side, self._compute = side, compute
+    def __init__(
+        self,
+        side: int,
+        compute: Callable[[int, int, float], Array],
+        domain: tuple[float, float, float, float],
+        corner: tuple[float, float],
+        spacing: Callable[[float], tuple[float, float]],
+    ) -> None:
+        self._side, self._compute, self._domain = side, compute, domain
+        self._corner, self._spacing = corner, spacing
 
-    def of(self, cells: Array, reach: float) -> Array:
+    def at(self, x: Array, y: Array, reach: float) -> Array:
+        """Return the bounds at n points, infinite where the reach leaves the domain, (2, n)."""
+        x_min, x_max, y_min, y_max = self._domain
+        inside = np.isfinite(x + y) & (x_min <= x - reach) & (x + reach <= x_max)
+        inside &= (y_min <= y - reach) & (y + reach <= y_max)
+        bounds = np.full((2, x.size), np.inf)
+        at = np.stack([x[inside], y[inside]]) - np.reshape(self._corner, (2, 1))
+        cells = np.floor(at / np.reshape(self._spacing(reach), (2, 1))).astype(int)
+        bounds[:, inside] = self._of(cells, reach)
+        return bounds
+
+    def _of(self, cells: Array, reach: float) -> Array:
         """Return the bounds of n cells, whose indices have the shape (2, n); shape (2, n)."""
         bounds, (a, b) = np.empty(cells.shape), cells // self._side
         blocks = SPAN * a + b
@@ -134,9 +155,21 @@ class DerivativeBounds(dict[tuple[int, int, float], Array]):
             if key not in self:
                 if len(self) >= MAX_BLOCKS:
                     self.pop(next(iter(self)))  # the oldest
-                self[key] = self._compute(*key)
+                known = self._compute(*key)
+                self[key] = np.full((2, self._side, self._side), np.inf)
+                self[key][:, : known.shape[1], : known.shape[2]] = known
             bounds[:, here] = self[key][:, *cells[:, here] % self._side]
         return bounds
+
+    def known(self, reach: float, origin: tuple[float, float, float]) -> CellBounds:
+        """Return the bounds that were computed, in local coordinates of a ground."""
+        blocks = {key: block for key, block in self.items() if key[2] == reach}
+        rows = [(*key[:2], block.ctypes.data) for key, block in blocks.items()]
+        x_min, x_max, y_min, y_max = self._domain
+        low, high = np.array([x_min, y_min]) + reach, np.array([x_max, y_max]) - reach
+        places = np.array([self._corner, low, high]) - origin[:2]
+        numbers = self._side, reach, *places[0], *self._spacing(reach), *places[1:].flat
+        return CellBounds(np.array(rows, dtype=np.int64), numbers, [*blocks.values()])
 
 
 def bounds_of(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from slipfree.core.arguments import checked
-from slipfree.core.lookups import Cells, LookupTable
+from slipfree.core.lookups import CellBounds, Cells, LookupTable
 from slipfree.core.records import Array, Indices
 from slipfree.system.forks import cached_property
 from slipfree.terrain.base import (
@@ -204,16 +204,12 @@ class Bicubic(GroundFriction):
         largest of those that belong to a cell. Points of a cell share their bounds; those of a
         block of cells are computed together, when the first of them is asked for.
         """
-        inside = np.ones(x.size, dtype=bool)
-        axes = self.grid.x, self.grid.y
-        for axis, at in zip(axes, (x, y), strict=True):
-            inside &= (axis[0] <= at - reach) & (at + reach <= axis[-1])
-        cells = np.empty((2, np.count_nonzero(inside)), dtype=int)
-        for row, axis, h, at in zip(cells, axes, self._spacing, (x, y), strict=True):
-            row[:] = np.minimum((at[inside] - axis[0]) / h, axis.size - 2)
-        slope, curvature = bounds = np.full((2, x.size), np.inf)
-        bounds[:, inside] = self._known_bounds.of(cells, reach)
+        slope, curvature = self._known_bounds.at(x, y, reach)
         return slope, curvature
+
+    def known_bounds(self, reach: float) -> CellBounds:
+        """Return the results of `derivative_bounds` that were computed."""
+        return self._known_bounds.known(reach, self.origin)
 
     def _block_bounds(self, i: int, j: int, reach: float) -> Array:
         """Return the bounds of `derivative_bounds` for the cells of a block."""
@@ -240,7 +236,9 @@ class Bicubic(GroundFriction):
 
     @cached_property
     def _known_bounds(self) -> DerivativeBounds:
-        return DerivativeBounds(BLOCK, self._block_bounds)
+        x_min, _, y_min, _ = self.domain
+        corner, spacing = (x_min, y_min), self._spacing
+        return DerivativeBounds(BLOCK, self._block_bounds, self.domain, corner, lambda _: spacing)
 
     @cached_property
     def _spacing(self) -> tuple[float, float]:
