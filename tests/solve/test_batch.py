@@ -1,11 +1,14 @@
 """The batch: exact poses and motions of many lanes, equal to those of settle and simulate."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 import slipfree as sf
+from slipfree.batch import motion
 from slipfree.batch.evaluator import evaluator_of
 from slipfree.batch.many import run_lanes, solve_positions, start_states, states_of
 from slipfree.core.records import leaves
@@ -46,6 +49,15 @@ def rates(count, seed=0, spread=0.02, steer=0.1):
         "left_rate": speed - apart,
         "steer_rate": steer * rng.standard_normal(shape),
     }
+
+
+def same_ends(model, starts, inputs, step, tolerance=1e-10, atol=1e-3):
+    """Motions of the batch and of `simulate`, which end for the same reasons at the same times."""
+    exact = sf.rollouts(model, starts, inputs, T, options=sf.SolverOptions(tolerance=tolerance))
+    lanes = sf.rollouts(model, starts, inputs, T, method="batch", step=step)
+    assert_array_equal(lanes["outcome"], exact["outcome"])
+    assert_allclose(lanes["end"], exact["end"], atol=atol)
+    return lanes, exact
 
 
 def near_the_edge(model, count):
@@ -165,7 +177,10 @@ def test_rests_on_ground_rougher_than_wheels_are_found_and_penetrate_nowhere(rng
     assert (pz > ground.elevation(px, py) - 1e-5)[found].all()
 
 
-def test_motions_converge_with_third_order(model):
+def test_motions_converge_with_third_order(model, monkeypatch):
+    """On mild ground, compiled code certifies all samples by bounds of the ground."""
+    spy = Mock(wraps=motion.clearances)
+    monkeypatch.setattr(motion, "clearances", spy)
     inputs, starts = rates(4), {"heading": np.linspace(0, 1.5, 4)}
     exact = sf.rollouts(model, starts, inputs, T, options=EXACT)
     errors = []
@@ -174,6 +189,7 @@ def test_motions_converge_with_third_order(model):
         assert (lanes["outcome"] == "complete").all()
         apart = np.hypot(*((lanes[name] - exact[name]).values[:, -1] for name in "xy"))
         errors.append(np.median(apart))
+    spy.assert_not_called()
     assert errors[1] < 1e-7
     assert errors[0] / errors[1] > 4**2.3
     for name in ("slip_along", "force_normal", "wheel_angle", "z", "psi", "velocity_x"):
@@ -182,10 +198,8 @@ def test_motions_converge_with_third_order(model):
 
 def test_estimates_have_the_size_of_the_errors(model):
     inputs = rates(24, seed=2)
-    coarse, fine = (
-        sf.rollouts(model, {}, inputs, T, method="batch", step=step, quantities=["x", "y"])
-        for step in (0.04, 0.005)
-    )
+    both = (sf.rollouts(model, {}, inputs, T, method="batch", step=h) for h in (0.04, 0.005))
+    coarse, fine = both
     error = np.hypot(*((coarse[name] - fine[name]).values[:, -1] for name in "xy"))
     ratio = coarse["error"].values / error
     assert np.mean((ratio > 0.3) & (ratio < 3)) > 0.95
@@ -218,11 +232,8 @@ def test_motions_end_at_the_limits_of_simulate(model):
     count = 12
     inputs = rates(count, spread=0.2, steer=0.5, seed=4)
     starts = near_the_edge(model, count)
-    exact = sf.rollouts(model, starts, inputs, T, options=EXACT)
-    lanes = sf.rollouts(model, starts, inputs, T, method="batch", step=0.1)
+    lanes, exact = same_ends(model, starts, inputs, 0.1)
     assert {"complete", "limit"} <= set(exact["outcome"].values)
-    assert_array_equal(lanes["outcome"], exact["outcome"])
-    assert_allclose(lanes["end"], exact["end"], atol=1e-3)
     for mine, other in zip(lanes["reason"].values, exact["reason"].values, strict=True):
         assert mine.split(":")[0] == other.split(":")[0]
     assert_array_equal(np.isnan(lanes["x"]), np.isnan(exact["x"]))
@@ -235,11 +246,8 @@ def test_a_second_contact_ends_a_motion_as_in_simulate():
     grid = sf.Grid(axis, axis, np.tile(ledge, (axis.size, 1)))
     dae = sf.direct_kinematics(sf.catalog.three_wheeler(), sf.Bicubic(grid))
     inputs = {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": np.array([[0.0], [0.1]])}
-    exact = sf.rollouts(dae, {}, inputs, T, options=EXACT)
-    lanes = sf.rollouts(dae, {}, inputs, T, method="batch", step=0.05)
+    _, exact = same_ends(dae, {}, inputs, 0.05)
     assert set(exact["outcome"].values) == {"limit"}
-    assert_array_equal(lanes["outcome"], exact["outcome"])
-    assert_allclose(lanes["end"], exact["end"], atol=1e-3)
 
 
 def test_pressed_wheels_relax_as_in_simulate():
@@ -336,8 +344,7 @@ def test_motions_on_soil_follow_jumps_from_rest():
     options = sf.SolverOptions(tolerance=1e-8)
     exact = sf.rollouts(model, {}, inputs, t, quantities=names, options=options)
     evaluate = evaluator_of(model, compiled=False)
-    order = [label.full for label in leaves(model.labels.u)]
-    assert order == ["right_rate", "left_rate", "steer_rate"]
+    assert [each.full for each in leaves(model.labels.u)] == [*inputs]
     columns = np.array([wheels[:, 0], wheels[:, 1], np.full((2, 2), 0.1)]).transpose(0, 2, 1)
     states = start_states(evaluate.graphs, {"x": np.zeros(2)})
     lanes = run_lanes(evaluate, states, columns, t, step=0.05, quantities=names)
@@ -362,10 +369,8 @@ def test_one_motion_is_refined_to_the_tolerance(model):
         assert_allclose(run[name], exact[name], atol=1e-6, err_msg=name)
     assert_allclose(run["work"], exact["work"], rtol=0.02, atol=0.02)
     edge = sf.settle(model, y=near_the_edge(model, 2)["y"][-1])
-    ends = [
-        sf.simulate(model, edge, model.inputs(**inputs), T, options=each)
-        for each in (options, EXACT)
-    ]
+    given = model.inputs(**inputs)
+    ends = [sf.simulate(model, edge, given, T, options=each) for each in (options, EXACT)]
     assert ends[0].stop.name == ends[1].stop.name == "map_margin[front]"
     assert_allclose(ends[0].t[-1], ends[1].t[-1], atol=1e-5)
     law = model.inputs(**(inputs | {"steer_rate": 0.1 * model.t}))
@@ -380,9 +385,6 @@ def test_ends_on_rough_ground_are_those_of_simulate(rng, shortest):
     dae = sf.direct_kinematics(sf.catalog.three_wheeler(), hills(rms=0.1, shortest=shortest))
     starts = dict(zip("xy", rng.uniform(-3, 3, (2, 10)), strict=True))
     inputs = {name: 3 * values for name, values in rates(10, spread=0.1).items()}
-    exact = sf.rollouts(dae, starts, inputs, T, options=sf.SolverOptions(tolerance=1e-8))
-    lanes = sf.rollouts(dae, starts, inputs, T, method="batch", step=0.1)
-    assert_array_equal(lanes["outcome"], exact["outcome"])
-    assert_allclose(lanes["end"], exact["end"], atol=0.01)
+    lanes, exact = same_ends(dae, starts, inputs, 0.1, tolerance=1e-8, atol=0.01)
     assert np.isnan(lanes["error"]).sum() <= 1  # motions that are left to `simulate`
     assert ({"complete", "limit"} if shortest == 0.5 else {"limit"}) <= {*exact["outcome"].values}

@@ -111,7 +111,8 @@ class SecondContact:
         known = getattr(self.terrain, "known_bounds", None)
         if known is None or self.wheel.section.torus_radii is None:
             return CellBounds(np.empty((0, 3), dtype=np.int64), (0.0,) * 10, [])
-        return known(self.wheel.radius)
+        bounds: CellBounds = known(self.wheel.radius)
+        return bounds
 
     def describe(self, x: Array, z: Array) -> str:
         """Return a message that locates the second contact, in map coordinates."""

@@ -198,8 +198,8 @@ class Terrain(Protocol):
     4. ``friction(x, y, lookups)`` is an SX expression of local coordinates, twice continuously
        differentiable for a map. Without a given coefficient its value is one.
     5. An instance is immutable and can be pickled.
-    6. A ground may have the methods ``derivative_bounds`` and ``smallest_gaps`` of `Bicubic`: they
-       save most of the time of the certificate of a single contact.
+    6. A ground may have the methods ``derivative_bounds``, ``known_bounds`` and ``smallest_gaps``
+       of `Bicubic`: they save most of the time of the certificate of a single contact.
     """
 
     @property
