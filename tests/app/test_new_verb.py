@@ -21,7 +21,7 @@ from slipfree.models.kinematics import direct_kinematics
 from slipfree.problem import load
 from slipfree.problem.build import Setup, build_start, build_world
 from slipfree.problem.result import open_result
-from slipfree.problem.schema import VERB, MotionKeys, Time
+from slipfree.problem.schema import MotionKeys, Time
 from slipfree.problem.verbs.base import DriveVerb
 from slipfree.show.plots import Plot
 from slipfree.system.processes import Processes
@@ -30,7 +30,7 @@ from slipfree.system.processes import Processes
 class Stand(MotionKeys):
     """Standing: the pose of the vehicle at its start, and the loads on its wheels."""
 
-    verb: Literal["stand"] = Field(description=VERB)
+    verb: Literal["stand"]
     time: Time = Field(default=Time(duration=1.0, step=1.0), description="of no importance")
 
 

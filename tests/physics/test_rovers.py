@@ -152,6 +152,10 @@ def test_rocky_7_has_the_inertia_that_another_code_assumes():
     found = body_inertia(rocky7(mass=11.0), "platform")
     assert_allclose(np.diag(found), [0.170133, 0.085433, 0.208633], atol=1e-6)
     assert rocky7(mass=0.0).body.inertia is None
+    # a part extends to its joints: 0.6 x 0.8 x 0.15 m, from the caster's joint to the axle
+    sizes = {"half_track": 0.3, "caster_ahead": 0.8, "r2": 0.12, "caster_scale": 1.0}
+    cart = body_inertia(sf.catalog.differential_drive(mass=12.0, **sizes), "platform")
+    assert_allclose(np.diag(cart), [0.6625, 0.3825, 1.0], rtol=1e-12)
 
 
 @pytest.mark.slow
