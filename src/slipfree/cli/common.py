@@ -28,8 +28,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn, TextIO, 
 
 import typer
 
+from slipfree.core.docstrings import descriptions
 from slipfree.core.errors import DataError, ModelError, SlipfreeError, WriteError
-from slipfree.core.schema import descriptions
 from slipfree.core.version import __version__
 from slipfree.system.interrupt import (
     check_interrupt,

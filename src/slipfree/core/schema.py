@@ -16,6 +16,8 @@ from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from annotated_types import DocInfo, Ge, Gt, Le, Lt, Unit
 
+from slipfree.core.docstrings import descriptions
+
 Finite = Annotated[float, Gt(-inf), Lt(inf)]
 Positive = Annotated[float, Gt(0), Lt(inf)]
 NonNegative = Annotated[float, Ge(0), Lt(inf)]
@@ -77,17 +79,6 @@ def meanings(kind: Callable[..., Any]) -> dict[str, str]:
     for name, words in descriptions(kind).items():
         words = re.sub(r"\.( \[[^][]*\])?$", r"\1", words.replace("`", ""))
         found[name] = words[:1].lower() + words[1:] if re.match("[A-Z][a-z]", words) else words
-    return found
-
-
-def descriptions(kind: Callable[..., Any]) -> dict[str, str]:
-    """Return the descriptions of parameters or attributes in a numpydoc docstring, by name."""
-    text, found = inspect.cleandoc(kind.__doc__ or ""), dict[str, str]()
-    section = re.search(r"^(?:Parameters|Attributes)\n-+\n(.*?)(\n\n\w+\n--|\Z)", text, re.S | re.M)
-    for entry in re.split(r"\n(?=\w)", section[1]) if section else ():
-        names, _, words = entry.partition(" : ")
-        words = " ".join(words.partition("\n")[2].split())
-        found |= dict.fromkeys(names.split(", "), words)
     return found
 
 
