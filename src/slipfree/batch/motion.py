@@ -64,7 +64,7 @@ class Motions(NamedTuple):
     # states just beyond the limit; of no meaning for other lanes, shape (n_rows, n)
     beyond: Array
     errors: Array  # estimated errors of the states ``x`` at the last sample, shape (n_x, n)
-    # distances to the bounds of the limits at the first sample, shape (n_bounds, n)
+    # distances to the bounds of the limits at starts with `INVALID_START`, shape (n_bounds, n)
     distances: Array
     steps: Indices  # numbers of equal steps, shape (n,)
 
@@ -185,7 +185,6 @@ def _integrate(
     """Return the motions of lanes: integrate, check the samples, locate the ends."""
     rows, states = evaluate.graphs.rows, states.copy()
     states[rows.u], states[rows.t] = inputs[:, 0], t[0]
-    distances = solve_forces(evaluate, states)
     # the defect says little where relaxation or creep is faster than the steps
     dae = evaluate.graphs.dae
     is_stiff = dae.lag is not None or not evaluate.graphs.linear
@@ -209,6 +208,9 @@ def _integrate(
         run.samples[k:, :, failed == k] = np.nan
     if not is_stiff:
         errors = run.samples[np.maximum(run.reached, 0), rows.t.stop :, lanes].T
+    invalid = ends.reason == INVALID_START
+    distances = np.full((len(evaluate.graphs.bounds), invalid.size), np.nan)
+    distances[:, invalid] = solve_forces(evaluate, states[:, invalid])
     found = samples, ends.end, ends.reason, ends.beyond, errors, distances
     return Motions(*found, run.counts.sum(axis=0).astype(int))
 
