@@ -14,8 +14,15 @@ from slipfree.batch.evaluator import evaluator_of
 from slipfree.batch.many import solve_positions, start_states
 from slipfree.core.interval import Intervals, exactly
 from slipfree.enclosure.ground_range import range_of
-from slipfree.enclosure.guarantee import OFF_MAP, Verdict, contact_points, enclose_poses, guarantee
-from slipfree.enclosure.wheel_gaps import _box, _single_contacts, gap_bounds, pose_graphs
+from slipfree.enclosure.guarantee import (
+    OFF_MAP,
+    Verdict,
+    contact_points,
+    enclose_poses,
+    guarantee,
+    wheel_frames,
+)
+from slipfree.enclosure.wheel_gaps import Boxes, gap_bounds, pose_graphs
 from slipfree.files.maps.elevation import jacksboro
 
 HALF = 6.0  # half of the side of the maps [m]
@@ -64,9 +71,9 @@ class Placing:
 
     def gaps(self, x, q, extra=lambda x, _: 0 * x):
         """Return the smallest heights of the wheels above the map plus ``extra``."""
-        poses = pose_graphs(self.model).poses(np.concatenate([x, q]))
+        poses = np.array(pose_graphs(self.model).poses(np.concatenate([x, q])))
         ground, gaps = self.model.ground, []
-        columns = np.reshape(np.array(poses), (-1, 4, 3))
+        columns = np.reshape(poses[-12 * len(self._meshes) :], (-1, 4, 3))
         for mesh, (center, *axes) in zip(self._meshes, columns, strict=True):
             points = center + mesh @ np.array(axes) + ground.origin
             height = ground.elevation(points[:, 0], points[:, 1]) + extra(*points.T[:2])
@@ -144,32 +151,23 @@ def wheeler():
 
 def test_interval_operations_contain_exact_results():
     rng = np.random.default_rng(3)
-    scale = 10.0 ** rng.integers(-12, 12, (4, 400))
-    ends = np.sort(rng.normal(size=(4, 400)) * scale, axis=0)[[0, 2, 1, 3]]
-    a, b = Intervals(*np.sort(ends[:2], axis=0)), Intervals(*np.sort(ends[2:], axis=0))
-    point = rng.uniform(size=(2, 400))
-    inside = [
-        np.clip(each.low + s * (each.high - each.low), each.low, each.high)
-        for each, s in zip((a, b), point, strict=True)
-    ]
-    found = {
-        "sum": (a + b, lambda p, q: p + q),
-        "difference": (a - b, lambda p, q: p - q),
-        "product": (a * b, lambda p, q: p * q),
-        "square": (a.square(), lambda p, _: p * p),
-        "inverse": (b.inverse(), lambda _, q: 1 / q),
-        "multiple": (a * 0.1, lambda p, _: p * Fraction(0.1)),
-    }
-    for name, (result, exact) in found.items():
-        for k in range(400):
-            low, high = result.low[k], result.high[k]
-            if np.isinf(low):
-                assert name == "inverse"
-                assert b.low[k] <= 0 <= b.high[k]
-                continue
-            ends = (a.low[k], a.high[k], inside[0][k]), (b.low[k], b.high[k], inside[1][k])
-            for p, q in product(*ends):
-                assert Fraction(low) <= exact(Fraction(p), Fraction(q)) <= Fraction(high)
+    scale = 10.0 ** rng.integers(-12, 12, (2, 3, 400))
+    points = np.sort(rng.normal(size=scale.shape) * scale, axis=1)  # ends, and one in between
+    a, b = (Intervals(low, high) for low, _, high in points)
+    found = (
+        (a + b, lambda p, q: p + q),
+        (a - b, lambda p, q: p - q),
+        (a * b, lambda p, q: p * q),
+        (a.square(), lambda p, _: p * p),
+        (b.inverse(), lambda _, q: 1 / q),
+        (a * 0.1, lambda p, _: p * Fraction(0.1)),
+    )
+    for result, exact in found:
+        for k in np.flatnonzero(np.isfinite(result.low)):
+            low, high = Fraction(result.low[k]), Fraction(result.high[k])
+            for p, q in product(*(map(Fraction, each[:, k]) for each in points)):
+                assert low <= exact(p, q) <= high
+    assert (np.isfinite([each.low for each, _ in found]).all(axis=0) == ~b.contains_zero).all()
     values = np.array([2.0, 3e-7, 5e11, 1.0])
     root = exactly(values).sqrt()
     for low, high, value in zip(root.low, root.high, values, strict=True):
@@ -201,39 +199,60 @@ def test_ground_bounds_contain_heights_and_slopes(h):
         for a, b in rng.uniform(-1, 1, (40, 2)) * reach:
             z = terrain.elevation(x + a, y + b) - terrain.origin[2]
             assert ((heights.low <= z + 1e-14) & (z - 1e-14 <= heights.high)).all()
-            step = 1e-5
-            for k, (dx, dy) in enumerate(((step, 0), (0, step))):
-                ahead, behind = (terrain.elevation(x + a + s * dx, y + b + s * dy) for s in (1, -1))
-                slope = (ahead - behind) / (2 * step)
-                assert (slopes[k].low < slope + 1e-7).all()
-                assert (slope - 1e-7 < slopes[k].high).all()
+            steps = 1e-5 * np.array([[[1], [-1], [0], [0]], [[0], [0], [1], [-1]]])
+            ends = terrain.elevation(x + a + steps[0], y + b + steps[1])
+            slope = (ends[::2] - ends[1::2]) / 2e-5
+            assert ((slopes.low < slope + 1e-7) & (slope - 1e-7 < slopes.high)).all()
     assert_allclose(jets.height, terrain.elevation(x, y) - terrain.origin[2], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["three_wheeler", "articulated", "differential_drive"])
-def test_gap_bounds_of_single_and_divided_contacts_contain_gaps_of_meshes(name):
-    placing = Placing(direct_kinematics(getattr(catalog, name)(), rough(rms=0.1)), n=6)
+def curved_rocker():
+    """Return a rover whose joints turn by nonlinear functions of their coordinates."""
+    vehicle = catalog.rocky7()
+    joints = (replace(each, value=f"1.1 * sin({each.value})") for each in vehicle.joints)
+    return replace(vehicle, joints=tuple(joints))
+
+
+@pytest.mark.parametrize(
+    "vehicle",
+    [catalog.three_wheeler(axle="sliding"), catalog.differential_drive(), curved_rocker()],
+    ids=lambda vehicle: vehicle.name,
+)
+def test_gap_bounds_of_single_and_divided_contacts_contain_gaps_of_meshes(vehicle):
+    """Boxes are curved, and all coordinates vary, also those of joints with nonlinear formulas."""
+    placing = Placing(direct_kinematics(vehicle, rough(rms=0.1)), n=6)
     contacts, rng = contact_points(placing.model, placing.z), np.random.default_rng(4)
     middle, ground = np.concatenate([placing.x, placing.q]), range_of(placing.model.ground)
-    radius = np.full_like(middle, 0.004)
-    place = pose_graphs(placing.model), ground, middle, radius, contacts
-    assert _single_contacts(_box(*place), ground, None).is_single.mean() > 0.6
-    for divided in (False, True):
-        found = gap_bounds(*place, divided=divided)
+    given, (count, n) = len(placing.x), middle.shape
+    graphs = pose_graphs(placing.model, given * (True,))
+    unit = np.zeros((count, count, n)) + np.eye(count)[..., None]
+    start = Boxes(middle, unit, np.zeros((count, *unit.shape)), 1e-7 + 0 * middle, contacts)
+    frame, curve = wheel_frames(gap_bounds(graphs, ground, start, coarse=True), given)
+    radius = np.full_like(middle, 0.005)
+    boxes = Boxes(middle, frame, 1.5 * curve, radius, contacts)
+    both = [gap_bounds(graphs, ground, boxes, divided=divided) for divided in (False, True)]
+    assert (both[0].slope.low != both[1].slope.low).any(axis=0).mean() > 0.6  # single contacts
+    for found in both:
         for _ in range(12):
-            away = radius * rng.choice([-1.0, -0.3, 0.6, 1.0], radius.shape)
-            poses = (np.split(pose, [len(placing.x)]) for pose in (middle + away).T)
+            s = radius * rng.choice([-1.0, -0.3, 0.6, 1.0], radius.shape)
+            away = np.einsum("kan,an->kn", frame, s)
+            away += np.einsum("kabn,an,bn->kn", boxes.curve, s, s) / 2
+            poses = (np.split(pose, [given]) for pose in (middle + away).T)
             gaps = np.transpose([placing.gaps(*pose) for pose in poses])
-            change = found.mean_slope * away[:, None]
+            change = found.mean_slope * s[:, None]
             assert (found.gap.low + change.low.sum(axis=0) < gaps + 1e-9).all()
             assert (gaps - MESH < found.gap.high + change.high.sum(axis=0)).all()
 
 
 @pytest.mark.parametrize("error", [0.001, 0.005, 0.02, 0.05])
 def test_bounds_of_a_mobility_map_contain_the_computed_extremes_and_are_tight(wheeler, error):
-    places = {"headings": [0.3, 2.5], "x": [-1.0, 0.5], "y": [0.2], "compiled": False}
-    found = atlas(wheeler.model, **places, error=error, guarantee=error)
+    x = np.array([-1.0, 0.5, HALF - 0.1])  # the last one is too close to the border to stand
+    places = {"headings": [0.3, 2.5], "x": x, "y": [0.2], "compiled": False}
+    whole = atlas(wheeler.model, **places, error=error, guarantee=error)
+    assert np.isnan(whole["proved"][:, 2]).all()
+    found = {name: band.values[:, :2] for name, band in whole.bands.items()}
     assert (found["proved"] == 1).all()
+    alone = guarantee(wheeler.model, settle(wheeler.model, x=-1.0, y=0.2, heading=0.3), error)
     for name in ("roll", "pitch"):
         bounds, ends = (
             [found[f"{name}{kind}_{end}"] for end in ("low", "high")] for kind in ("", "_computed")
@@ -242,21 +261,21 @@ def test_bounds_of_a_mobility_map_contain_the_computed_extremes_and_are_tight(wh
         assert (ends[0] < found[name]).all()
         assert (found[name] < ends[1]).all()
         assert (ends[1] <= bounds[1]).all()
+        own = alone.low[name][0], alone.high[name][0]
+        assert_allclose([each[0, 0, 0] for each in bounds], own, rtol=1e-6)
         widths = [each[1] - each[0] for each in (bounds, ends)]
         assert (widths[0] <= widths[1] * (1.005 + 4 * error) + 4e-5).all()
 
 
-@pytest.mark.parametrize("error", [0.005, 0.02, 0.05])
-def test_vehicles_placed_on_grounds_of_the_band_are_within_bounds(wheeler, error):
-    shares = used(wheeler, wheeler.enclose(error), error, kinds=3)
+@pytest.mark.parametrize(
+    ("error", "spread"), [(0.005, 0.0), (0.005, 0.02), (0.02, 0.0), (0.05, 0.0)]
+)
+def test_vehicles_placed_on_grounds_of_the_band_are_within_bounds(wheeler, error, spread):
+    found = wheeler.enclose(error, spread)
+    assert found.is_enclosed.all()
+    shares = used(wheeler, found, error, kinds=3, spread=spread)
     assert shares.size > wheeler.n  # others are kinked so much that the search does not converge
     assert shares.max() > 0.7
-
-
-def test_starts_within_the_spread_are_within_bounds(wheeler):
-    found = wheeler.enclose(0.005, spread=0.02)
-    assert found.is_enclosed.all()
-    assert used(wheeler, found, 0.005, kinds=1, spread=0.02).size > wheeler.n / 2
 
 
 def test_without_error_the_bounds_are_those_of_rounding_and_patches(wheeler):
@@ -275,27 +294,26 @@ def test_errors_larger_than_the_vehicle_are_undecided(wheeler):
 
 
 def test_poses_with_too_many_patches_are_given_up(wheeler, monkeypatch):
-    for module, name, value in (
-        ("wheel_gaps", "MAX_PATCHES", 100),
-        ("guarantee", "QUICK_TRIES", 0),
-    ):
-        monkeypatch.setattr(sys.modules[f"slipfree.enclosure.{module}"], name, value)
+    monkeypatch.setattr("slipfree.enclosure.wheel_gaps.MAX_PATCHES", 100)
+    monkeypatch.setattr(sys.modules["slipfree.enclosure.guarantee"], "QUICK_TRIES", 0)
     found = wheeler.enclose(0.005)
     assert not found.is_enclosed.any()
     assert found.on_map.all()
     assert np.isnan(found.high).all()
 
 
-def test_poses_on_a_measured_map_are_guaranteed():
-    model = direct_kinematics(catalog.three_wheeler(), Bicubic(jacksboro(0.005)))
-    placing = Placing(model, n=40, reach=15.0)
-    assert placing.enclose(0.02).is_enclosed.all()
-
-
-@pytest.mark.parametrize("name", ["articulated", "rocky7", "differential_drive"])
-def test_vehicles_with_more_wheels_are_within_bounds(name):
-    model = direct_kinematics(getattr(catalog, name)(), rough(rms=0.08))
-    placing, error = Placing(model, n=3), 0.005
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [
+        ("three_wheeler", 0.02),
+        ("articulated", 0.02),
+        ("rocky7", 0.005),
+        ("differential_drive", 0.01),
+    ],
+)
+def test_poses_on_a_measured_map_are_guaranteed_and_contain_placed_vehicles(name, error):
+    model = direct_kinematics(getattr(catalog, name)(), Bicubic(jacksboro(0.005)))
+    placing = Placing(model, n=4, reach=15.0)
     found = placing.enclose(error)
     assert found.is_enclosed.all()
     assert used(placing, found, error, kinds=2).size >= placing.n
@@ -341,19 +359,19 @@ def test_several_contacts_of_a_wheel_are_enclosed():
 def test_edges_of_the_map_and_holes_are_undecided():
     axis = np.linspace(-4, 4, 41)
     grid = Grid(axis, axis, np.zeros((41, 1)) + 0.01 * axis)
-    model = direct_kinematics(catalog.three_wheeler(), Bicubic(grid))
-    run = settle(replace(model, limits=()), y=2.8)
-    found = guarantee(model, run, 0.01)
-    assert found.verdicts == (Verdict.UNDECIDED,)
-    assert found.reasons == (OFF_MAP,)
-    assert guarantee(model, settle(model, y=2.0), 0.01).is_guaranteed.all()
-    holes = np.zeros((41, 41), dtype=bool)
-    holes[20, 26] = True
-    near = direct_kinematics(catalog.three_wheeler(), Bicubic(replace(grid, holes=holes)))
-    run = settle(replace(near, limits=(), checks=()), y=0.0)
-    assert guarantee(near, run, 0.01).reasons == (OFF_MAP,)
-    away = settle(near, y=-2.5)
-    assert guarantee(near, away, 0.01).is_guaranteed.all()
+    hole = np.zeros((41, 41), dtype=bool)
+    hole[20, 26] = True
+    for holes, y, reason in (
+        (None, 2.8, OFF_MAP),
+        (None, 2.0, ""),
+        (hole, 0.0, OFF_MAP),
+        (hole, -2.5, ""),
+    ):
+        ground = Bicubic(replace(grid, holes=holes))
+        model = direct_kinematics(catalog.three_wheeler(), ground)
+        found = guarantee(model, settle(replace(model, limits=(), checks=()), y=y), 0.01)
+        assert found.reasons == (reason,)
+        assert found.is_guaranteed.all() == (not reason)
 
 
 def test_a_second_contact_refutes_the_nominal_pose():
@@ -365,20 +383,6 @@ def test_a_second_contact_refutes_the_nominal_pose():
     found = guarantee(model, pose, 0.01)
     assert found.verdicts == (Verdict.REFUTED,)
     assert np.isnan(found.low["roll"]).all()
-
-
-def test_a_mobility_map_has_the_bounds_of_its_poses(wheeler):
-    model, error = wheeler.model, 0.01
-    x = np.array([-1.0, 0.5, HALF - 0.1])  # the last one is too close to the border to stand
-    found = atlas(model, headings=[0.3], x=x, y=[0.2], guarantee=error, compiled=False)
-    assert found["proved"][0, :2, 0].tolist() == [1, 1]
-    assert np.isnan(found["proved"][0, 2, 0])
-    run = settle(model, x=-1.0, y=0.2, heading=0.3)
-    alone = guarantee(model, run, error)
-    for name in ("roll", "pitch"):
-        low, high = found[f"{name}_low"][0, 0, 0], found[f"{name}_high"][0, 0, 0]
-        assert low < alone.low[name][0] < run[name][0] < alone.high[name][0] < high
-        assert_allclose([low, high], [alone.low[name][0], alone.high[name][0]], rtol=1e-6)
 
 
 def test_invalid_models_and_names_are_refused(wheeler):

@@ -30,11 +30,11 @@ from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.interval import TINY, Intervals, around, exactly, stack
-from slipfree.core.records import Array, Mask, leaves
+from slipfree.core.records import Array, Indices, Mask, leaves
 from slipfree.core.schema import NonNegative
 from slipfree.core.trajectory import Trajectory
 from slipfree.enclosure.ground_range import GroundRange, range_of
-from slipfree.enclosure.wheel_gaps import GapBounds, PoseGraphs, gap_bounds, pose_graphs
+from slipfree.enclosure.wheel_gaps import Boxes, GapBounds, PoseGraphs, gap_bounds, pose_graphs
 
 QUICK_TRIES = 2  # boxes that are tried first, without patches where a wheel has a single contact
 TRIES = 8  # boxes that are tried then, each larger than the one before
@@ -215,7 +215,7 @@ def enclose_poses(
         Half-sizes of the boxes of the states. [m, rad]
     """
     surface: Any = model.ground
-    graphs, ground = pose_graphs(model), range_of(surface)
+    graphs, ground = pose_graphs(model, tuple((spread > 0).tolist())), range_of(surface)
     parts = list[PoseEnclosures]()
     for first in range(0, x.shape[1], LANES):
         k = slice(first, first + LANES)
@@ -235,12 +235,23 @@ def _enclose(
     """Return the enclosures of poses that are computed together, as `enclose_poses`."""
     middle = np.concatenate([x, q])
     count, n = q.shape
-    start = np.broadcast_to(spread[:, None], x.shape)
+    given = graphs.moving.size - count
+    start = np.broadcast_to(spread[graphs.moving[:given], None], (given, n))
+    frame = np.zeros((given + count, given + count, n))
+    frame[range(given + count), range(given + count)] = 1.0
+    curve = np.zeros((given + count, *frame.shape))
     radius = np.full((count, n), 10 * SMALLEST_RADIUS)
     low, high = np.full((2, count, n), np.nan)
     is_enclosed, penetrates, refined = np.zeros((3, n), dtype=bool)
     on_map, tried = np.ones(n, dtype=bool), np.isfinite(middle).all(axis=0)
     first, able = radius, tried
+
+    def boxes(lanes: Indices) -> Boxes:
+        sizes = np.concatenate([start[:, lanes], radius[:, lanes]])
+        return Boxes(
+            middle[:, lanes], frame[..., lanes], curve[..., lanes], sizes, contacts[..., lanes]
+        )
+
     with np.errstate(all="ignore"):
         for k in range(QUICK_TRIES + TRIES + 1):
             if k == QUICK_TRIES + 1:
@@ -251,47 +262,69 @@ def _enclose(
             lanes = np.flatnonzero(tried)
             if not lanes.size:
                 continue
-            box = np.concatenate([start[:, lanes], radius[:, lanes]])
+            box = boxes(lanes)
             if not k:  # a box without extent: bounds to first order
-                box[: graphs.given] = 0.0
-            place = middle[:, lanes], box, contacts[..., lanes]
-            gaps = gap_bounds(graphs, ground, *place, coarse=not k, divided=k > QUICK_TRIES)
+                box.radius[:given] = 0.0
+            gaps = gap_bounds(graphs, ground, box, coarse=not k, divided=k > QUICK_TRIES)
             penetrates[lanes] |= (gaps.gap.high < -PENETRATION).any(axis=0)
-            box[: graphs.given] = start[:, lanes]
-            found, is_unique = _krawczyk(gaps, box, graphs, error)
+            if not k:
+                frame[..., lanes], curve[..., lanes] = wheel_frames(gaps, given)
+                radius[:, lanes] = FIRST_INFLATION * (error + gaps.gap.magnitude) + SMALLEST_RADIUS
+                on_map[lanes] &= gaps.on_map
+                tried[lanes] = (boxes(lanes).reach[given + 1 :] < LARGEST_TURN).all(axis=0)
+                tried &= ~penetrates
+                first, able = radius.copy(), tried.copy()
+                continue
+            found, is_unique = _krawczyk(gaps, box.radius, given, error)
             size = found.magnitude
-            inside = is_unique & (size < radius[:, lanes]).all(axis=0) & (k > 0)
+            inside = is_unique & (size < radius[:, lanes]).all(axis=0)
             low[:, lanes[inside]] = found.low[:, inside]
             high[:, lanes[inside]] = found.high[:, inside]
             is_enclosed[lanes] = inside
             on_map[lanes] &= gaps.on_map
-            growth = INFLATION if k else FIRST_INFLATION
-            radius[:, lanes] = np.where(inside, size, growth * size + SMALLEST_RADIUS)
-            valid = np.isfinite(size).all(axis=0) & (size[1:] < LARGEST_TURN).all(axis=0)
+            radius[:, lanes] = np.where(inside, size, INFLATION * size + SMALLEST_RADIUS)
+            valid = (boxes(lanes).reach[given + 1 :] < LARGEST_TURN).all(axis=0)
             tried[lanes] = valid & ~inside & ~penetrates[lanes]
-            if not k:
-                first, able = radius.copy(), tried.copy()
             refined |= (k > 1) & is_enclosed & ~tried
         lanes = np.flatnonzero(refined)
         if lanes.size:  # once more in the smaller box that was found
-            box = np.concatenate([start[:, lanes], radius[:, lanes] * (1 + 1e-12)])
-            gaps = gap_bounds(graphs, ground, middle[:, lanes], box, contacts[..., lanes])
-            found, _ = _krawczyk(gaps, box, graphs, error)
+            box = boxes(lanes)
+            gaps = gap_bounds(graphs, ground, box._replace(radius=box.radius * (1 + 1e-12)))
+            found, _ = _krawczyk(gaps, box.radius, given, error)
             low[:, lanes] = np.fmax(low[:, lanes], found.low)
             high[:, lanes] = np.fmin(high[:, lanes], found.high)
-    bounds = exactly(q) + Intervals(low, high)
+        ends = (np.concatenate([each, found]) for each, found in ((-start, low), (start, high)))
+        bounds = exactly(q) + boxes(np.arange(n)).image(Intervals(*ends))[given:]
     is_enclosed &= ~penetrates
     return PoseEnclosures(bounds.low, bounds.high, is_enclosed, on_map, penetrates)
 
 
-def _krawczyk(
-    gaps: GapBounds, radius: Array, graphs: PoseGraphs, error: float
-) -> tuple[Intervals, Mask]:
+def wheel_frames(gaps: GapBounds, given: int) -> tuple[Array, Array]:
+    """Return frames and curves whose last coordinates change the gap of one wheel each.
+
+    The first columns, of given coordinates, change none.
+    """
+    slope = np.nan_to_num((gaps.slope.low + gaps.slope.high) / 2, posinf=0.0, neginf=0.0)
+    matrices = slope[given:].transpose(2, 1, 0)
+    regular = np.linalg.cond(matrices) < MAX_CONDITION
+    matrices = np.where(regular[:, None, None], matrices, np.eye(matrices.shape[1]))
+    inverse = np.where(regular, np.linalg.inv(matrices).transpose(1, 2, 0), np.nan)
+    frame = np.zeros((slope.shape[0], *slope.shape[0::2]))
+    frame[range(given), range(given)] = 1.0
+    frame[given:, given:] = inverse
+    frame[given:, :given] = -np.einsum("ijn,kjn->ikn", inverse, slope[:given])
+    bend = np.einsum("iwn,jkwn->ijkn", -inverse, gaps.bend)
+    curve = np.zeros((frame.shape[0], *frame.shape))
+    curve[given:] = np.einsum("ijkn,jan,kbn->iabn", bend, frame, frame, optimize=True)
+    return frame, np.nan_to_num((curve + curve.swapaxes(1, 2)) / 2)
+
+
+def _krawczyk(gaps: GapBounds, radius: Array, given: int, error: float) -> tuple[Intervals, Mask]:
     """Return enclosures of the images of Krawczyk's operator, minus the middles, (n_wheels, n).
 
     Also return whether a box has at most one pose for given gaps of the wheels, shape (n,).
     """
-    given, (n_y, count, n) = graphs.given, gaps.slope.low.shape
+    n_y, count, n = gaps.slope.low.shape
     middle = (gaps.mean_slope.low[given:] + gaps.mean_slope.high[given:]) / 2
     matrices = np.nan_to_num(middle.transpose(2, 1, 0), nan=0.0, posinf=0.0, neginf=0.0)
     regular = np.linalg.cond(matrices) < MAX_CONDITION

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache, reduce
+from itertools import product
 from operator import add
 from typing import Any, NamedTuple
 
@@ -33,8 +34,10 @@ from slipfree.core.interval import Intervals, around, evaluate_interval, exactly
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, Indices, Mask, leaves, pack
 from slipfree.enclosure.ground_range import GroundRange, Jets
-from slipfree.models.base import VehicleState, carriers
+from slipfree.geometry.frame import turn, unit_vector
+from slipfree.models.base import VehicleState, carriers, platform_pose, values_of
 from slipfree.terrain.bicubic import Bicubic
+from slipfree.vehicle.formula import evaluate
 
 AROUND, ACROSS = 12, 3  # patches of a tread at the beginning
 SMALLEST_TURN = 2e-3  # half-size of the smallest patches [rad]
@@ -58,18 +61,79 @@ class WheelPoses(NamedTuple):
 
 
 class PoseSlopes(NamedTuple):
-    """Enclosures of the derivatives of poses of carriers by all coordinates."""
+    """Enclosures of the derivatives of poses of carriers by the directions of a frame."""
 
-    center: Intervals  # shape (n_y, 3, n_wheels, n)
+    center: Intervals  # along x and y, and above a plane, shape (n_a, 3, n_wheels, n)
     # of the same shape: elements xy, xz and yz of the skew matrices ``R' dR`` of the rotations
     turning: Intervals
+    tilt: Array  # slopes of the plane, shape (2, n_wheels, n)
+
+    def at(self, here: tuple[Indices, Indices]) -> PoseSlopes:
+        """Return the derivatives for wheels and boxes."""
+        center, turning = (each[:, :, *here] for each in self[:2])
+        return PoseSlopes(center, turning, self.tilt[:, *here])
+
+
+class Boxes(NamedTuple):
+    """Curved boxes ``y + F s + s' C s / 2`` of coordinates, with ``|s| <= radius``.
+
+    A box with edges along the coordinates also contains poses at which a wheel is far from the
+    ground. If ``s_i`` changes the gap of wheel ``i`` alone, up to terms of third order, there are
+    hardly any of those. The proof holds for any ``F`` and ``C``.
+    """
+
+    middle: Array  # ``y``, shape (n_y, n) [m, rad]
+    frame: Array  # ``F``, shape (n_a, n_a, n), in the rows of the moving coordinates
+    curve: Array  # ``C``, symmetric, shape (n_a, n_a, n_a, n)
+    radius: Array  # shape (n_a, n)
+    contacts: Array  # points of the ground close to the contacts: for the speed, (2, n_wheels, n)
+
+    @property
+    def reach(self) -> Array:
+        """Largest changes of the moving coordinates, shape (n_a, n) [m, rad]."""
+        slope = np.abs(self.frame) + self.bend / 2
+        return np.asarray(np.einsum("kan,an->kn", slope, self.radius) * (1 + SLACK))
+
+    @property
+    def bend(self) -> Array:
+        """Largest changes of the derivatives of the coordinates by ``s``, shape (n_a, n_a, n)."""
+        return np.asarray(np.einsum("kabn,bn->kan", abs(self.curve), self.radius) * (1 + SLACK))
+
+    def image(self, s: Intervals) -> Intervals:
+        """Return bounds of the changes of the moving coordinates for ``s``, shape (n_a, n)."""
+        total = exactly(np.zeros(1))
+        for a, row in enumerate(s):
+            slope, half = self.frame[:, a], self.curve[:, a, a] / 2
+            whole = row * slope + row.square() * half
+            ends = [exactly(end) * half * end + exactly(end) * slope for end in (row.low, row.high)]
+            low = np.minimum(ends[0].low, ends[1].low)
+            high = np.maximum(ends[0].high, ends[1].high)
+            rises = np.abs(slope) > 2.1 * np.abs(half) * row.magnitude  # or falls, everywhere
+            narrow = Intervals(np.where(rises, low, whole.low), np.where(rises, high, whole.high))
+            mixed = (row * s[b] * self.curve[:, a, b] for b in range(a))
+            total = reduce(add, mixed, total + narrow)
+        return total
+
+    def at(self, lanes: Indices | Mask) -> Boxes:
+        """Return some of the boxes."""
+        return Boxes(*(each[..., lanes] for each in self))
+
+
+class MovingJoint(NamedTuple):
+    """A joint whose value depends on coordinates that vary; the platform has six of them."""
+
+    parent: int  # number of the joint that carries it; -1 for the ground
+    is_slide: bool
 
 
 class PoseGraphs(NamedTuple):
     """Functions of the coordinates of a vehicle: the given ones, then those of the closure."""
 
-    poses: ca.Function
-    slopes: ca.Function
+    poses: ca.Function  # origins and axes of the joints, then origins and rotations of the wheels
+    rates: ca.Function  # first and second derivatives of the joints' values
+    joints: tuple[MovingJoint, ...]
+    carriers: tuple[int, ...]  # numbers of the joints that carry the wheels
+    moving: Indices  # numbers of the coordinates that vary: given ones with a spread, and the last
     given: int  # number of given coordinates: the states of the model
     names: tuple[str, ...]
     shift: Array  # from local to map coordinates
@@ -77,8 +141,11 @@ class PoseGraphs(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def pose_graphs(dae: Dae) -> PoseGraphs:
-    """Return the functions of a model; ModelError is raised for models without guarantees."""
+def pose_graphs(dae: Dae, spread: tuple[bool, ...] = ()) -> PoseGraphs:
+    """Return the functions of a model; ModelError is raised for models without guarantees.
+
+    ``spread`` tells which states vary; none by default.
+    """
     vehicle = dae.vehicle
     if vehicle is None or type(dae.ground) is not Bicubic:  # a paged map is known in part only
         raise ModelError(
@@ -94,7 +161,7 @@ def pose_graphs(dae: Dae) -> PoseGraphs:
             "parameters, and wheels that are tori, discs or spheres, found another model; use "
             "direct_kinematics"
         )
-    poses = carriers(VehicleState(vehicle, dae.ground, LookupTable(), dae.x, position))
+    state = VehicleState(vehicle, dae.ground, LookupTable(), dae.x, position)
     closed = position.z, position.roll, position.pitch, position.suspension
     y = ca.vertcat(pack(dae.x), pack(closed))
     given = pack(dae.x).numel()
@@ -102,16 +169,26 @@ def pose_graphs(dae: Dae) -> PoseGraphs:
     known = labels.z, labels.roll, labels.pitch, labels.suspension
     names = tuple(label.full for label in leaves((dae.labels.x, known)))
     shift = np.concatenate([dae.shift[0], dae.shift[1][: len(names) - given]])
-    placed = [ca.vertcat(each.origin, ca.vec(each.rotation)) for each in poses]
-    slopes = list[ca.SX]()
-    for each in poses:
-        moved = ca.jacobian(ca.vertcat(each.origin, ca.vec(each.rotation)), y)
-        for k in range(y.numel()):
-            turning = each.rotation.T @ ca.reshape(moved[3:, k], 3, 3)
-            slopes += [moved[:3, k], turning[0, 1], turning[0, 2], turning[1, 2]]
+    moving = np.flatnonzero([*(spread or given * [False]), *(len(names) - given) * [True]])
+    joints, placed, values, numbers = list[MovingJoint](), list[ca.SX](), list[ca.SX](), {"": -1}
+    for name, parent, is_slide, axis, origin, value in joint_chain(state):
+        numbers[name] = numbers[parent]
+        if any(ca.which_depends(value, y[moving.tolist()], 1)):
+            numbers[name] = len(joints)
+            joints.append(MovingJoint(numbers[parent], is_slide))
+            placed += [origin, axis]
+            values.append(value)
+    for pose in carriers(state):
+        placed += [pose.origin, ca.vec(pose.rotation)]
+    rate = ca.jacobian(ca.vertcat(*values), y)[:, moving.tolist()]
+    bend = ca.jacobian(ca.vec(rate), y)[:, moving.tolist()]
+    rates = ca.densify(ca.vertcat(ca.vec(rate), ca.vec(bend)))
     return PoseGraphs(
         ca.Function("poses", [y], [ca.densify(ca.vertcat(*placed))], {"cse": True}),
-        ca.Function("slopes", [y], [ca.densify(ca.vertcat(*slopes))], {"cse": True}),
+        ca.Function("rates", [y], [rates], {"cse": True}),
+        tuple(joints),
+        tuple(numbers[wheel.parent] for wheel in vehicle.wheels),
+        moving,
         given,
         names,
         shift,
@@ -119,29 +196,159 @@ def pose_graphs(dae: Dae) -> PoseGraphs:
     )
 
 
-def wheel_poses(graphs: PoseGraphs, box: Intervals) -> WheelPoses:
-    """Return the enclosures of poses over boxes of coordinates, shape (n_y, n)."""
-    found = evaluate_interval(graphs.poses, box)
-    shape = graphs.radii.shape[1], 4, 3, -1  # columns of the matrices follow the centres
-    low, high = (each.reshape(shape).transpose(1, 2, 0, 3) for each in (found.low, found.high))
-    center, axes = Intervals(low[0], high[0]), Intervals(low[1:], high[1:])
-    return WheelPoses(center, Intervals(axes.low.swapaxes(0, 1), axes.high.swapaxes(0, 1)))
+def joint_chain(state: VehicleState) -> Iterator[tuple[str, str, bool, ca.SX, ca.SX, ca.SX]]:
+    """Yield name, parent, whether it slides, axis, origin and value of all joints, in fixed axes.
+
+    The platform is carried by three slides and three turns (`slipfree.geometry.frame.platform`).
+    """
+    base, x, position = platform_pose(state), state.x, state.position
+    level, (along_x, along_y, along_z) = turn("z", x.heading).rotation, ca.horzsplit(ca.SX.eye(3))
+    yield "x", "", True, along_x, base.origin, x.x
+    yield "y", "x", True, along_y, base.origin, x.y
+    yield "z", "y", True, along_z, base.origin, position.z
+    yield "heading", "z", False, along_z, base.origin, x.heading
+    yield "roll", "heading", False, level[:, 1], base.origin, position.roll
+    yield "platform", "roll", False, base.rotation[:, 0], base.origin, position.pitch
+    values = values_of(state)
+    parts = state.vehicle.parts(base, values)
+    for joint in state.vehicle.joints:
+        part, value = parts[joint.name], evaluate(joint.value, values)
+        axis = part.rotation @ ca.DM(unit_vector(joint.axis))
+        yield joint.name, joint.parent, joint.motion == "slide", axis, part.origin, value
 
 
-def pose_slopes(graphs: PoseGraphs, box: Intervals) -> PoseSlopes:
-    """Return the enclosures of derivatives over boxes of coordinates, shape (n_y, n)."""
-    found = evaluate_interval(graphs.slopes, box)
-    shape = graphs.radii.shape[1], len(graphs.names), 2, 3, -1
-    low, high = (each.reshape(shape).transpose(2, 1, 3, 0, 4) for each in (found.low, found.high))
-    return PoseSlopes(Intervals(low[0], high[0]), Intervals(low[1], high[1]))
+class _BodyMotion(NamedTuple):
+    """Motion of a body of a chain along the frames of boxes, in fixed axes.
+
+    Bounds of second derivatives and of turns hold in the whole boxes.
+    """
+
+    origin: Intervals  # at the middle, shape (3, n) [m]
+    velocity: Intervals  # of the origin, at the middle, shape (n_a, 3, n)
+    spin: Intervals  # vectors of rotation at the middle, shape (n_a, 3, n)
+    bend: Intervals  # derivatives of the velocity, shape (n_a, n_a, 3, n)
+    twist: Intervals  # derivatives of the spin, of the same shape
+    any_spin: Intervals  # spin in the whole box
+    turn: Array  # largest components of the turn from the middle, shape (3, n) [rad]
+
+
+class _Motion(NamedTuple):
+    """Poses of carriers at the middles of boxes, and how they change along the frames."""
+
+    start: WheelPoses
+    # velocities along x and y and above a plane, and spins in fixed axes, (n_a, 6, n_wheels, n)
+    slopes: Intervals
+    bends: Array  # largest changes of the slopes in the boxes, of the same shape
+    second: Array  # approximate second derivatives of rises at the middle, (n_a, n_a, n_wheels, n)
+    tilt: Array  # slopes of the planes under the wheels, above which they rise, (2, n_wheels, n)
+
+
+def carrier_motions(graphs: PoseGraphs, boxes: Boxes, tilt: Array) -> _Motion:
+    """Return the poses of carriers, with Taylor's formula of second order for their changes.
+
+    Let a joint with axis ``a`` and value ``v`` be carried by a body with spin ``w``, by an arm
+    ``r``, and ``,i`` denote derivatives along the frame. Then ``w + a v,i`` is the spin of its own
+    body, whose velocity is that of the carrying body and ``w,i x r``. In fixed axes, ``a`` and
+    ``r`` turn with the carrying body only as much as it turns in all: turns of joints that
+    compensate each other do not add up, as they would if all coordinates varied independently.
+    """
+    (count, n), radius, curve = boxes.radius.shape, boxes.radius, boxes.curve
+    reach, n_joints = np.zeros_like(boxes.middle), len(graphs.joints)
+    reach[graphs.moving] = boxes.reach
+    places = evaluate_interval(graphs.poses, exactly(boxes.middle))
+    axes = _shaped(places[: 6 * n_joints], (n_joints, 2, 3, n))
+    wheels = _shaped(places[6 * n_joints :], (len(graphs.carriers), 4, 3, n))
+
+    def along(box: Intervals, frame: Intervals) -> tuple[Intervals, Intervals]:
+        """Return first and second derivatives of joint values along the frame."""
+        found = evaluate_interval(graphs.rates, box)
+        first = _shaped(found[: count * n_joints], (count, n_joints, 1, n))
+        second = _shaped(found[count * n_joints :], (count, count, n_joints, 1, 1, n))
+        rows = range(count)
+        bend = [first[k, :, None] * curve[k] for k in rows]
+        if found.low[count * n_joints :].any() or found.high[count * n_joints :].any():
+            pairs = product(rows, rows)
+            bend += [second[k, j] * (frame[j][:, None] * frame[k][None]) for k, j in pairs]
+        return reduce(add, (first[k] * frame[k] for k in rows)), reduce(add, bend)
+
+    def carried(by: _BodyMotion, origin: Intervals, slide: Array) -> _BodyMotion:
+        """Return the motion of a point of a body, which also slides by an amount (3, n)."""
+        arm = origin - by.origin
+        swept = _turned_by(arm, by.turn) + Intervals(-slide, slide)
+        bend = _cross(by.any_spin[:, None], _cross(by.any_spin, swept)[None])
+        bend = by.bend + bend + _cross(by.twist, swept)
+        return by._replace(origin=origin, velocity=by.velocity + _cross(by.spin, arm), bend=bend)
+
+    rates = along(exactly(boxes.middle), exactly(boxes.frame))[0]
+    any_rates, bends = along(around(boxes.middle, reach), around(boxes.frame, boxes.bend))
+    zero, zeros = (exactly(np.zeros((*shape, 3, n))) for shape in ((count,), (count, count)))
+    still = np.zeros((3, n))
+    bodies = [_BodyMotion(exactly(still), zero, zero, zeros, zeros, zero, still)]
+    for number, (parent, is_slide) in enumerate(graphs.joints):
+        by, (origin, axis) = bodies[parent + 1], axes[number]
+        rate, any_rate = rates[number][:, None], any_rates[number][:, None]
+        any_axis = _turned_by(axis, by.turn)
+        swing = _cross(by.any_spin, any_axis)
+        change = swing[None] * any_rate[:, None] + any_axis * bends[number][:, :, None]
+        if is_slide:
+            way = (any_rate.magnitude * radius[:, None]).sum(axis=0) * (1 + SLACK)
+            body = carried(by, origin, any_axis.magnitude * way)
+            bend = body.bend + change + swing[:, None] * any_rate[None]
+            body = body._replace(velocity=body.velocity + axis * rate, bend=bend)
+        else:
+            spin, twist = by.spin + axis * rate, by.twist + change
+            grown = np.einsum("abcn,bn->acn", twist.magnitude, radius) * (1 + SLACK)
+            turn = np.einsum("acn,an->cn", spin.magnitude + grown / 2, radius) * (1 + SLACK)
+            any_spin = spin + Intervals(-grown, grown)
+            body = carried(by, origin, still)
+            body = body._replace(spin=spin, twist=twist, any_spin=any_spin, turn=turn)
+        bodies.append(body)
+    slopes, second = list[Intervals](), list[Intervals]()
+    for k, (parent, pose) in enumerate(zip(graphs.carriers, wheels, strict=True)):
+        body = carried(bodies[parent + 1], pose[0], still)
+        rows = (slopes, body.velocity, body.spin), (second, body.bend, body.twist)
+        for parts, moved, turned in rows:
+            x, y, z = (moved[..., j, :] for j in range(3))
+            rise = z - x * tilt[0, k] - y * tilt[1, k]
+            parts.append(stack([x, y, rise, *(turned[..., j, :] for j in range(3))]))
+    slope, bend = stack(slopes, axis=2), stack(second)
+    places = Intervals(wheels.low.transpose(1, 2, 0, 3), wheels.high.transpose(1, 2, 0, 3))
+    return _Motion(
+        WheelPoses(places[0], stack([places[k] for k in (1, 2, 3)], axis=1)),
+        Intervals(slope.low.swapaxes(0, 1), slope.high.swapaxes(0, 1)),
+        np.einsum("wcabn,bn->acwn", bend.magnitude, radius) * (1 + SLACK),
+        ((bend.low + bend.high) / 2)[:, 2].transpose(1, 2, 0, 3),
+        tilt,
+    )
+
+
+def _cross(a: Intervals, b: Intervals) -> Intervals:
+    """Return cross products; the last axes are components and boxes."""
+    (a_x, a_y, a_z), (b_x, b_y, b_z) = ([e[..., j, :] for j in range(3)] for e in (a, b))
+    parts = a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x
+    return stack(parts, axis=-2)
+
+
+def _turned_by(vectors: Intervals, turn: Array) -> Intervals:
+    """Return vectors (3, ...) after rotations whose integrated spins (3, ...) are bounded.
+
+    For a rotation ``R`` by an angle of at most ``t``, the norm of the difference of ``R - 1`` and
+    the integral of the skew matrix of its spin is at most ``t^2 / 2``.
+    """
+    (x, y, z), (about_x, about_y, about_z) = vectors.magnitude, turn
+    rest = np.sqrt(x**2 + y**2 + z**2) * (turn**2).sum(axis=0) / 2
+    change = [about_y * z + about_z * y, about_x * z + about_z * x, about_x * y + about_y * x]
+    reach = (np.stack(change) + rest) * (1 + SLACK)
+    return vectors + Intervals(-reach, reach)
 
 
 class GapBounds(NamedTuple):
     """Bounds of the gaps of n boxes of poses; not a number where they are not known."""
 
     gap: Intervals  # at the middle of the box, shape (n_wheels, n) [m]
-    slope: Intervals  # over the box, by all coordinates, shape (n_y, n_wheels, n)
+    slope: Intervals  # over the box, along its frame, shape (n_a, n_wheels, n)
     mean_slope: Intervals  # averages along lines from the middle to points of the box
+    bend: Array  # approximate second derivatives at the middle, shape (n_a, n_a, n_wheels, n)
     on_map: Mask  # whether the wheels stay on the map, shape (n,)
 
 
@@ -169,19 +376,34 @@ class _Examined(NamedTuple):
     is_known: Mask  # whether it is known under all poses of the patch
 
 
-class _PoseBox(NamedTuple):
-    """Enclosures over a box of poses, and at its middle; the last axes are wheels and boxes."""
+class _Middle(NamedTuple):
+    """Enclosures at the middles of boxes; the last axes are wheels and boxes."""
 
     radii: Array  # of the sections
+    motion: _Motion
     start: WheelPoses
-    over: WheelPoses
-    moving: PoseSlopes
     spot: Intervals  # reference points in the frames of the carriers, shape (3, n_wheels, n)
     angles: Array  # of the reference points on the tread, shape (2, n_wheels, n) [rad]
     place: Array  # horizontal positions of the reference points at the middle, shape (2, n)
     jets: Jets  # of the ground under them at the middle
     gap: Intervals  # distances of the reference points from the ground at the middle
     flat: Intervals  # slopes of the ground under the reference points at the middle
+
+
+class _PoseBox(NamedTuple):
+    """Enclosures over boxes of poses, and at their middles; the last axes are wheels and boxes."""
+
+    radii: Array
+    motion: _Motion
+    start: WheelPoses
+    spot: Intervals
+    angles: Array
+    place: Array
+    jets: Jets
+    gap: Intervals
+    flat: Intervals
+    over: WheelPoses
+    moving: PoseSlopes
     slopes: Intervals  # of the ground under the reference points, over the box, (2, n_wheels, n)
     turn: Array  # sums of the turns about the axes of the carrier, (3, n_wheels, n) [rad]
     shift: Array  # sums of the horizontal changes of the reference point, (2, n_wheels, n)
@@ -190,9 +412,7 @@ class _PoseBox(NamedTuple):
 def gap_bounds(
     graphs: PoseGraphs,
     ground: GroundRange,
-    middle: Array,
-    radius: Array,
-    contacts: Array,
+    boxes: Boxes,
     *,
     coarse: bool = False,
     divided: bool = False,
@@ -205,10 +425,8 @@ def gap_bounds(
         The vehicle.
     ground : GroundRange
         The map.
-    middle, radius : ndarray, shape (n_y, n)
-        Local coordinates, and half-sizes of the boxes. [m, rad]
-    contacts : ndarray, shape (2, n_wheels, n)
-        Points of the ground close to the contacts, which only affect the speed. [m]
+    boxes : Boxes
+        Local coordinates.
     coarse : bool
         Whether wide bounds suffice, for small boxes.
     divided : bool
@@ -217,24 +435,24 @@ def gap_bounds(
     parts = 1 if coarse else PARTS
     region: Array | None = None
     averages = list[Intervals]()
-    is_single: Mask = np.full(contacts.shape[1:], not divided)
+    is_single: Mask = np.full(boxes.contacts.shape[1:], not divided)
+    middle = _middle(graphs, ground, boxes)
     for k in range(parts, 0, -1):  # a line from the middle passes through the smaller boxes first
-        box = _box(graphs, ground, middle, radius * (k / parts * (1 + 1e-12)), contacts)
+        box = _over(middle, ground, boxes.radius, k / parts)
         found = _single_contacts(box, ground, region)
         normals = _normals(box.over, found.slopes)
         on_axle = _on_axle(box.moving, normals, graphs.radii[1][:, None])
         averages.append((_moved(box.moving, found.slopes) + on_axle) * (1 / parts))
         if region is None:
             region, slope = found.region, averages[0] * parts
-            is_single &= _are_rings_clear(graphs, ground, middle, radius, contacts, found)
+            is_single &= _are_rings_clear(graphs, ground, boxes, found)
         is_single &= found.is_single
     gap = Intervals(box.gap.low - found.lost, box.gap.high.copy())
     on_map: Mask = np.logical_and.reduce(is_single)
-    bounds = GapBounds(gap, slope, reduce(add, averages), on_map)
+    bounds = GapBounds(gap, slope, reduce(add, averages), middle.motion.second, on_map)
     for rest in _chunks(~on_map):
-        place = middle[:, rest], radius[:, rest], contacts[..., rest]
         others = ~is_single[:, rest]
-        own = _divided(graphs, ground, *place, others, coarse)
+        own = _divided(graphs, ground, boxes.at(rest), others, coarse)
         on_map[rest] = own.on_map
         wheels, lanes = np.nonzero(others)
         for old, new in zip(bounds[:3], own[:3], strict=True):
@@ -251,9 +469,7 @@ def _chunks(lanes: Mask) -> Iterator[Indices]:
 def _are_rings_clear(
     graphs: PoseGraphs,
     ground: GroundRange,
-    middle: Array,
-    radius: Array,
-    contacts: Array,
+    boxes: Boxes,
     found: _SingleContacts,
 ) -> Mask:
     """Return which wheels touch nowhere outside the regions, shape (n_wheels, n).
@@ -262,7 +478,8 @@ def _are_rings_clear(
     """
     is_clear: Mask = np.logical_and.reduce(found.rings)
     for k in _chunks(np.logical_or.reduce(found.is_single & ~is_clear)):
-        box = _box(graphs, ground, middle[:, k], radius[:, k], contacts[..., k])
+        some = boxes.at(k)
+        box = _over(_middle(graphs, ground, some), ground, some.radius, 1.0)
         region, rings = found.region[:, k], found.rings[..., k]
         patches = _whole_treads(graphs.radii, k.size)
         here = patches.wheel, patches.lane
@@ -289,14 +506,13 @@ def _chord_range(box: _PoseBox, patches: _Patches) -> tuple[Array, Array]:
 def _divided(
     graphs: PoseGraphs,
     ground: GroundRange,
-    middle: Array,
-    radius: Array,
-    contacts: Array,
+    boxes: Boxes,
     wheels: Mask,
     coarse: bool,
 ) -> GapBounds:
     """Return the bounds of some wheels (n_wheels, n) by dividing their whole treads."""
-    box = _box(graphs, ground, middle, radius, contacts)
+    middle = _middle(graphs, ground, boxes)
+    box = _over(middle, ground, boxes.radius, 1.0)
     shape = wheels.shape
     smallest = COARSE_TURN if coarse else SMALLEST_TURN
     patches = _whole_treads(graphs.radii, wheels.shape[1])
@@ -307,11 +523,12 @@ def _divided(
     mean, lost = slope * (1 / parts), np.where(is_complete, 0.0, np.nan)
     inner = box
     for k in range(parts - 1, 0, -1):
-        inner = _box(graphs, ground, middle, radius * (k / parts * (1 + 1e-12)), contacts)
+        inner = _over(middle, ground, boxes.radius, k / parts)
         patches = patches.at(_examine(inner, ground, patches).is_open)
         mean = mean + _hull(_slopes(inner, ground, patches), patches, shape) * (1 / parts)
     below = _hull(_examine(inner, ground, patches).gap[None], patches, shape).low[0]
-    return GapBounds(Intervals(np.minimum(below, least) + lost, least + lost), slope, mean, on_map)
+    gap = Intervals(np.minimum(below, least) + lost, least + lost)
+    return GapBounds(gap, slope, mean, middle.motion.second, on_map)
 
 
 class _SingleContacts(NamedTuple):
@@ -506,14 +723,11 @@ def _hull(values: Intervals, patches: _Patches, shape: tuple[int, int]) -> Inter
     return Intervals(*hulls.reshape(2, rows, wheels, n))
 
 
-def _box(
-    graphs: PoseGraphs, ground: GroundRange, middle: Array, radius: Array, contacts: Array
-) -> _PoseBox:
-    start = wheel_poses(graphs, exactly(middle))
-    over = wheel_poses(graphs, around(middle, radius))
-    moving = pose_slopes(graphs, around(middle, radius))
-    jets = ground.jets(contacts.reshape(2, -1))
-    slope = jets.slope.reshape(contacts.shape)
+def _middle(graphs: PoseGraphs, ground: GroundRange, boxes: Boxes) -> _Middle:
+    jets = ground.jets(boxes.contacts.reshape(2, -1))
+    slope = jets.slope.reshape(boxes.contacts.shape)
+    motion = carrier_motions(graphs, boxes, slope)
+    start = motion.start
     # any angles are valid for the reference points, so that rounding has no effect
     axes = start.rotation.low
     down = slope[0] * axes[0] + slope[1] * axes[1] - axes[2]
@@ -526,28 +740,31 @@ def _box(
     jets = ground.jets(center)
     height, flat = ground.heights(jets, away.magnitude), ground.slopes(jets, away)
     gap = place[2] - _shaped(height, slope[0].shape)
-    turns = np.einsum("k...n,kn->...n", moving.turning.magnitude, radius)
-    turned = _turned(moving.turning, spot)
-    moved = moving.center[:, :2]
-    for j in range(3):
-        moved = moved + over.rotation[:2, j] * turned[j][:, None]
-    shifts = np.einsum("k...n,kn->...n", moved.magnitude, radius)
-    slopes, grown = _ground_slopes(ground, _placed(over, spot)), 1 + 1e-12
-    return _PoseBox(
-        graphs.radii,
-        start,
-        over,
-        moving,
-        spot,
-        angles,
-        center,
-        jets,
-        gap,
-        _shaped(flat, slope.shape),
-        slopes,
-        turns * grown,
-        shifts * grown,
+    flat = _shaped(flat, slope.shape)
+    return _Middle(graphs.radii, motion, start, spot, angles, center, jets, gap, flat)
+
+
+def _over(middle: _Middle, ground: GroundRange, radius: Array, share: float) -> _PoseBox:
+    """Return the enclosures over boxes of a share of the size of the given ones."""
+    (start, base, bends, _, tilt), grown = middle.motion, share * (1 + SLACK)
+    # integrals of the slopes along lines from the middle
+    size = np.einsum("acwn,an->cwn", base.magnitude + share / 2 * bends, radius) * grown
+    rise = size[2] + np.abs(tilt[0]) * size[0] + np.abs(tilt[1]) * size[1]
+    reach = np.stack([size[0], size[1], rise]) * (1 + SLACK)
+    over = WheelPoses(
+        start.center + Intervals(-reach, reach), _turned_by(start.rotation, size[3:, None])
     )
+    slopes = base + Intervals(-share * bends, share * bends)
+    x, y, z = (slopes[:, j] for j in range(3, 6))
+    spins = reduce(add, (over.rotation[j] * spin[:, None] for j, spin in enumerate((x, y, z))))
+    about_x, about_y, about_z = (spins[:, j] for j in range(3))
+    moving = PoseSlopes(slopes[:, :3], stack([-about_z, about_y, -about_x], axis=1), tilt)
+    turn = np.einsum("acwn,an->cwn", moving.turning.magnitude, radius) * grown
+    arm = reduce(add, (over.rotation[:, j] * middle.spot[j] for j in range(3)))
+    moved = slopes[:, 0] + y * arm[2] - z * arm[1], slopes[:, 1] + z * arm[0] - x * arm[2]
+    shift = np.einsum("cawn,an->cwn", stack(moved).magnitude, radius) * grown
+    under = _ground_slopes(ground, _placed(over, middle.spot))
+    return _PoseBox(*middle, over, moving, under, turn, shift)
 
 
 def _whole_treads(radii: Array, n: int) -> _Patches:
@@ -690,13 +907,13 @@ def _slopes(box: _PoseBox, ground: GroundRange, patches: _Patches) -> Intervals:
     angles = around(patches.middle, patches.half)
     spot = _tread(radii, angles)[0]
     slopes = _ground_slopes(ground, _placed(wide, spot))
-    normal, moving = _normals(wide, slopes), PoseSlopes(*(e[:, :, *here] for e in box.moving))
+    normal, moving = _normals(wide, slopes), box.moving.at(here)
     below = (angles[0].cos() * normal[1] + angles[0].sin() * normal[2]).high < 0
     is_smooth = below & (_is_inside(patches) | (tube == 0))
-    on_axle, anywhere = (
-        _on_axle(moving, normal, circle),
-        _dot(_turned(moving.turning, spot), normal),
-    )
+    xy, xz, yz = (moving.turning[:, j] for j in range(3))
+    anywhere = normal[0] * (xy * spot[1] + xz * spot[2]) + normal[1] * (yz * spot[2] - xy * spot[0])
+    anywhere = anywhere - normal[2] * (xz * spot[0] + yz * spot[1])
+    on_axle = _on_axle(moving, normal, circle)
     low = np.where(is_smooth, on_axle.low, anywhere.low)
     high = np.where(is_smooth, on_axle.high, anywhere.high)
     return _moved(moving, slopes) + Intervals(low, high)
@@ -710,7 +927,9 @@ def _on_axle(moving: PoseSlopes, normal: Intervals, circle: Array) -> Intervals:
 
 def _moved(moving: PoseSlopes, slopes: Intervals) -> Intervals:
     """Return the terms of displacements of the centre."""
-    return moving.center[:, 2] - moving.center[:, 0] * slopes[0] - moving.center[:, 1] * slopes[1]
+    x, y, rise = (moving.center[:, j] for j in range(3))
+    steeper = slopes - moving.tilt
+    return rise - x * steeper[0] - y * steeper[1]
 
 
 def _at(poses: WheelPoses, here: tuple[Indices, Indices]) -> WheelPoses:
@@ -721,12 +940,6 @@ def _is_inside(patches: _Patches) -> Mask:
     """Return whether patches do not touch the edges of the tread."""
     u, half = patches.middle[1], patches.half[1]
     return np.asarray((u - half > EDGE) & (u + half < np.pi - EDGE))
-
-
-def _turned(turning: Intervals, spot: Intervals) -> tuple[Intervals, Intervals, Intervals]:
-    """Return the velocities of points of carriers for turns (n_y, 3, ...) in their own frames."""
-    xy, xz, yz = (turning[:, j] for j in range(3))
-    return xy * spot[1] + xz * spot[2], yz * spot[2] - xy * spot[0], -(xz * spot[0] + yz * spot[1])
 
 
 def _dot(a: Sequence[Intervals] | Intervals, b: Sequence[Intervals] | Intervals) -> Intervals:
