@@ -56,6 +56,7 @@ def _film(file: Path) -> None:
 
 WRITERS: dict[str, Callable[[Trajectory, Path], Any]] = {
     "r.nc": lambda run, file: netcdf.write(file, run, {"more": np.ones(9)}),
+    "n.nc": lambda run, file: replace_file(file, lambda part: netcdf.write(part, run)),
     "r.csv": lambda run, file: netcdf.write_csv(file, run),
     "f.png": lambda _, file: save_figures([Plot("f", "", _figure)], file.parent),
     "f.pdf": lambda _, file: save_figures([Plot("f", "", _figure)], file.parent, ["pdf"]),

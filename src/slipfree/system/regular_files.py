@@ -154,6 +154,8 @@ def replacing(path: Path) -> Iterator[Path]:
         with part.open("rb+") as file:
             os.fsync(file.fileno())
         part.replace(target)
+    except WriteError as error:  # the block replaces ``part`` in the same way
+        raise WriteError(str(error).replace(str(part), str(path))) from error
     except OSError as error:
         remedy = "choose another name or folder"
         if error.errno in DISK_FULL:
