@@ -4,20 +4,16 @@
 
 reference  another program's motion, good to 2e-10, at several tolerances
 terrain    values and derivatives of a map against SciPy's spline
-starts     poor initial guesses that settle to the correct solution
 scales     all lengths of kinematic problems times 1e-6 to 1e6: largest difference of the scaled
            motion from that at scale 1, over all quantities and samples, in tolerances of 1e-8
 follow     path following over 100 m of hills, with and without the tilt term of the law
 body       clearance of bodies against dense sampling improved by Nelder and Mead's method, at 1000
-           poses of three vehicles and on rougher ground; its share of the time of a motion, by the
-           number of shapes
+           poses of three vehicles and on rougher ground
 """
 
 from __future__ import annotations
 
 import json
-import time
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -25,9 +21,8 @@ from common import TESTS, run_parts
 from scipy.interpolate import NdBSpline, RectBivariateSpline
 
 from helpers.scale_cases import CASES, difference
-from helpers.shaped import SHAPED, rough, settled_poses, with_shapes
+from helpers.shaped import SHAPED, settled_poses
 from slipfree import (
-    Analytic,
     Bicubic,
     Grid,
     Path,
@@ -35,19 +30,14 @@ from slipfree import (
     SolverOptions,
     Trajectory,
     direct_kinematics,
-    dynamics,
     follow,
-    quasi_statics,
     settle,
     simulate,
 )
-from slipfree.catalog import rocky7, three_wheeler
-from slipfree.contact.clearance import BodyClearance
+from slipfree.catalog import three_wheeler
 from slipfree.control import path_following as laws
 from slipfree.core.lookups import LookupTable, lookup_function
-from slipfree.core.records import leaves
 from slipfree.terrain.synthetic import blank, power_law
-from slipfree.vehicle.shapes import Box
 
 DATA = TESTS / "data"
 NAMES = ("x", "y", "heading", "tilt_right", "tilt_left", "z")
@@ -127,28 +117,6 @@ def derivative_errors(ground: Bicubic, exact: NdBSpline, a: np.ndarray, b: np.nd
     return max(worst)
 
 
-def poor_starts() -> None:
-    """Settle from poor initial guesses and count the solutions."""
-
-    def hills(x: ca.SX, y: ca.SX) -> ca.SX:
-        return 0.15 * ca.sin(0.9 * x + 0.3) * ca.cos(0.7 * y) + 0.05 * ca.sin(1.7 * y + 0.2 * x)
-
-    rng, terrain = np.random.default_rng(2), Analytic(hills)
-    dae, right = direct_kinematics(three_wheeler(), terrain), 0
-    for _ in range(60):
-        place = dict(zip(("x", "y", "heading"), rng.uniform(-3, 3, 3), strict=True))
-        good = settle(dae, **place)
-        guess = {name: good[name][0] + rng.uniform(-0.4, 0.4) for name in ("roll", "pitch")}
-        guess["z"] = good["z"][0] + rng.uniform(-0.2, 0.2)
-        for wheel in good.wheels:
-            for name in ("contact_x", "contact_y"):
-                guess[f"{name}[{wheel}]"] = good[name, wheel][0] + rng.uniform(-0.2, 0.2)
-        found = settle(dae, guess=guess, **place)
-        above = found["center_z"] > terrain.elevation(found["center_x"], found["center_y"])
-        right += bool(above.all() and abs(found["z"][0] - good["z"][0]) < 1e-10)
-    print(f"poor starts (0.2 m, 0.4 rad) that settle to the right root: {right} of 60")
-
-
 def cell(first: Trajectory, name: str, scale: float) -> str:
     """Return the difference of a case at a scale as text of one column."""
     try:
@@ -193,7 +161,7 @@ def followed() -> None:
 
 
 def bodies() -> None:
-    """Print errors of clearances, and the share of the time of motions that they take."""
+    """Print errors of clearances."""
     for name, relief in (*((name, 0.03) for name in SHAPED), ("box", 0.06), ("box", 0.12)):
         count = 334 if relief < 0.05 else 100
         pairs = [
@@ -207,36 +175,6 @@ def bodies() -> None:
             f"{values.max():.3f} m, largest error {errors.max():.1e} m, "
             f"{np.count_nonzero(errors > 1e-6)} above 1e-6 m"
         )
-    spent = 0.0
-    margin = BodyClearance.margin
-
-    def timed(self: BodyClearance, x: np.ndarray, z: np.ndarray) -> np.ndarray:
-        nonlocal spent
-        begin = time.process_time()
-        values = margin(self, x, z)
-        spent += time.process_time() - begin
-        return values
-
-    BodyClearance.margin = timed  # type: ignore[method-assign]
-    for count in (1, 5, 20):
-        boxes = (Box((0.1, 0.1, 0.05), (0.0, 0.02 * k, 0.2 + 0.02 * k)) for k in range(count))
-        vehicle = with_shapes(rocky7(), *boxes)
-        for make in (direct_kinematics, quasi_statics, dynamics):
-            model = make(vehicle, replace(rough()[0], mu=0.8))
-            inputs = {
-                label.full: 0.0 if label.full.startswith("steer") else 1.0
-                for label in leaves(model.labels.u)
-            }
-            start, shares = settle(model, x=-1.0, y=-1.0, heading=0.3), list[float]()
-            for _ in range(4):
-                spent, begin = 0.0, time.process_time()
-                run = simulate(model, start, model.inputs(**inputs), np.linspace(0, 5, 201))
-                shares.append(spent / (time.process_time() - begin))
-            print(
-                f"{count:2} shapes, {make.__name__:17} {run.t.size} samples: "
-                f"{100 * min(shares):.1f} % of the time of the motion"
-            )
-    BodyClearance.margin = margin  # type: ignore[method-assign]
 
 
 def main() -> None:
@@ -245,7 +183,6 @@ def main() -> None:
         {
             "reference": reference_motion,
             "terrain": terrain,
-            "starts": poor_starts,
             "scales": scales,
             "follow": followed,
             "body": bodies,

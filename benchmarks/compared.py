@@ -1,4 +1,4 @@
-"""Engines: error against CPU time of MuJoCo, Drake, PyBullet and slipfree on six tasks.
+"""Engines: error against CPU time of MuJoCo, Drake, PyBullet and slipfree on nine tasks.
 
 ``python benchmarks compared [TASK ...] [--write FOLDER]`` (packages mujoco, drake, pybullet; an
 engine that is not installed has no rows)
@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import pkgutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,10 +27,12 @@ from scenes import (
     Motion,
     Pose,
     Scene,
+    Size,
     cart,
     rocker_bogie,
     share,
 )
+from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from slipfree import Analytic, SolverOptions, direct_kinematics, simulate
@@ -41,11 +43,20 @@ REPEATS, LONG = 3, 1.0  # runs, of which the median counts; one if it is longer 
 SLOPE = 0.3  # along y
 FRICTION = 0.8
 RATE = 2.0  # of wheels that drive [rad/s]
+LOG = Path(__file__).parent.parent / "problems" / "skid_steer_log.csv"
+HELP = (
+    "file with the columns t [s], left, right [rad/s], x, y [m], heading from the y axis [rad]; "
+    "then radius, half track, half wheelbase, place of the centre of mass ahead [m], square of the "
+    "radius of gyration [m^2], friction, slip stiffness [s/m]"
+)
+KNOWN = (0.155, 0.31, 0.25, 0.03, 0.0975, 0.6, 12.0)
+WARM_UP, PREDICTED, WINDOW = 2.0, 20.0, 2.0  # of a log: start, duration and windows [s]
 EXACT = SolverOptions(tolerance=1e-11)
+STAIRS = ((-2.0, 0.0), (0.6, 0.02), (1.0, 0.04), (1.4, 0.06))
 PLACES = ((0.4, 0.3, 0.2), (-0.9, 0.8, 1.4), (1.1, -0.7, -2.0), (0.2, -1.2, 2.9))
 ENGINES = ("mujoco", "drake", "pybullet")  # packages
 COLOURS = {"MuJoCo": "C1", "Drake": "C2", "PyBullet": "C3", "slipfree": "C0"}
-MARKERS = "os^D"
+MARKERS = "os^Dv"
 
 
 class Task(NamedTuple):
@@ -53,7 +64,8 @@ class Task(NamedTuple):
 
     title: str
     scenes: tuple[Scene, ...]
-    error: Callable[[Scene, Motion], float]
+    # [m]; of a log also the error of the turn [rad]
+    error: Callable[[Scene, Motion], float | tuple[float, float]]
 
 
 def relief(x: Any, y: Any, of: Any) -> Any:
@@ -148,12 +160,20 @@ REFERENCES: dict[int, Any] = {}
 
 def reference(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return positions and rotations by the kinematics on the true ground."""
+    if len(scene.slabs) > 1:
+        return climb(scene)
     if id(scene) not in REFERENCES:
         model = direct_kinematics(vehicle_of(scene.urdf), ground_of(scene))
         rates = {f"{k}_rate": v * share(model.t, ca) for k, v in scene.rates.items()}
         run = simulate(model, start_of(model, scene), model.inputs(**rates), scene.t, options=EXACT)
         REFERENCES[id(scene)] = poses(run)
     return REFERENCES[id(scene)]
+
+
+def even_time(t: np.ndarray) -> np.ndarray:
+    """Return the integrals of `share` up to samples [s]."""
+    fine = np.linspace(0, t[-1], 100001)
+    return np.interp(t, fine, cumulative_trapezoid(share(fine), fine, initial=0))
 
 
 def missed_turn(scene: Scene, motion: Motion) -> float:
@@ -164,8 +184,7 @@ def missed_turn(scene: Scene, motion: Motion) -> float:
     wheelbase l, for every coefficient of friction.
     """
     speed = RADIUS * max(scene.rates.values())
-    fine = np.linspace(0, scene.t[-1], 100001)
-    angle = speed * HALF_TRACK / (HALF_TRACK**2 + HALF_BASE**2) * np.trapezoid(share(fine), fine)
+    angle = speed * HALF_TRACK / (HALF_TRACK**2 + HALF_BASE**2) * even_time(scene.t)[-1]
     heading = np.unwrap(np.arctan2(motion.rotation[:, 1, 0], motion.rotation[:, 0, 0]))
     moved = np.linalg.norm((motion.position - motion.position[0])[-1, :2])
     return max(moved, HALF_BASE * abs(heading[-1] - heading[0] - angle))
@@ -173,13 +192,11 @@ def missed_turn(scene: Scene, motion: Motion) -> float:
 
 def missed_line(scene: Scene, motion: Motion) -> float:
     """Return the distance of the end from the way r phi along x."""
-    fine = np.linspace(0, scene.t[-1], 100001)
-    rate = max(scene.rates.values())
-    moved = motion.position[-1] - motion.position[0]
-    return float(np.linalg.norm(moved - [RADIUS * rate * np.trapezoid(share(fine), fine), 0, 0]))
+    way = RADIUS * max(scene.rates.values()) * even_time(scene.t)[-1]
+    return float(np.linalg.norm(motion.position[-1] - motion.position[0] - [way, 0, 0]))
 
 
-def tasks() -> dict[str, Task]:
+def tasks(log: Task) -> dict[str, Task]:
     """Return the tasks by name."""
     four, rear, rover = cart(), cart("rear"), rocker_bogie()
     still, around = wheels(four, 0, 0), wheels(four, -RATE, RATE)
@@ -209,6 +226,11 @@ def tasks() -> dict[str, Task]:
             (of(four, inclined(0.0), (0.0, 0.0, 0.0), around, 6.0),),
             missed_turn,
         ),
+        "box": Task(
+            "Turning on the spot, on a box",
+            (of(four, inclined(0.0), (0.0, 0.0, 0.0), around, 6.0, slabs=STAIRS[:1]),),
+            missed_turn,
+        ),
         "creep": Task(
             "Standing across a slope, 10 s",
             (of(four, inclined(SLOPE), (0.0, 0.0, 0.0), still, 10.0),),
@@ -219,7 +241,82 @@ def tasks() -> dict[str, Task]:
             (of(four, inclined(SLOPE), (0.0, 0.0, 0.0), wheels(four, RATE, RATE), 10.0),),
             missed_line,
         ),
+        "stairs": Task(
+            "Up three stairs of 20 mm",
+            (of(rear, inclined(0.0), (0.0, 0.0, 0.0), wheels(rear, 1, 1), 13.0, slabs=STAIRS),),
+            missed_way,
+        ),
+        "log": log,
     }
+
+
+def stairs(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return rotation of the driven rear wheels [rad], and place and pitch of a slow climb.
+
+    Axles follow circles around the edges, and the rear wheels roll along the path of their axle.
+    The place is x, z of the middle between the axles, shape (2, n) [m]; the pitch is positive with
+    the nose up [rad].
+    """
+
+    def path(x: np.ndarray) -> np.ndarray:
+        """Return the height of an axle."""
+        ahead = ((np.clip(edge - x, 0, RADIUS), top) for edge, top in scene.slabs)
+        return np.max([top + np.sqrt(RADIUS**2 - gap**2) for gap, top in ahead], axis=0)
+
+    x = np.linspace(scene.start[0] - HALF_BASE, scene.x[-1] - 3 * HALF_BASE, 200001)
+    pitch = 0 * x
+    for _ in range(20):
+        pitch = np.arcsin((path(x + 2 * HALF_BASE * np.cos(pitch)) - path(x)) / (2 * HALF_BASE))
+    rolled = np.append(0, np.cumsum(np.hypot(np.diff(x), np.diff(path(x)))))
+    middle = [x + HALF_BASE * np.cos(pitch), path(x) + HALF_BASE * np.sin(pitch)]
+    return rolled / RADIUS + pitch, np.array(middle), pitch  # the pitch turns the wheels backward
+
+
+def climb(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and rotations of a slow climb without slip."""
+    rolled, (x, z), pitch = stairs(scene)
+    turned = max(scene.rates.values()) * even_time(scene.t)
+    x, z, pitch = (np.interp(turned, rolled, each) for each in (x, z, pitch))
+    return np.column_stack([x, 0 * x, z]), Rotation.from_euler("y", -pitch[:, None]).as_matrix()
+
+
+def prediction(name: Path, numbers: Sequence[float]) -> Task:
+    """Return the prediction of the windows of a log from its wheel rates.
+
+    Columns and numbers are those of `HELP`.
+    """
+    *sizes, friction, stiffness = numbers
+    log = np.genfromtxt(name, delimiter=",", names=True)
+    log = log[log["t"] <= log["t"][0] + WARM_UP + PREDICTED]
+    urdf, t = cart(size=Size(*sizes)), log["t"] - log["t"][0]
+    rates = {
+        wheel.name: share(t) * log["left" if wheel.name.endswith("left") else "right"]
+        for wheel in vehicle_of(urdf).wheels
+    }
+    wide = {"x": np.array([-99.0, 99.0]), "y": np.array([-99.0, 99.0])}
+    level = {"slabs": ((-99.0, 0.0),), "slip_stiffness": stiffness, "friction": friction, **wide}
+    scene = of(urdf, inclined(0.0), (0.0, 0.0, log["heading"][0] + np.pi / 2), rates, 0.0, **level)
+    begin = np.searchsorted(t, np.arange(WARM_UP, t[-1] - WINDOW + 1e-9, WINDOW))
+    end = np.searchsorted(t, t[begin] + WINDOW - 1e-9)
+
+    def change(place: np.ndarray, heading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return displacements relative to the vehicle, and turns, in windows."""
+        ahead = np.exp(-1j * heading[begin])
+        return ahead * (place[end] - place[begin]), heading[end] - heading[begin]
+
+    measured = change(log["x"] + 1j * log["y"], np.unwrap(log["heading"]) + np.pi / 2)
+
+    def missed(_: Scene, motion: Motion) -> tuple[float, float]:
+        """Return the root mean squares of the errors of position [m] and heading [rad]."""
+        heading = np.unwrap(np.arctan2(motion.rotation[:, 1, 0], motion.rotation[:, 0, 0]))
+        found = change(motion.position[:, 0] + 1j * motion.position[:, 1], heading)
+        place, turn = (
+            float(np.sqrt(np.mean(np.abs(a - b) ** 2)))
+            for a, b in zip(found, measured, strict=True)
+        )
+        return place, turn
+
+    return Task("Prediction of a log, 2 s", (scene._replace(t=t),), missed)
 
 
 class Row(NamedTuple):
@@ -234,7 +331,7 @@ class Row(NamedTuple):
 
 def measured(name: str, task: Task) -> list[Row]:
     """Run and print all settings of all engines."""
-    rows = []
+    rows, starts = [], [exact_pose(scene) for scene in task.scenes]
     for found in pkgutil.iter_modules(engines.__path__):
         try:
             engine = importlib.import_module(f"engines.{found.name}")
@@ -249,19 +346,20 @@ def measured(name: str, task: Task) -> list[Row]:
                 )
                 try:
                     seconds, errors = [], []
-                    for scene in task.scenes:
-                        pose = exact_pose(scene)
+                    for scene, pose in zip(task.scenes, starts, strict=True):
                         runs = [engine.motion(scene, pose, **setting)]
                         while len(runs) < REPEATS and runs[0].seconds < LONG:
                             runs.append(engine.motion(scene, pose, **setting))
                         seconds.append(np.median([run.seconds for run in runs]))
-                        errors.append(task.error(scene, runs[0]))
+                        errors.append(np.atleast_1d(task.error(scene, runs[0])))
                 except Exception as error:
-                    print(f"  {series:20} {words:34} {str(error).strip().splitlines()[-1][:90]}")
+                    print(f"  {series:20} {words:42} {str(error).strip().splitlines()[-1][:90]}")
                     continue
-                row = Row(name, series, words, 1e3 * float(np.mean(seconds)), float(max(errors)))
+                error, *turn = np.max(errors, axis=0)
+                row = Row(name, series, words, 1e3 * float(np.mean(seconds)), float(error))
                 print(
-                    f"  {series:20} {words:34} {row.milliseconds:10.3f} ms {row.error:10.2e} m",
+                    f"  {series:20} {words:42} {row.milliseconds:10.3f} ms {error:10.2e} m",
+                    *(f"{1e3 * each:5.1f} mrad" for each in turn),
                     flush=True,
                 )
                 rows.append(row)
@@ -296,7 +394,7 @@ def draw(rows: list[Row], shown: dict[str, Task]) -> None:
     marks = dict[str, str]()
     for series in dict.fromkeys(row.series for row in rows):
         marks[series] = MARKERS[sum(_program(each) == _program(series) for each in marks)]
-    figure, axes = plt.subplots(2, 3, figsize=(11, 6.5), layout="constrained")
+    figure, axes = plt.subplots(3, 3, figsize=(11, 9.5), layout="constrained")
     for axis, (name, task) in zip(axes.flat, shown.items(), strict=False):
         for series, mark in marks.items():
             line = [
@@ -313,20 +411,23 @@ def draw(rows: list[Row], shown: dict[str, Task]) -> None:
         axis.set_xlabel("CPU time [ms]")
     for axis in axes[:, 0]:
         axis.set_ylabel("error [m]")
-    handles, labels = axes.flat[-1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
+    lines = {line.get_label(): line for axis in axes.flat for line in axis.lines}
+    figure.legend(lines.values(), lines, loc="outside lower center", ncols=5, fontsize=8)
     figure.savefig(FIGURE, dpi=110)
 
 
 LICENCE = """Reference data of `python benchmarks compared` (slipfree), licence CC BY 4.0.
 
 TASK_N.urdf: vehicle, x ahead; wheels are balls. TASK_N_map.csv: nodes x, y, z [m].
+TASK_N_slabs.csv: beginnings x and heights [m] of steps, in place of a map.
 TASK_N_drive.csv: time [s] and rates of the driven wheels [rad/s], which rise as
-tanh((t / 0.5)^2).
+tanh((t / 0.5)^2); those of the log are linear between samples.
 TASK_N_reference.csv: time, position of the root link [m] and its quaternion (x, y, z, w): the
-pose at rest, or the motion that rolls without slip, on the true ground, at a tolerance of 1e-11.
+pose at rest, or the motion that rolls without slip, on the true ground, at a tolerance of 1e-11
+(stairs: axles on circles around the edges).
 Turning on the spot: no displacement, angle v b / (b^2 + l^2) t for the speed v of the treads.
 Standing and driving across a slope: no drift; the way is the radius times the wheels' angle.
+The log is `problems/skid_steer_log.csv`.
 """
 
 
@@ -336,16 +437,19 @@ def write(folder: Path, known: Mapping[str, Task]) -> None:
     (folder / "README.md").write_text(LICENCE, encoding="utf-8")
     for name, task in known.items():
         for k, scene in enumerate(task.scenes):
-            stem, even = folder / f"{name}_{k}", list(scene.rates.values())
+            stem = folder / f"{name}_{k}"
             stem.with_suffix(".urdf").write_text(scene.urdf, encoding="utf-8")
             tables = {
-                "map": ("x,y,z", scene.triangles()[0]),
                 "drive": (
                     ",".join(["t", *scene.rates]),
-                    np.column_stack([scene.t, np.outer(share(scene.t), even)]),
+                    np.column_stack([scene.t, scene.rates_at(scene.t)]),
                 ),
             }
-            if task.error is not missed_turn and task.error is not missed_line:
+            if scene.slabs:
+                tables["slabs"] = ("x,height", np.array(scene.slabs))
+            else:
+                tables["map"] = ("x,y,z", scene.triangles()[0])
+            if task.error in (missed_way, missed_rest):
                 pose = exact_pose(scene._replace(raised=0.0))
                 way = (
                     reference(scene)
@@ -362,11 +466,15 @@ def write(folder: Path, known: Mapping[str, Task]) -> None:
 
 def main() -> None:
     """Run the tasks that are named, or all."""
-    known = tasks()
     parser = argparse.ArgumentParser()
-    parser.add_argument("tasks", nargs="*", choices=[[], *known], default=[])
+    parser.add_argument("tasks", nargs="*", default=[])
     parser.add_argument("--write", type=Path)
+    parser.add_argument("--log", nargs=len(KNOWN) + 1, default=(LOG, *KNOWN), help=HELP)
     given = parser.parse_args()
+    name, *numbers = given.log
+    known = tasks(prediction(Path(name), [float(each) for each in numbers]))
+    if unknown := [name for name in given.tasks if name not in known]:
+        parser.error(f"expected tasks among {', '.join(known)}, found {', '.join(unknown)}")
     print(", ".join(f"{d.name} {d.version}" for d in distributions() if d.name in ENGINES))
     rows = []
     shown = {name: known[name] for name in given.tasks or known}

@@ -1,19 +1,12 @@
-"""Motions with inertia: cost, and agreement with slow models.
+"""Motions with inertia: cost.
 
 ``python benchmarks dynamics [PART ...]``:
 
-search     CPU time of a search for the ground point nearest to a wheel: on a formula, on a map with
-           the compiled search, and on a map without it
 three_wheeler, car, rocky7
            a vehicle at four speeds, on a formula and on its bicubic map: steps, evaluations of the
            equations and of their Jacobian, and CPU time of the integration per metre, interpreted
            and compiled. The tolerance is the loosest of 1e-7 to 1e-4 for which, as for all tighter
            ones, the error against 1e-10 is below 0.1 mm.
-turns      four vehicles that turn over about 1 m of hills from rest: the distance between the ends
-           of dynamics and of quasi-statics by speed, with a creep of 1 % of the speed in both laws,
-           so that quasi-statics has the same path at every speed; its change divided by that of the
-           squared speed; the distance between kinematics with least slip and quasi-statics. Ends of
-           dynamics are taken 1 ms later, the time constant of its rates.
 
 The time of the integration is that of `simulate` with two samples, the least of a few runs, minus
 that of a run with a thousandth of the duration.
@@ -21,7 +14,6 @@ that of a run with a thousandth of the duration.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -36,20 +28,13 @@ from slipfree import (
     Grid,
     SolverOptions,
     catalog,
-    direct_kinematics,
     dynamics,
-    quasi_statics,
     settle,
     simulate,
 )
-from slipfree.contact import touch
-from slipfree.core.dae import Dae
 from slipfree.core.trajectory import Trajectory, path_length
 from slipfree.laws.compliant import Compliant
-from slipfree.laws.coulomb import Coulomb
-from slipfree.models.dynamics import LAG
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.sections import Torus
 from slipfree.vehicle.tree import Vehicle
 
 SPEEDS = (0.1, 0.3, 1.0, 3.0)  # [m/s]
@@ -58,7 +43,6 @@ EXACT, ALLOWED = 1e-10, 1e-4  # tolerance of the reference [1]; error [m]
 MU, RISE = 0.8, 0.3  # friction [1]; time in which the rates rise [s]
 REPEATS = 10  # runs of which the least time counts
 SPACING, HALF = 0.1, 9.0  # of maps, and half their side [m]
-QUESTIONS = 2000
 ORIGIN, SOFT = {"x": 0.0, "y": 0.0, "heading": 0.0}, Compliant()  # start; default law of contacts
 
 
@@ -94,40 +78,6 @@ def grounds(height: Height) -> dict[str, Terrain]:
         "formula": Analytic(lambda x, y: height(x, y, ca), mu=MU),
         "map": Bicubic(nodes(height), mu=MU),
     }
-
-
-def search_times() -> None:
-    """Print microseconds of CPU of one search, least of several runs over random poses."""
-    section, radius = Torus(0.03, 0.12), 0.15
-    formula, grid = grounds(hills).values()
-    rng = np.random.default_rng(0)
-    place, axle = rng.uniform(-8, 8, (2, QUESTIONS)), rng.standard_normal((3, QUESTIONS))
-    axle[2] *= 0.2
-    center = hills(*place, np) + radius + rng.uniform(-0.01, 0.01, QUESTIONS)
-    asked = np.vstack([place, center, axle / np.linalg.norm(axle, axis=0)])
-    searches = {
-        "formula": (touch.search_function(formula, section, radius), 0.0),
-        "map, compiled search": (touch.search_function(grid, section, radius), grid.origin[2]),
-        "map, graph": (touch._search_graph(grid, section, radius), grid.origin[2]),
-    }
-    for name, (search, base) in searches.items():
-        print(f"  {name:22} {least(search, asked - np.eye(6)[:, [2]] * base):6.2f} us a search")
-
-
-def least(search: ca.Function, asked: np.ndarray) -> float:
-    """Return the least CPU time of one search over several rounds [us]."""
-    buffer, run = search.buffer()
-    at, found = np.zeros(6), np.zeros(13)
-    buffer.set_arg(0, memoryview(at))
-    buffer.set_res(0, memoryview(found))
-    times = []
-    for _ in range(10):
-        begin = time.process_time()
-        for column in asked.T:
-            at[:] = column
-            run()
-        times.append(time.process_time() - begin)
-    return 1e6 * min(times) / asked.shape[1]
 
 
 class Cost(NamedTuple):
@@ -203,58 +153,6 @@ def vehicle_costs(name: str) -> None:
         print(f"  {speed:3g} m/s: " + "; ".join(words), flush=True)
 
 
-SLOW_SPEEDS = (0.8, 0.4, 0.2, 0.1, 0.05)  # [m/s]
-FINE = SolverOptions(1e-8)
-SLOW_HILLS = Analytic(lambda x, y: hills(x, y, ca), mu=MU)
-TURNING = {
-    "skid_steer": catalog.skid_steer(),
-    "ackermann": catalog.ackermann(),
-    "rocky7": catalog.rocky7(),
-    "open_source_rover": catalog.open_source_rover(),
-}
-
-
-def turns() -> None:
-    """Print the distance between the ends of turns in three models."""
-    print("dynamics from quasi-statics, ends apart [m], by speed [m/s]; kinematics, the same")
-    print(
-        f"{'vehicle':18}"
-        + "".join(f"{speed:>10g}" for speed in SLOW_SPEEDS)
-        + f"{'kinematics':>12}"
-    )
-    for name, vehicle in TURNING.items():
-        gaps = []
-        for speed in SLOW_SPEEDS:
-            still = _turn(
-                quasi_statics(vehicle, SLOW_HILLS, law=Coulomb(0.01 * speed)), vehicle, speed
-            )
-            law = Compliant(creep=0.01 * speed)
-            moved = _turn(dynamics(vehicle, SLOW_HILLS, law=law), vehicle, speed, LAG)
-            gaps.append(moved - still)
-        least = _turn(direct_kinematics(vehicle, SLOW_HILLS), vehicle, SLOW_SPEEDS[-1]) - still
-        ends = "".join(f"{np.linalg.norm(gap):10.1e}" for gap in gaps)
-        print(f"{name:18}{ends}{np.linalg.norm(least):12.1e}")
-        steps = np.linalg.norm(np.diff(gaps, axis=0), axis=1) / -np.diff(np.square(SLOW_SPEEDS))
-        rates = "".join(f"{rate:10.1e}" for rate in steps)
-        print(f"{'  / v^2 [s^2/m]':18}{'':10}{rates}", flush=True)
-
-
-def _turn(model: Dae, vehicle: Vehicle, speed: float, delay: float = 0.0) -> np.ndarray:
-    """Return the end of a turn from rest, x and y, after a delay [m]."""
-    ramp = ca.tanh(model.t * speed / 0.3) ** 2
-    given = {label.full: 0.0 for part in model.labels.u for label in part}
-    for wheel in vehicle.wheels:
-        side = 1.2 if wheel.at[0] > 0 else 0.8
-        if wheel.driven:
-            given[f"{wheel.name}_rate"] = side * speed / wheel.radius * ramp
-    t = np.linspace(0, 1.3 / speed + delay, 3)
-    run = simulate(model, settle(model), model.inputs(**given), t, options=FINE)
-    if run.stop is not None:
-        raise SystemExit(f"{vehicle.name}: {run.stop.words}")
-    return np.array([run["x"][-1], run["y"][-1]])
-
-
 def main() -> None:
     """Print the parts."""
-    vehicles = {name: partial(vehicle_costs, name) for name in VEHICLES}
-    run_parts({"search": search_times, **vehicles, "turns": turns})
+    run_parts({name: partial(vehicle_costs, name) for name in VEHICLES})

@@ -1,10 +1,9 @@
-"""How CPU times grow: samples, wheels, map nodes, plan intervals; start-up.
+"""How CPU times grow: wheels, map nodes, plan intervals; start-up.
 
 ``python benchmarks growth [PART ...]``; the last lines of a table are exponents: the slope of a
 line through the logarithms of all rows, and that of the last two rows, to which fixed costs
 contribute least. Each part runs in a process with one thread.
 
-samples  `simulate` of one motion, compiled: integration, the whole call
 wheels   vehicles of 3 to 12 wheels, three of them rigid and the others on springs, over hills,
          interpreted: building the model with its start, a step of the integrator, a sample
 map      nodes of a map: its ground, the model with its start, integration over 8 m
@@ -57,7 +56,7 @@ from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 SIDES = (200, 500, 1000, 2000, 4000)  # nodes of maps along a side
-SAMPLES, WHEELS = (1001, 10001, 100001), (3, 4, 6, 8, 10, 12)
+WHEELS = (3, 4, 6, 8, 10, 12)
 MODELS = {"kinematics": direct_kinematics, "quasi-statics": quasi_statics, "dynamics": dynamics}
 SPACING, SPEED, FEW, MANY = 0.1, 0.5, 2, 101  # [m], [m/s], samples
 Costs = dict[str, float]
@@ -124,23 +123,6 @@ def timed(task: Callable[[], Any]) -> tuple[Any, float]:
     """Return the result of a task and its CPU time [ms]."""
     begin = time.process_time()
     return task(), 1e3 * (time.process_time() - begin)
-
-
-def of_samples(case: Case, clock: Clock) -> Callable[[int], Costs]:
-    """Return the function of the costs of a motion by number of samples."""
-    model, start, inputs, duration = case
-    options = SolverOptions(tolerance=1e-4, compiled=True)
-
-    def costs(count: int) -> Costs:
-        t = np.linspace(0, duration, count)
-        whole, way = least(
-            lambda: simulate(model, start, inputs, t, options=options),
-            clock,
-            5 if count < 1e4 else 1,
-        )
-        return {"integration": way, "call": whole}
-
-    return costs
 
 
 def vehicle(count: int) -> Vehicle:
@@ -299,10 +281,7 @@ def start_up() -> None:
 def print_table(subject: str) -> None:
     """Print the tables of a subject."""
     clock = Clock()
-    if subject == "samples":
-        for name, case in (("Rocky 7", rocky()), ("three-wheeler", three())):
-            table(f"samples, {name} [ms]", SAMPLES, of_samples(case, clock))
-    elif subject == "wheels":
+    if subject == "wheels":
         for model in MODELS:
             table(f"wheels, {model} [ms]", WHEELS, of_wheels(model, clock))
     elif subject == "map":
@@ -319,5 +298,5 @@ def print_table(subject: str) -> None:
 def main() -> None:
     """Print the parts."""
     threads = dict.fromkeys(NAMES, "1")
-    names = ("samples", "wheels", "map", "plan", "calls", "start")
+    names = ("wheels", "map", "plan", "calls", "start")
     run_parts({name: partial(apart, print_table, name, variables=threads) for name in names})

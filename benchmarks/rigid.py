@@ -1,6 +1,6 @@
-"""Vehicles with pressed wheels: limits, steps per metre, and plans.
+"""Vehicles with pressed wheels: steps per metre, and plans.
 
-``python benchmarks rigid [limit|drive|plan ...]``
+``python benchmarks rigid [drive|plan ...]``
 """
 
 from __future__ import annotations
@@ -76,31 +76,6 @@ def forward(model, vehicle, speed: float, weave: float = 0.0):
     }
     others = [label.full for label in model.labels.u.joints]
     return model.inputs(**rates, **dict.fromkeys(others, 0.0))
-
-
-def limits() -> None:
-    """Print the distance from exact contact, by static depth."""
-    print("\ndistance from exact contact after 10 s at 1 m/s, and its largest angles [mm, mrad]")
-    vehicles = {
-        "three-wheeler": catalog.three_wheeler(),
-        "four wheels, rocker": catalog.skid_steer(),
-        "Rocky 7": catalog.rocky7(),
-    }
-    ground, t = hills_map(0.02, 8.0, 14.0), np.linspace(0, 10, 11)
-    options = SolverOptions(tolerance=1e-9)
-    for name, vehicle in vehicles.items():
-        exact = direct_kinematics(vehicle, ground)
-        motion = simulate(
-            exact, settle(exact), forward(exact, vehicle, 1.0, 0.1), t, options=options
-        )
-        for share in (1 / 25, 1 / 250, 1 / 2500):
-            model = pressed(vehicle, ground, share)
-            run = simulate(
-                model, settle(model), forward(model, vehicle, 1.0, 0.1), t, options=options
-            )
-            apart = np.hypot(run["x"] - motion["x"], run["y"] - motion["y"]).max()
-            angle = max(np.abs(run[n] - motion[n]).max() for n in ("roll", "pitch"))
-            print(f"{name:20} R/{1 / share:<5.0f} {1e3 * apart:8.4f} {1e3 * angle:8.4f}")
 
 
 def drives() -> None:
@@ -198,4 +173,4 @@ def _slip(run) -> str:
 
 def main() -> None:
     """Print the parts."""
-    run_parts({"limit": limits, "drive": drives, "plan": plans})
+    run_parts({"drive": drives, "plan": plans})

@@ -15,6 +15,7 @@ import numpy as np
 
 RADIUS, HALF_TRACK, HALF_BASE = 0.15, 0.3, 0.35  # of the balls and between them [m]
 MASS, WHEEL_MASS, LINK_MASS = 20.0, 1.0, 1.0  # [kg]
+AXLE = 0.2  # side of the cube with the inertia of an axle [m]
 RISE = 0.5  # time in which wheels reach their rate [s]
 CELL = 0.05  # of the map [m]
 SETTLING = 0.5  # time for which engines hold the wheels before the motion [s]
@@ -33,8 +34,12 @@ class Scene(NamedTuple):
     friction: float
     start: tuple[float, float, float]  # x, y [m] and heading from the x axis [rad]
     raised: float  # above its pose at rest, from which it falls [m]
-    rates: Mapping[str, float]  # of the driven wheels, when they turn evenly [rad/s]
+    # of the driven wheels [rad/s]: even ones, which `share` precedes, or those at the samples
+    rates: Mapping[str, float | np.ndarray]
     t: np.ndarray  # times of the samples [s]
+    # beginnings along x and heights of slabs, which are the ground in place of the map [m]
+    slabs: tuple[tuple[float, float], ...] = ()
+    slip_stiffness: float = np.inf  # of the wheels, force over load and slip velocity [s/m]
 
     @property
     def nodes(self) -> np.ndarray:
@@ -42,6 +47,27 @@ class Scene(NamedTuple):
         return self.height(*np.meshgrid(self.x, self.y, indexing="ij"), np) + np.zeros(
             (self.x.size, self.y.size)
         )
+
+    @property
+    def boxes(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Centres and half sizes of the slabs [m]; the first one is the floor."""
+        low, high, side, floor = self.x[0], self.x[-1], self.y[-1], -1.0
+        return [
+            (
+                np.array([max(x, low) + high, 0.0, floor + z]) / 2,
+                np.array([high - max(x, low), 2 * side, z - floor]) / 2,
+            )
+            for x, z in self.slabs
+        ]
+
+    def rates_at(self, t: np.ndarray) -> np.ndarray:
+        """Return the rates of the driven wheels at times, shape (n, wheels) [rad/s]."""
+        sampled = np.ndim(next(iter(self.rates.values()))) > 0
+        columns = (
+            np.interp(t, self.t, rate) if sampled else rate * share(np.maximum(t, 0))
+            for rate in self.rates.values()
+        )
+        return np.column_stack(list(columns))
 
     def triangles(self) -> tuple[np.ndarray, np.ndarray]:
         """Return vertices [m] and faces of the map as a mesh, counterclockwise from above."""
@@ -104,9 +130,20 @@ def _joint(
     )
 
 
-def _urdf(name: str, ahead: float, parts: list[str], driven: str) -> str:
-    """Return a vehicle whose platform has its centre of mass ahead of the origin [m]."""
-    base = _link("base", MASS, 0.3).replace("<mass", f'<origin xyz="{ahead} 0 0"/><mass')
+class Size(NamedTuple):
+    """Size of a cart."""
+
+    radius: float = RADIUS  # of the balls [m]
+    half_track: float = HALF_TRACK  # [m]
+    half_base: float = HALF_BASE  # [m]
+    ahead: float = 0.0  # place of the centre of mass [m]
+    gyration: float = 0.053  # square of the radius of gyration about the vertical [m^2]
+
+
+def _urdf(name: str, platform: tuple[float, float], parts: list[str], driven: str) -> str:
+    """Return a vehicle; the platform is a cube of a size [m], with its centre ahead [m]."""
+    ahead, size = platform
+    base = _link("base", MASS, size).replace("<mass", f'<origin xyz="{ahead} 0 0"/><mass')
     drives = "".join(
         f'<transmission name="drive_{wheel}"><type>SimpleTransmission</type><joint name="{wheel}"/>'
         f'<actuator name="motor_{wheel}"/></transmission>'
@@ -115,20 +152,27 @@ def _urdf(name: str, ahead: float, parts: list[str], driven: str) -> str:
     return f'<robot name="{name}">{base}{"".join(parts)}{drives}</robot>'
 
 
-def cart(driven: str = "") -> str:
-    """Return a cart on four balls, whose front axle rocks; all four carry the same load.
+def cart(driven: str = "", size: Size = Size()) -> str:  # noqa: B008 - immutable
+    """Return a cart on four balls, whose front axle rocks; by default all carry the same load.
 
     ``driven`` is the beginning of the names of the driven wheels; others turn freely.
     """
-    parts = [_joint("rock_axle", "base", (HALF_BASE, 0, 0), "1 0 0"), _link("axle", LINK_MASS, 0.2)]
-    for end, parent, x in (("front", "axle", 0.0), ("rear", "base", -HALF_BASE)):
-        for side, y in (("left", HALF_TRACK), ("right", -HALF_TRACK)):
+    base, at_axles = size.half_base, size.half_base**2 + size.half_track**2
+    total = MASS + LINK_MASS + 4 * WHEEL_MASS
+    ahead = (size.ahead * total - LINK_MASS * base) / MASS
+    others = LINK_MASS * (AXLE**2 / 6 + base**2)
+    others += 4 * WHEEL_MASS * (0.4 * size.radius**2 + at_axles)
+    about_middle = (size.gyration + size.ahead**2) * total
+    spread = float(np.sqrt(6 * ((about_middle - others) / MASS - ahead**2)))
+    parts = [_joint("rock_axle", "base", (base, 0, 0), "1 0 0"), _link("axle", LINK_MASS, AXLE)]
+    for end, parent, x in (("front", "axle", 0.0), ("rear", "base", -base)):
+        for side, y in (("left", size.half_track), ("right", -size.half_track)):
             name = f"{end}_{side}"
             parts += [
                 _joint(f"wheel_{name}", parent, (x, y, 0), "0 1 0"),
-                _link(name, WHEEL_MASS, 0, RADIUS),
+                _link(name, WHEEL_MASS, 0, size.radius),
             ]
-    return _urdf("cart", -LINK_MASS * HALF_BASE / MASS, parts, driven)
+    return _urdf("cart", (ahead, spread), parts, driven)
 
 
 def rocker_bogie() -> str:
@@ -152,4 +196,4 @@ def rocker_bogie() -> str:
                 _joint(f"wheel_{name}", f"{side}_{parent}", (x, 0, -0.1), "0 1 0"),
                 _link(name, WHEEL_MASS, 0, RADIUS),
             ]
-    return _urdf("rover", 0.0, parts, "")
+    return _urdf("rover", (0.0, 0.3), parts, "")

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from mujoco import rollout
-from scenes import GAIN, ROTOR, SETTLING, Motion, Pose, Scene, share
+from scenes import GAIN, ROTOR, SETTLING, Motion, Pose, Scene
 
 STEPS = (0.004, 0.002, 0.001, 0.0005, 0.00025)  # [s]
 SERIES: dict[str, list[dict[str, Any]]] = {
@@ -26,20 +26,24 @@ def model_of(scene: Scene, step: float, noslip: int) -> Any:
         geom.solref = [max(2 * step, 0.002), 1]
         geom.contype, geom.conaffinity = 1, 2
     ground = {"contype": 2, "conaffinity": 1}
-    z = scene.nodes
-    low, relief = float(z.min()), max(float(np.ptp(z)), 1e-3)
-    half = [float(np.ptp(scene.x)) / 2, float(np.ptp(scene.y)) / 2]
-    spec.add_hfield(
-        name="ground",
-        nrow=scene.y.size,
-        ncol=scene.x.size,
-        size=[*half, relief, 1.0],
-        userdata=((z.T - low) / relief).ravel(),
-    )
-    middle = [float(scene.x.mean()), float(scene.y.mean()), low]
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="ground", pos=middle, **ground
-    )
+    if scene.slabs:
+        for middle, half in scene.boxes:
+            box = mujoco.mjtGeom.mjGEOM_BOX
+            spec.worldbody.add_geom(type=box, pos=middle, size=half, **ground)
+    else:
+        z = scene.nodes
+        low, relief = float(z.min()), max(float(np.ptp(z)), 1e-3)
+        half = [float(np.ptp(scene.x)) / 2, float(np.ptp(scene.y)) / 2]
+        spec.add_hfield(
+            name="ground",
+            nrow=scene.y.size,
+            ncol=scene.x.size,
+            size=[*half, relief, 1.0],
+            userdata=((z.T - low) / relief).ravel(),
+        )
+        middle = [float(scene.x.mean()), float(scene.y.mean()), low]
+        field = mujoco.mjtGeom.mjGEOM_HFIELD
+        spec.worldbody.add_geom(type=field, hfieldname="ground", pos=middle, **ground)
     for wheel in scene.rates:
         spec.joint(wheel).armature = ROTOR
         servo = spec.add_actuator(name=wheel, target=wheel, trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -60,15 +64,13 @@ def motion(scene: Scene, pose: Pose, step: float, noslip: int = 0) -> Motion:
     mujoco.mju_mat2Quat(data.qpos[3:7], pose.rotation.ravel())
     for joint, angle in pose.joints.items():
         data.joint(joint).qpos = angle
-    order = np.array([scene.rates[model.actuator(k).name] for k in range(model.nu)])
     if not scene.raised:
         mujoco.mj_step(model, data, round(SETTLING / step))
     data.time = 0.0
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     state = np.empty(mujoco.mj_stateSize(model, kind))
     mujoco.mj_getState(model, data, state, kind)
-    t = step * np.arange(round(scene.t[-1] / step))
-    rates = share(t)[:, None] * order
+    rates = scene.rates_at(step * np.arange(round(scene.t[-1] / step)))
     begin = time.process_time()
     states, _ = rollout.rollout(model, data, state, rates)
     seconds = time.process_time() - begin

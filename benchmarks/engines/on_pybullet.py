@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pybullet
 from pybullet_utils.bullet_client import BulletClient
-from scenes import SETTLING, Motion, Pose, Scene, share
+from scenes import SETTLING, Motion, Pose, Scene
 from scipy.spatial.transform import Rotation
 
 STEPS = (1 / 120, 1 / 240, 1 / 480, 1 / 1000, 1 / 2000)  # [s]
@@ -22,7 +22,15 @@ ITERATIONS, TORQUE = 200, 1e3  # of the solver; of motors, more than needed [N m
 
 
 def ground_of(engine: Any, scene: Scene, mesh: bool) -> None:
-    """Add the map, as a height field or as a mesh."""
+    """Add the slabs, or the map as a height field or as a mesh."""
+    for middle, half in scene.boxes:
+        shape = engine.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
+        body = engine.createMultiBody(0, shape, basePosition=middle)
+        engine.changeDynamics(body, -1, lateralFriction=1.0)
+    if scene.slabs and mesh:
+        raise ValueError("slabs need no mesh")
+    if scene.slabs:
+        return
     z = scene.nodes
     if mesh:
         with tempfile.TemporaryDirectory() as folder:
@@ -86,21 +94,21 @@ def motion(scene: Scene, pose: Pose, step: float, mesh: bool = False) -> Motion:
         engine.changeConstraint(link, gearRatio=1, maxForce=1e5, erp=0.8)
     mass_center = engine.getDynamicsInfo(body, -1)[3]
     wheels = [numbers[name] for name in scene.rates]
-    rates, forces = np.array(list(scene.rates.values())), [TORQUE] * len(wheels)
+    forces = [TORQUE] * len(wheels)
 
-    def drive(part: float) -> None:
+    def drive(rates: np.ndarray) -> None:
         engine.setJointMotorControlArray(
-            body, wheels, pybullet.VELOCITY_CONTROL, targetVelocities=part * rates, forces=forces
+            body, wheels, pybullet.VELOCITY_CONTROL, targetVelocities=rates, forces=forces
         )
         engine.stepSimulation()
 
+    count = round(scene.t[-1] / step)
+    rates = scene.rates_at(step * np.arange(count))
     if not scene.raised:
         for _ in range(round(SETTLING / step)):
-            drive(0.0)
-    count = round(scene.t[-1] / step)
+            drive(rates[0])
     wanted, poses = set(np.round(scene.t / step).astype(int)), []
     seconds = 0.0
-    parts = share(step * np.arange(count))
     for k in range(count + 1):
         if k in wanted:
             at, turned = engine.getBasePositionAndOrientation(body)  # of the centre of mass
@@ -108,7 +116,7 @@ def motion(scene: Scene, pose: Pose, step: float, mesh: bool = False) -> Motion:
             poses.append((at - rotation @ mass_center, rotation))
         if k < count:
             begin = time.process_time()
-            drive(parts[k])
+            drive(rates[k])
             seconds += time.process_time() - begin
     engine.disconnect()
     return Motion(seconds, np.array([p for p, _ in poses]), np.array([r for _, r in poses]))
