@@ -331,7 +331,14 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
     try:
         return load_toml(text)
     except ValueError as error:
-        raise ProblemError(_syntax(path, text, str(error))) from error
+        where, found = f"{path}", f"{error}; simplify it"
+        place = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", str(error), re.DOTALL)
+        if place is not None:
+            where, found = f"{path}:{place[2]}", f"an error in column {place[3]}: {place[1]}"
+        elif str(error).endswith("(at end of document)"):
+            where = f"{path}:{len(text.splitlines()) or 1}"
+            found = f"an error at the end: {error}"
+        raise ProblemError(f"{where}: expected TOML, found {found}") from error
 
 
 def read_text(path: Path, expected: str = "a problem file") -> str:
@@ -363,16 +370,6 @@ def decode_text(path: Path, raw: bytes) -> str:
             f"{path}:{line}: expected text in UTF-8, found the byte {raw[error.start]:#04x}; save "
             "the file as UTF-8"
         ) from error
-
-
-def _syntax(path: Path, text: str, message: str) -> str:
-    place = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
-    if place is not None:
-        return f"{path}:{place[2]}: expected TOML, found an error in column {place[3]}: {place[1]}"
-    if message.endswith("(at end of document)"):
-        last = len(text.splitlines()) or 1
-        return f"{path}:{last}: expected TOML, found an error at the end: {message}"
-    return f"{path}: expected TOML as of a problem file, found {message}; simplify it"
 
 
 def replace_values(
