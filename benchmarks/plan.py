@@ -9,7 +9,7 @@ slip       a rigid-axle three-wheeler on the hills of the tests, from (0, 0, 0) 
            the vehicle.
 horizon    the same task with a moving horizon of 20 intervals, from the start of a plan of 50
            intervals and from beside it; between cycles the model is simulated. The first row is the
-           simulation of the plan. A second table shows the CPU time of a cycle by intervals.
+           simulation of the plan.
 hills      best of four starts against one, ten seeds: the ground of plan_rigid_hills, twice as
            rough and with a farther goal
 obstacles  the same over 20 m of hills with eight keep-out discs, where the additional starts are
@@ -21,6 +21,9 @@ momentum   over a bump on a slope with `rigid_dynamics`, simulated by `dynamics`
            beside its path, with wheels that roll, then slide (decreasing creep speeds)
 goals      the shipped plans from hand-made guesses, from guesses that are found (without driver,
            duration and search options), and with ground, vehicle, start, goal and costs alone
+scenes     own scenes with goal and costs alone (plan_scenes.toml), and for those without a plan
+           whether a grid of poses connects start and goal
+times      the command `slipfree run` on the shipped plans: CPU time, and the part inside IPOPT
 robust     plan_crater_field, with a limit of the utilisation, and plan_climb_ramp, in worlds with
            errors of heights, friction and inputs: 50 draws a round tighten the limits, and 200
            other draws give the shares on which a plan holds
@@ -31,20 +34,24 @@ metre driven.
 
 from __future__ import annotations
 
+import json
 import resource
+import subprocess
+import sys
 import time
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from common import PROBLEMS, apart, run_parts
+from common import HERE, PROBLEMS, apart, run_parts
 
-from helpers.cases import hills
+from helpers.cases import BOUNDED_RATES, hills
 from slipfree import (
     Analytic,
     Coulomb,
@@ -67,18 +74,20 @@ from slipfree import (
     simulate,
 )
 from slipfree.catalog import three_wheeler
-from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import Trajectory, joined, path_length
 from slipfree.laws.protocols import GroundLaw
 from slipfree.models.rigid_dynamics import dynamic_guess
 from slipfree.plan.mpc import Cycle, Horizon, cycle_inputs, first_cycle, horizon, replan
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.verification import simulate_plan
+from slipfree.problem.build import build_world
 from slipfree.problem.result import motion_facts
 from slipfree.problem.verbs.base import Watch, integrate
+from slipfree.problem.verbs.plan_setup import places_of, regions
+from slipfree.routing.reachability import separation_words
+from slipfree.routing.traversability import traversability
 
 GOAL, DURATION = (0.6, 2.6), 20.0  # [m], [s]
-RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}  # [rad/s]
 STEER = {"steer": (-1.0, 1.0)}  # [rad]
 WEIGHTS, SMOOTH = {"slip": 7e4, "effort": 0.01}, 0.002
 STARTS = ((0.45, 0.45), (0.3, 0.3), (0.47, 0.43))  # rates of the guess, right and left [rad/s]
@@ -100,16 +109,9 @@ class Row(NamedTuple):
     seconds: float
 
 
-def level(x: Any, _y: Any) -> Any:
-    """Return the height of flat ground. [m]."""
-    return 2 + 0 * x
-
-
 def planned(
     terrain: Any,
     *,
-    vehicle: Any = None,
-    goal: tuple[float, float] = GOAL,
     rates: tuple[float, float] = STARTS[0],
     compiled: bool = False,
     **options: Any,
@@ -118,7 +120,7 @@ def planned(
 
     Inputs are constant on every interval by default, as in the prototype.
     """
-    dae = direct_kinematics(vehicle or three_wheeler(axle="fixed"), terrain)
+    dae = direct_kinematics(three_wheeler(axle="fixed"), terrain)
     solver = SolverOptions(compiled=compiled)
     start = settle(dae, options=solver)
     inputs = dae.inputs(right_rate=rates[0], left_rate=rates[1], steer_rate=0.0)
@@ -129,9 +131,9 @@ def planned(
         dae,
         start,
         guess,
-        goal=dict(zip("xy", goal, strict=True)),
+        goal=dict(zip("xy", GOAL, strict=True)),
         duration=DURATION,
-        inputs=RATES,
+        inputs=BOUNDED_RATES,
         limits=STEER,
         options=solver,
         **(given | options),
@@ -145,27 +147,17 @@ def rms_slip(run: Trajectory) -> float:
     return float(np.sqrt(np.trapezoid(squares.mean(axis=1), run.t) / np.ptp(run.t)))
 
 
-def sliding(run: Trajectory) -> float:
-    """Return the slip path of a wheel, averaged, divided by the platform's path [mm/m]."""
-    slip = np.hypot(run["slip_along"], run["slip_across"]).mean(axis=1)
-    return 1e3 * float(np.trapezoid(slip, run.t)) / path_length(run)
-
-
-def effort(run: Trajectory) -> float:
-    """Return the integral of the squared inputs. [rad2/s]."""
-    return float(np.trapezoid(sum(run[name] ** 2 for name in RATES), run.t))
-
-
 def rows() -> list[Row]:
     """Return all driving methods."""
-    ground, found = Analytic(hills), []
-    for rates in STARTS:
-        best, seconds = planned(ground, rates=rates)
-        found.append((f"least slip, from {rates[0]}/{rates[1]} rad/s", best, seconds))
+    ground = Analytic(hills)
+    found = [
+        (f"least slip, from {right}/{left} rad/s", *planned(ground, rates=(right, left)))
+        for right, left in STARTS
+    ]
     found.append(("rates continuous", *planned(ground, mesh=Mesh(INTERVALS, DEGREE))))
     found.append(("effort only", *planned(ground, costs={"effort": WEIGHTS["effort"]})))
-    found.append(("plan for flat ground", *planned(Analytic(level))))
-    ways = [Row(words, by_plan(best), best, seconds) for words, best, seconds in found]
+    found.append(("plan for flat ground", *planned(Analytic(lambda x, _: 2 + 0 * x))))
+    ways = (Row(words, by_plan(best), best, seconds) for words, best, seconds in found)
     return [*ways, Row("follow, straight line", followed, None, np.nan)]
 
 
@@ -185,14 +177,10 @@ def followed(dae: Any, start: Trajectory, tolerance: float) -> Trajectory:
     return simulate(dae, start, law, t, options=SolverOptions(tolerance=tolerance))
 
 
-def frictional(creep: float) -> Any:
-    """Return the quasi-static model."""
-    return quasi_statics(three_wheeler(axle="fixed"), Analytic(hills, mu=MU), law=Coulomb(creep))
-
-
 def by_friction(drive: Drive, creep: float) -> tuple[float, str]:
     """Return the rms slip of a driving method with friction [m/s], and its stop reason."""
-    dae = frictional(creep)
+    vehicle, ground = three_wheeler(axle="fixed"), Analytic(hills, mu=MU)
+    dae = quasi_statics(vehicle, ground, law=Coulomb(creep))
     try:
         run = drive(dae, settle(dae), FRICTION_TOLERANCE)
     except SlipfreeError as error:
@@ -212,10 +200,11 @@ def slip_table() -> None:
     slips = np.zeros((len(ways), 2))
     for k, way in enumerate(ways):
         run = way.drive(dae, start, TOLERANCE)
+        effort = np.trapezoid(sum(run[name] ** 2 for name in BOUNDED_RATES), run.t)
         away = 1e3 * np.hypot(run["x"][-1] - GOAL[0], run["y"][-1] - GOAL[1])
         slips[k, 0], (slips[k, 1], why) = rms_slip(run), by_friction(way.drive, CREEP)
         print(
-            f"{way.words:33}{slips[k, 0]:.2e}  {sliding(run):7.3f}  {effort(run):6.2f}  "
+            f"{way.words:33}{slips[k, 0]:.2e}  {slip_path(run):7.3f}  {effort:6.2f}  "
             f"{away:10.4f}  {cost(way)}  {why or format(slips[k, 1], '.2e')}"
         )
     ratios = slips[-1] / slips[0]
@@ -240,7 +229,6 @@ def cost(way: Row) -> str:
 SPAN, WINDOW = 8.0, 20  # of the window [s]
 CYCLES, PARTS = 50, 3
 ASIDE = ({}, {"x": 0.03, "y": -0.03, "heading": 0.02}, {"x": -0.03, "heading": -0.03})
-WINDOWS = (20, 40, 80)
 
 
 class Driven(NamedTuple):
@@ -277,8 +265,9 @@ def between(dae: Any, here: Any, window: Horizon, cycle: Cycle, span: tuple[floa
     return joined(*(part.part(slice(-1)) for part in parts[:-1]), parts[-1])
 
 
-def horizon_table(found: Plan) -> None:
-    """Print slip and times of driven motions."""
+def moving_horizon() -> None:
+    """Print slip and times of motions with a moving horizon."""
+    found, _ = planned(Analytic(hills), mesh=Mesh(50), compiled=True)
     print(
         f"{WINDOW} intervals of degree 3 over {SPAN:g} s, {CYCLES} cycles of "
         f"{DURATION / CYCLES:g} s"
@@ -299,29 +288,6 @@ def horizon_table(found: Plan) -> None:
                 f"{where + ': ' + words:49}{made.slip:.3e}  {1e3 * made.away:9.4f}  "
                 f"{made.violation:.1e}    {median:6.1f} {most:6.1f}"
             )
-
-
-def horizon_growth(found: Plan) -> None:
-    """Print the time of a cycle over the number of intervals."""
-    print("intervals  CPU ms a cycle, median of 20")
-    for size in WINDOWS:
-        window = horizon(found, span=DURATION, intervals=size)
-        cycle, seconds = first_cycle(window), []
-        x = found.program.task.start + found.program.task.dae.shift[0]
-        for number in range(20):
-            moved = x + 0.01 * (-1) ** number  # [m, rad]: else there would be nothing to do
-            clock = time.process_time()
-            cycle = replan(window, cycle, 0.0, moved)
-            seconds.append(time.process_time() - clock)
-        print(f"{size:9}  {1e3 * np.median(seconds):6.1f}")
-
-
-def moving_horizon() -> None:
-    """Print the tables of a moving horizon."""
-    found, _ = planned(Analytic(hills), mesh=Mesh(50), compiled=True)
-    horizon_table(found)
-    print()
-    horizon_growth(found)
 
 
 # Several starts
@@ -347,9 +313,9 @@ FIELD = (
 
 
 class Optimum(NamedTuple):
-    """Outcome, cost, slip [mm per wheel and m], wall time [s], and the table of starts."""
+    """Text, cost, slip [mm per wheel and m], wall time [s], and the table of starts."""
 
-    outcome: Outcome
+    words: str
     cost: float
     slip: float
     seconds: float
@@ -378,15 +344,9 @@ def solved(kind: str, seed: int, starts: int) -> Optimum:
     lines = [": ".join(line) for line in motion_facts(run)]
     first = next((k for k, line in enumerate(lines) if line.startswith("starts: ")), len(lines))
     table = "\n".join(lines[first : first + 1 + starts])
-    return Optimum(run.outcome, cost, slip_path(run), seconds, table)
-
-
-def optimum_words(row: Optimum) -> str:
-    """Return a plan as text."""
-    return (
-        f"{row.outcome.name.lower()}, cost {row.cost:.4f}, slip {row.slip:.3f} mm/m, "
-        f"{row.seconds:.0f} s"
-    )
+    slip, end = slip_path(run), run.outcome.name.lower()
+    words = f"{end}, cost {cost:.4f}, slip {slip:.3f} mm/m, {seconds:.0f} s"
+    return Optimum(words, cost, slip, seconds, table)
 
 
 def compare(kind: str) -> None:
@@ -395,8 +355,8 @@ def compare(kind: str) -> None:
     for seed in range(1, TERRAINS + 1):
         one, several = solved(kind, seed, 1), solved(kind, seed, SEVERAL)
         optima, *rows = several.table.splitlines()
-        print(f"{kind}, seed {seed}: one start {optimum_words(one)}", flush=True)
-        print(f"  best of {SEVERAL} {optimum_words(several)}", flush=True)
+        print(f"{kind}, seed {seed}: one start {one.words}", flush=True)
+        print(f"  best of {SEVERAL} {several.words}", flush=True)
         names = ", ".join(row.partition(", cost")[0] for row in rows)
         print(f"  {optima}, the best first: {names}", flush=True)
         found.append([several[k] / one[k] for k in (1, 2, 3)])
@@ -488,11 +448,10 @@ CAR = with_torques(catalog.skid_steer(wheelbase=0.7, mass=40.0, center_of_mass=(
 CART = with_torques(catalog.skid_steer())
 
 
-def slow(vehicle: Vehicle, ground: Analytic) -> Trajectory:
-    """Return the quasi-static motion straight on at equal wheel rates."""
-    model = quasi_statics(vehicle, ground)
+def rolled(model: Any, count: int) -> Trajectory:
+    """Return the motion of a model straight on at equal wheel rates, with ``count`` samples."""
     rates = {label.full: ROLLING / 0.15 for label in model.labels.u.wheels}
-    times = np.linspace(0, 4, 201)
+    times = np.linspace(0, 4, count)
     return simulate(model, settle(model), model.inputs(**rates), times, options=ROUGH)
 
 
@@ -512,10 +471,7 @@ def planned_with_inertia(
     torque, goal, intervals = bounds
     model = rigid_dynamics(vehicle, ground, law=law)
     start = settle(model)
-    still = direct_kinematics(vehicle, ground)
-    rates = {label.full: ROLLING / 0.15 for label in still.labels.u.wheels}
-    times = np.linspace(0, 4, 41)
-    run = simulate(still, settle(still), still.inputs(**rates), times, options=ROUGH)
+    run = rolled(direct_kinematics(vehicle, ground), 41)
     run = run.part(slice(0, int(np.abs(run["y"] - goal).argmin()) + 1))
     return plan(
         model,
@@ -531,8 +487,11 @@ def planned_with_inertia(
     )
 
 
-def momentum_row(name: str, found: Plan, seconds: float) -> None:
-    """Print a row about a plan and its simulation."""
+def momentum_row(name: str, *arguments: Any, **options: Any) -> Plan:
+    """Print a row about a plan with inertia and its simulation, and return the plan."""
+    clock = time.process_time()
+    found = planned_with_inertia(*arguments, **options)
+    seconds = time.process_time() - clock
     iterations = " + ".join(str(stage.iterations) for stage in found.stages)
     search = sum(stage.seconds["total"] for stage in found.stages)
     away = max(found.difference[axis] for axis in "xyz")
@@ -545,34 +504,25 @@ def momentum_row(name: str, found: Plan, seconds: float) -> None:
         f"{1e3 * away:.2f} mm apart, end y {found.replay['y'][-1]:.4f} m",
         flush=True,
     )
+    return found
 
 
 def momentum() -> None:
     """Print plans over bumps on a slope."""
-    run = slow(CAR, RIDGE)
+    run = rolled(quasi_statics(CAR, RIDGE), 201)
     needed = run["drive_torque"].sum(axis=1)
     k = int(needed.argmax())
     print(f"car, driven slowly: {needed[k]:.1f} N m at y = {run['y'][k]:.2f} m; drives give 26 N m")
-    clock = time.process_time()
-    found = planned_with_inertia(CAR, RIDGE, LinearCreep(), (6.5, 4.6, 50))
-    momentum_row("car, rolling", found, time.process_time() - clock)
+    found = momentum_row("car, rolling", CAR, RIDGE, LinearCreep(), (6.5, 4.6, 50))
     fast = np.hypot(found.replay["velocity_y"], found.replay["velocity_z"])
     print(
         f"  {np.interp(2.8, found.replay['y'], fast):.2f} m/s at the foot of the ridge, y = 2.8 m"
     )
-    clock = time.process_time()
-    momentum_row(
-        "cart, rolling",
-        planned_with_inertia(CART, BUMP, LinearCreep(), (5.3, 4.4, 40)),
-        time.process_time() - clock,
-    )
+    momentum_row("cart, rolling", CART, BUMP, LinearCreep(), (5.3, 4.4, 40))
     before = None
     for creep in (0.3, 0.1, 0.03):
-        clock = time.process_time()
-        before = planned_with_inertia(
-            CART, BUMP, Coulomb(creep), (5.3, 4.4, 40), before, last=creep == 0.03
-        )
-        momentum_row(f"cart, sliding, creep {creep} m/s", before, time.process_time() - clock)
+        name, law = f"cart, sliding, creep {creep} m/s", Coulomb(creep)
+        before = momentum_row(name, CART, BUMP, law, (5.3, 4.4, 40), before, last=creep == 0.03)
 
 
 # Goal and costs alone
@@ -600,24 +550,67 @@ SEARCHES, TASKS = ("plan", "driver", "solver"), ("limits", "bounds", "keep_out")
 
 def goals() -> None:
     """Print the plans of three forms of each problem."""
-    print(f"{'':18}{'':13}outcome         iterations  CPU s  duration s  slip mm/m  initial guess")
     for name, hand in HAND.items():
         file = PROBLEMS / f"{name}.toml"
         keys = tomllib.loads(file.read_text("utf-8"))
         found = [f"{key}=" for key in SEARCHES if key in keys]
         alone = [*found, *(f"{key}=" for key in TASKS if key in keys)]
         for form, settings in (("by hand", hand), ("found", found), ("goal, costs", alone)):
-            clock = time.process_time()
-            result = run_problem(load_problem(file, settings))
-            spent, run = time.process_time() - clock, result.trajectory
-            count = run.facts["plan_iterations"].value
-            print(
-                f"{name:18}{form:13}{run.outcome.name.lower():16}{count:10.0f}{spent:7.1f}"
-                f"{run.t[-1]:12.1f}{slip_path(run):11.3f}  {result.setup.guide.name or 'inputs'}",
-                flush=True,
-            )
-            if run.stop is not None:
-                print(f"  {run.stop.words.splitlines()[0]}")
+            apart(goal_row, f"{name:18}{form:13}", file.name, settings)
+
+
+def goal_row(words: str, name: str, settings: list[str]) -> None:
+    """Plan a problem with settings, and print a row that begins with words."""
+    problem, clock = load_problem(PROBLEMS / name, settings), time.process_time()
+    try:
+        result = run_problem(problem)
+    except SlipfreeError as error:
+        print(f"{words}refused\n  {error}\n  {grid_words(problem)}")
+        return
+    spent, run = time.process_time() - clock, result.trajectory
+    print(
+        f"{words}{run.outcome.name.lower()}: {spent:.1f} s CPU, "
+        f"{run.facts['plan_iterations'].value:.0f} iterations, {run.t[-1]:.1f} s long, slip "
+        f"{slip_path(run):.3f} mm/m, guess: {result.setup.guide.name or 'inputs'}"
+    )
+    if run.stop is not None:
+        print(f"  {run.stop.words}\n  {grid_words(problem)}")
+
+
+def scenes() -> None:
+    """Print the plans of own scenes."""
+    table = tomllib.loads((HERE / "plan_scenes.toml").read_text("utf-8"))
+    for scene in table["scene"]:
+        settings = [*table["all"], *table["vehicles"][scene["vehicle"]], *scene["settings"]]
+        apart(goal_row, f"{scene['name']}, {scene['vehicle']}: ", "plan_rigid_hills.toml", settings)
+
+
+def grid_words(problem: Any) -> str:
+    """Return where poses on a grid end between start and goal."""
+    world = build_world(problem)
+    layers = traversability(world.terrain, world.vehicle, keep_out=regions(problem))
+    places = [place[1:] for place in places_of(problem, world.terrain.domain)[0]]
+    limited = "utilisation" in problem.spec.limits
+    words = separation_words(layers, places, by_friction=limited)
+    return f"grid: {words or 'poses connect start and goal'}"
+
+
+# Times
+
+
+def times() -> None:
+    """Print the CPU time of the command on each shipped plan, and the part inside IPOPT."""
+    print(f"{'':18}CPU s  in IPOPT")
+    for name in (each for each in HAND if each != "plan_long_dem"):
+        before, begin = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime, time.perf_counter()
+        with TemporaryDirectory() as folder:
+            file, out = str(PROBLEMS / f"{name}.toml"), f"{folder}/plan.nc"
+            command = [sys.executable, "-m", "slipfree", "run", file, "-o", out, "--json"]
+            done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
+        spent = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
+        facts = json.loads(done.stdout)["result"]["facts"]
+        share = facts["plan_seconds"]["value"] / (time.perf_counter() - begin)  # of the wall time
+        print(f"{name:18}{spent:5.1f}{share * spent:10.1f}", flush=True)
 
 
 # Robust plans
@@ -648,5 +641,6 @@ def robust() -> None:
 def main() -> None:
     """Print the parts."""
     starts = {kind: partial(compare, kind) for kind in ("hills", "obstacles")}
-    parts = {"windows": windows, "momentum": momentum, "goals": goals, "robust": robust}
-    run_parts({"slip": slip_table, "horizon": moving_horizon, **starts, **parts})
+    parts = {"windows": windows, "momentum": momentum, "goals": goals, "scenes": scenes}
+    named = {"slip": slip_table, "horizon": moving_horizon, "times": times, "robust": robust}
+    run_parts({**named, **starts, **parts})

@@ -194,6 +194,7 @@ def test_an_infeasible_slow_plan_offers_momentum():
     setup = SimpleNamespace(
         spec=SimpleNamespace(model="quasi-static", limits={"drive_torque": (-6.5, 6.5)}),
         vehicle=catalog.skid_steer(),
+        **{"layers": None, "places": [("start", 0.0, 0.0)]},
     )
     found = SimpleNamespace(run=SimpleNamespace(stop=stop))
     words = with_offer(setup, found, [guess]).words
@@ -203,4 +204,4 @@ def test_an_infeasible_slow_plan_offers_momentum():
     setup.spec.limits = {"drive_torque": (-8.0, 8.0)}
     assert "needs torques" not in with_offer(setup, found, [guess]).words
     setup.spec.model, setup.spec.limits = "kinematics", {}
-    assert with_offer(setup, found, [guess]) is stop
+    assert with_offer(setup, found, [guess]) == stop

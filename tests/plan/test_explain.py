@@ -161,8 +161,7 @@ def test_what_is_solved_violates_nothing_and_gives_nothing_up():
     asked = task(dae, [0.0], places=[at_end(x, 0.5)], limits=[along(x, -1.0, 1.0)], **options)
     program, found, first = attempted(asked)
     assert found.success
-    assert conflicts(asked, None) == []
-    assert violations(program, found) == []
+    assert (conflicts(asked, None), violations(program, found)) == ([], [])
     given = relax(program, first)
     assert given.success
     assert given.relaxed == given.opposing == []
@@ -316,8 +315,7 @@ def test_the_curvature_of_an_integrator_is_known():
     """The integral of u^2 over n intervals of length h has the Hessian 2 h; the goal takes one."""
     found = checked(integrator_optimality(lambda _t, _x, u: u**2, count=10, goal=(2.0, 2.0)))
     assert found.is_minimum
-    assert found.directions == 9
-    assert found.weak == 0
+    assert (found.directions, found.weak) == (9, 0)
     assert found.curvature == pytest.approx(0.2, rel=1e-6)
 
 
@@ -352,8 +350,7 @@ def test_active_constraints_may_determine_the_plan():
         duration=(0.5, 5.0),
     )
     found = checked(program)
-    assert found.directions == 0
-    assert found.words == "the active constraints determine the plan"
+    assert (found.directions, found.words) == (0, "the active constraints determine the plan")
 
 
 def test_bounds_that_are_touched_without_a_multiplier_are_told():
@@ -448,8 +445,7 @@ def test_price_of_a_limited_cost_is_its_lagrange_multiplier():
 def test_a_plan_that_is_not_solved_has_no_prices(model, limit):
     found = planned(model, search=Search(**limit))
     assert (found.success, found.run.outcome is Outcome.TIME_LIMIT) == (False, "seconds" in limit)
-    assert found.optimality is None
-    assert found.prices == ()
+    assert (found.optimality, found.prices) == (None, ())
 
 
 @pytest.mark.slow

@@ -62,8 +62,7 @@ def brute_distance(points, x, y):
 def test_distance_to_a_disc(rng):
     disc = Region.disc(1.0, 2.0, 0.5)
     assert_allclose(disc.distance(np.array([1.0, 4.0]), np.array([2.0, 6.0])), [-0.5, 4.5])
-    assert disc.bounds == (0.5, 1.5, 1.5, 2.5)
-    assert disc.words == "disc at (1, 2) of 0.5 m radius"
+    assert (disc.bounds, disc.words) == ((0.5, 1.5, 1.5, 2.5), "disc at (1, 2) of 0.5 m radius")
     _, gradient, hessian = expression(disc)(np.array([[1.0, 2.0]]))
     assert_allclose(gradient, 0)
     assert np.isfinite(hessian).all()
@@ -112,8 +111,7 @@ def test_gradient_on_an_edge_is_its_normal():
 
 def test_polygon_describes_itself():
     region = Region.polygon([[0, 0], [3, 0], [0, 3]])
-    assert region.words == "polygon of 3 points about (1, 1)"
-    assert region.bounds == (0, 3, 0, 3)
+    assert (region.words, region.bounds) == ("polygon of 3 points about (1, 1)", (0, 3, 0, 3))
     assert hash(region) == hash(Region.polygon(((0, 0), (3, 0), (0, 3))))
 
 

@@ -18,6 +18,7 @@ from slipfree.core.errors import ModelError
 from slipfree.geometry.regions import Region
 from slipfree.routing import search as search
 from slipfree.routing import smoothing
+from slipfree.routing.reachability import SLIDING, separation_words
 from slipfree.routing.search import homotopy_class, obstacle_points, route, routes
 from slipfree.routing.traversability import STEEP, blocking_reasons, free_space, traversability
 from slipfree.terrain.synthetic import blank, craters
@@ -196,8 +197,7 @@ def test_straight_on_flat_ground(angle, origin):
     start = (x + 20 - 15.03 * math.cos(angle), y + 20 - 15.01 * math.sin(angle))
     goal = (x + 20 + 14.0 * math.cos(angle), y + 20 + 14.0 * math.sin(angle))
     points = route(layers, start, goal)
-    assert tuple(points[0]) == start
-    assert tuple(points[-1]) == goal
+    assert (tuple(points[0]), tuple(points[-1])) == (start, goal)
     assert_allclose(length(points), math.dist(start, goal), rtol=2e-3)
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     assert_allclose(gaps, 1.05, rtol=0.05)
@@ -388,6 +388,15 @@ def test_questions_without_an_answer(start, goal, message):
     layers = plain(30, keep_out=[box(0, 30, 14, 16), Region.disc(5.0, 5.0, 1.0)])
     for ask in (route, lambda *question: routes(*question, 2)):
         refuses(ModelError, message, ask, layers, start, goal)
+
+
+def test_ground_that_friction_does_not_hold_separates_places():
+    layers, ends = plain(30), [(10.0, 5.0), (10.0, 25.0)]
+    steep = layers._replace(cost=np.where(np.abs(layers.y - 15) < 1, SLIDING, layers.cost))
+    found = separation_words(steep, ends, by_friction=True)
+    assert found.startswith("no route leads from (10, 5) to (10, 25): the ground")
+    assert "ends at (10, 14), 11 m from the goal" in found
+    assert separation_words(steep, ends, by_friction=False) == ""
 
 
 def test_gradient_of_the_effort(rng):

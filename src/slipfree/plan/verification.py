@@ -13,7 +13,7 @@ import numpy as np
 from slipfree.core.dae import Dae, Limit, PiecewiseLinear
 from slipfree.core.records import Array, Mask, Record, leaves
 from slipfree.core.trajectory import SolverError, Trajectory
-from slipfree.plan.constraints import constraint, role_of, shift_of
+from slipfree.plan.constraints import LIMIT, constraint, number, role_of, shift_of, subject
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
 from slipfree.plan.transcription import (
     CollocationMesh,
@@ -190,6 +190,23 @@ def _excess(task: PlanTask, limits: Sequence[Limit], run: Trajectory, x: Array) 
         for side in ("lower", "upper")
     )
     return np.asarray(np.fmax(np.maximum(low - values, values - high), 0.0))
+
+
+def obstacle_words(task: PlanTask, run: Trajectory, accuracy: float) -> str:
+    """Return the largest violation of a limit by a simulation, and its place; empty if none.
+
+    The largest violation is that with the largest ratio to `tolerated_excess`.
+    """
+    if not task.limits:
+        return ""
+    over = _excess(task, task.limits, run, task.dae.rows("x", run))
+    ratio = over / tolerated_excess(task.limits, accuracy)[:, None]
+    i, k = np.unravel_index(np.argmax(ratio), ratio.shape)
+    if not ratio[i, k] > 1:
+        return ""
+    label = constraint(task, task.limits[i], LIMIT).label
+    at = [f"t = {run.t[k]:.4g} s", *(f"{axis} = {run[axis][k]:.2f} m" for axis in "xy")]
+    return f"{subject(label, LIMIT)} by {number(label, over[i, k])} at {', '.join(at)}"
 
 
 def limit_values(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from slipfree.models.kinematics import direct_kinematics
 from slipfree.routing.smoothing import resample_polyline
 from slipfree.routing.traversability import (
     HEADINGS,
+    SLIDING,
     Point,
     Traversability,
     blocking_reasons,
@@ -107,6 +109,25 @@ def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:
         + (f"; beyond it: {why}" if why else "")
         + "; move the start or the goal"
     )
+
+
+def separation_words(layers: Traversability, places: Sequence[Point], *, by_friction: bool) -> str:
+    """Return where the ground that can be reached ends between places; empty if it connects them.
+
+    Blocked are poses that friction does not hold, or else only positions where in some heading a
+    wheel could reach over the edge of the map, into a hole or into a keep-out region.
+    """
+    if len(places) < 2:
+        return ""
+    blocked = layers.cost >= SLIDING
+    if not by_friction:
+        blocked = np.logical_or.reduce([*out_of_bounds(layers).values()])[None]
+    held = layers._replace(cost=np.where(blocked, np.inf, layers.cost))
+    regions = _labels(np.isfinite(held.least_cost))
+    for start, goal in pairwise(np.asarray(places)):
+        if regions[node_at(held, *start)] != regions[node_at(held, *goal)]:
+            return no_route_words(held, start, goal)
+    return ""
 
 
 def _position_objection(layers: Traversability, name: str, x: float, y: float) -> Objection | None:

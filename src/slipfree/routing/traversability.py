@@ -232,7 +232,8 @@ def pose_costs(poses: Atlas) -> Array:
         inclination = np.arccos(np.cos(poses["roll"]) * np.cos(poses["pitch"]))
         cost = 1 + INCLINATION * (inclination / STEEP) ** 2
         if "utilisation" in poses.bands:
-            used = poses["utilisation"]
+            # the square of a utilisation without equilibrium may overflow
+            used = np.minimum(poses["utilisation"], MAX_UTILISATION)
             cost += np.where(used < MAX_UTILISATION, FRICTION * used**2, math.inf)
             cost += np.where(used < 1, 0.0, SLIDING)
         else:

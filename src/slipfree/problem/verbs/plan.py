@@ -45,7 +45,7 @@ from slipfree.plan.optimality import Optimality, price_rows, prices_words
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import ARRAY_PREFIX, SavedPlan, from_arrays, motion_of
 from slipfree.plan.problem import spelled
-from slipfree.plan.verification import simulate_plan
+from slipfree.plan.verification import obstacle_words, simulate_plan
 from slipfree.plan.windows import LongPlan, plan_windows
 from slipfree.problem.build import Setup, World, model_law, wheel_angles_at
 from slipfree.problem.build_ground import at
@@ -81,6 +81,7 @@ from slipfree.problem.verbs.plan_setup import (
     places_of,
     regions,
 )
+from slipfree.routing.reachability import separation_words
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import TURN
 from slipfree.solve.settle import SPEED, settle
@@ -334,7 +335,7 @@ class PlanVerb(DriveVerb):
         ) -> tuple[Trajectory, Mapping[str, Array]]:
             """Return a run with facts and, if inaccurate, a stop; the plan as arrays."""
             if run.stop is None and not plan.accurate:
-                run = replace(run, stop=_inaccurate(spec, plan))
+                run = replace(run, stop=_inaccurate(setup, plan))
             run = run.with_facts({**facts_of(plan, setup), **facts})
             if isinstance(plan, LongPlan):
                 windows = Fact([window._asdict() for window in plan.windows])
@@ -463,7 +464,9 @@ def figure_options(result: Result, world: World) -> dict[str, Any]:
     }
 
 
-def _inaccurate(spec: PlanKeys, plan: Plan | LongPlan) -> Stop:
+def _inaccurate(setup: Planning, plan: Plan | LongPlan) -> Stop:
+    spec = setup.spec
+    obstacle = obstacle_words(setup.task, plan.replay, spec.plan.accuracy)
     sizes = plan.difference | plan.violation
     missed = {name: size for name, size in sizes.items() if size > spec.plan.accuracy}
     worst = missed_words(missed, plan.units) or "a narrow limit"
@@ -482,6 +485,7 @@ def _inaccurate(spec: PlanKeys, plan: Plan | LongPlan) -> Stop:
     words = (
         f"no usable plan: its simulation misses {worst}; plan.accuracy allows "
         f"{spec.plan.accuracy:g}: {why}"
+        + (f"; it exceeds the limit of {obstacle}" if obstacle else "")
     )
     outcome = Outcome.INTERRUPTED if last.status == STOPPED_STATUS else Outcome.INACCURATE
     return Stop(PLAN_ACCURACY, float(plan.replay.t[-1]), words, outcome)
@@ -665,12 +669,22 @@ def initial_speed(run: Trajectory) -> float:
 
 
 def with_offer(setup: Planning, plan: Plan, guesses: Sequence[Trajectory]) -> Stop | None:
-    """Return the stop of a plan; after a failed slow plan, it suggests a plan with momentum."""
+    """Return the stop of a plan; after a failed search, with the obstacle and a suggestion.
+
+    The obstacle is where the ground that can be reached on the mobility map ends between the places
+    of the plan; the suggestion, after a slow plan without a time limit, is a plan with momentum.
+    """
     stop, spec = plan.run.stop, setup.spec
-    slow = spec.model == "quasi-static" or FORCE_LIMITS & {*spec.limits}
-    if stop is None or not slow or stop.outcome not in (Outcome.INFEASIBLE, Outcome.SOLVER_FAILURE):
+    slow = spec.model == "quasi-static" or not FORCE_LIMITS.isdisjoint(spec.limits)
+    failed = Outcome.INFEASIBLE, Outcome.SOLVER_FAILURE
+    if stop is None or stop.outcome not in (*failed, Outcome.TIME_LIMIT):
         return stop
     words, bounds = [stop.words], spec.limits.get("drive_torque")
+    places = [place[1:] for place in setup.places]
+    if obstacle := separation_words(setup.layers, places, by_friction=slow):
+        words.append(f"on the mobility map {obstacle}")
+    if not slow or stop.outcome is Outcome.TIME_LIMIT:
+        return stop._replace(words="\n".join(words))
     if bounds is not None and guesses and "drive_torque" in guesses[0]:
         guess, needed = guesses[0], guesses[0]["drive_torque"].sum(axis=1)
         k, most = int(needed.argmax()), bounds[1] * sum(w.driven for w in setup.vehicle.wheels)
