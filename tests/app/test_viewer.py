@@ -366,7 +366,7 @@ def test_long_motions_are_followed_and_shown_faster(files: list[Path], is_far: b
     scene = scene._replace(actors=(actor,), reach=0.05 if is_far else scene.reach)
     html = viewer.page(scene, "title", "height")
     assert "Played at 8 times real speed." in html
-    assert ("The view follows a." in html) == is_far == scene.is_far
+    assert ("The view follows a." in html) == (">overview<" in html) == is_far == scene.is_far
 
 
 # The server answers only requests of its own page

@@ -69,7 +69,7 @@ def with_legend(
     box = (
         f'<style>{page_file("viewer.css")}</style><div id="slipfree"><b>{escape(title)}</b>'
         f"{_choice('ground', grounds, color)}{_choice('tracks', tracks, colored)}"
-        f"{switches}{warned}<details><summary>notes</summary>{notes}</details></div>"
+        f"{_overview(scene)}{switches}{warned}<details><summary>notes</summary>{notes}</details></div>"
         f'<div id="plots">{_plots(scene)}</div>'
         f"<script>{page_file('viewer_keys.js')}{page_file('viewer_saved.js')}</script>"
     )
@@ -117,6 +117,12 @@ def _plots(scene: Scene) -> str:
     first, last = scene.span
     lines = " ".join(f'<b style="color:{color}">{escape(n)}</b>' for n, color in names.items())
     return f"{lines}{plots}<div><span>{first:g} s</span><span>{last:g} s</span></div>"
+
+
+def _overview(scene: Scene) -> str:
+    """Return a button that shows the whole path, where the camera follows the vehicle."""
+    size = float(np.linalg.norm(np.ptp(scene.paths, axis=0)))
+    return f'<button data-size="{size:.4g}">overview</button>' if scene.is_far else ""
 
 
 def _switch(entry: Entry) -> str:

@@ -26,6 +26,15 @@
       document.getElementById(option.value).hidden = !option.selected;
     }
   });
+  box.querySelector("button")?.addEventListener("click", ({target}) => {
+    const {cameraControl: camera, requestRender} = viewer().mutable.current;
+    target.dataset.near ??= camera.distance;
+    const near = Number(target.dataset.near), isNear = camera.distance < 2 * near;
+    camera.maxDistance = Infinity;
+    camera.dollyTo(isNear ? 1.5 * Number(target.dataset.size) : near, false);
+    target.textContent = isNear ? "vehicle" : "overview";
+    requestRender();
+  });
   const plots = [...document.querySelectorAll("#plots svg")];
   const time = () => document.querySelector(".mantine-Slider-root input")?.value;
   for (const plot of plots) plot.addEventListener("click", event => {
