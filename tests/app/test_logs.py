@@ -165,9 +165,10 @@ REFUSED = {
         changed({0: lambda t: t + 1.7e9 * (t > 19.95)}),
         "found 1700000020 s after 19.9 s in line 202: the clock jumps; divide the log",
     ),
-    "drives sorted by time": (
-        mixed(np.vstack([DRIVE, OTHER])),
-        "x = 0, y = 0 m in line 2 and x = 9, y = -10 m in line 3 at t = 0 s; if two drives were",
+    "rows without order": (table(DRIVE[::-1]), "in line 3: so do many others; sort the rows"),
+    "w first": (
+        quaternions("t,left,right,x,y,qz,qy,qw,qx", 4),
+        "found 'quaternions of one upside down'; correct their names: w is probably the first",
     ),
     "drives sorted, with other times": (
         mixed(np.vstack([DRIVE, OTHER[::3] + 0.03 * np.eye(6)[0]])),

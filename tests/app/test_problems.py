@@ -261,8 +261,9 @@ def test_inputs_and_driver_exclude_each_other(tmp_path: Path) -> None:
 
 
 def test_unreadable_files(tmp_path: Path) -> None:
-    (found,) = _faults(tmp_path, 'verb = "direct"\nx = = 1\n')
-    assert found.startswith("p.toml:2: expected TOML, found an error in column 5")
+    (found,) = _faults(tmp_path, 'verb = "direct"\nx = 0,5\n')
+    assert found.startswith("p.toml:2: expected TOML, found an error in column 6: Expected newline")
+    assert found.endswith("; write key = value once on a line, numbers with a decimal point")
     with pytest.raises(ProblemError, match=r"no\.toml: expected a problem file.*No such file"):
         load_problem(tmp_path / "no.toml")
     (tmp_path / "p.toml").write_bytes(b'a = 1\nb = "\xff"\n')
@@ -294,6 +295,7 @@ def test_bad_settings(setting: str, tmp_path: Path) -> None:
 
 
 def test_settings_that_do_not_fit(tmp_path: Path) -> None:
+    assert "percent? write 0.7)" in _faults(tmp_path, VALID, "terrain.friction=70")[0]
     assert _faults(tmp_path, VALID, "vehicle.r1=-1", "foo.bar=1", "time={duration=1, stp=1}") == [
         "--set time: time.step: expected a value, found none",
         "--set time: time.stp: did you mean 'step'? expected one of duration, step, found the "

@@ -19,7 +19,7 @@ from slipfree.files.urdf.links import Robot, link_poses
 from slipfree.geometry.frame import Pose
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.vehicle.drives import Torque
-from slipfree.vehicle.sections import Omni, Sphere, Torus
+from slipfree.vehicle.sections import Omni, Torus
 
 RIGHT_FORWARD = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # from x forward, y left
 FILES = {
@@ -337,26 +337,6 @@ def test_inertials_and_origins_may_be_missing(tmp_path):
         note.startswith("without mass, since the URDF does not contain it: base_link")
         for note in vehicle.notes
     )
-
-
-def test_a_ball_on_a_fixed_joint_is_a_caster(tmp_path):
-    """A ball that slides freely: it turns with the ground, and costs no slip across."""
-    ball = '<geometry><sphere radius="0.1"/></geometry>'
-    roles = (
-        'urdf = "cart.urdf"\nwheels.lidar_mount = { driven = false, rollers = "90 deg" }\n'
-        'joints.caster = "fixed"\nwheels.caster_axle = { driven = false }'
-    )
-    file = changed(
-        tmp_path,
-        "cart",
-        ('<geometry><mesh filename="lidar.stl"/></geometry>', ball),
-        ('<joint name="lidar_mount" type="revolute">', '<joint name="lidar_mount" type="fixed">'),
-        roles=roles,
-    )
-    vehicle = read_vehicle(file)
-    wheel = next(w for w in vehicle.wheels if w.name == "lidar_mount")
-    assert (wheel.section, wheel.axle) == (Omni(Sphere(0.1)), (1.0, 0.0, 0.0))
-    assert not vehicle.coordinates
 
 
 def test_many_errors_are_counted_instead_of_listed(tmp_path):

@@ -25,7 +25,7 @@ from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.control.path_following import straight
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.problem.report import describe
-from slipfree.vehicle.sections import Omni
+from slipfree.vehicle.sections import Omni, Sphere
 
 
 def notes(vehicle):
@@ -41,31 +41,35 @@ def driven_straight(vehicle):
 
 
 def test_wheels_without_actuators_are_driven(tmp_path):
-    vehicle = read_vehicle(written(tmp_path, FOUR))
+    """Also those that mimic others, which is not read."""
+    mimic = '<mimic joint="rear_left_joint"/><axis'
+    vehicle = read_vehicle(written(tmp_path, FOUR.replace("<axis", mimic, 1)))
     assert [each.driven for each in vehicle.wheels] == [True] * 4
+    assert "in spite of <mimic>: give equal ones: front_left_joint" in str(vehicle.notes)
     (note,) = notes(vehicle)
     assert note.startswith("guessed driven: no wheel has an actuator: front_left_joint, ")
     free = read_vehicle(written(tmp_path, FOUR, note.split("otherwise write ")[1]))
     assert [each.driven for each in free.wheels] == [False, True, True, True]
 
 
+BALL = 'wheels.mount_joint = { driven = false, rollers = "90 deg" }'
+
+
 @pytest.mark.parametrize(
-    ("shape", "radius"),
+    ("name", "at", "shape", "line"),
     [
-        ('<collision><geometry><sphere radius="0.04"/></geometry></collision>', 0.04),
-        (
-            '<collision><origin xyz="0 0 -0.01"/>'
-            '<geometry><box size="0.02 0.02 0.06"/></geometry></collision>',
-            0.04,
-        ),
+        ("caster", "0 0 0", '<sphere radius="0.04"/>', ""),
+        ("caster", "0 0 -0.01", '<box size="0.02 0.02 0.06"/>', ""),
+        ("mount", "0 0 0.01", '<sphere radius="0.04"/>', BALL),
     ],
 )
-def test_a_fixed_caster_is_a_ball(shape, radius, tmp_path):
-    caster = wheel("back_caster", "-0.2 0 -0.06", shape, kind="fixed")
-    vehicle = read_vehicle(written(tmp_path, TWO + caster))
+def test_a_fixed_caster_is_a_ball(name, at, shape, line, tmp_path):
+    """Also a sphere whose place does not suggest one, if the vehicle file declares it."""
+    shape = f'<collision><origin xyz="{at}"/><geometry>{shape}</geometry></collision>'
+    caster = wheel(name, "-0.2 0 -0.06", shape, kind="fixed")
+    vehicle = read_vehicle(written(tmp_path, TWO + caster, line))
     ball = vehicle.wheels[-1]
-    assert isinstance(ball.section, Omni)
-    assert ball.radius == pytest.approx(radius)
+    assert (ball.section, ball.axle) == (Omni(Sphere(0.04)), (1.0, 0.0, 0.0))
     assert not ball.driven
     assert driven_straight(vehicle)[1] == pytest.approx(1.0, abs=1e-6)
 

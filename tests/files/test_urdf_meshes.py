@@ -102,6 +102,7 @@ def test_a_package_is_found_in_a_folder_above(tmp_path, monkeypatch):
     [
         ("wheel.stl", b"junk", "finite coordinates, found none in 'wheel.stl'"),
         ("wheel.dae", b"junk", "expected a readable mesh, found 'wheel.dae'"),
+        ("wheel.stl", b"version https://git-lfs.github.com/spec/v1", "fetch it: git lfs pull"),
         ("wheel.step", b"junk", "expected a mesh in .stl, .dae, .obj, .ply, .glb, found"),
         ("wheel.obj", b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "expected a mesh that is round"),
         (

@@ -114,10 +114,11 @@ ROBOTS = {
     "no limits": (wheels("{e}{s}", ENDS, kind="revolute"), 4, 4, 0, {}),
     "limits of 2000": (wheels("{e}{s}", ENDS, kind="revolute", more=limit(-2e3, 2e3)), 4, 4, 0, {}),
     "full turn": (wheels("{e}{s}", ENDS, kind="revolute", more=limit(-3.14, 3.14)), 4, 4, 0, {}),
+    "equal limits": (wheels("{e}{s}", ENDS, kind="revolute", more=limit(0, 0)), 4, 4, 0, {}),
     "empty limits": (wheels("{s}{e}_wheel", ENDS, kind="revolute", more=limit(0, 0)), 4, 4, 0, {}),
     "world": (FOUR + BASE_JOINTS, 4, 4, 0, {}),
     "ball": (TWO + fixed("ball", "-0.2 0 -0.07", sphere(0.03)), 3, 2, 1, {}),
-    "ball on z": (TWO + pivot("a") + wheel("caster", "0 0 -0.1", sphere(0.03), "a"), 3, 2, 1, {}),
+    "ball on z": (TWO + pivot("a") + wheel("caster", "1 0 -0.07", sphere(0.03), "a"), 3, 2, 1, {}),
     "ball on y": (TWO + wheel("caster", "-0.2 0 -0.07", sphere(0.03)), 3, 2, 1, {}),
     "ball on x and y": (
         TWO + pivot("a", "0.2 0 -0.07", "1 0 0") + wheel("b", "0 0 0", sphere(0.03), "a"),

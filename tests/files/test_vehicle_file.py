@@ -144,6 +144,7 @@ frame = "rep103"\n|  |v.toml:1: frame: expected 'paper' (x right, y forward, z u
 axis = "z"|axis = [0, 0, 0]|v.toml:11: joints[0].axis (joint 'fork'): expected 'x', 'y', 'z' or a
 parent = "fork"|parent = "frok"|'platform': platform, fork, found 'frok'; did you mean 'fork'?
 "fork"\nparent = "platform"|"fork"\nparent = "fork"|a loop: fork on fork; cut the loop at one joint
+at = [0.35, 0, 0]|at = [0.08, 0, 0]|v.toml:1: vehicle 'cart': expected wheels that are not all on
 name = "right"|name = "left"|v.toml:23: wheels[1].name (wheel 'left'): expected a unique name, found
 name = "right"|name = "swivel"|found 'swivel', also the name of coordinates[0]
 kind = "passive"|kind = "suspension"|(swivel); remove it, set its kind to 'passive' or 'commanded',

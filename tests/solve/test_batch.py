@@ -196,6 +196,17 @@ def test_motions_converge_with_third_order(model, monkeypatch):
         assert_allclose(lanes[name], exact[name], atol=2e-4, rtol=2e-4, err_msg=name)
 
 
+def test_the_default_step_resolves_the_swing_of_a_caster():
+    """On a level plane, the tangent of half its angle decreases by exp(-path / trail)."""
+    dae = sf.direct_kinematics(
+        sf.catalog.differential_drive(trail=0.03), sf.Analytic(lambda x, _: 0 * x)
+    )
+    t, inputs = np.linspace(0, 1, 11), {"left_rate": 4.0, "right_rate": 4.0}
+    lanes = sf.rollouts(dae, {"caster_angle": np.array([0.3, 1.5])}, inputs, t, method="batch")
+    tangent = np.tan(np.array([[0.15], [0.75]])) * np.exp(-4.0 * 0.15 * t / 0.03)
+    assert_allclose(lanes["caster_angle"], 2 * np.arctan(tangent), atol=3e-3)
+
+
 def test_estimates_have_the_size_of_the_errors(model):
     inputs = rates(24, seed=2)
     both = (sf.rollouts(model, {}, inputs, T, method="batch", step=h) for h in (0.04, 0.005))

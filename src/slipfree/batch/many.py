@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 CHUNK = 1016
 LARGEST = 2**22  # numbers in the samples of lanes computed together
 STEP, RELAXING_STEP = 0.5, 0.05  # default length of a step [size of the vehicle]
+TRAIL_STEP = 0.5  # longest default step [trail of a caster]
 PLAIN_STEPS = 8  # steps of Newton's method from the guess of the model
 LOWERING_STEPS = 40  # steps of a vehicle that is lowered onto the ground
 CONTACT_STEPS = 5  # Newton steps between two searches for deeper points
@@ -435,13 +436,14 @@ def run_lanes(
 
     The states (n_rows, n) at the start are those of `start_states` or, if ``placed``, have
     consistent positions; the inputs have the shape (n_u, m - 1, n). The largest length of a step is
-    by default half the size of the vehicle [m]. ``quantities`` are the names of those to keep, by
-    default all. ModelError is raised for unknown quantities.
+    by default half the size of the vehicle, or half the trail of a caster [m]. ``quantities`` are
+    the names of those to keep, by default all. ModelError is raised for unknown quantities.
     """
     graphs, states, n = evaluate.graphs, states.copy(), states.shape[1]
     sources = sources_of(graphs, quantities)
     if step is None:
         step = graphs.dae.size * (STEP if graphs.dae.lag is None else RELAXING_STEP)
+        step = min(step, TRAIL_STEP * graphs.dae.vehicle.trail)
     has_pose = np.ones(n, dtype=bool) if placed else stand(evaluate, states).has_pose
     states[graphs.rows.p, ~has_pose] = np.nan
     motions = integrate_lanes(evaluate, states, inputs, t, step)

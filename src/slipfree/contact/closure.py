@@ -52,13 +52,20 @@ def has_exact_closure(vehicle: Vehicle) -> bool:
 
 
 def check_couplings(vehicle: Vehicle) -> None:
-    """Raise ModelError if a suspension coordinate that moves several joints leaves an angle free.
+    """Raise ModelError if an angle is free: by couplings, or since all wheels are on one line.
 
     On level ground, the heights of the wheels' centres determine height, roll, pitch and all
     suspension coordinates of a vehicle with exact closure. Two rockers that turn alike leave the
     pitch of the platform between them free.
     """
     suspension = vehicle.of("suspension")
+    places = np.column_stack([vehicle.centers[:, :2], np.ones(len(vehicle.wheels))])
+    if not vehicle.planar and np.linalg.matrix_rank(places, FREE) < 3:
+        listed = ", ".join(wheel.name for wheel in vehicle.wheels)
+        raise ModelError(
+            f"vehicle {vehicle.name!r}: expected wheels that are not all on one line, so that it "
+            f"can stand, found {listed} on one; correct their places, or add a wheel beside it"
+        )
     moved = {
         c.name: [joint.name for joint in vehicle.joints if c.name in joint.coordinates]
         for c in suspension

@@ -410,10 +410,6 @@ def minima(values: Array) -> Mask:
     return low
 
 
-def _limited(step: ca.SX, most: ca.SX) -> ca.SX:
-    return step * ca.fmin(1, most / ca.sqrt(ca.sumsqr(step) + ROOT_OFFSET))
-
-
 def _inverse(matrix: ca.SX) -> ca.SX:
     a, b, c = matrix[0, 0], matrix[0, 1], matrix[1, 1]
     return ca.blockcat([[c, -b], [-b, a]]) / (a * c - b**2)
@@ -484,7 +480,11 @@ def _step_function() -> ca.Function:
     change = ca.fmin(ca.fmax(change, -most), most)
     change = ca.fmin(ca.fmax(at + change, -half), half) - at
     farthest += ca.sqrt(ca.sumsqr(change) + ROOT_OFFSET)
-    results = at + change, foot + _limited(inverse @ (residual + along @ change), farthest)
+    move = inverse @ (residual + along @ change)
+    results = (
+        at + change,
+        foot + move * ca.fmin(1, farthest / ca.sqrt(ca.sumsqr(move) + ROOT_OFFSET)),
+    )
     return ca.Function("step", [jet, at, foot, frame, bounds], [*results], {"cse": True})
 
 

@@ -14,7 +14,7 @@ from slipfree.core.errors import DataError, read_table
 HEAD = 512  # bytes that are compared
 TABLE: dict[str, Any] = read_table(__file__, "formats.toml")
 REMEDIES: dict[str, str] = TABLE["remedies"]
-Purpose = Literal["map", "table"]
+Purpose = Literal["map", "table", "mesh"]
 
 
 class Format(NamedTuple):
@@ -30,9 +30,9 @@ class Format(NamedTuple):
     packed: str  # remedy for archives and downloads, wherever a file is expected
 
     def remedy(self, purpose: Purpose) -> str:
-        """Return the remedy where a map or a table is expected; empty if none is needed."""
+        """Return the remedy where a map, a table or a mesh is expected; empty if none is needed."""
         remedies: dict[str, str] = self._asdict()
-        return remedies[purpose] or self.packed
+        return remedies.get(purpose, "") or self.packed
 
 
 def _read_formats() -> Iterator[Format]:

@@ -24,6 +24,7 @@ from slipfree.files.tables import ALIASES, Columns, line_of, read_columns, split
 POSE = ("x", "y", "heading", "vx", "vy", "window")  # columns that rows of a log must have
 GAP = 1.5  # longest time between rows whose positions count as continuous [s], or 1.5 medians
 MAX_INTERVAL, JUMP = 10.0, 3600.0  # largest median time, and largest time, between rows [s]
+SHUFFLED = 0.1  # share of decreasing times in rows without order, not of clocks that start again
 REPEATED = 1e-3  # of poses at one time: larger differences are those of two poses [m, rad]
 FAR = 0.3  # least distance of a row that is away from both of its neighbours [m]
 RETURN, MIXED = 0.1, 0.03  # distance of these over it, and share of such rows in mixed drives [1]
@@ -186,11 +187,13 @@ def _check_times(path: Path, table: Columns, is_apart: Mask, *, is_fit: bool) ->
     is_jump = (steps < 0) | (steps > max(JUMP, 100 * interval))
     if is_jump.any():
         k = int(is_jump.argmax())
+        found = f"the clock {'starts again' if steps[k] < 0 else 'jumps'}; divide the log before "
+        found += "this line into two files"
+        if np.mean(steps < 0) > SHUFFLED:
+            found = "so do many others; sort the rows by time"
         raise DataError(
             f"{path}: expected increasing times, found {_time(table, k + 1)} after "
-            f"{_time(table, k)} in line {line_of(path, k + 1)}: the clock "
-            f"{'starts again' if steps[k] < 0 else 'jumps'}; divide the log before this line into "
-            "two files"
+            f"{_time(table, k)} in line {line_of(path, k + 1)}: {found}"
         )
 
 

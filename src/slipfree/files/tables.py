@@ -67,6 +67,7 @@ PARTS = {  # columns from which a quantity follows: pattern of stem and part, an
     ),
 }
 UNIT_LENGTH = 0.1  # largest error of the square of a quaternion's length
+UPSIDE_DOWN = 0.1  # share of such rows from which quaternions have another order
 DATES = "write dates as in 2026-03-01T12:00:00.5, or times in s"
 REMEDIES = {  # by the units that were expected and found
     ("m", "rad"): "project the positions to metres",
@@ -208,6 +209,10 @@ def read_columns(
     if "heading:z" in read:
         q = [read.get(f"heading:{part}", 0 * read["heading:z"]) for part in "xyzw"]
         is_turn = np.abs(np.square(q).sum(axis=0) - 1) < UNIT_LENGTH
+        if np.mean(np.square(q[:2]).sum(axis=0) > 0.5) > UPSIDE_DOWN:
+            wanted = "quaternions of a vehicle that stands upright, in the order x, y, z, w"
+            remedy = "correct their names: w is probably the first part"
+            raise layout.error(layout.first, "quaternions of one upside down", wanted, remedy)
         read["heading"] = np.where(is_turn, yaw_of(*q), np.nan)
         chosen["heading"] = chosen["heading:z"][0], "rad"
     values, start = {}, 0.0

@@ -37,7 +37,6 @@ LOST_SHARE = 1e-6  # share of an undetermined direction from which an unknown is
 WEAK = 0.1  # deviation of a direction, relative to its scale, from which it is weakly determined
 CONFIDENCE = 0.95
 EDGES = 0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2  # of confidence intervals, as shares of draws
-EXTREMUM = 0.02  # ratio of derivatives, to that at the nominal value, at an extremum
 RESAMPLES = 2000  # of a bootstrap
 MIN_ACCEPTED = 2  # accepted values, with the start, from which an interrupted fit is kept
 EDGE = 1e-4  # distance of estimates from their bounds [scales]

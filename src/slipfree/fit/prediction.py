@@ -178,8 +178,7 @@ class Predictor:
         started, ended = self._ends
         if self._has_headings:
             own, final = (
-                np.exp(1j * (old_heading[k, :, n] + _by_window(q["sensor_heading"], n)))
-                for k in (begin, end)
+                np.exp(1j * (old_heading[k, :, n] + q["sensor_heading"].T)) for k in (begin, end)
             )
         else:
             k = np.arange(-half, half + 1)
@@ -209,7 +208,9 @@ class Predictor:
             self._signals(q),
             self._rows,
             self._dt,
-            self._tilt(receiver, q["sensor_heading"]) if self._slopes else None,
+            _PathSlopes(self, self._slopes, receiver, q["sensor_heading"])
+            if self._slopes
+            else None,
             self._lengths,
             self._lead - round(RECENT / self._dt),
         )
@@ -263,10 +264,6 @@ class Predictor:
             part[:] = scipy.signal.lfilter([1 - keep], [1, -keep], part, zi=[keep * part[0]])[0]
         return values
 
-    def _tilt(self, receiver: Array, mounted: Array) -> _PathSlopes:
-        assert self._slopes is not None  # noqa: S101
-        return _PathSlopes(self, self._slopes, receiver, mounted)
-
 
 class _PathSlopes:
     """Slopes at measured positions before the start of windows, then at predicted ones."""
@@ -302,11 +299,6 @@ class _PathSlopes:
         moved = velocity.real * np.sqrt(1 - up**2) + 1j * velocity.imag * np.sqrt(1 - left**2)
         self._pose = place, heading, moved, turning
         return up, left
-
-
-def _by_window(values: Array, n: Indices) -> Array:
-    """Return values of shape (m, 1) or (m, n) as (n, m)."""
-    return np.broadcast_to(values, (len(values), n.size)).T
 
 
 def _joined(chassis: Sequence[Chassis], counts: Indices) -> Chassis:

@@ -234,7 +234,7 @@ class _Polygon(Region):
         # omit points on straight edges: rounding would decide their sign
         corner = np.abs(turns) > MIN_TURN_SINE
         local, turns = local[corner], turns[corner]
-        if _area(local) < 0:
+        if _products(local).sum() < 0:
             local, turns = local[::-1], -turns[::-1]
         return local, np.sign(turns)
 
@@ -242,15 +242,13 @@ class _Polygon(Region):
 def _turns(points: Array) -> Array:
     """Return the sine of the turning angle at every point, positive for a left turn."""
     e = points - np.roll(points, 1, axis=0)
-    e /= np.linalg.norm(e, axis=1, keepdims=True)
-    after = np.roll(e, -1, axis=0)
-    return np.asarray(e[:, 0] * after[:, 1] - e[:, 1] * after[:, 0])
+    return _products(e / np.linalg.norm(e, axis=1, keepdims=True))
 
 
-def _area(points: Array) -> float:
-    """Return the area, positive if the points run counter-clockwise [m^2]."""
-    after = np.roll(points, -1, axis=0)
-    return 0.5 * float(np.sum(points[:, 0] * after[:, 1] - points[:, 1] * after[:, 0]))
+def _products(vectors: Array) -> Array:
+    """Return the cross product of each vector and the next one: of corners, twice the area."""
+    after = np.roll(vectors, -1, axis=0)
+    return np.asarray(vectors[:, 0] * after[:, 1] - vectors[:, 1] * after[:, 0])
 
 
 def _check_simple(points: Array) -> None:

@@ -48,7 +48,7 @@ from slipfree.system.forks import cached_property
 CORRELATION = 0.7  # of the noise in neighbouring intervals
 EFFECTIVE = 0.02  # share of the candidates that shall have weight
 BISECTIONS = 60  # of the temperature
-STEP = 0.75  # longest step [size of the vehicle]
+STEP = 0.75  # longest step [size of the vehicle]; at most the trail of a caster
 CHECKED_POINTS = 4  # of an interval, for keep-out regions
 LEAST_WEIGHT = 1e-4  # of a candidate that is certified
 IN_REGION = -6  # reason of an end, beside those of the batch
@@ -326,7 +326,7 @@ def _simulated(aims: _Aims, inputs: Array) -> tuple[Array, Candidates]:
 
     def run(part: Indices) -> tuple[Array, Candidates]:
         many, own = np.repeat(aims.first, part.size, axis=1), inputs[..., part]
-        step = STEP * task.model.size
+        step = min(STEP * task.model.size, task.model.vehicle.trail)
         motions = candidate_lanes(task.evaluate, many, own, task.t, step)
         _end_in_regions(aims, motions)
         costs = _costs(aims, many, motions, own)

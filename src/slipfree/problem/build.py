@@ -424,12 +424,11 @@ def check_units(spec: schema.TerrainKeys, dae: Dae) -> Iterator[Fault]:
         yield from unit_faults((name,), getattr(spec, name, None) or {}, units, bare=name in BARE)
     for index, wanted in enumerate(getattr(spec, "way_points", ())):
         yield from unit_faults(("way_points", index), wanted, units, bare=True)
-    rates = {name: _rate(unit) for name, unit in units.items()}
+    rates = {
+        name: unit.replace(" s-1", " s-2") if " s-1" in unit else f"{unit} s-1"
+        for name, unit in units.items()
+    }
     yield from unit_faults(("accelerations",), getattr(spec, "accelerations", {}), rates)
-
-
-def _rate(unit: str) -> str:
-    return unit.replace(" s-1", " s-2") if " s-1" in unit else f"{unit} s-1"
 
 
 def check_time_unit(t: Array, duration: float) -> None:

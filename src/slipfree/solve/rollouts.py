@@ -90,7 +90,7 @@ def rollouts(
         inputs that are numbers. It computes work and the rows of the solver's report for no run.
     step : float, optional
         Largest length of a step of the batch along the path; by default half the size of the
-        vehicle. [m]
+        vehicle or, if it is shorter, half the trail of a caster. [m]
 
     Returns
     -------

@@ -39,6 +39,7 @@ RELAXATION_TOLERANCE = 1e-4  # integration tolerance of the relaxation
 INCLINATIONS = (("roll", 0.2), ("roll", -0.2), ("pitch", 0.2), ("pitch", -0.2))  # [rad]
 DIFFERENT_ANGLE = 1e-4  # smallest difference of roll or pitch of two stable poses [rad]
 SPEED = "speed"  # name of the initial speed of a dynamic model
+TIPPING = 0.03  # tip-over margin on the plane under the wheels of a vehicle that tips over [rad]
 REST_RATE = 1e-5  # largest rate of the relaxing states at rest [size/s]
 
 
@@ -174,18 +175,21 @@ def _settle_by_relaxation(
     """Return the vehicle at the equilibrium to which it relaxes at rest.
 
     The relaxation starts from the guessed pose; the model's initial pose completes it. If that
-    fails or the vehicle overturns, the relaxation starts from the model's initial pose.
+    fails or the vehicle overturns, the relaxation starts from the model's initial pose, and at last
+    from a pose on the plane under the wheels, since from a level pose it overturns on steep ground.
     """
     states, model = dae.state_names, _relaxation_model(dae)
     level = np.array(dae.function("rest", [dae.columns()[0]], [dae.rest])(x)).ravel()
     still, shift = x.size - level.size, dae.shift[0][x.size - level.size :]
     given = [(start | guess).get(name, np.nan) for name in states[still:]] - shift
     others = {name: value for name, value in guess.items() if name not in states[still:]}
-    failure = ModelError("")
-    for first in (np.where(np.isnan(given), level, given), level):
+    failure, margin, on_plane = ModelError(""), np.inf, _pose_on_plane(dae, x)
+    inclined = np.array([on_plane.get(name, 0.0) for name in states[still:]])
+    for first in (np.where(np.isnan(given), level, given), level, inclined):
         at = np.concatenate([x[:still], first])
         try:
             begin = _one_sample(model, at, first_guess(model, at, others), options)
+            margin = float(begin["tip_over_margin"][0])
             run = _relax(model, begin, options)
             at[still:] = model.rows("x", run, -1)[still:]
             return _one_sample(dae, at, model.rows("z", run, -1), options)
@@ -196,7 +200,32 @@ def _settle_by_relaxation(
             )
         except ModelError as error:
             failure = error
+    if margin < TIPPING:
+        slope = np.degrees(np.arccos(np.cos(on_plane["pitch"]) * np.cos(on_plane["roll"])))
+        raise ModelError(
+            f"the vehicle tips over at the start, where the ground under its wheels is inclined by "
+            f"{slope:.3g} degrees; choose a start on a gentler slope, or another heading"
+        )
     raise failure
+
+
+def _pose_on_plane(dae: Dae, x: Array) -> dict[str, float]:
+    """Return height [m], roll and pitch [rad] on the plane under the wheels, in local coordinates.
+
+    The plane is fitted to the heights under the wheels of a level vehicle.
+    """
+    vehicle, (x_0, y_0, z_0) = dae.vehicle.numeric, dae.ground.origin
+    right, forward, up = vehicle.centers.T
+    at = np.exp(1j * x[2]) * (right + 1j * forward)
+    heights = dae.ground.elevation(x[0] + x_0 + at.real, x[1] + y_0 + at.imag) - z_0
+    plane = np.column_stack([right, forward, np.ones_like(up)])
+    to_right, ahead, middle = np.linalg.lstsq(plane, heights)[0]
+    above = np.mean([wheel.radius - wheel.depth for wheel in vehicle.wheels] - up)
+    return {
+        "z": middle + above * np.sqrt(1 + to_right**2 + ahead**2),
+        "roll": -np.arctan2(to_right, np.hypot(1, ahead)),
+        "pitch": np.arctan(ahead),
+    }
 
 
 @lru_cache(maxsize=8)

@@ -34,6 +34,7 @@ from slipfree.vehicle.wheel import ORIGIN, Wheel
 Kind = Literal["commanded", "passive", "suspension"]
 EARTH_GRAVITY = 9.81  # [m/s^2]
 PARENT = "the name of the joint that carries it, or 'platform'"
+LEAST_TRAIL = 1e-6  # of casters [m]
 MAX_WHEELS = 100  # with more, preparing the models takes minutes
 
 
@@ -374,6 +375,26 @@ class Vehicle(HtmlRepr, VehicleParts):
         """Centres of the wheels relative to the platform at zero coordinates, (n_wheels, 3) [m]."""
         origins = (pose.origin for pose in self.carriers())
         return np.array(ca.evalf(ca.horzcat(*origins))).T
+
+    @property
+    def trail(self) -> float:
+        """Shortest trail of casters, infinite without casters [m].
+
+        A caster turns in the direction of its motion over a path of this length: the displacement
+        of its wheel along the axle, over the turn of the axle about the vertical.
+        """
+        trails = [math.inf]
+        for coordinate in self.of("passive"):
+            q = ca.SX.sym("q")
+            for pose in self.numeric.carriers(values={coordinate.name: q}):
+                axle = pose.rotation[:, 0]
+                moved = ca.dot(ca.jacobian(pose.origin, q), axle)
+                turned = ca.cross(axle, ca.jacobian(axle, q))[2]
+                both = ca.Function("both", [q], [ca.fabs(moved), ca.fabs(turned)])(0)
+                along, angle = map(float, both)
+                if min(along, angle) > LEAST_TRAIL:  # without a trail, it does not swivel
+                    trails.append(along / angle)
+        return min(trails)
 
     def carriers(
         self, platform: Pose = FIXED, values: Mapping[str, ca.SX] = {}

@@ -54,6 +54,15 @@ EXPECTED = {
     "literal_error": "{expected}",
     "too_long": "an array of {max_length} elements",
 }
+SYNTAX = {  # remedies by parts of the messages of tomllib
+    "Invalid value": "; write text in quotes",
+    "Expected newline": "; write key = value once on a line, numbers with a decimal point",
+    "Expected '='": "; write key = value on each line",
+    "Invalid statement": "; write key = value on each line",
+    "Unescaped '\\'": "; write paths with /, or in single quotes",
+    "Cannot overwrite": "; keep one of the two",
+    "twice": "; keep one of the two",
+}
 MADE = "# keys of the command line\n"  # first line of a text that is in no file
 MAX_BYTES = 10_000_000  # size of the largest accepted TOML file
 BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a value that needs no quotes
@@ -338,6 +347,7 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
         elif str(error).endswith("(at end of document)"):
             where = f"{path}:{len(text.splitlines()) or 1}"
             found = f"an error at the end: {error}"
+        found += next((words for part, words in SYNTAX.items() if part in str(error)), "")
         raise ProblemError(f"{where}: expected TOML, found {found}") from error
 
 

@@ -34,6 +34,7 @@ from slipfree.files.toml.source import Fault, Place, format_value
 EXAMPLE = 'a number, or text with an angular unit, as in "30 deg" or "5 deg/s"'
 PAIRS = "a number, or an array of [time, value] pairs"
 TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*(deg|rad)(/s2?)?\s*")
+MAX_FRICTION = 10.0  # larger coefficients are probably percent
 Piecewise = tuple[tuple[float, float], ...]
 
 
@@ -281,9 +282,12 @@ def coefficient(value: Any) -> float | str:
     """Return a coefficient of friction, or the name of a friction map file."""
     if isinstance(value, str) and value:
         return value
-    if is_number(value) and value > 0:
+    if is_number(value) and 0 < value <= MAX_FRICTION:
         return float(value)
-    raise expected_error("a number greater than 0, or the name of a file in quotes")
+    percent = ""
+    if is_number(value) and value > MAX_FRICTION:
+        percent = f"at most {MAX_FRICTION:g} (did you mean percent? write {value / 100:g}), "
+    raise expected_error(f"a number greater than 0, {percent}or the name of a file in quotes")
 
 
 def one_of(known: Collection[str]) -> AfterValidator:

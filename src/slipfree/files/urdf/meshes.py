@@ -21,6 +21,7 @@ import scipy  # scipy.optimize and scipy.spatial are imported when they are used
 
 from slipfree.core.errors import DataError, missing_package
 from slipfree.core.records import Array
+from slipfree.files.foreign_formats import check_contents
 from slipfree.files.urdf.tree import Geometry, MeshFile, Shape, Tree, UrdfJoint
 from slipfree.files.urdf.xacro import package_folders
 from slipfree.files.vehicle_toml import MAX_LENGTH, placed, rotation_of, vector_of
@@ -171,6 +172,7 @@ def _read_file(path: Path) -> TriangleMesh:
     if suffix not in FORMATS:
         raise DataError(f"expected a mesh in {', '.join(FORMATS)}, found {path.name!r}; convert it")
     data = io.BytesIO(read_bytes(path, "a mesh"))
+    check_contents(path, "mesh", "a mesh")
     try:
         scene: Any = trimesh.load_scene(data, file_type=suffix[1:], skip_materials=True)
         unit = trimesh.units.unit_conversion(scene.units, "meters") if scene.units else 1.0

@@ -231,6 +231,8 @@ def _used_joints(wheels: Wheels, findings: Findings) -> list[UrdfJoint]:
 def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Findings) -> None:
     """Add notes on what was guessed, omitted or replaced."""
     links, notes = wheels.tree.links, findings.notes
+    followers = [wheel.name for wheel in wheels.joints if wheel.mimic]
+    findings.note("wheels with rates of their own, in spite of <mimic>: give equal ones", followers)
     notes.extend([*file.notes, *(f"not read: line {element}" for element in file.unknown)])
     used = [links[wheels.tree.root], *(links[j.child] for j in (*kept, *wheels.joints))]
     named = {
@@ -590,7 +592,8 @@ def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: Draft) -> str:
         return (
             f"the axles of the wheels are missing: {', '.join(steering)} turn about steep axes, "
             "which steers wheels; add to the link of each a joint of type 'continuous' about a "
-            "level axis, whose child is the wheel"
+            "level axis, whose child is the wheel; or, if z of the root link does not point up, "
+            "add a root link with a joint of type 'fixed' that turns the robot upright"
         )
     chains = {
         end.name: [j for j in tree.joints.values() if j.moves and end in tree.below(j.child)]

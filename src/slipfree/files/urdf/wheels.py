@@ -871,7 +871,8 @@ def _named_wheels(
         is_ball = {shape.kind for shape in link.shapes} == {"sphere"}
         if is_ball and CASTER.search(joint.names):
             continue
-        turns = joint.type == "revolute" and joint.upper - joint.lower >= FULL_TURN
+        turned = joint.upper - joint.lower  # equal limits are those of a careless export, too
+        turns = joint.type == "revolute" and (turned >= FULL_TURN or turned == 0)
         is_round = turns and any(is_about(s, unit_vector(joint.axis)) for s in link.shapes)
         height = float(frames[joint.child][1][2] - grounds[0]) if grounds else 0.0
         drive, named = tree.drives.get(joint.name), WheelRole() if is_named else None

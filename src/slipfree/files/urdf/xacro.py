@@ -185,8 +185,8 @@ class _Values:
     def define(self, element: Element) -> None:
         """Add a property or an argument; a property with several values has none."""
         self.line = element.line
-        name, default = (element.attributes.get(key, "") for key in ("name", "default"))
-        if element.tag == "xacro:arg" and name not in self.given:
+        name, default = element.attributes.get("name", ""), element.attributes.get("default")
+        if element.tag == "xacro:arg" and default is not None and name not in self.given:
             self.arguments[name] = self.text(default)
         if element.tag == "xacro:property":
             value = self.text(element.attributes.get("value", "${}"))
