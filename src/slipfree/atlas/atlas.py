@@ -475,7 +475,7 @@ def _bands(
             bands[ENERGY.name] = power / _speed(evaluate, states)
         stands = outcomes == COMPLETE
         if evaluator.corners is not None and error is not None:
-            bands |= _computed_bands(evaluator, states, stands, tolerance, error)
+            bands |= _computed_bands(evaluator, states, stands, tolerance, error, bands)
     if guarantee is not None:
         bands |= _proved_bands(evaluator, states, stands, guarantee)
     bands = {name: np.where(stands, values, np.nan) for name, values in bands.items()}
@@ -532,11 +532,18 @@ def _proved_bands(
 
 
 def _computed_bands(
-    evaluator: PoseEvaluator, states: Array, stands: Mask, tolerance: float, error: float
+    evaluator: PoseEvaluator,
+    states: Array,
+    stands: Mask,
+    tolerance: float,
+    error: float,
+    here: Mapping[str, Array],
 ) -> dict[str, Array]:
     """Return extremes of bands at the corners of the cube of shifts of the ground under the wheels.
 
-    Bands have no numbers where the vehicle does not stand at a corner.
+    Bands have no numbers where the vehicle does not stand at a corner, nor where the pose on the
+    map, whose bands are ``here``, is not between those at the corners: there, a corner pose is
+    another rest, as beside a wall.
     """
     corners: Any = evaluator.corners
     dae, rows = evaluator.evaluate.graphs.dae, evaluator.evaluate.graphs.rows
@@ -555,8 +562,14 @@ def _computed_bands(
         return {name: np.where(known, values, np.nan) for name, values in bands.items()}
 
     cube = [at(np.array(signs)[:, None]) for signs in product((-1.0, 1.0), repeat=wheels)]
+    between = np.ones(stands.shape, dtype=bool)
+    for name in pose_names(evaluator.reductions):
+        away = np.array([each[name] - here[name] for each in cube])
+        between &= (away.min(axis=0) <= SAME_REST) & (away.max(axis=0) >= -SAME_REST)
     bands = {
-        f"{name}_computed_{end}": extreme([each[name] for each in cube], axis=0)
+        f"{name}_computed_{end}": np.where(
+            between, extreme([each[name] for each in cube], axis=0), np.nan
+        )
         for name in cube[0]
         for end, extreme in (("low", np.min), ("high", np.max))
     }

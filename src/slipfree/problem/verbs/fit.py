@@ -214,6 +214,9 @@ class Fit(CommonKeys):
 
     Attributes
     ----------
+    model : {"kinematics", "quasi-static", "dynamics"}
+        The balance of forces with inertia, 'dynamics', or without it, which is least slip on level
+        ground: 'kinematics' and 'quasi-static'.
     frame : Frame
         Axis from which the headings of the logs count: y, or x.
     vehicle : VehicleSource or None
@@ -229,12 +232,13 @@ class Fit(CommonKeys):
     data : Data
         The logs.
     constants : mapping of str to float
-        Numbers that are not fitted, by quantity; 'inertia' = 0 is quasi-static. [m, s, 1]
+        Numbers that are not fitted, by quantity. [m, s, 1]
     unknowns : mapping of str to UnknownTable
         Numbers to be fitted, by name, beside the usual ones or in their place. [m, rad, s, 1]
     """
 
     verb: Literal["fit"]
+    model: Literal["kinematics", "quasi-static", "dynamics"] = "dynamics"
     frame: Frame = "paper"
     vehicle: VehicleSource | None = None
     terrain: TerrainTable | None = None
@@ -343,12 +347,13 @@ def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog])
     spec, names = problem.spec, tuple(wheel.name for wheel in inputs.vehicle.wheels)
     half, base = track(inputs.vehicle) / 2, np.ptp(logs[0].chassis.place.real) / 2
     gyration = ((2 * half) ** 2 + (2 * base + 0.4) ** 2) / 12
-    fixed = {"gyration": gyration} | spec.constants
-    known = {*BALANCE, "inertia"}
+    inertia = float(spec.model == "dynamics")
+    fixed = {"gyration": gyration, "inertia": inertia} | spec.constants
     for name in spec.constants:
-        if name not in known:
+        if name not in BALANCE:
             with at(problem, ("constants", name)):
-                raise ModelError(f"expected one of {', '.join(known)}, found {name!r}; correct it")
+                expected = f"expected one of {', '.join(BALANCE)}"
+                raise ModelError(f"{expected}, found {name!r}; correct it")
     unknowns = [*_usual_unknowns(problem, logs, inputs.driven)]
     for own in own_unknowns(problem, names):
         replaced = [
