@@ -142,7 +142,7 @@ def test_results_of_slipfree_are_logs() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("track", "mass"), r"fit.toml:9: .*one of the quantities radius, track.*found 'mass'"),
+        (("track", "mass"), r"fit.toml:10: .*one of the quantities radius, track.*found 'mass'"),
         (("verb", "frame = 'x'\nverb"), r"fit.toml:2: .*'paper' or 'rep103'.*'x'"),
     ],
 )
