@@ -30,7 +30,6 @@ PROBLEM = (DATA / "fit_of_a_log.toml").read_text()
 
 LEAST_SLIP = """
 [constants]
-inertia = 0
 stiffness = 1e-3
 friction = 1
 delay = 0
@@ -242,7 +241,7 @@ def test_remedies_work() -> None:
     """Parts of a divided log are one fit or a test; degrees are projected; a compass is turned."""
     for name, rows in (("a.csv", DRIVE), ("b.csv", OTHER)):
         Path(name).write_text(table(rows))
-    problem = PROBLEM + LEAST_SLIP
+    problem = 'model = "kinematics"\n' + PROBLEM + LEAST_SLIP
     Path("fit.toml").write_text(problem.replace('"log.csv"', '["a.csv", "b.csv"]'))
     shown = json.loads(printed("--json", "fit", "fit.toml", "--no-draw"))
     assert shown["facts"]["fitted windows"] == "38"

@@ -326,7 +326,10 @@ def elimination(dae: Dae, state: ca.SX, rows: StateRows) -> Solve:
 def _sampled_states(dae: Dae, state: ca.SX, rows: StateRows) -> Array:
     """Return random states near rest, shape (n_rows, `SAMPLES`), at which pivots are chosen."""
     rng = np.random.default_rng(0)
-    samples = rng.normal(0.0, JOINT_SPREAD, (state.numel(), SAMPLES))
+    # inputs before a sample are in no matrix, and do not change the choice of the pivots
+    before = rows.v.stop - rows.v.start
+    samples = rng.normal(0.0, JOINT_SPREAD, (state.numel() - before, SAMPLES))
+    samples = np.insert(samples, [rows.v.start] * before, 0.0, axis=0)
     x = dae.columns()[0]
     labels = list(leaves(dae.labels.x))
     for k, label in enumerate(labels):
