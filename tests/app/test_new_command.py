@@ -28,6 +28,7 @@ def count(file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result fi
 @pytest.fixture
 def app() -> typer.Typer:
     """Return the command line as it is with one more line."""
+    cli.common.store_options(quiet=False, verbose=False, json=False)  # of another test
     made = typer.Typer(cls=cli.app.info.cls)
     for command in (*cli.COMMANDS, count):
         made.command()(with_output_options(command))
