@@ -347,13 +347,11 @@ def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog])
     spec, names = problem.spec, tuple(wheel.name for wheel in inputs.vehicle.wheels)
     half, base = track(inputs.vehicle) / 2, np.ptp(logs[0].chassis.place.real) / 2
     gyration = ((2 * half) ** 2 + (2 * base + 0.4) ** 2) / 12
-    inertia = float(spec.model == "dynamics")
-    fixed = {"gyration": gyration, "inertia": inertia} | spec.constants
+    fixed = {"gyration": gyration, "inertia": float(spec.model == "dynamics")} | spec.constants
     for name in spec.constants:
         if name not in BALANCE:
             with at(problem, ("constants", name)):
-                expected = f"expected one of {', '.join(BALANCE)}"
-                raise ModelError(f"{expected}, found {name!r}; correct it")
+                raise ModelError(f"expected one of {', '.join(BALANCE)}, found {name!r}; correct it")
     unknowns = [*_usual_unknowns(problem, logs, inputs.driven)]
     for own in own_unknowns(problem, names):
         replaced = [
