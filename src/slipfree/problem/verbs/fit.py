@@ -14,7 +14,7 @@ import scipy
 from pydantic import Field
 
 from slipfree.catalog import rigid_skid_steer
-from slipfree.core.errors import DataError, ModelError
+from slipfree.core.errors import DataError, ModelError, listed
 from slipfree.core.facts import Lines
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Indices, Mask
@@ -351,7 +351,7 @@ def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog])
     for name in spec.constants:
         if name not in BALANCE:
             with at(problem, ("constants", name)):
-                raise ModelError(f"expected one of {', '.join(BALANCE)}, found {name!r}; correct it")
+                raise ModelError(f"expected one of {listed([*BALANCE])}, found {name!r}; correct it")
     unknowns = [*_usual_unknowns(problem, logs, inputs.driven)]
     for own in own_unknowns(problem, names):
         replaced = [
