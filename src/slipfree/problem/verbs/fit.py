@@ -14,7 +14,7 @@ import scipy
 from pydantic import Field
 
 from slipfree.catalog import rigid_skid_steer
-from slipfree.core.errors import DataError, ModelError, listed
+from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Lines
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array, Indices, Mask
@@ -348,10 +348,7 @@ def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog])
     half, base = track(inputs.vehicle) / 2, np.ptp(logs[0].chassis.place.real) / 2
     gyration = ((2 * half) ** 2 + (2 * base + 0.4) ** 2) / 12
     fixed = {"gyration": gyration, "inertia": float(spec.model == "dynamics")} | spec.constants
-    for name in spec.constants:
-        if name not in BALANCE:
-            with at(problem, ("constants", name)):
-                raise ModelError(f"expected one of {listed([*BALANCE])}, found {name!r}; correct it")
+    problem.refuse(*name_errors(("constants",), spec.constants, tuple(BALANCE)))
     unknowns = [*_usual_unknowns(problem, logs, inputs.driven)]
     for own in own_unknowns(problem, names):
         replaced = [
