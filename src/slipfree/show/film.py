@@ -301,7 +301,7 @@ def _told(scene: Scene) -> list[str]:
     """Return the scales of arrows, and of the colours of the first track."""
     told = [each.label for each in scene.entries if each.group == "arrows"]
     tracks = (each for actor in scene.actors for each in scene.track_layers(actor))
-    return [*told, *(f"track by {words(each.name)}: {each.legend}" for each in [*tracks][:1])]
+    return [*told, *(f"{words(each.name)}, green to red: {each.legend}" for each in [*tracks][:1])]
 
 
 def arrow_lines(starts: Array, vectors: Array, sight: Array) -> Array:
