@@ -30,11 +30,14 @@ LANES = (("__AVX512F__", 8), ("__AVX__", 4))  # doubles in a register, by macro 
 PORTABLE_LANES = 2  # on other machines
 PROBE_TIMEOUT = 20.0  # [s]
 BLOCK = 64  # lanes of a call of compiled steps, of less than a second; divisible by all of LANES
-BINARY = {
-    ca.OP_ADD: "+",
-    ca.OP_SUB: "-",
-    ca.OP_MUL: "*",
-    ca.OP_DIV: "/",
+OPERATORS = {
+    ca.OP_ADD: "{}+{}",
+    ca.OP_SUB: "{}-{}",
+    ca.OP_MUL: "{}*{}",
+    ca.OP_SQ: "{0}*{0}",
+    ca.OP_TWICE: "{0}+{0}",
+    ca.OP_NEG: "-{}",
+    ca.OP_ASSIGN: "{}",
 }
 CALLS = {
     ca.OP_LT: "lt",
@@ -249,8 +252,13 @@ class CodeWriter:
         return f"{name}({','.join(arguments)})"
 
     def instructions(self, function: ca.Function) -> tuple[list[int], list[str]]:
-        """Return the numbers of the variables of a function, and its lines of C code."""
+        """Return the numbers of the variables of a function, and its lines of C code.
+
+        Quotients with equal denominators share its inverse: in vectors, a division takes as long as
+        thirty products.
+        """
         values, used, lines = dict[int, str](), set[int](), list[str]()
+        inverses, free = dict[str, str](), function.sz_w()
         for k in range(function.n_instructions()):
             operation = function.instruction_id(k)
             given, found = function.instruction_input(k), function.instruction_output(k)
@@ -261,28 +269,28 @@ class CodeWriter:
             elif operation == ca.OP_OUTPUT:
                 lines.append(f"r[{found[1]}]={values[given[0]]};")
             else:
-                value = self._value(operation, [values[each] for each in given])
+                w = [values[each] for each in given]
+                if operation in (ca.OP_DIV, ca.OP_INV):
+                    if w[-1] not in inverses:
+                        used.add(free)
+                        inverses[w[-1]] = self.work.format(free)
+                        free += 1
+                        lines.append(f"{inverses[w[-1]]}={self.one}/{w[-1]};")
+                    operation = ca.OP_MUL if operation == ca.OP_DIV else ca.OP_ASSIGN
+                    w[-1] = inverses[w[-1]]
+                value = self._value(operation, w)
                 used.add(found[0])
                 values[found[0]] = self.work.format(found[0])
+                inverses.pop(values[found[0]], None)
                 lines.append(f"{values[found[0]]}={value};")
         return sorted(used), lines
 
     def _value(self, operation: int, w: list[str]) -> str:
         """Return the C expression of an elementary operation; remember an unknown one."""
-        if operation in BINARY:
-            return f"{w[0]}{BINARY[operation]}{w[1]}"
+        if operation in OPERATORS:
+            return OPERATORS[operation].format(*w)
         if operation in CALLS:
             return self.call(CALLS[operation], w)
-        if operation == ca.OP_SQ:
-            return f"{w[0]}*{w[0]}"
-        if operation == ca.OP_TWICE:
-            return f"{w[0]}+{w[0]}"
-        if operation == ca.OP_INV:
-            return f"{self.one}/{w[0]}"
-        if operation == ca.OP_NEG:
-            return f"-{w[0]}"
-        if operation == ca.OP_ASSIGN:
-            return w[0]
         self.unknown = operation
         return w[0]
 

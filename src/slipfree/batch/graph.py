@@ -1,7 +1,7 @@
 """Evaluation graphs of a model: Newton's step of its positions, its rates, limits and outputs.
 
 Each graph is an SX function without calls and branches. Linear systems are solved by elimination
-inside the graph. The order of the pivots is chosen once, for several random states together:
+inside the graph. The order of the pivots is chosen once, for several states together:
 Markowitz's count of new entries decides among the entries that are large enough in every state.
 """
 
@@ -21,7 +21,7 @@ from slipfree.core.evaluation import dense, evaluate
 from slipfree.core.lookups import Lookup, found_column, needed_lookups
 from slipfree.core.records import Array, leaves, pack
 
-SAMPLES = 12  # random states at which pivots are chosen
+SAMPLES = 13  # states at which pivots are chosen: one at rest, and pairs of opposite ones
 PLACING_STEPS = 20  # Newton steps to their positions
 MIN_PIVOT = 0.02  # smallest pivot, relative to the largest entry of its row
 MIN_PIVOT_ON_DIAGONAL = 1e-4  # smaller ones are sought elsewhere
@@ -92,6 +92,7 @@ class Graphs(NamedTuple):
     # for linear rates without relaxation, also the derivatives with the inputs ``v``
     checked: Graph
     bounds: tuple[int, ...]  # index of the limit to which each distance belongs
+    limits: ca.Function  # values of the limits
     outputs: Graph
     checks: tuple[PlacedCheck, ...]  # of samples
     wheels: dict[int, WheelCheck]  # those of wheels, by their indices
@@ -160,6 +161,7 @@ def graphs_of(dae: Dae) -> Graphs:
         graph("motion", *motion),
         graph("checked", *motion, watched[:n_f], watched[n_f], watched[n_f + 1 :], before),
         bounds,
+        dae.function("limits", [state], [pack(tuple(each.expression for each in dae.limits))]),
         graph("outputs", pack(dae.y)),
         checks,
         {k: check for k, check in enumerate(checks) if isinstance(check, WheelCheck)},
@@ -324,22 +326,23 @@ def elimination(dae: Dae, state: ca.SX, rows: StateRows) -> Solve:
 
 
 def _sampled_states(dae: Dae, state: ca.SX, rows: StateRows) -> Array:
-    """Return random states near rest, shape (n_rows, `SAMPLES`), at which pivots are chosen."""
-    rng = np.random.default_rng(0)
-    # inputs before a sample are in no matrix, and do not change the choice of the pivots
-    before = rows.v.stop - rows.v.start
-    samples = rng.normal(0.0, JOINT_SPREAD, (state.numel() - before, SAMPLES))
-    samples = np.insert(samples, [rows.v.start] * before, 0.0, axis=0)
-    x = dae.columns()[0]
-    labels = list(leaves(dae.labels.x))
-    for k, label in enumerate(labels):
+    """Return states near rest, shape (n_rows, `SAMPLES`), at which pivots are chosen.
+
+    The first state is level and at rest, the last ones are opposite to those before. Random numbers
+    are those of the name of a variable, so that other variables do not change the pivots.
+    """
+    names = [symbol.name().encode() for symbol in ca.vertsplit(state)]
+    size = JOINT_SPREAD, SAMPLES // 2
+    half = np.array([np.random.default_rng([*name]).normal(0.0, *size) for name in names])
+    samples = np.hstack([np.zeros((len(half), 1)), half, -half])
+    for k, label in enumerate(leaves(dae.labels.x)):
         if label.name == "heading":
-            samples[k] = rng.uniform(-np.pi, np.pi, SAMPLES)
+            samples[k] *= np.pi / JOINT_SPREAD
         elif label.name not in ("x", "y"):
             samples[k, ::2] = 0.0  # level, where entries may vanish
     guess = dae.function(
         "guess",
-        [x, ca.vertcat(*(each.symbol for each in dae.p))],
+        [dae.columns()[0], ca.vertcat(*(each.symbol for each in dae.p))],
         [ca.densify(dae.guess), ca.densify(dae.rest)],
     )
     samples[rows.c] = np.reshape([each.value for each in dae.p], (-1, 1))

@@ -477,15 +477,11 @@ def run_lanes(
 
 def _end(graphs: Graphs, code: int, state: Array) -> tuple[str, str]:
     """Return outcome and message of a violated limit or, after the limits, of a failed check."""
-    dae, (x, z, u) = graphs.dae, columns_of(graphs, state)
+    dae, (x, z, _) = graphs.dae, columns_of(graphs, state)
     if code >= len(dae.limits):
         return Outcome.LIMIT.name.lower(), dae.checks[code - len(dae.limits)].describe(x, z)
     limit = dae.limits[code]
-    symbols = [dae.t, *dae.columns(), *(each.symbol for each in dae.p)]
-    value = dae.function("value", symbols, [limit.expression])(
-        state[graphs.rows.t], x, z, u, *state[graphs.rows.c]
-    )
-    return limit.outcome.name.lower(), limit.message(float(value), x, z)
+    return limit.outcome.name.lower(), limit.message(float(graphs.limits(state)[code]), x, z)
 
 
 def columns_of(graphs: Graphs, states: Array) -> tuple[Array, Array, Array]:
