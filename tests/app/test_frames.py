@@ -51,7 +51,7 @@ def problem(folder: Path) -> Path:
 
 
 def test_a_heading_comes_back_as_it_was_given(problem):
-    assert "start                x 0.5, heading 0.3, z" in printed("check", str(problem))
+    assert "start                x 0.500 m, heading 17.19 deg, z" in printed("check", str(problem))
     assert "heading 17.19 deg" in printed("run", str(problem), "--no-draw", "--csv", "p.csv")
     table = np.genfromtxt("p.csv", delimiter=",", names=True, deletechars="")
     assert_allclose(table["heading"], 0.3, atol=1e-9)

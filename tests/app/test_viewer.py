@@ -298,7 +298,7 @@ def test_without_viser_it_says_what_to_install(
     monkeypatch.setitem(sys.modules, "viser", None)
     told = refused("show", files[0], "--no-browser")
     assert "expected the package 'viser', found that it is not installed" in told
-    assert "python -m pip install '.[view]'" in told
+    assert "python -m pip install 'viser<1.2,>=1.1'" in told
 
 
 def test_a_port_that_is_taken_is_refused(files: list[Path]) -> None:

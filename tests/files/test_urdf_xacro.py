@@ -205,7 +205,7 @@ def test_xacro_that_cannot_be_expanded_is_named(old, new, words, robot):
 
 def test_without_the_package_the_command_is_named(robot, monkeypatch):
     monkeypatch.setitem(sys.modules, "xacro", None)
-    with pytest.raises(VehicleError, match=r"pip install '\.\[urdf\]'; or expand the file"):
+    with pytest.raises(VehicleError, match=r"pip install .*'xacro>=2\.1'; or expand the file"):
         read_vehicle(robot, trust=True)
 
 

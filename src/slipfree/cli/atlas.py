@@ -90,7 +90,7 @@ def atlas(
         Bounds of a quantity, as in roll=-0.2..0.2: other headings are not allowed; repeatable.
     out : list of path, optional
         GeoTIFF of the maps over the headings, or netCDF file of all poses; repeatable. Default:
-        the name of the problem with .tif, or of the map with _atlas.tif, in the current folder.
+        PROBLEM.tif, or MAP_VEHICLE_atlas.tif, in the current folder.
     """
     from slipfree.problem.atlas_tiles import (
         TileFolder,
@@ -115,7 +115,8 @@ def atlas(
     own += map(_bounds_setting, within or [])
     with as_arguments():
         problem = _read(file, vehicle, [*own, *(settings or [])], trust)
-    outs = out or [Path(f"{file.stem}.tif" if vehicle is None else f"{file.stem}_atlas.tif")]
+    named = file.stem if vehicle is None else f"{file.stem}_{Path(vehicle).stem}_atlas"
+    outs = out or [Path(f"{named}.tif")]
     states = input_states(problem)
     figures = outs[0].with_name(f"{outs[0].stem}_figures")
     inputs = files_read(problem)

@@ -152,7 +152,7 @@ def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, dict[st
     kept = (each for each in sections if re.findall(r"\w+", each)[0] not in replaced)
     line = f"title = {json.dumps(title, ensure_ascii=False)}"
     head = re.sub(r"(?m)^title = .*", lambda _: line, head)
-    return re.sub(r" A three-wheeler .*", "", head) + own + "".join(kept)
+    return re.sub(r" (A three-wheeler|All others) .*", "", head + own + "".join(kept))
 
 
 def write_new_file(text: str, out: Path, force: bool) -> None:

@@ -47,9 +47,13 @@ def listed(known: Sequence[str]) -> str:
 
 def missing_package(package: str, extra: str) -> str:
     """Return an error message for a missing optional package, with the command to install it."""
+    from importlib.metadata import distributions
+
+    known = [each for found in distributions(name="slipfree") for each in found.requires or ()]
+    of_extra = {each.partition(";")[0].strip() for each in known if f'"{extra}"' in each}
     return (
-        f"expected the package {package!r}, found that it is not installed; install it from the "
-        f"source folder of slipfree: python -m pip install '.[{extra}]'"
+        f"expected the package {package!r}, found that it is not installed; install it: "
+        f"python -m pip install {' '.join(map(repr, sorted(of_extra))) or package}"
     )
 
 

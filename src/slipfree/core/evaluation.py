@@ -54,10 +54,8 @@ def run_buffered(
     return buffer
 
 
-@lru_cache(maxsize=32)
-def _mapped(function: ca.Function, count: int) -> ca.Function:
-    """Return a function of ``count`` points at once; cached, since repeated runs share it."""
-    return function.map(count)
+# function of many points at once, by function and number of points; repeated runs share it
+_mapped = lru_cache(maxsize=32)(ca.Function.map)
 
 
 def dense(values: Array, sparsity: ca.Sparsity) -> Array:

@@ -57,7 +57,7 @@ class Path:
     points: Array
 
     def __repr__(self) -> str:
-        ends = (f"({x:.9g}, {y:.9g})" for x, y in self.points[[0, -1]])
+        ends = (f"({x:.10g}, {y:.10g})" for x, y in self.points[[0, -1]])
         return f"Path: {len(self.points)} way-points, {self.length:.6g} m, {' to '.join(ends)}"
 
     def __post_init__(self) -> None:

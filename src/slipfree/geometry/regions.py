@@ -117,7 +117,7 @@ class _Disc(Region):
 
     @property
     def words(self) -> str:
-        return f"disc at ({self.x:.9g}, {self.y:.9g}) of {self.radius:.4g} m radius"
+        return f"disc at ({self.x:.10g}, {self.y:.10g}) of {self.radius:.4g} m radius"
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -168,7 +168,7 @@ class _Polygon(Region):
     @property
     def words(self) -> str:
         x, y = np.mean(self.points, axis=0)
-        return f"polygon of {len(self.points)} points about ({x:.9g}, {y:.9g})"
+        return f"polygon of {len(self.points)} points about ({x:.10g}, {y:.10g})"
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:

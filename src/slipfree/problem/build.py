@@ -204,9 +204,7 @@ def vehicle_facts(vehicle: Vehicle, crs: str) -> Lines:
         facts.append(("mass", f"{vehicle.mass:g} kg, weight {vehicle.weight:.1f} N"))
         hint = foreign_map_words(vehicle.gravity, semi_major_axis(crs))
         facts.append(("gravity", gravity_words(vehicle.gravity) + hint))
-    if vehicle.notes:
-        facts.append(("vehicle file", "; ".join(vehicle.notes)))
-    return facts
+    return [*facts, *(("vehicle file", note) for note in vehicle.notes)]
 
 
 def wheel_angles_at(run: Trajectory, t: Array) -> Column:
@@ -238,8 +236,8 @@ def build_solids(problem: Problem[S], terrain: Bicubic) -> tuple[Prism, ...]:
             )
         west, east, south, north = terrain.domain
         if not (west <= spec.x <= east and south <= spec.y <= north):
-            expected = f"x from {west:g} to {east:g} m and y from {south:g} to {north:g} m"
-            found = f"x = {spec.x:g} m, y = {spec.y:g} m, off the map; move the obstacle"
+            expected = f"x from {west:.10g} to {east:.10g} m, y from {south:.10g} to {north:.10g} m"
+            found = f"x = {spec.x:.10g} m, y = {spec.y:.10g} m, off the map; move the obstacle"
             problem.refuse(Fault(place, expected, found))
         heading = spec.heading + heading_offset(problem)
         z = float(terrain.elevation(np.array(spec.x), np.array(spec.y)))

@@ -32,7 +32,7 @@ TOUCHING = 0.99  # share of the nodes at which a wheel touches once
 
 SURVEY_ROWS = rows(
     """\
-extent: x {west:.9g} to {east:.9g}, y {south:.9g} to {north:.9g}
+extent: x {west:.10g} to {east:.10g}, y {south:.10g} to {north:.10g}
 slope: median {slope_median.value:.3g} deg, 95 % below {slope_high.value:.3g} deg, largest \
 {slope_largest.value:.3g} deg; {share_above_20:.3g>%} above 20 deg, {share_above_30:.3g>%} above \
 30 deg
@@ -41,7 +41,7 @@ fills narrower hollows
 holes: {hole_share:.3g>%} of the nodes are in or beside holes, where a motion ends; terrain.fill = \
 'linear' fills those inside the map
 doubtful heights: {spikes.value} nodes are spikes or pits, the largest of {spike_size:.3g} at x = \
-{spike_x.value:.9g}, y = {spike_y.value:.9g}; correct the map, or reduce them with terrain.smooth
+{spike_x.value:.10g}, y = {spike_y.value:.10g}; correct the map, or reduce them with terrain.smooth
 rounded heights: to {rounded_to:g}, which makes steps in the ground; terrain.smooth of two to \
 three cells removes them"""
 )
@@ -87,7 +87,8 @@ def survey(ground: GroundMap) -> dict[str, Fact]:
         facts["spike_y"] = Fact(float(grid.y[j]), "m", "place of the largest spike")
         facts["spike_size"] = Fact(float(away[i, j]), "m", "largest spike or pit")
     values = grid.values
-    step = next((each for each in ROUND if _are_multiples(values, each)), 0.0)
+    uneven = (np.abs(values / each - np.rint(values / each)).max() for each in ROUND)
+    step = next((each for each, most in zip(ROUND, uneven, strict=True) if most < WHOLE), 0.0)
     if step > COARSE * min(grid.spacing) and np.ptp(values) > 0:
         facts["rounded_to"] = Fact(step, "m", "heights are multiples of it")
     return facts
@@ -139,7 +140,7 @@ def stand(problem: Problem[Any], grid: Grid) -> Stand:
     turned = float(heading_column(heading[k], spec.frame).values)
     tilts = {name: float(poses[name][k, i, j]) for name in ("roll", "pitch")}
     shown = ", ".join(f"{name} {degrees(value):.3g} deg" for name, value in tilts.items())
-    start = f'x = {x[i]:.9g}, y = {y[j]:.9g}, heading = "{degrees(turned):.4g} deg"'
+    start = f'x = {x[i]:.10g}, y = {y[j]:.10g}, heading = "{degrees(turned):.4g} deg"'
     pose = {"x": float(x[i]), "y": float(y[j]), "heading": turned, **tilts}
     return Stand(pose, [*facts, ("start", f"{start} ({spec.frame}; {shown})")])
 
@@ -168,8 +169,3 @@ def _spikes(grid: Grid) -> Array:
     away = np.maximum(grid.z - high, 0.0) - np.maximum(low - grid.z, 0.0)
     least = np.maximum(SPIKE * (high - low), HIGH * min(grid.spacing))
     return np.where(np.abs(away) > least, away, 0.0)
-
-
-def _are_multiples(values: Array, step: float) -> bool:
-    shares = values / step
-    return bool(np.all(np.abs(shares - np.rint(shares)) < WHOLE))

@@ -122,9 +122,7 @@ def validated_problem(
     raise problem_error(source, faults)
 
 
-@lru_cache(maxsize=1)  # all variants of a problem have this text
-def _parsed(path: Path, text: str) -> dict[str, Any]:
-    return parse_toml(path, text)
+_parsed = lru_cache(maxsize=1)(parse_toml)  # all variants of a problem have the same text
 
 
 def _copy(value: Any) -> Any:

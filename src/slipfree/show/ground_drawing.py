@@ -218,8 +218,8 @@ def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
     for name, at, low, high in (("x", x, west, east), ("y", y, south, north)):
         if at.max() < low or at.min() > high:
             raise ModelError(
-                f"expected a motion on this ground, {name} from {low:.6g} to {high:.6g} m, found "
-                f"{name} from {at.min():.6g} to {at.max():.6g} m; use the ground of the motion"
+                f"expected a motion on this ground, {name} from {low:.10g} to {high:.10g} m, found "
+                f"{name} from {at.min():.10g} to {at.max():.10g} m; use the ground of the motion"
             )
         sides.append((float(at.min() + at.max()) / 2, float(np.ptp(at)) * (1 + 2 * pad), low, high))
     ratio = float(np.clip((east - west) / (north - south), 0.5, 2.0))

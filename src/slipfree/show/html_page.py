@@ -66,10 +66,13 @@ def with_legend(
         for layer in scene.track_layers(actor):
             _, nodes = tracks.setdefault(layer.name, (layer, []))
             nodes.append(f"{WORLD}/run {k}/tracks/{layer.name}")
+    size = float(np.linalg.norm(np.ptp(scene.paths, axis=0)))
+    # the camera follows the vehicle; the button shows the whole path
+    overview = f'<button data-size="{size:.4g}">overview</button>' if scene.is_far else ""
     box = (
         f'<style>{page_file("viewer.css")}</style><div id="slipfree"><b>{escape(title)}</b>'
         f"{_choice('ground', grounds, color)}{_choice('tracks', tracks, colored)}"
-        f"{_overview(scene)}{switches}{warned}<details><summary>notes</summary>{notes}</details></div>"
+        f"{overview}{switches}{warned}<details><summary>notes</summary>{notes}</details></div>"
         f'<div id="plots">{_plots(scene)}</div>'
         f"<script>{page_file('viewer_keys.js')}{page_file('viewer_saved.js')}</script>"
     )
@@ -117,12 +120,6 @@ def _plots(scene: Scene) -> str:
     first, last = scene.span
     lines = " ".join(f'<b style="color:{color}">{escape(n)}</b>' for n, color in names.items())
     return f"{lines}{plots}<div><span>{first:g} s</span><span>{last:g} s</span></div>"
-
-
-def _overview(scene: Scene) -> str:
-    """Return a button that shows the whole path, where the camera follows the vehicle."""
-    size = float(np.linalg.norm(np.ptp(scene.paths, axis=0)))
-    return f'<button data-size="{size:.4g}">overview</button>' if scene.is_far else ""
 
 
 def _switch(entry: Entry) -> str:

@@ -5,6 +5,7 @@ Every shape is the convex hull of ``points`` in the part's frame, widened by ``r
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
 from typing import ClassVar
@@ -51,7 +52,7 @@ class Box:
     def __str__(self) -> str:
         """Return edges, centre and orientation, for lists of parts."""
         edges = " x ".join(f"{edge:.4g}" for edge in self.size)
-        turned = "" if self.turned == ORIGIN else f", turned {_listed(self.turned)} rad"
+        turned = "" if self.turned == ORIGIN else f", turned {_listed(np.degrees(self.turned))} deg"
         return f"box {edges} m at {_listed(self.at)} m{turned}"
 
     @property
@@ -135,8 +136,8 @@ class Hull:
         return f"hull of {len(self.points)} points, ({sides}) m"
 
 
-def _listed(vector: Vector) -> str:
-    return f"({', '.join(f'{each:.4g}' for each in vector)})"
+def _listed(vector: Iterable[float]) -> str:
+    return f"({', '.join(f'{round(each, 6) + 0.0:.4g}' for each in vector)})"
 
 
 BodyShape = Box | Ball | Hull

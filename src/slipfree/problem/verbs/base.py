@@ -86,7 +86,10 @@ def ranges(run: Trajectory) -> Lines:
             continue
         low, high = (float(end.reduce(column.values, axis=None)) for end in (np.fmin, np.fmax))
         unit = column.label.unit
-        ends = ("infinite" if np.isinf(end) else f"{end:.6g}" for end in dict.fromkeys((low, high)))
+        n = 10 if unit == "m" and high > 1e3 else 6  # a northing has seven before the point
+        ends = (
+            "infinite" if np.isinf(end) else f"{end:.{n}g}" for end in dict.fromkeys((low, high))
+        )
         span = " to ".join(ends)
         facts.append((name, span if unit == "1" or np.isinf(low) else f"{span} {unit}"))
     return facts
@@ -322,14 +325,17 @@ class DriveVerb(Verb, ABC):
         spec = problem.spec
         start = setup.start.in_frame(spec.frame)
         own = [name for name in spec.start if name in start.columns]
-        names = dict.fromkeys([*own, "z", "pitch", "roll"])
-        pose = ", ".join(f"{name} {start[name][0]:.6g}" for name in names)
+        units = {name: start.columns[name].label.unit for name in (*own, "z", "pitch", "roll")}
+        pose = ", ".join(
+            f"{name} {Fact(start[name][0], unit):{'.4g>deg' if unit == 'rad' else '.3f'}}"
+            for name, unit in units.items()
+        )
         facts = drive_facts(start) | closest_fact(setup.vehicle, setup.terrain, setup.start)
         if has_pressed_wheels(start):
             poses = _stable_poses(problem, setup)
             facts["stable_poses"] = Fact([pose_row(pose) for pose in poses])
         return start, [
-            ("start", f"{pose} (m, rad)"),
+            ("start", pose),
             *lines(START_ROWS, facts),
             ("samples", self.describe_samples(problem, setup)),
         ]

@@ -620,9 +620,9 @@ class _Reader(NamedTuple):
             on_map &= (place.imag >= south) & (place.imag <= north)
             if not on_map.any():
                 raise ModelError(
-                    f"{path}: expected positions on the map, x from {west:g} to {east:g} m and y "
-                    f"from {south:g} to {north:g} m, found none, the first at x = "
-                    f"{place[0].real:g}, y = {place[0].imag:g} m; correct 'shift' or the columns"
+                    f"{path}: expected positions on the map, x from {west:.10g} to {east:.10g} m "
+                    f"and y from {south:.10g} to {north:.10g} m, found none, the first at x = "
+                    f"{place[0].real:.10g}, y = {place[0].imag:.10g} m; correct 'shift' or columns"
                 )
             bad["beyond the map"] = ~on_map
         if velocity is not None:
