@@ -41,8 +41,7 @@ from slipfree.fit.force_balance import four_wheels
 from slipfree.fit.prediction import Lanes, Model, Predictor
 from slipfree.fit.unknowns import BALANCE, Unknown
 from slipfree.fit.wheel_soil import QUANTITIES, fit_soil, repeat_spread
-from slipfree.laws.soil import Soil, WheelSize, forces_at_slip
-from slipfree.laws.soils import known_soil
+from slipfree.laws.soil import Soil, WheelSize, forces_at_slip, known_soil
 from slipfree.models.single_wheel import WheelRuns, motion_at_slip
 from slipfree.vehicle.tree import EARTH_GRAVITY
 

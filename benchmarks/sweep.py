@@ -26,7 +26,7 @@ from common import HERE, PROBLEMS
 
 from slipfree.problem.inputs import recipe_of
 from slipfree.problem.load import load_problem
-from slipfree.sweep.runs import KEPT, RunTask, work
+from slipfree.sweep import KEPT, RunTask, work
 
 PROBLEM = PROBLEMS / "paper_direct.toml"
 RUNS = 200

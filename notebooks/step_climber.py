@@ -39,7 +39,7 @@ from scipy.optimize import brentq
 
 import slipfree
 from slipfree import SolverOptions, catalog, load_problem, run_problem, simulate
-from slipfree.catalog.step_climber import AXLES
+from slipfree.catalog import AXLES
 from slipfree.climb.contact_path import least_friction
 from slipfree.climb.metrics import (
     climb_metrics,

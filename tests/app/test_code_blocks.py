@@ -32,7 +32,7 @@ from helpers.commands import printed
 from slipfree import Analytic, SamplingTask, catalog, commanded, direct_kinematics, settle, simulate
 from slipfree.cli import app
 from slipfree.files.atlas_files import Site, write_atlas
-from slipfree.files.toml.source import load_toml
+from slipfree.files.toml import load_toml
 from slipfree.files.urdf.roles import UrdfTable
 from slipfree.files.vehicle_toml import file_of, validated
 from slipfree.problem.load import load_problem

@@ -24,14 +24,13 @@ from slipfree.core.facts import Fact
 from slipfree.files import netcdf
 from slipfree.files.maps.elevation import read_map
 from slipfree.files.mcap import read_mcap
-from slipfree.files.toml.source import ProblemError
-from slipfree.files.toml.types import AngleWithUnit, RateWithUnit, parse_unit
+from slipfree.files.toml import AngleWithUnit, ProblemError, RateWithUnit, parse_unit
 from slipfree.files.vehicle_toml import open_file, read_toml
 from slipfree.plan.problem import costs_of
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build
 from slipfree.show import style
-from slipfree.sweep.runs import figures_of
+from slipfree.sweep import figures_of
 
 FRAMES_PROBLEM = """\
 verb = "direct"

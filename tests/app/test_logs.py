@@ -17,7 +17,7 @@ from helpers.cases import DATA
 from helpers.commands import printed, refuses
 from slipfree import DataError, catalog
 from slipfree.core.records import Array
-from slipfree.files.toml.source import ProblemError
+from slipfree.files.toml import ProblemError
 from slipfree.fit.drives import DriveLog
 from slipfree.problem.load import load_problem
 from slipfree.problem.verbs.fit import _Reader, inputs_of

@@ -120,7 +120,7 @@ class InProcess(Processes[Any, Any]):
 
 @pytest.mark.slow
 def test_it_is_swept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slipfree.sweep.runs.Processes", InProcess)
+    monkeypatch.setattr("slipfree.sweep.Processes", InProcess)
     found = printed("sweep", "p.toml", "--vary", "vehicle.mass=20:40:3", "--no-draw")
     assert "load_least" in found
     assert len(Path("p_sweep/table.csv").read_text().splitlines()) == 4

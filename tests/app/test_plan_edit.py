@@ -15,7 +15,7 @@ from helpers.cases import DATA
 from helpers.commands import invoke, refuses
 from slipfree.cli.show import open_page
 from slipfree.core.errors import DataError
-from slipfree.files.toml.source import ProblemError
+from slipfree.files.toml import ProblemError
 from slipfree.problem import plan_session
 from slipfree.problem.plan_edit import (
     Document,

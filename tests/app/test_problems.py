@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from helpers.commands import build_errors, refuses
 from helpers.problem_files import FILE, VALID, _read
 from slipfree.cli import app
-from slipfree.files.toml.source import ProblemError
+from slipfree.files.toml import ProblemError
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, run_problem
 from slipfree.problem.verbs.direct import Direct

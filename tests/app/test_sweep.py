@@ -31,8 +31,17 @@ from slipfree.problem.inputs import recipe_of
 from slipfree.problem.load import load_problem
 from slipfree.show import sweep_figures as show
 from slipfree.show.swept import Swept, Varied
-from slipfree.sweep.grid import axis_of, sweep_of
-from slipfree.sweep.runs import Rows, RunRow, RunTask, _spreads, drawn_grids, grids, work
+from slipfree.sweep import (
+    Rows,
+    RunRow,
+    RunTask,
+    _spreads,
+    axis_of,
+    drawn_grids,
+    grids,
+    sweep_of,
+    work,
+)
 from slipfree.system import dask_pool, processes
 from slipfree.system.parts import LOG
 from slipfree.system.processes import finish_tasks
@@ -405,7 +414,7 @@ def test_an_error_that_nobody_expects_is_a_row(file, monkeypatch):
     def fail(_: object) -> None:
         raise ZeroDivisionError("by chance")
 
-    monkeypatch.setattr("slipfree.sweep.runs.run_problem", fail)
+    monkeypatch.setattr("slipfree.sweep.run_problem", fail)
     (task,) = tasks_of(file, "time.step=0.1")
     assert work(task).row.words == "ZeroDivisionError: by chance"
 
@@ -421,7 +430,7 @@ def test_an_error_that_nobody_expects_is_a_row(file, monkeypatch):
 )
 def test_runs_share_a_model_unless_it_depends_on_the_key(file, monkeypatch, first, second, same):
     shared = dict[str, Any]()
-    monkeypatch.setattr("slipfree.sweep.runs.KEPT", shared)
+    monkeypatch.setattr("slipfree.sweep.KEPT", shared)
     before, after = tasks_of(file, first, second)
     work(before)
     model = shared["model"][1]
@@ -435,7 +444,7 @@ def test_runs_share_a_model_unless_it_depends_on_the_key(file, monkeypatch, firs
 
 def test_runs_with_other_input_files_share_nothing(file, monkeypatch):
     shared = dict[str, Any]()
-    monkeypatch.setattr("slipfree.sweep.runs.KEPT", shared)
+    monkeypatch.setattr("slipfree.sweep.KEPT", shared)
     (task,) = tasks_of(file, "time.step=0.1")
     work(task)
     found = shared["map"][1]

@@ -13,8 +13,7 @@ import pytest
 from helpers.cases import DATA
 from helpers.commands import invoke, sets
 from slipfree import Region
-from slipfree.laws.soil import Soil, WheelSize
-from slipfree.laws.soils import known_soil
+from slipfree.laws.soil import Soil, WheelSize, known_soil
 from slipfree.models.single_wheel import single_wheel
 from slipfree.problem.build import model_law
 from slipfree.problem.load import load_problem

@@ -18,7 +18,7 @@ from slipfree.files import netcdf
 from slipfree.files.maps.elevation import read_map
 from slipfree.problem.load import load_problem
 from slipfree.problem.verbs.base import DriveVerb
-from slipfree.sweep.grid import sweep_of
+from slipfree.sweep import sweep_of
 from slipfree.system import regular_files
 
 LIMIT = 100  # time after which a command counts as hanging [s]

@@ -22,8 +22,7 @@ from slipfree.problem.inputs import recipe_of
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build, open_result
 from slipfree.problem.verbs.base import world_of
-from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.runs import RunTask, work
+from slipfree.sweep import RunTask, sweep_of, work
 
 NAMES = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
 WHEEL = f"""<robot {NAMES}>

@@ -15,15 +15,15 @@ from helpers.cases import DATA, hills
 from helpers.commands import invoke, refused, refuses, sets
 from slipfree import Analytic, direct_kinematics, settle, simulate
 from slipfree.files import vehicle_toml
-from slipfree.files.toml.source import ProblemError
+from slipfree.files.toml import ProblemError
 from slipfree.files.vehicle_toml import Draft, from_rep103, rotation_of, vehicle_text
 from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.problem import build_ground
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.problem.schema import CATALOG
-from slipfree.vehicle.drives import Motor, Torque
 from slipfree.vehicle.sections import Disc, Omni, Sphere, Torus
 from slipfree.vehicle.tree import Joint
+from slipfree.vehicle.wheel import Motor, Torque
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 UNFIT = ("seven_wheels", "step_climber")  # neither stands on these hills with rigid wheels

@@ -9,8 +9,7 @@ import numpy as np
 from helpers.climb_cases import Grip, gripped
 from slipfree import SolverOptions
 from slipfree.catalog import step_climber
-from slipfree.control.reference_speeds import Law
-from slipfree.control.step_climbing import StepClimbing, held_torques, largest_period
+from slipfree.control.step_climbing import Law, StepClimbing, held_torques, largest_period
 from slipfree.core.trajectory import Trajectory
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate

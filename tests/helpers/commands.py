@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from slipfree.cli import app
-from slipfree.files.toml.source import ProblemError
+from slipfree.files.toml import ProblemError
 from slipfree.problem.load import load_problem, verb_of
 from slipfree.problem.result import build, open_result
 

@@ -13,7 +13,7 @@ from helpers.commands import invoke
 from helpers.problem_files import rough_ground
 from slipfree.problem.inputs import recipe_of
 from slipfree.problem.load import load_problem
-from slipfree.sweep.runs import RunTask
+from slipfree.sweep import RunTask
 from slipfree.system.parts import LOG
 
 PROBLEM = """\

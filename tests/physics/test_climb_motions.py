@@ -35,23 +35,20 @@ from helpers.climb_cases import (
 )
 from helpers.commands import refuses
 from slipfree import SolverOptions
-from slipfree.catalog import step_climber
-from slipfree.catalog.step_climber import AXLES
+from slipfree.catalog import AXLES, step_climber
 from slipfree.climb.metrics import climb_metrics, climb_window, disturbance_ratio, slip_ratio
-from slipfree.control.reference_speeds import (
+from slipfree.control.step_climbing import (
     PerAxle,
+    StepClimbing,
     Tilts,
+    check_period,
     directions,
     estimated_directions,
-    ratios,
-    reference,
-)
-from slipfree.control.step_climbing import (
-    StepClimbing,
-    check_period,
     held_torques,
     largest_period,
     limited,
+    ratios,
+    reference,
 )
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Label, pack

@@ -7,8 +7,7 @@ from numpy.testing import assert_allclose
 
 from helpers.climb_drawn import drawn, drive, finite
 from helpers.commands import refuses
-from slipfree.catalog import step_climber
-from slipfree.catalog.step_climber import AXLES
+from slipfree.catalog import AXLES, step_climber
 from slipfree.core.errors import ModelError
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label

@@ -30,8 +30,7 @@ from helpers.climb_cases import (
 )
 from helpers.climb_cases import climb as driven_climb
 from helpers.commands import refuses
-from slipfree.catalog import step_climber
-from slipfree.catalog.step_climber import AXLES
+from slipfree.catalog import AXLES, step_climber
 from slipfree.climb import time_scaling
 from slipfree.climb.contact_path import LEVEL_SLOPE, demand, least_friction, legs, sample
 from slipfree.climb.metrics import axle_speeds

@@ -17,11 +17,10 @@ from slipfree.laws.compliant import Compliant
 from slipfree.laws.coulomb import Coulomb
 from slipfree.models.multibody import Speeds, mass_matrix, multibody
 from slipfree.solve.settle import stable_poses
-from slipfree.vehicle.drives import RATE, Motor, Torque
 from slipfree.vehicle.sections import Disc, Sphere, Torus
 from slipfree.vehicle.shapes import Box, Hull
 from slipfree.vehicle.tree import EARTH_GRAVITY, Body, Coordinate, Joint, Vehicle
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.wheel import RATE, Motor, Torque, Wheel
 
 LIGHT = Body(1e-9, inertia=(1e-9, 1e-9, 1e-9, 0, 0, 0))
 

@@ -16,14 +16,13 @@ from helpers.commands import refuses
 from helpers.dynamics import FLAT, energy_error, moved, states
 from helpers.rounding import root
 from slipfree.contact.closure import ContactFrame, without_rolling
-from slipfree.laws.soils import SOILS, known_soil
+from slipfree.laws.soil import SOILS, known_soil
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.solve.replay import replay, round_trip
 from slipfree.system import codegen_cache
-from slipfree.vehicle.drives import Torque
 from slipfree.vehicle.sections import Disc, Omni, Torus
 from slipfree.vehicle.tree import EARTH_GRAVITY
-from slipfree.vehicle.wheel import Wheel
+from slipfree.vehicle.wheel import Torque, Wheel
 
 VEHICLE = sf.catalog.mecanum()
 HALF_TRACK, HALF_BASE, RADIUS = 0.15, 0.235, 0.0475

@@ -17,7 +17,7 @@ from slipfree.core.errors import DataError, ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.files import netcdf
 from slipfree.files.maps.elevation import geographic_to_metric, read_map
-from slipfree.files.toml.source import ProblemError
+from slipfree.files.toml import ProblemError
 from slipfree.problem.build_ground import build_ground, ground_facts
 from slipfree.problem.result import motion_facts, run_problem
 from slipfree.problem.schema import TerrainTable

@@ -18,10 +18,9 @@ from helpers.cases import PAPER_RATES, case1, closure_model, drive, hills
 from helpers.commands import refuses
 from helpers.vehicles import four_wheels
 from slipfree.catalog import three_wheeler
-from slipfree.contact.montana import ContactCoordinates, pair
 from slipfree.core.lookups import LookupTable
 from slipfree.geometry.frame import turn
-from slipfree.models.montana import cross_check, montana_kinematics
+from slipfree.models.montana import ContactCoordinates, cross_check, montana_kinematics, pair
 
 WHEELS = ("right", "left", "front")
 T = np.linspace(0, 6, 31)

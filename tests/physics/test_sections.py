@@ -19,8 +19,7 @@ from helpers.cases import hills
 from helpers.commands import refuses
 from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate
 from slipfree.catalog import three_wheeler
-from slipfree.contact.montana import patch
-from slipfree.models.montana import montana_kinematics
+from slipfree.models.montana import montana_kinematics, patch
 from slipfree.vehicle import sections
 
 

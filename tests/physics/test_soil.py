@@ -14,14 +14,16 @@ from helpers.commands import refuses
 from helpers.dynamics import energy_error
 from slipfree.laws import soil as law
 from slipfree.laws.soil import (
+    SOILS,
+    SoilRegion,
     WheelSize,
     forces_at_slip,
     forces_at_speeds,
+    known_soil,
+    soil_at,
     static_sinkage,
     wheel_size,
 )
-from slipfree.laws.soil_regions import SoilRegion, soil_at
-from slipfree.laws.soils import SOILS, known_soil
 from slipfree.models.rigid_dynamics import rigid_dynamics
 from slipfree.models.single_wheel import (
     SLIP_LIMIT,

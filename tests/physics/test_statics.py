@@ -25,12 +25,11 @@ from helpers.vehicles import four_wheels
 from slipfree.catalog import three_wheeler
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import leaves
-from slipfree.models.base import VehicleState
+from slipfree.models.base import Configuration, Dependent, VehicleState
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.limits import tip_over_margin
 from slipfree.models.montana import montana_kinematics
-from slipfree.models.records import Configuration, Dependent
 from slipfree.vehicle.sections import Torus
 from slipfree.vehicle.tree import Body, Coordinate, Vehicle, actuated
 from slipfree.vehicle.wheel import Wheel

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from helpers.cases import function_of, hills
 from slipfree import Analytic, Bicubic, Grid
-from slipfree.contact.montana import ContactCoordinates, Forms, contact_rates, pair, patch
 from slipfree.core.lookups import LookupTable, lookup_function
+from slipfree.models.montana import ContactCoordinates, Forms, contact_rates, pair, patch
 from slipfree.vehicle.sections import Sphere, Torus
 from slipfree.vehicle.wheel import Wheel
 

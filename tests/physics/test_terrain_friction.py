@@ -19,7 +19,7 @@ from helpers.cases import hills
 from helpers.commands import invoke, refuses, sets
 from helpers.problem_files import VALID
 from slipfree.core.errors import DataError, ModelError
-from slipfree.files.toml.source import ProblemError
+from slipfree.files.toml import ProblemError
 from slipfree.problem.build import build_terrain
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import build

@@ -13,7 +13,7 @@ import slipfree as sf
 from helpers.commands import refuses
 from slipfree.core.records import leaves
 from slipfree.core.trajectory import PLAN, Stop
-from slipfree.files.toml.source import ProblemError
+from slipfree.files.toml import ProblemError
 from slipfree.models.rigid_dynamics import dynamic_guess
 from slipfree.plan.guess import choose_guide, initial_guess, trip_of
 from slipfree.plan.problem import free_durations, task_of

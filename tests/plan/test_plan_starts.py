@@ -17,7 +17,7 @@ from slipfree.core.dae import Limit
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Label
 from slipfree.files import netcdf
-from slipfree.files.toml.source import ProblemError
+from slipfree.files.toml import ProblemError
 from slipfree.plan import plan as planning
 from slipfree.plan.plan import plan
 from slipfree.plan.search import count_distinct, distances, further_guesses

@@ -26,7 +26,7 @@ from slipfree.files import netcdf
 from slipfree.show.film import film_writer, write_film
 from slipfree.show.plots import Plot
 from slipfree.show.plots import save as save_figures
-from slipfree.sweep.runs import WORDS, Rows, RunRow
+from slipfree.sweep import WORDS, Rows, RunRow
 from slipfree.system.parts import LOG
 from slipfree.system.regular_files import replace_file
 
@@ -154,7 +154,7 @@ def test_a_log_on_a_full_disk_tells_so_and_goes_on_later(tmp_path: Path) -> None
 import resource, sys
 from pathlib import Path
 from slipfree.core.errors import DataError, WriteError
-from slipfree.sweep.runs import Rows, RunRow
+from slipfree.sweep import Rows, RunRow
 resource.setrlimit(resource.RLIMIT_FSIZE, ({size + 20}, {size + 20}))
 try:
     with Rows(Path({str(tmp_path)!r}), 2, {HEAD!r}) as rows:

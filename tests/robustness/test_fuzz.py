@@ -22,7 +22,7 @@ from slipfree.cli import app
 from slipfree.core.errors import DataError, ModelError
 from slipfree.files import netcdf
 from slipfree.files.maps.elevation import read_map
-from slipfree.files.toml.source import ProblemError
+from slipfree.files.toml import ProblemError
 from slipfree.files.vehicle_toml import open_file
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import problem_of

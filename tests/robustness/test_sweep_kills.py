@@ -18,8 +18,7 @@ from helpers import sweep_cases
 from helpers.commands import refuses
 from slipfree.core.errors import DataError, SlipfreeError
 from slipfree.core.version import __version__
-from slipfree.sweep.grid import sweep_of
-from slipfree.sweep.runs import Rows, sweep_facts, without_motion, work
+from slipfree.sweep import Rows, sweep_facts, sweep_of, without_motion, work
 from slipfree.system import dask_pool
 from slipfree.system.dask_pool import DaskPool
 from slipfree.system.parts import LOG
@@ -186,7 +185,7 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as full:
-        full.setattr("slipfree.sweep.runs.run_problem", fail)
+        full.setattr("slipfree.sweep.run_problem", fail)
         (task,) = sweep_cases.tasks_of(file, "time.step=0.1")
         done = work(task)
     assert (done.row.outcome, done.row.t) == ("lost", None)

@@ -209,7 +209,7 @@ def ground_of(
 ) -> tuple[Problem[Any], GroundMap]:
     """Return a problem with the map, and its ground; maps in degrees are converted."""
     from slipfree.files.maps.elevation import DegreesError
-    from slipfree.files.toml.source import ProblemError
+    from slipfree.files.toml import ProblemError
     from slipfree.problem.build_ground import build_ground
 
     if file.suffix.lower() == ".toml" and vehicle is None:
@@ -231,7 +231,7 @@ def ground_of(
 @contextmanager
 def as_arguments() -> Iterator[None]:
     """Name the options and arguments of this command in messages, not their settings."""
-    from slipfree.files.toml.source import ProblemError
+    from slipfree.files.toml import ProblemError
 
     try:
         yield

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn, TextIO, 
 import typer
 
 from slipfree.core.docstrings import descriptions
-from slipfree.core.errors import DataError, ModelError, SlipfreeError, WriteError
+from slipfree.core.errors import DataError, ModelError, SlipfreeError, WriteError, shortened
 from slipfree.core.version import __version__
 from slipfree.system.interrupt import (
     check_interrupt,
@@ -224,8 +224,7 @@ def _unexpected_reported(file: Path | None) -> Iterator[None]:
             raise
         if _current_output().options.verbose:
             print_line(traceback.format_exc(), err=True)
-        words = " ".join(f"{type(error).__name__}: {error}".split())
-        words = words if len(words) <= MAX_UNEXPECTED else f"{words[:MAX_UNEXPECTED]}..."
+        words = shortened(" ".join(f"{type(error).__name__}: {error}".split()), MAX_UNEXPECTED)
         print_error(
             f"{file or 'command'}: {UNEXPECTED} {__version__} ({words}); report it to the "
             "developers of slipfree, with the file and the traceback that --verbose prints"

@@ -178,7 +178,7 @@ def _log_fit(
     predict: Sequence[Path],
 ) -> _FitWork:
     from slipfree.files.netcdf import is_result
-    from slipfree.files.toml.source import MADE
+    from slipfree.files.toml import MADE
     from slipfree.files.vehicle_toml import toml_value, vehicle_text
     from slipfree.problem.inputs import files_read
     from slipfree.problem.load import load_again

@@ -46,8 +46,7 @@ from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
     from slipfree.plan.pareto import FrontPoint
-    from slipfree.sweep.grid import Sweep
-    from slipfree.sweep.runs import Rows
+    from slipfree.sweep import Rows, Sweep
 
 FRONT = "pareto.csv", "pareto.png"  # table and figure of a Pareto front
 GO_ON = "repeat the command to continue"
@@ -343,8 +342,7 @@ def sweep(
     """
     from slipfree.problem.inputs import files_read
     from slipfree.show.sweep_figures import save_sweep_figures
-    from slipfree.sweep.grid import sweep_of
-    from slipfree.sweep.runs import (
+    from slipfree.sweep import (
         FAILED,
         LOST,
         TABLE,
@@ -354,6 +352,7 @@ def sweep(
         grids,
         run_sweep,
         sweep_facts,
+        sweep_of,
     )
     from slipfree.system.codegen_cache import obstacle
     from slipfree.system.parts import LOG
@@ -407,7 +406,7 @@ def sweep(
 
 def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
     """Print the size of a sweep and the time that its remaining runs will take."""
-    from slipfree.sweep.runs import Rows, plan_facts
+    from slipfree.sweep import Rows, plan_facts
     from slipfree.system.parts import LOG
 
     facts = plan_facts(plan)
@@ -426,7 +425,7 @@ def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
 
 def _warn_missing(plan: Sweep, rows: Rows) -> None:
     """Warn about finished runs without a result file, such as those run without ``--keep``."""
-    from slipfree.sweep.runs import missing_results
+    from slipfree.sweep import missing_results
 
     if missing := missing_results(rows):
         (first,) = rows.read(missing[:1])

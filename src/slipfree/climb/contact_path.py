@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.catalog.step_climber import AXLES
+from slipfree.catalog import AXLES
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate
 from slipfree.core.records import Array
@@ -202,7 +202,7 @@ def sample(climber: Vehicle, profile: Profile, leg: Leg, s: Array) -> PathSample
 def legs(climber: Vehicle, profile: Profile) -> tuple[Leg, ...]:
     """Return the legs of the path, from the first contact of the front wheels to the end.
 
-    ``climber`` is a vehicle like `slipfree.catalog.step_climber`. ModelError is raised if the floor
+    ``climber`` is a vehicle like `slipfree.catalog`. ModelError is raised if the floor
     is not level, if there is no obstacle, or if the vehicle gets stuck: a body would have to stand
     upright, a wheel is caught between two solids, or a leg is longer than 50 m.
     """

@@ -41,8 +41,7 @@ from slipfree.climb.contact_path import (
     sample,
     spin_inertia,
 )
-from slipfree.control.reference_speeds import PerAxle
-from slipfree.control.step_climbing import Commands, ControlState, Motors, Sensed, limited
+from slipfree.control.step_climbing import Commands, ControlState, Motors, PerAxle, Sensed, limited
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Nlp
 from slipfree.core.errors import ModelError

@@ -352,8 +352,8 @@ class Dae(Generic[X, Z, U, Y]):
         figures, mobility maps and initial guesses of plans take them from here; solvers ignore
         them.
     p : tuple of Parameter
-        Numbers that are symbols of the model. Solvers take models without parameters:
-        `slipfree.core.rearrange.with_values` replaces the symbols by numbers.
+        Numbers that are symbols of the model. Solvers take models without parameters; mobility
+        maps vary them.
 
     Raises
     ------

@@ -10,7 +10,6 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.dae import Dae, SampledCheck
-from slipfree.core.errors import ModelError
 from slipfree.core.lookups import needed_lookups, substitute_lookups
 from slipfree.core.records import Array, Label, leaves, pack, unpack
 
@@ -181,33 +180,3 @@ class _RearrangedCheck:
     def describe(self, x: Array, z: Array) -> str:
         """Return a message about the violation in a state of shapes (n_x,) and (n_z,)."""
         return self.check.describe(*(np.array(each).ravel() for each in self.states(x, z)))
-
-
-def with_values(dae: Dae, **values: float) -> Dae:
-    """Return a model with numbers in place of its parameters, for solvers.
-
-    Parameters that are not given have their nominal values. ModelError is raised for unknown names.
-    """
-    names = [each.label.name for each in dae.p]
-    for name in values:
-        if name not in names:
-            raise ModelError(
-                f"with_values: expected one of {', '.join(names)}, found {name!r}; correct it"
-            )
-    chosen = [(each.symbol, values.get(each.label.name, each.value)) for each in dae.p]
-    continuation = dae.continuation
-    if continuation is not None:
-        own = continuation.symbol.element_hash()
-        for symbol, number in chosen:
-            if symbol.element_hash() == own:
-                before = (each for each in continuation.values if each > number)
-                continuation = continuation._replace(values=(*before, number))
-        chosen = [pair for pair in chosen if pair[0].element_hash() != own]
-    symbols, numbers = [pair[0] for pair in chosen], [ca.SX(pair[1]) for pair in chosen]
-    parts = ca.substitute(
-        [dae.guess, dae.rest],
-        [ca.vertcat(ca.SX(0, 1), *symbols)],
-        [ca.vertcat(ca.SX(0, 1), *numbers)],
-    )
-    new = substitute(dae, symbols, numbers)
-    return replace(new, guess=parts[0], rest=parts[1], continuation=continuation, p=())

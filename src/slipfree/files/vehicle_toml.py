@@ -24,39 +24,36 @@ from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, Validati
 from slipfree.core.arguments import WithUnit, degrees_question
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
-from slipfree.files.toml.source import (
-    Fault,
-    Place,
-    ProblemError,
-    Source,
-    key_lines,
-    name_errors,
-    parse_toml,
-    read_text,
-    spelled,
-    validation_fault,
-    value_errors,
-)
-from slipfree.files.toml.types import (
+from slipfree.files.toml import (
     WITH_UNIT,
     Angle,
     AngleWithUnit,
+    Fault,
     NonNegative,
+    Place,
     Point,
     Positive,
+    ProblemError,
     Quantity,
     Record,
+    Source,
     bare_words,
     expected_error,
     given_values,
     in_radians,
     is_number,
+    key_lines,
+    name_errors,
+    parse_toml,
     parse_unit,
+    read_text,
     record_of,
+    spelled,
     unit_faults,
+    validation_fault,
+    value_errors,
 )
 from slipfree.geometry.frame import Vector, in_axes, unit_vector
-from slipfree.vehicle.drives import DRIVES, RATE, Drive
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS, names_in
 from slipfree.vehicle.sections import SECTIONS, Omni, Section, section_of_radii
 from slipfree.vehicle.shapes import SHAPES, Ball, BodyShape, Box, Hull
@@ -70,7 +67,7 @@ from slipfree.vehicle.tree import (
     VehicleParts,
     part_faults,
 )
-from slipfree.vehicle.wheel import ORIGIN, Wheel
+from slipfree.vehicle.wheel import DRIVES, ORIGIN, RATE, Drive, Wheel
 
 RESERVED_NAMES = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
 MAX_LENGTH = 100.0  # largest length in a vehicle [m]

@@ -43,15 +43,20 @@ speed ``u = r_s omega``, for the angular velocity ``omega`` of the wheel, and th
 hold for braked and locked wheels, wheels that spin in place, and sideways and backward motion. If
 a wheel reverses, entry and exit change places smoothly; near standstill, the shear displacement is
 that of the rim speed ``creep``.
+
+A ground may have regions with another soil. The sources of the published soils give the parameters
+of sinkage and strength, and the shear deformation modulus. All other parameters have the defaults
+of `Soil`: angles of largest stress, exit depth and density.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from math import inf, pi, radians, sqrt
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -59,9 +64,10 @@ from annotated_types import Ge, Gt, Le, Lt, Unit, doc
 
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Limit
-from slipfree.core.errors import ModelError
+from slipfree.core.errors import ModelError, read_table
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array
+from slipfree.geometry.regions import Region
 from slipfree.laws.coulomb import creep_continuation, no_equilibrium
 from slipfree.laws.protocols import (
     Equations,
@@ -72,10 +78,93 @@ from slipfree.laws.protocols import (
     quantity_labels,
     wheel_labels,
 )
-from slipfree.laws.soil_regions import SoilRegion, soil_at
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle
 from slipfree.vehicle.wheel import Wheel
+
+OF_THE_LAW = (
+    "grouser_height",
+    "damping_ratio",
+    "creep",
+    "coupled_shear",
+    "regions",
+)  # not constants of the ground
+
+
+class RegionalSoil(Protocol):
+    """Dataclass of the constants of a soil, with regions of other soils."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def regions(self) -> tuple[SoilRegion, ...]:
+        """Regions of other soils."""
+
+
+S = TypeVar("S", bound=RegionalSoil)
+
+
+@dataclass(frozen=True)
+class SoilRegion:
+    """A region of the ground with another soil.
+
+    Across the border, the constants of the soils are blended: their weights change as the
+    polynomial of degree five with two continuous derivatives at both ends.
+
+    Attributes
+    ----------
+    region : Region
+        The region, in map coordinates.
+    soil : Soil
+        Its soil. Grousers, damping ratio and creep are those of the law.
+    width : float
+        Width of the transition, half of it on each side of the border. [m]
+
+    Raises
+    ------
+    ModelError
+        If the width is not positive and finite, or the soil of the region has regions.
+    """
+
+    region: Region
+    soil: RegionalSoil
+    width: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.width < inf:
+            raise ModelError(
+                f"soil region: width: expected a finite positive width, found {self.width} m; give "
+                "the width in which one soil becomes the other"
+            )
+        if self.soil.regions:
+            raise ModelError(
+                "soil region: expected a soil without regions, found one with regions; list all "
+                "regions in one soil: later ones cover earlier ones"
+            )
+
+    def weight(self, x: ca.SX, y: ca.SX) -> ca.SX:
+        """Return the weight of the region's soil at a point in map coordinates, 0 to 1 [1]."""
+        s = ca.fmax(0, ca.fmin(0.5 - self.region.outside(x, y) / self.width, 1))
+        return ca.SX(s**3 * (10 + s * (6 * s - 15)))
+
+
+def soil_at(soil: S, x: ca.SX, y: ca.SX) -> S:
+    """Return a soil with the constants at a map point, as expressions where regions blend them.
+
+    Later regions cover earlier ones.
+    """
+    if not soil.regions:
+        return soil
+    names = [each.name for each in fields(soil) if each.name not in OF_THE_LAW]
+    values = {name: getattr(soil, name) for name in names}
+    for region in soil.regions:
+        weight = region.weight(x, y)
+        values = {k: v + weight * (getattr(region.soil, k) - v) for k, v in values.items()}
+    here = copy(soil)  # without the check of constants, which are expressions now
+    for name, value in ({"regions": ()} | values).items():
+        object.__setattr__(here, name, value)
+    return here
+
 
 POINTS, WEIGHTS = np.polynomial.legendre.leggauss(12)  # Gauss points on each side of the peak
 SMALLEST_DEPTH = 1e-9  # of a wheel; angles have no derivative at zero depth [wheel radii]
@@ -144,7 +233,7 @@ class SoilForces(NamedTuple):
 class Soil:
     """Loose soil under rigid wheels, for dynamics and quasi-statics.
 
-    The defaults are the dry sand of Ishigami et al. (2007); `slipfree.laws.soils` has other soils.
+    The defaults are the dry sand of Ishigami et al. (2007); `slipfree.laws.soil` has other soils.
     The width of a wheel is that of its section, ``2 r1`` of a torus. Equation numbers are those of
     `slipfree.laws.soil`.
 
@@ -576,3 +665,33 @@ def _bulldozing(soil: Soil, height: Any, gravity: float) -> Any:
     weight = soil.density * gravity
     width, surcharge = cot + ca.tan(failure + phi), cot + cot**2 * ca.tan(phi)
     return width * (soil.cohesion * height + surcharge * weight * height**2 / 2)
+
+
+class KnownSoil(NamedTuple):
+    """A soil and the publication of its parameters."""
+
+    soil: Soil
+    source: str
+
+
+def _read_soils() -> Iterator[tuple[str, KnownSoil]]:
+    for name, row in read_table(__file__, "soils.toml").items():
+        source, shear = row.pop("source"), row.pop("shear", None)
+        if shear is not None:
+            row["friction_angle"] = radians(row.pop("degrees"))
+            row |= {"shear_along": shear, "shear_along_rate": 0.0}
+            row |= {"shear_across": shear, "shear_across_rate": 0.0}
+        yield name, KnownSoil(Soil(**row), source)
+
+
+SOILS = dict(_read_soils())
+
+
+def known_soil(name: str) -> Soil:
+    """Return a soil of the catalogue by name; ModelError if there is no soil of this name."""
+    if name not in SOILS:
+        raise ModelError(
+            f"soil: expected one of {', '.join(SOILS)}, found {name!r}; choose one of them, or "
+            "give the constants of Soil(...)"
+        )
+    return SOILS[name].soil

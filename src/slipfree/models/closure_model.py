@@ -16,6 +16,7 @@ from slipfree.core.records import symbols
 from slipfree.geometry.frame import Pose
 from slipfree.laws.protocols import Equations
 from slipfree.models.base import (
+    Algebraic,
     Quantities,
     VehicleState,
     at_rest,
@@ -31,7 +32,6 @@ from slipfree.models.base import (
 )
 from slipfree.models.friction_feasibility import force_outputs, mechanics, with_tangential
 from slipfree.models.limits import limits_of, tip_over_margin
-from slipfree.models.records import Algebraic
 from slipfree.models.samples import slip_velocities
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle

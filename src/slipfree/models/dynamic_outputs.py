@@ -16,28 +16,26 @@ from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Label, T, leaves, unpack
 from slipfree.laws.protocols import ContactLaw, GroundForce, quantity_labels, wheel_labels
 from slipfree.models.base import (
+    Configuration,
+    Dependent,
+    ForceOutputs,
+    Forces,
+    Inputs,
     Mechanics,
+    Outputs,
     Quantities,
+    Rates,
     VehicleState,
+    effort_label,
+    labels_of,
     outputs,
+    pressed_labels,
     slip_ratios,
     tangential_components,
 )
 from slipfree.models.body_contact import BodyContact
 from slipfree.models.limits import tip_over_margin
 from slipfree.models.multibody import Multibody, kinetic_energy
-from slipfree.models.records import (
-    Configuration,
-    Dependent,
-    ForceOutputs,
-    Forces,
-    Inputs,
-    Outputs,
-    Rates,
-    effort_label,
-    labels_of,
-    pressed_labels,
-)
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Coordinate, Vehicle
 from slipfree.vehicle.wheel import Wheel

@@ -31,7 +31,7 @@ from slipfree.core.records import leaves, pack, symbols
 from slipfree.geometry.frame import Pose, rotation_of, turn
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.protocols import BodyLaw, ContactLaw, WheelContact
-from slipfree.models.base import body_checks, check_mass, extent, raised_poses, vehicle_dae
+from slipfree.models.base import Inputs, body_checks, check_mass, extent, raised_poses, vehicle_dae
 from slipfree.models.body_contact import body_contacts
 from slipfree.models.dynamic_outputs import (
     Contact,
@@ -62,7 +62,6 @@ from slipfree.models.multibody import (
     mass_matrix,
     multibody,
 )
-from slipfree.models.records import Inputs
 from slipfree.models.standing import planar_start, standing_start
 from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain

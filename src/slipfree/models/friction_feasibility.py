@@ -21,6 +21,9 @@ from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, leaves, pack, symbols
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.models.base import (
+    Algebraic,
+    ForceOutputs,
+    Forces,
     Mechanics,
     Quantities,
     State,
@@ -28,18 +31,13 @@ from slipfree.models.base import (
     carriers,
     check_mass,
     contact_frames,
+    is_determinate,
+    labels_of,
     masses_of,
     platform_pose,
     values_of,
 )
 from slipfree.models.force_distribution import least_utilisation
-from slipfree.models.records import (
-    Algebraic,
-    ForceOutputs,
-    Forces,
-    is_determinate,
-    labels_of,
-)
 from slipfree.models.samples import coordinates, slip_velocities
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle

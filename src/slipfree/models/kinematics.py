@@ -4,7 +4,7 @@ A rigid vehicle stands on three wheels; a fourth one over-determines its pose. I
 model, each wheel presses on the ground with a load that grows with its depth below the ground, and
 the height and inclination of the platform and the suspension are states that relax to the
 equilibrium of these loads. As the depths tend to zero, the motion tends to that of
-`slipfree.models.closure_model` if the wheels of the vehicle can all touch a rigid ground.
+`slipfree.models.base` if the wheels of the vehicle can all touch a rigid ground.
 
 With the depth ``delta_i`` of a wheel, its static depth ``d0``, the weight ``W`` and ``n`` wheels:
 
@@ -40,16 +40,25 @@ from slipfree.core.schema import Positive
 from slipfree.laws.least_slip import LeastSlip, linear_form
 from slipfree.laws.protocols import Equations, Motion, SlipLaw, wheel_labels
 from slipfree.models.base import (
+    Algebraic,
+    Configuration,
+    Dependent,
+    Forces,
+    KinematicDae,
     Mechanics,
+    PressedContacts,
     Quantities,
+    RelaxedState,
     VehicleState,
     carriers,
     contact_checks,
     contact_frames,
     extent,
     joint_rates,
+    labels_of,
     level_heights,
     outputs,
+    pressed_labels,
     raised_poses,
     spins,
     vehicle_dae,
@@ -61,17 +70,6 @@ from slipfree.models.friction_feasibility import (
     mechanics,
 )
 from slipfree.models.limits import limits_of, tip_over_margin
-from slipfree.models.records import (
-    Algebraic,
-    Configuration,
-    Dependent,
-    Forces,
-    KinematicDae,
-    PressedContacts,
-    RelaxedState,
-    labels_of,
-    pressed_labels,
-)
 from slipfree.models.samples import slip_velocities
 from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain

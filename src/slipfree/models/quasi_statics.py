@@ -13,17 +13,18 @@ from slipfree.core.arguments import checked
 from slipfree.core.records import pack
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.protocols import Equations, GroundLaw, SlidingContacts, quantity_labels
-from slipfree.models.base import Quantities, check_mass
-from slipfree.models.closure_model import closure_dae, closure_quantities
-from slipfree.models.friction_feasibility import diagnosis, equilibrium
-from slipfree.models.kinematics import check_rollers
-from slipfree.models.records import (
+from slipfree.models.base import (
     Algebraic,
     Forces,
     KinematicDae,
+    Quantities,
+    check_mass,
     equilibrium_labels,
     labels_of,
 )
+from slipfree.models.closure_model import closure_dae, closure_quantities
+from slipfree.models.friction_feasibility import diagnosis, equilibrium
+from slipfree.models.kinematics import check_rollers
 from slipfree.models.samples import absolute_spins
 from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain

@@ -54,6 +54,8 @@ from slipfree.laws.protocols import (
     wheel_limits,
 )
 from slipfree.models.base import (
+    ContactPoint,
+    Inputs,
     at_rest,
     contact_checks,
     raised_poses,
@@ -82,7 +84,6 @@ from slipfree.models.dynamics import (
 )
 from slipfree.models.limits import limits_of
 from slipfree.models.multibody import bias_forces, mass_matrix
-from slipfree.models.records import ContactPoint, Inputs
 from slipfree.models.standing import standing_start
 from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain

@@ -20,9 +20,9 @@ from slipfree.laws.soil import (
     depth_under_load,
     forces_at_slip,
     forces_at_speeds,
+    soil_at,
     wheel_size,
 )
-from slipfree.laws.soil_regions import soil_at
 from slipfree.vehicle.tree import EARTH_GRAVITY, Vehicle
 
 SLIP_LIMIT = 0.3  # slip ratio at which the largest pull counts [1]

@@ -17,11 +17,17 @@ from slipfree.core.records import Label, leaves
 from slipfree.geometry.frame import platform, quaternion, turn
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import wheel_limits
-from slipfree.models.base import VehicleState, extent, level_heights, sizes
+from slipfree.models.base import (
+    Configuration,
+    Dependent,
+    VehicleState,
+    extent,
+    level_heights,
+    sizes,
+)
 from slipfree.models.dynamic_outputs import Contact, MovingVehicle
 from slipfree.models.kinematics import exact_dae, pressed_dae
 from slipfree.models.multibody import Load, bias_forces, generalised_forces
-from slipfree.models.records import Configuration, Dependent
 from slipfree.terrain.base import Terrain
 from slipfree.terrain.solids import Prism
 from slipfree.vehicle.tree import Vehicle

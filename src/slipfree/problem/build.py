@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from slipfree.catalog.step_climber import check_climber
+from slipfree.catalog import check_climber
 from slipfree.control.path_following import follow, straight
 from slipfree.control.step_climbing import StepClimbing, check_period, climbing, held_torques
 from slipfree.core.dae import Dae
@@ -21,9 +21,8 @@ from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import Column, Trajectory, heading_column
 from slipfree.files.maps.reference_systems import semi_major_axis
 from slipfree.files.tables import read_columns
-from slipfree.files.toml.source import Fault, key_path, name_errors
-from slipfree.files.toml.source import Place as KeyPath
-from slipfree.files.toml.types import unit_faults
+from slipfree.files.toml import Fault, key_path, name_errors, unit_faults
+from slipfree.files.toml import Place as KeyPath
 from slipfree.geometry.path import Path
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.models.dynamics import dynamics

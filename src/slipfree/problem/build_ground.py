@@ -26,9 +26,8 @@ from slipfree.files.maps.elevation import (
 from slipfree.files.maps.raster import RasterParts, Reading, raster_parts
 from slipfree.files.maps.reference_systems import from_degrees
 from slipfree.files.netcdf import DEGREES, MapCoordinate
-from slipfree.files.toml.source import Fault, ProblemError
-from slipfree.files.toml.source import Place as KeyPath
-from slipfree.files.toml.types import AngleWithUnit
+from slipfree.files.toml import AngleWithUnit, Fault, ProblemError
+from slipfree.files.toml import Place as KeyPath
 from slipfree.problem import schema
 from slipfree.problem.problem import A, Problem, S, shared
 from slipfree.problem.schema import TerrainKeys

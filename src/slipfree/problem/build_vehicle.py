@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from slipfree.contact.closure import check_couplings
 from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError
-from slipfree.files.toml.source import Fault, Place, name_errors
+from slipfree.files.toml import Fault, Place, name_errors
 from slipfree.files.urdf.elements import read_tree
 from slipfree.files.urdf.links import Robot
 from slipfree.files.urdf.meshes import MeshFiles

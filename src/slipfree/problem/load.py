@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from slipfree.core.arguments import checked
-from slipfree.files.toml.source import (
+from slipfree.files.toml import (
     Fault,
     Source,
     format_value,

@@ -16,7 +16,7 @@ from slipfree.core.facts import Lines, TableColumn, table
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import SolverError, outcome_words
 from slipfree.files.netcdf import write
-from slipfree.files.toml.source import Fault
+from slipfree.files.toml import Fault
 from slipfree.plan.constraints import unit_words
 from slipfree.plan.pareto import FrontPoint, FrontTask, check_count, is_better, pareto_front
 from slipfree.plan.polynomial_motion import SavedPlan, from_arrays

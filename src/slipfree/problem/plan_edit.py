@@ -26,8 +26,7 @@ from tomlkit.exceptions import TOMLKitError
 
 from slipfree.core.errors import DataError
 from slipfree.files.netcdf import DEGREES
-from slipfree.files.toml.source import decode_text, read_raw
-from slipfree.files.toml.types import parse_unit
+from slipfree.files.toml import decode_text, parse_unit, read_raw
 from slipfree.problem.build_ground import at
 from slipfree.problem.load import load_again
 from slipfree.problem.problem import Problem

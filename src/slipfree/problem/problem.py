@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import ValidationError
 
-from slipfree.files.toml.source import (
+from slipfree.files.toml import (
     Fault,
     Source,
     key_lines,

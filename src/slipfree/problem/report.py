@@ -22,9 +22,9 @@ from slipfree.files.netcdf import MAP_TRANSFORM, ORIGIN, read
 from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.files.vehicle_toml import Draft, VehicleError
 from slipfree.geometry.frame import AXES, unit_vector
+from slipfree.models.base import is_determinate
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics
-from slipfree.models.records import is_determinate
 from slipfree.models.samples import closest_fact
 from slipfree.problem.atlas_tiles import AtlasOverview, overview, summary_lines
 from slipfree.problem.build_vehicle import (

@@ -21,7 +21,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Stop, Trajectory, thin
 from slipfree.files.netcdf import MapCoordinate, check_motion, check_name, read, read_arrays
-from slipfree.files.toml.source import ProblemError
+from slipfree.files.toml import ProblemError
 from slipfree.files.urdf.links import Robot
 from slipfree.files.vehicle_toml import file_of, read_toml, vehicle_text
 from slipfree.geometry.mesh import TriangleMesh

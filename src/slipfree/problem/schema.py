@@ -18,11 +18,10 @@ from slipfree import catalog
 from slipfree.control import step_climbing
 from slipfree.core.errors import ModelError
 from slipfree.core.trajectory import Frame
-from slipfree.files.toml.source import Fault
-from slipfree.files.toml.source import Place as KeyPath
-from slipfree.files.toml.types import (
+from slipfree.files.toml import (
     Angle,
     Count,
+    Fault,
     Pair,
     Positive,
     Quantity,
@@ -35,11 +34,10 @@ from slipfree.files.toml.types import (
     one_of,
     record_of,
 )
+from slipfree.files.toml import Place as KeyPath
 from slipfree.geometry.regions import Region
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
-from slipfree.laws.soil import Soil
-from slipfree.laws.soil_regions import OF_THE_LAW, SoilRegion
-from slipfree.laws.soils import SOILS, known_soil
+from slipfree.laws.soil import OF_THE_LAW, SOILS, Soil, SoilRegion, known_soil
 from slipfree.solve.options import SolverOptions
 from slipfree.terrain import solids
 from slipfree.terrain.base import Grid

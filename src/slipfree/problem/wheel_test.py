@@ -19,8 +19,17 @@ from slipfree.core.facts import Lines
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.files.tables import read_columns, read_names
-from slipfree.files.toml.source import MADE, Fault, problem_error, read_text
-from slipfree.files.toml.types import Angle, Positive, Record, given_values, record_of
+from slipfree.files.toml import (
+    MADE,
+    Angle,
+    Fault,
+    Positive,
+    Record,
+    given_values,
+    problem_error,
+    read_text,
+    record_of,
+)
 from slipfree.files.vehicle_toml import toml_value
 from slipfree.fit.estimate import Interval
 from slipfree.fit.unknowns import Unknown, law_constants

@@ -81,9 +81,9 @@ def with_inputs(
     """
     if dae.p:
         raise ModelError(
-            "expected a model with numbers in place of the parameters "
-            f"{', '.join(each.label.name for each in dae.p)}, found symbols; replace them by "
-            "slipfree.core.rearrange.with_values(model)"
+            "expected a model without parameters, found "
+            f"{', '.join(each.label.name for each in dae.p)}; use the model without shifts of the "
+            "ground"
         )
     u = dae.columns()[2]
     law, values = list(ca.vertsplit(u)) if u.numel() else [], np.zeros((u.numel(), intervals or 1))

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Generic, NamedTuple, Self, TypeVar
 
-from slipfree.core.errors import DataError, WriteError
+from slipfree.core.errors import DataError, WriteError, shortened
 from slipfree.system.interrupt import interrupt_requested
 from slipfree.system.processes import Poll, Pool, finish_tasks, local_tasks
 from slipfree.system.regular_files import TEMPORARY, check_name, replace_file
@@ -392,6 +392,4 @@ def _difference(old: Any, new: Any) -> str:
     if isinstance(old, dict) and isinstance(new, dict):  # files, or varied keys
         names = [name for name in {**old, **new} if name and old.get(name) != new.get(name)]
         return f": {', '.join(names)}" if names else ""
-    texts = [json.dumps(value) for value in (old, new)]
-    old_text, new_text = (text if len(text) <= 60 else f"{text[:57]}..." for text in texts)
-    return f": {old_text}, now {new_text}"
+    return ": {}, now {}".format(*(shortened(json.dumps(value), 60) for value in (old, new)))

@@ -26,10 +26,9 @@ from slipfree.geometry.frame import (
     turn,
     unit_vector,
 )
-from slipfree.vehicle.drives import NO_DRIVE, RATE, Drive
 from slipfree.vehicle.formula import evaluate, names_in
 from slipfree.vehicle.shapes import BodyShape
-from slipfree.vehicle.wheel import ORIGIN, Wheel
+from slipfree.vehicle.wheel import NO_DRIVE, ORIGIN, RATE, Drive, Wheel
 
 Kind = Literal["commanded", "passive", "suspension"]
 EARTH_GRAVITY = 9.81  # [m/s^2]
@@ -110,7 +109,7 @@ class Coordinate:
         [rad/s or m/s]
     drive : Drive
         Drive of a commanded coordinate, such as ``Rate()``, ``Torque()`` or ``Motor(...)``, for
-        dynamics (`slipfree.vehicle.drives`); other models use the rate.
+        dynamics (`slipfree.vehicle.wheel`); other models use the rate.
 
     Raises
     ------

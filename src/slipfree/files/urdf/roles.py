@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import doc
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from slipfree.files.toml.types import NonNegative, Positive, Record, decoded, given_values
+from slipfree.files.toml import NonNegative, Positive, Record, decoded, given_values
 from slipfree.files.urdf.tree import Link, Mimic, Tree, UrdfJoint
 from slipfree.files.vehicle_toml import (
     At,
@@ -23,9 +23,8 @@ from slipfree.files.vehicle_toml import (
     vector_of,
 )
 from slipfree.geometry.frame import unit_vector
-from slipfree.vehicle.drives import RATE
 from slipfree.vehicle.tree import Kind
-from slipfree.vehicle.wheel import ORIGIN
+from slipfree.vehicle.wheel import ORIGIN, RATE
 
 # a text is the kind of the joint
 EXPANDED = BeforeValidator(lambda value: {"kind": value} if isinstance(value, str) else value)

@@ -23,9 +23,8 @@ from slipfree.core.facts import Lines
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import Frame, heading_column
 from slipfree.files.atlas_files import EMPTY, Site
-from slipfree.files.toml.source import Fault, name_errors
-from slipfree.files.toml.source import Place as KeyPath
-from slipfree.files.toml.types import Positive, Range, Record
+from slipfree.files.toml import Fault, Positive, Range, Record, name_errors
+from slipfree.files.toml import Place as KeyPath
 from slipfree.problem.build import build_model, build_vehicle, law_name, vehicle_facts
 from slipfree.problem.build_ground import (
     Extremes,

@@ -25,8 +25,8 @@ from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import SolverError, Stop, Trajectory, outcome_words, path_length
 from slipfree.files.netcdf import MAP_TRANSFORM, NOTHING, encode_map_coordinates
 from slipfree.laws.soil import Soil
+from slipfree.models.base import is_determinate
 from slipfree.models.friction_feasibility import BEST, best_utilisation
-from slipfree.models.records import is_determinate
 from slipfree.models.samples import (
     CLOSEST,
     closest_fact,

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from slipfree.core.records import leaves
 from slipfree.core.trajectory import Trajectory
-from slipfree.files.toml.types import Quantity
+from slipfree.files.toml import Quantity
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.samples import measured_slip
 from slipfree.plan.verification import simulate_to_failure

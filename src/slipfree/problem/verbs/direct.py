@@ -15,9 +15,8 @@ from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.files.mcap import is_mcap, read_joint_commands
 from slipfree.files.netcdf import NOTHING
-from slipfree.files.toml.source import Fault, format_value
-from slipfree.files.toml.source import Place as KeyPath
-from slipfree.files.toml.types import Piecewise, PiecewiseConstantOrFile, Positive
+from slipfree.files.toml import Fault, Piecewise, PiecewiseConstantOrFile, Positive, format_value
+from slipfree.files.toml import Place as KeyPath
 from slipfree.files.urdf.links import Robot, joint_values
 from slipfree.models.montana import cross_check, montana_kinematics
 from slipfree.problem.build import (

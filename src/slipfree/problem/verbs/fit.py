@@ -32,8 +32,7 @@ from slipfree.files.logs import (
 )
 from slipfree.files.netcdf import FIT, ORIGIN, open_netcdf
 from slipfree.files.tables import ALIASES, PARTS, read_names, split_unit
-from slipfree.files.toml.source import name_errors
-from slipfree.files.toml.types import Angle, Pair, Positive, Quantity, Record, given_values
+from slipfree.files.toml import Angle, Pair, Positive, Quantity, Record, given_values, name_errors
 from slipfree.fit.chassis import chassis_of, track, with_dimensions
 from slipfree.fit.drive_fit import (
     BLOCKS,

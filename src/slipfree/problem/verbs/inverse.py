@@ -20,17 +20,19 @@ from slipfree.files.logs import check_motion, read_log
 from slipfree.files.mcap import is_mcap
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.tables import read_names
-from slipfree.files.toml.source import Fault, format_value, name_errors
-from slipfree.files.toml.source import Place as KeyPath
-from slipfree.files.toml.types import (
+from slipfree.files.toml import (
     Angles,
     Column,
+    Fault,
     Piecewise,
     Record,
     TimeFunction,
     bare_words,
+    format_value,
+    name_errors,
     unit_faults,
 )
+from slipfree.files.toml import Place as KeyPath
 from slipfree.models.determinacy import check_authority
 from slipfree.models.given_rates import (
     COMMANDS,

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.catalog.step_climber import check_climber
+from slipfree.catalog import check_climber
 from slipfree.climb.contact_path import Leg, legs
 from slipfree.climb.time_scaling import (
     COSTS,
@@ -28,7 +28,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.core.trajectory import PLAN_ACCURACY, SolverError, Stop, Trajectory
 from slipfree.files.netcdf import NOTHING
-from slipfree.files.toml.source import Fault, problem_error
+from slipfree.files.toml import Fault, problem_error
 from slipfree.plan.constraints import missed_words
 from slipfree.plan.ipopt import solve_nlp
 from slipfree.problem.build import (

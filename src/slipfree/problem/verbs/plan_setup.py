@@ -17,12 +17,13 @@ from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import Trajectory
-from slipfree.files.toml.source import Fault, ProblemError
-from slipfree.files.toml.types import (
+from slipfree.files.toml import (
+    Fault,
     NonNegative,
     Pair,
     PiecewiseConstant,
     Positive,
+    ProblemError,
     Quantity,
     Range,
     record_of,

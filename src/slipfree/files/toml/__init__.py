@@ -1,1 +1,0 @@
-"""TOML files: line numbers, types of values, errors."""

@@ -1,1 +1,0 @@
-"""Sweeps: many runs of one problem with different values and seeds, and a table of results."""
