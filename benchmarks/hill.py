@@ -13,12 +13,13 @@ import gzip
 import time
 from pathlib import Path
 
+import common  # noqa: F401 - path of the helpers of tests
 import numpy as np
 import pyproj
 
-from slipfree.fit.drive_fit import by_logs, judge, rms
+from helpers.drives import WHEELS, four_wheels
+from slipfree.fit.drive_fit import WindowKind, by_logs, judge, rms
 from slipfree.fit.drives import DriveLog
-from slipfree.fit.force_balance import four_wheels
 from slipfree.fit.ground_slope import Slopes
 from slipfree.fit.prediction import Model
 from slipfree.fit.unknowns import Unknown
@@ -32,9 +33,8 @@ UNIT, LEVER = 0.0217, 0.12  # [m/s] of a unit of the drives; units of an angular
 LIMIT = 90.0  # of a side's command [%]
 SMOOTHING, SHIFT = 1.5, (-1.5, 1.0)  # of the map; of the positions on it [m]
 GAP, CHORD_ERROR, STATED = 1.5, 0.25, 0.1  # of good positions [s, m/s, m]
-WHEELS = ("front_left", "rear_left", "front_right", "rear_right")
 HALF, FRICTION = 0.4, 0.6  # half track and half wheelbase [m], friction: assumed, not stated
-KINDS = {(5.0, 0.0): "5 m of path", (20.0, 0.0): "20 m of path", (0.0, 5.0): "5 s"}
+KINDS = WindowKind(5.0), WindowKind(20.0), WindowKind(0.0, 5.0)
 
 
 def percent_to_reading(u: np.ndarray) -> np.ndarray:
@@ -121,7 +121,7 @@ def main() -> None:
     logs = read_logs(folder, origin, not given.from_positions)
     others = read_logs(given.judge, origin, not given.from_positions) if given.judge else []
     began = time.perf_counter()
-    fit, _, scores = judge(MODEL, logs, (slopes, []), [*KINDS], others)
+    fit, _, scores = judge(MODEL, logs, (slopes, []), KINDS, others)
     print(f"{len(logs)} logs, {time.perf_counter() - began:.0f} s\n")
     print(
         "| windows | position rms [m] | median | along | across | course rms [deg] | median | "
@@ -133,7 +133,7 @@ def main() -> None:
         turn, least, most = np.rad2deg(by_logs(errors.turn, log, rms))
         inside = ", ".join(f"{100 * share:.0f}" for share in score.coverage)
         print(
-            f"| {KINDS[kind]}, {log.size} | {value:.3f} ({low:.3f} to {high:.3f}) | "
+            f"| {kind.words}, {log.size} | {value:.3f} ({low:.3f} to {high:.3f}) | "
             f"{np.median(errors.position):.3f} | {rms(errors.along):.3f} | "
             f"{rms(errors.across):.3f} | {turn:.1f} ({least:.1f} to {most:.1f}) | "
             f"{np.rad2deg(np.median(np.abs(errors.turn))):.1f} | {inside} |"

@@ -26,8 +26,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import casadi as ca
+import common  # noqa: F401 - path of the helpers of tests
 import numpy as np
 
+from helpers.drives import WHEELS, four_wheels
 from slipfree.fit.drive_fit import (
     DriveFit,
     age_priors,
@@ -37,7 +39,6 @@ from slipfree.fit.drive_fit import (
     rms,
 )
 from slipfree.fit.drives import DriveLog, Windows, held_for, windows_of, without_holds
-from slipfree.fit.force_balance import four_wheels
 from slipfree.fit.prediction import Lanes, Model, Predictor
 from slipfree.fit.unknowns import BALANCE, Unknown
 from slipfree.fit.wheel_soil import QUANTITIES, fit_soil, repeat_spread
@@ -59,7 +60,6 @@ SEED = 0
 # Robots on level ground
 
 
-WHEELS = ("front_left", "rear_left", "front_right", "rear_right")
 ROBOTS = {
     "husky": (HUSKY_TRACK / 2, HUSKY_BASE / 2),
     "warthog": (0.58, 0.46),

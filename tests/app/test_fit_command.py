@@ -16,7 +16,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.cases import DATA
-from helpers.commands import invoke, printed, refused, sets
+from helpers.commands import printed, refused, sets
 from helpers.drives import HALF, HILL, drives
 from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
 from slipfree.core.errors import DataError
@@ -25,11 +25,8 @@ from slipfree.files.mcap import write_mcap
 from slipfree.files.netcdf import write
 from slipfree.files.tables import write_rows
 from slipfree.files.vehicle_toml import vehicle_text
-from slipfree.fit.drives import DriveLog
 from slipfree.geometry.frame import unit_vector
 from slipfree.problem.build_vehicle import read_vehicle
-from slipfree.problem.load import load_problem
-from slipfree.problem.verbs.fit import _Reader, inputs_of
 from slipfree.vehicle.tree import Vehicle
 
 PROBLEM = Path(__file__).parents[2] / "problems" / "fit_skid_steer.toml"
@@ -144,6 +141,9 @@ def test_results_of_slipfree_are_logs() -> None:
     [
         (("track", "mass"), r"fit.toml:10: .*one of the quantities radius, track.*found 'mass'"),
         (("verb", "frame = 'x'\nverb"), r"fit.toml:2: .*'paper' or 'rep103'.*'x'"),
+        (('"fit"', "'fit-over-map'"), r"fit.toml:2: .*'fit-over-map'; use slipfree fit, verb"),
+        (("verb", "train = 0.5\nverb"), r"fit.toml:2: .*'train' of earlier versions; omit it"),
+        (("file =", "delay = 1\nfile ="), r"fit.toml:7: .*earlier versions; use 'constants.delay'"),
     ],
 )
 def test_errors_name_the_line(change: tuple[str, str], words: str) -> None:
@@ -192,12 +192,6 @@ def test_vehicles_of_the_catalogue_are_written(name: str) -> None:
 TIMES = np.linspace(0, 20, 201)
 YAW = 0.5 * TIMES  # more than a turn
 CIRCLE = np.column_stack([TIMES, 3 + 0 * TIMES, 4 + 0 * TIMES, np.sin(YAW), 1 - np.cos(YAW), YAW])
-UNITS = {  # factors of time and heading, header, and settings of the columns
-    "as it is": (1, 1, "t,left,right,x,y,heading", ""),
-    "nanoseconds since 1970 by the problem": (1e9, 1, "t,left,right,x,y,yaw", 't = "t [ns]"'),
-    "degrees in the file": (1, 180 / np.pi, "t;left;right;x;y;yaw_deg", ""),
-}
-LOG_OF_CIRCLE = (DATA / "fit_circle.toml").read_text()
 
 
 @pytest.mark.parametrize(
@@ -220,47 +214,6 @@ def test_units_by_the_travel_of_the_wheels(factors: dict[int, float], words: str
     with pytest.raises(DataError, match=re.escape(words)):
         check(speed=0.15 * log[:, 1:3].mean(axis=1))
     check(speed=np.where(TIMES < 10, 1.0, -0.2) * log[:, 1])  # the wheels slip
-
-
-def _read() -> tuple[DriveLog, str]:
-    problem, rows = load_problem("fit.toml", command="fit"), list[tuple[str, str]]()
-    (log,) = _Reader(problem, inputs_of(problem), None, rows).read([Path("log.csv")], ())
-    return log, rows[0][1]
-
-
-def _write_circle(time: float, heading: float, header: str, columns: str) -> None:
-    separator = next(sign for sign in ",; " if sign in header)
-    factors = np.array([time, 1, 1, 1, 1, heading])
-    start = np.array([1.7e18 * (time == 1e9), 0, 0, 0, 0, 0])
-    np.savetxt("log.csv", CIRCLE * factors + start, delimiter=separator, header=header, comments="")
-    Path("fit.toml").write_text(LOG_OF_CIRCLE + columns)
-
-
-@pytest.mark.parametrize("kind", UNITS)
-def test_units_of_a_log(kind: str) -> None:
-    """One log with times and headings in several units has the same windows."""
-    _write_circle(*UNITS["as it is"])
-    wanted, _ = _read()
-    _write_circle(*UNITS[kind])
-    found, notes = _read()
-    for name in ("inputs", "place", "heading"):
-        one, other = getattr(found, name), getattr(wanted, name)
-        assert_allclose(one - one[0], other - other[0], rtol=1e-6, atol=1e-6)
-    assert (notes != "201 samples") == (kind != "as it is")
-
-
-@pytest.mark.parametrize(
-    ("time", "heading", "words"),
-    [
-        (1e9, 1, "probably nanoseconds; name it 't [ns]' in [data.columns]"),
-        (1e3, 1, "at most 10 s apart, found 100 s (median); if the times are in other units, name"),
-        (1, 180 / np.pi, "values up to 572.958 that agree with the direction of motion as degrees"),
-    ],
-)
-def test_units_that_a_log_does_not_name(time: float, heading: float, words: str) -> None:
-    _write_circle(time, heading, "t,left,right,x,y,heading", "")
-    done = invoke("fit", "fit.toml", code=2)
-    assert words in done.output
 
 
 def _drive(name: str, k: int) -> None:

@@ -115,6 +115,7 @@ READ = {  # text, further columns in the problem
     "a header again": (table(DRIVE).replace("\n20.000000000", f"\n{HEAD}\n20.000000000"), ""),
     "dates": (stamped(lambda t: f"2024-05-01 12:00:{t:09.6f}"), ""),
     "microseconds, named": (stamped(lambda t: f"{1e6 * (1.7e9 + t):.0f}"), 't = "t [us]"'),
+    "nanoseconds, named": (stamped(lambda t: f"{1e9 * (1.7e9 + t):.0f}"), 't = "t [ns]"'),
     "seconds and nanoseconds": (
         stamped(lambda t: f"1700000000,{1e9 * t:.0f}", "h.secs,h.nsecs" + HEAD[1:]),
         "",
@@ -206,6 +207,22 @@ REFUSED = {
     "rates positive backward": (
         changed(dict.fromkeys((1, 2), np.negative)),
         "or change their sign if they are positive backward",
+    ),
+    "left rates positive backward": (
+        changed({1: np.negative}),
+        "agree with the opposite sign of the left side; change its sign",
+    ),
+    "right rates positive backward, without headings": (
+        changed({2: np.negative}, "t,left,right,x,y,other"),
+        "agree with the opposite sign of the right side; change its sign",
+    ),
+    "nanoseconds": (
+        changed({0: lambda t: 1.7e18 + 1e9 * t}),
+        r"probably nanoseconds; name it 't \[ns\]' in \[data.columns\]",
+    ),
+    "milliseconds": (
+        changed({0: lambda t: 1e3 * t}),
+        r"at most 10 s apart, found 100 s \(median\); if the times are in other units, name",
     ),
     "counts of encoders": (
         table(np.column_stack([DRIVE[:, 0], TICKS, TICKS, DRIVE[:, 3:]])),

@@ -11,7 +11,7 @@ import numpy as np
 from slipfree.core.records import Array
 from slipfree.fit.drive_fit import Scale, fit_drives
 from slipfree.fit.drives import DriveLog, windows_of
-from slipfree.fit.force_balance import four_wheels
+from slipfree.fit.force_balance import Chassis
 from slipfree.fit.prediction import Model, Predictor
 from slipfree.fit.unknowns import Unknown
 from slipfree.terrain.base import Grid
@@ -34,6 +34,14 @@ class Truth(NamedTuple):
 
 
 TRUTH = Truth()
+
+
+def four_wheels(half_track: float, half_wheelbase: float) -> Chassis:
+    """Return four wheels whose sides are driven by the inputs 0, left, and 1, right."""
+    x, y = half_wheelbase * np.array([1, -1, 1, -1]), half_track * np.array([1, 1, -1, -1])
+    place = (x + 1j * y)[:, None]
+    ones, signal = np.ones_like(place), np.array([0, 0, 1, 1])
+    return Chassis(place, ones, 0 * ones, signal, np.ones(4), np.empty((4, 0)))
 
 
 def height(x: Array, y: Array) -> Array:

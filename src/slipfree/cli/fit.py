@@ -207,15 +207,11 @@ def _log_fit(
             result = verb.predict_logs(problem, contents, predict)
         else:
             result = verb.fit(problem, predict)
-        errors, windows = verb.error_rows(result.scores), verb.window_rows(result)
-        tables, objects = [errors, windows], {"errors": _objects(errors)}
-        if result.fit is not None:
-            constants = verb.constant_rows(result.fit)
-            tables, objects = (
-                [constants, errors, windows],
-                objects | {"estimates": _objects(constants)},
-            )
-        fitted = result.fit
+        fitted, tables = result.fit, [verb.error_rows(result.scores), verb.window_rows(result)]
+        objects = {"errors": _objects(tables[0])}
+        if fitted is not None:
+            tables.insert(0, verb.constant_rows(fitted))
+            objects["estimates"] = _objects(tables[0])
         return _FitResult(
             verb.facts(result),
             tables,

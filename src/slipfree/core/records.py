@@ -22,7 +22,9 @@ R = TypeVar("R")
 T = TypeVar("T", default=Any)  # type of the scalars of a record: symbols, labels or values
 Record = tuple[object, ...]  # a named tuple of scalars or records, such as the inputs of a model
 Array = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
 Mask = npt.NDArray[np.bool_]
+Names = npt.NDArray[np.str_]
 Indices = npt.NDArray[np.intp]
 LINE_WIDTH, MAX_LINES = 92, 5  # largest width and number of lines of a repr
 MAX_VALUE = 60  # largest number of characters of a value in a repr

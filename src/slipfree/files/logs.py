@@ -15,7 +15,7 @@ import numpy as np
 
 from slipfree.core.arguments import FULL_TURN
 from slipfree.core.errors import DataError
-from slipfree.core.records import Array, Mask
+from slipfree.core.records import Array, ComplexArray, Indices, Mask
 from slipfree.files.maps.reference_systems import metric_system
 from slipfree.files.mcap import is_mcap, read_motion_log
 from slipfree.files.netcdf import read as read_result
@@ -262,7 +262,7 @@ def check_motion(
     *,
     zero: float = 0.0,
     speed: Array | None = None,
-    turn: Array | None = None,
+    sides: Array | None = None,
     ratios: Mapping[str, float] | None = None,
     is_aligned: bool = True,
     may_turn: bool = False,
@@ -275,9 +275,10 @@ def check_motion(
         Log with x and y, and possibly the heading.
     zero : float
         Angle from the x axis from which headings count. [rad]
-    speed, turn : array, optional
-        Mean speed of the driven wheels' treads [m/s], and a number of the sign of their turning
-        rate, shape (n,) each.
+    speed : array, shape (n,), optional
+        Mean speed of the driven wheels' treads. [m/s]
+    sides : array, shape (2, n), optional
+        Mean speeds of those on the left and on the right. [m/s]
     ratios : mapping, optional
         Motion over the travel of the wheels if columns have other units, by a description; None if
         units are named.
@@ -300,14 +301,17 @@ def check_motion(
         sums = np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(t)))
         return np.asarray(sums[rows + step] - sums[rows])
 
+    if sides is not None:
+        left, right = travels = np.array([*map(change, sides)])
+        turns = right - left
+        if is_aligned:
+            _check_signs(log, rows, step, chords * np.exp(-1j * zero), travels)
     if speed is not None:
         travel, sign = change(speed), 1
         if ratios is not None:
             steps = np.abs(speed[rows + step] - speed[rows])
             _check_travel(log, size, np.abs(travel), steps, ratios)
         chords = chords * np.where(travel < 0, -1, 1)
-    if turn is not None:
-        turns = change(turn)
     if "heading" not in values:
         if turns is None:
             return
@@ -373,6 +377,39 @@ def check_motion(
 def _correlation(one: Array, other: Array) -> float:
     size = float(np.linalg.norm(one) * np.linalg.norm(other))
     return float(one @ other) / max(size, 1e-300)
+
+
+def _check_signs(
+    log: MotionLog, rows: Indices, step: int, chords: ComplexArray, travels: Array
+) -> None:
+    """Raise DataError if the motion follows with the opposite sign of one side, but not without.
+
+    ``chords`` are those from ``rows`` on, relative to the axis of headings, ``travels`` the paths
+    of the left and of the right side, shape (2, n). A distance is compared with the mean of both
+    paths, a turn with their difference; turns by 1 rad weigh as much as 1 m.
+    """
+    if "heading" in log.values:
+        heading, at = log.values["heading"], rows >= 0
+        bent = np.angle(np.exp(1j * (heading[rows + step] - heading[rows])))
+        ahead = (chords * np.exp(-1j * heading[rows + step // 2])).real
+    else:  # courses are known up to the direction of travel
+        at = np.isin(rows + step, rows)
+        bent = np.angle((chords[np.searchsorted(rows, rows[at] + step)] / chords[at]) ** 2) / 2
+        ahead = np.zeros(bent.size)
+    size, (left, right) = np.abs(chords[at]), travels[:, at]
+    readings = (left + right, right - left), (left - right, -left - right)
+    misfit, opposite = (
+        size @ size * (1 - _correlation(size, np.abs(travel)) ** 2)
+        + bent @ bent * (1 - _correlation(bent, turn) ** 2)
+        for travel, turn in readings
+    )
+    if misfit - opposite > CLEARER * (size @ size + bent @ bent):
+        likeness = max(map(_correlation, (ahead, bent), readings[1]), key=abs)
+        side = "one" if abs(likeness) < CLEARER else "right" if likeness > 0 else "left"
+        raise DataError(
+            f"{log.path}: expected inputs of both sides that are positive ahead, found distances "
+            f"and turns that agree with the opposite sign of the {side} side; change its sign"
+        )
 
 
 def _check_travel(

@@ -16,7 +16,7 @@ from functools import cache, lru_cache
 from itertools import pairwise
 from math import inf, pi
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, ClassVar, NamedTuple, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -293,7 +293,8 @@ def validation_fault(schema: type[BaseModel], data: Any, error: dict[str, Any]) 
     place, kind = tuple(error["loc"]), error["type"]
     found = "none" if kind == "missing" else format_value(error["input"])
     if kind == "extra_forbidden":
-        return _unknown(place, record_at(schema, place[:-1], data).known_keys())
+        record = record_at(schema, place[:-1], data)
+        return _unknown(place, record.known_keys(), record.removed_keys)
     if kind == "missing" and isinstance(place[-1], int):
         return Fault(place, "a number", found)
     if kind == "missing":
@@ -307,9 +308,12 @@ def validation_fault(schema: type[BaseModel], data: Any, error: dict[str, Any]) 
     return Fault(place, expected, details.get("found", found))
 
 
-def _unknown(place: Place, known: Sequence[str]) -> Fault:
+def _unknown(place: Place, known: Sequence[str], removed: Mapping[str, str] = {}) -> Fault:
+    """Return the error of an unknown key; ``removed`` are remedies for keys of earlier versions."""
     name = str(place[-1])
     expected = f"one of {listed(known)}" if known else "no key"
+    if name in removed:
+        return Fault(place, expected, f"the key {name!r} of earlier versions; {removed[name]}")
     return Fault(place, expected, f"the unknown key {shortened(name, 40)!r}", similar(name, known))
 
 
@@ -485,6 +489,7 @@ class Record(BaseModel):
     """Base class of the tables of TOML files: frozen, without type conversion or unknown keys."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+    removed_keys: ClassVar[Mapping[str, str]] = {}  # remedies for keys of earlier versions
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:

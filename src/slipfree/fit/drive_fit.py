@@ -13,14 +13,14 @@ prior of 0.25 worth three campaigns. The slip on slopes has a deviation of its o
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, Indices, Label, Mask
+from slipfree.core.records import Array, Indices, Label, Mask, Names
 from slipfree.fit.drives import DriveLog, Windows, age_of_poses, windows_of
 from slipfree.fit.estimate import (
     MIN_ACCEPTED,
@@ -59,7 +59,8 @@ RESAMPLES = 1000
 AGES = np.arange(0.0, 0.95, 0.1)  # of poses, as initial guesses [s]
 
 
-class Known(NamedTuple):
+@dataclass(frozen=True)
+class Known:
     """A model with values of its unknowns."""
 
     model: Model
@@ -70,22 +71,12 @@ class Known(NamedTuple):
         return Predictor(self.model, logs, windows, slopes).errors(self.values[None])[:, 0]
 
 
-class DriveFit(NamedTuple):
+@dataclass(frozen=True)
+class DriveFit(Known):
     """Fitted force balance."""
 
-    known: Known
     estimate: Estimate  # of the unknowns, or of their logarithms
     errors: Array  # shape (n, 3): of the fitted windows [m, m, rad]
-
-    @property
-    def model(self) -> Model:
-        """The model."""
-        return self.known.model
-
-    @property
-    def values(self) -> Array:
-        """Values of the unknowns, shape (p,)."""
-        return self.known.values
 
 
 class Scale(NamedTuple):
@@ -129,32 +120,19 @@ class _Errors(NamedTuple):
 def sought_of(model: Model) -> Sought:
     """Return start, bounds, sizes and priors of a search; logarithms of positive numbers."""
     scale, nominal = Scale.of(model.unknowns), model.start
-    rows = [BALANCE[each.quantity] for each in model.unknowns]
-    labels = tuple(
-        Label(each.name, row.unit, row.words)
-        for each, row in zip(model.unknowns, rows, strict=True)
-    )
-    limits = np.array(
-        [
-            (max(row.bounds[0], each.lower), min(row.bounds[1], each.upper))
-            for each, row in zip(model.unknowns, rows, strict=True)
-        ]
-    )
-    for each, value, pair in zip(model.unknowns, nominal, limits.tolist(), strict=True):
-        check_nominal(each, value, pair, "vehicle")
-    ends = scale.sought(limits.T)
     start = scale.sought(nominal)
-    priors, sizes = list[Unknown](), np.empty(nominal.size)
-    for k, (each, row) in enumerate(zip(model.unknowns, rows, strict=True)):
-        mean, deviation = start[k], row.deviation
-        if each.prior is not None:
-            mean, deviation = each.prior
-            if row.is_log:
-                mean, deviation = float(np.log(mean)), deviation / mean
-        priors.append(replace(each, prior=(float(mean), deviation)))
-        sizes[k] = deviation
-    bounds = inner_bounds(ends.T, sizes)
-    return Sought(labels, start, bounds, sizes, Priors.of(priors))
+    labels, limits = list[Label](), list[tuple[float, float]]()
+    means, sizes = start.copy(), np.empty(nominal.size)
+    for k, each in enumerate(model.unknowns):
+        row = BALANCE[each.quantity]
+        labels.append(Label(each.name, row.unit, row.words))
+        limits.append((max(row.bounds[0], each.lower), min(row.bounds[1], each.upper)))
+        check_nominal(each, nominal[k], limits[k], "vehicle")
+        means[k], sizes[k] = each.prior or (start[k], row.deviation)
+        if each.prior and row.is_log:
+            means[k], sizes[k] = np.log(means[k]), sizes[k] / means[k]
+    bounds = inner_bounds(scale.sought(np.array(limits).T).T, sizes)
+    return Sought(tuple(labels), start, bounds, sizes, Priors(np.arange(sizes.size), means, sizes))
 
 
 def fit_drives(
@@ -183,15 +161,11 @@ def fit_drives(
     spread = np.array(FIRST_DEVIATIONS) if deviations is None else deviations
     none = np.zeros((predict.windows.log.size, 3))
     is_interrupted = False
-    for _ in range(REWEIGHTINGS if deviations is None else 1):
+    count, most = (REWEIGHTINGS, MAX_EVALUATIONS) if deviations is None else (1, REFINEMENTS)
+    for _ in range(count):
         search = Residuals(errors, none, spread, sought)
         try:
-            options = {
-                "xtol": 1e-4,
-                "ftol": 1e-5,
-                "max_nfev": REFINEMENTS if deviations is not None else MAX_EVALUATIONS,
-            }
-            values = search.run(values, "soft_l1", **options).x
+            values = search.run(values, "soft_l1", xtol=1e-4, ftol=1e-5, max_nfev=most).x
         except KeyboardInterrupt:
             if not interrupt_requested() or len(search.accepted) < MIN_ACCEPTED:
                 raise
@@ -206,7 +180,7 @@ def fit_drives(
     search = Residuals(errors, none, spread, sought)
     estimate = search.estimate(values, prediction, groups, "soft_l1")
     estimate = estimate._replace(is_interrupted=is_interrupted)
-    return DriveFit(Known(model, scale.values(values)), estimate, prediction.values)
+    return DriveFit(model, scale.values(values), estimate, prediction.values)
 
 
 def age_priors(unknowns: Sequence[Unknown], logs: Sequence[DriveLog]) -> tuple[Unknown, ...]:
@@ -236,7 +210,7 @@ def _with_ages(model: Model, predict: Predictor, values: Array, scale: Scale) ->
     missed = predict.errors(scale.values(many)) / np.array(FIRST_DEVIATIONS)
     cost = np.sqrt(1 + missed**2).sum(axis=2)
     new = values.copy()
-    names = predict.names("campaign")
+    names = predict.names["campaign"]
     for k in rows:
         own = (names == model.unknowns[k].of) | (not model.unknowns[k].of)
         new[k] = max(float(AGES[int(cost[own].sum(axis=0).argmin())]), 0.01)
@@ -280,7 +254,7 @@ def fit_on_uncertain_map(
         intervals=np.column_stack([values - reach, values + reach]),
     )
     new = Known(model, scale.values(values))
-    return DriveFit(new, estimate, new.predict(logs, windows, given))
+    return DriveFit(model, new.values, estimate, new.predict(logs, windows, given))
 
 
 def manoeuvres_of(logs: Sequence[DriveLog], windows: Windows) -> Indices:
@@ -308,8 +282,7 @@ def folds_of(logs: Sequence[DriveLog], windows: Windows) -> Indices:
         log.surface: {each.campaign for each in logs if each.surface == log.surface} for log in logs
     }
     if all(len(each) > 1 for each in campaigns.values()):
-        names = np.array([log.campaign for log in logs])
-        return np.unique(names, return_inverse=True)[1].ravel()[windows.log]
+        return np.unique(windows.names(logs, "campaign"), return_inverse=True)[1].ravel()
     parts = np.zeros(windows.log.size, int)
     for k, log in enumerate(logs):
         numbers, rank = np.unique(log.manoeuvre, return_inverse=True)
@@ -346,15 +319,25 @@ class Score(NamedTuple):
         ]
 
 
-Kind = tuple[float, float]  # length of path [m] and duration [s] of windows; (0, 0) for pieces
+class WindowKind(NamedTuple):
+    """Length of path [m] or duration [s] of windows; without both, windows are whole pieces."""
+
+    length: float = 0.0
+    duration: float = 0.0
+
+    @property
+    def words(self) -> str:
+        """Name of the windows."""
+        length, duration = self
+        return f"{length:g} m of path" if length else f"{duration:g} s" if duration else "windows"
 
 
 class Fitted(NamedTuple):
     """Windows on which intervals rest, by kind, with their errors."""
 
     errors: Array  # shape (n, 3) [m, m, rad]
-    surface: Array  # shape (n,): names
-    campaign: Array
+    surface: Names  # shape (n,)
+    campaign: Names
     grade: Array  # shape (n,) [rad]
 
     @classmethod
@@ -362,14 +345,11 @@ class Fitted(NamedTuple):
         cls, known: Known, logs: Sequence[DriveLog], windows: Windows, slopes: Slopes | None
     ) -> Fitted:
         """Return the errors of windows of fitted logs."""
-        surface, campaign = (
-            np.array([getattr(log, key) for log in logs])[windows.log]
-            for key in ("surface", "campaign")
-        )
+        surface, campaign = (windows.names(logs, key) for key in ("surface", "campaign"))
         errors = known.predict(logs, windows, slopes)
         return cls(errors, surface, campaign, grades(logs, windows, slopes))
 
-    def reach(self, surface: Array, slide: Array) -> tuple[Array, int]:
+    def reach(self, surface: Names, slide: Array) -> tuple[Array, int]:
         """Return half widths of intervals, shape (3, n), and the number of campaigns.
 
         ``slide`` are path times sine of the grade of the windows on each ``surface``, shape (n,).
@@ -404,7 +384,7 @@ def score_windows(
     """Return the errors of windows that were not fitted, with intervals that rest on others."""
     grade = grades(logs, windows, slopes)
     is_beyond = (grade < fitted.grade.min()) | (grade > fitted.grade.max())
-    surface = np.array([log.surface for log in logs])[windows.log]
+    surface = windows.names(logs, "surface")
     reach, campaigns = fitted.reach(surface, windows.length * np.sin(grade))
     errors = WindowErrors(*known.predict(logs, windows, slopes).T)
     return Score(errors, windows, grade, is_beyond, reach, campaigns)
@@ -414,9 +394,9 @@ def judge(
     model: Model,
     logs: Sequence[DriveLog],
     maps: tuple[Slopes | None, Sequence[Slopes]],
-    kinds: Sequence[Kind],
+    kinds: Sequence[WindowKind],
     others: Sequence[DriveLog] = (),
-) -> tuple[DriveFit, dict[Kind, Fitted], dict[Kind, Score]]:
+) -> tuple[DriveFit, dict[WindowKind, Fitted], dict[WindowKind, Score]]:
     """Fit a model to windows of the first kind, and predict windows that are left out.
 
     Each part of the logs is predicted by a fit to the other parts; the logs ``others`` by the fit
@@ -426,14 +406,14 @@ def judge(
     windows = {kind: found for kind in kinds if (found := find_windows(logs, kind)) is not None}
     first = next(iter(windows))
     whole = fit_on_uncertain_map(model, logs, windows[first], maps)
-    rests = {kind: Fitted.of(whole.known, logs, own, slopes) for kind, own in windows.items()}
-    scores = dict[Kind, Score]()
+    rests = {kind: Fitted.of(whole, logs, own, slopes) for kind, own in windows.items()}
+    scores = dict[WindowKind, Score]()
     if whole.estimate.is_interrupted:
         return whole, rests, scores
     if others:
         for kind, fitted in rests.items():
             if (own := find_windows(others, kind)) is not None:
-                scores[kind] = score_windows(whole.known, fitted, others, own, slopes)
+                scores[kind] = score_windows(whole, fitted, others, own, slopes)
         return whole, rests, scores
     parts = {kind: folds_of(logs, own) for kind, own in windows.items()}
     folded = {kind: list[Score]() for kind in windows}
@@ -445,14 +425,12 @@ def judge(
         for kind, own in windows.items():
             is_out = parts[kind] == part
             if is_out.any() and not is_out.all():
-                fitted = Fitted.of(fit.known, logs, own.take(~is_out), slopes)
-                folded[kind].append(
-                    score_windows(fit.known, fitted, logs, own.take(is_out), slopes)
-                )
+                fitted = Fitted.of(fit, logs, own.take(~is_out), slopes)
+                folded[kind].append(score_windows(fit, fitted, logs, own.take(is_out), slopes))
     return whole, rests, {kind: _joined(each) for kind, each in folded.items() if each}
 
 
-def find_windows(logs: Sequence[DriveLog], kind: Kind) -> Windows | None:
+def find_windows(logs: Sequence[DriveLog], kind: WindowKind) -> Windows | None:
     """Return the windows of a kind, or None without any."""
     try:
         return windows_of(logs, *kind)

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # its parts are imported when they are used, since this takes 0.3 s
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, Indices, Mask
-from slipfree.fit.force_balance import Chassis, ComplexArray
+from slipfree.core.records import Array, ComplexArray, Indices, Mask, Names
+from slipfree.fit.force_balance import Chassis
 
 CHORD = 1.0  # half the time over which a line through positions gives a course [s]
 SETTLED = 1.0  # time from the start of a run, whose motion is unknown, to the first window [s]
@@ -51,6 +52,14 @@ class DriveLog(NamedTuple):
         """Velocity of the receiver, measured or from the positions, shape (n,) [m/s]."""
         return np.gradient(self.place, self.dt) if self.velocity is None else self.velocity
 
+    @property
+    def turned(self) -> Array:
+        """Integral of the measured turning rate, shape (n,); NaN without one [rad]."""
+        if self.yaw_rate is None:
+            return np.full(self.place.size, np.nan)
+        turned = scipy.integrate.cumulative_trapezoid(self.yaw_rate, dx=self.dt, initial=0.0)
+        return np.asarray(turned)
+
 
 class Windows(NamedTuple):
     """Parts of logs."""
@@ -67,6 +76,10 @@ class Windows(NamedTuple):
         log, first, last, begin, end = (part[rows] for part in self[:5])
         return Windows(log, first, last, begin, end, self.length[rows])
 
+    def names(self, logs: Sequence[DriveLog], kind: str) -> Names:
+        """Return the surface or campaign of each window."""
+        return np.array([getattr(log, kind) for log in logs])[self.log]
+
 
 def age_of_poses(log: DriveLog) -> float | None:
     """Return the age at which turns of headings and of the measured rate agree best [s].
@@ -75,8 +88,7 @@ def age_of_poses(log: DriveLog) -> float | None:
     """
     if log.heading is None or log.yaw_rate is None:
         return None
-    sums = np.append(0.0, np.cumsum(log.yaw_rate[1:] + log.yaw_rate[:-1]) * log.dt / 2)
-    rows = np.flatnonzero(log.fresh)
+    sums, rows = log.turned, np.flatnonzero(log.fresh)
     rows = rows[rows >= round(MAX_AGE / log.dt)]
     pairs = np.column_stack([rows[:-4], rows[4:]])
     pairs = pairs[(np.diff(log.piece[pairs], axis=1) == 0)[:, 0]]
@@ -126,22 +138,21 @@ def courses(log: DriveLog) -> ComplexArray:
     With measured velocities, the result is the mean direction of both, since a line through
     positions weighs the velocities between them by a parabola.
     """
-    half = chord(log.dt)
-    k = np.arange(-half, half + 1)
-    line = k / (log.dt * (k**2).sum())
-    course = np.convolve(np.pad(log.place, half, mode="edge"), line[::-1], "valid")
+    k, line = chord_line(log.dt)
+    course = scipy.ndimage.correlate1d(log.place, line, mode="nearest")
     if log.velocity is None:
         return np.asarray(course)
-    weights = half * (half + 1) - k**2
-    speeds = np.convolve(np.pad(log.velocity, half, mode="edge"), weights / weights.sum(), "valid")
-    return np.asarray(mean_course(course, speeds))
-
-
-def mean_course(one: ComplexArray, other: ComplexArray) -> ComplexArray:
-    """Return the mean direction of velocities, as complex numbers of size one."""
+    weights = k[-1] * (k[-1] + 1) - k**2
+    speeds = scipy.ndimage.correlate1d(log.velocity, weights / weights.sum(), mode="nearest")
     with np.errstate(invalid="ignore"):
-        mean = one / np.abs(one) + other / np.abs(other)
+        mean = course / np.abs(course) + speeds / np.abs(speeds)
         return np.asarray(mean / np.abs(mean))
+
+
+def chord_line(dt: float) -> tuple[Indices, Array]:
+    """Return the samples of a chord about its middle, and their weights in the slope of a line."""
+    k = np.arange(-chord(dt), chord(dt) + 1)
+    return k, k / (dt * (k**2).sum())
 
 
 def chord(dt: float) -> int:
@@ -165,9 +176,7 @@ def windows_of(logs: Sequence[DriveLog], length: float = 0.0, duration: float = 
         begins = ends & (np.arange(ends.size) - first_of_run >= round(SETTLED / log.dt))
         speed = np.abs(log.moved)
         path = np.append(0.0, np.cumsum(speed[1:] * (speed[1:] > SLOW / 2)) * log.dt)
-        held, old = held_for(log.fresh), 0
-        if held > 1:
-            old = round(OLD / log.dt)
+        old = round(OLD / log.dt) if held_for(log.fresh) > 1 else 0
         fresh = np.flatnonzero(log.fresh & log.good)
         whole = np.flatnonzero(np.append(True, np.diff(log.piece) != 0))
         pieces = np.column_stack([whole, np.append(whole[1:], log.piece.size) - 1])
@@ -224,7 +233,4 @@ def conditions(log: DriveLog) -> dict[str, Mask]:
 
 def _throughout(mask: Mask, half: int) -> Mask:
     """Return where a mask holds for ``half`` samples before and after."""
-    width = 2 * half + 1
-    if mask.size < width:
-        return np.zeros(mask.size, bool)
-    return np.convolve(mask, np.ones(width), "same") > width - 0.5
+    return np.asarray(scipy.ndimage.binary_erosion(mask, np.ones(2 * half + 1)), bool)

@@ -24,9 +24,8 @@ from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from slipfree.core.records import Array, Indices
+from slipfree.core.records import Array, ComplexArray, Indices
 from slipfree.vehicle.tree import EARTH_GRAVITY
 
 MAX_STEP = 0.02  # longest step of the integration [s]
@@ -34,7 +33,6 @@ RELAXATION, RELAXING_STEPS = 0.5, 20  # steps to the steady motion at the first 
 ITERATIONS = 6  # of the secant in a step without inertia
 LEAST_SHARE = 0.02  # smallest load of a wheel, over the weight of the vehicle [1]
 MIN_COSINE = 0.55  # of slopes
-ComplexArray = npt.NDArray[np.complex128]
 
 
 class Chassis(NamedTuple):
@@ -56,14 +54,6 @@ class Chassis(NamedTuple):
             return self
         place, direction, free = (each[:, rows] for each in self[:3])
         return Chassis(place, direction, free, self.signal, self.grip, self.lift)
-
-
-def four_wheels(half_track: float, half_wheelbase: float) -> Chassis:
-    """Return four wheels whose sides are driven by the inputs 0, left, and 1, right."""
-    x, y = half_wheelbase * np.array([1, -1, 1, -1]), half_track * np.array([1, 1, -1, -1])
-    place = (x + 1j * y)[:, None]
-    ones, signal = np.ones_like(place), np.array([0, 0, 1, 1])
-    return Chassis(place, ones, 0 * ones, signal, np.ones(4), np.empty((4, 0)))
 
 
 class Constants(NamedTuple):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slipfree.core.records import Array
-from slipfree.fit.force_balance import ComplexArray
+from slipfree.core.records import Array, ComplexArray
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import averaged
 

@@ -7,13 +7,12 @@ from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy  # its parts are imported when they are used, since this takes 0.3 s
 
 from slipfree.core.errors import ModelError
-from slipfree.core.records import Array, Indices
-from slipfree.fit.drives import SLOW, DriveLog, Windows, chord, courses
-from slipfree.fit.force_balance import Chassis, ComplexArray, Constants, integrate, simulate
+from slipfree.core.records import Array, ComplexArray, Indices, Names
+from slipfree.fit.drives import SLOW, DriveLog, Windows, chord, chord_line, courses
+from slipfree.fit.force_balance import Chassis, Constants, integrate, simulate
 from slipfree.fit.ground_slope import Slopes
 from slipfree.fit.unknowns import BALANCE, Unknown
 
@@ -54,14 +53,14 @@ class Lanes(NamedTuple):
     radius: Array  # shape (w, m, 1)
 
 
-def lanes_of(model: Model, values: Array, of_window: Mapping[str, Array]) -> Lanes:
+def lanes_of(model: Model, values: Array, of_window: Mapping[str, Names]) -> Lanes:
     """Return the values of all quantities for sets of unknowns, shape (m, p).
 
     ``of_window`` are the names of surface and campaign of each window.
     """
     m = len(values)
-    found = {name: np.full((m, 1), model.fixed.get(name, start)) for name, start in NOMINAL.items()}
-    found["track"] = np.full((m, 1), 2 * model.half_track)
+    given = {**NOMINAL, "track": 2 * model.half_track, **model.fixed}
+    found = {name: np.full((m, 1), given[name]) for name in NOMINAL}
     radius = np.repeat(model.radii[:, None, None], m, axis=1)
     for unknown, column in zip(model.unknowns, values.T, strict=True):
         name, own = unknown.quantity, column[:, None]
@@ -131,27 +130,20 @@ class Predictor:
         self._rows = np.clip(first - self._lead + k, low, np.maximum(high, last))
         self._at = [np.asarray(each - first + half) for each in (first, last, begin, end)]
         self._place = np.concatenate([log.place for log in logs])
-        own = self._order
-        self._names = {
-            "surface": np.array([log.surface for log in logs])[windows.log][own],
-            "campaign": np.array([log.campaign for log in logs])[windows.log][own],
-        }
+        self.names = {key: windows.names(logs, key) for key in ("surface", "campaign")}
         if self._has_headings:
             self._course = np.exp(1j * np.concatenate([log.heading for log in logs]))
         else:
             self._course = np.concatenate([courses(log) for log in logs])
         self._moved = self._place[end] - self._place[begin]
         self._ends = begin, end
-        self._turn = np.full(first.size, np.nan)
-        for j, log in enumerate(logs):
-            if log.yaw_rate is not None:
-                sums = np.append(0.0, np.cumsum(log.yaw_rate[1:] + log.yaw_rate[:-1]) * dt / 2)
-                rows = windows.log[own] == j
-                self._turn[rows] = (sums[windows.last[own]] - sums[windows.first[own]])[rows]
+        turned = np.concatenate([log.turned for log in logs])
+        self._turn = turned[last] - turned[first]
 
     def errors(self, values: Array) -> Array:
         """Return the errors of n windows for values, shape (m, p), as an array (n, m, 3)."""
-        lanes = lanes_of(self.model, values, self._names)
+        names = {key: each[self._order] for key, each in self.names.items()}
+        lanes = lanes_of(self.model, values, names)
         q = lanes.values
         receiver = q["sensor_ahead"] - 1j * q["sensor_right"]
         velocity, turning = self.motion(lanes)
@@ -181,8 +173,7 @@ class Predictor:
                 np.exp(1j * (old_heading[k, :, n] + q["sensor_heading"].T)) for k in (begin, end)
             )
         else:
-            k = np.arange(-half, half + 1)
-            line = k / (self._dt * (k**2).sum())
+            k, line = chord_line(self._dt)
             own, final = (
                 np.einsum("k,nkm->nm", line, old_path[at[:, None] + k, :, n[:, None]])
                 for at in (begin, end)
@@ -214,10 +205,6 @@ class Predictor:
             self._lengths,
             self._lead - round(RECENT / self._dt),
         )
-
-    def names(self, kind: str) -> npt.NDArray[np.str_]:
-        """Return the names of the surface or campaign of each window."""
-        return self._names[kind][np.argsort(self._order)]
 
     def _constants(self, lanes: Lanes) -> Constants:
         q = lanes.values
@@ -271,30 +258,27 @@ class _PathSlopes:
     def __init__(
         self, predictor: Predictor, slopes: Slopes, receiver: Array, mounted: Array
     ) -> None:
-        p = predictor
-        self._rows, self._lead, self._dt, self._slopes = p._rows, p._lead, p._dt, slopes
-        course, place = p._course, p._place
+        self._predictor, self._slopes, course = predictor, slopes, predictor._course
         self._course = np.where(np.isfinite(course) & (course != 0), course, 1.0)
-        self._has_headings = p._has_headings
-        self._place, self._receiver, self._mounted = place, receiver, mounted
+        self._receiver, self._mounted = receiver, mounted
         self._pose: tuple[Any, ...] | None = None
 
     def __call__(self, k: int, velocity: ComplexArray, turning: Array) -> tuple[Array, Array]:
-        n = velocity.shape[1]
-        if k <= self._lead:
-            rows = self._rows[k, :n]
+        n, own = velocity.shape[1], self._predictor
+        if k <= own._lead:
+            rows = own._rows[k, :n]
             heading = np.angle(self._course[rows]) - self._mounted[..., :n]
-            if not self._has_headings:  # the vehicle slides sideways from its heading to its course
+            if not own._has_headings:  # the vehicle slides sideways from its heading to its course
                 moved = velocity + 1j * turning * self._receiver
                 heading = heading - np.where(np.abs(moved) > SLOW, np.angle(moved), 0.0)
             heading = np.broadcast_to(heading, velocity.shape)
-            place = self._place[rows] - self._receiver * np.exp(1j * heading)
+            place = own._place[rows] - self._receiver * np.exp(1j * heading)
         else:
             assert self._pose is not None  # noqa: S101
             place, heading, v, w = (each[:, :n] for each in self._pose)
-            heading, before = heading + self._dt / 2 * (w + turning), heading
+            heading, before = heading + own._dt / 2 * (w + turning), heading
             turns = np.exp(1j * (before + heading) / 2)
-            place = place + self._dt / 2 * (v + velocity) * turns
+            place = place + own._dt / 2 * (v + velocity) * turns
         up, left = self._slopes.tilt(place, heading)
         moved = velocity.real * np.sqrt(1 - up**2) + 1j * velocity.imag * np.sqrt(1 - left**2)
         self._pose = place, heading, moved, turning

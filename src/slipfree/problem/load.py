@@ -35,6 +35,9 @@ VERBS: tuple[Verb, ...] = (
     Verb(Fit, "fit"),
     Verb(AtlasKeys, "atlas", "check"),
 )
+REMOVED_VERBS = {
+    "fit-over-map": "use slipfree fit, verb = 'fit', the map as [terrain], data.inputs = 'commands'"
+}
 
 
 def verbs_of(command: str) -> tuple[Verb, ...]:
@@ -147,6 +150,9 @@ def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> 
         if data["verb"] == verb.name:
             return verb
     other = find_verb(data["verb"])
-    hint = f"; use slipfree {other.commands[0]} {source.path}" if other else "; correct the verb"
+    hint = REMOVED_VERBS.get(str(data["verb"]), "correct the verb")
+    hint = f"use slipfree {other.commands[0]} {source.path}" if other else hint
     expected = f"{' or '.join(repr(verb.name) for verb in verbs)} for this command"
-    raise problem_error(source, [Fault(("verb",), expected, format_value(data["verb"]) + hint)])
+    raise problem_error(
+        source, [Fault(("verb",), expected, f"{format_value(data['verb'])}; {hint}")]
+    )

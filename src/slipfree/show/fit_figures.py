@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.stats import chi2
 
 from slipfree.core.records import Array
-from slipfree.fit.drive_fit import Kind, Score, by_logs, rms
+from slipfree.fit.drive_fit import Score, WindowKind, by_logs, rms
 from slipfree.fit.estimate import CONFIDENCE, Estimate
 from slipfree.fit.wheel_soil import QUANTITIES, SoilFit
 from slipfree.show import style
@@ -97,7 +97,7 @@ def soil_plot(name: str, measured: Array, fit: SoilFit) -> Plot:
     return Plot(name, words, lambda: _compared(panels, fit.estimate))
 
 
-def fit_plot(name: str, scores: Mapping[Kind, Score]) -> Plot:
+def fit_plot(name: str, scores: Mapping[WindowKind, Score]) -> Plot:
     """Return the figure of errors of predictions, to be drawn later, with the name of its file."""
     words = (
         "Errors of predictions of windows that were not fitted: of the position by length of path, "
@@ -106,19 +106,19 @@ def fit_plot(name: str, scores: Mapping[Kind, Score]) -> Plot:
     return Plot(name, words, partial(fit_figure, scores))
 
 
-def fit_figure(scores: Mapping[Kind, Score]) -> Figure:
+def fit_figure(scores: Mapping[WindowKind, Score]) -> Figure:
     """Return the figure of errors of predictions by kind of window."""
     made = style.figure(PAGE, 1.3 * ROW_HEIGHT * MM)
     place, turn, slide = made.subplots(1, 3)
     rows = list[tuple[float, ...]]()
-    for k, ((length, duration), score) in enumerate(scores.items()):
-        color, words = style.PALETTE[k % len(style.PALETTE)], f"{duration:g} s"
-        words = f"{length:g} m" if length else words if duration else "windows"
+    for k, (kind, score) in enumerate(scores.items()):
+        color = style.PALETTE[k % len(style.PALETTE)]
         value, low, high = by_logs(score.errors.position, score.windows.log, rms)
         path = float(score.windows.length.mean())
         rows.append((path, value, *(max(x, 0.0) for x in (value - low, high - value))))
         share = np.linspace(0, 1, score.windows.log.size)
-        turn.plot(np.rad2deg(np.sort(np.abs(score.errors.turn))), share, color=color, label=words)
+        turns = np.rad2deg(np.sort(np.abs(score.errors.turn)))
+        turn.plot(turns, share, color=color, label=kind.words)
         slips = score.slip()
         middle = np.rad2deg([(low + high) / 2 for low, high, *_ in slips])
         slide.plot(middle, [100 * each[3] for each in slips], "o-", ms=3, color=color)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, cast
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
 
 import numpy as np
 import scipy
@@ -17,7 +17,7 @@ from slipfree.catalog import rigid_skid_steer
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Lines
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import Array, Indices, Mask
+from slipfree.core.records import Array, ComplexArray, Indices, Mask
 from slipfree.core.trajectory import Frame
 from slipfree.core.version import __version__
 from slipfree.files.logs import (
@@ -38,10 +38,10 @@ from slipfree.fit.drive_fit import (
     BLOCKS,
     DriveFit,
     Fitted,
-    Kind,
     Known,
     Scale,
     Score,
+    WindowKind,
     age_priors,
     by_logs,
     find_windows,
@@ -52,7 +52,7 @@ from slipfree.fit.drive_fit import (
 )
 from slipfree.fit.drives import DriveLog, conditions, held_for, without_holds
 from slipfree.fit.estimate import WEAK, Direction, Estimate
-from slipfree.fit.force_balance import Chassis, ComplexArray
+from slipfree.fit.force_balance import Chassis
 from slipfree.fit.ground_slope import Slopes
 from slipfree.fit.prediction import Model
 from slipfree.fit.unknowns import BALANCE, Unknown
@@ -76,7 +76,7 @@ MANOEUVRE = 20.0  # duration of parts of a log that are left out together [s]
 MAX_HOLD = 0.6  # of readings [s]
 AS_ITS_PRIOR = "{}, as its prior: not determined by these data"
 AS_PRIOR = 0.9  # of the deviation of a prior: an unknown that the logs do not determine
-KINDS: tuple[Kind, ...] = ((0.0, 2.0), (0.0, 5.0), (5.0, 0.0), (20.0, 0.0))
+KINDS = WindowKind(0.0, 2.0), WindowKind(0.0, 5.0), WindowKind(5.0), WindowKind(20.0)
 SIDES = "left", "right"
 LAW_KEYS = {  # keys of problem files with fitted constants
     "friction": ("terrain.friction",),
@@ -158,6 +158,10 @@ class Data(Record):
         that name. [rad/s, m/s, rad, m]
     """
 
+    removed_keys: ClassVar[Mapping[str, str]] = {
+        "files": "use 'file'",
+        "delay": "use 'constants.delay' or 'unknowns.delay'",
+    }
     file: Name | Annotated[tuple[Name, ...], Field(strict=False, min_length=1)]
     surfaces: Annotated[tuple[Name, ...], Field(strict=False)] = ()
     window: Positive | Name | None = None
@@ -236,6 +240,15 @@ class Fit(CommonKeys):
         Numbers to be fitted, by name, beside the usual ones or in their place. [m, rad, s, 1]
     """
 
+    removed_keys: ClassVar[Mapping[str, str]] = {
+        "friction": "use 'constants.friction' or 'unknowns.friction'",
+        "law": "omit it: all vehicles have the friction law of 'stiffness' and 'friction'",
+        **dict.fromkeys(("train", "seed"), "omit it: all campaigns or manoeuvres are predicted"),
+        "loss": "omit it: the loss is robust",
+        "models": "use 'model'",
+        "lengths": "omit it: windows of 5 and 20 m are predicted",
+        "duration": "omit it: windows of 2 and 5 s are predicted, or use 'data.window'",
+    }
     verb: Literal["fit"]
     model: Literal["kinematics", "quasi-static", "dynamics"] = "dynamics"
     frame: Frame = "paper"
@@ -258,8 +271,8 @@ class FitResult(NamedTuple):
     """Fitted force balance, errors of predictions, and what is used of each log."""
 
     fit: DriveFit | None  # None for predictions with a fit in a file
-    fitted: dict[Kind, Fitted]
-    scores: dict[Kind, Score]
+    fitted: dict[WindowKind, Fitted]
+    scores: dict[WindowKind, Score]
     predicted: list[DriveLog]
     rows: Lines
 
@@ -445,12 +458,12 @@ def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> FitResult:
     return FitResult(found, fitted, scores, others or logs, rows)
 
 
-def _kinds(problem: Problem[Fit], logs: Sequence[DriveLog]) -> list[Kind]:
+def _kinds(problem: Problem[Fit], logs: Sequence[DriveLog]) -> list[WindowKind]:
     """Return the kinds of windows; the first are fitted."""
     window = problem.spec.data.window
     if isinstance(window, str):
-        return [(0.0, 0.0), *KINDS]
-    first = (0.0, window) if window else KINDS[0 if logs[0].heading is not None else 2]
+        return [WindowKind(), *KINDS]
+    first = WindowKind(0.0, window) if window else KINDS[0 if logs[0].heading is not None else 2]
     return [first, *(kind for kind in KINDS if kind != first)]
 
 
@@ -507,15 +520,16 @@ class _Reader(NamedTuple):
         radii = inputs.radii[[wheel.driven for wheel in inputs.vehicle.wheels]]
         radii = np.repeat(inputs.radii[:1], 2) if inputs.is_by_sides else radii
         ratios = OF_SPEEDS | OF_POSES if inputs.are_speeds else rate_ratios(radii.tolist())
-        place = inputs.places
+        place = inputs.places - inputs.places.mean()
         speeds = radii[:, None] * np.array([log.values[name] for name in inputs.names])
+        sides = [speeds[own].mean(axis=0) for own in (place < 0, place > 0) if own.any()]
         is_named = any(split_unit(inputs.columns[name])[1] for name in inputs.names)
         is_guessed = spec.vehicle is None and not inputs.are_speeds
         check_motion(
             log,
             zero=0.0 if frame == "rep103" else np.pi / 2,
             speed=speeds.mean(axis=0) if radii.size else None,
-            turn=(place - place.mean()) @ speeds if not inputs.joints and radii.size else None,
+            sides=np.array(sides) if len(sides) > 1 and not inputs.joints else None,
             ratios=None if is_named or is_guessed else ratios,
             is_aligned=not moves_sideways(inputs.vehicle),
             may_turn="sensor_heading" in {u.quantity or name for name, u in spec.unknowns.items()},
@@ -678,11 +692,9 @@ def _jumps(place: ComplexArray, speed: Array, step: float) -> Mask:
     wide = np.pad(place, half, mode="reflect", reflect_type="odd")
     chord = np.abs(wide[2 * half :] - wide[: -2 * half]) / (2 * half * step)
 
-    def mean(values: Array) -> Array:
-        width = 2 * half + 1
-        return np.convolve(np.pad(values, half, mode="edge"), np.ones(width) / width, "valid")
-
-    return mean((np.abs(chord - mean(speed)) > JUMP).astype(float)) > 0
+    mean = scipy.ndimage.uniform_filter1d(speed, 2 * half + 1, mode="nearest")
+    jumps = scipy.ndimage.binary_dilation(np.abs(chord - mean) > JUMP, np.ones(2 * half + 1))
+    return np.asarray(jumps, bool)
 
 
 def facts(result: FitResult) -> Lines:
@@ -798,18 +810,13 @@ def undetermined(problem: Problem[Fit], fit: DriveFit) -> tuple[str, ...]:
     return tuple(name for name, *_, is_as_prior in rows if is_as_prior and name in own)
 
 
-def _kind_words(kind: Kind) -> str:
-    length, duration = kind
-    return f"{length:g} m of path" if length else f"{duration:g} s" if duration else "windows"
-
-
-def _error_lines(scores: Mapping[Kind, Score]) -> Iterator[tuple[str, str]]:
+def _error_lines(scores: Mapping[WindowKind, Score]) -> Iterator[tuple[str, str]]:
     """Yield errors, intervals and coverage by kind of window, and errors of the slip by grade."""
     for kind, score in scores.items():
         row = dict(zip(COLUMNS, _row(kind, score), strict=True))
         interval = f" ({row['position_lower']:.3g} to {row['position_upper']:.3g})"
         yield (
-            _kind_words(kind),
+            kind.words,
             f"rms {row['position_rms']:.3g} m{interval if row['logs'] > 1 else ''}, "
             f"{np.rad2deg(row['turn_rms']):.3g} deg; median {row['position_median']:.3g} m, "
             f"{np.rad2deg(row['turn_median']):.3g} deg; {row['windows']} windows, 90 % intervals "
@@ -821,7 +828,7 @@ def _error_lines(scores: Mapping[Kind, Score]) -> Iterator[tuple[str, str]]:
         if count := int(score.is_beyond.sum()):
             low, high = np.rad2deg([score.grade.min(), score.grade.max()])
             yield (
-                f"{_kind_words(kind)}, extrapolated",
+                f"{kind.words}, extrapolated",
                 f"{count} of {score.grade.size} windows, with grades from {low:.1f} to {high:.1f} "
                 "deg, are beyond those that were fitted; intervals do not hold there",
             )
@@ -844,7 +851,7 @@ COLUMNS = (
 )
 
 
-def _row(kind: Kind, score: Score) -> list[Any]:
+def _row(kind: WindowKind, score: Score) -> list[Any]:
     errors, log = score.errors, score.windows.log
     return [
         *(*kind, log.size, np.unique(log).size, score.campaigns),
@@ -858,7 +865,7 @@ def _row(kind: Kind, score: Score) -> list[Any]:
     ]
 
 
-def error_rows(scores: Mapping[Kind, Score]) -> tuple[list[str], list[list[Any]]]:
+def error_rows(scores: Mapping[WindowKind, Score]) -> tuple[list[str], list[list[Any]]]:
     """Return column names and rows of the errors by kind of window [m, s, rad]."""
     return list(COLUMNS), [_row(kind, score) for kind, score in scores.items()]
 
@@ -868,16 +875,11 @@ def window_rows(result: FitResult) -> tuple[list[str], list[list[Any]]]:
     names = ["length", "duration", "log", "start", "path", "grade", "beyond"]
     names += [f"{kind}_{axis}" for kind in ("error", "reach") for axis in AXES]
     return names, [
-        [*kind, log.name, first * log.dt, path, grade, int(is_beyond), *errors, *reach]
-        for kind, score in result.scores.items()
-        for k, first, path, grade, is_beyond, errors, reach in zip(
-            score.windows.log.tolist(),
-            score.windows.first.tolist(),
-            score.windows.length.tolist(),
-            score.grade.tolist(),
-            score.is_beyond.tolist(),
-            np.column_stack(score.errors).tolist(),
-            score.reach.T.tolist(),
+        [*kind, log.name, first * log.dt, path, grade, int(is_beyond), *others]
+        for kind, (errors, windows, grades, beyond, reach, _) in result.scores.items()
+        for k, first, path, grade, is_beyond, *others in zip(
+            *(windows.log, windows.first.tolist(), windows.length.tolist(), grades.tolist()),
+            *(beyond, *np.vstack([*errors, *reach]).tolist()),
             strict=True,
         )
         for log in [result.predicted[k]]
@@ -970,9 +972,9 @@ def predict_logs(
     slopes, _, grid = maps_of(problem)
     rows = list[tuple[str, str]]()
     logs = _Reader(problem, inputs_of(problem, paths), grid, rows).read(paths, ())
-    scores = dict[Kind, Score]()
+    scores = dict[WindowKind, Score]()
     for kind, own in contents["fitted"]:
         fitted = Fitted(*map(np.array, own))
-        if (windows := find_windows(logs, tuple(kind))) is not None:
-            scores[tuple(kind)] = score_windows(known, fitted, logs, windows, slopes)
+        if (windows := find_windows(logs, own_kind := WindowKind(*kind))) is not None:
+            scores[own_kind] = score_windows(known, fitted, logs, windows, slopes)
     return FitResult(None, {}, scores, logs, rows)
