@@ -30,7 +30,7 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(autouse=True)
 def _no_progress_lines(monkeypatch):
     """Keep slow runs from printing lines that fast ones do not print."""
-    monkeypatch.setattr("slipfree.cli.common.FIRST_LINE", np.inf)
+    monkeypatch.setattr("slipfree.cli.console.FIRST_LINE", np.inf)
 
 
 @pytest.fixture(autouse=True)

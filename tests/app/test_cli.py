@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import slipfree
 from helpers.commands import invoke, refused, sets
 from helpers.problem_files import PROBLEM
-from slipfree.cli import app, common
+from slipfree.cli import app, console
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import SolverError, Stop
 from slipfree.files import netcdf
@@ -38,7 +38,7 @@ def _json(*words: str, code: int = 0) -> dict[str, Any]:
     assert result.exit_code == code, result.output
     found = json.loads(result.stdout, parse_constant=lambda word: pytest.fail(word))
     assert (found["command"], found["exit_code"]) == (words[0], code)
-    assert found["meaning"] == common.MEANINGS[code]
+    assert found["meaning"] == console.MEANINGS[code]
     return found
 
 
@@ -185,7 +185,7 @@ def test_words_that_are_no_command_in_json(words: list[str], command: str, told:
     result = invoke(*words, "--json", code=2)
     found = json.loads(result.stdout)
     assert (found["command"], found["exit_code"]) == (command, 2)
-    assert found["meaning"] == common.MEANINGS[2]
+    assert found["meaning"] == console.MEANINGS[2]
     assert len(found["errors"]) == 1
     assert told in found["errors"][0]
     assert told in result.stderr
@@ -201,7 +201,7 @@ def test_an_unexpected_error_is_one_line(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr("slipfree.problem.load.load_problem", lambda *_, **__: [][1])
     error = refused("check", "p.toml")
     assert re.fullmatch(
-        rf"p.toml: {common.UNEXPECTED} {re.escape(slipfree.__version__)} \(IndexError: list index "
+        rf"p.toml: {console.UNEXPECTED} {re.escape(slipfree.__version__)} \(IndexError: list index "
         r"out of range\); report it to the developers of slipfree, .*--verbose prints\n",
         error,
     )

@@ -14,7 +14,7 @@ import typer
 from typer.testing import CliRunner
 
 from slipfree import cli
-from slipfree.cli.common import print_facts, reported, with_output_options
+from slipfree.cli.console import print_facts, reported, with_output_options
 
 
 def count(file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")]) -> None:
@@ -28,7 +28,7 @@ def count(file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result fi
 @pytest.fixture
 def app() -> typer.Typer:
     """Return the command line as it is with one more line."""
-    cli.common.store_options(quiet=False, verbose=False, json=False)  # of another test
+    cli.console.store_options(quiet=False, verbose=False, json=False)  # of another test
     made = typer.Typer(cls=cli.app.info.cls)
     for command in (*cli.COMMANDS, count):
         made.command()(with_output_options(command))

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from helpers.commands import invoke
-from slipfree.cli import common
+from slipfree.cli import console
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PLAN = ["run", str(PROBLEMS / "plan_rigid_hills.toml"), "-o", "p.nc", "--no-draw"]
@@ -20,7 +20,7 @@ ITERATE = r"iteration \d+, constraints off by [\d.e+-]+( \(rising\))?, cost [\d.
 def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("FIRST_LINE", "NEW_PHASE"):
-        monkeypatch.setattr(common, name, 0.0)
+        monkeypatch.setattr(console, name, 0.0)
 
 
 @pytest.mark.slow
@@ -34,7 +34,7 @@ def test_a_line_when_a_phase_of_a_search_begins() -> None:
 
 
 def test_more_lines_of_a_phase_that_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(common, "SAME_PHASE", 0.0)
+    monkeypatch.setattr(console, "SAME_PHASE", 0.0)
     result = invoke(*DIRECT)
     lines = result.stderr.splitlines()
     times = [float(re.fullmatch(r"integrated to ([\d.e-]+) of 1.5 s", line)[1]) for line in lines]

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from helpers.fuzz_files import bases, document
-from slipfree.cli import app, common
+from slipfree.cli import app, console
 from slipfree.files import netcdf
 
 NASTY = "\x1b]0;owned\x07\x9b31m\rback\b\x7f\u202eabc\u2066\u200f\x85\u2028"
@@ -44,15 +44,15 @@ def _output(*words: str, code: int) -> str:
 
 
 def test_what_is_escaped_and_what_stays() -> None:
-    assert common.visible(NASTY) == SHOWN
-    assert not RAW.search(common.visible("".join(map(chr, range(0x3000)))).replace("\r\n", ""))
+    assert console.visible(NASTY) == SHOWN
+    assert not RAW.search(console.visible("".join(map(chr, range(0x3000)))).replace("\r\n", ""))
     for text in (
         "Überfahrt\n\tüber 3°, 10 µm\r\n",
         "\u4e2d\u6587 \U0001f600",
         "\u06cc\u200c\u062e \u0915\u094d\u200d",
     ):
-        assert common.visible(text) == text
-    assert common.visible("\ud800 n\udcff") == r"\ud800 n\udcff"
+        assert console.visible(text) == text
+    assert console.visible("\ud800 n\udcff") == r"\ud800 n\udcff"
 
 
 def test_keys_values_and_names_of_problems() -> None:
@@ -94,11 +94,11 @@ def test_warnings_and_details() -> None:
     words = CliRunner()
     with (
         words.isolation() as (_, stderr, _both),
-        common._collecting("x", common.OutputOptions(verbose=True)),
+        console._collecting("x", console.OutputOptions(verbose=True)),
     ):
-        common.warn(NASTY)
-        common.detail(NASTY)
-        common.print_error(NASTY)
+        console.warn(NASTY)
+        console.detail(NASTY)
+        console.print_error(NASTY)
         shown = stderr.getvalue().decode()
     assert shown.count(SHOWN) == 3
     assert not RAW.search(shown)

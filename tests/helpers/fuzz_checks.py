@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from helpers.fuzz_damage import Case
 from helpers.fuzz_written import WRITTEN_KINDS, use_written
 from slipfree.cli import app
-from slipfree.cli.common import UNEXPECTED
+from slipfree.cli.console import UNEXPECTED
 from slipfree.core.errors import SlipfreeError
 from slipfree.files.maps.elevation import read_map
 from slipfree.files.mcap import read_joint_commands, read_mcap

@@ -14,7 +14,7 @@ from helpers.fuzz_damage import NUMBERS, ODD, Case, damaged
 from helpers.problem_files import PROBLEM
 from helpers.sweep_cases import PROBLEM as SWEPT
 from slipfree.cli import app
-from slipfree.cli.common import UNEXPECTED
+from slipfree.cli.console import UNEXPECTED
 from slipfree.core.errors import SlipfreeError
 
 HEAD = "ncols 9\nnrows 9\nxllcenter -2\nyllcenter -2\ncellsize 0.5\n"

@@ -2,7 +2,7 @@
 
 Exit codes: 0 done; 1 not complete or failed; 2 bad input, or a package that is not installed; 130
 interrupted. Every command has the options ``--quiet``, ``--verbose`` and ``--json``
-(`cli.common`). Commands import their modules when they run, so that ``slipfree --help`` is fast.
+(`cli.console`). Commands import their modules when they run, so that ``slipfree --help`` is fast.
 """
 
 from __future__ import annotations
@@ -15,22 +15,9 @@ import typer
 from typer.core import TyperGroup
 
 import slipfree
+from slipfree.cli import console
 from slipfree.cli.atlas import atlas
-from slipfree.cli.common import (
-    BAD_INPUT,
-    DONE,
-    INTERRUPTED,
-    Json,
-    Quiet,
-    Verbose,
-    fail,
-    print_error,
-    print_json,
-    print_line,
-    store_options,
-    visible,
-    with_output_options,
-)
+from slipfree.cli.console import BAD_INPUT, DONE, INTERRUPTED, Json, Quiet, Verbose
 from slipfree.cli.fit import fit, wheel
 from slipfree.cli.inspect import check, export, ground, info, vehicle
 from slipfree.cli.new import examples, new
@@ -61,16 +48,16 @@ class _CommandGroup(TyperGroup):
             yield
         except KeyboardInterrupt as error:  # before or after the command
             interrupt_arrived()
-            print_error("interrupted")
+            console.print_error("interrupted")
             raise typer.Exit(INTERRUPTED) from error
         except OSError as error:  # of stdout or stderr
-            fail(error)
+            console.fail(error)
         except UsageError as error:
             if "--json" in words:
                 names = [word for word in words if not word.startswith("-")]
                 name = next((word for word in names if word in self.commands), [*names, ""][0])
-                print_json(name, BAD_INPUT, {"errors": [error.format_message()]})
-            error.message = visible(error.message)
+                console.print_json(name, BAD_INPUT, {"errors": [error.format_message()]})
+            error.message = console.visible(error.message)
             raise
 
 
@@ -87,7 +74,7 @@ COMMANDS = (
     *(sweep, pareto, track, fit, wheel, atlas),
 )
 for command in COMMANDS:
-    app.command()(with_output_options(command))
+    app.command()(console.with_output_options(command))
 
 
 def main() -> None:
@@ -99,9 +86,9 @@ def _version(ctx: typer.Context, wanted: bool) -> None:
     if not wanted:
         return
     if "--json" in ctx.obj:
-        print_json("--version", DONE, {"version": slipfree.__version__})
+        console.print_json("--version", DONE, {"version": slipfree.__version__})
     else:
-        print_line(f"slipfree {slipfree.__version__}")
+        console.print_line(f"slipfree {slipfree.__version__}")
     raise typer.Exit
 
 
@@ -114,4 +101,4 @@ def _common(
     verbose: Verbose = False,
     json: Json = False,
 ) -> None:
-    store_options(quiet, verbose, json)
+    console.store_options(quiet, verbose, json)

@@ -11,21 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slipfree.cli.common import (
-    Draw,
-    Processes,
-    Scheduler,
-    Settings,
-    Trust,
-    add_json,
-    output_option,
-    print_facts,
-    print_line,
-    read_problem,
-    studying,
-    warn,
-    workers_of,
-)
+from slipfree.cli import console
+from slipfree.cli.console import Draw, Processes, Scheduler, Settings, Trust, output_option
 from slipfree.cli.outputs import check_outputs, save
 from slipfree.cli.outputs import draw as draw_plots
 from slipfree.core.errors import DataError
@@ -103,7 +90,7 @@ def atlas(
     from slipfree.problem.inputs import files_read
     from slipfree.problem.verbs.atlas import build_atlas
 
-    workers = workers_of(processes, scheduler)
+    workers = console.workers_of(processes, scheduler)
     values = {
         "atlas.headings": headings,
         "atlas.every": every,
@@ -123,26 +110,26 @@ def atlas(
     check_outputs(outs, inputs, endings=ENDINGS, folder=figures if draw else None)
     with as_arguments():
         setup = build_atlas(problem)
-    print_facts(setup.facts)
+    console.print_facts(setup.facts)
     for words in setup.warnings:
-        warn(words)
+        console.warn(words)
     with TileFolder(outs[0], setup, states) as tiles:
-        with studying("tiles", tiles) as watch:
+        with console.studying("tiles", tiles) as watch:
             run_tiles(setup, tiles, workers, watch)
             files = [save(each, lambda path: write_file(path, setup, tiles)) for each in outs]
             contents = overview(setup.x, setup.y, setup.site, tiles.tiles())
         tiles.remove()
     facts = contents.facts
-    print_facts(summary_lines(facts))
-    add_json("atlas", lambda: {name: fact._asdict() for name, fact in facts.items()})
+    console.print_facts(summary_lines(facts))
+    console.add_json("atlas", lambda: {name: fact._asdict() for name, fact in facts.items()})
     if not facts["allowed_share"].value:
-        warn("no pose is allowed; the summary lists the reasons")
-    print_line(f"wrote {', '.join(map(str, files))}")
+        console.warn("no pose is allowed; the summary lists the reasons")
+    console.print_line(f"wrote {', '.join(map(str, files))}")
     if draw:
         from slipfree.show.atlas_figures import atlas_plots
 
         plots = draw_plots(atlas_plots(contents.view), figures)
-        print_line(f"drew {', '.join(each.stem for each in plots)} in {figures}")
+        console.print_line(f"drew {', '.join(each.stem for each in plots)} in {figures}")
 
 
 def _bounds_setting(words: str) -> str:
@@ -174,7 +161,7 @@ def _read(
             f"{file}: expected a problem file (.toml), or a map and a vehicle, found no vehicle; "
             f"name one: slipfree atlas {shlex.quote(str(file))} VEHICLE"
         )
-    return read_problem(file, [*settings], trust, "atlas")
+    return console.read_problem(file, [*settings], trust, "atlas")
 
 
 def problem_of_map(
@@ -213,7 +200,7 @@ def ground_of(
     from slipfree.problem.build_ground import build_ground
 
     if file.suffix.lower() == ".toml" and vehicle is None:
-        problem = read_problem(file, [*settings], trust, "vehicle")
+        problem = console.read_problem(file, [*settings], trust, "vehicle")
         return problem, build_ground(problem)
     settings = ["frame=rep103", *settings]
     problem = problem_of_map(file, vehicle or ANY_VEHICLE, settings, trust)
@@ -223,7 +210,7 @@ def ground_of(
         if not isinstance(error.__cause__, DegreesError):
             raise
     key = "terrain.geographic=local"
-    print_line(f"the map is in degrees; it is converted to metres by --set {key}")
+    console.print_line(f"the map is in degrees; it is converted to metres by --set {key}")
     problem = problem_of_map(file, vehicle or ANY_VEHICLE, [key, *settings], trust)
     return problem, build_ground(problem)
 

@@ -9,21 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from slipfree.cli.common import (
-    INTERRUPTED,
-    STOPPED,
-    Draw,
-    Force,
-    Settings,
-    Trust,
-    about,
-    add_json,
-    output_option,
-    print_error,
-    print_facts,
-    print_line,
-    read_problem,
-)
+from slipfree.cli import console
+from slipfree.cli.console import INTERRUPTED, STOPPED, Draw, Force, Settings, Trust, output_option
 from slipfree.cli.new import write_new_file
 from slipfree.cli.outputs import check_outputs, default_table, save
 from slipfree.cli.outputs import draw as draw_plots
@@ -79,7 +66,7 @@ def fit(
         of each folder.
     """
     file = files[0]
-    with about(file):
+    with console.about(file):
         from slipfree.problem.wheel_test import is_wheel_file
 
         is_binary = file.suffix.lower() in (".nc", ".mcap")
@@ -122,18 +109,18 @@ def _write_fit(
             write_new_file(result.text(), write, force)
             files_written.append(write)
         is_interrupted = interrupt_requested() or result.is_interrupted
-    print_facts(result.facts)
+    console.print_facts(result.facts)
     for key, objects in result.objects.items():
-        add_json(key, partial(list, objects))
+        console.add_json(key, partial(list, objects))
     if picture is not None and not is_interrupted:
         files_written += draw_plots([result.plot(picture.stem)], picture.parent)
-    print_line(f"wrote {' and '.join(map(str, files_written))}")
+    console.print_line(f"wrote {' and '.join(map(str, files_written))}")
     if is_interrupted:
-        print_error(f"interrupted; {files_written[0]} contains the estimates so far")
+        console.print_error(f"interrupted; {files_written[0]} contains the estimates so far")
         raise typer.Exit(INTERRUPTED)
     if result.undetermined:
         unwritten = f"; no {work.subject} was written" if write else ""
-        print_error(
+        console.print_error(
             f"{file}: expected {work.data} all unknowns, found no information on "
             f"{', '.join(result.undetermined)}{unwritten}; give priors, fit fewer unknowns, or "
             f"use {work.remedy}"
@@ -194,7 +181,7 @@ def _log_fit(
             Path(contents["file"]), contents["text"], contents["settings"] + settings, command="fit"
         )
     elif file.suffix == ".toml" and not more:
-        problem = read_problem(file, settings, trust, "fit")
+        problem = console.read_problem(file, settings, trust, "fit")
     else:
         tables = {"terrain.file": named[0], "vehicle.file": named[1]}
         lines = [f"{key} = {toml_value(str(path))}" for key, path in tables.items() if path]
@@ -291,7 +278,7 @@ def wheel(
     force : bool
         Replace an existing soil file.
     """
-    with about(file):
+    with console.about(file):
         if fit:
             work = _soil_fit(file, settings or [])
             _write_fit(file, work, out, write, force=force, draw=draw)
@@ -313,7 +300,7 @@ def wheel(
         check_outputs([table, picture], test.file.files)
         names, rows = wheel_rows(test.curves)
         files = [save(table, lambda path: write_rows(path, names, rows))]
-        print_facts(wheel_facts(test))
+        console.print_facts(wheel_facts(test))
         if picture is not None:
             from slipfree.show.sweep_figures import DrawnWheel, wheel_plot
 
@@ -322,4 +309,4 @@ def wheel(
             load = test.file.spec.wheel.load
             drawn = DrawnWheel(*test.curves[:2], load, values, points)
             files += draw_plots([wheel_plot(picture.stem, drawn)], picture.parent)
-        print_line(f"wrote {' and '.join(map(str, files))}")
+        console.print_line(f"wrote {' and '.join(map(str, files))}")

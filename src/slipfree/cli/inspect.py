@@ -9,27 +9,9 @@ from typing import Annotated
 
 import typer
 
+from slipfree.cli import console
 from slipfree.cli.atlas import as_arguments, ground_of
-from slipfree.cli.common import (
-    BAD_INPUT,
-    Draw,
-    File,
-    Force,
-    ResultFile,
-    Settings,
-    Trust,
-    about,
-    add_json,
-    add_json_file,
-    detail,
-    print_error,
-    print_facts,
-    print_line,
-    read_problem,
-    refuse_result,
-    show,
-    visible,
-)
+from slipfree.cli.console import BAD_INPUT, Draw, File, Force, ResultFile, Settings, Trust
 from slipfree.cli.new import write_new_file
 from slipfree.cli.outputs import (
     PICTURES,
@@ -40,6 +22,7 @@ from slipfree.cli.outputs import (
     resume_command,
     save_picture,
 )
+from slipfree.cli.outputs import draw as draw_plots
 from slipfree.core.errors import DataError
 from slipfree.core.facts import TableColumn, table
 
@@ -53,17 +36,17 @@ def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
     from slipfree.problem.result import build
     from slipfree.problem.verbs.atlas import AtlasKeys, build_atlas
 
-    problem = read_problem(file, settings, trust, "check")
+    problem = console.read_problem(file, settings, trust, "check")
     if isinstance(problem.spec, AtlasKeys):
-        print_facts(build_atlas(problem).facts)
-        print_line("ok")
+        console.print_facts(build_atlas(problem).facts)
+        console.print_line("ok")
         return
     setup = build(problem)
-    detail("settled the vehicle at the start")
+    console.detail("settled the vehicle at the start")
     start, facts = verb_of(problem).describe_start(problem, setup)
-    add_json("start", lambda: quantities(start))
-    print_facts([*setup.facts, *facts])
-    print_line("ok")
+    console.add_json("start", lambda: quantities(start))
+    console.print_facts([*setup.facts, *facts])
+    console.print_line("ok")
 
 
 def ground(
@@ -92,9 +75,9 @@ def ground(
 
     with as_arguments():
         problem, ground = ground_of(file, vehicle, settings or [], trust)
-    with about(file):
+    with console.about(file):
         facts = survey(ground)
-    add_json("ground", lambda: {name: fact._asdict() for name, fact in facts.items()})
+    console.add_json("ground", lambda: {name: fact._asdict() for name, fact in facts.items()})
     lines = [*ground_facts(ground), *survey_lines(facts)]
     pose: Mapping[str, float] = {}
     try:
@@ -102,19 +85,17 @@ def ground(
             with as_arguments():
                 pose, standing = stand(problem, ground.grid)
             lines += standing
-            add_json("start", lambda: pose)
+            console.add_json("start", lambda: pose)
     finally:  # also if the vehicle has errors
-        print_facts(lines)
+        console.print_facts(lines)
     if draw:
         from slipfree.show.motion_figures import ground_plot
-        from slipfree.show.plots import save
 
         folder = Path(f"{file.stem}_figures")
         check_outputs([], files_read(problem), folder=folder, names=("ground.png",))
         place = (pose["x"], pose["y"]) if pose else None
-        (path,) = save([ground_plot(ground.grid, place)], folder)
-        add_json_file(path)
-        print_line(f"drew {path}")
+        (path,) = draw_plots([ground_plot(ground.grid, place)], folder)
+        console.print_line(f"drew {path}")
 
 
 def vehicle(
@@ -145,17 +126,17 @@ def vehicle(
     if write is not None:
         check_outputs([write], [file, *files_named_in(file)])
         write_new_file(guessed_completion(file, write.parent, trust or []), write, force)
-        print_line(f"wrote {write}\n")
+        console.print_line(f"wrote {write}\n")
     description = describe(file, settings or [], trust or [])
-    print_line("\n".join([*description.tree, ""]))
-    add_json("tree", lambda: description.tree)
-    add_json("wheels", lambda: description.wheels)
+    console.print_line("\n".join([*description.tree, ""]))
+    console.add_json("tree", lambda: description.tree)
+    console.add_json("wheels", lambda: description.wheels)
     if description.wheels:
         columns = [TableColumn(name, name) for name in description.wheels[0]]
-        print_line("\n".join([*table(columns, description.wheels), ""]))
-    print_facts(description.facts, description.details)
+        console.print_line("\n".join([*table(columns, description.wheels), ""]))
+    console.print_facts(description.facts, description.details)
     if description.faults:
-        print_error("\n".join(description.faults))
+        console.print_error("\n".join(description.faults))
         raise typer.Exit(BAD_INPUT)
     if picture is not None:
         save_picture(vehicle_plot(file, settings or [], trust or []), picture)
@@ -169,7 +150,7 @@ def info(file: ResultFile, problem: Annotated[bool, typer.Option("--problem")] =
     problem : bool
         Print the stored problem file instead.
     """
-    with about(file):
+    with console.about(file):
         from slipfree.files.atlas_files import is_atlas
         from slipfree.files.netcdf import FIT, attributes_of, read
         from slipfree.problem.result import STORED, facts_of, motion_facts
@@ -179,12 +160,12 @@ def info(file: ResultFile, problem: Annotated[bool, typer.Option("--problem")] =
             from slipfree.problem.report import atlas_lines
 
             summary, set_up, _ = atlas_lines(file)
-            print_facts([*summary, *set_up])
+            console.print_facts([*summary, *set_up])
             return
         if FIT in attributes_of(file):
             from slipfree.problem.verbs.fit import read_fit
 
-            print_facts(read_fit(file)["facts"])
+            console.print_facts(read_fit(file)["facts"])
             return
         motion = read(file, lazy=True)
         attributes = dict(motion.attributes)
@@ -196,19 +177,21 @@ def info(file: ResultFile, problem: Annotated[bool, typer.Option("--problem")] =
                     f"{file}: expected a result with its problem file, found none; use a file of "
                     "slipfree run"
                 )
-            add_json("problem", lambda: text)
-            typer.echo(visible(text) if sys.stdout.isatty() else text, nl=False)
+            console.add_json("problem", lambda: text)
+            typer.echo(console.visible(text) if sys.stdout.isatty() else text, nl=False)
             return
         facts = motion_facts(motion)
         lines = [(name.replace("_", " "), value) for name, value in attributes.items()]
-        print_facts([outcome_fact(motion), *(each for each in lines if each not in facts), *facts])
+        console.print_facts(
+            [outcome_fact(motion), *(each for each in lines if each not in facts), *facts]
+        )
         if go_on := resume_command(motion, file):
-            print_line(f"to resume: {go_on}")
-        print_line()
-        add_json("outcome", motion.outcome.name.lower)
-        add_json("attributes", lambda: attributes)
-        add_json("result", lambda: motion_json(motion, facts_of(motion)))
-        show(ranges(motion))
+            console.print_line(f"to resume: {go_on}")
+        console.print_line()
+        console.add_json("outcome", motion.outcome.name.lower)
+        console.add_json("attributes", lambda: attributes)
+        console.add_json("result", lambda: motion_json(motion, facts_of(motion)))
+        console.show(ranges(motion))
 
 
 def export(
@@ -238,7 +221,7 @@ def export(
     code : path, optional
         Write inverse kinematics and contact of the vehicle as C code with a test.
     """
-    with about(file):
+    with console.about(file):
         from slipfree.files.mcap import ros_package
         from slipfree.files.netcdf import export_path, export_rates
         from slipfree.problem.result import export_mcap, result_files
@@ -259,17 +242,17 @@ def export(
         for out, write in ((path, export_path), (rates, export_rates), (mcap, export_mcap)):
             if out is not None:
                 write(file, out)
-                add_json_file(out)
-                print_line(f"wrote {out}")
+                console.add_json_file(out)
+                console.print_line(f"wrote {out}")
 
 
 def _export_code(file: Path, folder: Path, trust: list[Path] | None) -> None:
     from slipfree.problem.controller import export_code
 
-    refuse_result(file)
+    console.refuse_result(file)
     files, command = export_code(file, folder, trust or ())
     for out in files:
-        add_json_file(out)
-        print_line(f"wrote {out}")
-    add_json("test", lambda: command)
-    print_line(f"to test: {command}")
+        console.add_json_file(out)
+        console.print_line(f"wrote {out}")
+    console.add_json("test", lambda: command)
+    console.print_line(f"to test: {command}")

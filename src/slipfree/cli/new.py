@@ -17,7 +17,7 @@ import tomlkit
 import typer
 
 from slipfree.cli.atlas import as_arguments, ground_of
-from slipfree.cli.common import Force, Settings, Trust, add_json, add_json_file, print_line
+from slipfree.cli.console import Force, Settings, Trust, add_json, add_json_file, print_line
 from slipfree.cli.outputs import check_outputs
 from slipfree.core.errors import DataError, similar
 from slipfree.system.regular_files import check_name, make_folder, replace_file

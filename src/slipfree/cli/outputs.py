@@ -11,15 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slipfree.cli.common import (
-    add_json_file,
-    begins_with,
-    is_quiet,
-    note_failure,
-    print_error,
-    print_line,
-    warn,
-)
+from slipfree.cli import console
 from slipfree.core.errors import DataError, WriteError
 from slipfree.core.outcome import Outcome
 from slipfree.system.interrupt import held_interrupt
@@ -84,10 +76,10 @@ def print_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
     """
     from slipfree.core.trajectory import outcome_title, outcome_words
 
-    words = outcome_words(run) if is_quiet() else outcome_title(run)
-    print_error(f"{words}; {out} contains the result so far")
+    words = outcome_words(run) if console.is_quiet() else outcome_title(run)
+    console.print_error(f"{words}; {out} contains the result so far")
     if go_on:
-        print_error(f"to resume: {go_on}")
+        console.print_error(f"to resume: {go_on}")
 
 
 def resume_command(run: Trajectory, out: Path, *options: str) -> str:
@@ -150,7 +142,9 @@ def default_table(file: Path, command: str, inputs: Sequence[Path]) -> Path:
     if not any(_is_same(table, each) for each in inputs):
         return table
     other = Path(f"{file.stem}_{command}.csv")
-    warn(f"{table} is an input: the table is called {other}; -o OUT.csv chooses another name")
+    console.warn(
+        f"{table} is an input: the table is called {other}; -o OUT.csv chooses another name"
+    )
     return other
 
 
@@ -167,7 +161,7 @@ def _is_same(path: Path, other: Path) -> bool:
 def save_picture(plot: Plot, out: Path) -> None:
     """Draw a picture and write it to a file whose name ends in one of `PICTURES`."""
     draw([plot._replace(name=out.stem)], out.parent, [out.suffix[1:]])
-    print_line(f"drew {out}")
+    console.print_line(f"drew {out}")
 
 
 def draw(plots: Iterable[Plot], folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
@@ -176,7 +170,7 @@ def draw(plots: Iterable[Plot], folder: Path, formats: Sequence[str] = ("png",))
 
     files = save_plots(plots, folder, formats)
     for file in files:
-        add_json_file(file)
+        console.add_json_file(file)
     return files
 
 
@@ -212,7 +206,7 @@ def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any])
             f"which is neither; {remedy}"
         )
     for path in figures[1:]:
-        if not begins_with(path, FIGURE):
+        if not console.begins_with(path, FIGURE):
             raise DataError(
                 f"{where}: expected a new file or a figure of an earlier run, found the file "
                 f"{path}, which is neither; choose another folder: --figures DIR"
@@ -266,7 +260,7 @@ def save(path: Path, write: Callable[[Path], object]) -> Path:
             except WriteError as error:
                 path = _save_elsewhere(path, write, f"{error}; {before}")
             is_written = True
-            add_json_file(path)
+            console.add_json_file(path)
     except KeyboardInterrupt:
         if is_written:
             raise
@@ -281,6 +275,6 @@ def _save_elsewhere(path: Path, write: Callable[[Path], object], words: str) -> 
     except WriteError as error:
         other.parent.rmdir()
         raise WriteError(f"{words}; {error}") from error
-    print_error(f"{words}; saved as {other}")
-    note_failure()
+    console.print_error(f"{words}; saved as {other}")
+    console.note_failure()
     return other

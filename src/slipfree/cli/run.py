@@ -9,24 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slipfree.cli.common import (
-    INTERRUPTED,
-    Draw,
-    File,
-    Settings,
-    Trust,
-    add_json,
-    detail,
-    note_failure,
-    output_option,
-    print_error,
-    print_facts,
-    print_line,
-    read_problem,
-    reporting,
-    show,
-    warn,
-)
+from slipfree.cli import console
+from slipfree.cli.console import INTERRUPTED, Draw, File, Settings, Trust, output_option
 from slipfree.cli.outputs import (
     OUTPUT,
     check_default_outputs,
@@ -92,7 +76,7 @@ def run(
 
     if show_page:
         require("viser", "view", "run --show: ")
-    problem = read_problem(file, settings, trust)
+    problem = console.read_problem(file, settings, trust)
     verb = verb_of(problem)
     options = [] if out is None else ["-o", str(out)]
     options += [] if draw else ["--no-draw"]
@@ -116,13 +100,13 @@ def run(
     def keep(result: Result) -> None:
         with suppress(WriteError), held_interrupt():
             write(place, result.trajectory, result.arrays)
-        detail(f"wrote {place}: {result.outcome.title}")
+        console.detail(f"wrote {place}: {result.outcome.title}")
 
-    with reporting(problem.spec.time.duration if verb.is_timed else None) as reports:
+    with console.reporting(problem.spec.time.duration if verb.is_timed else None) as reports:
         # a solved plan is written before it is verified, in case that this process is killed
         result = run_problem(problem, *reports, former, keep=keep, beside=out)
         counts = result.trajectory.statistics.items()
-        detail("solved: " + ", ".join(f"{name} {value:.6g}" for name, value in counts))
+        console.detail("solved: " + ", ".join(f"{name} {value:.6g}" for name, value in counts))
         files = [save(out, lambda path: write(path, result.trajectory, result.arrays))]
         if csv is not None:
             files.append(save(csv, lambda path: write_csv(path, result.trajectory)))
@@ -131,14 +115,16 @@ def run(
         motion = result.trajectory
         outcome = outcome_fact(motion)
         main = [outcome, *verb.summary(motion, main=True)]
-        print_facts([outcome, *result.setup.facts, *verb.summary(motion)], main=main)
-        add_json("outcome", motion.outcome.name.lower)
-        add_json("result", lambda: motion_json(motion, verb.facts(motion)))
+        console.print_facts([outcome, *result.setup.facts, *verb.summary(motion)], main=main)
+        console.add_json("outcome", motion.outcome.name.lower)
+        console.add_json("result", lambda: motion_json(motion, verb.facts(motion)))
         for words in verb.warnings(motion):
-            warn(words)
+            console.warn(words)
     names = ", ".join(map(str, files))
-    print_line(f"wrote {names}; all facts: {shlex.join(['slipfree', 'info', str(files[0])])}")
-    detail(f"wrote {names}")
+    console.print_line(
+        f"wrote {names}; all facts: {shlex.join(['slipfree', 'info', str(files[0])])}"
+    )
+    console.detail(f"wrote {names}")
     if cross_check and not is_interrupted:
         with _after(files[0], "cross-check"):
             _cross_check(result)
@@ -150,15 +136,15 @@ def run(
             drawn = draw_plots(plots if figures_all else plots[:MAIN_COUNT], folder)
             rest = len(plots) - len(drawn)
             more = f"; {rest} more with --figures-all" if rest else ""
-            print_line(f"drew {', '.join(file.stem for file in drawn)} in {folder}{more}")
-            detail(f"drew {len(drawn)} figures in {folder}")
+            console.print_line(f"drew {', '.join(file.stem for file in drawn)} in {folder}{more}")
+            console.detail(f"drew {len(drawn)} figures in {folder}")
     if show_page and not is_interrupted:
         with _after(files[0], "show"):
             show_results([files[0]])
     if result.outcome.exit_code:
         print_incomplete(motion, files[0], resume_command(motion, files[0], *options))
     elif is_interrupted:
-        print_error(f"interrupted; {files[0]} contains the result, which is complete")
+        console.print_error(f"interrupted; {files[0]} contains the result, which is complete")
     if code := INTERRUPTED if is_interrupted else result.outcome.exit_code:
         raise typer.Exit(code)
 
@@ -172,8 +158,8 @@ def _after(out: Path, name: str) -> Iterator[None]:
         raise
     except Exception as error:  # it must not hide where the result is
         kind = "" if isinstance(error, SlipfreeError) else f"{type(error).__name__}: "
-        print_error(f"{name}: {kind}{error}; {out} contains the result")
-        note_failure()
+        console.print_error(f"{name}: {kind}{error}; {out} contains the result")
+        console.note_failure()
 
 
 def _cross_check(result: Result) -> None:
@@ -183,11 +169,11 @@ def _cross_check(result: Result) -> None:
     other, differences = cross_check(result)
     differences = tuple(sorted(differences, key=lambda each: -each.size))
     count = f"of {len(differences)} quantities"
-    print_line(f"largest differences from formulation = {other!r}, {count}:")
+    console.print_line(f"largest differences from formulation = {other!r}, {count}:")
     rows = [
         {"name": label.full, "unit": label.unit, "difference": size, "time": t}
         for label, size, t in differences
     ]
-    add_json("cross_check", lambda: rows)
+    console.add_json("cross_check", lambda: rows)
     line = "{difference:.2e} {unit} at {time:g} s"
-    show([(f"  {row['name']}", line.format(**row)) for row in rows[:8]])
+    console.show([(f"  {row['name']}", line.format(**row)) for row in rows[:8]])

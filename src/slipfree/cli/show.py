@@ -14,17 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from slipfree.cli.common import (
-    ResultFile,
-    Trust,
-    about,
-    add_json_file,
-    counted,
-    detail,
-    output_option,
-    print_line,
-    warn,
-)
+from slipfree.cli import console
+from slipfree.cli.console import ResultFile, Trust, output_option
 from slipfree.cli.outputs import PAGES, PICTURES, Picture, check_outputs, save_picture
 from slipfree.core.errors import DataError, require
 from slipfree.system.interrupt import interrupt_arrived
@@ -83,7 +74,7 @@ def show(
 
     motions = _read(files)
     title = motions[0].run.attributes.get("title", motions[0].name)
-    with about(files[0]):
+    with console.about(files[0]):
         scene = drive_scene(motions, with_poses=color == "traversability")
     first, last = scene.span
     if time is not None and picture is None:
@@ -94,23 +85,23 @@ def show(
             f"{time:g} s; choose a time in this range"
         )
     for words in scene.warnings:
-        warn(words)
+        console.warn(words)
     if animation is not None:
         from slipfree.show.film import animate
 
-        with counted("frames") as progress:
+        with console.counted("frames") as progress:
             speed = animate(scene, animation, title, progress)
-        print_line(f"wrote {animation}, {speed}")
-        add_json_file(animation)
+        console.print_line(f"wrote {animation}, {speed}")
+        console.add_json_file(animation)
     if has_page:
         from slipfree.show.viewer import page, serve
 
         text = page(scene, title, color)
         if html is None:
-            serve(text, port, warn, lambda url: open_page(url, browser))
+            serve(text, port, console.warn, lambda url: open_page(url, browser))
         else:
             _write_page(html, text)
-            print_line(f"wrote {html}, {len(text) / 1e6:.1f} MB")
+            console.print_line(f"wrote {html}, {len(text) / 1e6:.1f} MB")
     if picture is not None:
         from slipfree.show.film import picture as drawn
 
@@ -122,7 +113,7 @@ def _write_page(file: Path, text: str) -> None:
         part.write_text(text, encoding="utf-8", errors="backslashreplace")
 
     replace_file(file, write)
-    add_json_file(file)
+    console.add_json_file(file)
 
 
 def _read(files: Sequence[Path]) -> list[Any]:
@@ -133,7 +124,7 @@ def _read(files: Sequence[Path]) -> list[Any]:
 
     results, motions = [], []
     for file in files:
-        with about(file):
+        with console.about(file):
             results.append(open_result(file, samples=SCENE_SAMPLES))
     models = [str(each.trajectory.attributes.get("model", "")) for each in results]
     names = [file.stem for file in files]
@@ -143,7 +134,7 @@ def _read(files: Sequence[Path]) -> list[Any]:
     if len({*models}) > 1:
         names = [f"{n} ({model})" if model else n for n, model in zip(names, models, strict=True)]
     for file, name, result in zip(files, names, results, strict=True):
-        with about(file):
+        with console.about(file):
             motions.append(verb_of(result.problem).shown(result, name))
     return motions
 
@@ -154,7 +145,7 @@ def open_page(url: str, browser: bool, does: str = "shows the motions") -> None:
     The browser gets the name of a private file that redirects to the address, since other users of
     the machine can read the arguments of its process.
     """
-    print_line(f"{url} {does}; Ctrl-C ends the server", err=True)
+    console.print_line(f"{url} {does}; Ctrl-C ends the server", err=True)
     seen = sys.platform in ("darwin", "win32") or any(
         os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
     )
@@ -176,7 +167,7 @@ def report(file: ResultFile, out: Annotated[Path | None, output_option("OUT.html
     out : path, optional
         Page to write; default: OUT.html.
     """
-    with about(file):
+    with console.about(file):
         from slipfree.problem.report import report as made
         from slipfree.show.html_page import page
 
@@ -184,13 +175,13 @@ def report(file: ResultFile, out: Annotated[Path | None, output_option("OUT.html
             target = out or file.with_suffix(".html")
         check_outputs([target], [file], endings=PAGES)
         found = made(file)
-        detail(f"made {len(found.figures)} figures of {file}")
+        console.detail(f"made {len(found.figures)} figures of {file}")
         if found.note and not found.figures:
-            warn(found.note)
-        with counted("figures") as progress:
+            console.warn(found.note)
+        with console.counted("figures") as progress:
             text = page(found, progress)
         _write_page(target, text)
-        print_line(f"wrote {target}")
+        console.print_line(f"wrote {target}")
 
 
 def edit(
@@ -226,7 +217,7 @@ def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
         "/state": lambda: json_content(state_of(desk.session)),
     }
     post = {f"/{name}": desk.accept(name) for name in ("plan", "cancel", "save")}
-    gate = Gate("slipfree edit", warn)
+    gate = Gate("slipfree edit", console.warn)
     server = start_server(port, get, post, gate)
     thread = threading.Thread(target=server.serve_forever, args=(STEP,), daemon=True)
     thread.start()

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slipfree.cli.common import (
+from slipfree.cli import console
+from slipfree.cli.console import (
     INTERRUPTED,
     MAX_PROCESSES,
     STOPPED,
@@ -20,22 +21,7 @@ from slipfree.cli.common import (
     Scheduler,
     Settings,
     Trust,
-    about,
-    add_json,
-    add_json_file,
-    counted,
-    detail,
-    duration,
     output_option,
-    print_error,
-    print_facts,
-    print_line,
-    read_problem,
-    reporting,
-    studying,
-    warn,
-    workers_of,
-    written,
 )
 from slipfree.cli.outputs import check_outputs, save
 from slipfree.cli.outputs import draw as draw_plots
@@ -62,18 +48,18 @@ def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
     from slipfree.problem.build_ground import ground_facts
     from slipfree.problem.verbs.compare import compare as solve
 
-    problem = read_problem(file, settings, trust, "compare")
-    with studying("vehicles") as watch:
+    problem = console.read_problem(file, settings, trust, "compare")
+    with console.studying("vehicles") as watch:
         ground, rows = solve(problem, watch)
         is_interrupted = interrupt_requested()
-    print_facts(ground_facts(ground))
-    add_json("vehicles", lambda: rows)
+    console.print_facts(ground_facts(ground))
+    console.add_json("vehicles", lambda: rows)
     for words, drive in (
         ("at the same rates", "same_rates"),
         ("at the rates of the driving law", "driving_law"),
     ):
         wheels = ", ".join(rows[0]["wheels"])
-        print_line(f"\n{words}: largest slip of the wheels {wheels} [mm/s]")
+        console.print_line(f"\n{words}: largest slip of the wheels {wheels} [mm/s]")
         shown = list[dict[str, Any]]()
         for row in rows:
             motion = row[drive]
@@ -83,8 +69,10 @@ def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
             rank = f"{row['rank']}/{row['conditions']}"
             own = {"name": row["name"], "rank": rank, "axle": axle, "stop": stopped}
             shown.append(values | own)
-        print_line("\n".join(table(COMPARED, shown)))
-    print_line("\n* largest friction coefficient that a wheel requires; forces load-weighted")
+        console.print_line("\n".join(table(COMPARED, shown)))
+    console.print_line(
+        "\n* largest friction coefficient that a wheel requires; forces load-weighted"
+    )
     kept = f"the table contains {len(rows)} of {len(problem.spec.vehicles)} vehicles"
     _exit(kept, is_interrupted=is_interrupted)
 
@@ -105,7 +93,7 @@ COMPARED = (
 def _exit(*kept: str, is_interrupted: bool, code: int = 0) -> None:
     """Exit with a code if a study is interrupted or incomplete; say what is kept."""
     if is_interrupted:
-        print_error("; ".join(["interrupted", *kept]))
+        console.print_error("; ".join(["interrupted", *kept]))
         raise typer.Exit(INTERRUPTED)
     if code:
         raise typer.Exit(code)
@@ -151,7 +139,7 @@ def pareto(
         table_lines,
     )
 
-    problem = read_problem(file, settings, trust)
+    problem = console.read_problem(file, settings, trust)
     folder = out or Path(f"{problem.source.path.stem}_pareto")
     files = {k: f"point_{k + 1:02}.nc" for k in range(points)} | {GIVEN: "plan.nc"}
     outputs = [*FRONT, *files.values()]
@@ -161,9 +149,9 @@ def pareto(
         result, path = point.solution.result, folder / files[number]
         folder.mkdir(parents=True, exist_ok=True)
         save(path, lambda path: write(path, result.trajectory, result.arrays))
-        detail(f"wrote {path}")
+        console.detail(f"wrote {path}")
 
-    with FrontFolder(folder, problem, against, points) as parts, reporting(None) as reports:
+    with FrontFolder(folder, problem, against, points) as parts, console.reporting(None) as reports:
         solve = partial(plan_front, processes=processes, report=reports.search, keep=keep)
         front = solve(problem, against, points, parts=parts)
         rows = front_rows(front)
@@ -173,17 +161,17 @@ def pareto(
         is_interrupted = interrupt_requested() or code == INTERRUPTED
         if not is_interrupted:
             parts.remove()
-    print_facts(front_facts(front))
-    print_line("\n".join(["", *table_lines(front)]))
-    add_json("points", lambda: rows)
+    console.print_facts(front_facts(front))
+    console.print_line("\n".join(["", *table_lines(front)]))
+    console.add_json("points", lambda: rows)
     draw = draw and not is_interrupted
     if draw:
         draw_plots([front_plot(front)], folder)
-    print_line(f"wrote table, plans{' and figure' if draw else ''} in {folder}")
+    console.print_line(f"wrote table, plans{' and figure' if draw else ''} in {folder}")
     if code:
         unsolved = sum(not each.is_solved for each in front.points)
         verb, what = ("is", "the reason is") if unsolved == 1 else ("are", "the reasons are")
-        print_error(
+        console.print_error(
             f"{unsolved} of {len(front.points)} points {verb} not solved; {what} in the last "
             f"column of {folder / FRONT[0]}"
         )
@@ -230,7 +218,7 @@ def track(
         File for the last motion, by the last way with the last seed; the figure has the same
         name with .png. Default: neither.
     """
-    with about(file):
+    with console.about(file):
         from slipfree.files.netcdf import write
         from slipfree.problem.result import result_files
         from slipfree.problem.verbs.plan_tracking import (
@@ -243,7 +231,7 @@ def track(
         with regular_file(file, "a result file of slipfree"):
             picture = out.with_suffix(".png") if out is not None and draw else None
             check_outputs([out, picture], result_files(file))
-        with studying("motions") as watch:
+        with console.studying("motions") as watch:
             test = follow_plan(
                 file,
                 settings or [],
@@ -252,7 +240,7 @@ def track(
                 seeds=seeds,
                 period=period,
                 window=window,
-                time=lambda name, seed, t: detail(f"{name}, seed {seed}: {t:.4g} s"),
+                time=lambda name, seed, t: console.detail(f"{name}, seed {seed}: {t:.4g} s"),
                 beside=out or Path(file.name),
                 watch=watch,
             )
@@ -264,10 +252,10 @@ def track(
             if test.parts is not None and not is_interrupted:
                 test.parts.remove()
         rows = tracking_rows(test)
-        print_line("\n".join(tracking_lines(rows)))
-        add_json("motions", lambda: rows)
+        console.print_line("\n".join(tracking_lines(rows)))
+        console.add_json("motions", lambda: rows)
         if out is not None and results:
-            print_line(f"wrote {out}")
+            console.print_line(f"wrote {out}")
         if picture is not None and results and not is_interrupted:
             from slipfree.problem.verbs.plan import PlanVerb
             from slipfree.show.plan_figures import tracking_plot
@@ -277,9 +265,9 @@ def track(
             marks = PlanVerb().marks(problem, setup.terrain.domain)
             plot = tracking_plot(picture.stem, test.plan, named, setup.ground.grid, marks)
             draw_plots([plot], picture.parent)
-            print_line(f"wrote {picture}")
+            console.print_line(f"wrote {picture}")
         code = max((result.outcome.exit_code for _, result in results), default=0)
-        _exit(*written(), GO_ON, is_interrupted=is_interrupted, code=code)
+        _exit(*console.written(), GO_ON, is_interrupted=is_interrupted, code=code)
 
 
 def _disturbances(words: Sequence[str]) -> dict[str, float]:
@@ -358,7 +346,7 @@ def sweep(
     from slipfree.system.parts import LOG
     from slipfree.system.processes import available_cores
 
-    with counted("checking values") as checked:
+    with console.counted("checking values") as checked:
         plan = sweep_of(file, vary or [], settings or [], repeat, seed, checked, trust or [])
     folder = out or Path(f"{plan.problem.source.path.stem}_sweep")
     if dry_run:
@@ -369,11 +357,11 @@ def sweep(
     if draw:
         check_outputs([], reads, folder=folder / FIGURES, names=("*",))
     if plan.problem.spec.solver.compiled and (why := obstacle()):
-        warn(
+        console.warn(
             f"solver.compiled is true, but functions cannot be compiled: {why}; until then, "
             "equations that are not in the cache are interpreted, which is slower"
         )
-    workers = workers_of(processes, scheduler)
+    workers = console.workers_of(processes, scheduler)
 
     def words() -> str:
         wrong = rows.outcomes[FAILED] + rows.outcomes[LOST]
@@ -381,25 +369,25 @@ def sweep(
         return ("runs" + f", {wrong} failed" * bool(wrong)) + last
 
     rows = Rows(folder, plan.count, plan.head, again=again, check=plan.files.check)
-    with rows, studying("runs", rows, words) as watch:
+    with rows, console.studying("runs", rows, words) as watch:
         run_sweep(plan, rows, workers, keep=keep, watch=watch)
     names = choose_figures(plan, rows, figures or [])
     tables = grids(plan, rows, names)
-    print_facts(sweep_facts(plan, rows, tables, names))
-    add_json_file(folder / TABLE)
-    print_line(f"wrote {folder / TABLE}")
+    console.print_facts(sweep_facts(plan, rows, tables, names))
+    console.add_json_file(folder / TABLE)
+    console.print_line(f"wrote {folder / TABLE}")
     if keep:
         _warn_missing(plan, rows)
     if draw:
         if len(plan.axes) > MAX_KEYS:
-            print_line(
+            console.print_line(
                 f"no figures: {len(plan.axes)} keys are varied, and figures show at most {MAX_KEYS}"
             )
         elif plan.count > 1:
             paths = save_sweep_figures(drawn_grids(rows, tables, names), folder / FIGURES)
             for path in paths:
-                add_json_file(path)
-            print_line(f"drew {len(paths)} files in {folder / FIGURES}")
+                console.add_json_file(path)
+            console.print_line(f"drew {len(paths)} files in {folder / FIGURES}")
     if rows.ended(FAILED, LOST):
         raise typer.Exit(STOPPED)
 
@@ -417,10 +405,10 @@ def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
             facts.append(("finished", f"{len(rows)} in {folder}"))
             if len(rows):
                 each = sum(row.seconds for row in rows) / len(rows)
-                about_all = duration(left * each / processes)
+                about_all = console.duration(left * each / processes)
                 count = "1 process" if processes == 1 else f"{processes} processes"
                 words = f"about {about_all}: {each:.3g} s per run on {count}"
-    print_facts([*facts, ("time", words if left else "all runs are finished")])
+    console.print_facts([*facts, ("time", words if left else "all runs are finished")])
 
 
 def _warn_missing(plan: Sweep, rows: Rows) -> None:
@@ -434,7 +422,7 @@ def _warn_missing(plan: Sweep, rows: Rows) -> None:
         file = str(rows.result_path(first.run))
         words = ["slipfree", "run", str(plan.problem.source.path), *sets, "-o", file]
         runs, have = ("run", "has") if len(missing) == 1 else ("runs", "have")
-        warn(
+        console.warn(
             f"--keep: {len(missing)} finished {runs} {have} no result file; to write all, sweep "
             f"into another folder with -o; to write the first: {shlex.join(words)}"
         )
