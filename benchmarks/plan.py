@@ -84,7 +84,7 @@ from slipfree.problem.build import build_world
 from slipfree.problem.result import motion_facts
 from slipfree.problem.verbs.base import Watch, integrate
 from slipfree.problem.verbs.plan_setup import places_of, regions
-from slipfree.routing.reachability import separation_words
+from slipfree.routing.search import separation_words
 from slipfree.routing.traversability import traversability
 
 GOAL, DURATION = (0.6, 2.6), 20.0  # [m], [s]

@@ -21,9 +21,8 @@ from slipfree.core.outcome import Outcome
 from slipfree.geometry.regions import Region
 from slipfree.problem.load import load_problem
 from slipfree.problem.result import run_problem
-from slipfree.routing.reachability import unheld_words, unreachable
 from slipfree.routing.reeds_shepp import HEADINGS, reeds_shepp
-from slipfree.routing.search import route
+from slipfree.routing.search import route, unheld_words, unreachable
 from slipfree.routing.traversability import free_space
 from slipfree.solve.sampling import input_samples
 from slipfree.terrain.base import Terrain

@@ -18,8 +18,14 @@ from slipfree.core.errors import ModelError
 from slipfree.geometry.regions import Region
 from slipfree.routing import search as search
 from slipfree.routing import smoothing
-from slipfree.routing.reachability import SLIDING, separation_words
-from slipfree.routing.search import homotopy_class, obstacle_points, route, routes
+from slipfree.routing.search import (
+    SLIDING,
+    homotopy_class,
+    obstacle_points,
+    route,
+    routes,
+    separation_words,
+)
 from slipfree.routing.traversability import STEEP, blocking_reasons, free_space, traversability
 from slipfree.terrain.synthetic import blank, craters
 

@@ -1,10 +1,14 @@
 """Direct kinematics: motion of a vehicle over the ground for given wheel and joint rates.
 
+In the closure model, every wheel touches the ground at position level: each wheel adds two unknown
+contact coordinates and three equations, which also contain the pose of the platform. Kinematics and
+`slipfree.models.quasi_statics` add equations of the rates.
+
 A rigid vehicle stands on three wheels; a fourth one over-determines its pose. In the pressed-wheel
 model, each wheel presses on the ground with a load that grows with its depth below the ground, and
 the height and inclination of the platform and the suspension are states that relax to the
-equilibrium of these loads. As the depths tend to zero, the motion tends to that of
-`slipfree.models.base` if the wheels of the vehicle can all touch a rigid ground.
+equilibrium of these loads. As the depths tend to zero, the motion tends to that of the closure
+model if the wheels of the vehicle can all touch a rigid ground.
 
 With the depth ``delta_i`` of a wheel, its static depth ``d0``, the weight ``W`` and ``n`` wheels:
 
@@ -32,11 +36,12 @@ import numpy as np
 
 from slipfree.contact.closure import check_support, closure, has_exact_closure
 from slipfree.core.arguments import checked
-from slipfree.core.dae import Dae, Holding, Labels
+from slipfree.core.dae import Continuation, Dae, Holding, Labels, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Label, leaves, pack, symbols
 from slipfree.core.schema import Positive
+from slipfree.geometry.frame import Pose
 from slipfree.laws.least_slip import LeastSlip, linear_form
 from slipfree.laws.protocols import Equations, Motion, SlipLaw, wheel_labels
 from slipfree.models.base import (
@@ -50,6 +55,7 @@ from slipfree.models.base import (
     Quantities,
     RelaxedState,
     VehicleState,
+    at_rest,
     carriers,
     contact_checks,
     contact_frames,
@@ -60,20 +66,99 @@ from slipfree.models.base import (
     outputs,
     pressed_labels,
     raised_poses,
+    slip_ratios,
     spins,
     vehicle_dae,
 )
-from slipfree.models.closure_model import closure_dae, closure_quantities
 from slipfree.models.friction_feasibility import (
     contact_force_residuals,
     force_outputs,
     mechanics,
+    with_tangential,
 )
 from slipfree.models.limits import limits_of, tip_over_margin
 from slipfree.models.samples import slip_velocities
 from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Body, Vehicle
+
+
+def closure_quantities(
+    vehicle: Vehicle, terrain: Terrain, labels: Labels
+) -> tuple[Algebraic, Quantities]:
+    """Return the algebraic unknowns of a closure model and the expressions that contain them."""
+    x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
+    state = VehicleState(vehicle, terrain, LookupTable(), x, z.position, z.rates, u)
+    poses = carriers(state)
+    contacts = contact_frames(state, poses, z.position.contacts)
+    slips = slip_velocities(state, contacts)
+    parts = mechanics(state, contacts, slips)
+    of_wheels = with_tangential(z.forces, parts), poses, contacts, slips, spins(state)
+    return z, Quantities(*state, *of_wheels, parts, tip_over_margin(state, contacts))
+
+
+def closure_dae(
+    labels: Labels,
+    z: Algebraic,
+    q: Quantities,
+    law: Equations,
+    forces: ca.SX,
+    *,
+    limits: tuple[Limit, ...] = (),
+    suppress_algebraic: bool = False,
+    continuation: Continuation | None = None,
+    discs: tuple[tuple[ca.SX, ca.SX], ...] = (),
+) -> Dae:
+    """Return the DAE of a closure model from its quantities and the equations of its rates.
+
+    ``labels`` lack those of the law's equations; ``law`` and ``forces`` are the equations of the
+    rates, and of the forces that follow from them. Other arguments are those of `Dae`.
+    """
+    rates, sampled = q.rates, force_outputs(q, labels.y.forces)
+    parts = q.mechanics
+    holding = Holding(parts.free, parts.load / parts.weight, ca.vertcat(*parts.friction))
+    y = outputs(q, sampled)
+    heights, centers = level_heights(q)
+    pose = ca.vertcat(ca.sum1(heights) / len(centers), ca.SX.zeros(2 + len(q.position.suspension)))
+    others = at_rest(q.vehicle, labels.z[1:])
+    return vehicle_dae(
+        q,
+        labels,
+        q.x,
+        z,
+        (Equations(labels.alg[0], _closures(q)), law, Equations(labels.alg[2], forces)),
+        sampled,
+        ode=ca.vertcat(q.rates.x, q.rates.y, q.rates.heading, *joint_rates(q)),
+        y=y._replace(slip_ratio=slip_ratios(q)) if labels.y.slip_ratio else y,
+        limits=(*limits_of(q), *limits),
+        checks=contact_checks(q, q.x, z, q.poses),
+        guess=ca.densify(ca.vertcat(pose, *(center[:2] for center in centers), others)),
+        suppress_algebraic=suppress_algebraic,
+        continuation=continuation,
+        linear=law.linear,
+        discs=discs,
+        holding=holding if q.vehicle.mass else None,
+        leading_rates=ca.vertcat(rates.z, rates.roll, rates.pitch, *rates.suspension),
+    )
+
+
+def _closures(q: Quantities) -> ca.SX:
+    """Return the contact residuals of all wheels, computed relative to the platform's centre.
+
+    Subtracting large coordinates first avoids loss of digits.
+    """
+    level, zero = q.x._replace(x=ca.SX(0), y=ca.SX(0)), q.position._replace(z=ca.SX(0))
+    arms = [pose.origin for pose in carriers(q._replace(x=level, position=zero))]
+    center = ca.vertcat(q.x.x, q.x.y, q.position.z)
+    return ca.vertcat(
+        *(
+            closure(wheel, Pose(carrier.rotation, arm), each._replace(point=each.point - center))
+            for wheel, carrier, arm, each in zip(
+                q.vehicle.wheels, q.poses, arms, q.contacts, strict=True
+            )
+        )
+    )
+
 
 CONTACT_SPEED = 1.0  # speed of a wheel on the ground under an unbalanced force W / n [m/s]
 AIR_SPEED = 3.0  # speed of a wheel in the air under an unbalanced force W / n [m/s]

@@ -22,9 +22,8 @@ from slipfree.models.base import (
     equilibrium_labels,
     labels_of,
 )
-from slipfree.models.closure_model import closure_dae, closure_quantities
 from slipfree.models.friction_feasibility import diagnosis, equilibrium
-from slipfree.models.kinematics import check_rollers
+from slipfree.models.kinematics import check_rollers, closure_dae, closure_quantities
 from slipfree.models.samples import absolute_spins
 from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain

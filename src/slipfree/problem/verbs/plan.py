@@ -81,7 +81,7 @@ from slipfree.problem.verbs.plan_setup import (
     places_of,
     regions,
 )
-from slipfree.routing.reachability import separation_words
+from slipfree.routing.search import separation_words
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import TURN
 from slipfree.solve.settle import SPEED, settle

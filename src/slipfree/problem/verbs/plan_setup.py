@@ -78,7 +78,7 @@ from slipfree.problem.schema import (
     Time,
     region_of,
 )
-from slipfree.routing.reachability import unheld_words, unreachable
+from slipfree.routing.search import unheld_words, unreachable
 from slipfree.routing.traversability import (
     Traversability,
     extents,
