@@ -57,13 +57,12 @@ def straight_on(vehicle, terrain, rate, t):
     return dae, start, simulate(dae, start, inputs, t)
 
 
-def drive(terrain, t, *, vehicle=None, rates=None, tolerance=1e-8, **start):
+def drive(terrain, t, *, vehicle=None, rates=None, tolerance=1e-8, sampled_work=False, **start):
     """Drive a vehicle, the paper's by default, at constant rates, the paper's by default."""
     dae = closure_model(vehicle or three_wheeler(), terrain)
     inputs = dae.inputs(**(rates or PAPER_RATES))
-    return simulate(
-        dae, settle(dae, **start), inputs, t, options=SolverOptions(tolerance=tolerance)
-    )
+    options = {"options": SolverOptions(tolerance=tolerance), "sampled_work": sampled_work}
+    return simulate(dae, settle(dae, **start), inputs, t, **options)
 
 
 @lru_cache

@@ -322,10 +322,7 @@ def test_what_others_may_have_written_is_not_loaded(how, folder, tmp_path_factor
 
 @needs_compiler
 def test_what_a_killed_compiler_left_is_removed_some_day(folder):
-    left, at_work = (
-        folder / f"{codegen_cache.SCRATCH_PREFIX}1",
-        folder / f"{codegen_cache.SCRATCH_PREFIX}2",
-    )
+    left, at_work = (folder / f"{codegen_cache.SCRATCH_PREFIX}{k}" for k in (1, 2))
     for place in (left, at_work):
         place.mkdir()
     os.utime(left, (0, 0))

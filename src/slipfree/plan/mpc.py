@@ -318,11 +318,8 @@ def _iterated(
     # Arguments in the order of ``casadi.nlpsol``; CasADi matrices would take a tenth of the time.
     arguments = (first / scale, window.weights, lower / scale, upper / scale, *row_bounds)
     columns = {k: value[:, None] for k, value in enumerate((*arguments, *multipliers[::-1]))}
-    unknowns, bounds, rows = (
-        np.empty(scale.size),
-        np.empty(scale.size),
-        np.empty(asked.g_lower.size),
-    )
+    sizes = scale.size, scale.size, asked.g_lower.size
+    unknowns, bounds, rows = map(np.empty, sizes)
     for solver in (window.solver, window.careful):
         buffer = run_buffered(solver, columns, {0: unknowns, 3: bounds, 4: rows})
         status = str(buffer.stats()["return_status"])

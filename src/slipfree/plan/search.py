@@ -54,7 +54,6 @@ PATH_SAMPLES = 201  # samples at which the paths of two plans are compared
 SAME_PATH = 1e-3  # largest distance of paths that count as one optimum [m]
 VERIFIED, INACCURATE, SOLVED, NOT_SOLVED = "verified", "inaccurate", "solved", "not solved"
 RANKS = (VERIFIED, SOLVED, INACCURATE, NOT_SOLVED)
-SLIP_STAGES = (0.0, 1.0)  # factors of the weight of the slip, one per stage
 SLIP_COSTS = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages
 MAX_LIMIT_ROUNDS = 4  # largest number of times that violated limits are added
 MAX_REFINEMENTS = 6  # largest number of refinements of the mesh
@@ -319,9 +318,8 @@ def _local_optimum(search: SearchState, accurate: bool | None) -> LocalOptimum:
 def _rank(program: Program, search: SearchState) -> tuple[bool, float]:
     """Return the sort key of a search: solved programs by cost, then others by violation."""
     solution = search.found
-    return not solution.success, solution.cost if solution.success else largest_violation(
-        program, solution.rows
-    )
+    size = solution.cost if solution.success else largest_violation(program, solution.rows)
+    return not solution.success, size
 
 
 def _solve_in_stages(
@@ -330,21 +328,16 @@ def _solve_in_stages(
     """Solve the program; if slip is a cost, start from the solution without this cost."""
     slips = any(cost.label.name in SLIP_COSTS and cost.weight for cost in program.task.costs)
     words = f"{of}without slip cost" if slips else f"{of}all costs"
-    search = _solve_stage(program, first, words, SLIP_STAGES[0] if slips else 1.0, progress)
-    for part in SLIP_STAGES[1:] if slips else ():
-        if not search.found.success:
-            break
-        best = search.found
-        more = _solve_stage(program, best.unknowns, f"{of}with slip cost", part, progress, best)
-        stages = search.stages + more.stages
-        if (
-            not more.found.success
-            and largest_violation(program, more.found.rows) > VIOLATION_TOLERANCE
-        ):
+    search = _solve_stage(program, first, words, 0.0 if slips else 1.0, progress)
+    best = search.found
+    if slips and best.success:
+        more = _solve_stage(program, best.unknowns, f"{of}with slip cost", 1.0, progress, best)
+        stages, status = search.stages + more.stages, more.found.status
+        worst = largest_violation(program, more.found.rows)
+        if not more.found.success and worst > VIOLATION_TOLERANCE:
             # The previous plan meets all constraints, although its slip is not minimal.
-            status = more.found.status
-            kept = best._replace(success=status == TIME_STATUS, status=status)
-            return search._replace(found=kept, first=first, stages=stages)
+            best = best._replace(success=status == TIME_STATUS, status=status)
+            more = search._replace(found=best)
         search = more._replace(stages=stages)
     return search._replace(first=first)
 
@@ -363,18 +356,12 @@ def solve_resumed(
         mesh = former.mesh
     program = transcribe(task, mesh, options)
     first = transfer_motion(former, program, after)
-    if reached := _violated_limits(
-        task, sample_plan(program, first), -2 * LIMIT_CLEARANCE
-    ):  # limits that are active in the saved plan
+    # limits that are active in the saved plan
+    if reached := _violated_limits(task, sample_plan(program, first), -2 * LIMIT_CLEARANCE):
         program = transcribe(replace(task, limits=(*task.limits, *reached)), mesh, options)
         first = transfer_motion(former, program, after)
-    alike = (first.size, program.g_lower.size, after) == (
-        former.unknowns.size,
-        resume.row_multipliers.size,
-        0.0,
-    )
-    warm = _warm_guess(program, first)
-    if alike:
+    warm, sizes = _warm_guess(program, first), (first.size, program.g_lower.size)
+    if not after and sizes == (former.unknowns.size, resume.row_multipliers.size):
         warm = warm._replace(
             row_multipliers=resume.row_multipliers, bound_multipliers=resume.bound_multipliers
         )
@@ -434,8 +421,7 @@ def _solve_anew(
     program = transcribe(task, mesh, search.program.options)
     first = transfer_motion(former, program)
     more = _solve_stage(program, first, words, 1.0, progress, _warm_guess(program, first))
-    stages = search.stages + more.stages
-    return more._replace(stages=stages, name=search.name, number=search.number)
+    return more._replace(stages=search.stages + more.stages, name=search.name, number=search.number)
 
 
 def _warm_guess(program: Program, first: Array) -> NlpSolution:

@@ -81,17 +81,15 @@ def verify_plan(
     planned, states = motion.states(fractions), list(leaves(dae.labels.x))
     x, gaps = _compare(model.rows("x", replay), planned, task.periodic, accuracy)
     over = _excess(task, limits, replay, x)
-    sizes = {"": over}
-    for condition in task.conditions:
-        k = int(np.abs(fractions - condition.fraction).argmin())
-        if abs(fractions[k] - condition.fraction) <= 1e-6:  # the simulation reaches it
-            one = slice(k, k + 1)
-            own = _excess(task, condition.limits, replay.part(one), x[:, one])
-            sizes[f" at the {role_of(condition.fraction)}"] = own
+    judged = [("", limits, over)]
+    for fraction, asked in task.conditions:
+        k = int(np.abs(fractions - fraction).argmin())
+        one, own = slice(k, k + 1), np.zeros((len(asked), 1))
+        if abs(fractions[k] - fraction) <= 1e-6:  # the simulation reaches it
+            own = _excess(task, asked, replay.part(one), x[:, one])
+        judged.append((f" at the {role_of(fraction)}", asked, own))
     units, violation = {label.full: label.unit for label in states}, dict[str, float]()
-    conditions = {f" at the {role_of(each.fraction)}": each.limits for each in task.conditions}
-    for suffix, asked in ({"": limits} | conditions).items():
-        own = sizes.get(suffix, np.zeros((len(asked), 1)))
+    for suffix, asked, own in judged:
         for limit, most in zip(asked, own.max(axis=1).tolist(), strict=True):
             name = limit_name(limit) + suffix
             units[name] = limit.label.unit
@@ -112,9 +110,7 @@ def verify_plan(
         if replay.stop is not None:
             # A finer mesh helps only if the simulation ended at a limit that the program contains.
             worse[where[-1]] |= replay.stop.name in {limit.label.full for limit in limits}
-        met = not worse.any() and all(
-            own.max(initial=0.0) <= accuracy for suffix, own in sizes.items() if suffix
-        )
+        met = not worse.any() and all(own.max(initial=0) <= accuracy for *_, own in judged[1:])
     differences = np.abs(gaps).max(axis=1).tolist()
     return Verification(
         replay,
@@ -139,8 +135,7 @@ def _compare(x: Array, planned: Array, periodic: Mask, accuracy: float) -> tuple
         turns = np.round((x[k] - near[k]) / TURN)
         inside = np.flatnonzero(np.abs(gaps[k]) <= accuracy)
         for before, after in pairwise([*inside, last]):
-            has_swung = turns[before] != turns[after] and abs(gaps[k, after]) <= SWUNG
-            if has_swung:
+            if turns[before] != turns[after] and abs(gaps[k, after]) <= SWUNG:
                 gaps[k, before + 1 : after + 1] = 0.0
     return near, gaps
 
@@ -269,15 +264,22 @@ def simulate_plan(
     inside = [(1 - np.cos(np.pi * np.arange(n) / n)) / 2 for n in counts]
     times = [a + h * part for a, h, part in zip(motion.ends[:-1], lengths, inside, strict=True)]
     t = np.append(np.concatenate(times), motion.ends[-1])
-    return simulate_to_failure(dae, start, inputs_along(dae, motion, t), t, options)
+    inputs = inputs_along(dae, motion, t)
+    return simulate_to_failure(dae, start, inputs, t, options, sampled_work=True)
 
 
 def simulate_to_failure(
-    dae: Dae, start: Trajectory, inputs: Record, t: Array, options: SolverOptions
+    dae: Dae,
+    start: Trajectory,
+    inputs: Record,
+    t: Array,
+    options: SolverOptions,
+    *,
+    sampled_work: bool = False,
 ) -> Trajectory:
     """Simulate to the last time or to the first failure, which has samples before it."""
     try:
-        return simulate(dae, start, inputs, t, options=options)
+        return simulate(dae, start, inputs, t, options=options, sampled_work=sampled_work)
     except SolverError as error:
         if error.trajectory is None:
             raise

@@ -63,13 +63,11 @@ def integrate_explicitly(
         return first, counts
     graphs, t, columns = evaluator.graphs, t[:count], states[:count].T
     rows, u = graphs.rows, np.append(system.u, system.u[:, -1:], axis=1)[:, :count]
-
-    def unknowns(columns: Array) -> Array:
-        return np.concatenate([columns[part] for part in rows.z])
+    z = np.concatenate([np.arange(len(columns))[part] for part in rows.z])
+    motion = z[: system.motion_size]
 
     def rates(t: Array, columns: Array, u: Array) -> Array:
-        motion = unknowns(columns)[: system.motion_size]
-        return evaluate(system.watch, t[None], columns[rows.x], motion, u)[0]
+        return evaluate(system.watch, t[None], columns[rows.x], columns[motion], u)[0]
 
     before = columns[:, 1:].copy()  # with the inputs of the interval that ends at a sample
     before[rows.u] = u[:, :-1]
@@ -77,4 +75,4 @@ def integrate_explicitly(
     mean = (rates(t[:-1], columns[:, :-1], u[:, :-1]) + rates(t[1:], before, u[:, :-1])) / 2
     q = first.q + np.cumsum(np.append(0 * first.q, np.diff(t) * mean, axis=1), axis=1)
     q[list(graphs.quadratures)] = columns[rows.q]
-    return Samples(t, columns[rows.x], unknowns(columns), q, u), counts
+    return Samples(t, columns[rows.x], columns[z], q, u), counts

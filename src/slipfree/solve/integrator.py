@@ -14,14 +14,14 @@ import casadi as ca
 import numpy as np
 
 from slipfree.core.errors import ModelError
-from slipfree.core.evaluation import run_buffered
+from slipfree.core.evaluation import evaluate, run_buffered
 from slipfree.core.outcome import NO_START, sundials_words
 from slipfree.core.records import Array
 from slipfree.core.trajectory import SolverError
 from slipfree.solve.equations import scaled_jacobian
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.options import Method
-from slipfree.solve.sampling import Samples, join_samples
+from slipfree.solve.sampling import Samples, integrate_samples, join_samples
 from slipfree.solve.system import System
 from slipfree.system.interrupt import InterruptGuard, check_interrupt
 
@@ -40,12 +40,13 @@ Progress = Callable[[float], bool | None]
 
 
 class MotionSolver(NamedTuple):
-    """Model, tolerance, method and interrupt guard of an integration."""
+    """Model, tolerance, method, interrupt guard, and function that is evaluated at each step."""
 
     system: System
     tolerance: float
     method: Method
     guard: InterruptGuard
+    watch: ca.Function  # ``watch`` or ``motion_watch`` of the system
 
 
 class LimitError(Exception):
@@ -176,6 +177,10 @@ def _call_integrator(
     z[: len(found)] = found * m_size
     # Scaling and the consistent start of IDAS change the first sample: restore it.
     x[:, :1], z[:, :1] = at.x, at.z
+    if solver.watch is not system.watch:
+        where = t[None], x, z[: len(found)], columns
+        every, own = (evaluate(f, *where)[0] for f in (system.watch, solver.watch))
+        q[: len(own)] += integrate_samples(t, every - own)
     counts = {name: float(statistics[key]) for name, key in COUNTS.items()}
     inputs = np.column_stack([u, u[:, -1:]])
     return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), counts
@@ -232,7 +237,7 @@ def _integrator(
     model, without which no call can find them. Only one call at a time uses an integrator.
     """
     system = solver.system
-    key = system.watch, solver.tolerance, solver.method, t.tobytes(), str(given), pace
+    key = solver.watch, solver.tolerance, solver.method, t.tobytes(), str(given), pace
     with _LOCK:
         idle = _IDLE.get(system.core, {}).pop(key, None)
     if idle is None:
@@ -274,7 +279,7 @@ def _new_integrator(
     t_0, x, m, u = symbols
     point = [t_0, x * ca.DM(x_size), m * ca.DM(m_size), u]
     ode, alg = system.core(*point)
-    quad, *observed = system.watch(*point)
+    quad, *observed = solver.watch(*point)
     quad = ca.vertcat(quad, relay(ca.vertcat(t_0, *observed)))
     problem = dict(zip("txzu", symbols, strict=True))
     problem |= {"ode": ode / ca.DM(x_size), "alg": alg, "quad": quad}

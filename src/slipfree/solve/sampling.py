@@ -84,6 +84,16 @@ def join_samples(parts: Sequence[Samples]) -> Samples:
     return Samples(*(np.concatenate(row, axis=-1) for row in rows))
 
 
+def integrate_samples(t: Array, rates: Array) -> Array:
+    """Return integrals of rates (m, n) from the first of n times by the trapezoidal rule.
+
+    Corrected by slopes from three samples, its error has the fourth order in the time between them.
+    """
+    h, slopes = np.diff(t), np.gradient(rates, t, axis=1, edge_order=2 if t.size > 2 else 1)
+    gains = h / 2 * (rates[:, :-1] + rates[:, 1:]) - h**2 / 12 * np.diff(slopes, axis=1)
+    return np.cumsum(np.append(0 * rates[:, :1], gains, axis=1), axis=1)
+
+
 def correct_samples(system: System, samples: Samples) -> tuple[Samples, dict[str, Array]]:
     """Return the samples with unknowns corrected by Newton's method, and a report of errors.
 

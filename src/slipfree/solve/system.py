@@ -50,6 +50,8 @@ class System(NamedTuple):
     # ``(t, x, m, u) -> (rates of the quadratures, least distance to a limit of the motion, pace)``;
     # the distance is negative beyond a limit, with lengths in sizes of the vehicle
     watch: ca.Function
+    # the same with zero for rates of quadratures that depend on the dependent blocks
+    motion_watch: ca.Function
     # blocks and dependent_blocks: the algebraic equations of the motion, and those that are solved
     # after it
     blocks: tuple[Block, ...]
@@ -143,6 +145,10 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
     motion, dependent = blocks[:first], blocks[first:]
     m = z[: motion[-1].span.stop] if motion else z[:0]
     equations = motion_equations(dae, m.numel(), law, u, compiled=compiled)
+    watches = [
+        _watch_function(dae, law, u, watched, dependent, solves, compiled=compiled)
+        for solves in ((True, False) if dependent else (True,))
+    ]
     # not compiled: outputs contain the origin of the map, so a library would serve one map
     at = [dae.t, *dae.columns()[:2], inputs]
     outputs = model_function(dae, "outputs", at, shown, compiled=False)
@@ -153,7 +159,8 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
         dae,
         np.zeros((u.numel(), 0)),
         equations.core,
-        _watch_function(dae, law, u, watched, dependent, compiled=compiled),
+        watches[0],
+        watches[-1],
         motion,
         dependent,
         equations.jacobian,
@@ -167,20 +174,25 @@ def _watch_function(
     u: ca.SX,
     watched: list[ca.SX],
     dependent: tuple[Block, ...],
+    solves: bool,
     *,
     compiled: bool,
 ) -> ca.Function:
-    """Return the function of quadrature rates, margin and pace; it solves the dependent blocks.
+    """Return the function of quadrature rates, margin and pace.
 
     ``watched`` are the rates of the quadratures, the limits and the pace, in the symbols of the
-    model.
+    model. The dependent blocks are solved if rates depend on them, or those rates are zero.
     """
     x, z, inputs = dae.columns()
     count = dependent[0].span.start if dependent else z.numel()
     follows = [ca.depends_on(each, z[count:]) for each in law]
-    following = [z[count:], *(v for v, late in zip(leaves(dae.u), follows, strict=True) if late)]
-    quad, margin = watched[0], _limit_margin(dae, watched[1], ca.vertcat(*following))
-    solves = dependent and ca.depends_on(quad, ca.vertcat(*following))
+    late = (v for v, each in zip(leaves(dae.u), follows, strict=True) if each)
+    following = ca.vertcat(z[count:], *late)
+    quad, margin = watched[0], _limit_margin(dae, watched[1], following)
+    if not solves:
+        rates = (0 * q if ca.depends_on(q, following) else q for q in ca.vertsplit(quad))
+        quad = ca.vertcat(ca.SX(0, 1), *rates)
+    solves = bool(dependent) and ca.depends_on(quad, following)
     unknowns = z if solves else z[:count]
     if not solves:  # neither quadratures nor margin depend on these inputs
         law = [ca.SX(0) if late else each for each, late in zip(law, follows, strict=True)]
