@@ -165,7 +165,7 @@ def fit_drives(
     for _ in range(count):
         search = Residuals(errors, none, spread, sought)
         try:
-            values = search.run(values, "soft_l1", xtol=1e-4, ftol=1e-5, max_nfev=most).x
+            values = search.run(values, xtol=1e-4, ftol=1e-5, max_nfev=most).x
         except KeyboardInterrupt:
             if not interrupt_requested() or len(search.accepted) < MIN_ACCEPTED:
                 raise
@@ -178,7 +178,7 @@ def fit_drives(
                 break
     prediction = errors.accept(values)
     search = Residuals(errors, none, spread, sought)
-    estimate = search.estimate(values, prediction, groups, "soft_l1")
+    estimate = search.estimate(values, prediction, groups)
     estimate = estimate._replace(is_interrupted=is_interrupted)
     return DriveFit(model, scale.values(values), estimate, prediction.values)
 
@@ -261,15 +261,8 @@ def manoeuvres_of(logs: Sequence[DriveLog], windows: Windows) -> Indices:
     """Return the number of the independent group of each window: its log, or its manoeuvre."""
     if len(logs) >= BLOCKS:
         return windows.log
-    pairs = np.column_stack(
-        [
-            windows.log,
-            [
-                logs[k].manoeuvre[i]
-                for k, i in zip(windows.log.tolist(), windows.first.tolist(), strict=True)
-            ],
-        ]
-    )
+    own = [logs[k].manoeuvre[i] for k, i in zip(windows.log, windows.first, strict=True)]
+    pairs = np.column_stack([windows.log, own])
     return np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy  # its parts are imported when they are used, since this takes 0.3 s
@@ -124,12 +124,16 @@ def without_holds(values: Array, run: Indices, longest: float = np.inf) -> tuple
     waits = np.diff(np.append(rows, values.size))
     again = rows[waits > 1.5 * period] + waits[waits > 1.5 * period] - period
     rows = np.union1d(rows, again)
-    linear = np.empty(values.size)
-    for number in np.unique(run):
-        part = np.flatnonzero(run == number)
-        own = rows[(rows >= part[0]) & (rows <= part[-1])]
-        linear[part] = np.interp(part, own, values[own])
-    return linear, period
+    return by_runs(np.arange(values.size), run, rows, run[rows], values[rows]), period
+
+
+def by_runs(at: Any, run_at: Indices, t: Any, run: Indices, values: Array) -> Array:
+    """Return values at other times or samples, linear between those of the same run."""
+    found = np.empty(at.size)
+    for number in np.unique(run_at):
+        here, own = run_at == number, run == number
+        found[here] = np.interp(at[here], t[own], values[own])
+    return found
 
 
 def courses(log: DriveLog) -> ComplexArray:
@@ -207,9 +211,7 @@ def windows_of(logs: Sequence[DriveLog], length: float = 0.0, duration: float = 
             "windows: expected at least one part of a log in which the vehicle drives with good "
             "positions, found none; use longer logs or shorter windows"
         )
-    table = np.array(rows)
-    log_rows, first, last, begin, end = table[:, :5].T.astype(int)
-    return Windows(log_rows, first, last, begin, end, table[:, 5])
+    return Windows(*map(np.array, zip(*rows, strict=True)))
 
 
 def conditions(log: DriveLog) -> dict[str, Mask]:

@@ -18,7 +18,7 @@ effective number of groups of each unknown (Bell and McCaffrey, Survey Methodolo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import scipy  # its parts are imported when they are used, since this takes 0.2 s
@@ -27,10 +27,8 @@ from slipfree.core.records import Array, Indices, Label, Mask
 from slipfree.fit.unknowns import Unknown
 from slipfree.system.interrupt import check_interrupt
 
-Loss = Literal["soft_l1", "linear"]
 REWEIGHTINGS = 4  # estimates, each with the deviations of the residuals of the one before
 NORMAL_MEDIAN = 0.6745  # median of the absolute value of a standard normal variable
-LEAST_POSITION, LEAST_HEADING = 1e-6, 1e-6  # smallest deviations of residuals [m], [rad]
 SINGULAR = 1e-12  # smaller eigenvalues of the Hessian, over the largest, count as zero
 KNOWN = 0.1  # larger eigenvalues never do: priors have at least one
 LOST_SHARE = 1e-6  # share of an undetermined direction from which an unknown is undetermined
@@ -144,7 +142,7 @@ class Residuals:
         self._deviations, self._sought = deviations, sought
         self.accepted = list[Array]()  # the first is the start
 
-    def run(self, start: Array, loss: Loss, **options: float) -> Any:
+    def run(self, start: Array, **options: float) -> Any:
         """Return the result of `scipy.optimize.least_squares`, with options of its tolerances."""
         return scipy.optimize.least_squares(
             self._residual,
@@ -152,7 +150,7 @@ class Residuals:
             self._jacobian,
             bounds=self._sought.bounds,
             x_scale=self._sought.scales,
-            loss=loss,
+            loss="soft_l1",
             **options,
         )
 
@@ -166,13 +164,7 @@ class Residuals:
         slopes = self._predict.accept(values).slopes / self._deviations[:, None]
         return np.concatenate([slopes[self._known], self._sought.priors.slopes(values.size)])
 
-    def estimate(
-        self,
-        values: Array,
-        prediction: Prediction,
-        groups: Array | Indices,
-        loss: Loss,
-    ) -> Estimate:
+    def estimate(self, values: Array, prediction: Prediction, groups: Array | Indices) -> Estimate:
         """Return the estimate for a prediction at its values.
 
         The rows of a prediction belong to independent ``groups``, shape (n,).
@@ -189,7 +181,6 @@ class Residuals:
             priors,
             scales,
             ~at_bound,
-            loss,
         )
         reach = scipy.special.stdtrit(freedom, EDGES[1]) * np.sqrt(np.diag(covariance))
         return Estimate(
@@ -212,7 +203,6 @@ def _sandwich(
     priors: Priors,
     scales: Array,
     free: Mask,
-    loss: Loss,
 ) -> tuple[Array, tuple[Direction, ...], Array]:
     """Return the covariance of estimates, the principal directions of the free ones, and freedom.
 
@@ -220,7 +210,7 @@ def _sandwich(
     unknowns in units of their scales; ``of_row`` is the index of the independent group of each row.
     The last array, shape (p_all,), are the degrees of freedom of each unknown.
     """
-    size = 1 + missed**2 if loss == "soft_l1" else np.ones_like(missed)
+    size = 1 + missed**2
     count, p = int(of_row.max()) + 1, int(free.sum())
     scores, parts = np.zeros((count, p)), np.zeros((count, p, p))
     np.add.at(scores, of_row, np.einsum("ni,nip->np", missed / np.sqrt(size), slopes))

@@ -192,16 +192,16 @@ class Predictor:
     def motion(self, lanes: Lanes) -> tuple[ComplexArray, Array]:
         """Return velocities of the platform's centre and turning rates, shape (k, m, n) each."""
         q = lanes.values
-        receiver = q["sensor_ahead"] - 1j * q["sensor_right"]
+        receiver, tilt = q["sensor_ahead"] - 1j * q["sensor_right"], None
+        if self._slopes:
+            tilt = _PathSlopes(self, self._slopes, receiver, q["sensor_heading"])
         return simulate(
             self._chassis,
             self._constants(lanes),
             self._signals(q),
             self._rows,
             self._dt,
-            _PathSlopes(self, self._slopes, receiver, q["sensor_heading"])
-            if self._slopes
-            else None,
+            tilt,
             self._lengths,
             self._lead - round(RECENT / self._dt),
         )

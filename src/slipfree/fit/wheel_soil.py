@@ -24,7 +24,6 @@ from slipfree.fit.estimate import (
     REWEIGHTINGS,
     Estimate,
     Interval,
-    Loss,
     Prediction,
     Priors,
     Residuals,
@@ -157,8 +156,6 @@ def fit_soil(
     *,
     folds: Annotated[int, Ge(2), Le(1000)] = 5,
     resamples: Annotated[int, Ge(0), Le(10_000)] = 100,
-    seed: Annotated[int, Ge(0)] = 0,
-    loss: Loss = "soft_l1",
     gravity: float = EARTH_GRAVITY,
 ) -> SoilFit:
     """Fit constants of a soil to runs of a wheel, and predict each run from the others.
@@ -179,10 +176,6 @@ def fit_soil(
         default at most that of the runs.
     resamples : int
         Number of fits to runs drawn at random, for intervals.
-    seed : int
-        Seed of both choices.
-    loss : {"soft_l1", "linear"}
-        Loss of a residual: robust to outliers, or its square.
     gravity : float
         Gravitational acceleration, for the soil that the wheel pushes aside. [m/s^2]
 
@@ -192,7 +185,7 @@ def fit_soil(
         If an unknown is no constant of steady motion in soil, there are fewer runs than folds or
         not more than unknowns without a prior, or the search does not converge.
     """
-    problem = SoilProblem(soil, size, unknowns, runs, loss, gravity)
+    problem = SoilProblem(soil, size, unknowns, runs, gravity)
     numbers = np.unique(runs.run)
     needed = max(sum(each.prior is None for each in unknowns) + 1, folds)
     if numbers.size < needed:
@@ -209,7 +202,7 @@ def fit_soil(
             "unknowns, or fit fewer of them"
         )
     nominal, fitted = (problem.predict(runs, v)[0] for v in (problem.nominal, values))
-    rng, validated = np.random.default_rng(seed), np.full(runs.values.shape, np.nan)
+    rng, validated = np.random.default_rng(0), np.full(runs.values.shape, np.nan)
     draws, is_interrupted = list[Array](), False
     part = dict(
         zip(numbers.tolist(), (rng.permutation(numbers.size) % folds).tolist(), strict=True)
@@ -269,10 +262,9 @@ class SoilProblem:
         size: WheelSize,
         unknowns: Sequence[Unknown],
         runs: WheelRuns,
-        loss: Loss = "soft_l1",
         gravity: float = EARTH_GRAVITY,
     ) -> None:
-        self._runs, self._loss = runs, loss
+        self._runs = runs
         self._spread = repeat_spread(runs)
         # with priors, so few points can be fitted exactly
         share = LEAST_SHARE if np.unique(runs.run).size <= len(unknowns) else 0.0
@@ -313,7 +305,7 @@ class SoilProblem:
         """Return the result of `least_squares` for given deviations of the quantities."""
         predict = WheelPredictor(self._model, runs)
         search = Residuals(predict, runs.values, deviations, self._sought)
-        return search.run(start, self._loss, xtol=TOLERANCE, ftol=TOLERANCE)
+        return search.run(start, xtol=TOLERANCE, ftol=TOLERANCE)
 
     def solve(self, runs: WheelRuns, start: Array) -> tuple[Array, Array, bool]:
         """Return estimates, deviations of the quantities, and whether the last search converged."""
@@ -339,7 +331,7 @@ class SoilProblem:
         scales, runs = np.maximum(self._sought.scales, np.abs(values)), self._runs
         predict = WheelPredictor(self._model, runs)
         search = Residuals(predict, runs.values, deviations, self._sought._replace(scales=scales))
-        return search.estimate(values, predict(values), runs.run, self._loss)
+        return search.estimate(values, predict(values), runs.run)
 
 
 def check_constant(unknown: Unknown, soil: Soil) -> None:

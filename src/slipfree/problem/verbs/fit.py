@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
@@ -50,7 +51,7 @@ from slipfree.fit.drive_fit import (
     score_windows,
     sought_of,
 )
-from slipfree.fit.drives import DriveLog, conditions, held_for, without_holds
+from slipfree.fit.drives import DriveLog, by_runs, conditions, held_for, without_holds
 from slipfree.fit.estimate import WEAK, Direction, Estimate
 from slipfree.fit.force_balance import Chassis
 from slipfree.fit.ground_slope import Slopes
@@ -363,13 +364,12 @@ def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog])
     problem.refuse(*name_errors(("constants",), spec.constants, tuple(BALANCE)))
     unknowns = [*_usual_unknowns(problem, logs, inputs.driven)]
     for own in own_unknowns(problem, names):
-        replaced = [
-            each.quantity == own.quantity
-            and each.of == own.of
-            and not (own.wheels and each.wheels and not {*own.wheels} & {*each.wheels})
+        unknowns = [
+            each
             for each in unknowns
+            if (each.quantity, each.of) != (own.quantity, own.of)
+            or (own.wheels and each.wheels and not {*own.wheels} & {*each.wheels})
         ]
-        unknowns = [each for each, is_out in zip(unknowns, replaced, strict=True) if not is_out]
         unknowns.append(own)
     kept = tuple(each for each in unknowns if each.quantity not in spec.constants)
     model = Model(age_priors(kept, logs), fixed, inputs.radii, names, half)
@@ -393,16 +393,12 @@ def _usual_unknowns(
     names += ["lag"] if problem.spec.data.inputs == "commands" else []
     names += ["turn_slope"] if problem.spec.terrain is not None else []
     yield from (Unknown(name, name) for name in names)
-    surfaces = sorted({log.surface for log in logs})
-    kinds = ["friction"] + (["rolling"] if len(surfaces) > 1 else [])
-    for kind in kinds:
-        for surface in surfaces:
-            name = f"{kind}_{surface}" if len(surfaces) > 1 else kind
-            yield Unknown(name, kind, of=surface if len(surfaces) > 1 else "")
-    campaigns = sorted({log.campaign for log in logs}) if has_headings else []
-    for campaign in campaigns:
-        name = f"age_{Path(campaign).name}" if len(campaigns) > 1 else "age"
-        yield Unknown(name, "age", of=campaign if len(campaigns) > 1 else "")
+    for kind in ("friction", "rolling", *(["age"] if has_headings else [])):
+        groups = sorted({getattr(log, BALANCE[kind].of) for log in logs})
+        if len(groups) > 1:
+            yield from (Unknown(f"{kind}_{Path(each).name}", kind, of=each) for each in groups)
+        elif kind != "rolling":
+            yield Unknown(kind, kind)
 
 
 def log_paths(problem: Problem[Fit], predict: Sequence[Path] = ()) -> list[Path]:
@@ -493,8 +489,8 @@ class _Reader(NamedTuple):
         columns = {name: each for name, each in columns.items() if name not in SIDES}
         if not columns["heading"]:
             names = read_names(path, "a log") if _is_text(path) else ["heading"]
-            has_heading = any(each.lower() in ALIASES[4] for each in names)
-            has_heading |= any(PARTS["heading"][0].match(each) is not None for each in names)
+            is_heading = PARTS["heading"][0].match
+            has_heading = any(each.lower() in ALIASES[4] or is_heading(each) for each in names)
             columns["heading"] = "heading" if has_heading else None
         wanted = {name: each for name, each in (columns | {"vx": vx, "vy": vy}).items() if each}
         wanted |= inputs.columns
@@ -560,11 +556,7 @@ class _Reader(NamedTuple):
         rows, held = _nearest(t, parts, even)
         pieces = np.append(0, np.cumsum(~follows | ends))
         place, is_fresh, is_held = _places(t, z + complex(*spec.shift), pieces, at_even, rows)
-
-        def between(values: Array) -> Array:
-            pairs = zip(even, parts, strict=True)
-            return np.concatenate([np.interp(own, t[part], values[part]) for own, part in pairs])
-
+        between = partial(by_runs, at_even, runs, t, run)
         notes, signals = list(log.notes), list[Array]()
         for name in self.inputs.names:
             if data.inputs == "commands":
@@ -813,7 +805,7 @@ def undetermined(problem: Problem[Fit], fit: DriveFit) -> tuple[str, ...]:
 def _error_lines(scores: Mapping[WindowKind, Score]) -> Iterator[tuple[str, str]]:
     """Yield errors, intervals and coverage by kind of window, and errors of the slip by grade."""
     for kind, score in scores.items():
-        row = dict(zip(COLUMNS, _row(kind, score), strict=True))
+        row = _row(kind, score)
         interval = f" ({row['position_lower']:.3g} to {row['position_upper']:.3g})"
         yield (
             kind.words,
@@ -851,9 +843,9 @@ COLUMNS = (
 )
 
 
-def _row(kind: WindowKind, score: Score) -> list[Any]:
+def _row(kind: WindowKind, score: Score) -> dict[str, Any]:
     errors, log = score.errors, score.windows.log
-    return [
+    values = [
         *(*kind, log.size, np.unique(log).size, score.campaigns),
         *by_logs(errors.position, log, rms),
         float(np.median(errors.position)),
@@ -863,11 +855,12 @@ def _row(kind: WindowKind, score: Score) -> list[Any]:
         *score.reach.mean(axis=1).tolist(),
         *score.coverage.tolist(),
     ]
+    return dict(zip(COLUMNS, values, strict=True))
 
 
 def error_rows(scores: Mapping[WindowKind, Score]) -> tuple[list[str], list[list[Any]]]:
     """Return column names and rows of the errors by kind of window [m, s, rad]."""
-    return list(COLUMNS), [_row(kind, score) for kind, score in scores.items()]
+    return list(COLUMNS), [[*_row(*each).values()] for each in scores.items()]
 
 
 def window_rows(result: FitResult) -> tuple[list[str], list[list[Any]]]:
