@@ -247,7 +247,7 @@ def export(
 
 
 def _export_code(file: Path, folder: Path, trust: list[Path] | None) -> None:
-    from slipfree.problem.controller import export_code
+    from slipfree.problem.result import export_code
 
     console.refuse_result(file)
     files, command = export_code(file, folder, trust or ())

@@ -1,4 +1,4 @@
-"""Solution of problems, their results, and result files."""
+"""Solution of problems, their results and result files; C code of a vehicle for a controller."""
 
 from __future__ import annotations
 
@@ -20,17 +20,26 @@ from slipfree.core.facts import Fact, Lines, lines
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
 from slipfree.core.trajectory import Stop, Trajectory, thin
+from slipfree.files.controller import ControllerCode, export_controller
 from slipfree.files.netcdf import MapCoordinate, check_motion, check_name, read, read_arrays
 from slipfree.files.toml import ProblemError
 from slipfree.files.urdf.links import Robot
 from slipfree.files.vehicle_toml import file_of, read_toml, vehicle_text
 from slipfree.geometry.mesh import TriangleMesh
+from slipfree.models.given_rates import COMMANDS, ROBOT
 from slipfree.plan.polynomial_motion import SavedPlan
 from slipfree.problem.build import Setup, World
 from slipfree.problem.build_ground import GroundMap, at, ground_table
-from slipfree.problem.build_vehicle import VehicleFile, vehicle_file, visual_meshes
+from slipfree.problem.build_vehicle import (
+    VehicleFile,
+    build_vehicle,
+    is_vehicle_file,
+    read_vehicle,
+    vehicle_file,
+    visual_meshes,
+)
 from slipfree.problem.inputs import DIGESTS, digests
-from slipfree.problem.load import check_option, find_motion_verb, load_again, verb_of
+from slipfree.problem.load import check_option, find_motion_verb, load_again, load_problem, verb_of
 from slipfree.problem.problem import Problem, shared
 from slipfree.problem.schema import MotionKeys, Runnable
 from slipfree.problem.verbs.base import (
@@ -43,6 +52,7 @@ from slipfree.problem.verbs.base import (
     Watch,
     values_of,
 )
+from slipfree.problem.verbs.inverse import Inverse, are_commands, read_commands
 from slipfree.routing.traversability import extents
 from slipfree.show.meshes import reduced
 from slipfree.system.forks import computing
@@ -441,3 +451,44 @@ def _visuals(robot: Robot, arrays: Mapping[str, Array]) -> dict[str, TriangleMes
                 raise DataError(f"an invalid mesh of the link {link!r}")
             visuals[link] = TriangleMesh(vertices, faces.astype(np.uint32))
     return visuals
+
+
+def export_code(file: Path, folder: Path, trust: Sequence[Path] = ()) -> ControllerCode:
+    """Write C code of the vehicle of a problem or of a vehicle file; see `export_controller`.
+
+    The velocities of an inverse problem are those that it gives, in its frame. Those of other
+    problems and of vehicle files are all three, to which the answer is the nearest motion; those of
+    vehicle files are in the frame of robots (REP 103).
+
+    Parameters
+    ----------
+    file : Path
+        The problem or vehicle file.
+    folder : Path
+        Folder of the files; made if it does not exist.
+    trust : sequence of Path
+        Xacro files that may be expanded.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, its values are not valid, or a file cannot be written.
+    ModelError
+        If the vehicle cannot follow the velocities, or an inverse problem gives other rates.
+    """
+    if is_vehicle_file(file):
+        return export_controller(read_vehicle(file, trust=trust), folder)
+    problem: Problem[Any] = load_problem(file, command="vehicle", trust=trust)
+    spec, given, exact = problem.spec, tuple(COMMANDS), False
+    vehicle = build_vehicle(problem)
+    if isinstance(spec, Inverse) and spec.given:
+        if not are_commands(spec.given):
+            raise ModelError(
+                f"{file}: [given]: expected velocities from {', '.join(COMMANDS)} (or, with frame "
+                f"= 'rep103', {', '.join(ROBOT)}) to export code, found {', '.join(spec.given)}; "
+                "give velocities in the frame of the heading"
+            )
+        commands, _ = read_commands(problem, spec)
+        given = tuple(name for name in COMMANDS if name in commands)
+        exact = len(given) < len(COMMANDS) if spec.exact is None else spec.exact
+    return export_controller(vehicle, folder, given=given, exact=exact, frame=spec.frame)
