@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slipfree.cli import console
+from slipfree.cli import console, outputs
 from slipfree.cli.console import Draw, Processes, Scheduler, Settings, Trust, output_option
-from slipfree.cli.outputs import check_outputs, save
-from slipfree.cli.outputs import draw as draw_plots
 from slipfree.core.errors import DataError
 
 if TYPE_CHECKING:
@@ -107,7 +105,7 @@ def atlas(
     states = input_states(problem)
     figures = outs[0].with_name(f"{outs[0].stem}_figures")
     inputs = files_read(problem)
-    check_outputs(outs, inputs, endings=ENDINGS, folder=figures if draw else None)
+    outputs.check_outputs(outs, inputs, endings=ENDINGS, folder=figures if draw else None)
     with as_arguments():
         setup = build_atlas(problem)
     console.print_facts(setup.facts)
@@ -116,7 +114,9 @@ def atlas(
     with TileFolder(outs[0], setup, states) as tiles:
         with console.studying("tiles", tiles) as watch:
             run_tiles(setup, tiles, workers, watch)
-            files = [save(each, lambda path: write_file(path, setup, tiles)) for each in outs]
+            files = [
+                outputs.save(each, lambda path: write_file(path, setup, tiles)) for each in outs
+            ]
             contents = overview(setup.x, setup.y, setup.site, tiles.tiles())
         tiles.remove()
     facts = contents.facts
@@ -128,7 +128,7 @@ def atlas(
     if draw:
         from slipfree.show.atlas_figures import atlas_plots
 
-        plots = draw_plots(atlas_plots(contents.view), figures)
+        plots = outputs.draw(atlas_plots(contents.view), figures)
         console.print_line(f"drew {', '.join(each.stem for each in plots)} in {figures}")
 
 

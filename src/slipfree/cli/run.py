@@ -9,18 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slipfree.cli import console
+from slipfree.cli import console, outputs
 from slipfree.cli.console import INTERRUPTED, Draw, File, Settings, Trust, output_option
-from slipfree.cli.outputs import (
-    OUTPUT,
-    check_default_outputs,
-    check_outputs,
-    motion_json,
-    print_incomplete,
-    resume_command,
-    save,
-)
-from slipfree.cli.outputs import draw as draw_plots
+from slipfree.cli.outputs import OUTPUT
 from slipfree.cli.show import show as show_results
 from slipfree.core.errors import SlipfreeError, WriteError, require
 from slipfree.system.interrupt import held_interrupt, interrupt_requested
@@ -86,10 +77,10 @@ def run(
     out = out or Path(output.file if output else f"{problem.source.path.stem}.nc")
     folder = (figures or out.parent / f"{out.stem}_figures") if draw else None
     if not is_named:
-        check_default_outputs(out, None if figures else folder, problem)
+        outputs.check_default_outputs(out, None if figures else folder, problem)
     # the search may go on in the file from which it resumes
-    check_outputs([csv], [*files_read(problem), *([resume] if resume else [])])
-    check_outputs([out, csv], files_read(problem), folder=folder)
+    outputs.check_outputs([csv], [*files_read(problem), *([resume] if resume else [])])
+    outputs.check_outputs([out, csv], files_read(problem), folder=folder)
     for option, value in ((CROSS_CHECK, cross_check), (RESUME, resume)):
         if value:
             check_option(problem, option)
@@ -107,9 +98,9 @@ def run(
         result = run_problem(problem, *reports, former, keep=keep, beside=out)
         counts = result.trajectory.statistics.items()
         console.detail("solved: " + ", ".join(f"{name} {value:.6g}" for name, value in counts))
-        files = [save(out, lambda path: write(path, result.trajectory, result.arrays))]
+        files = [outputs.save(out, lambda path: write(path, result.trajectory, result.arrays))]
         if csv is not None:
-            files.append(save(csv, lambda path: write_csv(path, result.trajectory)))
+            files.append(outputs.save(csv, lambda path: write_csv(path, result.trajectory)))
         is_interrupted = interrupt_requested() or result.outcome.exit_code == INTERRUPTED
     with _after(files[0], "summary"):
         motion = result.trajectory
@@ -117,7 +108,7 @@ def run(
         main = [outcome, *verb.summary(motion, main=True)]
         console.print_facts([outcome, *result.setup.facts, *verb.summary(motion)], main=main)
         console.add_json("outcome", motion.outcome.name.lower)
-        console.add_json("result", lambda: motion_json(motion, verb.facts(motion)))
+        console.add_json("result", lambda: outputs.motion_json(motion, verb.facts(motion)))
         for words in verb.warnings(motion):
             console.warn(words)
     names = ", ".join(map(str, files))
@@ -133,7 +124,7 @@ def run(
             from slipfree.show.plots import MAIN_COUNT
 
             plots = verb.figures(result)
-            drawn = draw_plots(plots if figures_all else plots[:MAIN_COUNT], folder)
+            drawn = outputs.draw(plots if figures_all else plots[:MAIN_COUNT], folder)
             rest = len(plots) - len(drawn)
             more = f"; {rest} more with --figures-all" if rest else ""
             console.print_line(f"drew {', '.join(file.stem for file in drawn)} in {folder}{more}")
@@ -142,7 +133,9 @@ def run(
         with _after(files[0], "show"):
             show_results([files[0]])
     if result.outcome.exit_code:
-        print_incomplete(motion, files[0], resume_command(motion, files[0], *options))
+        outputs.print_incomplete(
+            motion, files[0], outputs.resume_command(motion, files[0], *options)
+        )
     elif is_interrupted:
         console.print_error(f"interrupted; {files[0]} contains the result, which is complete")
     if code := INTERRUPTED if is_interrupted else result.outcome.exit_code:

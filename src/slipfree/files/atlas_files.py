@@ -24,21 +24,7 @@ from slipfree.core.errors import DataError, WriteError
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import FRAME, Column, heading_column
 from slipfree.core.version import __version__
-from slipfree.files.netcdf import (
-    ATLAS,
-    CONVENTIONS,
-    CRS,
-    ORIGIN,
-    MapCoordinate,
-    NetcdfFile,
-    annotate,
-    attributes_of,
-    grid_mapping,
-    map_label,
-    open_netcdf,
-    result_fault,
-    standard_name,
-)
+from slipfree.files import netcdf
 from slipfree.system.regular_files import replacing
 from slipfree.terrain.paged import Elevation
 
@@ -76,7 +62,7 @@ class Site(NamedTuple):
     friction: float | None = None
     within: Bounds = EMPTY
     frame: str = "paper"
-    coordinates: tuple[MapCoordinate, ...] = ()
+    coordinates: tuple[netcdf.MapCoordinate, ...] = ()
     crs: str = ""
     attributes: Mapping[str, str] = EMPTY
 
@@ -203,14 +189,14 @@ def write_atlas(path: str | os.PathLike[str], poses: Atlas, site: Site) -> None:
 def _define(file: Any, poses: Atlas, site: Site) -> None:
     """Write the axes, the ground and the bands of an atlas into an open netCDF file."""
     conditions = {name: getattr(site, name) for name in CONDITIONS}
-    own = {"Conventions": CONVENTIONS, ORIGIN: __version__, FRAME: site.frame}
-    own[ATLAS] = json.dumps({**conditions, "bands": [*poses.bands]})
-    annotate(file, {**site.attributes, **own})
+    own = {"Conventions": netcdf.CONVENTIONS, netcdf.ORIGIN: __version__, FRAME: site.frame}
+    own[netcdf.ATLAS] = json.dumps({**conditions, "bands": [*poses.bands]})
+    netcdf.annotate(file, {**site.attributes, **own})
 
     def add(label: Label, dimensions: Sequence[str], values: Array, kind: str) -> Any:
         variable = file.createVariable(label.name, kind, tuple(dimensions))
         variable[:] = values
-        annotate(variable, {"units": label.unit, "long_name": label.words})
+        netcdf.annotate(variable, {"units": label.unit, "long_name": label.words})
         return variable
 
     places = (
@@ -223,25 +209,25 @@ def _define(file: Any, poses: Atlas, site: Site) -> None:
             variable.axis = label.name.upper()
     mapped = {}
     if site.crs:
-        mapping = file.createVariable(CRS, "i4", ())
+        mapping = file.createVariable(netcdf.CRS, "i4", ())
         mapping[...] = 0
-        annotate(mapping, grid_mapping(site.crs))
+        netcdf.annotate(mapping, netcdf.grid_mapping(site.crs))
         named = {each.axis: each.name for each in site.coordinates}
-        labels = [map_label(named.get(axis, axis), site.crs) for axis in "xy"]
+        labels = [netcdf.map_label(named.get(axis, axis), site.crs) for axis in "xy"]
         for axis, label in zip("xy", labels, strict=True):
             variable = add(label, [axis], site.on_map(axis, getattr(poses, axis)), "f8")
-            annotate(variable, standard_name(label.name))
+            netcdf.annotate(variable, netcdf.standard_name(label.name))
         names = " ".join(label.name for label in labels)
-        mapped = {"coordinates": names, "grid_mapping": CRS}
-    annotate(add(ELEVATION, DIMENSIONS[1:], site.elevation[:, :].T, "f8"), mapped)
+        mapped = {"coordinates": names, "grid_mapping": netcdf.CRS}
+    netcdf.annotate(add(ELEVATION, DIMENSIONS[1:], site.elevation[:, :].T, "f8"), mapped)
     for name, (label, values) in poses.bands.items():
         kind = "i2" if name == REASON.name else "f4"
         variable = add(label, DIMENSIONS, values.swapaxes(1, 2), kind)
-        annotate(variable, {**standard_name(name), **mapped})
+        netcdf.annotate(variable, {**netcdf.standard_name(name), **mapped})
     reason, codes = file.variables[REASON.name], np.arange(len(poses.reasons), dtype="i2")
     slugs = (re.sub(r"[^\w.+@-]+", "_", words).strip("_") for words in poses.reasons)
     meanings = {"flag_meanings": " ".join(slugs), REASONS: json.dumps(poses.reasons)}
-    annotate(reason, meanings)
+    netcdf.annotate(reason, meanings)
     reason.flag_values = codes
 
 
@@ -253,24 +239,24 @@ def open_atlas(path: str | os.PathLike[str]) -> tuple[Atlas, Site]:
     DataError
         If the file cannot be read, or has no atlas.
     """
-    file = open_netcdf(Path(path))
+    file = netcdf.open_netcdf(Path(path))
     with file.stream:
-        if ATLAS not in file.attributes:
-            raise result_fault(file.path, "a result without an atlas", NO_ATLAS)
+        if netcdf.ATLAS not in file.attributes:
+            raise netcdf.result_fault(file.path, "a result without an atlas", NO_ATLAS)
         try:
             return _stored(file)
         except (ValueError, LookupError, TypeError, ArithmeticError, RecursionError) as error:
-            raise result_fault(file.path, f"a damaged atlas ({error})", NO_ATLAS) from error
+            raise netcdf.result_fault(file.path, f"a damaged atlas ({error})", NO_ATLAS) from error
 
 
 def is_atlas(path: str | os.PathLike[str]) -> bool:
     """Return whether a file is a netCDF file of an atlas."""
-    return ATLAS in attributes_of(path)
+    return netcdf.ATLAS in netcdf.attributes_of(path)
 
 
-def _stored(file: NetcdfFile) -> tuple[Atlas, Site]:
+def _stored(file: netcdf.NetcdfFile) -> tuple[Atlas, Site]:
     """Return the atlas in an open file; raise an error of one of many classes without one."""
-    conditions = json.loads(str(file.attributes[ATLAS]))
+    conditions = json.loads(str(file.attributes[netcdf.ATLAS]))
     bands = {}
     for name in conditions["bands"]:
         words = file.variables[name].attributes
@@ -291,12 +277,12 @@ def _stored(file: NetcdfFile) -> tuple[Atlas, Site]:
         None if conditions["friction"] is None else float(conditions["friction"]),
         {name: (float(low), float(high)) for name, (low, high) in conditions["within"].items()},
         frame,
-        tuple(MapCoordinate(*each) for each in conditions["coordinates"]),
+        tuple(netcdf.MapCoordinate(*each) for each in conditions["coordinates"]),
         str(conditions["crs"]),
         {
             name: str(value)
             for name, value in file.attributes.items()
-            if name not in ("Conventions", ORIGIN, ATLAS, FRAME)
+            if name not in ("Conventions", netcdf.ORIGIN, netcdf.ATLAS, FRAME)
         },
     )
     heading = heading_column(heading, "paper", own=frame).values
