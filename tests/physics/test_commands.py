@@ -295,8 +295,8 @@ def _run(*settings: str, code: int = 0) -> Any:
 def test_a_robots_command_counts_left_positive():
     words, run = _run()
     assert "v_x 0.2 m/s, v_y 0.1 m/s, omega_z 0 rad/s" in words
-    for name in COMMANDS:
-        assert f"error of {name} " in words
+    errors = re.findall(r"(?m)^errors  .*", words)[0]
+    assert all(f" {name} " in errors for name in COMMANDS)
     assert "margin" not in words.split("contact error")[0].replace("tip-over margin", "")
     assert_allclose(run["right"], -0.1)
     assert run["x"][-1] < -0.05  # the heading is that of +y: left is west
@@ -344,8 +344,7 @@ def test_a_path_in_a_problem():
     east = "[1.5707963267948966, 1.57, 1.56, 1.55, 1.54, 1.53]}"
     words, run = _run("given=", PATH + east)
     assert "path of 6 way-points in 5 s" in words
-    assert re.search(r"error of path  .* m at the end", words)
-    assert re.search(r"error of heading  .* rad at the end", words)
+    assert re.search(r"errors .* path .* m at the end\), heading .* rad at the end", words)
     assert run["path_error"].max() < 3e-3
     assert np.abs(run["heading_error"]).max() < 3e-3
     assert_allclose([run["x"][-1], run["y"][-1]], [-0.1, 0.1], atol=3e-3)

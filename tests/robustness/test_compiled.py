@@ -354,7 +354,7 @@ def test_problems_ask_for_it_and_a_warning_says_if_it_is_not_done(tmp_path, monk
     assert invoke("new", "inverse", "p").exit_code == 0
     result = invoke("run", "p.toml", "--no-draw", *words)
     assert result.exit_code in (0, 1), result.output
-    words = "warning: equations are interpreted, not compiled: SLIPFREE_CACHE is empty"
+    words = "warning: slower: equations are interpreted, not compiled: SLIPFREE_CACHE is empty"
     assert result.stderr.count(words) == 1
 
 

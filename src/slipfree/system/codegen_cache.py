@@ -88,7 +88,7 @@ def shared_library(
             "C compiler"
         )
     except _UnavailableError as error:
-        warnings.warn(f"equations are interpreted, not compiled: {error}", stacklevel=1)
+        warnings.warn(f"slower: equations are interpreted, not compiled: {error}", stacklevel=1)
     return None
 
 

@@ -262,7 +262,7 @@ LAST_LINES = """\
 *!diagnostics failed: <failed_diagnostics> {fact}"""
 START_ROWS = rows(
     """\
-stable poses: <stable_poses> pitch {pitch:.3f}, roll {roll:.3f} rad with {wheel} least loaded, \
+stable poses: <stable_poses> pitch {pitch:.3g>deg}, roll {roll:.3g>deg} with {wheel} least loaded, \
 {share:.2g} of an equal share of the weight
 !contact certificate: {contact_certificate}
 """

@@ -304,7 +304,7 @@ ROWS = rows(
 rate of wheel {wheel}: <wheel_rates> {first:.6g} at the start, {last:.6g} rad/s at the end
 steering {name}: <steering> {least:.6g} to {greatest:.6g} {unit}{words}
 !margin: {inverse_margin_least:.4g} at least ({inverse_margin_least.words}): {margin_meaning}
-*error of {name}: <command_errors> {largest:.1e} {unit} at most (t = {t:.4g} s), {words}
+*errors: <command_errors> {name} {largest:.1e} {unit} at most (t = {t:.4g} s; {words})
 steering slip: {steering_slip_largest:.2e} at most (steering lever times steering rate)
 *warning: {steering_warning}"""
 )
@@ -314,7 +314,7 @@ CHECK_ROWS = rows(
 and joint rates: <round_trip_*> {name} {fact:.1e}
 !collocation: {elements:.0f} elements of degree {degree:.0f}, {cpu_seconds:.3g} s CPU, steering \
 error {sought_error:.1e} rad
-*!replay by the direct model: differs by at most <replay_*> {name} {fact:.1e}
+!replay by the direct model: differs by at most <replay_*> {name} {fact:.1e}
 *!replay stopped early: {stopped_replay}"""
 )
 COLUMNS = ("t", "x", "y", "heading")
