@@ -91,6 +91,9 @@ class Graphs(NamedTuple):
     # another is needed, and the distances to the bounds of the limits in sizes of the quantities;
     # for linear rates without relaxation, also the derivatives with the inputs ``v``
     checked: Graph
+    # for linear rates without relaxation, the derivatives of the states alone: two of the five
+    # evaluations of a step, those of its error, need no more
+    slopes: Graph
     bounds: tuple[int, ...]  # index of the limit to which each distance belongs
     limits: ca.Function  # values of the limits
     outputs: Graph
@@ -113,7 +116,7 @@ class Graphs(NamedTuple):
     @property
     def every(self) -> tuple[Graph, ...]:
         """All graphs."""
-        return self.guess, self.place, self.motion, self.checked, self.outputs, self.placing
+        return tuple(each for each in self if isinstance(each, Graph))
 
 
 @lru_cache(maxsize=8)
@@ -160,6 +163,7 @@ def graphs_of(dae: Dae) -> Graphs:
         graph("place", new_p, change),
         graph("motion", *motion),
         graph("checked", *motion, watched[:n_f], watched[n_f], watched[n_f + 1 :], before),
+        graph("slopes", derivatives[: rows.x.stop if n_before else 0]),
         bounds,
         dae.function("limits", [state], [pack(tuple(each.expression for each in dae.limits))]),
         graph("outputs", pack(dae.y)),

@@ -312,8 +312,7 @@ def stand_checked(evaluate: Evaluator, states: Array, rests: Rests) -> Indices:
     codes = np.where(rests.has_pose, COMPLETE, UNSOLVED)
     beyond = rests.has_pose & ~(margins(distances) >= 0)
     if beyond.any():
-        worst = smallest(distances[:, beyond])
-        codes[beyond] = np.array(graphs.bounds)[worst]
+        codes[beyond] = np.array(graphs.bounds)[smallest(distances[:, beyond])]
     inside, every = codes == COMPLETE, np.arange(len(graphs.checks))
     others = np.setdiff1d(every, [*graphs.wheels])
     for lanes, checks in ((inside & rests.is_clear, others), (inside & ~rests.is_clear, every)):

@@ -136,7 +136,7 @@ static void add_errors(const Point *at, const vd *mean, const vd *end, const vd 
     for (int i = 0; i < MOVING; i++)
       z[i] = a[i] + h * (splat(c * d * d) * k1[i] + splat(c * c * (3 - 2 * c)) * mean[i] - splat(c * c * d) * k2[i]);
     z[TIME] = a[TIME] + splat(c) * h;
-    eval_motion(z, r, K, cells);
+    eval_slopes(z, r, K, cells);
     for (int i = 0; i < STATES; i++) e[i] = e[i] + SPLAT(0.375) * r[i];
   }
   for (int i = 0; i < STATES; i++) e[i] = h * e[i];
