@@ -19,8 +19,9 @@ from slipfree import DataError, catalog
 from slipfree.core.records import Array
 from slipfree.files.toml import ProblemError
 from slipfree.fit.drives import DriveLog
+from slipfree.fit.prediction import lanes_of
 from slipfree.problem.load import load_problem
-from slipfree.problem.verbs.fit import _Reader, inputs_of
+from slipfree.problem.verbs.fit import _Reader, inputs_of, model_of
 from slipfree.problem.verbs.inverse import _points, _read_file
 
 pytestmark = pytest.mark.usefixtures("folder")
@@ -244,6 +245,17 @@ REFUSED = {
 def test_logs_that_are_refused(kind: str) -> None:
     text, words = REFUSED[kind]
     refuses(DataError, words, read, text)
+
+
+def test_constants_take_the_place_of_unknowns() -> None:
+    log, _ = read(table(DRIVE))
+    constants = ["constants.radius=0.2", "constants.track=0.7"]
+    problem = load_problem("fit.toml", constants, command="fit")
+    model = model_of(problem, inputs_of(problem), [log])
+    lanes = lanes_of(model, model.start[None], {})
+    assert_allclose(lanes.radius, 0.2)
+    assert_allclose(lanes.values["track"], 0.7)
+    assert not {"radius", "track"} & {each.quantity for each in model.unknowns}
 
 
 def test_a_drive_to_one_side_has_no_sense_of_turning() -> None:

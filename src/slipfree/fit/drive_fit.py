@@ -157,7 +157,7 @@ def fit_drives(
     errors = _Errors(predict, scale, sought.scales)
     values = sought.nominal if start is None else scale.sought(start)
     if start is None:
-        values = _with_ages(model, predict, values, scale)
+        values = _with_ages(model, predict, sought, scale)
     spread = np.array(FIRST_DEVIATIONS) if deviations is None else deviations
     none = np.zeros((predict.windows.log.size, 3))
     is_interrupted = False
@@ -196,25 +196,22 @@ def age_priors(unknowns: Sequence[Unknown], logs: Sequence[DriveLog]) -> tuple[U
     return tuple(map(known, unknowns))
 
 
-def _with_ages(model: Model, predict: Predictor, values: Array, scale: Scale) -> Array:
-    """Return the values with the ages of poses at which the nominal motion is nearest."""
-    rows = [k for k, each in enumerate(model.unknowns) if each.quantity == "age"]
-    if known := {k: each.prior[0] for k in rows if (each := model.unknowns[k]).prior}:
-        values = values.copy()
-        values[[*known]] = [*known.values()]
-        rows = [k for k in rows if k not in known]
-    if not rows:
+def _with_ages(model: Model, predict: Predictor, sought: Sought, scale: Scale) -> Array:
+    """Return nominal values with the ages of poses at which the nominal motion is nearest."""
+    ages = [k for k, each in enumerate(model.unknowns) if each.quantity == "age"]
+    values = sought.nominal.copy()
+    values[ages] = sought.priors.mean[ages]
+    if not (rows := [k for k in ages if not model.unknowns[k].prior]):
         return values
     many = np.repeat(values[None], AGES.size, axis=0)
     many[:, rows] = AGES[:, None]
     missed = predict.errors(scale.values(many)) / np.array(FIRST_DEVIATIONS)
     cost = np.sqrt(1 + missed**2).sum(axis=2)
-    new = values.copy()
     names = predict.names["campaign"]
     for k in rows:
         own = (names == model.unknowns[k].of) | (not model.unknowns[k].of)
-        new[k] = max(float(AGES[int(cost[own].sum(axis=0).argmin())]), 0.01)
-    return new
+        values[k] = max(float(AGES[int(cost[own].sum(axis=0).argmin())]), 0.01)
+    return values
 
 
 def fit_on_uncertain_map(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -25,36 +25,6 @@ MAX_ELLIPSES = 6  # drawn, with the strongest correlations first
 COLUMNS = 3
 ROW_HEIGHT = 55.0  # [mm]
 CIRCLE_POINTS = 100
-
-
-class Compared(NamedTuple):
-    """Contents of a panel: computed over measured values."""
-
-    words: str  # quantity and unit
-    measured: Array  # shape (n,)
-    computed: Mapping[str, Array]  # shape (n,), by name of the model
-
-
-def _compared(panels: Sequence[Compared], estimate: Estimate) -> Figure:
-    """Return the figure of computed over measured values and of ellipses of an estimate."""
-    pairs = _pairs(estimate)
-    rows = -(-(len(panels) + len(pairs)) // COLUMNS)
-    made = style.figure(PAGE, rows * ROW_HEIGHT * MM)
-    axes = iter(made.subplots(rows, COLUMNS, squeeze=False).ravel())
-    for (words, measured, computed), ax in zip(panels, axes, strict=False):
-        for k, (name, values) in enumerate(computed.items()):
-            look: dict[str, Any] = {"ms": 2, "mew": 0, "alpha": 0.6, "color": style.PALETTE[k]}
-            ax.plot(measured, values, "o", label=name, **look)
-        known = measured[np.isfinite(measured)]
-        ends = known.min(initial=np.inf), known.max(initial=-np.inf)
-        ax.plot(ends, ends, color="black", lw=0.6)
-        ax.set(xlabel=f"measured {words}", ylabel="computed")
-    made.axes[0].legend()
-    for pair, ax in zip(pairs, axes, strict=False):
-        _draw_ellipse(ax, estimate, *pair)
-    for ax in axes:
-        ax.set_axis_off()
-    return made
 
 
 def _pairs(estimate: Estimate) -> list[tuple[int, int]]:
@@ -88,13 +58,30 @@ def soil_plot(name: str, measured: Array, fit: SoilFit) -> Plot:
         "Computed over measured quantities, with the constants before the fit and with those "
         "fitted to other runs, and 95 % confidence ellipses with the strongest correlations."
     )
+    return Plot(name, words, partial(soil_figure, measured, fit))
+
+
+def soil_figure(measured: Array, fit: SoilFit) -> Figure:
+    """Return the figure of computed over measured quantities, and of ellipses of the estimate."""
+    names, pairs = [*QUANTITIES.items()], _pairs(fit.estimate)
+    panels = np.flatnonzero(np.isfinite(measured).any(axis=0)).tolist()
+    rows = -(-(len(panels) + len(pairs)) // COLUMNS)
+    made = style.figure(PAGE, rows * ROW_HEIGHT * MM)
+    axes = iter(made.subplots(rows, COLUMNS, squeeze=False).ravel())
     models = {"before": fit.nominal, "fitted to others": fit.validated}
-    panels = [
-        Compared(f"{name} [{unit}]", values, {k: each[:, at] for k, each in models.items()})
-        for at, (name, unit) in enumerate(QUANTITIES.items())
-        if np.isfinite(values := measured[:, at]).any()
-    ]
-    return Plot(name, words, lambda: _compared(panels, fit.estimate))
+    for at, ax in zip(panels, axes, strict=False):
+        for k, (label, values) in enumerate(models.items()):
+            look: dict[str, Any] = {"ms": 2, "mew": 0, "alpha": 0.6, "color": style.PALETTE[k]}
+            ax.plot(measured[:, at], values[:, at], "o", label=label, **look)
+        ends = np.nanmin(measured[:, at]), np.nanmax(measured[:, at])
+        ax.plot(ends, ends, color="black", lw=0.6)
+        ax.set(xlabel="measured {} [{}]".format(*names[at]), ylabel="computed")
+    made.axes[0].legend()
+    for pair, ax in zip(pairs, axes, strict=False):
+        _draw_ellipse(ax, fit.estimate, *pair)
+    for ax in axes:
+        ax.set_axis_off()
+    return made
 
 
 def fit_plot(name: str, scores: Mapping[WindowKind, Score]) -> Plot:

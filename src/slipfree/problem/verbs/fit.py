@@ -372,7 +372,8 @@ def model_of(problem: Problem[Fit], inputs: LogInputs, logs: Sequence[DriveLog])
         ]
         unknowns.append(own)
     kept = tuple(each for each in unknowns if each.quantity not in spec.constants)
-    model = Model(age_priors(kept, logs), fixed, inputs.radii, names, half)
+    radii = np.full_like(inputs.radii, spec.constants.get("radius", inputs.radii))
+    model = Model(age_priors(kept, logs), fixed, radii, names, half)
     sought_of(model)  # errors of bounds
     return model
 
