@@ -30,7 +30,7 @@ from helpers.climb_cases import (
     planned,
     tracking,
 )
-from slipfree.climb.time_scaling import Tracking
+from slipfree.climb.contact_path import Tracking
 from slipfree.control.step_climbing import StepClimbing
 from slipfree.core.trajectory import SolverError
 

@@ -30,8 +30,7 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.control.path_following import path_inputs
-from slipfree.models.determinacy import conditions
-from slipfree.models.given_rates import EULER, PLANAR, VELOCITY
+from slipfree.models.given_rates import EULER, PLANAR, VELOCITY, conditions
 from slipfree.models.inverse import inverse_kinematics, steering_note
 from slipfree.solve.collocation import drive
 from slipfree.solve.initial_conditions import solve_initial_conditions

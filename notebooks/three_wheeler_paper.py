@@ -33,8 +33,7 @@ from slipfree import (
     settle,
     simulate,
 )
-from slipfree.models.determinacy import conditions
-from slipfree.models.given_rates import PLANAR
+from slipfree.models.given_rates import PLANAR, conditions
 from slipfree.models.inverse import inverse_kinematics, steering_note
 from slipfree.models.montana import cross_check, montana_kinematics
 from slipfree.models.samples import measured_slip

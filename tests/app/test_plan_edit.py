@@ -16,8 +16,11 @@ from helpers.commands import invoke, refuses
 from slipfree.cli.show import open_page
 from slipfree.core.errors import DataError
 from slipfree.files.toml import ProblemError
-from slipfree.problem import plan_session
+from slipfree.problem import plan_edit
 from slipfree.problem.plan_edit import (
+    IDLE,
+    PLANNING,
+    Desk,
     Document,
     EditedRegion,
     Places,
@@ -25,8 +28,8 @@ from slipfree.problem.plan_edit import (
     places_from,
     read_document,
     saved,
+    state_of,
 )
-from slipfree.problem.plan_session import IDLE, PLANNING, Desk, state_of
 from slipfree.show.html_page import PlanPage
 from slipfree.show.local_server import ConflictError, Content, Gate, json_content, start_server
 
@@ -67,7 +70,7 @@ def desk(document: Document, monkeypatch: pytest.MonkeyPatch) -> Desk:
         def messages(self) -> tuple[()]:
             return ()
 
-    monkeypatch.setattr(plan_session, "PlanWorker", Worker)
+    monkeypatch.setattr(plan_edit, "PlanWorker", Worker)
     return Desk(document, lambda _: PAGE)
 
 

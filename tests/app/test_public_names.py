@@ -12,7 +12,7 @@ from helpers.commands import refuses
 from slipfree import Analytic, Bicubic, catalog, direct_kinematics, settle, simulate, straight
 from slipfree.files.maps.elevation import Map, jacksboro
 from slipfree.plan.mpc import first_cycle, horizon
-from slipfree.solve.stops import Event
+from slipfree.solve.simulate import Event
 
 PAGE = 60  # lines of a terminal
 LINES, WIDTH = 5, 100  # of a repr

@@ -8,10 +8,9 @@ import numpy as np
 
 from slipfree import Analytic, Solids, SolverOptions, dynamics, settle, simulate
 from slipfree.catalog import step_climber
-from slipfree.climb.contact_path import legs
+from slipfree.climb.contact_path import TrackedPlan, Tracking, legs, tracked_plan
+from slipfree.climb.contact_path import climb as program
 from slipfree.climb.metrics import Metrics, climb_metrics
-from slipfree.climb.time_scaling import TrackedPlan, Tracking, tracked_plan
-from slipfree.climb.time_scaling import climb as program
 from slipfree.control.step_climbing import StepClimbing, climbing
 from slipfree.core.trajectory import Trajectory
 from slipfree.laws.compliant import Compliant

@@ -31,7 +31,7 @@ from helpers.climb_cases import (
 from helpers.climb_cases import climb as driven_climb
 from helpers.commands import refuses
 from slipfree.catalog import AXLES, step_climber
-from slipfree.climb import time_scaling
+from slipfree.climb import contact_path
 from slipfree.climb.contact_path import LEVEL_SLOPE, demand, least_friction, legs, sample
 from slipfree.climb.metrics import axle_speeds
 from slipfree.core.dae import Nlp
@@ -294,8 +294,8 @@ def test_heavier_vehicles_need_the_same_friction():
 def solved(name, leg, cost="time", mu=None, joint=0.0, **options):
     """Return the plan of a leg and its history."""
     climber, profile, found = ways(name, joint)
-    plan = time_scaling.climb(climber, profile, found[leg][0], cost, mu=mu, **options)
-    return plan, time_scaling.history(plan, solve_nlp(plan.nlp).unknowns)
+    plan = contact_path.climb(climber, profile, found[leg][0], cost, mu=mu, **options)
+    return plan, contact_path.history(plan, solve_nlp(plan.nlp).unknowns)
 
 
 @pytest.mark.slow
@@ -347,10 +347,10 @@ def test_least_time(leg, seconds):
 
     low, high = (brentq(risen, 0, way.length, (part,)) for part in (0.002, 0.998))
     nodes = low + (high - low) * np.linspace(0, 1, 60) ** 2
-    least = time_scaling.climb(light, STEP, way, "friction", s=nodes)
-    mu = 1.03 * time_scaling.history(least, solve_nlp(least.nlp).unknowns).mu
-    plan = time_scaling.climb(light, STEP, way, mu=mu, s=nodes)
-    assert abs(time_scaling.history(plan, solve_nlp(plan.nlp).unknowns).duration - seconds) < 0.01
+    least = contact_path.climb(light, STEP, way, "friction", s=nodes)
+    mu = 1.03 * contact_path.history(least, solve_nlp(least.nlp).unknowns).mu
+    plan = contact_path.climb(light, STEP, way, mu=mu, s=nodes)
+    assert abs(contact_path.history(plan, solve_nlp(plan.nlp).unknowns).duration - seconds) < 0.01
 
 
 @cache
@@ -427,7 +427,7 @@ def linear(plan, speed):
         values[row] = -weight
         rows[5 * k + 4, b], rows[5 * k + 4, a] = [-1, 1], -2 * steps[k]
     top = speed**2 / (plan.nodes.speeds**2).max(axis=1)
-    low = np.minimum(2 * time_scaling.MIN_ACCELERATION * plan.nodes.s, 1e-4 * speed**2)
+    low = np.minimum(2 * contact_path.MIN_ACCELERATION * plan.nodes.s, 1e-4 * speed**2)
     bounds = [
         (0, 0),
         *zip(low[1:], top[1:], strict=True),
@@ -452,9 +452,9 @@ def test_least_friction_by_linear_programs(name, leg):
 
 
 def test_limits_and_rests():
-    plan = time_scaling.climb(CLIMBER, STEP, ways("90 mm")[2][1][0], mu=0.9, halt=True)
+    plan = contact_path.climb(CLIMBER, STEP, ways("90 mm")[2][1][0], mu=0.9, halt=True)
     unknowns = solve_nlp(plan.nlp).unknowns
-    told, b = time_scaling.history(plan, unknowns), unknowns[plan.nlp.where["b"]]
+    told, b = contact_path.history(plan, unknowns), unknowns[plan.nlp.where["b"]]
     assert_allclose(b[[0, -1]], 0, atol=1e-12)
     assert (b[1:-1] > 0).all()
     assert_allclose(told.path_speed**2, (b[1:] + b[:-1]) / 2, rtol=1e-9)
@@ -506,8 +506,8 @@ def test_a_climb_with_too_little_friction_is_refused():
 def test_whole_climbs(profile):
     """From kink to kink at rest: over a kerb and down again, and up stairs."""
     for each in least_friction(CLIMBER, profile, 15).demands:
-        plan = time_scaling.climb(CLIMBER, profile, each.leg, "friction", halt=True, s=40)
-        assert time_scaling.history(plan, solve_nlp(plan.nlp).unknowns).mu < each.mu.max() + 2e-3
+        plan = contact_path.climb(CLIMBER, profile, each.leg, "friction", halt=True, s=40)
+        assert contact_path.history(plan, solve_nlp(plan.nlp).unknowns).mu < each.mu.max() + 2e-3
 
 
 @pytest.mark.parametrize(
@@ -522,7 +522,7 @@ def test_whole_climbs(profile):
 )
 def test_wrong_questions(options, words):
     with pytest.raises(ModelError, match=words):
-        time_scaling.climb(CLIMBER, STEP, ways("90 mm")[2][0][0], **options)
+        contact_path.climb(CLIMBER, STEP, ways("90 mm")[2][0][0], **options)
 
 
 def test_programs_are_solved_in_their_own_units():
@@ -553,7 +553,7 @@ def plans():
     """Programs and solutions of the legs over the step, for a friction of 0.7."""
     found, torques = legs(CLIMBER, STEP), AMPLE * np.array(MOTORS)
     programs = [
-        time_scaling.climb(
+        contact_path.climb(
             CLIMBER, STEP, leg, "slip", mu=0.7, torques=torques, halt=leg is not found[-1]
         )
         for leg in found
@@ -567,11 +567,11 @@ def driven(control, mu, part=0.75, until=13.0):
 
 
 def test_a_course_is_the_plan_over_the_progress():
-    track, starts = time_scaling.tracked_plan(plans()), 0
+    track, starts = contact_path.tracked_plan(plans()), 0
     assert (np.diff(track.p) > 0).all()
     for plan, unknowns in plans():
-        told, middles = time_scaling.history(plan, unknowns), plan.middles
-        p = time_scaling.progress(middles)
+        told, middles = contact_path.history(plan, unknowns), plan.middles
+        p = contact_path.progress(middles)
         columns = ("torques", told.torque), ("directions", None), ("speeds", middles.speeds)
         for name, expected in columns:
             found = np.stack([np.interp(p, track.p, each) for each in getattr(track, name).T])
@@ -594,10 +594,10 @@ def test_unusable_trackings_are_refused():
     plan, unknowns = plans()[2]
     backwards = replace(plan, nodes=plan.nodes._replace(axles=plan.nodes.axles[::-1]))
     with pytest.raises(ModelError, match=r"mean of x . z.*decrease at -?0\.\d+ m"):
-        time_scaling.tracked_plan([(backwards, unknowns)])
+        contact_path.tracked_plan([(backwards, unknowns)])
     for name in ("proportional", "spare", "lead"):
         with pytest.raises(ModelError, match=f"Tracking: {name}: expected a number > 0, found 0"):
-            time_scaling.Tracking(time_scaling.tracked_plan(plans()), **{name: 0.0})
+            contact_path.Tracking(contact_path.tracked_plan(plans()), **{name: 0.0})
 
 
 @pytest.mark.slow
@@ -606,20 +606,20 @@ def test_a_tracked_plan_climbs_with_less_friction_than_references():
     assert driven(tracking(STEP, 0.725), 0.725)[1] == "climbs"
     with pytest.raises(SolverError, match="no solution"):
         tracking(STEP, 0.70)  # 0.678 is the least of a plan
-    assert driven(time_scaling.Tracking(time_scaling.tracked_plan(plans())), 0.68)[1] == "stalls"
+    assert driven(contact_path.Tracking(contact_path.tracked_plan(plans())), 0.68)[1] == "stalls"
     for control in (FIXED, SENSED):
         assert driven(control, 0.76, until=6.0)[1] != "climbs"
 
 
 @pytest.mark.slow
 def test_a_plan_of_least_friction_need_not_know_the_friction():
-    control = time_scaling.Tracking(planned(STEP))
+    control = contact_path.Tracking(planned(STEP))
     assert driven(control, 0.74)[1] == "climbs"
     assert driven(control, 1.0, until=7.0)[1] == "climbs"
 
 
 def test_motion_and_torques_are_those_planned():
-    control = time_scaling.Tracking(time_scaling.tracked_plan(plans()))
+    control = contact_path.Tracking(contact_path.tracked_plan(plans()))
     motion, _ = driven(control, 1.0, part=1.0)
     run, track = motion.run, control.plan
     p = (run["center_y"] + run["center_z"]).mean(axis=1) + control.lead
@@ -638,6 +638,6 @@ def test_motion_and_torques_are_those_planned():
 
 
 def test_it_is_driven_at_the_speed_before_and_behind_the_plan():
-    run = driven(time_scaling.Tracking(time_scaling.tracked_plan(plans())), 0.9)[0].run
+    run = driven(contact_path.Tracking(contact_path.tracked_plan(plans())), 0.9)[0].run
     assert_allclose(run["velocity_y"][-1], SPEED, atol=2e-3)
     assert run["velocity_y"][np.argmax(run["solid_gap_1", "front"] < 0)] < 0.08

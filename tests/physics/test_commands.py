@@ -36,11 +36,11 @@ from slipfree.catalog import (
 from slipfree.control.path_following import GAIN, track_path
 from slipfree.core.records import leaves
 from slipfree.files import netcdf
-from slipfree.models.determinacy import check_authority
 from slipfree.models.given_rates import (
     COMMANDS,
     MAX_STEERING_RATE,
     STOP_CLEARANCE,
+    check_authority,
     steering_effects,
 )
 from slipfree.models.given_rates import GAIN as STEERING_GAIN

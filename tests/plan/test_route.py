@@ -17,7 +17,6 @@ from slipfree.catalog import three_wheeler
 from slipfree.core.errors import ModelError
 from slipfree.geometry.regions import Region
 from slipfree.routing import search as search
-from slipfree.routing import smoothing
 from slipfree.routing.search import (
     SLIDING,
     homotopy_class,
@@ -269,7 +268,7 @@ def test_where_there_is_no_room_for_smoothness_the_search_is_followed(half):
     layers = battlement(flat, 4)._replace(limits=flat.limits._replace(half=half))
     start, goal = (layers.x[20], layers.y[20]), (layers.x[40], layers.y[20])
     points = route(layers, start, goal)
-    assert np.isfinite(costs_at(layers, smoothing.resample_polyline(points, 0.01))).all()
+    assert np.isfinite(costs_at(layers, search.resample_polyline(points, 0.01))).all()
     along = 0.35 * (20 + 5 * 2 * 4)
     assert 0.9 * along < length(points) <= along * (1 + 1e-9)
     if half > 0.35 * 4:  # even the nodes' distance is a fraction of the vehicle's
@@ -408,18 +407,18 @@ def test_ground_that_friction_does_not_hold_separates_places():
 def test_gradient_of_the_effort(rng):
     layers, middle = corridor()
     rough = np.array([(2.0, middle), (middle, middle), (middle, 18.0)])
-    field = smoothing._field(layers, rough, 1.0)
+    field = search._field(layers, rough, 1.0)
     field = field._replace(cost=field.cost + rng.random(field.cost.shape))
-    aim = smoothing._Objective(stiff=0.3, clear=0.2, sharpest=0.8, weight=10.0, step=0.1)
-    points = smoothing.resample_polyline(rough, 0.1) - field.origin
+    aim = search._Objective(stiff=0.3, clear=0.2, sharpest=0.8, weight=10.0, step=0.1)
+    points = search.resample_polyline(rough, 0.1) - field.origin
     points += 0.03 * rng.standard_normal(points.shape)
-    gradient = smoothing._objective(field, points, aim)[1]
+    gradient = search._objective(field, points, aim)[1]
     for k, axis in ((0, 0), (7, 1), (60, 0), (90, 1), (len(points) - 1, 1)):
         values = []
         for step in (1e-7, -1e-7):
             moved = points.copy()
             moved[k, axis] += step
-            values.append(smoothing._objective(field, moved, aim)[0])
+            values.append(search._objective(field, moved, aim)[0])
         assert_allclose(gradient[k, axis], (values[0] - values[1]) / 2e-7, rtol=1e-4, atol=1e-3)
 
 

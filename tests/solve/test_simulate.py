@@ -30,7 +30,7 @@ from slipfree.core.records import Label, symbols
 from slipfree.core.trajectory import joined
 from slipfree.solve import integrator
 from slipfree.solve import simulate as module
-from slipfree.solve.stops import Event
+from slipfree.solve.simulate import Event
 from slipfree.solve.system import _with_numbers as with_numbers
 
 

@@ -206,8 +206,7 @@ def edit(
 def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
     """Serve the page on which a plan is edited until the user interrupts it."""
     from slipfree.files.urdf.xacro import trusted_paths
-    from slipfree.problem.plan_edit import read_document
-    from slipfree.problem.plan_session import Desk, state_of
+    from slipfree.problem.plan_edit import Desk, read_document, state_of
     from slipfree.show.local_server import Gate, json_content, start_server
 
     desk = Desk(read_document(file, trusted_paths(trust)), _page_drawer())

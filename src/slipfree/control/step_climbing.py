@@ -408,7 +408,7 @@ def climbing(
 
     ``model`` is the result of `slipfree.dynamics` for a step climber
     (`slipfree.catalog`), ``control`` a `StepClimbing` or
-    `slipfree.climb.time_scaling.Tracking`. Controllers with ``directions="contact"`` require the
+    `slipfree.climb.contact_path.Tracking`. Controllers with ``directions="contact"`` require the
     section of the ground (`slipfree.terrain.solids.section_of`). With ``sampled`` the torques of
     the axles remain inputs, for a sampled controller; `held_torques` are their values. The other
     input is the ``reference_speed`` of the vehicle [m/s]. A motion ends where the front body

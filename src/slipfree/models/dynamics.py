@@ -32,7 +32,6 @@ from slipfree.geometry.frame import Pose, rotation_of, turn
 from slipfree.laws.compliant import Compliant
 from slipfree.laws.protocols import BodyLaw, ContactLaw, WheelContact
 from slipfree.models.base import Inputs, body_checks, check_mass, extent, raised_poses, vehicle_dae
-from slipfree.models.body_contact import body_contacts
 from slipfree.models.dynamic_outputs import (
     Contact,
     Contacts,
@@ -40,6 +39,7 @@ from slipfree.models.dynamic_outputs import (
     DynamicState,
     Effort,
     MovingVehicle,
+    body_contacts,
     deepest,
     depth_limits,
     dynamic_forces,

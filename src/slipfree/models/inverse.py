@@ -57,12 +57,6 @@ from slipfree.core.records import Label, leaves, pack
 from slipfree.core.schema import NonNegative
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.least_slip import slip_unit
-from slipfree.models.determinacy import (
-    angle_slopes,
-    command_determinacy,
-    command_sizes,
-    rolling_determinacy,
-)
 from slipfree.models.given_rates import (
     COMMANDS,
     LEAST_MARGIN,
@@ -70,11 +64,15 @@ from slipfree.models.given_rates import (
     GivenRates,
     Imposed,
     SolveFor,
+    angle_slopes,
+    command_determinacy,
+    command_sizes,
     derived_rates,
     guided,
     guiding_motion,
     impose,
     minimum,
+    rolling_determinacy,
     steering_errors,
     steering_laws,
 )
@@ -134,7 +132,7 @@ def inverse_kinematics(
     Dae
         Its inputs are the given rates. A motion ends where the wheels can no longer impose exact
         commands, or where three rates do not determine the unknowns: see
-        `slipfree.models.determinacy.Determinacy`. With ``solve_for="angles"`` and three rates it
+        `slipfree.models.given_rates.Determinacy`. With ``solve_for="angles"`` and three rates it
         also ends where the vehicle stands still.
 
     Raises

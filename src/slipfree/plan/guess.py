@@ -36,8 +36,7 @@ from slipfree.plan.problem import Range, spelled
 from slipfree.plan.transcription import SAMPLE_STEP, PlanTask
 from slipfree.plan.verification import GUESS_TOLERANCE, simulate_to_failure
 from slipfree.routing.reeds_shepp import reeds_shepp
-from slipfree.routing.search import route, routes
-from slipfree.routing.smoothing import path_cost
+from slipfree.routing.search import path_cost, route, routes
 from slipfree.routing.traversability import Traversability, traversability
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import input_samples

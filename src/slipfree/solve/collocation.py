@@ -27,8 +27,7 @@ from slipfree.core.records import Array, Mask, Record, leaves
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, complete_samples, linearize, to_trajectory
-from slipfree.solve.simulate import check_times
-from slipfree.solve.stops import first_violation
+from slipfree.solve.simulate import check_times, first_violation
 from slipfree.solve.system import System, with_inputs
 from slipfree.system.forks import computing
 

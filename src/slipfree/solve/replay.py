@@ -21,8 +21,7 @@ from slipfree.solve.sampling import (
     same_turn,
 )
 from slipfree.solve.settle import settle
-from slipfree.solve.simulate import simulate
-from slipfree.solve.stops import consistent_start
+from slipfree.solve.simulate import consistent_start, simulate
 from slipfree.solve.system import with_inputs
 
 MAX_EVALUATIONS = 50  # maximum number of evaluations per state to find

@@ -28,8 +28,7 @@ from slipfree.solve.initial_conditions import (
     linearized,
 )
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.simulate import simulate
-from slipfree.solve.stops import consistent_start
+from slipfree.solve.simulate import consistent_start, simulate
 from slipfree.solve.system import with_inputs
 from slipfree.system.forks import computing
 from slipfree.system.interrupt import with_interrupt_guard

@@ -19,8 +19,7 @@ from slipfree.core.trajectory import SolverError, Stop, Trajectory
 from slipfree.solve.integrator import COUNTS, MAX_STEPS, Progress, suppress_messages
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, to_trajectory
-from slipfree.solve.simulate import check_times, interrupted_at
-from slipfree.solve.stops import first_violation
+from slipfree.solve.simulate import check_times, first_violation, interrupted_at
 from slipfree.solve.system import System, with_inputs
 from slipfree.system.interrupt import InterruptGuard, check_interrupt
 

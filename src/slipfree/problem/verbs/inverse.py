@@ -33,7 +33,6 @@ from slipfree.files.toml import (
     unit_faults,
 )
 from slipfree.files.toml import Place as KeyPath
-from slipfree.models.determinacy import check_authority
 from slipfree.models.given_rates import (
     COMMANDS,
     LEAST_MARGIN,
@@ -43,6 +42,7 @@ from slipfree.models.given_rates import (
     STOP_CLEARANCE,
     UNITS,
     GivenRates,
+    check_authority,
     is_determined,
     steering_effects,
 )

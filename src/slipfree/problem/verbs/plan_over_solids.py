@@ -10,14 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.catalog import check_climber
-from slipfree.climb.contact_path import Leg, legs
-from slipfree.climb.time_scaling import (
+from slipfree.climb.contact_path import (
     COSTS,
     Climb,
     ClimbHistory,
+    Leg,
     Tracking,
     climb,
     history,
+    legs,
     progress,
     tracked_plan,
 )
