@@ -708,7 +708,7 @@ def _keep_out_words(layers: Traversability, start: Point, goal: Point) -> str:
     """Return which keep-out regions separate start and goal; empty if they do not."""
     ends = node_at(layers, *start), node_at(layers, *goal)
     regions = layers.limits.keep_out
-    if not _divides(layers, regions, ends):
+    if not (regions and _divides(layers, regions, ends)):
         return ""
     alone = [region for region in regions if _divides(layers, (region,), ends)]
     if alone:
