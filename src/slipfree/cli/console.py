@@ -408,7 +408,7 @@ def reporting(duration: float | None) -> Iterator[Reports]:
         begun = True
         if bar is not None:
             bar.update(task, completed=t)
-        elif round(t, 2) and (is_verbose or is_shown):
+        elif t > 0.01 * (duration or 0.0) and (is_verbose or is_shown):
             seldom(INTEGRATION, f"{INTEGRATION} to {t:.4g}{of} s")
 
     def show_search(phase: str, line: str) -> None:
