@@ -247,6 +247,12 @@ def test_logs_that_are_refused(kind: str) -> None:
     refuses(DataError, words, read, text)
 
 
+def test_a_log_without_windows_is_refused() -> None:
+    Path("log.csv").write_text(table(DRIVE[:20]))
+    Path("fit.toml").write_text(PROBLEM)
+    assert "found none; use longer logs" in printed("fit", "fit.toml", "--no-draw", code=2)
+
+
 def test_constants_take_the_place_of_unknowns() -> None:
     log, _ = read(table(DRIVE))
     constants = ["constants.radius=0.2", "constants.track=0.7"]

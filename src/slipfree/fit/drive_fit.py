@@ -12,7 +12,7 @@ prior of 0.25 worth three campaigns. The slip on slopes has a deviation of its o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -394,17 +394,14 @@ def judge(
     """
     slopes = maps[0]
     windows = {kind: found for kind in kinds if (found := find_windows(logs, kind)) is not None}
+    windows = windows or {kinds[0]: windows_of(logs, *kinds[0])}  # raises its error
     first = next(iter(windows))
     whole = fit_on_uncertain_map(model, logs, windows[first], maps)
     rests = {kind: Fitted.of(whole, logs, own, slopes) for kind, own in windows.items()}
-    scores = dict[WindowKind, Score]()
     if whole.estimate.is_interrupted:
-        return whole, rests, scores
+        return whole, rests, {}
     if others:
-        for kind, fitted in rests.items():
-            if (own := find_windows(others, kind)) is not None:
-                scores[kind] = score_windows(whole, fitted, others, own, slopes)
-        return whole, rests, scores
+        return whole, rests, score_kinds(whole, rests, others, slopes)
     parts = {kind: folds_of(logs, own) for kind, own in windows.items()}
     folded = {kind: list[Score]() for kind in windows}
     for part in np.unique(parts[first]).tolist():
@@ -418,6 +415,20 @@ def judge(
                 fitted = Fitted.of(fit, logs, own.take(~is_out), slopes)
                 folded[kind].append(score_windows(fit, fitted, logs, own.take(is_out), slopes))
     return whole, rests, {kind: _joined(each) for kind, each in folded.items() if each}
+
+
+def score_kinds(
+    known: Known,
+    rests: Mapping[WindowKind, Fitted],
+    logs: Sequence[DriveLog],
+    slopes: Slopes | None,
+) -> dict[WindowKind, Score]:
+    """Return the errors of logs that were not fitted, by kind of window."""
+    return {
+        kind: score_windows(known, fitted, logs, windows, slopes)
+        for kind, fitted in rests.items()
+        if (windows := find_windows(logs, kind)) is not None
+    }
 
 
 def find_windows(logs: Sequence[DriveLog], kind: WindowKind) -> Windows | None:

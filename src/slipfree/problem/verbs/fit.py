@@ -45,10 +45,9 @@ from slipfree.fit.drive_fit import (
     WindowKind,
     age_priors,
     by_logs,
-    find_windows,
     judge,
     rms,
-    score_windows,
+    score_kinds,
     sought_of,
 )
 from slipfree.fit.drives import DriveLog, by_runs, conditions, held_for, without_holds
@@ -966,9 +965,7 @@ def predict_logs(
     slopes, _, grid = maps_of(problem)
     rows = list[tuple[str, str]]()
     logs = _Reader(problem, inputs_of(problem, paths), grid, rows).read(paths, ())
-    scores = dict[WindowKind, Score]()
-    for kind, own in contents["fitted"]:
-        fitted = Fitted(*map(np.array, own))
-        if (windows := find_windows(logs, own_kind := WindowKind(*kind))) is not None:
-            scores[own_kind] = score_windows(known, fitted, logs, windows, slopes)
-    return FitResult(None, {}, scores, logs, rows)
+    rests = {
+        WindowKind(*kind): Fitted(*map(np.array, errors)) for kind, errors in contents["fitted"]
+    }
+    return FitResult(None, {}, score_kinds(known, rests, logs, slopes), logs, rows)
