@@ -216,6 +216,9 @@ def test_estimates_have_the_size_of_the_errors(model):
     error = np.hypot(*((coarse[name] - fine[name]).values[:, -1] for name in "xy"))
     ratio = coarse["error"].values / error
     assert np.mean((ratio > 0.3) & (ratio < 3)) > 0.95
+    for name in ("x", "y", "heading", "tilt_right", "tilt_left"):
+        error = np.abs(coarse[name] - fine[name]).values[:, -1]
+        assert 0.5 < np.median(coarse[f"error_{name}"].values / error) < 2, name
 
 
 def test_results_do_not_depend_on_order_or_company(model):

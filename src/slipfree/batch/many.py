@@ -61,7 +61,8 @@ NO_POSE = (
 class LaneResults(NamedTuple):
     """Results of n motions at m samples."""
 
-    # quantities by name, of shape (n, m) or (n, m, n_wheels), NaN after the end of a motion
+    # quantities by name, of shape (n, m) or (n, m, n_wheels), NaN after the end of a motion, and
+    # estimated errors of the states at the last sample, shape (n,)
     columns: dict[str, Column]
     wheels: tuple[str, ...]
     outcomes: list[str]  # names of outcomes in lower case; ``"failed"`` without a start
@@ -467,6 +468,9 @@ def run_lanes(
         outcomes[k], reasons[k] = _end(graphs, int(motions.reason[k]), motions.beyond[:, k])
     values = _values(evaluate, sources, motions.samples)
     columns = {name: Column(sources[name].label, each) for name, each in values.items()}
+    for state, errors in zip(leaves(graphs.dae.labels.x), np.abs(motions.errors), strict=True):
+        label = Label(f"error_{state.full}", state.unit, f"estimated error of: {state.words}")
+        columns[label.name] = Column(label, errors)
     end = np.where(has_pose & (motions.reason != INVALID_START), motions.end, np.nan)
     x, y, _ = graphs.places
     error = np.hypot(motions.errors[x], motions.errors[y])

@@ -99,8 +99,9 @@ def rollouts(
         ``outcome``, ``reason`` and ``end`` have one value for each run: the name of its `Outcome`
         in lower case or ``"failed"`` if it has no start, the message of its stop or error, and the
         time that it reached, which may lie between two samples. [s] ``error``, of the batch only,
-        estimates the error of ``x`` and ``y`` at the last sample of a run. [m] Runs in which
-        Newton's method does not follow the contacts are simulated, and have no estimate.
+        estimates the error of ``x`` and ``y`` at the last sample of a run [m], and ``error_STATE``
+        that of each state, such as ``error_heading``. Runs in which Newton's method does not follow
+        the contacts are simulated, and have no estimate.
 
     Raises
     ------
