@@ -244,7 +244,7 @@ def test_the_lack_of_clearance_has_a_cost():
     assert_allclose(clear, run["clearance_body"][0], atol=1e-6)
 
 
-@pytest.mark.filterwarnings("ignore:equations are interpreted")
+@pytest.mark.filterwarnings("ignore:slower")
 def test_a_batch_ends_where_a_single_motion_ends():
     model = sf.direct_kinematics(LOW, RIDGE)
     inputs, t = {label.full: 2.0 for label in leaves(model.labels.u)}, np.linspace(0, 8, 9)

@@ -286,7 +286,7 @@ def test_wrong_arguments_are_refused(dae, arguments, words):
     refuses(sf.ModelError, words, sf.rollouts, **given)
 
 
-@pytest.mark.filterwarnings("ignore:equations are interpreted:UserWarning")
+@pytest.mark.filterwarnings("ignore:slower:UserWarning")
 def test_runs_at_absurd_speeds_end_by_name(dae):
     inputs = {"right_rate": np.array([[1e9], [0.5]]), "left_rate": 0.5, "steer_rate": 0.0}
     found = sf.rollouts(dae, {"heading": 0.3}, inputs, np.linspace(0, 1, 3), method="batch")
