@@ -8,7 +8,9 @@ from itertools import product
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
+from helpers.shaped import shape_distance, with_shapes
 from slipfree import Analytic, Bicubic, Grid, ModelError, atlas, catalog, direct_kinematics, settle
 from slipfree.batch.evaluator import evaluator_of
 from slipfree.batch.many import solve_positions, start_states
@@ -20,13 +22,16 @@ from slipfree.enclosure.guarantee import (
     contact_points,
     enclose_poses,
     guarantee,
+    lower_margins,
     wheel_frames,
 )
 from slipfree.enclosure.wheel_gaps import Boxes, gap_bounds, pose_graphs
 from slipfree.files.maps.elevation import jacksboro
+from slipfree.vehicle.shapes import Box
 
 HALF = 6.0  # half of the side of the maps [m]
 FAR = 0.3  # change of a pose to another rest [m, rad]
+MARGINS = "tip_over_margin", "clearance_body"
 MESH = 4e-5  # error of the gaps of a mesh of a wheel, and tolerance of the search [m]
 
 
@@ -71,14 +76,19 @@ class Placing:
 
     def gaps(self, x, q, extra=lambda x, _: 0 * x):
         """Return the smallest heights of the wheels above the map plus ``extra``."""
+        return self.lowest(x, q, extra)[0]
+
+    def lowest(self, x, q, extra):
+        """Return the smallest heights of the wheels, where they are, and centres of the wheels."""
         poses = np.array(pose_graphs(self.model).poses(np.concatenate([x, q])))
-        ground, gaps = self.model.ground, []
+        ground, gaps, spots = self.model.ground, [], []
         columns = np.reshape(poses[-12 * len(self._meshes) :], (-1, 4, 3))
         for mesh, (center, *axes) in zip(self._meshes, columns, strict=True):
             points = center + mesh @ np.array(axes) + ground.origin
             height = ground.elevation(points[:, 0], points[:, 1]) + extra(*points.T[:2])
+            spots.append(points[(points[:, 2] - height).argmin()] - ground.origin)
             gaps.append((points[:, 2] - height).min())
-        return np.array(gaps)
+        return np.array(gaps), np.array(spots), columns[:, 0]
 
     def place(self, x, q, extra=lambda x, _: 0 * x):
         """Return a pose at which all wheels touch the ground; None if the search finds none."""
@@ -121,6 +131,27 @@ def bands(rng, error, contacts):
     return blocks, kinks, stones
 
 
+def margins_of(placing, x, q, extra):
+    """Return tip-over margin and clearance of a rigid three-wheeler with a box, by brute force.
+
+    The ground is the map plus ``extra``; both are upper bounds, exact up to the meshes.
+    """
+    model, origin = placing.model, np.array(placing.model.ground.origin)
+    body, turn = model.vehicle.body, Rotation.from_euler("ZYX", [x[2], q[1], q[2]]).as_matrix()
+    (_, box), place = model.vehicle.shapes[0], np.array([x[0], x[1], q[0]])
+    _, contacts, centers = placing.lowest(x, q, extra)
+    masses = [body.mass, *(wheel.mass for wheel in model.vehicle.wheels)]
+    at = np.stack([place + turn @ body.at, *centers])
+    arms = contacts - np.average(at, axis=0, weights=masses)
+    normals = np.cross(arms, np.roll(arms, -1, axis=0))  # right, left, front: clockwise
+    tip = np.arcsin(-normals[:, 2] / np.linalg.norm(normals, axis=1)).min()
+    grid = np.linspace(-1, 1, 161)
+    u, v = (a.ravel() + b for a, b in zip(np.meshgrid(grid, grid), place + origin, strict=False))
+    ground = np.stack([u, v, model.ground.elevation(u, v) + extra(u, v)], axis=-1)
+    near = (ground - origin - place) @ turn
+    return np.array([tip, shape_distance(box, near).min()])
+
+
 def is_within(pose, found, lane):
     """Return whether a pose is within bounds, up to the error of the mesh."""
     room = 40 * MESH
@@ -128,7 +159,7 @@ def is_within(pose, found, lane):
     return bool(((pose > low - room) & (pose < high + room)).all())
 
 
-def used(placing, found, error, kinds, spread=0.0):
+def used(placing, found, error, kinds, spread=0.0, seen=None):
     """Return the used shares of the bounds by vehicles on grounds of the band; assert all < 1."""
     rng, shares = np.random.default_rng(7), list[float]()
     contacts = contact_points(placing.model, placing.z)
@@ -140,6 +171,8 @@ def used(placing, found, error, kinds, spread=0.0):
             pose = placing.place(x, q, extra)
             if pose is not None and np.abs(pose - q).max() < FAR:  # others are other rests
                 assert is_within(pose, found, lane)
+                if seen is not None:
+                    seen.append((lane, x, pose, extra))
                 shares.append(np.abs((pose - q) / (found.high[:, lane] - q)).max())
     return np.array(shares)
 
@@ -276,6 +309,21 @@ def test_vehicles_placed_on_grounds_of_the_band_are_within_bounds(wheeler, error
     shares = used(wheeler, found, error, kinds=3, spread=spread)
     assert shares.size > wheeler.n  # others are kinked so much that the search does not converge
     assert shares.max() > 0.7
+
+
+@pytest.mark.parametrize("error", [0.0, 0.005, 0.02])
+def test_margins_of_vehicles_placed_on_grounds_of_the_band_are_above_their_lower_bounds(error):
+    vehicle = with_shapes(catalog.three_wheeler(axle="fixed"), Box((0.5, 0.8, 0.2), (0.05, 0.3, 0)))
+    placing = Placing(direct_kinematics(vehicle, rough(rms=0.1)), n=5)
+    found, seen = placing.enclose(error), []
+    used(placing, found, error, kinds=3, seen=seen)
+    graphs, ground = pose_graphs(placing.model), range_of(placing.model.ground)
+    bounds = lower_margins(placing.model, graphs, ground, found.boxes, error)
+    low = np.stack([bounds[name] for name in MARGINS], axis=1)
+    room = [margins_of(placing, *pose) - low[lane] for lane, *pose in seen]
+    assert len(room) > placing.n
+    assert np.min(room) > -MESH
+    assert np.min(room, axis=0)[1] < 0.004 + 2 * error  # of the pose and of the ground below
 
 
 def test_without_error_the_bounds_are_those_of_rounding_and_patches(wheeler):

@@ -23,7 +23,7 @@ from slipfree.plan.sparse_assembly import assemble, nlp_block
 from slipfree.plan.transcription import CollocationMesh, transcribe
 from slipfree.solve.equations import _compiled_lookup
 from slipfree.solve.replay import apply_inputs, replay, trim_states
-from slipfree.solve.settle import settle_contact, settle_nearest
+from slipfree.solve.settle import settle_contact
 from slipfree.solve.system import with_inputs
 from slipfree.system import codegen_cache
 from slipfree.vehicle.sections import Torus
@@ -368,7 +368,7 @@ def test_a_sweep_says_it_once_whatever_its_processes_find(tmp_path, monkeypatch,
     assert "UserWarning" not in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("kind", ["settle", "nearest", "contact", "inputs", "trim", "replay"])
+@pytest.mark.parametrize("kind", ["settle", "contact", "inputs", "trim", "replay"])
 def test_every_solver_takes_the_options(kind, monkeypatch):
     """Those that do not ask for compiled equations would not warn."""
     monkeypatch.setenv(codegen_cache.FOLDER, "")
@@ -378,7 +378,6 @@ def test_every_solver_takes_the_options(kind, monkeypatch):
     place = {"contact_x": 0.9, "contact_y": 0.1}
     calls = {
         "settle": lambda options: sf.settle(dae, options=options),
-        "nearest": lambda options: settle_nearest(dae, options=options),
         "contact": lambda options: settle_contact(dae, "right", **place, options=options),
         "inputs": lambda options: apply_inputs(dae, start, dae.inputs(**law), options=options),
         "trim": lambda options: trim_states(

@@ -11,7 +11,7 @@ from helpers.commands import refuses
 from slipfree.catalog import open_source_rover, three_wheeler
 from slipfree.core.rearrange import blocks, rearrange, substitute, variables, with_outputs
 from slipfree.core.records import Label
-from slipfree.solve.settle import settle_contact, settle_exchanged, settle_nearest
+from slipfree.solve.settle import settle_contact, settle_exchanged
 
 HILLS = sf.Analytic(hills)
 
@@ -28,30 +28,6 @@ def test_start_from_one_contact(rng):
             found = settle_contact(dae, wheel, **place, **joints)
             for name in ("x", "y", "z", "heading", "roll", "pitch"):
                 assert_allclose(found[name][0], stood[name][0], rtol=0, atol=1e-12, err_msg=name)
-
-
-def test_nearest_pose_changes_least(rng):
-    dae = closure_model(three_wheeler(), HILLS)
-    stood = sf.settle(dae, x=0.4, y=0.2, heading=0.5, steer=0.1)
-    names = ("x", "y", "z", "heading", "roll", "pitch", "tilt_right", "tilt_left", "steer")
-    pose = {name: stood[name][0] for name in names}
-    assert settle_nearest(dae, **pose).statistics["change"] < 1e-9
-    pose = {name: value + rng.uniform(-0.05, 0.05) for name, value in pose.items()}
-
-    def distance(run):
-        return np.sqrt(sum((run[n][0] - pose[n]) ** 2 for n in names))
-
-    found = settle_nearest(dae, **pose)
-    change = found.statistics["change"]
-    assert_allclose(change, distance(found), rtol=1e-12)
-    for _ in range(20):  # no neighbour on the ground is nearer
-        states = ("x", "y", "heading", "tilt_right", "tilt_left", "steer")
-        moved = {n: found[n][0] + rng.uniform(-1e-3, 1e-3) for n in states}
-        assert distance(sf.settle(dae, **moved)) > change
-    fixed = ("x", "y", "heading")
-    kept = settle_nearest(dae, weights=dict.fromkeys(fixed, np.inf), **pose)
-    assert_allclose([kept[n][0] for n in fixed], [pose[n] for n in fixed], atol=1e-12)
-    assert kept.statistics["change"] > change
 
 
 @pytest.mark.slow
@@ -95,24 +71,6 @@ def test_starts_from_a_contact_are_checked():
         settle_contact(dae, "left", contact_x=0.0, contact_y=0.0, y=1.0)
     with pytest.raises(sf.ModelError, match="found the unknown 'azimuth'"):
         settle_contact(dae, "left", contact_x=0.0, contact_y=0.0, azimuth=1.0)
-
-
-def test_poses_are_checked():
-    dae = closure_model(three_wheeler(), HILLS)
-    with pytest.raises(
-        sf.ModelError, match=r"settle_nearest: expected names of states .*, found 'azimuth'"
-    ):
-        settle_nearest(dae, azimuth=1.0)
-    with pytest.raises(
-        sf.ModelError, match="settle_nearest: z: expected a number, found float nan"
-    ):
-        settle_nearest(dae, z=np.nan)
-    with pytest.raises(sf.ModelError, match=r"weights\['z'\]: expected a number >= 0, found -1"):
-        settle_nearest(dae, z=2.0, weights={"z": -1.0})
-    names = ("x", "y", "z", "heading", "roll", "pitch")
-    words = "at rest near x = 0, y = 0, .* = 0, found none .*; give .*, or fewer coordinates with"
-    with pytest.raises(sf.ModelError, match=words):
-        settle_nearest(dae, **dict.fromkeys(names, 0.0), weights=dict.fromkeys(names, np.inf))
 
 
 # Rearranged models: labels, guesses, numbers and checks

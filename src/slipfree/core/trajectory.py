@@ -56,7 +56,8 @@ class Stop(NamedTuple):
         ``"plan_accuracy"``
             The simulation deviates from a solved plan by more than the required accuracy.
         ``"plan_share"``
-            A robust plan holds on too few of the drawn worlds, or they were not all simulated.
+            A robust plan holds on too few of the drawn worlds, or they were not all simulated; a
+            plan with a guarantee does not hold on every ground.
         ``"plan_unverified"``
             The plan is solved, but the simulation that verifies it was interrupted.
     t : float

@@ -17,7 +17,7 @@ from slipfree.core.interval import Intervals, around
 from slipfree.core.records import Array, Indices, Mask
 from slipfree.terrain.bicubic import Bicubic, basis
 
-THIRD_ORDERS = (3, 0), (2, 1), (1, 2), (0, 3)
+ORDERS = (3, 0), (2, 1), (1, 2), (0, 3), (1, 0), (0, 1)  # of derivatives that have bounds
 LEVELS = 7  # windows of 1, 2, 4, ... cells on each side of a cell, for which bounds are kept
 # errors of sums of 16 products of coefficients and basis functions, whose sum of magnitudes is at
 # most 1, or of their first or second derivatives, with sums of at most 2/h and 6/h^2
@@ -52,15 +52,15 @@ class GroundRange:
         self._counts = np.array(self._table.shape)[:, None] - 3
         h_x, h_y = cells.spacing
         levels = list[Array]()
-        for p, q in THIRD_ORDERS:
+        for p, q in ORDERS:
             quotients = np.abs(np.diff(np.diff(self._table, p, axis=0), q, axis=1))
             quotients += 64 * 2.0**-53 * np.abs(self._table).max()  # rounding of the differences
             quotients /= h_x**p * h_y**q / (1 + 1e-12)
             windows = sliding_window_view(quotients, (4 - p, 4 - q))
             levels.append(windows.max(axis=(-1, -2)))
         missing = np.zeros(ground.grid.z.shape, dtype=bool) if holes is None else holes
-        # by level: third derivatives (4, cells in x, cells in y), and cells that touch holes
-        self._third = [np.stack(levels)]
+        # by level: derivatives (6, cells in x, cells in y), and cells that touch holes
+        self._largest = [np.stack(levels)]
         self._missing = [np.asarray(sliding_window_view(missing, (2, 2)).any(axis=(-1, -2)))]
 
     def jets(self, at: Array) -> Jets:
@@ -135,12 +135,21 @@ class GroundRange:
 
     def third_bounds(self, jets: Jets, reach: Array) -> Array:
         """Return the largest third derivatives within a reach (2, n) of points, shape (4, n)."""
+        return self._within(jets, reach)[:4]
+
+    def steepness(self, jets: Jets, reach: Array) -> Array:
+        """Return the largest slope within a reach (2, n) of points, shape (n,)."""
+        near = self.slopes(jets, Intervals(-reach, reach)).magnitude
+        return np.asarray(np.hypot(*np.fmin(near, self._within(jets, reach)[4:])) * (1 + 1e-14))
+
+    def _within(self, jets: Jets, reach: Array) -> Array:
+        """Return the largest derivatives `ORDERS` within a reach (2, n), shape (6, n)."""
         i, j = jets.cell
-        bounds = np.full((4, i.size), np.inf)
+        bounds = np.full((len(ORDERS), i.size), np.inf)
         level = self._level(reach.max(axis=0) + jets.inexact)
         for k in np.unique(level[level <= LEVELS]).tolist():
             here = level == k
-            bounds[:, here] = _window(self._third, k)[:, i[here], j[here]]
+            bounds[:, here] = _window(self._largest, k)[:, i[here], j[here]]
         return bounds
 
     def _level(self, reach: Array) -> Indices:

@@ -22,19 +22,31 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import permutations, product
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from slipfree.contact.clearance import CLEARANCE
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
-from slipfree.core.interval import TINY, Intervals, around, exactly, stack
+from slipfree.core.interval import TINY, Intervals, around, evaluate_interval, exactly, stack
 from slipfree.core.records import Array, Indices, Mask, leaves
 from slipfree.core.schema import NonNegative
 from slipfree.core.trajectory import Trajectory
 from slipfree.enclosure.ground_range import GroundRange, range_of
-from slipfree.enclosure.wheel_gaps import Boxes, GapBounds, PoseGraphs, gap_bounds, pose_graphs
+from slipfree.enclosure.wheel_gaps import (
+    SLACK,
+    Boxes,
+    GapBounds,
+    PoseGraphs,
+    contact_regions,
+    gap_bounds,
+    levelled,
+    pose_graphs,
+)
+from slipfree.vehicle.shapes import bounding_box
 
 QUICK_TRIES = 2  # boxes that are tried first, without patches where a wheel has a single contact
 TRIES = 8  # boxes that are tried then, each larger than the one before
@@ -46,6 +58,10 @@ PENETRATION = 1e-6  # of a wheel of the nominal pose that refutes it [m]
 MAX_CONDITION = 1e12  # of the derivatives of the gaps
 POWER_STEPS = 4  # towards the weights with which uniqueness is tested
 LANES = 2048  # poses that are enclosed together
+TIP_OVER = "tip_over_margin"
+MARGIN_LANES = 64  # boxes that are bounded together
+RINGS = 4  # about a point, in each of which the slope of the ground is bounded
+HALVINGS = 8  # of the faces of the boxes about bodies
 
 
 class Verdict(StrEnum):
@@ -75,7 +91,8 @@ class Guarantee:
         Largest difference of heights between a ground and the map. [m]
     low, high : mapping of str to ndarray, shape (n,)
         Bounds of the coordinates that the ground determines: ``z``, ``roll``, ``pitch`` and those
-        of the suspension; NaN without a guarantee. [m, rad]
+        of the suspension; lower bounds of ``tip_over_margin`` for a vehicle with a mass, and of
+        ``clearance_body`` for bodies with shapes; NaN without a guarantee. [m, rad]
     verdicts : tuple of Verdict
         ``"guaranteed"``, ``"undecided"`` or ``"refuted"``.
     reasons : tuple of str
@@ -102,6 +119,7 @@ class PoseEnclosures(NamedTuple):
     is_enclosed: Mask  # shape (n,); elsewhere the bounds are not numbers
     on_map: Mask
     penetrates: Mask  # whether a wheel surely penetrates the map at the nominal pose
+    boxes: Boxes  # curved boxes that contain the poses, where they are enclosed
 
 
 @checked
@@ -144,8 +162,9 @@ def guarantee(
 
     Notes
     -----
-    There may be other rest poses far from the nominal one. Only treads touch the ground: bodies,
-    the limits of joints, the stability against tipping over and friction are not included.
+    There may be other rest poses far from the nominal one. Only treads touch the ground: that
+    bodies do not, that joints do not reach their stops, and that the vehicle does not tip over
+    follows from the bounds only. Friction is not included.
 
     Examples
     --------
@@ -183,6 +202,13 @@ def guarantee(
         for verdict, inside in zip(verdicts, found.on_map, strict=True)
     ]
     low, high = (dict(zip(closed, each, strict=True)) for each in (bounds.low, bounds.high))
+    kept = np.flatnonzero(found.is_enclosed)
+    ground: Any = model.ground
+    moving = pose_graphs(model, tuple((radius > 0).tolist()))
+    margins = lower_margins(model, moving, range_of(ground), found.boxes.at(kept), error)
+    for name, values in margins.items():
+        low[name], high[name] = np.full((2, run.t.size), np.nan)
+        low[name][kept], high[name][kept] = values, np.inf
     return Guarantee(error, low, high, tuple(verdicts), tuple(reasons))
 
 
@@ -220,7 +246,10 @@ def enclose_poses(
     for first in range(0, x.shape[1], LANES):
         k = slice(first, first + LANES)
         parts.append(_enclose(graphs, ground, x[:, k], q[:, k], contacts[..., k], error, spread))
-    return PoseEnclosures(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
+    arrays = zip(*(each[:-1] for each in parts), strict=True)
+    boxes = zip(*(each.boxes for each in parts), strict=True)
+    joined = Boxes(*(np.concatenate(each, axis=-1) for each in boxes))
+    return PoseEnclosures._make([*(np.concatenate(each, axis=-1) for each in arrays), joined])
 
 
 def _enclose(
@@ -294,9 +323,11 @@ def _enclose(
             low[:, lanes] = np.fmax(low[:, lanes], found.low)
             high[:, lanes] = np.fmin(high[:, lanes], found.high)
         ends = (np.concatenate([each, found]) for each, found in ((-start, low), (start, high)))
-        bounds = exactly(q) + boxes(np.arange(n)).image(Intervals(*ends))[given:]
+        found, whole = Intervals(*ends), boxes(np.arange(n))
+        bounds = exactly(q) + whole.image(found)[given:]
     is_enclosed &= ~penetrates
-    return PoseEnclosures(bounds.low, bounds.high, is_enclosed, on_map, penetrates)
+    whole = whole._replace(radius=found.magnitude)
+    return PoseEnclosures(bounds.low, bounds.high, is_enclosed, on_map, penetrates, whole)
 
 
 def wheel_frames(gaps: GapBounds, given: int) -> tuple[Array, Array]:
@@ -348,3 +379,159 @@ def _krawczyk(gaps: GapBounds, radius: Array, given: int, error: float) -> tuple
         weights = weights / weights.max(axis=0) + 1e-3
     growth = np.einsum("ijn,jn->in", contraction, weights) / weights
     return stack(images), (growth < 1 - 1e-9).all(axis=0)
+
+
+@np.errstate(all="ignore")  # bounds that are not numbers prove nothing
+def lower_margins(
+    model: Dae, graphs: PoseGraphs, ground: GroundRange, boxes: Boxes, error: float
+) -> dict[str, Array]:
+    """Return lower bounds over boxes of poses on grounds within an error of the map, shape (n,).
+
+    The names are `TIP_OVER` [rad], if the vehicle has a mass, and `CLEARANCE` [m], if its bodies
+    have shapes. The tip-over margin is minus infinity where it may be negative, and both are where
+    the ground is not known.
+    """
+    vehicle, n = model.vehicle, boxes.middle.shape[1]
+    names = {TIP_OVER: vehicle.mass > 0 and not vehicle.planar, CLEARANCE.name: vehicle.shapes}
+    found = {name: np.empty(n) for name, applies in names.items() if applies}
+    for first in range(0, n, MARGIN_LANES):
+        lanes = np.arange(first, min(first + MARGIN_LANES, n))
+        some = boxes.at(lanes)
+        middle, slopes = body_motions(graphs, some)
+        if TIP_OVER in found:
+            center = middle[:3]
+            reach = np.einsum("akn,an->kn", slopes[:, :3].magnitude, some.radius) * (1 + SLACK)
+            center = center + Intervals(-reach, reach)
+            found[TIP_OVER][lanes] = tip_over_bound(graphs, ground, some, center, error)
+        if CLEARANCE.name in found:
+            least = np.full(lanes.size, np.inf)
+            for k, (_, shape) in enumerate(vehicle.shapes):
+                rows = slice(3 + 12 * k, 15 + 12 * k)
+                half = bounding_box(shape)[1]
+                own = clearance_bound(
+                    ground, middle[rows], slopes[:, rows], some.radius, half, error
+                )
+                least = np.minimum(least, own - shape.radius * (1 + SLACK))
+            found[CLEARANCE.name][lanes] = least
+    return found
+
+
+def body_motions(graphs: PoseGraphs, boxes: Boxes) -> tuple[Intervals, Intervals]:
+    """Return centre of mass and frames of shapes at the middles (m, n), and slopes (n_a, m, n).
+
+    The slopes are the derivatives along the frames of the boxes, at all poses of the boxes.
+    """
+    reach = np.zeros_like(boxes.middle)
+    reach[graphs.moving] = boxes.reach
+    middle = evaluate_interval(graphs.bodies, exactly(boxes.middle))
+    found = evaluate_interval(graphs.body_slopes, around(boxes.middle, reach))
+    shape = (len(graphs.moving), *middle.low.shape)
+    rates = Intervals(found.low.reshape(shape), found.high.reshape(shape))
+    frame = around(boxes.frame, boxes.bend)
+    total = exactly(np.zeros(shape))
+    for k, rate in enumerate(rates):
+        total += rate[None] * frame[k][:, None]
+    return middle, total
+
+
+def tip_over_bound(
+    graphs: PoseGraphs, ground: GroundRange, boxes: Boxes, center: Intervals, error: float
+) -> Array:
+    """Return lower bounds of the tip-over margin, shape (n,) [rad].
+
+    Two points are a side of the support polygon only if no other one is surely on its right. The
+    sine of the angle between gravity and the plane through the centre of mass and a side is the
+    vertical component of the unit normal.
+    """
+    points, is_known = contact_regions(graphs, ground, boxes, error)
+    place = levelled(center, boxes.middle[graphs.names.index("heading")])
+    arms = [points[:, wheel] - place for wheel in range(points.low.shape[1])]
+    least = np.full(is_known.size, np.pi / 2)
+    for i, j in permutations(range(len(arms)), 2):
+        others = [k for k in range(len(arms)) if k not in (i, j)]
+        side = points[:2, j] - points[:2, i]
+        to_others = (points[:2, k] - points[:2, i] for k in others)
+        turns = (side[0] * other[1] - side[1] * other[0] for other in to_others)
+        may_be_side = np.logical_and.reduce([~(turn.high < 0) for turn in turns])
+        (x, y, z), (u, v, w) = arms[i], arms[j]
+        up, across = u * y - v * x, ((v * z - w * y).square() + (w * x - u * z).square()).sqrt()
+        inside = -up
+        angle = np.arctan(inside.low / across.high) * (1 - SLACK)
+        angle = np.where(inside.low > 0, angle, -np.inf)
+        least = np.where(may_be_side, np.fmin(least, angle), least)
+    return np.where(is_known, least, -np.inf)
+
+
+def clearance_bound(
+    ground: GroundRange,
+    pose: Intervals,
+    slopes: Intervals,
+    radius: Array,
+    half: Array,
+    error: float,
+) -> Array:
+    """Return lower bounds of the distance of a box from all grounds of a band, shape (n,) [m].
+
+    ``pose`` (12, n) and ``slopes`` (n_a, 12, n) are those of the frame of the box; ``half`` are its
+    half edges. Of the columns of the box, the lowest points are nearest to the ground: only faces
+    that may be on the lower side are divided. A patch is discarded if it is farther from the ground
+    than a point of another one is above it. At the horizontal distance ``t``, the ground of slope
+    ``L`` is at least ``v - L t`` below a point by ``v`` above the ground.
+    """
+    n = radius.shape[1]
+    reach = np.einsum("akn,an->kn", slopes.magnitude, radius)
+    middles, halves, lanes = list[Array](), list[Array](), list[Indices]()
+    for axis, side in product(range(3), (-1, 1)):
+        row = 3 + 3 * axis + 2
+        lowest = np.minimum(side * pose.low[row], side * pose.high[row]) - reach[row]
+        lanes.append(np.flatnonzero(~(lowest > 0)))
+        face, shape = np.eye(3)[axis, :, None], (3, lanes[-1].size)
+        middles.append(np.broadcast_to(side * half[:, None] * face, shape))
+        halves.append(np.broadcast_to(half[:, None] * (1 - face), shape))
+    middle, size = (np.concatenate(each, axis=1) for each in (middles, halves))
+    lane: Indices = np.concatenate(lanes)
+    for number in range(HALVINGS + 1):
+        frame, slope, r = pose[:, lane], slopes[..., lane], radius[:, lane]
+        place, moved = frame[:3], slope[:, :3]
+        for j, (spot, part) in enumerate(zip(middle, around(middle, size), strict=True)):
+            place = place + frame[3 * j + 3 : 3 * j + 6] * spot
+            moved = moved + slope[:, 3 * j + 3 : 3 * j + 6] * part
+        center = (place.low[:2] + place.high[:2]) / 2
+        near, jets = (place[:2] - center).magnitude, ground.jets(center)
+        gap = place[2] - ground.heights(jets, near) - error
+        highest = np.full(n, np.inf)
+        np.minimum.at(highest, lane, gap.high)
+        away = near + np.einsum("akn,an->kn", moved.magnitude[:, :2], r)
+        away += sum(frame[3 * j + 3 : 3 * j + 5].magnitude * size[j] for j in range(3))
+        away *= 1 + SLACK
+        under = ground.slopes(jets, Intervals(-away, away))
+        rise = moved[:, 2] - moved[:, 0] * under[0] - moved[:, 1] * under[1]
+        change = np.einsum("an,an->n", rise.magnitude, r)
+        for j in range(3):
+            x, y, z = frame[3 * j + 3 : 3 * j + 6]
+            change += (z - x * under[0] - y * under[1]).magnitude * size[j]
+        above = gap.low - change * (1 + SLACK)
+        # the nearest ground is not farther away than the highest value: it lies in one of the rings
+        least, far = above.copy(), np.maximum(highest[lane], 0.0)
+        for ring in range(RINGS):
+            inner, outer = far * ring / RINGS, far * (ring + 1) / RINGS
+            wide = (away + outer) * (1 + SLACK)
+            steep = ground.steepness(jets, wide) * (1 + SLACK)
+            t = np.clip(above * steep / (1 + steep**2), inner, outer)
+            distance = np.hypot(t, np.maximum(above - steep * t, 0.0)) * (1 - SLACK)
+            least = np.where(above > 0, np.minimum(least, distance), above)
+        keep = ~(least > highest[lane])
+        if number < HALVINGS:
+            middle, size, lane = halved(middle[:, keep], size[:, keep], lane[keep])
+    least = np.where(ground.is_known(center, wide.max(axis=0))[1], least, -np.inf)
+    lowest = np.full(n, np.inf)
+    np.minimum.at(lowest, lane[keep], np.nan_to_num(least, nan=-np.inf)[keep])
+    return lowest
+
+
+def halved(middle: Array, size: Array, lane: Indices) -> tuple[Array, Array, Indices]:
+    """Return patches divided in two along their longest side."""
+    longest = np.arange(3)[:, None] == size.argmax(axis=0)
+    size, step = np.where(longest, size / 2 * (1 + SLACK), size), np.where(longest, size / 2, 0.0)
+    middle = np.concatenate([middle - step, middle + step], axis=1)
+    return middle, np.tile(size, 2), np.tile(lane, 2)

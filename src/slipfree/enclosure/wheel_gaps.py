@@ -35,13 +35,16 @@ from slipfree.core.lookups import LookupTable
 from slipfree.core.records import Array, Indices, Mask, leaves, pack
 from slipfree.enclosure.ground_range import GroundRange, Jets
 from slipfree.geometry.frame import turn, unit_vector
-from slipfree.models.base import VehicleState, carriers, platform_pose, values_of
+from slipfree.models.base import VehicleState, carriers, masses_of, platform_pose, values_of
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.vehicle.formula import evaluate
+from slipfree.vehicle.shapes import bounding_box
 
 AROUND, ACROSS = 12, 3  # patches of a tread at the beginning
 SMALLEST_TURN = 2e-3  # half-size of the smallest patches [rad]
 COARSE_TURN = 2e-2  # half-size of the smallest patches for a first look [rad]
+REGION_TURN = 1e-2  # half-size of the smallest patches where a wheel may touch [rad]
+REGION_SHARE = 0.1  # their half-size, relative to that of the region
 SHARE = 0.15  # half-size of the smallest patches, relative to the turn of the wheel in the box
 EDGE = 1e-6  # patches closer to an edge of the tread touch it [rad]
 MAX_PATCHES = 6000  # of a pose, which is given up if it has more
@@ -131,6 +134,8 @@ class PoseGraphs(NamedTuple):
 
     poses: ca.Function  # origins and axes of the joints, then origins and rotations of the wheels
     rates: ca.Function  # first and second derivatives of the joints' values
+    bodies: ca.Function  # centre of mass, and centres and axes of the boxes about the shapes
+    body_slopes: ca.Function  # their derivatives by the coordinates that vary
     joints: tuple[MovingJoint, ...]
     carriers: tuple[int, ...]  # numbers of the joints that carry the wheels
     moving: Indices  # numbers of the coordinates that vary: given ones with a spread, and the last
@@ -180,12 +185,22 @@ def pose_graphs(dae: Dae, spread: tuple[bool, ...] = ()) -> PoseGraphs:
             values.append(value)
     for pose in carriers(state):
         placed += [pose.origin, ca.vec(pose.rotation)]
+    parts = vehicle.parts(platform_pose(state), values_of(state))
+    frames = [parts[name] @ bounding_box(shape)[0] for name, shape in vehicle.shapes]
+    center = sum((mass * at for _, mass, at in masses_of(state)), ca.SX.zeros(3))
+    bodies = ca.vertcat(
+        center / (vehicle.mass or 1.0),
+        *(ca.vertcat(each.origin, ca.vec(each.rotation)) for each in frames),
+    )
+    body_slopes = ca.vec(ca.densify(ca.jacobian(bodies, y)[:, moving.tolist()]))
     rate = ca.jacobian(ca.vertcat(*values), y)[:, moving.tolist()]
     bend = ca.jacobian(ca.vec(rate), y)[:, moving.tolist()]
     rates = ca.densify(ca.vertcat(ca.vec(rate), ca.vec(bend)))
     return PoseGraphs(
         ca.Function("poses", [y], [ca.densify(ca.vertcat(*placed))], {"cse": True}),
         ca.Function("rates", [y], [rates], {"cse": True}),
+        ca.Function("bodies", [y], [ca.densify(bodies)], {"cse": True}),
+        ca.Function("body_slopes", [y], [body_slopes], {"cse": True}),
         tuple(joints),
         tuple(numbers[wheel.parent] for wheel in vehicle.wheels),
         moving,
@@ -704,6 +719,53 @@ def _touching(
         keep &= ~small
         patches = _halves(patches.at(keep), sizes[:, keep])
     return _joined(done), least, on_map, on_map & ~given_up
+
+
+def contact_regions(
+    graphs: PoseGraphs, ground: GroundRange, boxes: Boxes, error: float
+) -> tuple[Intervals, Mask]:
+    """Return bounds of the points of treads at most ``error`` above the map, (3, n_wheels, n) [m].
+
+    A wheel that touches a ground of the band without penetrating it touches it there. Positions
+    are local, turned about the vertical by the negative heading of the middles, so that the bounds
+    follow the wheels. Also return whether the map is known there, shape (n,).
+    """
+    n = boxes.middle.shape[1]
+    box = _over(_middle(graphs, ground, boxes), ground, boxes.radius, 1.0)
+    # compared with the region, whose size is that of a parabola of this height
+    smallest = np.maximum(REGION_TURN, REGION_SHARE * np.sqrt(error / graphs.radii.sum(axis=0)))
+    patches, done = _whole_treads(graphs.radii, n), list[_Patches]()
+    while patches.lane.size:
+        here = patches.wheel, patches.lane
+        radii, wide = graphs.radii[:, patches.wheel], _at(box.over, here)
+        spot, turned, rolled = _tread(radii, around(patches.middle, patches.half))
+        place = _placed(wide, _tread(radii, exactly(patches.middle))[0])
+        center, away = _flat(place)
+        jets = ground.jets(center)
+        normal = _normals(wide, ground.slopes(jets, _placed(wide, spot)[:2] - center))
+        spread = _dot(normal, turned).magnitude * patches.half[0]
+        spread += _dot(normal, rolled).magnitude * patches.half[1]
+        gap = place[2] - ground.heights(jets, away.magnitude)
+        patches = patches.at(~(gap.low - error > spread * (1 + SLACK)))
+        sizes = _sizes(graphs.radii, patches)
+        small = sizes.max(axis=0) <= smallest[patches.wheel]
+        done.append(patches.at(small))
+        patches = _halves(patches.at(~small), sizes[:, ~small])
+    patches = _joined(done)
+    here = patches.wheel, patches.lane
+    spot = _tread(graphs.radii[:, patches.wheel], around(patches.middle, patches.half))[0]
+    place, known = _placed(_at(box.over, here), spot), np.ones(n, dtype=bool)
+    center, away = _flat(place)
+    known[patches.lane[~ground.is_known(center, away.magnitude.max(axis=0))[1]]] = False
+    heading = boxes.middle[graphs.names.index("heading"), patches.lane]
+    return _hull(levelled(place, heading), patches, boxes.contacts.shape[1:]), known
+
+
+def levelled(place: Intervals, heading: Array) -> Intervals:
+    """Return positions (3, ...) turned about the vertical by a negative heading."""
+    (x, y, z), angle = place, exactly(heading)
+    cos, sin = angle.cos(), angle.sin()
+    return stack([x * cos + y * sin, y * cos - x * sin, z])
 
 
 def _hull(values: Intervals, patches: _Patches, shape: tuple[int, int]) -> Intervals:

@@ -209,7 +209,7 @@ def added_tightening(replays: Replays, share: float) -> dict[Bound, float]:
 def tightened_task(task: PlanTask, tightening: Tightening) -> PlanTask:
     """Return a task with tightened limits, goal and way-points; equal bounds stay."""
     tight = {bound.name for bound in tightening}
-    own = [limit for limit in _model_limits(task) if limit_name(limit) in tight]
+    own = [limit for limit in model_limits(task) if limit_name(limit) in tight]
     conditions = tuple(
         each._replace(limits=tuple(_tightened(each.limits, tightening, role_of(each.fraction))))
         for each in task.conditions
@@ -223,18 +223,19 @@ def _tightened(limits: Sequence[Limit], tightening: Tightening, role: str) -> It
         if limit.lower == limit.upper:
             yield limit
             continue
-        lower, upper = (tightening.get(_bound(limit, side, role), 0.0) for side in (LOWER, UPPER))
+        lower, upper = (tightening.get(bound_of(limit, side, role), 0.0) for side in (LOWER, UPPER))
         limit = limit._replace(lower=limit.lower + lower, upper=limit.upper - upper)
         if limit.lower > limit.upper:
             raise ModelError(
-                f"expected a range of {_bound(limit, '', role)} at least as wide as the tightening "
-                f"of its bounds, {number(limit.label, lower + upper)}, found "
+                f"expected a range of {bound_of(limit, '', role)} at least as wide as the "
+                f"tightening of its bounds, {number(limit.label, lower + upper)}, found "
                 f"{number(limit.label, limit.upper - limit.lower + lower + upper)}; widen the range"
             )
         yield limit
 
 
-def _bound(limit: Limit, side: str, role: str) -> Bound:
+def bound_of(limit: Limit, side: str, role: str) -> Bound:
+    """Return a bound of a limit, goal or way-point by its name."""
     name = limit_name(limit)
     return Bound(f"{name} at the {role}" if role else name, side)
 
@@ -254,7 +255,7 @@ def replay_of(
     """
     dae, plan = task.dae, planned[1]
     samples = run.t, *(dae.rows(record, run) for record in "xzu")
-    limits = (*task.limits, *_model_limits(task))
+    limits = (*task.limits, *model_limits(task))
     excess = [*_excess(dae, limits, samples, "", accuracy, None)]
     if run.stop is not None:
         excess.append(_excess_at_stop(*planned, run))
@@ -276,7 +277,7 @@ def replay_of(
     return DisturbedRun(_largest(excess), float(np.hypot(*gaps)))
 
 
-def _model_limits(task: PlanTask) -> Iterator[Limit]:
+def model_limits(task: PlanTask) -> Iterator[Limit]:
     """Yield the limits of the model, which end simulations, except those of the task."""
     names = {limit_name(limit) for limit in task.limits}
     yield from (limit for limit in task.dae.all_limits if limit_name(limit) not in names)
@@ -297,7 +298,7 @@ def _excess_at_stop(dae: Dae, plan: PolynomialMotion, run: Trajectory) -> tuple[
             side, away = min(
                 (LOWER, value - limit.lower), (UPPER, limit.upper - value), key=itemgetter(1)
             )
-            return _bound(limit, side, ""), max(away, 0.0) or np.inf
+            return bound_of(limit, side, ""), max(away, 0.0) or np.inf
     name = "" if run.stop is None else f" ({run.stop.name})"
     return Bound(f"motion ends early{name}"), np.inf
 
@@ -328,7 +329,7 @@ def _excess(
             size = float(beyond.max()) - allowed
             if np.isfinite(size):
                 helps = size <= 0 or limit.lower < limit.upper
-                yield _bound(limit, side, role), size if helps else np.inf
+                yield bound_of(limit, side, role), size if helps else np.inf
 
 
 def _draws(seed: int, stream: int, count: int) -> list[Draw]:

@@ -9,19 +9,15 @@ from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
-from annotated_types import Ge
 
 from slipfree.batch.many import Placement, find_rests, obstacles, wheel_checks
 from slipfree.core.arguments import BY_NAME, checked
 from slipfree.core.dae import Dae, Standing
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate
-from slipfree.core.lookups import check_order, needed_lookups
 from slipfree.core.newton import solve_linear
-from slipfree.core.outcome import ipopt_words
 from slipfree.core.rearrange import blocks, rearrange, variables
 from slipfree.core.records import Array, leaves, unpack
-from slipfree.core.schema import Finite
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.solve.initial_conditions import (
     WEAK_SINGULAR_VALUE,
@@ -31,7 +27,6 @@ from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import consistent_start, simulate
 from slipfree.solve.system import with_inputs
 from slipfree.system.forks import computing
-from slipfree.system.interrupt import with_interrupt_guard
 
 RELAXATION_TIME = 20.0  # duration of the relaxation to the equilibrium of a start [s]
 RELAXATION_TOLERANCE = 1e-4  # integration tolerance of the relaxation
@@ -376,129 +371,6 @@ def _settle_at(dae: Dae, found: Trajectory, options: SolverOptions) -> Trajector
         for record in (dae.labels.x, dae.labels.z[0])
     )
     return settle(dae, guess=pose, options=options, **states)
-
-
-@checked
-@computing
-@with_interrupt_guard
-def settle_nearest(
-    dae: Dae,
-    *,
-    weights: Mapping[str, Annotated[float, Ge(0)]] | None = None,
-    options: SolverOptions = SolverOptions(),
-    **pose: Annotated[Finite, BY_NAME],
-) -> Trajectory:
-    """Return the vehicle at rest in the pose nearest to a given pose.
-
-    The weighted sum of squared differences from the given values is minimal among all poses that
-    satisfy the first block of equations.
-
-    Parameters
-    ----------
-    dae : Dae
-        The model.
-    weights : mapping of str to float, optional
-        Weight of the squared difference by name of the coordinate; 1 by default, so that a metre
-        counts as much as a radian. An infinite weight fixes the coordinate. [1/m2, 1/rad2]
-    options : SolverOptions
-        Options of the solvers.
-    **pose : float
-        States and unknowns of the pose by name: ``x``, ``y``, ``z``, ``heading``, ``roll``,
-        ``pitch`` and joints. Omitted states count as given with the value zero; omitted unknowns
-        are free. [m, rad]
-
-    Returns
-    -------
-    Trajectory
-        One sample. Its ``statistics`` contain ``change``, the square root of the weighted sum
-        without fixed coordinates, and ``change_NAME``, the found minus the given value of each
-        coordinate that is not free.
-
-    Raises
-    ------
-    ModelError
-        If a name is unknown, a value is not finite, a weight is negative or not a number, a lookup
-        of the model lacks derivatives, IPOPT finds no pose that satisfies the equations, or
-        `settle` fails in the pose found.
-    """
-    labels = [*leaves(dae.labels.x), *leaves(dae.labels.z[0])]
-    names, n_x = [label.full for label in labels], dae.ode.numel()
-    weights = weights or {}
-    _check_pose(names, pose, weights)
-    asked = {**{label.full: 0.0 for label in leaves(dae.labels.x)}, **pose}
-    shift = np.concatenate(dae.shift)[: len(names)]
-    wish = np.array([asked.get(name, 0.0) for name in names]) - shift
-    weight = np.array([weights.get(name, 1.0) if name in asked else 0.0 for name in names])
-    guess = np.array(dae.function("guess", [dae.columns()[0]], [dae.guess])(wish[:n_x])).ravel()
-    first = np.concatenate([wish[:n_x], guess[: len(names) - n_x]])
-    first[weight > 0] = wish[weight > 0]
-    nearest = _least_change(dae, first, wish, weight) + shift
-    values = dict(zip(names, nearest, strict=True))
-    run = settle(
-        dae,
-        guess={name: values[name] for name in names[n_x:]},
-        options=options,
-        **{name: values[name] for name in names[:n_x]},
-    )
-    change = {
-        name: float(run.of(label)[0]) - asked[name]
-        for name, label in zip(names, labels, strict=True)
-        if name in asked
-    }
-    total = sum(
-        weights.get(name, 1.0) * size**2
-        for name, size in change.items()
-        if np.isfinite(weights.get(name, 1.0))
-    )
-    statistics = {"change": float(np.sqrt(total))}
-    return replace(run, statistics=statistics | {f"change_{k}": v for k, v in change.items()})
-
-
-def _check_pose(
-    names: Sequence[str], pose: Mapping[str, float], weights: Mapping[str, float]
-) -> None:
-    for name in (*pose, *weights):
-        if name not in names:
-            raise ModelError(
-                f"settle_nearest: expected names of states and pose coordinates, "
-                f"{', '.join(names)}, found {name!r}; correct the name"
-            )
-
-
-def _least_change(dae: Dae, first: Array, wish: Array, weight: Array) -> Array:
-    """Return the states and pose nearest to ``wish`` that satisfy the first block of equations."""
-    unknowns = ca.vertcat(dae.columns()[0], *leaves(dae.z[0]))
-    counts = np.isfinite(weight)
-    change = np.where(counts, weight, 0.0)
-    cost = ca.dot(ca.DM(change), (unknowns - ca.DM(wish)) ** 2)
-    quiet = {"print_level": 0, "sb": "yes", "tol": 1e-12}
-    check_order(needed_lookups(dae.lookups, [dae.alg[0]]), 3, "settle_nearest")
-    rows = dae.function("rows", [unknowns], [dae.alg[0]])
-    symbols = ca.MX.sym("unknowns", unknowns.numel())
-    changed = ca.Function("cost", [unknowns], [cost / 2])
-    problem = {"x": symbols, "f": changed(symbols), "g": rows(symbols)}
-    options: dict[str, Any] = {"ipopt": quiet, "print_time": False, "error_on_fail": False}
-    solver = ca.nlpsol("nearest", "ipopt", problem, options)
-    bound = np.where(counts, np.inf, 0.0)
-    centre = np.where(counts, 0.0, wish)
-    solution = solver(x0=first, lbx=centre - bound, ubx=centre + bound, lbg=0.0, ubg=0.0)
-    if not solver.stats()["success"]:
-        status = str(solver.stats()["return_status"])
-        names = [label.full for label in (*leaves(dae.labels.x), *leaves(dae.labels.z[0]))]
-        given = wish + np.concatenate(dae.shift)[: len(names)]
-        place = ", ".join(
-            f"{name} = {value:.4g}"
-            for name, value, used in zip(names, given, weight > 0, strict=True)
-            if used
-        )
-        remedy = "give a pose nearer to the ground"
-        if not counts.all():
-            remedy += ", or fewer coordinates with an infinite weight"
-        raise ModelError(
-            "settle_nearest: expected a pose of the vehicle at rest near "
-            f"{place or 'the given pose'}, found none ({ipopt_words(status)}); {remedy}"
-        )
-    return np.array(solution["x"]).ravel()
 
 
 def settle_contact(

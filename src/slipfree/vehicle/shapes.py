@@ -15,7 +15,7 @@ import numpy as np
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
-from slipfree.core.records import field_overview
+from slipfree.core.records import Array, field_overview
 from slipfree.core.schema import Positive
 from slipfree.geometry.frame import Pose, Vector, translation, turn
 from slipfree.vehicle.wheel import ORIGIN
@@ -134,6 +134,17 @@ class Hull:
             f"{min(side):.4g} to {max(side):.4g}" for side in zip(*self.points, strict=True)
         )
         return f"hull of {len(self.points)} points, ({sides}) m"
+
+
+def bounding_box(shape: BodyShape) -> tuple[Pose, Array]:
+    """Return the pose of a box in the part's frame, and half of its edges, shape (3,) [m].
+
+    With the radius of the shape added on all sides, it contains the shape.
+    """
+    if isinstance(shape, Box):
+        return shape.pose, np.array(shape.size) / 2
+    low, high = np.min(shape.points, axis=0), np.max(shape.points, axis=0)
+    return translation(*((low + high) / 2)), (high - low) / 2
 
 
 def _listed(vector: Iterable[float]) -> str:

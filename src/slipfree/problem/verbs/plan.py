@@ -67,6 +67,7 @@ from slipfree.problem.verbs.plan_search import (
     Tested,
     best_start,
     find_plan,
+    make_guaranteed,
     make_robust,
     start_motion,
 )
@@ -114,6 +115,9 @@ prices of limits: {prices}
 *!robust plan: holds in {plan_share:.3g>%} of {plan_share_draws:.0f} drawn worlds \
 ({plan_share_low.words} {plan_share_low:.3g>%} to {plan_share_high:.3g>%}), before tightening in \
 {plan_share_first:.3g>%}
+*!guaranteed: for every ground within {plan_guarantee:.3g>mm} of the map: \
+<plan_guarantee_bounds> {fact}
+*  on the map only: <plan_guarantee_uncovered> {fact}
   tightened: <plan_tightened> {bound} by {size:.3g}{unit}
   cost of this: total {plan_total_cost:.6g}; without tightening <plan_untightened_*> {name} \
 {fact:.6g}
@@ -374,7 +378,9 @@ class PlanVerb(DriveVerb):
             # kept in case the search for a robust plan is interrupted
             keep(replace(plan, replay=replace(plan.replay, stop=UNTESTED)))
             tested = make_robust(setup, plan, spec.plan.robust, progress, watch)
-            plan = tested.plan
+        elif spec.plan.guarantee is not None and plan.accurate:
+            tested = make_guaranteed(setup, plan, spec.plan.guarantee, progress)
+        plan = tested.plan
         run, stop = plan.replay, tested.stop or with_offer(setup, plan, guesses)
         if stop is not None and (tested.stop or not plan.success):
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))

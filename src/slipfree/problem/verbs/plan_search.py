@@ -10,22 +10,27 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from hashlib import sha256
 from itertools import count
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 
+from slipfree.contact.clearance import CLEARANCE
 from slipfree.contact.closure import has_exact_closure
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError, SlipfreeError
-from slipfree.core.facts import Fact, Facts
+from slipfree.core.facts import SCALES, Fact, Facts
+from slipfree.core.interval import Intervals, evaluate_interval
 from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import PLAN, PLAN_SHARE, Stop, Trajectory
+from slipfree.enclosure.guarantee import TIP_OVER, guarantee
 from slipfree.models.kinematics import direct_kinematics
+from slipfree.plan.constraints import shift_of, unit_words
 from slipfree.plan.guess import guess_motion, settled_start
 from slipfree.plan.ipopt import seconds_left
 from slipfree.plan.plan import Plan, solve_task
@@ -33,13 +38,17 @@ from slipfree.plan.polynomial_motion import PolynomialMotion, SavedPlan
 from slipfree.plan.problem import duration_of
 from slipfree.plan.robust import (
     CONFIDENCE,
+    LOWER,
     MAX_ROUNDS,
+    UPPER,
     Bound,
     DisturbedRun,
     Draw,
     Replays,
     RobustPlan,
     Tightening,
+    bound_of,
+    model_limits,
     replay_of,
     robust_plan,
     tightened_task,
@@ -53,7 +62,8 @@ from slipfree.plan.search import (
     distances,
     further_guesses,
 )
-from slipfree.plan.verification import VERIFICATION_TOLERANCE, simulate_plan
+from slipfree.plan.transcription import PlanTask
+from slipfree.plan.verification import VERIFICATION_TOLERANCE, limit_name, simulate_plan
 from slipfree.problem.build import build_model, build_start, in_frame, model_law, solver_options
 from slipfree.problem.build_ground import at
 from slipfree.problem.inputs import ProblemParts, Recipe, recipe_of
@@ -76,6 +86,7 @@ from slipfree.terrain.grid_ops import disturbed
 RUNS = count()  # numbers of recipes in this process
 SMOOTHINGS = (1.0, 0.3)  # smoothing widths of the load law in the first plans, in static depths
 Report = Callable[[str, str], None]
+GAIN = 1.5  # of the tightening of guaranteed plans, relative to the excess
 UNTESTED = Stop(
     PLAN_SHARE,
     0.0,
@@ -286,6 +297,23 @@ class DrawFolder(ProblemParts[tuple[DisturbedRun, ...]]):
         )
 
 
+def solve_tightened(
+    setup: Planning, tightening: Tightening, before: Plan, progress: PlanProgress
+) -> Plan:
+    """Return the accurate plan with tightened limits, from the previous one."""
+    solved = find_plan(setup, [], before.saved, progress, tightening)
+    if solved.run.outcome is Outcome.INTERRUPTED:
+        raise KeyboardInterrupt
+    if not solved.accurate:
+        stop = solved.run.stop
+        raise ModelError(
+            stop.words.splitlines()[0]
+            if stop
+            else "the simulation deviates from the plan by more than plan.accuracy"
+        )
+    return replace(solved, stages=(*before.stages, *solved.stages))
+
+
 def make_robust(
     setup: Planning,
     first: Plan,
@@ -302,17 +330,7 @@ def make_robust(
 
     def solve(tightening: Tightening, before: Plan) -> Plan:
         nonlocal latest
-        solved = find_plan(setup, [], before.saved, progress, tightening)
-        if solved.run.outcome is Outcome.INTERRUPTED:
-            raise KeyboardInterrupt
-        if not solved.accurate:
-            stop = solved.run.stop
-            raise ModelError(
-                stop.words.splitlines()[0]
-                if stop
-                else "the simulation deviates from the plan by more than plan.accuracy"
-            )
-        latest = replace(solved, stages=(*before.stages, *solved.stages))
+        latest = solve_tightened(setup, tightening, before, progress)
         return latest
 
     done = dict[int, tuple[DisturbedRun, ...]]()
@@ -416,6 +434,128 @@ def _seed(draw: Draw, part: int) -> int:
     return int(np.random.SeedSequence((*draw, part)).generate_state(1)[0])
 
 
+class BandBound(NamedTuple):
+    """Extreme value of a limited quantity on the grounds of a band, at the tightest sample."""
+
+    bound: Bound
+    value: float  # in the unit of the limit, as reported
+    limit: float
+    unit: str
+    room: float  # between both, negative if the bound is violated
+    place: str  # of the sample
+
+    def __str__(self) -> str:
+        is_lower = self.bound.side == LOWER
+        value = rounded_words(self.value, self.unit, up=not is_lower)
+        return f"{self.bound.name} at {'least' if is_lower else 'most'} {value}, at {self.place}"
+
+
+class BandLimits(NamedTuple):
+    """Limits of a motion on every ground within an error of the map."""
+
+    bounds: list[BandBound]  # the tightest first
+    unproved: list[str]  # places and reasons of samples whose poses are not guaranteed
+    uncovered: list[str]  # limits of the task that the guarantee does not cover
+
+
+def band_limits(task: PlanTask, run: Trajectory, error: float) -> BandLimits:
+    """Return bounds of limited quantities on every ground within an error [m] of the map.
+
+    Limits on forces, rates and slopes of the ground are not covered: they do not follow from the
+    pose. Poses that are not guaranteed are left out.
+    """
+    dae, found = task.dae, guarantee(task.dae, run, error)
+    closed = [name for name in found.low if name not in (TIP_OVER, CLEARANCE.name)]
+    states, (x, z, _), known = dae.rows("x", run), dae.columns(), found.is_guaranteed
+    coordinates, shift = ca.vertcat(x, z[: len(closed)]), dae.shift[1][: len(closed), None]
+    ends = ([end[name] for name in closed] - shift for end in (found.low, found.high))
+    poses = Intervals(*(np.concatenate([states, end]) for end in ends))
+    places = [f"x = {a:.2f} m, y = {b:.2f} m" for a, b in zip(run["x"], run["y"], strict=True)]
+    bounds, uncovered = list[BandBound](), list[str]()
+    for number, limit in enumerate([*task.limits, *model_limits(task)] if known.any() else ()):
+        if not ca.depends_on(limit.expression, z):  # of states, which are given
+            continue
+        name, expression = limit_name(limit), ca.densify(limit.expression)
+        margin = TIP_OVER if name == "tip_over" else name
+        f = ca.Function("limit", [coordinates], [expression], {"allow_free": True})
+        if margin in found.low and margin not in closed:
+            low, high = found.low[margin], found.high[margin]
+        elif not f.has_free():
+            values = evaluate_interval(f, poses)
+            low, high = values.low[0], values.high[0]
+        else:
+            uncovered += [name] * (number < len(task.limits))
+            continue
+        away = shift_of(task, limit.expression)
+        for side, sign, end, value in (LOWER, 1, limit.lower, low), (UPPER, -1, limit.upper, high):
+            if not np.isfinite(end) or np.isposinf(value[known]).all():  # a margin from above
+                continue
+            room = np.where(known, np.nan_to_num(sign * (value - end), nan=-np.inf), np.inf)
+            k = int(room.argmin())
+            sizes = float(value[k] + away), end + away, limit.label.unit, float(room[k])
+            bounds.append(BandBound(bound_of(limit, side, ""), *sizes, places[k]))
+    reasons = [f"{places[k]}: {found.reasons[k]}" for k in np.flatnonzero(~known)]
+    return BandLimits(sorted(bounds, key=attrgetter("room")), reasons, uncovered)
+
+
+def make_guaranteed(setup: Planning, first: Plan, error: float, progress: PlanProgress) -> Tested:
+    """Tighten the limits of a plan until they hold on every ground within an error [m].
+
+    The excess of a bound is enlarged: of tightened plans, the bounds are wider.
+    """
+
+    @cache
+    def limits(plan: Plan) -> BandLimits:
+        return band_limits(setup.task, plan.replay, error)
+
+    def excess(plan: Plan) -> DisturbedRun:
+        slack = setup.spec.plan.accuracy
+        sizes = {each.bound: -each.room for each in limits(plan).bounds}
+        sizes = {bound: GAIN * size + slack if size > 0 else size for bound, size in sizes.items()}
+        open_poses = {Bound("pose"): np.inf} if limits(plan).unproved else {}
+        return DisturbedRun({**sizes, **open_poses}, np.nan)
+
+    solved = robust_plan(
+        first,
+        lambda tightening, before: solve_tightened(setup, tightening, before, progress),
+        lambda plans, _: [Replays((excess(each),)) for each in plans],
+        share=0.5,
+        draws=1,
+        final_draws=1,
+    )
+    last = limits(solved.plan)
+    missed = [each for each in last.bounds if each.room < 0]
+    why = ""
+    if last.unproved:
+        count = f"{len(last.unproved)} of {solved.plan.replay.t.size}"
+        why = f"{count} poses are not guaranteed, the first at {last.unproved[0]}"
+    elif missed:
+        by = rounded_words(-missed[0].room, missed[0].unit, up=True)
+        why = f"{missed[0]}: misses the bound, {missed[0].limit:.4g} {missed[0].unit}, by {by}"
+    if why and solved.failure:
+        why += f"; tighter limits are not solved: {solved.failure}"
+    words = (
+        f"not guaranteed for every ground within {Fact(error, 'm'):.3g>mm} of the map: {why}; "
+        "widen the limits, reduce plan.guarantee, or choose another goal"
+    )
+    facts = {
+        "plan_guarantee": Fact(error, "m"),
+        "plan_guarantee_bounds": Fact([str(each) for each in last.bounds]),
+        "plan_guarantee_uncovered": Fact(last.uncovered),
+        **tightening_facts(solved, first),
+    }
+    stop = Stop(PLAN_SHARE, 0.0, words, Outcome.INFEASIBLE) if why else None
+    return Tested(solved.plan, stop, facts)
+
+
+def rounded_words(value: float, unit: str, *, up: bool) -> str:
+    """Return a value with three digits, rounded up or down, in the unit that people read."""
+    shown = "deg" if unit == "rad" else "mm" if unit == "m" and abs(value) < 1 else unit_words(unit)
+    value *= SCALES.get(shown, 1.0)
+    size = 10.0 ** (2 - np.floor(np.log10(max(abs(value), 1e-9))))
+    return f"{(np.ceil if up else np.floor)(value * size) / size:.3g} {shown}".rstrip()
+
+
 def robust_facts(result: RobustPlan[Plan], first: Plan) -> dict[str, Fact]:
     """Return shares, tightening, violations and costs of a robust plan."""
     after, (low, high) = result.after, result.after.interval
@@ -431,17 +571,24 @@ def robust_facts(result: RobustPlan[Plan], first: Plan) -> dict[str, Fact]:
         "_distance": Fact(half, "m"),
         "_distance_95": Fact(most, "m"),
     }
+    violated = [{"bound": str(bound), "draws": count} for bound, count in after.violated.items()]
+    return {
+        **{f"plan_share{name}": fact for name, fact in facts.items()},
+        "plan_violated": Fact(violated),
+        **tightening_facts(result, first),
+    }
+
+
+def tightening_facts(result: RobustPlan[Plan], first: Plan) -> dict[str, Fact]:
+    """Return the tightening of limits, and costs with and without it."""
     sizes = sorted(result.tightening.items(), key=lambda item: -item[1])
     tightened = []
     for bound, size in sizes:
         unit = first.units.get(bound.name, "1")
         words = "" if unit == "1" else f" {unit}"
         tightened.append({"bound": str(bound), "size": size, "unit": words})
-    violated = [{"bound": str(bound), "draws": count} for bound, count in after.violated.items()]
     return {
-        **{f"plan_share{name}": fact for name, fact in facts.items()},
         "plan_tightened": Fact(tightened),
-        "plan_violated": Fact(violated),
         "plan_total_cost": Fact(result.plan.solution.cost),
         "plan_untightened_total": Fact(first.solution.cost),
         **{f"plan_untightened_{name}": Fact(cost) for name, cost in first.costs.items()},

@@ -17,6 +17,7 @@ from slipfree.core.dae import Dae, Limit
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import Trajectory
+from slipfree.enclosure.wheel_gaps import pose_graphs
 from slipfree.files.toml import (
     Fault,
     NonNegative,
@@ -202,6 +203,9 @@ class PlanTable(Options):  # type: ignore[misc]
         the window. [m]
     robust : Robust or None
         Random worlds in which the plan must satisfy its limits.
+    guarantee : float or None
+        Distance from the map of all grounds on which the limits of the poses must hold at every
+        sample. [m]
     sliding : bool
         With model = 'dynamics': whether wheels may slide, as in a turn of a skid-steered vehicle;
         otherwise they roll within the limits of friction.
@@ -212,6 +216,7 @@ class PlanTable(Options):  # type: ignore[misc]
     window: Positive | None = None
     overlap: Positive | None = None
     robust: Robust | None = None
+    guarantee: Positive | None = None
     sliding: bool = False
 
     @property
@@ -305,6 +310,7 @@ class PlanKeys(Modelled):
         conflicts = {
             "window": search.window is not None,
             "robust": search.robust is not None,
+            "guarantee": search.guarantee is not None,
             "starts": search.starts > 1,
         }
         for name in (name for name, is_set in conflicts.items() if is_set):
@@ -312,8 +318,17 @@ class PlanKeys(Modelled):
             yield Fault(("plan", name), expected, "it; remove it, or plan without inertia")
 
     def _search_faults(self) -> Iterator[Fault]:
-        """Yield the errors of options that do not suit windows or drawn worlds."""
+        """Yield the errors of options that do not suit windows, drawn worlds or guarantees."""
         search, robust, window = self.plan, self.plan.robust, self.plan.window
+        if search.guarantee is not None:
+            others = {
+                "plan.robust": robust,
+                "plan.window": window,
+                "terrain.obstacles": self.terrain.obstacles,
+            }
+            for name in (name for name, value in others.items() if value):
+                found = f"{name}; remove one of them"
+                yield Fault(("plan", "guarantee"), f"no {name!r} with plan.guarantee", found)
         if robust is not None:
             if robust.map is None and not (robust.friction or robust.inputs):
                 expected = "an uncertainty ('map', 'friction' or 'inputs')"
@@ -551,6 +566,9 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
                 f"{where}: the vehicle cannot be at the {name} {point_text((x, y))}: {why}; move "
                 f"the {name} or give the ground more friction"
             )
+    if spec.plan.guarantee is not None:
+        with at(problem, ("plan", "guarantee")):
+            pose_graphs(dae)  # raises errors for models without guarantees
     start = build_start(problem, dae)
     own = {name for limit in dae.all_limits for name in (limit.label.name, limit.label.full)}
     for table, values in (("goal", spec.goal), ("limits", spec.limits)):
