@@ -119,12 +119,14 @@ def _modules(package: str) -> str:
     """Return a section for every module of a package; public names are on pages of their own."""
     folder = DOCS.parent / "src" / package.replace(".", "/")
     files = (path for path in folder.rglob("*.py") if path.stem[0] != "_")
-    names = sorted(".".join(path.relative_to(folder).with_suffix("").parts) for path in files)
+    parts = (path.relative_to(folder).with_suffix("").parts for path in files)
+    modules = sorted(".".join((package, *each)) for each in parts) or [package]
     public = public_names()
     return "\n".join(
-        f"## {name}\n\n```{{eval-rst}}\n.. automodule:: {package}.{name}\n   :members:\n"
-        f"   :exclude-members: {', '.join(sorted(public.get(f'{package}.{name}', ())))}\n```\n"
-        for name in names
+        f"## {module.removeprefix(f'{package}.')}\n\n```{{eval-rst}}\n"
+        f".. automodule:: {module}\n   :members:\n"
+        f"   :exclude-members: {', '.join(sorted(public.get(module, ())))}\n```\n"
+        for module in modules
     )
 
 
