@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from helpers.rounding import depends_on_rounding
+from slipfree.terrain import kernel
 
 matplotlib.use("Agg")
 # Jobs of a shell in the background ignore Ctrl-C, and so would all that they start.
@@ -51,6 +52,15 @@ def direct_reads(request, monkeypatch):
     if request.node.get_closest_marker("bounded") is None:
         for place in ("system.processes", "files.urdf.meshes"):
             monkeypatch.setattr(f"slipfree.{place}.bounded_call", call)
+
+
+@pytest.fixture
+def built():
+    """Tests run where the package was installed with a compiler, in CI always."""
+    if kernel.library() is None:
+        if os.environ.get("CI"):
+            pytest.fail("the kernel was not built")
+        pytest.skip("no C compiler was found when slipfree was installed")
 
 
 @pytest.fixture

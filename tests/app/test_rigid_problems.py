@@ -66,18 +66,15 @@ def test_a_plan_is_made_with_three_widths_and_simulated_with_stiffer_wheels(plan
 
 
 @pytest.mark.slow
-def test_a_plan_survives_the_failure_of_a_sharper_law(plan_file, monkeypatch):
-    models = observed(monkeypatch, fails=Outcome.SOLVER_FAILURE)
-    run(plan_file)
+@pytest.mark.parametrize(
+    ("fails", "outcome"),
+    [(Outcome.SOLVER_FAILURE, Outcome.COMPLETE), 2 * (Outcome.INTERRUPTED,)],
+)
+def test_a_plan_survives_the_failure_of_a_sharper_law(plan_file, monkeypatch, fails, outcome):
+    models = observed(monkeypatch, fails=fails)
+    run(plan_file, code=outcome.exit_code)
     assert len(models) == 2
-    assert read(Path("p.nc")).outcome is Outcome.COMPLETE
-
-
-@pytest.mark.slow
-def test_an_interrupted_sharper_law_is_reported(plan_file, monkeypatch):
-    observed(monkeypatch, fails=Outcome.INTERRUPTED)
-    run(plan_file, code=130)
-    assert read(Path("p.nc")).outcome is Outcome.INTERRUPTED
+    assert read(Path("p.nc")).outcome is outcome
 
 
 FIRST: list[Plan] = []  # the plan with the widest law, which all tests begin with

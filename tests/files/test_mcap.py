@@ -215,7 +215,7 @@ def test_the_command(drive, tmp_path):
 
 def test_without_the_package(drive, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mcap_ros2.writer", None)
-    with pytest.raises(DataError, match=r"mcap-ros2-support', .*install '\.\[ros\]'"):
+    with pytest.raises(DataError, match=r"mcap-ros2-support', .*install 'mcap-ros2-support>"):
         export_mcap(drive[0] / "out.nc", tmp_path / "a.mcap")
     assert not list(tmp_path.iterdir())
 
@@ -418,8 +418,7 @@ def test_positions_of_joints_are_reached_at_the_next_message(tmp_path):
     ],
 )
 def test_commands_of_joints_that_do_not_suffice(messages, words, tmp_path):
-    with pytest.raises(DataError, match=words):
-        run_problem(load_problem(_cart(tmp_path, *messages)))
+    refuses(DataError, words, run_problem, load_problem(_cart(tmp_path, *messages)))
 
 
 def test_steering_starts_at_its_first_command(tmp_path):

@@ -52,5 +52,4 @@ def test_keys_of_other_formats_are_refused(file):
 
 
 def test_the_endings_of_all_formats_are_named(file):
-    with pytest.raises(DataError, match=r"\.pcd, \.json, or .* found '\.shp'"):
-        read_map(file.with_suffix(".shp"))
+    refuses(DataError, r"\.pcd, \.json, or .* found '\.shp'", read_map, file.with_suffix(".shp"))

@@ -457,10 +457,9 @@ def test_a_start_that_touches_is_refused():
 
 def test_too_many_points_are_refused():
     points = tuple((0.0, 0.0, 0.001 * k) for k in range(201))
-    with pytest.raises(
-        sf.ModelError, match="at most 200 points, 26 of each box, found 201 in 'car'"
-    ):
-        sunk(Hull(points))
+    refuses(
+        sf.ModelError, "at most 200 points, 26 of each box, found 201 in 'car'", sunk, Hull(points)
+    )
     assert sf.dynamics(car(BELLY), sf.Solids(FLAT, placed(step(0.1))), law=LAW).labels.y.body_load
 
 

@@ -1,7 +1,6 @@
 """Tests of the compiled evaluator of grounds against the expressions that it replaces."""
 
 import gc
-import os
 import pickle
 import subprocess
 import sys
@@ -18,14 +17,7 @@ from slipfree import Bicubic, Grid, SolverOptions, direct_kinematics, settle, si
 from slipfree.catalog import three_wheeler
 from slipfree.terrain import bicubic, kernel
 
-
-@pytest.fixture(autouse=True)
-def built():
-    """Tests run where the package was installed with a compiler, in CI always."""
-    if kernel.library() is None:
-        if os.environ.get("CI"):
-            pytest.fail("the kernel was not built")
-        pytest.skip("no C compiler was found when slipfree was installed")
+pytestmark = pytest.mark.usefixtures("built")
 
 
 def grid(nodes=(30, 40), seed=0, corner=(-3.0, 5.0)):

@@ -164,8 +164,7 @@ def test_rollers_at_90_degrees_are_those_of_an_omni_wheel():
 def test_rollers_along_the_axle_are_refused():
     """At zero degrees the wheel's rate would have no effect, and the contact no force forward."""
     for angle in (0.0, radians(91), np.nan):
-        with pytest.raises(sf.ModelError, match=r"(angle|rollers): expected a"):
-            Omni(Disc(0.1), angle)
+        refuses(sf.ModelError, r"(angle|rollers): expected a", Omni, Disc(0.1), angle)
 
 
 MIRRORED = {"half_track": 0.2, "wheelbase": 0.4, "angle": -pi / 4}

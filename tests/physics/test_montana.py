@@ -245,8 +245,7 @@ def test_straight_over_a_cylindrical_hill():
 def test_what_is_no_montana_model_is_refused():
     ground = GROUNDS["hills"]
     words = r"wheel 'right': .* with r1 > 0, found the edge of disc radius 0.3 m"
-    with pytest.raises(sf.ModelError, match=words):
-        montana_model(three_wheeler(r1=0.0, r2=0.3), ground)
+    refuses(sf.ModelError, words, montana_model, three_wheeler(r1=0.0, r2=0.3), ground)
     with pytest.raises(sf.ModelError, match="kappa: expected a"):
         montana_model(three_wheeler(), ground, kappa=np.nan)
     dae, stand = (

@@ -368,8 +368,7 @@ def test_the_uphill_wheel_is_free_of_load_where_the_vehicle_tips_over():
     assert 0 <= run["force_normal"][0, RIGHT] < 1e-9 * WEIGHT
     assert 0 <= run["tip_over_margin"][0] < 1e-9
     words = r"found a violation: the vehicle tips over: the line of gravity"
-    with pytest.raises(sf.ModelError, match=words):
-        stand(vehicle, slope(np.degrees(TIPPING + 1e-6)), **start)
+    refuses(sf.ModelError, words, stand, vehicle, slope(np.degrees(TIPPING + 1e-6)), **start)
 
 
 @pytest.mark.slow

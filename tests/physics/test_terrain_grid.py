@@ -402,8 +402,7 @@ EVEN = {"start": 1, "end": 2, "rise": 1, "smooth": False}
     ],
 )
 def test_refusals(make, options, words):
-    with pytest.raises(ModelError, match=words):
-        make(blank((0, 4), (0, 4), 0.1), **options)
+    refuses(ModelError, words, make, blank((0, 4), (0, 4), 0.1), **options)
 
 
 # Smoothed absolute values and maxima: without offset far from the kink, without jump at it

@@ -11,6 +11,8 @@ from slipfree.models.dynamics import dynamics
 from slipfree.terrain import bicubic
 from slipfree.vehicle.sections import Disc, Omni, Sphere, Torus
 
+pytestmark = pytest.mark.usefixtures("built")
+
 RADIUS, COUNT = 0.15, 1500
 SECTIONS = [Torus(0.03, 0.12), Disc(0.15), Sphere(0.15), Omni(Torus(0.05, 0.1))]
 
@@ -34,12 +36,6 @@ def questions(terrain):
     axle = rng.standard_normal((3, COUNT)) * [[1.0], [1.0], [0.4]]
     center = height + RADIUS + rng.uniform(-0.04, 0.06, COUNT)
     return np.vstack([place, center, axle / np.linalg.norm(axle, axis=0)])
-
-
-@pytest.fixture(autouse=True)
-def built():
-    if ground(0.0)._kernel is None:
-        pytest.skip("no C compiler was found when slipfree was installed")
 
 
 @pytest.mark.slow

@@ -274,8 +274,7 @@ def test_what_does_not_suit_is_refused():
         ("give a wheel-ground law, such as Coulomb", FIXED, ground, sf.LeastSlip),
         (r"call it: Coulomb\(\)", FIXED, ground, lambda: sf.Coulomb),
     ):
-        with pytest.raises(sf.ModelError, match=words):
-            sf.quasi_statics(vehicle, terrain, law=make())
+        refuses(sf.ModelError, words, sf.quasi_statics, vehicle, terrain, law=make())
     for of in (sf.direct_kinematics, montana_kinematics):
         with pytest.raises(sf.ModelError, match=r"give a slip law, such as LeastSlip\(\) or"):
             of(FIXED, ground, slip=sf.Coulomb())

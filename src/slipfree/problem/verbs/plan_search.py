@@ -30,6 +30,7 @@ from slipfree.core.outcome import Outcome
 from slipfree.core.trajectory import PLAN, PLAN_SHARE, Stop, Trajectory
 from slipfree.enclosure.guarantee import TIP_OVER, guarantee
 from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.limits import UPRIGHT
 from slipfree.plan.constraints import shift_of, unit_words
 from slipfree.plan.guess import guess_motion, settled_start
 from slipfree.plan.ipopt import seconds_left
@@ -305,12 +306,8 @@ def solve_tightened(
     if solved.run.outcome is Outcome.INTERRUPTED:
         raise KeyboardInterrupt
     if not solved.accurate:
-        stop = solved.run.stop
-        raise ModelError(
-            stop.words.splitlines()[0]
-            if stop
-            else "the simulation deviates from the plan by more than plan.accuracy"
-        )
+        away = "the simulation deviates from the plan by more than plan.accuracy"
+        raise ModelError(stop.words.splitlines()[0] if (stop := solved.run.stop) else away)
     return replace(solved, stages=(*before.stages, *solved.stages))
 
 
@@ -438,8 +435,8 @@ class BandBound(NamedTuple):
     """Extreme value of a limited quantity on the grounds of a band, at the tightest sample."""
 
     bound: Bound
-    value: float  # in the unit of the limit, as reported
-    limit: float
+    name: str  # of the quantity
+    value: float  # as reported
     unit: str
     room: float  # between both, negative if the bound is violated
     place: str  # of the sample
@@ -447,7 +444,7 @@ class BandBound(NamedTuple):
     def __str__(self) -> str:
         is_lower = self.bound.side == LOWER
         value = rounded_words(self.value, self.unit, up=not is_lower)
-        return f"{self.bound.name} at {'least' if is_lower else 'most'} {value}, at {self.place}"
+        return f"{self.name} at {'least' if is_lower else 'most'} {value}, at {self.place}"
 
 
 class BandLimits(NamedTuple):
@@ -470,7 +467,8 @@ def band_limits(task: PlanTask, run: Trajectory, error: float) -> BandLimits:
     coordinates, shift = ca.vertcat(x, z[: len(closed)]), dae.shift[1][: len(closed), None]
     ends = ([end[name] for name in closed] - shift for end in (found.low, found.high))
     poses = Intervals(*(np.concatenate([states, end]) for end in ends))
-    places = [f"x = {a:.2f} m, y = {b:.2f} m" for a, b in zip(run["x"], run["y"], strict=True)]
+    ways = np.stack([run["x"], run["y"]], axis=1).round(2) + 0.0  # without -0.00
+    places = [f"x = {x:.2f} m, y = {y:.2f} m" for x, y in ways.tolist()]
     bounds, uncovered = list[BandBound](), list[str]()
     for number, limit in enumerate([*task.limits, *model_limits(task)] if known.any() else ()):
         if not ca.depends_on(limit.expression, z):  # of states, which are given
@@ -492,8 +490,8 @@ def band_limits(task: PlanTask, run: Trajectory, error: float) -> BandLimits:
                 continue
             room = np.where(known, np.nan_to_num(sign * (value - end), nan=-np.inf), np.inf)
             k = int(room.argmin())
-            sizes = float(value[k] + away), end + away, limit.label.unit, float(room[k])
-            bounds.append(BandBound(bound_of(limit, side, ""), *sizes, places[k]))
+            what = bound_of(limit, side, ""), margin, float(value[k] + away), limit.label.unit
+            bounds.append(BandBound(*what, float(room[k]), places[k]))
     reasons = [f"{places[k]}: {found.reasons[k]}" for k in np.flatnonzero(~known)]
     return BandLimits(sorted(bounds, key=attrgetter("room")), reasons, uncovered)
 
@@ -531,7 +529,7 @@ def make_guaranteed(setup: Planning, first: Plan, error: float, progress: PlanPr
         why = f"{count} poses are not guaranteed, the first at {last.unproved[0]}"
     elif missed:
         by = rounded_words(-missed[0].room, missed[0].unit, up=True)
-        why = f"{missed[0]}: misses the bound, {missed[0].limit:.4g} {missed[0].unit}, by {by}"
+        why = f"{missed[0]}, misses its bound by {by}"
     if why and solved.failure:
         why += f"; tighter limits are not solved: {solved.failure}"
     words = (
@@ -540,7 +538,8 @@ def make_guaranteed(setup: Planning, first: Plan, error: float, progress: PlanPr
     )
     facts = {
         "plan_guarantee": Fact(error, "m"),
-        "plan_guarantee_bounds": Fact([str(each) for each in last.bounds]),
+        # the platform's inclination has a wide limit, which tells nothing
+        "plan_guarantee_bounds": Fact([str(it) for it in last.bounds if it.name != UPRIGHT]),
         "plan_guarantee_uncovered": Fact(last.uncovered),
         **tightening_facts(solved, first),
     }
