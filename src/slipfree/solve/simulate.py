@@ -394,7 +394,7 @@ def simulate(
     stops = tuple(each for each in watched if each.event.stop)
     with InterruptGuard() as guard:
         system = with_inputs(model, inputs, t.size - 1, options)
-        watch = system.motion_watch if sampled_work else system.watch
+        watch = system.motion_watch() if sampled_work else system.watch
         method = _method(system, options.method)
         solver = MotionSolver(system, options.tolerance, method, guard, watch)
         samples, counts = _initial_sample(system, start, t[0]), dict.fromkeys(COUNTS, 0.0)

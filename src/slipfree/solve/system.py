@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Callable
+from functools import cache, lru_cache, partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -50,8 +51,9 @@ class System(NamedTuple):
     # ``(t, x, m, u) -> (rates of the quadratures, least distance to a limit of the motion, pace)``;
     # the distance is negative beyond a limit, with lengths in sizes of the vehicle
     watch: ca.Function
-    # the same with zero for rates of quadratures that depend on the dependent blocks
-    motion_watch: ca.Function
+    # returns the same with zero for rates of quadratures that depend on the dependent blocks; built
+    # when it is asked for, since few simulations do
+    motion_watch: Callable[[], ca.Function]
     # blocks and dependent_blocks: the algebraic equations of the motion, and those that are solved
     # after it
     blocks: tuple[Block, ...]
@@ -145,10 +147,7 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
     motion, dependent = blocks[:first], blocks[first:]
     m = z[: motion[-1].span.stop] if motion else z[:0]
     equations = motion_equations(dae, m.numel(), law, u, compiled=compiled)
-    watches = [
-        _watch_function(dae, law, u, watched, dependent, solves, compiled=compiled)
-        for solves in ((True, False) if dependent else (True,))
-    ]
+    watch = partial(_watch_function, dae, law, u, watched, dependent, compiled=compiled)
     # not compiled: outputs contain the origin of the map, so a library would serve one map
     at = [dae.t, *dae.columns()[:2], inputs]
     outputs = model_function(dae, "outputs", at, shown, compiled=False)
@@ -159,8 +158,8 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
         dae,
         np.zeros((u.numel(), 0)),
         equations.core,
-        watches[0],
-        watches[-1],
+        watch(solves=True),
+        cache(partial(watch, solves=False)),
         motion,
         dependent,
         equations.jacobian,
@@ -174,8 +173,8 @@ def _watch_function(
     u: ca.SX,
     watched: list[ca.SX],
     dependent: tuple[Block, ...],
-    solves: bool,
     *,
+    solves: bool,
     compiled: bool,
 ) -> ca.Function:
     """Return the function of quadrature rates, margin and pace.
