@@ -8,7 +8,7 @@ from math import degrees
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
+from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter, uniform_filter
 
 from slipfree.atlas.atlas import Atlas, Band
 from slipfree.core.errors import ModelError
@@ -105,8 +105,9 @@ def survey_lines(facts: dict[str, Fact]) -> Lines:
 class Stand(NamedTuple):
     """Where a vehicle stands on a coarse grid of places and headings.
 
-    ``pose`` is the most level pose: x, y, heading in the frame of the problem, roll and pitch
-    [m, rad]; it is empty if the vehicle stands nowhere. ``facts`` are lines of the summary.
+    ``pose`` is the most level pose where it also stands around: x, y, heading in the frame of the
+    problem, roll and pitch [m, rad]; it is empty if the vehicle stands nowhere. ``facts`` are
+    lines of the summary.
     """
 
     pose: Mapping[str, float]
@@ -120,22 +121,23 @@ def stand(problem: Problem[Any], grid: Grid) -> Stand:
     table = AtlasTable(headings=HEADINGS, every=max(1, min(many // PLACES, few - 1)))
     keys = {name: getattr(spec, name) for name in ("frame", "terrain", "vehicle")}
     setup = build_atlas(replace(problem, spec=AtlasKeys(verb="atlas", atlas=table, **keys)))
-    evaluator = setup.poses(compiled=False)
     x, y, heading = setup.x, setup.y, setup.heading
     values = setup.bands(slice(0, x.size), slice(0, y.size), compiled=False)
-    labels = setup.labels(compiled=False)
-    bands = {name: Band(label, values[name]) for name, label in labels.items()}
-    poses = Atlas(x, y, heading, bands, evaluator.reasons)
+    bands = {k: Band(label, values[k]) for k, label in setup.labels(compiled=False).items()}
+    poses = Atlas(x, y, heading, bands, setup.poses(compiled=False).reasons)
     _, found = setup.site.summary_of(poses, slice(0, x.size), slice(0, y.size))
     allowed = found.codes == 0
     words = f"at {100 * float(allowed.mean()):.3g} % of {allowed.size} poses"
     if not allowed.all():
-        counts = np.bincount(found.codes[~allowed])
-        words += f"; elsewhere mostly: {found.reasons[counts.argmax()]}"
+        often = np.bincount(found.codes[~allowed]).argmax()
+        words += f"; elsewhere mostly: {found.reasons[often]}"
     facts = [(f"{setup.vehicle.name} stands", words)]
     if not allowed.any():
         return Stand({}, facts)
-    tilt = np.where(allowed, np.hypot(poses["roll"], poses["pitch"]), np.inf)
+    # beside holes and borders, a motion would soon end
+    room = uniform_filter(allowed.mean(axis=0), 3, mode="constant").round(9)
+    is_free = allowed & (room == room[allowed.any(axis=0)].max())
+    tilt = np.where(is_free, np.hypot(poses["roll"], poses["pitch"]), np.inf)
     k, i, j = np.unravel_index(tilt.argmin(), tilt.shape)
     turned = float(heading_column(heading[k], spec.frame).values)
     tilts = {name: float(poses[name][k, i, j]) for name in ("roll", "pitch")}
