@@ -207,7 +207,7 @@ def in_time() -> None:
         direct, begin, run = direct_run(t, 1e-13 if sought else 1e-11, **start)
         least = {"least_margin": 0.0} if sought else {}
         dae = inverse_kinematics(VEHICLE, Analytic(hills), given=PLANAR, solve_for="rates", **least)
-        inputs = path_inputs(dae, begin, run["x"], run["y"], run["heading"], t=t)
+        inputs = path_inputs(dae, begin, t, run["x"], run["y"], run["heading"])
         repeated = ""
         if sought:
             found = drive(dae, begin, inputs, t, free_states=["steer"])

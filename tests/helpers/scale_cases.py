@@ -10,7 +10,6 @@ import numpy as np
 import slipfree as sf
 from helpers.cases import PAPER_RATES, hills
 from slipfree.catalog import open_source_rover, three_wheeler
-from slipfree.control.path_following import path_inputs
 from slipfree.core.dae import power_of_length
 from slipfree.laws.protocols import SlipLaw
 from slipfree.models.given_rates import PLANAR
@@ -125,7 +124,8 @@ def path(scale: float, ground: Ground) -> sf.Trajectory:
     x = -scale + radius * (ca.cos(heading) - np.cos(1.0))
     y = radius * (ca.sin(heading) - np.sin(1.0))
     t = np.linspace(0, 6, 61)
-    inputs = path_inputs(back, start, x, y, heading)
+    rates = zip(PLANAR, (x, y, heading), strict=True)
+    inputs = back.inputs(**{name: ca.jacobian(each, back.t) for name, each in rates})
     return drive(
         back, start, inputs, t, free_states=["steer"], options=sf.SolverOptions(tolerance=TOLERANCE)
     ).run

@@ -111,7 +111,7 @@ def test_integrated_rates_come_back_where_the_steering_is_stable():
     t = np.linspace(0, 8, 161)
     _, begin, run = direct_run(HILLS, t, tolerance=1e-11, x=0.3, heading=0.2)
     dae = inverse_kinematics(three_wheeler(), HILLS, given=PLANAR, solve_for="rates")
-    inputs = path_inputs(dae, begin, run["x"], run["y"], run["heading"], t=t)
+    inputs = path_inputs(dae, begin, t, run["x"], run["y"], run["heading"])
     back = simulate(dae, begin, inputs, t, options=SolverOptions(tolerance=1e-10))
     assert back["steering_growth"].max() < 0  # lever times forward speed stays positive
     assert back.stop is None
@@ -167,7 +167,7 @@ def test_crossing_stops_the_rate_form_by_name():
         "'steer_rate' is not determined, since the contact of wheel 'front' lies on the axis of "
         "'steer' (smallest singular value "
     )
-    inputs = path_inputs(dae, begin, run["x"], run["y"], run["heading"], t=t)
+    inputs = path_inputs(dae, begin, t, run["x"], run["y"], run["heading"])
     with pytest.raises(ModelError, match=r"found a violation: .* is not determined, since the con"):
         simulate(dae, run.part(slice(k, k + 1)), inputs, t)
 
@@ -180,7 +180,7 @@ def test_path_passes_where_the_contact_crosses_the_steering_axis():
     found = drive(
         dae,
         begin,
-        path_inputs(dae, begin, run["x"], run["y"], run["heading"], t=t),
+        path_inputs(dae, begin, t, run["x"], run["y"], run["heading"]),
         t,
         free_states=["steer"],
     )
@@ -210,10 +210,11 @@ def test_collocation_of_a_system_with_a_known_slow_solution():
     heading = rate * dae.t  # the middle of the rear axle moves along its own heading
     x = 0.5 * (1 - ca.sin(heading)) - 0.5 - 6.75 * (1 - ca.cos(heading))
     y = 0.5 * ca.cos(heading) - 0.5 + 6.75 * ca.sin(heading)
+    path = zip(PLANAR, (x, y, heading), strict=True)
     found = drive(
         dae,
         begin,
-        path_inputs(dae, begin, x, y, heading),
+        dae.inputs(**{name: ca.jacobian(each, dae.t) for name, each in path}),
         np.linspace(0, 4, 41),
         free_states=["steer"],
     )
@@ -355,16 +356,15 @@ def test_paths_are_checked():
     other = inverse_kinematics(three_wheeler(), HILLS, given=VELOCITY, solve_for="rates")
     begin = settle(closure_model(three_wheeler(), HILLS))
     t, still = np.linspace(0, 1, 11), np.zeros(11)
-    path_inputs(dae, begin, still, t, still + 2 * np.pi, t=t)  # a whole turn is none
+    path_inputs(dae, begin, t, still, t, still + 2 * np.pi)  # a whole turn is none
     for words, model, path, times in (
         ("heading of the start, found y = 1 instead of 0", dae, (still, 1 + t, still), t),
         ("expected at least 6 way-points, found 5", dae, (still[:5], t[:5], still[:5]), t[:5]),
         (r"expected 11 values each of x, y and heading, .*\(5,\)", dae, (still, t, still[:5]), t),
         ("expected finite times and values", dae, (still * np.nan, t, still), t),
         ("expected an inverse model with the inputs velocity_x", other, (still, t, still), t),
-        (r"expected expressions of model\.t only", dae, (dae.x.y, dae.t, 0 * dae.t), None),
     ):
-        refuses(ModelError, words, path_inputs, model, begin, *path, t=times)
+        refuses(ModelError, words, path_inputs, model, begin, times, *path)
 
 
 def test_drives_are_checked():

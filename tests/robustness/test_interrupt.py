@@ -541,7 +541,7 @@ def test_a_fit_keeps_its_last_accepted_estimate(folder, monkeypatch, at, rows):
 def test_a_comparison_keeps_its_finished_vehicles(monkeypatch):
     problem = HILLS.with_name("compare_axles.toml")
     pressed, _ = pressing(compare.build_vehicle, at=2)
-    monkeypatch.setattr(compare, "build_vehicle", pressed)
+    monkeypatch.setattr(compare.build, "build_vehicle", pressed)
     brief = ["--set", "time.duration=0.1", "--set", "time.step=0.02"]
     found = invoke("compare", str(problem), *brief, code=130)
     assert re.fullmatch(r"interrupted; the table contains 1 of \d+ vehicles\n", found.stderr)

@@ -77,14 +77,7 @@ def atlas(
         GeoTIFF of the maps over the headings, or netCDF file of all poses; repeatable. Default:
         PROBLEM.tif, or MAP_VEHICLE_atlas.tif, in the current folder.
     """
-    from slipfree.problem.atlas_tiles import (
-        TileFolder,
-        input_states,
-        overview,
-        run_tiles,
-        summary_lines,
-        write_file,
-    )
+    from slipfree.problem import atlas_tiles
     from slipfree.problem.inputs import files_read
     from slipfree.problem.verbs.atlas import build_atlas
 
@@ -102,7 +95,7 @@ def atlas(
         problem = _read(file, vehicle, [*own, *(settings or [])], trust)
     named = file.stem if vehicle is None else f"{file.stem}_{Path(vehicle).stem}_atlas"
     outs = out or [Path(f"{named}.tif")]
-    states = input_states(problem)
+    states = atlas_tiles.input_states(problem)
     figures = outs[0].with_name(f"{outs[0].stem}_figures")
     inputs = files_read(problem)
     outputs.check_outputs(outs, inputs, endings=ENDINGS, folder=figures if draw else None)
@@ -111,16 +104,16 @@ def atlas(
     console.print_facts(setup.facts)
     for words in setup.warnings:
         console.warn(words)
-    with TileFolder(outs[0], setup, states) as tiles:
+    with atlas_tiles.TileFolder(outs[0], setup, states) as tiles:
         with console.studying("tiles", tiles) as watch:
-            run_tiles(setup, tiles, workers, watch)
+            atlas_tiles.run_tiles(setup, tiles, workers, watch)
             files = [
-                outputs.save(each, lambda path: write_file(path, setup, tiles)) for each in outs
+                outputs.save(each, lambda path: atlas_tiles.write_file(path, setup, tiles))
+                for each in outs
             ]
-            contents = overview(setup.x, setup.y, setup.site, tiles.tiles())
+            view, facts = atlas_tiles.overview(setup.x, setup.y, setup.site, tiles.tiles())
         tiles.remove()
-    facts = contents.facts
-    console.print_facts(summary_lines(facts))
+    console.print_facts(atlas_tiles.summary_lines(facts))
     console.add_json("atlas", lambda: {name: fact._asdict() for name, fact in facts.items()})
     if not facts["allowed_share"].value:
         console.warn("no pose is allowed; the summary lists the reasons")
@@ -128,7 +121,7 @@ def atlas(
     if draw:
         from slipfree.show.atlas_figures import atlas_plots
 
-        plots = outputs.draw(atlas_plots(contents.view), figures)
+        plots = outputs.draw(atlas_plots(view), figures)
         console.print_line(f"drew {', '.join(each.stem for each in plots)} in {figures}")
 
 

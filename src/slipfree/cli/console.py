@@ -171,7 +171,14 @@ def with_output_options(command: Callable[..., None]) -> Callable[..., None]:
         pairs = zip((quiet, verbose, json), _global_options[0], strict=True)
         options = OutputOptions(*map(any, pairs))
         with _collecting(command.__name__, options):
-            _check_folder()
+            try:
+                Path.cwd()
+            except OSError as error:
+                print_error(
+                    "expected a current folder that exists, found that it was removed "
+                    f"({error.strerror}); change to another folder: cd DIR"
+                )
+                raise typer.Exit(BAD_INPUT) from error
             if options.quiet and options.verbose:
                 print_error("expected --quiet or --verbose, found both; remove one of them")
                 raise typer.Exit(BAD_INPUT)
@@ -228,17 +235,6 @@ def _unexpected_reported(file: Path | None) -> Iterator[None]:
         print_error(
             f"{file or 'command'}: {UNEXPECTED} {__version__} ({words}); report it to the "
             "developers of slipfree, with the file and the traceback that --verbose prints"
-        )
-        raise typer.Exit(BAD_INPUT) from error
-
-
-def _check_folder() -> None:
-    try:
-        Path.cwd()
-    except OSError as error:
-        print_error(
-            "expected a current folder that exists, found that it was removed "
-            f"({error.strerror}); change to another folder: cd DIR"
         )
         raise typer.Exit(BAD_INPUT) from error
 
@@ -535,8 +531,7 @@ def show(facts: list[tuple[str, str]]) -> None:
 
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_column(style="bold")
-    table.add_column()
-    for name, value in facts:
+    for name, value in facts:  # a second column is added by its first text
         table.add_row(Text(visible(name)), Text(visible(value)))
     Console().print(table)
 

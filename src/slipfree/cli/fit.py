@@ -213,15 +213,10 @@ def _log_fit(
         )
 
     ends = ("windows",) if contents is not None else ("errors", "windows")
-    return _FitWork(
-        [*files_read(problem), *files, *predict],
-        ends,
-        solve,
-        "vehicle",
-        "logs that determine",
-        "logs with other manoeuvres",
-        is_without_vehicle=problem.spec.vehicle is None or contents is not None,
-    )
+    inputs = [*files_read(problem), *files, *predict]
+    words = "vehicle", "logs that determine", "logs with other manoeuvres"
+    is_bare = problem.spec.vehicle is None or contents is not None
+    return _FitWork(inputs, ends, solve, *words, is_without_vehicle=is_bare)
 
 
 def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
@@ -232,8 +227,7 @@ def _soil_fit(file: Path, settings: list[str]) -> _FitWork:
 
     def solve() -> _FitResult:
         fitted = wheel_test.fit_wheel_file(contents)
-        fit = fitted.fit
-        constants = wheel_test.constant_rows(fit)
+        fit, constants = fitted.fit, wheel_test.constant_rows(fitted.fit)
         return _FitResult(
             wheel_test.fit_facts(fitted),
             [constants, wheel_test.point_rows(fitted)],
@@ -286,7 +280,6 @@ def wheel(
         if write:
             raise ModelError(f"{file}: expected --fit with --write, found none; add --fit")
         from slipfree.files.tables import write_rows
-        from slipfree.fit.wheel_soil import QUANTITIES
         from slipfree.problem.wheel_test import (
             measured_points,
             run_wheel_file,
@@ -302,11 +295,9 @@ def wheel(
         files = [save(table, lambda path: write_rows(path, names, rows))]
         console.print_facts(wheel_facts(test))
         if picture is not None:
-            from slipfree.show.sweep_figures import DrawnWheel, wheel_plot
+            from slipfree.show.sweep_figures import wheel_plot
 
-            values = {name: getattr(test.curves, name) for name in QUANTITIES}
-            points = measured_points(test.file.runs)
-            load = test.file.spec.wheel.load
-            drawn = DrawnWheel(*test.curves[:2], load, values, points)
-            files += draw_plots([wheel_plot(picture.stem, drawn)], picture.parent)
+            points, load = measured_points(test.file.runs), test.file.spec.wheel.load
+            plot = wheel_plot(picture.stem, test.curves, load, points)
+            files += draw_plots([plot], picture.parent)
         console.print_line(f"wrote {' and '.join(map(str, files))}")

@@ -153,7 +153,7 @@ def info(file: ResultFile, problem: Annotated[bool, typer.Option("--problem")] =
     with console.about(file):
         from slipfree.files.atlas_files import is_atlas
         from slipfree.files.netcdf import FIT, attributes_of, read
-        from slipfree.problem.result import STORED, facts_of, motion_facts
+        from slipfree.problem.result import STORED, facts_of
         from slipfree.problem.verbs.base import outcome_fact, ranges
 
         if is_atlas(file):
@@ -180,17 +180,17 @@ def info(file: ResultFile, problem: Annotated[bool, typer.Option("--problem")] =
             console.add_json("problem", lambda: text)
             typer.echo(console.visible(text) if sys.stdout.isatty() else text, nl=False)
             return
-        facts = motion_facts(motion)
+        facts, summary = facts_of(motion)
         lines = [(name.replace("_", " "), value) for name, value in attributes.items()]
         console.print_facts(
-            [outcome_fact(motion), *(each for each in lines if each not in facts), *facts]
+            [outcome_fact(motion), *(each for each in lines if each not in summary), *summary]
         )
         if go_on := resume_command(motion, file):
             console.print_line(f"to resume: {go_on}")
         console.print_line()
         console.add_json("outcome", motion.outcome.name.lower)
         console.add_json("attributes", lambda: attributes)
-        console.add_json("result", lambda: motion_json(motion, facts_of(motion)))
+        console.add_json("result", lambda: motion_json(motion, facts))
         console.show(ranges(motion))
 
 
@@ -224,7 +224,7 @@ def export(
     with console.about(file):
         from slipfree.files.mcap import ros_package
         from slipfree.files.netcdf import export_path, export_rates
-        from slipfree.problem.result import export_mcap, result_files
+        from slipfree.problem.result import export_code, export_mcap, result_files
 
         if mcap is not None:
             ros_package()
@@ -236,7 +236,13 @@ def export(
                 f"{'add one of them' if code is None else 'omit --c'}"
             )
         if code is not None:
-            _export_code(file, code, trust)
+            console.refuse_result(file)
+            files, command = export_code(file, code, trust or ())
+            for each in files:
+                console.add_json_file(each)
+                console.print_line(f"wrote {each}")
+            console.add_json("test", lambda: command)
+            console.print_line(f"to test: {command}")
             return
         check_outputs(outputs, result_files(file))
         for out, write in ((path, export_path), (rates, export_rates), (mcap, export_mcap)):
@@ -244,15 +250,3 @@ def export(
                 write(file, out)
                 console.add_json_file(out)
                 console.print_line(f"wrote {out}")
-
-
-def _export_code(file: Path, folder: Path, trust: list[Path] | None) -> None:
-    from slipfree.problem.result import export_code
-
-    console.refuse_result(file)
-    files, command = export_code(file, folder, trust or ())
-    for out in files:
-        console.add_json_file(out)
-        console.print_line(f"wrote {out}")
-    console.add_json("test", lambda: command)
-    console.print_line(f"to test: {command}")

@@ -191,7 +191,14 @@ def examples(
     """
     shipped = _shipped()
     if not names and to is None:
-        _list(shipped)
+        rows, width = [], max(map(len, shipped))
+        for name, file in shipped.items():
+            data = tomllib.loads(file.read_text(encoding="utf-8"))
+            verb, title = data.get("verb", "vehicle"), data.get("title") or data.get("name", "")
+            rows.append({"name": name, "verb": verb, "title": title})
+            print_line(f"{name:{width}}  {verb:8} {title}")
+        add_json("examples", lambda: rows)
+        print_line("\ncopy one: slipfree examples NAME; all: slipfree examples --to DIR")
         return
     wanted = dict.fromkeys(name.removesuffix(".toml") for name in names or shipped)
     for name in wanted:
@@ -218,18 +225,6 @@ def _folder(name: str = SHIPPED) -> Traversable:
     from importlib.resources import files
 
     return files("slipfree") / name
-
-
-def _list(shipped: Mapping[str, Traversable]) -> None:
-    rows, width = [], max(map(len, shipped))
-    for name, file in shipped.items():
-        data = tomllib.loads(file.read_text(encoding="utf-8"))
-        verb, title = data.get("verb", "vehicle"), data.get("title") or data.get("name", "")
-        rows.append({"name": name, "verb": verb, "title": title})
-    add_json("examples", lambda: rows)
-    for row in rows:
-        print_line(f"{row['name']:{width}}  {row['verb']:8} {row['title']}")
-    print_line("\ncopy one: slipfree examples NAME; all: slipfree examples --to DIR")
 
 
 def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force: bool) -> None:

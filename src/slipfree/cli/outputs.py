@@ -19,7 +19,7 @@ from slipfree.system.regular_files import check_ending, check_name, check_target
 
 if TYPE_CHECKING:
     from slipfree.core.facts import Facts
-    from slipfree.core.trajectory import Stop, Trajectory
+    from slipfree.core.trajectory import Trajectory
     from slipfree.problem.problem import Problem
     from slipfree.show.plots import Plot
 
@@ -37,17 +37,12 @@ def motion_json(run: Trajectory, facts: Facts) -> dict[str, Any]:
     return {
         "samples": run.t.size,
         "time": {"unit": "s", "first": run.t[0], "last": run.t[-1]},
-        "stop": stop_json(run.stop),
+        "stop": run.stop and {"name": run.stop.name, "time": run.stop.t, "words": run.stop.words},
         "wheels": run.wheels,
         "quantities": quantities(run),
         "facts": {name: fact._asdict() for name, fact in facts.items()},
         "statistics": run.statistics,
     }
-
-
-def stop_json(stop: Stop | None) -> dict[str, Any] | None:
-    """Return name, time [s] and description of a stop; None without a stop."""
-    return None if stop is None else {"name": stop.name, "time": stop.t, "words": stop.words}
 
 
 def quantities(run: Trajectory) -> dict[str, Any]:
@@ -123,11 +118,24 @@ def check_outputs(
         if path is not None:
             check_separate(path)
             taken.append(path)
-            _check_file(path)
+            check_name(path)
+            check_target(path)
+            above = path.parent
+            if not above.is_dir():
+                found, remedy = "none", "create it, or choose another folder"
+                if above.exists():
+                    found, remedy = "a file", "choose another folder"
+                expected = f"a folder {above} to write to"
+                raise DataError(f"{path}: expected {expected}, found {found}; {remedy}")
+            _check_writable(path, above)
             if endings:
                 check_ending(path, endings)
     if folder is not None:
-        _check_folder(folder)
+        check_name(folder)
+        if folder.exists() and not folder.is_dir():
+            raise DataError(f"{folder}: expected a folder, found a file; choose another folder")
+        above = next(each for each in (folder, *folder.absolute().parents) if each.is_dir())
+        _check_writable(folder, above)
         taken.clear()
         for path in (each for name in names for each in folder.glob(name)):
             check_separate(path)
@@ -211,27 +219,6 @@ def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any])
                 f"{where}: expected a new file or a figure of an earlier run, found the file "
                 f"{path}, which is neither; choose another folder: --figures DIR"
             )
-
-
-def _check_file(path: Path) -> None:
-    check_name(path)
-    check_target(path)
-    if not path.parent.is_dir():
-        found, remedy = "none", "create it, or choose another folder"
-        if path.parent.exists():
-            found, remedy = "a file", "choose another folder"
-        raise DataError(
-            f"{path}: expected a folder {path.parent} to write to, found {found}; {remedy}"
-        )
-    _check_writable(path, path.parent)
-
-
-def _check_folder(folder: Path) -> None:
-    check_name(folder)
-    if folder.exists() and not folder.is_dir():
-        raise DataError(f"{folder}: expected a folder, found a file; choose another folder")
-    above = next(each for each in (folder, *folder.absolute().parents) if each.is_dir())
-    _check_writable(folder, above)
 
 
 def _check_writable(path: Path, folder: Path) -> None:

@@ -200,16 +200,11 @@ def edit(
     file : path
         Planning problem (TOML).
     """
-    _serve(file, port, trust or [], browser=browser)
-
-
-def _serve(file: Path, port: int, trust: list[Path], *, browser: bool) -> None:
-    """Serve the page on which a plan is edited until the user interrupts it."""
     from slipfree.files.urdf.xacro import trusted_paths
     from slipfree.problem.plan_edit import Desk, read_document, state_of
     from slipfree.show.local_server import Gate, json_content, start_server
 
-    desk = Desk(read_document(file, trusted_paths(trust)), _page_drawer())
+    desk = Desk(read_document(file, trusted_paths(trust or [])), _page_drawer())
     get = {
         "/": lambda: desk.session.page.html,
         "/map.png": lambda: desk.session.page.image,
@@ -237,7 +232,7 @@ def _page_drawer() -> Callable[[Document], PlanPage]:
     from slipfree.problem.build_ground import build_ground
     from slipfree.problem.build_vehicle import build_vehicle
     from slipfree.problem.plan_edit import PLACES, way_points_in
-    from slipfree.show.html_page import PlanMap, plan_page
+    from slipfree.show.html_page import plan_page
 
     last: tuple[object, PlanPage] | None = None
 
@@ -247,11 +242,10 @@ def _page_drawer() -> Callable[[Document], PlanPage]:
         spec, file = problem.spec, document.path
         others = spec.model_dump(exclude={*PLACES})
         if last is None or last[0] != others:
-            ground = build_ground(problem)
-            vehicle = build_vehicle(problem)
-            title, way_points = spec.title or file.stem, way_points_in(problem)
-            plan_map = PlanMap(title, file, spec.frame, ground.grid, vehicle, way_points)
-            last = others, plan_page(plan_map)
+            drawn = build_ground(problem).grid, build_vehicle(problem)
+            more: dict[str, Any] = {"way_points": way_points_in(problem)}
+            more["north_heading"] = spec.frame == "paper"
+            last = others, plan_page(spec.title or file.stem, file, *drawn, **more)
         return last[1]
 
     return draw

@@ -11,18 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slipfree.cli import console
-from slipfree.cli.console import (
-    INTERRUPTED,
-    MAX_PROCESSES,
-    STOPPED,
-    Draw,
-    File,
-    Processes,
-    Scheduler,
-    Settings,
-    Trust,
-    output_option,
-)
 from slipfree.cli.outputs import check_outputs, save
 from slipfree.cli.outputs import draw as draw_plots
 from slipfree.core.errors import ModelError
@@ -40,7 +28,9 @@ MAX_KEYS = 2  # largest number of varied keys in figures
 FIGURES = "figures"  # folder of the figures of a sweep
 
 
-def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
+def compare(
+    file: console.File, settings: console.Settings = None, trust: console.Trust = None
+) -> None:
     """Compare the slip of several vehicles on one ground.
 
     Print whether each vehicle can roll without slip, and the slip that remains otherwise.
@@ -54,12 +44,10 @@ def compare(file: File, settings: Settings = None, trust: Trust = None) -> None:
         is_interrupted = interrupt_requested()
     console.print_facts(ground_facts(ground))
     console.add_json("vehicles", lambda: rows)
-    for words, drive in (
-        ("at the same rates", "same_rates"),
-        ("at the rates of the driving law", "driving_law"),
-    ):
+    drives = {"same_rates": "same rates", "driving_law": "rates of the driving law"}
+    for drive, words in drives.items():
         wheels = ", ".join(rows[0]["wheels"])
-        console.print_line(f"\n{words}: largest slip of the wheels {wheels} [mm/s]")
+        console.print_line(f"\nat the {words}: largest slip of the wheels {wheels} [mm/s]")
         shown = list[dict[str, Any]]()
         for row in rows:
             motion = row[drive]
@@ -94,22 +82,22 @@ def _exit(*kept: str, is_interrupted: bool, code: int = 0) -> None:
     """Exit with a code if a study is interrupted or incomplete; say what is kept."""
     if is_interrupted:
         console.print_error("; ".join(["interrupted", *kept]))
-        raise typer.Exit(INTERRUPTED)
+        raise typer.Exit(console.INTERRUPTED)
     if code:
         raise typer.Exit(code)
 
 
 def pareto(
-    file: File,
+    file: console.File,
     against: Annotated[str, typer.Option(metavar="NAME")] = "duration",
     points: Annotated[int, typer.Option(min=2, max=1000, metavar="N")] = 7,
-    settings: Settings = None,
-    out: Annotated[Path | None, output_option("DIR")] = None,
+    settings: console.Settings = None,
+    out: Annotated[Path | None, console.output_option("DIR")] = None,
     processes: Annotated[
-        int, typer.Option("-j", "--processes", min=1, max=MAX_PROCESSES, metavar="P")
+        int, typer.Option("-j", "--processes", min=1, max=console.MAX_PROCESSES, metavar="P")
     ] = 1,
-    draw: Draw = True,
-    trust: Trust = None,
+    draw: console.Draw = True,
+    trust: console.Trust = None,
 ) -> None:
     """Plan motions of least slip against duration, effort or energy.
 
@@ -133,7 +121,6 @@ def pareto(
         GIVEN,
         FrontFolder,
         front_facts,
-        front_plot,
         front_rows,
         plan_front,
         table_lines,
@@ -158,7 +145,7 @@ def pareto(
         lines = [[*row.values()] for row in rows]
         save(folder / FRONT[0], lambda path: write_rows(path, [*rows[0]], lines))
         code = front.outcome.exit_code
-        is_interrupted = interrupt_requested() or code == INTERRUPTED
+        is_interrupted = interrupt_requested() or code == console.INTERRUPTED
         if not is_interrupted:
             parts.remove()
     console.print_facts(front_facts(front))
@@ -166,7 +153,10 @@ def pareto(
     console.add_json("points", lambda: rows)
     draw = draw and not is_interrupted
     if draw:
-        draw_plots([front_plot(front)], folder)
+        from slipfree.show.sweep_figures import front_plot
+
+        drawn = front_plot(front.against, front.unit, front.points, front.given)
+        draw_plots([drawn], folder)
     console.print_line(f"wrote table, plans{' and figure' if draw else ''} in {folder}")
     if code:
         unsolved = sum(not each.is_solved for each in front.points)
@@ -180,14 +170,14 @@ def pareto(
 
 def track(
     file: Annotated[Path, typer.Argument(metavar="PLAN.nc")],
-    settings: Settings = None,
+    settings: console.Settings = None,
     by: Annotated[list[str] | None, typer.Option(metavar="WAY")] = None,
     disturb: Annotated[list[str] | None, typer.Option(metavar="NAME=SIZE")] = None,
     seeds: Annotated[int, typer.Option(metavar="COUNT", min=1)] = 1,
     period: Annotated[float | None, typer.Option(metavar="SECONDS")] = None,
     window: Annotated[float | None, typer.Option(metavar="SECONDS")] = None,
-    out: Annotated[Path | None, output_option("OUT.nc")] = None,
-    draw: Draw = True,
+    out: Annotated[Path | None, console.output_option("OUT.nc")] = None,
+    draw: console.Draw = True,
 ) -> None:
     """Follow a plan in a changed world, in several ways.
 
@@ -221,21 +211,16 @@ def track(
     with console.about(file):
         from slipfree.files.netcdf import write
         from slipfree.problem.result import result_files
-        from slipfree.problem.verbs.plan_tracking import (
-            WAYS,
-            follow_plan,
-            tracking_lines,
-            tracking_rows,
-        )
+        from slipfree.problem.verbs import plan_tracking
 
         with regular_file(file, "a result file of slipfree"):
             picture = out.with_suffix(".png") if out is not None and draw else None
             check_outputs([out, picture], result_files(file))
         with console.studying("motions") as watch:
-            test = follow_plan(
+            test = plan_tracking.follow_plan(
                 file,
                 settings or [],
-                by=tuple(dict.fromkeys(by or WAYS)),
+                by=tuple(dict.fromkeys(by or plan_tracking.WAYS)),
                 disturb=_disturbances(disturb or []),
                 seeds=seeds,
                 period=period,
@@ -251,8 +236,8 @@ def track(
             is_interrupted = interrupt_requested()
             if test.parts is not None and not is_interrupted:
                 test.parts.remove()
-        rows = tracking_rows(test)
-        console.print_line("\n".join(tracking_lines(rows)))
+        rows = plan_tracking.tracking_rows(test)
+        console.print_line("\n".join(plan_tracking.tracking_lines(rows)))
         console.add_json("motions", lambda: rows)
         if out is not None and results:
             console.print_line(f"wrote {out}")
@@ -287,20 +272,20 @@ def _disturbances(words: Sequence[str]) -> dict[str, float]:
 
 
 def sweep(
-    file: File,
+    file: console.File,
     vary: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUES")] = None,
     repeat: Annotated[int | None, typer.Option(min=1, max=100000, metavar="N")] = None,
     seed: Annotated[int, typer.Option(metavar="SEED", min=0)] = 1,
-    settings: Settings = None,
-    out: Annotated[Path | None, output_option("DIR")] = None,
-    processes: Processes = None,
-    scheduler: Scheduler = None,
+    settings: console.Settings = None,
+    out: Annotated[Path | None, console.output_option("DIR")] = None,
+    processes: console.Processes = None,
+    scheduler: console.Scheduler = None,
     keep: Annotated[bool, typer.Option("--keep")] = False,
     again: Annotated[bool, typer.Option("--again")] = False,
     figures: Annotated[list[str] | None, typer.Option("--figure", metavar="NAME")] = None,
-    draw: Draw = True,
+    draw: console.Draw = True,
     dry_run: Annotated[bool, typer.Option("--dry-run")] = False,
-    trust: Trust = None,
+    trust: console.Trust = None,
 ) -> None:
     """Run a problem for many values and seeds.
 
@@ -389,7 +374,7 @@ def sweep(
                 console.add_json_file(path)
             console.print_line(f"drew {len(paths)} files in {folder / FIGURES}")
     if rows.ended(FAILED, LOST):
-        raise typer.Exit(STOPPED)
+        raise typer.Exit(console.STOPPED)
 
 
 def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
@@ -397,8 +382,7 @@ def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
     from slipfree.sweep import Rows, plan_facts
     from slipfree.system.parts import LOG
 
-    facts = plan_facts(plan)
-    left, words = plan.count, "not known before the first run"
+    facts, left, words = plan_facts(plan), plan.count, "not known before the first run"
     if (folder / LOG).is_file():
         with Rows(folder, plan.count, plan.head) as rows:
             left -= len(rows)

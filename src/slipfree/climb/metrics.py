@@ -146,7 +146,5 @@ def _wheel_rates(run: Trajectory) -> Array:
 
 def _mean_size(ratios: Array) -> Array:
     """Return the means of absolute values clipped to one, ignoring NaN; NaN if all are NaN."""
-    sizes = np.minimum(np.abs(ratios), 1)
-    known: Mask = ~np.isnan(sizes)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.where(known, sizes, 0).sum(axis=0) / known.sum(axis=0))
+    sizes = np.ma.masked_invalid(np.minimum(np.abs(ratios), 1))
+    return np.ma.filled(sizes.mean(axis=0), np.nan)

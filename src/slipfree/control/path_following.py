@@ -435,25 +435,17 @@ MAX_START_DISTANCE = 1e-6  # largest distance of the path from the start [vehicl
 
 
 def path_inputs(
-    model: Dae,
-    start: Trajectory,
-    x: ca.SX | Array,
-    y: ca.SX | Array,
-    heading: ca.SX | Array,
-    *,
-    t: Array | None = None,
+    model: Dae, start: Trajectory, t: Array, x: Array, y: Array, heading: Array
 ) -> Record:
     """Return the inputs of an inverse model along a timed path.
 
-    The model has the given rates velocity_x, velocity_y and heading_rate. Position and heading of
-    the platform's centre are expressions of ``model.t``, or values at the times ``t``, at least
-    six, which a spline of degree five interpolates [m, rad]; beyond them the rates stay constant.
-    The path begins at the last sample of ``start``.
+    The model has the given rates velocity_x, velocity_y and heading_rate. A spline of degree five
+    interpolates position and heading of the platform's centre at the times ``t``, at least six
+    [m, rad]; beyond them the rates stay constant. The path begins at the last sample of ``start``.
 
-    ModelError is raised if the model has other inputs; if the path depends on symbols other than
-    ``model.t``; if there are fewer than six times, if their number is not that of the values, if a
-    value is not finite, or if the times do not increase; or if the path does not begin at the
-    start.
+    ModelError is raised if the model has other inputs; if there are fewer than six times, if their
+    number is not that of the values, if a value is not finite, or if the times do not increase; or
+    if the path does not begin at the start.
     """
     names = tuple(model.input_names)
     if set(names) != set(PLANAR):
@@ -461,19 +453,8 @@ def path_inputs(
             f"path: expected an inverse model with the inputs {', '.join(PLANAR)}, found "
             f"{', '.join(names)}; build it with inverse_kinematics(..., given={PLANAR})"
         )
-    if t is None:
-        path = ca.vertcat(x, y, heading)
-        foreign = [symbol for symbol in ca.symvar(path) if not ca.is_equal(symbol, model.t)]
-        if foreign:
-            raise ModelError(
-                f"path: expected expressions of model.t only, found the symbols {foreign}; replace "
-                "them by numbers or functions of model.t"
-            )
-        first = np.array(ca.Function("first", [model.t], [path])(0.0)).ravel()
-        velocity = ca.jacobian(path, model.t)
-    else:
-        t, points = check_way_points(t, x, y, heading)
-        first, velocity = points[:, 0], _splines(t, points.T, model.t)[1]
+    t, points = check_way_points(t, x, y, heading)
+    first, velocity = points[:, 0], _splines(t, points.T, model.t)[1]
     there = np.array([start.in_frame("paper")[name][-1] for name in ("x", "y", "heading")])
     gaps = (first - there) / [model.size, model.size, 1.0]
     gaps[2] = (gaps[2] + np.pi) % (2 * np.pi) - np.pi
@@ -537,9 +518,7 @@ def track_path(model: Dae, t: Array, x: Array, y: Array, heading: Array) -> tupl
     return with_outputs(model, [(apart, ca.hypot(east, north)), (turned, turn)]), inputs
 
 
-def check_way_points(
-    t: Array, x: ca.SX | Array, y: ca.SX | Array, heading: ca.SX | Array
-) -> tuple[Array, Array]:
+def check_way_points(t: Array, x: Array, y: Array, heading: Array) -> tuple[Array, Array]:
     """Return times and values of way-points, shapes (n,) and (3, n).
 
     ModelError is raised unless these are six or more finite way-points with increasing times.

@@ -351,15 +351,12 @@ class Fitted(NamedTuple):
             n = campaigns.size
             parts = [np.abs(self.errors[own & (self.campaign == each)]) for each in campaigns]
             known = [part for part in parts if len(part) >= LEAST_WINDOWS]
-            logs = (
-                np.log(np.maximum([np.median(part, axis=0) for part in known], LEAST_DEVIATION))
-                if len(known) > 1
-                else np.zeros((1, 3))
+            medians = (
+                [np.median(part, axis=0) for part in known] if len(known) > 1 else [np.ones(3)]
             )
-            squares = ((logs - logs.mean(axis=0)) ** 2).sum(axis=0)
-            tau = np.sqrt(
-                (PRIOR_CAMPAIGNS * SPREAD**2 + squares) / (PRIOR_CAMPAIGNS + len(logs) - 1)
-            )
+            logs = np.log(np.maximum(medians, LEAST_DEVIATION))
+            squares = PRIOR_CAMPAIGNS * SPREAD**2 + len(logs) * logs.var(axis=0)
+            tau = np.sqrt(squares / (PRIOR_CAMPAIGNS + len(logs) - 1))
             factor = np.exp(QUANTILE * tau * np.sqrt(1 + 1 / n))
             rows = surface == name
             widths[:, rows] = (factor * [conformal(each) for each in self.errors[own].T])[:, None]

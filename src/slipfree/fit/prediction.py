@@ -195,20 +195,7 @@ class Predictor:
         receiver, tilt = q["sensor_ahead"] - 1j * q["sensor_right"], None
         if self._slopes:
             tilt = _PathSlopes(self, self._slopes, receiver, q["sensor_heading"])
-        return simulate(
-            self._chassis,
-            self._constants(lanes),
-            self._signals(q),
-            self._rows,
-            self._dt,
-            tilt,
-            self._lengths,
-            self._lead - round(RECENT / self._dt),
-        )
-
-    def _constants(self, lanes: Lanes) -> Constants:
-        q = lanes.values
-        return Constants(
+        constants = Constants(
             lanes.radius,
             q["track"] / (2 * self.model.half_track),
             q["center_of_mass_ahead"] - 1j * q["center_of_mass_right"],
@@ -219,6 +206,16 @@ class Predictor:
             q["anisotropy"],
             q["turn_slope"],
             inertia=float(self.model.fixed.get("inertia", 1.0)),
+        )
+        return simulate(
+            self._chassis,
+            constants,
+            self._signals(q),
+            self._rows,
+            self._dt,
+            tilt,
+            self._lengths,
+            self._lead - round(RECENT / self._dt),
         )
 
     def _signals(self, q: Mapping[str, Array]) -> Array:

@@ -242,13 +242,10 @@ def repeat_spread(runs: WheelRuns) -> Array:
     squares, freedom = np.zeros(len(QUANTITIES)), np.zeros(len(QUANTITIES))
     for number in np.unique(runs.run):
         rows = runs.run == number
-        values = runs.values[rows]
+        values = np.ma.masked_invalid(runs.values[rows])
         if len(values) > 1 and np.ptp(runs.motion[:, rows], axis=1).max() < SAME_MOTION:
-            known = np.isfinite(values)
-            count = known.sum(axis=0)
-            mean = np.where(known, values, 0).sum(axis=0) / np.maximum(count, 1)
-            squares += np.where(known, (values - mean) ** 2, 0).sum(axis=0)
-            freedom += np.maximum(count - 1, 0)
+            squares += np.ma.filled((values.anom(axis=0) ** 2).sum(axis=0), 0.0)
+            freedom += np.maximum(values.count(axis=0) - 1, 0)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(squares > 0, np.sqrt(squares / freedom), np.nan)
 
@@ -287,9 +284,13 @@ class SoilProblem:
                     f"{low:.4g} and {high:.4g} with the limits of 'peak' and 'peak_rate'; change "
                     "the bounds, or fit only one of both"
                 )
+        # deviation of the prior, nominal or usual value, or a tenth of the range
         sizes = [
-            _scale(unknown, value, *pair)
-            for unknown, value, pair in zip(unknowns, self.nominal, limits, strict=True)
+            (unknown.prior and unknown.prior[1])
+            or abs(value)
+            or abs(float(getattr(Soil(), unknown.quantity)))
+            or (high - low) / 10
+            for unknown, value, (low, high) in zip(unknowns, self.nominal, limits, strict=True)
         ]
         scales, constants = np.array(sizes), law_constants(soil)
         labels = tuple(replace(constants[each.quantity], name=each.name) for each in unknowns)
@@ -355,14 +356,6 @@ def _limits(unknown: Unknown, soil: Soil, names: Sequence[str]) -> tuple[float, 
     elif unknown.quantity == "peak_rate":
         high = min(high, 1 / 3 if both else min(soil.peak, 1 - soil.peak))
     return low, high
-
-
-def _scale(unknown: Unknown, nominal: float, low: float, high: float) -> float:
-    """Return the size of a constant: deviation of the prior, nominal or usual value, or range."""
-    if unknown.prior:
-        return unknown.prior[1]
-    usual = abs(nominal) or abs(float(getattr(Soil(), unknown.quantity)))
-    return usual or (high - low) / 10
 
 
 def _errors(

@@ -24,15 +24,8 @@ from slipfree.files.atlas_files import (
     write_atlas,
     write_geotiff,
 )
+from slipfree.problem import inputs
 from slipfree.problem.build_ground import Extremes
-from slipfree.problem.inputs import (
-    FileStates,
-    ProblemParts,
-    Recipe,
-    file_states,
-    files_read,
-    recipe_of,
-)
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.atlas import AtlasSetup, build_atlas
 from slipfree.show.atlas_figures import AtlasView, friction_maps
@@ -59,7 +52,7 @@ proved: bounds of {{proved_share:.3g>%}} of the poses that stand, for every grou
 class TileTask(NamedTuple):
     """Set-up and number of a tile, for a process."""
 
-    recipe: Recipe
+    recipe: inputs.Recipe
     digests: tuple[tuple[str, str], ...]  # of all input files, by name
     known: tuple[tuple[str, Extremes], ...]  # of large maps, by file
     number: int  # from 1
@@ -72,7 +65,9 @@ def compute_tile(task: TileTask) -> Array:
 
 @lru_cache(maxsize=1)  # a process computes many tiles
 def _setup(
-    recipe: Recipe, digests: tuple[tuple[str, str], ...], known: tuple[tuple[str, Extremes], ...]
+    recipe: inputs.Recipe,
+    digests: tuple[tuple[str, str], ...],
+    known: tuple[tuple[str, Extremes], ...],
 ) -> AtlasSetup:
     problem = recipe.load()
     setup = build_atlas(problem, dict(known))
@@ -89,19 +84,19 @@ def _tile(setup: AtlasSetup, number: int) -> Array:
     return np.stack([bands[name] for name in setup.labels()]).astype(np.float32)
 
 
-def input_states(problem: Problem[Any]) -> FileStates:
+def input_states(problem: Problem[Any]) -> inputs.FileStates:
     """Return the states of the input files of a mobility map."""
-    files = (file for file in files_read(problem)[1:] if file.is_file())
-    return file_states({os.path.relpath(file, problem.folder): file for file in files})
+    files = (file for file in inputs.files_read(problem)[1:] if file.is_file())
+    return inputs.file_states({os.path.relpath(file, problem.folder): file for file in files})
 
 
-class TileFolder(ProblemParts[Array]):
+class TileFolder(inputs.ProblemParts[Array]):
     """Folder beside an output with the finished tiles of a mobility map; a context manager.
 
     ``states`` are those of the input files before the set-up was built.
     """
 
-    def __init__(self, out: Path, setup: AtlasSetup, states: FileStates) -> None:
+    def __init__(self, out: Path, setup: AtlasSetup, states: inputs.FileStates) -> None:
         count, problem = len(setup.tiles), setup.problem
         self._setup = setup
         # before the log is opened, which an error would leave open
@@ -144,7 +139,7 @@ def run_tiles(
     The other arguments are those of `study`.
     """
     digests, known = tuple(folder.states.digests.items()), tuple(setup.known.items())
-    recipe = recipe_of(setup.problem)
+    recipe = inputs.recipe_of(setup.problem)
     recipe = recipe._replace(path=recipe.path.absolute())
     with study(compute_tile, folder, workers, watch=watch) as solve:
         watch.progress(len(folder), folder.size)
@@ -166,15 +161,8 @@ def write_file(path: Path, setup: AtlasSetup, folder: TileFolder) -> None:
         write_geotiff(path, setup.x, setup.y, setup.site, folder.tiles())
 
 
-class AtlasOverview(NamedTuple):
-    """Facts of the summary, and contents of the figures of a mobility map."""
-
-    view: AtlasView
-    facts: dict[str, Fact]  # of the whole map, by name
-
-
-def overview(x: Array, y: Array, site: Site, tiles: Tiles) -> AtlasOverview:
-    """Return the overview of a map from its tiles."""
+def overview(x: Array, y: Array, site: Site, tiles: Tiles) -> tuple[AtlasView, dict[str, Fact]]:
+    """Return contents of the figures, and facts by name, of a map from its tiles."""
     step = max(1, -(-max(x.size, y.size) // DRAWN))
     shape = -(-x.size // step), -(-y.size // step)
     maps, reasons = dict[str, Band](), tuple[str, ...]()
@@ -225,7 +213,7 @@ def overview(x: Array, y: Array, site: Site, tiles: Tiles) -> AtlasOverview:
         if number and text != reasons[0]
     ]
     facts["reasons"] = Fact(sorted(excluded, key=lambda row: -float(row["share"])))
-    return AtlasOverview(view, facts)
+    return view, facts
 
 
 def summary_lines(facts: Mapping[str, Fact]) -> Lines:

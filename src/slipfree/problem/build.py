@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from inspect import signature
 from math import degrees
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -134,18 +134,12 @@ def solver_options(problem: Problem[S]) -> SolverOptions:
     return options
 
 
-class SampledTimes(NamedTuple):
-    """Times of a motion that may have a sampled controller."""
+def sampled_times(problem: Problem[Any], key: KeyPath, period: float) -> tuple[Array, int]:
+    """Return the times of the steps of a sampled controller, and their number per sample.
 
-    t: Array  # of the samples, or of the steps of a sampled controller [s]
-    every: int  # controller steps per sample; zero for continuous control
-
-
-def sampled_times(problem: Problem[Any], key: KeyPath, period: float) -> SampledTimes:
-    """Return the times of the steps of a sampled controller, up to the last regular sample.
-
-    ``key`` is that of the ``period`` in s. ProblemError is raised if the period does not divide the
-    time between samples, or there are more than a million steps.
+    The last step is the last regular sample; ``key`` is that of the ``period`` in s. ProblemError
+    is raised if the period does not divide the time between samples, or there are more than a
+    million steps.
     """
     time = problem.spec.time
     if time.duration / period > schema.MAX_SAMPLES:
@@ -156,7 +150,7 @@ def sampled_times(problem: Problem[Any], key: KeyPath, period: float) -> Sampled
         expected = f"a multiple of {'.'.join(map(str, key))}, {period:g} s"
         problem.refuse(Fault(("time", "step"), expected, f"{time.step:g}; change one of them"))
     count = every * int(time.duration / time.step + EVEN) + 1
-    return SampledTimes(np.asarray(period * np.arange(count)), every)
+    return period * np.arange(count), every
 
 
 def check_names(

@@ -14,15 +14,7 @@ import numpy as np
 
 from slipfree.core.errors import DataError, ModelError
 from slipfree.core.facts import Lines
-from slipfree.files.maps.elevation import (
-    Frame,
-    Map,
-    check_degrees,
-    hole_words,
-    jacksboro,
-    read_map,
-    takes_key,
-)
+from slipfree.files.maps import elevation
 from slipfree.files.maps.raster import RasterParts, Reading, raster_parts
 from slipfree.files.maps.reference_systems import from_degrees
 from slipfree.files.netcdf import DEGREES, MapCoordinate
@@ -91,7 +83,7 @@ def build_ground(problem: Problem[S], known: dict[str, Extremes] | None = None) 
         if spec.friction == given:
             return stored
         if not isinstance(spec.friction, str):
-            mu, friction = _friction(problem, Map(stored.grid), None)
+            mu, friction = _friction(problem, elevation.Map(stored.grid), None)
             return stored._replace(mu=mu, friction=friction)
     for key in OF_FILES:
         read = spec.file is not None or isinstance(spec.friction, str)
@@ -129,7 +121,10 @@ def build_ground(problem: Problem[S], known: dict[str, Extremes] | None = None) 
             _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES, remedy)
             changed = rolled(grid, spec.rolled)
             grid = changed.grid
-    source += _scale_words(spec)
+    if horizontal != vertical:
+        source += f" scaled by {horizontal:g} in x and y, by {vertical:g} in height"
+    elif horizontal != 1:
+        source += f" scaled by {horizontal:g}"
     return GroundMap(grid, source, changed, mu, friction, facts, coordinates, ground_map.crs)
 
 
@@ -153,7 +148,7 @@ def _map_of(
     window: Window | None,
     options: dict[str, Any],
     known: dict[str, Extremes] | None,
-) -> Map:
+) -> elevation.Map:
     """Return the map in a file; for a large GeoTIFF, only its outline."""
     spec, path = problem.spec.terrain, problem.folder / name
     is_whole = any(getattr(spec, key) is not None for key in OF_WHOLE_MAPS)
@@ -165,10 +160,10 @@ def _map_of(
         x, y = raster.nodes
         if x.size * y.size > LARGE:
             return _outline(raster, known)
-    return read_map(path, window=window, **options)
+    return elevation.read_map(path, window=window, **options)
 
 
-def _outline(raster: RasterParts, known: dict[str, Extremes]) -> Map:
+def _outline(raster: RasterParts, known: dict[str, Extremes]) -> elevation.Map:
     """Return the outline of a raster, which is read once if its extremes are not known."""
     x, y = raster.nodes
     name = str(raster.path)
@@ -176,7 +171,7 @@ def _outline(raster: RasterParts, known: dict[str, Extremes]) -> Map:
         extremes = Extremes(np.inf, -np.inf, 0)
         for part in parts_of(x.size, y.size):
             heights = raster.heights(*part)
-            check_degrees(heights, local=False)
+            elevation.check_degrees(heights, local=False)
             z = heights.z[~np.isnan(heights.z)]
             low, high = float(z.min(initial=extremes.low)), float(z.max(initial=extremes.high))
             extremes = Extremes(low, high, extremes.missing + heights.z.size - z.size)
@@ -192,28 +187,21 @@ def _outline(raster: RasterParts, known: dict[str, Extremes]) -> Map:
     about = raster.heights(*middle)
     facts = about.facts
     if missing:
-        facts += (("ground holes", hole_words(missing, x.size * y.size)),)
+        facts += (("ground holes", elevation.hole_words(missing, x.size * y.size)),)
     grid = outline((x, y), lambda i, j: raster.heights(i, j).z, (low, high), missing)
-    return Map(grid, crs=about.crs, facts=facts, gray=about.gray)
+    return elevation.Map(grid, crs=about.crs, facts=facts, gray=about.gray)
 
 
 def _scales(spec: schema.TerrainTable) -> tuple[float, float]:
     return spec.scale * spec.horizontal_scale, spec.scale * spec.vertical_scale
 
 
-def _scale_words(spec: schema.TerrainTable) -> str:
-    horizontal, vertical = _scales(spec)
-    if horizontal == vertical:
-        return f" scaled by {horizontal:g}" if horizontal != 1 else ""
-    return f" scaled by {horizontal:g} in x and y, by {vertical:g} in height"
-
-
 def _map_coordinates(
-    ground_map: Map, horizontal: float, vertical: float
+    ground_map: elevation.Map, horizontal: float, vertical: float
 ) -> tuple[MapCoordinate, ...]:
     """Return x, y and z of a map file as functions of those of motions; empty if all are equal."""
     x0, kx, y0, ky = ground_map.frame
-    if ground_map.frame == Frame() and (horizontal, vertical) == (1, 1):
+    if ground_map.frame == elevation.Frame() and (horizontal, vertical) == (1, 1):
         return ()
     x, y = ("longitude", "latitude") if ground_map.geographic else ("x", "y")
     return (
@@ -246,19 +234,20 @@ def _check_size(width: float, length: float, spacing: float, remedy: str) -> Non
         )
 
 
-def _source(problem: Problem[S], known: dict[str, Extremes] | None = None) -> tuple[Map, str]:
+def _source(
+    problem: Problem[S], known: dict[str, Extremes] | None = None
+) -> tuple[elevation.Map, str]:
     """Return the ground before scaling, and the description of its origin.
 
     Consecutive runs of a sweep share it, unless a key changes on which it depends.
     """
-    key = problem.spec.terrain.model_dump_json(
-        exclude=LATER, exclude_unset=True, serialize_as_any=True
-    )
+    spec = problem.spec.terrain
+    key = spec.model_dump_json(exclude=LATER, exclude_unset=True, serialize_as_any=True)
     whole = problem.folder, key, known is None
     return shared("map", whole, lambda: _read(problem, known))
 
 
-def _read(problem: Problem[S], known: dict[str, Extremes] | None) -> tuple[Map, str]:
+def _read(problem: Problem[S], known: dict[str, Extremes] | None) -> tuple[elevation.Map, str]:
     """Return the map of a problem and the name of its source."""
     spec = problem.spec.terrain
     if spec.file is not None:
@@ -280,12 +269,12 @@ def _read(problem: Problem[S], known: dict[str, Extremes] | None) -> tuple[Map, 
             _check_size(made.x[1] - made.x[0], made.y[1] - made.y[0], made.spacing, remedy)
             grid = blank(made.x, made.y, made.spacing)
             grid = made.with_features(Grid(grid.x, grid.y, grid.z + made.base))
-            return Map(place_rocks(grid, map(Rock._make, made.placed_rocks))), "synthetic"
+            return elevation.Map(place_rocks(grid, map(Rock._make, made.placed_rocks))), "synthetic"
     with at(problem, ("terrain", "sample")):
-        return Map(jacksboro()), "Jacksboro fault (sample of matplotlib)"
+        return elevation.Map(elevation.jacksboro()), "Jacksboro fault (sample of matplotlib)"
 
 
-def _check_heights(ground_map: Map, scale: float) -> None:
+def _check_heights(ground_map: elevation.Map, scale: float) -> None:
     """Raise ModelError if heights are gray levels, or exceed those on the earth in metres."""
     low, high = ground_map.grid.values.min(), ground_map.grid.values.max()
     if ground_map.gray:
@@ -304,7 +293,7 @@ def _check_heights(ground_map: Map, scale: float) -> None:
 
 
 def _friction(
-    problem: Problem[S], ground: Map, known: dict[str, Extremes] | None
+    problem: Problem[S], ground: elevation.Map, known: dict[str, Extremes] | None
 ) -> tuple[float | Grid | None, str]:
     """Return the coefficient of friction, a number or a map, and its description."""
     spec = problem.spec.terrain
@@ -313,7 +302,7 @@ def _friction(
         return name, "" if name is None else f"{name:g}"
     ending = Path(name).suffix.lower()
     options: dict[str, Any] = {
-        key: getattr(spec, key) for key in OF_FILES if takes_key(ending, key)
+        key: getattr(spec, key) for key in OF_FILES if elevation.takes_key(ending, key)
     }
     if ground.geographic:
         options["geographic"] = ground.frame

@@ -16,19 +16,13 @@ from slipfree.contact.closure import check_couplings
 from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError
 from slipfree.files.toml import Fault, Place, name_errors
+from slipfree.files.urdf import xacro
 from slipfree.files.urdf.elements import read_tree
 from slipfree.files.urdf.links import Robot
 from slipfree.files.urdf.meshes import MeshFiles
 from slipfree.files.urdf.reader import forward_guess, read_urdf
 from slipfree.files.urdf.roles import NO_ROLES, JointRole, UrdfTable, completed
 from slipfree.files.urdf.tree import Tree
-from slipfree.files.urdf.xacro import (
-    MAX_BYTES,
-    check_macro_calls,
-    expanded,
-    is_trusted,
-    trusted_paths,
-)
 from slipfree.files.urdf.xml import check_ending, is_description, parse_robot
 from slipfree.files.vehicle_toml import (
     PARTS,
@@ -134,7 +128,7 @@ def read_vehicle(
         If the file cannot be read, is not a vehicle file, or is xacro that is not trusted.
     """
     files = ([path] if trust else []) if isinstance(trust, bool) else trust
-    return read_vehicle_file(Path(path), trusted_paths(files)).vehicle
+    return read_vehicle_file(Path(path), xacro.trusted_paths(files)).vehicle
 
 
 def read_vehicle_file(path: Path, trusted: frozenset[str]) -> VehicleFile:
@@ -160,7 +154,7 @@ def guessed_completion(path: Path, folder: Path, trust: Sequence[Path] = ()) -> 
             "name a URDF, or omit --write"
         )
     tables: dict[str, dict[str, Guess]] = {"": {}, "wheels": {}, "joints": {}}
-    for guess in _draft(path, trusted_paths(trust))[0].guesses:
+    for guess in _draft(path, xacro.trusted_paths(trust))[0].guesses:
         known = tables[guess.table].get(guess.name)
         if known is not None:
             values, reason = {**known.values, **guess.values}, f"{known.reason}; {guess.reason}"
@@ -189,38 +183,35 @@ def _draft(path: Path, trusted: frozenset[str]) -> tuple[Draft, Robot | None]:
         return _urdf(path, trusted)
     if path.suffix.lower() == ".toml":
         file = open_file(path)
-        return _completed(file, trusted) if "urdf" in file.data else (read_toml(file), None)
+        if "urdf" not in file.data:
+            return read_toml(file), None
+        table: UrdfTable = validated(UrdfTable, file)  # it completes a URDF
+        draft, robot = _urdf(path.parent / table.urdf, trusted, (table, file))
+        return draft if table.name is None else replace(draft, name=table.name), robot
     raise DataError(
         f"{path}: expected a vehicle file that ends in .toml, .urdf or .xacro, found "
         f"{repr(path.suffix) if path.suffix else 'no ending'}; check the name"
     )
 
 
-def _completed(file: File, trusted: frozenset[str]) -> tuple[Draft, Robot | None]:
-    """Return the draft of the vehicle in a URDF that a vehicle file completes."""
-    table: UrdfTable = validated(UrdfTable, file)
-    draft, robot = _urdf(file.source.path.parent / table.urdf, trusted, (table, file))
-    return draft if table.name is None else replace(draft, name=table.name), robot
-
-
 def _tree(path: Path, trusted: frozenset[str], table: UrdfTable | None, file: File | None) -> Tree:
     """Return the links and joints of a URDF, or of a xacro file, expanded if it is trusted."""
     by = "" if file is None else f" (urdf of {file.source.path})"
     with regular_file(path, f"a URDF{by}") as size:
-        if size > MAX_BYTES:
+        if size > xacro.MAX_BYTES:
             raise DataError(
-                f"{path}: expected a URDF of at most {MAX_BYTES / 1e6:g} MB, found "
+                f"{path}: expected a URDF of at most {xacro.MAX_BYTES / 1e6:g} MB, found "
                 f"{size / 1e6:.3g} MB; give the file of the URDF"
             )
         data = read_bytes(path, f"a URDF{by}")
     check_ending(data, path)
     arguments = {} if table is None else table.arguments
-    if not is_trusted(path, trusted):
+    if not xacro.is_trusted(path, trusted):
         return read_tree(data, str(path), arguments)
-    check_macro_calls(parse_robot(data, str(path)), str(path))
-    if file is not None and not is_trusted(file.source.path, trusted):
+    xacro.check_macro_calls(parse_robot(data, str(path)), str(path))
+    if file is not None and not xacro.is_trusted(file.source.path, trusted):
         _check_arguments(arguments, file)
-    expansion = expanded(path, arguments)
+    expansion = xacro.expanded(path, arguments)
     return read_tree(expansion.data, f"{path} (expanded)", macros=expansion.macros)
 
 

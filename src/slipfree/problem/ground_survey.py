@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from math import degrees
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter, uniform_filter
@@ -102,20 +102,12 @@ def survey_lines(facts: dict[str, Fact]) -> Lines:
     return lines(SURVEY_ROWS, values | {"touching": f"{100 * TOUCHING:g} %"})
 
 
-class Stand(NamedTuple):
-    """Where a vehicle stands on a coarse grid of places and headings.
+def stand(problem: Problem[Any], grid: Grid) -> tuple[Mapping[str, float], Lines]:
+    """Return where the vehicle of a problem stands on its ground, and lines of the summary.
 
-    ``pose`` is the most level pose where it also stands around: x, y, heading in the frame of the
-    problem, roll and pitch [m, rad]; it is empty if the vehicle stands nowhere. ``facts`` are
-    lines of the summary.
+    On a coarse grid of places and headings it is the most level pose where the vehicle also stands
+    around: x, y, heading in the frame of the problem, roll and pitch [m, rad]; empty without one.
     """
-
-    pose: Mapping[str, float]
-    facts: Lines
-
-
-def stand(problem: Problem[Any], grid: Grid) -> Stand:
-    """Return where the vehicle of a problem stands on its ground."""
     _known(grid)  # a vehicle stands nowhere among holes
     spec, (few, many) = problem.spec, sorted(grid.z.shape)
     table = AtlasTable(headings=HEADINGS, every=max(1, min(many // PLACES, few - 1)))
@@ -133,7 +125,7 @@ def stand(problem: Problem[Any], grid: Grid) -> Stand:
         words += f"; elsewhere mostly: {found.reasons[often]}"
     facts = [(f"{setup.vehicle.name} stands", words)]
     if not allowed.any():
-        return Stand({}, facts)
+        return {}, facts
     # beside holes and borders, a motion would soon end
     room = uniform_filter(allowed.mean(axis=0), 3, mode="constant").round(9)
     is_free = allowed & (room == room[allowed.any(axis=0)].max())
@@ -144,7 +136,7 @@ def stand(problem: Problem[Any], grid: Grid) -> Stand:
     shown = ", ".join(f"{name} {degrees(value):.3g} deg" for name, value in tilts.items())
     start = f'x = {x[i]:.10g}, y = {y[j]:.10g}, heading = "{degrees(turned):.4g} deg"'
     pose = {"x": float(x[i]), "y": float(y[j]), "heading": turned, **tilts}
-    return Stand(pose, [*facts, ("start", f"{start} ({spec.frame}; {shown})")])
+    return pose, [*facts, ("start", f"{start} ({spec.frame}; {shown})")]
 
 
 def _known(grid: Grid) -> Mask:

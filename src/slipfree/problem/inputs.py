@@ -22,7 +22,7 @@ from slipfree.system.parts import Identity, Parts
 from slipfree.system.regular_files import read_bytes, regular_file
 
 D = TypeVar("D")
-TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # tables with input files
+TABLES = ("terrain", "vehicle", "driver", "path", "inputs", "given")  # tables with input files
 MISSING = "missing"
 DIGESTS = "input_sha256"  # attribute of a result: digests of the input files by name, as JSON
 SIDES = (".prj", ".aux.xml", ".hdr", ".tfw", ".wld", ".ovr", ".msk")  # endings beside maps
@@ -35,8 +35,8 @@ FILE_NAME = re.compile(
 
 def input_names(spec: CommonKeys) -> tuple[str, ...]:
     """Return the file names in the keys ``file`` and ``friction`` of tables, as written there."""
-    tables = [getattr(spec, name, None) for name in TABLES]
-    names = [getattr(table, key, None) for key in ("file", "friction") for table in tables]
+    tables = [dict(getattr(spec, name, None) or {}) for name in TABLES]
+    names = [table.get(key) for key in ("file", "friction") for table in tables]
     return tuple(name for name in (*names, *spec.named_files) if isinstance(name, str))
 
 

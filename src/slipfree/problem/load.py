@@ -8,13 +8,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from slipfree.core.arguments import checked
-from slipfree.files.toml import (
-    Fault,
-    Source,
-    format_value,
-    problem_error,
-    read_text,
-)
+from slipfree.files import toml
 from slipfree.files.urdf.xacro import trusted_paths
 from slipfree.problem.build_ground import convert_places
 from slipfree.problem.problem import Problem, validated_problem
@@ -40,11 +34,6 @@ REMOVED_VERBS = {
 }
 
 
-def verbs_of(command: str) -> tuple[Verb, ...]:
-    """Return the verbs that a command accepts."""
-    return tuple(verb for verb in VERBS if command in verb.commands)
-
-
 def find_verb(name: object) -> Verb | None:
     """Return the verb with a name; None for an unknown name."""
     return next((verb for verb in VERBS if verb.name == name), None)
@@ -67,7 +56,7 @@ def check_option(problem: Problem[Any], option: str) -> None:
         return
     able = [v.name for v in VERBS if isinstance(v, DriveVerb) and option in v.options]
     expected = f"{' or '.join(map(repr, able))} for --{option}"
-    problem.refuse(Fault(("verb",), expected, f"{problem.spec.verb!r}; omit --{option}"))
+    problem.refuse(toml.Fault(("verb",), expected, f"{problem.spec.verb!r}; omit --{option}"))
 
 
 @checked
@@ -103,7 +92,7 @@ def load_problem(
         If a file of ``trust`` does not exist.
     """
     path = Path(path)
-    return load_again(path, read_text(path), settings, trusted_paths(trust), command=command)
+    return load_again(path, toml.read_text(path), settings, trusted_paths(trust), command=command)
 
 
 def load_variants(
@@ -114,7 +103,7 @@ def load_variants(
     ``settings`` are those of all variants, ``variants`` the further settings of each one, from the
     option ``--vary``.
     """
-    text = read_text(Path(path))
+    text = toml.read_text(Path(path))
     for varied in variants:
         yield load_again(Path(path), text, settings, varied=varied)
 
@@ -135,14 +124,15 @@ def load_again(
     ``varied`` settings of ``--vary``, ``grounds`` the ground in a result (`Problem.grounds`).
     """
 
-    def schema_of(data: Mapping[str, Any], source: Source) -> type[CommonKeys]:
-        return _by_verb(verbs_of(command), data, source).schema
+    def schema_of(data: Mapping[str, Any], source: toml.Source) -> type[CommonKeys]:
+        able = [verb for verb in VERBS if command in verb.commands]
+        return _by_verb(able, data, source).schema
 
     problem = validated_problem(schema_of, path, text, settings, varied)
     return convert_places(replace(problem, trusted=trusted, grounds=grounds))
 
 
-def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> Verb:
+def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: toml.Source) -> Verb:
     """Return the verb of a problem, by default the first of ``verbs``."""
     if "verb" not in data:
         return verbs[0]
@@ -153,6 +143,6 @@ def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> 
     hint = REMOVED_VERBS.get(str(data["verb"]), "correct the verb")
     hint = f"use slipfree {other.commands[0]} {source.path}" if other else hint
     expected = f"{' or '.join(repr(verb.name) for verb in verbs)} for this command"
-    raise problem_error(
-        source, [Fault(("verb",), expected, f"{format_value(data['verb'])}; {hint}")]
+    raise toml.problem_error(
+        source, [toml.Fault(("verb",), expected, f"{toml.format_value(data['verb'])}; {hint}")]
     )

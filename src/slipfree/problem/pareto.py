@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,10 +28,6 @@ from slipfree.problem.result import build, open_result, run_problem
 from slipfree.problem.verbs.base import Result
 from slipfree.problem.verbs.plan_setup import PlanKeys
 from slipfree.system.parts import PartsWatch, study
-
-if TYPE_CHECKING:
-    from slipfree.show.plots import Plot
-
 
 SLIP, TIME, DURATION, ENERGY = "slip", "time", "duration", "energy"
 USUAL = (DURATION, "effort", ENERGY)  # second objectives of every planning problem
@@ -397,12 +393,3 @@ def front_rows(front: PlanFront) -> list[dict[str, Any]]:
         }
         for number, point in enumerate(front.points, 1)
     ]
-
-
-def front_plot(front: PlanFront) -> Plot:
-    """Return the figure of a front."""
-    from slipfree.show.plots import Plot
-    from slipfree.show.sweep_figures import front_figure
-
-    drawn = partial(front_figure, front.against, front.unit, front.points, front.given)
-    return Plot("pareto", "Pareto front", drawn)

@@ -20,25 +20,29 @@ import tomllib
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
+import numpy as np
 import tomlkit
 from annotated_types import Gt, Len
 from pydantic import AfterValidator, ConfigDict, Strict, TypeAdapter, ValidationError
 from tomlkit.exceptions import TOMLKitError
 
 from slipfree.core.errors import DataError, SlipfreeError
+from slipfree.core.facts import starting_with
 from slipfree.core.records import Array
+from slipfree.core.trajectory import outcome_words
 from slipfree.files.netcdf import DEGREES
 from slipfree.files.toml import decode_text, parse_unit, read_raw
 from slipfree.problem.build_ground import at
 from slipfree.problem.load import load_again
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import region_of
+from slipfree.problem.verbs.base import drive_facts
 from slipfree.problem.verbs.plan_setup import PlanKeys, wanted_places
 from slipfree.show.html_page import PlanPage
 from slipfree.show.local_server import ConflictError
@@ -92,12 +96,12 @@ class Places(NamedTuple):
 def places_in(problem: Problem[PlanKeys]) -> Places:
     """Return the places of a problem, whose regions get new identities."""
     spec, goal = problem.spec, None
-    start = (*(float(spec.start.get(name, 0.0)) for name in ("x", "y", "heading")),)
+    x, y, turned = (float(spec.start.get(name, 0.0)) for name in ("x", "y", "heading"))
     bounds: Mapping[str, Any] = spec.goal
     if {"x", "y"} <= set(bounds):
         goal = (sum(bounds["x"]) / 2, sum(bounds["y"]) / 2)
-    turn = bounds.get("heading")
-    heading = float(turn[0]) if turn is not None and turn[0] == turn[1] else None
+    low, high = bounds.get("heading", (0.0, 1.0))
+    heading = float(low) if low == high else None
     regions = []
     for index, each in enumerate(spec.keep_out):
         with at(problem, ("keep_out", index)):
@@ -107,7 +111,7 @@ def places_in(problem: Problem[PlanKeys]) -> Places:
             points, radius = ((each.x or 0.0, each.y or 0.0),), float(each.radius or 0.0)
         corners = tuple((float(x), float(y)) for x, y in points)
         regions.append(EditedRegion(secrets.token_hex(8), corners, radius))
-    return Places((start[0], start[1], start[2]), goal, heading, tuple(regions))
+    return Places((x, y, turned), goal, heading, tuple(regions))
 
 
 def way_points_in(problem: Problem[PlanKeys]) -> tuple[tuple[str, float, float], ...]:
@@ -367,16 +371,12 @@ def _check_edit(document: Document, text: str, places: Places, wanted: Places) -
     """Raise DataError unless a text has the wanted places and all other values of a document."""
     old, new = tomllib.loads(decode_text(document.path, document.raw)), tomllib.loads(text)
     others = [{key: data[key] for key in data.keys() - {*PLACES}} for data in (old, new)]
-    if others[0] == others[1] and _is_close(_shape(places), _shape(wanted)):
-        return
-    raise DataError(
-        f"{document.path}: expected tables of start, goal and keep-out regions that can be edited, "
-        "found another form; the file is unchanged: edit these values in a text editor"
-    )
-
-
-def _shape(places: Places) -> Any:
-    return places[:3], [each[1:] for each in places.regions]
+    shapes = [(*each[:3], [region[1:] for region in each.regions]) for each in (places, wanted)]
+    if others[0] != others[1] or not _is_close(*shapes):
+        raise DataError(
+            f"{document.path}: expected tables of start, goal and keep-out regions that can be "
+            "edited, found another form; the file is unchanged: edit these values in a text editor"
+        )
 
 
 def _is_close(first: Any, second: Any) -> bool:
@@ -514,7 +514,6 @@ def _solve_requests(connection: Connection[Any, Any]) -> None:
 def _solve(request: PlanRequest, connection: Connection[Any, Any]) -> Message:
     """Return the plan of a problem, or the error; send iterates to a connection."""
     from slipfree.plan.polynomial_motion import from_arrays
-    from slipfree.problem.load import load_again
     from slipfree.problem.result import run_problem
 
     last, line = 0.0, ""
@@ -543,12 +542,6 @@ def _solve(request: PlanRequest, connection: Connection[Any, Any]) -> Message:
 
 def _plan_of(result: Any, seconds: float) -> FoundPlan:
     """Return path and facts of a result; ``seconds`` is the time of the whole search."""
-    import numpy as np
-
-    from slipfree.core.facts import starting_with
-    from slipfree.core.trajectory import outcome_words
-    from slipfree.problem.verbs.base import drive_facts
-
     run = result.trajectory
     costs = starting_with("plan_cost_", run.facts)
     driven = drive_facts(run)
@@ -640,7 +633,7 @@ class Desk:
         self.session = Session(document, draw(document), line=line)
         self.worker = PlanWorker()
         self.worker.prepare()
-        self._draw, self._signature, self._next_watch = draw, _signature(document.path), 0.0
+        self._draw, self._next_watch = draw, 0.0
         self._commands: queue.SimpleQueue[tuple[Command, Future[object]]] = queue.SimpleQueue()
 
     def accept(self, name: str) -> Callable[[object], object]:
@@ -663,32 +656,22 @@ class Desk:
 
     def step(self, seconds: float) -> None:
         """Execute a command, waiting for it at most ``seconds``, then read all messages."""
-        try:
+        with suppress(queue.Empty):
             command, answer = self._commands.get(timeout=seconds)
-        except queue.Empty:
-            pass
-        else:
-            self._answer(command, answer)
+            try:
+                self._execute(command)
+                answer.set_result(state_of(self.session))
+            except SlipfreeError as error:
+                answer.set_exception(error)
         if time.monotonic() > self._next_watch:
             self._next_watch = time.monotonic() + WATCH
-            signature = _signature(self.session.document.path)
-            if signature != self._signature:
-                self._signature = signature
-                self._read_again()
+            self._read_again()
         for message in self.worker.messages():
             self.session = reported(self.session, message)
 
     def close(self) -> None:
         """End the worker process."""
         self.worker.cancel()
-
-    def _answer(self, command: Command, answer: Future[object]) -> None:
-        try:
-            self._execute(command)
-        except SlipfreeError as error:
-            answer.set_exception(error)
-        else:
-            answer.set_result(state_of(self.session))
 
     def _execute(self, command: Command) -> None:
         """Execute a command of the page: cancel, save, or plan."""
@@ -706,7 +689,6 @@ class Desk:
             document = saved(document, command.places)
             line = f"saved {document.path.name}"
             self.session = session.changed(document=document, line=line)
-            self._signature = _signature(document.path)
         else:
             text = document.text_with(command.places)
             former = session.plans[0].arrays if command.is_warm and session.plans else {}
@@ -728,12 +710,3 @@ class Desk:
         except SlipfreeError as error:
             if str(error) != session.file_error:
                 self.session = session.changed(file_error=str(error))
-
-
-def _signature(path: Path) -> tuple[int, ...]:
-    """Return numbers that change when a file is written; none for a missing file."""
-    try:
-        status = path.stat()
-    except OSError:
-        return ()
-    return status.st_mtime_ns, status.st_size, status.st_ino

@@ -12,16 +12,7 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import ValidationError
 
-from slipfree.files.toml import (
-    Fault,
-    Source,
-    key_lines,
-    parse_toml,
-    problem_error,
-    replace_values,
-    validation_fault,
-    value_errors,
-)
+from slipfree.files import toml
 from slipfree.problem.schema import CommonKeys, FileKeys, TerrainKeys
 
 T = TypeVar("T")
@@ -69,7 +60,7 @@ class Problem(Generic[A]):
     """A validated problem, and the origin of each value."""
 
     spec: A  # values of the file, a record of the schema of its verb
-    source: Source  # file, lines and settings of the values
+    source: toml.Source  # file, lines and settings of the values
     trusted: frozenset[str] = frozenset()  # xacro files; only the command line can trust them
     # contents of the vehicle files that were read, by name; of a result those stored in it
     vehicles: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
@@ -84,14 +75,14 @@ class Problem(Generic[A]):
         """Folder of the problem file, to which the names of input files are relative."""
         return self.source.path.parent
 
-    def refuse(self, *faults: Fault) -> None:
+    def refuse(self, *faults: toml.Fault) -> None:
         """Raise ProblemError with the messages of all errors, sorted by line, if there are any."""
         if faults:
-            raise problem_error(self.source, faults)
+            raise toml.problem_error(self.source, faults)
 
 
 def validated_problem(
-    schema_of: Callable[[Mapping[str, Any], Source], type[FileKeys]],
+    schema_of: Callable[[Mapping[str, Any], toml.Source], type[FileKeys]],
     path: Path,
     text: str,
     settings: Sequence[str],
@@ -104,25 +95,28 @@ def validated_problem(
     all errors of values, sorted by line.
     """
     data = _copy(_parsed(path, text))
-    places = replace_values(data, settings)
-    varied_places = replace_values(data, varied, "--vary")
-    source = Source(path, text, key_lines(text), places | varied_places, frozenset(varied_places))
+    places = toml.replace_values(data, settings)
+    varied_places = toml.replace_values(data, varied, "--vary")
+    source = toml.Source(
+        path, text, toml.key_lines(text), places | varied_places, frozenset(varied_places)
+    )
     schema = schema_of(data, source)
     faults = [*_alternatives(schema, data)]
     try:
         spec = schema.model_validate(data)
     except ValidationError as error:
         faults += [
-            validation_fault(schema, data, dict(each)) for each in error.errors(include_url=False)
+            toml.validation_fault(schema, data, dict(each))
+            for each in error.errors(include_url=False)
         ]
     else:
-        faults += [*value_errors(data), *spec.faults()]
+        faults += [*toml.value_errors(data), *spec.faults()]
         if not faults:
             return Problem(spec, source)
-    raise problem_error(source, faults)
+    raise toml.problem_error(source, faults)
 
 
-_parsed = lru_cache(maxsize=1)(parse_toml)  # all variants of a problem have the same text
+_parsed = lru_cache(maxsize=1)(toml.parse_toml)  # all variants of a problem have the same text
 
 
 def _copy(value: Any) -> Any:
@@ -131,7 +125,7 @@ def _copy(value: Any) -> Any:
     return [*map(_copy, value)] if isinstance(value, list) else value
 
 
-def _alternatives(schema: type[FileKeys], data: dict[str, Any]) -> Iterator[Fault]:
+def _alternatives(schema: type[FileKeys], data: dict[str, Any]) -> Iterator[toml.Fault]:
     """Yield an error for each table that does not have exactly one of its alternative keys."""
     for place, keys in schema.alternatives.items():
         table: Any = data
@@ -142,4 +136,4 @@ def _alternatives(schema: type[FileKeys], data: dict[str, Any]) -> Iterator[Faul
         present = [key for key in keys if key in table]
         expected = f"exactly one of {', '.join(keys)}"
         if len(present) != 1:
-            yield Fault((*place, *present[-1:]), expected, " and ".join(present) or "none")
+            yield toml.Fault((*place, *present[-1:]), expected, " and ".join(present) or "none")

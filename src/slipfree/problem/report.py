@@ -26,7 +26,7 @@ from slipfree.models.base import is_determinate
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.samples import closest_fact
-from slipfree.problem.atlas_tiles import AtlasOverview, overview, summary_lines
+from slipfree.problem.atlas_tiles import overview, summary_lines
 from slipfree.problem.build_vehicle import (
     is_vehicle_file,
     read_vehicle,
@@ -38,9 +38,9 @@ from slipfree.problem.inputs import digest
 from slipfree.problem.load import find_motion_verb, load_problem, verb_of
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import STORED, build, motion_facts, open_result
-from slipfree.problem.verbs.base import PLAIN_ROWS, START_ROWS, Result, outcome_fact, ranges
+from slipfree.problem.verbs.base import PLAIN_ROWS, START_ROWS, outcome_fact, ranges
 from slipfree.routing.traversability import extents
-from slipfree.show.atlas_figures import atlas_plots
+from slipfree.show.atlas_figures import AtlasView, atlas_plots
 from slipfree.show.film import picture
 from slipfree.show.html_page import Report
 from slipfree.show.plots import Plot
@@ -86,16 +86,22 @@ def report(file: Path) -> Report:
     if run.stop is None and verb is not None:
         lead = verb.describe_end(run) or lead
     head = attributes["title"], f"{lead[0].upper()}{lead[1:]}.", run.stop is None
-    figures, note = _drawn(result, run.t.size)
-    first = sorted(figures, key=lambda plot: plot.name not in MAPS)
-    return Report(*head, main, tables, first, note, _texts(file, attributes))
+    shown, figures = result.trajectory.t.size, list[Plot]()
+    note = f"The figures show {shown} of {run.t.size} samples, including the extremes of all "
+    note = f"{note}quantities; the tables use all samples." if shown < run.t.size else ""
+    try:
+        figures += (verb or verb_of(result.problem)).figures(result)
+    except DataError as error:
+        note = f"No figures: {error}"
+    figures.sort(key=lambda plot: plot.name not in MAPS)
+    return Report(*head, main, tables, figures, note, _texts(file, attributes))
 
 
-def atlas_lines(file: Path) -> tuple[Lines, Lines, AtlasOverview]:
+def atlas_lines(file: Path) -> tuple[Lines, Lines, AtlasView]:
     """Return summary, set-up, and the contents of the figures of a mobility map."""
     poses, site = open_atlas(file)
-    contents = overview(poses.x, poses.y, site, tiles_in(poses))
-    return summary_lines(contents.facts), _set_up(site.attributes), contents
+    view, facts = overview(poses.x, poses.y, site, tiles_in(poses))
+    return summary_lines(facts), _set_up(site.attributes), view
 
 
 def _set_up(attributes: Mapping[str, str]) -> Lines:
@@ -108,8 +114,7 @@ def _set_up(attributes: Mapping[str, str]) -> Lines:
 
 
 def _atlas_report(file: Path) -> Report:
-    summary, set_up, overview = atlas_lines(file)
-    view = overview.view
+    summary, set_up, view = atlas_lines(file)
     attributes = view.site.attributes
     tables: dict[str, Sequence[tuple[str, ...]]] = {
         "Set-up": set_up,
@@ -143,19 +148,6 @@ def _texts(file: Path, attributes: Mapping[str, str]) -> dict[str, str]:
     again = f"slipfree info {shlex.quote(file.name)} --problem > {shlex.quote(name)}\n"
     again += f"{shlex.join(words)}   # with slipfree {attributes[ORIGIN]}\n"
     return {"Problem": attributes["problem"], "To repeat the run": again}
-
-
-def _drawn(result: Result, count: int) -> tuple[Sequence[Plot], str]:
-    """Return the figures, and a note on omitted samples or the reason for missing figures."""
-    try:
-        shown = result.trajectory.t.size
-        note = f"The figures show {shown} of {count} samples, including the extremes of all "
-        note += "quantities; the tables use all samples."
-        verb = find_motion_verb(result.kind) or verb_of(result.problem)
-        figures = verb.figures(result)
-        return figures, note if shown < count else ""
-    except DataError as error:
-        return (), f"No figures: {error}"
 
 
 class Description(NamedTuple):
@@ -345,23 +337,6 @@ def _kind(c: Coordinate | None) -> str:
     return ", ".join([c.kind, *(f"{words} {value:g}" for value, words in acts if value)])
 
 
-def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
-    """Yield the fact about the number of contact forces; nothing for a vehicle without mass."""
-    if not vehicle.mass:
-        return
-    count = len(vehicle.wheels) + _tangential(vehicle)
-    loose = count - len(list(leaves(dae.labels.z.rates.motion)))
-    if not has_exact_closure(vehicle):
-        how = "the depths of the wheels determine the loads, on which friction depends"
-    elif _has_ground_law(dae):
-        how = "the wheel-ground law determines them, together with the rates"
-    elif is_determinate(vehicle) or not loose:
-        how = "equilibrium determines them"
-    else:
-        how = f"{loose} of them are not determined by equilibrium: they are load-weighted"
-    yield "contact forces", f"{count}: {how}"
-
-
 def _tangential(vehicle: Vehicle) -> int:
     """Return the number of no-slip conditions and friction forces: one for a wheel on rollers."""
     return sum(1 if wheel.rollers else 2 for wheel in vehicle.wheels)
@@ -381,13 +356,16 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
     inputs, states = ("inputs", listed(dae.labels.u)), ("states", listed(dae.labels.x))
     if not dae.labels.z:  # dynamics has no algebraic unknowns
         return [inputs], [states]
-    position, rates, _ = dae.labels.z
+    position, rates, forces = dae.labels.z
+    # a wheel-ground law gives the forces, which do not follow from the motion
+    has_law = bool(dae.labels.y.forces) and not any(leaves(forces)) and not dae.rest.numel()
+    is_exact = has_exact_closure(vehicle)
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
     passive = [c.name for c in vehicle.of("passive")]
     given, needed = len(passive) + len(free), _tangential(vehicle) - 3
     more = "too few by" if given < needed else "too many by"
     balance = "as many as needed" if given == needed else f"{more} {abs(needed - given)}"
-    if _has_ground_law(dae):
+    if has_law:
         can_roll = rolls = "the wheels slip as the wheel-ground law determines"
     elif given == needed:
         law = "least" if any(wheel.rollers for wheel in vehicle.wheels) else "rolling"
@@ -396,51 +374,47 @@ def counts(vehicle: Vehicle, dae: Dae) -> tuple[Lines, Lines]:
         can_roll = f"no: passive joints and free wheels are {balance}"
         rolls = "it moves with least slip (slip = 'least')"
     ground = ["height", "pitch", "roll", *(c.name for c in vehicle.of("suspension"))]
-    if not has_exact_closure(vehicle):
-        ground.append("depths of the wheels")
-    equations = (
-        "equilibrium and the wheel-ground law; they also determine the normal forces"
-        if _has_ground_law(dae)
-        else dae.labels.alg[1][0].name.replace("_", " ")
-    )
-    main = [
-        inputs,
-        ("can roll without slip", can_roll),
-        ("the ground determines", ", ".join(ground)),
-    ]
-    return main, [
+    listed_ground = ", ".join(ground if is_exact else [*ground, "depths of the wheels"])
+    equations = "equilibrium and the wheel-ground law; they also determine the normal forces"
+    if not has_law:
+        equations = dae.labels.alg[1][0].name.replace("_", " ")
+    main = [inputs, ("can roll without slip", can_roll), ("the ground determines", listed_ground)]
+    wheels = len(vehicle.wheels)
+    suspension = f"{len(vehicle.of('suspension'))} of {wheels - 3} for exact contact of all wheels"
+    if is_exact:
+        contact = "determined by the ground"
+        conditions = f"{3 * wheels}: three for each wheel that touches the ground"
+    else:
+        contact, conditions = (
+            "contact unknowns",
+            f"{len(dae.labels.alg[0])}: two for each contact point",
+        )
+        suspension += ": the wheels are pressed into the ground, and may lift off it"
+    words = f"{needed} besides the contacts; passive joints and free wheels: {balance}: {rolls}"
+    details = [
         states,
-        *_contact_facts(vehicle, dae, listed(position)),
+        (contact, listed(position)),
+        ("  equations", conditions),
+        ("suspension", suspension),
         ("rates", listed((rates.motion, rates.law))),
         ("  equations", f"{len(dae.labels.alg[1])}: {equations}"),
         ("passive joints", _listed(passive)),
         ("free wheels", _listed(free)),
-        (
-            "no-slip conditions",
-            f"{needed} besides the contacts; passive joints and free wheels: {balance}: {rolls}",
-        ),
-        *_forces(vehicle, dae),
+        ("no-slip conditions", words),
     ]
-
-
-def _contact_facts(vehicle: Vehicle, dae: Dae, unknowns: str) -> Iterator[tuple[str, str]]:
-    """Yield the unknowns and equations of contact, and the number of suspension coordinates."""
-    wheels, given = len(vehicle.wheels), len(vehicle.of("suspension"))
-    count = f"{given} of {wheels - 3} for exact contact of all wheels"
-    if has_exact_closure(vehicle):
-        yield "determined by the ground", unknowns
-        yield "  equations", f"{3 * wheels}: three for each wheel that touches the ground"
-        yield "suspension", count
-        return
-    yield "contact unknowns", unknowns
-    yield "  equations", f"{len(dae.labels.alg[0])}: two for each contact point"
-    yield "suspension", f"{count}: the wheels are pressed into the ground, and may lift off it"
-
-
-def _has_ground_law(dae: Dae) -> bool:
-    """Return whether a wheel-ground law gives the forces, which do not follow from the motion."""
-    follow = any(leaves(dae.labels.z.forces))
-    return bool(dae.labels.y.forces) and not follow and not dae.rest.numel()
+    if not vehicle.mass:
+        return main, details
+    count = wheels + _tangential(vehicle)
+    loose = count - len(list(leaves(rates.motion)))
+    if not is_exact:
+        how = "the depths of the wheels determine the loads, on which friction depends"
+    elif has_law:
+        how = "the wheel-ground law determines them, together with the rates"
+    elif is_determinate(vehicle) or not loose:
+        how = "equilibrium determines them"
+    else:
+        how = f"{loose} of them are not determined by equilibrium: they are load-weighted"
+    return main, [*details, ("contact forces", f"{count}: {how}")]
 
 
 def _shares(draft: Vehicle | Draft) -> Lines:
@@ -470,15 +444,9 @@ def conditioning(dae: Dae, start: Trajectory) -> Lines:
         point = 0.0, x, z, system.u[:, 0], block.stages[-1]
         jacobian = np.array(block.newton(*point)[1]) * dae.sizes.alg[block.span, None]
         _, values, right = np.linalg.svd(jacobian)
-        size = [
-            abs(part) if label in moving else 0.0
-            for part, label in zip(right[-1], labels[block.span], strict=True)
-        ]
-        weak = [
-            labels[block.span][k].full
-            for k in np.argsort(size)[::-1]
-            if size[k] > MIN_SHARE * max(size)
-        ]
+        own = labels[block.span]
+        size = np.abs(right[-1]) * [label in moving for label in own]
+        weak = [own[k].full for k in np.argsort(size)[::-1] if size[k] > MIN_SHARE * size.max()]
         words = f"{values[0] / values[-1]:.3g} at the start, least determined: {', '.join(weak)}"
         facts.append((f"condition of {name}", words))
     return facts

@@ -27,6 +27,7 @@ from slipfree.files.urdf.links import Robot
 from slipfree.files.vehicle_toml import file_of, read_toml, vehicle_text
 from slipfree.geometry.mesh import TriangleMesh
 from slipfree.models.given_rates import COMMANDS, ROBOT
+from slipfree.models.montana import Difference
 from slipfree.plan.polynomial_motion import SavedPlan
 from slipfree.problem.build import Setup, World
 from slipfree.problem.build_ground import GroundMap, at, ground_table
@@ -46,11 +47,11 @@ from slipfree.problem.verbs.base import (
     CROSS_CHECK,
     PLAIN_ROWS,
     VERB_ATTRIBUTE,
-    CrossCheck,
     DriveVerb,
     Result,
     Watch,
     values_of,
+    world_of,
 )
 from slipfree.problem.verbs.inverse import Inverse, are_commands, read_commands
 from slipfree.routing.traversability import extents
@@ -176,8 +177,8 @@ def result_of(
 
 
 @computing
-def cross_check(result: Result) -> CrossCheck:
-    """Solve the problem of a result in the other formulation of contact and compare the motions.
+def cross_check(result: Result) -> tuple[str, tuple[Difference, ...]]:
+    """Return the other formulation of contact, and the differences of the motion from that in it.
 
     ProblemError is raised if the verb of the problem does not offer a cross-check.
     """
@@ -214,18 +215,14 @@ def open_result(path: str | os.PathLike[str], *, samples: int | None = None) -> 
 
 def motion_facts(run: Trajectory) -> Lines:
     """Return the summary of a stored motion, pairs of name and text; see `facts_of` for errors."""
-    return _facts_and_summary(run)[1]
+    return facts_of(run)[1]
 
 
-def facts_of(run: Trajectory) -> Mapping[str, Fact]:
-    """Return the facts of a stored motion, by name.
+def facts_of(run: Trajectory) -> tuple[Mapping[str, Fact], Lines]:
+    """Return the facts of a stored motion by name, and its summary, pairs of name and text.
 
     DataError is raised if facts of the result file have other types than those of its verb.
     """
-    return _facts_and_summary(run)[0]
-
-
-def _facts_and_summary(run: Trajectory) -> tuple[Mapping[str, Fact], Lines]:
     verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
     try:
         facts = verb.facts(run) if verb else run.facts
@@ -256,15 +253,12 @@ def export_mcap(file: Path, out: Path) -> None:
         vehicle, or if ``out`` cannot be written.
     """
     from slipfree.files.mcap import write_mcap
-    from slipfree.problem.build_vehicle import vehicle_file
-    from slipfree.problem.verbs.base import world_of
 
     check_name(out, file, (".mcap",))
-    check_motion(file, read(file, lazy=True), ("x", "y", "z", "wheel_angle", "slip_along"))
     result = open_result(file)
-    vehicle, problem = world_of(result).vehicle, result.problem
-    robot = vehicle_file(problem.spec.vehicle, problem).robot
-    write_mcap(out, result.trajectory, vehicle, robot)
+    check_motion(file, result.trajectory, ("x", "y", "z", "wheel_angle", "slip_along"))
+    robot = vehicle_file(result.problem.spec.vehicle, result.problem).robot
+    write_mcap(out, result.trajectory, world_of(result).vehicle, robot)
 
 
 def result_files(file: Path) -> list[Path]:

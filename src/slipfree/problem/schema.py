@@ -321,17 +321,13 @@ class SoilTable(NamedSoil):  # type: ignore[misc]
 OF_REGIONS = (*RegionTable.model_fields, "width")  # keys of a region that are not of its soil
 
 
-def soil_of(
-    *, name: str = DEFAULT_SOIL, regions: tuple[RegionTable, ...] = (), **constants: Any
-) -> Soil:
+def soil_of(*, name: str = DEFAULT_SOIL, regions: tuple[Any, ...] = (), **constants: Any) -> Soil:
     """Return the soil of a table: one of the catalogue, with other constants and regions."""
-    return replace(known_soil(name), regions=tuple(map(_region, regions)), **constants)
-
-
-def _region(table: Any) -> SoilRegion:
-    values = given_values(table).items()
-    soil = soil_of(**{key: value for key, value in values if key not in OF_REGIONS})
-    return SoilRegion(region_of(table), soil, table.width)
+    found = list[SoilRegion]()
+    for table in regions:
+        own = {key: each for key, each in given_values(table).items() if key not in OF_REGIONS}
+        found.append(SoilRegion(region_of(table), soil_of(**own), table.width))
+    return replace(known_soil(name), regions=tuple(found), **constants)
 
 
 class Law(Record):

@@ -18,20 +18,9 @@ from slipfree.core.errors import DataError
 from slipfree.core.facts import Lines
 from slipfree.core.outcome import Outcome
 from slipfree.core.records import Array
+from slipfree.files import toml
 from slipfree.files.tables import read_columns, read_names
-from slipfree.files.toml import (
-    MADE,
-    Angle,
-    Fault,
-    Positive,
-    Record,
-    given_values,
-    problem_error,
-    read_text,
-    record_of,
-)
 from slipfree.files.vehicle_toml import toml_value
-from slipfree.fit.estimate import Interval
 from slipfree.fit.unknowns import Unknown, law_constants
 from slipfree.fit.wheel_soil import QUANTITIES, SoilFit, check_constant, fit_soil
 from slipfree.laws.soil import Soil, WheelSize
@@ -69,7 +58,7 @@ PRIOR_SHARES = {  # deviation over mean of the priors of constants that are fitt
 MAX_POINTS = 100_000  # slip ratios times slip angles
 
 
-class TestedWheelTable(Record):
+class TestedWheelTable(toml.Record):
     """Table ``[wheel]``: dimensions and load of the wheel.
 
     Attributes
@@ -82,16 +71,16 @@ class TestedWheelTable(Record):
         Vertical load. [N]
     """
 
-    radius: Positive
-    width: Positive
-    load: Positive
+    radius: toml.Positive
+    width: toml.Positive
+    load: toml.Positive
 
 
 SlipRatio = Annotated[float, Field(ge=-1, le=1)]
-SlipAngle = Annotated[Angle, Field(gt=-np.pi / 2, lt=np.pi / 2)]
+SlipAngle = Annotated[toml.Angle, Field(gt=-np.pi / 2, lt=np.pi / 2)]
 
 
-class TestTable(Record):
+class TestTable(toml.Record):
     """Table ``[test]``: slip ratios, slip angles and measured points.
 
     Attributes
@@ -116,7 +105,7 @@ class TestTable(Record):
 
 
 NOT_KEYS = ("soil", "size", "unknowns", "runs", "gravity")
-OfFit: Any = record_of(fit_soil, FileKeys, omitted=NOT_KEYS)  # options of a fit
+OfFit: Any = toml.record_of(fit_soil, FileKeys, omitted=NOT_KEYS)  # options of a fit
 
 
 class WheelFile(OfFit):  # type: ignore[misc]
@@ -148,16 +137,16 @@ class WheelFile(OfFit):  # type: ignore[misc]
     test: TestTable = TestTable()
     unknowns: dict[str, BoundsTable] = Field(default={})
 
-    def faults(self) -> Iterator[Fault]:
+    def faults(self) -> Iterator[toml.Fault]:
         """Yield an error for each value that contradicts another one."""
         low, high = self.test.slip
         if low >= high:
             expected = "two slip ratios in ascending order"
-            yield Fault(("test", "slip"), expected, f"[{low:g}, {high:g}]; exchange them")
+            yield toml.Fault(("test", "slip"), expected, f"[{low:g}, {high:g}]; exchange them")
         count = self.test.points * len(self.test.slip_angles)
         if count > MAX_POINTS:
             expected = f"at most {MAX_POINTS} slip ratios times slip angles"
-            yield Fault(("test", "points"), expected, f"{count}; reduce the number of points")
+            yield toml.Fault(("test", "points"), expected, f"{count}; reduce the number of points")
 
 
 class WheelContents(NamedTuple):
@@ -223,8 +212,8 @@ def fit_wheel_file(file: WheelContents) -> FittedWheel:
     """
     spec = file.spec
     if file.runs is None:
-        fault = Fault(("test", "measured"), "a CSV file of measured points", "none; add it")
-        raise problem_error(file.problem.source, [fault])
+        fault = toml.Fault(("test", "measured"), "a CSV file of measured points", "none; add it")
+        raise toml.problem_error(file.problem.source, [fault])
     unknowns = list[Unknown]()
     for name, share in PRIOR_SHARES.items() if not spec.unknowns else ():
         if name != "shear_across" or file.runs.motion[2].any():
@@ -232,7 +221,7 @@ def fit_wheel_file(file: WheelContents) -> FittedWheel:
             unknowns.append(Unknown(name, name, prior=(mean, share * mean)))
     for name, table in spec.unknowns.items():
         with at(file.problem, ("unknowns", name)):
-            unknowns.append(Unknown(name, name, **given_values(table)))
+            unknowns.append(Unknown(name, name, **toml.given_values(table)))
             check_constant(unknowns[-1], file.soil)
     options = {name: getattr(spec, name) for name in OfFit.model_fields}
     if "folds" not in spec.model_fields_set:
@@ -244,7 +233,7 @@ def fit_wheel_file(file: WheelContents) -> FittedWheel:
 
 def is_wheel_file(path: Path) -> bool:
     """Return whether a file of ``slipfree fit`` is a wheel file, by its table ``[wheel]``."""
-    return re.search(r"^\s*(\[wheel\]|wheel\s*=|wheel\.)", read_text(path), re.M) is not None
+    return re.search(r"^\s*(\[wheel\]|wheel\s*=|wheel\.)", toml.read_text(path), re.M) is not None
 
 
 def read_wheel_file(path: Path, settings: Sequence[str]) -> WheelContents:
@@ -253,9 +242,9 @@ def read_wheel_file(path: Path, settings: Sequence[str]) -> WheelContents:
     A file with another ending than .toml is that of the measured points.
     """
     if path.suffix.lower() == ".toml":
-        text = read_text(path, "a wheel file")
+        text = toml.read_text(path, "a wheel file")
     else:
-        text = f"{MADE}test.measured = {toml_value(path.name)}\n"
+        text = f"{toml.MADE}test.measured = {toml_value(path.name)}\n"
         if "load" in read_names(path, "measured points"):
             load = np.median(read_columns(path, ["load"], "measured points").values["load"])
             text += f"wheel.load = {float(load)!r}\n"
@@ -263,7 +252,7 @@ def read_wheel_file(path: Path, settings: Sequence[str]) -> WheelContents:
     spec: WheelFile = problem.spec
     with at(problem, ("gravity",)):
         gravity = gravity_of(spec.gravity)
-    soil = soil_of(**given_values(spec.soil))
+    soil = soil_of(**toml.given_values(spec.soil))
     size = WheelSize(spec.wheel.radius, spec.wheel.width)
     runs, files = None, [path]
     if spec.test.measured is not None:
@@ -326,18 +315,12 @@ def wheel_facts(test: WheelTest) -> Lines:
         ),
     ]
     for k, angle in enumerate(curves.angle):
-        best = curves.pull[k].argmax()
-        depth = 1e3 * curves.sinkage[k]
-        facts.append(
-            (
-                f"slip angle {np.rad2deg(angle):g} deg",
-                f"drawbar pull {curves.pull[k].min():.4g} to {curves.pull[k].max():.4g} N (largest "
-                f"at slip {curves.slip[best]:.3g}), side force {curves.side[k].min():.4g} to "
-                f"{curves.side[k].max():.4g} N, torque {curves.torque[k].min():.4g} to "
-                f"{curves.torque[k].max():.4g} N m, sinkage {depth.min():.4g} to "
-                f"{depth.max():.4g} mm",
-            )
-        )
+        ranges = (curves.pull[k], curves.side[k], curves.torque[k], 1e3 * curves.sinkage[k])
+        pull, side, torque, depth = (f"{each.min():.4g} to {each.max():.4g}" for each in ranges)
+        best = curves.slip[curves.pull[k].argmax()]
+        words = f"drawbar pull {pull} N (largest at slip {best:.3g}), side force {side} N, torque "
+        words += f"{torque} N m, sinkage {depth} mm"
+        facts.append((f"slip angle {np.rad2deg(angle):g} deg", words))
     for name, (count, rms, mean) in test.errors.items():
         unit = QUANTITIES[name]
         error = f"computed minus measured rms {rms:.3g} {unit}, mean {mean:.3g} {unit}"
@@ -389,25 +372,18 @@ def fit_facts(fitted: FittedWheel) -> Lines:
     if np.isfinite(fit.excess):
         facts.append(("residuals", f"{fit.excess:.3g} times the deviation between repeats"))
     for each in fit.errors:
-        unit = QUANTITIES[each.name]
-        repeats = f", between repeats {each.repeats:.3g}" if np.isfinite(each.repeats) else ""
-        facts.append(
-            (
-                each.name,
-                f"rms error {_interval(each.nominal)} {unit} before, {_interval(each.validated)} "
-                f"of runs left out; deviation of the data {each.variation:.3g}{repeats}",
-            )
+        before, after = (
+            f"{found.value:.3g} ({found.lower:.3g} to {found.upper:.3g})"
+            for found in (each.nominal, each.validated)
         )
+        words = f"rms error {before} {QUANTITIES[each.name]} before, {after} of runs left out; "
+        words += f"deviation of the data {each.variation:.3g}"
+        words += f", between repeats {each.repeats:.3g}" if np.isfinite(each.repeats) else ""
+        facts.append((each.name, words))
     if fit.sunk:
-        words = (
-            f"at {fit.sunk} points the wheel sinks to its axle, beyond which the law is not valid"
-        )
-        facts.append(("sinkage", words))
+        words = f"at {fit.sunk} points the wheel sinks to its axle, beyond which the law is not "
+        facts.append(("sinkage", f"{words}valid"))
     return facts
-
-
-def _interval(interval: Interval) -> str:
-    return f"{interval.value:.3g} ({interval.lower:.3g} to {interval.upper:.3g})"
 
 
 def constant_rows(fit: SoilFit) -> tuple[list[str], list[list[Any]]]:
@@ -422,36 +398,20 @@ def point_rows(fitted: FittedWheel) -> tuple[list[str], list[list[float]]]:
     """Return column names and rows of the points: measured, and computed before and after."""
     runs, fit = fitted.runs, fitted.fit
     slip, angle = slip_of_motion(runs.motion)
-    kinds = {
-        "measured": runs.values,
-        "before": fit.nominal,
-        "fitted": fit.fitted,
-        "left_out": fit.validated,
-    }
+    kinds = {"measured": runs.values, "before": fit.nominal}
+    kinds |= {"fitted": fit.fitted, "left_out": fit.validated}
     names = [f"{name}_{kind}" for name in QUANTITIES for kind in kinds]
-    table = np.column_stack(
-        [
-            runs.run,
-            slip,
-            angle,
-            runs.load,
-            *(values[:, k] for k in range(len(QUANTITIES)) for values in kinds.values()),
-        ]
-    )
+    columns = [values[:, k] for k in range(len(QUANTITIES)) for values in kinds.values()]
+    table = np.column_stack([runs.run, slip, angle, runs.load, *columns])
     return ["run", "slip", "slip_angle", "load", *names], table.tolist()
 
 
 def error_rows(fit: SoilFit) -> list[dict[str, Any]]:
     """Return the errors of the quantities as objects."""
-    return [
-        {
-            **each._asdict(),
-            "nominal": each.nominal._asdict(),
-            "validated": each.validated._asdict(),
-            "unit": QUANTITIES[each.name],
-        }
-        for each in fit.errors
-    ]
+    rows = [each._asdict() | {"unit": QUANTITIES[each.name]} for each in fit.errors]
+    for row in rows:
+        row |= {name: row[name]._asdict() for name in ("nominal", "validated")}
+    return rows
 
 
 def soil_text(fitted: FittedWheel) -> str:

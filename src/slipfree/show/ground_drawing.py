@@ -205,12 +205,6 @@ def padded(window: Window, by: tuple[float, float], grid: Grid) -> Window:
     )
 
 
-def around(run: Trajectory, grid: Grid, pad: float) -> Window:
-    """Return the window around path and contacts of a motion, with a margin as in `about` [m]."""
-    x, y = (np.concatenate([run[name], run[f"contact_{name}"].ravel()]) for name in "xy")
-    return about(x, y, grid, pad)
-
-
 def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
     """Return the window around positions, with the proportions of the map if possible [m]."""
     west, east, south, north = grid.domain

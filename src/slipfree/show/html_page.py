@@ -202,17 +202,6 @@ def _written(figure: Figure, ending: str) -> bytes:
     return file.getvalue()
 
 
-class PlanMap(NamedTuple):
-    """Fixed contents of the page."""
-
-    title: str
-    file: Path
-    frame: str  # frame of the headings
-    grid: Grid
-    vehicle: Vehicle
-    way_points: tuple[tuple[str, float, float], ...] = ()  # name, x and y of way-points [m]
-
-
 class PlanPage(NamedTuple):
     """Page for planning by hand, and its map."""
 
@@ -221,21 +210,19 @@ class PlanPage(NamedTuple):
     image: Content
 
 
-def plan_page(plan_map: PlanMap) -> PlanPage:
-    """Return the page for planning by hand."""
-    x_min, x_max, y_min, y_max = plan_map.grid.domain
-    image = map_image(plan_map.grid)
+def plan_page(title: str, file: Path, grid: Grid, vehicle: Vehicle, **more: object) -> PlanPage:
+    """Return the page for planning by hand; ``more`` are further data of its script, as JSON."""
+    image = map_image(grid)
     data = {
-        "domain": [x_min, x_max, y_min, y_max],
-        "reach": extents(plan_map.vehicle)[2],
-        "north_heading": plan_map.frame == "paper",
-        "file": _digest(str(plan_map.file.resolve()).encode(errors="backslashreplace")),
-        "way_points": plan_map.way_points,
+        "domain": grid.domain,
+        "reach": extents(vehicle)[2],
+        "file": _digest(str(file.resolve()).encode(errors="backslashreplace")),
+        **more,
     }
-    identity = _digest(image.body, json.dumps([data, plan_map.title]).encode())
+    identity = _digest(image.body, json.dumps([data, title]).encode())
     text = page_file("plan_page.html")
     script_safe = json.dumps({**data, "page": identity}).replace("<", "\\u003c")  # </script>
-    html = text.replace("@TITLE@", escape(plan_map.title)).replace("@DATA@", script_safe)
+    html = text.replace("@TITLE@", escape(title)).replace("@DATA@", script_safe)
     body = html.encode("utf-8", errors="backslashreplace")
     return PlanPage(identity, Content(body, "text/html; charset=utf-8"), image)
 

@@ -183,10 +183,7 @@ def ground_plot(grid: Grid, place: tuple[float, float] | None = None) -> Plot:
         if place is not None:
             for ax in (left, right):
                 ax.plot(*place, "o", mfc="white", mec="black", ms=5, label="start")
-        entries = dict(zip(*reversed(left.get_legend_handles_labels()), strict=True))
-        if entries:
-            figure.legend(entries.values(), entries.keys(), loc="outside upper left", ncols=3)
-        return figure
+        return style.finished(figure, None, [left])
 
     return Plot("ground", "Heights and slopes of the ground.", make)
 
@@ -327,9 +324,7 @@ def map_plot(drive: PlottedDrive) -> Plot:
         figure, ax, window = ground_drawing.map_figure(x, y, grid, 0.15)
         ground_drawing.solids(drive.prisms, ground_drawing.muted(grid, ax, window))
         ground_drawing.hatch(grid, grid.filled, window, "filled holes", FILLED, ax)
-        places = [
-            each for each in drive.marks.get("places", ()) if each[0] != "start"
-        ]  # of the path
+        places = [place for place in drive.marks.get("places", ()) if place[0] != "start"]
         path(run, ground_drawing.plan_marks(ax, **{**drive.marks, "places": places}))
         if "slip_along" in run:
             tracks(run, ax)

@@ -329,10 +329,8 @@ class Scene(NamedTuple):
     @property
     def span(self) -> tuple[float, float]:
         """First and last time of all motions [s]."""
-        return (
-            min(float(actor.t[0]) for actor in self.actors),
-            max(float(actor.t[-1]) for actor in self.actors),
-        )
+        times = np.concatenate([actor.t for actor in self.actors])
+        return float(times.min()), float(times.max())
 
 
 def arrow_scales(actors: Sequence[Actor], reach: float) -> tuple[dict[str, float], list[str]]:
@@ -359,10 +357,7 @@ def arrow_scales(actors: Sequence[Actor], reach: float) -> tuple[dict[str, float
             notes.append(f"No {name} is drawn: it is at most {sizes.max():.1e} {UNITS[name]}.")
         else:
             longest = FULL_SLIP if name == "slip" else max(float(np.percentile(sizes, 99)), least)
-            wanted = longest / (LONGEST * reach)  # per metre of arrow
-            power = 10.0 ** np.floor(np.log10(wanted))
-            step = min(step for step in ROUND if step * power >= wanted * 0.999)
-            scales[name] = float(1 / (power * step))
+            scales[name] = 1 / round_step(0.999 * longest / (LONGEST * reach), ROUND)
     return scales, notes
 
 
@@ -414,10 +409,13 @@ def contours(drawn: Grid) -> Lines:
     return Lines("contours", legend, BROWN, np.concatenate([np.zeros((0, 2, 3)), *segments]))
 
 
-def round_step(least: float) -> float:
-    """Return the smallest of 1, 2 and 5 times a power of ten that is at least a positive value."""
+def round_step(least: float, steps: Sequence[float] = STEPS) -> float:
+    """Return the smallest of round numbers times a power of ten that is at least a positive value.
+
+    By default these numbers are 1, 2 and 5.
+    """
     power = 10.0 ** np.floor(np.log10(max(least, FLAT / 10)))
-    return float(next(power * step for step in STEPS if power * step >= least * (1 - 1e-9)))
+    return float(next(power * step for step in steps if power * step >= least * (1 - 1e-9)))
 
 
 def _grid_and_north(drawn: Grid, terrain: Terrain, window: Window) -> Iterable[Lines]:
@@ -549,10 +547,16 @@ def _closest(drives: Sequence[Driven], origin: Array, reach: float) -> Iterable[
     places = [each.run.facts[CLOSEST] for each in drives if CLOSEST in each.run.facts]
     if places:
         feet = np.array([[each.value[axis] for axis in "xyz"] for each in places]) - origin
-        tops = feet + np.array([0.0, 0.0, reach])
-        labels = tuple((each.words, top) for each, top in zip(places, tops, strict=True))
-        legend = "bodies above the ground"
-        yield Lines("closest", legend, CLOSEST_COLOR, np.stack([feet, tops], axis=1), labels)
+        posts, labels = _posts(feet, reach, [each.words for each in places])
+        yield Lines("closest", "bodies above the ground", CLOSEST_COLOR, posts, labels)
+
+
+def _posts(
+    feet: Array, height: float, words: Iterable[str]
+) -> tuple[Array, tuple[tuple[str, Array], ...]]:
+    """Return vertical lines on points, and their labels."""
+    tops = feet + np.array([0.0, 0.0, height])
+    return np.stack([feet, tops], axis=1), tuple(zip(words, tops, strict=True))
 
 
 def _plan_lines(first: Driven, window: Window, origin: Array, reach: float) -> Iterator[Lines]:
@@ -573,10 +577,8 @@ def _plan_lines(first: Driven, window: Window, origin: Array, reach: float) -> I
     if borders:
         yield Lines(PLAN_LINES[0], "regions of the plan", RED, np.concatenate(borders))
     if first.places:
-        feet = draped(np.array([place[1:] for place in first.places]))
-        tops = feet + np.array([0.0, 0.0, reach])
-        labels = tuple((place[0], top) for place, top in zip(first.places, tops, strict=True))
-        posts = np.stack([feet, tops], axis=1)
+        names, points = [place[0] for place in first.places], [place[1:] for place in first.places]
+        posts, labels = _posts(draped(np.array(points)), reach, names)
         yield Lines(PLAN_LINES[1], "of the plan", PLACE_COLOR, posts, labels)
 
 
@@ -683,11 +685,11 @@ def _plotted(run: Trajectory) -> dict[str, Array]:
         values["slip"] = np.hypot(run["slip_along"], run["slip_across"])
     if "utilisation" in run:
         del values["friction_needed" if has_friction(run) else "utilisation"]
-    known = (each for each in PLOTTED if each.name in values)
     # infinite values cannot be interpolated
     return {
         each.name: np.minimum(SCALES.get(each.unit, 1.0) * values[each.name], LARGEST)
-        for each in known
+        for each in PLOTTED
+        if each.name in values
     }
 
 
@@ -707,11 +709,8 @@ def _part_bodies(
                 away = parts.origins[:, names.index(joint.name)] - origins
                 places = np.einsum("nji,nj->ni", rotations, away)
                 ends += [places.min(axis=0), places.max(axis=0)]
-        meshes = [
-            rod((0.0, 0.0, 0.0), end, ROD * radius)
-            for end in ends
-            if np.linalg.norm(end) > ROD * radius
-        ]
+        thick = ROD * radius
+        meshes = [rod(np.zeros(3), end, thick) for end in ends if np.linalg.norm(end) > thick]
         shapes = [shape for part, shape in vehicle.shapes if part == name]
         meshes += map(shape_mesh, shapes)
         if name in spans and not shapes:
@@ -762,11 +761,8 @@ def _with_visuals(
     bodies: Iterable[SceneBody], drive: Driven, robot: Robot, color: Color
 ) -> Iterable[SceneBody]:
     """Yield bodies that no mesh of the URDF replaces, without that of the platform, and links."""
-    replaced = {
-        wheel_name(joint.name)
-        for joint in robot.tree.joints.values()
-        if joint.child in drive.visuals
-    }
+    joints = robot.tree.joints.values()
+    replaced = {wheel_name(each.name) for each in joints if each.child in drive.visuals}
     names = {wheel.name for wheel in drive.vehicle.wheels} - replaced
     for body in bodies:
         if body.name == "platform" or body.name in names:

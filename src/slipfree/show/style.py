@@ -153,16 +153,10 @@ def history(
         if "tolerance" in run.statistics:
             ax.axhline(run.statistics["tolerance"], color="0.4", lw=0.8, ls="--", label="tolerance")
     elif has_zero:
-        with_zero(ax)
+        ax.axhline(0, color="0.4", lw=0.6, zorder=1)  # below the other lines
     if [*units] == ["rad"]:
         degrees(ax)
     return time_axis(run, ax)
-
-
-def with_zero(ax: Axes) -> Axes:
-    """Draw a line at zero below the other lines."""
-    ax.axhline(0, color="0.4", lw=0.6, zorder=1)
-    return ax
 
 
 def time_axis(run: Trajectory, ax: Axes) -> Axes:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from slipfree.core.errors import ModelError
 from slipfree.core.facts import printed_unit
 from slipfree.core.records import Array
+from slipfree.models.single_wheel import WheelCurves
 from slipfree.plan.pareto import FrontPoint
 from slipfree.show import style
 from slipfree.show.plots import Panel, Plot, save, stack
@@ -153,9 +154,7 @@ def _labelled(name: str, unit: str) -> str:
     return f"{name} [{printed_unit(unit)}]" if unit else name
 
 
-def front_figure(
-    against: str, unit: str, points: Sequence[FrontPoint], given: FrontPoint
-) -> Figure:
+def front_plot(against: str, unit: str, points: Sequence[FrontPoint], given: FrontPoint) -> Plot:
     """Return the figure of a front: minimised objective with tangents, and slip per metre.
 
     ``against`` and ``unit`` are those of the second objective. Solutions of ``points``, and of the
@@ -178,7 +177,7 @@ def front_figure(
         ax.set_ylabel("slip [mm per\nwheel and metre]")
         ax.set_xlabel(f"{style.words(against)} [{printed_unit(unit)}]")
 
-    return stack(None, [Panel(upper), Panel(lower)])
+    return Plot("pareto", "Pareto front", lambda: stack(None, [Panel(upper), Panel(lower)]))
 
 
 def _draw_points(
@@ -205,32 +204,31 @@ def _draw_points(
     ax.plot(given.second, value(given), "*", label="costs of the problem", **star)
 
 
-class DrawnWheel(NamedTuple):
-    """Data for the figure of a single-wheel test."""
+def wheel_plot(
+    name: str,
+    curves: WheelCurves,
+    load: float,
+    measured: Mapping[str, tuple[Array, Array, Array, Array]],
+) -> Plot:
+    """Return the undrawn figure of a single-wheel test, with the name of its file.
 
-    angle: Array  # shape (n_angles,): slip angles [rad]
-    slip: Array  # shape (n_slips,): slip ratios [1]
-    load: float  # vertical load of the curves [N]
-    values: Mapping[str, Array]  # shape (n_angles, n_slips): computed quantities by name
-    measured: Mapping[str, tuple[Array, Array, Array, Array]]  # by quantity
+    ``load`` is that of the curves [N]; ``measured`` are slip ratios, slip angles [rad], loads [N]
+    and values of the measured quantities, by name.
+    """
 
+    def panel(quantity: str, words: str, factor: float, ax: Axes) -> None:
+        ax.set(xlabel="slip ratio [1]", ylabel=words)
+        for k, angle in enumerate(curves.angle):
+            computed, label = getattr(curves, quantity)[k], f"{np.rad2deg(angle):.3g} deg"
+            ax.plot(curves.slip, factor * computed, label=label, **style.look(k))
+            if quantity in measured:
+                slip, angles, loads, values = measured[quantity]
+                near = np.abs(angles - angle) < SAME_ANGLE
+                same = np.abs(loads / load - 1) < SAME_LOAD
+                for marker, rows in (("o", near & same), ("x", near & ~same)):
+                    look = {"ms": 2.5, "mfc": "none", "mew": 0.6, "color": style.look(k)["color"]}
+                    ax.plot(slip[rows], factor * values[rows], marker, ls="", **look)
 
-def wheel_plot(name: str, test: DrawnWheel) -> Plot:
-    """Return the undrawn figure of a single-wheel test, with the name of its file."""
     words = "Drawbar pull, side force, torque and sinkage over the slip ratio."
-    panels = [Panel(partial(_draw, test, *each)) for each in PANELS]  # with a line per slip angle
+    panels = [Panel(partial(panel, *each)) for each in PANELS]
     return Plot(name, words, lambda: stack(None, panels))
-
-
-def _draw(test: DrawnWheel, name: str, words: str, factor: float, ax: Axes) -> None:
-    ax.set(xlabel="slip ratio [1]", ylabel=words)
-    for k, angle in enumerate(test.angle):
-        label = f"{np.rad2deg(angle):.3g} deg"
-        ax.plot(test.slip, factor * test.values[name][k], label=label, **style.look(k))
-        if name in test.measured:
-            slip, angles, loads, values = test.measured[name]
-            near = np.abs(angles - angle) < SAME_ANGLE
-            same = np.abs(loads / test.load - 1) < SAME_LOAD
-            for marker, rows in (("o", near & same), ("x", near & ~same)):
-                look = {"ms": 2.5, "mfc": "none", "mew": 0.6, "color": style.look(k)["color"]}
-                ax.plot(slip[rows], factor * values[rows], marker, ls="", **look)

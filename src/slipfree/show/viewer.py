@@ -138,14 +138,9 @@ def _add_world(server: viser.ViserServer, scene: Scene, color: str) -> Any:
     for lines in scene.ground.lines:
         root = f"{WORLD}/{lines.name}"
         server.scene.add_frame(root, show_axes=False)
-        thickness, color_of_lines = LINES.get(lines.name, 1.0), np.array(lines.color)
-        server.scene.add_line_segments(
-            f"{root}/lines {thickness:g}",
-            lines.segments.astype(np.float32),
-            color_of_lines,
-            thickness=thickness,
-            thickness_units="screen",
-        )
+        thickness = LINES.get(lines.name, 1.0)
+        drawn = f"{root}/lines {thickness:g}", lines.segments.astype("f4"), np.array(lines.color)
+        server.scene.add_line_segments(*drawn, thickness=thickness, thickness_units="screen")
         for k, (words, at) in enumerate(lines.labels, 1):
             look: dict[str, Any] = {"anchor": "center-center", "font_screen_scale": 0.8}
             server.scene.add_label(f"{root}/{k}", words, position=at, **look)

@@ -11,17 +11,18 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import permutations
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from slipfree.core.errors import DataError, SlipfreeError, shortened
-from slipfree.core.facts import Fact, numbers
+from slipfree.core.facts import Fact, Lines, numbers
 from slipfree.core.records import Array
 from slipfree.core.trajectory import SolverError, Trajectory
 from slipfree.core.version import __version__
@@ -29,24 +30,14 @@ from slipfree.files.netcdf import NOTHING, write
 from slipfree.files.tables import write_rows
 from slipfree.files.toml import key_path, load_toml
 from slipfree.files.urdf.xacro import trusted_paths
+from slipfree.problem import inputs
 from slipfree.problem.build import unit_of
-from slipfree.problem.inputs import (
-    FileStates,
-    Recipe,
-    file_states,
-    input_files,
-    input_names,
-    recipe_of,
-)
 from slipfree.problem.load import load_variants, verb_of
 from slipfree.problem.problem import Problem, Shared, sharing
 from slipfree.problem.result import run_problem
 from slipfree.show.swept import Swept, Varied
 from slipfree.system.parts import Identity, Parts, PartsWatch, study
 from slipfree.system.processes import Pool, Processes
-
-if TYPE_CHECKING:
-    from slipfree.core.facts import Lines
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 RANGE = re.compile(rf"\s*({NUMBER})\s*:\s*({NUMBER})\s*:\s*(\d+)\s*")
@@ -77,7 +68,7 @@ class Sweep:
     seeds: tuple[str, ...]
     repeat: int  # number of repetitions of every point of the grid
     seed: int
-    files: FileStates  # all input files
+    files: inputs.FileStates  # all input files
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -149,12 +140,12 @@ def sweep_of(
         )
     problems = load_variants(file, settings, _checked_points(axes))
     first = replace(next(problems), trusted=trusted_paths(trust))
-    files, count = input_files(first), sum(len(axis.values) for axis in axes)
+    files, count = inputs.input_files(first), sum(len(axis.values) for axis in axes)
     for done, problem in enumerate(problems, 1 + len(axes)):
-        if not {*input_names(problem.spec)} <= files.keys():
-            files |= input_files(problem)
+        if not {*inputs.input_names(problem.spec)} <= files.keys():
+            files |= inputs.input_files(problem)
         progress(done, count)
-    bare = Sweep(first, tuple(settings), axes, (), 1, seed, file_states(files))
+    bare = Sweep(first, tuple(settings), axes, (), 1, seed, inputs.file_states(files))
     if repeat is None:
         return bare
     known = seed_keys(bare.problem.spec.model_dump())
@@ -281,19 +272,15 @@ def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
 
 
 def _values(text: str) -> tuple[str, ...]:
-    """Return comma-separated values as TOML text, or as words if they are not valid TOML."""
-    try:
+    """Return comma-separated values as TOML text, or as words if they are not valid TOML.
+
+    TOML text equals JSON for strings, numbers, booleans and arrays.
+    """
+    with suppress(ValueError, TypeError):
         values = load_toml(f"values = [{text}]")["values"]
-        return tuple(map(_spelled, values))
-    except (ValueError, TypeError):
-        return tuple(part.strip() for part in text.split(","))
-
-
-def _spelled(value: Any) -> str:
-    """Return a value as TOML text, which equals JSON for strings, numbers, booleans and arrays."""
-    if isinstance(value, dict):
-        raise TypeError(value)
-    return json.dumps(value, ensure_ascii=False)
+        if not any(isinstance(value, dict) for value in values):
+            return tuple(json.dumps(value, ensure_ascii=False) for value in values)
+    return tuple(part.strip() for part in text.split(","))
 
 
 COMPLETE = "complete"  # figure of every run: 1 if it reached its end
@@ -331,7 +318,7 @@ class RunTask(NamedTuple):
     """Task for a process: one run."""
 
     run: int  # its number
-    recipe: Recipe  # its problem
+    recipe: inputs.Recipe  # its problem
     own: tuple[str, ...]  # settings of this run that are not settings of all runs
     keep: bool = False  # whether to return the motion
     # identifier of the content of the input files. Runs of one process share maps and models if it
@@ -376,7 +363,6 @@ class Rows(Parts[Done]):
         """
         super().__init__(folder, Identity("sweep", count, head, WORDS), check=check)
         self._outcomes: dict[int, str] = {}  # by run
-        self._units: dict[str, tuple[int, int, str]] = {}  # by metric: first run, position, unit
         self.outcomes: Counter[str] = Counter()
         self.last: RunRow | None = None
         for row in self:
@@ -404,8 +390,7 @@ class Rows(Parts[Done]):
     @property
     def units(self) -> dict[str, str]:
         """Units of all metrics by name, in the order of the first run that has them."""
-        ordered = sorted(self._units.items(), key=lambda each: each[1])
-        return {name: unit for name, (_, _, unit) in ordered}
+        return {name: unit for row in self for name, (_, unit) in row.figures.items()}
 
     def result_path(self, run: int) -> Path:
         """Return the path of the result file of a run."""
@@ -427,10 +412,6 @@ class Rows(Parts[Done]):
     def _count(self, row: RunRow) -> None:
         self._outcomes[row.run] = sys.intern(row.outcome)
         self.outcomes[row.outcome] += 1
-        for k, (name, (_, unit)) in enumerate(row.figures.items()):
-            earlier = self._units.get(name)
-            if earlier is None or (row.run, k) < earlier[:2]:
-                self._units[sys.intern(name)] = row.run, k, sys.intern(unit)
 
 
 def work(task: RunTask) -> Done:
@@ -442,7 +423,25 @@ def work(task: RunTask) -> Done:
     begin = time.perf_counter()
     try:
         with ALONE, sharing(KEPT, task.files):
-            return _worked(task, begin)
+            problem = task.recipe.load()
+            try:
+                result = run_problem(problem)
+            except SolverError as error:
+                if error.trajectory is None:
+                    raise
+                reached = f"{error} (reached t = {error.trajectory.t[-1]:.6g} s)"
+                raise SolverError(reached) from error
+            motion = result.trajectory
+            stop = motion.stop
+            outcome = f"stopped by {stop.name}" if stop else "complete"
+            words = stop.words if stop else verb_of(problem).describe_end(motion)
+            try:
+                figures = figures_of(motion, problem)
+            except Exception as error:  # failed metrics must not lose the motion
+                outcome, words, figures = FAILED, f"metrics: {type(error).__name__}: {error}", {}
+            end, seconds = float(motion.t[-1]), time.perf_counter() - begin
+            row = RunRow(task.run, task.own, outcome, words, end, figures, seconds)
+            return Done(row, motion, result.arrays) if task.keep else Done(row)
     except SlipfreeError as error:
         outcome, words = FAILED, str(error)
     except (OSError, MemoryError) as error:
@@ -451,35 +450,6 @@ def work(task: RunTask) -> Done:
         outcome, words = FAILED, f"{type(error).__name__}: {error}"
     words = words.replace(f"{task.recipe.path.parent}{os.sep}", "")
     return without_motion(task, words, outcome, time.perf_counter() - begin)
-
-
-def _worked(task: RunTask, begin: float) -> Done:
-    """Return the row of a solved run, and its motion if it is kept."""
-    problem = task.recipe.load()
-    try:
-        result = run_problem(problem)
-    except SolverError as error:
-        if error.trajectory is None:
-            raise
-        raise SolverError(f"{error} (reached t = {error.trajectory.t[-1]:.6g} s)") from error
-    motion = result.trajectory
-    stop = motion.stop
-    outcome = f"stopped by {stop.name}" if stop else "complete"
-    words = stop.words if stop else verb_of(problem).describe_end(motion)
-    try:
-        figures = figures_of(motion, problem)
-    except Exception as error:  # failed metrics must not lose the motion
-        outcome, words, figures = FAILED, f"metrics: {type(error).__name__}: {error}", {}
-    row = RunRow(
-        task.run,
-        task.own,
-        outcome,
-        words,
-        float(motion.t[-1]),
-        figures,
-        time.perf_counter() - begin,
-    )
-    return Done(row, motion, result.arrays) if task.keep else Done(row)
 
 
 def figures_of(run: Trajectory, problem: Problem[Any]) -> Figures:
@@ -523,13 +493,14 @@ def write_table(file: Path, sweep: Sweep, rows: Rows) -> None:
     """
     units = rows.units
     head = ["run", *sweep.keys, "outcome", "words", "time_reached", *units]
-    write_rows(file, head, (_line(sweep.run(row.run), row, units) for row in rows))
-
-
-def _line(run: Run, row: RunRow, names: Iterable[str]) -> list[object]:
-    values = [row.figures[name][0] if name in row.figures else "" for name in names]
-    time = "" if row.t is None else row.t
-    return [run.number, *run.values, *run.seeds, row.outcome, _line_of(row.words), time, *values]
+    lines = (
+        [row.run, *run.values, *run.seeds, row.outcome, _line_of(row.words)]
+        + ["" if row.t is None else row.t]
+        + [row.figures[name][0] if name in row.figures else "" for name in units]
+        for row in rows
+        for run in [sweep.run(row.run)]
+    )
+    write_rows(file, head, lines)
 
 
 def _line_of(words: str) -> str:
@@ -576,12 +547,13 @@ def sweep_facts(
     sweep: Sweep, rows: Rows, tables: Mapping[str, Swept], figures: Sequence[str]
 ) -> Lines:
     """Return the facts of the summary of a sweep, pairs of name and text."""
-    spreads = (fact for name in figures for fact in _spreads(tables[name]))
-    return [
-        *_outcomes(sweep, rows),
-        *_within_limits(len(rows), tables.get(WITHIN_LIMITS)),
-        *spreads,
-    ]
+    facts = [*_outcomes(sweep, rows)]
+    if (kept := tables.get(WITHIN_LIMITS)) is not None:
+        good, count = np.nansum(kept.values), len(rows)
+        words = f"{good:.0f} of {count} runs ({100 * good / count:.0f} %): solved, and the "
+        words += "simulation satisfies goal and limits within plan.accuracy"
+        facts.append(("within limits", words))
+    return [*facts, *(fact for name in figures for fact in _spreads(tables[name]))]
 
 
 def _outcomes(sweep: Sweep, rows: Rows) -> Iterator[tuple[str, str]]:
@@ -606,22 +578,10 @@ def seed_facts(sweep: Sweep) -> Iterator[tuple[str, str]]:
         yield f"  {key}", f"{first} to {first + sweep.repeat - 1}"
 
 
-def _within_limits(count: int, kept: Swept | None) -> Iterator[tuple[str, str]]:
-    """Yield the number and share of runs that satisfy goal and limits, if there are any plans."""
-    if kept is None:
-        return
-    good = np.nansum(kept.values)
-    yield (
-        "within limits",
-        f"{good:.0f} of {count} runs ({100 * good / count:.0f} %): solved, and the "
-        "simulation satisfies goal and limits within plan.accuracy",
-    )
-
-
 def _spreads(swept: Swept) -> Iterator[tuple[str, str]]:
     """Yield mean and range of a metric, over all runs and for every value of every key."""
     unit = "" if swept.unit in ("1", "") else f" {swept.unit}"
-    yield swept.name, f"{_spread(swept.values, unit)}"
+    yield swept.name, _spread(swept.values, unit)
     for k, axis in enumerate(swept.axes):
         parts = np.moveaxis(swept.values, k, 0)
         for value, part in list(zip(axis.values, parts, strict=True))[:MAX_VALUES]:
@@ -655,12 +615,10 @@ def plan_facts(sweep: Sweep) -> Lines:
     times = f" = {' x '.join(map(str, sizes))}" if len(sizes) > 1 else ""
     facts = [("runs", f"{sweep.count}{times}")]
     for axis in sweep.axes:
-        few = (
-            axis.values
-            if len(axis.values) <= MAX_VALUES
-            else (*axis.values[:3], "...", axis.values[-1])
-        )
-        count = "1 value" if len(axis.values) == 1 else f"{len(axis.values)} values"
+        few, many = axis.values, len(axis.values)
+        if many > MAX_VALUES:
+            few = (*few[:3], "...", few[-1])
+        count = "1 value" if many == 1 else f"{many} values"
         facts.append((f"  {axis.name}", f"{', '.join(few)} ({count})"))
     return [*facts, *seed_facts(sweep)]
 
@@ -684,7 +642,7 @@ def run_sweep(
     die. DataError is raised if the folder cannot be written; SlipfreeError if the pool fails.
     """
     pool = partial(Processes, workers) if isinstance(workers, int) else workers
-    recipe, files = recipe_of(sweep.problem), json.dumps(sweep.files.digests)
+    recipe, files = inputs.recipe_of(sweep.problem), json.dumps(sweep.files.digests)
     recipe = recipe._replace(path=recipe.path.resolve())
 
     def task(number: int) -> RunTask:

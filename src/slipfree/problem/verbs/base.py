@@ -85,12 +85,9 @@ def ranges(run: Trajectory) -> Lines:
         if name == "utilisation" and not has_friction(run):
             continue
         low, high = (float(end.reduce(column.values, axis=None)) for end in (np.fmin, np.fmax))
-        unit = column.label.unit
+        unit, ends = column.label.unit, dict.fromkeys((low, high))
         n = 10 if unit == "m" and high > 1e3 else 6  # a northing has seven before the point
-        ends = (
-            "infinite" if np.isinf(end) else f"{end:.{n}g}" for end in dict.fromkeys((low, high))
-        )
-        span = " to ".join(ends)
+        span = " to ".join("infinite" if np.isinf(end) else f"{end:.{n}g}" for end in ends)
         facts.append((name, span if unit == "1" or np.isinf(low) else f"{span} {unit}"))
     return facts
 
@@ -172,13 +169,6 @@ def with_diagnostics(
             failures = [*earlier, f"{name}: {type(error).__name__}: {error}"]
             run = run.with_facts({FAILED_DIAGNOSTICS: Fact(failures)})
     return run
-
-
-class CrossCheck(NamedTuple):
-    """Largest differences of the quantities from the motion in another formulation of contact."""
-
-    other: str  # name of the other formulation
-    differences: tuple[Difference, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,11 +324,8 @@ class DriveVerb(Verb, ABC):
         if has_pressed_wheels(start):
             poses = _stable_poses(problem, setup)
             facts["stable_poses"] = Fact([pose_row(pose) for pose in poses])
-        return start, [
-            ("start", pose),
-            *lines(START_ROWS, facts),
-            ("samples", self.describe_samples(problem, setup)),
-        ]
+        samples = self.describe_samples(problem, setup)
+        return start, [("start", pose), *lines(START_ROWS, facts), ("samples", samples)]
 
     def describe_samples(self, problem: Problem[Any], setup: Setup) -> str:
         """Return the description of the sampling of the result."""
@@ -366,8 +353,8 @@ class DriveVerb(Verb, ABC):
         """Return differences from an independent computation and violations of limits, by name."""
         return {name: fact for name, fact in run.facts.items() if name.startswith(self.verified)}
 
-    def cross_check(self, result: Result) -> CrossCheck:
-        """Return the differences from the other formulation of contact, if the verb offers them."""
+    def cross_check(self, result: Result) -> tuple[str, tuple[Difference, ...]]:
+        """Return the other formulation of contact, and differences from it, if the verb has one."""
         raise NotImplementedError(CROSS_CHECK)
 
     def figures(self, result: Result) -> tuple[Plot, ...]:
@@ -426,17 +413,12 @@ def drive_facts(run: Trajectory) -> dict[str, Fact]:
         facts["tilt_largest"] = Fact(max(fact.value for fact in largest.values()), "rad")
     slip = np.hypot(run["slip_along"], run["slip_across"])
     facts["slip_largest"] = Fact(float(slip.max()), "m s-1")
-    facts["slip_by_wheel"] = Fact(
-        [
-            {
-                "wheel": wheel,
-                "along_largest": float(np.abs(run["slip_along", wheel]).max()),
-                "across_largest": float(np.abs(run["slip_across", wheel]).max()),
-                "rms": float(np.sqrt(np.mean(slip[:, k] ** 2))),
-            }
-            for k, wheel in enumerate(run.wheels)
-        ]
-    )
+    by_wheel = {
+        "along_largest": np.abs(run["slip_along"]).max(axis=0),
+        "across_largest": np.abs(run["slip_across"]).max(axis=0),
+        "rms": np.sqrt(np.mean(slip**2, axis=0)),
+    }
+    facts["slip_by_wheel"] = Fact(_by_wheel(run, by_wheel))
     if duration > 0:
         squares = np.trapezoid(slip**2, run.t, axis=0).mean()
         facts["slip_rms"] = Fact(float(np.sqrt(squares / duration)), "m s-1")
@@ -478,6 +460,12 @@ def drive_facts(run: Trajectory) -> dict[str, Fact]:
     return facts
 
 
+def _by_wheel(run: Trajectory, columns: Mapping[str, Array]) -> list[dict[str, Any]]:
+    """Return a row for each wheel, of columns with a value for each wheel."""
+    rows = zip(run.wheels, *(values.tolist() for values in columns.values()), strict=True)
+    return [dict(zip(("wheel", *columns), row, strict=True)) for row in rows]
+
+
 def _pressed_facts(run: Trajectory) -> dict[str, Fact]:
     """Return facts about pressed wheels: time in the air, lift-offs and rocking."""
     depth = run["depth"]
@@ -485,16 +473,11 @@ def _pressed_facts(run: Trajectory) -> dict[str, Fact]:
     ends = np.append(run.t, run.t[-1])  # of flights, with all wheels in the air
     edges = np.flatnonzero(np.diff(flying)).reshape(-1, 2).tolist()
     flights = [float(ends[last] - run.t[first]) for first, last in edges]
-    lifted, heights = (depth < 0).mean(axis=0), -depth.min(axis=0)
-    in_air = [
-        {"wheel": wheel, "share_of_samples": float(share), "height": float(height)}
-        for wheel, share, height in zip(run.wheels, lifted, heights, strict=True)
-        if share
-    ]
+    in_air = {"share_of_samples": (depth < 0).mean(axis=0), "height": -depth.min(axis=0)}
     changes = [rock._asdict() for rock in rocks(run)]
     facts = {
         "time_in_air": Fact(sum(flights), "s"),
-        "wheels_in_air": Fact(in_air),
+        "wheels_in_air": Fact([e for e in _by_wheel(run, in_air) if e["share_of_samples"]]),
         "lift_offs": Fact(int(((depth[:-1] >= 0) & (depth[1:] < 0)).sum()), "1"),
         "rocks": Fact(changes),
         "wheel_contact": Fact("compliant contact"),
@@ -536,11 +519,8 @@ def _certificate(run: Trajectory, facts: Mapping[str, Fact]) -> str:
     clean = "clean" if min(clearance, curvature) >= 0 else "broken"
     if run.stop is not None and run.stop.name.partition("[")[0] in UNIQUE:
         clean += " up to the stop"
-    room = (
-        "no other part of the ground near the wheels"
-        if np.isinf(clearance)
-        else f"clearance beside the contacts {clearance:.4g} m at least"
-    )
+    room = f"clearance beside the contacts {clearance:.4g} m at least"
+    room = "no other part of the ground near the wheels" if np.isinf(clearance) else room
     words = f"{clean}: {room}, relative curvature {curvature:.4g} 1/m at least"
     if run.t.size == 1:
         return words
@@ -597,14 +577,9 @@ def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
     on = grid.touches(grid.filled, run["contact_x"], run["contact_y"])
     steps = np.sqrt(sum(np.diff(run[f"contact_{axis}"], axis=0) ** 2 for axis in "xyz"))
     lengths = (0.5 * (on[:-1].astype(float) + on[1:]) * steps).sum(axis=0)
-    rows = [
-        {"wheel": wheel, "length": length, "path_length": whole}
-        for wheel, length, whole in zip(
-            run.wheels, lengths.tolist(), steps.sum(axis=0).tolist(), strict=True
-        )
-    ]
+    paths = _by_wheel(run, {"length": lengths, "path_length": steps.sum(axis=0)})
     samples = int(np.count_nonzero(on.any(axis=1)))
-    return run.with_facts({FILLED: Fact(samples, "1"), "filled_paths": Fact(rows)})
+    return run.with_facts({FILLED: Fact(samples, "1"), "filled_paths": Fact(paths)})
 
 
 def _with_ending(setup: Setup, run: Trajectory) -> Trajectory:

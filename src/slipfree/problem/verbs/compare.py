@@ -13,13 +13,7 @@ from slipfree.files.toml import Quantity
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.samples import measured_slip
 from slipfree.plan.verification import simulate_to_failure
-from slipfree.problem.build import (
-    build_law,
-    build_start,
-    build_terrain,
-    build_vehicle,
-    check_names,
-)
+from slipfree.problem import build
 from slipfree.problem.build_ground import GroundMap, build_ground
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import DriverTable, TerrainKeys, VehicleSource
@@ -77,20 +71,20 @@ def compare(
     first sample.
     """
     ground = build_ground(problem)
-    terrain, vehicles = build_terrain(problem, ground), problem.spec.vehicles
+    terrain, vehicles = build.build_terrain(problem, ground), problem.spec.vehicles
 
     def compared(index: int) -> dict[str, Any]:
-        vehicle = build_vehicle(problem, vehicles[index], ("vehicles", index))
+        vehicle = build.build_vehicle(problem, vehicles[index], ("vehicles", index))
         dae = direct_kinematics(vehicle, terrain)
-        spec, start = problem.spec, build_start(problem, dae)
+        spec, start = problem.spec, build.build_start(problem, dae)
         options = spec.solver.options
         known = [label.full for label in leaves(dae.labels.u)]
         free = {f"{wheel.name}_rate" for wheel in vehicle.wheels if not wheel.driven}
         rates = {key: rate for key, rate in spec.inputs.items() if key not in free}
-        check_names(problem, dae, {**dict.fromkeys(known, 0.0), **rates})
+        build.check_names(problem, dae, {**dict.fromkeys(known, 0.0), **rates})
         t, _ = input_samples(spec.time.duration, spec.time.step, {})
         same = dae.inputs(**{key: rates.get(key, 0.0) for key in known})
-        law = build_law(problem, spec.driver, dae, start)
+        law = build.build_law(problem, spec.driver, dae, start)
         runs = [simulate_to_failure(dae, start, each, t, options) for each in (same, law)]
         # the Jacobian of the rates contains A'A, which has the rank of A, the Jacobian of the slip
         system = with_inputs(dae, dae.zero_inputs, 0, options)

@@ -18,7 +18,7 @@ from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml import Fault, Piecewise, PiecewiseConstantOrFile, Positive, format_value
 from slipfree.files.toml import Place as KeyPath
 from slipfree.files.urdf.links import Robot, joint_values
-from slipfree.models.montana import cross_check, montana_kinematics
+from slipfree.models.montana import Difference, cross_check, montana_kinematics
 from slipfree.problem.build import (
     Setup,
     build_climbing,
@@ -45,7 +45,6 @@ from slipfree.problem.schema import (
 from slipfree.problem.verbs.base import (
     CROSS_CHECK,
     FORMULATION,
-    CrossCheck,
     DriveVerb,
     Result,
     Watch,
@@ -194,12 +193,6 @@ class Direct(Modelled):
         (): ("inputs", "driver"),
     }
 
-    @property
-    def named_files(self) -> tuple[str, ...]:
-        """Name of the MCAP file of commands; empty without such a file."""
-        file = (self.inputs or {}).get(FILE)
-        return (file,) if isinstance(file, str) else ()
-
     def faults(self) -> Iterator[Fault]:
         """Yield errors of common keys, inputs of the wrong type, and a period without dynamics."""
         yield from super().faults()
@@ -273,12 +266,12 @@ class DirectVerb(DriveVerb):
         attributes = super().attributes(problem, setup) | model_attributes(spec)
         return attributes | {FORMULATION: spec.formulation}
 
-    def cross_check(self, result: Result) -> CrossCheck:
-        """Return the differences from the motion in the other formulation of contact."""
+    def cross_check(self, result: Result) -> tuple[str, tuple[Difference, ...]]:
+        """Return the other formulation of contact, and differences from the motion in it."""
         problem = result.problem
         other = "montana" if problem.spec.formulation == "closure" else "closure"
         again = replace(problem, spec=problem.spec.model_copy(update={"formulation": other}))
         setup = self.build(again)
         with at(problem, ("start",)):
             motion = self.solve(again, setup, Watch(), None)[0]
-        return CrossCheck(other, cross_check(result.trajectory, motion))
+        return other, cross_check(result.trajectory, motion)

@@ -51,8 +51,7 @@ from slipfree.fit.drive_fit import (
     sought_of,
 )
 from slipfree.fit.drives import DriveLog, by_runs, conditions, held_for, without_holds
-from slipfree.fit.estimate import WEAK, Direction, Estimate
-from slipfree.fit.force_balance import Chassis
+from slipfree.fit.estimate import WEAK, Estimate
 from slipfree.fit.ground_slope import Slopes
 from slipfree.fit.prediction import Model
 from slipfree.fit.unknowns import BALANCE, Unknown
@@ -448,19 +447,13 @@ def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> FitResult:
         reader = _Reader(problem, inputs, grid, rows)
         logs = reader.read(paths, spec.data.surfaces)
         others = reader.read(predict, ()) if predict else []
-        model = model_of(problem, inputs, logs)
-        kinds = _kinds(problem, logs)
+        model, window = model_of(problem, inputs, logs), spec.data.window
+        first = KINDS[0 if logs[0].heading is not None else 2]
+        if window:
+            first = WindowKind() if isinstance(window, str) else WindowKind(0.0, window)
+        kinds = [first, *(kind for kind in KINDS if kind != first)]  # the first are fitted
         found, fitted, scores = judge(model, logs, (slopes, further), kinds, others)
     return FitResult(found, fitted, scores, others or logs, rows)
-
-
-def _kinds(problem: Problem[Fit], logs: Sequence[DriveLog]) -> list[WindowKind]:
-    """Return the kinds of windows; the first are fitted."""
-    window = problem.spec.data.window
-    if isinstance(window, str):
-        return [WindowKind(), *KINDS]
-    first = WindowKind(0.0, window) if window else KINDS[0 if logs[0].heading is not None else 2]
-    return [first, *(kind for kind in KINDS if kind != first)]
 
 
 class _Reader(NamedTuple):
@@ -585,8 +578,15 @@ class _Reader(NamedTuple):
         numbers = (at_even - at_even[0]) // part
         speed = np.mean(signals, axis=0)
         bad = self._bad(path, place, velocity, step)
+        vehicle, names, driven = self.inputs.vehicle, self.inputs.names, self.inputs.driven
+        signal_of = {
+            name: int(place > 0) if self.inputs.is_by_sides else names.index(f"{name}_rate")
+            for name, place in driven.items()
+        }
+        joints = {name: table[name][rows] for name in self.inputs.joints}
+        signal = [signal_of.get(wheel.name, -1) for wheel in vehicle.wheels]
         drive = DriveLog(
-            *(path.stem, campaign, surface, step, self._chassis(table, rows)),
+            *(path.stem, campaign, surface, step, chassis_of(vehicle, signal, joints)),
             np.column_stack(signals),
             runs,
             pieces[rows],
@@ -631,22 +631,16 @@ class _Reader(NamedTuple):
                 )
             bad["beyond the map"] = ~on_map
         if velocity is not None:
-            bad["at positions against the velocities"] = _jumps(place, np.abs(velocity), step)
+            # those about which positions and measured velocities disagree over a second
+            half = max(round(0.5 / step), 1)
+            wide = np.pad(place, half, mode="reflect", reflect_type="odd")
+            chord = np.abs(wide[2 * half :] - wide[: -2 * half]) / (2 * half * step)
+            mean = scipy.ndimage.uniform_filter1d(np.abs(velocity), 2 * half + 1, mode="nearest")
+            jumps = scipy.ndimage.binary_dilation(
+                np.abs(chord - mean) > JUMP, np.ones(2 * half + 1)
+            )
+            bad["at positions against the velocities"] = np.asarray(jumps, bool)
         return bad
-
-    def _chassis(self, table: Mapping[str, Array], rows: Indices) -> Chassis:
-        """Return the wheels at the samples."""
-        inputs, driven = self.inputs, self.inputs.driven
-        signals = [
-            -1
-            if wheel.name not in driven
-            else int(driven[wheel.name] > 0)
-            if inputs.is_by_sides
-            else inputs.names.index(f"{wheel.name}_rate")
-            for wheel in inputs.vehicle.wheels
-        ]
-        joints = {name: table[name][rows] for name in inputs.joints}
-        return chassis_of(inputs.vehicle, signals, joints)
 
 
 def _nearest(t: Array, parts: Sequence[Indices], even: Sequence[Array]) -> tuple[Indices, Indices]:
@@ -676,17 +670,6 @@ def _places(
             place[here] = np.interp(even[here], t[new], z[new])
     step = np.median(np.diff(even)) / 2 + 1e-9
     return place, is_new[rows] & (np.abs(t[rows] - even) <= step), is_held
-
-
-def _jumps(place: ComplexArray, speed: Array, step: float) -> Mask:
-    """Return samples about which positions and measured velocities disagree, over a second."""
-    half = max(round(0.5 / step), 1)
-    wide = np.pad(place, half, mode="reflect", reflect_type="odd")
-    chord = np.abs(wide[2 * half :] - wide[: -2 * half]) / (2 * half * step)
-
-    mean = scipy.ndimage.uniform_filter1d(speed, 2 * half + 1, mode="nearest")
-    jumps = scipy.ndimage.binary_dilation(np.abs(chord - mean) > JUMP, np.ones(2 * half + 1))
-    return np.asarray(jumps, bool)
 
 
 def facts(result: FitResult) -> Lines:
@@ -733,27 +716,21 @@ def direction_lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
         if not fixed
     ]
     for k, direction in enumerate(estimate.directions):
-        words = _combination(direction, names)
+        # weights are relative to the sizes of the unknowns
+        terms = [
+            f"{weight:+.2g} {name}"
+            for weight, name in zip(direction.weights, names, strict=True)
+            if abs(weight) > SHOWN_WEIGHT
+        ]
+        main = names[int(np.abs(direction.weights).argmax())]
+        words = main if len(terms) == 1 else " ".join(terms)
         if direction.deviation > WEAK:
-            size = (
-                "without any information"
-                if not np.isfinite(direction.deviation)
-                else f"standard deviation {100 * direction.deviation:.3g} % of its size"
-            )
+            size = f"standard deviation {100 * direction.deviation:.3g} % of its size"
+            size = size if np.isfinite(direction.deviation) else "without any information"
             kind = "not determined" if direction.deviation > 1 else "weakly determined"
             yield kind, f"{words}: {size}"
         elif k == 0:
             yield "determined best", f"{words}: to {100 * direction.deviation:.2g} %"
-
-
-def _combination(direction: Direction, names: list[str]) -> str:
-    """Return a combination of unknowns in words, with weights relative to their sizes."""
-    terms = [
-        f"{weight:+.2g} {name}"
-        for weight, name in zip(direction.weights, names, strict=True)
-        if abs(weight) > SHOWN_WEIGHT
-    ]
-    return names[int(np.abs(direction.weights).argmax())] if len(terms) == 1 else " ".join(terms)
 
 
 def estimate_rows(estimate: Estimate) -> tuple[list[str], list[list[Any]]]:
@@ -798,8 +775,7 @@ def constant_rows(fit: DriveFit) -> tuple[list[str], list[list[Any]]]:
 def undetermined(problem: Problem[Fit], fit: DriveFit) -> tuple[str, ...]:
     """Return the unknowns of the file without a prior that the logs do not determine."""
     own = {name for name, table in problem.spec.unknowns.items() if table.prior is None}
-    rows = constant_rows(fit)[1]
-    return tuple(name for name, *_, is_as_prior in rows if is_as_prior and name in own)
+    return tuple(name for name, *_, as_prior in constant_rows(fit)[1] if as_prior and name in own)
 
 
 def _error_lines(scores: Mapping[WindowKind, Score]) -> Iterator[tuple[str, str]]:
@@ -825,11 +801,11 @@ def _error_lines(scores: Mapping[WindowKind, Score]) -> Iterator[tuple[str, str]
                 "deg, are beyond those that were fitted; intervals do not hold there",
             )
     for score in [*scores.values()][:1]:
-        words = (
-            f"{np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} deg: {error:+.3f} ({count})"
-            for low, high, count, error in score.slip()
-        )
         if score.grade.any():
+            words = (
+                f"{np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} deg: {error:+.3f} ({count})"
+                for low, high, count, error in score.slip()
+            )
             yield "error of slip", ", ".join(words)
 
 

@@ -136,12 +136,6 @@ class Inverse(MotionKeys):
         ("path",): ("t", "file"),
     }
 
-    @property
-    def named_files(self) -> tuple[str, ...]:
-        """Name of the CSV file of commands; empty without such a file."""
-        file = (self.given or {}).get(FILE)
-        return (file,) if isinstance(file, str) else ()
-
     def faults(self) -> Iterator[Fault]:
         """Yield the errors of values that contradict each other, such as arrays of a path."""
         yield from super().faults()
@@ -187,15 +181,23 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
         descriptions = ["; ".join([f"{', '.join(columns)} of {file}", *notes])]
     problem.refuse(*_faults(spec, given, columns))
     for name, value in given.items():
+        words = value
         if isinstance(value, str):
             with at(problem, ("given", name)):
                 _check_formula(value, spec.time)
-    for name, value in given.items():
-        descriptions.append(f"{name} {_rate_words(value)} {printed_unit(UNITS[name])}")
-    return {
-        ROBOT.get(name, name): _negative(value) if name == "v_y" else value
-        for name, value in (columns | given).items()
-    }, ", ".join(descriptions)
+        elif isinstance(value, tuple):
+            words = " then ".join(f"{rate:g}" for _, rate in value)
+        else:
+            words = f"{value:g}"
+        descriptions.append(f"{name} {words} {printed_unit(UNITS[name])}")
+    commands = {ROBOT.get(name, name): value for name, value in (columns | given).items()}
+    if "v_y" in {*columns, *given}:  # to the left
+        left = commands["right"]
+        if isinstance(left, tuple):
+            commands["right"] = tuple((t, -rate) for t, rate in left)
+        else:
+            commands["right"] = f"-({left})" if isinstance(left, str) else -left
+    return commands, ", ".join(descriptions)
 
 
 def _read_file(
@@ -284,18 +286,6 @@ def _check_formula(text: str, time: Time) -> None:
         )
 
 
-def _negative(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return tuple((t, -rate) for t, rate in value)
-    return f"-({value})" if isinstance(value, str) else -value
-
-
-def _rate_words(value: float | Piecewise | str) -> str:
-    if isinstance(value, tuple):
-        return " then ".join(f"{rate:g}" for _, rate in value)
-    return value if isinstance(value, str) else f"{value:g}"
-
-
 ROUND_TRIP, REPLAY = "round_trip_", "replay_"  # beginnings of the names of differences
 METHOD, COLLOCATION = "solved_by", "collocation"  # attribute of a result, and one of its values
 STEERED = 0.02  # largest error of a steering coordinate at its target [rad, m]
@@ -346,7 +336,7 @@ def _inverse_facts(run: Trajectory) -> dict[str, Fact]:
         for wheel in run.wheels
         if (name := f"{wheel}_rate") in run
     ]
-    known = {*COMMANDS, "path", "heading"}
+    known = *COMMANDS, "path", "heading"
     steered = [name for name in run if f"{name}_error" in run and name not in known]
     at_stops = run.facts["held_at_stop"].value if "held_at_stop" in run.facts else ()
     ranges = list[dict[str, Any]]()
@@ -361,7 +351,7 @@ def _inverse_facts(run: Trajectory) -> dict[str, Fact]:
     off = [np.abs(run[f"{name}_error"]) for name in steered]
     is_turning = np.max([np.zeros(run.t.size), *off], axis=0) > STEERED
     errors = list[dict[str, Any]]()
-    for name in (each for each in (*COMMANDS, "path", "heading") if f"{each}_error" in run):
+    for name in (each for each in known if f"{each}_error" in run):
         error, unit = np.abs(run[f"{name}_error"]), run.columns[f"{name}_error"].label.unit
         unit, worst = printed_unit(unit), int(error.argmax())
         if name not in COMMANDS:  # errors of a path accumulate
@@ -421,7 +411,7 @@ class InverseVerb(DriveVerb):
         inputs, first = (dae.inputs(**each, **formulas) for each in (over_time, initial))
         with at(problem, place):
             if is_rolling_path and points is not None:
-                inputs = first = path_inputs(dae, stand, *points[1:], t=points[0])
+                inputs = first = path_inputs(dae, stand, *points)
             elif points is not None:
                 dae, inputs = track_path(dae, *points)
                 first = inputs
@@ -559,9 +549,7 @@ def _path_faults(points: Array, place: tuple[str, ...], spec: Inverse) -> Iterat
         expected = f"at most the time of the last way-point, {t[-1]:g} s"
         found = f"{spec.time.duration:g} s; reduce the duration, or add way-points"
         yield Fault(("time", "duration"), expected, found)
-    leaps = np.flatnonzero(np.abs(np.diff(heading)) > np.pi)
-    if leaps.size:
-        k = int(leaps[0])
+    for k in np.flatnonzero(np.abs(np.diff(heading)) > np.pi)[:1].tolist():
         before, after = heading[k : k + 2]
         change = "subtract 2 pi from" if after > before else "add 2 pi to"
         remedy = f"{change} the headings from there on if they wrap, or add way-points"
