@@ -71,8 +71,8 @@ def test_newtons_method_ends_within_the_tolerance():
 def test_steps_that_do_not_advance_end_the_call():
     observer = StepObserver(InterruptGuard())
     for t in [*np.linspace(0, 1e-9, 500), *np.full(1 + STALLED_STEPS, 3.0)]:
-        observer(t, 1.0, 1.0)
-    refuses(SolverError, "shorter than the rounding", observer, 3.0, 1.0, 1.0)
+        observer.observe(t, 1.0, 1.0)
+    refuses(SolverError, "shorter than the rounding", observer.observe, 3.0, 1.0, 1.0)
 
 
 def test_a_limit_ends_the_motion_at_its_crossing():

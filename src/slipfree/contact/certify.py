@@ -27,7 +27,7 @@ from slipfree.contact.nearest_points import minima
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import CellBounds, lookup_function
 from slipfree.core.quantities import quantity_label
-from slipfree.core.records import Array, Indices, Label, Mask, pack
+from slipfree.core.records import Array, Label, Mask, pack
 from slipfree.geometry.frame import Pose
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.sections import arc_lengths
@@ -136,7 +136,19 @@ class SecondContact:
             part = slice(k, k + CHUNK)
             middles, radii, spokes = tread = self._tread(*np.split(placed[:, part], (3, 12)))
             if compiled is None:
-                least, index = _smallest_gaps(self.terrain, *tread, touching, near)
+                ground = self.terrain
+                at = middles[:, None] + radii[:, None, :, None] * spokes[:, :, None] + ground.origin
+                gap = at[..., 2] - ground.elevation(at[..., 0], at[..., 1])
+                (i, j), low = (size // 2 for size in gap.shape[1:]), minima(gap)
+                # the contact point lies in the middle of the grid, which starts from its normal
+                low[:, i - 1 : i + 2, max(j - 1, 0) : j + 2] = False
+                # points inside the ground count everywhere, also next to the contact point
+                values = np.where(low | (gap < -touching), gap, np.inf)
+                for place in zip(*np.nonzero(low & (gap < near)), strict=True):
+                    values[place] = _vertex(gap[place[0]], *place[1:])
+                flat = values.reshape(len(values), -1)
+                index = flat.argmin(axis=1)
+                least = flat[np.arange(len(values)), index]
             else:
                 least, index = compiled(*tread, touching, near, most)
             gaps[part] = np.minimum(least, most)
@@ -155,21 +167,15 @@ class SecondContact:
         down = -(axes @ normal.T[..., None])[..., 0]
         v = np.arctan2(down[:, 2], down[:, 1])[:, None] + RIM_ANGLES
         u_0 = np.arctan2(np.hypot(down[:, 1], down[:, 2]), down[:, 0])
-        along, radii = self.wheel.section.outline(self._angles(u_0))
-        axle, forward, up = np.moveaxis(axes[:, None], 2, 0)
-        spokes = np.cos(v)[..., None] * forward + np.sin(v)[..., None] * up
-        return center.T[:, None] + along[..., None] * axle, radii, spokes
-
-    def _angles(self, u_0: Array) -> Array:
-        """Return points of the tread's section around ``u_0``, as angles of their normals [rad].
-
-        The points have equal distances along the section; the shape is (n, section).
-        """
+        # around this angle of the normal, points at equal distances along the section
         angles, lengths = arc_lengths(self.wheel.section)
         half = int(np.ceil(lengths[-1] / 2 / (SPACING * self.wheel.radius)))
         steps = np.linspace(-0.5, 0.5, 2 * half + 1) * lengths[-1] if half else np.zeros(1)
         at = np.interp(u_0, angles, lengths)[:, None] + steps
-        return np.asarray(np.interp(at, lengths, angles))
+        along, radii = self.wheel.section.outline(np.interp(at, lengths, angles))
+        axle, forward, up = np.moveaxis(axes[:, None], 2, 0)
+        spokes = np.cos(v)[..., None] * forward + np.sin(v)[..., None] * up
+        return center.T[:, None] + along[..., None] * axle, radii, spokes
 
 
 def second_contacts(
@@ -188,29 +194,6 @@ def second_contacts(
         function = lookup_function(q.lookups.lookups, "wheel", [pack(x), pack(z)], [placing])
         checks.append(SecondContact(q.terrain, wheel, function, placing, size))
     return tuple(checks)
-
-
-def _smallest_gaps(
-    terrain: Terrain, middles: Array, radii: Array, spokes: Array, touching: float, near: float
-) -> tuple[Array, Indices]:
-    """Return the smallest gaps of wheels, and the indices of their points (rim, section)."""
-    points = middles[:, None] + radii[:, None, :, None] * spokes[:, :, None] + terrain.origin
-    gap = points[..., 2] - terrain.elevation(points[..., 0], points[..., 1])
-    low = _second_minima(gap)
-    # points inside the ground count everywhere, also next to the contact point
-    values = np.where(low | (gap < -touching), gap, np.inf)
-    for k, i, j in zip(*np.nonzero(low & (gap < near)), strict=True):
-        values[k, i, j] = _vertex(gap[k], i, j)
-    flat = values.reshape(len(values), -1)
-    best = flat.argmin(axis=1)
-    return flat[np.arange(len(values)), best], best
-
-
-def _second_minima(gap: Array) -> Mask:
-    (rim, tube), low = gap.shape[1:], minima(gap)
-    # the contact point lies in the middle of the grid, which starts from its normal
-    low[:, rim // 2 - 1 : rim // 2 + 2, max(tube // 2 - 1, 0) : tube // 2 + 2] = False
-    return low
 
 
 def _vertex(gap: Array, i: int, j: int) -> float:

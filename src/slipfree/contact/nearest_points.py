@@ -230,9 +230,12 @@ class NearestPoints:
     def _grid_starts(self, shape: Box | Ball, placed: Array) -> tuple[Array, _Starts]:
         """Return the least distance of a shape from a grid of ground points, and local minima."""
         center, axes = placed[:3].T, placed[3:].T.reshape(-1, 3, 3).transpose(0, 2, 1)
-        axes, half = _upright(shape, axes)
-        radius = shape.radius if isinstance(shape, Ball) else 0.0
         n = len(center)
+        radius, half = shape.radius, np.zeros((n, 3))
+        if isinstance(shape, Box):  # its axes, the steepest last
+            order = (np.abs(axes[:, 2]).argmax(axis=1)[:, None] + (1, 2, 3)) % 3
+            axes = np.take_along_axis(axes, order[:, None], axis=2)
+            half = (np.array(shape.size) / 2)[order]
         below = -np.sign(axes[:, 2, 2]) * half[:, 2]
         lowest = center[:, 2] - (np.abs(axes[:, 2]) * half).sum(axis=1)
         above = lowest - self._heights(center[:, 0], center[:, 1])
@@ -391,14 +394,6 @@ class _Starts(NamedTuple):
     bounds: Array
 
 
-def _upright(shape: Box | Ball, axes: Array) -> tuple[Array, Array]:
-    """Return axes with the steepest one last, and half the edges along them, (n, 3)."""
-    if isinstance(shape, Ball):
-        return axes, np.zeros((len(axes), 3))
-    order = (np.abs(axes[:, 2]).argmax(axis=1)[:, None] + (1, 2, 3)) % 3
-    return np.take_along_axis(axes, order[:, None], axis=2), (np.array(shape.size) / 2)[order]
-
-
 def minima(values: Array) -> Mask:
     """Return the mask of the local minima of each grid, (n, i, j); also at its border."""
     padded = np.pad(values, ((0, 0), (1, 1), (1, 1)), constant_values=np.inf)
@@ -408,11 +403,6 @@ def minima(values: Array) -> Mask:
         for j in (0, 1, 2):
             low &= values <= padded[:, i : i + rows, j : j + columns]
     return low
-
-
-def _inverse(matrix: ca.SX) -> ca.SX:
-    a, b, c = matrix[0, 0], matrix[0, 1], matrix[1, 1]
-    return ca.blockcat([[c, -b], [-b, a]]) / (a * c - b**2)
 
 
 def _free_solution(matrix: ca.SX, right: ca.SX, free: ca.SX) -> ca.SX:
@@ -465,7 +455,9 @@ def _step_function() -> ca.Function:
     matrix = metric - away[2] * hessian
     # in a hollow whose radius is smaller than the distance, the foot is a maximum of the distance
     is_least = ca.logic_and(ca.det(matrix) > MIN_DETERMINANT, ca.trace(matrix) > 0)
-    inverse = _inverse(ca.if_else(is_least, matrix, metric))
+    matrix = ca.if_else(is_least, matrix, metric)
+    a, b, c = matrix[0, 0], matrix[0, 1], matrix[1, 1]
+    inverse = ca.blockcat([[c, -b], [-b, a]]) / (a * c - b**2)
     farthest = ca.sqrt(ca.sumsqr(away) + ROOT_OFFSET)
     half, most = bounds[:3], bounds[3:]
     along = axes[:2, :] + gradient @ axes[2, :]

@@ -65,14 +65,9 @@ class QuantityRow:
     is_residual: bool = False
 
 
-def _read_table() -> dict[str, QuantityRow]:
-    return {
-        name: QuantityRow(name, **row)
-        for name, row in read_table(__file__, "quantities.toml").items()
-    }
-
-
-QUANTITIES = _read_table()  # by name, in the order of facts, summaries and figures
+QUANTITIES = {  # by name, in the order of facts, summaries and figures
+    name: QuantityRow(name, **row) for name, row in read_table(__file__, "quantities.toml").items()
+}
 
 
 def quantity_label(name: str, wheel: str | None = None, **values: object) -> Label:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from math import nan
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -30,9 +30,6 @@ from slipfree.system.processes import bounded_read
 from slipfree.system.regular_files import read_bytes, regular_file, replacing
 from slipfree.vehicle.tree import Vehicle
 
-if TYPE_CHECKING:
-    pass
-
 Rows = Mapping[str, Array]
 T = TypeVar("T")
 MAX_LISTED = 6  # topics in a message
@@ -52,13 +49,6 @@ class JointCommands(NamedTuple):
     t: Array  # shape (n,): times since the first message of the topic [s]
     positions: Array  # [rad or m], NaN where a message has none
     velocities: Array  # [rad/s or m/s], NaN where a message has none
-
-
-class RecordedMotion(NamedTuple):
-    """Poses as in `read_mcap`, and joints by name, with times since the first pose [s]."""
-
-    pose: Rows
-    joints: dict[str, JointCommands]
 
 
 def ros_package() -> ModuleType:
@@ -96,8 +86,11 @@ def read_joint_commands(path: Path) -> dict[str, JointCommands]:
     return _bounded(_joint_commands, path)
 
 
-def read_motion_log(path: Path) -> RecordedMotion:
-    """Return poses and joint states in an MCAP file: one topic of poses, and one of JointState."""
+def read_motion_log(path: Path) -> tuple[Rows, dict[str, JointCommands]]:
+    """Return poses and joint states in an MCAP file: one topic of poses, and one of JointState.
+
+    Poses are those of `read_mcap`; times of joints, by name, count from the first pose.
+    """
     return _bounded(_motion_log, path)
 
 
@@ -107,9 +100,9 @@ def _bounded(read: Callable[..., T], path: Path, *arguments: Any) -> T:
         return bounded_read(read, path, *arguments)
 
 
-def _motion_log(path: Path) -> RecordedMotion:
+def _motion_log(path: Path) -> tuple[Rows, dict[str, JointCommands]]:
     first, table = _table(path, ("x", "y", "heading"))
-    return RecordedMotion(table, _joint_commands(path, first))
+    return table, _joint_commands(path, first)
 
 
 def _table(path: Path, names: tuple[str, str, str]) -> tuple[int, Rows]:

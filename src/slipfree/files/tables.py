@@ -409,7 +409,14 @@ def _layout_with(
             f"{path}:{number}: expected {width} names, one for each column, found {len(cells)}: "
             f"{text[:SHOWN]!r}; correct the line, or begin it with '#'"
         )
-    _, header, names = named[-1] if named else (0, "", _commented_names(comments, separator, width))
+    # without a line of names, the last comment that has one for each column
+    known = set.union(*ALIASES)
+    _, header, names = named[-1] if named else (0, "", list[str]())
+    for text in reversed(comments if not named else []):
+        cells = _line_cells(text, separator)
+        if len(cells) == width and any(split_unit(name)[0].lower() in known for name in cells):
+            names = cells
+            break
     return _TextTable(
         path, file, separator, rows[0][0], header, names[:width], units[:width], rows[0][1][:width]
     )
@@ -417,16 +424,6 @@ def _layout_with(
 
 def _has_width(cells: Sequence[str], width: int) -> bool:
     return len(cells) >= width and not any(cells[width:])
-
-
-def _commented_names(comments: Sequence[str], separator: str | None, width: int) -> list[str]:
-    """Return the names in the last comment that has one for each column; empty without one."""
-    known = set.union(*ALIASES)
-    for text in reversed(comments):
-        names = _line_cells(text, separator)
-        if len(names) == width and any(split_unit(name)[0].lower() in known for name in names):
-            return names
-    return []
 
 
 def _choose(

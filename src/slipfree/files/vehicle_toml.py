@@ -629,7 +629,14 @@ def read_toml(file: File) -> Draft:
     ]
     faults += [] if faults else _differential_errors(table)
     parts, wrong = _build_draft(table)
-    parts = parts if faults else _coupled(parts, table.couple)
+    if table.couple and not faults:
+        (first, ahead), (second, behind) = table.couple.items()
+        values = {joint.name: joint.value for joint in parts.joints}
+        factor = -ahead / behind
+        value = f"-{values[first]}" if factor == -1 else f"{factor!r}*{values[first]}"
+        joints = (replace(j, value=value) if j.name == second else j for j in parts.joints)
+        free = tuple(c for c in parts.coordinates if c.name != values[second])
+        parts = replace(parts, joints=tuple(joints), coordinates=free)
     draft = parts if table.frame == "paper" else from_rep103(parts)
     faults += wrong
     if len(draft.wheels) == len(table.wheels):
@@ -665,20 +672,6 @@ def _differential_errors(table: VehicleTable) -> Iterator[Fault]:
             expected = "the keys of the common coordinate in that of the first joint"
             found = f"{keys} in {c.name!r}; move them to {values[next(iter(table.couple))]!r}"
             yield Fault(("couple", name), expected, found)
-
-
-def _coupled(draft: Draft, couple: Mapping[str, float]) -> Draft:
-    if not couple:
-        return draft
-    (first, ahead), (second, behind) = couple.items()
-    values = {joint.name: joint.value for joint in draft.joints}
-    factor = -ahead / behind
-    value = f"-{values[first]}" if factor == -1 else f"{factor!r}*{values[first]}"
-    joints = tuple(
-        replace(joint, value=value) if joint.name == second else joint for joint in draft.joints
-    )
-    free = tuple(c for c in draft.coordinates if c.name != values[second])
-    return replace(draft, joints=joints, coordinates=free)
 
 
 def _name_errors(table: VehicleTable) -> Iterator[Fault]:

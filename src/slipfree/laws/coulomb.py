@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -53,9 +53,24 @@ class FrictionUnknowns(NamedTuple):
     across: tuple[Any, ...]
 
 
+class OfFriction:
+    """Part of a law whose unknowns are normal forces and used fractions of the friction."""
+
+    subject: ClassVar[str]  # beginning of messages
+
+    def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
+        """Raise ModelError if the ground has no friction coefficient."""
+        check_friction(self.subject, terrain)
+
+    def unknowns(self, vehicle: Vehicle) -> FrictionUnknowns:
+        """Return the labels of the normal forces and of the used friction."""
+        names = "force_normal", "friction_used_along", "friction_used_across"
+        return FrictionUnknowns(*(quantity_labels(vehicle, name) for name in names))
+
+
 @checked
 @dataclass(frozen=True)
-class Coulomb:
+class Coulomb(OfFriction):
     """Coulomb friction with creep.
 
     The tangential force on a wheel is ``mu N p - c N s`` with ``p sqrt(|s|^2 + eps^2 + (mu / K)^2)
@@ -81,14 +96,7 @@ class Coulomb:
     creep: Annotated[float, Gt(0), Le(MAX_CREEP), Unit("m/s")] = 1e-4
     reserve: Annotated[float, Ge(0), Lt(math.inf), Unit("s/m")] = 0.0
     slip_stiffness: SlipStiffness = math.inf
-
-    def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
-        """Raise ModelError if the ground has no friction coefficient."""
-        check_friction("Coulomb friction", terrain)
-
-    def unknowns(self, vehicle: Vehicle) -> FrictionUnknowns:
-        """Return the labels of the normal forces and of the used friction."""
-        return friction_unknowns(vehicle)
+    subject: ClassVar = "Coulomb friction"
 
     def reaction(self, contacts: SlidingContacts, unknowns: FrictionUnknowns) -> Reaction:
         """Return the contact forces and the equations of contact and friction."""
@@ -138,12 +146,6 @@ def check_friction(law: str, terrain: Terrain) -> None:
             f"{law}: expected a ground with a coefficient of friction, found none; set 'mu' of the "
             "ground, or 'terrain.friction' in a problem file"
         )
-
-
-def friction_unknowns(vehicle: Vehicle) -> FrictionUnknowns:
-    """Return the labels of the normal forces and of the used fractions of the friction."""
-    names = "force_normal", "friction_used_along", "friction_used_across"
-    return FrictionUnknowns(*(quantity_labels(vehicle, name) for name in names))
 
 
 def equation_labels(vehicle: Vehicle) -> tuple[Label, ...]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -20,20 +20,17 @@ from slipfree.core.arguments import checked
 from slipfree.laws.coulomb import (
     MAX_CREEP,
     FrictionUnknowns,
+    OfFriction,
     SlipStiffness,
-    check_friction,
     equation_labels,
-    friction_unknowns,
     squared_creep,
 )
 from slipfree.laws.protocols import Equations, Reaction, SlidingContacts, wheel_limits
-from slipfree.terrain.base import Terrain
-from slipfree.vehicle.tree import Vehicle
 
 
 @checked
 @dataclass(frozen=True)
-class LinearCreep:
+class LinearCreep(OfFriction):
     """Linear creep up to the friction limit.
 
     The tangential force on a wheel is ``mu N p`` with ``sqrt(eps^2 + (mu / K)^2) p + s = 0``, where
@@ -55,14 +52,7 @@ class LinearCreep:
 
     creep: Annotated[float, Gt(0), Le(MAX_CREEP), Unit("m/s")] = 1e-3
     slip_stiffness: SlipStiffness = math.inf
-
-    def check(self, vehicle: Vehicle, terrain: Terrain) -> None:  # noqa: ARG002 - of the protocol
-        """Raise ModelError if the ground has no friction coefficient."""
-        check_friction("linear creep", terrain)
-
-    def unknowns(self, vehicle: Vehicle) -> FrictionUnknowns:
-        """Return the labels of the normal forces and of the used friction."""
-        return friction_unknowns(vehicle)
+    subject: ClassVar = "linear creep"
 
     def reaction(self, contacts: SlidingContacts, unknowns: FrictionUnknowns) -> Reaction:
         """Return the contact forces, the equations of contact and friction, and the cone."""

@@ -354,6 +354,10 @@ class Soil:
             )
         words = "no quasi-static equilibrium: the soil cannot hold the vehicle"
         fastest = no_equilibrium(contacts._replace(diagnose=lambda _x, _z: words))
+        sunk = (
+            Limit(quantity_label("sunk", wheel.name, quantity="sinkage"), depth, -inf, wheel.radius)
+            for wheel, depth in zip(contacts.vehicle.numeric.wheels, unknowns.sinkage, strict=True)
+        )
         return Reaction(
             unknowns.along,
             unknowns.across,
@@ -364,7 +368,7 @@ class Soil:
                 ),
                 ca.vertcat(*(row for kind in zip(*rows, strict=True) for row in kind)),
             ),
-            (fastest, *_sunk(contacts.vehicle.numeric, unknowns.sinkage)),
+            (fastest, *sunk),
             continuation,
             unknowns.torque,
         )
@@ -414,12 +418,6 @@ class Soil:
         arm = frame.point - contact.center
         lever = ca.dot(frame.axle, ca.cross(arm, normal * frame.normal + tangential))
         return GroundForce(normal, tangential, ca.SX(0), torque - lever)
-
-
-def _sunk(vehicle: Vehicle, sinkage: tuple[ca.SX, ...]) -> Iterator[Limit]:
-    for wheel, depth in zip(vehicle.wheels, sinkage, strict=True):
-        label = quantity_label("sunk", wheel.name, quantity="sinkage")
-        yield Limit(label, depth, -inf, wheel.radius)
 
 
 def wheel_size(wheel: Wheel) -> WheelSize:
@@ -481,29 +479,77 @@ def forces_at_speeds(
     rim speed ``creep`` the shear displacement is reduced [m/s]. ``gravity`` determines the weight
     of the soil that is pushed aside [m/s^2].
     """
-    contact = _contact_arc(soil, size, depth, rim, forward, sideways, creep)
+    radius, width = size
+    relative = ca.fmin(ca.fmax(depth / radius, SMALLEST_DEPTH), 1)
+    speeds = rim + forward
+    # smooth sign: a wheel that reverses exchanges its entry and exit edges
+    direction = speeds / ca.sqrt(speeds**2 + creep**2)
+    ahead, behind = (1 + direction) / 2, (1 - direction) / 2  # shares of the edges as entry
+    fastest = ca.fmax(ca.fabs(rim), ca.fabs(forward))
+    slip = direction * (rim - forward) / ca.sqrt(fastest**2 + creep**2)
+    peak_share = soil.peak + soil.peak_rate * ca.fmax(-1, ca.fmin(slip, 1))
+    driven = _smooth_size(ca.fmax(0, ca.fmin(slip, 1)) ** 2)
+    held_back = ca.fmax(0, direction * (forward - rim))
+    skid = _smooth_size((held_back**2 + sideways**2) / (forward**2 + sideways**2 + creep**2))
+    exponent = soil.exponent + soil.exponent_slip * driven + soil.exponent_skid * skid  # (9)
+    # angles from the lowest point forward (1, 2), without the loss of digits of an arc cosine at
+    # small depths
+    entry, leaving = (2 * ca.asin(ca.sqrt(k * relative / 2)) for k in (1, soil.exit_depth))
+    front, rear = ahead * entry + behind * leaving, -(behind * entry + ahead * leaving)
+    peak = direction * peak_share * entry
+    # motion of the rim relative to the soil: speeds over that of the rim, and shear moduli (6)
     speed = ca.sqrt(rim**2 + creep**2)
+    rolling, ahead_speed, aside_speed = rim / speed, forward / speed, sideways / speed
     angle = ca.atan(sideways / ca.sqrt(forward**2 + creep**2))
     side = ca.tanh(angle / ANGLE_SMOOTHING)
-    # smooth absolute value
-    steep = angle * side
-    motion = _ShearMotion(
-        rim / speed,
-        forward / speed,
-        sideways / speed,
-        soil.shear_along + soil.shear_along_rate * steep,
-        soil.shear_across + soil.shear_across_rate * steep,
-        side,
-    )
+    steep = angle * side  # smooth absolute value
+    modulus_along = soil.shear_along + soil.shear_along_rate * steep
+    modulus_across = soil.shear_across + soil.shear_across_rate * steep
+    shear_radius, area = radius + soil.grouser_height, radius * width
+    # soil that the side of the wheel pushes, equation 7
+    failure = pi / 4 - soil.friction_angle / 2
+    cot = 1 / ca.tan(failure)
+    pushing = cot + ca.tan(failure + soil.friction_angle)
+    surcharge, weight = cot + cot**2 * ca.tan(soil.friction_angle), soil.density * gravity
+
+    def integrand(theta: Any, stress: Any) -> tuple[Any, Any, Any, Any]:
+        """Return normal force, pull, side force and torque per angle (4, 5, 7, 8)."""
+        sine, cosine = ca.sin(theta), ca.cos(theta)
+        arc = ahead * (front - theta) + behind * (theta - rear)
+        chord = ahead * (ca.sin(front) - sine)
+        chord += behind * (sine - ca.sin(rear))
+        path_along = shear_radius * (arc * rolling - chord * ahead_speed)
+        path_across = shear_radius * arc * aside_speed
+        strength = soil.cohesion + stress * ca.tan(soil.friction_angle)
+        along, across = path_along / modulus_along, path_across / modulus_across
+        if soil.coupled_shear:
+            # the stress has the direction of the displacement, and at most the strength
+            path = ca.sqrt(path_along**2 + path_across**2 + SMALLEST_PATH**2)
+            share = -ca.expm1(-ca.sqrt(along**2 + across**2 + SMALLEST_PATH**2)) / path
+            along, across = share * path_along, share * path_across
+        else:
+            along, across = _mobilised(along), _mobilised(across)
+        along, across = strength * along, strength * across
+        height = ca.fmax(radius * (cosine - ca.cos(entry)), 0)
+        pushed = pushing * (soil.cohesion * height + surcharge * weight * height**2 / 2)
+        return (
+            area * (stress * cosine + along * sine),
+            area * (along * cosine - stress * sine),
+            -area * across - side * (pushed * (radius - height * cosine)),
+            area * shear_radius * along,
+        )
+
     totals = [0, 0, 0, 0]
     for root, factor in zip((POINTS + 1) / 2, WEIGHTS / 2, strict=True):
-        point, weight = root**2, 2 * root * factor
-        stress = _normal_stress(soil, size, contact, point)
-        for edge in (contact.front, contact.rear):
-            theta = edge + point * (contact.peak - edge)
-            parts = _integrand(soil, size, contact, motion, theta, stress, gravity)
-            share = weight * ca.fabs(contact.peak - edge)
-            totals = [total + share * part for total, part in zip(totals, parts, strict=True)]
+        point, part = root**2, 2 * root * factor  # from 0 at an edge to 1 at the peak
+        # normal stress (3): r (cos theta_e - cos theta_f) as a product loses no digits at the edge
+        drop = point * (1 - peak_share) * entry  # entry angle minus theta_e
+        lift = 2 * radius * ca.sin(entry - drop / 2) * ca.sin(drop / 2)
+        stress = (soil.cohesive_modulus / width + soil.frictional_modulus) * lift**exponent
+        for edge in (front, rear):
+            share = part * ca.fabs(peak - edge)
+            forces = integrand(edge + point * (peak - edge), stress)
+            totals = [total + share * force for total, force in zip(totals, forces, strict=True)]
     return SoilForces(*totals)
 
 
@@ -537,134 +583,15 @@ def depth_under_load(normal: Callable[[Array], Array], radius: float, load: Arra
     return np.asarray((low + high) / 2)
 
 
-class _ContactArc(NamedTuple):
-    """Arc of a wheel in the soil.
-
-    Entry angle ``theta_f``, positive; angles of the edges and of the largest stress, from the
-    lowest point forward [rad]; ratio of the angle of largest stress to the entry angle; weights
-    with which the front and the rear edge act as entry, whose sum is one.
-    """
-
-    entry: Any
-    front: Any
-    rear: Any
-    peak: Any
-    share: Any
-    exponent: Any
-    ahead: Any
-    behind: Any
-
-
-class _ShearMotion(NamedTuple):
-    """Motion of a rim relative to the soil.
-
-    Rim speed and speeds of the wheel's centre, divided by the magnitude of the rim speed; shear
-    deformation moduli [m]; direction of the sideways motion, -1 to 1.
-    """
-
-    rolling: Any
-    forward: Any
-    sideways: Any
-    along: Any
-    across: Any
-    side: Any
-
-
-def _contact_arc(
-    soil: Soil, size: WheelSize, depth: Any, rim: Any, forward: Any, sideways: Any, creep: Any
-) -> _ContactArc:
-    """Return the part of the rim that touches the soil, equations (1), (2) and (9)."""
-    relative = ca.fmin(ca.fmax(depth / size.radius, SMALLEST_DEPTH), 1)
-    speeds = rim + forward
-    # smooth sign: a wheel that reverses exchanges its entry and exit edges
-    direction = speeds / ca.sqrt(speeds**2 + creep**2)
-    ahead, behind = (1 + direction) / 2, (1 - direction) / 2
-    fastest = ca.fmax(ca.fabs(rim), ca.fabs(forward))
-    slip = direction * (rim - forward) / ca.sqrt(fastest**2 + creep**2)
-    share = soil.peak + soil.peak_rate * ca.fmax(-1, ca.fmin(slip, 1))
-    driven = _smooth_size(ca.fmax(0, ca.fmin(slip, 1)) ** 2)
-    held_back = ca.fmax(0, direction * (forward - rim))
-    skid = _smooth_size((held_back**2 + sideways**2) / (forward**2 + sideways**2 + creep**2))
-    # acos(1 - k depth / r), written without its loss of digits at small depths
-    entry, leaving = (2 * ca.asin(ca.sqrt(k * relative / 2)) for k in (1, soil.exit_depth))
-    return _ContactArc(
-        entry=entry,
-        front=ahead * entry + behind * leaving,
-        rear=-(behind * entry + ahead * leaving),
-        peak=direction * share * entry,
-        share=share,
-        exponent=soil.exponent + soil.exponent_slip * driven + soil.exponent_skid * skid,
-        ahead=ahead,
-        behind=behind,
-    )
-
-
 def _smooth_size(square: Any) -> Any:
     """Return the root of a square, flat at zero and exact where it exceeds five times the width."""
     return ca.sqrt(square + SMALLEST_RATIO**2) * ca.tanh(square / RATIO_SMOOTHING**2)
-
-
-def _normal_stress(soil: Soil, size: WheelSize, contact: _ContactArc, point: float) -> Any:
-    """Return the normal stress at a point, from 0 at an edge to 1 at the peak (3) [Pa]."""
-    drop = point * (1 - contact.share) * contact.entry  # entry angle minus theta_e
-    # r (cos theta_e - cos theta_f) as a product: no digits are lost near the edge
-    height = 2 * size.radius * ca.sin(contact.entry - drop / 2) * ca.sin(drop / 2)
-    return (soil.cohesive_modulus / size.width + soil.frictional_modulus) * height**contact.exponent
-
-
-def _integrand(
-    soil: Soil,
-    size: WheelSize,
-    contact: _ContactArc,
-    motion: _ShearMotion,
-    theta: Any,
-    stress: Any,
-    gravity: float,
-) -> tuple[Any, Any, Any, Any]:
-    """Return normal force, pull, side force and torque per angle (4, 5, 7, 8) [N/rad, N m/rad]."""
-    radius, width = size
-    shear_radius = radius + soil.grouser_height
-    sine, cosine = ca.sin(theta), ca.cos(theta)
-    arc = contact.ahead * (contact.front - theta) + contact.behind * (theta - contact.rear)
-    chord = contact.ahead * (ca.sin(contact.front) - sine)
-    chord += contact.behind * (sine - ca.sin(contact.rear))
-    path_along = shear_radius * (arc * motion.rolling - chord * motion.forward)
-    path_across = shear_radius * arc * motion.sideways
-    strength = soil.cohesion + stress * ca.tan(soil.friction_angle)
-    along, across = path_along / motion.along, path_across / motion.across
-    if soil.coupled_shear:
-        # the stress has the direction of the displacement, and at most the strength
-        path = ca.sqrt(path_along**2 + path_across**2 + SMALLEST_PATH**2)
-        share = -ca.expm1(-ca.sqrt(along**2 + across**2 + SMALLEST_PATH**2)) / path
-        along, across = share * path_along, share * path_across
-    else:
-        along, across = _mobilised(along), _mobilised(across)
-    along, across = strength * along, strength * across
-    area = radius * width
-    height = ca.fmax(radius * (cosine - ca.cos(contact.entry)), 0)
-    pushed = _bulldozing(soil, height, gravity) * (radius - height * cosine)
-    return (
-        area * (stress * cosine + along * sine),
-        area * (along * cosine - stress * sine),
-        -area * across - motion.side * pushed,
-        area * shear_radius * along,
-    )
 
 
 def _mobilised(path: Any) -> Any:
     """Return ``1 - exp(-path)``, odd and continuously differentiable in the path [1]."""
     # one exponential for each sign of the path: neither overflows, and slope 1 at zero
     return ca.expm1(ca.fmin(path, 0)) - ca.expm1(-ca.fmax(path, 0))
-
-
-def _bulldozing(soil: Soil, height: Any, gravity: float) -> Any:
-    """Return the force per length of soil pushed aside at a given height (7) [N/m]."""
-    phi = soil.friction_angle
-    failure = pi / 4 - phi / 2
-    cot = 1 / ca.tan(failure)
-    weight = soil.density * gravity
-    width, surcharge = cot + ca.tan(failure + phi), cot + cot**2 * ca.tan(phi)
-    return width * (soil.cohesion * height + surcharge * weight * height**2 / 2)
 
 
 class KnownSoil(NamedTuple):

@@ -241,35 +241,28 @@ def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels
     ]
     angles = [_turning(label.name, label.words) for label in (HEADING, ROLL, PITCH)]
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
-    rates = Rates(
-        velocity[0],
-        velocity[1],
-        velocity[2],
-        angles[0],
-        angles[1],
-        angles[2],
+    of_motion: list[Any] = [
+        *velocity,
+        *angles,
         tuple(_rate(vehicle, c) for c in vehicle.of("suspension")),
         tuple(_rate(vehicle, c) for c in vehicle.of("passive")),
         tuple(_turning(name, f"the free wheel {name}") for name in free),
         law,
-    )
+    ]
+    rates = Rates(*of_motion)
     x = Configuration(
         quantity_label("x"),
         quantity_label("y"),
         HEADING,
         tuple(_coordinate(vehicle, c) for c in vehicle.coordinates if c.kind != "suspension"),
     )
-    contacts = zip(
-        quantity_labels(vehicle, "contact_x"),
-        quantity_labels(vehicle, "contact_y"),
-        strict=True,
-    )
+    contacts = (quantity_labels(vehicle, f"contact_{axis}") for axis in "xy")
     position = Dependent(
         quantity_label("z"),
         ROLL,
         PITCH,
         tuple(_coordinate(vehicle, c) for c in vehicle.of("suspension")),
-        tuple(ContactPoint(*pair) for pair in contacts),
+        tuple(map(ContactPoint, *contacts)),
     )
     driven = [wheel.name for wheel in vehicle.wheels if wheel.driven]
     u = Inputs(
@@ -281,7 +274,24 @@ def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels
     closures = component_labels(vehicle, "closure", "m", "contact condition")
     forces, equations = _force_labels(vehicle, rates) if follow else (Forces(), ())
     are_unknown = any(label.name == "force_along" for label in leaves((law, forces)))
-    y = _output_labels(vehicle, follow=are_unknown)
+    names, of_forces = Outputs._fields[: Outputs._fields.index("yaw")], ForceOutputs._fields
+    wheels: dict[str, Any] = {name: quantity_labels(vehicle, name) for name in names}
+    words = "{} of the platform's quaternion (x forward)"
+    y = Outputs(
+        **wheels,
+        yaw=quantity_label("yaw"),
+        quaternion=tuple(Label(f"quaternion_{k}", "1", words.format(k)) for k in "xyzw"),
+        forces=(),
+    )
+    if vehicle.mass:
+        tangential = [quantity_labels(vehicle, f"force_{axis}") for axis in ("along", "across")]
+        of_mass: list[Any] = [
+            *([(), ()] if are_unknown else tangential),
+            *(quantity_labels(vehicle, name) for name in of_forces[2:5]),
+            tuple(effort_label(vehicle, c) for c in vehicle.of("commanded")),
+            *map(quantity_label, of_forces[6:]),
+        ]
+        y = y._replace(forces=ForceOutputs(*of_mass))
     z = Algebraic(position, rates, forces)
     return Labels(x, z, q, u, y, (closures, (), equations))
 
@@ -338,37 +348,10 @@ def equilibrium_labels(rates: Rates) -> tuple[Label, ...]:
     )
 
 
-def _output_labels(vehicle: Vehicle, *, follow: bool) -> Outputs:
-    names = Outputs._fields[: Outputs._fields.index("yaw")]
-    wheels: dict[str, Any] = {name: quantity_labels(vehicle, name) for name in names}
-    words = "{} of the platform's quaternion (x forward)"
-    return Outputs(
-        **wheels,
-        yaw=quantity_label("yaw"),
-        quaternion=tuple(Label(f"quaternion_{k}", "1", words.format(k)) for k in "xyzw"),
-        forces=_force_output_labels(vehicle, follow=follow) if vehicle.mass else (),
-    )
-
-
 def effort_label(vehicle: Vehicle, c: Coordinate) -> Label:
     """Return the label of the torque or force of the actuator of a commanded coordinate."""
     kind, unit = ("torque", "N m") if vehicle.unit(c.name) == "rad" else ("force", "N")
     return Label(f"{c.name}_{kind}", unit, f"{kind} of the actuator of {c.words}")
-
-
-def _force_output_labels(vehicle: Vehicle, *, follow: bool) -> ForceOutputs:
-    return ForceOutputs(
-        () if follow else quantity_labels(vehicle, "force_along"),
-        () if follow else quantity_labels(vehicle, "force_across"),
-        quantity_labels(vehicle, "friction_needed"),
-        quantity_labels(vehicle, "utilisation"),
-        quantity_labels(vehicle, "drive_torque"),
-        tuple(effort_label(vehicle, c) for c in vehicle.of("commanded")),
-        quantity_label("power"),
-        quantity_label("dissipation"),
-        quantity_label("potential_energy"),
-        quantity_label("tip_over_margin"),
-    )
 
 
 LEAST_SPEED = 1e-6  # of a wheel or its rim, below which a slip ratio is reduced [m/s]
@@ -625,13 +608,14 @@ def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tu
     weight = vehicle.weight
     typical = {"m": radius, "m s-1": radius, "N": weight, "N m": radius * weight}
     scale = np.array([typical.get(each.unit, 1.0) for each in leaves(labels.z)])
+    return scale, (map_offsets(terrain, labels.x), map_offsets(terrain, labels.z))
+
+
+def map_offsets(terrain: Terrain, labels: Any) -> Array:
+    """Return the offsets that convert variables from local to map coordinates."""
     place = dict(zip(("x", "y", "z"), terrain.origin, strict=True))
     place |= {f"contact_{axis}": place[axis] for axis in ("x", "y")}
-    shift = tuple(
-        np.array([place.get(each.name, 0.0) for each in leaves(record)])
-        for record in (labels.x, labels.z)
-    )
-    return scale, (shift[0], shift[1])
+    return np.array([place.get(each.name, 0.0) for each in leaves(labels)])
 
 
 def extent(vehicle: Vehicle) -> float:

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.closure import ContactFrame, check_exact_closure
+from slipfree.core.dae import Labels
 from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, leaves, pack, symbols
@@ -33,11 +34,14 @@ from slipfree.models.base import (
     contact_frames,
     is_determinate,
     labels_of,
+    map_offsets,
     masses_of,
     platform_pose,
+    spins,
     values_of,
 )
 from slipfree.models.force_distribution import least_utilisation
+from slipfree.models.limits import tip_over_margin
 from slipfree.models.samples import coordinates, slip_velocities
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
@@ -127,6 +131,20 @@ def with_tangential(forces: Forces, parts: Mechanics) -> Forces:
     return forces._replace(along=along, across=across)
 
 
+def closure_quantities(
+    vehicle: Vehicle, terrain: Terrain, labels: Labels
+) -> tuple[Algebraic, Quantities]:
+    """Return the algebraic unknowns of a closure model and the expressions that contain them."""
+    x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
+    state = VehicleState(vehicle, terrain, LookupTable(), x, z.position, z.rates, u)
+    poses = carriers(state)
+    contacts = contact_frames(state, poses, z.position.contacts)
+    slips = slip_velocities(state, contacts)
+    parts = mechanics(state, contacts, slips)
+    of_wheels = with_tangential(z.forces, parts), poses, contacts, slips, spins(state)
+    return z, Quantities(*state, *of_wheels, parts, tip_over_margin(state, contacts))
+
+
 def force_outputs(q: Quantities, labels: ForceOutputs | tuple[()]) -> ForceOutputs | tuple[()]:
     """Return the output forces, efforts and energies; empty if the vehicle has no mass.
 
@@ -201,15 +219,11 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     )
     labels = labels_of(vehicle)
     required = labels.x, labels.z.position, labels.z.rates.motion, labels.u
-    x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
-    state = VehicleState(vehicle, terrain, LookupTable(), x, z.position, z.rates, u)
-    contacts = contact_frames(state, carriers(state), z.position.contacts)
-    parts = mechanics(state, contacts, slip_velocities(state, contacts))
-    given = [pack((x, z.position, z.rates.motion, u))]
-    f = lookup_function(state.lookups.lookups, "hold", given, _equilibrium_terms(parts))
-    origin = dict(zip(("x", "y", "z"), terrain.origin, strict=True))
-    origin |= {f"contact_{axis}": origin[axis] for axis in ("x", "y")}
-    rows = np.array([run.of(label) - origin.get(label.name, 0.0) for label in leaves(required)])
+    _, q = closure_quantities(vehicle, terrain, labels)
+    given = [pack((q.x, q.position, q.rates.motion, q.u))]
+    f = lookup_function(q.lookups.lookups, "hold", given, _equilibrium_terms(q.mechanics))
+    rows = np.array([run.of(label) for label in leaves(required)])
+    rows -= map_offsets(terrain, required)[:, None]
     columns, loads, friction = (np.array(out) for out in f.map(run.t.size)(rows))
     matrix = columns.reshape(len(columns), run.t.size, -1).transpose(1, 0, 2)
     known = np.isfinite(matrix).all(axis=(1, 2)) & (friction > 0).all(axis=0)

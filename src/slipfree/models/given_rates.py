@@ -29,7 +29,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -326,7 +326,7 @@ def guiding_motion(
     given = [each.label.name for each in inputs]
     motion = tuple(
         new_variable(direct, replace(label, name=f"guide_{label.name}"))
-        for label in _pose_rates(names)
+        for label in (*names[:6], *names.suspension)
     )
     multipliers = [replace(label, name=f"guide_{label.name}") for label in names.law.multipliers]
     multipliers += [
@@ -336,11 +336,8 @@ def guiding_motion(
     # at its proper rate, a wheel on rollers meets every motion: its slip at rest does not count
     turned |= {k for k, wheel in enumerate(direct.vehicle.wheels) if wheel.rollers}
     across = [slip for k, slip in enumerate(direct.y.slip_across) if k not in turned]
-    sizes = {"yaw_rate": direct.size}
-    loose = [
-        FREE_RATE_WEIGHTS[name] * (sizes.get(name, 1.0) * plane[name].expression) ** 2
-        for name in COMMANDS
-    ]
+    sizes = zip(COMMANDS, command_sizes(direct.vehicle, [*COMMANDS]), strict=True)
+    loose = [FREE_RATE_WEIGHTS[name] * (size * plane[name].expression) ** 2 for name, size in sizes]
     goal = 0.5 * ca.sum1(ca.vertcat(*loose, *(slip**2 for slip in across)))
     touching = direct.alg[1][-len(names.law.multipliers) :]
     missed = [
@@ -351,11 +348,6 @@ def guiding_motion(
     return minimum(direct, goal, ca.vertcat(*rows), motion, multipliers, label), motion
 
 
-def _pose_rates(rates: Any) -> tuple[Any, ...]:
-    """Return the fields of pose and suspension from `Rates` or its labels."""
-    return (*rates[:6], *rates.suspension)
-
-
 def guided(
     direct: Dae, motion: Sequence[ModelVariable], expressions: Sequence[ca.SX]
 ) -> list[ca.SX]:
@@ -364,7 +356,7 @@ def guided(
     still = pack((direct.u, rates.free, rates.passive))
     moving = ca.substitute([*expressions], [still], [ca.SX.zeros(still.shape)])
     symbols = ca.vertcat(*(each.symbol for each in motion))
-    return list(ca.substitute(moving, [ca.vertcat(*_pose_rates(rates))], [symbols]))
+    return list(ca.substitute(moving, [ca.vertcat(*rates[:6], *rates.suspension)], [symbols]))
 
 
 def steering_errors(direct: Dae, motion: Sequence[ModelVariable]) -> dict[str, ca.SX]:
@@ -405,14 +397,9 @@ def _within_stops(c: Coordinate, value: ca.SX, error: ca.SX) -> ca.SX:
     clearance = min(STOP_CLEARANCE, (c.upper - c.lower) / 4)
     low, high = c.lower + clearance - value, c.upper - clearance - value
     reverse = error - ca.pi * ca.sign(error)
-    is_reversed = ca.logic_and(
-        _outside(error, low, high), ca.logic_not(_outside(reverse, low, high))
-    )
+    is_out, stays_out = (ca.logic_or(each < low, each > high) for each in (error, reverse))
+    is_reversed = ca.logic_and(is_out, ca.logic_not(stays_out))
     return ca.fmin(ca.fmax(ca.if_else(is_reversed, reverse, error), low), high)
-
-
-def _outside(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
-    return ca.logic_or(value < low, value > high)
 
 
 def steering_laws(vehicle: Vehicle, errors: Mapping[str, ca.SX]) -> tuple[ca.SX, ...]:

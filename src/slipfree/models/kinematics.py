@@ -71,30 +71,16 @@ from slipfree.models.base import (
     vehicle_dae,
 )
 from slipfree.models.friction_feasibility import (
+    closure_quantities,
     contact_force_residuals,
     force_outputs,
     mechanics,
-    with_tangential,
 )
 from slipfree.models.limits import limits_of, tip_over_margin
 from slipfree.models.samples import slip_velocities
 from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Body, Vehicle
-
-
-def closure_quantities(
-    vehicle: Vehicle, terrain: Terrain, labels: Labels
-) -> tuple[Algebraic, Quantities]:
-    """Return the algebraic unknowns of a closure model and the expressions that contain them."""
-    x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
-    state = VehicleState(vehicle, terrain, LookupTable(), x, z.position, z.rates, u)
-    poses = carriers(state)
-    contacts = contact_frames(state, poses, z.position.contacts)
-    slips = slip_velocities(state, contacts)
-    parts = mechanics(state, contacts, slips)
-    of_wheels = with_tangential(z.forces, parts), poses, contacts, slips, spins(state)
-    return z, Quantities(*state, *of_wheels, parts, tip_over_margin(state, contacts))
 
 
 def closure_dae(

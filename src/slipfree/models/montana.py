@@ -218,6 +218,8 @@ def contact_rates(wheel: Forms, ground: Forms, psi: ca.SX, v: ca.SX, omega: ca.S
     )
 
 
+# quantities that describe the solution, or that may jump
+OF_SOLUTION = {"newton_step", "singular_value", "clearance", *(f"quaternion_{k}" for k in "xyzw")}
 MAX_DRIFT = 1e-3  # largest drift of an assembled vehicle [wheel radii, rad]
 # contact coordinates that are outputs of the closure model and states of Montana's
 AMONG_STATES: dict[str, Any] = {"wheel_u": (), "wheel_v": (), "psi": ()}
@@ -246,23 +248,6 @@ class Unknowns(NamedTuple):
 
     rates: Rates
     forces: Forces
-
-
-class RollingWheel(NamedTuple):
-    """Contact, pose, rates and drift of a rolling wheel.
-
-    ``pose`` is that of the wheel's hub from the contact coordinates, ``slip`` the velocity of the
-    wheel's material contact point [m/s]. The drift is the wheel's centre from the contact
-    coordinates minus its centre from the chain of joints [m], and the rotation vector from the
-    first orientation to the second, to first order [rad].
-    """
-
-    contact: ContactFrame
-    pose: Pose
-    slip: ca.SX
-    rates: ContactCoordinates
-    displacement: ca.SX
-    rotation: ca.SX
 
 
 @checked
@@ -325,11 +310,13 @@ def montana_kinematics(
     state = VehicleState(vehicle, ground, lookups, place, position, z.rates, u)
     turning, coordinates, chain = spins(state), pack(x[:-1]), carriers(state)
     q_dot = ca.vertcat(*z.rates[:6], *joint_rates(state), *z.rates.suspension)
-    rolls = list[RollingWheel]()
+    contacts, poses, slips = list[ContactFrame](), list[Pose](), list[ca.SX]()
+    rolling, drifts = list[ContactCoordinates](), list[tuple[ca.SX, ca.SX]]()
     for wheel, at, carrier, spin in zip(vehicle.wheels, x.contacts, chain, turning, strict=True):
         both, twist = pair(wheel, ground, at, lookups), carrier.twist(coordinates, q_dot)
         pose, frame = both.pose, both.frame
         contact = contact_frame(ground, at.x, at.y, pose.rotation[:, 0], lookups)
+        # drift: from the chain of joints to the contact coordinates, to first order
         displacement = pose.origin - carrier.origin
         turn = carrier.rotation @ pose.rotation.T
         rotation = ca.inv_skew((turn - turn.T) / 2)  # sine of the angle times the axis
@@ -340,23 +327,26 @@ def montana_kinematics(
         )
         # u and v are those of the hub, which does not spin with the wheel: v stays near 3 pi/2
         u_v = ground_uv[0], ground_uv[1], wheel_uv[0], wheel_uv[1] - spin
-        rates = ContactCoordinates(*u_v, psi)
-        rolls.append(RollingWheel(contact, pose, velocity, rates, displacement, rotation))
-    contacts = tuple(roll.contact for roll in rolls)
+        rolling.append(ContactCoordinates(*u_v, psi))
+        drifts.append((ca.norm_2(displacement), ca.norm_2(rotation)))
+        contacts.append(contact)
+        poses.append(pose)
+        slips.append(velocity)
     parts = mechanics(state, contacts, slip_velocities(state, contacts))
     q = Quantities(
         *state,
         with_tangential(z.forces, parts),
-        tuple(roll.pose for roll in rolls),
-        contacts,
-        tuple(roll.slip for roll in rolls),
+        tuple(poses),
+        tuple(contacts),
+        tuple(slips),
         turning,
         parts,
         tip_over_margin(state, contacts),
     )
-    drifts = (
-        ca.fmax(ca.norm_2(roll.displacement) / wheel.radius, ca.norm_2(roll.rotation))
-        for wheel, roll in zip(vehicle.wheels, rolls, strict=True)
+    distances, angles = zip(*drifts, strict=True)
+    relative = (
+        ca.fmax(distance / wheel.radius, angle)
+        for wheel, (distance, angle) in zip(vehicle.wheels, drifts, strict=True)
     )
     law = slip_equations(slip, labels, q)
     sampled = force_outputs(q, labels.y.forces)
@@ -367,15 +357,15 @@ def montana_kinematics(
         z,
         (law, Equations(labels.alg[1], contact_force_residuals(q))),
         sampled,
-        ode=ca.vertcat(q_dot, *leaves(tuple(roll.rates for roll in rolls))),
+        ode=ca.vertcat(q_dot, *leaves(tuple(rolling))),
         y=outputs(q, sampled)._replace(
             **AMONG_STATES,
-            drift_position=tuple(ca.norm_2(roll.displacement) for roll in rolls),
-            drift_rotation=tuple(ca.norm_2(roll.rotation) for roll in rolls),
+            drift_position=distances,
+            drift_rotation=angles,
         ),
         limits=(
             # first, since other limits assume wheels without drift
-            *wheel_limits(vehicle, "assembly", drifts, -np.inf, MAX_DRIFT),
+            *wheel_limits(vehicle, "assembly", relative, -np.inf, MAX_DRIFT),
             *limits_of(q),
         ),
         checks=contact_checks(q, x, z, q.poses),
@@ -487,17 +477,9 @@ def cross_check(first: Trajectory, second: Trajectory) -> tuple[Difference, ...]
             "cross_check: expected two motions with the same sample times, found different times; "
             "simulate both with the same times"
         )
-    shared = [name for name in first if name in second.columns and _describes_motion(name)]
+    shared = [name for name in first if name in second.columns and name not in OF_SOLUTION]
+    shared = [name for name in shared if not name.endswith("_residual")]
     return tuple(_difference(first, second, name, n) for name in shared)
-
-
-def _describes_motion(name: str) -> bool:
-    return not name.endswith("_residual") and name not in {
-        "newton_step",
-        "singular_value",
-        "clearance",
-        *(f"quaternion_{axis}" for axis in "xyzw"),
-    }
 
 
 def _difference(first: Trajectory, second: Trajectory, name: str, n: int) -> Difference:

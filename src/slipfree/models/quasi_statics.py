@@ -14,16 +14,14 @@ from slipfree.core.records import pack
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.protocols import Equations, GroundLaw, SlidingContacts, quantity_labels
 from slipfree.models.base import (
-    Algebraic,
     Forces,
     KinematicDae,
-    Quantities,
     check_mass,
     equilibrium_labels,
     labels_of,
 )
-from slipfree.models.friction_feasibility import diagnosis, equilibrium
-from slipfree.models.kinematics import check_rollers, closure_dae, closure_quantities
+from slipfree.models.friction_feasibility import closure_quantities, diagnosis, equilibrium
+from slipfree.models.kinematics import check_rollers, closure_dae
 from slipfree.models.samples import absolute_spins
 from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain
@@ -82,13 +80,25 @@ def quasi_statics(
     labels = labels_of(vehicle, law.unknowns(vehicle), follow=False)
     labels = labels._replace(y=labels.y._replace(slip_ratio=quantity_labels(vehicle, "slip_ratio")))
     z, q = closure_quantities(vehicle, ground, labels)
-    turning = absolute_spins(q)
-    reaction = law.reaction(_sliding(z, q, turning), q.rates.law)
+    parts, turning = q.mechanics, absolute_spins(q)
+    slip = ca.vertsplit(parts.free @ pack(q.rates.motion) + parts.driven @ pack(q.u))
+    sliding = SlidingContacts(
+        vehicle,
+        tuple(slip[::3]),
+        tuple(slip[1::3]),
+        tuple(slip[2::3]),
+        parts.friction,
+        q.u.wheels,
+        turning,
+        tuple(each.point[:2] + ca.DM(ground.origin[:2]) for each in q.contacts),
+        (lambda _x, _z: "") if vehicle.nominal else diagnosis(z, q),
+    )
+    reaction = law.reaction(sliding, q.rates.law)
     q = q._replace(forces=Forces(reaction.along, reaction.across, reaction.normal))
     if reaction.torques:
         # The difference between the moment of the ground about an axle and that of the forces at
         # the contact point acts on the rates in proportion to the wheel's angular velocity.
-        more, parts = list[ca.SX](), q.mechanics
+        more = list[ca.SX]()
         columns = q.forces.along, q.forces.across, q.forces.normal, reaction.torques
         for pose, at, *forces, torque in zip(q.poses, q.contacts, *columns, strict=True):
             along, across, normal = forces
@@ -116,21 +126,4 @@ def quasi_statics(
         suppress_algebraic=True,  # rates under friction change too fast for an error test
         continuation=reaction.continuation,
         discs=reaction.discs,
-    )
-
-
-def _sliding(z: Algebraic, q: Quantities, turning: tuple[ca.SX, ...]) -> SlidingContacts:
-    """Return the sliding contacts, whose slip is a linear function of rates and inputs."""
-    parts = q.mechanics
-    slip = ca.vertsplit(parts.free @ pack(q.rates.motion) + parts.driven @ pack(q.u))
-    return SlidingContacts(
-        q.vehicle,
-        tuple(slip[::3]),
-        tuple(slip[1::3]),
-        tuple(slip[2::3]),
-        parts.friction,
-        q.u.wheels,
-        turning,
-        tuple(each.point[:2] + ca.DM(q.terrain.origin[:2]) for each in q.contacts),
-        (lambda _x, _z: "") if q.vehicle.nominal else diagnosis(z, q),
     )

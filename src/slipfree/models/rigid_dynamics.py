@@ -63,28 +63,26 @@ from slipfree.models.base import (
     tangential_components,
     vehicle_dae,
 )
-from slipfree.models.dynamic_outputs import (
+from slipfree.models.dynamics import (
     Contact,
     Contacts,
     DynamicOutputs,
     DynamicState,
+    check_dynamic,
+    check_inertia,
     dynamic_forces,
     dynamic_labels,
     dynamic_outputs,
-    quantities,
-)
-from slipfree.models.dynamics import (
-    check_dynamic,
-    check_inertia,
     dynamics,
     equations_of_motion,
     moving_vehicle,
+    quantities,
     slip_velocity,
+    standing_start,
     with_depths,
 )
 from slipfree.models.limits import limits_of
 from slipfree.models.multibody import bias_forces, mass_matrix
-from slipfree.models.standing import standing_start
 from slipfree.system.forks import computing
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
@@ -154,8 +152,7 @@ def rigid_dynamics(
     check_support(vehicle, "rigid-body dynamics: ")
     vehicle = with_depths(vehicle)
     labels = dynamic_labels(vehicle)  # with contact points and the law's unknowns as unknowns
-    pairs = zip(labels.y.contact_x, labels.y.contact_y, strict=True)
-    points = tuple(ContactPoint(*pair) for pair in pairs)
+    points = tuple(map(ContactPoint, labels.y.contact_x, labels.y.contact_y))
     unknowns = RigidUnknowns(points, law.unknowns(vehicle))
     labels = labels._replace(z=unknowns, y=_without_unknowns(labels.y))
     moving, z = moving_vehicle(vehicle, ground, labels), symbols(labels.z)

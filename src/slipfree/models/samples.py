@@ -56,11 +56,7 @@ def part_poses(vehicle: Vehicle, run: Trajectory) -> FramePoses:
     ModelError
         If the motion lacks the platform's pose or a coordinate.
     """
-
-    def parts(place: Pose, values: Mapping[str, ca.SX]) -> Sequence[Pose]:
-        return tuple(vehicle.parts(place, values).values())
-
-    return _frame_poses(vehicle, run, parts)
+    return _frame_poses(vehicle, run, lambda *at: [*vehicle.parts(*at).values()])
 
 
 def nearest_points(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Nearest | None:
@@ -270,11 +266,8 @@ def rocks(run: Trajectory) -> list[LoadChange]:
     for k in np.flatnonzero(np.diff(lightest)).tolist():
         before, after = lightest[k : k + 2]
         more, less = loads[k : k + 2, before] - loads[k : k + 2, after]
-        t = (
-            run.t[k] + more / (more - less) * (run.t[k + 1] - run.t[k])
-            if more != less
-            else run.t[k]
-        )
+        share = more / (more - less) if more != less else 0.0
+        t = run.t[k] + share * (run.t[k + 1] - run.t[k])
         changes.append(LoadChange(float(t), run.wheels[before], run.wheels[after]))
     return changes
 
@@ -370,7 +363,12 @@ def obstacle_ending(
         return ObstacleEnding("climbs", t, words)
     count = f"{up.any(axis=0).sum()} of {len(vehicle.wheels)} wheels had reached the top"
     count = f"{count}, z = {_top(highest):.3g} m" if touched else "no wheel touched an obstacle"
-    past = _is_past_front(run, highest)
+    # whether each wheel's centre is past the front edge of the top, shape (n, n_wheels)
+    level = _top(highest) - highest.z - HEIGHT_TOLERANCE
+    front = min(x for x, z in highest.section.points if z > level)
+    forward, _, _ = highest.axes.T
+    x, y = run["center_x"] - highest.x, run["center_y"] - highest.y
+    past = np.asarray(forward[0] * x + forward[1] * y > front)
     if past.any(axis=0).all() and not past[0].all():
         t = _last_time(run, past)
         words = f"by t = {t:.3g} s every wheel had crossed the line of the front edge; {count}"
@@ -396,15 +394,6 @@ def is_on_top(run: Trajectory, vehicle: Vehicle, top: float) -> Mask:
     rise = top + radii - run["center_z"][0]
     below = np.minimum((1 - TOP_SHARE) * radii, np.where(rise > 0, rise / 2, np.inf))
     return np.asarray(run["center_z"] > top + radii - below)
-
-
-def _is_past_front(run: Trajectory, prism: Prism) -> Mask:
-    """Return whether each wheel's centre is past the front edge of a top, shape (n, n_wheels)."""
-    top = _top(prism) - prism.z - HEIGHT_TOLERANCE
-    front = min(x for x, z in prism.section.points if z > top)
-    forward, _, _ = prism.axes.T
-    x, y = run["center_x"] - prism.x, run["center_y"] - prism.y
-    return np.asarray(forward[0] * x + forward[1] * y > front)
 
 
 def _last_time(run: Trajectory, reached: Mask) -> float:

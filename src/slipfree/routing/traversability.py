@@ -421,17 +421,15 @@ def reasons_by_kind(layers: Traversability, x: float, y: float) -> dict[str, str
     ]
     words |= {"keep_out": "; ".join(near)} if near else {}
     if layers.poses is not None and not words and math.isinf(layers.least_cost[i, j]):
-        words["pose"] = _pose_reasons(layers.poses, x, y)
+        poses = layers.poses
+        i, j = (int(np.abs(axis - at).argmin()) for axis, at in ((poses.x, x), (poses.y, y)))
+        codes = poses["reason"][:, i, j]
+        named = [poses.reasons[int(code)] for code in np.unique(codes[codes > 0])]
+        if "utilisation" in poses.bands and (codes == 0).any():
+            least = float(np.nanmin(poses["utilisation"][:, i, j]))
+            named.insert(0, more_friction_words(least))
+        words["pose"] = f"no heading is possible: {' or '.join(named)}"
     return words
-
-
-def _pose_reasons(poses: Atlas, x: float, y: float) -> str:
-    i, j = (int(np.abs(axis - at).argmin()) for axis, at in ((poses.x, x), (poses.y, y)))
-    codes = poses["reason"][:, i, j]
-    words = [poses.reasons[int(code)] for code in np.unique(codes[codes > 0])]
-    if "utilisation" in poses.bands and (codes == 0).any():
-        words.insert(0, more_friction_words(float(np.nanmin(poses["utilisation"][:, i, j]))))
-    return f"no heading is possible: {' or '.join(words)}"
 
 
 def more_friction_words(factor: float) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -28,52 +28,33 @@ from slipfree.system.codegen_cache import compiled_functions, load_or_compile, s
 FORWARD = {"helper_options": {"ad_weight": 0.0}}
 
 
-class MotionEquations(NamedTuple):
-    """Equations of a motion under given inputs.
-
-    ``m`` are the unknowns of the motion, ``ode`` the rates of the states, and ``alg`` the residuals
-    of the algebraic equations, without unit.
-    """
-
-    # ``(t, x, m, u) -> (ode, alg)``; differentiable with respect to ``x`` and ``m``
-    core: ca.Function
-    # ``(t, x, m, p, u) -> (ode_x, alg_x, ode_m, alg_m)``, derivatives with respect to ``x`` and
-    # ``m``, with the names that CasADi's interface to IDAS requires; ``p`` is empty
-    jacobian: ca.Function
-
-
-class _ModelEquations(NamedTuple):
-    """Equations of a model as functions of its inputs ``v``."""
-
-    inputs: tuple[bool, ...]  # one flag per input: whether the equations depend on it
-    lookups: tuple[Lookup, ...]  # lookups that the equations use; ``c`` are their results
-    values: ca.Function  # ``(t, x, m, v, c) -> (ode, alg)``
-    # Jacobian of ``values`` with respect to ``x``, ``m`` and ``v``, with the same arguments
-    slopes: ca.Function
-
-
 def motion_equations(
     dae: Dae, count: int, law: Sequence[ca.SX], u: ca.SX, *, compiled: bool
-) -> MotionEquations:
+) -> tuple[ca.Function, ca.Function]:
     """Return the equations of a motion with the first ``count`` unknowns of ``z``, under inputs.
 
+    The first function, ``(t, x, m, u) -> (ode, alg)``, returns the rates of the states and the
+    residuals of the algebraic equations, without unit; it is differentiable with respect to ``x``
+    and the unknowns ``m``. The second one, ``(t, x, m, p, u) -> (ode_x, alg_x, ode_m, alg_m)``, are
+    the derivatives, with the names that CasADi's interface to IDAS requires; ``p`` is empty.
     ``law`` has one expression per input, in the symbols of the model and the numbers ``u``.
     """
     x, z, _ = dae.columns()
-    model, m = _model_equations(dae, count, compiled=compiled), z[:count]
+    own_inputs, lookups, values, slopes_of = _model_equations(dae, count, compiled=compiled)
+    m = z[:count]
     # Laws of other inputs may contain unknowns that do not belong to the motion.
-    used = (each if own else ca.SX(0) for each, own in zip(law, model.inputs, strict=True))
+    used = (each if own else ca.SX(0) for each, own in zip(law, own_inputs, strict=True))
     driven = ca.vertcat(ca.SX(0, 1), *used)
     symbols = [dae.t, x, m, u]
     derivatives = ca.jacobian(driven, ca.vertcat(x, m))
     law_values = dae.function("law", symbols, [driven], {"cse": True})
     law_slopes = dae.function("law_slopes", symbols, [derivatives], {"cse": True})
     given = [ca.MX.sym(name, each.numel()) for name, each in zip("txmu", symbols, strict=True)]
-    results = lookup_results(model.lookups, symbols[:3], given[:3])
+    results = lookup_results(lookups, symbols[:3], given[:3])
     point = [*given[:3], law_values(*given), results]
-    ode, alg = model.values(*point)
+    ode, alg = values(*point)
     ends = [0, x.numel(), x.numel() + count]
-    slopes = model.slopes(*point)
+    slopes = slopes_of(*point)
     by_state, by_input = ca.horzsplit(slopes, [0, ends[-1], slopes.shape[1]])
     total = by_state + by_input @ law_slopes(*given)
     (ode_x, ode_m), (alg_x, alg_m) = ca.blocksplit(total, ends, ends)
@@ -90,7 +71,7 @@ def motion_equations(
     }
     names = ["jac_ode_x", "jac_alg_x", "jac_ode_z", "jac_alg_z"]  # CasADi's names
     parameters = [*given[:3], ca.MX.sym("p", 0), given[3]]
-    return MotionEquations(
+    return (
         ca.Function("core", given, [ode, alg], options),
         ca.Function("jacF", parameters, [ode_x, alg_x, ode_m, alg_m], [*"txzpu"], names),
     )
@@ -115,8 +96,15 @@ def scaled_jacobian(jacobian: ca.Function, x_size: Array, m_size: Array) -> ca.F
 
 
 @lru_cache(maxsize=8)
-def _model_equations(dae: Dae, count: int, *, compiled: bool) -> _ModelEquations:
-    """Return the equations of a model as functions of its inputs; cached."""
+def _model_equations(
+    dae: Dae, count: int, *, compiled: bool
+) -> tuple[tuple[bool, ...], tuple[Lookup, ...], ca.Function, ca.Function]:
+    """Return the equations of a model as functions of its inputs ``v``; cached.
+
+    Results are one flag per input, whether the equations depend on it; the lookups that they use,
+    with the results ``c``; ``(t, x, m, v, c) -> (ode, alg)``; and the Jacobian of these with
+    respect to ``x``, ``m`` and ``v``.
+    """
     x, z, v = dae.columns()
     alg = ca.vertcat(ca.SX(0, 1), *dae.residuals)[:count]
     (rows,) = dae.without_continuation([ca.densify(ca.vertcat(dae.ode, alg))])
@@ -143,7 +131,8 @@ def _model_equations(dae: Dae, count: int, *, compiled: bool) -> _ModelEquations
     functions = compiled_functions(key, ("values", "slopes"), make, compiled=compiled)
     lookups = compiled_lookups(lookups) if compiled else lookups
     inputs = ca.vertsplit(v) if v.numel() else []
-    return _ModelEquations(tuple(ca.depends_on(rows, each) for each in inputs), lookups, *functions)
+    own = tuple(ca.depends_on(rows, each) for each in inputs)
+    return own, lookups, functions[0], functions[1]
 
 
 def model_function(

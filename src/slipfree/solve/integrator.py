@@ -70,7 +70,14 @@ def integrate(
     """
     parts, counts, left = [first], dict.fromkeys(COUNTS, 0.0), 0
     for right in (*_jump_indices(solver.system, t, u), t.size - 1):
-        at = _start_after_jump(solver.system, parts[-1], u[:, left])
+        at = parts[-1].at([-1])
+        if not np.array_equal(at.u[:, -1], u[:, left]):
+            # after a jump, the unknowns that the new inputs require; else the integrator fails
+            starts = (
+                _make_consistent(solver.system, at, u[:, left], continuation=each)
+                for each in (False, True)
+            )
+            at = next(filter(None, starts), at)
         span, inputs = t[left : right + 1], u[:, left:right]
         part, cost, end = _integrate_between_jumps(solver, observer, at, span, inputs)
         # A restart from the last step before a failure uses a small step and a new Jacobian, and
@@ -144,7 +151,12 @@ def _call_integrator(
     Steps are bounded by the pace that the start has under later inputs. If the motion becomes
     faster and a step covers too large a distance, the call is repeated with the largest pace.
     """
-    system, given, pace = solver.system, dict[str, Any](), _pace_at_start(solver.system, at, t, u)
+    system, given, pace = solver.system, dict[str, Any](), 0.0
+    if not system.dae.pace.is_zero():  # the largest pace of the start under later inputs
+        times = np.linspace(t[0], t[-1], PACE_TIMES)
+        later = u[:, np.searchsorted(t[1:-1], times, side="right")]
+        m = at.z[: system.motion_size, 0]
+        pace = float(np.array(system.watch(times[None], at.x[:, 0], m, later)[2]).max())
     x_size, m_size = (size[:, None] for size in motion_scales(system))
     columns = np.column_stack([u[:, :1], u])  # that of an interval at the time that it ends
     while True:
@@ -184,28 +196,6 @@ def _call_integrator(
     counts = {name: float(statistics[key]) for name, key in COUNTS.items()}
     inputs = np.column_stack([u, u[:, -1:]])
     return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), counts
-
-
-def _pace_at_start(system: System, at: Samples, t: Array, u: Array) -> float:
-    """Return the largest pace of a sample under the inputs of several times [1/s]."""
-    if system.dae.pace.is_zero():
-        return 0.0
-    times = np.linspace(t[0], t[-1], PACE_TIMES)
-    inputs = u[:, np.searchsorted(t[1:-1], times, side="right")]
-    m = at.z[: system.motion_size, 0]
-    return float(np.array(system.watch(times[None], at.x[:, 0], m, inputs)[2]).max())
-
-
-def _start_after_jump(system: System, samples: Samples, u: Array) -> Samples:
-    """Return the last sample with the unknowns after a jump of the inputs, if these exist."""
-    at = samples.at([-1])
-    if np.array_equal(at.u[:, -1], u):
-        return at
-    for continuation in (False, True):
-        start = _make_consistent(system, at, u, continuation=continuation)
-        if start is not None:
-            return start
-    return at  # the integrator fails there
 
 
 def _make_consistent(
@@ -283,14 +273,8 @@ def _new_integrator(
     quad = ca.vertcat(quad, relay(ca.vertcat(t_0, *observed)))
     problem = dict(zip("txzu", symbols, strict=True))
     problem |= {"ode": ode / ca.DM(x_size), "alg": alg, "quad": quad}
-    options: dict[str, Any] = {
-        "reltol": solver.tolerance,
-        "abstol": solver.tolerance,
-        "max_num_steps": MAX_STEPS,
-        "show_eval_warnings": False,
-        "disable_internal_warnings": True,
-        "cache": {"jacF": scaled_jacobian(system.jacobian, x_size, m_size)},
-    }
+    jacobian = scaled_jacobian(system.jacobian, x_size, m_size)
+    options = sundials_options(solver.tolerance, jacobian)
     if solver.method == "idas":
         options |= {"suppress_algebraic": dae.suppress_algebraic, **given}
     else:
@@ -301,6 +285,18 @@ def _new_integrator(
     if pace > 0:
         options["max_step_size"] = 1 / pace
     return ca.integrator("motion", solver.method, problem, float(t[0]), t, options)
+
+
+def sundials_options(tolerance: float, jacobian: ca.Function) -> dict[str, Any]:
+    """Return the options of an integrator that do not depend on the method."""
+    return {
+        "reltol": tolerance,
+        "abstol": tolerance,
+        "max_num_steps": MAX_STEPS,
+        "show_eval_warnings": False,
+        "disable_internal_warnings": True,
+        "cache": {"jacF": jacobian},
+    }
 
 
 def motion_scales(system: System) -> tuple[Array, Array]:
@@ -342,10 +338,6 @@ class StepObserver:
         self.reported = -np.inf
         self.stalled = 0
 
-    def __call__(self, t: float, margin: float, pace: float) -> None:
-        """Observe a step: its time, the least distance to a limit, and the pace."""
-        self.guard.call(self._observe, t, margin, pace)
-
     def pace_of_long_steps(self, first: int) -> float:
         """Return the largest pace if a step covers twice the allowed distance or more, else zero.
 
@@ -360,8 +352,11 @@ class StepObserver:
         covered = np.diff(t) * np.maximum(paces[1:], paces[:-1])
         return float(np.nanmax(paces)) if (covered >= MAX_COVERED).any() else 0.0
 
-    def _observe(self, t: float, margin: float, pace: float) -> None:
-        """Record an accepted step; raise an error if the motion has to end there."""
+    def observe(self, t: float, margin: float, pace: float) -> None:
+        """Record an accepted step; raise an error if the motion has to end there.
+
+        A step has a time, the least distance to a limit, and the pace.
+        """
         advances = not self.times or abs(t - self.times[-1]) > ROUNDING * abs(t)
         self.stalled = 0 if advances else self.stalled + 1
         self.times.append(t)
@@ -401,8 +396,8 @@ class _Relay(ca.Callback):
 
     def eval_buffer(self, arguments: Sequence[memoryview], results: Sequence[memoryview]) -> int:
         """Observe a step of the integrator; return zero, CasADi's code for success."""
-        if self.observer is not None:
-            self.observer(*_doubles(arguments[0]))
+        if (observer := self.observer) is not None:
+            observer.guard.call(observer.observe, *_doubles(arguments[0]))
         _doubles(results[0])[0] = 0.0
         return 0
 

@@ -20,7 +20,7 @@ from slipfree.solve.sampling import (
     periodic_states,
     same_turn,
 )
-from slipfree.solve.settle import settle
+from slipfree.solve.settle import settle_at
 from slipfree.solve.simulate import consistent_start, simulate
 from slipfree.solve.system import with_inputs
 
@@ -178,11 +178,7 @@ def replay(
         If the integrator fails.
     """
     t = run.t
-    states, pose = (
-        {label.full: float(run.of(label)[0]) for label in leaves(record)}
-        for record in (dae.labels.x, dae.labels.z[0])
-    )
-    start = settle(dae, guess=pose, options=options, **states)
+    start = settle_at(dae, run, options)
     cuts = [k for k in range(1, t.size - 1) if inputs is None and np.isin(t[k], jumps)]
     parts: list[Trajectory] = []
     for left, right in zip([0, *cuts], [*cuts, t.size - 1], strict=True):

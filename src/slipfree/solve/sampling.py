@@ -69,10 +69,6 @@ class Samples(NamedTuple):
     q: Array
     u: Array
 
-    def head(self, count: int) -> Samples:
-        """Return the first ``count`` samples."""
-        return self.at(slice(count))
-
     def at(self, k: slice | list[int] | Mask) -> Samples:
         """Return the samples with the given indices."""
         return Samples(*(row[..., k] for row in self))
@@ -80,7 +76,7 @@ class Samples(NamedTuple):
 
 def join_samples(parts: Sequence[Samples]) -> Samples:
     """Return the joined samples of parts; each starts at the last sample of the previous part."""
-    rows = zip(*(part.head(-1) for part in parts[:-1]), parts[-1], strict=True)
+    rows = zip(*(part.at(slice(-1)) for part in parts[:-1]), parts[-1], strict=True)
     return Samples(*(np.concatenate(row, axis=-1) for row in rows))
 
 
@@ -254,13 +250,11 @@ def to_trajectory(system: System, samples: Samples, report: dict[str, Array]) ->
     checks = (_check_margins(check, samples) for check in dae.checks)
     rows = [*x, *z, *samples.q, *u, *y, *limits, *checks, *report.values()]
     groups, wheels = _group_by_quantity(dae, tuple(report))
-    columns = {
-        one.label.name: Column(
-            one.label,
-            np.stack([rows[k] for k in one.rows], axis=1) if one.of_wheels else rows[one.rows[0]],
-        )
-        for one in groups
-    }
+    columns = dict[str, Column]()
+    for label, indices, of_wheels in groups:
+        samples_of = [rows[k] for k in indices]
+        values = np.stack(samples_of, axis=1) if of_wheels else samples_of[0]
+        columns[label.name] = Column(label, values)
     return Trajectory(samples.t, columns, wheels, ground=dae.ground)
 
 
@@ -274,19 +268,14 @@ def _check_margins(check: SampledCheck, samples: Samples) -> Array:
         return np.concatenate([_check_margins(check, sample) for sample in each])
 
 
-class _QuantityRows(NamedTuple):
-    """Label of a quantity and the indices of its rows; quantities of wheels have several."""
-
-    label: Label
-    rows: tuple[int, ...]
-    of_wheels: bool
-
-
 @lru_cache(maxsize=8)
 def _group_by_quantity(
     dae: Dae, report: tuple[str, ...]
-) -> tuple[tuple[_QuantityRows, ...], tuple[str, ...]]:
-    """Return the quantities of a model and its report, in the order of rows, and the wheels."""
+) -> tuple[tuple[tuple[Label, tuple[int, ...], bool], ...], tuple[str, ...]]:
+    """Return the quantities of a model and its report, in the order of rows, and the wheels.
+
+    A quantity has a label, the indices of its rows, and whether it is one of wheels.
+    """
     labels = [
         *leaves(dae.labels[:5]),
         *(limit.label for limit in dae.limits),
@@ -307,7 +296,7 @@ def _group_by_quantity(
                 "twice; rename a coordinate of the vehicle or an output"
             )
         group[label.wheel] = row
-    wheels, found = tuple[str, ...](), list[_QuantityRows]()
+    wheels, found = tuple[str, ...](), list[tuple[Label, tuple[int, ...], bool]]()
     for name, group in groups.items():
         rows = tuple(group.values())
         label = labels[rows[0]]
@@ -315,7 +304,7 @@ def _group_by_quantity(
             wheels = tuple(map(str, group))
             words = label.words.replace(f"wheel {label.wheel}", "the wheel")
             label = Label(name, label.unit, words)
-        found.append(_QuantityRows(label, rows, None not in group))
+        found.append((label, rows, None not in group))
     return tuple(found), wheels
 
 

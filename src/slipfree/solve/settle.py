@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from typing import Annotated, Any
@@ -12,7 +13,7 @@ import numpy as np
 
 from slipfree.batch.many import Placement, find_rests, obstacles, wheel_checks
 from slipfree.core.arguments import BY_NAME, checked
-from slipfree.core.dae import Dae, Standing
+from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate
 from slipfree.core.newton import solve_linear
@@ -81,38 +82,55 @@ def settle(
     >>> print(f"z = {start['z'][0]:.3f} m, pitch = {start['pitch'][0]:.3f} rad")
     z = 0.706 m, pitch = 0.197 rad
     """
-    if model.standing is not None:
-        speed = start.pop(SPEED, 0.0)
-        first = _exact_pose(model.standing, start, options) | dict(guess or {})
-        run = settle(model.standing.model, guess=first, options=options, **start)
-        x = _moving_states(model.standing, run, speed)
+    if (standing := model.standing) is not None:
+        speed, pose, still = start.pop(SPEED, 0.0), dict[str, float](), standing.model
+        if standing.guess is not None:
+            with suppress(ModelError):  # a wrong start is reported by the model at rest
+                run = settle(standing.guess, guess=None, options=options, **start)
+                wanted = {*still.state_names} - {*standing.guess.state_names}
+                pose = {name: float(run[name][0]) for name in wanted}
+        run = settle(still, guess=pose | dict(guess or {}), options=options, **start)
+        symbols = [*still.columns()[:2], standing.speed]
+        moving = still.function("states", symbols, [standing.x])
+        x = np.array(moving(*(still.rows(record, run, -1) for record in "xz"), speed)).ravel()
         return _one_sample(model, x, first_guess(model, x, {}), options)
     x, guess = model.start(**start), dict(guess or {})
     if not model.rest.numel():
         return _one_sample(model, x, first_guess(model, x, guess), options)
-    return _settle_by_relaxation(model, x, start, guess, options)
-
-
-def _exact_pose(
-    standing: Standing, start: dict[str, Any], options: SolverOptions
-) -> dict[str, float]:
-    """Return the pose of a vehicle in exact contact by name, empty if there is no such pose."""
-    if standing.guess is None:
-        return {}
-    wanted = set(standing.model.state_names) - {*standing.guess.state_names}
-    try:
-        run = settle(standing.guess, options=options, **start)
-    except ModelError:  # a wrong start is reported by the model at rest
-        return {}
-    return {name: float(run[name][0]) for name in wanted}
-
-
-def _moving_states(standing: Standing, run: Trajectory, speed: float) -> Array:
-    """Return the local states of a dynamic model for a vehicle at rest and a speed [m/s]."""
-    model = standing.model
-    symbols = [*model.columns()[:2], standing.speed]
-    states = model.function("states", symbols, [standing.x])
-    return np.array(states(*(model.rows(record, run, -1) for record in "xz"), speed)).ravel()
+    # At rest the vehicle relaxes to its equilibrium from the guessed pose; the model's initial pose
+    # completes it. If that fails or the vehicle overturns, it does so from the model's initial
+    # pose, and at last from a pose on the plane under the wheels, since from a level pose it
+    # overturns on steep ground.
+    states, relaxing = model.state_names, _relaxation_model(model)
+    level = np.array(model.function("rest", [model.columns()[0]], [model.rest])(x)).ravel()
+    rest = x.size - level.size
+    given = [(start | guess).get(name, np.nan) for name in states[rest:]] - model.shift[0][rest:]
+    others = {name: value for name, value in guess.items() if name not in states[rest:]}
+    failure, margin, on_plane = ModelError(""), np.inf, _pose_on_plane(model, x)
+    inclined = np.array([on_plane.get(name, 0.0) for name in states[rest:]])
+    for first in (np.where(np.isnan(given), level, given), level, inclined):
+        at = np.concatenate([x[:rest], first])
+        try:
+            begin = _one_sample(relaxing, at, first_guess(relaxing, at, others), options)
+            if "tip_over_margin" in begin:  # of a vehicle with a mass
+                margin = float(begin["tip_over_margin"][0])
+            run = _relax(relaxing, begin, options)
+            at[rest:] = relaxing.rows("x", run, -1)[rest:]
+            return _one_sample(model, at, relaxing.rows("z", run, -1), options)
+        except SolverError as error:
+            failure = ModelError(
+                f"no equilibrium of the vehicle was found at the start: {error}; choose another "
+                "start"
+            )
+        except ModelError as error:
+            failure = error
+    if margin < TIPPING:
+        slope = np.degrees(np.arccos(np.cos(on_plane["pitch"]) * np.cos(on_plane["roll"])))
+        raise ModelError(
+            f"the vehicle tips over at the start, where the ground under its wheels is inclined by "
+            f"{slope:.3g} degrees; choose a start on a gentler slope, or another heading"
+        )
+    raise failure
 
 
 @computing
@@ -157,51 +175,6 @@ def stable_poses(
         if min(apart) > DIFFERENT_ANGLE:
             poses.append(other)
     return tuple(poses)
-
-
-def _settle_by_relaxation(
-    dae: Dae,
-    x: Array,
-    start: dict[str, float],
-    guess: dict[str, float],
-    options: SolverOptions,
-) -> Trajectory:
-    """Return the vehicle at the equilibrium to which it relaxes at rest.
-
-    The relaxation starts from the guessed pose; the model's initial pose completes it. If that
-    fails or the vehicle overturns, the relaxation starts from the model's initial pose, and at last
-    from a pose on the plane under the wheels, since from a level pose it overturns on steep ground.
-    """
-    states, model = dae.state_names, _relaxation_model(dae)
-    level = np.array(dae.function("rest", [dae.columns()[0]], [dae.rest])(x)).ravel()
-    still, shift = x.size - level.size, dae.shift[0][x.size - level.size :]
-    given = [(start | guess).get(name, np.nan) for name in states[still:]] - shift
-    others = {name: value for name, value in guess.items() if name not in states[still:]}
-    failure, margin, on_plane = ModelError(""), np.inf, _pose_on_plane(dae, x)
-    inclined = np.array([on_plane.get(name, 0.0) for name in states[still:]])
-    for first in (np.where(np.isnan(given), level, given), level, inclined):
-        at = np.concatenate([x[:still], first])
-        try:
-            begin = _one_sample(model, at, first_guess(model, at, others), options)
-            if "tip_over_margin" in begin:  # of a vehicle with a mass
-                margin = float(begin["tip_over_margin"][0])
-            run = _relax(model, begin, options)
-            at[still:] = model.rows("x", run, -1)[still:]
-            return _one_sample(dae, at, model.rows("z", run, -1), options)
-        except SolverError as error:
-            failure = ModelError(
-                f"no equilibrium of the vehicle was found at the start: {error}; choose another "
-                "start"
-            )
-        except ModelError as error:
-            failure = error
-    if margin < TIPPING:
-        slope = np.degrees(np.arccos(np.cos(on_plane["pitch"]) * np.cos(on_plane["roll"])))
-        raise ModelError(
-            f"the vehicle tips over at the start, where the ground under its wheels is inclined by "
-            f"{slope:.3g} degrees; choose a start on a gentler slope, or another heading"
-        )
-    raise failure
 
 
 def _pose_on_plane(dae: Dae, x: Array) -> dict[str, float]:
@@ -321,10 +294,19 @@ def settle_exchanged(
         )
     i, j = [names.index(name) for name in exchange], [pose.index(n) for n in exchange.values()]
     model = _exchanged_model(dae, i, j)
-    guess = _guess_exchanged(dae, i, j, model.start(**start))
+    # One Newton step finds the states `i` at which the original model's guess of the unknowns `j`
+    # equals their given values. It is exact if this guess is linear in the states `i`.
+    states, given = dae.columns()[0], model.start(**start)
+    rows, x = dae.guess[j], given.copy()
+    slope = dae.function("slope", [states], [rows, ca.jacobian(rows, states[i])])
+    x[i] = 0.0
+    at_zero, jacobian = (np.array(part) for part in slope(x))
+    x[i] = np.linalg.lstsq(jacobian, given[i] - at_zero.ravel(), rcond=None)[0]
+    guess = np.array(dae.function("guess", [states], [dae.guess])(x)).ravel()
+    guess[j] = x[i]
     once = replace(options, compiled=False)
     run = settle(replace(model, guess=ca.SX(guess)), guess=None, options=once, **start)
-    return _settle_at(dae, run, options)
+    return settle_at(dae, run, options)
 
 
 def _exchanged_model(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
@@ -346,25 +328,7 @@ def _exchanged_model(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
     return rearrange(used_once, unpack(x, states), unpack(z, unknowns), u, blocks(dae))
 
 
-def _guess_exchanged(dae: Dae, i: Sequence[int], j: Sequence[int], given: Array) -> Array:
-    """Return an initial guess of ``z`` of the exchanged model from its states.
-
-    One Newton step finds the states ``i`` at which the original model's guess of the unknowns ``j``
-    equals their given values. It is exact if this guess is linear in the states ``i``.
-    """
-    states = dae.columns()[0]
-    rows = dae.guess[j]
-    slope = dae.function("slope", [states], [rows, ca.jacobian(rows, states[i])])
-    x = given.copy()
-    x[i] = 0.0
-    guess, jacobian = (np.array(part) for part in slope(x))
-    x[i] = np.linalg.lstsq(jacobian, given[i] - guess.ravel(), rcond=None)[0]
-    z = np.array(dae.function("guess", [states], [dae.guess])(x)).ravel()
-    z[j] = x[i]
-    return z
-
-
-def _settle_at(dae: Dae, found: Trajectory, options: SolverOptions) -> Trajectory:
+def settle_at(dae: Dae, found: Trajectory, options: SolverOptions) -> Trajectory:
     """Return a model settled at the states of the first sample, with its pose as initial guess."""
     states, pose = (
         {label.full: float(found.of(label)[0]) for label in leaves(record)}

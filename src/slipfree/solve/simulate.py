@@ -34,7 +34,7 @@ from slipfree.solve.integrator import (
     add_counts,
     integrate,
 )
-from slipfree.solve.options import Method, SolverOptions
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import (
     UNSOLVED_RESIDUAL,
     Samples,
@@ -395,7 +395,13 @@ def simulate(
     with InterruptGuard() as guard:
         system = with_inputs(model, inputs, t.size - 1, options)
         watch = system.motion_watch() if sampled_work else system.watch
-        method = _method(system, options.method)
+        method = options.method or ("idas" if system.motion_size else "cvodes")
+        if method == "cvodes" and system.motion_size:
+            raise ModelError(
+                f"method: 'cvodes' cannot solve for the {system.motion_size} algebraic unknowns of "
+                "this model; use 'idas'"
+            )
+        method = "idas" if method == "explicit" else method  # for the location of ends
         solver = MotionSolver(system, options.tolerance, method, guard, watch)
         samples, counts = _initial_sample(system, start, t[0]), dict.fromkeys(COUNTS, 0.0)
         end: EarlyEnd | None = None
@@ -471,19 +477,6 @@ def check_times(t: Array) -> Array:
     return t
 
 
-def _method(system: System, method: Method | None) -> Method:
-    if method is None:
-        return "idas" if system.motion_size else "cvodes"
-    if method == "explicit":  # for the location of ends
-        return "idas"
-    if method == "cvodes" and system.motion_size:
-        raise ModelError(
-            f"method: 'cvodes' cannot solve for the {system.motion_size} algebraic unknowns of "
-            "this model; use 'idas'"
-        )
-    return method
-
-
 def _initial_sample(system: System, start: Trajectory, t: float) -> Samples:
     """Return the last sample of a trajectory at time ``t``, with consistent unknowns."""
     x, z, q = (system.dae.rows(record, start, -1)[:, None] for record in "xzq")
@@ -524,7 +517,12 @@ def _check_samples(
         if not limited:
             continue
         chunk = to_trajectory(system, part, report)
-        run = run if run.columns else _unfilled(chunk, samples.t)
+        if not run.columns:
+            columns = {
+                name: Column(label, np.empty((samples.t.size, *values.shape[1:])))
+                for name, (label, values) in chunk.columns.items()
+            }
+            run = Trajectory(samples.t, columns, chunk.wheels, ground=chunk.ground)
         for name, column in chunk.columns.items():
             run[name][span] = column.values
         violation = first_violation(system, chunk, part, unsolved)
@@ -532,7 +530,7 @@ def _check_samples(
             found.append(_Crossing(left + violation[0], violation[1], None))
             count = left + part.t.size
             break
-    run, samples = run.part(slice(count)), samples._replace(z=z).head(count)
+    run, samples = run.part(slice(count)), samples._replace(z=z).at(slice(count))
     for each in watched:
         for k in crossing_indices(each, system, samples, solver.tolerance)[:1]:
             name = each.event.name
@@ -540,15 +538,6 @@ def _check_samples(
             stop = Stop(name, float(run.t[k]), words, Outcome.COMPLETE)
             found.append(_Crossing(k, stop, each))
     return run, samples, min(found, key=lambda one: one.k, default=None)
-
-
-def _unfilled(chunk: Trajectory, t: Array) -> Trajectory:
-    """Return a trajectory with the quantities of a chunk and uninitialised values at all times."""
-    columns = {
-        name: Column(label, np.empty((t.size, *values.shape[1:])))
-        for name, (label, values) in chunk.columns.items()
-    }
-    return Trajectory(t, columns, chunk.wheels, ground=chunk.ground)
 
 
 def interrupted_at(t: float) -> Stop:

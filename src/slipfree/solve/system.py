@@ -58,7 +58,7 @@ class System(NamedTuple):
     # after it
     blocks: tuple[Block, ...]
     dependent_blocks: tuple[Block, ...]
-    # derivatives of ``core`` for IDAS; see `slipfree.solve.equations.MotionEquations`
+    # derivatives of ``core`` for IDAS; see `slipfree.solve.equations.motion_equations`
     jacobian: ca.Function
     outputs: ca.Function  # ``(t, x, z, u) ->`` values of the outputs, limits and inputs
 
@@ -146,8 +146,42 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
         first -= 1
     motion, dependent = blocks[:first], blocks[first:]
     m = z[: motion[-1].span.stop] if motion else z[:0]
-    equations = motion_equations(dae, m.numel(), law, u, compiled=compiled)
-    watch = partial(_watch_function, dae, law, u, watched, dependent, compiled=compiled)
+    core, jacobian = motion_equations(dae, m.numel(), law, u, compiled=compiled)
+
+    def watch(*, solves: bool) -> ca.Function:
+        """Return the function of quadrature rates, margin and pace.
+
+        The dependent blocks are solved if rates depend on them, or those rates are zero.
+        """
+        x, count = dae.columns()[0], m.numel() if dependent else z.numel()
+        follows = [ca.depends_on(each, z[count:]) for each in law]
+        late = (v for v, each in zip(leaves(dae.u), follows, strict=True) if each)
+        following = ca.vertcat(z[count:], *late)
+        quad, margin = watched[0], _limit_margin(dae, watched[1], following)
+        if not solves:
+            rates = (0 * q if ca.depends_on(q, following) else q for q in ca.vertsplit(quad))
+            quad = ca.vertcat(ca.SX(0, 1), *rates)
+        solves = bool(dependent) and ca.depends_on(quad, following)
+        unknowns, used = (z, law) if solves else (z[:count], [])
+        if not solves:  # neither quadratures nor margin depend on these inputs
+            used = [ca.SX(0) if late else each for each, late in zip(law, follows, strict=True)]
+        given = [
+            ca.MX.sym(name, size)
+            for name, size in zip("txmu", (1, x.numel(), count, u.numel()), strict=True)
+        ]
+        t_0, x_0, found, u_0 = given
+        if solves:
+            guess = dae.function("guess", [x], [dae.guess[count:]])
+            found = ca.vertcat(found, guess(x_0))
+            for block in dependent:
+                found = _solve_symbolically(block, [t_0, x_0, found, u_0])
+        laws = dae.function("law", [dae.t, x, unknowns, u], [ca.vertcat(ca.SX(0, 1), *used)])
+        symbols = [dae.t, x, unknowns, inputs]
+        parts = [quad, margin, watched[2]]
+        values = model_function(dae, "watch", symbols, parts, compiled=compiled)
+        at = t_0, x_0, found
+        return ca.Function("watch", given, list(values(*at, laws(*at, u_0))))
+
     # not compiled: outputs contain the origin of the map, so a library would serve one map
     at = [dae.t, *dae.columns()[:2], inputs]
     outputs = model_function(dae, "outputs", at, shown, compiled=False)
@@ -157,59 +191,14 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
     return System(
         dae,
         np.zeros((u.numel(), 0)),
-        equations.core,
+        core,
         watch(solves=True),
         cache(partial(watch, solves=False)),
         motion,
         dependent,
-        equations.jacobian,
+        jacobian,
         ca.Function("outputs", given, [*outputs(*given[:3], driven), ca.densify(driven)]),
     )
-
-
-def _watch_function(
-    dae: Dae,
-    law: list[ca.SX],
-    u: ca.SX,
-    watched: list[ca.SX],
-    dependent: tuple[Block, ...],
-    *,
-    solves: bool,
-    compiled: bool,
-) -> ca.Function:
-    """Return the function of quadrature rates, margin and pace.
-
-    ``watched`` are the rates of the quadratures, the limits and the pace, in the symbols of the
-    model. The dependent blocks are solved if rates depend on them, or those rates are zero.
-    """
-    x, z, inputs = dae.columns()
-    count = dependent[0].span.start if dependent else z.numel()
-    follows = [ca.depends_on(each, z[count:]) for each in law]
-    late = (v for v, each in zip(leaves(dae.u), follows, strict=True) if each)
-    following = ca.vertcat(z[count:], *late)
-    quad, margin = watched[0], _limit_margin(dae, watched[1], following)
-    if not solves:
-        rates = (0 * q if ca.depends_on(q, following) else q for q in ca.vertsplit(quad))
-        quad = ca.vertcat(ca.SX(0, 1), *rates)
-    solves = bool(dependent) and ca.depends_on(quad, following)
-    unknowns = z if solves else z[:count]
-    if not solves:  # neither quadratures nor margin depend on these inputs
-        law = [ca.SX(0) if late else each for each, late in zip(law, follows, strict=True)]
-    given = [
-        ca.MX.sym(name, size)
-        for name, size in zip("txmu", (1, x.numel(), count, u.numel()), strict=True)
-    ]
-    t_0, x_0, found, u_0 = given
-    if solves:
-        guess = dae.function("guess", [x], [dae.guess[count:]])
-        found = ca.vertcat(found, guess(x_0))
-        for block in dependent:
-            found = _solve_symbolically(block, [t_0, x_0, found, u_0])
-    laws = dae.function("law", [dae.t, x, unknowns, u], [ca.vertcat(ca.SX(0, 1), *law)])
-    symbols = [dae.t, x, unknowns, inputs]
-    values = model_function(dae, "watch", symbols, [quad, margin, watched[2]], compiled=compiled)
-    at = t_0, x_0, found
-    return ca.Function("watch", given, list(values(*at, laws(*at, u_0))))
 
 
 def _solve_symbolically(block: Block, point: list[ca.MX]) -> ca.MX:

@@ -16,7 +16,7 @@ from slipfree.core.lookups import found_column
 from slipfree.core.outcome import Outcome, sundials_words
 from slipfree.core.records import Array, Record, leaves, unpack
 from slipfree.core.trajectory import SolverError, Stop, Trajectory
-from slipfree.solve.integrator import COUNTS, MAX_STEPS, Progress, suppress_messages
+from slipfree.solve.integrator import COUNTS, Progress, sundials_options, suppress_messages
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, to_trajectory
 from slipfree.solve.simulate import check_times, first_violation, interrupted_at
@@ -128,7 +128,7 @@ def simulate_sampled(
             q[k + 1] += q[k]
             statistics = buffer.stats()
             cost = {name: cost[name] + statistics[key] for name, key in COUNTS.items()}
-    samples = Samples(t, x.T, np.zeros((0, n)), q.T, u.T).head(last + 1)
+    samples = Samples(t, x.T, np.zeros((0, n)), q.T, u.T).at(slice(last + 1))
     run = to_trajectory(system, samples, {})
     fault = first_violation(system, run, samples)
     if fault is not None:
@@ -154,13 +154,5 @@ def _period_integrator(system: System, period: float, tolerance: float) -> ca.Fu
         "jacF", [t, x, none, p, ca.MX.sym("u", 0)], list(jacobian(*at, none, u)), *names
     )
     equations: dict[str, Any] = {"t": t, "x": x, "p": p, "ode": ode, "quad": quad}
-    options: dict[str, Any] = {
-        "reltol": tolerance,
-        "abstol": tolerance,
-        "max_num_steps": MAX_STEPS,
-        "quad_err_con": True,
-        "show_eval_warnings": False,
-        "disable_internal_warnings": True,
-        "cache": {"jacF": slopes},
-    }
+    options = sundials_options(tolerance, slopes) | {"quad_err_con": True}
     return ca.integrator("period", "cvodes", equations, 0.0, period, options)

@@ -259,13 +259,6 @@ def interpolate_points(
     return np.concatenate(rows)
 
 
-class _Cloud(NamedTuple):
-    points: Array  # shape (n, 3), heights in the unit of the file [m]
-    ground: Mask  # whether a point is classified as ground
-    omitted: int  # number of points without finite coordinates
-    file: Points
-
-
 def read_point_cloud(path: Path, ask: Reading) -> Heights:
     """Return the height map of a point cloud (LAS, LAZ, PLY, PCD), with holes in empty cells.
 
@@ -285,13 +278,13 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
     if window is not None and spacing is not None:  # its border also depends on points outside
         margin = MARGIN * spacing
         near = window[0] - margin, window[1] + margin, window[2] - margin, window[3] + margin
-    cloud = _read(path, near)
-    middle = np.mean(cloud.points[:, :2], axis=0) if len(cloud.points) else (math.nan, math.nan)
-    name, geographic = system_name(cloud.file.crs, TO_METRES, *middle)
+    every, ground, omitted, file = _read(path, near)
+    middle = np.mean(every[:, :2], axis=0) if len(every) else (math.nan, math.nan)
+    name, geographic = system_name(file.crs, TO_METRES, *middle)
     if geographic:
-        remedy = reprojection(cloud.file.crs, TO_METRES, *middle)
+        remedy = reprojection(file.crs, TO_METRES, *middle)
         refuse("a point cloud in metres", f"degrees ({name})", remedy)
-    points = cloud.points[cloud.ground] if cloud.ground.any() else cloud.points
+    points = every[ground] if ground.any() else every
     if len(points) < 3:
         remedy = "use another file" if near is None else "enlarge or move the window"
         refuse("at least 3 points", f"{len(points)}", remedy)
@@ -303,7 +296,14 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
             f"--filters.range.limits='Z[{marker.low:.9g}:{marker.high:.9g}]'"
         ),
     )
-    density = _density(points)
+    # density: number of points per area, excluding areas without points [1/m2]
+    low, extent = points[:, :2].min(axis=0), np.ptp(points[:, :2], axis=0)
+    if not extent.prod() > 0:
+        refuse("points that span a surface", "that they lie on a line in x and y", "check the file")
+    cells = np.maximum(np.rint(extent / math.sqrt(COARSE * extent.prod() / len(points))), 1)
+    a, b = np.minimum((points[:, :2] - low) / extent * cells, cells - 1).astype(np.int64).T
+    covered = np.unique(a * int(cells[1]) + b).size / cells.prod()
+    density = float(len(points) / (covered * extent.prod()))
     cell = spacing or float(f"{math.sqrt(POINTS_PER_CELL / density):.2g}")
     first, last = (
         np.rint(ends / cell).astype(np.int64).tolist()
@@ -315,29 +315,33 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
     chosen = ""
     if not spacing:
         chosen = f", chosen for {POINTS_PER_CELL:g} points in each (override with spacing)"
-    used = f"{len(points)} classified as ground, of" if cloud.ground.any() else "all"
+    used = f"{len(points)} classified as ground, of" if ground.any() else "all"
     words = (
-        f"{used} {len(cloud.points)} points, {density:.3g} per m2; cells of {cell:g} m{chosen}; "
+        f"{used} {len(every)} points, {density:.3g} per m2; cells of {cell:g} m{chosen}; "
         f"{occupied} of {z.size} cells have points"
     )
-    if cloud.omitted:
-        words += f"; {cloud.omitted} without coordinates left out"
-    unit = LENGTHS[cloud.file.unit.lower()]
-    heights = "in metres" if cloud.file.unit else "unit not stated: taken as metres"
+    if omitted:
+        words += f"; {omitted} without coordinates left out"
+    unit = LENGTHS[file.unit.lower()]
+    heights = "in metres" if file.unit else "unit not stated: taken as metres"
     if unit != 1:
-        heights = f"converted from {cloud.file.unit} ({unit:.9g} m)"
+        heights = f"converted from {file.unit} ({unit:.9g} m)"
     nodes = x.nodes(i), y.nodes(j)
     facts = (
-        ("ground map", f"{cloud.file.format} point cloud, {name or 'CRS not given'}"),
+        ("ground map", f"{file.format} point cloud, {name or 'CRS not given'}"),
         ("ground points", words),
         ("ground map heights", heights),
-        *scale_facts(cloud.file.crs, nodes[0].mean(), nodes[1].mean(), TO_METRES),
+        *scale_facts(file.crs, nodes[0].mean(), nodes[1].mean(), TO_METRES),
     )
     return Heights(*nodes, unit * z, facts, name)
 
 
-def _read(path: Path, near: Window | None) -> _Cloud:
-    """Return the points of a file in ``near`` (default all), except noise and withheld points."""
+def _read(path: Path, near: Window | None) -> tuple[Array, Mask, int, Points]:
+    """Return the points of a file in ``near`` (default all), except noise and withheld points.
+
+    The results are points in the unit of the file (n, 3), whether each is classified as ground, the
+    number of points without finite coordinates, and the file.
+    """
     points, ground, omitted = [np.empty((0, 3))], [np.empty(0, bool)], 0
     ending = path.suffix.lower()
     try:
@@ -358,7 +362,7 @@ def _read(path: Path, near: Window | None) -> _Cloud:
             cloud = np.concatenate(points)
             if (np.abs(cloud) > MAX_COORDINATE).any():
                 raise ValueError(f"coordinates that exceed {MAX_COORDINATE:g}")
-            return _Cloud(cloud, np.concatenate(ground), omitted, file)
+            return cloud, np.concatenate(ground), omitted, file
     except (DataError, OSError):
         raise
     except Exception as error:  # the packages raise many kinds for damaged files
@@ -443,17 +447,6 @@ def _vertical_unit(keys: dict[int, int], vertical: Any) -> str:
     if name.lower() not in LENGTHS:
         refuse("heights in a unit of length", f"the unit {name!r}", TO_METRIC_HEIGHTS)
     return name
-
-
-def _density(points: Array) -> float:
-    """Return the number of points per area, excluding areas without points [1/m2]."""
-    low, extent = points[:, :2].min(axis=0), np.ptp(points[:, :2], axis=0)
-    if not extent.prod() > 0:
-        refuse("points that span a surface", "that they lie on a line in x and y", "check the file")
-    cells = np.maximum(np.rint(extent / math.sqrt(COARSE * extent.prod() / len(points))), 1)
-    i, j = np.minimum((points[:, :2] - low) / extent * cells, cells - 1).astype(np.int64).T
-    covered = np.unique(i * int(cells[1]) + j).size / cells.prod()
-    return float(len(points) / (covered * extent.prod()))
 
 
 def _gridded(

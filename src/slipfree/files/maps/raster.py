@@ -295,7 +295,10 @@ def _from_dataset(file: Any, path: Path, ask: Reading, is_placed: bool) -> Heigh
         *scale_facts(file.crs, x.mean(), y.mean(), TO_METRES),
     )
     values = file.read(1, window=window, masked=True, out_dtype=np.float64)
-    is_picture = _is_picture(file, is_placed)
+    # a picture has gray levels: unsigned numbers, of 8 bits or without coordinates
+    kind = np.dtype(file.dtypes[0])
+    is_picture = kind.kind == "u" and (scale, offset) == (1, 0) and not unit
+    is_picture &= kind.itemsize == 1 or (file.crs is None and not is_placed)
     if is_picture and OCCUPANCY[0] in values and not np.setdiff1d(values, OCCUPANCY).size:
         refuse(
             "heights",
@@ -387,14 +390,6 @@ def _wrong_word(words: list[bytes]) -> bytes | None:
 
 def _unit(file: Any) -> float:  # of the heights [m]
     return LENGTHS[(file.units[0] or "").lower()]
-
-
-def _is_picture(file: Any, is_placed: bool) -> bool:
-    """Return whether the values are gray levels of a picture: unsigned, and 8 bits or unplaced."""
-    kind = np.dtype(file.dtypes[0])
-    if kind.kind != "u" or (file.scales[0], file.offsets[0]) != (1, 0) or file.units[0]:
-        return False
-    return kind.itemsize == 1 or (file.crs is None and not is_placed)
 
 
 def _check_band(file: Any) -> None:
