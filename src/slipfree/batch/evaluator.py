@@ -29,7 +29,7 @@ LONG = 1_500_000  # characters of code that is compiled with less optimisation, 
 LANES = (("__AVX512F__", 8), ("__AVX__", 4))  # doubles in a register, by macro of the compiler
 PORTABLE_LANES = 2  # on other machines
 PROBE_TIMEOUT = 20.0  # [s]
-BLOCK = 64  # lanes of a call of compiled steps, of less than a second; divisible by all of LANES
+BLOCK = 256  # lanes of a call of compiled steps, of less than a second; divisible by all of LANES
 OPERATORS = {
     ca.OP_ADD: "{}+{}",
     ca.OP_SUB: "{}-{}",

@@ -43,7 +43,7 @@ static inline vd vsign(vd a) { return pick(a == a, truth(a > SPLAT(0.0)) - truth
   static inline vd v##name(vd a) { vd r; for (int i = 0; i < LANES; i++) r[i] = name(a[i]); return r; }
 #define EACH2(name) \
   static inline vd v##name(vd a, vd b) { vd r; for (int i = 0; i < LANES; i++) r[i] = name(a[i], b[i]); return r; }
-EACH(exp) EACH(log) EACH(tan) EACH(asin) EACH(acos) EACH(sinh) EACH(cosh) EACH(tanh) EACH(floor) EACH(ceil)
+EACH(exp) EACH(log) EACH(tan) EACH(asin) EACH(acos) EACH(sinh) EACH(cosh) EACH(tanh)
 EACH(expm1) EACH(log1p) EACH2(pow) EACH2(fmod)
 
 #if LANES == 8 && defined(__AVX512F__)
@@ -55,13 +55,19 @@ static inline vd vsqrt(vd a) { return (vd)_mm256_sqrt_pd((__m256d)a); }
 #else
 EACH(sqrt)
 #endif
+/* The sum with 1.5 * 2^52 is rounded to an integer; larger numbers are integers. */
+#define TO_INTEGER SPLAT(6755399441055744.0)
+static inline vd vfloor(vd a) {
+  vd n = a + TO_INTEGER - TO_INTEGER;
+  return pick(vabs(a) < SPLAT(2251799813685248.0), n - truth(n > a), a);
+}
+static inline vd vceil(vd a) { return -vfloor(-a); }
 /* Without scaling: numbers are far from 1e154, whose squares overflow. */
 static inline vd vhypot(vd a, vd b) { return vsqrt(a * a + b * b); }
 
 /* Sine of a + quarter pi/2, for |a| < 1e6: pi/2 in three parts is subtracted, the quadrant decides. */
 static inline vd turned_sine(vd a, long long quarter) {
-  const vd large = SPLAT(6755399441055744.0); /* 1.5 * 2^52: the sum is rounded to an integer */
-  vd t = a * SPLAT(0.63661977236758134308) + large, n = t - large;
+  vd t = a * SPLAT(0.63661977236758134308) + TO_INTEGER, n = t - TO_INTEGER;
   vl quadrant = (vl)t + quarter;
   vd r = ((a - n * SPLAT(1.57079632673412561417e+00)) - n * SPLAT(6.07710050630396597660e-11))
          - n * SPLAT(2.02226624879595063154e-21);
@@ -124,15 +130,39 @@ static inline void middle(const vd *c, vd *d) {
   d[3] = SPLAT(6.0) * wide - SPLAT(18.0) * narrow;
 }
 
+/* Four numbers of a table from a place of each lane, as four vectors. Eight rows of four numbers are transposed in
+ * registers: numbers that are stored one by one can be read as vectors only when they have left the processor. */
+static inline void load_four(const double *table, vl place, vd *c) {
+#if LANES == 8 && defined(__AVX512F__)
+  __m512d pairs[4];
+#pragma GCC unroll 4
+  for (int k = 0; k < 4; k++) {
+    const double *low = table + place[k + (k & 2)], *high = table + place[k + (k & 2) + 2];
+    pairs[k] = _mm512_insertf64x4(_mm512_castpd256_pd512(_mm256_loadu_pd(low)), _mm256_loadu_pd(high), 1);
+  }
+  for (int k = 0; k < 2; k++) {
+    __m512d a = k ? _mm512_unpackhi_pd(pairs[0], pairs[1]) : _mm512_unpacklo_pd(pairs[0], pairs[1]);
+    __m512d b = k ? _mm512_unpackhi_pd(pairs[2], pairs[3]) : _mm512_unpacklo_pd(pairs[2], pairs[3]);
+    c[k] = (vd)_mm512_shuffle_f64x2(a, b, 0x88);
+    c[k + 2] = (vd)_mm512_shuffle_f64x2(a, b, 0xDD);
+  }
+#else
+  for (int l = 0; l < LANES; l++)
+    for (int n = 0; n < 4; n++) c[n][l] = table[place[l] + n];
+#endif
+}
+
 /* The centre of the cell at a point and the 16 derivatives there, orders in x fastest. */
 static void look(const Cells *g, vd x, vd y, vd *found) {
   vd c[4][4], in_x[4][4]; /* by y, then by x or by order in x */
   vd i = vmin(vmax(vfloor((x - splat(g->x)) / splat(g->h_x) + SPLAT(ON_KNOT)), splat(-g->first_i)), splat(g->last_i - g->first_i));
   vd j = vmin(vmax(vfloor((y - splat(g->y)) / splat(g->h_y) + SPLAT(ON_KNOT)), splat(-g->first_j)), splat(g->last_j - g->first_j));
-  for (int l = 0; l < LANES; l++) {
-    const double *t = g->table + (long long)(i[l] + g->first_i) * g->width + (long long)(j[l] + g->first_j);
-    for (int m = 0; m < 4; m++)
-      for (int n = 0; n < 4; n++) c[n][m][l] = t[m * g->width + n];
+  vd number = (i + splat(g->first_i)) * splat(g->width) + (j + splat(g->first_j));
+  vl place = (vl)(number + TO_INTEGER) - (vl)TO_INTEGER;
+  for (int m = 0; m < 4; m++) {
+    vd row[4];
+    load_four(g->table + m * g->width, place, row);
+    for (int n = 0; n < 4; n++) c[n][m] = row[n];
   }
   found[0] = splat(g->x) + (i + SPLAT(0.5)) * splat(g->h_x);
   found[1] = splat(g->y) + (j + SPLAT(0.5)) * splat(g->h_y);

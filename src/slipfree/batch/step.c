@@ -268,53 +268,60 @@ static int next_attempt(const Run *run, Interval *of) {
   return 1;
 }
 
+/* Correct the starts of the lanes of a vector, `from` to at most `to`, and store their first samples; return which
+ * can move. */
+static vl started(long from, long to, const Run *run, Point *start, const double *K, const Cells *cells) {
+  long n = run->n, m = run->m;
+  vd given[ROWS], placed[ROWS], r[CHECKED_RESULTS];
+  vl single = (vl)SPLAT(0.0), solved, alive;
+  Ends ends;
+  memset(r, 0, sizeof r); /* without limits, all distances are zero */
+  memset(start, 0, sizeof *start);
+  for (int i = 0; i < ROWS; i++) ends.beyond[i] = given[i] = start->state[i] = load(run->in + i * n + from, to - from);
+  for (int i = 0; i < INPUTS && m > 1; i++)
+    start->state[FIRST_INPUT + i] = load(run->inputs + i * (m - 1) * n + from, to - from);
+  ends.time = start->state[TIME] = load(run->t + from, to - from);
+  ends.reason = SPLAT(UNSOLVED);
+  solved = checked_at(start->state, start->rates, r, run->most, run->worst, run->repeats, K, cells);
+  alive = inside(solved, start->state, r, run->rounding, &ends);
+  start->speed = r[SPEED];
+  memcpy(placed, start->state, sizeof placed);
+  if (run->certified) single = placed_at(run, alive, placed, K, cells);
+  for (long l = 0; l < LANES && from + l < to; l++) {
+    if (!alive[l]) finish(run, from + l, 0, ends.time[l], ends.reason[l], ends.beyond, given, 0, l);
+    else record(run, from + l, 0, start, placed, l);
+    if (single[l]) run->doubt[(from + l) * m] = 0;
+  }
+  return alive;
+}
+
 /* Drive lanes `from` to `to`.
  *
  * No lane waits for others: each lane of a vector has its own interval and step, and a lane that ends is replaced by
  * the next one.
  */
 void drive(long from, long to, const Run *run, const double *K, const Cells *cells) {
-  long n = run->n, m = run->m, blocks = (to - from + LANES - 1) / LANES, next = from;
+  long n = run->n, m = run->m, next = from;
   double halves = halvings(run->graded) - 1;
   Interval of[LANES];
-  Point start[blocks], at, begun, end; /* `begun` is at the last sample, `end` at the end of the step */
-  vl alive[blocks], none = (vl)SPLAT(0.0), single = none, solved;
+  Point start, at, begun, end; /* `begun` is at the last sample, `end` at the end of the step */
+  vl alive = started(from, to, run, &start, K, cells), none = (vl)SPLAT(0.0), single = none, solved;
   const vd *sample = end.state;
   vd placed[ROWS], r[CHECKED_RESULTS], mean[MOVING], h = SPLAT(0.0);
   Ends ends;
-  memset(r, 0, sizeof r); /* without limits, all distances are zero */
-  for (long b = 0; b < blocks; b++) {
-    long g = from + b * LANES;
-    memset(start + b, 0, sizeof *start);
-    for (int i = 0; i < ROWS; i++) ends.beyond[i] = start[b].state[i] = load(run->in + i * n + g, to - g);
-    end = start[b];
-    for (int i = 0; i < INPUTS && m > 1; i++)
-      end.state[FIRST_INPUT + i] = load(run->inputs + i * (m - 1) * n + g, to - g);
-    ends.time = end.state[TIME] = load(run->t + g, to - g);
-    ends.reason = SPLAT(UNSOLVED);
-    solved = checked_at(end.state, end.rates, r, run->most, run->worst, run->repeats, K, cells);
-    alive[b] = inside(solved, end.state, r, run->rounding, &ends);
-    end.speed = r[SPEED];
-    memcpy(placed, end.state, sizeof placed);
-    if (run->certified) single = placed_at(run, alive[b], placed, K, cells);
-    for (long l = 0; l < LANES && g + l < to; l++) {
-      if (!alive[b][l]) finish(run, g + l, 0, ends.time[l], ends.reason[l], ends.beyond, start[b].state, 0, l);
-      else record(run, g + l, 0, &end, placed, l);
-      if (single[l]) run->doubt[(g + l) * m] = 0;
-    }
-    start[b] = end;
-  }
-  at = begun = end = start[0];
+  memset(r, 0, sizeof r);
+  at = begun = end = start;
   for (long l = 0; l < LANES; l++) of[l].lane = -1;
   for (;;) {
     vl busy = none, here = none, accepted = none;
     for (long l = 0; l < LANES; l++) {
       while (of[l].lane < 0 && next < to) {
-        long b = (next - from) / LANES, i = (next - from) % LANES;
-        if (alive[b][i]) {
+        long i = (next - from) % LANES;
+        if (i == 0 && next > from) alive = started(next, to, run, &start, K, cells);
+        if (alive[i]) {
           of[l] = (Interval){next};
-          assign_lane(&at, l, start + b, i);
-          assign_lane(&begun, l, start + b, i);
+          assign_lane(&at, l, &start, i);
+          assign_lane(&begun, l, &start, i);
           if (!next_interval(run, of + l, &at, l)) of[l].lane = -1;
         }
         next++;

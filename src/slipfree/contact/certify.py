@@ -34,9 +34,11 @@ from slipfree.vehicle.sections import arc_lengths
 from slipfree.vehicle.wheel import Wheel
 
 RIM_ANGLES = np.deg2rad(np.linspace(-180.0, 180.0, 121))  # about the axle, from the contact [rad]
+CIRCLE = np.stack([np.cos(RIM_ANGLES), np.sin(RIM_ANGLES)], axis=1)
 SPACING = np.deg2rad(3.0)  # distance of neighbouring points on the tread [rolling radii]
 CHUNK = 256  # number of samples evaluated together, which limits the memory
 NEAR = 0.1  # gaps below which minima are refined [rolling radius]
+SEARCHED = 0.02  # gap of a clear wheel: parabolas are not as deep [rolling radius]
 TOLERANCE = 1e-7  # penetration that counts as contact [size]
 
 
@@ -75,9 +77,9 @@ class SecondContact:
     def margin_at(self, placed: Array) -> Array:
         """Return the clearances of wheels at n values of ``placing``, (15, n), or lower bounds.
 
-        Clearances above `NEAR` are not searched: only contacts matter here.
+        Clearances above `SEARCHED` are not searched: only contacts matter here.
         """
-        return self._clearances(placed, NEAR * self.wheel.radius)
+        return self._clearances(placed, SEARCHED * self.wheel.radius)
 
     def _clearances(self, placed: Array, most: float) -> Array:
         """Return the clearances of wheels; at most ``most`` where a second contact is possible."""
@@ -134,10 +136,11 @@ class SecondContact:
         near = NEAR * self.wheel.radius
         for k in range(0, gaps.size, CHUNK):
             part = slice(k, k + CHUNK)
-            middles, radii, spokes = tread = self._tread(*np.split(placed[:, part], (3, 12)))
+            middles, radii, turned = tread = self._tread(*np.split(placed[:, part], (3, 12)))
             if compiled is None:
                 ground = self.terrain
-                at = middles[:, None] + radii[:, None, :, None] * spokes[:, :, None] + ground.origin
+                spokes = (CIRCLE @ turned)[:, :, None]
+                at = middles[:, None] + radii[:, None, :, None] * spokes + ground.origin
                 gap = at[..., 2] - ground.elevation(at[..., 0], at[..., 1])
                 (i, j), low = (size // 2 for size in gap.shape[1:]), minima(gap)
                 # the contact point lies in the middle of the grid, which starts from its normal
@@ -150,22 +153,24 @@ class SecondContact:
                 index = flat.argmin(axis=1)
                 least = flat[np.arange(len(values)), index]
             else:
-                least, index = compiled(*tread, touching, near, most)
+                least, index = compiled(*tread, CIRCLE, touching, near, most)
             gaps[part] = np.minimum(least, most)
             rim, across = np.divmod(index, radii.shape[1])
             rows = np.arange(index.size)
-            points[part] = middles[rows, across] + radii[rows, across, None] * spokes[rows, rim]
+            spokes = (CIRCLE[rim, None] @ turned)[:, 0]
+            points[part] = middles[rows, across] + radii[rows, across, None] * spokes
         return gaps, points
 
     def _tread(self, center: Array, rotation: Array, normal: Array) -> tuple[Array, Array, Array]:
-        """Return points on the axles (n, section, 3) in local coordinates, radii, and spokes.
+        """Return points on the axles (n, section, 3) in local coordinates, radii, and directions.
 
-        Points of the tread are ``middles + radii * spokes``; radii have the shape (n, section), the
-        directions of spokes (n, rim, 3).
+        Points of the tread are ``middles + radii * spokes``; radii have the shape (n, section). The
+        directions (n, 2, 3) are spokes to the contact and a quarter of a turn from it; spokes at
+        `RIM_ANGLES` from the contact are ``CIRCLE @ directions``.
         """
         axes = rotation.T.reshape(-1, 3, 3)  # axle, forward, up; column by column
         down = -(axes @ normal.T[..., None])[..., 0]
-        v = np.arctan2(down[:, 2], down[:, 1])[:, None] + RIM_ANGLES
+        v = np.arctan2(down[:, 2], down[:, 1])[:, None]
         u_0 = np.arctan2(np.hypot(down[:, 1], down[:, 2]), down[:, 0])
         # around this angle of the normal, points at equal distances along the section
         angles, lengths = arc_lengths(self.wheel.section)
@@ -173,9 +178,13 @@ class SecondContact:
         steps = np.linspace(-0.5, 0.5, 2 * half + 1) * lengths[-1] if half else np.zeros(1)
         at = np.interp(u_0, angles, lengths)[:, None] + steps
         along, radii = self.wheel.section.outline(np.interp(at, lengths, angles))
-        axle, forward, up = np.moveaxis(axes[:, None], 2, 0)
-        spokes = np.cos(v)[..., None] * forward + np.sin(v)[..., None] * up
-        return center.T[:, None] + along[..., None] * axle, radii, spokes
+        axle, forward, up = np.moveaxis(axes, 1, 0)
+        contact, quarter = (
+            np.cos(v) * forward + np.sin(v) * up,
+            np.cos(v) * up - np.sin(v) * forward,
+        )
+        turned = np.stack([contact, quarter], axis=1)
+        return center.T[:, None] + along[..., None] * axle[:, None], radii, turned
 
 
 def second_contacts(

@@ -20,7 +20,7 @@
 #endif
 
 #define SLOTS 64
-#define LAYOUT 5 /* of the numbers below; kernel.py expects it */
+#define LAYOUT 6 /* of the numbers below; kernel.py expects it */
 #define ON_KNOT 1e-10 /* a point nearer to a knot than this, in cells, lies on it */
 
 typedef long long int casadi_int;
@@ -346,48 +346,74 @@ static double drop(double before, double at, double after) {
   return bend > 0 ? slope * slope / (2 * bend) : 0;
 }
 
-/* The points of a wheel's tread, middles (across, 3) + radii (across) * spokes (rim, 3), and their
- * gaps (rim, across) to the ground, those of a row of the rim as they are needed. */
+/* The points of a wheel's tread, middles (across, 3) + radii (across) * spokes, and their
+ * gaps (rim, across) to the ground, those of a row of the rim as they are needed. A spoke is the sum of two vectors
+ * turned (2, 3), times cosine and sine of its angle, circle (rim, 2). */
 typedef struct {
   const Ground *ground;
   casadi_int rim, across;
-  const double *middles, *radii, *spokes;
+  const double *middles, *radii, *turned, *circle;
   double *gap, *known; /* the gaps, and which rows are known */
 } Tread;
 
-/* Bound from below of the gaps of a row: a spline lies below the largest coefficient of its cells.
+static void spoke_of(const Tread *t, casadi_int i, double spoke[3]) {
+  int k;
+  for (k = 0; k < 3; k++) spoke[k] = t->circle[2 * i] * t->turned[k] + t->circle[2 * i + 1] * t->turned[3 + k];
+}
+
+static void extend(double ends[2], double low, double high) {
+  if (!(low >= ends[0])) ends[0] = low;
+  if (!(high <= ends[1])) ends[1] = high;
+}
+
+/* Bound of the heights between ends in x and y: a spline lies below the largest coefficient of its cells.
  * Beyond the map, where polynomials continue, there is none. */
-static double row_bound(const Tread *t, casadi_int i) {
-  const double *spoke = t->spokes + 3 * i, *first, *c;
-  const Ground *g = t->ground;
-  double low = INFINITY, top = -INFINITY, ends[2][2], a[2], b[2], m[2], n[2];
-  casadi_int j, k, l, rows, columns;
-  for (k = 0; k < 2; k++) ends[k][0] = INFINITY, ends[k][1] = -INFINITY;
-  for (j = 0; j < t->across; j++) {
-    const double *middle = t->middles + 3 * j;
-    double r = t->radii[j];
-    for (k = 0; k < 2; k++) {
-      double at = middle[k] + r * spoke[k];
-      if (!(at >= ends[k][0])) ends[k][0] = at;
-      if (!(at <= ends[k][1])) ends[k][1] = at;
-    }
-    low = fmin(low, middle[2] + r * spoke[2]);
-  }
-  first = corner(g, ends[0][0], ends[1][0], a, b, m, n);
+static double highest(const Ground *g, double ends[2][2]) {
+  double top = -INFINITY, a[2], b[2], m[2], n[2];
+  const double *first = corner(g, ends[0][0], ends[1][0], a, b, m, n), *c;
+  casadi_int k, l, rows, columns;
   corner(g, ends[0][1], ends[1][1], a + 1, b + 1, m + 1, n + 1);
-  if (!(*a >= *m && *b >= *n && a[1] <= m[1] + 1 && b[1] <= n[1] + 1)) return -INFINITY;
+  if (!(*a >= *m && *b >= *n && a[1] <= m[1] + 1 && b[1] <= n[1] + 1)) return INFINITY;
   rows = (casadi_int)(m[1] - *m) + 4, columns = (casadi_int)(n[1] - *n) + 4;
   for (k = 0; k < rows; k++)
     for (c = first + k * g->width, l = 0; l < columns; l++)
       if (c[l] > top) top = c[l];
-  return low - top * 36;
+  return top * 36;
+}
+
+/* Bound of the heights under a wheel. */
+static double highest_under(const Tread *t) {
+  double ends[2][2] = {{INFINITY, -INFINITY}, {INFINITY, -INFINITY}};
+  casadi_int j, k;
+  for (j = 0; j < t->across; j++)
+    for (k = 0; k < 2; k++) {
+      double at = t->middles[3 * j + k];
+      extend(ends[k], at - t->radii[j], at + t->radii[j]);
+    }
+  return highest(t->ground, ends);
+}
+
+/* Whether the gaps of a row are known to exceed a number; `top` is the bound of the heights under the wheel. */
+static int is_far(const Tread *t, casadi_int i, double top, double gap) {
+  double low = INFINITY, ends[2][2] = {{INFINITY, -INFINITY}, {INFINITY, -INFINITY}}, spoke[3];
+  casadi_int j, k;
+  spoke_of(t, i, spoke);
+  for (j = 0; j < t->across; j++) low = fmin(low, t->middles[3 * j + 2] + t->radii[j] * spoke[2]);
+  if (low - top > gap) return 1;
+  for (j = 0; j < t->across; j++)
+    for (k = 0; k < 2; k++) {
+      double at = t->middles[3 * j + k] + t->radii[j] * spoke[k];
+      extend(ends[k], at, at);
+    }
+  return low - highest(t->ground, ends) > gap;
 }
 
 static void compute_row(const Tread *t, casadi_int i) {
-  const double *spoke = t->spokes + 3 * i;
+  double spoke[3];
   casadi_int j;
   if (i < 0 || i >= t->rim || t->known[i]) return;
   t->known[i] = 1;
+  spoke_of(t, i, spoke);
   for (j = 0; j < t->across; j++) {
     const double *middle = t->middles + 3 * j;
     double r = t->radii[j];
@@ -425,18 +451,18 @@ static double smallest_of_row(const Tread *t, casadi_int i, double touching, dou
  * value. From the contact outwards, rows of the rim are searched whose bound does not exceed the
  * smallest gap so far, and `near`. `work` has rim (across + 1) numbers. */
 API void kernel_gaps(int slot, casadi_int n, casadi_int rim, casadi_int across, const double *middles,
-                     const double *radii, const double *spokes, double touching, double near,
-                     double *work, double *best, casadi_int *index) {
+                     const double *radii, const double *turned, const double *circle, double touching,
+                     double near, double *work, double *best, casadi_int *index) {
   casadi_int w, i, k;
   for (w = 0; w < n; w++) {
     Tread t = {&grounds[slot], rim, across, middles + 3 * w * across, radii + w * across,
-               spokes + 3 * w * rim, work, work + rim * across};
-    double most = best[w];
+               turned + 6 * w, circle, work, work + rim * across};
+    double most = best[w], top = highest_under(&t);
     index[w] = 0;
     for (i = 0; i < rim; i++) t.known[i] = 0;
     for (k = 0; k < rim; k++) {
       i = rim / 2 + (k % 2 ? -(k + 1) / 2 : k / 2);
-      if (!(row_bound(&t, i) > fmin(fmax(best[w], near), most)))
+      if (!is_far(&t, i, top, fmin(fmax(best[w], near), most)))
         best[w] = smallest_of_row(&t, i, touching, near, best[w], index + w);
     }
   }

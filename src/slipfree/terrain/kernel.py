@@ -22,7 +22,7 @@ from slipfree.core.lookups import Cells
 from slipfree.core.records import Array, Indices
 
 KEY_BITS = 52  # bits of integers that a double represents exactly
-LAYOUT = 5  # version of the arguments of `kernel.c`; libraries of other versions are not used
+LAYOUT = 6  # version of the arguments of `kernel.c`; libraries of other versions are not used
 
 
 class Opened(NamedTuple):
@@ -51,7 +51,14 @@ class Opened(NamedTuple):
         return heights
 
     def smallest_gaps(
-        self, middles: Array, radii: Array, spokes: Array, touching: float, near: float, most: float
+        self,
+        middles: Array,
+        radii: Array,
+        turned: Array,
+        circle: Array,
+        touching: float,
+        near: float,
+        most: float,
     ) -> tuple[Array, Indices]:
         """Return the smallest gaps of n wheels and the indices of their points on the tread.
 
@@ -61,16 +68,18 @@ class Opened(NamedTuple):
             Points on the axles, in local coordinates. [m]
         radii : ndarray, shape (n, n_across)
             Distances of the points of the tread from the axle. [m]
-        spokes : ndarray, shape (n, n_rim, 3)
-            Unit vectors from the axle to points around the rim. [1]
+        turned : ndarray, shape (n, 2, 3)
+            Unit vectors from the axle, to the contact and a quarter of a turn from it. [1]
+        circle : ndarray, shape (n_rim, 2)
+            Cosines and sines of the angles of points around the rim. [1]
         touching, near : float
             Penetration that counts as contact, and gap below which minima are refined. [m]
         most : float
             Gap above which nothing is searched; results are not larger. [m]
         """
-        (n, across), rim = radii.shape, spokes.shape[1]
+        (n, across), rim = radii.shape, len(circle)
         best, index = np.full(n, most), np.empty(n, dtype=np.int64)
-        arrays = [np.ascontiguousarray(each) for each in (middles, radii, spokes)]
+        arrays = [np.ascontiguousarray(each) for each in (middles, radii, turned, circle)]
         self.library.kernel_gaps(
             self.slot,
             *(ctypes.c_longlong(each) for each in (n, rim, across)),

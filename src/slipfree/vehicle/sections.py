@@ -213,6 +213,11 @@ class RoundSection(Section):
         r1, r2 = self.torus_radii
         return r1 * axial, r2 + r1 * radial
 
+    def outline(self, u: Array) -> tuple[Array, Array]:
+        """Return axial and radial coordinates [m] of points at given angles of the normal."""
+        r1, r2 = self.torus_radii
+        return r1 * np.cos(u), r2 + r1 * np.sin(u)
+
     def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:
         """Return the point of the surface with a given outward normal, shape (3, 1) [m].
 
