@@ -57,11 +57,11 @@ def straight_on(vehicle, terrain, rate, t):
     return dae, start, simulate(dae, start, inputs, t)
 
 
-def drive(terrain, t, *, vehicle=None, rates=None, tolerance=1e-8, sampled_work=False, **start):
+def drive(terrain, t, *, vehicle=None, rates=None, tolerance=1e-8, flags=(), **start):
     """Drive a vehicle, the paper's by default, at constant rates, the paper's by default."""
     dae = closure_model(vehicle or three_wheeler(), terrain)
     inputs = dae.inputs(**(rates or PAPER_RATES))
-    options = {"options": SolverOptions(tolerance=tolerance), "sampled_work": sampled_work}
+    options = {"options": SolverOptions(tolerance=tolerance), **dict.fromkeys(flags, True)}
     return simulate(dae, settle(dae, **start), inputs, t, **options)
 
 

@@ -246,7 +246,7 @@ def plan(
         Further initial guesses, an earlier plan to start from, and functions that observe the
         search.
     options : SolverOptions
-        Options of the solvers; the plan is simulated with a hundredth of the tolerance.
+        Options of the solvers; the plan is simulated with 0.003 times the tolerance.
 
     Returns
     -------

@@ -492,10 +492,7 @@ def cost_terms(program: Program, unknowns: Array) -> dict[str, float]:
     """Return the integrals of the terms of the cost by name, in their units."""
     values = ca.Function("f", [program.problem["x"], program.problem["p"]], [program.problem["f"]])
     units = np.eye(program.problem["p"].numel())
-    costs = {
-        cost.label.name: float(values(unknowns / program.scale, unit))
-        for cost, unit in zip(program.task.costs, units, strict=False)
-    }
-    if program.task.smooth:
-        costs["smoothness"] = float(values(unknowns / program.scale, units[-1]))
-    return costs
+    names = [cost.label.name for cost in program.task.costs]
+    names += ["smoothness"] if program.task.smooth else []
+    w = unknowns / program.scale
+    return {name: float(values(w, unit)) for name, unit in zip(names, units, strict=False)}

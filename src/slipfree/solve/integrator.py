@@ -40,13 +40,14 @@ Progress = Callable[[float], bool | None]
 
 
 class MotionSolver(NamedTuple):
-    """Model, tolerance, method, interrupt guard, and function that is evaluated at each step."""
+    """Model and interrupt guard, then tolerance and what else distinguishes integrators."""
 
     system: System
+    guard: InterruptGuard
     tolerance: float
     method: Method
-    guard: InterruptGuard
     watch: ca.Function  # ``watch`` or ``motion_watch`` of the system
+    suppress_algebraic: bool  # whether IDAS's error test ignores the unknowns
 
 
 class LimitError(Exception):
@@ -227,7 +228,7 @@ def _integrator(
     model, without which no call can find them. Only one call at a time uses an integrator.
     """
     system = solver.system
-    key = solver.watch, solver.tolerance, solver.method, t.tobytes(), str(given), pace
+    key = *solver[2:], t.tobytes(), str(given), pace
     with _LOCK:
         idle = _IDLE.get(system.core, {}).pop(key, None)
     if idle is None:
@@ -262,7 +263,7 @@ def _new_integrator(
     solver: MotionSolver, relay: _Relay, t: Array, given: dict[str, Any], pace: float
 ) -> ca.Function:
     """Return the integrator of a motion in scaled states and unknowns."""
-    system, dae = solver.system, solver.system.dae
+    system = solver.system
     x_size, m_size = motion_scales(system)
     counts = [x_size.size, m_size.size, system.u.shape[0]]
     symbols = [ca.MX.sym("t"), *(ca.MX.sym(name, n) for name, n in zip("xzu", counts, strict=True))]
@@ -276,7 +277,7 @@ def _new_integrator(
     jacobian = scaled_jacobian(system.jacobian, x_size, m_size)
     options = sundials_options(solver.tolerance, jacobian)
     if solver.method == "idas":
-        options |= {"suppress_algebraic": dae.suppress_algebraic, **given}
+        options |= {"suppress_algebraic": solver.suppress_algebraic, **given}
     else:
         # CVODES infers the error of Newton's method from an earlier rate of convergence, and mostly
         # ends it after one iteration. With an old Jacobian, CVODES's default share of 0.1 then
@@ -397,10 +398,6 @@ class _Relay(ca.Callback):
     def eval_buffer(self, arguments: Sequence[memoryview], results: Sequence[memoryview]) -> int:
         """Observe a step of the integrator; return zero, CasADi's code for success."""
         if (observer := self.observer) is not None:
-            observer.guard.call(observer.observe, *_doubles(arguments[0]))
-        _doubles(results[0])[0] = 0.0
+            observer.guard.call(observer.observe, *arguments[0].cast("b").cast("d"))
+        results[0].cast("b").cast("d")[0] = 0.0
         return 0
-
-
-def _doubles(memory: memoryview) -> memoryview[float]:
-    return memory.cast("b").cast("d")

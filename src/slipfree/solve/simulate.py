@@ -326,6 +326,7 @@ def simulate(
     events: Sequence[Event] = (),
     progress: Progress | None = None,
     sampled_work: bool = False,
+    states_only: bool = False,
 ) -> Trajectory:
     """Integrate the motion from a start under given inputs.
 
@@ -360,6 +361,10 @@ def simulate(
         at the samples, by cubic polynomials. A motion with rigid wheels then takes half of the
         time. The error falls with the fourth power of the time between samples, but is not
         controlled: use it for dense samples.
+    states_only : bool
+        Whether IDAS's error test ignores the algebraic unknowns, which follow from the states at
+        every sample. It then takes half to a fifth of the steps, but at equal tolerance the error
+        of the states is up to 30 times larger: use it for tight tolerances.
 
     Returns
     -------
@@ -402,7 +407,8 @@ def simulate(
                 "this model; use 'idas'"
             )
         method = "idas" if method == "explicit" else method  # for the location of ends
-        solver = MotionSolver(system, options.tolerance, method, guard, watch)
+        ignored = model.suppress_algebraic or states_only
+        solver = MotionSolver(system, guard, options.tolerance, method, watch, ignored)
         samples, counts = _initial_sample(system, start, t[0]), dict.fromkeys(COUNTS, 0.0)
         end: EarlyEnd | None = None
         clock = time.process_time()

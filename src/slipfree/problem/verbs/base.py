@@ -100,8 +100,9 @@ def outcome_fact(run: Trajectory) -> tuple[str, str]:
 def values_of(run: Trajectory, facts: Facts) -> dict[str, Any]:
     """Return the values in the rows of summaries: facts, attributes, statistics, samples."""
     duration, share = Fact(float(run.t[-1] - run.t[0]), "s"), ""
-    # the integrator's error test ignores the unknowns of pressed wheels
-    if "newton_step_largest" in facts and "steps" in run.statistics and "depth" not in run:
+    # the integrator's error test ignores the unknowns of pressed wheels and of plans
+    ignored = "depth" in run or "plan_iterations" in facts
+    if "newton_step_largest" in facts and "steps" in run.statistics and not ignored:
         error = facts["newton_step_largest"].value / run.statistics["tolerance"]
         share = f", {error:.3g} x the tolerance"
     counted = {"samples": run.t.size, "duration": duration, "of_tolerance": share}
