@@ -1,7 +1,7 @@
 """Engines: error against CPU time of MuJoCo, Drake, PyBullet and slipfree on nine tasks.
 
-``python benchmarks compared [TASK ...] [--write FOLDER]`` (packages mujoco, drake, pybullet; an
-engine that is not installed has no rows)
+``python benchmarks compared [TASK ...] [--engines MODULE ...] [--write FOLDER]`` (packages mujoco,
+drake, pybullet; an engine that is not installed has no rows)
 """
 
 from __future__ import annotations
@@ -329,14 +329,14 @@ class Row(NamedTuple):
     error: float
 
 
-def measured(name: str, task: Task) -> list[Row]:
-    """Run and print all settings of all engines."""
+def measured(name: str, task: Task, modules: Sequence[str]) -> list[Row]:
+    """Run and print all settings of engines."""
     rows, starts = [], [exact_pose(scene) for scene in task.scenes]
-    for found in pkgutil.iter_modules(engines.__path__):
+    for module in modules:
         try:
-            engine = importlib.import_module(f"engines.{found.name}")
+            engine = importlib.import_module(f"engines.{module}")
         except ImportError as error:
-            print(f"  {found.name}: {error}")
+            print(f"  {module}: {error}")
             continue
         for series, settings in engine.SERIES.items():
             for setting in settings:
@@ -439,12 +439,8 @@ def write(folder: Path, known: Mapping[str, Task]) -> None:
         for k, scene in enumerate(task.scenes):
             stem = folder / f"{name}_{k}"
             stem.with_suffix(".urdf").write_text(scene.urdf, encoding="utf-8")
-            tables = {
-                "drive": (
-                    ",".join(["t", *scene.rates]),
-                    np.column_stack([scene.t, scene.rates_at(scene.t)]),
-                ),
-            }
+            drive = np.column_stack([scene.t, scene.rates_at(scene.t)])
+            tables = {"drive": (",".join(["t", *scene.rates]), drive)}
             if scene.slabs:
                 tables["slabs"] = ("x,height", np.array(scene.slabs))
             else:
@@ -468,6 +464,8 @@ def main() -> None:
     """Run the tasks that are named, or all."""
     parser = argparse.ArgumentParser()
     parser.add_argument("tasks", nargs="*", default=[])
+    every = [module.name for module in pkgutil.iter_modules(engines.__path__)]
+    parser.add_argument("--engines", nargs="+", default=every, help="modules of benchmarks/engines")
     parser.add_argument("--write", type=Path)
     parser.add_argument("--log", nargs=len(KNOWN) + 1, default=(LOG, *KNOWN), help=HELP)
     given = parser.parse_args()
@@ -480,9 +478,9 @@ def main() -> None:
     shown = {name: known[name] for name in given.tasks or known}
     for name, task in shown.items():
         print(f"\n{task.title}", flush=True)
-        rows += (new := measured(name, task))
+        rows += (new := measured(name, task, given.engines))
         ratios(new)
-    if not given.tasks:
+    if not given.tasks and given.engines == every:
         draw(rows, shown)
     if given.write:
         write(given.write, shown)

@@ -323,7 +323,6 @@ def test_run_writes_the_result_and_draws(folder):
 @pytest.mark.usefixtures("folder")
 def test_runs_print_the_main_facts_and_info_all_of_them():
     names = ["outcome", "path length", "end position", "slip", "largest angles", "friction"]
-    names.append("contact certificate")
     main = invoke("run", "p.toml", "--no-draw", "-o", "a b.nc", code=0).stdout.splitlines()
     all_facts = invoke("run", "p.toml", "--no-draw", "-v", code=0).stdout.splitlines()
     assert [line.partition("  ")[0] for line in main[:-1]] == names

@@ -191,6 +191,8 @@ def _check_times(path: Path, table: Columns, is_apart: Mask, *, is_fit: bool) ->
         found += "this line into two files"
         if np.mean(steps < 0) > SHUFFLED:
             found = "so do many others; sort the rows by time"
+        elif steps[k] < 0 and (t[k + 2 : k + 3] > t[k]).any():
+            found = "one row is late; sort the rows by time"
         raise DataError(
             f"{path}: expected increasing times, found {_time(table, k + 1)} after "
             f"{_time(table, k)} in line {line_of(path, k + 1)}: {found}"
@@ -312,13 +314,11 @@ def check_motion(
             steps = np.abs(speed[rows + step] - speed[rows])
             _check_travel(log, size, np.abs(travel), steps, ratios)
         chords = chords * np.where(travel < 0, -1, 1)
+    later = np.isin(rows + step, rows)
+    at = np.searchsorted(rows, rows[later] + step)
+    curved = np.angle((chords[at] / chords[later]) ** sign) / sign  # turns of the course
     if "heading" not in values:
-        if turns is None:
-            return
-        later = np.isin(rows + step, rows)
-        at = np.searchsorted(rows, rows[later] + step)
-        bent = np.angle((chords[at] / chords[later]) ** sign) / sign
-        if _correlation(bent, turns[later]) < -OPPOSITE:
+        if turns is not None and _correlation(curved, turns[later]) < -OPPOSITE:
             raise DataError(
                 f"{log.path}: expected turns to the left where the right side is faster, found a "
                 "course that turns the other way; exchange the columns of the left and the right "
@@ -337,6 +337,8 @@ def check_motion(
     }
     best = max(alike, key=lambda factor: abs(alike[factor]))
     is_other = abs(alike[best]) > max(CLEAR, abs(alike[1.0]) + CLEARER)
+    if best == -1.0 and abs(alike[best]) > CLEAR:  # also in drives that hardly turn
+        is_other |= _correlation(curved, bent[later]) < -OPPOSITE
     offset, mirrored = (np.rad2deg(np.angle(alike[factor]) / sign) for factor in (1.0, -1.0))
     largest = float(np.abs(log.values["heading"]).max())
     if is_other and abs(best) < 1 and (is_aligned or largest > FULL_TURN):

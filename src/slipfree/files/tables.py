@@ -344,17 +344,17 @@ def _is_row(words: Sequence[str], separator: str | None) -> bool:
 def _layout_of_names(path: Path, file: TextIO, lines: Sequence[str]) -> _TextTable:
     """Return the layout of a table without rows; raise DataError for rows that are not numbers."""
     used = [(k, text) for k, line in enumerate(lines, 1) if (text := _line_body(line, None))]
-    number, text = used[-1] if used else (0, "")
-    if len(used) > 1 and re.search(r"\d", text):
-        raise DataError(
-            f"{path}:{number}: expected two or more numbers, found {text[:SHOWN]!r}; write numbers "
-            "as in 1.5 or 1.5e-3, separated by commas, semicolons, tabs or blanks"
-        )
-    text = used[0][1] if used else ""
+    if not used:
+        raise DataError(f"{path}: expected a table, found an empty file; write it again")
+    for number, text in used[1:]:
+        if re.search(r"\d", text):
+            raise DataError(
+                f"{path}:{number}: expected two or more numbers, found {text[:SHOWN]!r}; write "
+                "numbers as in 1.5 or 1.5e-3, separated by commas, semicolons, tabs or blanks"
+            )
+    text = used[0][1]
     separator = next((each for each in SEPARATORS[:-1] if each in text), None)
-    return _TextTable(
-        path, file, separator, 0, text, _line_cells(text, separator) if text else [], [], []
-    )
+    return _TextTable(path, file, separator, 0, text, _line_cells(text, separator), [], [])
 
 
 def _layout_with(

@@ -34,7 +34,7 @@ def _words(pattern: str) -> re.Pattern[str]:
 WHEEL = _words("wheel|tire|tyre")
 CASTER = _words("cast[eo]r|ball_?wheel|omni_?ball")
 TRAILER = _words("cast[eo]r|trailer|hitch|drawbar|swivel")
-STEERING = _words("steer|ackerman|knuckle")
+STEERING = _words("steer|ackerman|knuckle|articulat")
 OMNI = _words("omni|mecanum|swedish")
 MECANUM = _words("mecanum|swedish")
 FOOTPRINT = _words("footprint")  # link on the ground, by REP 120

@@ -707,7 +707,8 @@ def swivels(tree: Tree, wheels: Sequence[UrdfJoint]) -> frozenset[str]:
         is_behind = not STEERING.search(joint.names) and TRAIL < min(trails) < MAX_TRAIL
         commands = [e for e in tree.evidence.get(joint.name, ()) if e.choice == "commanded"]
         is_free = joint.mimic is None and not any(each.weight > USUAL for each in commands)
-        if is_free and (TRAILER.search(joint.names) or is_behind):
+        is_named = TRAILER.search(joint.names) and not STEERING.search(joint.name)
+        if is_free and (is_named or is_behind):
             swivelling[joint.name] = {wheel.name for wheel in carried}
     names = {wheel.name for wheel in wheels}  # if each wheel swivels, none does so freely
     return frozenset() if names == set().union(*swivelling.values()) else frozenset(swivelling)

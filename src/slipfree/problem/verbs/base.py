@@ -342,9 +342,17 @@ class DriveVerb(Verb, ABC):
         return {**drive_facts(run), **run.facts}
 
     def summary(self, run: Trajectory, *, main: bool = False) -> Lines:
-        """Return the lines of the summary of a motion, all or the main ones."""
-        chosen = (row for row in self.rows if row.is_main or not main)
-        return lines(chosen, values_of(run, self.facts(run)))
+        """Return the lines of the summary of a motion, all or the main ones.
+
+        The main lines omit a clean contact certificate, and the friction needed without slip where
+        a simulation with friction states the utilisation.
+        """
+        facts = self.facts(run)
+        certificate = f"{facts.get('contact_certificate', '')}"
+        omitted = {"contact certificate"} if certificate.startswith("clean") else set[str]()
+        omitted |= {"friction"} if "friction_utilisation_largest" in facts else set()
+        main_rows = (row for row in self.rows if row.is_main and row.name not in omitted)
+        return lines(main_rows if main else self.rows, values_of(run, facts))
 
     def warnings(self, run: Trajectory) -> Sequence[str]:
         """Return warnings about a motion; none by default."""
