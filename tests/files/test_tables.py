@@ -106,11 +106,8 @@ def test_columns_named_by_the_user(tmp_path):
 
 @pytest.mark.parametrize("row", ["1,2", "1,2,3,4", "1,2,x", "1,2,nan", "1,2,"])
 def test_rows_as_long_as_the_first_line(tmp_path, row):
-    with pytest.raises(
-        DataError,
-        match=r"a.csv:3: expected 3 values as in the first row, with numbers for x,y, found '1,2",
-    ):
-        _read(tmp_path, f"y,other,x\n0,0,0\n{row}\n", "xy")
+    words = "a.csv:3: expected 3 values as in the first row, with numbers for x,y, found '1,2"
+    refuses(DataError, words, _read, tmp_path, f"y,other,x\n0,0,0\n{row}\n", "xy")
 
 
 @pytest.mark.parametrize(

@@ -339,6 +339,12 @@ READ = {
         "with so few wheels, it and its counterpart cannot follow the ground",
     ),
     "caster with an effort": (SWIVEL, {"swivel": "passive"}, "a caster or a trailer swivels"),
+    "articulated frame": (
+        TWO + link("hitch") + wheel("rear", "-0.3 0 0", parent="hitch")
+        + joint("articulation_joint", "revolute", "base", "hitch", axis="0 0 1", more=LIMIT),
+        {"articulation_joint": "commanded"},
+        "no wheel has an actuator: left_wheel_joint",
+    ),
     "actuated arms": (
         arms("leg") + each(PIVOTS["leg"], command, "position"),
         dict.fromkeys(PIVOTS["leg"], "commanded"),

@@ -194,7 +194,8 @@ def read_points(path: Path, ask: Reading) -> Heights:
             f"spacing, the distance between grid nodes in {unit}",
             "none",
             f"the median distance of {len(points)} points from their nearest neighbours is "
-            f"{distance:.3g} {unit}: set spacing = {distance:.2g}",
+            f"{distance:.3g} {unit}: set spacing = {distance:.2g} "
+            f"(--set terrain.spacing={distance:.2g})",
         )
     low, high = places.min(axis=0), places.max(axis=0)
     counts = np.floor((high - low) / spacing + WINDOW_TOLERANCE).astype(int) + 1
