@@ -82,7 +82,7 @@ def interrupt_search(monkeypatch, calls):
         if next(left, None) is None:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("slipfree.cli.console.check_interrupt", poll)
+    monkeypatch.setattr("slipfree.system.interrupt.check_interrupt", poll)
 
 
 @pytest.fixture

@@ -91,8 +91,17 @@ def atlas(
     }
     own = [f"{key}={value}" for key, value in values.items() if value is not None]
     own += map(_bounds_setting, within or [])
+    own += settings or []
     with as_arguments():
-        problem = _read(file, vehicle, [*own, *(settings or [])], trust)
+        if vehicle is not None:
+            problem = problem_of_map(file, vehicle, own, trust)
+        elif file.suffix.lower() == ".toml":
+            problem = console.read_problem(file, own, trust, "atlas")
+        else:
+            raise DataError(
+                f"{file}: expected a problem file (.toml), or a map and a vehicle, found no "
+                f"vehicle; name one: slipfree atlas {shlex.quote(str(file))} VEHICLE"
+            )
     named = file.stem if vehicle is None else f"{file.stem}_{Path(vehicle).stem}_atlas"
     outs = out or [Path(f"{named}.tif")]
     states = atlas_tiles.input_states(problem)
@@ -142,19 +151,6 @@ def _toml(text: str, default: str = "") -> str:
         return repr(float(text))
     except ValueError:
         return json.dumps(text) if text.strip() else default
-
-
-def _read(
-    file: Path, vehicle: str | None, settings: Sequence[str], trust: list[Path] | None
-) -> Problem[Any]:
-    if vehicle is not None:
-        return problem_of_map(file, vehicle, settings, trust)
-    if file.suffix.lower() != ".toml":
-        raise DataError(
-            f"{file}: expected a problem file (.toml), or a map and a vehicle, found no vehicle; "
-            f"name one: slipfree atlas {shlex.quote(str(file))} VEHICLE"
-        )
-    return console.read_problem(file, [*settings], trust, "atlas")
 
 
 def problem_of_map(

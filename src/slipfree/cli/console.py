@@ -31,12 +31,7 @@ import typer
 from slipfree.core.docstrings import descriptions
 from slipfree.core.errors import DataError, ModelError, SlipfreeError, WriteError, shortened
 from slipfree.core.version import __version__
-from slipfree.system.interrupt import (
-    check_interrupt,
-    held_interrupt,
-    interrupt_arrived,
-    interrupted,
-)
+from slipfree.system import interrupt
 from slipfree.system.regular_files import regular_file
 
 if TYPE_CHECKING:
@@ -227,7 +222,7 @@ def _unexpected_reported(file: Path | None) -> Iterator[None]:
     except (typer.Exit, OSError):  # the command ends, or nobody reads its output
         raise
     except Exception as error:
-        if interrupted():  # extension modules raise errors of other classes then
+        if interrupt.interrupted():  # extension modules raise errors of other classes then
             raise
         if _current_output().options.verbose:
             print_line(traceback.format_exc(), err=True)
@@ -398,7 +393,7 @@ def reporting(duration: float | None) -> Iterator[Reports]:
 
     def show_time(t: float) -> None:
         nonlocal begun
-        check_interrupt()
+        interrupt.check_interrupt()
         if is_verbose and not begun:
             detail("settled the vehicle at the start; integrating")
         begun = True
@@ -408,7 +403,7 @@ def reporting(duration: float | None) -> Iterator[Reports]:
             seldom(INTEGRATION, f"{INTEGRATION} to {t:.4g}{of} s")
 
     def show_search(phase: str, line: str) -> None:
-        check_interrupt()
+        interrupt.check_interrupt()
         if bar is not None:
             bar.update(task, description=escape(visible(line)))
         elif is_verbose:
@@ -416,7 +411,7 @@ def reporting(duration: float | None) -> Iterator[Reports]:
         elif is_shown:
             seldom(phase, line)
 
-    with held_interrupt(from_first_poll=True), ExitStack() as stack:
+    with interrupt.held_interrupt(from_first_poll=True), ExitStack() as stack:
         bar: Progress | None = None
         if is_shown and stderr.isatty():
             from rich.console import Console
@@ -460,7 +455,7 @@ def reported() -> Iterator[None]:
         print_error(NO_MEMORY)
         raise typer.Exit(STOPPED) from error
     except KeyboardInterrupt as error:
-        interrupt_arrived()
+        interrupt.interrupt_arrived()
         print_error("; ".join(["interrupted", *map(str, error.args), *written()]))
         raise typer.Exit(INTERRUPTED) from error
 
@@ -573,7 +568,7 @@ def studying(
     """
     from slipfree.system.parts import PartsWatch
 
-    with held_interrupt(from_first_poll=True), counted(what) as show:
+    with interrupt.held_interrupt(from_first_poll=True), counted(what) as show:
 
         def progress(done: int, count: int) -> None:
             text, _, last = words().partition(": ") if words else (what, "", "")
@@ -581,7 +576,7 @@ def studying(
             detail(f"{done} of {count} {what}{last and f', the last: {last}'}")
 
         try:
-            yield PartsWatch(check_interrupt, progress)
+            yield PartsWatch(interrupt.check_interrupt, progress)
         except KeyboardInterrupt as error:
             if parts is None:
                 raise

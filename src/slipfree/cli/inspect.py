@@ -9,20 +9,10 @@ from typing import Annotated
 
 import typer
 
-from slipfree.cli import console
+from slipfree.cli import console, outputs
 from slipfree.cli.atlas import as_arguments, ground_of
 from slipfree.cli.console import BAD_INPUT, Draw, File, Force, ResultFile, Settings, Trust
 from slipfree.cli.new import write_new_file
-from slipfree.cli.outputs import (
-    PICTURES,
-    Picture,
-    check_outputs,
-    motion_json,
-    quantities,
-    resume_command,
-    save_picture,
-)
-from slipfree.cli.outputs import draw as draw_plots
 from slipfree.core.errors import DataError
 from slipfree.core.facts import TableColumn, table
 
@@ -44,7 +34,7 @@ def check(file: File, settings: Settings = None, trust: Trust = None) -> None:
     setup = build(problem)
     console.detail("settled the vehicle at the start")
     start, facts = verb_of(problem).describe_start(problem, setup)
-    console.add_json("start", lambda: quantities(start))
+    console.add_json("start", lambda: outputs.quantities(start))
     console.print_facts([*setup.facts, *facts])
     console.print_line("ok")
 
@@ -92,9 +82,9 @@ def ground(
         from slipfree.show.motion_figures import ground_plot
 
         folder = Path(f"{file.stem}_figures")
-        check_outputs([], files_read(problem), folder=folder, names=("ground.png",))
+        outputs.check_outputs([], files_read(problem), folder=folder, names=("ground.png",))
         place = (pose["x"], pose["y"]) if pose else None
-        (path,) = draw_plots([ground_plot(ground.grid, place)], folder)
+        (path,) = outputs.draw([ground_plot(ground.grid, place)], folder)
         console.print_line(f"drew {path}")
 
 
@@ -103,7 +93,7 @@ def vehicle(
     settings: Settings = None,
     write: Annotated[Path | None, typer.Option("--write", metavar="FILE")] = None,
     force: Force = False,
-    picture: Picture = None,
+    picture: outputs.Picture = None,
     trust: Trust = None,
 ) -> None:
     """Describe the vehicle of a problem or of a vehicle file.
@@ -122,9 +112,9 @@ def vehicle(
     from slipfree.problem.inputs import files_named_in
     from slipfree.problem.report import describe, vehicle_plot
 
-    check_outputs([picture], [file, *files_named_in(file)], endings=PICTURES)
+    outputs.check_outputs([picture], [file, *files_named_in(file)], endings=outputs.PICTURES)
     if write is not None:
-        check_outputs([write], [file, *files_named_in(file)])
+        outputs.check_outputs([write], [file, *files_named_in(file)])
         write_new_file(guessed_completion(file, write.parent, trust or []), write, force)
         console.print_line(f"wrote {write}\n")
     description = describe(file, settings or [], trust or [])
@@ -139,7 +129,7 @@ def vehicle(
         console.print_error("\n".join(description.faults))
         raise typer.Exit(BAD_INPUT)
     if picture is not None:
-        save_picture(vehicle_plot(file, settings or [], trust or []), picture)
+        outputs.save_picture(vehicle_plot(file, settings or [], trust or []), picture)
 
 
 def info(file: ResultFile, problem: Annotated[bool, typer.Option("--problem")] = False) -> None:
@@ -185,12 +175,12 @@ def info(file: ResultFile, problem: Annotated[bool, typer.Option("--problem")] =
         console.print_facts(
             [outcome_fact(motion), *(each for each in lines if each not in summary), *summary]
         )
-        if go_on := resume_command(motion, file):
+        if go_on := outputs.resume_command(motion, file):
             console.print_line(f"to resume: {go_on}")
         console.print_line()
         console.add_json("outcome", motion.outcome.name.lower)
         console.add_json("attributes", lambda: attributes)
-        console.add_json("result", lambda: motion_json(motion, facts))
+        console.add_json("result", lambda: outputs.motion_json(motion, facts))
         console.show(ranges(motion))
 
 
@@ -228,8 +218,8 @@ def export(
 
         if mcap is not None:
             ros_package()
-        outputs = path, rates, mcap
-        if (code is None) == (outputs == (None, None, None)):
+        exports = path, rates, mcap
+        if (code is None) == (exports == (None, None, None)):
             raise DataError(
                 "export: expected --path, --rates or --mcap with a result, or --c with a problem "
                 f"or vehicle file, found {'none' if code is None else 'both'}; "
@@ -244,7 +234,7 @@ def export(
             console.add_json("test", lambda: command)
             console.print_line(f"to test: {command}")
             return
-        check_outputs(outputs, result_files(file))
+        outputs.check_outputs(exports, result_files(file))
         for out, write in ((path, export_path), (rates, export_rates), (mcap, export_mcap)):
             if out is not None:
                 write(file, out)

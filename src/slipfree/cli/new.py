@@ -9,9 +9,8 @@ import re
 import shlex
 import tomllib
 from collections.abc import Iterator, Mapping
-from enum import StrEnum
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tomlkit
 import typer
@@ -41,13 +40,7 @@ TABLES = {  # comments
 NEED = ("file", "friction")  # keys whose values are names of input files
 
 
-class Kind(StrEnum):
-    """Kind of a problem: the name of its template."""
-
-    direct = "direct"
-    inverse = "inverse"
-    plan = "plan"
-    atlas = "atlas"
+Kind = Literal["direct", "inverse", "plan", "atlas"]  # of a problem: the name of its template
 
 
 def new(
@@ -85,11 +78,11 @@ def new(
     text = (_folder(STARTERS) / f"{kind}.toml").read_text(encoding="utf-8")
     text = text.replace(f" {HOLE}", f" {word}")
     if ground is not None or vehicle is not None or settings:
-        if ground is None or vehicle is None or kind is Kind.inverse:
+        if ground is None or vehicle is None or kind == "inverse":
             raise DataError(
                 "new: expected --ground and --vehicle together, for direct, plan or atlas, "
                 f"found {kind} with one of them or --set alone; add the other one"
-                if kind is not Kind.inverse
+                if kind != "inverse"
                 else "new: expected direct, plan or atlas with --ground and --vehicle, found "
                 "inverse; omit them, and enter map and vehicle in the file"
             )
@@ -118,14 +111,14 @@ def new(
                 table["file"] = Path(os.path.relpath(table["file"], out.parent)).as_posix()
         tables["terrain"].setdefault("friction", FRICTION)
         heading, place = pose["heading"], {name: round(pose[name], 3) for name in "xy"}
-        if kind is not Kind.atlas:
+        if kind != "atlas":
             tables["start"] = {**place, "heading": f"{math.degrees(heading) % 360:g} deg"}
-        if kind is Kind.plan:
+        if kind == "plan":
             reach = extents(build_vehicle(problem))[2]
             tables["goal"] = _goal(surface.grid, place, heading, reach)
         text = _with_tables(text, kind, f"{Path(vehicle).stem} on {ground.stem}", tables)
     write_new_file(text, out, force)
-    solve = "atlas" if kind is Kind.atlas else "run"
+    solve = "atlas" if kind == "atlas" else "run"
     print_line(f"wrote {out}: slipfree check {word} && slipfree {solve} {word}")
 
 
@@ -147,7 +140,7 @@ def _with_tables(text: str, kind: Kind, title: str, tables: Mapping[str, dict[st
     for name, table in tables.items():
         own += f"[{name}]{f'  # {TABLES[name]}' if name in TABLES else ''}\n"
         own += f"{tomlkit.dumps(table)}\n"
-    replaced = {*tables, *(("limits", "bounds", "inputs", "time", "plan") * (kind is Kind.plan))}
+    replaced = {*tables, *(("limits", "bounds", "inputs", "time", "plan") * (kind == "plan"))}
     head, *sections = re.split(r"(?m)^(?=\[)", text)
     kept = (each for each in sections if re.findall(r"\w+", each)[0] not in replaced)
     line = f"title = {json.dumps(title, ensure_ascii=False)}"

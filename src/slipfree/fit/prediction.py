@@ -232,21 +232,15 @@ class Predictor:
             share = at - before
             after = np.minimum(before + 1, high)
             for j, own in enumerate(self._inputs):
-                values = own[before] + share * (own[after] - own[before])
-                signals[j, k] = self._lagged(values, lag)
+                signals[j, k] = own[before] + share * (own[after] - own[before])
+                keep = float(np.exp(-self._dt / lag)) if lag >= LEAST_LAG else 0.0
+                for part in np.split(signals[j, k], self._starts[1:]) if keep else ():
+                    start = [keep * part[0]]
+                    part[:] = scipy.signal.lfilter([1 - keep], [1, -keep], part, zi=start)[0]
             if turn != 1:
                 mean = signals[:, k].mean(axis=0)
                 signals[:, k] = mean + turn * (signals[:, k] - mean)
         return signals[:, index.ravel()]
-
-    def _lagged(self, values: Array, lag: float) -> Array:
-        """Return values after a first-order lag [s] in each run."""
-        if lag < LEAST_LAG:
-            return values
-        keep = float(np.exp(-self._dt / lag))
-        for part in np.split(values, self._starts[1:]):
-            part[:] = scipy.signal.lfilter([1 - keep], [1, -keep], part, zi=[keep * part[0]])[0]
-        return values
 
 
 class _PathSlopes:
@@ -291,5 +285,4 @@ def _joined(chassis: Sequence[Chassis], counts: Indices) -> Chassis:
         for each, count in zip(chassis, counts.tolist(), strict=True)
     ]
     place, direction, free = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
-    signal, grip, lift = chassis[0][3:]
-    return Chassis(place, direction, free, signal, grip, lift)
+    return chassis[0]._replace(place=place, direction=direction, free=free)

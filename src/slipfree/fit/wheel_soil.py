@@ -204,10 +204,7 @@ def fit_soil(
     nominal, fitted = (problem.predict(runs, v)[0] for v in (problem.nominal, values))
     rng, validated = np.random.default_rng(0), np.full(runs.values.shape, np.nan)
     draws, is_interrupted = list[Array](), False
-    part = dict(
-        zip(numbers.tolist(), (rng.permutation(numbers.size) % folds).tolist(), strict=True)
-    )
-    fold = np.array([part[number] for number in runs.run.tolist()])
+    fold = (rng.permutation(numbers.size) % folds)[np.searchsorted(numbers, runs.run)]
     rows_of = [np.flatnonzero(runs.run == number) for number in numbers]
     try:
         for k in range(folds):

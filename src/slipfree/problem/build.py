@@ -32,15 +32,6 @@ from slipfree.problem import schema
 from slipfree.problem.build_ground import GroundMap, at, build_ground, ground_facts
 from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
 from slipfree.problem.problem import Problem, S, shared
-from slipfree.problem.schema import (
-    KINDS,
-    OBSTACLES,
-    CommonKeys,
-    DriverTable,
-    LawKeys,
-    Modelled,
-    soil_of,
-)
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import SPEED, settle
 from slipfree.terrain.base import Terrain
@@ -56,10 +47,10 @@ LAWS: dict[str, Mapping[str, Callable[..., Any]]] = {
     "quasi-static": GROUND_LAWS,
     "dynamics": CONTACT_LAWS,
 }  # laws of each model; the first is the default
-MAKERS = {"soil": soil_of}  # functions that make a law from a table with further keys
+MAKERS = {"soil": schema.soil_of}  # functions that make a law from a table with further keys
 OF_THE_MOTION = {"title", "start", "inputs", "driver", "time", "solver", "output"}
 ORIGIN = ("x", "y")  # states at the start that the ground depends on
-M = TypeVar("M", bound=Modelled)
+M = TypeVar("M", bound=schema.Modelled)
 T = TypeVar("T")
 
 
@@ -215,9 +206,9 @@ def build_solids(problem: Problem[S], terrain: Bicubic) -> tuple[Prism, ...]:
     prisms = list[Prism]()
     for k, spec in enumerate(problem.spec.terrain.obstacles):
         place = ("terrain", "obstacles", k)
-        kinds = [name for name in KINDS if getattr(spec, name) is not None]
+        kinds = [name for name in schema.KINDS if getattr(spec, name) is not None]
         if len(kinds) != 1:
-            expected = f"one of {', '.join(KINDS)}"
+            expected = f"one of {', '.join(schema.KINDS)}"
             found = f"{', '.join(kinds) or 'none'}; give one of them"
             problem.refuse(Fault(place, expected, found))
         kind, shape = kinds[0], getattr(spec, kinds[0])
@@ -225,7 +216,7 @@ def build_solids(problem: Problem[S], terrain: Bicubic) -> tuple[Prism, ...]:
             profile = (
                 Profile((*flat().solids, Solid(shape)))
                 if kind == "points"
-                else OBSTACLES[kind][0](**dict(shape))
+                else schema.OBSTACLES[kind][0](**dict(shape))
             )
         west, east, south, north = terrain.domain
         if not (west <= spec.x <= east and south <= spec.y <= north):
@@ -258,7 +249,7 @@ def build_model(
         return in_frame(problem, dynamics(vehicle, ground, law=law))
 
 
-def law_name(spec: LawKeys) -> str:
+def law_name(spec: schema.LawKeys) -> str:
     """Return the name of the law of a problem's model: the given one, or the default."""
     if spec.model == "kinematics":
         return spec.slip
@@ -271,7 +262,7 @@ def model_law(problem: Problem[Any]) -> Any:
     ProblemError is raised if a given law or the key ``slip`` does not belong to the model, several
     laws are given, or a parameter is missing or invalid.
     """
-    spec: LawKeys = problem.spec
+    spec: schema.LawKeys = problem.spec
     name, known = law_name(spec), LAWS[spec.model]
     if spec.model != "kinematics" and "slip" in spec.model_fields_set:
         expected = f"no slip law with model = {spec.model!r}, where forces determine the slip"
@@ -290,7 +281,7 @@ def model_law(problem: Problem[Any]) -> Any:
         return make(**values)
 
 
-def _wrong_law(spec: LawKeys, name: str) -> Fault:
+def _wrong_law(spec: schema.LawKeys, name: str) -> Fault:
     if name in LAWS[spec.model]:
         tables = ", ".join(sorted(spec.law.model_fields_set))
         if spec.model == "kinematics":
@@ -334,7 +325,7 @@ def _shared(kind: str, problem: Problem[Any], build: Callable[[], T]) -> T:
     return shared(kind, (problem.folder, rest, origin), build)
 
 
-def build_law(problem: Problem[S], driver: DriverTable, dae: Dae, start: Trajectory) -> Any:
+def build_law(problem: Problem[S], driver: schema.DriverTable, dae: Dae, start: Trajectory) -> Any:
     """Return the inputs that the driving law of a problem computes from state and time."""
     with at(problem, ("driver",)):
         if driver.name == "straight":
@@ -343,7 +334,7 @@ def build_law(problem: Problem[S], driver: DriverTable, dae: Dae, start: Traject
         return follow(dae, Path(path_points(problem, driver)), speed=driver.speed)
 
 
-def check_without_path(driver: DriverTable) -> None:
+def check_without_path(driver: schema.DriverTable) -> None:
     """Raise ModelError for the path of a driver that drives straight."""
     if driver.path is not None or driver.file is not None:
         key = "path" if driver.path is not None else "file"
@@ -377,7 +368,7 @@ def level_section(world: World) -> Profile | None:
     return section_of(world.prisms, float(world.terrain.grid.z[0, 0]))
 
 
-def path_points(problem: Problem[S], driver: DriverTable) -> Array:
+def path_points(problem: Problem[S], driver: schema.DriverTable) -> Array:
     """Return the points of the path that a driving law follows, shape (n, 2) [m]."""
     if (driver.path is None) == (driver.file is None):
         raise ModelError(
@@ -395,7 +386,7 @@ MAX_INTERVALS = 10.0  # largest median time between rows of a table [duration of
 TABLES = (*BARE, "inputs", "bounds")
 
 
-def unit_of(spec: CommonKeys, key: str) -> str:
+def unit_of(spec: schema.CommonKeys, key: str) -> str:
     """Return the unit of a dotted key of a problem, such as ``m/s``; empty without a unit."""
     table: Any = spec
     description = ""

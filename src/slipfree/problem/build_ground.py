@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from math import degrees, isfinite
@@ -112,7 +112,15 @@ def build_ground(problem: Problem[S], known: dict[str, Extremes] | None = None) 
         words += f"over {error.correlation:g} m, seed {error.seed}"
         facts.append(("ground error added", words))
     coordinates = _map_coordinates(ground_map, horizontal, vertical)
-    facts += _map_facts(ground_map.crs, coordinates)
+    facts += [("map crs", ground_map.crs)] if ground_map.crs else []
+    formulas = [
+        f"{name if name in DEGREES else f'{name}_file'} = "
+        f"{f'{offset:.9g} + ' if offset else ''}{'' if factor == 1 else f'{factor:.9g} '}{axis}"
+        for name, offset, factor, axis in coordinates
+    ]
+    if formulas:
+        words = f"{', '.join(formulas)}; x, y, z are those of results, in metres"
+        facts.append(("file coordinates", words))
     mu, friction = _friction(problem, ground_map, known)
     changed = None
     if spec.rolled is not None:
@@ -209,20 +217,6 @@ def _map_coordinates(
         MapCoordinate(y, y0, ky / horizontal, "y"),
         MapCoordinate("z", 0.0, 1 / vertical, "z"),
     )
-
-
-def _map_facts(crs: str, coordinates: Iterable[MapCoordinate]) -> Lines:
-    """Return facts about a map file: its reference system, and formulas of its coordinates."""
-    facts = [("map crs", crs)] if crs else []
-    formulas = [
-        f"{name if name in DEGREES else f'{name}_file'} = "
-        f"{f'{offset:.9g} + ' if offset else ''}{'' if factor == 1 else f'{factor:.9g} '}{axis}"
-        for name, offset, factor, axis in coordinates
-    ]
-    if formulas:
-        words = f"{', '.join(formulas)}; x, y, z are those of results, in metres"
-        facts.append(("file coordinates", words))
-    return facts
 
 
 def _check_size(width: float, length: float, spacing: float, remedy: str) -> None:

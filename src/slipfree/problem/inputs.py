@@ -43,9 +43,10 @@ def input_names(spec: CommonKeys) -> tuple[str, ...]:
 def input_files(problem: Problem[Any]) -> dict[str, Path]:
     """Return the paths of all input files by name, including the URDF of a vehicle file."""
     names = list(input_names(problem.spec))
-    vehicle = getattr(getattr(problem.spec, "vehicle", None), "file", None)
-    if vehicle is not None:
-        names += _named_urdf(problem.folder, vehicle)
+    vehicle: Any = getattr(getattr(problem.spec, "vehicle", None), "file", None)
+    with suppress(DataError):  # build_vehicle reports errors in the file
+        urdf = vehicle and open_file(problem.folder / vehicle).data.get("urdf")
+        names += [str(Path(vehicle).parent / urdf)] if isinstance(urdf, str) else []
     return {name: problem.folder / name for name in names}
 
 
@@ -150,14 +151,6 @@ def digests(problem: Problem[Any]) -> dict[str, str]:
         return json.dumps({name: digest(path) for name, path in files.items()})
 
     return {DIGESTS: shared("digests", tuple(files.values()), text)} if files else {}
-
-
-def _named_urdf(folder: Path, name: str) -> list[str]:
-    with suppress(DataError):  # build_vehicle reports errors in the file
-        urdf = open_file(folder / name).data.get("urdf")
-        if isinstance(urdf, str):
-            return [str(Path(name).parent / urdf)]
-    return []
 
 
 class Recipe(NamedTuple):

@@ -126,23 +126,16 @@ def load_again(
 
     def schema_of(data: Mapping[str, Any], source: toml.Source) -> type[CommonKeys]:
         able = [verb for verb in VERBS if command in verb.commands]
-        return _by_verb(able, data, source).schema
+        if "verb" not in data:
+            return able[0].schema
+        found = find_verb(data["verb"])
+        if found in able:
+            return found.schema
+        hint = REMOVED_VERBS.get(str(data["verb"]), "correct the verb")
+        hint = f"use slipfree {found.commands[0]} {source.path}" if found else hint
+        expected = f"{' or '.join(repr(verb.name) for verb in able)} for this command"
+        words = f"{toml.format_value(data['verb'])}; {hint}"
+        raise toml.problem_error(source, [toml.Fault(("verb",), expected, words)])
 
     problem = validated_problem(schema_of, path, text, settings, varied)
     return convert_places(replace(problem, trusted=trusted, grounds=grounds))
-
-
-def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: toml.Source) -> Verb:
-    """Return the verb of a problem, by default the first of ``verbs``."""
-    if "verb" not in data:
-        return verbs[0]
-    for verb in verbs:
-        if data["verb"] == verb.name:
-            return verb
-    other = find_verb(data["verb"])
-    hint = REMOVED_VERBS.get(str(data["verb"]), "correct the verb")
-    hint = f"use slipfree {other.commands[0]} {source.path}" if other else hint
-    expected = f"{' or '.join(repr(verb.name) for verb in verbs)} for this command"
-    raise toml.problem_error(
-        source, [toml.Fault(("verb",), expected, f"{toml.format_value(data['verb'])}; {hint}")]
-    )

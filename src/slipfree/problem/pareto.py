@@ -205,7 +205,9 @@ def plan_front(
 
         given = one("plan of the problem", measured, None)
         keep(GIVEN, given)
-        durations = _durations(problem, given)
+        # the smallest and the largest duration of the plans of a front [s]
+        low, high = problem.spec.plan.duration or 2 * (given.solution.duration,)
+        durations = (low, high) if low < high else (SHORTEST * high, high)
         least = best = FrontPoint(np.nan)
         try:
             least = one(f"least {against}", _least_settings(problem, against, durations), given)
@@ -237,20 +239,16 @@ def _checked(problem: Problem[Any], against: str) -> str:
         return "s"
     known = f"expected {', '.join(USUAL)} or the name of a quantity of the model"
     if against in (SLIP, TIME):
-        remedy = (
-            "use 'duration'" if against == TIME else "slip is the first objective: choose another"
-        )
+        remedy = "slip is the first objective: choose another"
+        remedy = "use 'duration'" if against == TIME else remedy
         raise DataError(f"--against {against}: {known}, found {against!r}; {remedy}")
     try:
         (cost,) = costs_of(build(problem).dae, {against: 1.0})
     except ModelError as error:
         why = str(error).partition("; ")[2]
-        hint = "the energy needs drive torques: give the masses of the vehicle" * (
-            against == ENERGY
-        )
-        raise DataError(
-            f"--against {against}: {known}, found {against!r}; {hint or why}"
-        ) from error
+        if against == ENERGY:
+            why = "the energy needs drive torques: give the masses of the vehicle"
+        raise DataError(f"--against {against}: {known}, found {against!r}; {why}") from error
     return cost.unit
 
 
@@ -261,15 +259,6 @@ def _key(table: str, name: str) -> str:
 def _without(problem: Problem[PlanKeys], *kept: str) -> SettingTexts:
     """Return the settings that remove all costs except those named in ``kept``."""
     return tuple(f"{_key('costs', name)}=" for name in problem.spec.costs if name not in kept)
-
-
-def _durations(problem: Problem[PlanKeys], given: FrontPoint) -> tuple[float, float]:
-    """Return the smallest and the largest duration of the plans of a front [s].
-
-    A problem without durations has those up to the duration of its plan, ``given``.
-    """
-    low, high = problem.spec.plan.duration or 2 * (given.solution.duration,)
-    return (low, high) if low < high else (SHORTEST * high, high)
 
 
 def _least_settings(
@@ -342,12 +331,9 @@ def front_facts(front: PlanFront) -> Lines:
     unit, given = unit_words(front.unit), front.given
     solved = sum(each.is_solved for each in front.points)
     dominated = sum(each.is_dominated for each in front.points)
+    slip = f"slip {1e3 * given.solution.slip:.3g} mm per wheel and metre"
     return [
-        (
-            "costs of the problem",
-            f"{front.against} {given.second:.4g} {unit}, slip {1e3 * given.solution.slip:.3g} mm "
-            "per wheel and metre",
-        ),
+        ("costs of the problem", f"{front.against} {given.second:.4g} {unit}, {slip}"),
         (f"least {front.against}", f"{front.least.second:.4g} {unit}, slip not minimised"),
         ("front", f"{len(front.points)} points, {solved} solved, {dominated} dominated"),
     ]

@@ -537,12 +537,7 @@ def _solve(request: PlanRequest, connection: Connection[Any, Any]) -> Message:
         return str(error)
     except MemoryError:
         return "expected enough memory for the plan, found none left; use fewer intervals"
-    return _plan_of(result, time.monotonic() - begin)
-
-
-def _plan_of(result: Any, seconds: float) -> FoundPlan:
-    """Return path and facts of a result; ``seconds`` is the time of the whole search."""
-    run = result.trajectory
+    seconds, run = time.monotonic() - begin, result.trajectory
     costs = starting_with("plan_cost_", run.facts)
     driven = drive_facts(run)
     facts = [

@@ -26,14 +26,8 @@ from slipfree.models.base import is_determinate
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import check_driven, direct_kinematics
 from slipfree.models.samples import closest_fact
+from slipfree.problem import build_vehicle
 from slipfree.problem.atlas_tiles import overview, summary_lines
-from slipfree.problem.build_vehicle import (
-    is_vehicle_file,
-    read_vehicle,
-    read_vehicle_file,
-    vehicle_file,
-    visual_meshes,
-)
 from slipfree.problem.inputs import digest
 from slipfree.problem.load import find_motion_verb, load_problem, verb_of
 from slipfree.problem.problem import Problem
@@ -171,14 +165,14 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
     no part of the vehicle can be read, or settings are given for a vehicle file.
     """
     try:
-        if not is_vehicle_file(path):
+        if not build_vehicle.is_vehicle_file(path):
             setup = build(load_problem(path, settings, command="vehicle", trust=trust))
             return _description(setup.vehicle, setup.model, setup.terrain, setup.start)
         if settings:
             raise DataError(
                 f"--set: expected a problem file, found the vehicle file {path}; omit --set"
             )
-        vehicle = read_vehicle(path, trust=trust)
+        vehicle = build_vehicle.read_vehicle(path, trust=trust)
     except VehicleError as error:
         if error.draft is None:
             raise
@@ -197,17 +191,17 @@ def describe(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = (
 
 def vehicle_plot(path: Path, settings: Sequence[str] = (), trust: Sequence[Path] = ()) -> Plot:
     """Return the picture of a vehicle, on level ground or on the ground of its problem."""
-    if is_vehicle_file(path):
-        contents = read_vehicle_file(path, trusted_paths(trust))
+    if build_vehicle.is_vehicle_file(path):
+        contents = build_vehicle.read_vehicle_file(path, trusted_paths(trust))
         vehicle = contents.vehicle
         axis = np.linspace(-LEVEL, LEVEL, 9) * extents(vehicle)[2]
         terrain = Bicubic(Grid(axis, axis, np.zeros((axis.size, axis.size))))
         start = settle(direct_kinematics(vehicle, terrain))
     else:
         problem: Problem[Any] = load_problem(path, settings, command="vehicle", trust=trust)
-        setup, contents = build(problem), vehicle_file(problem.spec.vehicle, problem)
+        setup, contents = build(problem), build_vehicle.vehicle_file(problem.spec.vehicle, problem)
         vehicle, terrain, start = setup.vehicle, setup.terrain, setup.start
-    robot, visuals = contents.robot, visual_meshes(contents)
+    robot, visuals = contents.robot, build_vehicle.visual_meshes(contents)
     drive = Driven(vehicle.name, start, terrain, vehicle, robot=robot, visuals=visuals)
     return picture(drive_scene([drive]), vehicle.name)
 
@@ -315,26 +309,21 @@ def tree(vehicle: Vehicle | Draft) -> list[str]:
 
 
 def _joint(joint: Joint, vector: Array, kinds: dict[str, Coordinate]) -> str:
-    moved = {name: _kind(kinds.get(name)) for name in sorted(joint.coordinates)}
+    moved = dict.fromkeys(sorted(joint.coordinates), "kind not given")
+    for name, c in ((name, kinds[name]) for name in moved if name in kinds):
+        acts = [(c.stiffness, "spring"), (c.damping, "damper"), (c.bump, "elastic stops")]
+        moved[name] = ", ".join([c.kind, *(f"{words} {value:g}" for value, words in acts if value)])
     if not moved:
         return "rigid" if joint.value in ("0", "0.0") else f"fixed at {joint.value}"
+    along = f"({', '.join(f'{each:.3g}' for each in vector)})"
     names = AXES | {f"-{n}": (-x, -y, -z) for n, (x, y, z) in AXES.items()}
-    axis = next(
-        (name for name, each in names.items() if np.allclose(each, vector, atol=1e-6)), None
-    )
-    along = axis or f"({', '.join(f'{each:.3g}' for each in vector)})"
+    same = [name for name, each in names.items() if np.allclose(each, vector, atol=1e-6)]
+    along = (*same, along)[0]
     does = "turns about" if joint.motion == "turn" else "slides along"
     if joint.value in moved:
         return f"{does} {along} by {joint.value} ({moved[joint.value]})"
     kinds_of = "; ".join(f"{name}: {kind}" for name, kind in moved.items())
     return f"{does} {along} by {joint.value} ({kinds_of})"
-
-
-def _kind(c: Coordinate | None) -> str:
-    if c is None:
-        return "kind not given"
-    acts = [(c.stiffness, "spring"), (c.damping, "damper"), (c.bump, "elastic stops")]
-    return ", ".join([c.kind, *(f"{words} {value:g}" for value, words in acts if value)])
 
 
 def _tangential(vehicle: Vehicle) -> int:

@@ -43,16 +43,7 @@ from slipfree.problem.inputs import DIGESTS, digests
 from slipfree.problem.load import check_option, find_motion_verb, load_again, load_problem, verb_of
 from slipfree.problem.problem import Problem, shared
 from slipfree.problem.schema import MotionKeys, Runnable
-from slipfree.problem.verbs.base import (
-    CROSS_CHECK,
-    PLAIN_ROWS,
-    VERB_ATTRIBUTE,
-    DriveVerb,
-    Result,
-    Watch,
-    values_of,
-    world_of,
-)
+from slipfree.problem.verbs import base
 from slipfree.problem.verbs.inverse import Inverse, are_commands, read_commands
 from slipfree.routing.traversability import extents
 from slipfree.show.meshes import reduced
@@ -76,9 +67,9 @@ def run_problem(
     tell: Callable[[str, str], None] | None = None,
     resume: SavedPlan | None = None,
     path: Callable[[Array], None] | None = None,
-    keep: Callable[[Result], None] = lambda _: None,
+    keep: Callable[[base.Result], None] = lambda _: None,
     beside: Path | None = None,
-) -> Result:
+) -> base.Result:
     """Solve a problem and return its motion.
 
     After Ctrl-C, or after an error in a diagnostic, the result is what was computed before.
@@ -117,14 +108,14 @@ def run_problem(
     KeyboardInterrupt
         After Ctrl-C before anything is computed.
     """
-    verb, kept = verb_of(problem), list[Result]()
+    verb, kept = verb_of(problem), list[base.Result]()
 
     def store(run: Trajectory, arrays: Mapping[str, Array]) -> None:
         kept[:] = [result_of(problem, verb, setup, run, arrays, files)]
         keep(kept[-1])
 
     setup = build(problem)
-    watch = Watch(progress, tell, path, store, beside)
+    watch = base.Watch(progress, tell, path, store, beside)
     files = digests(problem)  # before a long search, in which files may change
     try:
         with at(problem, ("start",)):
@@ -146,19 +137,19 @@ def run_problem(
 
 def result_of(
     problem: Problem[Any],
-    verb: DriveVerb,
+    verb: base.DriveVerb,
     setup: Setup,
     run: Trajectory,
     arrays: Mapping[str, Array],
     further: dict[str, str],
-) -> Result:
+) -> base.Result:
     """Return the result of a problem with all that its file contains, and further attributes."""
     world, world_arrays = store_world(problem, setup, run, arrays)
     source = problem.source
     settings = {"settings": "\n".join(dict.fromkeys(source.settings.values()))}
     own = {
         "title": problem.spec.title or source.path.stem,
-        VERB_ATTRIBUTE: verb.name,
+        base.VERB_ATTRIBUTE: verb.name,
         "problem_file": source.path.name,
         "problem_folder": str(source.path.parent),  # as given
         "problem": source.text,
@@ -173,22 +164,22 @@ def result_of(
     arrays = {**arrays, **world_arrays}
     if isinstance(problem.spec, MotionKeys):
         run = run.in_frame(problem.spec.frame)
-    return Result(verb.name, run, verb.verification(run), setup, arrays, lambda: problem)
+    return base.Result(verb.name, run, verb.verification(run), setup, arrays, lambda: problem)
 
 
 @computing
-def cross_check(result: Result) -> tuple[str, tuple[Difference, ...]]:
+def cross_check(result: base.Result) -> tuple[str, tuple[Difference, ...]]:
     """Return the other formulation of contact, and the differences of the motion from that in it.
 
     ProblemError is raised if the verb of the problem does not offer a cross-check.
     """
     problem = result.problem
-    check_option(problem, CROSS_CHECK)
+    check_option(problem, base.CROSS_CHECK)
     return verb_of(problem).cross_check(result)
 
 
 @checked
-def open_result(path: str | os.PathLike[str], *, samples: int | None = None) -> Result:
+def open_result(path: str | os.PathLike[str], *, samples: int | None = None) -> base.Result:
     """Return the result in a file of ``slipfree run``; no other file is read.
 
     Parameters
@@ -206,11 +197,11 @@ def open_result(path: str | os.PathLike[str], *, samples: int | None = None) -> 
     """
     file = Path(path)
     run = read(file) if samples is None else thin(read(file, lazy=True), samples)
-    verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
+    verb = find_motion_verb(run.attributes.get(base.VERB_ATTRIBUTE))
     kind, verification = (verb.name, verb.verification(run)) if verb else ("", {})
     arrays = read_arrays(file)
     problem = cache(partial(problem_of, file, run, arrays))
-    return Result(kind, run, verification, None, arrays, problem)
+    return base.Result(kind, run, verification, None, arrays, problem)
 
 
 def motion_facts(run: Trajectory) -> Lines:
@@ -223,10 +214,10 @@ def facts_of(run: Trajectory) -> tuple[Mapping[str, Fact], Lines]:
 
     DataError is raised if facts of the result file have other types than those of its verb.
     """
-    verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
+    verb = find_motion_verb(run.attributes.get(base.VERB_ATTRIBUTE))
     try:
         facts = verb.facts(run) if verb else run.facts
-        return facts, lines(verb.rows if verb else PLAIN_ROWS, values_of(run, facts))
+        return facts, lines(verb.rows if verb else base.PLAIN_ROWS, base.values_of(run, facts))
     except (AttributeError, TypeError, ValueError) as error:
         if isinstance(error, SlipfreeError):
             raise
@@ -258,7 +249,7 @@ def export_mcap(file: Path, out: Path) -> None:
     result = open_result(file)
     check_motion(file, result.trajectory, ("x", "y", "z", "wheel_angle", "slip_along"))
     robot = vehicle_file(result.problem.spec.vehicle, result.problem).robot
-    write_mcap(out, result.trajectory, world_of(result).vehicle, robot)
+    write_mcap(out, result.trajectory, base.world_of(result).vehicle, robot)
 
 
 def result_files(file: Path) -> list[Path]:

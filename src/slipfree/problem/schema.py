@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
 from math import inf
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 from pydantic import AfterValidator, Field, PlainValidator, ValidationError, create_model
 from pydantic_core import InitErrorDetails, PydanticCustomError
@@ -18,23 +18,7 @@ from slipfree import catalog
 from slipfree.control import step_climbing
 from slipfree.core.errors import ModelError
 from slipfree.core.trajectory import Frame
-from slipfree.files.toml import (
-    Angle,
-    Count,
-    Fault,
-    Pair,
-    Positive,
-    Quantity,
-    Record,
-    Rock,
-    Window,
-    coefficient,
-    given_values,
-    not_zero,
-    one_of,
-    record_of,
-)
-from slipfree.files.toml import Place as KeyPath
+from slipfree.files import toml
 from slipfree.geometry.regions import Region
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.laws.soil import OF_THE_LAW, SOILS, Soil, SoilRegion, known_soil
@@ -65,7 +49,7 @@ OBSTACLES: dict[str, tuple[Callable[..., Profile], str]] = {  # and their descri
 KINDS = (*OBSTACLES, "points")
 
 
-class RegionTable(Record):
+class RegionTable(toml.Record):
     """A region of the ground: a disc or a polygon.
 
     Attributes
@@ -82,8 +66,8 @@ class RegionTable(Record):
 
     x: float | None = None
     y: float | None = None
-    radius: Positive | None = None
-    points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = None
+    radius: toml.Positive | None = None
+    points: Annotated[tuple[toml.Pair, ...], Field(strict=False)] | None = None
 
 
 def region_of(table: RegionTable) -> Region:
@@ -103,22 +87,19 @@ def region_of(table: RegionTable) -> Region:
 
 def _optional(kind: Callable[..., Any], meaning: str) -> Any:
     """Return the definition of an optional table with the parameters of a function."""
-    record = record_of(kind, omitted=("grid",), meaning=f"{meaning[:1].upper()}{meaning[1:]}.")
+    record = toml.record_of(kind, omitted=("grid",), meaning=f"{meaning[:1].upper()}{meaning[1:]}.")
     return record | None, Field(default=None, description=meaning)
 
 
-if TYPE_CHECKING:
-    Shapes = Record
-else:
-    Shapes = create_model(
-        "Shapes",
-        __base__=Record,
-        __doc__="Obstacles of which a problem gives one.",
-        **{name: _optional(*entry) for name, entry in OBSTACLES.items()},
-    )
+Shapes: Any = create_model(
+    "Shapes",
+    __base__=toml.Record,
+    __doc__="Obstacles of which a problem gives one.",
+    **{name: _optional(*entry) for name, entry in OBSTACLES.items()},
+)
 
 
-class Obstacle(Shapes):
+class Obstacle(Shapes):  # type: ignore[misc]
     """An obstacle on the ground: a profile with vertical sides, at a position and heading.
 
     Attributes
@@ -135,14 +116,14 @@ class Obstacle(Shapes):
         Half the width across the heading; infinite by default. [m]
     """
 
-    points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = None
+    points: Annotated[tuple[toml.Pair, ...], Field(strict=False)] | None = None
     x: float = 0.0
     y: float = 0.0
-    heading: Angle = 0.0
-    half_width: Positive = inf
+    heading: toml.Angle = 0.0
+    half_width: toml.Positive = inf
 
 
-class MadeGround(Record):
+class MadeGround(toml.Record):
     """A synthetic ground: a level grid, to which features are added in the order of these keys.
 
     Attributes
@@ -159,11 +140,11 @@ class MadeGround(Record):
         Rocks at given positions, added last. [m]
     """
 
-    x: Pair
-    y: Pair
-    spacing: Positive
+    x: toml.Pair
+    y: toml.Pair
+    spacing: toml.Positive
     base: float = 0.0
-    placed_rocks: Annotated[tuple[Rock, ...], Field(strict=False)] = ()
+    placed_rocks: Annotated[tuple[toml.Rock, ...], Field(strict=False)] = ()
 
     def with_features(self, grid: Grid) -> Grid:
         """Return a grid with the features of the ground added, in order."""
@@ -180,18 +161,15 @@ def _description(feature: Callable[..., Grid]) -> str:
     return summary.removeprefix("Return the grid with ").replace(" added", "").rstrip(".")
 
 
-if TYPE_CHECKING:
-    Synthetic = MadeGround
-else:
-    Synthetic = create_model(
-        "Synthetic",
-        __base__=MadeGround,
-        __doc__=MadeGround.__doc__,
-        **{name: _optional(feature, _description(feature)) for name, feature in FEATURES.items()},
-    )
+Synthetic: Any = create_model(
+    "Synthetic",
+    __base__=MadeGround,
+    __doc__=MadeGround.__doc__,
+    **{name: _optional(feature, _description(feature)) for name, feature in FEATURES.items()},
+)
 
 
-class HeightErrors(Record):
+class HeightErrors(toml.Record):
     """Random errors of the heights of a map.
 
     Attributes
@@ -202,8 +180,8 @@ class HeightErrors(Record):
         Distance at which the correlation has fallen to 1/e. [m]
     """
 
-    rms: Positive
-    correlation: Positive
+    rms: toml.Positive
+    correlation: toml.Positive
 
 
 class ElevationError(HeightErrors):
@@ -215,10 +193,10 @@ class ElevationError(HeightErrors):
         Seed of the random numbers.
     """
 
-    seed: Count
+    seed: toml.Count
 
 
-class TerrainTable(Record):
+class TerrainTable(toml.Record):
     """Ground of a problem, from a map file, a sample map or a description, and its friction.
 
     Attributes
@@ -262,26 +240,26 @@ class TerrainTable(Record):
     file: str | None = None
     sample: Literal["jacksboro"] | None = None
     synthetic: Synthetic | None = None
-    cell: Positive | None = None
+    cell: toml.Positive | None = None
     registration: Literal["area", "point"] | None = None
-    spacing: Positive | None = None
+    spacing: toml.Positive | None = None
     geographic: Literal["local"] | None = None
     fill: Literal["linear"] | None = None
-    scale: Positive = 1.0
-    horizontal_scale: Positive = 1.0
-    vertical_scale: Positive = 1.0
-    window: Window | None = None
-    smooth: Positive | None = None
+    scale: toml.Positive = 1.0
+    horizontal_scale: toml.Positive = 1.0
+    vertical_scale: toml.Positive = 1.0
+    window: toml.Window | None = None
+    smooth: toml.Positive | None = None
     error: ElevationError | None = None
-    rolled: Positive | None = None
-    friction: Annotated[float | str | None, PlainValidator(coefficient)] = None
+    rolled: toml.Positive | None = None
+    friction: Annotated[float | str | None, PlainValidator(toml.coefficient)] = None
     obstacles: Annotated[tuple[Obstacle, ...], Field(strict=False)] = ()
 
 
-class SoilKeys(Record):
+class SoilKeys(toml.Record):
     """Name of a soil, and constants that replace those of this soil."""
 
-    name: Annotated[str, one_of(SOILS)] = Field(
+    name: Annotated[str, toml.one_of(SOILS)] = Field(
         default=DEFAULT_SOIL, description=f"soil of the catalogue: one of {', '.join(SOILS)}"
     )
 
@@ -295,13 +273,13 @@ class SoilRegionKeys(SoilKeys, RegionTable):
         Width in which the soil around the region becomes its soil. [m]
     """
 
-    width: Positive
+    width: toml.Positive
 
 
-NamedSoil: Any = record_of(Soil, SoilKeys)
+NamedSoil: Any = toml.record_of(Soil, SoilKeys)
 REGION_MEANING = (SoilRegionKeys.__doc__ or "").partition("\n")[0]
 SoilRegions: Any = Annotated[
-    tuple[record_of(Soil, SoilRegionKeys, omitted=OF_THE_LAW, meaning=REGION_MEANING), ...],  # type: ignore[misc]
+    tuple[toml.record_of(Soil, SoilRegionKeys, omitted=OF_THE_LAW, meaning=REGION_MEANING), ...],  # type: ignore[misc]
     Field(strict=False),
 ]
 
@@ -325,23 +303,23 @@ def soil_of(*, name: str = DEFAULT_SOIL, regions: tuple[Any, ...] = (), **consta
     """Return the soil of a table: one of the catalogue, with other constants and regions."""
     found = list[SoilRegion]()
     for table in regions:
-        own = {key: each for key, each in given_values(table).items() if key not in OF_REGIONS}
+        own = {key: each for key, each in toml.given_values(table).items() if key not in OF_REGIONS}
         found.append(SoilRegion(region_of(table), soil_of(**own), table.width))
     return replace(known_soil(name), regions=tuple(found), **constants)
 
 
-class Law(Record):
+class Law(toml.Record):
     """Parameters of a law, in a table of its name."""
 
     @classmethod
-    def schema_for(cls, data: Any) -> type[Record]:
+    def schema_for(cls, data: Any) -> type[toml.Record]:
         """Return the record of all registered laws; they may be added after the import."""
         return law_tables() if cls is Law and isinstance(data, dict) else cls
 
     def parameters(self, name: str) -> dict[str, Any]:
         """Return the parameters that a problem gives for a law, by name."""
         table = getattr(self, name, None)
-        return {} if table is None else given_values(table)
+        return {} if table is None else toml.given_values(table)
 
 
 def law_tables() -> type[Law]:
@@ -350,15 +328,15 @@ def law_tables() -> type[Law]:
     keys: dict[str, Any] = {}
     for name, law in laws.items():
         if fields(law):
-            table: Any = SoilTable if law is Soil else record_of(law)
+            table: Any = SoilTable if law is Soil else toml.record_of(law)
             keys[name] = table | None, Field(default=None, description=f"parameters of {name}")
     return cast("type[Law]", create_model("Laws", __base__=Law, __doc__=Law.__doc__, **keys))
 
 
-SlipName = Annotated[str, one_of(SLIP_LAWS)]
+SlipName = Annotated[str, toml.one_of(SLIP_LAWS)]
 
 
-class VehicleSource(Record):
+class VehicleSource(toml.Record):
     """A vehicle from the catalogue, with the keywords of its function, or from a file.
 
     Attributes
@@ -376,7 +354,7 @@ class VehicleSource(Record):
     actuated: Annotated[tuple[str, ...], Field(strict=False)] = ()
 
     @classmethod
-    def schema_for(cls, data: Any) -> type[Record]:
+    def schema_for(cls, data: Any) -> type[toml.Record]:
         """Return the record with the keywords of the catalogue's function, if there is one."""
         if not isinstance(data, dict) or cls._keywords():
             return cls
@@ -387,7 +365,9 @@ class VehicleSource(Record):
             error = InitErrorDetails(type=kind, loc=loc, input=data)
             raise ValidationError.from_exception_data(cls.__name__, [error])
         name = data.get("catalog")
-        schema: type[Record] = record_of(CATALOG[name], cls) if name in tuple(CATALOG) else cls
+        schema: type[toml.Record] = (
+            toml.record_of(CATALOG[name], cls) if name in tuple(CATALOG) else cls
+        )
         return schema
 
     @classmethod
@@ -406,7 +386,7 @@ class VehicleSource(Record):
         return self.model_dump(exclude_unset=True, exclude=set(OWN))
 
 
-class DriverTable(Record):
+class DriverTable(toml.Record):
     """A driving law: straight ahead from the start, or along a path.
 
     Attributes
@@ -422,12 +402,12 @@ class DriverTable(Record):
     """
 
     name: Literal["straight", "follow"]
-    speed: Annotated[float, AfterValidator(not_zero)]
-    path: Annotated[tuple[Pair, ...], Field(strict=False)] | None = None
+    speed: Annotated[float, AfterValidator(toml.not_zero)]
+    path: Annotated[tuple[toml.Pair, ...], Field(strict=False)] | None = None
     file: str | None = None
 
 
-class Time(Record):
+class Time(toml.Record):
     """Duration and sampling of the motion.
 
     Attributes
@@ -438,11 +418,11 @@ class Time(Record):
         Time between samples of the result. [s]
     """
 
-    duration: Positive
-    step: Positive
+    duration: toml.Positive
+    step: toml.Positive
 
 
-OfSolver: Any = record_of(SolverOptions)
+OfSolver: Any = toml.record_of(SolverOptions)
 
 
 class Solver(OfSolver):  # type: ignore[misc]
@@ -454,7 +434,7 @@ class Solver(OfSolver):  # type: ignore[misc]
         return SolverOptions(**dict(self))
 
 
-class Output(Record):
+class Output(toml.Record):
     """Destination of the result.
 
     Attributes
@@ -466,13 +446,13 @@ class Output(Record):
     file: Annotated[str, Field(min_length=1)]
 
 
-class FileKeys(Record):
+class FileKeys(toml.Record):
     """Keys of a file, with the errors of values that contradict each other."""
 
-    alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {}
+    alternatives: ClassVar[Mapping[toml.Place, tuple[str, ...]]] = {}
     """Keys of which exactly one is required, by table."""
 
-    def faults(self) -> Iterator[Fault]:
+    def faults(self) -> Iterator[toml.Fault]:
         """Yield an error for each value that contradicts another one."""
         yield from ()
 
@@ -512,16 +492,16 @@ class Timed(CommonKeys):
     time: Time
     solver: Solver = Solver()
 
-    def faults(self) -> Iterator[Fault]:
+    def faults(self) -> Iterator[toml.Fault]:
         """Yield an error for each value that contradicts another one."""
         yield from super().faults()
         time = self.time
         if time.step > time.duration:
             expected = f"at most the duration, {time.duration:g} s"
-            yield Fault(("time", "step"), expected, f"{time.step:g} s; reduce the step")
+            yield toml.Fault(("time", "step"), expected, f"{time.step:g} s; reduce the step")
         elif inf > time.duration > MAX_SAMPLES * time.step:
             expected = f"a step with at most {MAX_SAMPLES} samples in {time.duration:g} s"
-            yield Fault(("time", "step"), expected, f"{time.step:g} s; increase the step")
+            yield toml.Fault(("time", "step"), expected, f"{time.step:g} s; increase the step")
 
 
 class Runnable(Timed):
@@ -550,20 +530,20 @@ class TerrainKeys(Timed):
     """
 
     terrain: TerrainTable
-    start: dict[str, Quantity]
+    start: dict[str, toml.Quantity]
 
-    alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
+    alternatives: ClassVar[Mapping[toml.Place, tuple[str, ...]]] = {
         ("terrain",): ("file", "sample", "synthetic")
     }
 
-    def faults(self) -> Iterator[Fault]:
+    def faults(self) -> Iterator[toml.Fault]:
         """Yield the errors of common keys, and an error for obstacles without dynamics."""
         yield from super().faults()
         model, able = getattr(self, "model", "kinematics"), ("direct", "plan")
         if self.terrain.obstacles and (self.verb not in able or model != "dynamics"):
             expected = "obstacles only with verb = 'direct' or 'plan' and model = 'dynamics'"
             found = f"verb = {self.verb!r}, model = {model!r}; change them, or remove the obstacles"
-            yield Fault(("terrain", "obstacles"), expected, found)
+            yield toml.Fault(("terrain", "obstacles"), expected, found)
 
 
 class MotionKeys(TerrainKeys, Runnable):
@@ -582,7 +562,7 @@ class MotionKeys(TerrainKeys, Runnable):
     vehicle: VehicleSource
 
 
-class LawKeys(Record):
+class LawKeys(toml.Record):
     """Model and law of a problem.
 
     Attributes
@@ -605,10 +585,7 @@ class Modelled(LawKeys, MotionKeys):
     """Keys of problems with a choice of model."""
 
 
-if TYPE_CHECKING:
-    Control = Any
-else:
-    Control = record_of(step_climbing.StepClimbing)
+Control: Any = toml.record_of(step_climbing.StepClimbing)
 
 
 class ClimbingDriver(DriverTable):
@@ -618,20 +595,22 @@ class ClimbingDriver(DriverTable):
         default=Control(), description=f"control of the wheels, with name = {STEP_CLIMBING!r}"
     )
 
-    def climbing_faults(self, model: str) -> Iterator[Fault]:
+    def climbing_faults(self, model: str) -> Iterator[toml.Fault]:
         """Yield errors of the driver of a step climber, and of its keys with another driver."""
         if self.name != STEP_CLIMBING:
             if "control" in self.model_fields_set:
                 found = f"{self.name!r}; change it, or remove [driver.control]"
-                yield Fault(("driver", "name"), f"{STEP_CLIMBING!r} with [driver.control]", found)
+                yield toml.Fault(
+                    ("driver", "name"), f"{STEP_CLIMBING!r} with [driver.control]", found
+                )
             return
         if model != "dynamics":
             expected = f"'dynamics' with driver.name = {STEP_CLIMBING!r}"
-            yield Fault(("model",), expected, f"{model!r}; change it")
+            yield toml.Fault(("model",), expected, f"{model!r}; change it")
         if self.speed < 0:
             expected = f"a positive speed with name = {STEP_CLIMBING!r}"
-            yield Fault(("driver", "speed"), expected, f"{self.speed:g}; change it")
+            yield toml.Fault(("driver", "speed"), expected, f"{self.speed:g}; change it")
         for key in ("path", "file"):
             if getattr(self, key) is not None:
                 expected = f"no path with name = {STEP_CLIMBING!r}"
-                yield Fault(("driver", key), expected, f"{key!r}; remove it")
+                yield toml.Fault(("driver", key), expected, f"{key!r}; remove it")

@@ -29,13 +29,12 @@ CIRCLE_POINTS = 100
 
 def _pairs(estimate: Estimate) -> list[tuple[int, int]]:
     spread = np.sqrt(np.diag(estimate.covariance))
-    known = [k for k in range(spread.size) if 0 < spread[k] < np.inf]
+    known = np.flatnonzero((spread > 0) & (spread < np.inf)).tolist()
 
-    def correlation(pair: tuple[int, int]) -> float:
-        i, j = pair
-        return -abs(float(estimate.covariance[i, j] / spread[i] / spread[j]))
+    def weakness(pair: tuple[int, int]) -> float:
+        return -abs(float(estimate.covariance[pair] / spread[[*pair]].prod()))
 
-    return sorted(combinations(known, 2), key=correlation)[:MAX_ELLIPSES]
+    return sorted(combinations(known, 2), key=weakness)[:MAX_ELLIPSES]
 
 
 def _draw_ellipse(ax: Axes, estimate: Estimate, i: int, j: int) -> None:

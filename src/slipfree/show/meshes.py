@@ -198,7 +198,10 @@ def surface(
         near = np.zeros((grid.x.size - 1, grid.y.size - 1), bool)
         aside = np.linspace(-margin, margin, 2 * ceil(margin / min(grid.spacing)) + 1)
         for path in paths:
-            points = _dense(path, min(cell, margin) / 2)
+            lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
+            count = max(2, ceil(2 * lengths[-1] / min(cell, margin)) + 1)
+            at = np.linspace(0, lengths[-1], count)
+            points = np.stack([np.interp(at, lengths, each) for each in path.T], axis=1)
             for away in product(aside, repeat=2):
                 near[cells(grid, points + away)] = True
         parts = max(1, min(ceil(cell / spacing), int(np.sqrt(MOST / near.sum() + 1))))
@@ -209,9 +212,3 @@ def surface(
     heights = np.append(grid.z.ravel(), terrain.elevation(x[len(nodes) :], y[len(nodes) :]))
     triangles = scipy.spatial.Delaunay(np.stack([x - x[0], y - y[0]], axis=1))
     return Surface(grid, np.stack([x, y, heights], axis=1), triangles, cell / parts)
-
-
-def _dense(path: Array, step: float) -> Array:
-    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-    at = np.linspace(0, lengths[-1], max(2, ceil(lengths[-1] / step) + 1))
-    return np.stack([np.interp(at, lengths, each) for each in path.T], axis=1)

@@ -25,6 +25,7 @@ from slipfree.core.trajectory import Frame, heading_column
 from slipfree.files.atlas_files import EMPTY, Site
 from slipfree.files.toml import Fault, Positive, Range, Record, name_errors
 from slipfree.files.toml import Place as KeyPath
+from slipfree.problem import schema
 from slipfree.problem.build import build_model, build_vehicle, law_name, vehicle_facts
 from slipfree.problem.build_ground import (
     Extremes,
@@ -33,15 +34,7 @@ from slipfree.problem.build_ground import (
     ground_facts,
 )
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import (
-    CommonKeys,
-    LawKeys,
-    TerrainKeys,
-    TerrainTable,
-    VehicleSource,
-)
 from slipfree.routing.traversability import extents
-from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.paged import Elevation, Outline, PagedBicubic, parts_of
 from slipfree.vehicle.tree import Vehicle
@@ -87,7 +80,7 @@ class AtlasTable(Record):
     compiled: bool = True
 
 
-class AtlasKeys(LawKeys, CommonKeys):
+class AtlasKeys(schema.LawKeys, schema.CommonKeys):
     """Mobility map: where and how a vehicle stands at the nodes of a map, for several headings.
 
     Attributes
@@ -104,11 +97,11 @@ class AtlasKeys(LawKeys, CommonKeys):
 
     verb: Literal["atlas"]
     frame: Frame = "paper"
-    terrain: TerrainTable
-    vehicle: VehicleSource
+    terrain: schema.TerrainTable
+    vehicle: schema.VehicleSource
     atlas: AtlasTable = AtlasTable()
 
-    alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = TerrainKeys.alternatives
+    alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = schema.TerrainKeys.alternatives
 
     def faults(self) -> Iterator[Fault]:
         """Yield errors for dynamics and obstacles."""
@@ -160,23 +153,18 @@ class AtlasSetup:
             **({"settings": settings} if settings else {}),
             **{name.replace(" ", "_"): text for name, text in facts.items()},
         }
+        friction = None if self.ground.mu is None else 1.0  # bounds on a map are relative to it
+        if isinstance(self.ground.mu, float | int):  # at the wheel with the best grip
+            friction = self.ground.mu * max(float(wheel.grip) for wheel in self.vehicle.wheels)
         return Site(
             self.elevation,
-            self._friction,
+            friction,
             spec.atlas.within,
             spec.frame,
             self.ground.coordinates,
             self.ground.crs,
             words,
         )
-
-    @property
-    def _friction(self) -> float | None:
-        """Coefficient that must hold the vehicle: that of the wheel with the best grip; or 1."""
-        mu = self.ground.mu
-        if mu is None or isinstance(mu, Grid):  # bounds on a map are relative to the coefficient
-            return None if mu is None else 1.0
-        return float(mu) * max(float(wheel.grip) for wheel in self.vehicle.wheels)
 
     @property
     def facts(self) -> Lines:

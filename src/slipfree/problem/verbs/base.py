@@ -566,9 +566,15 @@ def world_of(result: Result) -> World:
 
 def _diagnostics(setup: Setup, law: object, run: Trajectory) -> dict[str, Diagnostic]:
     vehicle = setup.vehicle
+
+    def with_ending(run: Trajectory) -> Trajectory:
+        """Return a motion with a fact about its ending on solids, if there are solids."""
+        ending = obstacle_ending(run, vehicle, setup.prisms)
+        return run.with_facts({OBSTACLES: Fact(ending.name, words=ending.words)} if ending else {})
+
     diagnostics: dict[str, Diagnostic] = {
         "filled_ground": partial(_with_filled, setup.ground.grid),
-        OBSTACLES: partial(_with_ending, setup),
+        OBSTACLES: with_ending,
         CLOSEST: lambda run: run.with_facts(closest_fact(vehicle, setup.terrain, run)),
     }
     has_choice = vehicle.mass and has_exact_closure(vehicle) and not is_determinate(vehicle)
@@ -589,11 +595,3 @@ def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
     paths = _by_wheel(run, {"length": lengths, "path_length": steps.sum(axis=0)})
     samples = int(np.count_nonzero(on.any(axis=1)))
     return run.with_facts({FILLED: Fact(samples, "1"), "filled_paths": Fact(paths)})
-
-
-def _with_ending(setup: Setup, run: Trajectory) -> Trajectory:
-    """Return a motion with a fact about its ending on solids, if there are solids."""
-    ending = obstacle_ending(run, setup.vehicle, setup.prisms)
-    if ending is None:
-        return run
-    return run.with_facts({OBSTACLES: Fact(ending.name, words=ending.words)})

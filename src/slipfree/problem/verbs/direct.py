@@ -42,15 +42,7 @@ from slipfree.problem.schema import (
     MotionKeys,
     TerrainKeys,
 )
-from slipfree.problem.verbs.base import (
-    CROSS_CHECK,
-    FORMULATION,
-    DriveVerb,
-    Result,
-    Watch,
-    integrate,
-    model_attributes,
-)
+from slipfree.problem.verbs import base
 from slipfree.solve.sampling import input_samples
 from slipfree.vehicle.tree import Vehicle
 
@@ -132,13 +124,9 @@ def _actuators(vehicle: Vehicle, robot: Robot | None) -> dict[str, _Actuator]:
     q = ca.SX.sym("q", len(names) + len(wheels))
     values = dict(zip(names, ca.vertsplit(q)[: len(names)], strict=True))
     angles = dict(zip(wheels, ca.vertsplit(q)[len(names) :], strict=True))
-    driven = {c.name for c in vehicle.of("commanded")} | {
-        w.name for w in vehicle.wheels if w.driven
-    }
-    actuators = {
-        c.name: _Actuator(f"{c.name}_rate", 1.0, 0.0, is_wheel=False)
-        for c in vehicle.of("commanded")
-    }
+    commanded = [c.name for c in vehicle.of("commanded")]
+    driven = {*commanded, *(w.name for w in vehicle.wheels if w.driven)}
+    actuators = {n: _Actuator(f"{n}_rate", 1.0, 0.0, is_wheel=False) for n in commanded}
     for joint, value in joint_values(vehicle, robot, values, angles).items():
         slopes = ca.jacobian(value, q)
         if slopes.nnz() != 1 or ca.symvar(slopes):
@@ -146,9 +134,8 @@ def _actuators(vehicle: Vehicle, robot: Robot | None) -> dict[str, _Actuator]:
         name = [*names, *wheels][slopes.sparsity().get_triplet()[1][0]]
         if name in driven:
             slope, offset = ca.sum2(ca.DM(slopes)), ca.Function("value", [q], [value])(0)
-            actuators[joint] = _Actuator(
-                f"{name}_rate", float(slope), float(offset), name in wheels
-            )
+            own = f"{name}_rate", float(slope), float(offset), name in wheels
+            actuators[joint] = _Actuator(*own)
     return actuators
 
 
@@ -209,11 +196,11 @@ class Direct(Modelled):
                 yield Fault(("inputs", name), expected, format_value(value))
 
 
-class DirectVerb(DriveVerb):
+class DirectVerb(base.DriveVerb):
     """Motion of a vehicle at given rates, or under a driving law."""
 
     schema = Direct
-    options = (CROSS_CHECK,)
+    options = (base.CROSS_CHECK,)
 
     def build(self, problem: Problem[Direct]) -> Setup:
         """Return the model, the settled start and the inputs of a problem."""
@@ -254,24 +241,24 @@ class DirectVerb(DriveVerb):
         return Setup(**vars(world), model=model, dae=dae, every=every, **drive)
 
     def drive(
-        self, problem: Problem[Direct], setup: Setup, watch: Watch, resume: SavedPlan | None
+        self, problem: Problem[Direct], setup: Setup, watch: base.Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the motion, complete or up to its stop, and an empty mapping of arrays."""
-        run = integrate(setup, solver_options(problem), watch)
+        run = base.integrate(setup, solver_options(problem), watch)
         return run.part(slice(0, None, setup.every or 1), run.stop), NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including model, law and formulation."""
         spec = problem.spec
-        attributes = super().attributes(problem, setup) | model_attributes(spec)
-        return attributes | {FORMULATION: spec.formulation}
+        attributes = super().attributes(problem, setup) | base.model_attributes(spec)
+        return attributes | {base.FORMULATION: spec.formulation}
 
-    def cross_check(self, result: Result) -> tuple[str, tuple[Difference, ...]]:
+    def cross_check(self, result: base.Result) -> tuple[str, tuple[Difference, ...]]:
         """Return the other formulation of contact, and differences from the motion in it."""
         problem = result.problem
         other = "montana" if problem.spec.formulation == "closure" else "closure"
         again = replace(problem, spec=problem.spec.model_copy(update={"formulation": other}))
         setup = self.build(again)
         with at(problem, ("start",)):
-            motion = self.solve(again, setup, Watch(), None)[0]
+            motion = self.solve(again, setup, base.Watch(), None)[0]
         return other, cross_check(result.trajectory, motion)

@@ -16,23 +16,11 @@ from slipfree.core.errors import DataError, ModelError, SlipfreeError
 from slipfree.core.facts import Fact, printed_unit, rows
 from slipfree.core.records import Array, leaves
 from slipfree.core.trajectory import Trajectory
+from slipfree.files import toml
 from slipfree.files.logs import check_motion, read_log
 from slipfree.files.mcap import is_mcap
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.tables import read_names
-from slipfree.files.toml import (
-    Angles,
-    Column,
-    Fault,
-    Piecewise,
-    Record,
-    TimeFunction,
-    bare_words,
-    format_value,
-    name_errors,
-    unit_faults,
-)
-from slipfree.files.toml import Place as KeyPath
 from slipfree.models.given_rates import (
     COMMANDS,
     LEAST_MARGIN,
@@ -60,13 +48,7 @@ from slipfree.problem.build import (
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.schema import FILE, MotionKeys, TerrainKeys, Time
-from slipfree.problem.verbs.base import (
-    DriveVerb,
-    Result,
-    Watch,
-    integrate,
-    with_diagnostics,
-)
+from slipfree.problem.verbs import base
 from slipfree.solve.collocation import drive
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.replay import apply_inputs, replay, round_trip, spline_inputs, trim_states
@@ -82,7 +64,7 @@ if TYPE_CHECKING:
 TIMEOUT = "timeout"  # key of [given] beside 'file'
 
 
-class PathTable(Record):
+class PathTable(toml.Record):
     """Timed path: positions and headings of the platform's centre, as arrays or from a file.
 
     Attributes
@@ -99,10 +81,10 @@ class PathTable(Record):
         CSV file with the columns t, x, y, heading.
     """
 
-    t: Column | None = None
-    x: Column | None = None
-    y: Column | None = None
-    heading: Angles | None = None
+    t: toml.Column | None = None
+    x: toml.Column | None = None
+    y: toml.Column | None = None
+    heading: toml.Angles | None = None
     file: str | None = None
 
 
@@ -125,36 +107,38 @@ class Inverse(MotionKeys):
     """
 
     verb: Literal["inverse"]
-    given: dict[str, TimeFunction] | None = None
+    given: dict[str, toml.TimeFunction] | None = None
     exact: bool | None = None
     path: PathTable | None = None
     steering: Literal["rate", "angle"] = "angle"
 
-    alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
+    alternatives: ClassVar[Mapping[toml.Place, tuple[str, ...]]] = {
         **TerrainKeys.alternatives,
         (): ("given", "path"),
         ("path",): ("t", "file"),
     }
 
-    def faults(self) -> Iterator[Fault]:
+    def faults(self) -> Iterator[toml.Fault]:
         """Yield the errors of values that contradict each other, such as arrays of a path."""
         yield from super().faults()
         path = self.path
         if path is None:
             return
         times = path.t or ()
-        if path.heading and (words := bare_words(path.heading[0])):
-            yield Fault(("path", "heading"), words, format_value(path.heading[0]))
+        if path.heading and (words := toml.bare_words(path.heading[0])):
+            yield toml.Fault(("path", "heading"), words, toml.format_value(path.heading[0]))
         for name in ("x", "y", "heading"):
             place, column = ("path", name), getattr(path, name)
             if path.file is not None and column is not None:
-                yield Fault(
-                    place, "no array beside 'file'", f"{format_value(list(column))}; remove one"
+                yield toml.Fault(
+                    place,
+                    "no array beside 'file'",
+                    f"{toml.format_value(list(column))}; remove one",
                 )
             elif path.file is None and len(column or ()) != len(times):
                 expected = f"an array of {len(times)} numbers, one for each time in 't'"
                 found = "none" if column is None else f"an array of {len(column)}"
-                yield Fault(place, expected, found)
+                yield toml.Fault(place, expected, found)
 
 
 def are_commands(given: Collection[str]) -> bool:
@@ -169,13 +153,13 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
     timeout = given.pop(TIMEOUT, None)
     if timeout is not None and not (FILE in given and isinstance(timeout, float) and timeout > 0):
         expected = "a positive time in s, beside 'file'"
-        problem.refuse(Fault(("given", TIMEOUT), expected, format_value(timeout)))
+        problem.refuse(toml.Fault(("given", TIMEOUT), expected, toml.format_value(timeout)))
     if (file := given.pop(FILE, None)) is not None:
         with at(problem, ("given", FILE)):
             if not isinstance(file, str):
                 raise DataError(
                     "expected the name of a CSV file in quotes, found "
-                    f"{format_value(file)}; put the name in quotes"
+                    f"{toml.format_value(file)}; put the name in quotes"
                 )
             columns, notes = _read_file(problem.folder / file, spec.time.duration, timeout)
         descriptions = ["; ".join([f"{', '.join(columns)} of {file}", *notes])]
@@ -202,7 +186,7 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
 
 def _read_file(
     file: Path, duration: float, timeout: float | None
-) -> tuple[dict[str, Piecewise], list[str]]:
+) -> tuple[dict[str, toml.Piecewise], list[str]]:
     """Return the commands of a table by name, constant until the next row, and notes on them.
 
     A command that is not followed by another one within ``timeout`` is zero after it [s].
@@ -249,26 +233,28 @@ def _read_file(
     return {name: tuple(zip(t.tolist(), rate, strict=True)) for name, rate in columns}, notes
 
 
-def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -> Iterator[Fault]:
+def _faults(
+    spec: Inverse, given: Mapping[str, Any], columns: Collection[str]
+) -> Iterator[toml.Fault]:
     """Yield errors in commands: names of other kinds, repeated names, wrong frame or steering."""
     if spec.steering != "angle":
         expected = f"'angle' with given rates {', '.join(COMMANDS)}"
-        yield Fault(("steering",), expected, f"{spec.steering!r}; remove the key")
+        yield toml.Fault(("steering",), expected, f"{spec.steering!r}; remove the key")
     for name in given:
         if not are_commands({name, *columns}):
-            yield Fault(
+            yield toml.Fault(
                 ("given", name),
                 f"rates of the same kind as {', '.join(columns)} in the CSV file",
                 f"{name!r}; remove it, or give all rates in one frame",
             )
         elif name in columns:
             expected, found = "only rates that are not in the CSV file", f"{name!r}; remove it"
-            yield Fault(("given", name), expected, found)
+            yield toml.Fault(("given", name), expected, found)
     if spec.frame != "rep103" and (robot := [n for n in (*columns, *given) if n in ROBOT]):
         place = ("given", robot[0] if robot[0] in given else FILE)
         expected = f"{', '.join(COMMANDS)}, or frame = 'rep103' with {', '.join(ROBOT)} (v_y left)"
         found = f"{robot[0]} in the frame {spec.frame!r}; set frame = 'rep103', or give the former"
-        yield Fault(place, expected, found)
+        yield toml.Fault(place, expected, found)
 
 
 def _check_formula(text: str, time: Time) -> None:
@@ -366,7 +352,7 @@ def _inverse_facts(run: Trajectory) -> dict[str, Fact]:
     return facts | {name: Fact(rows) for name, rows in tables.items()}
 
 
-class InverseVerb(DriveVerb):
+class InverseVerb(base.DriveVerb):
     """Inverse kinematics: wheel and steering rates for a given motion of the platform."""
 
     schema = Inverse
@@ -374,7 +360,7 @@ class InverseVerb(DriveVerb):
     metrics_shown = ("inverse_margin_least", "slip_rms", "utilisation_largest")
     verified = (ROUND_TRIP, REPLAY)
 
-    def figures(self, result: Result) -> tuple[Plot, ...]:
+    def figures(self, result: base.Result) -> tuple[Plot, ...]:
         """Return the figures of a motion; map and rates of wheels and joints come first."""
         plots = super().figures(result)
         return tuple(sorted(plots, key=lambda plot: plot.name not in ("map", "rates")))
@@ -401,7 +387,7 @@ class InverseVerb(DriveVerb):
             direct = direct_kinematics(vehicle, world.terrain, slip=rates.slip)
         dae = invert(direct, rates)
         check_names(problem, direct, None)
-        problem.refuse(*unit_faults(("given",), spec.given or {}, UNITS))
+        problem.refuse(*toml.unit_faults(("given",), spec.given or {}, UNITS))
         stand = build_start(problem, direct)
         texts = {name: value for name, value in given.items() if isinstance(value, str)}
         formulas = {name: evaluate(text, {"t": dae.t}) for name, text in texts.items()}
@@ -420,7 +406,7 @@ class InverseVerb(DriveVerb):
             return replace(setup, start=_start(spec, setup, first, exact=rates.exact))
 
     def drive(
-        self, problem: Problem[Inverse], setup: Setup, watch: Watch, resume: SavedPlan | None
+        self, problem: Problem[Inverse], setup: Setup, watch: base.Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the motion with its differences from the direct model."""
         spec, options, inputs = problem.spec, problem.spec.solver.options, None
@@ -432,14 +418,14 @@ class InverseVerb(DriveVerb):
             inputs = spline_inputs(setup.model, solution.t, solution.unknowns)
             run = replace(solution.run, statistics=statistics)
         else:
-            run = integrate(setup, options, watch)
+            run = base.integrate(setup, options, watch)
         replayed = partial(_with_replay, setup, inputs, options)
         if "steering_lever" in run.columns:
             run = steering_slip(setup.vehicle, run)
         elif run.stop and run.stop.name == "solver" and "steering_growth" in run.columns:
             words = "; ".join(filter(None, [run.stop.words, steering_note(run)]))
             run = replace(run, stop=run.stop._replace(words=words))  # with the cause
-        return with_diagnostics(run, {"replay": replayed}, watch), NOTHING
+        return base.with_diagnostics(run, {"replay": replayed}, watch), NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including its solution method."""
@@ -477,7 +463,9 @@ def _given_rates(
             f"the key 'exact' only with given rates {', '.join(COMMANDS)}, or with a path and "
             "steering = 'angle'"
         )
-        faults.append(Fault(("exact",), expected, f"{str(spec.exact).lower()}; remove the key"))
+        faults.append(
+            toml.Fault(("exact",), expected, f"{str(spec.exact).lower()}; remove the key")
+        )
     problem.refuse(*faults)
     words = ", ".join(
         f"{name} {value:g} {printed_unit(UNITS[name])}" for name, value in given.items()
@@ -489,18 +477,18 @@ def _given_rates(
     return given, f"{words}; the steering {spec.steering} is unknown"
 
 
-def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
+def _rate_faults(given: dict[str, float]) -> Iterator[toml.Fault]:
     """Yield an error for each unknown name, and for a wrong kind of the given rates."""
-    yield from name_errors(("given",), given, list(dict.fromkeys((*RATES, *COMMANDS, *ROBOT))))
+    yield from toml.name_errors(("given",), given, list(dict.fromkeys((*RATES, *COMMANDS, *ROBOT))))
     if ours := [name for name in given if name in {*COMMANDS, *ROBOT} - {*RATES}]:
         expected = (
             f"either rates in the platform's heading frame ({', '.join(COMMANDS)}; with frame = "
             f"'rep103' also {', '.join(ROBOT)}) or other rates, not both"
         )
-        yield Fault(("given", ours[0]), expected, f"{', '.join(given)}; remove one kind")
+        yield toml.Fault(("given", ours[0]), expected, f"{', '.join(given)}; remove one kind")
     for name, value in given.items():
         if not isinstance(value, float):
-            yield Fault(
+            yield toml.Fault(
                 ("given", name),
                 "a number",
                 f"a function of time; give a number (only {', '.join(COMMANDS)} may vary in time)",
@@ -540,22 +528,22 @@ def _points(problem: Problem[Inverse], vehicle: Vehicle) -> tuple[Array | None, 
     return points, notes
 
 
-def _path_faults(points: Array, place: tuple[str, ...], spec: Inverse) -> Iterator[Fault]:
+def _path_faults(points: Array, place: tuple[str, ...], spec: Inverse) -> Iterator[toml.Fault]:
     """Yield an error for a path that begins late or ends early, and for a leap of the heading."""
     t, heading = points[[0, 3]]
     if t[0] != 0:
-        yield Fault(place, "0 as the first time", f"{t[0]:g} s; shift the times")
+        yield toml.Fault(place, "0 as the first time", f"{t[0]:g} s; shift the times")
     elif t[-1] < spec.time.duration:
         expected = f"at most the time of the last way-point, {t[-1]:g} s"
         found = f"{spec.time.duration:g} s; reduce the duration, or add way-points"
-        yield Fault(("time", "duration"), expected, found)
+        yield toml.Fault(("time", "duration"), expected, found)
     for k in np.flatnonzero(np.abs(np.diff(heading)) > np.pi)[:1].tolist():
         before, after = heading[k : k + 2]
         change = "subtract 2 pi from" if after > before else "add 2 pi to"
         remedy = f"{change} the headings from there on if they wrap, or add way-points"
         expected = "consecutive headings that differ by at most pi"
         found = f"{after:g} rad at way-point {k + 2} after {before:g} rad; {remedy}"
-        yield Fault(("path", "heading") if place[-1] == "t" else place, expected, found)
+        yield toml.Fault(("path", "heading") if place[-1] == "t" else place, expected, found)
 
 
 def _start(spec: Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajectory:
