@@ -27,9 +27,9 @@ from .laws.soil import Soil as Soil
 from .models.dynamics import dynamics as dynamics
 from .models.inverse import inverse_kinematics as inverse_kinematics
 from .models.kinematics import direct_kinematics as direct_kinematics
+from .models.kinematics import quasi_statics as quasi_statics
 from .models.montana import cross_check as cross_check
 from .models.montana import montana_kinematics as montana_kinematics
-from .models.quasi_statics import quasi_statics as quasi_statics
 from .models.rigid_dynamics import rigid_dynamics as rigid_dynamics
 from .plan.mpc import replan as replan
 from .plan.plan import plan as plan

@@ -21,10 +21,9 @@ from slipfree.core.records import leaves
 from slipfree.plan.problem import task_of
 from slipfree.plan.sparse_assembly import assemble, nlp_block
 from slipfree.plan.transcription import CollocationMesh, transcribe
-from slipfree.solve.equations import _compiled_lookup
 from slipfree.solve.replay import apply_inputs, replay, trim_states
 from slipfree.solve.settle import settle_contact
-from slipfree.solve.system import with_inputs
+from slipfree.solve.system import _compiled_lookup, with_inputs
 from slipfree.system import codegen_cache
 from slipfree.vehicle.sections import Torus
 

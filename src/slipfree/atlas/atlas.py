@@ -39,7 +39,7 @@ from slipfree.batch.many import (
     start_states,
 )
 from slipfree.batch.motion import COMPLETE, relax
-from slipfree.contact.clearance import CLEARANCE
+from slipfree.contact.nearest_points import CLEARANCE
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Parameter, SampledCheck
 from slipfree.core.errors import ModelError

@@ -27,7 +27,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from slipfree.contact.clearance import CLEARANCE
+from slipfree.contact.nearest_points import CLEARANCE
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError

@@ -151,10 +151,32 @@ def _joint_commands(path: Path, first: int | None = None) -> dict[str, JointComm
 
 def _only_topic(path: Path, kinds: Sequence[str]) -> tuple[str, list[tuple[int, Any]]]:
     """Return the only topic with messages of the given types, and the messages with times [ns]."""
+    ros = ros_package()
+    from mcap.reader import make_reader
+
     topics: dict[str, list[tuple[int, Any]]] = {}
     others: dict[str, str] = {}
-    for topic, time, message in _messages(path, kinds, others):
-        topics.setdefault(topic, []).append((time, message))
+    content, factory = read_bytes(path, "messages as MCAP"), ros.decoder.DecoderFactory()
+    try:
+        for schema, channel, record in make_reader(io.BytesIO(content), True).iter_messages():
+            if schema is None or schema.name not in kinds:
+                others[channel.topic] = schema.name if schema else channel.message_encoding
+                continue
+            decode = factory.decoder_for(channel.message_encoding, schema)
+            if decode is None:
+                raise DataError(
+                    f"{path}: expected messages of ROS 2 (CDR), found {channel.message_encoding!r} "
+                    f"with definitions in {schema.encoding!r} in topic {channel.topic!r}; convert "
+                    "the file"
+                )
+            topics.setdefault(channel.topic, []).append((record.log_time, decode(record.data)))
+    except DataError:
+        raise
+    except Exception as error:  # also errors of its parsers and codecs
+        raise DataError(
+            f"{path}: expected messages as MCAP, found a file that is damaged or of another "
+            f"format ({type(error).__name__}); repair it with 'mcap recover', or record it again"
+        ) from error
     if len(topics) != 1:
         listed = ", ".join(sorted(topics)) or "none"
         if others and not topics:
@@ -176,36 +198,6 @@ def _standard_fields(path: Path, topic: str) -> Iterator[None]:
         raise DataError(
             f"{path}: expected messages in topic {topic!r} with the fields that ROS 2 defines for "
             f"their type, found a file that defines others ({error}); convert the messages"
-        ) from error
-
-
-def _messages(
-    path: Path, kinds: Sequence[str], others: dict[str, str]
-) -> Iterator[tuple[str, int, Any]]:
-    """Yield topic, time [ns] and content of messages; add other topics and types to ``others``."""
-    ros = ros_package()
-    from mcap.reader import make_reader
-
-    content, factory = read_bytes(path, "messages as MCAP"), ros.decoder.DecoderFactory()
-    try:
-        for schema, channel, record in make_reader(io.BytesIO(content), True).iter_messages():
-            if schema is None or schema.name not in kinds:
-                others[channel.topic] = schema.name if schema else channel.message_encoding
-                continue
-            decode = factory.decoder_for(channel.message_encoding, schema)
-            if decode is None:
-                raise DataError(
-                    f"{path}: expected messages of ROS 2 (CDR), found {channel.message_encoding!r} "
-                    f"with definitions in {schema.encoding!r} in topic {channel.topic!r}; convert "
-                    "the file"
-                )
-            yield channel.topic, record.log_time, decode(record.data)
-    except DataError:
-        raise
-    except Exception as error:  # also errors of its parsers and codecs
-        raise DataError(
-            f"{path}: expected messages as MCAP, found a file that is damaged or of another "
-            f"format ({type(error).__name__}); repair it with 'mcap recover', or record it again"
         ) from error
 
 

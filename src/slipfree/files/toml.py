@@ -701,19 +701,18 @@ def _piecewise_constant(value: Any) -> float | Piecewise:
     return tuple((float(t), _number(rate)) for t, rate in pairs)
 
 
-def _piecewise_constant_or_file(value: Any) -> float | Piecewise | str:
-    value = parse_unit(value)
-    return value if isinstance(value, str) and value else _piecewise_constant(value)
+def _or_text(expected: str) -> PlainValidator:
+    """Return a validator of a piecewise-constant function, or a text that names or describes it."""
 
+    def read(value: Any) -> float | Piecewise | str:
+        value = parse_unit(value)
+        if isinstance(value, str) and value:
+            return value
+        if not (is_number(value) or isinstance(value, list)):
+            raise expected_error(expected)
+        return _piecewise_constant(value)
 
-def _time_function(value: Any) -> float | Piecewise | str:
-    value = parse_unit(value)
-    is_formula = isinstance(value, str) and value
-    if not (is_formula or is_number(value) or isinstance(value, list)):
-        raise expected_error(
-            "a number, an array of [time, value] pairs, or a formula of t in quotes"
-        )
-    return _piecewise_constant_or_file(value)
+    return PlainValidator(read)
 
 
 def _range(value: Any) -> tuple[float, float]:
@@ -757,6 +756,8 @@ def not_zero(value: float) -> float:
 
 
 PiecewiseConstant = Annotated[Any, PlainValidator(_piecewise_constant)]
-PiecewiseConstantOrFile = Annotated[Any, PlainValidator(_piecewise_constant_or_file)]
-TimeFunction = Annotated[Any, PlainValidator(_time_function)]
+PiecewiseConstantOrFile = Annotated[Any, _or_text(PAIRS)]
+TimeFunction = Annotated[
+    Any, _or_text("a number, an array of [time, value] pairs, or a formula of t in quotes")
+]
 Range = Annotated[Any, PlainValidator(_range)]

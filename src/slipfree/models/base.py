@@ -13,8 +13,8 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.certify import second_contacts
-from slipfree.contact.clearance import BodyClearance, body_clearance
 from slipfree.contact.closure import ContactFrame, contact_frame, wheel_coordinates
+from slipfree.contact.nearest_points import BodyClearance, body_clearance
 from slipfree.core.dae import Dae, Labels
 from slipfree.core.errors import ModelError
 from slipfree.core.lookups import LookupTable

@@ -619,19 +619,6 @@ def dynamic_forces(
 STANDING_SMOOTHING = 0.01  # width of the load law of the vehicle at rest [static depths]
 
 
-class PlanarPlace(NamedTuple):
-    """Given position of a planar vehicle at rest: y, and joints that are not suspension."""
-
-    y: Any
-    joints: tuple[Any, ...]
-
-
-class PlanarPose(NamedTuple):
-    """Unknowns of a planar vehicle at rest: share of friction, z, pitch and suspension."""
-
-    balance: tuple[Any, ...]
-
-
 def planar_start(
     moving: MovingVehicle, labels: Labels, contacts: Sequence[tuple[Contact, ...]]
 ) -> Standing:
@@ -659,8 +646,10 @@ def planar_start(
         [speeds],
         [ca.SX.zeros(speeds.shape)],
     )
-    place = PlanarPlace(x.y, tuple(x.joints[k] for k in held))
-    pose = PlanarPose((share, x.z, *x.attitude, *(x.joints[k] for k in free)))
+    # given are y and the joints that are not suspension; unknown are the share of friction, z,
+    # pitch and the suspension
+    joints = tuple(x.joints[k] for k in held)
+    pose = (share, x.z, *x.attitude, *(x.joints[k] for k in free))
     names: Any = labels.x
     unknowns = (
         Label("friction_share", "1", "friction of the wheels at rest over their loads"),
@@ -671,18 +660,18 @@ def planar_start(
     balance = tuple(
         Label(f"balance_{each.name}", "1", f"balance of {each.name}") for each in unknowns
     )
-    known = PlanarPlace(names.y, tuple(names.joints[k] for k in held))
-    still = Labels(known, PlanarPose(unknowns), (), (), (), (balance,))
+    known = names.y, tuple(names.joints[k] for k in held)
+    still = Labels(known, (unknowns,), (), (), (), (balance,))
     (scale, shift), speed = sizes(vehicle, terrain, still), ca.SX.sym("speed")
-    given = Configuration(ca.SX(0), x.y, ca.SX(0), place.joints)
+    given = Configuration(ca.SX(0), x.y, ca.SX(0), joints)
     position = Dependent(x.z, ca.SX(0), x.attitude[0], tuple(x.joints[k] for k in free), ())
     heights, _ = level_heights(VehicleState(vehicle, terrain, lookups, given, position))
     lowest = ca.mmin(heights) - max(wheel.depth for wheel in vehicle.wheels)
     limits = wheel_limits(vehicle, "start_gap", ca.vertsplit(gaps), 0.0, np.inf)
     model = Dae(
         ca.SX.sym("t"),
-        place,
-        pose,
+        (x.y, joints),
+        (pose,),
         (),
         (),
         ode=ca.SX.zeros(1 + len(held)),

@@ -26,8 +26,7 @@ from slipfree.files.toml import Place as KeyPath
 from slipfree.geometry.path import Path
 from slipfree.laws.registry import CONTACT_LAWS, GROUND_LAWS, SLIP_LAWS
 from slipfree.models.dynamics import dynamics
-from slipfree.models.kinematics import check_driven, check_rollers, direct_kinematics
-from slipfree.models.quasi_statics import quasi_statics
+from slipfree.models.kinematics import check_driven, check_rollers, direct_kinematics, quasi_statics
 from slipfree.problem import schema
 from slipfree.problem.build_ground import GroundMap, at, build_ground, ground_facts
 from slipfree.problem.build_vehicle import build_vehicle as build_vehicle

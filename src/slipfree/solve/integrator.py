@@ -18,11 +18,10 @@ from slipfree.core.evaluation import evaluate, run_buffered
 from slipfree.core.outcome import NO_START, sundials_words
 from slipfree.core.records import Array
 from slipfree.core.trajectory import SolverError
-from slipfree.solve.equations import scaled_jacobian
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.options import Method
 from slipfree.solve.sampling import Samples, integrate_samples, join_samples
-from slipfree.solve.system import System
+from slipfree.solve.system import System, scaled_jacobian
 from slipfree.system.interrupt import InterruptGuard, check_interrupt
 
 ARGUMENTS, RESULTS = ("x0", "z0", "u"), ("xf", "zf", "qf")  # names of CasADi

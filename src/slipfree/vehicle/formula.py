@@ -13,18 +13,9 @@ import casadi as ca
 
 from slipfree.core.errors import ModelError, shortened
 
-FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
-    "sin": (1, ca.sin),
-    "cos": (1, ca.cos),
-    "tan": (1, ca.tan),
-    "asin": (1, ca.asin),
-    "acos": (1, ca.acos),
-    "atan": (1, ca.atan),
-    "atan2": (2, ca.atan2),
-    "sqrt": (1, ca.sqrt),
-    "exp": (1, ca.exp),
-    "log": (1, ca.log),
-    "abs": (1, ca.fabs),
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    name: getattr(ca, name.replace("abs", "fabs"))
+    for name in ["sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sqrt", "exp", "log", "abs"]
 }
 CONSTANTS = {"pi": math.pi}
 MAX_SHOWN = 60  # characters of a formula in a message
@@ -103,9 +94,10 @@ def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth
             pair = (_evaluate_node(each, text, values, depth - 1) for each in (left, right))
             return OPERATORS[type(op)](*map(ca.SX, pair))
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
-            count, function = FUNCTIONS[name]
-            if len(args) == count:
-                return function(*(_evaluate_node(each, text, values, depth - 1) for each in args))
+            if len(args) == 1 + (name == "atan2"):
+                return FUNCTIONS[name](
+                    *(_evaluate_node(each, text, values, depth - 1) for each in args)
+                )
     segment = ast.get_source_segment(text.strip(), node) or text
     raise _formula_error(text, segment[:MAX_SHOWN])
 

@@ -30,8 +30,7 @@ from slipfree.core.trajectory import (
 from slipfree.geometry.path import Path
 from slipfree.laws.soil import Soil
 from slipfree.models.dynamics import dynamics
-from slipfree.models.kinematics import direct_kinematics
-from slipfree.models.quasi_statics import quasi_statics
+from slipfree.models.kinematics import direct_kinematics, quasi_statics
 from slipfree.plan.constraints import COST, DURATION, missed_words
 from slipfree.plan.guess import settled_start
 from slipfree.plan.ipopt import (

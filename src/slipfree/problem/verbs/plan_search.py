@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.clearance import CLEARANCE
 from slipfree.contact.closure import has_exact_closure
+from slipfree.contact.nearest_points import CLEARANCE
 from slipfree.core.dae import Dae
 from slipfree.core.errors import ModelError, SlipfreeError
 from slipfree.core.facts import SCALES, Fact, Facts
