@@ -25,7 +25,7 @@ from slipfree.enclosure.guarantee import (
     lower_margins,
     wheel_frames,
 )
-from slipfree.enclosure.wheel_gaps import Boxes, gap_bounds, pose_graphs
+from slipfree.enclosure.wheel_gaps import Boxes, gap_bounds, pose_graphs, tangents
 from slipfree.files.maps.elevation import jacksboro
 from slipfree.vehicle.shapes import Box
 
@@ -256,11 +256,9 @@ def test_gap_bounds_of_single_and_divided_contacts_contain_gaps_of_meshes(vehicl
     placing = Placing(direct_kinematics(vehicle, rough(rms=0.1)), n=6)
     contacts, rng = contact_points(placing.model, placing.z), np.random.default_rng(4)
     middle, ground = np.concatenate([placing.x, placing.q]), range_of(placing.model.ground)
-    given, (count, n) = len(placing.x), middle.shape
+    given = len(placing.x)
     graphs = pose_graphs(placing.model, given * (True,))
-    unit = np.zeros((count, count, n)) + np.eye(count)[..., None]
-    start = Boxes(middle, unit, np.zeros((count, *unit.shape)), 1e-7 + 0 * middle, contacts)
-    frame, curve = wheel_frames(gap_bounds(graphs, ground, start, coarse=True), given)
+    frame, curve = wheel_frames(*tangents(graphs, ground, middle, contacts)[1:], given)
     radius = np.full_like(middle, 0.005)
     boxes = Boxes(middle, frame, 1.5 * curve, radius, contacts)
     both = [gap_bounds(graphs, ground, boxes, divided=divided) for divided in (False, True)]

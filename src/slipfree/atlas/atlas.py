@@ -102,6 +102,7 @@ REASON, RESTS = quantity_label("reason"), quantity_label("rests")
 ENERGY = quantity_label("energy_per_metre")
 TILT = 0.06  # of the starts from which other rests are sought [rad]
 SAME_REST = 2e-3  # difference of inclinations up to which rests are the same [rad]
+PROVED_TOGETHER = 16  # chunks of poses that are proved together: few need most of the time
 COMPUTED = "tip_over_margin", CLEARANCE.name  # quantities beside pose and friction
 EXTREMES = {"low": "smallest", "high": "largest"}
 OUTWARD = {"low": np.float32(-np.inf), "high": np.float32(np.inf)}
@@ -475,14 +476,25 @@ def tile_of(
 ) -> dict[str, Array]:
     """Return the bands of a tile, shape (n_headings, n_x, n_y)."""
     places = np.stack([each.ravel() for each in np.meshgrid(heading, x, y, indexing="ij")])
-    parts = [
-        _bands(evaluator, places[:, k : k + CHUNK], inputs, error, tolerance, guarantee)
-        for k in range(0, places.shape[1], CHUNK)
-    ]
+    parts = list[dict[str, Array]]()
+    for first in range(0, places.shape[1], PROVED_TOGETHER * CHUNK):
+        some = places[:, first : first + PROVED_TOGETHER * CHUNK]
+        own = [
+            _bands(evaluator, some[:, k : k + CHUNK], inputs, error, tolerance)
+            for k in range(0, some.shape[1], CHUNK)
+        ]
+        parts.append(_joined([bands for bands, _ in own]))
+        if guarantee is not None:
+            states = np.concatenate([states for _, states in own], axis=1)
+            parts[-1] |= _proved_bands(evaluator, states, guarantee)
     shape = heading.size, x.size, y.size
-    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    whole = _joined(parts)
     with np.errstate(over="ignore"):  # a wheel without load uses any multiple of its friction
         return {name: each.reshape(shape).astype(np.float32) for name, each in whole.items()}
+
+
+def _joined(parts: Sequence[dict[str, Array]]) -> dict[str, Array]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _bands(
@@ -491,9 +503,11 @@ def _bands(
     inputs: Mapping[str, float],
     error: float | None,
     tolerance: float,
-    guarantee: float | None,
-) -> dict[str, Array]:
-    """Return the bands of some poses, shape (n,); ``places`` are heading, x and y."""
+) -> tuple[dict[str, Array], Array]:
+    """Return the bands of some poses, shape (n,), and their states, NaN where they do not stand.
+
+    ``places`` are heading, x and y.
+    """
     evaluate, graphs = evaluator.evaluate, evaluator.evaluate.graphs
     states = start_states(graphs, dict(zip(("heading", "x", "y"), places, strict=True)))
     labels = leaves(graphs.dae.labels.u)
@@ -514,10 +528,9 @@ def _bands(
         stands = outcomes == COMPLETE
         if evaluator.corners is not None and error is not None:
             bands |= _computed_bands(evaluator, states, stands, tolerance, error, bands)
-    if guarantee is not None:
-        bands |= _proved_bands(evaluator, states, stands, guarantee)
     bands = {name: np.where(stands, values, np.nan) for name, values in bands.items()}
-    return {REASON.name: evaluator.codes[outcomes + 2].astype(float)} | bands
+    bands = {REASON.name: evaluator.codes[outcomes + 2].astype(float)} | bands
+    return bands, np.where(stands, states, np.nan)
 
 
 def _quantities(
@@ -551,16 +564,15 @@ def _friction_bands(evaluator: PoseEvaluator, states: Array, tolerance: float) -
     return {label.name: bound for label, bound in zip(evaluator.least, bounds, strict=True)}
 
 
-def _proved_bands(
-    evaluator: PoseEvaluator, states: Array, stands: Mask, error: float
-) -> dict[str, Array]:
+def _proved_bands(evaluator: PoseEvaluator, states: Array, error: float) -> dict[str, Array]:
     """Return the bounds of poses that stand, on grounds within an error of the map [m]."""
     model, rows = evaluator.evaluate.graphs.dae, evaluator.evaluate.graphs.rows
+    stands = np.isfinite(states[rows.p]).all(axis=0)
     x, p = states[rows.x][:, stands], states[rows.p][:, stands]
     closed = [label.full for label in leaves(model.labels.z[0])][: len(model.vehicle.wheels)]
     places = x, p[: len(closed)], contact_points(model, p)
     found = enclose_poses(model, *places, error, np.zeros(len(x)))
-    bands = {PROVED.name: np.zeros(stands.size)}
+    bands = {PROVED.name: np.full(stands.size, np.nan)}
     bands[PROVED.name][stands] = found.is_enclosed
     for name, (end, away) in product(pose_names(evaluator.reductions), OUTWARD.items()):
         band = bands[f"{name}_{end}"] = np.full(stands.size, np.nan)

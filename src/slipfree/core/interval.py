@@ -47,11 +47,11 @@ class Intervals:
 
     def __add__(self, other: Intervals | Array | float) -> Intervals:
         low, high = _bounds(other)
-        return _outward(self.low + low, self.high + high)
+        return _outward(self.low + low, self.high + high, 0.0)
 
     def __sub__(self, other: Intervals | Array | float) -> Intervals:
         low, high = _bounds(other)
-        return _outward(self.low - high, self.high - low)
+        return _outward(self.low - high, self.high - low, 0.0)
 
     def __mul__(self, other: Intervals | Array | float) -> Intervals:
         if not isinstance(other, Intervals):
@@ -118,12 +118,15 @@ def _bounds(other: Intervals | Array | float) -> tuple[Any, Any]:
     return (other.low, other.high) if isinstance(other, Intervals) else (other, other)
 
 
-def _outward(low: Array, high: Array) -> Intervals:
+def _outward(low: Array, high: Array, tiny: float = TINY) -> Intervals:
+    """Return ends moved outward, in place; sums need no ``tiny``, since they are exact there."""
     down, up = np.abs(low), np.abs(high)
     for shift in (down, up):  # in place, since most of the time goes to memory
         shift *= ROUNDING
-        shift += TINY
-    return Intervals(low - down, high + up)
+        shift += tiny
+    low -= down
+    high += up
+    return Intervals(low, high)
 
 
 def _wave(angle: Intervals, function: Callable[[Array], Array], shift: float) -> Intervals:

@@ -41,10 +41,12 @@ from slipfree.enclosure.wheel_gaps import (
     Boxes,
     GapBounds,
     PoseGraphs,
+    chunks,
     contact_regions,
     gap_bounds,
     levelled,
     pose_graphs,
+    tangents,
 )
 from slipfree.vehicle.shapes import bounding_box
 
@@ -242,38 +244,13 @@ def enclose_poses(
     """
     surface: Any = model.ground
     graphs, ground = pose_graphs(model, tuple((spread > 0).tolist())), range_of(surface)
-    parts = list[PoseEnclosures]()
-    for first in range(0, x.shape[1], LANES):
-        k = slice(first, first + LANES)
-        parts.append(_enclose(graphs, ground, x[:, k], q[:, k], contacts[..., k], error, spread))
-    arrays = zip(*(each[:-1] for each in parts), strict=True)
-    boxes = zip(*(each.boxes for each in parts), strict=True)
-    joined = Boxes(*(np.concatenate(each, axis=-1) for each in boxes))
-    return PoseEnclosures._make([*(np.concatenate(each, axis=-1) for each in arrays), joined])
-
-
-def _enclose(
-    graphs: PoseGraphs,
-    ground: GroundRange,
-    x: Array,
-    q: Array,
-    contacts: Array,
-    error: float,
-    spread: Array,
-) -> PoseEnclosures:
-    """Return the enclosures of poses that are computed together, as `enclose_poses`."""
     middle = np.concatenate([x, q])
     count, n = q.shape
     given = graphs.moving.size - count
     start = np.broadcast_to(spread[graphs.moving[:given], None], (given, n))
-    frame = np.zeros((given + count, given + count, n))
-    frame[range(given + count), range(given + count)] = 1.0
-    curve = np.zeros((given + count, *frame.shape))
-    radius = np.full((count, n), 10 * SMALLEST_RADIUS)
     low, high = np.full((2, count, n), np.nan)
     is_enclosed, penetrates, refined = np.zeros((3, n), dtype=bool)
-    on_map, tried = np.ones(n, dtype=bool), np.isfinite(middle).all(axis=0)
-    first, able = radius, tried
+    on_map, able = np.ones(n, dtype=bool), np.isfinite(middle).all(axis=0)
 
     def boxes(lanes: Indices) -> Boxes:
         sizes = np.concatenate([start[:, lanes], radius[:, lanes]])
@@ -281,42 +258,47 @@ def _enclose(
             middle[:, lanes], frame[..., lanes], curve[..., lanes], sizes, contacts[..., lanes]
         )
 
+    def fits(lanes: Indices) -> Mask:
+        """Return whether no angle varies too much for a box to be tried."""
+        return np.asarray((boxes(lanes).reach[given + 1 :] < LARGEST_TURN).all(axis=0))
+
     with np.errstate(all="ignore"):
-        for k in range(QUICK_TRIES + TRIES + 1):
-            if k == QUICK_TRIES + 1:
-                tried, radius = (
-                    able & ~is_enclosed & ~penetrates,
-                    np.where(is_enclosed, radius, first),
-                )
-            lanes = np.flatnonzero(tried)
-            if not lanes.size:
-                continue
-            box = boxes(lanes)
-            if not k:  # a box without extent: bounds to first order
-                box.radius[:given] = 0.0
-            gaps = gap_bounds(graphs, ground, box, coarse=not k, divided=k > QUICK_TRIES)
-            penetrates[lanes] |= (gaps.gap.high < -PENETRATION).any(axis=0)
-            if not k:
-                frame[..., lanes], curve[..., lanes] = wheel_frames(gaps, given)
-                radius[:, lanes] = FIRST_INFLATION * (error + gaps.gap.magnitude) + SMALLEST_RADIUS
+        gap, slope, bend = tangents(graphs, ground, middle, contacts)
+        frame, curve = wheel_frames(slope, bend, given)
+        radius = FIRST_INFLATION * (error + np.abs(gap)) + SMALLEST_RADIUS
+        tried = able & fits(np.arange(n))
+        for k in range(QUICK_TRIES + TRIES):
+            if k == QUICK_TRIES:  # once more, with first boxes that know all contacts
+                tried = able & ~is_enclosed & ~penetrates
+                for lanes in chunks(tried, LANES):
+                    frame[..., lanes], curve[..., lanes] = np.eye(len(frame))[..., None], 0.0
+                    radius[:, lanes] = 10 * SMALLEST_RADIUS
+                    box = boxes(lanes)
+                    box.radius[:given] = 0.0
+                    gaps = gap_bounds(graphs, ground, box, coarse=True)
+                    penetrates[lanes] = (gaps.gap.high < -PENETRATION).any(axis=0)
+                    on_map[lanes] &= gaps.on_map
+                    slope = (gaps.slope.low + gaps.slope.high) / 2
+                    own = wheel_frames(slope, bend[..., lanes], given)
+                    frame[..., lanes], curve[..., lanes] = own
+                    radius[:, lanes] = FIRST_INFLATION * (error + gaps.gap.magnitude)
+                    radius[:, lanes] += SMALLEST_RADIUS
+                    tried[lanes] = fits(lanes) & ~penetrates[lanes]
+            for lanes in chunks(tried, LANES):
+                box = boxes(lanes)
+                gaps = gap_bounds(graphs, ground, box, divided=k >= QUICK_TRIES)
+                penetrates[lanes] |= (gaps.gap.high < -PENETRATION).any(axis=0)
+                found, is_unique = _krawczyk(gaps, box.radius, given, error)
+                size = found.magnitude
+                inside = is_unique & (size < radius[:, lanes]).all(axis=0)
+                low[:, lanes[inside]] = found.low[:, inside]
+                high[:, lanes[inside]] = found.high[:, inside]
+                is_enclosed[lanes] = inside
                 on_map[lanes] &= gaps.on_map
-                tried[lanes] = (boxes(lanes).reach[given + 1 :] < LARGEST_TURN).all(axis=0)
-                tried &= ~penetrates
-                first, able = radius.copy(), tried.copy()
-                continue
-            found, is_unique = _krawczyk(gaps, box.radius, given, error)
-            size = found.magnitude
-            inside = is_unique & (size < radius[:, lanes]).all(axis=0)
-            low[:, lanes[inside]] = found.low[:, inside]
-            high[:, lanes[inside]] = found.high[:, inside]
-            is_enclosed[lanes] = inside
-            on_map[lanes] &= gaps.on_map
-            radius[:, lanes] = np.where(inside, size, INFLATION * size + SMALLEST_RADIUS)
-            valid = (boxes(lanes).reach[given + 1 :] < LARGEST_TURN).all(axis=0)
-            tried[lanes] = valid & ~inside & ~penetrates[lanes]
-            refined |= (k > 1) & is_enclosed & ~tried
-        lanes = np.flatnonzero(refined)
-        if lanes.size:  # once more in the smaller box that was found
+                radius[:, lanes] = np.where(inside, size, INFLATION * size + SMALLEST_RADIUS)
+                tried[lanes] = fits(lanes) & ~inside & ~penetrates[lanes]
+                refined[lanes] = inside & (k > 0)
+        for lanes in chunks(refined, LANES):  # once more in the smaller box that was found
             box = boxes(lanes)
             gaps = gap_bounds(graphs, ground, box._replace(radius=box.radius * (1 + 1e-12)))
             found, _ = _krawczyk(gaps, box.radius, given, error)
@@ -330,12 +312,12 @@ def _enclose(
     return PoseEnclosures(bounds.low, bounds.high, is_enclosed, on_map, penetrates, whole)
 
 
-def wheel_frames(gaps: GapBounds, given: int) -> tuple[Array, Array]:
+def wheel_frames(slope: Array, bend: Array, given: int) -> tuple[Array, Array]:
     """Return frames and curves whose last coordinates change the gap of one wheel each.
 
-    The first columns, of given coordinates, change none.
+    The first columns, of given coordinates, change none; derivatives as those of `tangents`.
     """
-    slope = np.nan_to_num((gaps.slope.low + gaps.slope.high) / 2, posinf=0.0, neginf=0.0)
+    slope = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
     matrices = slope[given:].transpose(2, 1, 0)
     regular = np.linalg.cond(matrices) < MAX_CONDITION
     matrices = np.where(regular[:, None, None], matrices, np.eye(matrices.shape[1]))
@@ -344,7 +326,7 @@ def wheel_frames(gaps: GapBounds, given: int) -> tuple[Array, Array]:
     frame[range(given), range(given)] = 1.0
     frame[given:, given:] = inverse
     frame[given:, :given] = -np.einsum("ijn,kjn->ikn", inverse, slope[:given])
-    bend = np.einsum("iwn,jkwn->ijkn", -inverse, gaps.bend)
+    bend = np.einsum("iwn,jkwn->ijkn", -inverse, bend)
     curve = np.zeros((frame.shape[0], *frame.shape))
     curve[given:] = np.einsum("ijkn,jan,kbn->iabn", bend, frame, frame, optimize=True)
     return frame, np.nan_to_num((curve + curve.swapaxes(1, 2)) / 2)

@@ -46,6 +46,7 @@ COARSE_TURN = 2e-2  # half-size of the smallest patches for a first look [rad]
 REGION_TURN = 1e-2  # half-size of the smallest patches where a wheel may touch [rad]
 REGION_SHARE = 0.1  # their half-size, relative to that of the region
 SHARE = 0.15  # half-size of the smallest patches, relative to the turn of the wheel in the box
+QUICK_SHARE = 0.25  # the same, if only wheels without a single contact are divided
 EDGE = 1e-6  # patches closer to an edge of the tread touch it [rad]
 MAX_PATCHES = 6000  # of a pose, which is given up if it has more
 RINGS = 16  # parts of a tread outside the region of a single contact
@@ -127,6 +128,7 @@ class MovingJoint(NamedTuple):
 
     parent: int  # number of the joint that carries it; -1 for the ground
     is_slide: bool
+    is_offset: bool  # whether it has an arm about the origin of a joint that moves and carries it
 
 
 class PoseGraphs(NamedTuple):
@@ -134,6 +136,9 @@ class PoseGraphs(NamedTuple):
 
     poses: ca.Function  # origins and axes of the joints, then origins and rotations of the wheels
     rates: ca.Function  # first and second derivatives of the joints' values
+    # of coordinates, and of heights and slopes of planes under the wheels: distances of the wheels
+    # from the planes, their derivatives, and the second derivatives of the rises of the wheels
+    tangents: ca.Function
     bodies: ca.Function  # centre of mass, and centres and axes of the boxes about the shapes
     body_slopes: ca.Function  # their derivatives by the coordinates that vary
     joints: tuple[MovingJoint, ...]
@@ -176,15 +181,24 @@ def pose_graphs(dae: Dae, spread: tuple[bool, ...] = ()) -> PoseGraphs:
     shift = np.concatenate([dae.shift[0], dae.shift[1][: len(names) - given]])
     moving = np.flatnonzero([*(spread or given * [False]), *(len(names) - given) * [True]])
     joints, placed, values, numbers = list[MovingJoint](), list[ca.SX](), list[ca.SX](), {"": -1}
+    origins = list[ca.SX]()
     for name, parent, is_slide, axis, origin, value in joint_chain(state):
         numbers[name] = numbers[parent]
         if any(ca.which_depends(value, y[moving.tolist()], 1)):
-            numbers[name] = len(joints)
-            joints.append(MovingJoint(numbers[parent], is_slide))
+            numbers[name], by = len(joints), numbers[parent]
+            is_offset = by >= 0 and (is_slide or not ca.is_equal(origin, origins[by]))
+            joints.append(MovingJoint(by, is_slide, is_offset))
+            origins.append(origin)
             placed += [origin, axis]
             values.append(value)
-    for pose in carriers(state):
+    tori = np.array(radii, dtype=float)
+    tilt, planes, rises = ca.SX.sym("tilt", 3, len(vehicle.wheels)), list[ca.SX](), list[ca.SX]()
+    for pose, (tube, circle), plane in zip(carriers(state), tori, ca.horzsplit(tilt), strict=True):
         placed += [pose.origin, ca.vec(pose.rotation)]
+        normal = ca.vertcat(-plane[1:], 1.0)
+        rises.append(ca.dot(normal, pose.origin))
+        across = ca.sumsqr(normal) - ca.dot(normal, pose.rotation[:, 0]) ** 2
+        planes.append(rises[-1] - plane[0] - tube * ca.norm_2(normal) - circle * ca.sqrt(across))
     parts = vehicle.parts(platform_pose(state), values_of(state))
     frames = [parts[name] @ bounding_box(shape)[0] for name, shape in vehicle.shapes]
     center = sum((mass * at for _, mass, at in masses_of(state)), ca.SX.zeros(3))
@@ -192,22 +206,26 @@ def pose_graphs(dae: Dae, spread: tuple[bool, ...] = ()) -> PoseGraphs:
         center / (vehicle.mass or 1.0),
         *(ca.vertcat(each.origin, ca.vec(each.rotation)) for each in frames),
     )
-    body_slopes = ca.vec(ca.densify(ca.jacobian(bodies, y)[:, moving.tolist()]))
-    rate = ca.jacobian(ca.vertcat(*values), y)[:, moving.tolist()]
-    bend = ca.jacobian(ca.vec(rate), y)[:, moving.tolist()]
-    rates = ca.densify(ca.vertcat(ca.vec(rate), ca.vec(bend)))
+
+    def along(values: ca.SX) -> ca.SX:
+        """Return the derivatives of values by the coordinates that vary, one after another."""
+        return ca.vec(ca.densify(ca.jacobian(values, y)[:, moving.tolist()]))
+
+    rate, rise = along(ca.vertcat(*values)), along(ca.vertcat(*rises))
+    tangents = ca.vertcat(*planes, along(ca.vertcat(*planes)), along(rise))
     return PoseGraphs(
         ca.Function("poses", [y], [ca.densify(ca.vertcat(*placed))], {"cse": True}),
-        ca.Function("rates", [y], [rates], {"cse": True}),
+        ca.Function("rates", [y], [ca.vertcat(rate, along(rate))], {"cse": True}),
+        ca.Function("tangents", [y, ca.vec(tilt)], [tangents], {"cse": True}),
         ca.Function("bodies", [y], [ca.densify(bodies)], {"cse": True}),
-        ca.Function("body_slopes", [y], [body_slopes], {"cse": True}),
+        ca.Function("body_slopes", [y], [along(bodies)], {"cse": True}),
         tuple(joints),
         tuple(numbers[wheel.parent] for wheel in vehicle.wheels),
         moving,
         given,
         names,
         shift,
-        np.array(radii, dtype=float).T,
+        tori.T,
     )
 
 
@@ -232,6 +250,24 @@ def joint_chain(state: VehicleState) -> Iterator[tuple[str, str, bool, ca.SX, ca
         yield joint.name, joint.parent, joint.motion == "slide", axis, part.origin, value
 
 
+def tangents(
+    graphs: PoseGraphs, ground: GroundRange, middle: Array, contacts: Array
+) -> tuple[Array, Array, Array]:
+    """Return distances of wheels from planes that touch the ground, at coordinates (n_y, n).
+
+    Also return their derivatives by the moving coordinates, shape (n_a, n_wheels, n), and second
+    derivatives of the rises of the wheels, shape (n_a, n_a, n_wheels, n). The contacts are those of
+    `Boxes`. Errors of rounding are not included: this chooses boxes, which may be any.
+    """
+    (count, wheels), n = (graphs.moving.size, contacts.shape[1]), contacts.shape[2]
+    places = contacts.reshape(2, -1)
+    jets = ground.jets(places)
+    planes = np.stack([jets.height - (jets.slope * places).sum(axis=0), *jets.slope])
+    planes = planes.reshape(3, wheels, n).swapaxes(0, 1).reshape(-1, n)
+    found = np.array(graphs.tangents(middle, planes)).reshape(-1, wheels, n)
+    return found[0], found[1 : count + 1], found[count + 1 :].reshape(count, count, wheels, n)
+
+
 class _BodyMotion(NamedTuple):
     """Motion of a body of a chain along the frames of boxes, in fixed axes.
 
@@ -254,7 +290,6 @@ class _Motion(NamedTuple):
     # velocities along x and y and above a plane, and spins in fixed axes, (n_a, 6, n_wheels, n)
     slopes: Intervals
     bends: Array  # largest changes of the slopes in the boxes, of the same shape
-    second: Array  # approximate second derivatives of rises at the middle, (n_a, n_a, n_wheels, n)
     tilt: Array  # slopes of the planes under the wheels, above which they rise, (2, n_wheels, n)
 
 
@@ -299,7 +334,7 @@ def carrier_motions(graphs: PoseGraphs, boxes: Boxes, tilt: Array) -> _Motion:
     zero, zeros = (exactly(np.zeros((*shape, 3, n))) for shape in ((count,), (count, count)))
     still = np.zeros((3, n))
     bodies = [_BodyMotion(exactly(still), zero, zero, zeros, zeros, zero, still)]
-    for number, (parent, is_slide) in enumerate(graphs.joints):
+    for number, (parent, is_slide, is_offset) in enumerate(graphs.joints):
         by, (origin, axis) = bodies[parent + 1], axes[number]
         rate, any_rate = rates[number][:, None], any_rates[number][:, None]
         any_axis = _turned_by(axis, by.turn)
@@ -307,7 +342,7 @@ def carrier_motions(graphs: PoseGraphs, boxes: Boxes, tilt: Array) -> _Motion:
         change = swing[None] * any_rate[:, None] + any_axis * bends[number][:, :, None]
         if is_slide:
             way = (any_rate.magnitude * radius[:, None]).sum(axis=0) * (1 + SLACK)
-            body = carried(by, origin, any_axis.magnitude * way)
+            body = carried(by, origin, any_axis.magnitude * way) if is_offset else by
             bend = body.bend + change + swing[:, None] * any_rate[None]
             body = body._replace(velocity=body.velocity + axis * rate, bend=bend)
         else:
@@ -315,9 +350,9 @@ def carrier_motions(graphs: PoseGraphs, boxes: Boxes, tilt: Array) -> _Motion:
             grown = np.einsum("abcn,bn->acn", twist.magnitude, radius) * (1 + SLACK)
             turn = np.einsum("acn,an->cn", spin.magnitude + grown / 2, radius) * (1 + SLACK)
             any_spin = spin + Intervals(-grown, grown)
-            body = carried(by, origin, still)
+            body = carried(by, origin, still) if is_offset else by
             body = body._replace(spin=spin, twist=twist, any_spin=any_spin, turn=turn)
-        bodies.append(body)
+        bodies.append(body._replace(origin=origin))
     slopes, second = list[Intervals](), list[Intervals]()
     for k, (parent, pose) in enumerate(zip(graphs.carriers, wheels, strict=True)):
         body = carried(bodies[parent + 1], pose[0], still)
@@ -332,7 +367,6 @@ def carrier_motions(graphs: PoseGraphs, boxes: Boxes, tilt: Array) -> _Motion:
         WheelPoses(places[0], stack([places[k] for k in (1, 2, 3)], axis=1)),
         Intervals(slope.low.swapaxes(0, 1), slope.high.swapaxes(0, 1)),
         np.einsum("wcabn,bn->acwn", bend.magnitude, radius) * (1 + SLACK),
-        ((bend.low + bend.high) / 2)[:, 2].transpose(1, 2, 0, 3),
         tilt,
     )
 
@@ -363,7 +397,6 @@ class GapBounds(NamedTuple):
     gap: Intervals  # at the middle of the box, shape (n_wheels, n) [m]
     slope: Intervals  # over the box, along its frame, shape (n_a, n_wheels, n)
     mean_slope: Intervals  # averages along lines from the middle to points of the box
-    bend: Array  # approximate second derivatives at the middle, shape (n_a, n_a, n_wheels, n)
     on_map: Mask  # whether the wheels stay on the map, shape (n,)
 
 
@@ -408,15 +441,7 @@ class _Middle(NamedTuple):
 class _PoseBox(NamedTuple):
     """Enclosures over boxes of poses, and at their middles; the last axes are wheels and boxes."""
 
-    radii: Array
-    motion: _Motion
-    start: WheelPoses
-    spot: Intervals
-    angles: Array
-    place: Array
-    jets: Jets
-    gap: Intervals
-    flat: Intervals
+    middle: _Middle
     over: WheelPoses
     moving: PoseSlopes
     slopes: Intervals  # of the ground under the reference points, over the box, (2, n_wheels, n)
@@ -462,12 +487,12 @@ def gap_bounds(
             region, slope = found.region, averages[0] * parts
             is_single &= _are_rings_clear(graphs, ground, boxes, found)
         is_single &= found.is_single
-    gap = Intervals(box.gap.low - found.lost, box.gap.high.copy())
+    gap = Intervals(box.middle.gap.low - found.lost, box.middle.gap.high.copy())
     on_map: Mask = np.logical_and.reduce(is_single)
-    bounds = GapBounds(gap, slope, reduce(add, averages), middle.motion.second, on_map)
-    for rest in _chunks(~on_map):
+    bounds = GapBounds(gap, slope, reduce(add, averages), on_map)
+    for rest in chunks(~on_map, CHUNK):
         others = ~is_single[:, rest]
-        own = _divided(graphs, ground, boxes.at(rest), others, coarse)
+        own = _divided(graphs, ground, boxes.at(rest), others, coarse, divided)
         on_map[rest] = own.on_map
         wheels, lanes = np.nonzero(others)
         for old, new in zip(bounds[:3], own[:3], strict=True):
@@ -476,9 +501,10 @@ def gap_bounds(
     return bounds
 
 
-def _chunks(lanes: Mask) -> Iterator[Indices]:
+def chunks(lanes: Mask, size: int) -> Iterator[Indices]:
+    """Return the numbers of lanes, in parts of a size at most."""
     found = np.flatnonzero(lanes)
-    return (found[first : first + CHUNK] for first in range(0, found.size, CHUNK))
+    return (found[first : first + size] for first in range(0, found.size, size))
 
 
 def _are_rings_clear(
@@ -492,7 +518,7 @@ def _are_rings_clear(
     Only the rings that are not clear by curvature are divided into patches.
     """
     is_clear: Mask = np.logical_and.reduce(found.rings)
-    for k in _chunks(np.logical_or.reduce(found.is_single & ~is_clear)):
+    for k in chunks(np.logical_or.reduce(found.is_single & ~is_clear), CHUNK):
         some = boxes.at(k)
         box = _over(_middle(graphs, ground, some), ground, some.radius, 1.0)
         region, rings = found.region[:, k], found.rings[..., k]
@@ -504,7 +530,8 @@ def _are_rings_clear(
             inner, outer = (region[here] ** (1 - j / RINGS) for j in (number, number + 1))
             is_open |= ~ring[here] & (far >= inner) & (near <= outer)
         patches = patches.at(is_open & found.is_single[:, k][here])
-        left, _, on_map, is_complete = _touching(box, ground, patches, SMALLEST_TURN, region)
+        target = np.maximum(SHARE * box.turn.max(axis=0), SMALLEST_TURN)
+        left, _, on_map, is_complete = _touching(box, ground, patches, target, region)
         is_clear[:, k] |= on_map & is_complete
         is_clear[left.wheel, k[left.lane]] = False
     return is_clear
@@ -512,7 +539,7 @@ def _are_rings_clear(
 
 def _chord_range(box: _PoseBox, patches: _Patches) -> tuple[Array, Array]:
     """Return bounds of halves of chords around the axle, from the reference point."""
-    turn = patches.middle[0] - box.angles[0, patches.wheel, patches.lane]
+    turn = patches.middle[0] - box.middle.angles[0, patches.wheel, patches.lane]
     away, half = np.abs(np.mod(turn + np.pi, 2 * np.pi) - np.pi), patches.half[0] + SLACK
     near, far = np.maximum(away - half, 0.0), np.minimum(away + half, np.pi)
     return np.sin(near / 2) - SLACK, np.sin(far / 2) + SLACK
@@ -524,15 +551,17 @@ def _divided(
     boxes: Boxes,
     wheels: Mask,
     coarse: bool,
+    fine: bool,
 ) -> GapBounds:
     """Return the bounds of some wheels (n_wheels, n) by dividing their whole treads."""
     middle = _middle(graphs, ground, boxes)
     box = _over(middle, ground, boxes.radius, 1.0)
     shape = wheels.shape
-    smallest = COARSE_TURN if coarse else SMALLEST_TURN
+    share = SHARE if fine else QUICK_SHARE
+    target = share * box.turn.max(axis=0), COARSE_TURN if coarse else SMALLEST_TURN
     patches = _whole_treads(graphs.radii, wheels.shape[1])
     patches = patches.at(wheels[patches.wheel, patches.lane])
-    patches, least, on_map, is_complete = _touching(box, ground, patches, smallest)
+    patches, least, on_map, is_complete = _touching(box, ground, patches, np.maximum(*target))
     slope = _hull(_slopes(box, ground, patches), patches, shape)
     parts = 1 if coarse else PARTS
     mean, lost = slope * (1 / parts), np.where(is_complete, 0.0, np.nan)
@@ -543,7 +572,7 @@ def _divided(
         mean = mean + _hull(_slopes(inner, ground, patches), patches, shape) * (1 / parts)
     below = _hull(_examine(inner, ground, patches).gap[None], patches, shape).low[0]
     gap = Intervals(np.minimum(below, least) + lost, least + lost)
-    return GapBounds(gap, slope, mean, middle.motion.second, on_map)
+    return GapBounds(gap, slope, mean, on_map)
 
 
 class _SingleContacts(NamedTuple):
@@ -580,11 +609,11 @@ def _single_contacts(box: _PoseBox, ground: GroundRange, region: Array | None) -
     normal. These are rows of ``M x <= g``, and ``x <= M^-1 g``, since the inverse has no negative
     elements.
     """
-    (tube, circle), shape = box.radii[:, :, None], box.gap.low.shape
+    (tube, circle), shape = box.middle.radii[:, :, None], box.middle.gap.low.shape
     is_disc, is_sphere = tube == 0, circle == 0
-    angles, jets = exactly(box.angles), box.jets
+    angles, jets = exactly(box.middle.angles), box.middle.jets
     (cos_v, cos_u), (sin_v, sin_u) = ((each[0], each[1]) for each in (angles.cos(), angles.sin()))
-    level = _normals(box.start, box.flat)
+    level = _normals(box.middle.start, box.middle.flat)
     length = np.sqrt(
         np.where(is_disc, 0, level.low[0] ** 2) + level.low[1] ** 2 + level.low[2] ** 2
     )
@@ -600,7 +629,7 @@ def _single_contacts(box: _PoseBox, ground: GroundRange, region: Array | None) -
 
     change = changes(_normals(box.over, box.slopes))
     spread, turned = (np.sqrt((each**2).sum(axis=0)) for each in (change, box.turn))
-    axes = (box.start.rotation.low + box.start.rotation.high)[:2] / 2
+    axes = (box.middle.start.rotation.low + box.middle.start.rotation.high)[:2] / 2
     tangent = axes[:, 2] * cos_v.low - axes[:, 1] * sin_v.low
     away = axes[:, 1] * cos_v.low + axes[:, 2] * sin_v.low
     xx, xy, yy = jets.second.reshape(3, *shape)
@@ -667,7 +696,7 @@ def _single_contacts(box: _PoseBox, ground: GroundRange, region: Array | None) -
     lost = solve(bound, (none, none), bound.mixed, changes(level))[3] / 2
     is_clear, x, diagonal, product = solve(bound, (none, none), bound.mixed, change)
     v, a = (x + np.sqrt(diagonal * product)) * np.stack(np.broadcast_arrays(~is_sphere, ~is_disc))
-    edge = np.minimum(box.angles[1], np.pi - box.angles[1])
+    edge = np.minimum(box.middle.angles[1], np.pi - box.middle.angles[1])
     is_clear &= (v <= 2 * region) & ((2 * np.arcsin(np.minimum(a / 2, 1)) + EDGE < edge) | is_disc)
     for _ in range(2):
         bound = curvature(none, v / 2, tube * a, 1 / 2)
@@ -683,7 +712,7 @@ def _single_contacts(box: _PoseBox, ground: GroundRange, region: Array | None) -
     reach = (reach * (1 + SLACK)).reshape(2, -1)
     slopes = ground.slopes(jets, Intervals(-reach, reach))
     whole = box.shift.max(axis=0) + 2 * (circle + tube)
-    is_clear &= ground.is_known(box.place, whole.ravel())[1].reshape(shape)
+    is_clear &= ground.is_known(box.middle.place, whole.ravel())[1].reshape(shape)
     return _SingleContacts(is_clear, region, rings, _shaped(slopes, (2, *shape)), lost)
 
 
@@ -691,26 +720,25 @@ def _touching(
     box: _PoseBox,
     ground: GroundRange,
     patches: _Patches,
-    smallest: float,
+    target: Array,
     region: Array | None = None,
 ) -> tuple[_Patches, Array, Mask, Mask]:
-    """Return small patches of the given ones, with their points that may touch the ground first.
+    """Return patches of half-sizes ``target`` (n_wheels, n) that may touch the ground first.
 
     Also return upper bounds of the gaps at the middles of the boxes, shape (n_wheels, n), and
     whether the wheels stay on the map, and whether the patches are complete, shape (n,). Patches in
     a region are left out.
     """
-    n, done = box.gap.low.shape[1], list[_Patches]()
-    target = np.maximum(SHARE * box.turn.max(axis=0), smallest)
+    n, done = box.middle.gap.low.shape[1], list[_Patches]()
     on_map, given_up = np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
-    least = box.gap.high.copy()
+    least = box.middle.gap.high.copy()
     while patches.lane.size:
         if region is not None:
             outside = _chord_range(box, patches)[1] > region[patches.wheel, patches.lane]
             patches = patches.at(outside)
         found = _examine(box, ground, patches)
         np.minimum.at(least, (patches.wheel, patches.lane), found.above)
-        sizes = _sizes(box.radii, patches)
+        sizes = _sizes(box.middle.radii, patches)
         small = sizes.max(axis=0) <= target[patches.wheel, patches.lane]
         on_map[patches.lane[~found.is_middle_known | (small & ~found.is_known)]] = False
         given_up |= np.bincount(patches.lane, minlength=n) > MAX_PATCHES
@@ -808,7 +836,7 @@ def _middle(graphs: PoseGraphs, ground: GroundRange, boxes: Boxes) -> _Middle:
 
 def _over(middle: _Middle, ground: GroundRange, radius: Array, share: float) -> _PoseBox:
     """Return the enclosures over boxes of a share of the size of the given ones."""
-    (start, base, bends, _, tilt), grown = middle.motion, share * (1 + SLACK)
+    (start, base, bends, tilt), grown = middle.motion, share * (1 + SLACK)
     # integrals of the slopes along lines from the middle
     size = np.einsum("acwn,an->cwn", base.magnitude + share / 2 * bends, radius) * grown
     rise = size[2] + np.abs(tilt[0]) * size[0] + np.abs(tilt[1]) * size[1]
@@ -826,7 +854,7 @@ def _over(middle: _Middle, ground: GroundRange, radius: Array, share: float) -> 
     moved = slopes[:, 0] + y * arm[2] - z * arm[1], slopes[:, 1] + z * arm[0] - x * arm[2]
     shift = np.einsum("cawn,an->cwn", stack(moved).magnitude, radius) * grown
     under = _ground_slopes(ground, _placed(over, middle.spot))
-    return _PoseBox(*middle, over, moving, under, turn, shift)
+    return _PoseBox(middle, over, moving, under, turn, shift)
 
 
 def _whole_treads(radii: Array, n: int) -> _Patches:
@@ -921,8 +949,8 @@ def _normals(poses: WheelPoses, slopes: Intervals) -> Intervals:
 def _examine(box: _PoseBox, ground: GroundRange, patches: _Patches) -> _Examined:
     """Return which patches may touch the ground first at a pose of their boxes."""
     here = patches.wheel, patches.lane
-    radii = box.radii[:, patches.wheel]
-    thin, wide = _at(box.start, here), _at(box.over, here)
+    radii = box.middle.radii[:, patches.wheel]
+    thin, wide = _at(box.middle.start, here), _at(box.over, here)
     middle = _placed(thin, _tread(radii, exactly(patches.middle))[0])
     spot, turned, rolled = _tread(radii, around(patches.middle, patches.half))
     place = _placed(wide, spot)
@@ -940,13 +968,13 @@ def _examine(box: _PoseBox, ground: GroundRange, patches: _Patches) -> _Examined
     point = middle[2] - height
     gap = point + Intervals(-spread, spread)
 
-    apart = (spot - box.spot[:, *here]).magnitude
+    apart = (spot - box.middle.spot[:, *here]).magnitude
     xy, xz, yz = box.turn[:, *here]
     change = normal[0].magnitude * (xy * apart[1] + xz * apart[2])
     change += normal[1].magnitude * (xy * apart[0] + yz * apart[2])
     change += normal[2].magnitude * (xz * apart[0] + yz * apart[1])
     change += ((slopes - box.slopes[:, *here]).magnitude * box.shift[:, *here]).sum(axis=0)
-    limit = box.gap.high[here] + change
+    limit = box.middle.gap.high[here] + change
     higher = gap.low > limit + 1e-12 * (np.abs(limit) + change)
     inside = _is_inside(patches)
     changes = ~around_slope.contains_zero | (~across_slope.contains_zero & inside)
@@ -965,7 +993,7 @@ def _slopes(box: _PoseBox, ground: GroundRange, patches: _Patches) -> Intervals:
     """
     here = patches.wheel, patches.lane
     wide = _at(box.over, here)
-    tube, circle = radii = box.radii[:, patches.wheel]
+    tube, circle = radii = box.middle.radii[:, patches.wheel]
     angles = around(patches.middle, patches.half)
     spot = _tread(radii, angles)[0]
     slopes = _ground_slopes(ground, _placed(wide, spot))
