@@ -234,16 +234,18 @@ def test_logs_without_a_problem_file_over_a_map() -> None:
     vehicle = catalog.rigid_skid_steer(half_track=HALF, wheelbase=2 * HALF, r1=0.1, r2=0.1)
     Path("robot.toml").write_text(vehicle_text(vehicle, []))
     own = ["--map", "hill.asc", "--vehicle", "robot.toml", "--no-draw", *sets("frame=rep103")]
-    fitted = json.loads(
-        printed("--json", "fit", "a.csv", *own, "-o", "fit.csv", "--predict", "b.csv")
-    )
+    others = ["--predict", "b.csv", "--predict", "b.csv"]
+    fitted = json.loads(printed("--json", "fit", "a.csv", *own, "-o", "fit.nc", *others))
     names = {each["name"] for each in fitted["estimates"]}
     assert {"radius_left", "track", "stiffness", "friction", "turn_slope"} <= names
     assert fitted["errors"][0]["duration"] == 2
     assert fitted["errors"][0]["position_rms"] < 0.05
-    again = printed("--json", "fit", "fit.nc", "--predict", "b.csv", "-o", "p.csv", "--no-draw")
+    others = ["b.csv", "-o", "p.csv", "--no-draw"]  # further logs need no option of their own
+    again = printed("--json", "fit", "fit.nc", "--predict", "b.csv", *others)
     assert json.loads(again)["errors"] == fitted["errors"]
     assert json.loads(printed("--json", "info", "fit.nc"))["facts"] == fitted["facts"]
     assert "a fit, which has no motion; use slipfree info" in refused("report", "fit.nc")
+    assert "wrote fit_fit.csv" in printed("fit", "fit.nc", "--predict", "b.csv", "--no-draw")
+    assert "data.rates: expected a vehicle" in refused("fit", "a.csv", *sets("data.rates.a='b'"))
     Path("c.nc").write_bytes(b"CDF\x01")
     assert "expected" in printed("fit", "c.nc", "--predict", "b.csv", "--no-draw", code=2)

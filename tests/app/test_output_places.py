@@ -115,7 +115,7 @@ def test_the_command_line_names_a_result_anywhere(folder, option):
     out = folder.parent / ("victim.txt" if option[1] == "o" else "r.nc")
     done = _run(_problem("/nowhere/r.nc"), "--no-draw", *option.format(out).split())
     assert done.exit_code == 0, done.output
-    assert netcdf.is_result(out)
+    assert netcdf.attributes_of(out)
 
 
 def test_a_result_beside_the_problem(folder):
@@ -167,9 +167,7 @@ def test_a_table_does_not_replace_the_input_of_the_same_name():
     points = "slip,slip_angle,pull\n0.2,0,1\n"
     Path("x.csv").write_text(points)
     Path("x.toml").write_text(WHEEL)
-    done = invoke("wheel", "x.toml", "--no-draw", code=0)
-    assert "warning: x.csv is an input: the table is called x_wheel.csv" in done.stderr
-    assert "wrote x_wheel.csv" in done.stdout
+    assert "wrote x_wheel.csv" in invoke("wheel", "x.toml", "--no-draw", code=0).stdout
     Path("hard.csv").hardlink_to("x.csv")
     Path("soft.csv").symlink_to("x.csv")
     for name in ("x.csv", "hard.csv", "soft.csv", "x.toml"):

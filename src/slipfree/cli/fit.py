@@ -53,7 +53,7 @@ def fit(
     out : path, optional
         Table of the estimates; the table of the windows and the figure have the same name with
         _windows.csv and .png. Default: the name of the file, in the current folder; with _fit
-        if that is an input.
+        if that, or a fit or result of this name, is an input.
     write : path, optional
         Write the fitted vehicle or soil.
     ground : path, optional
@@ -61,9 +61,9 @@ def fit(
     vehicle : path, optional
         Vehicle of logs without a problem file.
     predict : list of path, optional
-        Another log, to be predicted with numbers that are fitted to all logs of the file; may
-        be repeated. By default, windows that are left out are predicted, or over a map the logs
-        of each folder.
+        Another log, to be predicted with numbers that are fitted to all logs of the file; more
+        logs may follow it after a problem file or a fit. By default, windows that are left out
+        are predicted, or over a map the logs of each folder.
     """
     file = files[0]
     with console.about(file):
@@ -94,9 +94,11 @@ def _write_fit(
     from slipfree.files.tables import write_rows
 
     table = out or default_table(file, "fit", work.inputs)
+    kept = table.with_suffix(".nc")
+    table = table.with_suffix(".csv") if table == kept else table
     tables = [table, *(table.with_name(f"{table.stem}_{end}.csv") for end in work.ends)]
     picture = table.with_suffix(".png") if draw else None
-    check_outputs([*tables, picture, write], work.inputs)
+    check_outputs([*tables, picture, write, kept], work.inputs)
     with held_interrupt(from_first_poll=True):
         result = work.solve()
         files_written = [
@@ -104,7 +106,7 @@ def _write_fit(
             for path, rows in zip(tables, result.tables, strict=True)
         ]
         if result.save is not None:
-            files_written.append(save(table.with_suffix(".nc"), result.save))
+            files_written.append(save(kept, result.save))
         if write is not None and not result.undetermined:
             write_new_file(result.text(), write, force)
             files_written.append(write)
@@ -164,7 +166,7 @@ def _log_fit(
     trust: list[Path] | None,
     predict: Sequence[Path],
 ) -> _FitWork:
-    from slipfree.files.netcdf import is_result
+    from slipfree.files.netcdf import attributes_of
     from slipfree.files.toml import MADE
     from slipfree.files.vehicle_toml import toml_value, vehicle_text
     from slipfree.problem.inputs import files_read
@@ -173,7 +175,9 @@ def _log_fit(
     from slipfree.show.fit_figures import fit_plot
 
     (file, *more), contents = files, None
-    is_fit = file.suffix == ".nc" and predict and not more and is_result(file)
+    is_fit = predict and file.suffix == ".nc" and verb.FIT in attributes_of(file)
+    if predict and (is_fit or file.suffix == ".toml"):
+        predict, more = [*predict, *more], []
     problem: Any
     if is_fit:
         contents = verb.read_fit(file)

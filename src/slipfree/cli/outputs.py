@@ -144,16 +144,13 @@ def check_outputs(
 def default_table(file: Path, command: str, inputs: Sequence[Path]) -> Path:
     """Return the default table of a command in the current folder: the name of the file with .csv.
 
-    If this is an input, the table is called NAME_COMMAND.csv instead, and a warning says so.
+    If this, or a result with the same name (.nc), is an input, the table is called
+    NAME_COMMAND.csv instead.
     """
     table = Path(f"{file.stem}.csv")
-    if not any(_is_same(table, each) for each in inputs):
-        return table
-    other = Path(f"{file.stem}_{command}.csv")
-    console.warn(
-        f"{table} is an input: the table is called {other}; -o OUT.csv chooses another name"
-    )
-    return other
+    taken = (table, table.with_suffix(".nc"))
+    is_taken = any(_is_same(path, each) for path in taken for each in inputs)
+    return Path(f"{file.stem}_{command}.csv") if is_taken else table
 
 
 def _is_same(path: Path, other: Path) -> bool:
@@ -189,7 +186,7 @@ def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any])
     problem's folder; the result's name ends in ``.nc``; an existing file must be a result or a
     figure. ``folder`` is the default folder for figures, None if it is not used.
     """
-    from slipfree.files.netcdf import is_result
+    from slipfree.files.netcdf import attributes_of
 
     for place in (out, folder):
         if place is not None:
@@ -208,7 +205,7 @@ def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any])
             )
     if out.suffix.lower() != ".nc":
         raise DataError(f"{where}: expected a name that ends in .nc, found {out}; {remedy}")
-    if out.is_file() and not is_result(out):
+    if out.is_file() and not attributes_of(out):
         raise DataError(
             f"{where}: expected a new file or a result of an earlier run, found the file {out}, "
             f"which is neither; {remedy}"

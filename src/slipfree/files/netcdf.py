@@ -331,11 +331,6 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float6
         return {name: file.values(name).astype(np.float64) for name in names}
 
 
-def is_result(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is a readable result file of slipfree."""
-    return bool(attributes_of(path))
-
-
 def attributes_of(path: str | os.PathLike[str]) -> Mapping[str, Attribute]:
     """Return the attributes of a result file; empty for any other file."""
     try:

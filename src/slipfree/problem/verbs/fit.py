@@ -108,7 +108,7 @@ class DriveColumns(Record):
     error : str or None
         Column of the stated error of the position, in m.
     left : str
-        Column of the left side, without. [data.rates]
+        Column of the left side.
     right : str
         Column of the right side.
     manoeuvre : str or None
@@ -314,6 +314,11 @@ def inputs_of(problem: Problem[Fit], paths: Sequence[Path] = ()) -> LogInputs:
     own = {name: getattr(data.columns, name) for name in SIDES}
     are_speeds = data.unit == "m/s"
     if spec.vehicle is None:
+        with at(problem, ("data", "rates")):
+            if data.rates:
+                raise ModelError(
+                    "expected a vehicle with these inputs, found none; use data.columns.left, right"
+                )
         with at(problem, ("constants", "track")):
             half = spec.constants.get("track", 2 * HALF) / 2
             made = rigid_skid_steer(half_track=half, wheelbase=2 * HALF, r1=0.0, r2=RADIUS)
