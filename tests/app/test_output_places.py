@@ -171,8 +171,7 @@ def test_a_table_does_not_replace_the_input_of_the_same_name():
     Path("hard.csv").hardlink_to("x.csv")
     Path("soft.csv").symlink_to("x.csv")
     for name in ("x.csv", "hard.csv", "soft.csv", "x.toml"):
-        done = invoke("wheel", "x.toml", "-o", name, code=2)
-        assert f"{name}: expected a separate file, found the input x." in done.stderr
+        assert f"{name}: expected a separate" in refused("wheel", "x.toml", "-o", name)
     assert Path("x.csv").read_text() == points
 
 

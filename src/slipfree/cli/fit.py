@@ -166,7 +166,7 @@ def _log_fit(
     trust: list[Path] | None,
     predict: Sequence[Path],
 ) -> _FitWork:
-    from slipfree.files.netcdf import attributes_of
+    from slipfree.files.netcdf import FIT, attributes_of
     from slipfree.files.toml import MADE
     from slipfree.files.vehicle_toml import toml_value, vehicle_text
     from slipfree.problem.inputs import files_read
@@ -175,7 +175,7 @@ def _log_fit(
     from slipfree.show.fit_figures import fit_plot
 
     (file, *more), contents = files, None
-    is_fit = predict and file.suffix == ".nc" and verb.FIT in attributes_of(file)
+    is_fit = predict and file.suffix == ".nc" and FIT in attributes_of(file)
     if predict and (is_fit or file.suffix == ".toml"):
         predict, more = [*predict, *more], []
     problem: Any
@@ -195,7 +195,9 @@ def _log_fit(
 
     def solve() -> _FitResult:
         if contents is not None:
-            result = verb.predict_logs(problem, contents, predict)
+            is_named = any(each.startswith("data.surfaces") for each in settings)
+            surfaces = problem.spec.data.surfaces if is_named else ()
+            result = verb.predict_logs(problem, contents, predict, surfaces)
         else:
             result = verb.fit(problem, predict)
         fitted, tables = result.fit, [verb.error_rows(result.scores), verb.window_rows(result)]

@@ -420,12 +420,28 @@ def score_kinds(
     logs: Sequence[DriveLog],
     slopes: Slopes | None,
 ) -> dict[WindowKind, Score]:
-    """Return the errors of logs that were not fitted, by kind of window."""
+    """Return the errors of logs that were not fitted, by kind of window.
+
+    The age of their poses is what a measured turning rate shows, otherwise the mean of the fit.
+    """
+    known = _with_campaigns(known, logs)
     return {
         kind: score_windows(known, fitted, logs, windows, slopes)
         for kind, fitted in rests.items()
         if (windows := find_windows(logs, kind)) is not None
     }
+
+
+def _with_campaigns(known: Known, logs: Sequence[DriveLog]) -> Known:
+    """Return a fit with ages of the poses of campaigns that were not fitted."""
+    unknowns, values = list(known.model.unknowns), known.values
+    fitted = [row for row, each in enumerate(unknowns) if each.quantity == "age"]
+    ofs = {unknowns[row].of for row in fitted}
+    for name in {log.campaign for log in logs} - ofs if fitted else ():
+        shown = [age for log in logs if log.campaign == name and (age := age_of_poses(log))]
+        values = np.append(values, np.mean(shown or known.values[fitted]))
+        unknowns.append(Unknown(f"age_{name}", "age", of=name))
+    return Known(known.model._replace(unknowns=tuple(unknowns)), values)
 
 
 def find_windows(logs: Sequence[DriveLog], kind: WindowKind) -> Windows | None:

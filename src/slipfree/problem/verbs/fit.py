@@ -444,21 +444,37 @@ def fit(problem: Problem[Fit], predict: Sequence[Path] = ()) -> FitResult:
     slopes, further, grid = maps_of(problem)
     with at(problem, ("data", "file")):
         paths = log_paths(problem, predict)
-        if spec.data.surfaces and len(spec.data.surfaces) != len(paths):
+        surfaces = spec.data.surfaces
+        if surfaces and len(surfaces) not in (len(paths), len(paths) + len(predict)):
             raise ModelError(
                 f"expected a surface of each of the {len(paths)} logs, found "
-                f"{len(spec.data.surfaces)} in 'surfaces'; correct them"
+                f"{len(surfaces)} in 'surfaces'; correct them"
             )
         reader = _Reader(problem, inputs, grid, rows)
-        logs = reader.read(paths, spec.data.surfaces)
-        others = reader.read(predict, ()) if predict else []
+        logs = reader.read(paths, surfaces[: len(paths)])
         model, window = model_of(problem, inputs, logs), spec.data.window
+        named = _known_surfaces(model, surfaces[len(paths) :], predict)
+        others = reader.read(predict, named) if predict else []
         first = KINDS[0 if logs[0].heading is not None else 2]
         if window:
             first = WindowKind() if isinstance(window, str) else WindowKind(0.0, window)
         kinds = [first, *(kind for kind in KINDS if kind != first)]  # the first are fitted
         found, fitted, scores = judge(model, logs, (slopes, further), kinds, others)
     return FitResult(found, fitted, scores, others or logs, rows)
+
+
+def _known_surfaces(
+    model: Model, surfaces: Sequence[str], predict: Sequence[Path]
+) -> Sequence[str]:
+    """Return the surfaces of predicted logs, if several are fitted; else none."""
+    fitted = sorted({each.of for each in model.unknowns if each.quantity == "friction"} - {""})
+    if predict and fitted and (len(surfaces) != len(predict) or {*surfaces} - {*fitted}):
+        raise ModelError(
+            f"expected a surface of each predicted log, one of {', '.join(fitted)}, found "
+            f"{', '.join(surfaces) or 'none'}; name them with --set data.surfaces=[...], in a fit "
+            "after those of its logs"
+        )
+    return surfaces if fitted else ()
 
 
 class _Reader(NamedTuple):
@@ -933,9 +949,15 @@ def read_fit(path: Path) -> dict[str, Any]:
 
 
 def predict_logs(
-    problem: Problem[Fit], contents: Mapping[str, Any], paths: Sequence[Path]
+    problem: Problem[Fit],
+    contents: Mapping[str, Any],
+    paths: Sequence[Path],
+    surfaces: Sequence[str] = (),
 ) -> FitResult:
-    """Return the errors of logs that are predicted with the contents of a fit."""
+    """Return the errors of logs that are predicted with the contents of a fit.
+
+    If it has several surfaces, ``surfaces`` are those of the logs.
+    """
     unknowns = tuple(
         Unknown(name, quantity, tuple(wheels), of=of)
         for name, quantity, wheels, of in contents["unknowns"]
@@ -945,7 +967,9 @@ def predict_logs(
     known = Known(model, np.array(contents["values"]))
     slopes, _, grid = maps_of(problem)
     rows = list[tuple[str, str]]()
-    logs = _Reader(problem, inputs_of(problem, paths), grid, rows).read(paths, ())
+    with at(problem, ("data", "surfaces")):
+        named = _known_surfaces(model, surfaces, paths)
+    logs = _Reader(problem, inputs_of(problem, paths), grid, rows).read(paths, named)
     rests = {
         WindowKind(*kind): Fitted(*map(np.array, errors)) for kind, errors in contents["fitted"]
     }
