@@ -62,6 +62,7 @@ def run(
     from slipfree.plan.polynomial_motion import from_arrays
     from slipfree.problem.inputs import files_read
     from slipfree.problem.load import check_option, verb_of
+    from slipfree.problem.result import cross_check as find_differences
     from slipfree.problem.result import run_problem
     from slipfree.problem.verbs.base import CROSS_CHECK, RESUME, outcome_fact
 
@@ -118,7 +119,17 @@ def run(
     console.detail(f"wrote {names}")
     if cross_check and not is_interrupted:
         with _after(files[0], "cross-check"):
-            _cross_check(result)
+            other, differences = find_differences(result)
+            differences = tuple(sorted(differences, key=lambda each: -each.size))
+            count = f"of {len(differences)} quantities"
+            console.print_line(f"largest differences from formulation = {other!r}, {count}:")
+            rows = [
+                {"name": label.full, "unit": label.unit, "difference": size, "time": t}
+                for label, size, t in differences
+            ]
+            console.add_json("cross_check", lambda: rows)
+            line = "{difference:.2e} {unit} at {time:g} s"
+            console.show([(f"  {row['name']}", line.format(**row)) for row in rows[:8]])
     if folder is not None and not is_interrupted:
         with _after(files[0], "figures"):
             from slipfree.show.plots import MAIN_COUNT
@@ -153,20 +164,3 @@ def _after(out: Path, name: str) -> Iterator[None]:
         kind = "" if isinstance(error, SlipfreeError) else f"{type(error).__name__}: "
         console.print_error(f"{name}: {kind}{error}; {out} contains the result")
         console.note_failure()
-
-
-def _cross_check(result: Result) -> None:
-    """Solve with the other formulation of contact, and print the eight largest differences."""
-    from slipfree.problem.result import cross_check
-
-    other, differences = cross_check(result)
-    differences = tuple(sorted(differences, key=lambda each: -each.size))
-    count = f"of {len(differences)} quantities"
-    console.print_line(f"largest differences from formulation = {other!r}, {count}:")
-    rows = [
-        {"name": label.full, "unit": label.unit, "difference": size, "time": t}
-        for label, size, t in differences
-    ]
-    console.add_json("cross_check", lambda: rows)
-    line = "{difference:.2e} {unit} at {time:g} s"
-    console.show([(f"  {row['name']}", line.format(**row)) for row in rows[:8]])

@@ -158,9 +158,8 @@ def _path(climber: Vehicle, profile: Profile, solids: Solids) -> _Path:
     axles = [place(wheel.at, tilt) for wheel, tilt in zip(climber.wheels, tilts, strict=True)]
     near = [[solid.gap(*ca.vertsplit(axle)) for solid in profile.solids] for axle in axles]
     normals = [of_axle[k][1] for of_axle, k in zip(near, solids, strict=True)]
-    across = ca.vertcat(
-        *(n.T @ ca.jacobian(axle, q) for n, axle in zip(normals, axles, strict=True))
-    )
+    pairs = [*zip(normals, axles, strict=True)]
+    across = ca.vertcat(*(normal.T @ ca.jacobian(axle, q) for normal, axle in pairs))
     contact = ca.vertcat(*(of_axle[k][0] for of_axle, k in zip(near, solids, strict=True))) - radius
     # the Newton step of least change to the three contact conditions
     closest = q - across.T @ ca.solve(across @ across.T, contact)
@@ -370,9 +369,8 @@ def least_friction(climber: Vehicle, profile: Profile, samples: int = 41) -> Fri
     """
     demands = list[Demand]()
     for leg in legs(climber, profile):
-        here = demand(
-            climber, leg, sample(climber, profile, leg, np.linspace(0, leg.length, samples))
-        )
+        whole = sample(climber, profile, leg, np.linspace(0, leg.length, samples))
+        here = demand(climber, leg, whole)
         for _ in range(REFINEMENTS):
             k = int(here.mu.argmax())  # new samples between the worst one and its neighbours
             sides = pairwise(here.s[max(k - 1, 0) : k + 2])
@@ -671,11 +669,8 @@ def _leg(plan_and_unknowns: tuple[Climb, Array]) -> tuple[Array, ...]:
     nodes, middles, torque = plan.nodes, plan.middles, history(plan, unknowns).torque
     square = np.maximum(unknowns[plan.nlp.where["b"]], 0)
     at_nodes = np.column_stack([np.interp(nodes.s, middles.s, each) for each in torque.T])
-    parts = []
-    for path, squares, torques in (
-        (nodes, square, at_nodes),
-        (middles, (square[1:] + square[:-1]) / 2, torque),
-    ):
+    parts, between = [], (square[1:] + square[:-1]) / 2
+    for path, squares, torques in (nodes, square, at_nodes), (middles, between, torque):
         directions = np.arctan2(-path.normals[..., 0], path.normals[..., 1])
         parts.append((progress(path), squares, path.speeds, directions, torques))
     order = np.argsort(np.concatenate([nodes.s, middles.s]))

@@ -162,20 +162,19 @@ def directions(profile: Profile, radius: float, axles: PerAxle) -> PerAxle:
     near its wheels of a radius [m]: wheels that touch floor and wall move up the wall. They
     move downhill, as over an edge, only if no other solid supports them.
     """
-    return PerAxle(*(_direction(profile, radius, axle) for axle in axles))
-
-
-def _direction(profile: Profile, radius: float, axle: ca.SX) -> ca.SX:
-    up, down, free = ca.SX(0), ca.SX(0), ca.SX(1)
-    for solid in profile.solids:
-        # a smooth weight instead of a contact test: integrators need derivatives at first contact
-        distance, normal = solid.gap(axle[0], axle[1])
-        near = (1 - ca.tanh((distance - radius - GUIDE_GAP) / GUIDE_WIDTH)) / 2
-        slope = ca.atan2(-normal[0], normal[1])
-        up = ca.fmax(up, near * slope)
-        down = ca.fmin(down, near * slope)
-        free *= ca.if_else(slope >= 0, 1 - near, 1)
-    return up + down * free
+    found = list[ca.SX]()
+    for axle in axles:
+        up, down, free = ca.SX(0), ca.SX(0), ca.SX(1)
+        for solid in profile.solids:
+            # a smooth weight instead of a contact test, for derivatives at first contact
+            distance, normal = solid.gap(axle[0], axle[1])
+            near = (1 - ca.tanh((distance - radius - GUIDE_GAP) / GUIDE_WIDTH)) / 2
+            slope = ca.atan2(-normal[0], normal[1])
+            up = ca.fmax(up, near * slope)
+            down = ca.fmin(down, near * slope)
+            free *= ca.if_else(slope >= 0, 1 - near, 1)
+        found.append(up + down * free)
+    return PerAxle(*found)
 
 
 class ControlLaw(NamedTuple):

@@ -210,26 +210,18 @@ def _tree(path: Path, trusted: frozenset[str], table: UrdfTable | None, file: Fi
         return read_tree(data, str(path), arguments)
     xacro.check_macro_calls(parse_robot(data, str(path)), str(path))
     if file is not None and not xacro.is_trusted(file.source.path, trusted):
-        _check_arguments(arguments, file)
+        # others could contain programs or names of files
+        name = shlex.quote(str(file.source.path))
+        expected = (
+            "letters, digits, blanks and . , + - _, since xacro executes arguments as a part "
+        )
+        expected += "of its program"
+        found = f"other characters; change it, or trust this file, too: --trust {name}"
+        wrong = [key for key, value in arguments.items() if not HARMLESS.fullmatch(value)]
+        if wrong:
+            raise file.error([Fault(("arguments", key), expected, found) for key in wrong])
     expansion = xacro.expanded(path, arguments)
     return read_tree(expansion.data, f"{path} (expanded)", macros=expansion.macros)
-
-
-def _check_arguments(arguments: Mapping[str, str], file: File) -> None:
-    """Raise VehicleError for arguments of xacro that could contain programs or names of files."""
-    name = shlex.quote(str(file.source.path))
-    faults = [
-        Fault(
-            ("arguments", key),
-            "letters, digits, blanks and . , + - _, since xacro executes arguments as a part of "
-            "its program",
-            f"other characters; change it, or trust this file, too: --trust {name}",
-        )
-        for key, value in arguments.items()
-        if not HARMLESS.fullmatch(value)
-    ]
-    if faults:
-        raise file.error(faults)
 
 
 def _urdf(

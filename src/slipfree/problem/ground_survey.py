@@ -13,7 +13,7 @@ from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter, unifo
 from slipfree.atlas.atlas import Atlas, Band
 from slipfree.core.errors import ModelError
 from slipfree.core.facts import Fact, Lines, lines, rows
-from slipfree.core.records import Array, Mask
+from slipfree.core.records import Mask
 from slipfree.core.trajectory import heading_column
 from slipfree.problem.build_ground import GroundMap
 from slipfree.problem.problem import Problem
@@ -79,7 +79,14 @@ def survey(ground: GroundMap) -> dict[str, Fact]:
             f"radius of wheels that touch once at {100 * TOUCHING:g} % of the nodes",
         ),
     }
-    away = np.where(known, _spikes(grid), 0.0)
+    ring = np.ones((3, 3), dtype=bool)
+    ring[1, 1] = False
+    high, low = (
+        each(grid.z, footprint=ring, mode="nearest") for each in (maximum_filter, minimum_filter)
+    )
+    away = np.maximum(grid.z - high, 0.0) - np.maximum(low - grid.z, 0.0)
+    least = np.maximum(SPIKE * (high - low), HIGH * min(grid.spacing))
+    away = np.where(known & (np.abs(away) > least), away, 0.0)
     facts["spikes"] = Fact(np.count_nonzero(away), "1", "heights unlike those of the neighbours")
     if away.any():
         i, j = np.unravel_index(np.abs(away).argmax(), away.shape)
@@ -151,15 +158,3 @@ def _known(grid: Grid) -> Mask:
             "--set terrain.fill=linear"
         )
     return known
-
-
-def _spikes(grid: Grid) -> Array:
-    """Return the heights of nodes above, or below, all neighbours; zero unless doubtful [m]."""
-    ring = np.ones((3, 3), dtype=bool)
-    ring[1, 1] = False
-    high, low = (
-        each(grid.z, footprint=ring, mode="nearest") for each in (maximum_filter, minimum_filter)
-    )
-    away = np.maximum(grid.z - high, 0.0) - np.maximum(low - grid.z, 0.0)
-    least = np.maximum(SPIKE * (high - low), HIGH * min(grid.spacing))
-    return np.where(np.abs(away) > least, away, 0.0)

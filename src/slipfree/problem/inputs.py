@@ -37,7 +37,8 @@ def input_names(spec: CommonKeys) -> tuple[str, ...]:
     """Return the file names in the keys ``file`` and ``friction`` of tables, as written there."""
     tables = [dict(getattr(spec, name, None) or {}) for name in TABLES]
     names = [table.get(key) for key in ("file", "friction") for table in tables]
-    return tuple(name for name in (*names, *spec.named_files) if isinstance(name, str))
+    names += getattr(spec, "named_files", ())  # logs
+    return tuple(name for name in names if isinstance(name, str))
 
 
 def input_files(problem: Problem[Any]) -> dict[str, Path]:

@@ -354,42 +354,18 @@ def saved(document: Document, places: Places) -> Document:
     problem = load_again(path, text, (), document.problem.trusted)
     found = places_in(problem)
     wanted = places._replace(regions=in_order_of_file(document.places.regions, places.regions))
-    _check_edit(document, text, found, wanted)
+    olds, news = tomllib.loads(decode_text(path, document.raw)), tomllib.loads(text)
+    others = [{key: data[key] for key in data.keys() - {*PLACES}} for data in (olds, news)]
+    shapes = [(*each[:3], [region[1:] for region in each.regions]) for each in (found, wanted)]
+    if others[0] != others[1] or not _is_close(*shapes):
+        raise DataError(
+            f"{path}: expected tables of start, goal and keep-out regions that can be edited, "
+            "found another form; the file is unchanged: edit these values in a text editor"
+        )
     pairs = zip(found.regions, wanted.regions, strict=True)
     regions = tuple(new._replace(identity=sent.identity) for new, sent in pairs)
     lines = text.replace("\n", "\r\n") if _has_crlf(document.raw) else text
     raw = BOM_UTF8 * document.raw.startswith(BOM_UTF8) + lines.encode()
-    _write(path, raw)
-    return Document(path, raw, problem, found._replace(regions=regions))
-
-
-def _has_crlf(raw: bytes) -> bool:
-    return 0 < raw.count(b"\n") == raw.count(b"\r\n")
-
-
-def _check_edit(document: Document, text: str, places: Places, wanted: Places) -> None:
-    """Raise DataError unless a text has the wanted places and all other values of a document."""
-    old, new = tomllib.loads(decode_text(document.path, document.raw)), tomllib.loads(text)
-    others = [{key: data[key] for key in data.keys() - {*PLACES}} for data in (old, new)]
-    shapes = [(*each[:3], [region[1:] for region in each.regions]) for each in (places, wanted)]
-    if others[0] != others[1] or not _is_close(*shapes):
-        raise DataError(
-            f"{document.path}: expected tables of start, goal and keep-out regions that can be "
-            "edited, found another form; the file is unchanged: edit these values in a text editor"
-        )
-
-
-def _is_close(first: Any, second: Any) -> bool:
-    """Return whether nested numbers agree up to the rounding of saved values."""
-    if isinstance(first, tuple | list):
-        return len(first) == len(second) and all(map(_is_close, first, second))
-    if first is None or second is None:
-        return first is second
-    return bool(abs(first - second) <= 10**-DIGITS)
-
-
-def _write(path: Path, raw: bytes) -> None:
-    """Replace the contents of a file that is not read-only, and keep its permissions."""
     is_there = path.exists()
     if is_there and not (os.access(path, os.W_OK) and path.stat().st_mode & 0o222):
         raise DataError(
@@ -403,6 +379,20 @@ def _write(path: Path, raw: bytes) -> None:
             shutil.copymode(path, part)
 
     replace_file(path, fill)
+    return Document(path, raw, problem, found._replace(regions=regions))
+
+
+def _has_crlf(raw: bytes) -> bool:
+    return 0 < raw.count(b"\n") == raw.count(b"\r\n")
+
+
+def _is_close(first: Any, second: Any) -> bool:
+    """Return whether nested numbers agree up to the rounding of saved values."""
+    if isinstance(first, tuple | list):
+        return len(first) == len(second) and all(map(_is_close, first, second))
+    if first is None or second is None:
+        return first is second
+    return bool(abs(first - second) <= 10**-DIGITS)
 
 
 INTERVAL = 0.08  # shortest time between two reported iterates [s]

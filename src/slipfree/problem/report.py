@@ -88,7 +88,15 @@ def report(file: Path) -> Report:
     except DataError as error:
         note = f"No figures: {error}"
     figures.sort(key=lambda plot: plot.name not in MAPS)
-    return Report(*head, main, tables, figures, note, _texts(file, attributes))
+    texts = dict[str, str]()
+    if "problem" in attributes:
+        name = f"{Path(attributes.get('problem_file', 'problem.toml')).stem}_again.toml"
+        settings = attributes.get("settings", "").splitlines()
+        words = ["slipfree", "run", name, *(part for each in settings for part in ("--set", each))]
+        again = f"slipfree info {shlex.quote(file.name)} --problem > {shlex.quote(name)}\n"
+        again += f"{shlex.join(words)}   # with slipfree {attributes[ORIGIN]}\n"
+        texts = {"Problem": attributes["problem"], "To repeat the run": again}
+    return Report(*head, main, tables, figures, note, texts)
 
 
 def atlas_lines(file: Path) -> tuple[Lines, Lines, AtlasView]:
@@ -131,17 +139,6 @@ def _versions(file: Path, attributes: Mapping[str, str]) -> Lines:
         ("SHA-256 of the file", digest(file)),
         ("this page", f"written by slipfree {__version__}"),
     ]
-
-
-def _texts(file: Path, attributes: Mapping[str, str]) -> dict[str, str]:
-    if "problem" not in attributes:
-        return {}
-    name = f"{Path(attributes.get('problem_file', 'problem.toml')).stem}_again.toml"
-    settings = attributes.get("settings", "").splitlines()
-    words = ["slipfree", "run", name, *(part for each in settings for part in ("--set", each))]
-    again = f"slipfree info {shlex.quote(file.name)} --problem > {shlex.quote(name)}\n"
-    again += f"{shlex.join(words)}   # with slipfree {attributes[ORIGIN]}\n"
-    return {"Problem": attributes["problem"], "To repeat the run": again}
 
 
 class Description(NamedTuple):

@@ -472,11 +472,6 @@ class CommonKeys(FileKeys):
     title: str | None = None
     gravity: Gravity = Field(default="earth", description=GRAVITY)
 
-    @property
-    def named_files(self) -> tuple[str, ...]:
-        """Names of input files other than those in the keys ``file`` and ``friction`` of tables."""
-        return ()
-
 
 class Timed(CommonKeys):
     """Common keys of problems with motions: time and solver.

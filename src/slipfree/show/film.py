@@ -261,13 +261,8 @@ class View:
 
 
 _ELEVATION, _AZIMUTH = CAMERA
-SIGHT = np.array(  # direction to the viewer
-    [
-        np.cos(_ELEVATION) * np.cos(_AZIMUTH),
-        np.cos(_ELEVATION) * np.sin(_AZIMUTH),
-        np.sin(_ELEVATION),
-    ]
-)
+_LEVEL = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
+SIGHT = np.cos(_ELEVATION) * _LEVEL + np.sin(_ELEVATION) * np.eye(3)[2]  # to the viewer
 RIGHT = np.array([-np.sin(_AZIMUTH), np.cos(_AZIMUTH), 0.0])
 AXES = np.stack([RIGHT, np.cross(SIGHT, RIGHT), SIGHT], axis=1)
 

@@ -38,15 +38,6 @@ POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 MAP_PIXELS, MAP_DPI = 1600, 200  # longer side of the map for planning, pixels per inch of its text
 
 
-def legend(layer: Layer) -> str:
-    """Return HTML that shows the scale of a layer of the ground."""
-    stops = ",".join(map(_css, layer.scale))
-    return (
-        f'<div class="scale" style="background:linear-gradient(to right,{stops})"></div>'
-        f"<div>{escape(layer.name)}: {escape(layer.legend)}</div>"
-    )
-
-
 def with_legend(
     html: str, scene: Scene, title: str, color: str, colored: str, words: Iterable[str]
 ) -> str:
@@ -93,7 +84,13 @@ def _choice(
             f'<option value="{escape(at)}" data-nodes="{escape("|".join(nodes))}"'
             f"{' selected' if is_chosen else ''}>{escape(key.replace('_', ' '))}</option>"
         )
-        shown = legend(layer) if layer else ""
+        shown = ""
+        if layer:
+            stops = ",".join(map(_css, layer.scale))
+            shown = (
+                f'<div class="scale" style="background:linear-gradient(to right,{stops})"></div>'
+            )
+            shown += f"<div>{escape(layer.name)}: {escape(layer.legend)}</div>"
         legends += f'<div id="{escape(at)}"{"" if is_chosen else " hidden"}>{shown}</div>'
     return f"<div>{name} <select>{options}</select></div>{legends}"
 

@@ -18,7 +18,7 @@ from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 
 from slipfree.core.facts import printed_unit, starting_with
-from slipfree.core.records import Array, Mask
+from slipfree.core.records import Array
 from slipfree.core.trajectory import Trajectory
 from slipfree.routing.traversability import Traversability, blocked_by
 from slipfree.show import ground_drawing, style
@@ -62,7 +62,14 @@ def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Ax
     if inside.size:
         top = max(float(np.percentile(inside, MAX_PERCENTILE)), MIN_SCALE_END)
     costs = ax.imshow(np.where(free, least, np.nan).T, cmap=COSTS, norm=Normalize(1, top), **where)
-    ax.imshow(_blocked(layers, part, ax).transpose(1, 0, 2), **where)
+    colors, masks, left = np.zeros((*least.shape, 4)), blocked_by(layers), np.isinf(least)
+    for name, (color, words) in BLOCKED.items():
+        mine = masks[name] & left
+        colors[mine] = to_rgba(color)
+        left = left & ~mine
+        if (mine & part).any():
+            ax.plot([], [], "s", color=color, ms=6, label=words)
+    ax.imshow(colors.transpose(1, 0, 2), **where)
     ground_drawing.contours(grid, ax, window)
     ground_drawing.hatch(grid, grid.holes, window, "no heights", "0.4", ax)
     ground_drawing.plan_marks(ax, layers.limits.keep_out)
@@ -244,16 +251,3 @@ def _beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
 
 def _bound(value: float, ax: Axes, color: str = "0.4", words: str = "limit") -> None:
     ax.axhline(value, color=color, lw=0.8, ls=(0, (6, 2)), zorder=1, label=words)
-
-
-def _blocked(layers: Traversability, part: Mask, ax: Axes) -> Array:
-    """Return the colours of blocked nodes, shape (n_x, n_y, 4), and label their reasons."""
-    colors, masks = np.zeros((*layers.to_hole.shape, 4)), blocked_by(layers)
-    left = np.isinf(layers.least_cost)
-    for name, (color, words) in BLOCKED.items():
-        mine = masks[name] & left
-        colors[mine] = to_rgba(color)
-        left = left & ~mine
-        if (mine & part).any():
-            ax.plot([], [], "s", color=color, ms=6, label=words)
-    return colors

@@ -258,16 +258,12 @@ class Scene(NamedTuple):
             Entry("ground", each.name, each.color, (f"{WORLD}/{each.name}",), each.legend)
             for each in self.ground.lines
         )
+        words = "1 m of arrow length represents {:.4g} {}"
         arrows = (
-            Entry(
-                "arrows",
-                name,
-                ARROWS[name],
-                tuple(f"{run}/here/{name}" for run in runs),
-                f"1 m of arrow length represents {1 / scale:.4g} {UNITS[name]}",
-            )
+            Entry("arrows", name, ARROWS[name], nodes, words.format(1 / scale, UNITS[name]))
             for name, scale in self.scales.items()
             if scale
+            for nodes in [tuple(f"{run}/here/{name}" for run in runs)]
         )
         motions = (
             Entry("runs", each.name, each.color, (run,), ghost=each.ghost, stop=each.stop)
@@ -304,17 +300,12 @@ class Scene(NamedTuple):
 
     def track_layers(self, actor: Actor) -> list[Layer]:
         """Return the colourings of the tracks of a motion."""
-        return [
-            layer(
-                each.name,
-                actor.values[each.name],
-                f"{low:.3g} to {high:.3g} {each.unit}",
-                low,
-                high,
-            )
-            for each, (low, high) in self.plotted.items()
-            if not each.is_margin and each.name in actor.values
-        ]
+        layers = list[Layer]()
+        for each, (low, high) in self.plotted.items():
+            if not each.is_margin and each.name in actor.values:
+                legend = f"{low:.3g} to {high:.3g} {each.unit}"
+                layers.append(layer(each.name, actor.values[each.name], legend, low, high))
+        return layers
 
     @property
     def paths(self) -> Array:

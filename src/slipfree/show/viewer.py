@@ -173,16 +173,10 @@ class _RunNodes:
         for count, body in enumerate(whole.bodies, 1):
             name = f"{root}/body {count}"  # not the part's name, which another node may have
             self.frames.append(server.scene.add_frame(name, show_axes=False))
+            look: dict[str, Any] = {"flat_shading": not whole.ghost, "wireframe": whole.ghost}
             for number, (mesh, color) in enumerate(body.meshes):
-                server.scene.add_mesh_simple(
-                    f"{name}/{number}",
-                    mesh.vertices,
-                    mesh.faces,
-                    color=color,
-                    side="double",
-                    flat_shading=not whole.ghost,
-                    wireframe=whole.ghost,
-                )
+                drawn = f"{name}/{number}", mesh.vertices, mesh.faces
+                server.scene.add_mesh_simple(*drawn, color=color, side="double", **look)
         self.label = server.scene.add_label(f"{root}/name", whole.name, anchor="bottom-center")
         # names at distinct heights
         self.above = np.array([0.0, 0.0, (0.6 + 0.25 * k) * scene.reach])

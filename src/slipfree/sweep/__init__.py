@@ -195,7 +195,14 @@ def axis_of(text: str) -> Varied:
         )
     meant: dict[object, str] = {}
     for value in values:
-        if (same := meant.setdefault(_comparison_key(value), value)) is not value:
+        # equal for values with the same meaning in TOML, as 1 and 1.0, or a word with quotes
+        meaning: object = value.strip()
+        with suppress(ValueError):
+            number = load_toml(f"value = {value}")["value"]
+            meaning = number if isinstance(number, str) else repr(number)
+            if isinstance(number, int | float) and not isinstance(number, bool):
+                meaning = float(number)
+        if (same := meant.setdefault(meaning, value)) is not value:
             also = "twice" if same == value else f"and {value}, which are equal"
             raise DataError(
                 f"--vary {text}: expected values that differ, found {same} {also}; remove one"
@@ -212,20 +219,6 @@ def seed_keys(spec: Mapping[str, Any], above: str = "") -> tuple[str, ...]:
         elif name == SEED and above:
             keys.append(f"{above}{name}")
     return tuple(keys)
-
-
-def _comparison_key(value: str) -> object:
-    """Return an object that is equal for values with the same meaning in TOML.
-
-    Such values are ``1`` and ``1.0``, or a word with and without quotes.
-    """
-    try:
-        number = load_toml(f"value = {value}")["value"]
-    except ValueError:
-        return value.strip()
-    if isinstance(number, int | float) and not isinstance(number, bool):
-        return float(number)
-    return number if isinstance(number, str) else repr(number)
 
 
 def _check_keys(axes: Sequence[Varied], settings: Sequence[str]) -> None:

@@ -323,8 +323,14 @@ class DriveVerb(Verb, ABC):
         )
         facts = drive_facts(start) | closest_fact(setup.vehicle, setup.terrain, setup.start)
         if has_pressed_wheels(start):
-            poses = _stable_poses(problem, setup)
-            facts["stable_poses"] = Fact([pose_row(pose) for pose in poses])
+            model, poses = setup.model, [setup.start]
+            if model.standing is not None and model.standing.guess is None:
+                model = model.standing.model
+            if relaxed := model.rest.numel():  # the motion's own pose comes first
+                states = [label.full for label in leaves(model.labels.x)][:-relaxed]
+                held: dict[str, Any] = {name: float(setup.start[name][0]) for name in states}
+                poses = [*stable_poses(model, options=spec.solver.options, **held)] or poses
+            facts["stable_poses"] = Fact([pose_row(pose.in_frame(spec.frame)) for pose in poses])
         samples = self.describe_samples(problem, setup)
         return start, [("start", pose), *lines(START_ROWS, facts), ("samples", samples)]
 
@@ -396,19 +402,6 @@ class DriveVerb(Verb, ABC):
             "inputs": " ".join(setup.dae.input_names),
             **({MAP_TRANSFORM: encode_map_coordinates(coordinates)} if coordinates else {}),
         }
-
-
-def _stable_poses(problem: Problem[MotionKeys], setup: Setup) -> tuple[Trajectory, ...]:
-    """Return the stable poses at the start, the motion's own first, in the problem's frame."""
-    model, spec = setup.model, problem.spec
-    if model.standing is not None and model.standing.guess is None:
-        model = model.standing.model
-    poses: Sequence[Trajectory] = ()
-    if relaxed := model.rest.numel():
-        states = [label.full for label in leaves(model.labels.x)][:-relaxed]
-        held: dict[str, Any] = {name: float(setup.start[name][0]) for name in states}
-        poses = stable_poses(model, options=spec.solver.options, **held)
-    return tuple(pose.in_frame(spec.frame) for pose in poses or (setup.start,))
 
 
 def drive_facts(run: Trajectory) -> dict[str, Fact]:

@@ -112,20 +112,16 @@ def _extremes(vehicle: Vehicle, run: Trajectory) -> dict[str, Any]:
     tilts = [run[c.name] for c in vehicle.of("passive") if vehicle.unit(c.name) == "rad"]
     gaps = [run[f"center_{axis}"][:, 0] - run[f"center_{axis}"][:, 1] for axis in "xyz"]
     width = np.sqrt(sum(gap**2 for gap in gaps))
+    tilt = max((float(np.abs(tilt).max()) for tilt in tilts), default=0.0)
+    # load-weighted; without mass not a number
+    friction = float(run["friction_needed"].max()) if vehicle.mass else float("nan")
     stop = run.stop and {"name": run.stop.name, "time": run.stop.t, "words": run.stop.words}
     return {
         "slip_along": {"unit": "m s-1", "max": np.abs(run["slip_along"]).max(axis=0)},
         "slip_across": {"unit": "m s-1", "max": np.abs(run["slip_across"]).max(axis=0)},
         "slip_measured": {"unit": "m s-1", "max": slip.max(axis=0)},
-        # load-weighted; without mass not a number
-        "friction_needed": {
-            "unit": "1",
-            "max": float(run["friction_needed"].max()) if vehicle.mass else float("nan"),
-        },
-        "tilt": {
-            "unit": "rad",
-            "max": max((float(np.abs(tilt).max()) for tilt in tilts), default=0.0),
-        },
+        "friction_needed": {"unit": "1", "max": friction},
+        "tilt": {"unit": "rad", "max": tilt},
         # distance of the first two wheels
         "axle": {"unit": "m", "min": float(width.min()), "max": float(width.max())},
         "stop": stop,
