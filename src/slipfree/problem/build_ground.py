@@ -64,16 +64,16 @@ def at(problem: Problem[A], place: KeyPath) -> Iterator[None]:
         raise ProblemError(f"{problem.source.where(place)}: {words}") from error
 
 
-def build_ground(problem: Problem[S], known: dict[str, Extremes] | None = None) -> GroundMap:
+def build_ground(problem: Problem[S]) -> GroundMap:
     """Return the ground of a problem.
 
     The order of operations is: read the file inside the window, fill holes, convert degrees to
     metres, scale, cut to the window (if there is no file), smooth, add the random elevation error
     (``error``), and fill the hollows that a wheel cannot touch (``rolled``).
 
-    With ``known``, GeoTIFFs with more than `LARGE` nodes are read by windows (`Outline`), unless a
-    key changes the whole map. It holds the extremes of files by name; those of others are added,
-    for which the whole file is read once.
+    With `Problem.extremes`, GeoTIFFs with more than `LARGE` nodes are read by windows (`Outline`),
+    unless a key changes the whole map. Extremes of further files are added, for which the whole
+    file is read once.
 
     The ground of a result is that in its file, unless its table is changed.
     """
@@ -83,7 +83,7 @@ def build_ground(problem: Problem[S], known: dict[str, Extremes] | None = None) 
         if spec.friction == given:
             return stored
         if not isinstance(spec.friction, str):
-            mu, friction = _friction(problem, elevation.Map(stored.grid), None)
+            mu, friction = _friction(problem, elevation.Map(stored.grid))
             return stored._replace(mu=mu, friction=friction)
     for key in OF_FILES:
         read = spec.file is not None or isinstance(spec.friction, str)
@@ -91,7 +91,7 @@ def build_ground(problem: Problem[S], known: dict[str, Extremes] | None = None) 
             found = "no map file; remove the key, or give a file in [terrain]"
             problem.refuse(Fault(("terrain", key), "this key only with a map file", found))
     horizontal, vertical = _scales(spec)
-    ground_map, source = _source(problem, known)
+    ground_map, source = _source(problem)
     grid = ground_map.grid.scaled(horizontal, vertical)
     if spec.window is not None and spec.file is None:
         with at(problem, ("terrain", "window")):
@@ -121,7 +121,7 @@ def build_ground(problem: Problem[S], known: dict[str, Extremes] | None = None) 
     if formulas:
         words = f"{', '.join(formulas)}; x, y, z are those of results, in metres"
         facts.append(("file coordinates", words))
-    mu, friction = _friction(problem, ground_map, known)
+    mu, friction = _friction(problem, ground_map)
     changed = None
     if spec.rolled is not None:
         with at(problem, ("terrain", "rolled")):
@@ -151,17 +151,14 @@ class Extremes(NamedTuple):
 
 
 def _map_of(
-    problem: Problem[Any],
-    name: str,
-    window: Window | None,
-    options: dict[str, Any],
-    known: dict[str, Extremes] | None,
+    problem: Problem[Any], name: str, window: Window | None, options: dict[str, Any]
 ) -> elevation.Map:
     """Return the map in a file; for a large GeoTIFF, only its outline."""
     spec, path = problem.spec.terrain, problem.folder / name
     is_whole = any(getattr(spec, key) is not None for key in OF_WHOLE_MAPS)
     is_geotiff = path.suffix.lower() in (".tif", ".tiff")
     is_geotiff &= os.path.isfile(path)  # noqa: PTH113 - False for names that are too long, too
+    known = problem.extremes
     if known is not None and is_geotiff and not is_whole and library() is not None:
         metres = options.get("vertical_scale")
         raster = raster_parts(path, Reading(window, spec.cell, spec.registration, None, metres))
@@ -228,20 +225,18 @@ def _check_size(width: float, length: float, spacing: float, remedy: str) -> Non
         )
 
 
-def _source(
-    problem: Problem[S], known: dict[str, Extremes] | None = None
-) -> tuple[elevation.Map, str]:
+def _source(problem: Problem[S]) -> tuple[elevation.Map, str]:
     """Return the ground before scaling, and the description of its origin.
 
     Consecutive runs of a sweep share it, unless a key changes on which it depends.
     """
     spec = problem.spec.terrain
     key = spec.model_dump_json(exclude=LATER, exclude_unset=True, serialize_as_any=True)
-    whole = problem.folder, key, known is None
-    return shared("map", whole, lambda: _read(problem, known))
+    whole = problem.folder, key, problem.extremes is None
+    return shared("map", whole, lambda: _read(problem))
 
 
-def _read(problem: Problem[S], known: dict[str, Extremes] | None) -> tuple[elevation.Map, str]:
+def _read(problem: Problem[S]) -> tuple[elevation.Map, str]:
     """Return the map of a problem and the name of its source."""
     spec = problem.spec.terrain
     if spec.file is not None:
@@ -253,7 +248,7 @@ def _read(problem: Problem[S], known: dict[str, Extremes] | None) -> tuple[eleva
             a, b, c, d = (each / _scales(spec)[0] for each in window)
             window = a, b, c, d
         with at(problem, ("terrain", "file")):
-            ground_map = _map_of(problem, spec.file, window, options, known)
+            ground_map = _map_of(problem, spec.file, window, options)
             if "vertical_scale" not in spec.model_fields_set:
                 _check_heights(ground_map, spec.scale)
         return ground_map, spec.file
@@ -286,9 +281,7 @@ def _check_heights(ground_map: elevation.Map, scale: float) -> None:
         )
 
 
-def _friction(
-    problem: Problem[S], ground: elevation.Map, known: dict[str, Extremes] | None
-) -> tuple[float | Grid | None, str]:
+def _friction(problem: Problem[S], ground: elevation.Map) -> tuple[float | Grid | None, str]:
     """Return the coefficient of friction, a number or a map, and its description."""
     spec = problem.spec.terrain
     name, (horizontal, _) = spec.friction, _scales(spec)
@@ -301,7 +294,7 @@ def _friction(
     if ground.geographic:
         options["geographic"] = ground.frame
     with at(problem, ("terrain", "friction")):
-        friction_map = _map_of(problem, name, None, options, known)
+        friction_map = _map_of(problem, name, None, options)
         grid = friction_map.grid
         if isinstance(grid, Outline) and (grid.missing or grid.extremes[0] <= 0):
             raise DataError(

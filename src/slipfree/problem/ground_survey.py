@@ -117,13 +117,14 @@ def stand(problem: Problem[Any], grid: Grid) -> tuple[Mapping[str, float], Lines
     """
     _known(grid)  # a vehicle stands nowhere among holes
     spec, (few, many) = problem.spec, sorted(grid.z.shape)
-    table = AtlasTable(headings=HEADINGS, every=max(1, min(many // PLACES, few - 1)))
+    every = max(1, min(many // PLACES, few - 1))
+    table = AtlasTable(headings=HEADINGS, every=every, compiled=False)
     keys = {name: getattr(spec, name) for name in ("frame", "terrain", "vehicle")}
     setup = build_atlas(replace(problem, spec=AtlasKeys(verb="atlas", atlas=table, **keys)))
     x, y, heading = setup.x, setup.y, setup.heading
-    values = setup.bands(slice(0, x.size), slice(0, y.size), compiled=False)
-    bands = {k: Band(label, values[k]) for k, label in setup.labels(compiled=False).items()}
-    poses = Atlas(x, y, heading, bands, setup.poses(compiled=False).reasons)
+    values = setup.bands(slice(0, x.size), slice(0, y.size))
+    bands = {k: Band(label, values[k]) for k, label in setup.labels().items()}
+    poses = Atlas(x, y, heading, bands, setup.poses().reasons)
     _, found = setup.site.summary_of(poses, slice(0, x.size), slice(0, y.size))
     allowed = found.codes == 0
     words = f"at {100 * float(allowed.mean()):.3g} % of {allowed.size} poses"

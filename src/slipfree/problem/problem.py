@@ -64,6 +64,8 @@ class Problem(Generic[A]):
     trusted: frozenset[str] = frozenset()  # xacro files; only the command line can trust them
     # contents of the vehicle files that were read, by name; of a result those stored in it
     vehicles: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    # smallest and largest values of large maps, by file, which are then read by windows
+    extremes: dict[str, Any] | None = field(default=None, compare=False, repr=False)
     # ground in a result, and the key 'friction' that belongs to it, by its table as JSON
     grounds: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 

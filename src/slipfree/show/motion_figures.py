@@ -51,6 +51,12 @@ INSET = 150  # samples of the small map along an axis
 STEEP = 40.0  # end of the colour scale of slopes [deg]
 AROUND = 0.5  # margin of the ground drawn around a motion [extent of the motion]
 NODES = 101  # of an axis of the ground of a formula
+NOTES = {  # on the slip, by model
+    "kinematics": "Least slip that the kinematics allows, a lower bound; real slip depends on "
+    "friction.",
+    "quasi-static": "Slip of quasi-static equilibrium under friction, without inertia.",
+    "dynamics": "Slip of a motion with inertia and compliant contact.",
+}
 
 
 def utilisation(run: Trajectory, ax: Axes) -> Axes:
@@ -372,7 +378,8 @@ def over_time(name: str, caption: str) -> Compose:
         drawn = [
             Panel(partial(style.history, run, each, has_zero=True)) for each in panels(run, names)
         ]
-        note = _law(run) if name == "slip" else ""
+        note = NOTES.get(str(run.attributes.get("model")), NOTES["kinematics"])
+        note = note if name == "slip" else ""
         return Plot(name, caption, lambda: stack(run, drawn, note)) if drawn else None
 
     return compose
@@ -414,14 +421,6 @@ FIGURES: tuple[Compose, ...] = (
     over_time("forces", "Forces between wheels and ground, and torques of the drives."),
     over_time("energy", "Work of the drives, energy of the vehicle, and losses."),
 )  # of a motion over terrain, the most important first
-
-
-def _law(run: Trajectory) -> str:
-    if run.attributes.get("model") == "dynamics":
-        return "Slip of a motion with inertia and compliant contact."
-    if run.attributes.get("model") == "quasi-static":
-        return "Slip of quasi-static equilibrium under friction, without inertia."
-    return "Least slip that the kinematics allows, a lower bound; real slip depends on friction."
 
 
 def _distance(run: Trajectory) -> Array:

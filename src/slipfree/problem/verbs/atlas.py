@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -214,17 +214,15 @@ class AtlasSetup:
             compiled=compiled and table.compiled,
         )
 
-    def bands(self, i: slice, j: slice, *, compiled: bool = True) -> dict[str, Array]:
+    def bands(self, i: slice, j: slice) -> dict[str, Array]:
         """Return the bands at slices of the nodes, shape (n_headings, n_x, n_y)."""
         table, x, y = self.problem.spec.atlas, self.x[i], self.y[j]
         args = self.heading, self.inputs, table.error, table.tolerance, table.guarantee
-        poses, ground = self.poses(compiled=compiled), self.terrain
+        poses, ground = self.poses(), self.terrain
         if not isinstance(ground, PagedBicubic):
             return tile_of(poses, x, y, *args)
         shape = self.heading.size, x.size, y.size
-        found: dict[str, Array] = {
-            name: np.empty(shape, dtype=np.float32) for name in self.labels(compiled=compiled)
-        }
+        found: dict[str, Array] = {name: np.empty(shape, np.float32) for name in self.labels()}
         for a, b in parts_of(x.size, y.size, table.every):
             load_around(ground, x[a], y[b], self.vehicle)
             for name, values in tile_of(poses, x[a], y[b], *args).items():
@@ -248,10 +246,10 @@ def build_atlas(problem: Problem[AtlasKeys], known: Mapping[str, Extremes] = EMP
 
     ``known`` are the extremes of large maps, by file; otherwise these are read once.
     """
-    spec, table = problem.spec, problem.spec.atlas
+    spec, table, extremes = problem.spec, problem.spec.atlas, dict(known)
+    problem = replace(problem, extremes=extremes)
     generic: Problem[Any] = problem
-    extremes = dict(known)
-    ground = build_ground(generic, extremes)
+    ground = build_ground(generic)
     vehicle = build_vehicle(problem)
     grid = ground.grid
     most = min(grid.x.size, grid.y.size) - 1
