@@ -64,7 +64,12 @@ from slipfree.plan.search import (
     further_guesses,
 )
 from slipfree.plan.transcription import PlanTask
-from slipfree.plan.verification import VERIFICATION_TOLERANCE, limit_name, simulate_plan
+from slipfree.plan.verification import (
+    VERIFICATION_TOLERANCE,
+    limit_name,
+    simulate_plan,
+    verify_plan,
+)
 from slipfree.problem.build import build_model, build_start, in_frame, model_law, solver_options
 from slipfree.problem.build_ground import at
 from slipfree.problem.inputs import ProblemParts, Recipe, recipe_of
@@ -122,6 +127,7 @@ def find_plan(
     of another model; SolverError if the plan cannot be simulated from the start.
     """
     problem, spec, found, saved = setup.problem, setup.spec, None, resume
+    before = setup.start  # of the model of ``found``
     duration = setup.task.duration
     if resume is not None:
         duration = duration_of(spec.plan.duration or resume.motion.duration)
@@ -136,7 +142,6 @@ def find_plan(
         is_same = dae is setup.dae or dae.replay is not None  # creep does not change the start
         options = solver_options(problem)
         start = setup.start if is_same else settled_start(dae, setup.start, options)
-        is_last = dae is setup.dae or not dae.replay  # only the last creep speed is accurate
         keep_own = keep if keep is None or dae is setup.dae else partial(_keep_smoothed, keep)
         with at(problem, ("plan",)):
             task = setup.task if dae is setup.dae else plan_task(problem, dae, start)
@@ -144,7 +149,7 @@ def find_plan(
                 replace(tightened_task(task, tightening), duration=duration),
                 start,
                 [] if saved else guesses,
-                mesh=mesh_of(spec, None if is_last else 1.0),
+                mesh=mesh_of(spec),
                 search=Search(
                     resume=saved,
                     progress=progress,
@@ -152,14 +157,19 @@ def find_plan(
                     seconds=seconds_left(setup.deadline),
                 ),
                 options=options,
+                verified=dae is setup.dae,  # the others only lead to it
             )
         if found is not None:
             if not now.success and now.run.outcome is not Outcome.INTERRUPTED:
-                return found
+                # creep differs from the sliding of the simulation
+                accuracy = 1.0 if found.program.task.dae.replay else spec.plan.accuracy
+                where = found.program, found.solution.unknowns, before
+                shown = verify_plan(*where, accuracy=accuracy, step=spec.time.step)._asdict()
+                return replace(found, **{name: shown[name] for name in shown.keys() - {"worse"}})
             now = replace(now, stages=(*found.stages, *now.stages))
         if not now.success or dae is setup.dae:
             break
-        found, saved = now, now.saved
+        found, saved, before = now, now.saved, start
     return now
 
 

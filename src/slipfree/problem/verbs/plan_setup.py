@@ -511,10 +511,10 @@ HOLE_MARGIN = "hole_margin"  # name of the limits that keep wheels off holes
 HOLE_CLEARANCE = 2.0  # additional distance of plans from holes, in units of plan.accuracy
 
 
-def mesh_of(spec: PlanKeys, accuracy: float | None = None) -> Mesh:
-    """Return mesh, accuracy and sampling of a problem, by default with its own accuracy."""
+def mesh_of(spec: PlanKeys) -> Mesh:
+    """Return mesh, accuracy and sampling of a problem."""
     keys = {name: getattr(spec.plan, name) for name in ("intervals", "degree", "continuous")}
-    return Mesh(**keys, accuracy=accuracy or spec.plan.accuracy, step=spec.time.step)
+    return Mesh(**keys, accuracy=spec.plan.accuracy, step=spec.time.step)
 
 
 @dataclass(frozen=True, eq=False)
