@@ -283,11 +283,10 @@ def test_in_a_program_that_comes_ready_made(capfd):
 # The compiler
 
 
-def test_a_compiler_that_does_not_end_is_ended(slow, monkeypatch):
+def test_a_compiler_that_does_not_end_is_ended(slow):
     code = (slow / "cc.py").read_text().replace("os.kill(os.getppid(), signal.SIGINT)\n", "")
     (slow / "cc.py").write_text(code)
-    monkeypatch.setattr(codegen_cache, "COMPILER_TIMEOUT", 2.0)
-    with pytest.raises(subprocess.TimeoutExpired):
+    with codegen_cache.compiler_limit(2.0), pytest.raises(subprocess.TimeoutExpired):
         codegen_cache._run([sys.executable, str(slow / "cc.py")])
     _, child = (slow / "told").read_text().split()
     assert _ends(int(child))

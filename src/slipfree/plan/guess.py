@@ -7,6 +7,7 @@ This is the only module of the planner that knows vehicles and grounds, those of
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -282,7 +283,8 @@ def initial_guess(
     trip = trip_of(task, driven, begin)
     layers = None
     if isinstance(ground, Bicubic):
-        layers = traversability(ground, vehicle, places=trip.places)
+        left = task.deadline - time.monotonic()
+        layers = traversability(ground, vehicle, places=trip.places, seconds=left)
     bounds = dict(zip(dae.input_names, task.inputs.tolist(), strict=True))
     guide = choose_guide(trip, bounds, layers)
     drive = guide_drives(trip, guide, step=SAMPLE_STEP)[0]

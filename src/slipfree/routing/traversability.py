@@ -14,10 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from slipfree.atlas.atlas import Atlas, atlas
+from slipfree.batch.evaluator import evaluator_of
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask
 from slipfree.geometry.regions import Region
 from slipfree.models.kinematics import direct_kinematics
+from slipfree.system.codegen_cache import compiler_limit
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import hole_distance
@@ -38,6 +40,7 @@ AWAY = 4  # times as far apart are poses away from the places, and half their di
 MAX_POSES = 250_000  # on larger maps the nodes of the poses are farther apart
 CELL_POSES = 4  # poses per cell of the map, between whose nodes the ground is smooth, are enough
 INTERPRETED = 20_000  # number of poses up to which compiling the equations takes longer
+MAP_SHARE = 0.2  # of the time limit of a plan; compilations for its map end after it
 RESTING = 5  # times for a pose of pressed wheels, relative to exact contact
 UNKNOWN = 1e-6  # weight of nodes that are blocked anyway, for the interpolation
 
@@ -147,6 +150,7 @@ def traversability(
     spacing: float | None = None,
     backwards: bool = False,
     places: Array | None = None,
+    seconds: float = math.inf,
 ) -> Traversability:
     """Return the traversability of a map for a vehicle, from its poses at 8 headings.
 
@@ -159,6 +163,9 @@ def traversability(
     places : ndarray, shape (n, 2), optional
         Places of the map between which a route is sought. Away from them poses are farther apart.
         [m]
+    seconds : float
+        Time limit of the search for a route. Equations that are not compiled in a fifth of it are
+        interpreted, and poses are then farther apart. [s]
 
     Returns
     -------
@@ -195,21 +202,24 @@ def traversability(
     step = max(1, round(apart / max(layers.spacing)))
     step = max(step, math.ceil(math.sqrt(HEADINGS * layers.to_hole.size / MAX_POSES)))
     room = max(distance / 2, 3 * reach)
-    x, y = (
-        _thinned(axis, a - room, b + room, step)
-        for axis, a, b in zip((layers.x, layers.y), low, high, strict=True)
-    )
     model = direct_kinematics(vehicle, terrain)
-    count = HEADINGS * x.size * y.size * (RESTING if model.rest.numel() else 1)
     heading = 2 * np.pi * np.arange(HEADINGS) / HEADINGS
-    poses = atlas(
-        model,
-        headings=(heading + np.pi * backwards).tolist(),
-        x=x,
-        y=y,
-        quantities=QUANTITIES,
-        compiled=count > INTERPRETED,
-    )
+
+    def nodes_of(step: int) -> tuple[Array, Array]:
+        x, y = (
+            _thinned(axis, a - room, b + room, step)
+            for axis, a, b in zip((layers.x, layers.y), low, high, strict=True)
+        )
+        return x, y
+
+    x, y = nodes_of(step)
+    count = HEADINGS * x.size * y.size * (RESTING if model.rest.numel() else 1)
+    with compiler_limit(MAP_SHARE * seconds):
+        compiled = count > INTERPRETED and evaluator_of(model, compiled=True).is_compiled
+        if seconds < math.inf and count > INTERPRETED and not compiled:
+            x, y = nodes_of(math.ceil(step * math.sqrt(count / INTERPRETED)))
+        headings = (heading + np.pi * backwards).tolist()
+        poses = atlas(model, headings=headings, x=x, y=y, quantities=QUANTITIES, compiled=compiled)
     outside = out_of_bounds(layers)
     nodes = nearest_nodes(layers.x, poses.x), nearest_nodes(layers.y, poses.y)
     is_known = ~(outside["edge"] | outside["hole"])[np.ix_(*nodes)]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import math
 import os
 import platform
 import shlex
@@ -19,8 +20,9 @@ import subprocess
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TypeVar
 
@@ -37,11 +39,22 @@ NO_COMPILER = (
 )
 CACHE_DISABLED = f"{FOLDER} is empty; unset it, or set it to a folder"
 COMPILER_TIMEOUT = 300.0  # [s]
+_LIMIT = ContextVar("limit", default=math.inf)  # of callers [s]
 MIN_OPERATIONS = 300  # smaller functions are not compiled
 T = TypeVar("T")
 MAX_LIBRARIES = 64  # libraries in the cache, of about a megabyte each
 SCRATCH_PREFIX = "making-"  # prefix of the compiler's working folders
 DIGEST_LENGTH = 32  # number of characters of a digest
+
+
+@contextmanager
+def compiler_limit(seconds: float) -> Iterator[None]:
+    """End compilations after a time, if it is shorter than `COMPILER_TIMEOUT` [s]."""
+    before = _LIMIT.set(seconds)
+    try:
+        yield
+    finally:
+        _LIMIT.reset(before)
 
 
 def load_or_compile(
@@ -228,7 +241,7 @@ def _compile(
     """Compile C code and store the library in the cache; its key and digest name the file.
 
     Raises _UnavailableError if the cache cannot be written, or the compiler cannot be started,
-    fails, takes more than 300 s or writes no library.
+    fails, takes more than its limit or writes no library.
     """
     try:
         with tempfile.TemporaryDirectory(dir=cache, prefix=SCRATCH_PREFIX) as scratch:
@@ -252,7 +265,7 @@ def _compile(
         raise _UnavailableError(_unusable(cache, error)) from error
     except subprocess.SubprocessError as error:
         is_slow = isinstance(error, subprocess.TimeoutExpired)
-        how = f"took more than {COMPILER_TIMEOUT:g} s" if is_slow else "failed"
+        how = f"took more than {error.timeout:.3g} s" if is_slow else "failed"
         raise _UnavailableError(
             f"{shlex.join(command)}: the C compiler {how}; set CC to another C compiler"
         ) from error
@@ -276,7 +289,7 @@ def _run(command: Sequence[str]) -> None:
 
         try:
             with ended_by_interrupt(end):
-                code = process.wait(COMPILER_TIMEOUT)
+                code = process.wait(min(COMPILER_TIMEOUT, _LIMIT.get()))
         except BaseException:
             end()
             process.wait()

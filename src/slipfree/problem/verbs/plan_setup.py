@@ -615,7 +615,14 @@ def build_layers(
         return free_space(terrain, vehicle, keep_out=keep_out)
     points = np.array([place[1:] for place in places])
     backwards = driver is not None and driver.speed < 0
-    return traversability(terrain, vehicle, keep_out=keep_out, backwards=backwards, places=points)
+    return traversability(
+        terrain,
+        vehicle,
+        keep_out=keep_out,
+        backwards=backwards,
+        places=points,
+        seconds=spec.plan.seconds,
+    )
 
 
 def momentum_models(problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicubic) -> list[Dae]:
