@@ -295,15 +295,14 @@ def test_a_vehicle_follows_its_route_through_craters(cratered):
 
 
 def test_the_cost_of_a_route_is_the_integral_of_the_cost_along_it(cratered):
-    layers = cratered[1]
-    (found,) = routes(layers, (4.0, 4.0), (20.0, 20.0), 1)
+    (found,) = routes(cratered[1], (4.0, 4.0), (20.0, 20.0), 1)
     total = 0.0
     for start, end in pairwise(found.points):
         step = end - start
         k, part = divmod(math.atan2(-step[0], step[1]) / math.tau * 8, 1)
         at = start + step * (np.arange(4000)[:, None] + 0.5) / 4000
         i, j = np.rint(at).astype(int).T  # nodes are 1 m apart
-        costs = [layers.cost[int(m) % 8, i, j] for m in (k, k + 1)]
+        costs = [cratered[1].cost[int(m) % 8, i, j] for m in (k, k + 1)]
         total += math.hypot(*step) * np.mean((1 - part) * costs[0] + part * costs[1])
     assert total > 1.05 * found.length
     assert found.cost == pytest.approx(total, rel=1e-3)

@@ -315,7 +315,7 @@ def resample_polyline(points: Array, step: float, *, spline: bool = False) -> Ar
     count = max(round(float(at[-1]) / step), 1)
     s = np.linspace(0, at[-1], count + 1)
     if spline:
-        even = cubic_spline(at, points - points[0])(s) + points[0]
+        even = np.asarray(cubic_spline(at, points - points[0])(s) + points[0])
     else:
         even = np.stack([np.interp(s, at, column) for column in points.T], axis=1)
     even[0], even[-1] = points[0], points[-1]

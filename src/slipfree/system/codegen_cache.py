@@ -264,8 +264,9 @@ def _compile(
     except OSError as error:
         raise _UnavailableError(_unusable(cache, error)) from error
     except subprocess.SubprocessError as error:
-        is_slow = isinstance(error, subprocess.TimeoutExpired)
-        how = f"took more than {error.timeout:.3g} s" if is_slow else "failed"
+        how = "failed"
+        if isinstance(error, subprocess.TimeoutExpired):
+            how = f"took more than {error.timeout:.3g} s"
         raise _UnavailableError(
             f"{shlex.join(command)}: the C compiler {how}; set CC to another C compiler"
         ) from error
