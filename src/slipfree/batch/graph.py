@@ -95,7 +95,7 @@ class Graphs(NamedTuple):
     # evaluations of a step, those of its error, need no more
     slopes: Graph
     bounds: tuple[int, ...]  # index of the limit to which each distance belongs
-    limits: ca.Function  # values of the limits
+    limits: Graph  # values of the limits
     outputs: Graph
     checks: tuple[PlacedCheck, ...]  # of samples
     wheels: dict[int, WheelCheck]  # those of wheels, by their indices
@@ -165,7 +165,7 @@ def graphs_of(dae: Dae) -> Graphs:
         graph("checked", *motion, watched[:n_f], watched[n_f], watched[n_f + 1 :], before),
         graph("slopes", derivatives[: rows.x.stop if n_before else 0]),
         bounds,
-        dae.function("limits", [state], [pack(tuple(each.expression for each in dae.limits))]),
+        graph("limits", pack(tuple(each.expression for each in dae.limits))),
         graph("outputs", pack(dae.y)),
         checks,
         {k: check for k, check in enumerate(checks) if isinstance(check, WheelCheck)},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -328,8 +328,8 @@ def _poses(evaluate: Evaluator, states: Array, sources: Mapping[str, Wanted]) ->
     graphs = evaluate.graphs
     codes = stand_checked(evaluate, states, stand(evaluate, states))
     outcomes, reasons = ["complete"] * codes.size, [""] * codes.size
-    for k in np.flatnonzero(codes >= 0):
-        outcomes[k], reasons[k] = _end(graphs, int(codes[k]), states[:, k])
+    for lane, outcome, reason in _ends(evaluate, codes, states):
+        outcomes[lane], reasons[lane] = outcome, reason
     if (failed := np.flatnonzero(codes == UNSOLVED)).size:
         words = obstacles(graphs.dae, *columns_of(graphs, states[:, failed])[:2])
         for k, reason in zip(failed, words, strict=True):
@@ -451,21 +451,24 @@ def run_lanes(
     disputed = has_pose & (motions.reason == UNSOLVED)
     for k in np.flatnonzero(~has_pose):
         outcomes[k], reasons[k] = FAILED, NO_POSE
-    for k in np.flatnonzero(has_pose & (motions.reason == INVALID_START)):
-        distances, state = motions.distances[:, k], motions.beyond[:, k]
-        code = graphs.bounds[int(smallest(distances[:, None])[0])] if distances.size else 0
-        if margins(distances) >= 0:
-            code = len(graphs.dae.limits) + int(clearances(evaluate, state[:, None])[:, 0].argmin())
-        words = _end(graphs, code, state)[1]
-        outcomes[k], reasons[k] = FAILED, str(invalid_start(words))
+    codes = np.where(motions.reason < 0, COMPLETE, motions.reason).astype(int)
+    invalid = has_pose & (motions.reason == INVALID_START)
+    if invalid.any():
+        distances = motions.distances[:, invalid]
+        failed = clearances(evaluate, motions.beyond[:, invalid]).argmin(axis=0)
+        bounds = np.array([*graphs.bounds, 0])[smallest(distances) if len(distances) else -1]
+        is_inside = margins(distances) >= 0
+        codes[invalid] = np.where(is_inside, len(graphs.dae.limits) + failed, bounds)
     for k in np.flatnonzero(has_pose & (motions.reason == TOO_FAST)):
         outcomes[k] = Outcome.SOLVER_FAILURE.name.lower()
         reasons[k] = (
             f"expected a motion of at most {MAX_STEPS} steps of {step:.3g} m between two samples, "
             "found a faster one; correct the inputs, or give more times"
         )
-    for k in np.flatnonzero(motions.reason >= 0):
-        outcomes[k], reasons[k] = _end(graphs, int(motions.reason[k]), motions.beyond[:, k])
+    for lane, outcome, words in _ends(evaluate, codes, motions.beyond):
+        outcomes[lane], reasons[lane] = outcome, words
+        if invalid[lane]:
+            outcomes[lane], reasons[lane] = FAILED, str(invalid_start(words))
     values = _values(evaluate, sources, motions.samples)
     columns = {name: Column(sources[name].label, each) for name, each in values.items()}
     for state, errors in zip(leaves(graphs.dae.labels.x), np.abs(motions.errors), strict=True):
@@ -478,13 +481,22 @@ def run_lanes(
     return LaneResults(columns, wheels, outcomes, reasons, end, error, disputed)
 
 
-def _end(graphs: Graphs, code: int, state: Array) -> tuple[str, str]:
-    """Return outcome and message of a violated limit or, after the limits, of a failed check."""
-    dae, (x, z, _) = graphs.dae, columns_of(graphs, state)
-    if code >= len(dae.limits):
-        return Outcome.LIMIT.name.lower(), dae.checks[code - len(dae.limits)].describe(x, z)
-    limit = dae.limits[code]
-    return limit.outcome.name.lower(), limit.message(float(graphs.limits(state)[code]), x, z)
+def _ends(evaluate: Evaluator, codes: Indices, states: Array) -> Iterator[tuple[int, str, str]]:
+    """Yield the columns whose codes are not negative, with outcome and message.
+
+    A code is the index of a violated limit or, after the limits, of a failed check.
+    """
+    dae, columns = evaluate.graphs.dae, np.flatnonzero(codes >= 0)
+    x, z, _ = columns_of(evaluate.graphs, states)
+    values = evaluate(evaluate.graphs.limits, states[:, columns])
+    for k, code, row in zip(columns.tolist(), codes[columns], values.T, strict=True):
+        if code >= len(dae.limits):
+            words = dae.checks[code - len(dae.limits)].describe(x[:, k], z[:, k])
+            yield k, Outcome.LIMIT.name.lower(), words
+        else:
+            limit = dae.limits[code]
+            words = limit.message(float(row[code]), x[:, k], z[:, k])
+            yield k, limit.outcome.name.lower(), words
 
 
 def columns_of(graphs: Graphs, states: Array) -> tuple[Array, Array, Array]:

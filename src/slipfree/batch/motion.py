@@ -461,16 +461,14 @@ class _Ends:
         times = step.states[self.rows.t] + np.reshape(PARTS, (-1, 1)) * step.h * number
         counts = np.ceil(np.diff(PARTS)[:, None] * number)
         parts = self._driven(step.states, times, counts)
-        for k in range(1, len(PARTS)):
-            at = parts[k].copy()
-            bad = clearances(self.evaluate, at).min(axis=0) < 0  # not where it is unsolved
-            part = _Step(parts[k - 1], (times[k] - times[k - 1]) / counts[k - 1])
-            few = counts[k - 1].astype(int)
-            self._end_at_checks(_of(bad, lanes), _of(bad, at), part.of(bad), _of(bad, few))
-            lanes, parts = _of(~bad, lanes), _of(~bad, parts)
-            times, counts = _of(~bad, times), _of(~bad, counts)
-            if not lanes.size:
-                break
+        at = np.moveaxis(parts[1:], 1, 0).copy()
+        clear = clearances(self.evaluate, at.reshape(len(at), -1)).min(axis=0)
+        bad = clear.reshape(counts.shape) < 0  # not where it is unsolved
+        first = np.where(bad.any(axis=0), bad.argmax(axis=0), len(counts))
+        for k in np.unique(first[first < len(counts)]):
+            here = first == k
+            part = _Step(parts[k], (times[k + 1] - times[k]) / counts[k]).of(here)
+            self._end_at_checks(lanes[here], at[:, k, here], part, counts[k, here].astype(int))
 
     def _end_at_checks(self, lanes: Indices, states: Array, step: _Step, number: Indices) -> None:
         """End lanes that fail a check, which is located between a sample and the states."""

@@ -398,7 +398,10 @@ static int is_far(const Tread *t, casadi_int i, double top, double gap) {
   double low = INFINITY, ends[2][2] = {{INFINITY, -INFINITY}, {INFINITY, -INFINITY}}, spoke[3];
   casadi_int j, k;
   spoke_of(t, i, spoke);
-  for (j = 0; j < t->across; j++) low = fmin(low, t->middles[3 * j + 2] + t->radii[j] * spoke[2]);
+  for (j = 0; j < t->across; j++) {
+    double at = t->middles[3 * j + 2] + t->radii[j] * spoke[2];
+    if (!(at >= low)) low = at;
+  }
   if (low - top > gap) return 1;
   for (j = 0; j < t->across; j++)
     for (k = 0; k < 2; k++) {
