@@ -421,11 +421,6 @@ def _check_axis(name: str, axis: Array) -> None:
             f"followed by {name}[{node}] = {axis[node]:.9g}; sort axis and heights together, and "
             "remove repeated nodes"
         )
-    _check_uniform(name, axis, steps)
-
-
-def _check_uniform(name: str, axis: Array, steps: Array) -> None:
-    """Raise DataError for an increasing axis that is not uniform."""
     tolerance = UNIFORMITY * (axis[-1] - axis[0])
     if np.abs(axis - np.linspace(axis[0], axis[-1], axis.size)).max() <= tolerance:
         return
@@ -479,7 +474,22 @@ def check_friction(mu: Friction) -> None:
     if mu is None:
         return
     if isinstance(mu, Grid):
-        _check_map(mu)
+        if mu.holes is not None and mu.holes.any():
+            i, j = np.argwhere(mu.holes)[0]
+            raise DataError(
+                f"friction: expected a coefficient at every node, found none at "
+                f"{np.count_nonzero(mu.holes)} of {mu.z.size}, the first at x = {mu.x[i]:.9g} m, "
+                f'y = {mu.y[j]:.9g} m; set fill = "linear" for holes inside the map, and cut off '
+                "those at its border"
+            )
+        if not mu.values.min() > 0:
+            bad = ~(mu.z > 0)
+            i, j = np.argwhere(bad)[0]
+            raise DataError(
+                f"friction: all coefficients must be positive, found {np.count_nonzero(bad)} of "
+                f"{bad.size} that are not, the first {mu.z[i, j]:g} at x = {mu.x[i]:.9g} m, "
+                f"y = {mu.y[j]:.9g} m; for ice give a small number"
+            )
     elif callable(mu):
         check_formula(mu, "friction", "coefficient")
 
@@ -541,23 +551,3 @@ def pad_axes(grid: Grid) -> tuple[Array, Array]:
         for axis, h in zip((grid.x, grid.y), grid.spacing, strict=True)
     )
     return x, y
-
-
-def _check_map(grid: Grid) -> None:
-    """Raise DataError for a map with nodes without a value, or values that are not positive."""
-    if grid.holes is not None and grid.holes.any():
-        i, j = np.argwhere(grid.holes)[0]
-        raise DataError(
-            f"friction: expected a coefficient at every node, found none at "
-            f"{np.count_nonzero(grid.holes)} of {grid.z.size}, the first at x = {grid.x[i]:.9g} m, "
-            f'y = {grid.y[j]:.9g} m; set fill = "linear" for holes inside the map, and cut off '
-            "those at its border"
-        )
-    if not grid.values.min() > 0:
-        bad = ~(grid.z > 0)
-        i, j = np.argwhere(bad)[0]
-        raise DataError(
-            f"friction: all coefficients must be positive, found {np.count_nonzero(bad)} of "
-            f"{bad.size} that are not, the first {grid.z[i, j]:g} at x = {grid.x[i]:.9g} m, "
-            f"y = {grid.y[j]:.9g} m; for ice give a small number"
-        )

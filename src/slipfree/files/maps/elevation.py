@@ -312,7 +312,22 @@ def _heights(path: Path, spacing: float | None, window: Window | None) -> Height
     )
     x, y = (UniformAxis(a * cell, cell, b - a + 1) for a, b in zip(first, last, strict=True))
     i, j = parts(x, y, window)
-    z, occupied = _gridded(points, x, y, (i, j))
+    # heights at nodes, NaN in cells without points; means relative to the first node, since sums of
+    # coordinates such as northings would lose digits
+    first_node = np.array([x.first, y.first])
+    columns = np.rint((points[:, :2] - first_node) / x.step).astype(np.int64).T
+    cells, which = np.unique(columns[0] * y.size + columns[1], return_inverse=True)
+    count = np.bincount(which)
+    means = [np.bincount(which, column) / count for column in (points[:, :2] - first_node).T]
+    means.append(np.bincount(which, points[:, 2]) / count)
+    z = interpolate_points(np.column_stack(means), np.zeros(2), x.step, (i, j))
+    a, b = (
+        each - nodes.start for each, nodes in zip(np.divmod(cells, y.size), (i, j), strict=True)
+    )
+    inside = (a >= 0) & (a < z.shape[0]) & (b >= 0) & (b < z.shape[1])
+    is_occupied = np.zeros(z.shape, bool)
+    is_occupied[a[inside], b[inside]] = True
+    z, occupied = np.where(is_occupied, z, np.nan), int(is_occupied.sum())
     chosen = ""
     if not spacing:
         chosen = f", chosen for {POINTS_PER_CELL:g} points in each (override with spacing)"
@@ -448,27 +463,6 @@ def _vertical_unit(keys: dict[int, int], vertical: Any) -> str:
     if name.lower() not in LENGTHS:
         refuse("heights in a unit of length", f"the unit {name!r}", TO_METRIC_HEIGHTS)
     return name
-
-
-def _gridded(
-    points: Array, x: UniformAxis, y: UniformAxis, part: tuple[slice, slice]
-) -> tuple[Array, int]:
-    """Return heights at nodes, NaN in cells without points, and the number of cells with points."""
-    first = np.array([x.first, y.first])
-    i, j = np.rint((points[:, :2] - first) / x.step).astype(np.int64).T
-    cells, which = np.unique(i * y.size + j, return_inverse=True)
-    count = np.bincount(which)
-    # relative to the first node: sums of coordinates such as northings would lose digits
-    means = [np.bincount(which, column) / count for column in (points[:, :2] - first).T]
-    z = np.bincount(which, points[:, 2]) / count
-    heights = interpolate_points(np.column_stack([*means, z]), np.zeros(2), x.step, part)
-    rows, columns = (
-        each - nodes.start for each, nodes in zip(np.divmod(cells, y.size), part, strict=True)
-    )
-    inside = (rows >= 0) & (rows < heights.shape[0]) & (columns >= 0) & (columns < heights.shape[1])
-    occupied = np.zeros(heights.shape, bool)
-    occupied[rows[inside], columns[inside]] = True
-    return np.where(occupied, heights, np.nan), int(occupied.sum())
 
 
 class DegreesError(DataError):

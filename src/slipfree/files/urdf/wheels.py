@@ -386,52 +386,47 @@ class Wheels:
         ground = min(bottoms, default=None)
         for pair in unlike:
             every = [joint.name for joint in pair]
-            self._choose_radius(every, [shapes[name].radius for name in every], ground)
+            radii = [shapes[name].radius for name in every]
+            large, small = radii
+            drives = [self.tree.drives.get(name) for name in every]
+            plugins = [drive and drive.radius for drive in drives]
+            height = None
+            if ground is not None:
+                height = float(self.tree.frames[self.tree.joints[every[0]].child][1][2]) - ground
+            sizes = {
+                "height": height,
+                "plugin of large": plugins[0],
+                "plugin of small": plugins[1],
+                "large": large,
+                "small" if 2 * small > large else "tiny": small,
+            }
+            known: list[float] = []  # equal choices have one text
+            facts: dict[str, Any] = {"names": every}
+            for fact, size in sizes.items():
+                if size and size > 0:
+                    same = (one for one in known if math.isclose(one, size, rel_tol=ALIKE))
+                    known.append(next(same, round(size, 6)))
+                    facts[fact] = f"{known[-1]:g} m"
+            choice = weigh(evidence("radius", facts))
+            best, other_size = (float(each.split()[0]) for each in (choice.choice, choice.rival))
+            wheels = [{name: {"radius": size} for name in every} for size in (best, other_size)]
+            if choice.is_open:
+                self._findings.ask(
+                    [self.tree.joints[every[1]]],
+                    f"expected the radius of its counterpart {every[0]}, {large:g} m, found "
+                    f"{small:g} m (radius {choice.choice}: {choice.reason});",
+                    *(f"wheels = {toml_value(each)}" for each in wheels),
+                )
+            for name, radius in zip(every, radii, strict=True):
+                given = self._given.get(name, WheelRole())
+                if not math.isclose(radius, best, rel_tol=ALIKE) and not choice.is_open:
+                    reason = f"of radius {choice.choice}: {choice.reason}"
+                    line = toml_line("joints", name, kind="fixed")
+                    if 2 * radius > best:
+                        line = toml_line("wheels", name, radius=radius)
+                    self._findings.guess("wheels", name, {"radius": best}, reason, line)
+                self._given[name] = replace(given, radius=given.radius or best)
         return names
-
-    def _choose_radius(
-        self, names: Sequence[str], radii: Sequence[float], ground: float | None
-    ) -> None:
-        """Guess the radius of two opposite wheels, or add an error if the evidence disagrees."""
-        large, small = radii
-        drives = [self.tree.drives.get(name) for name in names]
-        plugins = [drive and drive.radius for drive in drives]
-        height = None
-        if ground is not None:
-            height = float(self.tree.frames[self.tree.joints[names[0]].child][1][2]) - ground
-        sizes = {
-            "height": height,
-            "plugin of large": plugins[0],
-            "plugin of small": plugins[1],
-            "large": large,
-            "small" if 2 * small > large else "tiny": small,
-        }
-        known: list[float] = []  # equal choices have one text
-        facts: dict[str, Any] = {"names": names}
-        for fact, size in sizes.items():
-            if size and size > 0:
-                same = (one for one in known if math.isclose(one, size, rel_tol=ALIKE))
-                known.append(next(same, round(size, 6)))
-                facts[fact] = f"{known[-1]:g} m"
-        choice = weigh(evidence("radius", facts))
-        best, other_size = (float(each.split()[0]) for each in (choice.choice, choice.rival))
-        wheels = [{name: {"radius": size} for name in names} for size in (best, other_size)]
-        if choice.is_open:
-            self._findings.ask(
-                [self.tree.joints[names[1]]],
-                f"expected the radius of its counterpart {names[0]}, {large:g} m, found "
-                f"{small:g} m (radius {choice.choice}: {choice.reason});",
-                *(f"wheels = {toml_value(each)}" for each in wheels),
-            )
-        for name, radius in zip(names, radii, strict=True):
-            given = self._given.get(name, WheelRole())
-            if not math.isclose(radius, best, rel_tol=ALIKE) and not choice.is_open:
-                reason = f"of radius {choice.choice}: {choice.reason}"
-                other = toml_line("joints", name, kind="fixed")
-                if 2 * radius > best:
-                    other = toml_line("wheels", name, radius=radius)
-                self._findings.guess("wheels", name, {"radius": best}, reason, other)
-            self._given[name] = replace(given, radius=given.radius or best)
 
     def _high(
         self, joints: Sequence[UrdfJoint], paired: Collection[str]
@@ -831,41 +826,14 @@ def wheel_guesses(
     tree: Tree, wheels: Sequence[UrdfJoint], unread: Collection[str], roles: UrdfTable
 ) -> Iterator[tuple[str, Evidence]]:
     """Yield the wheels that joints probably carry, with the name of the joint."""
-    guesses = dict(_named_wheels(tree, wheels, roles))
-    rolling = [*wheels, *(tree.joints[name] for name in guesses if tree.joints[name].moves)]
-    for caster, parts, guess in casters(tree, rolling, roles.joints):
-        guesses = {name: each for name, each in guesses.items() if name not in parts}
-        guesses[caster] = guess
-    yield from guesses.items()
-    sized = [
-        tree.joints[name]
-        for name, guess in guesses.items()
-        if guess.fact.radius or tree.links[tree.joints[name].child].shapes
-    ]
-    everything = [*wheels, *sized]
-    known = {*unread, *roles.joints, *tree.fixed_to_wheels, *(wheel.name for wheel in everything)}
-    ends = [j for j in tree.joints.values() if tree.is_last(j) and j.name not in known]
-    for wheel in everything:
-        other = tree.mirror_image(wheel, ends)
-        if other is not None and tree.mirror_image(wheel, everything) is None:
-            # a counterpart gives the radius of a wheel without a shape
-            role = WheelRole(radius=tree.radius_of(wheel) or None)
-            if role.radius is None and wheel in sized:
-                role = guesses[wheel.name].fact
-            yield other.name, wheel_evidence(role, "mirrored", other=wheel.name)
-
-
-def _named_wheels(
-    tree: Tree, wheels: Sequence[UrdfJoint], roles: UrdfTable
-) -> Iterator[tuple[str, Evidence]]:
-    """Yield the wheels that names, such as "wheel", or a given radius of meshes suggest."""
+    guesses = dict[str, Evidence]()  # by names, such as "wheel", or a given radius of meshes
     frames, on_wheels = tree.frames, tree.fixed_to_wheels
     grounds = [frames[link][1][2] for link in tree.links if FOOTPRINT.search(link)]
     heights: dict[str, float] = {}
     for joint in tree.joints.values():
         link, is_named = tree.links[joint.child], WHEEL.search(joint.names)
-        known = joint in wheels or joint.name in {*roles.joints, *on_wheels}
-        if known or joint.type == "prismatic" or not tree.is_last(joint):
+        is_known = joint in wheels or joint.name in {*roles.joints, *on_wheels}
+        if is_known or joint.type == "prismatic" or not tree.is_last(joint):
             continue
         if joint.moves and not tree.is_level(joint):
             continue
@@ -891,11 +859,32 @@ def _named_wheels(
             "name": joint.moves and not link.meshes and named,
         }
         if found := next(evidence("wheel", facts), None):
-            yield joint.name, found
+            guesses[joint.name] = found
         elif is_named and link.meshes and height > 0:
             heights[joint.name] = height
     for name in heights:  # the radius of all is that of the lowest one
-        yield name, wheel_evidence(WheelRole(radius=min(heights.values())), "footprint")
+        guesses[name] = wheel_evidence(WheelRole(radius=min(heights.values())), "footprint")
+    rolling = [*wheels, *(tree.joints[name] for name in guesses if tree.joints[name].moves)]
+    for caster, parts, guess in casters(tree, rolling, roles.joints):
+        guesses = {name: each for name, each in guesses.items() if name not in parts}
+        guesses[caster] = guess
+    yield from guesses.items()
+    sized = [
+        tree.joints[name]
+        for name, guess in guesses.items()
+        if guess.fact.radius or tree.links[tree.joints[name].child].shapes
+    ]
+    everything = [*wheels, *sized]
+    known = {*unread, *roles.joints, *tree.fixed_to_wheels, *(wheel.name for wheel in everything)}
+    ends = [j for j in tree.joints.values() if tree.is_last(j) and j.name not in known]
+    for wheel in everything:
+        other = tree.mirror_image(wheel, ends)
+        if other is not None and tree.mirror_image(wheel, everything) is None:
+            # a counterpart gives the radius of a wheel without a shape
+            role = WheelRole(radius=tree.radius_of(wheel) or None)
+            if role.radius is None and wheel in sized:
+                role = guesses[wheel.name].fact
+            yield other.name, wheel_evidence(role, "mirrored", other=wheel.name)
 
 
 def sliding_wheels(tree: Tree, wheels: Sequence[UrdfJoint]) -> Iterator[tuple[str, Evidence]]:
