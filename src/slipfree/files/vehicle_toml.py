@@ -54,19 +54,10 @@ from slipfree.files.toml import (
     value_errors,
 )
 from slipfree.geometry.frame import Vector, in_axes, unit_vector
+from slipfree.vehicle import tree
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS, names_in
 from slipfree.vehicle.sections import SECTIONS, Omni, Section, section_of_radii
 from slipfree.vehicle.shapes import SHAPES, Ball, BodyShape, Box, Hull
-from slipfree.vehicle.tree import (
-    PARENT,
-    Body,
-    Coordinate,
-    Joint,
-    Kind,
-    Vehicle,
-    VehicleParts,
-    part_faults,
-)
 from slipfree.vehicle.wheel import DRIVES, ORIGIN, RATE, Drive, Wheel
 
 RESERVED_NAMES = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
@@ -119,14 +110,14 @@ def toml_line(table: str, name: str, **values: Value) -> str:
 
 
 @dataclass(frozen=True)
-class Draft(VehicleParts):
+class Draft(tree.VehicleParts):
     """Parts of a vehicle read from a file, not yet validated as a vehicle."""
 
     guesses: tuple[Guess, ...] = ()  # guesses that the reader made
 
-    def vehicle(self) -> Vehicle:
+    def vehicle(self) -> tree.Vehicle:
         """Return the vehicle; raise ModelError if the parts do not form one."""
-        return Vehicle(*(getattr(self, part.name) for part in fields(VehicleParts)))
+        return tree.Vehicle(*(getattr(self, part.name) for part in fields(tree.VehicleParts)))
 
 
 class VehicleError(ProblemError):
@@ -237,12 +228,12 @@ def turned_right(vector: Vector) -> Vector:
     return 0.0 - left, forward, up
 
 
-def _turned_body(body: Body) -> Body:
+def _turned_body(body: tree.Body) -> tree.Body:
     """Return a body converted from axes x forward, y left to axes x right, y forward."""
     inertia = None if body.inertia is None else in_axes(FORWARD_UP, body.inertia)
     # a box keeps its own axes: x forward, y left
     shapes = tuple(placed(shape, FORWARD_UP, np.zeros(3)) for shape in body.shapes)
-    return Body(body.mass, turned_right(body.at), inertia, shapes)
+    return tree.Body(body.mass, turned_right(body.at), inertia, shapes)
 
 
 def placed(shape: BodyShape, rotation: Array, origin: Array) -> BodyShape:
@@ -282,7 +273,7 @@ def rotation_of(turned: Vector) -> Array:
     return np.asarray(about_z @ about_y @ about_x)
 
 
-def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
+def vehicle_text(vehicle: tree.Vehicle, comments: Sequence[str] = ()) -> str:
     """Return the text of a vehicle file, without the vehicle's notes and with leading comments."""
     document = tomlkit.document()
     for line in comments:
@@ -301,7 +292,7 @@ def vehicle_text(vehicle: Vehicle, comments: Sequence[str] = ()) -> str:
     return tomlkit.dumps(document)
 
 
-def _mass_keys(body: Body) -> dict[str, Any]:
+def _mass_keys(body: tree.Body) -> dict[str, Any]:
     """Return the keys of mass, centre of mass, inertia and shapes that differ from defaults."""
     kinds = {kind: name for name, kind in SHAPES.items()}
     shapes = [{"kind": kinds[type(shape)], **_given(shape)} for shape in body.shapes]
@@ -476,7 +467,7 @@ class CoordinateTable(Record):
     """Table of a coordinate: an angle or length that determines the motion of joints."""
 
     name: Name
-    kind: Kind
+    kind: tree.Kind
     words: str | None = None
     lower: Quantity | None = None
     upper: Quantity | None = None
@@ -604,7 +595,7 @@ def validated(model: type[Record], file: File) -> Any:
         table = model.model_validate(file.data)
     except ValidationError as error:
         faults = list[Fault]()
-        words = {"frame": FRAMES, "parent": PARENT, "wheels": "at least three wheels"}
+        words = {"frame": FRAMES, "parent": tree.PARENT, "wheels": "at least three wheels"}
         for each in error.errors(include_url=False):
             place = tuple(each["loc"])
             if each["type"] == "missing" and isinstance(place[-1], str):
@@ -622,7 +613,7 @@ def read_toml(file: File) -> Draft:
     table: VehicleTable = validated(VehicleTable, file)
     faults = [
         *_name_errors(table),
-        *starmap(Fault, part_faults(table.coordinates, table.joints, table.wheels, ADD)),
+        *starmap(Fault, tree.part_faults(table.coordinates, table.joints, table.wheels, ADD)),
         *_loop_errors(table),
         *_dimension_errors(table),
         *couple_errors(table.couple, [joint.name for joint in table.joints]),
@@ -756,13 +747,13 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
                 faults.append(Fault((part, index), f"a valid {part[:-1]}", str(error)))
         return tuple(made)
 
-    def coordinate(table: CoordinateTable) -> Coordinate:
+    def coordinate(table: CoordinateTable) -> tree.Coordinate:
         keys = {key: value for key, value in table if value is not None}
-        return Coordinate(**{"words": table.name.replace("_", " "), **keys})
+        return tree.Coordinate(**{"words": table.name.replace("_", " "), **keys})
 
-    def joint(table: JointTable) -> Joint:
+    def joint(table: JointTable) -> tree.Joint:
         keys = table.model_dump(exclude={"mass", "center_of_mass", "inertia", "shapes"})
-        return Joint(**keys, body=next(bodies))
+        return tree.Joint(**keys, body=next(bodies))
 
     coordinates = build("coordinates", coordinate)
     bodies = iter([_body(part, faults, ("joints", k)) for k, part in enumerate(table.joints)])
@@ -776,13 +767,13 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
     return draft, [f for f in faults if f.place[0] == "coordinates" or f.place[-1] == "inertia"]
 
 
-def _body(table: JointTable | VehicleTable, faults: list[Fault], place: Place) -> Body:
+def _body(table: JointTable | VehicleTable, faults: list[Fault], place: Place) -> tree.Body:
     shapes = tuple(SHAPES[s.kind](**s.model_dump(exclude={"kind"})) for s in table.shapes)
     try:
-        return Body(table.mass, table.center_of_mass, table.inertia, shapes)
+        return tree.Body(table.mass, table.center_of_mass, table.inertia, shapes)
     except ModelError as error:
         faults.append(Fault((*place, "inertia"), "a valid inertia", str(error)))
-        return Body(table.mass, table.center_of_mass, shapes=shapes)
+        return tree.Body(table.mass, table.center_of_mass, shapes=shapes)
 
 
 def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:

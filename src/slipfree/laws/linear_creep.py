@@ -17,20 +17,13 @@ import numpy as np
 from annotated_types import Gt, Le, Unit
 
 from slipfree.core.arguments import checked
-from slipfree.laws.coulomb import (
-    MAX_CREEP,
-    FrictionUnknowns,
-    OfFriction,
-    SlipStiffness,
-    equation_labels,
-    squared_creep,
-)
+from slipfree.laws import coulomb
 from slipfree.laws.protocols import Equations, Reaction, SlidingContacts, wheel_limits
 
 
 @checked
 @dataclass(frozen=True)
-class LinearCreep(OfFriction):
+class LinearCreep(coulomb.OfFriction):
     """Linear creep up to the friction limit.
 
     The tangential force on a wheel is ``mu N p`` with ``sqrt(eps^2 + (mu / K)^2) p + s = 0``, where
@@ -50,11 +43,11 @@ class LinearCreep(OfFriction):
         If a number is outside its bounds.
     """
 
-    creep: Annotated[float, Gt(0), Le(MAX_CREEP), Unit("m/s")] = 1e-3
-    slip_stiffness: SlipStiffness = math.inf
+    creep: Annotated[float, Gt(0), Le(coulomb.MAX_CREEP), Unit("m/s")] = 1e-3
+    slip_stiffness: coulomb.SlipStiffness = math.inf
     subject: ClassVar = "linear creep"
 
-    def reaction(self, contacts: SlidingContacts, unknowns: FrictionUnknowns) -> Reaction:
+    def reaction(self, contacts: SlidingContacts, unknowns: coulomb.FrictionUnknowns) -> Reaction:
         """Return the contact forces, the equations of contact and friction, and the cone."""
         normal, *used = unknowns
         slips = contacts.along, contacts.across
@@ -63,11 +56,11 @@ class LinearCreep(OfFriction):
             for parts in used
         )
         creep = [
-            ca.sqrt(squared_creep(self.creep, self.slip_stiffness, mu)) * p + s
+            ca.sqrt(coulomb.squared_creep(self.creep, self.slip_stiffness, mu)) * p + s
             for parts, slip in zip(used, slips, strict=True)
             for p, s, mu in zip(parts, slip, contacts.friction, strict=True)
         ]
-        labels = equation_labels(contacts.vehicle)
+        labels = coulomb.equation_labels(contacts.vehicle)
         squares = (a**2 + c**2 for a, c in zip(*used, strict=True))
         limits = wheel_limits(contacts.vehicle, "friction_cone", squares, -np.inf, 1.0)
         rows = ca.vertcat(*contacts.normal, *creep)

@@ -21,25 +21,7 @@ from slipfree.core.lookups import LookupTable, lookup_function
 from slipfree.core.quantities import quantity_label
 from slipfree.core.records import Array, leaves, pack, symbols
 from slipfree.core.trajectory import Column, Trajectory
-from slipfree.models.base import (
-    Algebraic,
-    ForceOutputs,
-    Forces,
-    Mechanics,
-    Quantities,
-    State,
-    VehicleState,
-    carriers,
-    check_mass,
-    contact_frames,
-    is_determinate,
-    labels_of,
-    map_offsets,
-    masses_of,
-    platform_pose,
-    spins,
-    values_of,
-)
+from slipfree.models import base
 from slipfree.models.force_distribution import least_utilisation
 from slipfree.models.limits import tip_over_margin
 from slipfree.models.samples import coordinates, slip_velocities
@@ -53,7 +35,9 @@ MAX_UPRIGHT_LEAN = 0.02  # a wheel with a smaller lean counts as upright [rad]
 BEST = quantity_label("utilisation_best")
 
 
-def mechanics(state: State, contacts: Sequence[ContactFrame], slips: Sequence[ca.SX]) -> Mechanics:
+def mechanics(
+    state: base.State, contacts: Sequence[ContactFrame], slips: Sequence[ca.SX]
+) -> base.Mechanics:
     """Return the terms of the equilibrium of a vehicle; ``slips`` are those of its wheels."""
     vehicle, rates, u = state.vehicle, state.rates, state.u
     components = [
@@ -61,8 +45,8 @@ def mechanics(state: State, contacts: Sequence[ContactFrame], slips: Sequence[ca
         for touch, velocity in zip(contacts, slips, strict=True)
     ]
     unknown, given = pack(rates.motion), pack(u)
-    values = values_of(state)
-    height = sum(mass * center[2] for _, mass, center in masses_of(state))
+    values = base.values_of(state)
+    height = sum(mass * center[2] for _, mass, center in base.masses_of(state))
     springs = sum(c.potential(values[c.name]) for c in vehicle.coordinates if c.is_loaded)
     potential = ca.SX(vehicle.gravity * height + springs)
     pairs = [
@@ -75,7 +59,7 @@ def mechanics(state: State, contacts: Sequence[ContactFrame], slips: Sequence[ca
     # the damper force is the gradient of the dissipation function, which is half the power
     lost = power + damped / 2
     slip = ca.vertcat(*components)
-    return Mechanics(
+    return base.Mechanics(
         ca.jacobian(slip, unknown),
         ca.jacobian(slip, given),
         -ca.gradient(lost, unknown),
@@ -90,12 +74,12 @@ def mechanics(state: State, contacts: Sequence[ContactFrame], slips: Sequence[ca
     )
 
 
-def equilibrium(parts: Mechanics, forces: ca.SX) -> ca.SX:
+def equilibrium(parts: base.Mechanics, forces: ca.SX) -> ca.SX:
     """Return the equilibrium residual divided by the weight, shape (n_rates, 1) [1, m]."""
     return (parts.free.T @ forces + parts.load) / parts.weight
 
 
-def contact_force_residuals(q: Quantities) -> ca.SX:
+def contact_force_residuals(q: base.Quantities) -> ca.SX:
     """Return the residuals that determine the contact forces of a motion; empty without mass.
 
     Where equilibrium does not determine the forces, the tangential forces ``f_t`` minimise ``sum
@@ -108,13 +92,13 @@ def contact_force_residuals(q: Quantities) -> ca.SX:
     if not q.vehicle.mass:
         return ca.SX(0, 1)
     balanced = equilibrium(q.mechanics, q.forces.column)
-    if is_determinate(q.vehicle):
+    if base.is_determinate(q.vehicle):
         return balanced
     slip = q.mechanics.free @ pack(q.forces.virtual)
     return ca.vertcat(balanced, slip[2::3])
 
 
-def with_tangential(forces: Forces, parts: Mechanics) -> Forces:
+def with_tangential(forces: base.Forces, parts: base.Mechanics) -> base.Forces:
     """Return forces with the tangential ones that follow from virtual rates: ``-mu N s_t``."""
     if not forces.virtual:
         return forces
@@ -133,19 +117,21 @@ def with_tangential(forces: Forces, parts: Mechanics) -> Forces:
 
 def closure_quantities(
     vehicle: Vehicle, terrain: Terrain, labels: Labels
-) -> tuple[Algebraic, Quantities]:
+) -> tuple[base.Algebraic, base.Quantities]:
     """Return the algebraic unknowns of a closure model and the expressions that contain them."""
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
-    state = VehicleState(vehicle, terrain, LookupTable(), x, z.position, z.rates, u)
-    poses = carriers(state)
-    contacts = contact_frames(state, poses, z.position.contacts)
+    state = base.VehicleState(vehicle, terrain, LookupTable(), x, z.position, z.rates, u)
+    poses = base.carriers(state)
+    contacts = base.contact_frames(state, poses, z.position.contacts)
     slips = slip_velocities(state, contacts)
     parts = mechanics(state, contacts, slips)
-    of_wheels = with_tangential(z.forces, parts), poses, contacts, slips, spins(state)
-    return z, Quantities(*state, *of_wheels, parts, tip_over_margin(state, contacts))
+    of_wheels = with_tangential(z.forces, parts), poses, contacts, slips, base.spins(state)
+    return z, base.Quantities(*state, *of_wheels, parts, tip_over_margin(state, contacts))
 
 
-def force_outputs(q: Quantities, labels: ForceOutputs | tuple[()]) -> ForceOutputs | tuple[()]:
+def force_outputs(
+    q: base.Quantities, labels: base.ForceOutputs | tuple[()]
+) -> base.ForceOutputs | tuple[()]:
     """Return the output forces, efforts and energies; empty if the vehicle has no mass.
 
     The ``labels`` of the outputs include tangential forces that are not unknowns.
@@ -163,7 +149,7 @@ def force_outputs(q: Quantities, labels: ForceOutputs | tuple[()]) -> ForceOutpu
         a * ca.dot(touch.along, s) + c * ca.dot(touch.across, s)
         for a, c, touch, s in zip(along, across, q.contacts, q.slips, strict=True)
     ]
-    return ForceOutputs(
+    return base.ForceOutputs(
         along if labels.along else (),
         across if labels.across else (),
         tuple(_used(a, c, n) for a, c, n, _ in wheels),
@@ -211,19 +197,19 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
         If the vehicle has no mass, if not all of its wheels can touch a rigid ground, or if the
         motion lacks a coordinate or a rate.
     """
-    check_mass(vehicle, "best friction utilisation")
+    base.check_mass(vehicle, "best friction utilisation")
     check_exact_closure(
         vehicle,
         "best friction utilisation",
         "use 'utilisation', which holds for the loads of pressed wheels",
     )
-    labels = labels_of(vehicle)
+    labels = base.labels_of(vehicle)
     required = labels.x, labels.z.position, labels.z.rates.motion, labels.u
     _, q = closure_quantities(vehicle, terrain, labels)
     given = [pack((q.x, q.position, q.rates.motion, q.u))]
     f = lookup_function(q.lookups.lookups, "hold", given, _equilibrium_terms(q.mechanics))
     rows = np.array([run.of(label) for label in leaves(required)])
-    rows -= map_offsets(terrain, required)[:, None]
+    rows -= base.map_offsets(terrain, required)[:, None]
     columns, loads, friction = (np.array(out) for out in f.map(run.t.size)(rows))
     matrix = columns.reshape(len(columns), run.t.size, -1).transpose(1, 0, 2)
     known = np.isfinite(matrix).all(axis=(1, 2)) & (friction > 0).all(axis=0)
@@ -233,12 +219,12 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     return replace(run, columns={**run.columns, BEST.name: Column(BEST, best)})
 
 
-def _equilibrium_terms(parts: Mechanics) -> list[ca.SX]:
+def _equilibrium_terms(parts: base.Mechanics) -> list[ca.SX]:
     """Return the equilibrium's matrix, its load divided by the weight, and the wheels' friction."""
     return [parts.free.T, parts.load / parts.weight, ca.vertcat(*parts.friction)]
 
 
-def diagnosis(z: Algebraic, q: Quantities) -> Callable[[Array, Array], str]:
+def diagnosis(z: base.Algebraic, q: base.Quantities) -> Callable[[Array, Array], str]:
     """Return a function ``describe(x, z)`` that reports why there is no equilibrium at a state.
 
     The text names the friction needed, and the largest lean of a wheel if it exceeds 0.02 rad. It
@@ -247,7 +233,7 @@ def diagnosis(z: Algebraic, q: Quantities) -> Callable[[Array, Array], str]:
     x, contacts = q.x, q.contacts
     normal = sum((each.normal for each in contacts), ca.SX.zeros(3))
     uphill, slope = -normal[:2], ca.acos(normal[2] / ca.norm_2(normal))
-    forward = platform_pose(q).rotation[:2, 1]
+    forward = base.platform_pose(q).rotation[:2, 1]
     aside = ca.fabs(uphill[0] * forward[1] - uphill[1] * forward[0])
     angles = [slope, ca.atan2(aside, ca.dot(uphill, forward))]
     lean = ca.acos(ca.fmin(ca.mmin(ca.vertcat(*(each.uprightness for each in contacts))), 1))

@@ -57,25 +57,7 @@ from slipfree.core.records import Label, leaves, pack
 from slipfree.core.schema import NonNegative
 from slipfree.core.trajectory import Column, Trajectory
 from slipfree.laws.least_slip import slip_unit
-from slipfree.models.given_rates import (
-    COMMANDS,
-    LEAST_MARGIN,
-    OMEGA,
-    GivenRates,
-    Imposed,
-    SolveFor,
-    angle_slopes,
-    command_determinacy,
-    command_sizes,
-    derived_rates,
-    guided,
-    guiding_motion,
-    impose,
-    minimum,
-    rolling_determinacy,
-    steering_errors,
-    steering_laws,
-)
+from slipfree.models import given_rates
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
@@ -90,9 +72,9 @@ def inverse_kinematics(
     ground: Terrain,
     *,
     given: Sequence[str],
-    solve_for: SolveFor = "angles",
+    solve_for: given_rates.SolveFor = "angles",
     exact: bool = True,
-    least_margin: NonNegative = LEAST_MARGIN,
+    least_margin: NonNegative = given_rates.LEAST_MARGIN,
 ) -> Dae:
     """Return the model of a vehicle's motion under given rates of its platform.
 
@@ -160,12 +142,12 @@ def inverse_kinematics(
     >>> run["wheel_rate"][-1].round(3)
     array([1.498, 1.164, 2.025])
     """
-    rates = GivenRates(given, solve_for, exact, least_margin)
+    rates = given_rates.GivenRates(given, solve_for, exact, least_margin)
     rates.check(vehicle)
     return invert(direct_kinematics(vehicle, ground, slip=rates.slip), rates)
 
 
-def invert(direct: Dae, given: GivenRates) -> Dae:
+def invert(direct: Dae, given: given_rates.GivenRates) -> Dae:
     """Return the inverse of a direct model with the slip law of the given rates, in its symbols.
 
     The rates must be checked before (`GivenRates.check`).
@@ -173,20 +155,20 @@ def invert(direct: Dae, given: GivenRates) -> Dae:
     if given.are_commands:
         return _commanded(direct, tuple(given.names), exact=given.exact)
     build = _solved_for_angles if given.solve_for == "angles" else _solved_for_rates
-    dae, derived = build(direct, given.names), derived_rates(direct)
-    rest = [derived[name] for name in OMEGA if name not in given.names]
-    check = rolling_determinacy(direct, dae, *given[:2], given.least_margin)
+    dae, derived = build(direct, given.names), given_rates.derived_rates(direct)
+    rest = [derived[name] for name in given_rates.OMEGA if name not in given.names]
+    check = given_rates.rolling_determinacy(direct, dae, *given[:2], given.least_margin)
     return with_outputs(replace(dae, checks=(*dae.checks, check)), rest)
 
 
 def _solved_for_rates(direct: Dae, given: Sequence[str]) -> Dae:
     """Return the inverse model for three given rates, with steering rates as unknowns."""
-    (x, z, u), imposed = variables(direct), impose(direct, given)
+    (x, z, u), imposed = variables(direct), given_rates.impose(direct, given)
     rates = (*imposed.rates, *leaves(u))
     closure, _, forces = blocks(direct)
     equations = closure, (imposed.rows, imposed.labels), forces
     dae = rearrange(direct, x, (z.position, rates, z.forces), imposed.inputs, equations)
-    slopes = angle_slopes(direct, imposed.rows)
+    slopes = given_rates.angle_slopes(direct, imposed.rows)
     if not slopes:
         return dae
     unknowns = pack(tuple(each.symbol for each in rates))
@@ -203,7 +185,7 @@ def _solved_for_angles(direct: Dae, given: Sequence[str]) -> Dae:
     """
     joints = direct.u.joints
     still = substitute(direct, joints, [ca.SX(0)] * len(joints))
-    (x, z, u), imposed = variables(still), impose(still, given)
+    (x, z, u), imposed = variables(still), given_rates.impose(still, given)
     turned = {c.name for c in direct.vehicle.of("commanded")}
     angles = tuple(each for each in x.joints if each.label.full in turned)
     x = x._replace(joints=tuple(each for each in x.joints if each.label.full not in turned))
@@ -223,10 +205,10 @@ def _solved_for_angles(direct: Dae, given: Sequence[str]) -> Dae:
 def _commanded(direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
     """Return the inverse model of any vehicle for commands of its platform."""
     vehicle = direct.vehicle
-    (x, z, u), imposed = variables(direct), impose(direct, given)
-    inputs, plane = imposed.inputs, derived_rates(direct)
-    conditions, guide = guiding_motion(direct, inputs)
-    errors = steering_errors(direct, guide)
+    (x, z, u), imposed = variables(direct), given_rates.impose(direct, given)
+    inputs, plane = imposed.inputs, given_rates.derived_rates(direct)
+    conditions, guide = given_rates.guiding_motion(direct, inputs)
+    errors = given_rates.steering_errors(direct, guide)
     off = [each.symbol - plane[each.label.name].expression for each in inputs]
     met = given
     if not exact:
@@ -247,11 +229,12 @@ def _commanded(direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
         along, driving = ca.vertcat(*direct.y.slip_along), ca.vertcat(*direct.u.wheels)
         turning = ca.jacobian(along, driving)
         driven = [k for k in range(along.numel()) if turning[k, :].nnz()]
-        (moving,) = guided(direct, guide, [along])
-        slip, sizes = (moving + turning @ driving)[driven], command_sizes(vehicle, given)
+        (moving,) = given_rates.guided(direct, guide, [along])
+        slip = (moving + turning @ driving)[driven]
+        sizes = given_rates.command_sizes(vehicle, given)
         misses = ca.vertcat(*(size * error for size, error in zip(sizes, off, strict=True)))
         goal = ca.SX(0.5 * (ca.sumsqr(slip) + ERROR_WEIGHT * ca.sumsqr(misses)))
-    motion = minimum(
+    motion = given_rates.minimum(
         direct,
         goal,
         ca.vertcat(*rows),
@@ -266,29 +249,33 @@ def _commanded(direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
     unknowns = tuple(part[0] for part in parts)
     dae = rearrange(direct, x, unknowns, inputs, [part[1:] for part in parts])
     joints = {each.name: each for each in direct.labels.x.joints}
-    extra: list[tuple[Label, ca.SX]] = [plane[name] for name in COMMANDS if name not in given]
+    extra: list[tuple[Label, ca.SX]] = [
+        plane[name] for name in given_rates.COMMANDS if name not in given
+    ]
     extra += zip(direct.labels.u.joints, direct.u.joints, strict=True)
     for name, error in errors.items():
         words = f"target minus actual {joints[name].words}"
         extra.append((Label(f"{name}_error", joints[name].unit, words), error))
     for name, error in () if exact else zip(given, off, strict=True):
         words = f"error of the given {name}"
-        extra.append((replace(COMMANDS[name], name=f"{name}_error", words=words), error))
+        extra.append(
+            (replace(given_rates.COMMANDS[name], name=f"{name}_error", words=words), error)
+        )
     dae = with_outputs(dae, extra)
-    dae = substitute(dae, direct.u.joints, steering_laws(vehicle, errors))
+    dae = substitute(dae, direct.u.joints, given_rates.steering_laws(vehicle, errors))
     if not met:  # rates jump where a wheel reverses, and the integrator's error test would fail
         return replace(dae, suppress_algebraic=True)
-    check = command_determinacy(direct, dae, met)
+    check = given_rates.command_determinacy(direct, dae, met)
     return replace(dae, checks=(*dae.checks, check))
 
 
-def _multipliers(imposed: Imposed, given: Sequence[str]) -> list[Label]:
+def _multipliers(imposed: given_rates.Imposed, given: Sequence[str]) -> list[Label]:
     """Return the labels of the multipliers of the direct model's equations and of given rates."""
     labels = [replace(rate.label, name=f"response_{rate.label.name}") for rate in imposed.rates]
     return labels + [
         Label(
             f"multiplier_{name}",
-            slip_unit(COMMANDS[name].unit),
+            slip_unit(given_rates.COMMANDS[name].unit),
             f"multiplier of the given rate '{name}'; large where the wheels cannot impose it "
             "together with the others: then remove it",
         )

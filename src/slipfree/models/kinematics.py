@@ -57,34 +57,7 @@ from slipfree.laws.protocols import (
     quantity_labels,
     wheel_labels,
 )
-from slipfree.models.base import (
-    Algebraic,
-    Configuration,
-    Dependent,
-    Forces,
-    KinematicDae,
-    Mechanics,
-    PressedContacts,
-    Quantities,
-    RelaxedState,
-    VehicleState,
-    at_rest,
-    carriers,
-    check_mass,
-    contact_checks,
-    contact_frames,
-    equilibrium_labels,
-    extent,
-    joint_rates,
-    labels_of,
-    level_heights,
-    outputs,
-    pressed_labels,
-    raised_poses,
-    slip_ratios,
-    spins,
-    vehicle_dae,
-)
+from slipfree.models import base
 from slipfree.models.friction_feasibility import (
     closure_quantities,
     contact_force_residuals,
@@ -102,8 +75,8 @@ from slipfree.vehicle.tree import Body, Vehicle
 
 def closure_dae(
     labels: Labels,
-    z: Algebraic,
-    q: Quantities,
+    z: base.Algebraic,
+    q: base.Quantities,
     law: Equations,
     forces: ca.SX,
     *,
@@ -120,21 +93,21 @@ def closure_dae(
     rates, sampled = q.rates, force_outputs(q, labels.y.forces)
     parts = q.mechanics
     holding = Holding(parts.free, parts.load / parts.weight, ca.vertcat(*parts.friction))
-    y = outputs(q, sampled)
-    heights, centers = level_heights(q)
+    y = base.outputs(q, sampled)
+    heights, centers = base.level_heights(q)
     pose = ca.vertcat(ca.sum1(heights) / len(centers), ca.SX.zeros(2 + len(q.position.suspension)))
-    others = at_rest(q.vehicle, labels.z[1:])
-    return vehicle_dae(
+    others = base.at_rest(q.vehicle, labels.z[1:])
+    return base.vehicle_dae(
         q,
         labels,
         q.x,
         z,
         (Equations(labels.alg[0], _closures(q)), law, Equations(labels.alg[2], forces)),
         sampled,
-        ode=ca.vertcat(q.rates.x, q.rates.y, q.rates.heading, *joint_rates(q)),
-        y=y._replace(slip_ratio=slip_ratios(q)) if labels.y.slip_ratio else y,
+        ode=ca.vertcat(q.rates.x, q.rates.y, q.rates.heading, *base.joint_rates(q)),
+        y=y._replace(slip_ratio=base.slip_ratios(q)) if labels.y.slip_ratio else y,
         limits=(*limits_of(q), *limits),
-        checks=contact_checks(q, q.x, z, q.poses),
+        checks=base.contact_checks(q, q.x, z, q.poses),
         guess=ca.densify(ca.vertcat(pose, *(center[:2] for center in centers), others)),
         suppress_algebraic=suppress_algebraic,
         continuation=continuation,
@@ -145,13 +118,13 @@ def closure_dae(
     )
 
 
-def _closures(q: Quantities) -> ca.SX:
+def _closures(q: base.Quantities) -> ca.SX:
     """Return the contact residuals of all wheels, computed relative to the platform's centre.
 
     Subtracting large coordinates first avoids loss of digits.
     """
     level, zero = q.x._replace(x=ca.SX(0), y=ca.SX(0)), q.position._replace(z=ca.SX(0))
-    arms = [pose.origin for pose in carriers(q._replace(x=level, position=zero))]
+    arms = [pose.origin for pose in base.carriers(q._replace(x=level, position=zero))]
     center = ca.vertcat(q.x.x, q.x.y, q.position.z)
     return ca.vertcat(
         *(
@@ -211,7 +184,7 @@ def press(vehicle: Vehicle, depth: ca.SX, smoothing: float) -> Press:
     return Press(depth, load, touch, viscosity, touch / (count * static))
 
 
-def balance(parts: Mechanics, press: Press, groups: tuple[list[int], list[int]]) -> Balance:
+def balance(parts: base.Mechanics, press: Press, groups: tuple[list[int], list[int]]) -> Balance:
     """Return the friction forces under given loads and the remaining unbalanced force.
 
     ``groups`` are the indices of the rates that friction balances, and of the rates that relax.
@@ -230,7 +203,7 @@ def balance(parts: Mechanics, press: Press, groups: tuple[list[int], list[int]])
 
 def relaxation(
     vehicle: Vehicle,
-    parts: Mechanics,
+    parts: base.Mechanics,
     press: Press,
     imbalance: ca.SX,
     rates: ca.SX,
@@ -265,11 +238,11 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
     check_support(vehicle)
     labels = _labels(vehicle, slip)
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
-    position = Dependent(x.z, x.roll, x.pitch, x.suspension, z.position.contacts)
-    place = Configuration(x.x, x.y, x.heading, x.joints)
-    state = VehicleState(vehicle, terrain, LookupTable(), place, position, z.rates, u)
-    poses = carriers(state)
-    contacts = contact_frames(state, poses, z.position.contacts)
+    position = base.Dependent(x.z, x.roll, x.pitch, x.suspension, z.position.contacts)
+    place = base.Configuration(x.x, x.y, x.heading, x.joints)
+    state = base.VehicleState(vehicle, terrain, LookupTable(), place, position, z.rates, u)
+    poses = base.carriers(state)
+    contacts = base.contact_frames(state, poses, z.position.contacts)
     misses = [closure(*each) for each in zip(vehicle.wheels, poses, contacts, strict=True)]
     surface = tuple(  # the points of the wheels
         contact._replace(point=contact.point - miss)
@@ -289,9 +262,9 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
         groups[label in relaxed].append(k)
     balanced = balance(parts, pressed, groups)
     columns = (balanced.along, balanced.across, pressed.load)
-    forces = Forces(*(tuple(ca.vertsplit(vehicle.weight * each)) for each in columns))
-    of_wheels = forces, poses, contacts, slips, spins(state)
-    q = Quantities(*state, *of_wheels, parts, tip_over_margin(state, contacts))
+    forces = base.Forces(*(tuple(ca.vertsplit(vehicle.weight * each)) for each in columns))
+    of_wheels = forces, poses, contacts, slips, base.spins(state)
+    q = base.Quantities(*state, *of_wheels, parts, tip_over_margin(state, contacts))
     rates, lag = pack(z.rates.motion), ca.SX.sym("lag")
     terms = vehicle, parts, pressed, balanced.imbalance, rates, pack(u), groups[1]
     lagging = linear_form(relaxation(*terms, lag), rates)
@@ -307,11 +280,13 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
     pairs = zip(contacts, misses, strict=True)
     aligned = ca.vertcat(*((miss - c.normal * ca.dot(c.normal, miss))[:2] for c, miss in pairs))
     sampled, r = force_outputs(q, labels.y.forces), z.rates
-    level = [*r[:2], r.heading, *joint_rates(q)]
-    lowest = ca.mmin(level_heights(q)[0]) - max(wheel.depth for wheel in vehicle.numeric.wheels)
+    level = [*r[:2], r.heading, *base.joint_rates(q)]
+    lowest = ca.mmin(base.level_heights(q)[0]) - max(
+        wheel.depth for wheel in vehicle.numeric.wheels
+    )
     below = [pose.origin[:2] for pose in q.poses]
     others = len(list(leaves(labels.z))) - 2 * len(below)
-    return vehicle_dae(
+    return base.vehicle_dae(
         q,
         labels,
         x,
@@ -319,13 +294,15 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
         (Equations(labels.alg[0], aligned), law, Equations((), ca.SX(0, 1))),
         sampled,
         ode=ca.vertcat(*level, r.z, r.roll, r.pitch, *r.suspension),
-        y=outputs(q, sampled)._replace(
+        y=base.outputs(q, sampled)._replace(
             depth=tuple(ca.vertsplit(pressed.depth)),
             load_share=tuple(ca.vertsplit(len(depths) * pressed.load)),
             force_normal=q.forces.normal if vehicle.mass else (),
         ),
         limits=limits_of(q),
-        checks=contact_checks(q, x, z, raised_poses(poses, contacts, ca.vertsplit(pressed.depth))),
+        checks=base.contact_checks(
+            q, x, z, base.raised_poses(poses, contacts, ca.vertsplit(pressed.depth))
+        ),
         guess=ca.densify(ca.vertcat(*below, ca.SX.zeros(others))),
         suppress_algebraic=True,  # contacts and rates follow from the states
         rest=ca.vertcat(lowest, ca.SX.zeros(2 + len(position.suspension))),
@@ -344,7 +321,7 @@ def with_mass(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, body=Body(1 / vehicle.gravity, (x, y, z)))
 
 
-def _holding(q: Quantities, pressed: Press, sliding: list[int]) -> Holding:
+def _holding(q: base.Quantities, pressed: Press, sliding: list[int]) -> Holding:
     """Return the equilibrium of the sliding rates, whose normal forces are given."""
     parts = q.mechanics
     along, across, normal = (parts.free[k::3, sliding] for k in range(3))
@@ -357,17 +334,17 @@ def _holding(q: Quantities, pressed: Press, sliding: list[int]) -> Holding:
 def _labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
     """Return the labels of the model, except those of the law's equations."""
     law = slip.unknowns(vehicle, _relaxation_labels(vehicle))
-    labels = labels_of(vehicle, law, follow=False)
+    labels = base.labels_of(vehicle, law, follow=False)
     position, rates = labels.z.position, labels.z.rates
-    x = RelaxedState(*labels.x, *position[:4])
-    y = labels.y._replace(**pressed_labels(vehicle))
+    x = base.RelaxedState(*labels.x, *position[:4])
+    y = labels.y._replace(**base.pressed_labels(vehicle))
     words = "offset of ground point and wheel point {} the wheel"
     offsets = tuple(
         Label("closure", "m", words.format(axis), wheel.name)
         for wheel in vehicle.wheels
         for axis in ("along", "across")
     )
-    z = Algebraic(PressedContacts(position.contacts), rates, Forces())
+    z = base.Algebraic(base.PressedContacts(position.contacts), rates, base.Forces())
     return Labels(x, z, labels.q, labels.u, y, (offsets, (), ()))
 
 
@@ -388,7 +365,7 @@ def direct_kinematics(
     *,
     slip: SlipLaw = LeastSlip(),  # noqa: B008 - a frozen record
     smoothing: Positive = SMOOTHING,
-) -> KinematicDae:
+) -> base.KinematicDae:
     """Return the kinematic model of a vehicle on a ground for given rates.
 
     Positions follow from closure: every wheel touches the ground, which gives three equations in
@@ -446,9 +423,9 @@ def direct_kinematics(
     return exact_dae(vehicle, ground, slip)
 
 
-def exact_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw) -> KinematicDae:
+def exact_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw) -> base.KinematicDae:
     """Return the kinematic model of a vehicle in exact contact; see `direct_kinematics`."""
-    labels = labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle)))
+    labels = base.labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle)))
     z, q = closure_quantities(vehicle, terrain, labels)
     return closure_dae(labels, z, q, slip_equations(slip, labels, q), contact_force_residuals(q))
 
@@ -463,7 +440,7 @@ def check_rollers(vehicle: Vehicle) -> None:
     if coordinates or not all(wheel.rollers for wheel in vehicle.wheels):
         return
     vehicle = vehicle.numeric
-    size, poses = extent(vehicle), vehicle.carriers()
+    size, poses = base.extent(vehicle), vehicle.carriers()
     rows = np.zeros((len(poses), 3))
     for row, wheel, pose in zip(rows, vehicle.wheels, poses, strict=True):
         (x, y), (right, forward) = (
@@ -502,7 +479,7 @@ def check_driven(vehicle: Vehicle) -> None:
     )
 
 
-def slip_equations(slip: SlipLaw, labels: Labels, q: Quantities) -> Equations:
+def slip_equations(slip: SlipLaw, labels: Labels, q: base.Quantities) -> Equations:
     """Return the equations that a slip law gives for the rates, for wheels in exact contact."""
     normal = [
         ca.dot(contact.normal, velocity)
@@ -515,7 +492,7 @@ def slip_equations(slip: SlipLaw, labels: Labels, q: Quantities) -> Equations:
 def _law_equations(
     slip: SlipLaw,
     labels: Labels,
-    q: Quantities,
+    q: base.Quantities,
     rest: Equations,
     weights: tuple[ca.SX | float, ...],
 ) -> Equations:
@@ -545,7 +522,7 @@ def quasi_statics(
     ground: Terrain,
     *,
     law: GroundLaw = Coulomb(),  # noqa: B008 - a frozen record
-) -> KinematicDae:
+) -> base.KinematicDae:
     """Return the quasi-static model of a vehicle at given rates of its wheels and joints.
 
     Parameters
@@ -583,11 +560,11 @@ def quasi_statics(
     >>> print(f"{run['utilisation'].max():.2f}")
     0.33
     """
-    check_mass(vehicle, "quasi-statics")
+    base.check_mass(vehicle, "quasi-statics")
     check_exact_closure(vehicle, "quasi-static model")
     check_rollers(vehicle)
     law.check(vehicle, ground)
-    labels = labels_of(vehicle, law.unknowns(vehicle), follow=False)
+    labels = base.labels_of(vehicle, law.unknowns(vehicle), follow=False)
     labels = labels._replace(y=labels.y._replace(slip_ratio=quantity_labels(vehicle, "slip_ratio")))
     z, q = closure_quantities(vehicle, ground, labels)
     parts, turning = q.mechanics, absolute_spins(q)
@@ -604,7 +581,7 @@ def quasi_statics(
         (lambda _x, _z: "") if vehicle.nominal else diagnosis(z, q),
     )
     reaction = law.reaction(sliding, q.rates.law)
-    q = q._replace(forces=Forces(reaction.along, reaction.across, reaction.normal))
+    q = q._replace(forces=base.Forces(reaction.along, reaction.across, reaction.normal))
     if reaction.torques:
         # The difference between the moment of the ground about an axle and that of the forces at
         # the contact point acts on the rates in proportion to the wheel's angular velocity.
@@ -623,7 +600,7 @@ def quasi_statics(
         )
         q = q._replace(mechanics=parts)
     balance = Equations(
-        (*equilibrium_labels(labels.z.rates), *reaction.equations.labels),
+        (*base.equilibrium_labels(labels.z.rates), *reaction.equations.labels),
         ca.vertcat(equilibrium(q.mechanics, q.forces.column), reaction.equations.rows),
     )
     return closure_dae(

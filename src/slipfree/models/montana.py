@@ -43,22 +43,7 @@ from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.frame import Pose
 from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.protocols import Equations, SlipLaw, quantity_labels, wheel_limits
-from slipfree.models.base import (
-    Configuration,
-    Dependent,
-    Forces,
-    Quantities,
-    Rates,
-    VehicleState,
-    at_rest,
-    carriers,
-    contact_checks,
-    joint_rates,
-    labels_of,
-    outputs,
-    spins,
-    vehicle_dae,
-)
+from slipfree.models import base
 from slipfree.models.friction_feasibility import (
     contact_force_residuals,
     force_outputs,
@@ -246,8 +231,8 @@ class Assembly(NamedTuple):
 class Unknowns(NamedTuple):
     """Algebraic unknowns, grouped by the equations that determine them."""
 
-    rates: Rates
-    forces: Forces
+    rates: base.Rates
+    forces: base.Forces
 
 
 @checked
@@ -302,14 +287,14 @@ def montana_kinematics(
     slip.check(vehicle)
     _check(vehicle)
     labels = _assembly_labels(
-        labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle))), vehicle
+        base.labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle))), vehicle
     )
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
-    position = Dependent(x.z, x.roll, x.pitch, x.suspension, ())
-    place, lookups = Configuration(x.x, x.y, x.heading, x.joints), LookupTable()
-    state = VehicleState(vehicle, ground, lookups, place, position, z.rates, u)
-    turning, coordinates, chain = spins(state), pack(x[:-1]), carriers(state)
-    q_dot = ca.vertcat(*z.rates[:6], *joint_rates(state), *z.rates.suspension)
+    position = base.Dependent(x.z, x.roll, x.pitch, x.suspension, ())
+    place, lookups = base.Configuration(x.x, x.y, x.heading, x.joints), LookupTable()
+    state = base.VehicleState(vehicle, ground, lookups, place, position, z.rates, u)
+    turning, coordinates, chain = base.spins(state), pack(x[:-1]), base.carriers(state)
+    q_dot = ca.vertcat(*z.rates[:6], *base.joint_rates(state), *z.rates.suspension)
     contacts, poses, slips = list[ContactFrame](), list[Pose](), list[ca.SX]()
     rolling, drifts = list[ContactCoordinates](), list[tuple[ca.SX, ca.SX]]()
     for wheel, at, carrier, spin in zip(vehicle.wheels, x.contacts, chain, turning, strict=True):
@@ -333,7 +318,7 @@ def montana_kinematics(
         poses.append(pose)
         slips.append(velocity)
     parts = mechanics(state, contacts, slip_velocities(state, contacts))
-    q = Quantities(
+    q = base.Quantities(
         *state,
         with_tangential(z.forces, parts),
         tuple(poses),
@@ -350,7 +335,7 @@ def montana_kinematics(
     )
     law = slip_equations(slip, labels, q)
     sampled = force_outputs(q, labels.y.forces)
-    return vehicle_dae(
+    return base.vehicle_dae(
         q,
         labels,
         x,
@@ -358,7 +343,7 @@ def montana_kinematics(
         (law, Equations(labels.alg[1], contact_force_residuals(q))),
         sampled,
         ode=ca.vertcat(q_dot, *leaves(tuple(rolling))),
-        y=outputs(q, sampled)._replace(
+        y=base.outputs(q, sampled)._replace(
             **AMONG_STATES,
             drift_position=distances,
             drift_rotation=angles,
@@ -368,8 +353,8 @@ def montana_kinematics(
             *wheel_limits(vehicle, "assembly", relative, -np.inf, MAX_DRIFT),
             *limits_of(q),
         ),
-        checks=contact_checks(q, x, z, q.poses),
-        guess=at_rest(vehicle, labels.z),
+        checks=base.contact_checks(q, x, z, q.poses),
+        guess=base.at_rest(vehicle, labels.z),
         suppress_algebraic=True,
     )
 

@@ -15,20 +15,7 @@ from slipfree.core.interval import Intervals, evaluate_interval
 from slipfree.core.lookups import CellBounds, LookupTable
 from slipfree.core.records import Array, field_overview
 from slipfree.system.forks import cached_property
-from slipfree.terrain.base import (
-    TAYLOR,
-    DerivativeBounds,
-    Formula,
-    Friction,
-    GroundFriction,
-    Jet,
-    bounds_of,
-    check_formula,
-    check_friction,
-    jet_of,
-    polynomial_jet,
-    taylor_function,
-)
+from slipfree.terrain import base
 from slipfree.terrain.bicubic import Bicubic, friction_map
 
 CHUNK = 4096  # points per call of a mapped function, which has a fixed number of points
@@ -39,7 +26,7 @@ EVERYWHERE = (-math.inf, math.inf, -math.inf, math.inf)
 
 @checked
 @dataclass(frozen=True)
-class Analytic(GroundFriction):
+class Analytic(base.GroundFriction):
     """A ground whose height is a formula.
 
     Its local coordinates are equal to its map coordinates.
@@ -77,9 +64,9 @@ class Analytic(GroundFriction):
     >>> ground = Analytic(lambda x, y: 0.1 * ca.sin(x) * ca.cos(y))
     """
 
-    function: Formula
+    function: base.Formula
     domain: tuple[float, float, float, float] = EVERYWHERE
-    mu: Friction = None
+    mu: base.Friction = None
 
     __repr__ = field_overview
 
@@ -90,8 +77,8 @@ class Analytic(GroundFriction):
                 "terrain: domain must be (x_min, x_max, y_min, y_max) in metres with x_min < x_max "
                 f"and y_min < y_max, found {self.domain}; correct the limits"
             )
-        check_formula(self.function, "terrain", "height")
-        check_friction(self.mu)
+        base.check_formula(self.function, "terrain", "height")
+        base.check_friction(self.mu)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the arguments of the ground; compiled functions are rebuilt on demand."""
@@ -108,16 +95,18 @@ class Analytic(GroundFriction):
             ca.SX(self.function(x, y)) if self._taylor is None else self.jet(x, y, lookups).height
         )
 
-    def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> Jet:
+    def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> base.Jet:
         """Return height, gradient and Hessian at a point."""
         if self._taylor is None:
             if x.is_symbolic() and y.is_symbolic():
-                return jet_of(ca.SX(self.function(x, y)), x, y)
+                return base.jet_of(ca.SX(self.function(x, y)), x, y)
             # derivatives are taken with respect to symbols only
             u, v = ca.SX.sym("u"), ca.SX.sym("v")
-            jet = jet_of(ca.SX(self.function(u, v)), u, v)
-            return Jet(*ca.substitute([*jet], [u, v], [x, y]))
-        return polynomial_jet(lookups.find(self._taylor, ca.vertcat(x, y), order=4), TAYLOR, x, y)
+            jet = base.jet_of(ca.SX(self.function(u, v)), u, v)
+            return base.Jet(*ca.substitute([*jet], [u, v], [x, y]))
+        return base.polynomial_jet(
+            lookups.find(self._taylor, ca.vertcat(x, y), order=4), base.TAYLOR, x, y
+        )
 
     def hole_margin(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> None:
         """Return None: a formula has no holes."""
@@ -152,14 +141,14 @@ class Analytic(GroundFriction):
         low = np.stack([each.ravel() for each in np.meshgrid(*sides, indexing="ij")]) - reach
         boxes = Intervals(low, low + (2 + CELL) * reach)
         magnitudes = evaluate_interval(self._derivatives, boxes).magnitude
-        return bounds_of(*magnitudes).reshape(2, BLOCK, BLOCK)
+        return base.bounds_of(*magnitudes).reshape(2, BLOCK, BLOCK)
 
     @cached_property
-    def _known_bounds(self) -> DerivativeBounds:
+    def _known_bounds(self) -> base.DerivativeBounds:
         def spacing(reach: float) -> tuple[float, float]:
             return CELL * reach, CELL * reach
 
-        return DerivativeBounds(BLOCK, self._block_bounds, self.domain, (0.0, 0.0), spacing)
+        return base.DerivativeBounds(BLOCK, self._block_bounds, self.domain, (0.0, 0.0), spacing)
 
     @cached_property
     def _derivatives(self) -> ca.Function:
@@ -176,7 +165,7 @@ class Analytic(GroundFriction):
     @cached_property
     def _taylor(self) -> ca.Function | None:
         """Lookup function of the height formula if it contains function calls, else None."""
-        return taylor_function(self.function)
+        return base.taylor_function(self.function)
 
     @cached_property
     def _numeric(self) -> ca.Function:

@@ -9,18 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 
+from slipfree.files.urdf import tree
 from slipfree.files.urdf.evidence import actuators, plugins
-from slipfree.files.urdf.tree import (
-    Findings,
-    G,
-    Geometry,
-    Link,
-    MeshFile,
-    Mimic,
-    Shape,
-    Tree,
-    UrdfJoint,
-)
 from slipfree.files.urdf.wheels import with_separate_balls
 from slipfree.files.urdf.xacro import (
     check_macro_calls,
@@ -49,9 +39,9 @@ def read_tree(
     file: str,
     arguments: Mapping[str, str] = NOTHING,
     macros: frozenset[str] = frozenset(),
-) -> Tree:
+) -> tree.Tree:
     """Return the links and joints of a URDF file; a VehicleError has all errors of its elements."""
-    robot, findings = parse_robot(data, file), Findings(file)
+    robot, findings = parse_robot(data, file), tree.Findings(file)
     check_macro_calls(robot, file, macros)
     notes = substitute(robot, file, arguments)
     whole = robot
@@ -76,7 +66,7 @@ def read_tree(
     root = _root(links, joints, findings) if not findings.errors else ""
     if findings.errors:
         findings.stop()
-    chain: list[UrdfJoint] = []
+    chain: list[tree.UrdfJoint] = []
     most = DUMMY_MASS * sum(link.mass or 0.0 for link in links.values())
     while True:
         link = links[chain[-1].child if chain else root]
@@ -100,14 +90,14 @@ def read_tree(
     unknown = (*unknown_elements(robot), *unread)
     control = actuators(whole), plugins(whole)
     return with_separate_balls(
-        Tree(file, name, root, links, ordered, *control, omitted, notes, unknown)
+        tree.Tree(file, name, root, links, ordered, *control, omitted, notes, unknown)
     )
 
 
 class _UrdfElement:
     """An element of a URDF whose values are read; ``who`` names it in messages of errors."""
 
-    def __init__(self, element: Element, findings: Findings, who: str) -> None:
+    def __init__(self, element: Element, findings: tree.Findings, who: str) -> None:
         self.element, self.who, self._findings = element, who, findings
         self.attributes = element.attributes
 
@@ -173,7 +163,7 @@ class _UrdfElement:
         return at, turned
 
 
-def _link(element: Element, findings: Findings, unread: list[str]) -> Link:
+def _link(element: Element, findings: tree.Findings, unread: list[str]) -> tree.Link:
     """Return the link of a ``<link>`` element."""
     name = _UrdfElement(element, findings, "link").name("name")
     link = _UrdfElement(element, findings, f"link {name!r}")
@@ -187,19 +177,19 @@ def _link(element: Element, findings: Findings, unread: list[str]) -> Link:
                 message = f"expected a mass of at least 0 kg, found {mass:g}; correct it"
                 link.about(weighed.element).wrong(message)
 
-    found: dict[str, list[Geometry]] = {"collision": [], "visual": []}
+    found: dict[str, list[tree.Geometry]] = {"collision": [], "visual": []}
     for shape in (child for child in element.children if child.tag in found):
         if (geometry := _geometry(link, shape, unread)) is not None:
             found[shape.tag].append(geometry)
 
-    def of(kind: type[G]) -> tuple[G, ...]:
+    def of(kind: type[tree.G]) -> tuple[tree.G, ...]:
         every = ([each for each in group if isinstance(each, kind)] for group in found.values())
         return tuple(next(filter(None, every), ()))
 
-    visuals = tuple(each for each in found["visual"] if isinstance(each, MeshFile))
-    shapes, meshes, boxes = of(Shape), of(MeshFile), of(Box)
+    visuals = tuple(each for each in found["visual"] if isinstance(each, tree.MeshFile))
+    shapes, meshes, boxes = of(tree.Shape), of(tree.MeshFile), of(Box)
     collisions = tuple(found["collision"])
-    return Link(name, mass, center, shapes, meshes, boxes, inertia, visuals, collisions)
+    return tree.Link(name, mass, center, shapes, meshes, boxes, inertia, visuals, collisions)
 
 
 def _inertia(inertial: _UrdfElement, turned: Vector) -> Elements | None:
@@ -214,7 +204,7 @@ def _inertia(inertial: _UrdfElement, turned: Vector) -> Elements | None:
     return in_axes(rotation_of(turned), moments)
 
 
-def _geometry(link: _UrdfElement, shape: Element, unread: list[str]) -> Geometry | None:
+def _geometry(link: _UrdfElement, shape: Element, unread: list[str]) -> tree.Geometry | None:
     """Return the shape of a collision or visual element; add one that is not read to ``unread``."""
     at, turned = link.about(shape, shape.tag).origin()
     geometry = shape.first("geometry")
@@ -232,7 +222,7 @@ def _geometry(link: _UrdfElement, shape: Element, unread: list[str]) -> Geometry
                 f"expected factors other than zero in 'scale', found {text!r}; correct them"
             )
         file = solid.attributes.get("filename", solid.attributes.get("uri", ""))
-        return MeshFile(file, scale, at, turned)
+        return tree.MeshFile(file, scale, at, turned)
     if solid is not None and kind == "box":
         size = solid.vector("size", ORIGIN)
         if min(size) > 0:
@@ -249,10 +239,10 @@ def _geometry(link: _UrdfElement, shape: Element, unread: list[str]) -> Geometry
             f"expected the radius of a {kind} in metres, greater than 0 and at most "
             f"{MAX_LENGTH:g}, found {radius:g}; correct it"
         )
-    return Shape(cast(Any, kind), radius, at, turned, length=solid.number("length", 0.0))
+    return tree.Shape(cast(Any, kind), radius, at, turned, length=solid.number("length", 0.0))
 
 
-def _joint(element: Element, findings: Findings) -> UrdfJoint:
+def _joint(element: Element, findings: tree.Findings) -> tree.UrdfJoint:
     """Return the joint of a ``<joint>`` element."""
     name = _UrdfElement(element, findings, "joint").name("name")
     kind = element.attributes.get("type", "")
@@ -286,16 +276,18 @@ def _joint(element: Element, findings: Findings) -> UrdfJoint:
     follows = None
     if (mimic := joint.first("mimic", "mimic")) is not None:
         factor, offset = mimic.number("multiplier", 1.0), mimic.number("offset", 0.0)
-        follows = Mimic(mimic.name("joint"), factor, offset)
-    return UrdfJoint(
+        follows = tree.Mimic(mimic.name("joint"), factor, offset)
+    return tree.UrdfJoint(
         *(name, kind, ends[0], ends[1], at, turned, axis, lower, upper, max_rate, follows),
         line=element.line,
     )
 
 
-def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], findings: Findings) -> str:
+def _root(
+    links: dict[str, tree.Link], joints: dict[str, tree.UrdfJoint], findings: tree.Findings
+) -> str:
     """Return the name of the root link; add errors if the links and joints do not form a tree."""
-    parent_of: dict[str, UrdfJoint] = {}
+    parent_of: dict[str, tree.UrdfJoint] = {}
     for joint in joints.values():
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links:
