@@ -110,7 +110,7 @@ GAZEBO = (
 )
 # parts, number of wheels, of driven wheels, and of wheels on rollers; kinds of the coordinates
 ROBOTS = {
-    "unlimited": (wheels("{e}{s}", ENDS, kind="revolute", more=limit(-1e16, 1e16)), 4, 4, 0, {}),
+    "unlimited": (wheels("{e}{s}", ENDS, kind="revolute", more=limit("-inf", 1e16)), 4, 4, 0, {}),
     "no limits": (wheels("{e}{s}", ENDS, kind="revolute"), 4, 4, 0, {}),
     "limits of 2000": (wheels("{e}{s}", ENDS, kind="revolute", more=limit(-2e3, 2e3)), 4, 4, 0, {}),
     "full turn": (wheels("{e}{s}", ENDS, kind="revolute", more=limit(-3.14, 3.14)), 4, 4, 0, {}),

@@ -190,6 +190,8 @@ def test_expansion_has_limits(line, words, robot, monkeypatch):
         ('x="-0.2"', 'x="$(arg length)"', "Undefined substitution argument length"),
         ('wheel n="c"', 'weel n="c"', "unknown macro name: xacro:weel"),
         ("-2 * 0.1", "2 *", "invalid syntax"),
+        ("<xacro:incl", "<incl", "found <include>; write <xacro:include ...>"),
+        (NAMES, "", "add xmlns:xacro="),
         ('link name="base"', 'link name="a"', "cart.urdf.xacro (expanded):"),
     ],
 )
@@ -204,8 +206,8 @@ def test_xacro_that_cannot_be_expanded_is_named(old, new, words, robot):
 
 def test_without_the_package_the_command_is_named(robot, monkeypatch):
     monkeypatch.setitem(sys.modules, "xacro", None)
-    with pytest.raises(VehicleError, match=r"pip install .*'xacro>=2\.1'; or expand the file"):
-        read_vehicle(robot, trust=True)
+    words = r"pip install .*'xacro>=2\.1'; or expand the file"
+    refuses(VehicleError, words, read_vehicle, robot, trust=True)
 
 
 PLAIN = f"""<robot name="cart" {NAMES}><xacro:arg name="a"/>
@@ -250,8 +252,7 @@ def test_plain_expressions_are_replaced_by_arithmetic(monkeypatch):
 def test_macros_without_prefix_are_named(robot):
     """Also in included files, whose macros are known only after the expansion."""
     robot.write_text(ROBOT.replace('xacro:wheel n="a"', 'wheel n="a"'))
-    with pytest.raises(VehicleError, match=r"\(expanded\).*found the call <wheel> of the macro"):
-        read_vehicle(robot, trust=True)
+    refuses(VehicleError, r"\(expanded\).*found the call <wheel>", read_vehicle, robot, trust=True)
     own = WHEEL.replace("</robot>", '<link name="base"/>\n<wheel n="a" x="0" y="0"/></robot>')
     robot.write_text(own)
     for trust in (False, True):

@@ -30,6 +30,7 @@ from slipfree.system.regular_files import read_bytes, replacing
 SHOWN, LONG = 60, 300  # longest line, and longest list of names, in messages
 SAMPLE = 200, 200_000  # most lines and characters from which the layout is inferred
 SEPARATORS = (";", "|", "\t", ",", None)  # None: blanks
+COMMENT = re.compile(r"#(?![0-9a-fA-F]{6}\b)")  # within a line; no colour, as of points
 COMMENTS = ("#", "%", "//")
 UNIT_FACTORS = {  # factors to SI units, by the SI unit, or "heights", and the name of the unit
     unit: {name: float(factor) for names, factor in rows.items() for name in names.split(", ")}
@@ -305,7 +306,8 @@ def _opened(path: Path, expected: str) -> _TextTable:
 
 def _line_body(line: str, separator: str | None) -> str:
     """Return a line without comment and blanks at its ends; empty tab-separated cells remain."""
-    text = line.split("#", 1)[0].strip(" \r\n" if separator == "\t" else None)
+    text = COMMENT.split(line, maxsplit=1)[0] if "#" in line else line
+    text = text.strip(" \r\n" if separator == "\t" else None)
     return "" if text.startswith(COMMENTS) or (text[:1] == ";" != separator) else text
 
 

@@ -120,13 +120,13 @@ class _UrdfElement:
             self.wrong(f"expected a name in the attribute {key!r}, found none; add it")
         return self.attributes.get(key, "")
 
-    def number(self, key: str, default: float | None = None) -> float:
-        """Return a number; one without a default is required."""
+    def number(self, key: str, default: float | None = None, *, is_bound: bool = False) -> float:
+        """Return a number, infinite only if it is a bound; one without a default is required."""
         text = self.attributes.get(key)
         if text is None and default is not None:
             return default
         value = number_in(text or "")
-        if not math.isfinite(value):
+        if math.isnan(value) or (math.isinf(value) and not is_bound):
             wrong = "none; add it" if text is None else f"{text!r}; correct it"
             self.wrong(f"expected a number in {key!r}, found {wrong}")
             return default or 1.0
@@ -266,10 +266,10 @@ def _joint(element: Element, findings: tree.Findings) -> tree.UrdfJoint:
     limit, lower, upper, max_rate = joint.first("limit", "limit"), -math.inf, math.inf, math.inf
     if limit is not None:
         if kind in ("revolute", "prismatic", "fixed") and {"lower", "upper"} & {*limit.attributes}:
-            low, high = limit.number("lower", 0.0), limit.number("upper", 0.0)
+            low, high = (limit.number(key, 0.0, is_bound=True) for key in ("lower", "upper"))
             lower = low if abs(low) < MAX_LIMIT else lower
             upper = high if abs(high) < MAX_LIMIT else upper
-        rate = limit.number("velocity", 0.0)
+        rate = limit.number("velocity", 0.0, is_bound=True)
         max_rate = rate if 0 < rate < MAX_LIMIT else math.inf
     if kind == "revolute" and math.isinf(lower) and math.isinf(upper):
         kind = "continuous"

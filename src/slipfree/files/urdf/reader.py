@@ -240,8 +240,10 @@ def _add_notes(file: Tree, wheels: Wheels, kept: list[UrdfJoint], findings: Find
         "without mass, since the URDF does not contain it": [
             link.name for link in used if link.mass is None and link.name in file.links
         ],
-        "moments of inertia of a box or a cylinder, since those in the file are missing or "
-        "impossible": [link.name for link in used if link.mass and link.inertia is None],
+        "moments of inertia of a box or a cylinder, since those in the file are missing, "
+        "impossible, or too large for the vehicle, as in other units than kg m^2": [
+            link.name for link in used if link.mass and link.inertia is None
+        ],
         "of type fixed in the URDF, but treated as moving joints, since they or the joints that "
         'they mimic are in "joints"': [
             j.name for j in kept if j.moves and not file.joints.get(j.name, j).moves

@@ -26,6 +26,7 @@ from slipfree.geometry.frame import unit_vector
 from slipfree.vehicle.tree import Kind
 from slipfree.vehicle.wheel import ORIGIN, RATE
 
+MAX_GYRATION = 5.0  # largest plausible radius of gyration of a link [extent of all links' origins]
 # a text is the kind of the joint
 EXPANDED = BeforeValidator(lambda value: {"kind": value} if isinstance(value, str) else value)
 UnitAxis = Annotated[Axis, AfterValidator(unit_vector)]
@@ -107,6 +108,7 @@ NO_ROLES = UrdfTable()
 def completed(tree: Tree, roles: UrdfTable) -> Tree:
     """Return a URDF completed by roles: new joints, released joints, axes and mass properties.
 
+    Moments of inertia that are too large for the vehicle, as in other units, are left out.
     A joint of type fixed that has an axis is released, so that it moves, if it or the joint that it
     mimics has a role other than ``"fixed"``.
     """
@@ -123,7 +125,14 @@ def completed(tree: Tree, roles: UrdfTable) -> Tree:
     while more := {j.name for j in fixed if j.mimic and j.mimic.joint in freed} - freed:
         freed |= more
         joints |= {name: joints[name]._replace(type="revolute") for name in more}
-    links = dict(tree.links)
+    places = np.array([place for _, place in tree.frames.values()])
+    largest = (MAX_GYRATION * float(np.ptp(places, axis=0).max())) ** 2 or np.inf
+    links = {
+        name: link._replace(inertia=None)
+        if link.inertia and link.mass and max(link.inertia[:3]) > largest * link.mass
+        else link
+        for name, link in tree.links.items()
+    }
     for name, mass_role in roles.links.items():
         link = links[name]
         links[name] = link._replace(

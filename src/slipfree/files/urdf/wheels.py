@@ -30,7 +30,14 @@ from slipfree.files.urdf.evidence import (
     wheel_evidence,
 )
 from slipfree.files.urdf.links import wheel_name
-from slipfree.files.urdf.meshes import MeshFiles, angles_to, mesh_shape, unit_factor, unit_words
+from slipfree.files.urdf.meshes import (
+    UNITS,
+    MeshFiles,
+    angles_to,
+    mesh_shape,
+    unit_factor,
+    unit_words,
+)
 from slipfree.files.urdf.roles import UrdfTable, WheelRole
 from slipfree.files.urdf.tree import (
     MAX_ECCENTRICITY,
@@ -137,7 +144,7 @@ class Wheels:
         self._casters = caster_wheels(
             self.tree, [wheel for wheel in self.joints if wheel.name not in self.balls]
         )
-        self._check_guessed_radii()
+        self._check_radii()
 
     def _role(self, joint: UrdfJoint) -> WheelRole:
         return self._given.get(joint.name, WheelRole())
@@ -292,8 +299,11 @@ class Wheels:
         if values:
             self._findings.guess("wheels", name, values, f"a wheel: {guess.words}", other)
 
-    def _check_guessed_radii(self) -> None:
-        """Add an error for the guessed radii that do not suit the distances of the wheels."""
+    def _check_radii(self) -> None:
+        """Add an error for radii that do not suit the distances of the wheels.
+
+        Radii that are no guesses are errors if they do in another unit.
+        """
         radii = np.array([self._rolling_radius(joint) or 0.0 for joint in self.joints])
         centers = np.array([self.tree.frames[joint.child][1] for joint in self.joints])
         alike: dict[tuple[str, str, float], list[UrdfJoint]] = {}
@@ -301,15 +311,16 @@ class Wheels:
             shape, role = self._shape(joint), self._roles.wheels.get(joint.name, WheelRole())
             is_mesh = shape is not None and shape.kind == "mesh"
             is_guess = is_mesh or joint.name in self._given
-            if not is_guess or role.radius or self._roles.radius or not radii[k]:
+            if role.radius or self._roles.radius or not radii[k]:
                 continue
             turns = joint.moves and self.tree.is_level(joint)
             axle = self.tree.axis(joint) if turns else self._lateral(joint)
             factor = unit_factor(radii, centers, axle, k)
-            if factor is None:
+            if factor is None or (factor == 1 and not is_guess):
                 continue
             mesh = self.tree.links[joint.child].meshes[0] if is_mesh else None
-            unit = f" mesh {mesh.name!r}: {unit_words(mesh, factor)}, or" if mesh else ""
+            unit = f" {UNITS[factor]} correct it, or" if factor in UNITS else ""
+            unit = f" mesh {mesh.name!r}: {unit_words(mesh, factor)}, or" if mesh else unit
             radius = float(factor * radii[k]) if factor != 1 else usual_radius(self.tree, [joint])
             alike.setdefault((f"{radii[k]:.3g} m", unit, radius), []).append(joint)
         for (found, unit, radius), joints in alike.items():

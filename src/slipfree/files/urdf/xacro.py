@@ -35,6 +35,7 @@ KNOWN = {
     *("link", "joint", "transmission", "ros2_control", "sensor", "mujoco", "loop_joint"),
     *IGNORED,
 }
+ELEMENTS = ("macro", "property", "arg", "include", "if", "unless")  # of xacro, in robots
 PARTS = {  # elements in links and joints
     *("inertial", "visual", "collision", "geometry", "origin", "mass", "inertia", "axis", "limit"),
     *("parent", "child", "mimic", "dynamics", "calibration", "safety_controller", "box"),
@@ -147,9 +148,14 @@ def _expand(path: Path, arguments: Mapping[str, str]) -> Expansion:
         message = " ".join(str(error).split())[:500] or type(error).__name__
         if (inside := xacro.filestack[-1:]) not in ([], [str(path)]):
             message += f" (in {inside[0]})"
+        remedy = (
+            f"add {NAMESPACE} to <robot>"
+            if message.startswith("unbound prefix")
+            else "correct it, or give its arguments in a vehicle file, as in "
+            'arguments = { name = "value" }'
+        )
         raise DataError(
-            f"{path}: expected xacro that can be expanded, found: {message}; correct it, or give "
-            'its arguments in a vehicle file, as in arguments = { name = "value" }'
+            f"{path}: expected xacro that can be expanded, found: {message}; {remedy}"
         ) from None
     if len(data) > MAX_BYTES:
         raise DataError(
@@ -257,7 +263,10 @@ def substitute(robot: Element, file: str, arguments: Mapping[str, str]) -> tuple
 
 
 def check_macro_calls(robot: Element, file: str, macros: frozenset[str] = frozenset()) -> None:
-    """Raise VehicleError for calls of macros without the prefix ``xacro:``, and for its absence."""
+    """Raise VehicleError for calls of macros and elements of xacro without the prefix ``xacro:``.
+
+    Elements of xacro are recognised in files in which others have the prefix.
+    """
     findings, parts = Findings(file), [*robot.everything()]
     own = {part.attributes.get("name", "") for part in parts if part.tag == "xacro:macro"}
     called = (own | macros) - KNOWN - PARTS
@@ -268,6 +277,11 @@ def check_macro_calls(robot: Element, file: str, macros: frozenset[str] = frozen
                 "expected calls of macros with the prefix 'xacro:', found the call "
                 f"<{part.tag}> of the macro {part.tag!r}; write <{PREFIX}{part.tag} ...>",
             )
+    if any(part.tag.startswith(PREFIX) for part in parts):
+        for part in robot.children:
+            if part.tag in ELEMENTS:
+                found = f"found <{part.tag}>; write <{PREFIX}{part.tag} ...>"
+                findings.add(part.line, f"expected elements of xacro with the prefix, {found}")
     if findings.errors:
         findings.stop()
 
