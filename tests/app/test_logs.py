@@ -144,8 +144,7 @@ def test_logs_that_are_read_as_they_are_meant(kind: str) -> None:
     wanted, _ = read(table(DRIVE))
     found, words = read(*READ[kind])
     assert words.startswith("400 samples")
-    assert "gaps" not in words
-    assert "begin or end" not in words
+    assert not re.search("gaps|begin or end", words)
     assert wanted.heading is not None
     assert found.heading is not None
     turned = found.heading - wanted.heading
@@ -294,11 +293,12 @@ def test_remedies_work() -> None:
     assert "found a.csv in both" in printed(*own, "a.csv", code=2)
 
     degrees = changed({3: lambda x: -4.5 + x / 89e3, 4: lambda y: 36.7 + y / 111e3})
+    minutes = degrees.replace("x,y", "lon,lat").replace(",36.", ",3642.")
+    refuses(DataError, "perhaps degrees and minutes", read, minutes, 'x = "lon"\ny = "lat"')
     with pytest.raises(DataError) as refused:
         read(degrees.replace("x,y", "lon,lat"), 'x = "lon"\ny = "lat"')
-    command = re.search(r'python -c "(.*)"', str(refused.value))
-    assert command is not None
-    subprocess.run([sys.executable, "-c", command[1]], check=True)
+    (command,) = re.findall(r'python -c "(.*)"', str(refused.value))
+    subprocess.run([sys.executable, "-c", command], check=True)
     # the scale of the projection, and its north
     found, wanted = read(Path("log_m.csv").read_text())[0], read(table(DRIVE))[0]
     moved = [np.diff(each.place[::20]) for each in (found, wanted)]

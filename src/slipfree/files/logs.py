@@ -34,6 +34,7 @@ ALIKE, NEAR = 0.9, 0.25  # least cosine of similar speeds, and tolerance of the 
 CLEAR, CLEARER = 0.8, 0.3  # least concentration of courses about headings, and least difference
 OPPOSITE, COUNTS = 0.5, 0.95  # least correlations of turns, and of counts with the path [1]
 OFFSET = 25.0  # least constant difference of course and heading that is refused [deg]
+FULL_CIRCLE = 360.0  # largest longitude [deg]
 DEGREE = 1e-4  # motion over travel of wheels below which positions are degrees [1]
 OF_RATES = {  # motion relative to the travel of the wheels if units are not named [1]
     "rates in rpm, as in 'left [rpm]'": np.pi / 30,
@@ -364,8 +365,9 @@ def check_motion(
     elif not may_turn and abs(alike[1.0]) > ALIKE and abs(offset) > OFFSET:
         expected, found = "along the course", f"a constant difference of {offset:.0f} deg"
         remedy = (
-            f"add {offset:.0f} deg to the heading if it counts from another axis (key 'frame') or "
-            "is clockwise from north, or give an unknown 'sensor_heading'"
+            f"add {offset:.0f} deg to the heading if it counts from another axis (key 'frame': "
+            "'rep103' is from x, 'paper' from y) or is clockwise from north, or give an unknown "
+            "'sensor_heading'"
         )
     else:
         return
@@ -445,6 +447,12 @@ def _degrees(path: Path, values: Mapping[str, Array], names: Sequence[str]) -> D
     """Return the error of positions in degrees, with a line that projects them."""
     place = [float(np.nanmedian(values[name])) for name in ("x", "y")]
     x, y = (split_unit(name)[0] for name in names)
+    if max(map(abs, place)) > FULL_CIRCLE:
+        return DataError(
+            f"{path}: expected positions in m, found {place[0]:.7g} in {x!r} and {place[1]:.7g} in "
+            f"{y!r}, no degrees, but perhaps degrees and minutes (NMEA) or degrees times 1e7; "
+            "convert them to degrees, and project these"
+        )
     is_swapped = x.lower() in ALIASES[-1]
     system = metric_system(*place[:: -1 if is_swapped else 1])
     longitude, latitude = (y, x) if is_swapped else (x, y)

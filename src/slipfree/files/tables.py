@@ -73,7 +73,8 @@ DATES = "write dates as in 2026-03-01T12:00:00.5, or times in s"
 REMEDIES = {  # by the units that were expected and found
     ("m", "rad"): "project the positions to metres",
     ("rad/s", "m/s"): "divide the speeds by the radius of the wheels",
-    ("m/s", "rad/s"): "multiply the rates by the radius of the wheels",
+    ("m/s", "rad/s"): "multiply the rates by the radius of the wheels, or, in a fit, set "
+    "data.unit = 'rad/s'",
 }
 LARGE_TIMES = (
     ("nanoseconds", 1e17, "ns"),
