@@ -213,8 +213,7 @@ def test_estimates_have_the_size_of_the_errors(model):
     inputs = rates(24, seed=2)
     both = (sf.rollouts(model, {}, inputs, T, method="batch", step=h) for h in (0.04, 0.005))
     coarse, fine = both
-    error = np.hypot(*((coarse[name] - fine[name]).values[:, -1] for name in "xy"))
-    ratio = coarse["error"].values / error
+    ratio = coarse["error"] / np.hypot(*((coarse[n] - fine[n])[:, -1] for n in "xy"))
     assert np.mean((ratio > 0.3) & (ratio < 3)) > 0.95
     for name in ("x", "y", "heading", "tilt_right", "tilt_left"):
         error = np.abs(coarse[name] - fine[name]).values[:, -1]
@@ -268,8 +267,7 @@ def test_a_second_contact_ends_a_motion_as_in_simulate():
 
 def test_pressed_wheels_relax_as_in_simulate():
     """Poses at rest are those of `settle`; motions converge with first order."""
-    cart = sf.catalog.rigid_skid_steer()
-    dae = sf.direct_kinematics(cart, hills(rms=0.02, shortest=1.5))
+    dae = sf.direct_kinematics(sf.catalog.rigid_skid_steer(), hills(rms=0.02, shortest=1.5))
     evaluate = evaluator_of(dae, compiled=False)
     poses = sf.settle_many(dae, y=[0.0, 1.0], heading=0.3, compiled=False)
     starts = [sf.settle(dae, y=y, heading=0.3) for y in (0.0, 1.0)]
@@ -284,9 +282,11 @@ def test_pressed_wheels_relax_as_in_simulate():
     errors = []
     for step in (0.02, 0.005):
         lanes = run_lanes(evaluate, states, array, t, step=step, placed=True)
-        apart = [lanes.columns[name].values[:, -1] - exact[name].values[:, -1] for name in "xy"]
-        errors.append(np.hypot(*apart))
-        assert (lanes.error > 0.2 * errors[-1]).all()
+        names = [label.full for label in leaves(dae.labels.x)]
+        apart = [lanes.columns[name].values[:, -1] - exact[name].values[:, -1] for name in names]
+        errors.append(np.hypot(*apart[:2]))
+        ratio = np.abs([lanes.columns[f"error_{name}"].values for name in names] / np.array(apart))
+        assert np.mean((ratio > 0.25) & (ratio < 4)) > 0.9
     assert (errors[1] < 2e-4).all()
     assert np.median(errors[0] / errors[1]) > 2
     lanes = run_lanes(evaluate, states, array, t, placed=True)

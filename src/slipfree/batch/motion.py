@@ -21,6 +21,9 @@ from slipfree.core.dae import LIMIT_ROUNDING
 from slipfree.core.records import Array, Indices, Mask
 
 ORDER, RELAXING_ORDER = 3, 1
+# errors over the differences from half the step: of third order; of relaxing states the geometric
+# mean of first and second order, between which the stiffness decides
+HALVED, RELAXING_HALVED = 8 / 7, (2 * 4 / 3) ** 0.5
 MAX_CHANGE = 0.3  # largest correction of the positions by a Newton step [typical sizes]
 MAX_ERROR = 1e-6  # of the rates: residual of linear equations, or square of the last Newton step
 MAX_RATE_STEPS = 40  # further Newton steps of the rates, after jumps of the inputs
@@ -195,7 +198,8 @@ def _integrate(
     samples, reached = run.samples[:, : rows.t.stop], run.reached
     lanes = np.arange(reached.size)
     if is_stiff:
-        errors = _errors_by_halving(evaluate, states, inputs, t, run)
+        half = GIVEN._replace(graded=numbers.graded, shortest=numbers.shortest / 2)
+        errors = _errors_by_halving(evaluate, states, inputs, t, run, half)
     ends = _Ends(evaluate, t, run, certify=certify)
     started = reached >= 0
     ends.reason[~started & (run.reason >= 0)] = INVALID_START
@@ -216,13 +220,16 @@ def _integrate(
 
 
 def _errors_by_halving(
-    evaluate: Evaluator, states: Array, inputs: Array, t: Array, run: _Course
+    evaluate: Evaluator, states: Array, inputs: Array, t: Array, run: _Course, half: _Numbers
 ) -> Array:
-    """Return the errors of ``x`` at the last samples from motions with half the step."""
+    """Return the errors of ``x`` at the last samples from motions with half the step.
+
+    Graded steps are halved as well: relaxing states have the error of the last one.
+    """
     x, lanes, reached = evaluate.graphs.rows.x, np.arange(states.shape[1]), run.reached
-    finer = _drive(evaluate, states, inputs, t, GIVEN, x.stop, 2 * run.counts)
+    finer = _drive(evaluate, states, inputs, t, half, x.stop, 2 * run.counts)
     apart = (run.samples[:, x] - finer.samples)[np.maximum(reached, 0), :, lanes].T
-    return apart / (1 - 0.5 ** (ORDER if evaluate.graphs.dae.lag is None else RELAXING_ORDER))
+    return apart * (HALVED if evaluate.graphs.dae.lag is None else RELAXING_HALVED)
 
 
 def _drive(
