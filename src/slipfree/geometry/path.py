@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from math import factorial
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-import scipy
 
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError
@@ -18,37 +15,6 @@ from slipfree.system.forks import cached_property
 
 MAX_COORDINATE = 1e12  # larger way-points are input errors [m]
 NODES = 64  # nodes of the arc-length table per way-point
-
-
-def cubic_spline(at: Array, values: Array) -> Callable[..., Array]:
-    """Return the cubic spline through values (n, m) as a function of places and derivative's order.
-
-    Third derivatives are continuous at the second and the last but one place; with less than four
-    places, second derivatives vanish at the ends. The spline is that of
-    ``scipy.interpolate.CubicSpline``, whose import would take 0.3 s.
-    """
-    h, n = np.diff(at), at.size
-    slopes = np.diff(values, axis=0) / h[:, None]
-    # unknowns are the second derivatives at the places; entry i, j is bands[2 + i - j, j]
-    bands, right = np.zeros((5, n)), np.zeros_like(values)
-    bands[3, : n - 2], bands[1, 2:] = h[:-1], h[1:]
-    bands[2, 1:-1], right[1:-1] = 2 * (h[:-1] + h[1:]), 6 * np.diff(slopes, axis=0)
-    if n < 4:
-        bands[2, [0, -1]] = 1.0
-    else:
-        bands[[2, 1, 0], [0, 1, 2]] = h[1], -h[0] - h[1], h[0]
-        bands[[2, 3, 4], [-1, -2, -3]] = h[-2], -h[-1] - h[-2], h[-1]
-    second = scipy.linalg.solve_banded((2, 2), bands, right)
-    third = np.diff(second, axis=0) / h[:, None]
-    first = slopes - h[:, None] * (2 * second[:-1] + second[1:]) / 6
-
-    def spline(s: Array, order: int = 0) -> Array:
-        i = np.clip(np.searchsorted(at, s, side="right") - 1, 0, n - 2)
-        u = (s - at[i])[:, None]
-        terms = values[i], first[i], second[i], third[i]
-        return np.asarray(sum(terms[k + order] * u**k / factorial(k) for k in range(4 - order)))
-
-    return spline
 
 
 class PathPoint(NamedTuple):
@@ -159,18 +125,20 @@ class Path:
 
         Arc lengths are equally spaced; x and y are relative to the first way-point.
         """
+        from scipy.interpolate import CubicSpline  # imported here, since the import takes 0.2 s
+
         chord = np.concatenate(
             [[0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))]
         )
         local = self.points - self.points[0]
-        spline = cubic_spline(chord, local)
+        spline = CubicSpline(chord, local, bc_type="not-a-knot" if len(chord) > 3 else "natural")
         fine = np.linspace(0, chord[-1], NODES * len(chord) * 4 + 1)
         speed = np.linalg.norm(spline(fine, 1), axis=1)
         middle = np.linalg.norm(spline((fine[1:] + fine[:-1]) / 2, 1), axis=1)
         steps = np.diff(fine) * (speed[1:] + speed[:-1] + 4 * middle) / 6  # Simpson
         length = np.concatenate([[0], np.cumsum(steps)])
         s = np.linspace(0, length[-1], NODES * len(chord) + 1)
-        u = cubic_spline(length, fine[:, None])(s)[:, 0]
+        u = CubicSpline(length, fine)(s)
         (x, y), (x_u, y_u), (x_uu, y_uu) = (spline(u, k).T for k in range(3))
         heading = np.unwrap(np.arctan2(-x_u, y_u))
         curvature = (x_u * y_uu - y_u * x_uu) / np.hypot(x_u, y_u) ** 3

@@ -20,7 +20,7 @@ import scipy
 from slipfree.atlas.atlas import atlas, least_bounds
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Mask, with_overview
-from slipfree.geometry.path import Path, cubic_spline
+from slipfree.geometry.path import Path
 from slipfree.geometry.regions import Region
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.routing.traversability import (
@@ -315,7 +315,9 @@ def resample_polyline(points: Array, step: float, *, spline: bool = False) -> Ar
     count = max(round(float(at[-1]) / step), 1)
     s = np.linspace(0, at[-1], count + 1)
     if spline:
-        even = np.asarray(cubic_spline(at, points - points[0])(s) + points[0])
+        from scipy.interpolate import CubicSpline  # imported here: the import takes 0.2 s
+
+        even = np.asarray(CubicSpline(at, points - points[0])(s) + points[0])
     else:
         even = np.stack([np.interp(s, at, column) for column in points.T], axis=1)
     even[0], even[-1] = points[0], points[-1]
