@@ -12,6 +12,7 @@ from types import UnionType
 from typing import Any, Literal, get_args, get_origin
 
 from slipfree.core.quantities import QUANTITIES
+from slipfree.files.toml import Record
 from slipfree.laws.registry import SLIP_LAWS
 from slipfree.models.given_rates import LEAST_MARGIN
 from slipfree.models.single_wheel import SLIP_LIMIT
@@ -152,7 +153,7 @@ def _keys(_: str) -> str:
 
 
 def _tables(
-    record: type[schema.Record], path: tuple[str, ...], seen: set[tuple[str, ...]]
+    record: type[Record], path: tuple[str, ...], seen: set[tuple[str, ...]]
 ) -> Iterator[str]:
     """Yield the table of the keys of a record, and those of the records in it."""
     rows = ["| key | meaning | unit | value | default |", "| --- | --- | --- | --- | --- |"]
@@ -188,9 +189,9 @@ def _titled(place: tuple[str, ...], field: Any) -> str:
     return f"tables `[[{name}]]`" if "tuple" in str(field.annotation) else f"table `[{name}]`"
 
 
-def _record_in(annotation: Any) -> type[schema.Record] | None:
+def _record_in(annotation: Any) -> type[Record] | None:
     """Return the record that a key accepts, alone or in an array; None if it accepts none."""
-    if isinstance(annotation, type) and issubclass(annotation, schema.Record):
+    if isinstance(annotation, type) and issubclass(annotation, Record):
         return annotation
     return next(filter(None, map(_record_in, get_args(annotation))), None)
 
@@ -216,21 +217,22 @@ def _alias(annotation: Any, bounds: Sequence[Any]) -> str:
     return name
 
 
-def _words(record: type[schema.Record], key: str, annotation: Any) -> str:
+def _words(record: type[Record], key: str, annotation: Any) -> str:
     """Return the description of the values of a key: names, or its annotation in words."""
     if names := _options(annotation):
         return ", ".join(f'`"{name}"`' for name in names)
     written = next(w for w in map(get_annotations, record.__mro__) if key in w)[key]
     if not isinstance(written, str):  # of a dataclass or function
         return TAKES[_alias(annotation, record.model_fields[key].metadata)]
-    text = re.sub(r"Annotated\[(.+?), \w+\(.*", r"\1", written)
+    names = re.sub(r"\b\w+\.", "", written)  # without their modules
+    text = re.sub(r"Annotated\[(.+?), \w+\(.*", r"\1", names)
     return TAKES[text.removesuffix(" | None")]
 
 
 def _default(field: Any) -> str:
     if field.is_required():
         return "required"
-    if isinstance(field.default, schema.Record):
+    if isinstance(field.default, Record):
         return "its defaults"
     if field.default == math.inf:
         return "none"

@@ -16,7 +16,7 @@ import typer
 import slipfree
 from helpers.commands import invoke
 from slipfree.cli import app
-from slipfree.problem import schema
+from slipfree.files.toml import Record
 from slipfree.problem.load import VERBS
 from slipfree.problem.schema import law_tables
 
@@ -246,9 +246,9 @@ SCHEMAS = [verb.schema for verb in VERBS]
 UNIT = re.compile(r" \[(?:1|(?:[mNs]|Pa|kg|rad|deg|Hz)[\w/ ^()+]*|1/s)(?:, (?:1|[\w/ ]+))*\]$")
 
 
-def records(found: Any, seen: set[type[schema.Record]]) -> Iterator[type[schema.Record]]:
+def records(found: Any, seen: set[type[Record]]) -> Iterator[type[Record]]:
     """Yield the tables in an annotation, and those in them."""
-    if isinstance(found, type) and issubclass(found, schema.Record):
+    if isinstance(found, type) and issubclass(found, Record):
         if found in seen:
             return
         seen.add(found)
@@ -270,7 +270,7 @@ TABLES = list(records(tuple[*SCHEMAS, law_tables()], set()))  # type: ignore[mis
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.__name__)
-def test_every_key_says_what_it_means_and_in_which_unit(table: type[schema.Record]) -> None:
+def test_every_key_says_what_it_means_and_in_which_unit(table: type[Record]) -> None:
     for key, field in table.model_fields.items():
         assert field.description, key
         has_unit = UNIT.search(field.description) is not None

@@ -30,7 +30,7 @@ from slipfree.system.regular_files import read_bytes, replacing
 SHOWN, LONG = 60, 300  # longest line, and longest list of names, in messages
 SAMPLE = 200, 200_000  # most lines and characters from which the layout is inferred
 SEPARATORS = (";", "|", "\t", ",", None)  # None: blanks
-COMMENT = re.compile(r"#(?![0-9a-fA-F]{6}\b)")  # within a line; no colour, as of points
+COMMENT = re.compile(r"^\s*#|#(?![0-9a-fA-F]{6}\b)")  # no colour within a line, as of points
 COMMENTS = ("#", "%", "//")
 UNIT_FACTORS = {  # factors to SI units, by the SI unit, or "heights", and the name of the unit
     unit: {name: float(factor) for names, factor in rows.items() for name in names.split(", ")}
