@@ -163,8 +163,8 @@ def moved(method="cvodes", progress=None):
 
 
 def test_at_the_entry_of_a_step(monkeypatch):
-    pressed, _ = pressing(integrator._doubles, at=5)
-    monkeypatch.setattr(integrator, "_doubles", pressed)
+    pressed, _ = pressing(integrator._Relay.eval_buffer, at=3)
+    monkeypatch.setattr(integrator._Relay, "eval_buffer", pressed)
     times = []
     with pytest.raises(KeyboardInterrupt):
         moved("idas", times.append)
@@ -395,9 +395,9 @@ RUNS = {  # function, its call, words of the command, what is told, and the kept
     "diagnostics": ((runner, "_with_filled"), GRIP[:1], AT_END, "interrupted"),
     "while written": ((os, "fsync"), GRIP[:1], WHOLE, None),
     "while written, twice": ((os, "fsync", 1, 2), GRIP[:1], UNCHANGED, OLD),
-    "kinematics": ((integrator, "_doubles", 9), GRIP, SO_FAR, "interrupted"),
-    "kinematics, twice": ((integrator, "_doubles", 1, 2), GRIP[:1], "interrupted\n", OLD),
-    "dynamics": ((integrator, "_doubles", 200), INERT, SO_FAR, "interrupted"),
+    "kinematics": ((integrator._Relay, "eval_buffer", 5), GRIP, SO_FAR, "interrupted"),
+    "kinematics, twice": ((integrator._Relay, "eval_buffer", 1, 2), GRIP[:1], "interrupted\n", OLD),
+    "dynamics": ((integrator._Relay, "eval_buffer", 100), INERT, SO_FAR, "interrupted"),
     "sampled": ((zero_order_hold, "run_buffered", 61), HELD, SO_FAR, "interrupted"),
     "plan that is compiled": ((planning, "transcribe"), PLAN, "interrupted\n", OLD),
     "plan behind its first iteration": ((ipopt, "largest_violation", 2), PLAN, RESUME, "plan"),
@@ -539,7 +539,7 @@ def test_a_fit_keeps_its_last_accepted_estimate(folder, monkeypatch, at, rows):
 
 def test_a_comparison_keeps_its_finished_vehicles(monkeypatch):
     problem = HILLS.with_name("compare_axles.toml")
-    pressed, _ = pressing(compare.build_vehicle, at=2)
+    pressed, _ = pressing(compare.build.build_vehicle, at=2)
     monkeypatch.setattr(compare.build, "build_vehicle", pressed)
     brief = ["--set", "time.duration=0.1", "--set", "time.step=0.02"]
     found = invoke("compare", str(problem), *brief, code=130)
