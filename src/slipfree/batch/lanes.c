@@ -5,9 +5,9 @@
  * reciprocals by approximation, never -ffast-math, which removes the rounding by a large constant
  * in `turned_sine`.
  *
- * Exponentials, sines, cosines and arc tangents are polynomials of the Cephes library (S. Moshier), within 2e-16
- * of the mathematical library: a loop over lanes that calls the library takes up to ten times as
- * long, since the library's wrappers are slow after wide registers were used.
+ * Sines, cosines and arc tangents (within 2e-16) and exponentials (within 4e-16) are polynomials
+ * of the Cephes library (S. Moshier): a loop over lanes that calls the mathematical library takes
+ * up to ten times as long, since its wrappers are slow after wide registers were used.
  */
 #include <math.h>
 #include <string.h>

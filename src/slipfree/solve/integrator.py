@@ -39,7 +39,7 @@ Progress = Callable[[float], bool | None]
 
 
 class MotionSolver(NamedTuple):
-    """Model and interrupt guard, then tolerance and what else distinguishes integrators."""
+    """Model, interrupt guard, and options of an integrator, which is reused for equal options."""
 
     system: System
     guard: InterruptGuard
