@@ -68,7 +68,7 @@ from slipfree.vehicle.tree import Vehicle
 
 T = np.linspace(0.0, 4.0, 11)
 SPEED, SPREAD, STEERING = 0.5, 0.1, 0.15  # [m/s], of the speed, [rad/s]
-RUNS, COMPARED, MANY = 512, 24, 1_000_000
+RUNS, COMPARED, MANY = 512, 24, 10_000_000
 KEPT = ["x", "y"]
 
 
@@ -386,7 +386,7 @@ def machines() -> None:
 
 
 def soak() -> None:
-    """Print rates and the largest memory while a million motions of Rocky 7 are written to a file.
+    """Print rates and the largest memory while ten million motions of Rocky 7 are written to a file.
 
     A row of the file has the samples of ``x`` and ``y`` of a motion.
     """
@@ -398,7 +398,7 @@ def soak() -> None:
             inputs = inputs_of(model, ROCKY, size, seed=k)
             found = rollouts(model, start, inputs, T, method="batch", step=0.25, quantities=KEPT)
             file.write(np.stack([found[name] for name in KEPT], axis=1).tobytes())
-            if k % 10 == 0:
+            if k % 50 == 0:
                 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
                 rate = (k + 1) * size / (time.perf_counter() - begin)
                 text = f"{(k + 1) * size:8d} motions, {rate:6.0f}/s of wall time"
