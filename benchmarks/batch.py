@@ -386,7 +386,7 @@ def machines() -> None:
 
 
 def soak() -> None:
-    """Print rates and the largest memory while ten million motions of Rocky 7 are written to a file.
+    """Print rates and the largest memory of ten million motions of Rocky 7, written to a file.
 
     A row of the file has the samples of ``x`` and ``y`` of a motion.
     """

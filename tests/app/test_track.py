@@ -10,7 +10,7 @@ import pytest
 from helpers.commands import invoke, pressing, printed
 from helpers.problem_files import rough_ground
 from slipfree.files.netcdf import read
-from slipfree.problem.verbs import plan_tracking
+from slipfree.plan import tracking
 
 pytestmark = pytest.mark.slow
 
@@ -81,10 +81,10 @@ def test_disturbances_act_on_the_motion_of_the_inputs(folder: Path) -> None:
 
 
 def test_an_interrupted_test_continues(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pressed, driven = pressing(plan_tracking.track_plan, at=2)
+    pressed, driven = pressing(tracking.track_plan, at=2)
     words = ["--by", "inputs", "--by", "follow", "--period", 0.5, "--seeds", 2]
     whole = tracked(folder, *words)
-    monkeypatch.setattr(plan_tracking, "track_plan", pressed)
+    monkeypatch.setattr(tracking, "track_plan", pressed)
     monkeypatch.chdir(folder)
     assert "repeat the command to continue" in printed("track", "p.nc", *words, code=130)
     found = tracked(folder, *words)

@@ -381,7 +381,7 @@ def test_a_run_parses_its_vehicle_and_reads_its_map_once(monkeypatch):
     np.savez("g.npz", x=axis, y=axis, z=np.zeros((13, 13)))
     Path("v.toml").write_text(f"# parsed once\n{SHORT}")
     files = []
-    for module, name in ((vehicle_toml, "parse_toml"), (elevation, "read_map")):
+    for module, name in ((vehicle_toml.toml, "parse_toml"), (elevation, "read_map")):
         original = getattr(module, name)
 
         def counted(path, *rest, original=original, **options):

@@ -25,19 +25,9 @@ from slipfree.atlas.friction import (
     least_friction,
     least_friction_of_loads,
 )
+from slipfree.batch import many
 from slipfree.batch.evaluator import Evaluator, EvaluatorOf, evaluator_of, evaluator_of_graphs
 from slipfree.batch.graph import Graph, Graphs, graph_of
-from slipfree.batch.many import (
-    CHUNK,
-    Rests,
-    Wanted,
-    columns_of,
-    solve_positions,
-    sources_of,
-    stand,
-    stand_checked,
-    start_states,
-)
 from slipfree.batch.motion import COMPLETE, relax
 from slipfree.contact.nearest_points import CLEARANCE
 from slipfree.core.arguments import checked
@@ -227,7 +217,7 @@ class AtlasGraphs(NamedTuple):
 class Reduction(NamedTuple):
     """A band: the rows of a quantity, its label, and the reduction over the rows."""
 
-    source: Wanted
+    source: many.Wanted
     label: Label
     reduce: Callable[..., Array]
 
@@ -477,11 +467,11 @@ def tile_of(
     """Return the bands of a tile, shape (n_headings, n_x, n_y)."""
     places = np.stack([each.ravel() for each in np.meshgrid(heading, x, y, indexing="ij")])
     parts = list[dict[str, Array]]()
-    for first in range(0, places.shape[1], PROVED_TOGETHER * CHUNK):
-        some = places[:, first : first + PROVED_TOGETHER * CHUNK]
+    for first in range(0, places.shape[1], PROVED_TOGETHER * many.CHUNK):
+        some = places[:, first : first + PROVED_TOGETHER * many.CHUNK]
         own = [
-            _bands(evaluator, some[:, k : k + CHUNK], inputs, error, tolerance)
-            for k in range(0, some.shape[1], CHUNK)
+            _bands(evaluator, some[:, k : k + many.CHUNK], inputs, error, tolerance)
+            for k in range(0, some.shape[1], many.CHUNK)
         ]
         parts.append(_joined([bands for bands, _ in own]))
         if guarantee is not None:
@@ -509,16 +499,16 @@ def _bands(
     ``places`` are heading, x and y.
     """
     evaluate, graphs = evaluator.evaluate, evaluator.evaluate.graphs
-    states = start_states(graphs, dict(zip(("heading", "x", "y"), places, strict=True)))
+    states = many.start_states(graphs, dict(zip(("heading", "x", "y"), places, strict=True)))
     labels = leaves(graphs.dae.labels.u)
     given = np.array([[inputs.get(label.full, 0.0)] for label in labels])
     states[graphs.rows.u] = given
     with np.errstate(all="ignore"):
-        stands = stand(evaluate, states)
+        stands = many.stand(evaluate, states)
         if evaluator.has_rests:
             rests = other_rests(evaluate, states, stands.has_pose)
         states[graphs.rows.u] = given  # a vehicle relaxes at rest
-        outcomes = stand_checked(evaluate, states, stands)
+        outcomes = many.stand_checked(evaluate, states, stands)
         bands = _quantities(evaluator, graphs.dae.checks, states, tolerance)
         if evaluator.has_rests:
             bands[RESTS.name] = rests.astype(float)
@@ -546,7 +536,7 @@ def _quantities(
     for check in checks:
         # margins of checks are only bounds
         if check.label.name == CLEARANCE.name and evaluator.computes(CLEARANCE.name):
-            bands[CLEARANCE.name] = check.margin(*columns_of(graphs, states)[:2])
+            bands[CLEARANCE.name] = check.margin(*many.columns_of(graphs, states)[:2])
     return bands | _friction_bands(evaluator, states, tolerance)
 
 
@@ -602,12 +592,12 @@ def _computed_bands(
     def at(shifts: Array) -> dict[str, Array]:
         """Return the bands with shifts (n_wheels, n), in units of the error."""
         moved = np.insert(states, [rows.c.stop] * wheels, error * shifts, axis=0)
-        rests = solve_positions(evaluate, moved)
+        rests = many.solve_positions(evaluate, moved)
         if dae.rest.numel():  # to the rest that is near that of the pose
             is_relaxed = relax(evaluate, moved)
-            rests = Rests(rests.has_pose & is_relaxed, np.zeros_like(is_relaxed))
+            rests = many.Rests(rests.has_pose & is_relaxed, np.zeros_like(is_relaxed))
         moved[evaluate.graphs.rows.u] = inputs
-        known = stands & (stand_checked(evaluate, moved, rests) == COMPLETE)
+        known = stands & (many.stand_checked(evaluate, moved, rests) == COMPLETE)
         bands = _quantities(corners, dae.checks, moved, tolerance)
         return {name: np.where(known, values, np.nan) for name, values in bands.items()}
 
@@ -652,7 +642,7 @@ def other_rests(evaluate: Evaluator, states: Array, solved: Mask) -> Indices:
         other = rests[0].copy()
         other[tilt] += TILT * np.array([[np.cos(turn)], [np.sin(turn)]])
         part = other[:, solved]
-        is_solved = solve_positions(evaluate, part).has_pose & relax(evaluate, part)
+        is_solved = many.solve_positions(evaluate, part).has_pose & relax(evaluate, part)
         other[:, solved] = np.where(is_solved, part, np.nan)
         apart = np.array([np.hypot(*(other[tilt] - each[tilt])) for each in rests])
         is_stable |= apart[0] <= SAME_REST
@@ -699,7 +689,7 @@ def _reductions(graphs: Graphs) -> dict[str, Reduction]:
     dae, rows = graphs.dae, graphs.rows
     first = rows.x.stop - dae.rest.numel()  # the states before are given
     reductions = dict[str, Reduction]()
-    for name, source in sources_of(graphs, None).items():
+    for name, source in many.sources_of(graphs, None).items():
         is_pose = first <= source.rows[0] < rows.p.stop and not source.is_output
         if is_pose and name != "z" and not source.wheels:
             reductions[name] = Reduction(source, source.label, np.min)

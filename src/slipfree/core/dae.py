@@ -12,23 +12,12 @@ import casadi as ca
 import numpy as np
 from typing_extensions import TypeVar  # with a default
 
+from slipfree.core import records
 from slipfree.core.arguments import checked
 from slipfree.core.errors import ModelError, similar
 from slipfree.core.lookups import CellBounds, Lookup, lookup_function
 from slipfree.core.outcome import Outcome
-from slipfree.core.records import (
-    Array,
-    Indices,
-    Label,
-    Mask,
-    Record,
-    leaves,
-    overview,
-    pack,
-    quantity_names,
-    unpack,
-    with_overview,
-)
+from slipfree.core.records import Array, Indices, Label, Mask, Record, leaves
 from slipfree.core.schema import Finite
 from slipfree.core.trajectory import Trajectory
 from slipfree.system.forks import cached_property
@@ -42,7 +31,7 @@ LIMIT_ROUNDING = (
 )
 
 
-@with_overview
+@records.with_overview
 class Limit(NamedTuple):
     """Limit of a motion: the motion ends where ``lower <= expression <= upper`` is violated.
 
@@ -453,12 +442,12 @@ class Dae(Generic[X, Z, U, Y]):
             f"{len(list(leaves(getattr(self.labels, record))))} {words}"
             for record, words in (("x", "states"), ("z", "unknowns"), ("u", "inputs"))
         ]
-        return overview(
+        return records.overview(
             f"Dae: {', '.join(counts)}, {len(self.limits)} limits, size {self.size:.3g} m",
-            states=quantity_names(self.labels.x),
-            unknowns=quantity_names(self.labels.z),
+            states=records.quantity_names(self.labels.x),
+            unknowns=records.quantity_names(self.labels.z),
             inputs=self.input_names,
-            outputs=quantity_names((self.labels.q, self.labels.y)),
+            outputs=records.quantity_names((self.labels.q, self.labels.y)),
         )
 
     @property
@@ -539,7 +528,7 @@ class Dae(Generic[X, Z, U, Y]):
         names = self.input_names
         _same_names("inputs", names, values)
         record: Any = self.u
-        found: Record = unpack(record, [values[name] for name in names])
+        found: Record = records.unpack(record, [values[name] for name in names])
         return found
 
     def rows(
@@ -667,7 +656,7 @@ class Dae(Generic[X, Z, U, Y]):
 
     @cached_property
     def _columns(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        return pack(self.x), pack(self.z), pack(self.u)
+        return records.pack(self.x), records.pack(self.z), records.pack(self.u)
 
 
 @dataclass(frozen=True, eq=False)

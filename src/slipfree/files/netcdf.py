@@ -47,13 +47,7 @@ from slipfree.core.trajectory import (
 )
 from slipfree.core.version import __version__
 from slipfree.files.tables import write_rows
-from slipfree.system.regular_files import (
-    check_ending,
-    escape_name,
-    regular_file,
-    replacing,
-    resolve_links,
-)
+from slipfree.system import regular_files
 
 DEGREES = ("longitude", "latitude")
 MAP_TRANSFORM = "map_transform"  # attribute of a result: its map coordinates as JSON
@@ -208,7 +202,7 @@ def write(
     _check(run)
     on_map = position_columns(run)
     columns = {**on_map, **run.columns}
-    with replacing(Path(path)) as part:
+    with regular_files.replacing(Path(path)) as part:
         with scipy.io.netcdf_file(str(part), "w", version=2) as file:
             now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
             own = {
@@ -365,7 +359,7 @@ def annotate(node: Any, attributes: Mapping[str, Any]) -> None:
                 f"expected an attribute name that scipy's netCDF writer does not use, found "
                 f"{name!r}; rename the attribute"
             )
-        text = escape_name(value).encode() if isinstance(value, str) else None
+        text = regular_files.escape_name(value).encode() if isinstance(value, str) else None
         setattr(node, name, np.float64(value) if text is None else text)
 
 
@@ -411,7 +405,7 @@ def result_fault(path: Path, found: str, remedy: str = REMEDY) -> DataError:
 
 def open_netcdf(path: Path) -> NetcdfFile:
     """Return a result file opened for reading; raise DataError for any other or a damaged file."""
-    with regular_file(path, "a result file of slipfree"):
+    with regular_files.regular_file(path, "a result file of slipfree"):
         with path.open("rb") as stream:
             head = stream.read(4)
         if head in (b"\x89HDF", b"CDF\5"):
@@ -616,8 +610,8 @@ def check_motion(file: Path, run: Trajectory, needed: Iterable[str]) -> None:
 
 def check_name(out: Path, file: Path, endings: Collection[str]) -> None:
     """Raise DataError unless ``out`` has one of the endings and is not the result file."""
-    check_ending(out, endings)
-    if resolve_links(out) == resolve_links(file):
+    regular_files.check_ending(out, endings)
+    if regular_files.resolve_links(out) == regular_files.resolve_links(file):
         raise DataError(
             f"{out}: expected a separate file, found the result file; choose another name"
         )
@@ -660,5 +654,5 @@ def _write_geojson(run: Trajectory, out: Path) -> None:
         code = re.fullmatch(r"EPSG:(\d+)", crs)
         name = f"urn:ogc:def:crs:EPSG::{code[1]}" if code else crs
         content["crs"] = {"type": "name", "properties": {"name": name}}
-    with replacing(out) as part:
+    with regular_files.replacing(out) as part:
         part.write_text(json.dumps(content) + "\n", encoding="utf-8")

@@ -24,35 +24,7 @@ from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, Validati
 from slipfree.core.arguments import WithUnit, degrees_question
 from slipfree.core.errors import ModelError
 from slipfree.core.records import Array
-from slipfree.files.toml import (
-    WITH_UNIT,
-    Angle,
-    AngleWithUnit,
-    Fault,
-    NonNegative,
-    Place,
-    Point,
-    Positive,
-    ProblemError,
-    Quantity,
-    Record,
-    Source,
-    bare_words,
-    expected_error,
-    given_values,
-    in_radians,
-    is_number,
-    key_lines,
-    name_errors,
-    parse_toml,
-    parse_unit,
-    read_text,
-    record_of,
-    spelled,
-    unit_faults,
-    validation_fault,
-    value_errors,
-)
+from slipfree.files import toml
 from slipfree.geometry.frame import Vector, in_axes, unit_vector
 from slipfree.vehicle import tree
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS, names_in
@@ -120,7 +92,7 @@ class Draft(tree.VehicleParts):
         return tree.Vehicle(*(getattr(self, part.name) for part in fields(tree.VehicleParts)))
 
 
-class VehicleError(ProblemError):
+class VehicleError(toml.ProblemError):
     """Error in a vehicle file, with one message per error.
 
     ``draft`` has the valid parts of the vehicle; None if single values are invalid.
@@ -332,7 +304,7 @@ def _drive_keys(drive: Drive) -> dict[str, Any]:
 def angle_text(angle: float) -> str:
     """Return an angle [rad] as text in degrees, or in radians if degrees would not be exact."""
     text = f"{degrees(angle):g} deg"
-    return text if parse_unit(text) == angle else f"{float(angle)!r} rad"
+    return text if toml.parse_unit(text) == angle else f"{float(angle)!r} rad"
 
 
 def _wheel_keys(wheel: Wheel) -> dict[str, Any]:
@@ -356,7 +328,7 @@ def _wheel_keys(wheel: Wheel) -> dict[str, Any]:
 
 def _meters(value: float) -> float:
     if abs(value) > MAX_LENGTH:
-        raise expected_error(length_words(value))
+        raise toml.expected_error(length_words(value))
     return value
 
 
@@ -367,11 +339,11 @@ def _all(check: Callable[[float], float]) -> AfterValidator:
 def _axis(value: Any) -> str | Vector:
     if isinstance(value, str) and value in ("x", "y", "z"):
         return value
-    if isinstance(value, list) and len(value) == 3 and all(map(is_number, value)):
+    if isinstance(value, list) and len(value) == 3 and all(map(toml.is_number, value)):
         x, y, z = map(float, value)
         if max(map(abs, value)) < MAX_LENGTH and math.hypot(x, y, z) > 0:
             return x, y, z
-    raise expected_error(
+    raise toml.expected_error(
         "'x', 'y', 'z' or a vector [x, y, z] other than zero, with absolute values below "
         f"{MAX_LENGTH:g}"
     )
@@ -380,33 +352,33 @@ def _axis(value: Any) -> str | Vector:
 def _rollers(value: Any) -> float | bool:
     if value is False:
         return False
-    angle = parse_unit(value)
+    angle = toml.parse_unit(value)
     is_bare = isinstance(angle, int | float) and not isinstance(angle, bool | WithUnit)
-    is_angle = is_bare or isinstance(angle, AngleWithUnit)
-    if is_angle and 0 < abs(in_radians(angle)) <= math.pi / 2:
+    is_angle = is_bare or isinstance(angle, toml.AngleWithUnit)
+    if is_angle and 0 < abs(toml.in_radians(angle)) <= math.pi / 2:
         return float(angle)
-    raise expected_error(
+    raise toml.expected_error(
         "the angle from the wheel's axle to the axles of its rollers, not zero and at most 90 "
         'degrees, such as "90 deg" for an omni wheel, "45 deg" or "-45 deg" for a mecanum wheel; '
         "or false for a wheel without rollers"
     )
 
 
-class KindTable(Record):
+class KindTable(toml.Record):
     """Table with a key ``kind``, on which its other keys depend."""
 
-    tables: ClassVar[Mapping[str, type[Record]]]  # records with the keys of each kind
+    tables: ClassVar[Mapping[str, type[toml.Record]]]  # records with the keys of each kind
     kind: str
 
     @classmethod
-    def schema_for(cls, data: Any) -> type[Record]:
+    def schema_for(cls, data: Any) -> type[toml.Record]:
         """Return the record with the keys of the kind."""
         if "tables" not in vars(cls):  # a record of one kind
             return cls
         kind = data.get("kind") if isinstance(data, dict) else None
         if not isinstance(kind, str) or kind not in cls.tables:
             words = ", ".join(map(repr, cls.tables))
-            raise expected_error(f"a table whose 'kind' is one of {words}")
+            raise toml.expected_error(f"a table whose 'kind' is one of {words}")
         return cls.tables[kind]
 
 
@@ -415,22 +387,24 @@ class DriveKind(KindTable):
 
 
 _drives: Mapping[str, Any] = DRIVES
-DriveKind.tables = {kind: record_of(drive, DriveKind) for kind, drive in _drives.items()}
+DriveKind.tables = {kind: toml.record_of(drive, DriveKind) for kind, drive in _drives.items()}
 
 
 def _drive(data: Any) -> Drive:
-    parameters = given_values(DriveKind.model_validate(data))
+    parameters = toml.given_values(DriveKind.model_validate(data))
     return DRIVES[parameters.pop("kind")](**parameters)
 
 
 Axis = Annotated[Any, PlainValidator(_axis)]
 Rollers = Annotated[Any, PlainValidator(_rollers)]
-At = Annotated[Point, _all(_meters)]
-Turned = Annotated[tuple[Angle, Angle, Angle], Field(strict=False), _all(in_radians)]
+At = Annotated[toml.Point, _all(_meters)]
+Turned = Annotated[
+    tuple[toml.Angle, toml.Angle, toml.Angle], Field(strict=False), _all(toml.in_radians)
+]
 Name = Annotated[str, Field(min_length=1)]
 Inertia = Annotated[tuple[float, float, float, float, float, float], Field(strict=False)]
-WheelInertia = Annotated[tuple[Positive, Positive], Field(strict=False)]
-Length = Annotated[Positive, AfterValidator(_meters)]
+WheelInertia = Annotated[tuple[toml.Positive, toml.Positive], Field(strict=False)]
+Length = Annotated[toml.Positive, AfterValidator(_meters)]
 DriveTable: Any = Annotated[DriveKind | Any, PlainValidator(_drive)]
 
 
@@ -463,23 +437,23 @@ AnyShapeTable.tables = {"box": BoxTable, "ball": BallTable, "hull": HullTable}
 Shapes = Annotated[tuple[AnyShapeTable, ...], Field(strict=False)]
 
 
-class CoordinateTable(Record):
+class CoordinateTable(toml.Record):
     """Table of a coordinate: an angle or length that determines the motion of joints."""
 
     name: Name
     kind: tree.Kind
     words: str | None = None
-    lower: Quantity | None = None
-    upper: Quantity | None = None
-    stiffness: NonNegative = 0.0
-    rest: Quantity = 0.0
-    damping: NonNegative = 0.0
-    bump: NonNegative = 0.0
-    max_rate: Annotated[Positive, WITH_UNIT] | None = None
+    lower: toml.Quantity | None = None
+    upper: toml.Quantity | None = None
+    stiffness: toml.NonNegative = 0.0
+    rest: toml.Quantity = 0.0
+    damping: toml.NonNegative = 0.0
+    bump: toml.NonNegative = 0.0
+    max_rate: Annotated[toml.Positive, toml.WITH_UNIT] | None = None
     drive: DriveTable = RATE
 
 
-class JointTable(Record):
+class JointTable(toml.Record):
     """Table of a joint: a part that rotates about an axis of its parent or slides along it."""
 
     name: Name
@@ -489,13 +463,13 @@ class JointTable(Record):
     at: At = ORIGIN
     motion: Literal["turn", "slide"] = "turn"
     turned: Turned = ORIGIN
-    mass: NonNegative = 0.0
+    mass: toml.NonNegative = 0.0
     center_of_mass: At = ORIGIN
     inertia: Inertia | None = None
     shapes: Shapes = ()
 
 
-class AnyWheelTable(Record):
+class AnyWheelTable(toml.Record):
     """Table of a wheel: the keys that do not depend on its section."""
 
     name: Name
@@ -505,14 +479,14 @@ class AnyWheelTable(Record):
     driven: bool = False
     rollers: Rollers = False
     axle: Axis | None = None
-    grip: Positive = 1.0
-    mass: NonNegative = 0.0
+    grip: toml.Positive = 1.0
+    mass: toml.NonNegative = 0.0
     static_depth: Length | None = None
     inertia: WheelInertia | None = None
     drive: DriveTable = RATE
 
     @classmethod
-    def schema_for(cls, data: Any) -> type[Record]:
+    def schema_for(cls, data: Any) -> type[toml.Record]:
         """Return the record with the dimensions of the section."""
         if cls is not AnyWheelTable:
             return cls
@@ -520,7 +494,7 @@ class AnyWheelTable(Record):
             return WheelTable
         name = data["section"]
         section = SECTIONS.get(name) if isinstance(name, str) else None
-        schema: type[Record] = record_of(section, cls) if section else UnknownSectionTable
+        schema: type[toml.Record] = toml.record_of(section, cls) if section else UnknownSectionTable
         return schema
 
 
@@ -528,7 +502,7 @@ class WheelTable(AnyWheelTable):
     """Table of a wheel without the key ``section``: a torus, disc or sphere."""
 
     radius: Length
-    tube: NonNegative = 0.0
+    tube: toml.NonNegative = 0.0
 
 
 class UnknownSectionTable(AnyWheelTable):
@@ -538,12 +512,12 @@ class UnknownSectionTable(AnyWheelTable):
     section: Literal[tuple(SECTIONS)]  # type: ignore[valid-type]
 
 
-class VehicleTable(Record):
+class VehicleTable(toml.Record):
     """Contents of a vehicle file."""
 
     name: Name
     frame: Literal["paper", "rep103"]
-    mass: NonNegative = 0.0
+    mass: toml.NonNegative = 0.0
     center_of_mass: At = ORIGIN
     inertia: Inertia | None = None
     shapes: Shapes = ()
@@ -557,13 +531,13 @@ class VehicleTable(Record):
 class File(NamedTuple):
     """Contents of a vehicle file: text with line numbers, and values."""
 
-    source: Source
+    source: toml.Source
     data: dict[str, Any]
 
-    def error(self, faults: list[Fault], draft: Draft | None = None) -> VehicleError:
+    def error(self, faults: list[toml.Fault], draft: Draft | None = None) -> VehicleError:
         """Return an exception with the messages of all errors, in the order of their lines."""
 
-        def who(place: Place) -> str:  # name of the element, as in " (joint 'boom')"
+        def who(place: toml.Place) -> str:  # name of the element, as in " (joint 'boom')"
             if len(place) < 2 or not isinstance(place[1], int):
                 return ""
             elements = self.data.get(str(place[0]))
@@ -579,31 +553,31 @@ class File(NamedTuple):
 
 def open_file(path: Path) -> File:
     """Return the contents of a TOML file; raise ProblemError if it cannot be read."""
-    return file_of(path, read_text(path, "a vehicle file"))
+    return file_of(path, toml.read_text(path, "a vehicle file"))
 
 
 @lru_cache(maxsize=4)  # a command asks several times for the file of its vehicle
 def file_of(path: Path, text: str) -> File:
     """Return the contents of a text, with ``path`` as its file; errors as in `open_file`."""
-    data = parse_toml(path, text)
-    return File(Source(path, text, key_lines(text)), data)
+    data = toml.parse_toml(path, text)
+    return File(toml.Source(path, text, toml.key_lines(text)), data)
 
 
-def validated(model: type[Record], file: File) -> Any:
+def validated(model: type[toml.Record], file: File) -> Any:
     """Return the contents of a file as a record of type ``model``, or raise VehicleError."""
     try:
         table = model.model_validate(file.data)
     except ValidationError as error:
-        faults = list[Fault]()
+        faults = list[toml.Fault]()
         words = {"frame": FRAMES, "parent": tree.PARENT, "wheels": "at least three wheels"}
         for each in error.errors(include_url=False):
             place = tuple(each["loc"])
             if each["type"] == "missing" and isinstance(place[-1], str):
-                faults.append(Fault(place, words.get(place[-1], "a value"), "none"))
+                faults.append(toml.Fault(place, words.get(place[-1], "a value"), "none"))
             else:
-                faults.append(validation_fault(model, file.data, dict(each)))
+                faults.append(toml.validation_fault(model, file.data, dict(each)))
         raise file.error(faults) from error
-    if faults := [*value_errors(file.data)]:
+    if faults := [*toml.value_errors(file.data)]:
         raise file.error(faults)
     return table
 
@@ -613,7 +587,7 @@ def read_toml(file: File) -> Draft:
     table: VehicleTable = validated(VehicleTable, file)
     faults = [
         *_name_errors(table),
-        *starmap(Fault, tree.part_faults(table.coordinates, table.joints, table.wheels, ADD)),
+        *starmap(toml.Fault, tree.part_faults(table.coordinates, table.joints, table.wheels, ADD)),
         *_loop_errors(table),
         *_dimension_errors(table),
         *couple_errors(table.couple, [joint.name for joint in table.joints]),
@@ -632,22 +606,22 @@ def read_toml(file: File) -> Draft:
     faults += wrong
     if len(draft.wheels) == len(table.wheels):
         part = "coordinates" if table.coordinates and len(table.wheels) > 2 else "wheels"
-        faults += [Fault((part,), *words) for words in misfits(draft)]
+        faults += [toml.Fault((part,), *words) for words in misfits(draft)]
     if faults:
         raise file.error(faults, draft)
     return draft
 
 
-def couple_errors(couple: Mapping[str, float], known: Sequence[str]) -> Iterator[Fault]:
+def couple_errors(couple: Mapping[str, float], known: Sequence[str]) -> Iterator[toml.Fault]:
     """Yield the errors in the key ``couple``, whose names must be among ``known``."""
     if couple and (len(couple) != 2 or not all(couple.values())):
         found = ", ".join(f"{name} = {value:g}" for name, value in couple.items())
         expected = "two joints with coefficients other than zero, as in { left = 1, right = 1 }"
-        yield Fault(("couple",), expected, f"{found}; correct it")
-    yield from name_errors(("couple",), couple, known)
+        yield toml.Fault(("couple",), expected, f"{found}; correct it")
+    yield from toml.name_errors(("couple",), couple, known)
 
 
-def _differential_errors(table: VehicleTable) -> Iterator[Fault]:
+def _differential_errors(table: VehicleTable) -> Iterator[toml.Fault]:
     """Yield an error for each coupled joint that has no coordinate of its own."""
     values = {joint.name: joint.value for joint in table.joints}
     coordinates = {c.name: c for c in table.coordinates}
@@ -655,17 +629,19 @@ def _differential_errors(table: VehicleTable) -> Iterator[Fault]:
     for name in table.couple:
         if values[name] not in coordinates or uses.count(values[name]) > 1:
             expected = "a joint whose value is a coordinate that no other joint uses"
-            yield Fault(("couple", name), expected, f"value = {values[name]!r}; correct the value")
+            yield toml.Fault(
+                ("couple", name), expected, f"value = {values[name]!r}; correct the value"
+            )
     for name in [*table.couple][1:]:
         c = coordinates.get(values[name])
         if c is not None and c.model_fields_set - {"name", "kind", "words"}:
             keys = ", ".join(sorted(c.model_fields_set - {"name", "kind", "words"}))
             expected = "the keys of the common coordinate in that of the first joint"
             found = f"{keys} in {c.name!r}; move them to {values[next(iter(table.couple))]!r}"
-            yield Fault(("couple", name), expected, found)
+            yield toml.Fault(("couple", name), expected, found)
 
 
-def _name_errors(table: VehicleTable) -> Iterator[Fault]:
+def _name_errors(table: VehicleTable) -> Iterator[toml.Fault]:
     """Yield an error for row name that is not unique, is reserved, or has invalid characters."""
     seen: dict[str, str] = {}
     for part in ("coordinates", "wheels", "joints"):
@@ -676,19 +652,21 @@ def _name_errors(table: VehicleTable) -> Iterator[Fault]:
             if row.name in seen:
                 remedy = "it" if seen[row.name] == "the platform" else "one of them"
                 found = f"{row.name!r}, also the name of {seen[row.name]}; rename {remedy}"
-                yield Fault(place, "a unique name", found)
-            seen.setdefault(row.name, spelled((part, index)))
+                yield toml.Fault(place, "a unique name", found)
+            seen.setdefault(row.name, toml.spelled((part, index)))
             if part == "wheels" and not re.fullmatch(r"[\w-]+", row.name):
-                yield Fault(place, "a name of letters, digits, _ and -", f"{row.name!r}; rename it")
+                yield toml.Fault(
+                    place, "a name of letters, digits, _ and -", f"{row.name!r}; rename it"
+                )
             if part == "coordinates" and not is_symbol(row.name):
                 expected = "a name of letters, digits and _ that does not begin with a digit"
                 if row.name.isidentifier():
                     expected = "a name other than those of functions, constants, states of the "
                     expected += "platform and Python keywords"
-                yield Fault(place, expected, f"{row.name!r}; rename it")
+                yield toml.Fault(place, expected, f"{row.name!r}; rename it")
 
 
-def _loop_errors(table: VehicleTable) -> Iterator[Fault]:
+def _loop_errors(table: VehicleTable) -> Iterator[toml.Fault]:
     """Yield an error for each loop of parents."""
     parents = {joint.name: joint.parent for joint in table.joints}
     reported: set[str] = set()
@@ -697,10 +675,10 @@ def _loop_errors(table: VehicleTable) -> Iterator[Fault]:
         if joint.name in loop and joint.name not in reported:
             reported |= set(loop)
             found = f"a loop: {' on '.join((*loop, loop[0]))}; cut the loop at one joint"
-            yield Fault(("joints", index, "parent"), "a tree with the root 'platform'", found)
+            yield toml.Fault(("joints", index, "parent"), "a tree with the root 'platform'", found)
 
 
-def _dimension_errors(table: VehicleTable) -> Iterator[Fault]:
+def _dimension_errors(table: VehicleTable) -> Iterator[toml.Fault]:
     """Yield errors in the limits of coordinates and their units, and in dimensions of wheels."""
     slides = {
         name for joint in table.joints if joint.motion == "slide" for name in _names_in(joint.value)
@@ -709,22 +687,24 @@ def _dimension_errors(table: VehicleTable) -> Iterator[Fault]:
         for key in ("lower", "upper", "rest"):
             value = getattr(c, key) or 0.0
             if c.name in slides and abs(value) > MAX_LENGTH:
-                yield Fault(("coordinates", index, key), length_words(value), f"{value:g}")
-            elif c.name not in slides and (expected := bare_words(value)):
-                yield Fault(("coordinates", index, key), expected, f"{value:g}")
+                yield toml.Fault(("coordinates", index, key), length_words(value), f"{value:g}")
+            elif c.name not in slides and (expected := toml.bare_words(value)):
+                yield toml.Fault(("coordinates", index, key), expected, f"{value:g}")
         values = {key: getattr(c, key) for key in ("lower", "upper", "rest", "max_rate")}
         unit = "m" if c.name in slides else "rad"
         units = dict.fromkeys(values, unit) | {"max_rate": f"{unit} s-1"}
-        yield from unit_faults(("coordinates", index), values, units)
+        yield from toml.unit_faults(("coordinates", index), values, units)
     for index, wheel in enumerate(table.wheels):
         if isinstance(wheel, WheelTable) and wheel.tube > wheel.radius:
             expected = f"at most the radius, {wheel.radius:g} m (a ball)"
-            yield Fault(("wheels", index, "tube"), expected, f"{wheel.tube:g}; reduce it")
+            yield toml.Fault(("wheels", index, "tube"), expected, f"{wheel.tube:g}; reduce it")
             continue
         try:
             _section_of(wheel)
         except ModelError as error:
-            yield Fault(("wheels", index, "section"), "valid dimensions of a section", str(error))
+            yield toml.Fault(
+                ("wheels", index, "section"), "valid dimensions of a section", str(error)
+            )
 
 
 def _names_in(formula: str) -> frozenset[str]:
@@ -734,9 +714,9 @@ def _names_in(formula: str) -> frozenset[str]:
         return frozenset()
 
 
-def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
+def _build_draft(table: VehicleTable) -> tuple[Draft, list[toml.Fault]]:
     """Return the draft of the valid parts, and the errors of coordinates and inertias."""
-    faults: list[Fault] = []
+    faults: list[toml.Fault] = []
 
     def build(part: str, make: Callable[[Any], T]) -> tuple[T, ...]:
         made = []
@@ -744,7 +724,7 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
             try:
                 made.append(make(each))
             except ModelError as error:
-                faults.append(Fault((part, index), f"a valid {part[:-1]}", str(error)))
+                faults.append(toml.Fault((part, index), f"a valid {part[:-1]}", str(error)))
         return tuple(made)
 
     def coordinate(table: CoordinateTable) -> tree.Coordinate:
@@ -767,12 +747,14 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
     return draft, [f for f in faults if f.place[0] == "coordinates" or f.place[-1] == "inertia"]
 
 
-def _body(table: JointTable | VehicleTable, faults: list[Fault], place: Place) -> tree.Body:
+def _body(
+    table: JointTable | VehicleTable, faults: list[toml.Fault], place: toml.Place
+) -> tree.Body:
     shapes = tuple(SHAPES[s.kind](**s.model_dump(exclude={"kind"})) for s in table.shapes)
     try:
         return tree.Body(table.mass, table.center_of_mass, table.inertia, shapes)
     except ModelError as error:
-        faults.append(Fault((*place, "inertia"), "a valid inertia", str(error)))
+        faults.append(toml.Fault((*place, "inertia"), "a valid inertia", str(error)))
         return tree.Body(table.mass, table.center_of_mass, shapes=shapes)
 
 

@@ -18,12 +18,7 @@ from slipfree.atlas.atlas import PROVED, Atlas, Band, least_bounds
 from slipfree.core.errors import DataError
 from slipfree.core.facts import Fact, Lines, lines, rows
 from slipfree.core.records import Array
-from slipfree.files.atlas_files import (
-    Site,
-    Tiles,
-    write_atlas,
-    write_geotiff,
-)
+from slipfree.files.atlas_files import Site, Tiles, write_atlas, write_geotiff
 from slipfree.problem import inputs
 from slipfree.problem.build_ground import Extremes
 from slipfree.problem.problem import Problem

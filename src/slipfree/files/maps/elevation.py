@@ -21,15 +21,8 @@ from slipfree.core.arguments import checked
 from slipfree.core.errors import DataError, ModelError, missing_package
 from slipfree.core.records import Array, Mask
 from slipfree.files.foreign_formats import check_contents, check_ending
+from slipfree.files.maps import raster
 from slipfree.files.maps.missing_values import check_values
-from slipfree.files.maps.raster import (
-    FORMATS,
-    UNKNOWN,
-    Reading,
-    Registration,
-    naming,
-    read_raster,
-)
 from slipfree.files.maps.reference_systems import (
     LENGTHS,
     UNKNOWN_ZONE,
@@ -157,7 +150,7 @@ def _columns(rows: Any) -> tuple[Array, Array]:
 CLOUDS = {".ply": ply_points, ".pcd": pcd_points}  # readers of endings other than those of LAS
 
 
-def read_points(path: Path, ask: Reading) -> Heights:
+def read_points(path: Path, ask: raster.Reading) -> Heights:
     """Return the height map interpolated linearly from scattered points; holes outside their hull.
 
     The first node is at the smallest x and y of all points.
@@ -260,7 +253,7 @@ def interpolate_points(
     return np.concatenate(rows)
 
 
-def read_point_cloud(path: Path, ask: Reading) -> Heights:
+def read_point_cloud(path: Path, ask: raster.Reading) -> Heights:
     """Return the height map of a point cloud (LAS, LAZ, PLY, PCD), with holes in empty cells.
 
     Points classified as ground are used if there are any. Those of a cell are averaged in x, y and
@@ -511,7 +504,7 @@ def read_map(
     *,
     window: Window | None = None,
     cell: float | None = None,
-    registration: Registration | None = None,
+    registration: raster.Registration | None = None,
     spacing: float | None = None,
     geographic: Literal["local"] | Frame | None = None,
     fill: Literal["linear"] | None = None,
@@ -563,8 +556,8 @@ def read_map(
     """
     path = Path(path)
     ending = path.suffix.lower()
-    reading = Reading(window, cell, registration, spacing, vertical_scale)
-    with naming(path):
+    reading = raster.Reading(window, cell, registration, spacing, vertical_scale)
+    with raster.naming(path):
         for key in KEYS:
             value = getattr(reading, key)
             if value is not None and not takes_key(ending, key):
@@ -738,7 +731,7 @@ def jacksboro(scale: float = 1.0) -> Grid:
     return Grid(scale * grid.x, scale * grid.y, scale * grid.z)
 
 
-def _read_npz(path: Path, ask: Reading) -> Heights:
+def _read_npz(path: Path, ask: raster.Reading) -> Heights:
     try:
         with path.open("rb") as stream, warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of files written by Python 2
@@ -787,18 +780,18 @@ class MapReader(NamedTuple):
     """Reader of map files of one format."""
 
     endings: tuple[str, ...]  # endings of the names of such files, in lower case, with the dot
-    read: Callable[[Path, Reading], Heights]  # ``read(path, reading)`` returns the heights
+    read: Callable[[Path, raster.Reading], Heights]  # ``read(path, reading)`` returns the heights
     keys: tuple[str, ...] = ()  # fields of `Reading`, besides ``window``, that the format uses
 
 
-def _read_raster(path: Path, ask: Reading) -> Heights:
+def _read_raster(path: Path, ask: raster.Reading) -> Heights:
     """Return the heights in a raster; the error for an unknown format names the known ones."""
     try:
-        return read_raster(path, ask)
+        return raster.read_raster(path, ask)
     except DataError as error:
-        if UNKNOWN in str(error):
+        if raster.UNKNOWN in str(error):
             check_contents(path, "map", _expected_endings())
-        if path.suffix.lower() in FORMATS or UNKNOWN not in str(error):
+        if path.suffix.lower() in raster.FORMATS or raster.UNKNOWN not in str(error):
             raise
         ending = repr(path.suffix) if path.suffix else "no ending"
         raise DataError(
@@ -807,7 +800,7 @@ def _read_raster(path: Path, ask: Reading) -> Heights:
         ) from error
 
 
-RASTERS = MapReader(tuple(FORMATS), _read_raster, ("cell", "registration"))
+RASTERS = MapReader(tuple(raster.FORMATS), _read_raster, ("cell", "registration"))
 READERS: tuple[MapReader, ...] = (
     MapReader((".npz",), _read_npz),
     RASTERS,

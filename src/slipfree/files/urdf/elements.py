@@ -9,16 +9,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from slipfree.files.urdf import tree
+from slipfree.files.urdf import tree, xacro
 from slipfree.files.urdf.evidence import actuators, plugins
 from slipfree.files.urdf.wheels import with_separate_balls
-from slipfree.files.urdf.xacro import (
-    check_macro_calls,
-    link_at,
-    substitute,
-    unknown_elements,
-    without_xacro,
-)
 from slipfree.files.urdf.xml import Element, number_in, parse_robot
 from slipfree.files.vehicle_toml import MAX_LENGTH, degrees_words, in_order, rotation_of
 from slipfree.geometry.frame import Elements, Vector, in_axes, tensor
@@ -42,10 +35,10 @@ def read_tree(
 ) -> tree.Tree:
     """Return the links and joints of a URDF file; a VehicleError has all errors of its elements."""
     robot, findings = parse_robot(data, file), tree.Findings(file)
-    check_macro_calls(robot, file, macros)
-    notes = substitute(robot, file, arguments)
+    xacro.check_macro_calls(robot, file, macros)
+    notes = xacro.substitute(robot, file, arguments)
     whole = robot
-    robot, omitted = without_xacro(robot, file, findings)
+    robot, omitted = xacro.without_xacro(robot, file, findings)
     for tag in ("link", "joint"):
         lines = defaultdict[str, list[int]](list)
         for element in robot.all(tag):
@@ -87,7 +80,7 @@ def read_tree(
     if chain:
         moving = ", ".join(joint.name for joint in chain)
         notes = (*notes, f"omitted, since they move the robot as a whole: {moving}")
-    unknown = (*unknown_elements(robot), *unread)
+    unknown = (*xacro.unknown_elements(robot), *unread)
     control = actuators(whole), plugins(whole)
     return with_separate_balls(
         tree.Tree(file, name, root, links, ordered, *control, omitted, notes, unknown)
@@ -250,7 +243,7 @@ def _joint(element: Element, findings: tree.Findings) -> tree.UrdfJoint:
     if kind not in TYPES:
         wrong = repr(kind) if kind else "none"
         joint.wrong(f"expected one of the types {', '.join(TYPES)}, found {wrong}; choose one")
-    ends = [link_at(element, tag) for tag in ("parent", "child")]
+    ends = [xacro.link_at(element, tag) for tag in ("parent", "child")]
     for tag, link in zip(("parent", "child"), ends, strict=True):
         if not link:
             joint.wrong(f'expected <{tag} link="..."/>, found none; add it')

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from slipfree.core.records import Array
+from slipfree.files import vehicle_toml
 from slipfree.files.urdf.evidence import (
     AXLES,
     CAMERA,
@@ -27,14 +28,7 @@ from slipfree.files.urdf.evidence import (
     words_of,
 )
 from slipfree.files.urdf.meshes import body_shapes
-from slipfree.files.urdf.roles import (
-    NO_ROLES,
-    JointRole,
-    UrdfTable,
-    WheelRole,
-    completed,
-    coupled,
-)
+from slipfree.files.urdf.roles import NO_ROLES, JointRole, UrdfTable, WheelRole, completed, coupled
 from slipfree.files.urdf.tree import Findings, Mimic, Tree, UrdfJoint, facing_forward
 from slipfree.files.urdf.wheels import (
     PARALLEL,
@@ -45,19 +39,7 @@ from slipfree.files.urdf.wheels import (
     usual_radius,
     with_fixed_rollers,
 )
-from slipfree.files.vehicle_toml import (
-    MAX_LENGTH,
-    Draft,
-    VehicleError,
-    degrees_words,
-    from_rep103,
-    is_symbol,
-    length_words,
-    misfits,
-    toml_key,
-    toml_line,
-    toml_value,
-)
+from slipfree.files.vehicle_toml import toml_key, toml_value
 from slipfree.geometry.frame import unit_vector
 from slipfree.vehicle.shapes import BodyShape
 from slipfree.vehicle.tree import Body, Coordinate, Joint
@@ -83,7 +65,7 @@ LEGS = (
 )
 
 
-def read_urdf(tree: Tree, roles: UrdfTable = NO_ROLES) -> Draft:
+def read_urdf(tree: Tree, roles: UrdfTable = NO_ROLES) -> vehicle_toml.Draft:
     """Return the vehicle of a URDF, in axes x right, y forward, z up, with its root as platform.
 
     A joint carries a wheel if it has a wheel role, or if it is continuous with a nearly level axis,
@@ -91,28 +73,28 @@ def read_urdf(tree: Tree, roles: UrdfTable = NO_ROLES) -> Draft:
     axis. Joints that carry neither a wheel nor a mass are omitted.
     """
     findings = Findings(tree.file)
-    draft = from_rep103(_draft(tree, roles, findings))
+    draft = vehicle_toml.from_rep103(_draft(tree, roles, findings))
     # the other choice of a guess does not correct an error
     notes = tuple(note.partition("; otherwise write ")[0] for note in draft.notes)
     refused = replace(draft, notes=notes)
     if findings.errors:
-        raise VehicleError(*findings.lines, draft=refused)
+        raise vehicle_toml.VehicleError(*findings.lines, draft=refused)
     few = _wheel_remedy(tree, roles, draft) if len(draft.wheels) < MIN_WHEELS else ""
-    wrong = [f"{tree.file}:1: expected {e}, found {f}" for e, f in misfits(draft, few)]
+    wrong = [f"{tree.file}:1: expected {e}, found {f}" for e, f in vehicle_toml.misfits(draft, few)]
     wrong += [f"{tree.file}:{element}" for element in tree.unknown if wrong]
     if wrong:
-        raise VehicleError(*wrong, draft=refused)
+        raise vehicle_toml.VehicleError(*wrong, draft=refused)
     return draft
 
 
-def _draft(file: Tree, roles: UrdfTable, findings: Findings) -> Draft:
+def _draft(file: Tree, roles: UrdfTable, findings: Findings) -> vehicle_toml.Draft:
     """Return the vehicle of a URDF before its checks: roles and shapes given or guessed."""
     tree = coupled(completed(file, roles), roles.couple)
     forward = roles.forward or _forward(tree, roles, findings)
     wheels = Wheels(facing_forward(tree, forward), roles, findings)
     for name, (table, values, reason) in wheels.gears.items():
         if wheels.tree.joints[name].moves:
-            other = toml_line(table, name, **values)
+            other = vehicle_toml.toml_line(table, name, **values)
             findings.guess("joints", name, {"kind": "fixed"}, reason, other)
     fixed = dict.fromkeys(wheels.gears, JointRole(kind="fixed"))
     roles = roles.model_copy(update={"joints": {**roles.joints, **fixed}})
@@ -147,7 +129,7 @@ def _draft(file: Tree, roles: UrdfTable, findings: Findings) -> Draft:
     )
     built = [wheels.wheel(joint, part_of) for joint in wheels.joints]
     _add_notes(file, wheels, kept, findings)
-    return Draft(
+    return vehicle_toml.Draft(
         tree.name,
         tuple(coordinates.known.values()),
         joints,
@@ -455,7 +437,9 @@ class _Coordinates:
         role = self._roles.joints.get(leader.name)
         if role is None and leader.moves and leader.lower == leader.upper:
             values, reason = {"kind": "fixed"}, "fixed: its limits are equal"
-            other = toml_line("joints", leader.name, kind="commanded", lower=-1.5, upper=1.5)
+            other = vehicle_toml.toml_line(
+                "joints", leader.name, kind="commanded", lower=-1.5, upper=1.5
+            )
             self._findings.guess("joints", leader.name, values, reason, other)
             return repr(offset + multiplier * leader.lower)
         unknown = None if leader.name in self._tree.actuated else NO_WHEEL
@@ -464,7 +448,7 @@ class _Coordinates:
             kind: Any = guess.choice
             role, lines = JointRole(kind=kind), dict.fromkeys((kind, guess.rival))
             if not guess.alike:
-                other = toml_line("joints", leader.name, kind=guess.rival)
+                other = vehicle_toml.toml_line("joints", leader.name, kind=guess.rival)
                 reason = f"{kind}: {guess.reason}"
                 self._findings.guess("joints", leader.name, {"kind": kind}, reason, other)
             elif leader.name == guess.alike[0]:
@@ -509,7 +493,9 @@ class _Coordinates:
         """Return the name of a joint's coordinate; create the coordinate if it is new."""
         name = re.sub(r"\W", "_", joint.name)
         name = name if name.isidentifier() else f"_{name}"
-        while not is_symbol(name) or (name != joint.name and name in self._tree.joints):
+        while not vehicle_toml.is_symbol(name) or (
+            name != joint.name and name in self._tree.joints
+        ):
             name += "_"
         if name in self.known:
             return name
@@ -518,7 +504,7 @@ class _Coordinates:
             self._findings.notes.append(f"joint {joint.name} is the coordinate {name}")
         for key in ("lower", "upper", "rest"):
             value = role.keywords.get(key, 0.0)
-            if joint.type != "prismatic" and (hint := degrees_words(value)):
+            if joint.type != "prismatic" and (hint := vehicle_toml.degrees_words(value)):
                 message = f"{key}: expected radians ({hint}), found {value:g}"
                 self._findings.wrong(joint, message)
         kind: Any = role.kind
@@ -557,8 +543,10 @@ class _Coordinates:
         value: float = getattr(joint, key)
         expected = ""
         if joint.type == "prismatic":
-            expected = length_words(value) if abs(value) > MAX_LENGTH else ""
-        elif hint := degrees_words(value):
+            expected = (
+                vehicle_toml.length_words(value) if abs(value) > vehicle_toml.MAX_LENGTH else ""
+            )
+        elif hint := vehicle_toml.degrees_words(value):
             expected = f"radians ({hint})"
         if expected and not math.isinf(value):
             self._findings.wrong(joint, f"expected {key} in {expected}, found {value:g}")
@@ -576,7 +564,7 @@ def tracks(tree: Tree, wheels: Collection[str]) -> list[str]:
     return names
 
 
-def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: Draft) -> str:
+def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: vehicle_toml.Draft) -> str:
     """Return what to do about too few wheels, with the wheels that names or axes suggest."""
     wheels = [wheel.name for wheel in draft.wheels]
     ends = [j for j in tree.joints.values() if tree.is_last(j) and j.name not in wheels]
@@ -618,7 +606,7 @@ def _wheel_remedy(tree: Tree, roles: UrdfTable, draft: Draft) -> str:
     more = {name: WheelRole(radius=size.get("radius")) for name, size in sizes.items()}
     findings = Findings(tree.file)
     trial = roles.model_copy(update={"wheels": {**roles.wheels, **more}})
-    if not sizes or [*misfits(_draft(tree, trial, findings))] or findings.errors:
+    if not sizes or [*vehicle_toml.misfits(_draft(tree, trial, findings))] or findings.errors:
         return f"add {PARTS}"
     return f"add {PARTS}; or {findings.completion}, write wheels = {toml_value(sizes)}"
 

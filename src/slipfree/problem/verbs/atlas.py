@@ -27,12 +27,7 @@ from slipfree.files.toml import Fault, Positive, Range, Record, name_errors
 from slipfree.files.toml import Place as KeyPath
 from slipfree.problem import schema
 from slipfree.problem.build import build_model, build_vehicle, law_name, vehicle_facts
-from slipfree.problem.build_ground import (
-    Extremes,
-    GroundMap,
-    build_ground,
-    ground_facts,
-)
+from slipfree.problem.build_ground import Extremes, GroundMap, build_ground, ground_facts
 from slipfree.problem.problem import Problem
 from slipfree.routing.traversability import extents
 from slipfree.terrain.bicubic import Bicubic

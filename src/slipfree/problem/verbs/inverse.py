@@ -21,19 +21,8 @@ from slipfree.files.logs import check_motion, read_log
 from slipfree.files.mcap import is_mcap
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.tables import read_names
-from slipfree.models.given_rates import (
-    COMMANDS,
-    LEAST_MARGIN,
-    PLANAR,
-    RATES,
-    ROBOT,
-    STOP_CLEARANCE,
-    UNITS,
-    GivenRates,
-    check_authority,
-    is_determined,
-    steering_effects,
-)
+from slipfree.models import given_rates
+from slipfree.models.given_rates import COMMANDS, ROBOT, UNITS
 from slipfree.models.inverse import invert, steering_note, steering_slip
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.problem.build import (
@@ -375,11 +364,11 @@ class InverseVerb(base.DriveVerb):
         description = "; ".join([description, *notes])
         place = ("given",) if points is None else ("path",)
         is_rolling_path = points is not None and not are_commands(given)
-        rates = GivenRates(
+        rates = given_rates.GivenRates(
             tuple(given),
             "rates" if is_rolling_path or spec.steering == "rate" else "angles",
             len(given) < len(COMMANDS) if spec.exact is None else spec.exact,
-            0.0 if is_rolling_path and spec.steering == "angle" else LEAST_MARGIN,
+            0.0 if is_rolling_path and spec.steering == "angle" else given_rates.LEAST_MARGIN,
         )
         with at(problem, place):
             rates.check(vehicle)
@@ -455,7 +444,7 @@ def _given_rates(
     spec = problem.spec
     if points is None and are_commands(spec.given or ()):
         return read_commands(problem, spec)
-    given = dict(spec.given) if spec.given is not None else dict.fromkeys(PLANAR, 0.0)
+    given = dict(spec.given) if spec.given is not None else dict.fromkeys(given_rates.PLANAR, 0.0)
     faults = [*_rate_faults(given)]
     is_solved_for = points is not None and spec.steering == "angle"
     if spec.exact is not None and not is_solved_for:
@@ -472,15 +461,17 @@ def _given_rates(
     )
     if points is not None:
         words = f"path of {points.shape[1]} way-points in {points[0, -1]:g} s"
-    if is_solved_for and not is_determined(vehicle):
+    if is_solved_for and not given_rates.is_determined(vehicle):
         return dict.fromkeys(COMMANDS, 0.0), words
     return given, f"{words}; the steering {spec.steering} is unknown"
 
 
 def _rate_faults(given: dict[str, float]) -> Iterator[toml.Fault]:
     """Yield an error for each unknown name, and for a wrong kind of the given rates."""
-    yield from toml.name_errors(("given",), given, list(dict.fromkeys((*RATES, *COMMANDS, *ROBOT))))
-    if ours := [name for name in given if name in {*COMMANDS, *ROBOT} - {*RATES}]:
+    yield from toml.name_errors(
+        ("given",), given, list(dict.fromkeys((*given_rates.RATES, *COMMANDS, *ROBOT)))
+    )
+    if ours := [name for name in given if name in {*COMMANDS, *ROBOT} - {*given_rates.RATES}]:
         expected = (
             f"either rates in the platform's heading frame ({', '.join(COMMANDS)}; with frame = "
             f"'rep103' also {', '.join(ROBOT)}) or other rates, not both"
@@ -567,13 +558,13 @@ def _start(spec: Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajector
             rates |= {f"{c.name}_rate": 0.0 for c in vehicle.of("commanded")}
             stand = apply_inputs(direct, stand, direct.inputs(**rates), options=options)
         return apply_inputs(dae, stand, first, options=options)
-    unknown = [name for name in steering_effects(direct) if name not in spec.start]
+    unknown = [name for name in given_rates.steering_effects(direct) if name not in spec.start]
     try:
         errors = [f"{name}_error" for name in unknown]
         return trim_states(dae, stand, first, states=unknown, least=errors, options=options)
     except ModelError:
         if exact:
-            check_authority(direct, stand, dae.input_names)
+            given_rates.check_authority(direct, stand, dae.input_names)
         raise
 
 
@@ -596,7 +587,7 @@ def _with_replay(setup: Setup, inputs: Any, options: SolverOptions, run: Traject
         return column.label.unit if column else ""
 
     try:
-        trip = round_trip(direct, run, PLANAR, options=options)
+        trip = round_trip(direct, run, given_rates.PLANAR, options=options)
         facts |= {f"{ROUND_TRIP}{name}": Fact(gap, unit_of(name)) for name, gap in trip.items()}
         if run.t.size > 1:
             values: list[Any] = [v for v in leaves(setup.inputs) if isinstance(v, np.ndarray)]
@@ -617,5 +608,5 @@ def _with_replay(setup: Setup, inputs: Any, options: SolverOptions, run: Traject
     followed = [c for c in setup.vehicle.of("commanded") if f"{c.name}_error" in run.columns]
     to_stop = [np.fmin(c.upper - run[c.name], run[c.name] - c.lower).min() for c in followed]
     pairs = zip(followed, to_stop, strict=True)
-    at_stop = [c.name for c, distance in pairs if distance < 2 * STOP_CLEARANCE]
+    at_stop = [c.name for c, distance in pairs if distance < 2 * given_rates.STOP_CLEARANCE]
     return run.with_facts({**facts, "held_at_stop": Fact(at_stop)})

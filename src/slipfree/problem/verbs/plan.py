@@ -13,33 +13,20 @@ import numpy as np
 
 from slipfree.contact.closure import has_exact_closure
 from slipfree.control.path_following import follow
+from slipfree.core import trajectory
 from slipfree.core.dae import Dae
 from slipfree.core.errors import SlipfreeError
 from slipfree.core.facts import Fact, Facts, rows, starting_with
 from slipfree.core.outcome import Outcome, ipopt_words
 from slipfree.core.records import Array, leaves
-from slipfree.core.trajectory import (
-    PLAN,
-    PLAN_ACCURACY,
-    Column,
-    SolverError,
-    Stop,
-    Trajectory,
-    outcome_words,
-)
+from slipfree.core.trajectory import Trajectory
 from slipfree.geometry.path import Path
 from slipfree.laws.soil import Soil
 from slipfree.models.dynamics import dynamics
 from slipfree.models.kinematics import direct_kinematics, quasi_statics
 from slipfree.plan.constraints import COST, DURATION, missed_words
 from slipfree.plan.guess import settled_start
-from slipfree.plan.ipopt import (
-    SOLVED_STATUS,
-    STOPPED_STATUS,
-    TIME_STATUS,
-    Iterate,
-    seconds_left,
-)
+from slipfree.plan.ipopt import SOLVED_STATUS, STOPPED_STATUS, TIME_STATUS, Iterate, seconds_left
 from slipfree.plan.optimality import Optimality, price_rows, prices_words
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import ARRAY_PREFIX, SavedPlan, from_arrays, motion_of
@@ -49,38 +36,8 @@ from slipfree.plan.windows import LongPlan, plan_windows
 from slipfree.problem.build import Setup, World, model_law, wheel_angles_at
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
-from slipfree.problem.verbs.base import (
-    RESUME,
-    Diagnostic,
-    DriveVerb,
-    Result,
-    Watch,
-    drive_facts,
-    model_attributes,
-    with_diagnostics,
-    world_of,
-)
+from slipfree.problem.verbs import base, plan_search, plan_setup
 from slipfree.problem.verbs.plan_over_solids import OverSolids, build_over_solids, drive_over_solids
-from slipfree.problem.verbs.plan_search import (
-    UNTESTED,
-    Tested,
-    best_start,
-    find_plan,
-    make_guaranteed,
-    make_robust,
-    start_motion,
-)
-from slipfree.problem.verbs.plan_setup import (
-    Domain,
-    PlanKeys,
-    Planning,
-    areas_of,
-    build_layers,
-    build_planning,
-    mesh_of,
-    places_of,
-    regions,
-)
 from slipfree.routing.search import separation_words
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import TURN
@@ -145,7 +102,7 @@ prices of limits: {prices}
 )
 
 
-def facts_of(plan: Plan | LongPlan, setup: Planning) -> dict[str, Fact]:
+def facts_of(plan: Plan | LongPlan, setup: plan_setup.Planning) -> dict[str, Fact]:
     """Return the facts of a plan: iterations, times, costs, differences and violations."""
     times = [stage.seconds for stage in plan.stages]
     is_limited = plan.accurate and any(stage.status == TIME_STATUS for stage in plan.stages)
@@ -179,7 +136,7 @@ def _differences(plan: Plan | LongPlan) -> dict[str, Fact]:
     return facts
 
 
-def _turns(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
+def _turns(setup: plan_setup.Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
     """Return a table of angles that differ by whole turns from the goal or the plan."""
     rows = list[dict[str, Any]]()
     end = plan.motion.states(np.ones(1))[:, 0] + setup.dae.shift[0] if plan.success else ()
@@ -220,7 +177,7 @@ def described(run: Trajectory) -> dict[str, Fact]:
     sizes = [fact.value for fact in starting_with(VIOLATION, facts).values()]
     violation = max(sizes, default=0.0)
     is_kept = run.stop is None and violation <= facts["plan_accuracy"].value
-    is_solved = run.stop is None or run.stop.name != PLAN
+    is_solved = run.stop is None or run.stop.name != trajectory.PLAN
     texts = {"simulated": _simulated_words(facts, is_solved=is_solved)}
     if not is_solved:
         texts["iterate"] = "the motion is that of an iterate, not of a solution"
@@ -297,27 +254,27 @@ OFFER = (
 FRICTION_TOLERANCE = 1e-6  # smallest tolerance of quasi-statics, which may fail to settle below it
 
 
-class PlanVerb(DriveVerb):
+class PlanVerb(base.DriveVerb):
     """Planning: inputs that reach a goal at least cost, and the resulting motion."""
 
-    schema = PlanKeys
-    options = (RESUME,)
+    schema = plan_setup.PlanKeys
+    options = (base.RESUME,)
     is_timed = False
     own_rows = ROWS
     verified = (DIFFERENCE, VIOLATION)
     metrics_shown = ("within_limits", "plan_violation", "slip_rms")
 
-    def build(self, problem: Problem[PlanKeys]) -> Setup:
+    def build(self, problem: Problem[plan_setup.PlanKeys]) -> Setup:
         """Return the set-up of the search; over solids, that of the simulation of a plan."""
         if problem.spec.terrain.obstacles:
             return build_over_solids(problem)
-        return build_planning(problem)
+        return plan_setup.build_planning(problem)
 
     def drive(
         self,
-        problem: Problem[PlanKeys],
-        setup: Planning | OverSolids,
-        watch: Watch,
+        problem: Problem[plan_setup.PlanKeys],
+        setup: plan_setup.Planning | OverSolids,
+        watch: base.Watch,
         resume: SavedPlan | None,
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the simulated motion of a plan, and the plan as arrays for a warm start."""
@@ -326,12 +283,12 @@ class PlanVerb(DriveVerb):
         spec = problem.spec
         progress, facts = _iterate_reporter(watch, setup), dict[str, Fact]()
         if resume is None and spec.plan.starts > 1:
-            resume, facts, is_interrupted = best_start(setup, watch.line)
+            resume, facts, is_interrupted = plan_search.best_start(setup, watch.line)
             progress = (lambda *_: False) if is_interrupted else progress
         guesses: list[Trajectory] = []
         if not resume and not spec.plan.window:
             with at(problem, ("driver" if spec.driver else "inputs",)):
-                guesses = [start_motion(setup, k) for k in range(len(setup.starts))]
+                guesses = [plan_search.start_motion(setup, k) for k in range(len(setup.starts))]
 
         def with_plan(
             plan: Plan | LongPlan, run: Trajectory
@@ -361,7 +318,7 @@ class PlanVerb(DriveVerb):
                     speed=abs(guide.speed),
                     length=spec.plan.window,
                     overlap=spec.plan.shared_length,
-                    mesh=mesh_of(spec),
+                    mesh=plan_setup.mesh_of(spec),
                     options=spec.solver.options,
                     resume=resume,
                     progress=progress,
@@ -370,35 +327,35 @@ class PlanVerb(DriveVerb):
                 )
             run, arrays = with_plan(long, long.replay)
             checks = {"by_friction": lambda run: run.with_facts(_by_friction(setup, long))}
-            return with_diagnostics(run, checks, watch, arrays), arrays
-        plan = find_plan(setup, guesses, resume, progress, keep=keep)
-        tested = Tested(plan)
+            return base.with_diagnostics(run, checks, watch, arrays), arrays
+        plan = plan_search.find_plan(setup, guesses, resume, progress, keep=keep)
+        tested = plan_search.Tested(plan)
         if spec.plan.robust is not None and plan.accurate:
             # kept in case the search for a robust plan is interrupted
-            keep(replace(plan, replay=replace(plan.replay, stop=UNTESTED)))
-            tested = make_robust(setup, plan, spec.plan.robust, progress, watch)
+            keep(replace(plan, replay=replace(plan.replay, stop=plan_search.UNTESTED)))
+            tested = plan_search.make_robust(setup, plan, spec.plan.robust, progress, watch)
         elif spec.plan.guarantee is not None and plan.accurate:
-            tested = make_guaranteed(setup, plan, spec.plan.guarantee, progress)
+            tested = plan_search.make_guaranteed(setup, plan, spec.plan.guarantee, progress)
         plan = tested.plan
         run, stop = plan.replay, tested.stop or with_offer(setup, plan, guesses)
         if stop is not None and (tested.stop or not plan.success):
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))
         facts |= tested.facts
         run, arrays = with_plan(plan, run)
-        diagnostics: dict[str, Diagnostic] = {
+        diagnostics: dict[str, base.Diagnostic] = {
             "optimality": lambda run: run.with_facts(optimality_facts(plan)),
             "by_friction": lambda run: run.with_facts(_by_friction(setup, plan)),
             "by_stiffness": lambda run: run.with_facts(_by_stiffness(setup, plan)),
             "in_soil": lambda run: run.with_facts(_in_soil(setup, plan)),
             "momentum": lambda run: run.with_facts(_momentum(setup, plan)),
         }
-        return with_diagnostics(run, diagnostics, watch, arrays), arrays
+        return base.with_diagnostics(run, diagnostics, watch, arrays), arrays
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including model and law."""
-        return super().attributes(problem, setup) | model_attributes(problem.spec)
+        return super().attributes(problem, setup) | base.model_attributes(problem.spec)
 
-    def describe_samples(self, problem: Problem[PlanKeys], setup: Setup) -> str:
+    def describe_samples(self, problem: Problem[plan_setup.PlanKeys], setup: Setup) -> str:
         """Return the description of the sampling, without the duration, which may be unknown."""
         return f"{problem.spec.time.step:g} s apart or less, depending on the intervals of the plan"
 
@@ -406,36 +363,38 @@ class PlanVerb(DriveVerb):
         """Return the facts of a motion, including its largest violation of limits."""
         return super().facts(run) | described(run)
 
-    def figures(self, result: Result) -> tuple[Plot, ...]:
+    def figures(self, result: base.Result) -> tuple[Plot, ...]:
         """Return the figures of a plan and of its motion, the most important first."""
         from slipfree.show.plan_figures import plan_plots
 
         if result.problem.spec.terrain.obstacles:
             return super().figures(result)
-        world = world_of(result)
+        world = base.world_of(result)
         options, setup = figure_options(result, world), result.setup
         layers = setup and setup.layers
         if layers is None:
-            layers = build_layers(result.problem, world.terrain, world.vehicle, options["places"])
+            layers = plan_setup.build_layers(
+                result.problem, world.terrain, world.vehicle, options["places"]
+            )
         plots = plan_plots(result.trajectory, world.ground.grid, layers, **options)
         others = super().figures(result)
         if all(name.endswith("_rate") for name in options["bounds"]):  # in the figure of the plan
             others = tuple(plot for plot in others if plot.name != "rates")
         return *plots, *others
 
-    def shown(self, result: Result, name: str) -> Driven:
+    def shown(self, result: base.Result, name: str) -> Driven:
         """Return the motion of a result with ground, vehicle, keep-out regions and plan."""
         driven = super().shown(result, name)
         planned = poses_of_plan(result.trajectory, result.arrays, driven.terrain)
         return driven._replace(plan=planned)
 
-    def marks(self, problem: Problem[Any], domain: Domain) -> dict[str, Any]:
+    def marks(self, problem: Problem[Any], domain: plan_setup.Domain) -> dict[str, Any]:
         """Return keep-out regions, places, and areas of those that are no points."""
-        places, _ = places_of(problem, domain)
+        places, _ = plan_setup.places_of(problem, domain)
         return {
-            "keep_out": regions(problem),
+            "keep_out": plan_setup.regions(problem),
             "places": places,
-            "areas": areas_of(problem, domain),
+            "areas": plan_setup.areas_of(problem, domain),
         }
 
 
@@ -452,7 +411,7 @@ def _line_points(name: str, arrays: Mapping[str, Array]) -> Array:
     return np.stack([arrays.get(f"{name}_{axis}", empty) for axis in "xy"], axis=1)
 
 
-def figure_options(result: Result, world: World) -> dict[str, Any]:
+def figure_options(result: base.Result, world: World) -> dict[str, Any]:
     """Return the keyword arguments of `plan_plots`, from the arrays and attributes of a result."""
     problem, arrays = result.problem, result.arrays
     spec, run = problem.spec, result.trajectory
@@ -469,7 +428,7 @@ def figure_options(result: Result, world: World) -> dict[str, Any]:
     }
 
 
-def _inaccurate(setup: Planning, plan: Plan | LongPlan) -> Stop:
+def _inaccurate(setup: plan_setup.Planning, plan: Plan | LongPlan) -> trajectory.Stop:
     spec = setup.spec
     obstacle = obstacle_words(setup.task, plan.replay, spec.plan.accuracy)
     sizes = plan.difference | plan.violation
@@ -493,10 +452,12 @@ def _inaccurate(setup: Planning, plan: Plan | LongPlan) -> Stop:
         + (f"; it exceeds the limit of {obstacle}" if obstacle else "")
     )
     outcome = Outcome.INTERRUPTED if last.status == STOPPED_STATUS else Outcome.INACCURATE
-    return Stop(PLAN_ACCURACY, float(plan.replay.t[-1]), words, outcome)
+    return trajectory.Stop(trajectory.PLAN_ACCURACY, float(plan.replay.t[-1]), words, outcome)
 
 
-def _iterate_reporter(watch: Watch, setup: Planning) -> Callable[[str, Iterate], bool]:
+def _iterate_reporter(
+    watch: base.Watch, setup: plan_setup.Planning
+) -> Callable[[str, Iterate], bool]:
     """Return a callback that reports each iterate, and returns False after Ctrl-C to stop.
 
     Ctrl-C before the first iterate raises KeyboardInterrupt, since there is no plan to save.
@@ -530,7 +491,7 @@ def _iterate_reporter(watch: Watch, setup: Planning) -> Callable[[str, Iterate],
 
 def _simulated(
     prefix: str,
-    setup: Planning,
+    setup: plan_setup.Planning,
     plan: Plan | LongPlan,
     build: Callable[[], tuple[Dae, Trajectory]],
     options: SolverOptions,
@@ -549,13 +510,13 @@ def _simulated(
     except (SlipfreeError, np.linalg.LinAlgError) as error:
         return {f"{prefix}_failure": Fact(f"not simulated: {error}")}
     if run.stop is not None:
-        return {f"{prefix}_failure": Fact(outcome_words(run))}
+        return {f"{prefix}_failure": Fact(trajectory.outcome_words(run))}
     apart = float(np.hypot(*(run[name][-1] - plan.replay[name][-1] for name in "xy")))
     facts = {"end_distance": Fact(apart, "m"), **more(run)}
     return {f"{prefix}_{name}": fact for name, fact in facts.items()}
 
 
-def _by_friction(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
+def _by_friction(setup: plan_setup.Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
     """Return the facts of the quasi-static motion under the plan's inputs.
 
     There are none without mass, friction or exact contact, and for plans with forces.
@@ -571,18 +532,18 @@ def _by_friction(setup: Planning, plan: Plan | LongPlan) -> dict[str, Fact]:
         return model, settle(model, options=options, **start_values(setup.spec, setup.start))
 
     def slip(run: Trajectory) -> dict[str, Fact]:
-        facts = drive_facts(run)
+        facts = base.drive_facts(run)
         return {name: facts[name] for name in ("slip_per_path", "utilisation_largest")}
 
     return _simulated("friction", setup, plan, build, options, slip)
 
 
-def start_values(spec: PlanKeys, start: Trajectory) -> dict[str, Any]:
+def start_values(spec: plan_setup.PlanKeys, start: Trajectory) -> dict[str, Any]:
     """Return the values of a problem's start by name, with the heading, from the settled start."""
     return {name: float(start[name][0]) for name in {**spec.start, "heading": 0.0}}
 
 
-def _by_stiffness(setup: Planning, plan: Plan) -> dict[str, Fact]:
+def _by_stiffness(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
     """Return the facts of the motion with stiffer wheels, if wheels press into the ground."""
     if has_exact_closure(setup.vehicle) or not plan.success or setup.spec.model == "dynamics":
         return {}
@@ -597,7 +558,7 @@ def _by_stiffness(setup: Planning, plan: Plan) -> dict[str, Fact]:
     return _simulated("stiff", setup, plan, build, options)
 
 
-def _in_soil(setup: Planning, plan: Plan) -> dict[str, Fact]:
+def _in_soil(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
     """Return the facts of the motion in soil with inertia under the plan's inputs.
 
     Slip, sinkage and work are also those of the plan's own simulation.
@@ -626,7 +587,7 @@ def _in_soil(setup: Planning, plan: Plan) -> dict[str, Fact]:
     return _simulated("soil", setup, plan, build, options, compared)
 
 
-def _momentum(setup: Planning, plan: Plan) -> dict[str, Fact]:
+def _momentum(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
     if setup.spec.model != "dynamics":
         return {}
     facts = {"momentum_distance": Fact(max(plan.difference[name] for name in "xyz"), "m")}
@@ -637,7 +598,7 @@ def _momentum(setup: Planning, plan: Plan) -> dict[str, Fact]:
     return facts | (_slowly(setup, plan) if plan.success else {})
 
 
-def _slowly(setup: Planning, plan: Plan) -> dict[str, Fact]:
+def _slowly(setup: plan_setup.Planning, plan: Plan) -> dict[str, Fact]:
     """Return the torques that the path of a plan needs without inertia."""
     run = plan.run
     try:
@@ -653,7 +614,7 @@ def _slowly(setup: Planning, plan: Plan) -> dict[str, Fact]:
         options = SolverOptions(tolerance=FRICTION_TOLERANCE)
         slow = simulate(model, start, model.inputs(**middles), run.t, options=options)
     except (SlipfreeError, np.linalg.LinAlgError) as error:  # the plan is valid without it
-        if not (isinstance(error, SolverError) and error.trajectory):
+        if not (isinstance(error, trajectory.SolverError) and error.trajectory):
             return {"slow_failure": Fact(f"not simulated: {error}")}
         slow = error.trajectory
     needed, used = (np.abs(each["drive_torque"].sum(axis=1)) for each in (slow, run))
@@ -662,7 +623,7 @@ def _slowly(setup: Planning, plan: Plan) -> dict[str, Fact]:
         "slow_torque": Fact(float(needed[k]), "N m"),
         "slow_torque_plan": Fact(float(used.max()), "N m"),
         **{f"slow_{axis}": Fact(float(slow[axis][k]), "m") for axis in "xy"},
-        **({} if slow.stop is None else {"slow_failure": Fact(outcome_words(slow))}),
+        **({} if slow.stop is None else {"slow_failure": Fact(trajectory.outcome_words(slow))}),
     }
 
 
@@ -673,7 +634,9 @@ def initial_speed(run: Trajectory) -> float:
     return float(level * np.cos(pitch) + run["velocity_z"][0] * np.sin(pitch))
 
 
-def with_offer(setup: Planning, plan: Plan, guesses: Sequence[Trajectory]) -> Stop | None:
+def with_offer(
+    setup: plan_setup.Planning, plan: Plan, guesses: Sequence[Trajectory]
+) -> trajectory.Stop | None:
     """Return the stop of a plan; after a failed search, with the obstacle and a suggestion.
 
     The obstacle is where the ground that can be reached on the mobility map ends between the places
@@ -721,13 +684,13 @@ def poses_of_plan(
     for name, column in run.columns.items():
         if name == "contact_x":
             break
-        columns[name] = Column(column.label, rows[first])
+        columns[name] = trajectory.Column(column.label, rows[first])
         first += 1
     # contacts are unknowns wheel by wheel: x and y of the first wheel, then of the next
     pairs = rows[first : first + 2 * len(run.wheels)].reshape(len(run.wheels), 2, -1)
     for axis, name in enumerate(("contact_x", "contact_y")):
-        columns[name] = Column(run.columns[name].label, pairs[:, axis].T)
+        columns[name] = trajectory.Column(run.columns[name].label, pairs[:, axis].T)
     columns["wheel_angle"] = wheel_angles_at(run, t)
     height = terrain.elevation(columns["contact_x"].values, columns["contact_y"].values)
-    columns["contact_z"] = Column(run.columns["contact_z"].label, height)
+    columns["contact_z"] = trajectory.Column(run.columns["contact_z"].label, height)
     return Trajectory(t, columns, run.wheels)

@@ -10,18 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.catalog import check_climber
-from slipfree.climb.contact_path import (
-    COSTS,
-    Climb,
-    ClimbHistory,
-    Leg,
-    Tracking,
-    climb,
-    history,
-    legs,
-    progress,
-    tracked_plan,
-)
+from slipfree.climb import contact_path
+from slipfree.climb.contact_path import COSTS
 from slipfree.control.step_climbing import climbing
 from slipfree.core.errors import ModelError
 from slipfree.core.facts import Fact
@@ -32,14 +22,7 @@ from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml import Fault, problem_error
 from slipfree.plan.constraints import missed_words
 from slipfree.plan.ipopt import solve_nlp
-from slipfree.problem.build import (
-    Setup,
-    build_shared_model,
-    build_start,
-    build_world,
-    level_section,
-    solver_options,
-)
+from slipfree.problem import build
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import STEP_CLIMBING, Modelled
@@ -65,7 +48,7 @@ OF_PLANS = {*PlanKeys.model_fields} - {*Modelled.model_fields}
 class Planned(NamedTuple):
     """Plan of a climb: program, solution and history of every leg, and the solver's effort."""
 
-    parts: tuple[tuple[Climb, Array, ClimbHistory], ...]
+    parts: tuple[tuple[contact_path.Climb, Array, contact_path.ClimbHistory], ...]
     least: tuple[float, ...]  # smallest sufficient friction of each leg [1]
     iterations: float
     seconds: float  # computing time of the solver [s]
@@ -73,7 +56,7 @@ class Planned(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class OverSolids(Setup):
+class OverSolids(build.Setup):
     """Set-up of the simulation of a plan over solids; ``dae`` has the controller that tracks it."""
 
     plan: Planned
@@ -88,12 +71,12 @@ def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
     faults = [*_faults(spec)]
     if faults or spec.driver is None:
         raise problem_error(problem.source, faults)
-    world, driver = build_world(problem), spec.driver
-    model = build_shared_model(problem, world)
+    world, driver = build.build_world(problem), spec.driver
+    model = build.build_shared_model(problem, world)
     with at(problem, ("vehicle",)):
         check_climber(world.vehicle)
     with at(problem, ("terrain",)):
-        section = level_section(world)
+        section = build.level_section(world)
         if section is None:
             raise ModelError(
                 "plan: expected a level ground below the solids, found another one; make its "
@@ -101,12 +84,15 @@ def build_over_solids(problem: Problem[PlanKeys]) -> OverSolids:
             )
     with at(problem, ("plan",)):
         plan = plan_climb(spec, driver, world.vehicle, section)
-        tracking = Tracking(
-            tracked_plan([part[:2] for part in plan.parts]),
+        tracking = contact_path.Tracking(
+            contact_path.tracked_plan([part[:2] for part in plan.parts]),
             **driver.control.model_dump(exclude_unset=True),
         )
     dae = climbing(model, tracking)
-    start, (t, _) = build_start(problem, dae), input_samples(spec.time.duration, spec.time.step, {})
+    start, (t, _) = (
+        build.build_start(problem, dae),
+        input_samples(spec.time.duration, spec.time.step, {}),
+    )
     inputs = dae.inputs(reference_speed=driver.speed)
     driven = f"plan over solids, tracked at {driver.speed:g} m/s before and after it"
     drive: dict[str, Any] = {"start": start, "inputs": inputs, "t": t, "driven": driven}
@@ -147,23 +133,25 @@ def plan_climb(spec: PlanKeys, driver: GuideTable, climber: Vehicle, section: Pr
             "give a number"
         )
     most = spec.limits.get("utilisation", (0.0, 1.0))[1] * spec.terrain.friction
-    parts = legs(climber, section)
+    parts = contact_path.legs(climber, section)
     options: dict[str, Any] = {
         "speed": driver.speed,
         "torques": [driver.control.torque * n for n in driver.control.motors],
         "s": (spec.plan.intervals or LEG_INTERVALS) + 1,
     }
 
-    def solved(cost: str, mu: float | None) -> Iterator[tuple[Climb, Array, ClimbHistory, Array]]:
+    def solved(
+        cost: str, mu: float | None
+    ) -> Iterator[tuple[contact_path.Climb, Array, contact_path.ClimbHistory, Array]]:
         for k, leg in enumerate(parts):
             halt = leg is not parts[-1]
-            plan = climb(climber, section, leg, cost, mu=mu, halt=halt, **options)
+            plan = contact_path.climb(climber, section, leg, cost, mu=mu, halt=halt, **options)
             try:
                 solution = solve_nlp(plan.nlp)
             except SolverError as error:
                 raise SolverError(f"plan, {_leg(k, leg)}: {error}") from error
             costs = np.array([solution.iterations, *solution.seconds.values()])
-            yield plan, solution.unknowns, history(plan, solution.unknowns), costs
+            yield plan, solution.unknowns, contact_path.history(plan, solution.unknowns), costs
 
     chosen = [*solved("friction", None)]
     least = tuple(told.mu for _, _, told, _ in chosen)
@@ -180,7 +168,7 @@ def plan_climb(spec: PlanKeys, driver: GuideTable, climber: Vehicle, section: Pr
     return Planned(tuple(each[:3] for each in chosen), least, *effort)
 
 
-def _leg(number: int, leg: Leg) -> str:
+def _leg(number: int, leg: contact_path.Leg) -> str:
     return f"leg {number + 1}, on which the {leg.axle} wheels climb"
 
 
@@ -189,7 +177,7 @@ def drive_over_solids(
 ) -> tuple[Trajectory, Mapping[str, Array]]:
     """Return the simulated motion that tracks a plan, with the errors and costs of the plan."""
     spec, plan = problem.spec, setup.plan
-    run = integrate(setup, solver_options(problem), watch)
+    run = integrate(setup, build.solver_options(problem), watch)
     low, high = spec.goal.get("y", (-np.inf, np.inf))
     y = float(run["y"][-1])
     missed = max(low - y, y - high, 0.0)
@@ -219,7 +207,7 @@ def _tracking(setup: OverSolids, run: Trajectory) -> dict[str, Fact]:
     reaches; the time is missing if it does not reach the end.
     """
     paths = [plan.middles for plan, *_ in setup.plan.parts]
-    planned = np.concatenate([progress(path) for path in paths])
+    planned = np.concatenate([contact_path.progress(path) for path in paths])
     _, z, rear, front = np.concatenate([path.q for path in paths]).T
     reached = np.maximum.accumulate((run["center_y"] + run["center_z"]).mean(axis=1))
     part = planned <= reached[-1]

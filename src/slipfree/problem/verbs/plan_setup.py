@@ -18,34 +18,14 @@ from slipfree.core.errors import ModelError
 from slipfree.core.records import Array, Label
 from slipfree.core.trajectory import Trajectory
 from slipfree.enclosure.wheel_gaps import pose_graphs
-from slipfree.files.toml import (
-    Fault,
-    NonNegative,
-    Pair,
-    PiecewiseConstant,
-    Positive,
-    ProblemError,
-    Quantity,
-    Range,
-    record_of,
-)
+from slipfree.files import toml
 from slipfree.geometry.regions import Region
 from slipfree.laws.coulomb import Coulomb
 from slipfree.laws.linear_creep import LinearCreep
 from slipfree.laws.protocols import GroundLaw
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.rigid_dynamics import rigid_dynamics
-from slipfree.plan.guess import (
-    Drive,
-    Guide,
-    Trip,
-    choose_guide,
-    ground_routes,
-    guide_drives,
-    on_map,
-    settled_start,
-    trip_of,
-)
+from slipfree.plan import guess
 from slipfree.plan.problem import (
     check_task,
     duration_of,
@@ -57,28 +37,10 @@ from slipfree.plan.problem import (
 from slipfree.plan.robust import robust_plan
 from slipfree.plan.search import Search
 from slipfree.plan.transcription import SAMPLE_STEP, Mesh, PlanTask
-from slipfree.problem.build import (
-    Setup,
-    build_model,
-    build_start,
-    build_world,
-    check_names,
-    check_without_path,
-    in_frame,
-    model_law,
-    path_points,
-)
+from slipfree.problem import build, schema
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import (
-    STEP_CLIMBING,
-    ClimbingDriver,
-    HeightErrors,
-    Modelled,
-    RegionTable,
-    Time,
-    region_of,
-)
+from slipfree.problem.schema import STEP_CLIMBING
 from slipfree.routing.search import unheld_words, unreachable
 from slipfree.routing.traversability import (
     Traversability,
@@ -97,7 +59,7 @@ MAX_INTERVALS = 2000  # a plan with more needs gigabytes and hours; windows divi
 GuideName = Literal["straight", "follow", "route", "reeds-shepp", "step-climbing"]
 
 
-class GuideTable(ClimbingDriver):
+class GuideTable(schema.ClimbingDriver):
     """Initial guess of a plan: a driving law along paths or along routes over the ground.
 
     Attributes
@@ -117,15 +79,15 @@ class GuideTable(ClimbingDriver):
     """
 
     name: GuideName  # type: ignore[assignment]
-    turning_radius: NonNegative | None = None
+    turning_radius: toml.NonNegative | None = None
     paths: Annotated[
-        tuple[Annotated[tuple[Pair, ...], Field(strict=False)], ...] | None,
+        tuple[Annotated[tuple[toml.Pair, ...], Field(strict=False)], ...] | None,
         Field(strict=False, min_length=1),
     ] = None
     count: Annotated[int, Field(ge=1, le=100)] = 1
 
 
-class KeepOut(RegionTable):
+class KeepOut(schema.RegionTable):
     """A region that no wheel may touch: a disc or a polygon.
 
     Attributes
@@ -140,7 +102,7 @@ class KeepOut(RegionTable):
     latitude: float | None = None
 
 
-OfRobust: Any = record_of(robust_plan, omitted=("first", "solve", "replay"))
+OfRobust: Any = toml.record_of(robust_plan, omitted=("first", "solve", "replay"))
 
 
 class Robust(OfRobust):  # type: ignore[misc]
@@ -159,13 +121,13 @@ class Robust(OfRobust):  # type: ignore[misc]
         them. [m, rad]
     """
 
-    map: HeightErrors | None = None
-    friction: NonNegative = 0.0
-    inputs: NonNegative = 0.0
-    goal: Positive | None = None
+    map: schema.HeightErrors | None = None
+    friction: toml.NonNegative = 0.0
+    inputs: toml.NonNegative = 0.0
+    goal: toml.Positive | None = None
 
 
-class PlanTime(Time):
+class PlanTime(schema.Time):
     """Sampling of the motion, and its duration.
 
     Attributes
@@ -177,12 +139,12 @@ class PlanTime(Time):
         Time between samples. [s]
     """
 
-    duration: Positive = inf
-    step: Positive = SAMPLE_STEP
+    duration: toml.Positive = inf
+    step: toml.Positive = SAMPLE_STEP
 
 
-OfMesh: Any = record_of(Mesh, omitted=("step",))
-Options: Any = record_of(Search, OfMesh)
+OfMesh: Any = toml.record_of(Mesh, omitted=("step",))
+Options: Any = toml.record_of(Search, OfMesh)
 
 
 class PlanTable(Options):  # type: ignore[misc]
@@ -211,12 +173,12 @@ class PlanTable(Options):  # type: ignore[misc]
         otherwise they roll within the limits of friction.
     """
 
-    duration: Range = None
-    smooth: NonNegative = 0.0
-    window: Positive | None = None
-    overlap: Positive | None = None
+    duration: toml.Range = None
+    smooth: toml.NonNegative = 0.0
+    window: toml.Positive | None = None
+    overlap: toml.Positive | None = None
     robust: Robust | None = None
-    guarantee: Positive | None = None
+    guarantee: toml.Positive | None = None
     sliding: bool = False
 
     @property
@@ -225,7 +187,7 @@ class PlanTable(Options):  # type: ignore[misc]
         return OVERLAP * (self.window or 0.0) if self.overlap is None else float(self.overlap)
 
 
-class PlanKeys(Modelled):
+class PlanKeys(schema.Modelled):
     """Planning problem: the inputs that reach a goal at least cost.
 
     Attributes
@@ -262,50 +224,52 @@ class PlanKeys(Modelled):
     """
 
     verb: Literal["plan"]
-    goal: dict[str, Range]
-    costs: dict[str, NonNegative]
-    cost_limits: dict[str, Positive] = Field(default={})
-    limits: dict[str, Range] = Field(default={})
-    bounds: dict[str, Range] = Field(default={})
-    accelerations: dict[str, Range] = Field(default={})
+    goal: dict[str, toml.Range]
+    costs: dict[str, toml.NonNegative]
+    cost_limits: dict[str, toml.Positive] = Field(default={})
+    limits: dict[str, toml.Range] = Field(default={})
+    bounds: dict[str, toml.Range] = Field(default={})
+    accelerations: dict[str, toml.Range] = Field(default={})
     plan: PlanTable = PlanTable()
     time: PlanTime = PlanTime()
-    start: dict[str, Quantity] = Field(default={})
+    start: dict[str, toml.Quantity] = Field(default={})
     keep_out: Annotated[tuple[KeepOut, ...], Field(strict=False)] = ()
-    way_points: Annotated[tuple[dict[str, Range], ...], Field(strict=False)] = ()
-    inputs: dict[str, PiecewiseConstant] | None = None
+    way_points: Annotated[tuple[dict[str, toml.Range], ...], Field(strict=False)] = ()
+    inputs: dict[str, toml.PiecewiseConstant] | None = None
     driver: GuideTable | None = None
 
     @property
-    def duration(self) -> Range | float | None:
+    def duration(self) -> toml.Range | float | None:
         """Duration of the plan or its range, None if it follows from the initial guess [s]."""
         is_given = self.time.duration < inf and self.plan.window is None
         return self.plan.duration or (self.time.duration if is_given else None)
 
-    def faults(self) -> Iterator[Fault]:
+    def faults(self) -> Iterator[toml.Fault]:
         """Yield the errors of common keys, and of options that do not suit the model."""
         yield from super().faults()
         search, driver = self.plan, self.driver
         if self.inputs is not None:
             if driver is not None:
                 expected = "at most one initial guess, of inputs and driver"
-                yield Fault(("driver",), expected, "both; remove one of them")
+                yield toml.Fault(("driver",), expected, "both; remove one of them")
             if self.time.duration == inf:
                 expected = "the duration of the initial guess by [inputs]"
-                yield Fault(("time", "duration"), expected, "none; add it, or remove [inputs]")
+                yield toml.Fault(("time", "duration"), expected, "none; add it, or remove [inputs]")
         if driver is not None:
             yield from driver.climbing_faults(self.model)
             if driver.name == STEP_CLIMBING and not self.terrain.obstacles:
                 expected = f"solids, [[terrain.obstacles]], with name = {STEP_CLIMBING!r}"
-                yield Fault(("driver", "name"), expected, "none; add one")
+                yield toml.Fault(("driver", "name"), expected, "none; add one")
         if (search.intervals or 0) > MAX_INTERVALS:
             found = f"{search.intervals}; reduce it, or divide a long plan with 'window'"
-            yield Fault(("plan", "intervals"), f"at most {MAX_INTERVALS} intervals", found)
+            yield toml.Fault(("plan", "intervals"), f"at most {MAX_INTERVALS} intervals", found)
         yield from self._search_faults()
         if self.model != "dynamics":
             if search.sliding:
                 found = f"model = {self.model!r}; set model = 'dynamics', or remove the key"
-                yield Fault(("plan", "sliding"), "model = 'dynamics', where wheels slide", found)
+                yield toml.Fault(
+                    ("plan", "sliding"), "model = 'dynamics', where wheels slide", found
+                )
             return
         conflicts = {
             "window": search.window is not None,
@@ -315,9 +279,9 @@ class PlanKeys(Modelled):
         }
         for name in (name for name, is_set in conflicts.items() if is_set):
             expected = f"no {name!r} with model = 'dynamics'"
-            yield Fault(("plan", name), expected, "it; remove it, or plan without inertia")
+            yield toml.Fault(("plan", name), expected, "it; remove it, or plan without inertia")
 
-    def _search_faults(self) -> Iterator[Fault]:
+    def _search_faults(self) -> Iterator[toml.Fault]:
         """Yield the errors of options that do not suit windows, drawn worlds or guarantees."""
         search, robust, window = self.plan, self.plan.robust, self.plan.window
         if search.guarantee is not None:
@@ -328,23 +292,23 @@ class PlanKeys(Modelled):
             }
             for name in (name for name, value in others.items() if value):
                 found = f"{name}; remove one of them"
-                yield Fault(("plan", "guarantee"), f"no {name!r} with plan.guarantee", found)
+                yield toml.Fault(("plan", "guarantee"), f"no {name!r} with plan.guarantee", found)
         if robust is not None:
             if robust.map is None and not (robust.friction or robust.inputs):
                 expected = "an uncertainty ('map', 'friction' or 'inputs')"
-                yield Fault(("plan", "robust"), expected, "none; add one")
+                yield toml.Fault(("plan", "robust"), expected, "none; add one")
             if robust.friction > 0 and self.terrain.friction is None:
                 expected = "a ground with friction for the key 'friction'"
                 found = "no friction; add 'friction' to [terrain], or remove it from [plan.robust]"
-                yield Fault(("plan", "robust"), expected, found)
+                yield toml.Fault(("plan", "robust"), expected, found)
         if window is None:
             if search.overlap is not None:
                 found = "no 'window'; add it to [plan], or remove 'overlap'"
-                yield Fault(("plan", "overlap"), "this key only with 'window'", found)
+                yield toml.Fault(("plan", "overlap"), "this key only with 'window'", found)
             return
         if self.plan.shared_length >= window:
             found = f"{self.plan.shared_length:g} m; reduce the overlap"
-            yield Fault(("plan", "overlap"), f"less than the window, {window:g} m", found)
+            yield toml.Fault(("plan", "overlap"), f"less than the window, {window:g} m", found)
         for place, is_set, advice in (
             (("plan", "duration"), search.duration is not None, "remove one of them"),
             (("plan", "starts"), search.starts > 1, "remove one of them"),
@@ -353,7 +317,7 @@ class PlanKeys(Modelled):
             (("cost_limits",), self.cost_limits, "remove 'cost_limits'"),
         ):
             if is_set:
-                yield Fault(place, f"no {place[-1]!r} with plan.window", f"both; {advice}")
+                yield toml.Fault(place, f"no {place[-1]!r} with plan.window", f"both; {advice}")
 
 
 Place = tuple[str, float, float]
@@ -379,7 +343,7 @@ def places_of(problem: Problem[PlanKeys], domain: Domain) -> tuple[tuple[Place, 
     for name, wanted in wanted_places(problem):
         axes = [axis for axis in "xy" if axis in wanted]
         with at(problem, (key_of(name),)):
-            middles = [sum(on_map(name, axis, wanted[axis], domain)) / 2 for axis in axes]
+            middles = [sum(guess.on_map(name, axis, wanted[axis], domain)) / 2 for axis in axes]
         if len(axes) == 2:
             places.append((name, middles[0], middles[1]))
             if all(wanted[axis][0] == wanted[axis][1] for axis in axes):
@@ -446,14 +410,14 @@ def guide_paths(
     """Return the paths of the initial guesses: given paths, or routes over the ground."""
     with at(problem, ("driver",)):
         if driver.name == "straight":
-            check_without_path(driver)
+            build.check_without_path(driver)
             return ()
         if driver.name == "reeds-shepp":
             _check_cusps(problem, driver, places)
             return ()
         if driver.name == "follow":
             if driver.paths is None:
-                return (path_points(problem, driver),)
+                return (build.path_points(problem, driver),)
             if driver.path is not None or driver.file is not None:
                 raise ModelError(
                     "driver: expected one of 'path', 'paths' and 'file', found several of them; "
@@ -464,7 +428,7 @@ def guide_paths(
     with at(problem, ("driver",)):
         count = max(driver.count, problem.spec.plan.starts if len(places) == 2 else 1)
         ends = np.array([place[1:] for place in places])
-        return ground_routes(layers, ends, turning_radius=radius, count=count)
+        return guess.ground_routes(layers, ends, turning_radius=radius, count=count)
 
 
 def _check_goal_place(problem: Problem[Any], places: tuple[Place, ...]) -> None:
@@ -472,7 +436,7 @@ def _check_goal_place(problem: Problem[Any], places: tuple[Place, ...]) -> None:
         goal = problem.spec.goal
         missing = " and ".join(name for name in ("x", "y") if name not in goal)
         found = f"{'only ' if goal else ''}{', '.join(goal) or 'none'}; add {missing}"
-        problem.refuse(Fault(("goal",), "values for x and y, which the driver needs", found))
+        problem.refuse(toml.Fault(("goal",), "values for x and y, which the driver needs", found))
 
 
 def _check_cusps(problem: Problem[PlanKeys], driver: GuideTable, places: tuple[Place, ...]) -> None:
@@ -502,7 +466,7 @@ def regions(problem: Problem[PlanKeys]) -> tuple[Region, ...]:
     keep_out: list[Region] = []
     for index, table in enumerate(problem.spec.keep_out):
         with at(problem, ("keep_out", index)):
-            keep_out.append(region_of(table))
+            keep_out.append(schema.region_of(table))
     return tuple(keep_out)
 
 
@@ -518,16 +482,16 @@ def mesh_of(spec: PlanKeys) -> Mesh:
 
 
 @dataclass(frozen=True, eq=False)
-class Planning(Setup):
+class Planning(build.Setup):
     """Set-up of the search for a plan."""
 
     layers: Traversability
     task: PlanTask  # optimal control problem, of the model ``dae``
     places: tuple[Place, ...]  # start, way-points, goal on the map [m]
-    starts: tuple[Drive, ...]  # inputs and sample times of each guess [s]
+    starts: tuple[guess.Drive, ...]  # inputs and sample times of each guess [s]
     problem: Problem[PlanKeys]
-    trip: Trip  # its model moves along the guesses: a kinematic one for plans with inertia
-    guide: Guide  # driving law of the guesses; without a name for guesses by [inputs]
+    trip: guess.Trip  # its model moves along the guesses: a kinematic one for plans with inertia
+    guide: guess.Guide  # driving law of the guesses; without a name for guesses by [inputs]
     deadline: float  # value of `time.monotonic` at which the search ends [s]
 
     @property
@@ -543,33 +507,33 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     windows, drawn worlds or initial guess do not suit vehicle and ground.
     """
     spec, deadline = problem.spec, time.monotonic() + problem.spec.plan.seconds
-    world = build_world(problem)
+    world = build.build_world(problem)
     terrain, vehicle = world.terrain, world.vehicle
     is_dynamic = spec.model == "dynamics"
     dae: Dae = (
         momentum_models(problem, vehicle, terrain)[-1]
         if is_dynamic
-        else build_model(problem, vehicle, terrain)
+        else build.build_model(problem, vehicle, terrain)
     )
     driven: Dae = direct_kinematics(vehicle, terrain) if is_dynamic else dae
-    check_names(problem, dae, spec.inputs, driven)
+    build.check_names(problem, dae, spec.inputs, driven)
     places, exact = places_of(problem, terrain.domain)
     space = free_space(terrain, vehicle, keep_out=regions(problem))
     wrong = [each for each in unreachable(space, places) if each.name in exact]
     if wrong:
         where = problem.source.where((key_of(wrong[0].name),))
-        raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
+        raise toml.ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
     for name, x, y in places:
         if name in exact and (why := unheld_words(terrain, vehicle, x, y)):
             where = problem.source.where((key_of(name),))
-            raise ProblemError(
+            raise toml.ProblemError(
                 f"{where}: the vehicle cannot be at the {name} {point_text((x, y))}: {why}; move "
                 f"the {name} or give the ground more friction"
             )
     if spec.plan.guarantee is not None:
         with at(problem, ("plan", "guarantee")):
             pose_graphs(dae)  # raises errors for models without guarantees
-    start = build_start(problem, dae)
+    start = build.build_start(problem, dae)
     own = {name for limit in dae.all_limits for name in (limit.label.name, limit.label.full)}
     for table, values in (("goal", spec.goal), ("limits", spec.limits)):
         for name in values.keys() - own:
@@ -578,8 +542,8 @@ def build_planning(problem: Problem[PlanKeys]) -> Planning:
     with at(problem, ("plan",)):
         task = plan_task(problem, dae, start)
         check_task(task, start)
-    begin = settled_start(driven, start, spec.solver.options) if is_dynamic else start
-    trip = trip_of(task, driven, begin)
+    begin = guess.settled_start(driven, start, spec.solver.options) if is_dynamic else start
+    trip = guess.trip_of(task, driven, begin)
     layers = build_layers(problem, terrain, vehicle, places)
     guide, starts = _guesses(problem, trip, layers, places)
     duration = duration_of(spec.duration or free_durations([t[-1] for _, t in starts]))
@@ -630,19 +594,19 @@ def momentum_models(problem: Problem[PlanKeys], vehicle: Vehicle, terrain: Bicub
 
     For wheels that slide, searches with larger creep speeds come first.
     """
-    spec, contact = problem.spec, model_law(problem)
+    spec, contact = problem.spec, build.model_law(problem)
     with at(problem, ("model",)):
         stiffness = getattr(contact, "slip_stiffness", inf)  # of soil, which the model refuses
         laws: list[GroundLaw] = [LinearCreep(contact.creep, stiffness)]
         if spec.plan.sliding:
             laws = [Coulomb(creep, slip_stiffness=stiffness) for creep in SLIDING_CREEPS]
         models = (rigid_dynamics(vehicle, terrain, law=law, contact=contact) for law in laws)
-        return [in_frame(problem, model) for model in models]
+        return [build.in_frame(problem, model) for model in models]
 
 
 def _guesses(
-    problem: Problem[PlanKeys], trip: Trip, layers: Traversability, places: tuple[Place, ...]
-) -> tuple[Guide, tuple[Drive, ...]]:
+    problem: Problem[PlanKeys], trip: guess.Trip, layers: Traversability, places: tuple[Place, ...]
+) -> tuple[guess.Guide, tuple[guess.Drive, ...]]:
     """Return the driving law of the initial guesses, that of the problem or one that suits.
 
     Inputs and sample times of each guess follow. ProblemError is raised if the vehicle or the
@@ -650,15 +614,15 @@ def _guesses(
     """
     spec, driver, time = problem.spec, problem.spec.driver, problem.spec.time
     if spec.inputs is not None:
-        guide = Guide("", 0.0, 0.0)
+        guide = guess.Guide("", 0.0, 0.0)
     elif driver is None:
         with at(problem, ("vehicle",)):
-            guide = choose_guide(trip, spec.bounds, layers, count=spec.plan.starts)
+            guide = guess.choose_guide(trip, spec.bounds, layers, count=spec.plan.starts)
     else:
         radius = driver.turning_radius
         radius = turning_radius(trip.vehicle) if radius is None else radius
         paths = guide_paths(problem, driver, layers, places, radius)
-        guide = Guide(driver.name, driver.speed, radius, paths)
+        guide = guess.Guide(driver.name, driver.speed, radius, paths)
     if spec.plan.window is not None:
         with at(problem, ("plan", "window")):
             if len(guide.paths) != 1:
@@ -677,7 +641,7 @@ def _guesses(
         with at(problem, ("inputs",)):
             return guide, ((trip.dae.inputs(**rates), t),)
     with at(problem, ("driver",)):
-        return guide, guide_drives(trip, guide, step=time.step, longest=time.duration)
+        return guide, guess.guide_drives(trip, guide, step=time.step, longest=time.duration)
 
 
 def plan_task(problem: Problem[PlanKeys], dae: Dae, start: Trajectory) -> PlanTask:

@@ -20,18 +20,11 @@ from slipfree.core.records import leaves
 from slipfree.core.schema import Length
 from slipfree.core.trajectory import SolverError, Trajectory, path_length
 from slipfree.files.netcdf import read, read_arrays, write
+from slipfree.plan import tracking
 from slipfree.plan.mpc import horizon
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import from_arrays
 from slipfree.plan.sampling import SamplingTask
-from slipfree.plan.tracking import (
-    Controller,
-    Following,
-    Replanning,
-    Sampling,
-    TrackingWorld,
-    track_plan,
-)
 from slipfree.problem.build import World, build_model, build_start, build_world, solver_options
 from slipfree.problem.inputs import ProblemParts, file_states, input_files
 from slipfree.problem.problem import Problem
@@ -170,10 +163,12 @@ def follow_plan(
         report = partial(time, name, seed) if time else None
         try:
             if name in ("inputs", "replan"):
-                controller: Controller = Replanning(frame, period=period, updated=name == "replan")
+                controller: tracking.Controller = tracking.Replanning(
+                    frame, period=period, updated=name == "replan"
+                )
             else:
                 driven = commanded(dae, speed=speed)
-                controller = Following(dae, plan.motion, speed, period=period)
+                controller = tracking.Following(dae, plan.motion, speed, period=period)
                 if name == "sampling":
                     (low, high), turn = SPEED_RANGE, TURN_RANGE * speed / driven.size
                     task = SamplingTask(
@@ -186,11 +181,11 @@ def follow_plan(
                         candidates=CANDIDATES,
                         spread=SPREAD,
                     )
-                    controller = Sampling(dae, task, plan.motion, period=period)
+                    controller = tracking.Sampling(dae, task, plan.motion, period=period)
         except ModelError as error:
             return Followed(name, seed, str(error))
         try:
-            tracked = track_plan(
+            tracked = tracking.track_plan(
                 controller, world, duration=duration, options=options, progress=report
             )
         except SolverError as error:
@@ -243,7 +238,7 @@ def _disturbed_world(
     speed: float,
     sizes: Mapping[str, float],
     seed: int,
-) -> tuple[TrackingWorld, World]:
+) -> tuple[tracking.TrackingWorld, World]:
     """Return the world of a changed problem with disturbances, and its ground with the vehicle.
 
     The mean ``speed`` is that of the plan.
@@ -283,7 +278,7 @@ def _disturbed_world(
         driven = commanded(replace(real, vehicle=dae.vehicle), speed=speed)
     except ModelError:  # the controllers report it
         driven = None
-    world = TrackingWorld(real, driven, start, sizes.get("latency", 0.0))
+    world = tracking.TrackingWorld(real, driven, start, sizes.get("latency", 0.0))
     ground = built.ground._replace(grid=grid, mu=mu)
     return world, replace(built, ground=ground, terrain=terrain)
 
