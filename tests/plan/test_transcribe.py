@@ -12,7 +12,6 @@ import slipfree as sf
 from helpers.cases import hills
 from helpers.commands import refuses
 from helpers.toy_models import task, toy
-from slipfree import ModelError
 from slipfree.catalog import three_wheeler
 from slipfree.core.dae import Limit
 from slipfree.core.records import Label
@@ -238,12 +237,6 @@ def test_derivatives_are_those_of_the_functions(continuous, rng):
     curved = ca.Function("curved", [w, p], [ca.hessian(lagrangian, w)[0]])(*at)
     half = program.hessian(*at, sigma, multipliers)
     assert_allclose(np.array(ca.DM(half)), np.triu(np.array(ca.DM(curved))), atol=1e-11)
-
-
-def test_a_degree_that_is_not_offered_is_refused():
-    dae = toy(1, lambda _t, _x, _z, u: [u])
-    with pytest.raises(ModelError, match="expected a degree of 1 to 5, found 6"):
-        transcribe(task(dae, [0.0]), CollocationMesh(np.linspace(0, 1, 3), 6))
 
 
 # Elements evaluated at all points at once: equal to one evaluation after the other

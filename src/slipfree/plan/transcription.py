@@ -18,7 +18,6 @@ from annotated_types import Ge, Gt, Le, Unit, doc
 
 from slipfree.core.arguments import checked
 from slipfree.core.dae import Dae, Limit
-from slipfree.core.errors import ModelError
 from slipfree.core.evaluation import evaluate
 from slipfree.core.lookups import found_column, needed_lookups, substitute_lookups
 from slipfree.core.records import Array, Label, Mask, field_overview, leaves
@@ -28,7 +27,6 @@ from slipfree.plan.stage import Cost, StageFunctions, stage_functions
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.system import with_inputs
 
-ALLOWED_DEGREES = (1, 2, 3, 4, 5)
 SAMPLE_STEP = 0.25  # largest time between samples of the simulation [s]
 
 
@@ -168,10 +166,6 @@ def transcribe(
     task: PlanTask, mesh: CollocationMesh, options: SolverOptions = SolverOptions()
 ) -> Program:
     """Return the nonlinear program of an optimal control problem on a mesh."""
-    if mesh.degree not in ALLOWED_DEGREES:
-        raise ModelError(
-            f"degree: expected a degree of 1 to 5, found {mesh.degree}; use one of these degrees"
-        )
     system = with_inputs(task.dae, task.dae.zero_inputs, 0, options)
     bounds, limits = _split(task)
     conditions = [

@@ -344,7 +344,7 @@ def map_plot(drive: PlottedDrive) -> Plot:
             size = window[1] - window[0], window[3] - window[2]
             inset.add_patch(Rectangle(window[::2], *size, fill=False, ec=STOPPED, lw=1.2))
         style.finished(figure, run, [ax])
-        figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
+        style.lay_out(figure)  # the first layout sees the colour bar of wider axes
         return figure
 
     words = "Ground and path in plan view, with tracks in the colours of utilisation or slip."

@@ -189,7 +189,7 @@ def plan_plots(
             ax.plot(*guess.T, color="0.35", lw=0.7, zorder=3, label="initial guess")
         motion(run, places, ax, areas)
         style.finished(figure, run, [ax])
-        figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
+        style.lay_out(figure)  # the first layout sees the colour bar of wider axes
         return figure
 
     caption = "Planned inputs, and quantities with their limits."

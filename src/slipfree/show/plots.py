@@ -104,7 +104,10 @@ def save(
 def _save_figure(plot: Plot, folder: Path, formats: Sequence[str]) -> list[Path]:
     figure = draw([plot])[plot.name]
     files = [folder / f"{plot.name}.{end}" for end in formats]
+    figure.dpi = DPI
     with rc_context(STYLE):  # type: ignore[arg-type]
+        style.lay_out(figure)
+        figure.set_layout_engine(None)  # otherwise savefig draws everything once for the layout
         for file in files:
             replace_file(file, partial(figure.savefig, dpi=DPI))
     return files

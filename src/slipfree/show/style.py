@@ -55,6 +55,12 @@ def figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def lay_out(figure: Figure) -> None:
+    """Place the axes and legends of a figure with automatic layout, without drawing it."""
+    if (engine := figure.get_layout_engine()) is not None:
+        engine.execute(figure)
+
+
 def finished(
     figure: Figure, run: Trajectory | None, legends: Sequence[Axes], note: str = ""
 ) -> Figure:

@@ -45,7 +45,7 @@ class MotionSolver(NamedTuple):
     guard: InterruptGuard
     tolerance: float
     method: Method
-    watch: ca.Function  # ``watch`` or ``motion_watch`` of the system
+    watch: ca.Function  # of the system; see ``make_watch``
     suppress_algebraic: bool  # whether IDAS's error test ignores the unknowns
 
 
@@ -156,7 +156,7 @@ def _call_integrator(
         times = np.linspace(t[0], t[-1], PACE_TIMES)
         later = u[:, np.searchsorted(t[1:-1], times, side="right")]
         m = at.z[: system.motion_size, 0]
-        pace = float(np.array(system.watch(times[None], at.x[:, 0], m, later)[2]).max())
+        pace = float(np.array(solver.watch(times[None], at.x[:, 0], m, later)[2]).max())
     x_size, m_size = (size[:, None] for size in motion_scales(system))
     columns = np.column_stack([u[:, :1], u])  # that of an interval at the time that it ends
     while True:

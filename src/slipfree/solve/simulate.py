@@ -399,7 +399,7 @@ def simulate(
     stops = tuple(each for each in watched if each.event.stop)
     with InterruptGuard() as guard:
         system = with_inputs(model, inputs, t.size - 1, options)
-        watch = system.motion_watch() if sampled_work else system.watch
+        watch = system.make_watch(not sampled_work)
         method = options.method or ("idas" if system.motion_size else "cvodes")
         if method == "cvodes" and system.motion_size:
             raise ModelError(

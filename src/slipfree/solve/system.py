@@ -261,21 +261,38 @@ class System(NamedTuple):
     # values of the inputs in every interval; values of an input given by an expression are unused.
     # If inputs are linear in time, the rows of their slopes follow, shape (n_u, n) or (2 n_u, n)
     u: Array
-    # ``(t, x, m, u) -> (ode, alg)``, the equations of the motion; ``alg`` is without unit
-    core: ca.Function
-    # ``(t, x, m, u) -> (rates of the quadratures, least distance to a limit of the motion, pace)``;
-    # the distance is negative beyond a limit, with lengths in sizes of the vehicle
-    watch: ca.Function
-    # returns the same with zero for rates of quadratures that depend on the dependent blocks; built
-    # when it is asked for, since few simulations do
-    motion_watch: Callable[[], ca.Function]
     # blocks and dependent_blocks: the algebraic equations of the motion, and those that are solved
     # after it
     blocks: tuple[Block, ...]
     dependent_blocks: tuple[Block, ...]
-    # derivatives of ``core`` for IDAS; see `slipfree.solve.system.motion_equations`
-    jacobian: ca.Function
-    outputs: ca.Function  # ``(t, x, z, u) ->`` values of the outputs, limits and inputs
+    # The following functions are built when they are asked for, since a start needs few of them.
+    # Equations of the motion and their derivatives; see `motion_equations`
+    make_motion: Callable[[], tuple[ca.Function, ca.Function]]
+    # ``solves ->`` function ``(t, x, m, u) -> (rates of the quadratures, least distance to a limit
+    # of the motion, pace)``; the distance is negative beyond a limit, with lengths in sizes of the
+    # vehicle. Unless it solves the dependent blocks, rates that depend on them are zero
+    make_watch: Callable[[bool], ca.Function]
+    make_outputs: Callable[[], ca.Function]
+
+    @property
+    def core(self) -> ca.Function:
+        """Function ``(t, x, m, u) -> (ode, alg)``; ``alg`` is without unit."""
+        return self.make_motion()[0]
+
+    @property
+    def jacobian(self) -> ca.Function:
+        """Derivatives of ``core`` for IDAS; see `motion_equations`."""
+        return self.make_motion()[1]
+
+    @property
+    def watch(self) -> ca.Function:
+        """Rates, distance and pace as in ``make_watch``, with all rates."""
+        return self.make_watch(True)
+
+    @property
+    def outputs(self) -> ca.Function:
+        """Function ``(t, x, z, u) ->`` values of the outputs, limits and inputs."""
+        return self.make_outputs()
 
     @property
     def motion_size(self) -> int:
@@ -361,19 +378,17 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
         first -= 1
     motion, dependent = blocks[:first], blocks[first:]
     m = z[: motion[-1].span.stop] if motion else z[:0]
-    core, jacobian = motion_equations(dae, m.numel(), law, u, compiled=compiled)
 
-    def watch(*, solves: bool) -> ca.Function:
-        """Return the function of quadrature rates, margin and pace.
-
-        The dependent blocks are solved if rates depend on them, or those rates are zero.
-        """
+    @cache
+    def watch(solves: bool) -> ca.Function:
         x, count = dae.columns()[0], m.numel() if dependent else z.numel()
         follows = [ca.depends_on(each, z[count:]) for each in law]
         late = (v for v, each in zip(leaves(dae.u), follows, strict=True) if each)
         following = ca.vertcat(z[count:], *late)
         quad, margin = watched[0], _limit_margin(dae, watched[1], following)
         if not solves:
+            if not ca.depends_on(quad, following):
+                return watch(True)
             rates = (0 * q if ca.depends_on(q, following) else q for q in ca.vertsplit(quad))
             quad = ca.vertcat(ca.SX(0, 1), *rates)
         solves = bool(dependent) and ca.depends_on(quad, following)
@@ -397,23 +412,19 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
         at = t_0, x_0, found
         return ca.Function("watch", given, list(values(*at, laws(*at, u_0))))
 
-    # not compiled: outputs contain the origin of the map, so a library would serve one map
-    at = [dae.t, *dae.columns()[:2], inputs]
-    outputs = model_function(dae, "outputs", at, shown, compiled=False)
-    laws = dae.function("law", [*at[:3], u], [ca.densify(ca.vertcat(ca.SX(0, 1), *law))])
-    given = laws.mx_in()
-    driven = laws(*given)
-    return System(
-        dae,
-        np.zeros((u.numel(), 0)),
-        core,
-        watch(solves=True),
-        cache(partial(watch, solves=False)),
-        motion,
-        dependent,
-        jacobian,
-        ca.Function("outputs", given, [*outputs(*given[:3], driven), ca.densify(driven)]),
-    )
+    @cache
+    def outputs() -> ca.Function:
+        # not compiled: outputs contain the origin of the map, so a library would serve one map
+        at = [dae.t, *dae.columns()[:2], inputs]
+        values = model_function(dae, "outputs", at, shown, compiled=False)
+        laws = dae.function("law", [*at[:3], u], [ca.densify(ca.vertcat(ca.SX(0, 1), *law))])
+        given = laws.mx_in()
+        driven = laws(*given)
+        return ca.Function("outputs", given, [*values(*given[:3], driven), ca.densify(driven)])
+
+    motion_functions = partial(motion_equations, dae, m.numel(), law, u, compiled=compiled)
+    numbers = np.zeros((u.numel(), 0))
+    return System(dae, numbers, motion, dependent, cache(motion_functions), watch, outputs)
 
 
 def _solve_symbolically(block: Block, point: list[ca.MX]) -> ca.MX:
